@@ -1,0 +1,57 @@
+"""Pinhole cameras: frames, pixel conventions, and the maps of one point.
+
+World to camera is `viewmat`; camera axes are x right, y down, z forward (OpenCV). Pixel (row i, column j) has its
+centre at (j + 0.5, i + 0.5). Depth is camera z.
+"""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole view. The matrices are traced, so a new pose or focal length never recompiles; the size is static."""
+
+    viewmat: Array  # [4, 4] rigid, world to camera
+    K: Array  # [3, 3] pixels: fx, fy, cx, cy
+    width: int = field(metadata={"static": True})
+    height: int = field(metadata={"static": True})
+
+
+def rotation(camera: Camera) -> Array:
+    """`[3, 3]` rotation of world vectors into the camera frame."""
+    return camera.viewmat[:3, :3]
+
+
+def center(camera: Camera) -> Array:
+    """`[3]` camera centre in the world."""
+    return -camera.viewmat[:3, 3] @ camera.viewmat[:3, :3]
+
+
+def world_to_camera(point: Array, camera: Camera) -> Array:
+    """`[3]` camera-frame position of one world point."""
+    return jnp.sum(camera.viewmat[:3, :3] * point, axis=-1) + camera.viewmat[:3, 3]
+
+
+def project(point_cam: Array, camera: Camera) -> Array:
+    """`[2]` pixel (x, y) of one camera-frame point; points on or behind the camera plane are read at z = 1e-6."""
+    in_front = point_cam[2] > 1e-6
+    z = jnp.where(in_front, point_cam[2], 1e-6)
+    return point_cam[:2] / z * jnp.stack([camera.K[0, 0], camera.K[1, 1]]) + camera.K[:2, 2]
+
+
+def pixel_rays(camera: Camera) -> Array:
+    """`[H, W, 3]` camera-frame ray through every pixel centre, with z = 1: times depth it is the point."""
+    x = (jnp.arange(camera.width, dtype=jnp.float32) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
+    y = (jnp.arange(camera.height, dtype=jnp.float32) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
+    x, y = jnp.meshgrid(x, y)
+    return jnp.stack([x, y, jnp.ones_like(x)], axis=-1)
+
+
+def unproject(depth: Array, camera: Camera) -> Array:
+    """`[H, W, 3]` camera-frame points of a `[H, W]` depth map (camera z)."""
+    return pixel_rays(camera) * depth[..., None]

@@ -1,0 +1,79 @@
+"""The Gaussians of a scene as one pytree, and the maps from its free parameters to what a renderer needs."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+SH_C0 = 0.28209479177387814  # Y_0^0, the constant that turns an rgb into a degree-0 coefficient.
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Gaussians:
+    """N Gaussians in world coordinates; every field is free (unconstrained) and float32.
+
+    A field's name carries its space: `scales(g)` and `opacities(g)` give the linear values.
+    """
+
+    means: Array  # [N, 3] world positions, scene units
+    quats: Array  # [N, 4] rotation, (w, x, y, z), any length but zero
+    log_scales: Array  # [N, 3] natural log of the standard deviations along the axes, scene units
+    logit_opacities: Array  # [N] log-odds of the opacity
+    sh_dc: Array  # [N, 1, 3] degree-0 coefficients
+    sh_rest: Array  # [N, (L+1)^2 - 1, 3] coefficients of degrees 1..L
+
+    @property
+    def num_gaussians(self) -> int:
+        """Number of rows, dead ones included where the arrays are buffers of fixed capacity."""
+        return self.means.shape[0]
+
+    @property
+    def sh_degree(self) -> int:
+        """Highest spherical-harmonics degree that the coefficients hold."""
+        return round((self.sh_rest.shape[1] + 1) ** 0.5) - 1
+
+
+def scales(gaussians: Gaussians) -> Array:
+    """`[N, 3]` standard deviations along the axes, scene units."""
+    return jnp.exp(gaussians.log_scales)
+
+
+def opacities(gaussians: Gaussians) -> Array:
+    """`[N]` opacities in (0, 1)."""
+    return jax.nn.sigmoid(gaussians.logit_opacities)
+
+
+def sh_coefficients(gaussians: Gaussians) -> Array:
+    """`[N, (L+1)^2, 3]` coefficients of all degrees."""
+    return jnp.concatenate([gaussians.sh_dc, gaussians.sh_rest], axis=1)
+
+
+def rgb_to_sh(rgb: Array) -> Array:
+    """Degree-0 coefficient whose colour is `rgb` (0..1), any shape."""
+    return (rgb - 0.5) / SH_C0
+
+
+def take(gaussians: Gaussians, index: Array | np.ndarray) -> Gaussians:
+    """The rows that `index` (integers or a boolean mask) names."""
+    return jax.tree.map(lambda x: x[index], gaussians)
+
+
+def rotation_matrices(quats: Array) -> Array:
+    """`[..., 3, 3]` rotations of `[..., 4]` quaternions (w, x, y, z) of any length; the columns are the axes.
+
+    A zero quaternion gives the identity, with zero gradient.
+    """
+    squared = jnp.sum(quats * quats, axis=-1, keepdims=True)
+    is_zero = squared < 1e-24
+    unit = quats * jax.lax.rsqrt(jnp.where(is_zero, 1.0, squared))
+    identity = jnp.array([1.0, 0.0, 0.0, 0.0], quats.dtype)
+    w, x, y, z = jnp.moveaxis(jnp.where(is_zero, identity, unit), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
