@@ -1,0 +1,56 @@
+"""A triangle mesh with vertex colours, as a plain record of numpy arrays, and its normals."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """V vertices and F triangles in world coordinates."""
+
+    vertices: np.ndarray  # [V, 3] float32 world positions, scene units
+    faces: np.ndarray  # [F, 3] int32 vertex indices, counter-clockwise seen from outside
+    colors: np.ndarray  # [V, 3] uint8 sRGB
+
+    @property
+    def num_vertices(self) -> int:
+        """Number of vertices."""
+        return self.vertices.shape[0]
+
+    @property
+    def num_faces(self) -> int:
+        """Number of triangles."""
+        return self.faces.shape[0]
+
+
+def face_area_vectors(mesh: Mesh) -> np.ndarray:
+    """`[F, 3]` float64 outward normals whose length is the triangle's area, scene units squared."""
+    a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[mesh.faces], 1, 0)
+    return 0.5 * np.cross(b - a, c - a)
+
+
+def face_normals(mesh: Mesh) -> np.ndarray:
+    """`[F, 3]` float64 unit outward normals; zero for a triangle without area."""
+    return unit_or_zero(face_area_vectors(mesh))
+
+
+def vertex_normals(mesh: Mesh) -> np.ndarray:
+    """`[V, 3]` float64 unit normals, the area-weighted mean over the triangles around; zero where there is none."""
+    areas = face_area_vectors(mesh)
+    total = np.zeros((mesh.num_vertices, 3))
+    for corner in range(3):
+        np.add.at(total, mesh.faces[:, corner], areas)
+    return unit_or_zero(total)
+
+
+def signed_volume(mesh: Mesh) -> float:
+    """Volume enclosed by a closed mesh, scene units cubed; negative where the faces look inwards."""
+    a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[mesh.faces], 1, 0)
+    return float(np.sum(a * np.cross(b, c)) / 6)
+
+
+def unit_or_zero(vectors: np.ndarray) -> np.ndarray:
+    """`[..., 3]` vectors scaled to length 1; a zero vector stays zero."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(lengths > 0, lengths, 1)
