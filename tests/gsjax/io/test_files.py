@@ -1,0 +1,72 @@
+import errno
+import os
+
+import pytest
+
+from gsjax.errors import InputError
+from gsjax.io import files
+
+
+def test_the_target_appears_whole_with_its_parents(tmp_path):
+    target = tmp_path / "a/b/mesh.ply"
+    with files.atomic_path(target) as temporary:
+        temporary.write_text("whole")
+        assert temporary.parent == target.parent
+        assert temporary.suffix == ".ply"
+        assert not target.exists()
+    assert target.read_text() == "whole"
+    assert os.listdir(target.parent) == ["mesh.ply"]
+
+
+def test_a_failing_block_keeps_the_old_file_and_leaves_nothing(tmp_path):
+    target = tmp_path / "state.npz"
+    target.write_text("old")
+    with pytest.raises(ZeroDivisionError), files.atomic_path(target) as temporary:
+        temporary.write_text("half")
+        _ = 1 / 0
+    assert target.read_text() == "old"
+    assert os.listdir(tmp_path) == ["state.npz"]
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EDQUOT, errno.EIO])
+def test_a_sick_disk_is_one_line_with_the_path_and_the_reason(tmp_path, number):
+    target = tmp_path / "state.npz"
+    with pytest.raises(InputError) as caught, files.atomic_path(target) as temporary:
+        temporary.write_text("half")
+        raise OSError(number, os.strerror(number))
+    assert str(caught.value) == f"cannot write {target}: {os.strerror(number)}"
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs the always-full device of Linux")
+def test_a_full_device_as_the_system_reports_it(tmp_path):
+    target = tmp_path / "state.npz"
+    target.symlink_to("/dev/full")
+    with pytest.raises(InputError, match="No space left on device"), files.atomic_path(target) as temporary:
+        temporary.symlink_to("/dev/full")
+        temporary.write_bytes(b"x" * 10)
+    assert os.listdir(tmp_path) == ["state.npz"]
+
+
+def test_a_file_in_place_of_the_parent_folder(tmp_path):
+    (tmp_path / "run").write_text("")
+    with pytest.raises(InputError, match=r"cannot write .*run/x\.json: "), files.atomic_path(tmp_path / "run/x.json"):
+        pass
+    with pytest.raises(InputError, match="cannot write .*run: File exists"):
+        files.make_folder(tmp_path / "run")
+
+
+def test_a_folder_in_place_of_the_target(tmp_path):
+    (tmp_path / "mesh.ply").mkdir()
+    with pytest.raises(InputError, match="Is a directory"), files.atomic_path(tmp_path / "mesh.ply") as temporary:
+        temporary.write_text("x")
+
+
+def test_an_error_about_another_file_is_passed_on(tmp_path):
+    with pytest.raises(FileNotFoundError, match="absent.txt"), files.atomic_path(tmp_path / "x.txt"):
+        (tmp_path / "absent.txt").read_text()
+
+
+def test_forgetting_to_write_is_a_bug_and_not_bad_input(tmp_path):
+    with pytest.raises(FileNotFoundError), files.atomic_path(tmp_path / "x.txt"):
+        pass
