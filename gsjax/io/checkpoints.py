@@ -1,0 +1,85 @@
+"""A pytree of arrays as one uncompressed npz file, exact to the bit.
+
+Each leaf is stored under its path in the tree (`.gaussians.means`, `.opt_state[0].mu.quats`), so a checkpoint opens
+with plain numpy and says what it holds.
+"""
+
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gsjax.errors import InputError
+from gsjax.io.files import atomic_path
+
+_UNREADABLE = (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile)
+
+
+def save(path: str | Path, tree: Any) -> None:
+    """Writes every leaf of `tree`: arrays of numbers or booleans, raw uint32 random keys, numpy or Python scalars.
+
+    Args:
+        path: Target, ending in `.npz`; replaced as a whole or not at all.
+        tree: Any pytree, optimiser states included. `None` and static fields are structure and are not stored.
+
+    Raises:
+        InputError: The file cannot be written (disk full, read-only).
+    """
+    leaves = {name: np.asarray(leaf) for name, leaf in _named_leaves(tree)}
+    with atomic_path(path) as temporary:
+        np.savez(temporary, allow_pickle=False, **leaves)
+
+
+def load(path: str | Path, like: Any) -> Any:
+    """The tree of `like`'s structure with the stored leaves: numpy where `like` has numpy, else on jax's device.
+
+    Args:
+        path: A file that `save` wrote.
+        like: Pytree of arrays or `jax.ShapeDtypeStruct`; only its structure, shapes and dtypes are read.
+
+    Raises:
+        InputError: The file is absent, truncated or damaged, or its first difference from `like`.
+    """
+    stored = load_arrays(path)
+    wanted = _named_leaves(like)
+    for name in stored.keys() - {name for name, _ in wanted}:
+        raise InputError(f"{path}: holds {_shown(name)}, which this run has no place for")
+    leaves = [_checked(path, name, stored, leaf) for name, leaf in wanted]
+    return jax.tree.unflatten(jax.tree.structure(like), leaves)
+
+
+def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
+    """All stored arrays by their path in the tree.
+
+    Raises:
+        InputError: The file is absent, truncated or damaged.
+    """
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such checkpoint")
+    try:
+        with open(path, "rb") as file, np.lib.npyio.NpzFile(file, allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except _UNREADABLE as error:
+        raise InputError(f"{path}: truncated or damaged checkpoint ({str(error).splitlines()[0]})") from error
+
+
+def _named_leaves(tree: Any) -> list[tuple[str, Any]]:
+    return [(jax.tree_util.keystr(path), leaf) for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]]
+
+
+def _checked(path: str | Path, name: str, stored: dict[str, np.ndarray], wanted: Any) -> Any:
+    """The stored leaf `name`, if it is what `wanted` describes."""
+    if name not in stored:
+        raise InputError(f"{path}: {_shown(name)} is missing")
+    leaf, like = stored[name], wanted if hasattr(wanted, "dtype") else np.asarray(wanted)
+    if (leaf.shape, leaf.dtype) != (tuple(like.shape), np.dtype(like.dtype)):
+        expected = f"{np.dtype(like.dtype)}{list(like.shape)}"
+        raise InputError(f"{path}: {_shown(name)} is {leaf.dtype}{list(leaf.shape)}, expected {expected}")
+    return leaf if isinstance(wanted, np.ndarray | np.generic) else jnp.asarray(leaf)
+
+
+def _shown(name: str) -> str:
+    return f"'{name.lstrip('.')}'"
