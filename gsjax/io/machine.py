@@ -1,0 +1,66 @@
+"""What a number was measured on and with: the machine, and the versions of what computed it."""
+
+import os
+import platform
+import re
+import subprocess
+from importlib import metadata
+from pathlib import Path
+
+PACKAGES = ("gsjax", "jax", "jaxlib", "optax", "numpy", "scipy", "pycolmap", "open3d", "trimesh")
+
+
+def machine() -> dict[str, str | int | None]:
+    """CPU model, usable cores, memory, operating system, and the accelerator that jax computes on (None: the CPU)."""
+    import jax
+
+    device = jax.devices()[0]
+    return {
+        "cpu": _cpu_model(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "memory_gib": round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30),
+        "platform": platform.platform(),
+        "accelerator": None if device.platform == "cpu" else device.device_kind,
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that are installed; in a git checkout, the commit of the source."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    commit = _commit()
+    return found | {"commit": commit} if commit else found
+
+
+def cpu_flags(path: str | Path = "/proc/cpuinfo") -> frozenset[str]:
+    """Instruction-set flags of the first core as Linux names them (`avx512f`); empty on other systems."""
+    match = re.search(r"^flags\s*:(.*)$", _text(path), re.MULTILINE)
+    return frozenset(match[1].split()) if match else frozenset()
+
+
+def _cpu_model() -> str:
+    match = re.search(r"^model name\s*:\s*(.+)$", _text("/proc/cpuinfo"), re.MULTILINE)
+    return match[1] if match else platform.processor() or platform.machine()
+
+
+def _text(path: str | Path) -> str:
+    try:
+        return Path(path).read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return ""
+
+
+def _commit() -> str | None:
+    """Abbreviated commit of the checkout that this file runs from, with a `+` where the source has changed since."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    describe = ["git", "-C", str(root), "describe", "--always", "--dirty=+", "--exclude=*"]
+    try:
+        return subprocess.run(describe, capture_output=True, text=True, check=True, timeout=10).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None  # No git, or a checkout of another user's: the versions stand without it.

@@ -1,0 +1,183 @@
+"""A run folder: what was asked, on what machine, how it went, and the states to go on from.
+
+    config.json        the parsed settings
+    manifest.json      scene, command, versions, machine, seed, dates, status, the list of files
+    metrics.jsonl      one line per logged step
+    checkpoints/       step_0001234.npz, the last two
+    gaussians.ply      the result, for viewers
+    cameras.json       the views it was trained on and scored on
+
+`create` starts one, `reopen` continues one; every write is whole or not at all.
+"""
+
+import json
+import math
+import os
+import re
+import shlex
+import sys
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from gsjax.errors import InputError
+from gsjax.io import checkpoints
+from gsjax.io.files import atomic_path, make_folder, unwritable
+from gsjax.io.machine import machine, versions
+
+KEPT_CHECKPOINTS = 2  # The newest and, should it turn out damaged, the one before.
+
+
+def create(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path, seed: int) -> Path:
+    """Makes the folder of a new run, with its config and manifest.
+
+    Args:
+        run: A folder that is absent or empty.
+        settings: The parsed settings as a nested dict (`gsjax.config.to_dict`).
+        scene: The data set.
+        seed: Seed of all random numbers of the run.
+
+    Raises:
+        InputError: The folder holds something already, or cannot be written.
+    """
+    run = Path(run)
+    if run.is_dir() and any(run.iterdir()):
+        raise InputError(f"{run}: this folder is not empty; continue its run with --resume, or choose another")
+    make_folder(run / "checkpoints")
+    write_json(run / "config.json", settings)
+    manifest = {
+        "scene": str(Path(scene).resolve()),
+        "command": shlex.join(sys.argv),
+        "seed": seed,
+        "created": _now(),
+        "versions": versions(),
+        "machine": machine(),
+        "status": "started",
+    }
+    write_json(run / "manifest.json", manifest)
+    return run
+
+
+def reopen(run: str | Path, settings: Mapping[str, Any]) -> Path:
+    """Opens the folder of a run to continue it with the settings it was started with.
+
+    Raises:
+        InputError: It is no run folder, or a setting differs; the message names the first that does.
+    """
+    run = Path(run)
+    started = read_json(run / "config.json")
+    for key, (before, now) in _differences(started, _plain(settings)).items():
+        raise InputError(f"{run}: was started with {key} = {before}, not {now}; a resumed run keeps its settings")
+    return run
+
+
+def update_manifest(run: str | Path, **changes: Any) -> None:
+    """Sets entries of the manifest (`status="done"`, `train_seconds=...`) and lists the files anew."""
+    run = Path(run)
+    files = sorted(p.relative_to(run).as_posix() for p in run.rglob("*") if p.is_file() and not p.name.startswith("."))
+    manifest = {**read_json(run / "manifest.json"), **changes, "updated": _now(), "files": files}
+    write_json(run / "manifest.json", manifest)
+
+
+def save_checkpoint(run: str | Path, step: int, tree: Any) -> Path:
+    """Writes `checkpoints/step_0001234.npz` and drops all but the newest two."""
+    path = Path(run) / "checkpoints" / f"step_{step:07d}.npz"
+    checkpoints.save(path, tree)
+    for _, old in _checkpoints(run)[:-KEPT_CHECKPOINTS]:
+        old.unlink(missing_ok=True)
+    return path
+
+
+def latest_checkpoint(run: str | Path) -> tuple[int, Path] | None:
+    """Step and path of the newest checkpoint, or None before the first."""
+    found = _checkpoints(run)
+    return found[-1] if found else None
+
+
+def append_metrics(run: str | Path, record: Mapping[str, Any]) -> None:
+    """Adds one line to `metrics.jsonl`; `record` holds at least `step`.
+
+    Raises:
+        InputError: The disk is full or read-only.
+    """
+    path = Path(run) / "metrics.jsonl"
+    line = json.dumps(_plain(record), allow_nan=False) + "\n"
+    try:
+        with open(path, "a", encoding="utf-8") as file:
+            file.write(line)  # One write of one line: a killed run leaves at most the last line torn.
+    except OSError as error:
+        raise unwritable(path, error) from error
+
+
+def read_metrics(run: str | Path) -> list[dict[str, Any]]:
+    """All whole lines of `metrics.jsonl`; a last line that a kill has torn is left out."""
+    path = Path(run) / "metrics.jsonl"
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True) if path.exists() else []
+    return [json.loads(line) for line in lines if line.endswith("\n")]
+
+
+def truncate_metrics(run: str | Path, step: int) -> None:
+    """Drops what was logged after `step`: a resumed run logs it again."""
+    kept = [record for record in read_metrics(run) if record["step"] <= step]
+    with atomic_path(Path(run) / "metrics.jsonl") as temporary:
+        temporary.write_text("".join(json.dumps(record) + "\n" for record in kept), encoding="utf-8")
+
+
+def write_json(path: str | Path, data: Any) -> None:
+    """Writes indented JSON; numpy and jax scalars become numbers, arrays lists, NaN and infinities null.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    text = json.dumps(_plain(data), indent=2, allow_nan=False) + "\n"
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def read_json(path: str | Path) -> Any:
+    """What a JSON file holds.
+
+    Raises:
+        InputError: The file is absent or is no JSON.
+    """
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    except ValueError as error:
+        raise InputError(f"{path}: is no JSON ({str(error).splitlines()[0]})") from error
+
+
+def _checkpoints(run: str | Path) -> list[tuple[int, Path]]:
+    named = ((re.fullmatch(r"step_(\d+)\.npz", p.name), p) for p in (Path(run) / "checkpoints").glob("step_*.npz"))
+    return sorted((int(match[1]), path) for match, path in named if match)
+
+
+def _differences(before: Any, now: Any, at: str = "") -> dict[str, tuple[str, str]]:
+    """Dotted keys at which two nested dicts differ, with both values as JSON."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        found = {}
+        for key in [*before, *(key for key in now if key not in before)]:
+            found |= _differences(before.get(key), now.get(key), f"{at}.{key}" if at else key)
+        return found
+    return {} if before == now else {at: (json.dumps(before), json.dumps(now))}
+
+
+def _plain(value: Any) -> Any:
+    """`value` in JSON's own types."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,0 +1,104 @@
+import json
+import os
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from gsjax.errors import InputError
+from gsjax.io import checkpoints, machine, runs
+
+SETTINGS = {"seed": 3, "train": {"steps": 100, "rates": [0.1, 0.2]}}
+
+
+@pytest.fixture
+def run(tmp_path):
+    return runs.create(tmp_path / "run", SETTINGS, scene=tmp_path / "scene", seed=3)
+
+
+def test_a_new_run_says_what_was_asked_and_where(run, tmp_path):
+    manifest = json.loads((run / "manifest.json").read_text())
+    assert json.loads((run / "config.json").read_text()) == SETTINGS
+    assert manifest["scene"] == str(tmp_path / "scene")
+    assert manifest["seed"] == 3
+    assert manifest["status"] == "started"
+    assert manifest["versions"]["numpy"] == np.__version__
+    assert manifest["machine"]["cores"] == len(os.sched_getaffinity(0))
+    assert manifest["machine"]["accelerator"] is None
+
+
+def test_nothing_is_overwritten(run):
+    before = (run / "config.json").read_bytes()
+    with pytest.raises(InputError, match=r"run: this folder is not empty; continue its run with --resume"):
+        runs.create(run, {}, scene="other", seed=0)
+    assert (run / "config.json").read_bytes() == before
+
+
+def test_a_run_is_reopened_with_its_own_settings_only(run):
+    assert runs.reopen(run, {"seed": 3, "train": {"steps": 100, "rates": (0.1, 0.2)}}) == run
+    with pytest.raises(InputError, match=r"run: was started with train\.steps = 100, not 50"):
+        runs.reopen(run, {"seed": 3, "train": {"steps": 50, "rates": [0.1, 0.2]}})
+    with pytest.raises(InputError, match=r"was started with extra = null, not 1"):
+        runs.reopen(run, SETTINGS | {"extra": 1})
+    with pytest.raises(InputError, match=r"config\.json: No such file or directory"):
+        runs.reopen(run / "nothing", SETTINGS)
+
+
+def test_the_newest_two_checkpoints_stay(run):
+    assert runs.latest_checkpoint(run) is None
+    for step in (5, 90, 1234567):
+        runs.save_checkpoint(run, step, {"step": np.int32(step)})
+    step, path = runs.latest_checkpoint(run)
+    assert (step, path.name) == (1234567, "step_1234567.npz")
+    assert checkpoints.load_arrays(path)["['step']"] == step
+    assert sorted(os.listdir(run / "checkpoints")) == ["step_0000090.npz", "step_1234567.npz"]
+
+
+def test_metrics_are_cut_back_to_the_resumed_step(run):
+    for step in (10, 20, 30):
+        runs.append_metrics(run, {"step": step, "loss": jnp.float32(0.5), "psnr": float("nan")})
+    with open(run / "metrics.jsonl", "a") as file:
+        file.write('{"step": 40, "lo')  # Killed here.
+    assert [record["step"] for record in runs.read_metrics(run)] == [10, 20, 30]
+    runs.truncate_metrics(run, 20)
+    runs.append_metrics(run, {"step": 21})
+    assert (run / "metrics.jsonl").read_text().splitlines() == [
+        '{"step": 10, "loss": 0.5, "psnr": null}',
+        '{"step": 20, "loss": 0.5, "psnr": null}',
+        '{"step": 21}',
+    ]
+
+
+def test_the_manifest_lists_the_files(run):
+    runs.append_metrics(run, {"step": 1})
+    runs.save_checkpoint(run, 1, {"x": np.zeros(1)})
+    runs.update_manifest(run, status="done", train_seconds=np.float64(1.5))
+    manifest = runs.read_json(run / "manifest.json")
+    assert manifest["status"] == "done"
+    assert manifest["train_seconds"] == 1.5
+    assert manifest["seed"] == 3
+    assert manifest["files"] == ["checkpoints/step_0000001.npz", "config.json", "manifest.json", "metrics.jsonl"]
+
+
+def test_json_holds_plain_numbers(tmp_path):
+    data = {"a": np.float32(0.5), "b": jnp.arange(2, dtype=jnp.int32), "c": (np.inf, tmp_path), 3: np.bool_(True)}
+    runs.write_json(tmp_path / "x.json", data)
+    assert runs.read_json(tmp_path / "x.json") == {"a": 0.5, "b": [0, 1], "c": [None, str(tmp_path)], "3": True}
+
+
+def test_what_is_no_json_is_one_line(tmp_path):
+    (tmp_path / "x.json").write_text("{")
+    with pytest.raises(InputError, match=r"x\.json: is no JSON"):
+        runs.read_json(tmp_path / "x.json")
+
+
+def test_metrics_on_a_full_disk(run):
+    (run / "metrics.jsonl").symlink_to("/dev/full")
+    with pytest.raises(InputError, match=r"cannot write .*metrics\.jsonl: No space left on device"):
+        runs.append_metrics(run, {"step": 1})
+
+
+def test_cpu_flags_are_those_of_the_file(tmp_path):
+    (tmp_path / "cpuinfo").write_text("processor : 0\nflags\t\t: fpu avx512f\nprocessor : 1\nflags : other\n")
+    assert machine.cpu_flags(tmp_path / "cpuinfo") == {"fpu", "avx512f"}
+    assert machine.cpu_flags(tmp_path / "absent") == frozenset()
