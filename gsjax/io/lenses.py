@@ -1,0 +1,176 @@
+"""Lenses, and the pinhole views that stand for them: every camera model COLMAP knows, by one general map.
+
+A target pixel's ray is sent through the lens model to the place in the photo where it was recorded; OpenCV reads it
+there. No model needs code of its own.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from gsjax.errors import InputError
+from gsjax.io.images import cv2
+from gsjax.io.packages import require
+
+_NO_REMAP_BELOW = 0.01  # pixels: a lens that moves nothing farther is read as it is
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A camera as COLMAP describes it; hashable, so that what follows from it is computed once for many photos."""
+
+    model: str  # COLMAP's name, for example "OPENCV"
+    width: int  # pixels
+    height: int  # pixels
+    params: tuple[float, ...]  # in COLMAP's order
+
+
+@dataclass(frozen=True)
+class PinholeView:
+    """A pinhole image that can be read out of a photo."""
+
+    suffix: str  # added to the photo's name; "" where a photo gives one view only
+    rotation: np.ndarray  # [3, 3] float64, photo's camera axes to the view's
+    K: np.ndarray  # [3, 3] float64 pixels
+    width: int
+    height: int
+    source_xy: np.ndarray | None  # [H, W, 2] float32 pixels of the photo, centres at +0.5; None: the photo itself
+    valid: np.ndarray | None  # [H, W] uint8, 0 where the photo shows nothing; None: everywhere valid
+
+    def warp(self, array: np.ndarray) -> np.ndarray:
+        """The view's pixels of an array `[H, W]` or `[H, W, C]` of the photo's size, bilinear."""
+        if self.source_xy is None:
+            return array
+        return cv2.remap(array, self.source_xy - np.float32(0.5), None, cv2.INTER_LINEAR, cv2.BORDER_REPLICATE)
+
+
+def check_lens(lens: Lens, file: Path) -> Lens:
+    """The lens itself, once its size and numbers are found usable.
+
+    Raises:
+        InputError: The size or the focal length is not positive, or a parameter not finite; names `file`.
+    """
+    if lens.width < 1 or lens.height < 1 or not np.isfinite(lens.params).all() or lens.params[0] <= 0:
+        raise InputError(f"{file}: camera {lens.model} {lens.width}x{lens.height} with params {list(lens.params)}")
+    return lens
+
+
+def pycolmap_camera(lens: Lens):
+    """The lens as a `pycolmap.Camera`."""
+    pycolmap = require("pycolmap", "pip install pycolmap")
+    return pycolmap.Camera(model=lens.model, width=lens.width, height=lens.height, params=list(lens.params))
+
+
+@lru_cache(maxsize=2)
+def pinhole_views(lens: Lens) -> tuple[PinholeView, ...]:
+    """The pinhole views of a lens: one, or the six faces of a cube for a full panorama (EQUIRECTANGULAR).
+
+    The one view keeps the lens's focal lengths and principal point, and its size less the rows and columns at the
+    border that the photo does not cover; pixels inside which it does not cover are 0 in `valid`.
+
+    Raises:
+        InputError: The parameters give no image around the principal point.
+    """
+    if lens.model == "EQUIRECTANGULAR":
+        return _cube_faces(lens)
+    if lens.model in ("PINHOLE", "SIMPLE_PINHOLE"):
+        fx, fy, cx, cy = lens.params if lens.model == "PINHOLE" else (lens.params[0], *lens.params)
+        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        return (PinholeView("", np.eye(3), K, lens.width, lens.height, None, None),)
+    camera = pycolmap_camera(lens)
+    K = np.asarray(camera.calibration_matrix())
+    target = _pixel_centres(lens.width, lens.height)
+    source = _project(camera, _rays(target, K))
+    if np.abs(source - target).max() < _NO_REMAP_BELOW:
+        return (PinholeView("", np.eye(3), K, lens.width, lens.height, None, None),)
+    valid = _covered(source, K, lens)
+    rows, columns = _without_bare_border(valid)
+    K = K - np.array([[0, 0, columns.start], [0, 0, rows.start], [0, 0, 0]])
+    source, valid = source[rows, columns], valid[rows, columns]
+    view = PinholeView(
+        "",
+        np.eye(3),
+        K,
+        width=valid.shape[1],
+        height=valid.shape[0],
+        source_xy=np.where(np.isfinite(source), source, -1.0).astype(np.float32),
+        valid=None if valid.all() else valid.astype(np.uint8) * np.uint8(255),
+    )
+    return (view,)
+
+
+def _cube_faces(lens: Lens) -> tuple[PinholeView, ...]:
+    """Six 90 degree views, whose pixels are as dense at the face's centre as the panorama's on its equator."""
+    camera = pycolmap_camera(lens)
+    side = max(2, round(lens.width / np.pi))
+    K = np.array([[side / 2, 0, side / 2], [0, side / 2, side / 2], [0, 0, 1]])
+    rays = _rays(_pixel_centres(side, side), K)
+    faces = []
+    for name, rotation in _face_rotations().items():
+        source = _project(camera, rays @ rotation).astype(np.float32)
+        faces.append(PinholeView(f"_{name}", rotation, K, side, side, source, None))
+    return tuple(faces)
+
+
+def _face_rotations() -> dict[str, np.ndarray]:
+    """Panorama's camera axes to the face's: turns about y (down) for the sides, about x for up and down."""
+    x, y, z = np.eye(3)
+    return {
+        "front": np.stack([x, y, z]),
+        "right": np.stack([-z, y, x]),
+        "back": np.stack([-x, y, -z]),
+        "left": np.stack([z, y, -x]),
+        "up": np.stack([x, z, -y]),
+        "down": np.stack([x, -z, y]),
+    }
+
+
+def _pixel_centres(width: int, height: int) -> np.ndarray:
+    return np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+
+
+def _rays(pixels: np.ndarray, K: np.ndarray) -> np.ndarray:
+    xy = (pixels - K[:2, 2]) / K[[0, 1], [0, 1]]
+    return np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+
+
+def _project(camera, rays: np.ndarray) -> np.ndarray:
+    """`[H, W, 2]` photo pixels of `[H, W, 3]` rays, NaN where the model has none."""
+    flat = np.ascontiguousarray(rays.reshape(-1, 3), np.float64)
+    return np.asarray(camera.img_from_cam(flat)).reshape(*rays.shape[:2], 2)
+
+
+def _covered(source: np.ndarray, K: np.ndarray, lens: Lens) -> np.ndarray:
+    """`[H, W]` bool: the ray hits the photo, in the part round the principal point where the lens does not fold.
+
+    Polynomials turn round outside the field they were fitted to and would show the picture again, mirrored.
+    """
+    inside = np.isfinite(source).all(-1) & (source >= 0).all(-1) & (source <= [lens.width, lens.height]).all(-1)
+    safe = np.where(np.isfinite(source), source, 0.0)
+    (x_down, y_down), (x_right, y_right) = (np.moveaxis(g, -1, 0) for g in np.gradient(safe, axis=(0, 1)))
+    unfolded = x_right * y_down - x_down * y_right > 0
+    _, parts = cv2.connectedComponents((inside & unfolded).astype(np.uint8), connectivity=4)
+    row = int(np.clip(K[1, 2], 0, lens.height - 1))
+    column = int(np.clip(K[0, 2], 0, lens.width - 1))
+    if parts[row, column] == 0:
+        raise InputError(f"camera {lens.model} with params {list(lens.params)} gives no image at its principal point")
+    return parts == parts[row, column]
+
+
+def _without_bare_border(valid: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns left after cutting, worst side first, until no bare pixel lies on the border.
+
+    Where that would eat more than half of a side, nothing is cut and `valid` alone tells.
+    """
+    height, width = valid.shape
+    top, bottom, left, right = 0, height, 0, width
+    while 2 * (bottom - top) >= height and 2 * (right - left) >= width:
+        window = valid[top:bottom, left:right]
+        bare = [1 - side.mean() for side in (window[0], window[-1], window[:, 0], window[:, -1])]
+        if max(bare) == 0:
+            return slice(top, bottom), slice(left, right)
+        worst = int(np.argmax(bare))
+        top, bottom, left, right = top + (worst == 0), bottom - (worst == 1), left + (worst == 2), right - (worst == 3)
+    return slice(0, height), slice(0, width)

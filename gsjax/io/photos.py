@@ -1,0 +1,125 @@
+"""Posed photos as a data set lists them, and the frames made of them: masked, undistorted, downscaled."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gsjax.errors import InputError
+from gsjax.io.images import cv2, filter_straight, read_image, read_mask, resize
+from gsjax.io.lenses import Lens, PinholeView, pinhole_views
+from gsjax.scene import Frame
+
+MASK_USES = ("valid", "matte")
+
+
+@dataclass(frozen=True)
+class Photo:
+    """One posed photo, not yet read."""
+
+    name: str  # relative to the image folder
+    path: Path
+    viewmat: np.ndarray  # [4, 4] float64 rigid, world to camera, OpenCV axes
+    lens: Lens
+    mask_path: Path | None = None
+    held_out: bool = False
+
+
+@dataclass(frozen=True)
+class Capture:
+    """What a data set's files say, whatever their layout: photos and sparse points."""
+
+    source: str  # "colmap", "transforms" or "nerf-synthetic"
+    photos: tuple[Photo, ...]
+    points: np.ndarray  # [P, 3] float32 world
+    point_colors: np.ndarray  # [P, 3] uint8
+
+
+def load_frames(photo: Photo, downscale: float, folder_masks: str) -> list[Frame]:
+    """Reads a photo and makes its frames: one, or six of a panorama.
+
+    Args:
+        photo: What to read.
+        downscale: Factor >= 1 by which the frame is smaller than the photo; sides are rounded to whole pixels and K
+            is scaled per axis by what the rounding gave.
+        folder_masks: "valid" or "matte": what the photo's mask file means.
+
+    Raises:
+        InputError: The image or mask is missing, damaged, or not of its camera's size.
+    """
+    colors, alpha = read_image(photo.path)
+    lens = photo.lens
+    if colors.shape[:2] != (lens.height, lens.width):
+        found = f"{colors.shape[1]}x{colors.shape[0]}"
+        raise InputError(f"{photo.path}: image is {found} but its camera says {lens.width}x{lens.height}")
+    mask = None if photo.mask_path is None else _mask_of_size(photo.mask_path, lens.width, lens.height)
+    if mask is not None and folder_masks == "matte":
+        alpha, mask = mask if alpha is None else np.minimum(alpha, mask), None
+    return [_frame(photo, view, downscale, colors, alpha, mask) for view in pinhole_views(lens)]
+
+
+def listed(what: str, names: list[str]) -> str:
+    """The end of a message: `3 images missing: a, b, c`, shortened after five names."""
+    shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+    return f"{len(names)} {what}{'s' * (len(names) > 1)} missing: {shown}"
+
+
+def _frame(
+    photo: Photo,
+    view: PinholeView,
+    downscale: float,
+    colors: np.ndarray,
+    alpha: np.ndarray | None,
+    mask: np.ndarray | None,
+) -> Frame:
+    width, height = scaled_size(view.width, view.height, downscale)
+
+    def warp(array: np.ndarray) -> np.ndarray:
+        return resize(view.warp(array), width, height)
+
+    unchanged = view.source_xy is None and (width, height) == (view.width, view.height)
+    image, matte = (colors, alpha) if unchanged else filter_straight(colors, alpha, warp)
+    turn = np.eye(4)
+    turn[:3, :3] = view.rotation
+    scale = np.array([[width / view.width], [height / view.height], [1.0]])
+    return Frame(
+        name=_with_suffix(photo.name, view.suffix),
+        viewmat=(turn @ photo.viewmat).astype(np.float32),
+        K=(view.K * scale).astype(np.float32),
+        image=image,
+        matte=matte,
+        valid=_valid(view, mask, width, height),
+        held_out=photo.held_out,
+    )
+
+
+def scaled_size(width: int, height: int, downscale: float) -> tuple[int, int]:
+    """Width and height of a downscaled image, whole pixels, at least 1."""
+    return max(1, round(width / downscale)), max(1, round(height / downscale))
+
+
+def _valid(view: PinholeView, mask: np.ndarray | None, width: int, height: int) -> np.ndarray | None:
+    """255 where every photo pixel that a frame's pixel draws from may be used, 0 elsewhere, None for all."""
+    if mask is None and view.valid is None:
+        return None
+    usable = np.full((view.height, view.width), 255, np.float32)
+    if mask is not None:
+        usable = view.warp(np.where(mask >= 128, np.float32(255), np.float32(0)))
+    if view.valid is not None:
+        usable = np.minimum(usable, view.valid.astype(np.float32))
+    return np.where(resize(usable, width, height) > 254.5, np.uint8(255), np.uint8(0))
+
+
+def _mask_of_size(path: Path, width: int, height: int) -> np.ndarray:
+    mask = read_mask(path)
+    found_height, found_width = mask.shape
+    if found_width * height != found_height * width:
+        raise InputError(f"{path}: mask is {found_width}x{found_height} but its image {width}x{height}")
+    if found_width < width:
+        return cv2.resize(mask, (width, height), interpolation=cv2.INTER_NEAREST)
+    return resize(mask, width, height)
+
+
+def _with_suffix(name: str, suffix: str) -> str:
+    stem, dot, extension = name.rpartition(".")
+    return f"{stem}{suffix}{dot}{extension}" if dot else name + suffix

@@ -1,0 +1,113 @@
+"""A folder of photos with cameras, whatever its layout, as one `Scene`."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gsjax.errors import InputError
+from gsjax.io import colmap, transforms
+from gsjax.io.photos import MASK_USES, Capture, Photo, listed, load_frames
+from gsjax.io.truth import load_truth
+from gsjax.scene import Frame, Scene
+
+HOLD_OUT_EVERY = 8
+
+
+def load_scene(root: str | Path, *, downscale: float = 1.0, folder_masks: str = "valid") -> Scene:
+    """Loads a data set: COLMAP, `transforms.json` (instant-ngp, nerfstudio) or NeRF-synthetic.
+
+    A COLMAP model is looked for in `sparse/0`, `sparse`, `colmap/sparse/0` and the folder itself; its photos in
+    `images/` or beside it. Lens distortion is removed (`gsjax.io.lenses`). Masks come from a folder `masks/` (a mask
+    has the photo's name, that name with `.png` after it, or its stem with `.png`), from `mask_path` in
+    `transforms.json`, or from the photos' alpha channel, which always becomes the matte. Truth beside the images is
+    loaded too (`gsjax.io.truth`).
+
+    Photos sorted by name, every 8th starting with the first is held out; in the NeRF-synthetic layout it is those of
+    `transforms_test.json` instead.
+
+    Args:
+        root: Folder of the data set.
+        downscale: Images, masks, truth and intrinsics are this many times smaller, at least 1.
+        folder_masks: What masks from files mean: "valid", pixels that are 0 are ignored; "matte", the object's
+            coverage.
+
+    Raises:
+        InputError: The folder is no data set, or a file in it is unusable; one line naming the file and the fault.
+    """
+    root = Path(root)
+    if not (math.isfinite(downscale) and downscale >= 1):
+        raise InputError(f"downscale must be a number of at least 1, not {downscale}")
+    if folder_masks not in MASK_USES:
+        raise InputError(f"folder_masks must be one of {', '.join(MASK_USES)}, not {folder_masks!r}")
+    capture = _read_capture(root)
+    photos = _with_folder_masks(_split(_checked_photos(root, capture)), root / "masks")
+    frames = _alike([frame for photo in photos for frame in load_frames(photo, downscale, folder_masks)])
+    truth = load_truth(root, frames, downscale=downscale)
+    return Scene(root, capture.source, frames, capture.points, capture.point_colors, truth)
+
+
+def _read_capture(root: Path) -> Capture:
+    if not root.is_dir():
+        raise InputError(f"{root}: no such folder")
+    model = colmap.find_model(root)
+    if model is not None:
+        return colmap.read_capture(root, model)
+    if (root / "transforms.json").is_file():
+        return transforms.read_transforms(root)
+    if (root / "transforms_train.json").is_file():
+        return transforms.read_synthetic(root)
+    places = ", ".join(f"{folder}/cameras.bin or .txt" for folder in colmap.MODEL_FOLDERS)
+    raise InputError(f"{root}: no data set; looked for {places}, transforms.json, transforms_train.json")
+
+
+def _checked_photos(root: Path, capture: Capture) -> list[Photo]:
+    """The photos sorted by name: at least two, all there, no name twice."""
+    photos = sorted(capture.photos, key=lambda photo: photo.name)
+    if len(photos) < 2:
+        raise InputError(f"{root}: {len(photos)} posed image in it, at least 2 are needed")
+    names = [photo.name for photo in photos]
+    twice = sorted({name for name, following in zip(names, names[1:], strict=False) if name == following})
+    if twice:
+        raise InputError(f"{root}: the image {twice[0]} is listed more than once")
+    missing = [photo for photo in photos if not photo.path.is_file()]
+    if missing:
+        folder = str(missing[0].path)[: -len(missing[0].name)].rstrip("/")
+        raise InputError(f"{folder}: {listed('image', [photo.name for photo in missing])}")
+    return photos
+
+
+def _split(photos: list[Photo]) -> list[Photo]:
+    """Holds out every 8th, unless the layout has its own split."""
+    if any(photo.held_out for photo in photos):
+        return photos
+    return [replace(photo, held_out=i % HOLD_OUT_EVERY == 0) for i, photo in enumerate(photos)]
+
+
+def _with_folder_masks(photos: list[Photo], folder: Path) -> list[Photo]:
+    """Gives photos the masks of a folder; a photo without one is used whole."""
+    if not folder.is_dir():
+        return photos
+    found = [replace(photo, mask_path=_mask_path(photo.name, folder) or photo.mask_path) for photo in photos]
+    if all(photo.mask_path is None for photo in found):
+        raise InputError(f"{folder}: no mask in it has the name of an image, for example {photos[0].name}.png")
+    return found
+
+
+def _mask_path(name: str, folder: Path) -> Path | None:
+    same = folder / name
+    candidates = (same, same.with_name(same.name + ".png"), same.with_suffix(".png"))
+    return next((c for c in candidates if c.is_file()), None)
+
+
+def _alike(frames: list[Frame]) -> tuple[Frame, ...]:
+    """All frames with a matte or none, all with a validity mask or none, so that one program serves them all."""
+    for field in ("matte", "valid"):
+        if any(getattr(frame, field) is not None for frame in frames):
+            frames = [frame if getattr(frame, field) is not None else _whole(frame, field) for frame in frames]
+    return tuple(frames)
+
+
+def _whole(frame: Frame, field: str) -> Frame:
+    return replace(frame, **{field: np.full((frame.height, frame.width), 255, np.uint8)})
