@@ -1,0 +1,74 @@
+"""The oracle: every Gaussian at every pixel, no tiles, no custom rule.
+
+Any float dtype, forward and reverse mode, any order of differentiation. Pixels run in blocks, so that memory is
+block x splats; a block is recomputed in the backward pass.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from rasterizer.blending import cut_alpha, splat_sigma
+from rasterizer.projection import Projection
+from rasterizer.rules import Rules
+
+BLOCK = 512  # Pixels per block.
+
+
+def _blend_pixel(pixel: Array, means2d, conics, opacities, features, rules: Rules) -> tuple[Array, Array]:
+    """Features `[D]` and transmittance `[]` of one pixel from splats sorted front to back."""
+    d = means2d - pixel
+    sigma = splat_sigma(d[:, 0], d[:, 1], conics[:, 0], conics[:, 1], conics[:, 2])
+    unclamped = opacities * jnp.exp(-jnp.maximum(sigma, 0))
+    alpha = cut_alpha(unclamped, sigma, rules)
+    if rules.straight_through:
+        alpha = jnp.where(alpha > 0, unclamped + jax.lax.stop_gradient(alpha - unclamped), 0)
+    left = jnp.cumprod(1 - alpha)
+    before = jnp.concatenate([jnp.ones_like(left[:1]), left[:-1]])
+    # Transmittance only falls, so everything from the first stop on is under the limit too.
+    weights = jnp.where(left > rules.transmittance_min, before * alpha, 0)
+    return jnp.sum(weights[:, None] * features, 0), 1 - jnp.sum(weights)
+
+
+def composite(
+    projection: Projection, opacities: Array, features: Array, width: int, height: int, rules: Rules
+) -> tuple[Array, Array]:
+    """Blend all visible splats at all pixels.
+
+    Args:
+        projection: Splats of C cameras.
+        opacities: `[C, N]`.
+        features: `[C, N, D]`.
+        width: Image width. Static.
+        height: Image height. Static.
+        rules: Thresholds. Static.
+
+    Returns:
+        `[C, H, W, D]` blended features on nothing, and `[C, H, W, 1]` transmittance left.
+    """
+    dtype = features.dtype
+    y, x = jnp.meshgrid(jnp.arange(height, dtype=dtype) + 0.5, jnp.arange(width, dtype=dtype) + 0.5, indexing="ij")
+    pixels = jnp.stack([x, y], -1).reshape(-1, 2)
+    padding = -pixels.shape[0] % BLOCK
+    blocks = jnp.concatenate([pixels, jnp.zeros((padding, 2), dtype)]).reshape(-1, BLOCK, 2)
+
+    def one_camera(means2d, depths, conics, visible, opacity, feature):
+        order = jnp.argsort(jnp.where(visible, jax.lax.stop_gradient(depths), jnp.inf))
+        opacity = jnp.where(visible, opacity, 0)
+        feature = jnp.where(visible[:, None], feature, 0)
+        sorted_splats = means2d[order], conics[order], opacity[order], feature[order]
+
+        @jax.checkpoint
+        def block(pixels):
+            return jax.vmap(lambda pixel: _blend_pixel(pixel, *sorted_splats, rules))(pixels)
+
+        image, left = jax.lax.map(block, blocks)
+        shape = (height, width, feature.shape[-1])
+        num_pixels = height * width
+        return (
+            image.reshape(-1, shape[-1])[:num_pixels].reshape(shape),
+            left.reshape(-1)[:num_pixels].reshape(height, width, 1),
+        )
+
+    p = projection
+    return jax.vmap(one_camera)(p.means2d, p.depths, p.conics, p.visible, opacities, features)

@@ -1,0 +1,71 @@
+"""Real spherical harmonics of degree 0 to 4 in the sign convention of 3DGS and gsplat."""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+
+def _basis(degree: int, x: Array, y: Array, z: Array) -> list[Array]:
+    """Basis functions at a unit direction, ordered by degree and then by order -l..l."""
+    values = [jnp.full_like(x, 0.28209479177387814)]
+    if degree > 0:
+        values += [-0.48860251190291992 * y, 0.48860251190291992 * z, -0.48860251190291992 * x]
+    if degree > 1:
+        xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
+        values += [
+            1.0925484305920790 * xy,
+            -1.0925484305920790 * yz,
+            0.31539156525252000 * (2 * zz - xx - yy),
+            -1.0925484305920790 * xz,
+            0.54627421529603950 * (xx - yy),
+        ]
+    if degree > 2:
+        values += [
+            -0.59004358992664350 * y * (3 * xx - yy),
+            2.8906114426405540 * xy * z,
+            -0.45704579946446570 * y * (4 * zz - xx - yy),
+            0.37317633259011540 * z * (2 * zz - 3 * xx - 3 * yy),
+            -0.45704579946446570 * x * (4 * zz - xx - yy),
+            1.4453057213202770 * z * (xx - yy),
+            -0.59004358992664350 * x * (xx - 3 * yy),
+        ]
+    if degree > 3:
+        values += [
+            2.5033429417967046 * xy * (xx - yy),
+            -1.7701307697799304 * yz * (3 * xx - yy),
+            0.94617469575756000 * xy * (7 * zz - 1),
+            -0.66904654355728920 * yz * (7 * zz - 3),
+            0.10578554691520430 * (zz * (35 * zz - 30) + 3),
+            -0.66904654355728920 * xz * (7 * zz - 3),
+            0.47308734787878000 * (xx - yy) * (7 * zz - 1),
+            -1.7701307697799304 * xz * (xx - 3 * yy),
+            0.62583573544917610 * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
+        ]
+    return values
+
+
+def spherical_harmonics(degree: int, dirs: Array, coeffs: Array) -> Array:
+    """Evaluate real spherical harmonics.
+
+    Args:
+        degree: Highest degree used, 0 to 4. Static.
+        dirs: `[..., 3]` directions from the camera to the point, any length; a zero direction is read as +z with
+            zero gradient.
+        coeffs: `[..., K, D]` coefficients, K >= (degree + 1)^2; more are ignored.
+
+    Returns:
+        `[..., D]` values, differentiable to `dirs` and `coeffs`. 3DGS colours are `max(value + 0.5, 0)`.
+
+    Raises:
+        ValueError: If the degree is not 0 to 4 or `coeffs` holds too few coefficients.
+    """
+    if not 0 <= degree <= 4:
+        raise ValueError(f"spherical harmonics of degree {degree} are not supported, only 0 to 4")
+    num_bases = (degree + 1) ** 2
+    if coeffs.shape[-2] < num_bases:
+        raise ValueError(f"degree {degree} needs {num_bases} coefficients, {coeffs.shape=} holds {coeffs.shape[-2]}")
+    squared = jnp.sum(dirs * dirs, axis=-1, keepdims=True)
+    is_zero = squared == 0
+    unit = jnp.where(is_zero, jnp.array([0, 0, 1], dirs.dtype), dirs * jax.lax.rsqrt(jnp.where(is_zero, 1, squared)))
+    basis = _basis(degree, unit[..., 0], unit[..., 1], unit[..., 2])
+    return sum(b[..., None] * coeffs[..., k, :] for k, b in enumerate(basis))
