@@ -1,0 +1,57 @@
+"""The command line: one small file per command, each calling one function of the library."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from gsjax.cli import demo, environment, evaluate, mesh, render, sfm, train
+from gsjax.errors import InputError
+
+DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
+
+  photos --sfm--> scene --train--> run --mesh--> mesh.ply
+                                    |---eval---> figures
+                                    `--render--> pictures
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command.
+
+    Args:
+        argv: Arguments without the program's name; None reads `sys.argv`.
+
+    Returns:
+        The exit code: 0 done, 2 unusable input or arguments (one line on stderr says which), 130 interrupted.
+        Anything else is a bug and comes up as the exception that it is.
+    """
+    try:
+        arguments = parser().parse_args(argv)
+    except SystemExit as stop:  # After --help, or with argparse's own message about the arguments.
+        return int(stop.code or 0)
+    environment.prepare()
+    try:
+        arguments.run(arguments)
+    except InputError as error:
+        print(f"gsjax: error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("gsjax: interrupted", file=sys.stderr)
+        return 130
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of all commands; `arguments.run(arguments)` runs the one that was given."""
+    top = _Parser(prog="gsjax", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
+    for command in (demo, sfm, train, mesh, evaluate, render):
+        command.add_to(commands)
+    return top
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, and where to read more, instead of repeating the usage."""
+
+    def error(self, message: str):
+        self.exit(2, f"{self.prog}: error: {message} (see {self.prog} --help)\n")

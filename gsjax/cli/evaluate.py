@@ -1,0 +1,33 @@
+"""`gsjax eval`: how good a run is, in figures."""
+
+import argparse
+
+from gsjax.cli.parsers import add_command
+
+
+def add_to(commands: argparse._SubParsersAction) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands,
+        "eval",
+        _run,
+        summary="score a run on its held-out views",
+        description="""
+            Prints PSNR and SSIM over the held-out views; where the data set has true depth, normals or
+            surface points, also the errors against them. Pixel masks of the data set are respected.
+        """,
+        example="gsjax eval runs/garden --json garden.json",
+    )
+    parser.add_argument("run_folder", metavar="RUN", help="folder that `gsjax train` made")
+    parser.add_argument("--json", metavar="FILE", help="also write the figures here")
+    parser.add_argument("--mesh", metavar="FILE", help="score this mesh against the true surface points as well")
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from gsjax import pipeline, tables
+    from gsjax.io import runs
+
+    figures = pipeline.evaluate(arguments.run_folder, mesh=arguments.mesh)
+    if arguments.json:
+        runs.write_json(arguments.json, figures)
+    print(tables.record(figures))

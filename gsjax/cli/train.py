@@ -1,0 +1,70 @@
+"""`gsjax train`: a data set to Gaussians."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from gsjax.cli.parsers import add_command, given
+
+PRESETS = ("fast", "balanced", "accurate")
+
+
+def add_to(commands: argparse._SubParsersAction) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands,
+        "train",
+        _run,
+        summary="train Gaussians on a data set",
+        description="""
+            Reads a COLMAP model (SCENE/images, SCENE/sparse/0), a transforms.json or a NeRF-synthetic
+            folder, and writes RUN/gaussians.ply, checkpoints, metrics.jsonl, and the settings in
+            RUN/config.json. Every 8th photo (sorted by name) is held out for `gsjax eval`.
+        """,
+        example="gsjax train scenes/garden --out runs/garden --preset fast",
+    )
+    add = parser.add_argument
+    add("scene", metavar="SCENE", help="folder of the data set")
+    add("--out", metavar="RUN", required=True, help="folder for the run; must be empty unless --resume")
+    add("--preset", choices=PRESETS, help="how long to train: minutes, or until it no longer gains (default: balanced)")
+    add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
+    add("--downscale", type=int, metavar="K", help="make the photos K times smaller (default: 1)")
+    add("--normals", metavar="DIR", help="folder of normal maps (.npy or .png, named as the photos); without it the"
+        " first phase's own smoothed depth normals serve")  # fmt: skip
+    add("--background", choices=("white", "black", "random"), help="colour behind the Gaussians (default: black)")
+    add("--masks", choices=("valid", "matte"), help="what the masks/ folder means: pixels to use, or the object's"
+        " coverage over the background (default: valid)")  # fmt: skip
+    add("--vanilla", action="store_const", const=True, help="plain 3DGS: leave the normal term out")
+    add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
+        help="any setting by its dotted key, as RUN/config.json shows them; may be repeated")  # fmt: skip
+    add("--resume", action="store_true", help="continue RUN from its last checkpoint with its own settings")
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from gsjax import pipeline, tables
+
+    summary = pipeline.train(arguments.scene, arguments.out, settings(arguments), resume=arguments.resume)
+    print(tables.record(summary))
+
+
+def settings(arguments: argparse.Namespace) -> Any:
+    """The run's settings: the preset (of a resumed run: what it was started with), the options, then `--set`.
+
+    Raises:
+        InputError: An unknown key, or a value of the wrong type or range.
+    """
+    from gsjax import config
+    from gsjax.io import runs
+    from gsjax.settings import PRESETS as PRESET_DIFFERENCES
+    from gsjax.settings import Settings
+
+    started = Path(arguments.out) / "config.json"
+    if arguments.resume and started.exists():
+        base = config.merge(runs.read_json(started), PRESET_DIFFERENCES.get(arguments.preset, {}))
+    else:
+        base = PRESET_DIFFERENCES[arguments.preset or "balanced"]
+    options = given(arguments, "seed", "downscale", "normals", "background", "masks", "vanilla")
+    # Parsed before the overrides too, so that `--set` reaches into defaults that are lists.
+    whole = config.to_dict(config.parse(Settings, config.merge(base, options), where="settings"))
+    assignments = [one for group in arguments.assignments for one in group]
+    return config.parse(Settings, config.override(whole, assignments), where="--set")

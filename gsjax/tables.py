@@ -1,0 +1,43 @@
+"""Plain-text tables of results, aligned for a terminal."""
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def record(values: Mapping[str, Any]) -> str:
+    """Two columns, name and value; nested mappings get dotted names."""
+    return _aligned([[name, _shown(value)] for name, value in _flat(values)], right=())
+
+
+def compare(variants: Mapping[str, Mapping[str, Any]]) -> str:
+    """One row per variant, one column per quantity that any of them has."""
+    names = list(dict.fromkeys(name for values in variants.values() for name in values))
+    rows = [[variant, *(_shown(values.get(name)) for name in names)] for variant, values in variants.items()]
+    return _aligned([["", *names], *rows], right=range(1, len(names) + 1))
+
+
+def _aligned(rows: list[list[str]], right: Any) -> str:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+
+    def line(row: list[str]) -> str:
+        cells = (c.rjust(w) if i in right else c.ljust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
+        return "  ".join(cells).rstrip()
+
+    return "\n".join(map(line, rows))
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    pairs = []
+    for name, value in values.items():
+        pairs += _flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else [(f"{prefix}{name}", value)]
+    return pairs
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, bool | str):
+        return str(value)
+    if isinstance(value, int):
+        return f"{value:,}"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,242 @@
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from types import ModuleType
+
+import pytest
+
+import gsjax
+from gsjax import cli
+from gsjax.cli import environment
+from gsjax.errors import InputError
+
+COMMANDS = ("demo", "sfm", "train", "mesh", "eval", "render")
+
+
+@dataclass(frozen=True)
+class Settings:
+    seed: int = 0
+    steps: int = 100
+    downscale: int = 1
+    background: str = "black"
+    vanilla: bool = False
+    phases: tuple[int, ...] = (1, 2)
+
+
+@pytest.fixture(autouse=True)
+def own_environment(monkeypatch, tmp_path):
+    """What a command sets for jax stays inside the test."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("XLA_FLAGS", "")
+    monkeypatch.delenv("XLA_FLAGS")
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "")
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+
+
+@pytest.fixture
+def library(monkeypatch):
+    """Stands in for the functions that the commands call, and records their arguments."""
+    calls = []
+
+    def install(name, **contents):
+        package, module = sys.modules[name.rpartition(".")[0]], ModuleType(name)
+        vars(module).update(contents)
+        monkeypatch.setitem(sys.modules, name, module)
+        monkeypatch.setattr(package, name.rpartition(".")[2], module, raising=False)
+
+    def recorded(name, result):
+        def function(*args, **kwargs):
+            calls.append((name, args, kwargs))
+            return result
+
+        return function
+
+    names = ("train", "mesh", "evaluate", "render")
+    install("gsjax.pipeline", **{name: recorded(name, {"psnr": 29.5, "views": 7}) for name in names})
+    install("gsjax.io.sfm", reconstruct=recorded("sfm", Settings()))
+    install("gsjax.demo", run=recorded("demo", {"vanilla": {"psnr": 30.0}, "surface": {"psnr": 31.0}}))
+    presets = {"fast": {"steps": 10}, "balanced": {"steps": 50}, "accurate": {"steps": 90}}
+    install("gsjax.settings", Settings=Settings, PRESETS=presets)
+    return calls
+
+
+def train_settings(library, *arguments):
+    assert cli.main(["train", "scene", *arguments]) == 0
+    name, (scene, _, settings), keywords = library[-1]
+    assert (name, scene) == ("train", "scene")
+    return settings, keywords
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_every_command_says_what_goes_in_and_out(command, capsys):
+    assert cli.main([command, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert f"usage: gsjax {command}" in text
+    assert f"example:\n  gsjax {command} " in text
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_example_in_the_help_parses(command, capsys):
+    cli.main([command, "--help"])
+    example = capsys.readouterr().out.split("example:\n")[1].split()
+    assert cli.parser().parse_args(example[1:]).run
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "gsjax: error: the following arguments are required: COMMAND (see gsjax --help)"),
+        (["train", "s"], "gsjax train: error: the following arguments are required: --out (see gsjax train --help)"),
+        (["mesh", "run"], "gsjax mesh: error: the following arguments are required: --out (see gsjax mesh --help)"),
+        (["train", "s", "--out", "r", "--seed", "x"], "argument --seed: invalid int value: 'x'"),
+        (["train", "s", "--out", "r", "--preset", "slow"], "invalid choice: 'slow' (choose from"),
+        (["render", "r", "--out", "o", "--held-out", "--turntable"], "not allowed with argument --held-out"),
+    ],
+)
+def test_wrong_arguments_are_one_line_and_code_2(arguments, message, capsys):
+    assert cli.main(arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_settings_come_from_the_preset_the_options_and_set(library):
+    settings, keywords = train_settings(library, "--out", "r")
+    assert settings == Settings(steps=50)
+    assert keywords == {"resume": False}
+    options = ["--preset", "fast", "--seed", "3", "--downscale", "2", "--background", "white", "--vanilla"]
+    settings, _ = train_settings(library, "--out", "r", *options)
+    assert settings == Settings(seed=3, steps=10, downscale=2, background="white", vanilla=True)
+    settings, _ = train_settings(
+        library, "--out", "r", "--seed", "3", "--set", "seed=4", "phases.1=9", "--set", "steps=8"
+    )
+    assert settings == Settings(seed=4, steps=8, phases=(1, 9))
+
+
+def test_a_resumed_run_keeps_the_settings_that_it_was_started_with(library, tmp_path):
+    (tmp_path / "config.json").write_text(json.dumps({"seed": 5, "steps": 7}))
+    settings, keywords = train_settings(library, "--out", str(tmp_path), "--resume")
+    assert settings == Settings(seed=5, steps=7)
+    assert keywords == {"resume": True}
+    settings, _ = train_settings(library, "--out", str(tmp_path / "new"), "--resume")
+    assert settings == Settings(steps=50)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--set", "step=3"], "gsjax: error: --set: unknown key 'step'; the nearest known one is 'steps'\n"),
+        (["--set", "steps=many"], "gsjax: error: --set: steps is 'many', expected int\n"),
+        (["--set", "steps"], "gsjax: error: --set steps: expected key=value, for example --set seed=3\n"),
+    ],
+)
+def test_an_unknown_key_or_a_wrong_value_is_one_line_and_code_2(library, capsys, arguments, message):
+    assert cli.main(["train", "scene", "--out", "r", *arguments]) == 2
+    assert capsys.readouterr().err == message
+    assert library == []
+
+
+def test_mesh_hands_over_only_what_was_given(library, capsys):
+    assert cli.main(["mesh", "run", "--out", "m.glb"]) == 0
+    bounds = ["--bounds", "-1", "-1.5", "0", "1", "1", "2"]
+    assert cli.main(["mesh", "g.ply", "--out", "m.obj", "--depth", "9", "--scene", "s", *bounds]) == 0
+    assert library == [
+        ("mesh", ("run", "m.glb"), {}),
+        ("mesh", ("g.ply", "m.obj"), {"depth": 9, "scene": "s", "bounds": [-1, -1.5, 0, 1, 1, 2]}),
+    ]
+    assert "psnr   29.5\nviews  7\n" in capsys.readouterr().out
+
+
+def test_eval_writes_json_and_prints_a_table(library, tmp_path, capsys):
+    assert cli.main(["eval", "run", "--json", str(tmp_path / "a/e.json"), "--mesh", "m.ply"]) == 0
+    assert library == [("evaluate", ("run",), {"mesh": "m.ply"})]
+    assert json.loads((tmp_path / "a/e.json").read_text()) == {"psnr": 29.5, "views": 7}
+    assert capsys.readouterr().out == "psnr   29.5\nviews  7\n"
+
+
+def test_the_other_commands_reach_their_functions(library, capsys):
+    assert cli.main(["render", "run", "--out", "o"]) == 0
+    assert cli.main(["render", "run", "--out", "o", "--held-out"]) == 0
+    assert cli.main(["sfm", "photos", "--out", "scene"]) == 0
+    assert cli.main(["demo"]) == 0
+    assert library == [
+        ("render", ("run", "o"), {"which": "all"}),
+        ("render", ("run", "o"), {"which": "held_out"}),
+        ("sfm", ("photos", "scene"), {}),
+        ("demo", ("runs/demo",), {}),
+    ]
+    assert "vanilla    30\nsurface    31\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "message"),
+    [
+        (InputError("scene/images.bin: truncated"), 2, "gsjax: error: scene/images.bin: truncated\n"),
+        (KeyboardInterrupt(), 130, "gsjax: interrupted\n"),
+    ],
+)
+def test_what_ends_a_command_early(library, monkeypatch, capsys, error, code, message):
+    def fail(*args, **kwargs):
+        raise error
+
+    monkeypatch.setattr(gsjax.pipeline, "evaluate", fail)
+    assert cli.main(["eval", "run"]) == code
+    assert capsys.readouterr().err == message
+
+
+def test_a_bug_is_not_dressed_up_as_bad_input(library, monkeypatch):
+    monkeypatch.setattr(gsjax.pipeline, "evaluate", lambda *args, **kwargs: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["eval", "run"])
+
+
+@pytest.mark.parametrize(
+    ("flags", "cpu", "expected"),
+    [
+        (None, {"avx512f"}, "--xla_cpu_prefer_vector_width=512"),
+        ("--xla_a=1", {"avx512f"}, "--xla_a=1 --xla_cpu_prefer_vector_width=512"),
+        ("--xla_cpu_prefer_vector_width=256", {"avx512f"}, "--xla_cpu_prefer_vector_width=256"),
+        (None, {"avx2"}, None),
+    ],
+)
+def test_wide_vectors_where_the_cpu_has_them_and_the_user_has_no_say(monkeypatch, flags, cpu, expected):
+    if flags is not None:
+        monkeypatch.setenv("XLA_FLAGS", flags)
+    monkeypatch.setattr(environment, "cpu_flags", lambda: cpu)
+    environment.prepare()
+    assert os.environ.get("XLA_FLAGS") == expected
+
+
+def test_the_compilation_cache_is_the_users_or_their_choice(monkeypatch, tmp_path):
+    environment.prepare()
+    assert os.environ["JAX_COMPILATION_CACHE_DIR"] == str(tmp_path / "cache/gsjax/xla")
+    assert (tmp_path / "cache/gsjax/xla").is_dir()
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "elsewhere")
+    environment.prepare()
+    assert os.environ["JAX_COMPILATION_CACHE_DIR"] == "elsewhere"
+
+
+def test_no_room_for_the_cache_is_harmless(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    environment.prepare()
+    assert "JAX_COMPILATION_CACHE_DIR" not in os.environ
+
+
+def test_help_answers_at_once_and_without_jax():
+    show = "import sys, gsjax.cli; code = gsjax.cli.main(['--help']); sys.exit(code or 'jax' in sys.modules)"
+    start = time.perf_counter()
+    done = subprocess.run([sys.executable, "-c", show], capture_output=True, text=True)
+    seconds = time.perf_counter() - start
+    assert done.returncode == 0, done.stderr
+    assert all(command in done.stdout for command in COMMANDS)
+    assert seconds < 2  # 0.05 s alone; a loaded machine gets time, an import of jax or open3d does not pass above.
+
+
+def test_python_dash_m_is_the_same_command():
+    done = subprocess.run([sys.executable, "-m", "gsjax", "train"], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.startswith("gsjax train: error: the following arguments are required")
