@@ -2,11 +2,10 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
+from gsjax import config
 from gsjax.cli.parsers import add_command, given
-
-PRESETS = ("fast", "balanced", "accurate")
+from gsjax.settings import PRESETS, Settings
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -47,22 +46,19 @@ def _run(arguments: argparse.Namespace) -> None:
     print(tables.record(summary))
 
 
-def settings(arguments: argparse.Namespace) -> Any:
+def settings(arguments: argparse.Namespace) -> Settings:
     """The run's settings: the preset (of a resumed run: what it was started with), the options, then `--set`.
 
     Raises:
         InputError: An unknown key, or a value of the wrong type or range.
     """
-    from gsjax import config
     from gsjax.io import runs
-    from gsjax.settings import PRESETS as PRESET_DIFFERENCES
-    from gsjax.settings import Settings
 
     started = Path(arguments.out) / "config.json"
     if arguments.resume and started.exists():
-        base = config.merge(runs.read_json(started), PRESET_DIFFERENCES.get(arguments.preset, {}))
+        base = config.merge(runs.read_json(started), PRESETS.get(arguments.preset, {}))
     else:
-        base = PRESET_DIFFERENCES[arguments.preset or "balanced"]
+        base = PRESETS[arguments.preset or "balanced"]
     options = given(arguments, "seed", "downscale", "normals", "background", "masks", "vanilla")
     # Parsed before the overrides too, so that `--set` reaches into defaults that are lists.
     whole = config.to_dict(config.parse(Settings, config.merge(base, options), where="settings"))

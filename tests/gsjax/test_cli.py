@@ -9,21 +9,17 @@ from types import ModuleType
 import pytest
 
 import gsjax
-from gsjax import cli
+from gsjax import cli, config
 from gsjax.cli import environment
 from gsjax.errors import InputError
+from gsjax.settings import PRESETS, Phase, Settings
 
 COMMANDS = ("demo", "sfm", "train", "mesh", "eval", "render")
 
 
 @dataclass(frozen=True)
-class Settings:
-    seed: int = 0
-    steps: int = 100
-    downscale: int = 1
-    background: str = "black"
-    vanilla: bool = False
-    phases: tuple[int, ...] = (1, 2)
+class SfmReport:
+    registered: int
 
 
 @pytest.fixture(autouse=True)
@@ -56,10 +52,8 @@ def library(monkeypatch):
 
     names = ("train", "mesh", "evaluate", "render")
     install("gsjax.pipeline", **{name: recorded(name, {"psnr": 29.5, "views": 7}) for name in names})
-    install("gsjax.io.sfm", reconstruct=recorded("sfm", Settings()))
+    install("gsjax.io.sfm", reconstruct=recorded("sfm", SfmReport(registered=45)))
     install("gsjax.demo", run=recorded("demo", {"vanilla": {"psnr": 30.0}, "surface": {"psnr": 31.0}}))
-    presets = {"fast": {"steps": 10}, "balanced": {"steps": 50}, "accurate": {"steps": 90}}
-    install("gsjax.settings", Settings=Settings, PRESETS=presets)
     return calls
 
 
@@ -105,32 +99,40 @@ def test_wrong_arguments_are_one_line_and_code_2(arguments, message, capsys):
 
 def test_settings_come_from_the_preset_the_options_and_set(library):
     settings, keywords = train_settings(library, "--out", "r")
-    assert settings == Settings(steps=50)
+    assert settings == config.parse(Settings, PRESETS["balanced"])
     assert keywords == {"resume": False}
     options = ["--preset", "fast", "--seed", "3", "--downscale", "2", "--background", "white", "--vanilla"]
+    settings, _ = train_settings(library, "--out", "r", *options, "--normals", "maps", "--masks", "matte")
+    given = {"seed": 3, "downscale": 2, "background": "white", "vanilla": True, "normals": "maps", "masks": "matte"}
+    assert settings == config.parse(Settings, PRESETS["fast"] | given)
+    options = ["--seed", "3", "--set", "seed=4", "phases.1.steps=9", "--set", "rates.quats=1"]
     settings, _ = train_settings(library, "--out", "r", *options)
-    assert settings == Settings(seed=3, steps=10, downscale=2, background="white", vanilla=True)
-    settings, _ = train_settings(
-        library, "--out", "r", "--seed", "3", "--set", "seed=4", "phases.1=9", "--set", "steps=8"
-    )
-    assert settings == Settings(seed=4, steps=8, phases=(1, 9))
+    assert (settings.seed, settings.phases[1].steps, settings.rates.quats) == (4, 9, 1.0)
+
+
+def test_every_preset_is_offered_and_parses(library):
+    for preset in PRESETS:
+        settings, _ = train_settings(library, "--out", "r", "--preset", preset)
+        assert settings == config.parse(Settings, PRESETS[preset])
 
 
 def test_a_resumed_run_keeps_the_settings_that_it_was_started_with(library, tmp_path):
-    (tmp_path / "config.json").write_text(json.dumps({"seed": 5, "steps": 7}))
+    started = Settings(seed=5, phases=(Phase("vanilla", 7),))
+    (tmp_path / "config.json").write_text(json.dumps(config.to_dict(started)))
     settings, keywords = train_settings(library, "--out", str(tmp_path), "--resume")
-    assert settings == Settings(seed=5, steps=7)
+    assert settings == started
     assert keywords == {"resume": True}
     settings, _ = train_settings(library, "--out", str(tmp_path / "new"), "--resume")
-    assert settings == Settings(steps=50)
+    assert settings == config.parse(Settings, PRESETS["balanced"])
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--set", "step=3"], "gsjax: error: --set: unknown key 'step'; the nearest known one is 'steps'\n"),
-        (["--set", "steps=many"], "gsjax: error: --set: steps is 'many', expected int\n"),
-        (["--set", "steps"], "gsjax: error: --set steps: expected key=value, for example --set seed=3\n"),
+        (["--set", "sed=3"], "gsjax: error: --set: unknown key 'sed'; the nearest known one is 'seed'\n"),
+        (["--set", "seed=many"], "gsjax: error: --set: seed is 'many', expected int\n"),
+        (["--downscale", "0"], "gsjax: error: settings: downscale=0 is below 1\n"),
+        (["--set", "seed"], "gsjax: error: --set seed: expected key=value, for example --set seed=3\n"),
     ],
 )
 def test_an_unknown_key_or_a_wrong_value_is_one_line_and_code_2(library, capsys, arguments, message):
