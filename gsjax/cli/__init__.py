@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from gsjax.cli import demo, environment, evaluate, mesh, render, sfm, train
 from gsjax.errors import InputError
@@ -22,16 +22,25 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Arguments without the program's name; None reads `sys.argv`.
 
     Returns:
-        The exit code: 0 done, 2 unusable input or arguments (one line on stderr says which), 130 interrupted.
-        Anything else is a bug and comes up as the exception that it is.
+        The exit code, as `guarded` has it; 2 for wrong arguments too.
     """
     try:
         arguments = parser().parse_args(argv)
     except SystemExit as stop:  # After --help, or with argparse's own message about the arguments.
         return int(stop.code or 0)
+    return guarded(lambda: arguments.run(arguments))
+
+
+def guarded(action: Callable[[], None]) -> int:
+    """Prepares jax's environment, runs an action and turns what ended it into an exit code.
+
+    Returns:
+        0 done, 2 unusable input (one line on stderr says which), 130 interrupted. Anything else is a bug and comes
+        up as the exception that it is.
+    """
     environment.prepare()
     try:
-        arguments.run(arguments)
+        action()
     except InputError as error:
         print(f"gsjax: error: {error}", file=sys.stderr)
         return 2

@@ -1,0 +1,3 @@
+"""Fifty real photos of an indoor scene, 267x475 (the undistorted COLMAP model)."""
+
+CONFIG: dict = {}
