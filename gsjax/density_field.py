@@ -57,7 +57,7 @@ def density_gradient(point: Array, nearby: Kernels) -> Array:
 
 def _whitened_offsets(point: Array, nearby: Kernels) -> Array:
     """`[k, 3]` offsets from the centres in standard deviations, clipped where the density is zero anyway."""
-    offsets = jnp.sum(nearby.whitening * (point - nearby.means)[:, None, :], axis=-1)
+    offsets = jnp.sum(nearby.whitening * (point[None, :] - nearby.means)[:, None, :], axis=-1)
     return jnp.clip(offsets, -(MAX_SQUARED_DISTANCE**0.5), MAX_SQUARED_DISTANCE**0.5)
 
 

@@ -24,7 +24,7 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 
 MIN_ALPHA = 0.5  # A pixel less opaque than this shows no surface of ours.
-HALVINGS = 4  # Of the step that holds the crossing.
+HALVINGS = 6  # Of the step that holds the crossing.
 TINY = 1e-30  # A squared inverse scale under this is a Gaussian without bounds.
 
 
@@ -127,7 +127,8 @@ def surface_points(
 
 def _opaque_enough(gaussians: Gaussians, min_opacity: float, neighbors: int) -> Gaussians:
     """The Gaussians above the opacity and with finite parameters, or all finite ones where too few are above it."""
-    finite = np.all([np.isfinite(leaf).reshape(len(leaf), -1).all(1) for leaf in jax.tree.leaves(gaussians)], axis=0)
+    parameters = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities[:, None])
+    finite = np.all([np.isfinite(np.asarray(values)).all(axis=1) for values in parameters], axis=0)
     opaque = finite & (np.asarray(gs.opacities(gaussians)) > min_opacity)
     kept = np.flatnonzero(opaque if opaque.sum() >= neighbors else finite)
     if not len(kept):
@@ -274,8 +275,8 @@ def ray_profile(hit: Array, direction: Array, kernel: Kernels) -> tuple[Array, A
     Returns:
         Distance `[]` of the densest point from `hit`, and the kernel's standard deviation `[]` along `direction`.
     """
-    slope = jnp.sum(kernel.whitening * direction, axis=-1)
-    offset = jnp.sum(kernel.whitening * (hit - kernel.means), axis=-1)
+    slope = jnp.sum(kernel.whitening * direction[None, :], axis=-1)
+    offset = jnp.sum(kernel.whitening * (hit - kernel.means)[None, :], axis=-1)
     squared = jnp.sum(slope * slope)
     is_flat = squared < TINY
     peak = -jnp.where(is_flat, 0.0, jnp.sum(slope * offset)) / jnp.where(is_flat, 1.0, squared)

@@ -1,0 +1,150 @@
+"""How far a surface is from the truth: distances between point sets, and angles between normals.
+
+Distances are in scene units, in float64. Nearest neighbours are exact.
+"""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from gsjax.errors import InputError
+from gsjax.mesh import Mesh, face_area_vectors, unit_or_zero
+
+THRESHOLD_SHARE = 0.01  # Of the diagonal of the truth's box: the F-score's default threshold.
+
+
+def accuracy_completeness(predicted: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
+    """Mean distance from a predicted point to the truth, and from a true point to the prediction.
+
+    Args:
+        predicted: `[P, 3]` points.
+        truth: `[Q, 3]` points.
+
+    Returns:
+        (accuracy, completeness), scene units.
+    """
+    return float(_nearest(predicted, truth)[0].mean()), float(_nearest(truth, predicted)[0].mean())
+
+
+def chamfer(points_a: np.ndarray, points_b: np.ndarray) -> float:
+    """Chamfer distance of `[P, 3]` and `[Q, 3]` points: the mean of the two directed mean distances, unsquared."""
+    return float(np.mean(accuracy_completeness(points_a, points_b)))
+
+
+def fscore(predicted: np.ndarray, truth: np.ndarray, threshold: float) -> float:
+    """F-score in 0..1: the harmonic mean of precision and recall, each a share of points within `threshold`."""
+    precision = float((_nearest(predicted, truth)[0] <= threshold).mean())
+    recall = float((_nearest(truth, predicted)[0] <= threshold).mean())
+    return 2 * precision * recall / max(precision + recall, 1e-300)
+
+
+def normal_consistency(
+    predicted: np.ndarray, predicted_normals: np.ndarray, truth: np.ndarray, true_normals: np.ndarray
+) -> float:
+    """Mean |cos| between each point's normal and its nearest counterpart's, averaged over both directions, in 0..1.
+
+    Unsigned, as it is usually reported; `cleaning.clean` reports an inside-out mesh.
+    """
+    there, back = _nearest(predicted, truth)[1], _nearest(truth, predicted)[1]
+    predicted_normals, true_normals = unit_or_zero(predicted_normals), unit_or_zero(true_normals)
+    cosines = (
+        np.abs(np.sum(predicted_normals * true_normals[there], -1)).mean(),
+        np.abs(np.sum(true_normals * predicted_normals[back], -1)).mean(),
+    )
+    return float(np.mean(cosines))
+
+
+def sample_surface(mesh: Mesh, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """`[count, 3]` points spread evenly over the area, and the unit normals `[count, 3]` of their triangles."""
+    areas = face_area_vectors(mesh)
+    weights = np.linalg.norm(areas, axis=1)
+    if not weights.sum() > 0:
+        raise InputError(f"cannot sample a mesh without area ({mesh.num_faces} faces)")
+    rng = np.random.default_rng(seed)
+    faces = rng.choice(mesh.num_faces, count, p=weights / weights.sum())
+    u, v = rng.random((2, count, 1))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    a, b, c = np.moveaxis(mesh.vertices.astype(np.float64)[mesh.faces[faces]], 1, 0)
+    return a + u * (b - a) + v * (c - a), unit_or_zero(areas[faces])
+
+
+def compare_to_truth(
+    mesh: Mesh,
+    truth_points: np.ndarray,
+    truth_normals: np.ndarray,
+    *,
+    threshold: float | None = None,
+    samples: int = 100_000,
+    seed: int = 0,
+) -> dict[str, float]:
+    """Distances and normals of a mesh against surface samples of the truth.
+
+    The truth has samples only where cameras saw something. What the mesh says elsewhere is neither right nor wrong, so
+    its surface counts only inside the axis-aligned box of the truth samples, grown by the threshold on every side.
+
+    Args:
+        mesh: The prediction.
+        truth_points: `[Q, 3]` world.
+        truth_normals: `[Q, 3]` world.
+        threshold: Of the F-score, scene units. None: 1 % of the diagonal of the box of the truth samples.
+        samples: Points drawn on the mesh near the box.
+        seed: Of those points.
+
+    Returns:
+        `chamfer` (mean of the next two), `accuracy`, `completeness`, `fscore`, `normal_consistency`, `threshold`.
+
+    Raises:
+        InputError: No surface of the mesh lies in the box.
+    """
+    low, high = truth_points.min(axis=0), truth_points.max(axis=0)
+    if threshold is None:
+        threshold = float(THRESHOLD_SHARE * np.linalg.norm(high - low))
+    points, normals = _samples_in_box(mesh, low - threshold, high + threshold, samples, seed)
+    accuracy, completeness = accuracy_completeness(points, truth_points)
+    return {
+        "chamfer": (accuracy + completeness) / 2,
+        "accuracy": accuracy,
+        "completeness": completeness,
+        "fscore": fscore(points, truth_points, threshold),
+        "normal_consistency": normal_consistency(points, normals, truth_points, truth_normals),
+        "threshold": threshold,
+    }
+
+
+def normal_error_degrees(rendered: np.ndarray, true: np.ndarray, mask: np.ndarray) -> dict[str, float]:
+    """Angles between two normal maps, signed: opposite normals are 180 degrees apart.
+
+    Args:
+        rendered: `[H, W, 3]` of any length but zero; where it is zero, nothing was rendered: that counts as 90 degrees.
+        true: `[H, W, 3]`, zero where there is no truth; those pixels do not count.
+        mask: `[H, W]` bool, the pixels to score.
+
+    Returns:
+        `mean` and `median` in degrees and the `count` of pixels; NaN angles where the count is 0.
+    """
+    scored = mask & np.any(true != 0, axis=-1)
+    count = int(scored.sum())
+    if not count:
+        return {"mean": float("nan"), "median": float("nan"), "count": 0}
+    a, b = unit_or_zero(rendered[scored].astype(np.float64)), unit_or_zero(true[scored].astype(np.float64))
+    angles = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1), np.sum(a * b, axis=-1)))
+    angles = np.where(np.any(a != 0, axis=-1), angles, 90.0)
+    return {"mean": float(angles.mean()), "median": float(np.median(angles)), "count": count}
+
+
+def _nearest(queries: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance from each query to its nearest point, and that point's index."""
+    if not len(queries) or not len(points):
+        raise InputError(f"cannot compare {len(queries)} points with {len(points)}: both sets need one at least")
+    return cKDTree(points).query(queries, workers=-1)
+
+
+def _samples_in_box(mesh: Mesh, low: np.ndarray, high: np.ndarray, count: int, seed: int):
+    """Up to `count` samples and normals of the mesh's part in the box; faces that miss the box cost no samples."""
+    corners = mesh.vertices[mesh.faces]
+    touches = np.all((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high), axis=1)
+    if touches.any():
+        points, normals = sample_surface(Mesh(mesh.vertices, mesh.faces[touches], mesh.colors), count, seed)
+        inside = np.all((points >= low) & (points <= high), axis=1)
+        if inside.any():
+            return points[inside], normals[inside]
+    raise InputError(f"no surface of the mesh ({mesh.num_faces} faces) lies in the truth's box {low} to {high}")

@@ -1,0 +1,118 @@
+"""A ball on the ground made of flat Gaussians, with the exact depth that its cameras see."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gsjax.cameras import Camera
+from gsjax.gaussians import Gaussians
+
+RADIUS = 1.0
+
+
+@dataclass(frozen=True)
+class DiscScene:
+    """Gaussians, and per view a camera, exact depth (camera z, 0: nothing), alpha and colour."""
+
+    gaussians: Gaussians
+    cameras: list[Camera]
+    depths: list[np.ndarray]
+    alphas: list[np.ndarray]
+    colors: list[np.ndarray]
+
+    @property
+    def views(self):
+        """The four arguments after the Gaussians of everything that extracts a surface."""
+        return self.cameras, self.depths, self.alphas, self.colors
+
+
+@pytest.fixture(scope="session")
+def ball() -> DiscScene:
+    """2,000 discs on the unit sphere about the origin, seen from 10 sides, orange."""
+    return disc_scene(*sphere_samples(2000), discs_radius=0.06, cameras=_around(10), ground=None)
+
+
+@pytest.fixture(scope="session")
+def ball_on_ground() -> DiscScene:
+    """The ball resting on a square of the plane z = -1, seen from 8 sides from above."""
+    points, normals = sphere_samples(2000)
+    x, y = np.meshgrid(np.linspace(-2.5, 2.5, 50), np.linspace(-2.5, 2.5, 50))
+    ground = np.stack([x.ravel(), y.ravel(), np.full(x.size, -1.0)], axis=-1)
+    ups = np.tile([0.0, 0.0, 1.0], (len(ground), 1))
+    cameras = _around(8, heights=(2.0, 3.0))
+    return disc_scene(np.r_[points, ground], np.r_[normals, ups], discs_radius=0.07, cameras=cameras, ground=-1.0)
+
+
+def sphere_samples(count):
+    """Evenly spread points on the unit sphere (golden spiral), which are their own normals."""
+    k = np.arange(count) + 0.5
+    z, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
+    points = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=-1)
+    return points, points
+
+
+def disc_scene(points, normals, *, discs_radius, cameras, ground) -> DiscScene:
+    """Discs of a twentieth of their radius in thickness, tangent to the surface."""
+    depths = [_exact_depth(camera, ground) for camera in cameras]
+    orange = np.array([1.0, 0.5, 0.0], np.float32)
+    return DiscScene(
+        gaussians=tangent_discs(points, normals, discs_radius, discs_radius / 20),
+        cameras=cameras,
+        depths=depths,
+        alphas=[(depth > 0).astype(np.float32) for depth in depths],
+        colors=[np.broadcast_to(orange, (*depth.shape, 3)) for depth in depths],
+    )
+
+
+def tangent_discs(points, normals, radius, thickness, opacity=0.9) -> Gaussians:
+    """One Gaussian a point, its z axis along the normal."""
+    helper = np.where(np.abs(normals[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    x = np.cross(helper, normals)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    axes = np.stack([x, np.cross(normals, x), normals], axis=-1)
+    count = len(points)
+    return Gaussians(
+        means=jnp.asarray(points, jnp.float32),
+        quats=jnp.asarray(Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]], jnp.float32),
+        log_scales=jnp.asarray(np.tile(np.log([radius, radius, thickness]), (count, 1)), jnp.float32),
+        logit_opacities=jnp.full(count, np.log(opacity / (1 - opacity)), jnp.float32),
+        sh_dc=jnp.zeros((count, 1, 3), jnp.float32),
+        sh_rest=jnp.zeros((count, 0, 3), jnp.float32),
+    )
+
+
+def _around(count, heights=(-2.5, 0.0, 2.5)) -> list[Camera]:
+    """Cameras at distance about 4 that look at the origin, heights in turn."""
+    K = np.array([[90.0, 0, 33], [0, 95.0, 30], [0, 0, 1]], np.float32)
+    cameras = []
+    for index in range(count):
+        angle = 2 * np.pi * index / count
+        eye = np.array([3.5 * np.cos(angle), 3.5 * np.sin(angle), heights[index % len(heights)]])
+        z = -eye / np.linalg.norm(eye)
+        x = np.cross(z, [0.0, 0, 1])
+        x /= np.linalg.norm(x)
+        rotation = np.stack([x, np.cross(z, x), z])
+        viewmat = np.eye(4)
+        viewmat[:3, :3], viewmat[:3, 3] = rotation, -rotation @ eye
+        cameras.append(Camera(viewmat.astype(np.float32), K, 64, 60))
+    return cameras
+
+
+def _exact_depth(camera: Camera, ground: float | None) -> np.ndarray:
+    """Camera z of the unit sphere, and of the plane z = ground within |x|, |y| < 2.5, at pixel centres."""
+    viewmat, K = camera.viewmat.astype(np.float64), camera.K.astype(np.float64)
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], axis=-1) @ viewmat[:3, :3]
+    eye = -viewmat[:3, :3].T @ viewmat[:3, 3]
+    a, b, c = np.sum(rays * rays, -1), rays @ eye, eye @ eye - RADIUS**2
+    inside = b * b - a * c
+    depth = np.where(inside > 0, (-b - np.sqrt(np.maximum(inside, 0))) / a, np.inf)
+    if ground is not None:
+        on_plane = (ground - eye[2]) / rays[..., 2]
+        where = eye + on_plane[..., None] * rays
+        on_square = (on_plane > 0) & np.all(np.abs(where[..., :2]) < 2.5, axis=-1)
+        depth = np.minimum(depth, np.where(on_square, on_plane, np.inf))
+    return np.where(np.isfinite(depth), depth, 0).astype(np.float32)
