@@ -1,0 +1,59 @@
+# `make demo` and `make test` set up everything they need: a virtual environment, the packages, and the system
+# libraries that Open3D loads. Python >= 3.11 with its venv module is all they start from.
+
+VENV ?= .venv
+PYTHON ?= $(firstword $(foreach name,python3 python3.13 python3.12 python3.11,$(shell \
+	$(name) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $(name))) python3)
+BIN := $(VENV)/bin
+OPEN3D_LIBRARIES := libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 libidn2-0
+
+.PHONY: demo test docs clean
+
+demo: $(VENV)/.installed
+	$(BIN)/gsjax demo --out runs/demo
+
+test: $(VENV)/.installed-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	@if $(BIN)/pyright --version >/dev/null 2>&1; then echo $(BIN)/pyright; $(BIN)/pyright; \
+	else echo "pyright cannot start on this machine: types are not checked"; fi
+	$(BIN)/python -m pytest
+
+docs: $(VENV)/.installed-docs
+	$(BIN)/mkdocs build --strict
+
+clean:
+	rm -rf $(VENV) site dist build .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# A stamp is newer than pyproject.toml where what it asks for is installed.
+$(VENV)/.installed: $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --editable .
+	@$(load_open3d)
+	@touch $@
+
+$(VENV)/.installed-test: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --editable '.[test,dev]'
+	@touch $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	@touch $@
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	|| { echo "Python 3.11 or newer is needed; name yours: make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV) \
+	|| { rm -rf $(VENV); echo "Python's venv module is needed; type: sudo apt-get install python3-venv" >&2; exit 1; }
+
+# Open3D's wheel loads these from the system; only root can put them there.
+define load_open3d
+if $(BIN)/python -c 'import open3d' 2>/dev/null; then exit 0; fi; \
+if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	apt-get update -qq && DEBIAN_FRONTEND=noninteractive \
+	apt-get install -qq -y --no-install-recommends $(OPEN3D_LIBRARIES) >/dev/null; \
+	$(BIN)/python -c 'import open3d'; \
+else \
+	echo "Open3D cannot load its system libraries; type: sudo apt-get install $(OPEN3D_LIBRARIES)" >&2; exit 1; \
+fi
+endef

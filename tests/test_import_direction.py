@@ -1,0 +1,143 @@
+"""The arrows between the layers, read from the source, and what `import gsjax` must not load."""
+
+import ast
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Modules (by dotted prefix), the layers below that they may import, and the packages that they may."""
+
+    modules: tuple[str, ...]
+    below: tuple[str, ...]
+    packages: tuple[str, ...]
+
+
+LAYERS = {
+    "rasterizer": Layer(("rasterizer",), (), ("jax", "numpy")),
+    "core": Layer(("gsjax",), ("rasterizer",), ("jax", "numpy", "optax", "scipy")),
+    "io": Layer(("gsjax.io",), ("core",), ("jax", "numpy", "scipy", "tqdm", "cv2", "PIL", "pycolmap", "onnxruntime")),
+    "meshing": Layer(("gsjax.meshing",), ("core", "io"), ("jax", "numpy", "scipy", "open3d", "trimesh", "skimage")),
+    "runs": Layer(
+        ("gsjax.pipeline", "gsjax.demo"),
+        ("rasterizer", "core", "io", "meshing"),
+        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib"),
+    ),
+    "cli": Layer(("gsjax.cli", "gsjax.__main__"), ("core", "io", "meshing", "runs"), ()),
+    "experiments": Layer(
+        ("experiments",),
+        ("rasterizer", "core", "io", "meshing", "runs", "cli"),
+        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib"),
+    ),
+}
+HEAVY = {"open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "matplotlib", "skimage", "PIL"}
+
+
+def layer_of(module: str) -> str | None:
+    """The layer with the longest prefix of a module's name; None for other people's packages."""
+    prefixes = [(prefix, name) for name, layer in LAYERS.items() for prefix in layer.modules]
+    owners = [(prefix, name) for prefix, name in prefixes if f"{module}.".startswith(f"{prefix}.")]
+    return max(owners, key=lambda owner: len(owner[0]))[1] if owners else None
+
+
+def module_name(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+def imports(source: str) -> set[str]:
+    """Every module that the source imports, anywhere in it; `from a import b` may mean the module a.b."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "imports are absolute here"
+            found |= {resolved(node.module, alias.name) for alias in node.names}
+    return found
+
+
+def resolved(module: str, name: str) -> str:
+    path = ROOT.joinpath(*module.split("."), name)
+    return f"{module}.{name}" if path.is_dir() or path.with_suffix(".py").exists() else module
+
+
+def faults(module: str, source: str) -> list[str]:
+    """The imports of a module that its layer has no right to."""
+    own = layer_of(module)
+    layer = LAYERS[own]
+    wrong = []
+    for imported in sorted(imports(source)):
+        target = layer_of(imported)
+        package = imported.split(".")[0]
+        if target is None:
+            allowed = package in sys.stdlib_module_names or package in layer.packages
+        else:
+            allowed = target == own or target in layer.below
+        if not allowed:
+            wrong.append(f"{module} ({own}) imports {imported}")
+    return wrong
+
+
+SOURCES = sorted(path for package in ("rasterizer", "gsjax", "experiments") for path in (ROOT / package).rglob("*.py"))
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=module_name)
+def test_a_module_imports_from_its_own_layer_and_below(path):
+    assert faults(module_name(path), path.read_text()) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source", "is_fine"),
+    [
+        ("rasterizer.api", "import jax.numpy as jnp", True),
+        ("rasterizer.api", "from gsjax import cameras", False),
+        ("rasterizer.api", "import optax", False),
+        ("gsjax.losses", "from gsjax.cameras import Camera", True),
+        ("gsjax.losses", "from gsjax import io", False),
+        ("gsjax.losses", "def f():\n    from gsjax.io.files import atomic_path", False),
+        ("gsjax.losses", "def f():\n    import open3d", False),
+        ("gsjax.io.ply", "import pycolmap", True),
+        ("gsjax.io.ply", "from gsjax.meshing import poisson", False),
+        ("gsjax.meshing.export", "from gsjax.io.files import atomic_path", True),
+        ("gsjax.pipeline", "from gsjax.cli import main", False),
+        ("gsjax.cli.train", "from gsjax import pipeline", True),
+        ("gsjax.cli.train", "import experiments.train", False),
+    ],
+)
+def test_the_check_itself_tells_right_from_wrong(module, source, is_fine):
+    assert (faults(module, source) == []) == is_fine
+
+
+def test_import_gsjax_is_quick_and_loads_nothing_heavy():
+    core = [module_name(path) for path in SOURCES if layer_of(module_name(path)) == "core"]
+    program = f"""
+import sys, time
+start = time.perf_counter()
+import gsjax
+assert "jax" not in sys.modules
+seconds = time.perf_counter() - start
+import {", ".join(core)}
+assert seconds < 3, seconds
+print(*({HEAVY} & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == ""
+
+
+def test_the_core_imports_without_the_heavy_packages():
+    core = [module_name(path) for path in SOURCES if layer_of(module_name(path)) in ("rasterizer", "core")]
+    program = f"""
+import sys
+sys.modules.update(dict.fromkeys({HEAVY}))  # None: "import open3d" raises ImportError
+import {", ".join(core)}
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
