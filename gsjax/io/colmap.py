@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.lenses import Lens, check_lens
+from gsjax.io.lenses import Lens, check_lens, is_float32
 from gsjax.io.packages import require
 from gsjax.io.photos import Capture, Photo
 
@@ -41,13 +41,12 @@ def read_capture(root: Path, model: Path) -> Capture:
     reconstruction = _read_model(model)
     if not reconstruction.points3D:
         raise InputError(f"{model}: the COLMAP model has no points")
-    points = reconstruction.points3D.values()
-    return Capture(
-        source="colmap",
-        photos=_photos(reconstruction, root, model),
-        points=np.array([p.xyz for p in points], np.float32),
-        point_colors=np.array([p.color for p in points], np.uint8),
-    )
+    points = np.array([p.xyz for p in reconstruction.points3D.values()])
+    colors = np.array([p.color for p in reconstruction.points3D.values()], np.uint8)
+    broken = ~is_float32(points).all(axis=1)
+    if broken.any():
+        raise InputError(f"{model}: {broken.sum()} of {len(points)} points of the COLMAP model are not finite")
+    return Capture("colmap", _photos(reconstruction, root, model), points.astype(np.float32), colors)
 
 
 def _read_model(model: Path):
@@ -80,7 +79,7 @@ def _photos(reconstruction, root: Path, model: Path) -> tuple[Photo, ...]:
     for image in posed:
         viewmat = np.eye(4)
         viewmat[:3] = image.cam_from_world().matrix()
-        if not np.isfinite(viewmat).all():
+        if not is_float32(viewmat).all():
             raise InputError(f"{model / ('images' + suffix)}: the pose of {image.name} is not finite")
         camera = image.camera
         lens = Lens(camera.model_name, int(camera.width), int(camera.height), tuple(map(float, camera.params)))

@@ -43,7 +43,8 @@ class PinholeView:
         """The view's pixels of an array `[H, W]` or `[H, W, C]` of the photo's size, bilinear."""
         if self.source_xy is None:
             return array
-        return cv2.remap(array, self.source_xy - np.float32(0.5), None, cv2.INTER_LINEAR, cv2.BORDER_REPLICATE)
+        source = self.source_xy - np.float32(0.5)
+        return cv2.remap(array, source, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
 def check_lens(lens: Lens, file: Path) -> Lens:
@@ -52,9 +53,14 @@ def check_lens(lens: Lens, file: Path) -> Lens:
     Raises:
         InputError: The size or the focal length is not positive, or a parameter not finite; names `file`.
     """
-    if lens.width < 1 or lens.height < 1 or not np.isfinite(lens.params).all() or lens.params[0] <= 0:
+    if lens.width < 1 or lens.height < 1 or not is_float32(np.array(lens.params)).all() or lens.params[0] <= 0:
         raise InputError(f"{file}: camera {lens.model} {lens.width}x{lens.height} with params {list(lens.params)}")
     return lens
+
+
+def is_float32(values: np.ndarray) -> np.ndarray:
+    """Whether each float64 value is finite, and still is as float32."""
+    return np.abs(values) <= np.finfo(np.float32).max
 
 
 def pycolmap_camera(lens: Lens):

@@ -11,7 +11,7 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.images import image_size
-from gsjax.io.lenses import Lens, check_lens
+from gsjax.io.lenses import Lens, check_lens, is_float32
 from gsjax.io.photos import Capture, Photo, listed
 from gsjax.io.ply import read_points
 
@@ -117,7 +117,7 @@ def _viewmat(file: Path, entry: dict) -> np.ndarray:
         matrix = np.array(entry["transform_matrix"], np.float64)
     except (KeyError, ValueError, TypeError):
         matrix = np.empty(0)
-    if matrix.shape not in ((4, 4), (3, 4)) or not np.isfinite(matrix).all():
+    if matrix.shape not in ((4, 4), (3, 4)) or not is_float32(matrix).all():
         raise InputError(f"{where} is not a finite 4x4 matrix")
     camera_to_world = np.eye(4)
     camera_to_world[:3] = matrix[:3]

@@ -1,0 +1,129 @@
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+
+from gsjax.errors import InputError
+from gsjax.io.lenses import Lens, check_lens, pinhole_views
+
+WIDTH, HEIGHT = 160, 120
+CENTER = (78.0, 61.5)
+# The distortion that follows the focal lengths and the principal point, for every model that has some.
+DISTORTION = {
+    "SIMPLE_RADIAL": (0.05,),
+    "RADIAL": (-0.1, 0.02),
+    "OPENCV": (-0.1, 0.02, 0.002, -0.001),
+    "FULL_OPENCV": (-0.1, 0.02, 0.002, -0.001, 0.01, 0.02, 0.0, 0.0),
+    "FOV": (0.6,),
+    "SIMPLE_DIVISION": (-0.08,),
+    "DIVISION": (-0.08,),
+    "EUCM": (0.5, 1.1),
+    "SIMPLE_FISHEYE": (),
+    "FISHEYE": (),
+    "SIMPLE_RADIAL_FISHEYE": (0.03,),
+    "RADIAL_FISHEYE": (0.03, -0.01),
+    "OPENCV_FISHEYE": (0.03, -0.01, 0.002, 0.0),
+    "THIN_PRISM_FISHEYE": (0.03, -0.01, 0.002, 0.001, 0.0, 0.0, 0.001, 0.002),
+    "RAD_TAN_THIN_PRISM_FISHEYE": (0.03, -0.01, 0.0, 0.0, 0.0, 0.0, 0.001, 0.001, 0.001, 0.0, 0.001, 0.0),
+}
+ONE_FOCAL = ("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_DIVISION", "SIMPLE_FISHEYE", "SIMPLE_RADIAL_FISHEYE")
+ONE_FOCAL += ("RADIAL_FISHEYE",)
+
+
+def lens_of(model: str, focal: float = 110.0) -> Lens:
+    focals = (focal,) if model in ONE_FOCAL else (focal, focal + 1)
+    return Lens(model, WIDTH, HEIGHT, (*focals, *CENTER, *DISTORTION.get(model, ())))
+
+
+def pattern(rays: np.ndarray) -> np.ndarray:
+    """A smooth picture of the directions, 0..1."""
+    unit = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    return (0.5 + 0.5 * np.sin(9 * unit[..., 0] + 3) * np.cos(7 * unit[..., 1] + 2 * unit[..., 2])).astype(np.float32)
+
+
+def centres(width: int, height: int) -> np.ndarray:
+    return np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), -1)
+
+
+def photo_through(lens: Lens) -> np.ndarray:
+    """The pattern as the lens records it, by pycolmap's inverse of the model: the other way round than our map."""
+    camera = pycolmap.Camera(model=lens.model, width=lens.width, height=lens.height, params=list(lens.params))
+    pixels = centres(lens.width, lens.height).reshape(-1, 2)
+    rays = np.array([camera.cam_ray_from_img(pixel) for pixel in pixels])
+    return pattern(rays).reshape(lens.height, lens.width)
+
+
+def pinhole_rays(view) -> np.ndarray:
+    pixels = centres(view.width, view.height)
+    homogeneous = np.concatenate([pixels, np.ones_like(pixels[..., :1])], -1)
+    return homogeneous @ np.linalg.inv(view.K).T @ view.rotation
+
+
+@pytest.mark.parametrize("model", [n for n in pycolmap.CameraModelId.__members__ if n != "INVALID"])
+def test_every_model_becomes_the_pinhole_picture_of_the_same_directions(model):
+    lens = Lens(model, 160, 80, (160.0, 80.0)) if model == "EQUIRECTANGULAR" else lens_of(model)
+    photo = photo_through(lens)
+    views = pinhole_views(lens)
+    assert len(views) == (6 if model == "EQUIRECTANGULAR" else 1)
+    for view in views:
+        picture = view.warp(photo)
+        assert picture.shape == (view.height, view.width)
+        error = np.abs(picture - pattern(pinhole_rays(view)))
+        assert view.valid is None
+        # Bilinear reading of a pattern this smooth: a map half a pixel off shows 0.03. A panorama of 160 pixels is
+        # coarse, and its seam is read half a pixel off.
+        assert np.quantile(error, 0.99) < (0.06 if model == "EQUIRECTANGULAR" else 3e-3)
+        assert view.width * view.height > 0.8 * WIDTH * HEIGHT or model == "EQUIRECTANGULAR"
+
+
+def test_opencv_map_is_the_one_of_opencv():
+    lens = lens_of("OPENCV")
+    (view,) = pinhole_views(lens)
+    fx, fy, cx, cy, *distortion = lens.params
+    K = np.array([[fx, 0, cx - 0.5], [0, fy, cy - 0.5], [0, 0, 1]])  # OpenCV counts pixel centres as whole numbers
+    target = view.K - np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    x, y = cv2.initUndistortRectifyMap(K, np.array(distortion), None, target, (view.width, view.height), cv2.CV_32FC1)
+    np.testing.assert_allclose(view.source_xy - 0.5, np.stack([x, y], -1), atol=2e-4)
+
+
+def test_pinhole_and_undistorted_models_are_left_alone():
+    for lens in (lens_of("PINHOLE"), Lens("SIMPLE_RADIAL", WIDTH, HEIGHT, (110.0, *CENTER, 0.0))):
+        (view,) = pinhole_views(lens)
+        assert view.source_xy is None and view.valid is None
+        np.testing.assert_allclose(view.K[:2, 2], CENTER)
+
+
+def test_fisheye_without_coefficients_is_still_a_fisheye():
+    (view,) = pinhole_views(lens_of("FISHEYE"))
+    corner = np.array([0.5, 0.5])
+    angle_radius = np.linalg.norm((corner - view.K[:2, 2]) / [110.0, 111.0])
+    source_radius = np.linalg.norm((view.source_xy[0, 0] - CENTER) / [110.0, 111.0])
+    assert source_radius == pytest.approx(np.arctan(angle_radius), rel=1e-4)
+
+
+def test_bare_border_is_cut_and_the_principal_point_moves_with_it():
+    lens = Lens("SIMPLE_RADIAL", WIDTH, HEIGHT, (110.0, *CENTER, 0.1))  # corners of the target lie outside the photo
+    (view,) = pinhole_views(lens)
+    assert view.valid is None
+    assert view.width < WIDTH and view.height < HEIGHT
+    assert (view.source_xy >= 0).all() and (view.source_xy <= [WIDTH, HEIGHT]).all()
+    row, column = int(view.K[1, 2]), int(view.K[0, 2])
+    np.testing.assert_allclose(
+        view.source_xy[row, column], [column + 0.5, row + 0.5] + (CENTER - view.K[:2, 2]), atol=0.1
+    )
+
+
+def test_picture_beyond_the_fold_of_a_polynomial_is_not_valid():
+    lens = Lens("SIMPLE_RADIAL", WIDTH, HEIGHT, (60.0, *CENTER, -0.5))
+    (view,) = pinhole_views(lens)
+    radius = np.linalg.norm((centres(view.width, view.height) - view.K[:2, 2]) / 60.0, axis=-1)
+    fold = np.sqrt(1 / (3 * 0.5))  # d/dr (r - 0.5 r^3) = 0
+    assert view.valid is not None
+    assert not view.valid[radius > fold + 0.03].any()
+    assert view.valid[radius < fold - 0.03].all()
+
+
+@pytest.mark.parametrize("params", [(0.0, 5.0, 5.0), (-3.0, 5.0, 5.0), (np.nan, 5.0, 5.0), (3.0, np.inf, 5.0)])
+def test_unusable_numbers_are_refused(params, tmp_path):
+    with pytest.raises(InputError, match="cameras.bin: camera SIMPLE_PINHOLE 10x10"):
+        check_lens(Lens("SIMPLE_PINHOLE", 10, 10, params), tmp_path / "cameras.bin")

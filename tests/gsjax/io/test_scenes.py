@@ -1,0 +1,204 @@
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+
+from gsjax.errors import InputError
+from gsjax.io.scenes import load_scene
+
+
+def read(path):
+    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+
+
+def write_masks(root, names, mask):
+    (root / "masks").mkdir()
+    for name in names:
+        cv2.imwrite(str(root / "masks" / name), mask)
+
+
+def half_mask(width=40, height=30):
+    """Off in the left quarter."""
+    mask = np.full((height, width), 255, np.uint8)
+    mask[:, : width // 4] = 0
+    return mask
+
+
+def test_every_eighth_of_the_sorted_names_is_held_out(colmap_scene):
+    scene = load_scene(colmap_scene(count=18))
+    names = [f"{i:03d}.png" for i in range(18)]
+    assert [f.name for f in scene.frames] == names
+    assert [f.name for f in scene.held_out_frames] == names[::8]
+    assert [f.name for f in scene.train_frames] == [n for i, n in enumerate(names) if i % 8]
+    assert scene.source == "colmap"
+
+
+def test_a_frame_keeps_pixels_intrinsics_and_pose(colmap_scene):
+    root = colmap_scene()
+    frame = load_scene(root).frames[4]
+    np.testing.assert_array_equal(frame.image, read(root / "images/004.png")[..., ::-1])
+    np.testing.assert_array_equal(frame.K, np.array([[30, 0, 21], [0, 31, 14.5], [0, 0, 1]], np.float32))
+    expected = np.eye(4, dtype=np.float32)
+    expected[0, 3] = 0.4
+    np.testing.assert_allclose(frame.viewmat, expected, atol=1e-7)
+    assert frame.viewmat.dtype == frame.K.dtype == np.float32 and frame.image.dtype == np.uint8
+    assert frame.matte is None and frame.valid is None
+
+
+@pytest.mark.parametrize(("downscale", "size"), [(2.0, (20, 15)), (3.0, (13, 10)), (1.5, (27, 20)), (100.0, (1, 1))])
+def test_downscale_averages_pixels_and_scales_each_axis_of_K_by_what_it_became(colmap_scene, downscale, size):
+    root = colmap_scene()
+    frame = load_scene(root, downscale=downscale).frames[0]
+    width, height = size
+    assert (frame.width, frame.height) == size
+    sx, sy = width / 40, height / 30
+    expected = np.array([[30 * sx, 0, 21 * sx], [0, 31 * sy, 14.5 * sy], [0, 0, 1]])
+    np.testing.assert_allclose(frame.K, expected, rtol=1e-6)
+    if downscale == 2.0:
+        full = read(root / "images/000.png")[..., ::-1].astype(float)
+        means = full.reshape(15, 2, 20, 2, 3).mean((1, 3))
+        assert np.abs(frame.image - means).max() <= 0.5
+
+
+@pytest.mark.parametrize("pattern", ["{}.png", "{}.png.png"])
+def test_folder_masks_as_validity_and_as_matte(colmap_scene, pattern):
+    root = colmap_scene(count=3)
+    write_masks(root, [pattern.format(f"{i:03d}") for i in range(3)], half_mask())
+    valid = load_scene(root).frames[1]
+    np.testing.assert_array_equal(valid.valid, half_mask())
+    assert valid.matte is None
+    matte = load_scene(root, folder_masks="matte").frames[1]
+    np.testing.assert_array_equal(matte.matte, half_mask())
+    assert matte.valid is None
+
+
+def test_downscaled_validity_excludes_every_pixel_that_draws_from_a_masked_one(colmap_scene):
+    root = colmap_scene(count=3)
+    mask = np.full((30, 40), 255, np.uint8)
+    mask[8, 11] = 0
+    write_masks(root, [f"{i:03d}.png" for i in range(3)], mask)
+    valid = load_scene(root, downscale=2).frames[0].valid
+    expected = np.full((15, 20), 255, np.uint8)
+    expected[4, 5] = 0
+    np.testing.assert_array_equal(valid, expected)
+
+
+def test_masks_of_zeros_and_ones_and_of_half_size_are_understood(colmap_scene):
+    root = colmap_scene(count=3)
+    write_masks(root, ["000.png"], half_mask() // 255)
+    cv2.imwrite(str(root / "masks/001.png"), half_mask(20, 15))
+    frames = load_scene(root).frames
+    np.testing.assert_array_equal(frames[0].valid, half_mask())
+    np.testing.assert_array_equal(frames[1].valid, half_mask())
+    assert (frames[2].valid == 255).all()  # no mask of its own, but like the others it has one
+
+
+def test_masks_that_fit_nothing_are_refused(colmap_scene):
+    root = colmap_scene(count=3)
+    write_masks(root, ["else.png"], half_mask())
+    with pytest.raises(InputError, match="masks: no mask in it has the name of an image"):
+        load_scene(root)
+    cv2.imwrite(str(root / "masks/000.png"), half_mask(20, 20))
+    with pytest.raises(InputError, match="000.png: mask is 20x20 but its image 40x30"):
+        load_scene(root)
+
+
+def test_alpha_becomes_the_matte_and_averages_weigh_colours_by_it(colmap_scene):
+    root = colmap_scene(count=2)
+    rgba = np.zeros((30, 40, 4), np.uint8)
+    rgba[:, ::2] = (10, 20, 200, 255)  # visible columns
+    rgba[:, 1::2] = (255, 255, 255, 0)  # what they hold must not show
+    cv2.imwrite(str(root / "images/000.png"), rgba)
+    first, second = load_scene(root).frames
+    np.testing.assert_array_equal(first.matte, rgba[..., 3])
+    np.testing.assert_array_equal(first.image, rgba[..., 2::-1])
+    assert (second.matte == 255).all()
+    half = load_scene(root, downscale=2).frames[0]
+    assert (half.image == (200, 20, 10)).all()
+    assert np.abs(half.matte.astype(int) - 127.5).max() <= 0.5
+
+
+def test_distortion_removal_passes_masks_and_marks_what_it_must(colmap_scene):
+    root = colmap_scene(model="SIMPLE_RADIAL", params=(30.0, 20.0, 15.0, 0.1), count=3)
+    write_masks(root, [f"{i:03d}.png" for i in range(3)], half_mask())
+    frame = load_scene(root).frames[0]
+    assert frame.image.shape[:2] == frame.valid.shape
+    x_edge = 10.0 - 20.0  # photo pixels from the principal point to the mask's edge, on the row through it
+    undistorted = np.roots([0.1 / 30**2, 0, 1, -x_edge])
+    edge = float(undistorted[np.abs(undistorted.imag) < 1e-9][0].real) + frame.K[0, 2]
+    row = frame.valid[int(frame.K[1, 2])]
+    first_valid = int(np.flatnonzero(row)[0])
+    assert abs(first_valid + 0.5 - edge) <= 1.6  # a pixel counts once all that it draws from is on
+    assert (row[first_valid:] == 255).all()
+
+
+def test_mixed_sizes_are_kept(colmap_scene):
+    root = colmap_scene(count=4)
+    model = pycolmap.Reconstruction(root / "sparse/0")
+    model.add_camera_with_trivial_rig(
+        pycolmap.Camera(camera_id=2, model="PINHOLE", width=16, height=24, params=[20.0, 20.0, 8.0, 12.0])
+    )
+    image = pycolmap.Image(name="zz.png", camera_id=2, image_id=50)
+    model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
+    model.write_binary(root / "sparse/0")
+    cv2.imwrite(str(root / "images/zz.png"), np.zeros((24, 16, 3), np.uint8))
+    sizes = [(f.width, f.height) for f in load_scene(root).frames]
+    assert sizes == [(40, 30)] * 4 + [(16, 24)]
+
+
+def test_missing_images_are_all_counted_and_five_named(colmap_scene):
+    root = colmap_scene(count=12)
+    for i in range(1, 9):
+        (root / f"images/{i:03d}.png").unlink()
+    with pytest.raises(InputError) as error:
+        load_scene(root)
+    expected = "8 images missing: 001.png, 002.png, 003.png, 004.png, 005.png and 3 more"
+    assert str(error.value) == f"{root / 'images'}: {expected}"
+
+
+def test_an_image_of_another_size_than_its_camera_is_named_with_both(colmap_scene):
+    root = colmap_scene()
+    cv2.imwrite(str(root / "images/005.png"), np.zeros((15, 20, 3), np.uint8))
+    with pytest.raises(InputError, match=r"005.png: image is 20x15 but its camera says 40x30"):
+        load_scene(root)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.99])
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_truncated_images_are_named(colmap_scene, share, suffix):
+    root = colmap_scene()
+    file = root / "images/005.png"
+    data = cv2.imencode(suffix, read(file))[1].tobytes()  # a JPEG under a PNG's name is read as what it is
+    file.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(InputError, match=r"005.png: not a whole image") as error:
+        load_scene(root)
+    assert "\n" not in str(error.value)
+
+
+def test_a_folder_that_is_no_data_set_is_told_what_is_looked_for(tmp_path):
+    with pytest.raises(InputError, match=r"no data set; looked for sparse/0/cameras.bin .*transforms_train.json"):
+        load_scene(tmp_path)
+    with pytest.raises(InputError, match="no such folder"):
+        load_scene(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("downscale", [0.5, 0.0, -1.0, float("nan"), float("inf")])
+def test_downscale_below_one_is_refused(tmp_path, downscale):
+    with pytest.raises(InputError, match=f"downscale must be a number of at least 1, not {downscale}"):
+        load_scene(tmp_path, downscale=downscale)
+
+
+def test_unknown_use_of_masks_is_refused(tmp_path):
+    with pytest.raises(InputError, match="folder_masks must be one of valid, matte, not 'alpha'"):
+        load_scene(tmp_path, folder_masks="alpha")
+
+
+@pytest.mark.parametrize("folder", ["kitchen", "bunny_plane"])
+def test_sparse_points_fall_on_the_frames(shared, folder):
+    scene = load_scene(shared / "data" / folder, downscale=2)
+    seen = np.zeros(len(scene.points), int)
+    for frame in scene.frames:
+        cam = scene.points @ frame.viewmat[:3, :3].T + frame.viewmat[:3, 3]
+        xy = cam[:, :2] / cam[:, 2:] * frame.K[[0, 1], [0, 1]] + frame.K[:2, 2]
+        seen += (cam[:, 2] > 0) & (xy >= 0).all(1) & (xy <= [frame.width, frame.height]).all(1)
+    assert (seen >= 2).mean() > 0.999
