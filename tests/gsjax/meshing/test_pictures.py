@@ -1,0 +1,111 @@
+import numpy as np
+import pytest
+
+from gsjax.mesh import Mesh
+from gsjax.meshing import depth_of_mesh, headlight, normal_colors, render_mesh, vertex_colors
+
+K = np.array([[40.0, 0, 17], [0, 50.0, 14], [0, 0, 1]])
+WIDTH, HEIGHT = 36, 30
+
+
+def square(z, half=0.49, turned=False, colors=(200, 100, 50)):
+    """A square at camera z that faces the camera (towards -z), or away from it."""
+    vertices = np.array([[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]], np.float32)
+    faces = np.array([[0, 2, 1], [0, 3, 2]], np.int32)
+    return Mesh(vertices, faces[:, ::-1].copy() if turned else faces, np.tile(np.uint8([colors]), (4, 1)))
+
+
+def covered(z, half=0.49):
+    """Pixels whose centres the square covers, by projecting them back."""
+    x, y = np.meshgrid((np.arange(WIDTH) + 0.5 - 17) / 40 * z, (np.arange(HEIGHT) + 0.5 - 14) / 50 * z)
+    return (np.abs(x) < half) & (np.abs(y) < half)
+
+
+def test_a_square_covers_its_pixels_at_its_depth():
+    depth = depth_of_mesh(square(2.0), np.eye(4), K, WIDTH, HEIGHT)
+    np.testing.assert_array_equal(depth > 0, covered(2.0))
+    np.testing.assert_allclose(depth[depth > 0], 2.0, rtol=1e-6)
+    assert depth.dtype == np.float32
+
+
+def test_colours_on_white():
+    picture = render_mesh(square(2.0), np.eye(4), K, WIDTH, HEIGHT, shading=vertex_colors)
+    assert picture.dtype == np.uint8
+    assert np.all(picture[covered(2.0)] == [200, 100, 50])
+    assert np.all(picture[~covered(2.0)] == 255)
+
+
+def test_colours_are_interpolated_between_vertices():
+    mesh = square(2.0)
+    ramp = Mesh(mesh.vertices, mesh.faces, np.uint8([[0, 0, 0], [200, 0, 0], [200, 0, 0], [0, 0, 0]]))
+    picture = render_mesh(ramp, np.eye(4), K, WIDTH, HEIGHT)
+    columns = np.flatnonzero(covered(2.0).any(axis=0))
+    expected = ((columns + 0.5 - 17) / 40 * 2.0 + 0.49) / 0.98 * 200
+    np.testing.assert_allclose(picture[14, columns, 0], expected, atol=1)
+
+
+def test_the_nearer_of_two_is_seen():
+    near, far = square(1.5, half=0.2), square(3.0, half=1.0, colors=(0, 0, 255))
+    both = Mesh(np.r_[near.vertices, far.vertices], np.r_[near.faces, far.faces + 4], np.r_[near.colors, far.colors])
+    depth = depth_of_mesh(both, np.eye(4), K, WIDTH, HEIGHT)
+    np.testing.assert_allclose(depth[covered(1.5, 0.2)], 1.5, rtol=1e-6)
+    np.testing.assert_allclose(depth[covered(3.0, 1.0) & ~covered(1.5, 0.2)], 3.0, rtol=1e-6)
+
+
+def test_back_faces_are_dark_red_in_every_shading():
+    for shading in (vertex_colors, normal_colors, headlight):
+        picture = render_mesh(square(2.0, turned=True), np.eye(4), K, WIDTH, HEIGHT, shading=shading)
+        assert np.all(picture[covered(2.0)] == [115, 0, 0])
+
+
+def test_a_facing_square_has_the_facing_normals_colour_from_any_pose():
+    turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    viewmat = np.eye(4)
+    viewmat[:3, :3], viewmat[:3, 3] = turn, [0.1, 0.2, 0.3]
+    mesh = square(2.0)
+    # Move it so that the turned camera sees what the first one saw.
+    world = ((mesh.vertices - viewmat[:3, 3]) @ viewmat[:3, :3]).astype(np.float32)
+    picture = render_mesh(Mesh(world, mesh.faces, mesh.colors), viewmat, K, WIDTH, HEIGHT, shading=normal_colors)
+    assert np.all(picture[covered(2.0)] == [128, 128, 255])
+
+
+def test_headlight_fades_with_the_angle():
+    picture = render_mesh(square(2.0, half=5.0), np.eye(4), K, WIDTH, HEIGHT, shading=headlight)
+    x, y = (np.arange(WIDTH) + 0.5 - 17) / 40, (np.arange(HEIGHT) + 0.5 - 14) / 50
+    cosine = 1 / np.sqrt(1 + x[None, :] ** 2 + y[:, None] ** 2)
+    np.testing.assert_allclose(picture[..., 1], (0.15 + 0.8 * cosine) * 255, atol=1)
+
+
+def test_nothing_in_view_is_white():
+    picture = render_mesh(square(-2.0), np.eye(4), K, WIDTH, HEIGHT)
+    assert np.all(picture == 255)
+    assert not depth_of_mesh(square(-2.0), np.eye(4), K, WIDTH, HEIGHT).any()
+
+
+def test_own_shading():
+    picture = render_mesh(
+        square(2.0), np.eye(4), K, WIDTH, HEIGHT, shading=lambda hits: hits.depths[:, None] / [2, 4, 8]
+    )
+    np.testing.assert_allclose(picture[14, 17], [255, 127.5, 63.75], atol=1)
+    assert picture.shape == (HEIGHT, WIDTH, 3)
+
+
+def test_sphere_normals_against_the_closed_form():
+    import trimesh
+
+    ball = trimesh.creation.icosphere(subdivisions=4)
+    mesh = Mesh(
+        (ball.vertices + [0, 0, 4]).astype(np.float32),
+        ball.faces.astype(np.int32),
+        np.zeros((len(ball.vertices), 3), np.uint8),
+    )
+    picture = render_mesh(mesh, np.eye(4), K, WIDTH, HEIGHT, shading=normal_colors).astype(float)
+    depth = depth_of_mesh(mesh, np.eye(4), K, WIDTH, HEIGHT)
+    rows, columns = np.nonzero(depth)
+    points = (
+        np.stack([(columns + 0.5 - 17) / 40, (rows + 0.5 - 14) / 50, np.ones(len(rows))], -1)
+        * depth[rows, columns, None]
+    )
+    normals = (points - [0, 0, 4]) * [1, -1, -1]
+    assert len(rows) == pytest.approx(np.pi * (1 / np.sqrt(15)) ** 2 * 40 * 50, rel=0.05)
+    assert np.abs(picture[rows, columns] - (normals + 1) * 127.5).mean() < 3

@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+
+from gsjax.errors import InputError
+from gsjax.mesh import signed_volume
+from gsjax.meshing import poisson
+
+
+def sphere(count, seed=0):
+    points = np.random.default_rng(seed).normal(size=(count, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return points, np.round((points + 1) * 127.5).astype(np.uint8)
+
+
+def test_sphere_from_its_own_points():
+    points, colors = sphere(5000)
+    mesh = poisson.reconstruct(points, points, colors, depth=6)
+    assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1).max() < 0.02
+    assert signed_volume(mesh) == pytest.approx(4 / 3 * np.pi, rel=0.02)
+    expected = (mesh.vertices + 1) * 127.5
+    assert np.median(np.abs(mesh.colors - expected)) < 8
+
+
+def test_inward_normals_turn_it_inside_out():
+    points, colors = sphere(3000)
+    assert signed_volume(poisson.reconstruct(points, -points, colors, depth=6)) < -4
+
+
+def test_a_half_sphere_is_not_closed_by_guesswork():
+    points, colors = sphere(6000)
+    upper = points[:, 2] > 0
+    mesh = poisson.reconstruct(points[upper], points[upper], colors[upper], depth=6)
+    assert mesh.vertices[:, 2].min() > -0.15
+    closed = poisson.reconstruct(points[upper], points[upper], colors[upper], depth=6, trim_distance=10.0)
+    assert closed.vertices[:, 2].min() < mesh.vertices[:, 2].min()
+
+
+def test_a_quantile_takes_its_share_of_the_vertices():
+    points, colors = sphere(5000)
+    whole = poisson.reconstruct(points, points, colors, depth=6)
+    trimmed = poisson.reconstruct(points, points, colors, depth=6, trim_quantile=0.1)
+    assert trimmed.num_vertices == pytest.approx(0.9 * whole.num_vertices, rel=0.02)
+
+
+def test_a_far_stray_is_not_meshed():
+    points, colors = sphere(5000)
+    points, normals = np.vstack([points, [[60.0, 0, 0]]]), np.vstack([points, [[1.0, 0, 0]]])
+    mesh = poisson.reconstruct(points, normals, np.vstack([colors, [[0, 0, 0]]]), depth=6)
+    assert np.abs(mesh.vertices).max() < 1.1
+    # With the stray kept, one cell of depth 6 would be as long as the ball.
+    assert mesh.num_faces > 2000
+
+
+def test_equal_input_gives_equal_meshes():
+    points, colors = sphere(3000)
+    a, b = (poisson.reconstruct(points, points, colors, depth=6) for _ in range(2))
+    np.testing.assert_array_equal(a.vertices, b.vertices)
+    np.testing.assert_array_equal(a.faces, b.faces)
+
+
+def test_depth_follows_the_cell():
+    cube = np.array([[0.0, 0, 0], [1.0, 1.0, 0.5]])
+    for depth in (6, 7, 8, 9, 10):
+        assert poisson.depth_for_cell(cube, 1.001 * poisson.cell_size(cube, depth)) == max(depth - 1, 6)
+        assert poisson.depth_for_cell(cube, 0.999 * poisson.cell_size(cube, depth)) == depth
+    assert poisson.depth_for_cell(cube, 0.0) == 10
+    assert poisson.depth_for_cell(cube, 5.0) == 6
+
+
+def test_spacing_of_a_grid_is_its_step():
+    grid = np.stack(np.meshgrid(*[np.arange(10) * 0.25] * 3), axis=-1).reshape(-1, 3)
+    assert poisson.spacing(grid) == pytest.approx(0.25)
+
+
+def test_too_few_points_are_refused():
+    points, colors = sphere(50)
+    with pytest.raises(InputError, match="50 surface points"):
+        poisson.reconstruct(points, points, colors)
+
+
+def test_mismatched_arrays_are_refused():
+    points, colors = sphere(200)
+    with pytest.raises(ValueError, match=r"must all be \[P, 3\]"):
+        poisson.reconstruct(points, points[:100], colors)
