@@ -86,14 +86,15 @@ def _read_array(file: Path) -> np.ndarray:
 
 
 def _read_png(file: Path) -> np.ndarray:
-    """`[H, W, 3]` float32 in -1..1; the level nearest to zero is taken for zero, all three at once, as "nothing"."""
+    """`[H, W, 3]` float32 in -1..1, zero where the colour says nothing: middle grey, black or white."""
     pixels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
     if pixels is None or pixels.ndim != 3:
         raise InputError(f"{file}: not a whole image of three channels")
     pixels = pixels[..., 2::-1]
     top = np.iinfo(pixels.dtype).max
     normals = pixels.astype(np.float32) * np.float32(2 / top) - np.float32(1)
-    nothing = (np.abs(normals) < 1.5 / top).all(axis=-1) | (pixels == 0).all(axis=-1)
+    size = np.abs(normals)
+    nothing = (size < 1.5 / top).all(axis=-1) | (size == 1).all(axis=-1)
     return np.where(nothing[..., None], np.float32(0), normals)
 
 

@@ -28,13 +28,13 @@ def write_gaussians(path: str | Path, gaussians: Gaussians) -> None:
     Raises:
         InputError: The target cannot be written.
     """
-    fields = ["nx", "ny", "nz", "opacity"]
-    rest = np.asarray(gaussians.sh_rest).transpose(0, 2, 1).reshape(gaussians.num_gaussians, -1)
-    rest_names = [f"f_rest_{i}" for i in range(rest.shape[1])]
+    count, bands, _ = gaussians.sh_rest.shape
+    rest = np.asarray(gaussians.sh_rest).transpose(0, 2, 1).reshape(count, 3 * bands)
+    rest_names = [f"f_rest_{i}" for i in range(3 * bands)]
     fields = [*_MEANS, "nx", "ny", "nz", *_DC, *rest_names, "opacity", *_SCALES, *_QUATS]
     columns = [
         gaussians.means,
-        np.zeros((gaussians.num_gaussians, 3)),
+        np.zeros((count, 3)),
         np.asarray(gaussians.sh_dc)[:, 0],
         rest,
         np.asarray(gaussians.logit_opacities)[:, None],
@@ -83,7 +83,7 @@ def read_gaussians(path: str | Path) -> Gaussians:
         log_scales=stacked(_SCALES),
         logit_opacities=columns["opacity"],
         sh_dc=stacked(_DC)[:, None],
-        sh_rest=np.ascontiguousarray(rest.reshape(len(vertices), 3, -1).transpose(0, 2, 1)),
+        sh_rest=np.ascontiguousarray(rest.reshape(len(vertices), 3, len(rest_names) // 3).transpose(0, 2, 1)),
     )
 
 

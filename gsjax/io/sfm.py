@@ -100,7 +100,7 @@ def _photo_names(folder: Path) -> list[str]:
         raise InputError(f"{folder}: no such folder of photos")
     files = sorted(f for f in folder.rglob("*") if f.suffix.lower() in PHOTO_SUFFIXES and not f.name.startswith("."))
     if len(files) < 2:
-        raise InputError(f"{folder}: {len(files)} photos in it ({', '.join(PHOTO_SUFFIXES)}), at least 2 are needed")
+        raise InputError(f"{folder}: needs at least 2 photos ({', '.join(PHOTO_SUFFIXES)}), has {len(files)}")
     for file in files:
         read_image(file)
     return [file.relative_to(folder).as_posix() for file in files]

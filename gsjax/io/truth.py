@@ -51,14 +51,14 @@ def read_arrays(file: Path, *keys: str) -> dict[str, np.ndarray]:
         InputError: The file is damaged or lacks one.
     """
     try:
-        with np.load(file) as archive:
+        with file.open("rb") as handle, np.load(handle) as archive:
             missing = [key for key in keys if key not in archive]
             if missing:
                 raise InputError(f"{file}: lacks {', '.join(missing)}; it holds {', '.join(archive)}")
             return {key: archive[key] for key in keys or archive}
     except InputError:
         raise
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile, LZMAError) as error:
+    except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile, LZMAError) as error:
         raise InputError(f"{file}: cannot be read ({error})") from error
 
 

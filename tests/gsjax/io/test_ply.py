@@ -1,0 +1,149 @@
+import numpy as np
+import pytest
+
+from gsjax.errors import InputError
+from gsjax.gaussians import Gaussians
+from gsjax.io.ply import read_gaussians, read_points, write_gaussians
+
+FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest")
+
+
+def some_gaussians(count=7, degree=3, seed=0):
+    rng = np.random.default_rng(seed)
+
+    def normal(*shape):
+        return rng.normal(size=shape).astype(np.float32)
+
+    rest = (degree + 1) ** 2 - 1
+    return Gaussians(
+        normal(count, 3), normal(count, 4), normal(count, 3), normal(count), normal(count, 1, 3), normal(count, rest, 3)
+    )
+
+
+def assert_same(a, b):
+    for field in FIELDS:
+        x, y = getattr(a, field), getattr(b, field)
+        assert x.dtype == np.float32 and x.shape == y.shape, field
+        np.testing.assert_array_equal(x, y, err_msg=field)
+
+
+def table_of(path):
+    """Header's names and the rows as float32: a reader of its own, for binary files of floats only."""
+    head, body = path.read_bytes().split(b"end_header\n", 1)
+    names = [line.split()[2].decode() for line in head.splitlines() if line.startswith(b"property float")]
+    return names, np.frombuffer(body, "<f4").reshape(-1, len(names))
+
+
+def write_table(path, names, rows, form="binary_little_endian"):
+    header = f"ply\nformat {form} 1.0\ncomment made by hand\nelement vertex {len(rows)}\n"
+    header += "".join(f"property float {name}\n" for name in names) + "end_header\n"
+    if form == "ascii":
+        body = "\n".join(" ".join(repr(float(v)) for v in row) for row in rows).encode() + b"\n"
+    else:
+        body = np.asarray(rows, "<f4" if "little" in form else ">f4").tobytes()
+    path.write_bytes(header.encode() + body)
+
+
+@pytest.mark.parametrize("degree", range(5))
+@pytest.mark.parametrize("count", [0, 1, 7])
+def test_what_is_written_is_read(tmp_path, degree, count):
+    gaussians = some_gaussians(count, degree)
+    write_gaussians(tmp_path / "g.ply", gaussians)
+    assert_same(read_gaussians(tmp_path / "g.ply"), gaussians)
+    assert [p.name for p in tmp_path.iterdir()] == ["g.ply"]
+
+
+def test_the_layout_is_the_one_of_the_original_code(tmp_path):
+    gaussians = some_gaussians(4, 2)
+    write_gaussians(tmp_path / "g.ply", gaussians)
+    names, rows = table_of(tmp_path / "g.ply")
+    expected = ["x", "y", "z", "nx", "ny", "nz", *[f"f_dc_{i}" for i in range(3)], *[f"f_rest_{i}" for i in range(24)]]
+    expected += ["opacity", *[f"scale_{i}" for i in range(3)], *[f"rot_{i}" for i in range(4)]]
+    assert names == expected
+    column = {name: rows[:, i] for i, name in enumerate(names)}
+    for channel in range(3):
+        np.testing.assert_array_equal(column[f"f_dc_{channel}"], gaussians.sh_dc[:, 0, channel])
+        for k in range(8):
+            np.testing.assert_array_equal(column[f"f_rest_{8 * channel + k}"], gaussians.sh_rest[:, k, channel])
+    np.testing.assert_array_equal(column["opacity"], gaussians.logit_opacities)
+    np.testing.assert_array_equal(column["rot_0"], gaussians.quats[:, 0])
+    np.testing.assert_array_equal(column["scale_2"], gaussians.log_scales[:, 2])
+    np.testing.assert_array_equal(rows[:, 3:6], 0)
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_columns_in_any_order_with_foreign_ones_and_in_every_form(tmp_path, form):
+    gaussians = some_gaussians(5, 1)
+    write_gaussians(tmp_path / "g.ply", gaussians)
+    names, rows = table_of(tmp_path / "g.ply")
+    order = np.random.default_rng(1).permutation(len(names))
+    shuffled = [*[names[i] for i in order], "filter_3D"]
+    write_table(tmp_path / "h.ply", shuffled, np.column_stack([rows[:, order], rows[:, 0]]), form)
+    assert_same(read_gaussians(tmp_path / "h.ply"), gaussians)
+
+
+def test_missing_columns_are_named(tmp_path):
+    write_gaussians(tmp_path / "g.ply", some_gaussians())
+    names, rows = table_of(tmp_path / "g.ply")
+    kept = [i for i, name in enumerate(names) if name not in ("opacity", "rot_3")]
+    write_table(tmp_path / "h.ply", [names[i] for i in kept], rows[:, kept])
+    with pytest.raises(InputError, match=r"h.ply: not a PLY of Gaussians, it lacks opacity, rot_3$"):
+        read_gaussians(tmp_path / "h.ply")
+    kept = [i for i, name in enumerate(names) if name != "f_rest_44"]
+    write_table(tmp_path / "h.ply", [names[i] for i in kept], rows[:, kept])
+    with pytest.raises(InputError, match=r"44 columns f_rest_\*"):
+        read_gaussians(tmp_path / "h.ply")
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian"])
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.2, 0.7, 0.99])
+def test_truncated_files_are_named(tmp_path, form, share):
+    write_gaussians(tmp_path / "g.ply", some_gaussians(50))
+    names, rows = table_of(tmp_path / "g.ply")
+    write_table(tmp_path / "h.ply", names, rows, form)
+    data = (tmp_path / "h.ply").read_bytes()
+    (tmp_path / "h.ply").write_bytes(data[: int(share * len(data))])
+    with pytest.raises(InputError, match=r"h.ply: ") as error:
+        read_gaussians(tmp_path / "h.ply")
+    assert "\n" not in str(error.value)
+
+
+def test_rows_that_are_not_finite_are_counted(tmp_path):
+    gaussians = some_gaussians(9)
+    gaussians.means[2, 1] = np.nan
+    gaussians.sh_rest[2, 1, 0] = np.inf
+    gaussians.logit_opacities[5] = np.inf
+    write_gaussians(tmp_path / "g.ply", gaussians)
+    with pytest.raises(InputError, match=r"g.ply: 2 of 9 Gaussians hold values that are not finite"):
+        read_gaussians(tmp_path / "g.ply")
+
+
+def test_what_is_no_ply_or_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "g.ply").write_bytes(b"\x89PNG\r\n")
+    with pytest.raises(InputError, match=r"g.ply: not a PLY file"):
+        read_gaussians(tmp_path / "g.ply")
+    with pytest.raises(InputError, match=r"none.ply: cannot be read"):
+        read_gaussians(tmp_path / "none.ply")
+    with pytest.raises(InputError, match="cannot write"):
+        write_gaussians(tmp_path / "g.ply/h.ply", some_gaussians())
+
+
+def test_points_without_colours_are_grey_and_broken_ones_are_left_out(tmp_path):
+    write_table(tmp_path / "p.ply", ["x", "y", "z"], [[1, 2, 3], [np.nan, 0, 0], [4, 5, 6]])
+    points, colors = read_points(tmp_path / "p.ply")
+    np.testing.assert_array_equal(points, [[1, 2, 3], [4, 5, 6]])
+    assert (colors == 128).all() and colors.shape == (2, 3)
+    write_table(tmp_path / "p.ply", ["x", "y"], [[1, 2]])
+    with pytest.raises(InputError, match="it lacks z"):
+        read_points(tmp_path / "p.ply")
+
+
+def test_a_mesh_of_another_library_gives_its_vertices(tmp_path):
+    import trimesh
+
+    box = trimesh.creation.box()
+    box.visual.vertex_colors = np.arange(32, dtype=np.uint8).reshape(8, 4)
+    box.export(tmp_path / "box.ply")
+    points, colors = read_points(tmp_path / "box.ply")
+    np.testing.assert_allclose(points, box.vertices)
+    np.testing.assert_array_equal(colors, np.arange(32).reshape(8, 4)[:, :3])

@@ -1,0 +1,217 @@
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from gsjax.errors import InputError
+from gsjax.io.colmap import read_capture
+from gsjax.io.scenes import load_scene
+from gsjax.io.transforms import read_transforms
+
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def looking_at(center, target=(0.0, 0.0, 0.0)):
+    """Camera to world, OpenGL axes, z of the world up."""
+    back = np.subtract(center, target) / np.linalg.norm(np.subtract(center, target))
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    matrix = np.eye(4)
+    matrix[:3] = np.stack([right, np.cross(back, right), back, center], axis=1)
+    return matrix
+
+
+def ring(count=8, radius=2.0, target=(0.0, 0.0, 0.0)):
+    angles = 2 * np.pi * np.arange(count) / count
+    return [looking_at(np.array([radius * np.cos(a), radius * np.sin(a), 0.5]) + target, target) for a in angles]
+
+
+def write(root, file="transforms.json", folder="images", poses=None, suffix=".png", **meta):
+    (root / folder).mkdir(parents=True, exist_ok=True)
+    frames = []
+    for i, pose in enumerate(ring() if poses is None else poses):
+        path = f"{folder}/{i:03d}"
+        cv2.imwrite(str(root / f"{path}.png"), np.full((30, 40, 4), (0, 0, 255, 128), np.uint8))
+        frames.append({"file_path": "./" + path + suffix, "transform_matrix": np.asarray(pose).tolist()})
+    (root / file).write_text(json.dumps({**meta, "frames": frames}))
+    return root
+
+
+def edit(root, change, file="transforms.json"):
+    meta = json.loads((root / file).read_text())
+    change(meta)
+    (root / file).write_text(json.dumps(meta))
+
+
+def test_poses_put_the_target_on_the_axis_and_up_is_up(tmp_path):
+    scene = load_scene(write(tmp_path, fl_x=50.0, fl_y=52.0, cx=21.0, cy=14.0, w=40, h=30))
+    for frame in scene.frames:
+        target = frame.viewmat @ np.array([0, 0, 0, 1.0])
+        np.testing.assert_allclose(target[:3], [0, 0, np.hypot(2, 0.5)], atol=1e-6)
+        above = frame.viewmat @ np.array([0, 0, 0.1, 1.0])
+        assert above[1] < -0.05  # y points down
+        np.testing.assert_allclose(frame.viewmat[:3, :3] @ frame.viewmat[:3, :3].T, np.eye(3), atol=1e-6)
+    np.testing.assert_array_equal(scene.frames[0].K, np.array([[50, 0, 21], [0, 52, 14], [0, 0, 1]], np.float32))
+    assert [f.name for f in scene.frames] == [f"{i:03d}.png" for i in range(8)]
+    assert [f.held_out for f in scene.frames] == [True] + [False] * 7
+    assert scene.source == "transforms"
+
+
+def test_a_colmap_model_written_as_transforms_loads_as_the_same_scene(shared, tmp_path):
+    """Real distorted cameras, the coefficients spelled as nerfstudio spells them."""
+    root = shared / "data/fox"
+    photos = read_capture(root, root / "sparse/0").photos[:3]
+    fx, fy, cx, cy, k1, k2, p1, p2 = photos[0].lens.params
+    meta = {"camera_model": "OPENCV", "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": 270, "h": 480}
+    meta |= {"k1": k1, "k2": k2, "p1": p1, "p2": p2, "k3": 0.0, "k4": 0.0}
+    frames = [
+        {"file_path": str(photo.path), "transform_matrix": (np.linalg.inv(photo.viewmat) @ FLIP).tolist()}
+        for photo in photos
+    ]
+    (tmp_path / "transforms.json").write_text(json.dumps({**meta, "frames": frames}))
+    ours, theirs = load_scene(tmp_path).frames, load_scene(root).frames[:3]
+    for a, b in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(a.viewmat, b.viewmat, atol=2e-6)
+        np.testing.assert_allclose(a.K, b.K, rtol=1e-6)
+        assert (np.abs(a.image.astype(int) - b.image) <= 1).all()
+
+
+def test_fisheye_coefficients_and_frames_of_their_own(tmp_path):
+    meta = {"camera_model": "OPENCV_FISHEYE", "fl_x": 30.0, "fl_y": 30.0, "k1": 0.1, "k4": 0.01}
+    root = write(tmp_path, **meta)
+    edit(root, lambda m: m["frames"][1].update(fl_x=33.0, k1=0.2))
+    photos = read_transforms(root).photos
+    assert photos[0].lens.model == "OPENCV_FISHEYE"
+    assert photos[0].lens.params == (30.0, 30.0, 20.0, 15.0, 0.1, 0.0, 0.0, 0.01)
+    assert photos[1].lens.params == (33.0, 30.0, 20.0, 15.0, 0.2, 0.0, 0.0, 0.01)
+
+
+def test_instant_ngp_flags_a_fisheye(tmp_path):
+    root = write(tmp_path, fl_x=30.0, is_fisheye=True)
+    assert read_transforms(root).photos[0].lens.model == "OPENCV_FISHEYE"
+
+
+def test_angles_of_view_give_focal_lengths(tmp_path):
+    K = load_scene(write(tmp_path, camera_angle_x=0.8)).frames[0].K
+    assert K[0, 0] == pytest.approx(20 / np.tan(0.4), rel=1e-6)
+    assert K[1, 1] == K[0, 0]
+    np.testing.assert_array_equal(K[:2, 2], [20, 15])
+
+
+def test_a_panorama_becomes_six_views_split_by_photo(tmp_path):
+    scene = load_scene(write(tmp_path, camera_model="EQUIRECTANGULAR", poses=ring(3)))
+    assert len(scene.frames) == 18
+    assert {f.name[:3] for f in scene.held_out_frames} == {"000"} and len(scene.held_out_frames) == 6
+    front = next(f for f in scene.frames if f.name == "001_front.png")
+    target = front.viewmat @ np.array([0, 0, 0, 1.0])
+    np.testing.assert_allclose(target[:2], 0, atol=1e-6)
+    axes = np.stack([f.viewmat[2, :3] for f in scene.frames[6:12]])
+    np.testing.assert_allclose(axes.sum(0), 0, atol=1e-6)
+    np.testing.assert_allclose(axes.T @ axes, 2 * np.eye(3), atol=1e-6)
+
+
+def test_random_points_surround_what_the_cameras_look_at_and_keep_clear_of_them(tmp_path):
+    target = np.array([3.0, -2.0, 1.0])
+    scene = load_scene(write(tmp_path, camera_angle_x=0.8, poses=ring(target=target)))
+    again = load_scene(tmp_path)
+    np.testing.assert_array_equal(scene.points, again.points)
+    reach = np.hypot(2, 0.5)
+    assert scene.points.shape == (30_000, 3)
+    np.testing.assert_allclose(scene.points.mean(0), target, atol=0.15)
+    assert np.abs(scene.points - target).max() <= 1.03 * reach
+    assert np.abs(scene.points - target).max(0).min() > 0.95 * reach
+    centers = np.array([-f.viewmat[:3, :3].T @ f.viewmat[:3, 3] for f in scene.frames])
+    nearest = np.linalg.norm(scene.points[:, None] - centers[None], axis=-1).min()
+    assert nearest > 0.24 * reach
+    assert scene.point_colors.min() >= 64 and scene.point_colors.max() < 192
+
+
+def test_parallel_cameras_get_points_ahead_of_them(tmp_path):
+    row = [np.eye(4) + np.pad([[x], [0.0], [0.0]], ((0, 1), (3, 0))) for x in np.linspace(-1, 1, 5)]
+    scene = load_scene(write(tmp_path, camera_angle_x=0.8, poses=row))
+    assert scene.points[:, 2].mean() < -0.5  # OpenGL cameras look along -z
+    assert np.abs(scene.points[:, :2].mean(0)).max() < 0.1
+
+
+def test_points_of_the_named_file_are_taken(tmp_path):
+    root = write(tmp_path, fl_x=50.0, ply_file_path="cloud.ply")
+    with pytest.raises(InputError, match=r"cloud.ply: cannot be read"):
+        load_scene(root)
+    header = "ply\nformat ascii 1.0\nelement vertex 2\n"
+    header += "".join(f"property float {a}\n" for a in "xyz")
+    header += "".join(f"property uchar {c}\n" for c in ("red", "green", "blue"))
+    (root / "cloud.ply").write_text(header + "end_header\n1 2 3 10 20 30\n4 5 6 40 50 60\n")
+    scene = load_scene(root)
+    np.testing.assert_array_equal(scene.points, [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_array_equal(scene.point_colors, [[10, 20, 30], [40, 50, 60]])
+
+
+def test_masks_named_in_the_file(tmp_path):
+    root = write(tmp_path, fl_x=50.0)
+    mask = np.full((30, 40), 255, np.uint8)
+    mask[:10] = 0
+    cv2.imwrite(str(root / "m.png"), mask)
+    edit(root, lambda m: m["frames"][2].update(mask_path="m.png"))
+    np.testing.assert_array_equal(load_scene(root).frames[2].valid, mask)
+
+
+def test_nerf_synthetic_keeps_its_own_split_and_its_alpha(tmp_path):
+    write(tmp_path, "transforms_train.json", "train", suffix="", camera_angle_x=0.8)
+    write(tmp_path, "transforms_test.json", "test", suffix="", camera_angle_x=0.8, poses=ring(3))
+    write(tmp_path, "transforms_val.json", "val", suffix="", camera_angle_x=0.8, poses=ring(3))
+    scene = load_scene(tmp_path)
+    assert scene.source == "nerf-synthetic"
+    assert [f.name for f in scene.held_out_frames] == [f"test/{i:03d}.png" for i in range(3)]
+    assert [f.name for f in scene.train_frames] == [f"train/{i:03d}.png" for i in range(8)]
+    assert (scene.frames[0].matte == 128).all() and (scene.frames[0].image == (255, 0, 0)).all()
+    assert scene.points.shape == (30_000, 3) and 1.29 < np.abs(scene.points).max() <= 1.3
+
+
+def test_lego_mattes_are_silhouettes_of_one_solid(shared):
+    """Points whose every projection is covered exist, and the object's centre is one: poses and alpha agree."""
+    scene = load_scene(shared / "data/lego200", downscale=2)
+    assert len(scene.train_frames) == 100 and len(scene.held_out_frames) == 25
+    inside = np.ones(len(scene.points), bool)
+    for frame in scene.frames:
+        cam = scene.points @ frame.viewmat[:3, :3].T + frame.viewmat[:3, 3]
+        xy = (cam[:, :2] / cam[:, 2:] * frame.K[[0, 1], [0, 1]] + frame.K[:2, 2]).astype(int)
+        on_image = (xy >= 0).all(1) & (xy < [frame.width, frame.height]).all(1)
+        x, y = np.clip(xy, 0, [[frame.width - 1, frame.height - 1]]).T
+        inside &= on_image & (frame.matte[y, x] > 128)
+    hull = scene.points[inside]
+    assert len(hull) > 300
+    np.testing.assert_allclose(np.abs(hull).max(0), [0.66, 1.16, 1.01], atol=0.12)  # the README's bounding box
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda m: m.pop("frames"), 'has no list "frames"'),
+        (lambda m: m["frames"][3].pop("file_path"), 'frame 3 has no "file_path"'),
+        (lambda m: m["frames"][3].update(transform_matrix=[[1, 2], [3, 4]]), "003.png is not a finite 4x4 matrix"),
+        (lambda m: m["frames"][3].update(transform_matrix=(2 * np.eye(4)).tolist()), "it stretches by"),
+        (lambda m: m["frames"][3].update(transform_matrix=(np.eye(4) * np.nan).tolist()), "not a finite 4x4 matrix"),
+        (lambda m: m.pop("fl_x"), "neither fl_x nor camera_angle_x"),
+        (lambda m: m.update(fl_x=-5.0), "camera PINHOLE 40x30"),
+        (lambda m: m.update(fl_x="wide"), "wide"),
+        (lambda m: m.update(camera_model="LENSBABY"), "unknown camera_model 'LENSBABY'"),
+        (lambda m: m.update(k4=0.1), "takes no k4"),
+        (lambda m: m.update(w=80, h=60), "image is 40x30 but its camera says 80x60"),
+        (lambda m: m["frames"][3].update(file_path="images/gone.png"), "1 image missing: images/gone.png"),
+        (lambda m: m["frames"][3].update(file_path="images/002.png"), "002.png is listed more than once"),
+        (lambda m: m.update(frames=m["frames"][:1]), "1 posed image in it"),
+    ],
+)
+def test_faults_are_named(tmp_path, change, message):
+    root = write(tmp_path, fl_x=50.0)
+    edit(root, change)
+    with pytest.raises(InputError) as error:
+        load_scene(root)
+    assert message in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_file_that_is_not_json_is_named(tmp_path):
+    (tmp_path / "transforms.json").write_text('{"frames": [')
+    with pytest.raises(InputError, match=r"transforms.json: cannot be read as JSON"):
+        load_scene(tmp_path)
