@@ -1,6 +1,6 @@
 """A differentiable Gaussian rasterizer in JAX: arrays in, images out."""
 
-from rasterizer.api import blend, capacity_bucket, rasterization
+from rasterizer.api import TILE_SIZE, blend, capacity_bucket, rasterization
 from rasterizer.binning import TileGrid, TilePairs, bin_splats, count_pairs
 from rasterizer.harmonics import spherical_harmonics
 from rasterizer.projection import Projection, project
@@ -10,6 +10,7 @@ __all__ = [
     "GSPLAT",
     "INRIA",
     "Projection",
+    "TILE_SIZE",
     "Rules",
     "TileGrid",
     "TilePairs",

@@ -1,0 +1,154 @@
+"""The host loop over the phases: which view, when to refine, when the pair buffer must grow."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import rasterizer
+from jax import Array
+
+from gsjax import training
+from gsjax.gaussians import Gaussians
+from gsjax.losses import NEEDS_NORMALS
+from gsjax.scene import Frame
+from gsjax.settings import Density, Phase, Settings, Weights
+from gsjax.training import Metrics, TrainState
+from gsjax.views import Views, stack_views
+
+NormalsPrior = Callable[[Gaussians, Views], Views]
+"""(Gaussians so far, views) -> views with normals."""
+
+
+class Progress(NamedTuple):
+    """What the loop tells after every step."""
+
+    step: int  # steps done, all phases together
+    phase: Phase
+    state: TrainState  # valid until the next step, which takes its buffers
+    metrics: Metrics
+    capacity: int  # of the pair buffer
+    phase_done: bool  # this was the last step of its phase
+
+
+def planned_phases(settings: Settings) -> tuple[Phase, ...]:
+    """The phases as they run: with `settings.vanilla`, the same steps of the photometric loss alone."""
+    if not settings.vanilla:
+        return settings.phases
+    return tuple(
+        Phase(
+            p.name,
+            p.steps,
+            Weights(l1=p.weights.l1, dssim=p.weights.dssim, alpha=p.weights.alpha),
+            p.image_scale,
+            p.density_control,
+        )
+        for p in settings.phases
+    )
+
+
+def view_order(seed: int, step: int, num_views: int) -> int:
+    """The view of a step: a fresh random permutation every epoch, a function of (seed, step) alone."""
+    epoch, position = divmod(step, num_views)
+    return int(np.random.default_rng((seed, epoch)).permutation(num_views)[position])
+
+
+def fit(
+    settings: Settings,
+    frames: tuple[Frame, ...],
+    extent: float,
+    state: TrainState,
+    optimizer: optax.GradientTransformation,
+    *,
+    prior: NormalsPrior,
+    observe: Callable[[Progress], None],
+    capacity: int | None = None,
+) -> TrainState:
+    """Run all phases from `state.step` on.
+
+    Args:
+        settings: The run.
+        frames: Training photos.
+        extent: Camera extent, scene units.
+        state: Where to start; step 0 or a checkpoint. Its buffers are taken.
+        optimizer: The transformation that made the state.
+        prior: Gives normals to the views of the first phase that needs them.
+        observe: Called after every step.
+        capacity: Pair buffer to continue with; None counts.
+
+    Returns:
+        The final state.
+    """
+    key = jax.random.key(settings.seed)
+    done, start = int(state.step), 0
+    for phase in planned_phases(settings):
+        end = start + phase.steps
+        if done < end:
+            data = stack_views(frames, scale=phase.image_scale)
+            if not NEEDS_NORMALS.isdisjoint(training.active_terms(phase.weights)):
+                data = prior(state.gaussians, data)
+            state, done = _run_phase(
+                settings, phase, (done, end), data, extent, state, optimizer, key, observe, capacity
+            )
+            capacity = None
+        start = end
+    return state
+
+
+def _run_phase(
+    settings: Settings,
+    phase: Phase,
+    steps: tuple[int, int],
+    data: Views,
+    extent: float,
+    state: TrainState,
+    optimizer: optax.GradientTransformation,
+    key: Array,
+    observe: Callable[[Progress], None],
+    capacity: int | None,
+) -> tuple[TrainState, int]:
+    def compiled(capacity: int) -> training.TrainStep:
+        return training.make_train_step(
+            optimizer,
+            phase.weights,
+            capacity=capacity,
+            background=training.BACKGROUNDS[settings.background],
+            sh_every=settings.sh_every,
+            with_statistics=phase.density_control,
+        )
+
+    if capacity is None:
+        # Splitting raises the number of pairs; too small a guess costs one more compilation.
+        headroom = 2.0 if phase.density_control else 1.3
+        capacity = training.chosen_capacity(state.gaussians, data, headroom=headroom)
+    train_step = compiled(capacity)
+    step, end = steps
+    while step < end:
+        index = jnp.int32(view_order(settings.seed, step, data.num_views))
+        state, metrics = train_step(state, data, index, key)
+        if bool(metrics.overflowed):
+            capacity = rasterizer.capacity_bucket(int(int(metrics.needed) * 1.2))
+            train_step = compiled(capacity)
+            continue
+        step += 1
+        if phase.density_control:
+            state = _control_density(settings.density, step, state, optimizer, extent, key)
+        if step == end and phase.cull_below > 0:
+            state = training.cull(state, optimizer=optimizer, min_opacity=phase.cull_below)
+        observe(Progress(step, phase, state, metrics, capacity, step == end))
+    return state, step
+
+
+def _control_density(
+    density: Density, step: int, state: TrainState, optimizer: optax.GradientTransformation, extent: float, key: Array
+) -> TrainState:
+    if density.start < step < density.stop and step % density.every == 0:
+        reset_before = density.reset_every > 0 and step > density.reset_every
+        state = training.refine(
+            state, key, jnp.float32(extent), jnp.asarray(reset_before), optimizer=optimizer, density=density
+        )
+    if density.reset_every > 0 and step < density.stop and step % density.reset_every == 0:
+        state = training.reset_opacities(state, optimizer=optimizer, limit=density.reset_opacity)
+    return state

@@ -1,0 +1,81 @@
+"""One Adam per field of the Gaussians, with the learning rates of 3DGS."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+
+from gsjax.gaussians import Gaussians
+from gsjax.settings import Rates
+
+LABELS = Gaussians(
+    means="means", quats="quats", log_scales="scales", logit_opacities="opacities", sh_dc="sh_dc", sh_rest="sh_rest"
+)  # pyright: ignore[reportArgumentType]
+
+
+def make_optimizer(rates: Rates, extent: float, decay_steps: int) -> optax.GradientTransformation:
+    """Adam (0.9, 0.999, eps 1e-15) per field; the rate of the means falls log-linearly to `rates.means_final`.
+
+    Args:
+        rates: Per field; those of the means are times `extent`.
+        extent: Camera extent, scene units.
+        decay_steps: Optimiser steps over which the means' rate falls.
+
+    Returns:
+        An optax transformation over `Gaussians`.
+    """
+    schedule = optax.exponential_decay(
+        rates.means * extent, max(decay_steps, 1), rates.means_final / rates.means, end_value=rates.means_final * extent
+    )
+
+    def adam(rate):
+        return optax.adam(rate, eps=1e-15)
+
+    return optax.partition(
+        {
+            "means": adam(schedule),
+            "quats": adam(rates.quats),
+            "scales": adam(rates.scales),
+            "opacities": adam(rates.opacities),
+            "sh_dc": adam(rates.sh_dc),
+            "sh_rest": adam(rates.sh_rest),
+        },
+        LABELS,
+    )
+
+
+def apply_gradients(
+    optimizer: optax.GradientTransformation, gaussians: Gaussians, state: Any, gradients: Gaussians
+) -> tuple[Gaussians, Any]:
+    """One optimiser step."""
+    # optax mixes int32 counts with floats, which strict promotion forbids.
+    with jax.numpy_dtype_promotion("standard"):
+        updates, state = optimizer.update(gradients, state, gaussians)
+    return optax.apply_updates(gaussians, updates), state
+
+
+def map_moments(optimizer: optax.GradientTransformation, f, state: Any) -> Any:
+    """Apply `f` to every moment array of an optimiser state (leading axis: Gaussians) and to nothing else."""
+    return optax.tree.map_params(optimizer, f, state)
+
+
+def rearrange_moments(optimizer: optax.GradientTransformation, state: Any, source: Array, fresh: Array) -> Any:
+    """Moments follow their Gaussian: row i takes those of row `source[i]`, or zero where `fresh[i]`.
+
+    Args:
+        optimizer: The transformation that made `state`.
+        state: Its state.
+        source: `[N]` int32.
+        fresh: `[N]` bool.
+
+    Returns:
+        The state; counts and schedules are untouched.
+    """
+
+    def rearranged(moment):
+        keep = (~fresh).reshape(-1, *[1] * (moment.ndim - 1))
+        return jnp.where(keep, moment[source], 0)
+
+    return map_moments(optimizer, rearranged, state)

@@ -1,0 +1,135 @@
+"""Gaussians and a camera to images: one projection and one binning, then as many channels as are asked for."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import rasterizer
+from jax import Array
+
+from gsjax import cameras
+from gsjax.cameras import Camera
+from gsjax.gaussians import Gaussians, opacities, scales, sh_coefficients
+from gsjax.numerics import safe_divide
+
+
+class Splats(NamedTuple):
+    """A scene's splats in one view, binned: what every pass over that view shares."""
+
+    projection: rasterizer.Projection  # one camera
+    opacities: Array  # [N]
+    pairs: rasterizer.TilePairs
+    grid: rasterizer.TileGrid
+
+
+class View(NamedTuple):
+    """What one view shows. `depth` is None where it was not asked for."""
+
+    colors: Array  # [H, W, 3] over the background, not clamped
+    alphas: Array  # [H, W] coverage
+    depth: Array | None  # [H, W] expected camera z: composited depth / alpha, 0 where alpha is under `MIN_COVERAGE`
+    splats: Splats
+
+
+MIN_COVERAGE = 0.5  # A pixel covered less has no surface whose depth would mean anything (method: A10, A11).
+
+
+def splat(gaussians: Gaussians, camera: Camera, capacity: int, means2d_probe: Array | None = None) -> Splats:
+    """Project and bin.
+
+    Args:
+        gaussians: The scene.
+        camera: The view.
+        capacity: Length of the (tile, splat) buffer. Static. `pairs.overflowed` says that it was too short.
+        means2d_probe: `[N, 2]` zeros added to the projected means: the gradient to it is the one to the 2D means.
+
+    Returns:
+        `Splats` of this view.
+    """
+    grid = rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.TILE_SIZE)
+    opacity = opacities(gaussians)
+    projection = rasterizer.project(
+        gaussians.means,
+        gaussians.quats,
+        scales(gaussians),
+        opacity,
+        camera.viewmat[None],
+        camera.K[None],
+        camera.width,
+        camera.height,
+    )
+    if means2d_probe is not None:
+        projection = projection._replace(means2d=projection.means2d + means2d_probe[None])
+    return Splats(
+        projection, opacity, rasterizer.bin_splats(projection, opacity, grid, capacity, rasterizer.GSPLAT), grid
+    )
+
+
+def needed_capacity(gaussians: Gaussians, camera: Camera) -> Array:
+    """`[]` int32 length of the pair buffer that this view needs."""
+    grid = rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.TILE_SIZE)
+    projection = rasterizer.project(
+        gaussians.means,
+        gaussians.quats,
+        scales(gaussians),
+        opacities(gaussians),
+        camera.viewmat[None],
+        camera.K[None],
+        camera.width,
+        camera.height,
+    )
+    return rasterizer.count_pairs(projection, grid)
+
+
+def features(splats: Splats, values: Array) -> tuple[Array, Array]:
+    """`[H, W, D]` per-Gaussian `values` `[N, D]` composited on zero, and `[H, W]` alphas."""
+    values = jnp.where(splats.projection.visible[0, :, None], values, 0)
+    image, left = rasterizer.blend(splats.projection, splats.opacities, values[None], splats.pairs, splats.grid)
+    return image[0], 1 - left[0, ..., 0]
+
+
+def colors(gaussians: Gaussians, camera: Camera, active_degree: Array | int | None = None) -> Array:
+    """`[N, 3]` colour of every Gaussian seen from the camera, at least 0 (3DGS: max(0, SH + 0.5)).
+
+    `active_degree` may be traced: bands above it are multiplied by zero, so a ramp never recompiles.
+    """
+    coefficients = sh_coefficients(gaussians)
+    if active_degree is not None:
+        band = jnp.floor(jnp.sqrt(jnp.arange(coefficients.shape[1], dtype=jnp.float32)))
+        shown = band <= jnp.asarray(active_degree, jnp.float32)
+        coefficients = coefficients * shown.astype(coefficients.dtype)[None, :, None]
+    directions = gaussians.means - cameras.center(camera)[None]
+    return jnp.maximum(rasterizer.spherical_harmonics(gaussians.sh_degree, directions, coefficients) + 0.5, 0)
+
+
+def view(
+    gaussians: Gaussians,
+    camera: Camera,
+    *,
+    capacity: int,
+    background: Array,
+    active_degree: Array | int | None = None,
+    with_depth: bool = False,
+    means2d_probe: Array | None = None,
+) -> View:
+    """Render one view. Differentiable to the Gaussians, the camera matrices and the background.
+
+    Args:
+        gaussians: The scene.
+        camera: The view.
+        capacity: See `splat`.
+        background: `[3]` colour under the image.
+        active_degree: Highest SH degree used; may be traced. None: all.
+        with_depth: Whether depth is composited too. Static; not in the program otherwise.
+        means2d_probe: See `splat`.
+
+    Returns:
+        `View`.
+    """
+    splats = splat(gaussians, camera, capacity, means2d_probe)
+    channels = colors(gaussians, camera, active_degree)
+    if with_depth:
+        channels = jnp.concatenate([channels, splats.projection.depths[0, :, None]], -1)
+    image, alphas = features(splats, channels)
+    depth = safe_divide(image[..., 3], alphas, alphas > MIN_COVERAGE) if with_depth else None
+    shown = image[..., :3] + (1 - alphas)[..., None] * background[None, None]
+    return View(shown, alphas, depth, splats)

@@ -1,0 +1,105 @@
+"""The paper's regulariser: gradients of the depth-based signed distance estimate, composited and aligned with normals.
+
+Only first-order gradients of the rasterizer are ever needed: `jax.grad` of the estimate goes through the bilinear read
+of the depth map, and the loss' own gradient through the renders of depth and of the gradient channels.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from gsjax import cameras, render
+from gsjax.cameras import Camera
+from gsjax.gaussians import Gaussians, rotation_matrices
+from gsjax.images import sample_bilinear
+from gsjax.numerics import masked_mean, safe_normalize
+from gsjax.render import View
+
+Estimator = Callable[[Gaussians, View, Camera], Array]
+"""(Gaussians, View with depth, Camera) -> `[H, W, 3]` camera-frame direction per pixel, of any length."""
+
+
+def depth_sdf(point: Array, depth: Array, camera: Camera) -> Array:
+    """Estimated signed distance of one world point to the rendered surface: D(pi(p)) - z(p) (paper, section III).
+
+    Args:
+        point: `[3]` world position.
+        depth: `[H, W]` rendered depth, camera z in scene units.
+        camera: The view that `depth` was rendered from.
+
+    Returns:
+        `[]` scene units, positive between the camera and the surface. Its length of gradient is 1 / |n . ray|, not 1:
+        only the direction is used. Differentiable to all arguments, finite also on and behind the camera plane.
+    """
+    point_cam = cameras.world_to_camera(point, camera)
+    return sample_bilinear(depth, cameras.project(point_cam, camera)) - point_cam[2]
+
+
+def facing(directions: Array, towards_camera: Array) -> Array:
+    """Flip directions whose dot product with `towards_camera` is negative; the sign carries no gradient."""
+    side = jnp.sum(jax.lax.stop_gradient(directions) * towards_camera, axis=-1, keepdims=True)
+    return jnp.where(side < 0, -directions, directions)
+
+
+def _composite_directions(world: Array, gaussians: Gaussians, view: View, camera: Camera) -> Array:
+    """Rotate world directions into the camera, unit and facing it, and composite them on zero."""
+    in_camera = jnp.sum(world[:, None, :] * cameras.rotation(camera)[None], axis=-1)
+    position = jax.vmap(cameras.world_to_camera, in_axes=(0, None))(jax.lax.stop_gradient(gaussians.means), camera)
+    return render.features(view.splats, facing(safe_normalize(in_camera), -position))[0]
+
+
+def sdf_gradient_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
+    """`[H, W, 3]` the paper's estimator: jax.grad of `depth_sdf` at the visible means, composited by the rasterizer."""
+    usable = view.splats.projection.visible[0]
+    # A mean that this view does not show is read at a harmless place, so that nothing odd enters the gradient.
+    points = jnp.where(usable[:, None], gaussians.means, jax.lax.stop_gradient(_in_front(camera))[None])
+    world = jax.vmap(jax.grad(depth_sdf), in_axes=(0, None, None))(points, view.depth, camera)
+    return _composite_directions(world, gaussians, view, camera)
+
+
+def pixel_depth_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
+    """`[H, W, 3]` the same gradient of the same estimate, taken at the surface point of every pixel: no compositing.
+
+    By the chain rule it is the cross product of the depth map's central differences, unprojected.
+    """
+    del gaussians
+    points = cameras.unproject(view.depth, camera)
+    right = jnp.roll(points, -1, 1) - jnp.roll(points, 1, 1)
+    down = jnp.roll(points, -1, 0) - jnp.roll(points, 1, 0)
+    covered = jnp.pad(view.depth > 0, 1)
+    stencil = covered[1:-1, :-2] & covered[1:-1, 2:] & covered[:-2, 1:-1] & covered[2:, 1:-1]
+    return jnp.where(stencil[..., None], jnp.cross(down, right), 0)
+
+
+def smallest_axis_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
+    """`[H, W, 3]` baseline (DN-Splatter): each Gaussian's smallest axis, composited."""
+    axis = jnp.argmin(gaussians.log_scales, axis=-1)
+    world = jnp.take_along_axis(rotation_matrices(gaussians.quats), axis[:, None, None], axis=-1)[..., 0]
+    return _composite_directions(world, gaussians, view, camera)
+
+
+def misalignment(directions: Array, normals: Array, valid: Array) -> Array:
+    """The regulariser R: mean of 1 - |cos| over valid pixels, in [0, 1].
+
+    The printed formula adds the sum of |cos|, whose minimum turns surfaces away from their normals; this is its
+    complement (docs/deviations.md).
+
+    Args:
+        directions: `[H, W, 3]` composited SDF gradients, camera frame, any length.
+        normals: `[H, W, 3]` monocular normals, camera frame; zero where there is none.
+        valid: `[H, W]` bool, the pixels that may count.
+
+    Returns:
+        `[]`; its gradient is zero at both +n and -n, and zero where a direction is too short to have one.
+    """
+    unit = safe_normalize(directions, eps=1e-6)
+    target = safe_normalize(normals)
+    usable = valid & (jnp.sum(unit * unit, -1) > 0.5) & (jnp.sum(target * target, -1) > 0.5)
+    return masked_mean(1 - jnp.abs(jnp.sum(unit * target, axis=-1)), usable)
+
+
+def _in_front(camera: Camera) -> Array:
+    """`[3]` the world point one unit in front of the camera."""
+    return cameras.center(camera) + cameras.rotation(camera)[2]

@@ -1,0 +1,170 @@
+"""Every number of a training run, as frozen records; presets are differences from the defaults.
+
+Defaults are those of 3DGS and of the paper at full scale; each preset shortens the phases and moves their boundaries
+in proportion.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Weights of the loss terms. A term of weight 0 is not in the compiled program."""
+
+    l1: float = 0.8
+    dssim: float = 0.2
+    entropy: float = 0.0  # mean binary entropy of the visible opacities
+    sdf_normal: float = 0.0  # lambda_r: composited SDF gradient against the normals (the paper's R)
+    pixel_normal: float = 0.0  # the SDF gradient at every pixel's surface point against the normals
+    axis_normal: float = 0.0  # composited smallest axes against the normals (DN-Splatter's reading)
+    alpha: float = 0.0  # mean |alpha - matte|, where the photos have an alpha channel
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of training with fixed terms: one compiled step."""
+
+    name: str
+    steps: int
+    weights: Weights = Weights()
+    image_scale: int = 1  # photos this many times smaller in each direction
+    density_control: bool = False  # clone, split, prune, reset
+    cull_below: float = 0.0  # at the end, Gaussians of lower opacity are removed
+
+    def __post_init__(self):
+        """Check ranges."""
+        if self.steps < 0:
+            raise ValueError(f"steps={self.steps} is negative")
+        if self.image_scale < 1:
+            raise ValueError(f"image_scale={self.image_scale} is below 1")
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Adam learning rates of 3DGS (its arguments/__init__.py)."""
+
+    means: float = 1.6e-4  # times the scene extent
+    means_final: float = 1.6e-6  # times the scene extent, reached log-linearly at `decay_steps`
+    decay_steps: int | None = None  # None: the steps of all phases
+    sh_dc: float = 0.0025
+    sh_rest: float = 0.000125
+    opacities: float = 0.05
+    scales: float = 0.005
+    quats: float = 0.001
+
+
+@dataclass(frozen=True)
+class Density:
+    """Clone, split, prune and reset (3DGS section 5), at a fixed budget of Gaussians."""
+
+    start: int = 500
+    stop: int = 15000
+    every: int = 100
+    gradient: float = 2e-4  # mean norm of the loss' gradient to the 2D mean, in NDC units
+    dense_share: float = 0.01  # of the extent: larger Gaussians split, smaller ones are cloned
+    min_opacity: float = 0.005
+    max_share: float = 0.1  # of the extent: larger Gaussians are pruned once opacities have been reset
+    reset_every: int = 3000  # 0: never
+    reset_opacity: float = 0.01
+
+
+@dataclass(frozen=True)
+class Logging:
+    """What is written when, in steps."""
+
+    metrics_every: int = 50
+    evaluate_every: int = 500  # PSNR of the held-out views; 0: only at the end
+    checkpoint_every: int = 500
+
+
+VANILLA = Phase("vanilla", 7000, density_control=True)
+ENTROPY = Phase("entropy", 2000, Weights(entropy=0.1), cull_below=0.5)
+SURFACE = Phase("surface", 6000, Weights(sdf_normal=0.2))
+
+
+@dataclass(frozen=True)
+class Settings:
+    """A training run."""
+
+    seed: int = 0
+    downscale: int = 1
+    normals: str | None = None  # folder of normal maps; None: the smoothed depth normals of the first phases
+    background: Literal["white", "black", "random"] = "black"
+    masks: Literal["valid", "matte"] = "valid"
+    vanilla: bool = False  # plain 3DGS for the same number of steps: no entropy, no cull, no normals
+    phases: tuple[Phase, ...] = (VANILLA, ENTROPY, SURFACE)
+    max_gaussians: int = 1_000_000
+    sh_degree: int = 3
+    sh_every: int = 1000  # steps between the bands of the ramp
+    rates: Rates = Rates()
+    density: Density = Density()
+    logging: Logging = Logging()
+
+    def __post_init__(self):
+        """Check ranges."""
+        if not 0 <= self.sh_degree <= 4:
+            raise ValueError(f"sh_degree={self.sh_degree} is not 0 to 4")
+        if self.downscale < 1:
+            raise ValueError(f"downscale={self.downscale} is below 1")
+        if self.max_gaussians < 1:
+            raise ValueError(f"max_gaussians={self.max_gaussians} is below 1")
+        if not self.phases:
+            raise ValueError("there are no phases")
+
+
+def total_steps(settings: Settings) -> int:
+    """Steps of all phases."""
+    return sum(phase.steps for phase in settings.phases)
+
+
+def _photometric(name: str, steps: int, **more: Any) -> dict:
+    return {"name": name, "steps": steps, **more}
+
+
+FAST = {
+    "max_gaussians": 36_000,
+    "sh_every": 500,
+    "phases": [
+        _photometric("coarse", 600, image_scale=2, density_control=True),
+        _photometric("vanilla", 1900, density_control=True),
+        _photometric("entropy", 300, weights={"entropy": 0.1}, cull_below=0.1),
+        _photometric("surface", 500, weights={"sdf_normal": 0.2}),
+    ],
+    "density": {"start": 200, "stop": 1800, "reset_every": 0},
+    "logging": {"evaluate_every": 250, "checkpoint_every": 250},
+}
+BALANCED = {
+    "max_gaussians": 120_000,
+    "sh_every": 700,
+    "phases": [
+        _photometric("vanilla", 5000, density_control=True),
+        _photometric("entropy", 1000, weights={"entropy": 0.1}, cull_below=0.5),
+        _photometric("surface", 3000, weights={"sdf_normal": 0.2}),
+    ],
+    "density": {"stop": 4500, "reset_every": 2000},
+}
+ACCURATE = {
+    "phases": [
+        _photometric("vanilla", 7000, density_control=True),
+        _photometric("entropy", 2000, weights={"entropy": 0.1}, cull_below=0.5),
+        _photometric("surface", 6000, weights={"sdf_normal": 0.2}),
+    ],
+    "rates": {"decay_steps": 30000},
+}
+PAPER_13K_7K = {
+    "phases": [
+        _photometric("vanilla", 7000, density_control=True),
+        _photometric("entropy", 2000, weights={"entropy": 0.1}, cull_below=0.5),
+        _photometric("surface", 13000, weights={"sdf_normal": 0.2}),
+    ],
+    "rates": {"decay_steps": 30000},
+}
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "fast": FAST,
+    "balanced": BALANCED,
+    "accurate": ACCURATE,
+    "paper_6k_15k": ACCURATE,
+    "paper_13k_7k": PAPER_13K_7K,
+}

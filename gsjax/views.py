@@ -1,0 +1,106 @@
+"""Photos on the device: one array per quantity, padded to a common size, so that one compiled step serves every view."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from gsjax.cameras import Camera
+from gsjax.losses import Batch
+from gsjax.scene import Frame
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Views:
+    """V photos, padded at the right and the bottom; padding is not valid."""
+
+    viewmats: Array  # [V, 4, 4]
+    Ks: Array  # [V, 3, 3]
+    images: Array  # [V, H, W, 3] uint8, straight
+    valid: Array  # [V, H, W] bool
+    mattes: Array | None  # [V, H, W] uint8
+    normals: Array | None = None  # [V, H, W, 3] float16, camera frame, zero where there is none
+
+    @property
+    def num_views(self) -> int:
+        """Number of photos."""
+        return self.images.shape[0]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Padded width and height."""
+        return self.images.shape[2], self.images.shape[1]
+
+
+def stack_views(frames: tuple[Frame, ...], *, scale: int = 1) -> Views:
+    """Put frames on the device.
+
+    Args:
+        frames: Photos of any sizes.
+        scale: Reduce each by this factor (mean over blocks; a rest at the right and the bottom is dropped).
+
+    Returns:
+        `Views` of the largest (reduced) width and height.
+    """
+    width = max(f.width for f in frames) // scale
+    height = max(f.height for f in frames) // scale
+
+    def padded(array: np.ndarray) -> np.ndarray:
+        reduced = _block_mean(array, scale)
+        return np.pad(
+            reduced,
+            [(0, height - reduced.shape[0]), (0, width - reduced.shape[1])] + [(0, 0)] * (reduced.ndim - 2),
+        )
+
+    everything = [np.full((f.height, f.width), 255, np.uint8) for f in frames]
+    has_matte = any(f.matte is not None for f in frames)
+    to_small = np.diag(np.array([1 / scale, 1 / scale, 1], np.float32))
+    return Views(
+        viewmats=jnp.asarray(np.stack([f.viewmat for f in frames])),
+        Ks=jnp.asarray(np.stack([to_small @ f.K for f in frames])),
+        images=jnp.asarray(np.stack([padded(f.image) for f in frames])),
+        valid=jnp.asarray(
+            np.stack([padded(e if f.valid is None else f.valid) for f, e in zip(frames, everything, strict=True)]) > 127
+        ),
+        mattes=jnp.asarray(
+            np.stack([padded(e if f.matte is None else f.matte) for f, e in zip(frames, everything, strict=True)])
+        )
+        if has_matte
+        else None,
+    )
+
+
+def with_normals(views: Views, maps: list[np.ndarray]) -> Views:
+    """The same views with `[H, W, 3]` normal maps (not larger than the views, smaller ones are padded with zeros)."""
+    width, height = views.size
+    stacked = np.stack(
+        [np.pad(m, ((0, height - m.shape[0]), (0, width - m.shape[1]), (0, 0))).astype(np.float16) for m in maps]
+    )
+    return Views(**{**views.__dict__, "normals": jnp.asarray(stacked)})
+
+
+def camera(views: Views, index: Array | int) -> Camera:
+    """The camera of one view; the index may be traced."""
+    return Camera(views.viewmats[index], views.Ks[index], *views.size)
+
+
+def batch(views: Views, index: Array | int, background: Array) -> Batch:
+    """One view as the loss terms read it, its photo laid over `background` `[3]` by its matte."""
+    image = views.images[index].astype(jnp.float32) / 255
+    matte = None
+    if views.mattes is not None:
+        matte = views.mattes[index].astype(jnp.float32) / 255
+        image = image * matte[..., None] + (1 - matte)[..., None] * background[None, None]
+    normals = None if views.normals is None else views.normals[index].astype(jnp.float32)
+    return Batch(camera(views, index), image, views.valid[index], matte, normals)
+
+
+def _block_mean(array: np.ndarray, scale: int) -> np.ndarray:
+    if scale == 1:
+        return array
+    height, width = array.shape[0] // scale, array.shape[1] // scale
+    blocks = array[: height * scale, : width * scale].reshape(height, scale, width, scale, *array.shape[2:])
+    return np.rint(blocks.mean((1, 3))).astype(array.dtype)
