@@ -7,6 +7,8 @@ import pytest
 
 import gsjax
 import rasterizer
+from gsjax import cli, config
+from gsjax.settings import PRESETS, Settings
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PUBLIC = [(package, name) for package in (rasterizer, gsjax) for name in package.__all__]
@@ -23,6 +25,19 @@ def test_every_public_name_is_documented_and_listed(package, name):
 def test_a_name_that_does_not_exist_is_an_attribute_error():
     with pytest.raises(AttributeError, match="module 'gsjax' has no attribute 'Nothing'"):
         _ = gsjax.Nothing
+
+
+PAGES = [DOCS.parent / "README.md", *sorted(DOCS.glob("*.md")), DOCS.parent / "experiments/README.md"]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_and_settings_on_the_pages_are_right(page):
+    text = page.read_text()
+    for command in re.findall(r"^    gsjax (.*?)(?:  #.*)?$", text, re.MULTILINE):
+        assert cli.parser().parse_args(command.split()).run
+    for assignment in re.findall(r"--set (\w+(?:\.\w+)+=[\w.]+)", text):
+        whole = config.to_dict(config.parse(Settings, PRESETS["fast"]))
+        config.parse(Settings, config.override(whole, [assignment]))
 
 
 def test_what_the_map_of_the_paper_points_to_exists():

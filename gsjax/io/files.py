@@ -1,12 +1,15 @@
 """Writing so that a target is either the old whole or the new whole, never a half."""
 
 import os
+import re
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gsjax.errors import InputError
+
+_TEMPORARY = re.compile(r"\..*-[0-9a-f]{8}(\.\w+)?")  # As `atomic_path` names them.
 
 
 @contextmanager
@@ -40,6 +43,13 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def sweep(folder: str | Path) -> None:
+    """Removes, in a folder and those under it, the temporary files of writers that were killed."""
+    for path in Path(folder).rglob(".*"):
+        if _TEMPORARY.fullmatch(path.name) and path.is_file():
+            path.unlink(missing_ok=True)
 
 
 def unwritable(path: str | Path, error: OSError) -> InputError:

@@ -23,7 +23,7 @@ from typing import Any
 
 from gsjax.errors import InputError
 from gsjax.io import checkpoints
-from gsjax.io.files import atomic_path, make_folder, unwritable
+from gsjax.io.files import atomic_path, make_folder, sweep, unwritable
 from gsjax.io.machine import machine, versions
 
 KEPT_CHECKPOINTS = 2  # The newest and, should it turn out damaged, the one before.
@@ -69,6 +69,7 @@ def reopen(run: str | Path, settings: Mapping[str, Any]) -> Path:
     started = read_json(run / "config.json")
     for key, (before, now) in _differences(started, _plain(settings)).items():
         raise InputError(f"{run}: was started with {key} = {before}, not {now}; a resumed run keeps its settings")
+    sweep(run)
     return run
 
 

@@ -1,5 +1,7 @@
 import errno
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -70,3 +72,19 @@ def test_an_error_about_another_file_is_passed_on(tmp_path):
 def test_forgetting_to_write_is_a_bug_and_not_bad_input(tmp_path):
     with pytest.raises(FileNotFoundError), files.atomic_path(tmp_path / "x.txt"):
         pass
+
+
+def test_what_a_killed_writer_left_is_swept_away_and_nothing_else(tmp_path):
+    killed = (
+        "import os, sys\nfrom gsjax.io.files import atomic_path\n"
+        "with atomic_path(sys.argv[1]) as temporary:\n    temporary.write_text('half')\n    os._exit(9)"
+    )
+    target = tmp_path / "a/step_0000001.npz"
+    assert subprocess.run([sys.executable, "-c", killed, str(target)]).returncode == 9
+    assert not target.exists()
+    (tmp_path / ".hidden-file").write_text("the user's")
+    (tmp_path / "step-0123abcd.npz").write_text("the user's")
+    assert len(os.listdir(target.parent)) == 1
+    files.sweep(tmp_path)
+    assert os.listdir(target.parent) == []
+    assert sorted(os.listdir(tmp_path)) == [".hidden-file", "a", "step-0123abcd.npz"]

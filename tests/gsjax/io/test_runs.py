@@ -35,7 +35,10 @@ def test_nothing_is_overwritten(run):
 
 
 def test_a_run_is_reopened_with_its_own_settings_only(run):
+    leftover = run / "checkpoints/.step_0000001-0123abcd.npz"
+    leftover.write_text("half")
     assert runs.reopen(run, {"seed": 3, "train": {"steps": 100, "rates": (0.1, 0.2)}}) == run
+    assert not leftover.exists()
     with pytest.raises(InputError, match=r"run: was started with train\.steps = 100, not 50"):
         runs.reopen(run, {"seed": 3, "train": {"steps": 50, "rates": [0.1, 0.2]}})
     with pytest.raises(InputError, match=r"was started with extra = null, not 1"):
