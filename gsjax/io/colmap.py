@@ -41,8 +41,9 @@ def read_capture(root: Path, model: Path) -> Capture:
     reconstruction = _read_model(model)
     if not reconstruction.points3D:
         raise InputError(f"{model}: the COLMAP model has no points")
-    points = np.array([p.xyz for p in reconstruction.points3D.values()])
-    colors = np.array([p.color for p in reconstruction.points3D.values()], np.uint8)
+    ordered = [reconstruction.points3D[i] for i in sorted(reconstruction.point3D_ids())]
+    points = np.array([p.xyz for p in ordered])
+    colors = np.array([p.color for p in ordered], np.uint8)
     broken = ~is_float32(points).all(axis=1)
     if broken.any():
         raise InputError(f"{model}: {broken.sum()} of {len(points)} points of the COLMAP model are not finite")
@@ -114,9 +115,9 @@ def _check_binary(path: Path, after_record) -> None:
             at = after_record(data, at)
             if at > len(data):
                 raise struct.error
-    except (struct.error, ValueError) as error:
-        if isinstance(error, InputError):
-            raise InputError(f"{path}: {error}") from None
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except (struct.error, ValueError):
         raise InputError(f"{path}: truncated, the records it promises do not fit its {len(data)} bytes") from None
 
 

@@ -73,7 +73,7 @@ def _checked_photos(root: Path, capture: Capture) -> list[Photo]:
         raise InputError(f"{root}: the image {twice[0]} is listed more than once")
     missing = [photo for photo in photos if not photo.path.is_file()]
     if missing:
-        folder = str(missing[0].path)[: -len(missing[0].name)].rstrip("/")
+        folder = missing[0].path.parents[len(Path(missing[0].name).parts) - 1]
         raise InputError(f"{folder}: {listed('image', [photo.name for photo in missing])}")
     return photos
 

@@ -138,8 +138,10 @@ def _lens(file: Path, entry: dict, path: Path) -> Lens:
         fx, fy = _focal_lengths(file, entry, width, height)
         center = float(entry.get("cx", width / 2)), float(entry.get("cy", height / 2))
         given = {k: float(entry[k]) for k in _COEFFICIENTS if float(entry.get(k) or 0)}
+    except InputError:
+        raise
     except (TypeError, ValueError) as error:
-        raise error if isinstance(error, InputError) else InputError(f"{file}: {entry['file_path']}: {error}") from None
+        raise InputError(f"{file}: camera of {entry['file_path']}: {error}") from None
     if name not in _MODELS:
         raise InputError(f"{file}: unknown camera_model {name!r}; known are {', '.join(_MODELS)}, EQUIRECTANGULAR")
     model, coefficients = _MODELS[name]
