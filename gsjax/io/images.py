@@ -1,4 +1,4 @@
-"""Images off the disk, whole or not at all, and filters that respect straight colours."""
+"""Images off the disk and onto it, whole or not at all, and filters that respect straight colours."""
 
 import warnings
 from collections.abc import Callable
@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io.files import atomic_path
 from gsjax.io.packages import require
 
 cv2 = require("cv2", "pip install opencv-contrib-python-headless")
@@ -45,6 +46,16 @@ def read_mask(path: Path) -> np.ndarray:
     colors, alpha = read_image(path)
     mask = colors.max(axis=-1) if alpha is None or alpha.min() == alpha.max() else alpha
     return mask * np.uint8(255) if mask.max() == 1 else mask
+
+
+def write_image(path: str | Path, image: np.ndarray) -> None:
+    """Writes `[H, W, 3]` (or `[H, W]`, `[H, W, 4]`) uint8 pixels, in the format that the suffix names.
+
+    Raises:
+        InputError: The target cannot be written.
+    """
+    with atomic_path(path) as temporary:
+        Image.fromarray(np.ascontiguousarray(image)).save(temporary)
 
 
 def image_size(path: Path) -> tuple[int, int]:

@@ -1,0 +1,72 @@
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsjax.errors import InputError
+from gsjax.io.images import filter_straight, image_size, read_image, read_mask, resize, write_image
+
+
+def noise(*shape, dtype=np.uint8, seed=0):
+    return np.random.default_rng(seed).integers(0, np.iinfo(dtype).max, shape, dtype=dtype, endpoint=True)
+
+
+def test_written_images_are_read_back_and_by_others_too(tmp_path):
+    colors, rgba = noise(5, 7, 3), noise(5, 7, 4)
+    write_image(tmp_path / "rgb.png", colors)
+    write_image(tmp_path / "rgba.png", rgba)
+    read, alpha = read_image(tmp_path / "rgb.png")
+    np.testing.assert_array_equal(read, colors)
+    assert alpha is None
+    read, alpha = read_image(tmp_path / "rgba.png")
+    np.testing.assert_array_equal(np.dstack([read, alpha]), rgba)
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "rgb.png"))[..., ::-1], colors)
+    assert image_size(tmp_path / "rgb.png") == (7, 5)
+    with pytest.raises(InputError, match="cannot write"):
+        write_image(tmp_path / "rgb.png/below.png", colors)
+
+
+def test_grey_deep_and_palette_images_become_eight_bit_colours(tmp_path):
+    deep = noise(6, 4, dtype=np.uint16)
+    cv2.imwrite(str(tmp_path / "deep.png"), deep)
+    colors, _ = read_image(tmp_path / "deep.png")
+    np.testing.assert_array_equal(colors, np.rint(deep / 257.0).astype(np.uint8)[..., None].repeat(3, -1))
+    grey = noise(6, 4)
+    cv2.imwrite(str(tmp_path / "grey.png"), grey)
+    np.testing.assert_array_equal(read_image(tmp_path / "grey.png")[0], grey[..., None].repeat(3, -1))
+    palette = Image.fromarray(grey // 64 * 64).convert("P")
+    palette.save(tmp_path / "palette.png")
+    np.testing.assert_array_equal(read_image(tmp_path / "palette.png")[0], np.asarray(palette.convert("RGB")))
+
+
+def test_masks_of_every_kind(tmp_path):
+    mask = np.zeros((6, 4), np.uint8)
+    mask[2:] = 255
+    for name, stored in {
+        "grey": mask,
+        "ones": mask // 255,
+        "alpha": np.dstack([np.full_like(mask, 9)] * 3 + [mask]),
+        "opaque": np.dstack([mask] * 3 + [np.full_like(mask, 255)]),
+    }.items():
+        write_image(tmp_path / f"{name}.png", stored)
+        np.testing.assert_array_equal(read_mask(tmp_path / f"{name}.png"), mask, err_msg=name)
+
+
+def test_filtering_straight_colours_equals_filtering_the_premultiplied_image():
+    colors, alpha = noise(8, 12, 3), noise(8, 12, seed=1)
+    alpha[:2, :2] = 0
+
+    def halve(array):
+        return resize(array, 6, 4)
+
+    straight, coverage = filter_straight(colors, alpha, halve)
+
+    def blocks(array):
+        return array.reshape(4, 2, 6, 2, -1).mean((1, 3))
+
+    expected_coverage = blocks(alpha / 255.0)[..., 0]
+    premultiplied = blocks(colors * (alpha / 255.0)[..., None])
+    expected = premultiplied / np.maximum(expected_coverage, 1e-6)[..., None]
+    np.testing.assert_allclose(coverage, 255 * expected_coverage, atol=0.51)
+    np.testing.assert_allclose(straight, expected, atol=0.51)
+    assert (straight[0, 0] == 0).all() and coverage[0, 0] == 0
