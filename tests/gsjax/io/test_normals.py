@@ -63,7 +63,7 @@ def test_maps_are_resized_and_stay_unit(tmp_path, size):
     assert cosine.min() > np.cos(np.radians(0.2))
 
 
-@pytest.mark.parametrize("width", [12, 24])
+@pytest.mark.parametrize("width", [6, 12, 24])
 @pytest.mark.parametrize("png", [False, True])
 def test_nothing_stays_exactly_nothing(tmp_path, width, png):
     normals = smooth_normals(width, width * 2 // 3)
