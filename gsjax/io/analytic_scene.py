@@ -1,0 +1,207 @@
+"""The analytic scene as a data set: photos, exact depth and normals, a COLMAP model, surface samples and a mesh.
+
+The layout is that of any rendered data set with truth (`gsjax.io.truth` reads it):
+
+    images/NNN.png     sRGB, white background
+    depth/NNN.npz      depth [H, W] float32 camera z at the pixel centre, 0 where nothing;
+                       label [H, W] uint8: 0 sky, 1..5 the solids, 255 the table
+    normals/NNN.npz    cam, world [H, W, 3] float16 unit, 0 where nothing
+    sparse/0           COLMAP binary: one PINHOLE camera, true poses, noisy surface points with tracks
+    gt_points.npz      points, normals [P, 3] world, label [P] (0 solid, 1 table), n_train_views [P]
+    gt_mesh.ply        the surface, vertex colours = albedo
+    scene.json         the numbers
+"""
+
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import numpy as np
+from jax import Array
+from tqdm import tqdm
+
+from gsjax import analytic, analytic_surface
+from gsjax.cameras import Camera, project, rotation, world_to_camera
+from gsjax.errors import InputError
+from gsjax.io.files import make_folder, unwritable
+from gsjax.io.packages import require
+from gsjax.mesh import Mesh
+
+HELD_OUT_EVERY = 8  # views 0, 8, 16, ... are for scoring
+MESH_SPACING = 0.02  # world units
+SPARSE_POINTS = {"solids": 1200, "table": 800}
+POINT_NOISE = 0.004  # world units, as bundle adjustment leaves
+PIXEL_NOISE = 0.25
+LONGEST_TRACK = 10
+TRUTH_SAMPLES = {"solids": 24_000, "table": 16_000}
+TRUTH_VIEWS = 3  # training views that must see a sample
+TRUTH_RADIUS = 1.1  # of the table's samples about its centre, world units
+
+
+def write(
+    out: str | Path,
+    *,
+    num_views: int = 40,
+    size: tuple[int, int] = (160, 160),
+    seed: int = 0,
+    progress: Callable[..., tqdm] = tqdm,
+) -> Path:
+    """Renders the scene into a folder, which appears when everything is done.
+
+    Args:
+        out: Folder to make. Must not exist, or be empty.
+        num_views: Photos.
+        size: (width, height) in pixels.
+        seed: Of cameras, samples and noise.
+        progress: Makes a progress bar, called with tqdm's `total`, `desc` and `unit`.
+
+    Returns:
+        `out`.
+
+    Raises:
+        InputError: `out` is in use or cannot be written.
+    """
+    out = Path(out)
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: exists and is not empty; choose another folder for the scene")
+    make_folder(out.parent)
+    try:
+        with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as workspace:
+            folder = Path(workspace) / "scene"
+            _write_parts(folder, num_views, size, seed, progress)
+            os.replace(folder, out)
+    except OSError as error:
+        raise unwritable(out, error) from error
+    return out
+
+
+def _write_parts(folder: Path, num_views: int, size: tuple[int, int], seed: int, progress) -> None:
+    for part in ("images", "depth", "normals", "sparse/0"):
+        (folder / part).mkdir(parents=True)
+    cameras = analytic.cameras(num_views, size, seed=seed)
+    with progress(total=num_views, desc="analytic scene", unit="view") as bar:
+        for index, camera in enumerate(cameras):
+            _write_view(folder, f"{index:03d}", camera, analytic.trace(camera))
+            bar.update()
+    surface = analytic_surface.mesh(MESH_SPACING)
+    _write_ply(folder / "gt_mesh.ply", surface)
+    np.savez_compressed(folder / "gt_points.npz", **_truth_points(surface, cameras, seed))
+    _write_model(folder / "sparse/0", surface, cameras, seed)
+    numbers = {
+        "views": num_views,
+        "test": list(range(0, num_views, HELD_OUT_EVERY)),
+        "K": [float(cameras[0].K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))],
+        "res": list(size),
+        "seed": seed,
+        "sky_rgb": [255, 255, 255],
+        "table_radius": analytic.TABLE_RADIUS,
+        "eval_radius": TRUTH_RADIUS,
+        "point_noise": POINT_NOISE,
+        "pixel_noise": PIXEL_NOISE,
+    }
+    (folder / "scene.json").write_text(json.dumps(numbers, indent=1) + "\n")
+
+
+def _write_view(folder: Path, name: str, camera: Camera, view: analytic.Trace) -> None:
+    Image = require("PIL.Image", "pip install pillow")
+    Image.fromarray(_to_bytes(view.colors)).save(folder / "images" / f"{name}.png")
+    np.savez_compressed(folder / "depth" / f"{name}.npz", depth=view.depth, label=view.labels)
+    normals = {"cam": view.normals, "world": view.normals @ rotation(camera)}
+    np.savez_compressed(
+        folder / "normals" / f"{name}.npz", **{k: np.asarray(v).astype(np.float16) for k, v in normals.items()}
+    )
+
+
+def _truth_points(surface: Mesh, cameras: list[Camera], seed: int) -> dict[str, np.ndarray]:
+    """Surface samples that enough training views see (all of these, where there are fewer)."""
+    training = [camera for index, camera in enumerate(cameras) if index % HELD_OUT_EVERY]
+    parts = []
+    for label, (part, count) in enumerate(TRUTH_SAMPLES.items()):
+        points, normals = analytic_surface.samples(surface, part == "table", 3 * count, seed)
+        near = np.linalg.norm(points[:, :2], axis=1) < TRUTH_RADIUS
+        views = _views_of(points, training).sum(axis=0)
+        chosen = np.flatnonzero(near & (views >= min(TRUTH_VIEWS, len(training))))[:count]
+        parts.append((points[chosen], normals[chosen].astype(np.float16), np.full(len(chosen), label), views[chosen]))
+    points, normals, labels, views = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return {
+        "points": points,
+        "normals": normals,
+        "label": labels.astype(np.uint8),
+        "n_train_views": np.minimum(views, 255).astype(np.uint8),
+    }
+
+
+def _write_model(folder: Path, surface: Mesh, cameras: list[Camera], seed: int) -> None:
+    """Poses, and noisy points with the pixels of the views that see them, as structure from motion leaves them."""
+    pycolmap = require("pycolmap", "pip install pycolmap")
+    rng = np.random.default_rng(seed)
+    points = np.concatenate(
+        [analytic_surface.samples(surface, part == "table", n, seed + 1)[0] for part, n in SPARSE_POINTS.items()]
+    )
+    seen = _limited(_views_of(points, cameras), rng)
+    points, seen = points[seen.sum(axis=0) >= 2], seen[:, seen.sum(axis=0) >= 2]
+    pixels = np.stack([np.asarray(_project_all(points, camera)) for camera in cameras])
+    pixels += rng.normal(0, PIXEL_NOISE, pixels.shape).astype(np.float32)
+    colors = _to_bytes(_appearance_all(points))
+
+    model = pycolmap.Reconstruction()
+    K, width, height = np.asarray(cameras[0].K), cameras[0].width, cameras[0].height
+    model.add_camera_with_trivial_rig(
+        pycolmap.Camera(
+            camera_id=1, model="PINHOLE", width=width, height=height, params=[K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+        )
+    )
+    tracks = [[] for _ in points]
+    for index, camera in enumerate(cameras):
+        observed = np.flatnonzero(seen[index])
+        for order, point in enumerate(observed):
+            tracks[point].append(pycolmap.TrackElement(index + 1, order))
+        image = pycolmap.Image(f"{index:03d}.png", pixels[index, observed].astype(np.float64), 1, index + 1)
+        pose = np.asarray(camera.viewmat, np.float64)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pycolmap.Rotation3d(pose[:3, :3]), pose[:3, 3]))
+    noisy = points + rng.normal(0, POINT_NOISE, points.shape)
+    for position, track, color in zip(noisy, tracks, colors, strict=True):
+        model.add_point3D(position, pycolmap.Track(track), color)
+    model.update_point_3d_errors()
+    model.write_binary(folder)
+
+
+def _limited(seen: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """`[V, P]` bool with at most LONGEST_TRACK views, drawn at random, for every point."""
+    rank = np.argsort(np.argsort(np.where(seen, rng.random(seen.shape), 2.0), axis=0), axis=0)
+    return seen & (rank < LONGEST_TRACK)
+
+
+def _views_of(points: np.ndarray, cameras: list[Camera]) -> np.ndarray:
+    """`[V, P]` bool: view v sees point p."""
+    return np.stack([np.asarray(_visible_all(points, camera)) for camera in cameras])
+
+
+def _write_ply(path: Path, surface: Mesh) -> None:
+    vertices = np.empty(surface.num_vertices, [("position", "<f4", 3), ("color", "u1", 3)])
+    vertices["position"], vertices["color"] = surface.vertices, surface.colors
+    faces = np.empty(surface.num_faces, [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, surface.faces
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(vertices)}",
+        *(f"property float {axis}" for axis in "xyz"),
+        *(f"property uchar {channel}" for channel in ("red", "green", "blue")),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header\n",
+    ]
+    path.write_bytes("\n".join(header).encode() + vertices.tobytes() + faces.tobytes())
+
+
+def _to_bytes(colors: Array) -> np.ndarray:
+    return np.rint(255 * np.clip(np.asarray(colors), 0, 1)).astype(np.uint8)
+
+
+_visible_all = jax.jit(jax.vmap(analytic.visible, in_axes=(0, None)))
+_project_all = jax.jit(jax.vmap(lambda point, camera: project(world_to_camera(point, camera), camera), (0, None)))
+_appearance_all = jax.jit(jax.vmap(lambda point: analytic.srgb(analytic.shade(point))))
