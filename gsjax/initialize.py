@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gsjax.gaussians import Gaussians, rgb_to_sh
 
@@ -31,7 +31,7 @@ def from_points(
     colors = colors / 255.0 if colors.dtype == np.uint8 else colors
     count = len(points)
     neighbors = min(4, count)
-    distances = cKDTree(points).query(points, k=neighbors)[0].reshape(count, neighbors)[:, 1:]
+    distances = KDTree(points).query(points, k=neighbors)[0].reshape(count, neighbors)[:, 1:]
     spacing = np.sqrt(np.maximum((distances**2).mean(1), 1e-7)) if neighbors > 1 else np.full(count, 0.01)
 
     def buffer(values, fill=0.0):

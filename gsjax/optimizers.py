@@ -53,7 +53,7 @@ def apply_gradients(
     # optax mixes int32 counts with floats, which strict promotion forbids.
     with jax.numpy_dtype_promotion("standard"):
         updates, state = optimizer.update(gradients, state, gaussians)
-    return optax.apply_updates(gaussians, updates), state
+    return jax.tree.map(jnp.add, gaussians, updates), state
 
 
 def map_moments(optimizer: optax.GradientTransformation, f, state: Any) -> Any:

@@ -3,9 +3,9 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import rasterizer
 from jax import Array
 
+import rasterizer
 from gsjax import cameras
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, opacities, scales, sh_coefficients

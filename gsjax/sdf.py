@@ -68,7 +68,7 @@ def pixel_depth_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
     points = cameras.unproject(view.depth, camera)
     right = jnp.roll(points, -1, 1) - jnp.roll(points, 1, 1)
     down = jnp.roll(points, -1, 0) - jnp.roll(points, 1, 0)
-    covered = jnp.pad(view.depth > 0, 1)
+    covered = jnp.pad(points[..., 2] > 0, 1)
     stencil = covered[1:-1, :-2] & covered[1:-1, 2:] & covered[:-2, 1:-1] & covered[2:, 1:-1]
     return jnp.where(stencil[..., None], jnp.cross(down, right), 0)
 

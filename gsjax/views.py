@@ -1,4 +1,4 @@
-"""Photos on the device: one array per quantity, padded to a common size, so that one compiled step serves every view."""
+"""Photos on the device: one array per quantity, padded to a common size: one compiled step serves every view."""
 
 from dataclasses import dataclass
 

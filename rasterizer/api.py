@@ -198,7 +198,11 @@ def capacity_bucket(needed: int) -> int:
 def _choose_capacity(means, quats, scales, opacities, viewmats, Ks, width, height, tile_size, options) -> int:
     arrays = jax.lax.stop_gradient((means, quats, scales, opacities, viewmats, Ks))
     grid = TileGrid(viewmats.shape[0], width, height, tile_size)
-    count = jax.jit(lambda *a: count_pairs(project(*a, width, height, **options), grid))(*arrays)
+
+    def counted(m, q, s, o, v, k):
+        return count_pairs(project(m, q, s, o, v, k, width, height, **options), grid)
+
+    count = jax.jit(counted)(*arrays)
     try:
         return capacity_bucket(int(_largest(count)))
     except jax.errors.ConcretizationTypeError:

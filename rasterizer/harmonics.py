@@ -1,5 +1,8 @@
 """Real spherical harmonics of degree 0 to 4 in the sign convention of 3DGS and gsplat."""
 
+import operator
+from functools import reduce
+
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -8,17 +11,19 @@ from jax import Array
 def _basis(degree: int, x: Array, y: Array, z: Array) -> list[Array]:
     """Basis functions at a unit direction, ordered by degree and then by order -l..l."""
     values = [jnp.full_like(x, 0.28209479177387814)]
-    if degree > 0:
-        values += [-0.48860251190291992 * y, 0.48860251190291992 * z, -0.48860251190291992 * x]
-    if degree > 1:
-        xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
-        values += [
-            1.0925484305920790 * xy,
-            -1.0925484305920790 * yz,
-            0.31539156525252000 * (2 * zz - xx - yy),
-            -1.0925484305920790 * xz,
-            0.54627421529603950 * (xx - yy),
-        ]
+    if degree == 0:
+        return values
+    values += [-0.48860251190291992 * y, 0.48860251190291992 * z, -0.48860251190291992 * x]
+    if degree == 1:
+        return values
+    xx, yy, zz, xy, yz, xz = x * x, y * y, z * z, x * y, y * z, x * z
+    values += [
+        1.0925484305920790 * xy,
+        -1.0925484305920790 * yz,
+        0.31539156525252000 * (2 * zz - xx - yy),
+        -1.0925484305920790 * xz,
+        0.54627421529603950 * (xx - yy),
+    ]
     if degree > 2:
         values += [
             -0.59004358992664350 * y * (3 * xx - yy),
@@ -68,4 +73,4 @@ def spherical_harmonics(degree: int, dirs: Array, coeffs: Array) -> Array:
     is_zero = squared == 0
     unit = jnp.where(is_zero, jnp.array([0, 0, 1], dirs.dtype), dirs * jax.lax.rsqrt(jnp.where(is_zero, 1, squared)))
     basis = _basis(degree, unit[..., 0], unit[..., 1], unit[..., 2])
-    return sum(b[..., None] * coeffs[..., k, :] for k, b in enumerate(basis))
+    return reduce(operator.add, (b[..., None] * coeffs[..., k, :] for k, b in enumerate(basis)))

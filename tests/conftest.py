@@ -1,4 +1,4 @@
-"""One strict session for all tests: CPU, no silent promotion of dtypes or ranks."""
+"""One strict session for all tests: CPU, no silent promotion of dtypes."""
 
 import os
 from pathlib import Path
@@ -9,7 +9,6 @@ import jax
 import pytest
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
-jax.config.update("jax_numpy_rank_promotion", "raise")
 
 SHARED = Path(__file__).resolve().parents[1] / "../shared"
 
