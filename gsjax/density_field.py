@@ -15,7 +15,8 @@ from jax import Array
 from gsjax.gaussians import Gaussians, opacities, rotation_matrices
 
 MIN_LOG_SCALE = -18.420680743952367  # log 1e-8
-MAX_SQUARED_DISTANCE = 1e8
+MAX_DISTANCE = 1e4  # standard deviations
+TINY = 1e-30  # A squared inverse deviation under this belongs to a Gaussian without bounds.
 
 
 @jax.tree_util.register_dataclass
@@ -26,6 +27,16 @@ class Kernels:
     means: Array  # [K, 3] world positions
     whitening: Array  # [K, 3, 3] diag(1 / scales) R^T: takes an offset to units of standard deviations
     opacities: Array  # [K] in (0, 1)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class RayProfile:
+    """The density along one ray: K Gaussians of one variable, the distance t from the ray's origin."""
+
+    peaks: Array  # [K] t where each kernel is densest, scene units
+    inverse_deviations: Array  # [K] 1 / standard deviation of each one's density along the ray
+    heights: Array  # [K] density at the peak
 
 
 def kernels(gaussians: Gaussians) -> Kernels:
@@ -55,13 +66,44 @@ def density_gradient(point: Array, nearby: Kernels) -> Array:
     return -jnp.sum(weights[:, None, None] * offsets[:, :, None] * nearby.whitening, axis=(0, 1))
 
 
+def along_ray(origin: Array, direction: Array, nearby: Kernels) -> RayProfile:
+    """The kernels restricted to one ray: `density` at `origin + t * direction` as a function of t alone.
+
+    Args:
+        origin: `[3]` world point.
+        direction: `[3]` unit.
+        nearby: The kernels.
+    """
+    slopes = jnp.sum(nearby.whitening * direction[None, None, :], axis=-1)
+    offsets = _whitened_offsets(origin, nearby)
+    squared = jnp.sum(slopes * slopes, axis=-1)
+    is_flat = squared < TINY
+    squared = jnp.where(is_flat, 1.0, squared)
+    peaks = jnp.where(is_flat, 0.0, -jnp.sum(slopes * offsets, axis=-1) / squared)
+    nearest = offsets + peaks[:, None] * slopes
+    return RayProfile(peaks, jnp.where(is_flat, 0.0, jnp.sqrt(squared)), _contributions(nearest, nearby))
+
+
+def profile_density(t: Array, profile: RayProfile) -> Array:
+    """`[]` density at distance `t` `[]` along the ray of a profile; its cost does not know the three dimensions."""
+    deviations = jnp.clip((t - profile.peaks) * profile.inverse_deviations, -MAX_DISTANCE, MAX_DISTANCE)
+    return jnp.sum(profile.heights * jnp.exp(-0.5 * deviations * deviations))
+
+
+def deviation_along(direction: Array, kernel: Kernels) -> Array:
+    """`[]` standard deviation of one kernel (no leading axis) projected on a unit direction `[3]`, scene units."""
+    precisions = jnp.maximum(jnp.sum(kernel.whitening**2, axis=-1), TINY)
+    along = jnp.sum(kernel.whitening * direction[None, :], axis=-1) / precisions
+    return jnp.sqrt(jnp.sum(along * along))
+
+
 def _whitened_offsets(point: Array, nearby: Kernels) -> Array:
     """`[k, 3]` offsets from the centres in standard deviations, clipped where the density is zero anyway."""
     offsets = jnp.sum(nearby.whitening * (point[None, :] - nearby.means)[:, None, :], axis=-1)
-    return jnp.clip(offsets, -(MAX_SQUARED_DISTANCE**0.5), MAX_SQUARED_DISTANCE**0.5)
+    return jnp.clip(offsets, -MAX_DISTANCE, MAX_DISTANCE)
 
 
 def _contributions(offsets: Array, nearby: Kernels) -> Array:
     """`[k]` alpha_g exp(-m^2 / 2)."""
-    squared = jnp.minimum(jnp.sum(offsets * offsets, axis=-1), MAX_SQUARED_DISTANCE)
+    squared = jnp.minimum(jnp.sum(offsets * offsets, axis=-1), MAX_DISTANCE**2)
     return nearby.opacities * jnp.exp(-0.5 * squared)

@@ -25,7 +25,6 @@ from gsjax.gaussians import Gaussians
 
 MIN_ALPHA = 0.5  # A pixel less opaque than this shows no surface of ours.
 HALVINGS = 6  # Of the step that holds the crossing.
-TINY = 1e-30  # A squared inverse scale under this is a Gaussian without bounds.
 
 
 @dataclass(frozen=True)
@@ -220,18 +219,19 @@ def march_ray(
         sigma_range: Half length of the march in standard deviations of the hit Gaussian along the ray.
 
     Returns:
-        Point `[3]`, unit outward normal `[3]`, and whether there is a
-        crossing; without one, the point and the normal mean nothing but are finite.
+        Point `[3]`, unit outward normal `[3]`, and whether there is a crossing; without one, the point and the normal
+        mean nothing but are finite.
     """
+    profile = density_field.along_ray(hit, direction, nearby)
 
     def density_at(t: Array) -> Array:
         # Overlapping Gaussians add up beyond 1; opacity does not.
-        return jnp.minimum(density_field.density(hit + t * direction, nearby), 1.0)
+        return jnp.minimum(density_field.profile_density(t, profile), 1.0)
 
-    peak, deviation = ray_profile(hit, direction, density_field.take(nearby, 0))
-    reach = sigma_range * deviation
+    reach = sigma_range * density_field.deviation_along(direction, density_field.take(nearby, 0))
     # A sample on the peak cannot step over a Gaussian that is thinner than the spacing of the samples.
-    steps = jnp.clip(peak, -reach, reach) + jnp.linspace(-1.0, 1.0, samples, dtype=hit.dtype) * reach
+    center = jnp.clip(profile.peaks[0], -reach, reach)
+    steps = center + jnp.linspace(-1.0, 1.0, samples, dtype=hit.dtype) * reach
     inside = jax.vmap(density_at)(steps) > level
     first = jnp.argmax(inside)
     crossed = inside[first] & ~inside[0]
@@ -262,25 +262,3 @@ def _crossing(density_at, bracket: tuple[Array, Array], level: float) -> Array:
     rises = high > low
     share = jnp.where(rises, (level - low) / jnp.where(rises, high - low, 1.0), 0.0)
     return outside + jnp.clip(share, 0.0, 1.0) * (inside - outside)
-
-
-def ray_profile(hit: Array, direction: Array, kernel: Kernels) -> tuple[Array, Array]:
-    """Where along a ray one kernel is densest, and how far the kernel reaches in that direction.
-
-    Args:
-        hit: `[3]` world point, the ray's origin.
-        direction: `[3]` unit.
-        kernel: One kernel, without a leading axis.
-
-    Returns:
-        Distance `[]` of the densest point from `hit`, and the kernel's standard deviation `[]` along `direction`.
-    """
-    slope = jnp.sum(kernel.whitening * direction[None, :], axis=-1)
-    offset = jnp.sum(kernel.whitening * (hit - kernel.means)[None, :], axis=-1)
-    squared = jnp.sum(slope * slope)
-    is_flat = squared < TINY
-    peak = -jnp.where(is_flat, 0.0, jnp.sum(slope * offset)) / jnp.where(is_flat, 1.0, squared)
-
-    precisions = jnp.maximum(jnp.sum(kernel.whitening**2, axis=-1), TINY)
-    along = slope / precisions
-    return peak, jnp.sqrt(jnp.sum(along * along))

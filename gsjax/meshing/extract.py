@@ -27,6 +27,7 @@ def extract_mesh(
     colors: Sequence[np.ndarray],
     *,
     level: float = 0.3,
+    min_opacity: float = 0.5,
     num_points: int = 300_000,
     bounds: Bounds | None = None,
     depth: int | None = None,
@@ -47,6 +48,7 @@ def extract_mesh(
         alphas: One `[H, W]` accumulated opacity a view.
         colors: One `[H, W, 3]` rendered image a view, 0..1.
         level: Density of the surface.
+        min_opacity: Gaussians up to this opacity make no density (the entropy phase leaves few of them).
         num_points: Most surface points that the reconstruction is given.
         bounds: (min `[3]`, max `[3]`) of the box to reconstruct, world; taken as it is. None: `robust_bounds`.
         depth: Octree depth of the Poisson reconstruction. None: cells no smaller than the median Gaussian's largest
@@ -63,7 +65,15 @@ def extract_mesh(
         InputError: No point lies on the level set, none in the bounds, or no triangle survives.
     """
     surface = level_set.surface_points(
-        gaussians, cameras, depths, alphas, colors, level=level, num_points=num_points, seed=seed
+        gaussians,
+        cameras,
+        depths,
+        alphas,
+        colors,
+        level=level,
+        num_points=num_points,
+        min_opacity=min_opacity,
+        seed=seed,
     )
     box = robust_bounds(surface.points) if bounds is None else bounds
     inside = _inside(surface.points, box)

@@ -11,6 +11,7 @@ DEPTHS = (6, 10)  # Coarsest and finest octree that is chosen unasked; SuGaR tak
 GROWTH = 1.1  # Open3D's octree cube over the longest side of the points' box.
 OUTLIER_NEIGHBORS, OUTLIER_RATIO = 20, 20.0  # SuGaR's statistical filter: very lax.
 MIN_POINTS = 100
+TRIM_CELLS, TRIM_SPACINGS = 4.0, 4.0  # Holes up to twice this wide are bridged, and open ends grow by as much.
 
 
 def reconstruct(
@@ -34,7 +35,7 @@ def reconstruct(
             spacing of the points, depth 6 to 10.
         trim_quantile: Share of the vertices cut off for having the fewest points around them (SuGaR: 0.1). It cuts
             into closed, well sampled surfaces too, so none by default.
-        trim_distance: Vertices farther than this from every point are cut off, scene units. None: 2.5 cells, or 4
+        trim_distance: Vertices farther than this from every point are cut off, scene units. None: 4 cells, or 4
             spacings where those are longer.
 
     Returns:
@@ -51,7 +52,7 @@ def reconstruct(
     if depth is None:
         depth = depth_for_cell(kept, 2 * gap)
     if trim_distance is None:
-        trim_distance = max(4 * gap, 2.5 * cell_size(kept, depth))
+        trim_distance = max(TRIM_SPACINGS * gap, TRIM_CELLS * cell_size(kept, depth))
 
     surface, densities = _poisson(cloud, depth)
     far = cKDTree(kept).query(np.asarray(surface.vertices), workers=-1)[0] > trim_distance
@@ -82,7 +83,7 @@ def cell_size(points: np.ndarray, depth: int) -> float:
 def depth_for_cell(points: np.ndarray, cell: float) -> int:
     """The deepest octree, from 6 to 10, whose finest cell is no smaller than `cell` (scene units)."""
     side = GROWTH * np.ptp(points, axis=0).max()
-    return int(np.clip(np.floor(np.log2(side / max(cell, 1e-12 * side + 1e-30))), *DEPTHS))
+    return int(np.clip(np.floor(np.log2(side / max(cell, 1e-6 * side))), *DEPTHS))
 
 
 def _as_cloud(points: np.ndarray, normals: np.ndarray, colors: np.ndarray):

@@ -121,3 +121,44 @@ def test_take_picks_neighbours():
         density_field.density(point, density_field.take(field, jnp.array(ids))) for ids in ([0, 5], [1, 2, 3, 4, 6, 7])
     ]
     assert float(sum(parts)) == pytest.approx(float(density_field.density(point, field)), rel=1e-5)
+
+
+def test_profile_along_a_ray_is_the_density_there():
+    field = density_field.kernels(random_gaussians(16))
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        origin = jnp.asarray(rng.normal(size=3), jnp.float32)
+        direction = rng.normal(size=3)
+        direction = jnp.asarray(direction / np.linalg.norm(direction), jnp.float32)
+        distances = jnp.linspace(-3, 3, 50, dtype=jnp.float32)
+        profile = density_field.along_ray(origin, direction, field)
+        found = jax.vmap(density_field.profile_density, (0, None))(distances, profile)
+        points = origin[None, :] + distances[:, None] * direction[None, :]
+        expected = jax.vmap(density_field.density, (0, None))(points, field)
+        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_profile_of_one_gaussian_in_closed_form():
+    field = density_field.kernels(one_gaussian(np.log([1.0, 1.0, 0.1]), opacity=0.7, mean=(0.0, 0.0, 2.0)))
+    direction = jnp.asarray([0.6, 0.0, 0.8], jnp.float32)
+    profile = density_field.along_ray(jnp.zeros(3, jnp.float32), direction, field)
+    # Minimise (0.6 t)^2 + ((0.8 t - 2) / 0.1)^2.
+    precision = 0.36 + 64.0
+    peak = 160 / precision
+    assert float(profile.peaks[0]) == pytest.approx(peak, rel=1e-5)
+    assert float(profile.inverse_deviations[0]) == pytest.approx(precision**0.5, rel=1e-5)
+    squared = (0.6 * peak) ** 2 + ((0.8 * peak - 2) / 0.1) ** 2
+    assert float(profile.heights[0]) == pytest.approx(0.7 * np.exp(-squared / 2), rel=1e-3)
+    # Var(0.6 x + 0.8 z) of the Gaussian itself, not of its density on the ray.
+    spread = density_field.deviation_along(direction, density_field.take(field, 0))
+    assert float(spread) == pytest.approx(np.sqrt(0.36 + 0.64 * 0.01), rel=1e-5)
+
+
+@pytest.mark.parametrize("log_scales", [(-60.0, -60.0, -60.0), (90.0, 90.0, 90.0), (88.0, -40.0, 0.0)])
+def test_profiles_of_extreme_gaussians_are_finite(log_scales):
+    field = density_field.kernels(one_gaussian(log_scales))
+    direction = jnp.asarray([0.6, 0.0, 0.8], jnp.float32)
+    profile = density_field.along_ray(jnp.asarray([0.3, 0.2, 0.1], jnp.float32), direction, field)
+    spread = density_field.deviation_along(direction, density_field.take(field, 0))
+    for value in [*jax.tree.leaves(profile), spread, density_field.profile_density(jnp.float32(1e6), profile)]:
+        assert bool(jnp.all(jnp.isfinite(value)))
