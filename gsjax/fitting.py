@@ -1,13 +1,13 @@
 """The host loop over the phases: which view, when to refine, when the pair buffer must grow."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-import rasterizer
 from jax import Array
 
 from gsjax import training
@@ -109,10 +109,13 @@ def _run_phase(
     observe: Callable[[Progress], None],
     capacity: int | None,
 ) -> tuple[TrainState, int]:
+    # Photos without an alpha channel have nothing to compare alphas with.
+    weights = phase.weights if data.mattes is not None else replace(phase.weights, alpha=0.0)
+
     def compiled(capacity: int) -> training.TrainStep:
         return training.make_train_step(
             optimizer,
-            phase.weights,
+            weights,
             capacity=capacity,
             background=training.BACKGROUNDS[settings.background],
             sh_every=settings.sh_every,
@@ -121,7 +124,7 @@ def _run_phase(
 
     if capacity is None:
         # Splitting raises the number of pairs; too small a guess costs one more compilation.
-        headroom = 2.0 if phase.density_control else 1.3
+        headroom = 1.5 if phase.density_control else 1.25
         capacity = training.chosen_capacity(state.gaussians, data, headroom=headroom)
     train_step = compiled(capacity)
     step, end = steps
@@ -129,7 +132,7 @@ def _run_phase(
         index = jnp.int32(view_order(settings.seed, step, data.num_views))
         state, metrics = train_step(state, data, index, key)
         if bool(metrics.overflowed):
-            capacity = rasterizer.capacity_bucket(int(int(metrics.needed) * 1.2))
+            capacity = training.rounded_capacity(int(metrics.needed), 1.25)
             train_step = compiled(capacity)
             continue
         step += 1

@@ -50,9 +50,9 @@ def entropy(gaussians: Gaussians, view: View, batch: Batch) -> Array:
 
 
 def alpha(gaussians: Gaussians, view: View, batch: Batch) -> Array:
-    """Mean |alpha - matte| over valid pixels; zero for a photo without a matte."""
+    """Mean |alpha - matte| over valid pixels: no smoke around an object, no holes in it."""
     del gaussians
-    return jnp.float32(0) if batch.matte is None else masked_mean(jnp.abs(view.alphas - batch.matte), batch.valid)
+    return masked_mean(jnp.abs(view.alphas - batch.matte), batch.valid)
 
 
 def _normal(estimator: sdf.Estimator):

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-import rasterizer
 from jax import Array
 
 from gsjax import density_control, optimizers, render, views
@@ -190,6 +189,14 @@ def largest_need(gaussians: Gaussians, data: Views) -> Array:
     ).max()
 
 
-def chosen_capacity(gaussians: Gaussians, data: Views, *, headroom: float = 1.3) -> int:
-    """A bucket that holds every view's pairs with room to grow."""
-    return rasterizer.capacity_bucket(int(int(largest_need(gaussians, data)) * headroom))
+def chosen_capacity(gaussians: Gaussians, data: Views, *, headroom: float = 1.25) -> int:
+    """Pair capacity that holds every view with room to grow.
+
+    Every slot is sorted in every step, used or not, so this is tighter than the buckets of the front door.
+    """
+    return rounded_capacity(int(largest_need(gaussians, data)), headroom)
+
+
+def rounded_capacity(needed: int, headroom: float) -> int:
+    """`needed` times `headroom`, up to the next multiple of 4096."""
+    return -(-int(needed * headroom + 1) // 4096) * 4096

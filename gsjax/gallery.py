@@ -1,0 +1,43 @@
+"""Many views of finished Gaussians as numpy pictures, with one compilation for all of them."""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import rasterizer
+from gsjax import render
+from gsjax.cameras import Camera
+from gsjax.gaussians import Gaussians
+
+
+class Picture(NamedTuple):
+    """One rendered view, numpy."""
+
+    colors: np.ndarray  # [H, W, 3] float32, clipped to 0..1, over the background
+    depth: np.ndarray  # [H, W] float32 expected camera z, 0 where nothing covers the pixel
+    alphas: np.ndarray  # [H, W] float32
+
+
+def pictures(gaussians: Gaussians, cameras: Sequence[Camera], background: np.ndarray) -> Iterator[Picture]:
+    """Render every camera over `background` `[3]`; sizes may differ, each picture has its camera's."""
+    gaussians = jax.tree.map(jnp.asarray, gaussians)
+    width, height = max(c.width for c in cameras), max(c.height for c in cameras)
+    padded = [Camera(jnp.asarray(c.viewmat), jnp.asarray(c.K), width, height) for c in cameras]
+    needed = max(int(_needed(gaussians, camera)) for camera in padded)
+    capacity = rasterizer.capacity_bucket(needed)
+    for camera, own in zip(padded, cameras, strict=True):
+        view = _view(gaussians, camera, jnp.asarray(background, jnp.float32), capacity=capacity)
+        shown = (jnp.clip(view.colors, 0, 1), view.depth, view.alphas)
+        yield Picture(*(np.asarray(x)[: own.height, : own.width] for x in shown))
+
+
+_needed = jax.jit(render.needed_capacity)
+
+
+@partial(jax.jit, static_argnames="capacity")
+def _view(gaussians: Gaussians, camera: Camera, background: jax.Array, *, capacity: int) -> render.View:
+    return render.view(gaussians, camera, capacity=capacity, background=background, with_depth=True)

@@ -1,0 +1,8 @@
+"""The whole road as plain functions: what the command line and notebooks call."""
+
+from gsjax.pipeline.evaluate import evaluate
+from gsjax.pipeline.mesh import mesh
+from gsjax.pipeline.pictures import render
+from gsjax.pipeline.train import train
+
+__all__ = ["evaluate", "mesh", "render", "train"]

@@ -1,0 +1,113 @@
+"""Scores of a run: held-out images, and geometry wherever there is truth beside the images."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gsjax import gallery, geometry, metrics
+from gsjax.gaussians import Gaussians
+from gsjax.io import runs
+from gsjax.io.scenes import load_scene
+from gsjax.io.truth import load_truth
+from gsjax.meshing.export import read_mesh
+from gsjax.normals_prior import depth_normals
+from gsjax.pipeline.mesh import mesh as extract
+from gsjax.pipeline.result import BACKGROUNDS, frame_camera, open_result
+from gsjax.scene import Frame, Truth
+
+SKY, GROUND = 0, 255  # Labels of the truth; everything between is an object.
+
+
+def evaluate(run: str | Path, *, mesh: str | Path | None = None) -> dict[str, Any]:
+    """Score a finished run on its held-out views and, where its data set brings truth, its geometry.
+
+    Args:
+        run: Run folder.
+        mesh: Mesh to score against the true surface points. None: `RUN/mesh.ply`, extracted now if it is absent.
+
+    Returns:
+        `psnr`, `ssim`, `views`, `gaussians`, `train_seconds`, `steps`; with true normals `normal_error_deg` and
+        `normal_error_median_deg` of the rendered depth over object pixels and `normal_error_all_deg` over all surface
+        pixels; with true depth `depth_error` (mean absolute, object pixels, scene units); with surface points
+        `chamfer`, `fscore`, `normal_consistency` and their parts.
+
+    Raises:
+        InputError: The run, its data set or the mesh cannot be read.
+    """
+    run = Path(run)
+    result = open_result(run)
+    manifest, settings = runs.read_json(run / "manifest.json"), runs.read_json(run / "config.json")
+    scene = load_scene(manifest["scene"], downscale=settings["downscale"], folder_masks=settings["masks"])
+    figures = score_images(result.gaussians, scene.held_out_frames, settings["background"])
+    figures |= {
+        "gaussians": result.gaussians.num_gaussians,
+        "train_seconds": manifest.get("train_seconds"),
+        "steps": manifest.get("steps"),
+    }
+    truth = load_truth(scene.root, scene.frames, downscale=settings["downscale"])
+    if truth is None:
+        return figures
+    figures |= score_surface(result.gaussians, scene.held_out_frames, truth)
+    if truth.points is not None and truth.point_normals is not None:
+        file = Path(mesh) if mesh is not None else run / "mesh.ply"
+        if mesh is None and not file.exists():
+            extract(run, file)
+        figures |= geometry.compare_to_truth(read_mesh(file), truth.points, truth.point_normals)
+    return figures
+
+
+def score_images(gaussians: Gaussians, frames: tuple[Frame, ...], background: str) -> dict[str, Any]:
+    """Mean PSNR and SSIM over frames, as 3DGS defines them (float renders, every pixel that is valid)."""
+    color = BACKGROUNDS[background]
+    scores = []
+    for frame, picture in zip(
+        frames, gallery.pictures(gaussians, [frame_camera(f) for f in frames], color), strict=True
+    ):
+        target = frame.image.astype(np.float32) / 255
+        if frame.matte is not None:
+            matte = frame.matte[..., None].astype(np.float32) / 255
+            target = target * matte + (1 - matte) * color
+        valid = np.ones(target.shape[:2], bool) if frame.valid is None else frame.valid > 127
+        scores.append(_scores(jnp.asarray(picture.colors), jnp.asarray(target), jnp.asarray(valid)))
+    psnr, ssim = np.asarray(scores, np.float64).mean(0)
+    return {"psnr": float(psnr), "ssim": float(ssim), "views": len(scores)}
+
+
+@jax.jit
+def _scores(image: jax.Array, target: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return metrics.psnr(image, target, valid), metrics.ssim(image, target, valid)
+
+
+def score_surface(gaussians: Gaussians, frames: tuple[Frame, ...], truth: Truth) -> dict[str, Any]:
+    """Errors of the rendered depth and of its normals against true maps, pooled over the pixels of all frames."""
+    cameras = [frame_camera(f) for f in frames]
+    rendered, true, objects, depth_errors = [], [], [], []
+    for frame, camera, picture in zip(
+        frames, cameras, gallery.pictures(gaussians, cameras, BACKGROUNDS["black"]), strict=True
+    ):
+        labels = truth.labels.get(frame.name)
+        is_object = np.ones(picture.depth.shape, bool) if labels is None else (labels != SKY) & (labels != GROUND)
+        if frame.name in truth.normals:
+            rendered.append(np.asarray(depth_normals(jnp.asarray(picture.depth), camera)).reshape(-1, 3))
+            true.append(truth.normals[frame.name].reshape(-1, 3))
+            objects.append(is_object.reshape(-1))
+        if frame.name in truth.depths:
+            depth = truth.depths[frame.name]
+            both = is_object & (depth > 0) & (picture.depth > 0)
+            depth_errors.append(np.abs(depth - picture.depth)[both])
+    figures: dict[str, Any] = {}
+    if rendered:
+        maps, known, mask = np.concatenate(rendered), np.concatenate(true), np.concatenate(objects)
+        on_objects = geometry.normal_error_degrees(maps, known, mask)
+        anywhere = geometry.normal_error_degrees(maps, known, np.ones_like(mask))
+        figures |= {
+            "normal_error_deg": on_objects["mean"],
+            "normal_error_median_deg": on_objects["median"],
+            "normal_error_all_deg": anywhere["mean"],
+        }
+    if depth_errors:
+        figures["depth_error"] = float(np.concatenate(depth_errors).mean())
+    return figures
