@@ -4,7 +4,7 @@ Distances are in scene units, in float64. Nearest neighbours are exact.
 """
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gsjax.errors import InputError
 from gsjax.mesh import Mesh, face_area_vectors, unit_or_zero
@@ -135,7 +135,8 @@ def _nearest(queries: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.nd
     """Distance from each query to its nearest point, and that point's index."""
     if not len(queries) or not len(points):
         raise InputError(f"cannot compare {len(queries)} points with {len(points)}: both sets need one at least")
-    return cKDTree(points).query(queries, workers=-1)
+    distances, ids = KDTree(points).query(queries, workers=-1)
+    return np.asarray(distances), np.asarray(ids)
 
 
 def _samples_in_box(mesh: Mesh, low: np.ndarray, high: np.ndarray, count: int, seed: int):

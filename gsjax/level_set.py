@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gsjax import cameras as cams
 from gsjax import density_field
@@ -166,15 +166,15 @@ def _rays_of_view(index, camera: Camera, depth, alpha, color, count: int, rng: n
 
 def _neighbor_ids(means: np.ndarray, hits: np.ndarray, neighbors: int) -> tuple[np.ndarray, np.ndarray]:
     """`[N, k]` ids of every Gaussian's nearest (itself first), and `[R]` the Gaussian nearest to each hit."""
-    tree = cKDTree(means)
+    tree = KDTree(means)
     count = min(neighbors, len(means))
-    table = tree.query(means, count, workers=-1)[1].reshape(len(means), count).astype(np.int32)
+    table = np.asarray(tree.query(means, count, workers=-1)[1]).reshape(len(means), count).astype(np.int32)
     # Coincident Gaussians may push one out of its own list, or out of first place.
     own = np.arange(len(means), dtype=np.int32)
     place = np.where((table == own[:, None]).any(1), (table == own[:, None]).argmax(1), count - 1)
     table[own, place] = table[:, 0]
     table[:, 0] = own
-    return table, tree.query(hits, 1, workers=-1)[1]
+    return table, np.asarray(tree.query(hits, 1, workers=-1)[1])
 
 
 def _in_chunks(march, chunk: int, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:

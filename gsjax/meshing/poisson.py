@@ -1,7 +1,7 @@
 """From oriented points to triangles: Open3D's screened Poisson reconstruction, trimmed to where there are points."""
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gsjax.errors import InputError
 from gsjax.mesh import Mesh
@@ -55,7 +55,7 @@ def reconstruct(
         trim_distance = max(TRIM_SPACINGS * gap, TRIM_CELLS * cell_size(kept, depth))
 
     surface, densities = _poisson(cloud, depth)
-    far = cKDTree(kept).query(np.asarray(surface.vertices), workers=-1)[0] > trim_distance
+    far = KDTree(kept).query(np.asarray(surface.vertices), workers=-1)[0] > trim_distance
     thin = densities < np.quantile(densities, trim_quantile)
     surface.remove_vertices_by_mask(far | thin)
     if not len(surface.triangles):
@@ -72,7 +72,7 @@ def reconstruct(
 def spacing(points: np.ndarray) -> float:
     """Median distance from a point to its nearest other, scene units."""
     sample = points[:: max(len(points) // 20_000, 1)]
-    return float(np.median(cKDTree(points).query(sample, 2, workers=-1)[0][:, 1]))
+    return float(np.median(KDTree(points).query(sample, 2, workers=-1)[0][:, 1]))
 
 
 def cell_size(points: np.ndarray, depth: int) -> float:
