@@ -29,7 +29,7 @@ def rotation(camera: Camera) -> Array:
 
 def center(camera: Camera) -> Array:
     """`[3]` camera centre in the world."""
-    return -camera.viewmat[:3, 3] @ camera.viewmat[:3, :3]
+    return -jnp.sum(camera.viewmat[:3, :3] * camera.viewmat[:3, 3, None], axis=0)
 
 
 def world_to_camera(point: Array, camera: Camera) -> Array:

@@ -70,6 +70,8 @@ def pixel_depth_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
     down = jnp.roll(points, -1, 0) - jnp.roll(points, 1, 0)
     covered = jnp.pad(points[..., 2] > 0, 1)
     stencil = covered[1:-1, :-2] & covered[1:-1, 2:] & covered[:-2, 1:-1] & covered[2:, 1:-1]
+    # Unit steps: a pixel's footprint in scene units is tiny, its square would pass for "too short to have a direction".
+    right, down = (safe_normalize(step, eps=1e-24) for step in (right, down))
     return jnp.where(stencil[..., None], jnp.cross(down, right), 0)
 
 

@@ -40,7 +40,8 @@ def stack_views(frames: tuple[Frame, ...], *, scale: int = 1) -> Views:
 
     Args:
         frames: Photos of any sizes.
-        scale: Reduce each by this factor (mean over blocks; a rest at the right and the bottom is dropped).
+        scale: Reduce each by this factor (mean over blocks; a rest at the right and the bottom is dropped). Colours
+            are weighted by matte and validity, so what an unused pixel happens to hold never bleeds in.
 
     Returns:
         `Views` of the largest (reduced) width and height.
@@ -48,27 +49,25 @@ def stack_views(frames: tuple[Frame, ...], *, scale: int = 1) -> Views:
     width = max(f.width for f in frames) // scale
     height = max(f.height for f in frames) // scale
 
-    def padded(array: np.ndarray) -> np.ndarray:
-        reduced = _block_mean(array, scale)
-        return np.pad(
-            reduced,
-            [(0, height - reduced.shape[0]), (0, width - reduced.shape[1])] + [(0, 0)] * (reduced.ndim - 2),
+    def stacked(arrays: list[np.ndarray]) -> np.ndarray:
+        return np.stack(
+            [np.pad(a, [(0, height - a.shape[0]), (0, width - a.shape[1])] + [(0, 0)] * (a.ndim - 2)) for a in arrays]
         )
 
-    everything = [np.full((f.height, f.width), 255, np.uint8) for f in frames]
-    has_matte = any(f.matte is not None for f in frames)
+    mattes = [_full(f) if f.matte is None else f.matte for f in frames]
+    valid = [_full(f) if f.valid is None else f.valid for f in frames]
+    images = [
+        _block_mean(f.image, scale, (m[..., None] / 255.0) * (v[..., None] / 255.0))
+        for f, m, v in zip(frames, mattes, valid, strict=True)
+    ]
     to_small = np.diag(np.array([1 / scale, 1 / scale, 1], np.float32))
     return Views(
         viewmats=jnp.asarray(np.stack([f.viewmat for f in frames])),
         Ks=jnp.asarray(np.stack([to_small @ f.K for f in frames])),
-        images=jnp.asarray(np.stack([padded(f.image) for f in frames])),
-        valid=jnp.asarray(
-            np.stack([padded(e if f.valid is None else f.valid) for f, e in zip(frames, everything, strict=True)]) > 127
-        ),
-        mattes=jnp.asarray(
-            np.stack([padded(e if f.matte is None else f.matte) for f, e in zip(frames, everything, strict=True)])
-        )
-        if has_matte
+        images=jnp.asarray(stacked(images)),
+        valid=jnp.asarray(stacked([_block_mean(v, scale) for v in valid]) > 127),
+        mattes=jnp.asarray(stacked([_block_mean(m, scale) for m in mattes]))
+        if any(f.matte is not None for f in frames)
         else None,
     )
 
@@ -98,9 +97,18 @@ def batch(views: Views, index: Array | int, background: Array) -> Batch:
     return Batch(camera(views, index), image, views.valid[index], matte, normals)
 
 
-def _block_mean(array: np.ndarray, scale: int) -> np.ndarray:
+def _full(frame: Frame) -> np.ndarray:
+    return np.full((frame.height, frame.width), 255, np.uint8)
+
+
+def _block_mean(array: np.ndarray, scale: int, weights: np.ndarray | float = 1.0) -> np.ndarray:
     if scale == 1:
         return array
     height, width = array.shape[0] // scale, array.shape[1] // scale
-    blocks = array[: height * scale, : width * scale].reshape(height, scale, width, scale, *array.shape[2:])
-    return np.rint(blocks.mean((1, 3))).astype(array.dtype)
+
+    def blocks(pixels: np.ndarray) -> np.ndarray:
+        return pixels[: height * scale, : width * scale].reshape(height, scale, width, scale, *array.shape[2:])
+
+    weights = blocks(np.broadcast_to(weights, array.shape))
+    weights = np.where(weights.sum((1, 3), keepdims=True) > 0, weights, 1)  # A block without weight: the plain mean.
+    return np.rint(np.average(blocks(array), axis=(1, 3), weights=weights)).astype(array.dtype)
