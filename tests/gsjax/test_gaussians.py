@@ -1,0 +1,49 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.special import expit
+from small_scenes import cloud
+from tolerances import assert_close
+
+from gsjax import gaussians as g
+
+SCENE = cloud(7, sh_degree=2)
+
+
+def test_linear_values_of_the_free_fields():
+    assert_close(g.scales(SCENE), np.exp(np.asarray(SCENE.log_scales, np.float64)))
+    assert_close(g.opacities(SCENE), expit(np.asarray(SCENE.logit_opacities, np.float64)))
+
+
+@pytest.mark.parametrize("degree", range(5))
+def test_the_degree_is_read_off_the_coefficients(degree):
+    scene = cloud(3, sh_degree=degree)
+    assert scene.sh_degree == degree
+    assert g.sh_coefficients(scene).shape == (3, (degree + 1) ** 2, 3)
+    assert_close(g.sh_coefficients(scene)[:, :1], scene.sh_dc)
+
+
+def test_rgb_and_its_coefficient():
+    rgb = np.random.default_rng(0).random((4, 3))
+    assert_close(0.5 / np.sqrt(np.pi) * g.rgb_to_sh(jnp.asarray(rgb, jnp.float32)) + 0.5, rgb)
+
+
+def test_rotations_equal_scipys_whatever_the_length():
+    quats = np.random.default_rng(1).normal(size=(20, 4)) * np.logspace(-6, 6, 20)[:, None]
+    expected = Rotation.from_quat(quats[:, [1, 2, 3, 0]]).as_matrix()
+    assert_close(g.rotation_matrices(jnp.asarray(quats, jnp.float32)), expected)
+
+
+def test_a_zero_quaternion_is_the_identity_with_zero_gradient():
+    zero = jnp.zeros(4, jnp.float32)
+    assert_close(g.rotation_matrices(zero), np.eye(3))
+    assert_close(jax.jacobian(g.rotation_matrices)(zero), np.zeros((3, 3, 4)))
+
+
+def test_take_picks_the_same_rows_of_every_field():
+    by_index, by_mask = g.take(SCENE, np.array([1, 4])), g.take(SCENE, np.arange(7) % 3 == 1)
+    assert_close(by_index, by_mask)
+    assert by_index.num_gaussians == 2
+    assert_close(by_index.sh_rest[1], SCENE.sh_rest[4])
