@@ -1,0 +1,129 @@
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pycolmap
+import pytest
+import trimesh
+from PIL import Image
+from tqdm import tqdm
+
+from gsjax import analytic
+from gsjax.cameras import unproject
+from gsjax.errors import InputError
+from gsjax.io import analytic_scene
+from gsjax.io.scenes import load_scene
+
+VIEWS, SIZE = 5, (36, 30)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    def silent(**options):
+        return tqdm(disable=True, **options)
+
+    return analytic_scene.write(tmp_path_factory.mktemp("data") / "scene", num_views=VIEWS, size=SIZE, progress=silent)
+
+
+@pytest.fixture(scope="module")
+def cameras():
+    return analytic.cameras(VIEWS, SIZE)
+
+
+def test_depth_normals_and_labels_are_those_of_a_new_trace(folder, cameras):
+    view = analytic.trace(cameras[3])
+    depth, normals = np.load(folder / "depth/003.npz"), np.load(folder / "normals/003.npz")
+    assert (depth["depth"].dtype, depth["label"].dtype, normals["cam"].dtype) == (np.float32, np.uint8, np.float16)
+    np.testing.assert_array_equal(depth["depth"], view.depth)
+    np.testing.assert_array_equal(depth["label"], view.labels)
+    np.testing.assert_allclose(normals["cam"], view.normals, atol=1e-3)
+    rotation = np.asarray(cameras[3].viewmat)[:3, :3]
+    np.testing.assert_allclose(normals["world"] @ rotation.T, normals["cam"], atol=3e-3)
+    picture = np.asarray(Image.open(folder / "images/003.png"))
+    np.testing.assert_allclose(picture / 255, view.colors, atol=0.51 / 255)
+
+
+def test_unprojected_depth_lies_on_the_surface(folder, cameras):
+    for index, camera in enumerate(cameras):
+        depth = np.load(folder / f"depth/{index:03d}.npz")["depth"]
+        pose = np.asarray(camera.viewmat)
+        points = (np.asarray(unproject(jnp.asarray(depth), camera)) - pose[:3, 3])[depth > 0] @ pose[:3, :3]
+        assert np.abs(jax.vmap(analytic.scene_sdf)(points)).max() < 1e-4
+
+
+def test_the_model_holds_the_true_cameras_and_consistent_tracks(folder, cameras):
+    model = pycolmap.Reconstruction(folder / "sparse/0")
+    assert sorted(image.name for image in model.images.values()) == [f"{i:03d}.png" for i in range(VIEWS)]
+    assert len(model.cameras) == 1
+    for image_id, image in model.images.items():
+        camera = cameras[image_id - 1]
+        np.testing.assert_allclose(image.cam_from_world().matrix(), camera.viewmat[:3], atol=1e-6)
+        K = model.cameras[image.camera_id].calibration_matrix()
+        np.testing.assert_allclose(K, camera.K, rtol=1e-6)
+    assert 500 < len(model.points3D) <= sum(analytic_scene.SPARSE_POINTS.values())
+    errors, distances = [], []
+    for point in model.points3D.values():
+        assert 2 <= point.track.length() <= analytic_scene.LONGEST_TRACK
+        distances.append(float(analytic.scene_sdf(jnp.asarray(point.xyz, jnp.float32))))
+        for element in point.track.elements:
+            image = model.images[element.image_id]
+            observed = image.points2D[element.point2D_idx]
+            cam = image.cam_from_world().matrix() @ [*point.xyz, 1.0]
+            K = model.cameras[1].calibration_matrix()
+            errors.append(np.linalg.norm((K @ cam)[:2] / cam[2] - observed.xy))
+    # Pixel noise, and point noise seen at focal length / distance.
+    expected = np.hypot(analytic_scene.PIXEL_NOISE, analytic_scene.POINT_NOISE * 1.4 * SIZE[0] / 2.95)
+    np.testing.assert_allclose(np.sqrt(np.mean(np.square(errors)) / 2), expected, rtol=0.1)
+    np.testing.assert_allclose(np.std(distances), analytic_scene.POINT_NOISE, rtol=0.15)
+
+
+def test_truth_points_lie_on_the_surface_with_their_normals(folder):
+    truth = np.load(folder / "gt_points.npz")
+    points, normals = truth["points"], truth["normals"].astype(np.float32)
+    assert points.dtype == np.float32
+    assert np.abs(jax.vmap(analytic.scene_sdf)(points)).max() < 1e-4
+    np.testing.assert_allclose(normals, jax.jit(jax.vmap(analytic.normal))(points), atol=1e-3)
+    is_table = np.asarray(jax.vmap(analytic.label)(points)) == analytic.GROUND_LABEL
+    assert np.mean(is_table == truth["label"]) > 0.99  # where both touch either may be named
+    assert np.linalg.norm(points[truth["label"] == 1, :2], axis=1).max() < analytic_scene.TRUTH_RADIUS
+    assert truth["n_train_views"].min() >= analytic_scene.TRUTH_VIEWS
+    assert truth["n_train_views"].max() <= VIEWS - 1
+    assert np.bincount(truth["label"]).min() > 5_000
+
+
+def test_the_mesh_opens_elsewhere_with_its_colours(folder):
+    mesh = trimesh.load(folder / "gt_mesh.ply", process=False)
+    assert mesh.is_watertight
+    assert mesh.volume > 0
+    vertices = np.asarray(mesh.vertices, np.float32)
+    albedo = np.asarray(jax.jit(jax.vmap(analytic.albedo))(vertices))
+    np.testing.assert_allclose(mesh.visual.vertex_colors[:, :3], 255 * albedo, atol=0.6)
+
+
+def test_it_loads_as_a_scene_with_truth(folder):
+    scene = load_scene(folder)
+    assert [frame.name for frame in scene.held_out_frames] == ["000.png"]
+    numbers = json.loads((folder / "scene.json").read_text())
+    assert numbers["test"] == [0]
+    K = scene.frames[0].K
+    np.testing.assert_allclose([K[0, 0], K[1, 1], K[0, 2], K[1, 2]], numbers["K"], rtol=1e-6)
+    assert set(scene.truth.depths) == {frame.name for frame in scene.frames}
+    assert len(scene.truth.points) == len(scene.truth.point_normals)
+
+
+def test_a_folder_in_use_is_left_alone(tmp_path):
+    (tmp_path / "mine.txt").write_text("keep")
+    with pytest.raises(InputError, match="not empty"):
+        analytic_scene.write(tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_nothing_is_left_of_a_run_that_fails(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(analytic, "trace", full)
+    with pytest.raises(InputError, match=r"scene: No space left on device"):
+        analytic_scene.write(tmp_path / "scene", num_views=2, size=(8, 8), progress=lambda **o: tqdm(disable=True))
+    assert list(tmp_path.iterdir()) == []
