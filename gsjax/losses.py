@@ -52,7 +52,7 @@ def entropy(gaussians: Gaussians, view: View, batch: Batch) -> Array:
 def alpha(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     """Mean |alpha - matte| over valid pixels: no smoke around an object, no holes in it."""
     del gaussians
-    return masked_mean(jnp.abs(view.alphas - batch.matte), batch.valid)
+    return masked_mean(jnp.abs(view.alphas - batch.matte), batch.valid)  # pyright: ignore[reportOperatorIssue]
 
 
 def _normal(estimator: sdf.Estimator):

@@ -8,6 +8,13 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 
+def _check_lowest(record: Any, **lowest: float) -> None:
+    """Raise ValueError for the first field under its lowest value."""
+    for name, low in lowest.items():
+        if getattr(record, name) < low:
+            raise ValueError(f"{name}={getattr(record, name)} is below {low}")
+
+
 @dataclass(frozen=True)
 class Weights:
     """Weights of the loss terms. A term of weight 0 is not in the compiled program."""
@@ -34,10 +41,7 @@ class Phase:
 
     def __post_init__(self):
         """Check ranges."""
-        if self.steps < 0:
-            raise ValueError(f"steps={self.steps} is negative")
-        if self.image_scale < 1:
-            raise ValueError(f"image_scale={self.image_scale} is below 1")
+        _check_lowest(self, steps=0, image_scale=1)
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,12 @@ class Density:
     reset_every: int = 3000  # 0: never
     reset_opacity: float = 0.01
 
+    def __post_init__(self):
+        """Check ranges."""
+        _check_lowest(self, every=1, reset_every=0)
+        if not 0 < self.reset_opacity < 1:
+            raise ValueError(f"reset_opacity={self.reset_opacity} is not between 0 and 1")
+
 
 @dataclass(frozen=True)
 class Logging:
@@ -76,6 +86,10 @@ class Logging:
     metrics_every: int = 50
     evaluate_every: int = 500  # PSNR of the held-out views; 0: only at the end
     checkpoint_every: int = 500
+
+    def __post_init__(self):
+        """Check ranges."""
+        _check_lowest(self, metrics_every=1, evaluate_every=0, checkpoint_every=1)
 
 
 VANILLA = Phase("vanilla", 7000, density_control=True)
@@ -103,12 +117,9 @@ class Settings:
 
     def __post_init__(self):
         """Check ranges."""
+        _check_lowest(self, downscale=1, max_gaussians=1, sh_every=1)
         if not 0 <= self.sh_degree <= 4:
             raise ValueError(f"sh_degree={self.sh_degree} is not 0 to 4")
-        if self.downscale < 1:
-            raise ValueError(f"downscale={self.downscale} is below 1")
-        if self.max_gaussians < 1:
-            raise ValueError(f"max_gaussians={self.max_gaussians} is below 1")
         if not self.phases:
             raise ValueError("there are no phases")
 

@@ -1,0 +1,64 @@
+import dataclasses
+
+import pytest
+
+from gsjax.config import merge, parse, to_dict
+from gsjax.errors import InputError
+from gsjax.settings import PRESETS, Settings, total_steps
+
+
+def test_defaults_are_the_numbers_of_3dgs_and_of_the_paper():
+    defaults = Settings()
+    assert [(p.name, p.steps) for p in defaults.phases] == [("vanilla", 7000), ("entropy", 2000), ("surface", 6000)]
+    assert [p.density_control for p in defaults.phases] == [True, False, False]
+    assert defaults.phases[1].cull_below == 0.5
+    assert defaults.phases[2].weights.sdf_normal == 0.2
+    assert all((p.weights.l1, p.weights.dssim) == (0.8, 0.2) for p in defaults.phases)
+    rates = defaults.rates
+    assert (rates.means, rates.means_final, rates.opacities, rates.scales) == (1.6e-4, 1.6e-6, 0.05, 0.005)
+    assert (rates.quats, rates.sh_dc, rates.sh_rest) == (1e-3, 2.5e-3, 2.5e-3 / 20)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_is_a_valid_difference_that_survives_a_round_trip(name):
+    settings = parse(Settings, PRESETS[name])
+    assert parse(Settings, to_dict(settings)) == settings
+    assert settings.phases[-1].weights.sdf_normal > 0
+
+
+def test_the_papers_budgets():
+    steps = {name: [p.steps for p in parse(Settings, PRESETS[name]).phases] for name in PRESETS}
+    assert steps["paper_6k_15k"] == [7000, 2000, 6000]
+    assert steps["paper_13k_7k"] == [7000, 2000, 13000]
+    assert total_steps(parse(Settings, PRESETS["fast"])) < total_steps(parse(Settings, PRESETS["balanced"])) < 15000
+
+
+@pytest.mark.parametrize(
+    ("difference", "message"),
+    [
+        ({"sh_degree": 5}, "sh_degree=5"),
+        ({"sh_every": 0}, "sh_every=0 is below 1"),
+        ({"downscale": 0}, "downscale=0 is below 1"),
+        ({"max_gaussians": 0}, "max_gaussians=0 is below 1"),
+        ({"phases": []}, "there are no phases"),
+        ({"phases": [{"name": "a", "steps": -1}]}, r"phases.0: steps=-1 is below 0"),
+        ({"phases": [{"name": "a", "steps": 1, "image_scale": 0}]}, "image_scale=0 is below 1"),
+        ({"density": {"every": 0}}, "density: every=0 is below 1"),
+        ({"density": {"reset_every": -1}}, "reset_every=-1 is below 0"),
+        ({"density": {"reset_opacity": 1.0}}, "reset_opacity=1.0 is not between 0 and 1"),
+        ({"logging": {"metrics_every": 0}}, "logging: metrics_every=0 is below 1"),
+        ({"logging": {"checkpoint_every": 0}}, "checkpoint_every=0 is below 1"),
+        ({"background": "blue"}, "background is 'blue', expected one of \"white\""),
+        ({"density": {"everry": 3}}, "unknown key 'density.everry'; the nearest known one is 'density.every'"),
+    ],
+)
+def test_a_value_out_of_range_is_one_line_that_says_where(difference, message):
+    with pytest.raises(InputError, match=message) as caught:
+        parse(Settings, merge(PRESETS["fast"], difference))
+    assert "\n" not in str(caught.value)
+
+
+def test_settings_are_hashable_and_frozen():
+    assert len({parse(Settings, PRESETS["accurate"]), parse(Settings, PRESETS["paper_6k_15k"])}) == 1
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Settings().seed = 1
