@@ -164,9 +164,10 @@ def _backward(static: Static, rows: Array, splats: Array, offsets: Array, final_
             differentiable = alpha > 0 if rules.straight_through else (alpha > 0) & (unclamped < rules.alpha_max)
             d_sigma = jnp.where(differentiable, (behind * inverse - t * lit) * unclamped, 0)
             moments = jnp.dot(d_sigma, basis, precision=jax.lax.Precision.HIGHEST)
-            d_row = [jnp.sum(weight * d_feature[:, i], -1) for i in range(channels)]
+            # A batched product: XLA's CPU row sums are a quarter of the whole backward pass otherwise.
+            d_row = jnp.einsum("gp,gcp->gc", weight, d_feature, precision=jax.lax.Precision.HIGHEST)
             gradients = gradients.at[jnp.where(live, start + k, capacity)].set(
-                jnp.concatenate([moments, jnp.stack(d_row, -1)], -1), mode="drop"
+                jnp.concatenate([moments, d_row], -1), mode="drop"
             )
             return k - 1, t, behind + weight * lit, gradients
 

@@ -1,7 +1,5 @@
 """Real spherical harmonics of degree 0 to 4 in the sign convention of 3DGS and gsplat."""
 
-import operator
-from functools import reduce
 
 import jax
 import jax.numpy as jnp
@@ -69,8 +67,11 @@ def spherical_harmonics(degree: int, dirs: Array, coeffs: Array) -> Array:
     num_bases = (degree + 1) ** 2
     if coeffs.shape[-2] < num_bases:
         raise ValueError(f"degree {degree} needs {num_bases} coefficients, {coeffs.shape=} holds {coeffs.shape[-2]}")
-    squared = jnp.sum(dirs * dirs, axis=-1, keepdims=True)
-    is_zero = squared == 0
-    unit = jnp.where(is_zero, jnp.array([0, 0, 1], dirs.dtype), dirs * jax.lax.rsqrt(jnp.where(is_zero, 1, squared)))
-    basis = _basis(degree, unit[..., 0], unit[..., 1], unit[..., 2])
-    return reduce(operator.add, (b[..., None] * coeffs[..., k, :] for k, b in enumerate(basis)))
+    # Divided by the largest entry first: the squares of a very long or short direction would overflow or vanish.
+    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(dirs), axis=-1, keepdims=True))
+    is_zero = largest < jnp.finfo(dirs.dtype).tiny
+    dirs = jnp.where(is_zero, jnp.array([0, 0, 1], dirs.dtype), dirs / jnp.where(is_zero, 1, largest))
+    unit = dirs * jax.lax.rsqrt(jnp.sum(dirs * dirs, axis=-1, keepdims=True))
+    # One product and one sum, not a term per band: its transpose is one outer product.
+    basis = jnp.stack(_basis(degree, unit[..., 0], unit[..., 1], unit[..., 2]), axis=-1)
+    return jnp.sum(basis[..., None] * coeffs[..., :num_bases, :], axis=-2)
