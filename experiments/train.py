@@ -39,13 +39,13 @@ def load_settings(name: str, assignments: Sequence[str] = ()) -> Settings:
     return config.parse(Settings, config.override(whole, assignments), where="--set")
 
 
-def load_config(name: str) -> dict:
-    """The `CONFIG` of `configs/NAME.py`."""
-    path = CONFIGS / f"{name}.py"
+def load_config(name: str, *, folder: Path = CONFIGS) -> dict:
+    """The `CONFIG` of `NAME.py` in a folder."""
+    path = folder / f"{name}.py"
     if not path.is_file():
-        known = sorted(p.stem for p in CONFIGS.glob("*.py"))
+        known = sorted(p.stem for p in folder.glob("*.py"))
         nearest = max(known, key=lambda other: difflib.SequenceMatcher(None, name, other).ratio())
-        raise InputError(f"no config '{name}' in {CONFIGS}; the nearest is '{nearest}'")
+        raise InputError(f"no config '{name}' in {folder}; the nearest is '{nearest}'")
     return runpy.run_path(str(path))["CONFIG"]
 
 

@@ -1,0 +1,79 @@
+"""Trains the variants of a study on one scene, from the same start for the same steps, and prints one table."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from train import CONFIGS, load_config
+
+from gsjax import config, tables
+from gsjax.cli import guarded
+from gsjax.settings import Settings
+
+STUDIES = Path(__file__).parent / "studies"
+FIGURES = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "depth_error", "chamfer", "fscore",
+           "normal_consistency", "gaussians", "train_seconds")  # fmt: skip
+
+
+def run(study: str, scene: str, out: str, seeds: int = 1) -> dict[str, dict[str, Any]]:
+    """Mean figures of every variant over the seeds; `OUT/study.json` holds them with each seed's own.
+
+    Args:
+        study: Name of a file in `studies/`: its `BASE` names a config, its `VARIANTS` hold differences from that.
+        scene: Data set; "{scene}" in a value of the study stands for it.
+        out: Folder for the runs, OUT/VARIANT_SEED each.
+        seeds: Runs of every variant, with seeds 0, 1, ...
+    """
+    from gsjax.io import runs
+
+    described = load_config(study, folder=STUDIES)
+    base = config.merge(load_config("base"), load_config(described["base"], folder=CONFIGS))
+    every: dict[str, list[dict[str, Any]]] = {}
+    for seed in range(seeds):
+        for variant, difference in described["variants"].items():
+            settings = config.merge(base, _placed(difference, scene), {"seed": seed})
+            folder = Path(out) / f"{variant}_{seed}"
+            every.setdefault(variant, []).append(_figures(scene, folder, settings))
+    means = {
+        variant: {key: float(np.mean([r[key] for r in rows])) for key in rows[0]} for variant, rows in every.items()
+    }
+    runs.write_json(Path(out) / "study.json", {"means": means, "seeds": every})
+    return means
+
+
+def _figures(scene: str, folder: Path, settings: dict) -> dict[str, Any]:
+    from gsjax import pipeline
+    from gsjax.io import runs
+
+    print(f"== {folder.name}", flush=True)
+    pipeline.train(scene, folder, config.parse(Settings, settings, where=folder.name))
+    figures = pipeline.evaluate(folder)
+    last = runs.read_metrics(folder)[-20:]
+    aligned = [1 - record["terms"]["sdf_normal"] for record in last if "sdf_normal" in record["terms"]]
+    return {key: figures[key] for key in FIGURES if key in figures} | (
+        {"mean_cos": np.mean(aligned)} if aligned else {}
+    )
+
+
+def _placed(value: Any, scene: str) -> Any:
+    """`value` with "{scene}" in its strings replaced."""
+    if isinstance(value, dict):
+        return {key: _placed(item, scene) for key, item in value.items()}
+    return value.replace("{scene}", scene) if isinstance(value, str) else value
+
+
+def main() -> None:
+    """Reads the arguments and prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("study", metavar="STUDY", help="name of a file in studies/, without .py")
+    parser.add_argument("--scene", required=True, help="folder of the data set")
+    parser.add_argument("--out", required=True, metavar="DIR", help="empty folder for the runs")
+    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="runs of every variant (default: 1)")
+    arguments = parser.parse_args()
+    print(tables.compare(run(arguments.study, arguments.scene, arguments.out, arguments.seeds)))
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))
