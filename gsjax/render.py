@@ -1,7 +1,9 @@
 """Gaussians and a camera to images: one projection and one binning, then as many channels as are asked for."""
 
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -12,13 +14,15 @@ from gsjax.gaussians import Gaussians, opacities, scales, sh_coefficients
 from gsjax.numerics import safe_divide
 
 
-class Splats(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Splats:
     """A scene's splats in one view, binned: what every pass over that view shares."""
 
     projection: rasterizer.Projection  # one camera
     opacities: Array  # [N]
     pairs: rasterizer.TilePairs
-    grid: rasterizer.TileGrid
+    grid: rasterizer.TileGrid = field(metadata={"static": True})
 
 
 class View(NamedTuple):

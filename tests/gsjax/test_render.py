@@ -1,0 +1,144 @@
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scenes import camera_at, cloud, plane
+from tolerances import assert_close
+
+import rasterizer
+from gsjax import render
+from gsjax.gaussians import Gaussians, opacities, scales, sh_coefficients, take
+
+CAMERA = camera_at((0.4, -0.3, 0.2), (0.1, 0.1, 4.0))
+CAPACITY = 2048
+BACKGROUND = jnp.asarray([0.2, 0.7, 0.4], jnp.float32)
+ALIVE = 40
+SCENE = cloud(ALIVE, capacity=48, sh_degree=2)
+
+
+@jax.jit
+def shown(gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND):
+    return render.view(
+        gaussians, camera, capacity=CAPACITY, background=background, active_degree=active_degree, with_depth=True
+    )
+
+
+def dense_reference(gaussians, sh_degree=2):
+    image, alphas, _ = rasterizer.rasterization(
+        gaussians.means,
+        gaussians.quats,
+        scales(gaussians),
+        opacities(gaussians),
+        sh_coefficients(gaussians),
+        CAMERA.viewmat[None],
+        CAMERA.K[None],
+        CAMERA.width,
+        CAMERA.height,
+        sh_degree=sh_degree,
+        render_mode="RGB+D",
+        backend="reference",
+    )
+    return np.asarray(image[0], np.float64), np.asarray(alphas[0, ..., 0], np.float64)
+
+
+def test_a_view_equals_the_dense_reference():
+    image, alphas = dense_reference(SCENE)
+    view = shown(SCENE)
+    assert not bool(view.splats.pairs.overflowed)
+    assert_close(view.alphas, alphas)
+    assert_close(view.colors, image[..., :3] + (1 - alphas[..., None]) * np.asarray(BACKGROUND))
+    covered = alphas > render.MIN_COVERAGE
+    assert 0.1 < covered.mean() < 0.9
+    assert_close(view.depth, np.where(covered, image[..., 3] / np.where(covered, alphas, 1), 0))
+
+
+@pytest.mark.parametrize("degree", [0, 1])
+def test_the_ramp_equals_truncated_harmonics(degree):
+    image, alphas = dense_reference(SCENE, sh_degree=degree)
+    view = shown(SCENE, degree)
+    assert_close(view.colors, image[..., :3] + (1 - alphas[..., None]) * np.asarray(BACKGROUND))
+    assert float(jnp.abs(view.colors - shown(SCENE).colors).max()) > 0.01
+
+
+def test_a_new_degree_pose_or_background_does_not_recompile():
+    shown(SCENE, 0, CAMERA, BACKGROUND)
+    before = shown._cache_size()
+    shown(SCENE, 1, CAMERA, BACKGROUND)
+    shown(SCENE, 3, camera_at((0.0, 0.0, 0.5), focal=40.0), 1 - BACKGROUND)
+    assert shown._cache_size() == before
+
+
+def test_dead_rows_are_invisible_and_have_no_gradient():
+    view, living = shown(SCENE), shown(take(SCENE, np.arange(ALIVE)))
+    assert_close((view.colors, view.alphas, view.depth), (living.colors, living.alphas, living.depth))
+    gradient = jax.jit(jax.grad(lambda g: jnp.sum(shown(g).colors ** 2)))(SCENE)
+    for leaf in jax.tree.leaves(gradient):
+        assert bool(jnp.isfinite(leaf).all())
+        assert float(jnp.abs(leaf[:ALIVE]).max()) > 0
+        np.testing.assert_array_equal(leaf[ALIVE:], np.zeros_like(leaf[ALIVE:]))
+
+
+def test_depth_of_a_fronto_parallel_plane_is_its_z():
+    camera = camera_at()
+    view = shown(plane((0.0, 0.0, -1.0), distance=4.0), 0, camera)
+    assert float(view.alphas.min()) > 0.9
+    assert_close(view.depth, np.full((24, 32), 4.0), rtol=1e-5, atol=0, why="a quotient of float32 sums")
+
+
+def test_depth_is_zero_where_little_is_covered():
+    faint = plane((0.0, 0.0, -1.0))
+    faint = Gaussians(**{**faint.__dict__, "logit_opacities": jnp.full_like(faint.logit_opacities, -3.5)})
+    view = shown(faint, 0, camera_at())
+    assert 0.01 < float(view.alphas.min()) <= float(view.alphas.max()) < render.MIN_COVERAGE
+    assert not np.any(view.depth)
+
+
+def test_features_of_one_are_the_alphas():
+    view = shown(SCENE)
+    image, alphas = render.features(view.splats, jnp.ones((48, 2), jnp.float32))
+    assert_close(image, jnp.stack([alphas, alphas], -1))
+    assert_close(alphas, view.alphas)
+
+
+def test_nothing_enters_from_a_row_that_is_not_visible():
+    view = shown(SCENE)
+    hidden = ~np.asarray(view.splats.projection.visible[0])
+    assert hidden[ALIVE:].all()
+    values = jnp.where(jnp.asarray(hidden)[:, None], jnp.float32(jnp.nan), 1.0)
+    assert_close(render.features(view.splats, values)[0][..., 0], view.alphas)
+
+
+def test_the_probe_has_the_gradient_of_a_shifted_image():
+    # Shifting all projected means is shifting the principal point.
+    weights = jnp.asarray(np.random.default_rng(0).normal(size=(24, 32, 3)), jnp.float32)
+
+    def objective(probe, shift):
+        K = CAMERA.K.at[:2, 2].add(shift)
+        camera = type(CAMERA)(CAMERA.viewmat, K, CAMERA.width, CAMERA.height)
+        view = render.view(SCENE, camera, capacity=CAPACITY, background=BACKGROUND, means2d_probe=probe)
+        return jnp.sum(weights * view.colors)
+
+    by_probe, by_shift = jax.jit(jax.grad(objective, argnums=(0, 1)))(
+        jnp.zeros((48, 2), jnp.float32), jnp.zeros(2, jnp.float32)
+    )
+    assert float(jnp.abs(by_shift).max()) > 0.1
+    assert_close(by_probe.sum(0), by_shift, kind="gradient")
+
+
+def test_the_capacity_that_a_view_needs_is_counted_before_it_is_rendered():
+    needed = int(jax.jit(render.needed_capacity)(SCENE, CAMERA))
+    pairs = shown(SCENE).splats.pairs
+    assert int(pairs.needed) == needed < CAPACITY and not bool(pairs.overflowed)
+    assert bool(jax.jit(render.splat, static_argnums=2)(SCENE, CAMERA, needed - 1).pairs.overflowed)
+
+
+def test_without_depth_there_is_no_depth_in_the_program():
+    def most_channels(with_depth):
+        program = jax.make_jaxpr(
+            lambda g: render.view(g, CAMERA, capacity=CAPACITY, background=BACKGROUND, with_depth=with_depth)
+        )(SCENE)
+        return max(int(channels) for channels in re.findall(r"f32\[1,24,32,(\d+)\]", str(program)))
+
+    assert most_channels(True) == most_channels(False) + 1
