@@ -19,15 +19,15 @@ def _blend_pixel(pixel: Array, means2d, conics, opacities, features, rules: Rule
     """Features `[D]` and transmittance `[]` of one pixel from splats sorted front to back."""
     d = means2d - pixel
     sigma = splat_sigma(d[:, 0], d[:, 1], conics[:, 0], conics[:, 1], conics[:, 2])
-    unclamped = opacities * jnp.exp(-jnp.maximum(sigma, 0))
+    unclamped = opacities * jnp.exp(-jnp.where(sigma >= 0, sigma, 0))
     alpha = cut_alpha(unclamped, sigma, rules)
     if rules.straight_through:
         alpha = jnp.where(alpha > 0, unclamped + jax.lax.stop_gradient(alpha - unclamped), 0)
-    left = jnp.cumprod(1 - alpha)
-    before = jnp.concatenate([jnp.ones_like(left[:1]), left[:-1]])
+    left = jnp.concatenate([jnp.ones(1, alpha.dtype), jnp.cumprod(1 - alpha)])
     # Transmittance only falls, so everything from the first stop on is under the limit too.
-    weights = jnp.where(left > rules.transmittance_min, before * alpha, 0)
-    return jnp.sum(weights[:, None] * features, 0), 1 - jnp.sum(weights)
+    live = left[1:] > rules.transmittance_min
+    weights = jnp.where(live, left[:-1] * alpha, 0)
+    return jnp.sum(weights[:, None] * features, 0), left[jnp.sum(live)]
 
 
 def composite(
@@ -54,8 +54,9 @@ def composite(
 
     def one_camera(means2d, depths, conics, visible, opacity, feature):
         order = jnp.argsort(jnp.where(visible, jax.lax.stop_gradient(depths), jnp.inf))
+        # Far off the image the square of an offset overflows: every field of a hidden splat is made safe.
+        means2d, conics, feature = (jnp.where(visible[:, None], x, 0) for x in (means2d, conics, feature))
         opacity = jnp.where(visible, opacity, 0)
-        feature = jnp.where(visible[:, None], feature, 0)
         sorted_splats = means2d[order], conics[order], opacity[order], feature[order]
 
         @jax.checkpoint

@@ -5,6 +5,7 @@ from typing import Any, Literal, get_args
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from rasterizer import _reference, _xla
@@ -32,8 +33,6 @@ def _check(means, quats, scales, opacities, colors, viewmats, Ks, backgrounds, s
     for name, (array, shape) in expected.items():
         if array.shape != shape:
             raise ValueError(f"{name}.shape={array.shape}, expected {shape} for {num_gaussians} Gaussians")
-        if not jnp.issubdtype(array.dtype, jnp.floating):
-            raise ValueError(f"{name}.dtype={array.dtype}, expected a float dtype")
     leading = (num_gaussians,) if colors.ndim == 2 or sh_degree is not None else (num_cameras, num_gaussians)
     if colors.shape[: len(leading)] != leading or colors.ndim != len(leading) + (1 if sh_degree is None else 2):
         kind = "[N, K, 3] with sh_degree" if sh_degree is not None else "[N, D] or [C, N, D]"
@@ -45,6 +44,19 @@ def _check(means, quats, scales, opacities, colors, viewmats, Ks, backgrounds, s
     channels = (colors.shape[-1] if "RGB" in render_mode else 0) + ("D" in render_mode.replace("RGB", ""))
     if backgrounds is not None and backgrounds.shape != (num_cameras, channels):
         raise ValueError(f"{backgrounds.shape=}, expected {(num_cameras, channels)} for {render_mode=}")
+    arrays = {name: array for name, (array, _) in expected.items()} | {"colors": colors, "backgrounds": backgrounds}
+    dtypes = {name: jax.dtypes.canonicalize_dtype(a.dtype) for name, a in arrays.items() if a is not None}
+    for name, dtype in dtypes.items():
+        if not jnp.issubdtype(dtype, jnp.floating) or dtype != dtypes["means"]:
+            raise ValueError(f"{name}.dtype={dtype}, expected one float dtype for all, means.dtype={dtypes['means']}")
+        if backend != "reference" and dtype != jnp.float32:
+            raise ValueError(f"{name}.dtype={dtype}, the tile backends compute in float32: pass backend='reference'")
+
+
+def _drawable(colors, sh_degree) -> Array:
+    """`[N]` whether all of a Gaussian's colours are finite: one NaN would spread to every pixel that it touches."""
+    gaussian_axis = 1 if colors.ndim == 3 and sh_degree is None else 0
+    return jnp.isfinite(colors).all([axis for axis in range(colors.ndim) if axis != gaussian_axis])
 
 
 def _features(means, colors, viewmats, projection: Projection, sh_degree, render_mode) -> Array:
@@ -89,6 +101,9 @@ def blend(
         `means2d` and `conics` of the projection, opacities and features.
     """
     num_cameras = grid.num_cameras
+    if features.shape[1] == 0:
+        shape = (num_cameras, grid.height, grid.width)
+        return jnp.zeros((*shape, features.shape[2]), features.dtype), jnp.ones((*shape, 1), features.dtype)
     opacities = jnp.where(projection.visible, opacities, 0)
     return _xla.composite(
         _xla.Static(grid, rules),
@@ -141,6 +156,8 @@ def _rasterize(
     backend,
     rules,
 ):
+    if "RGB" in render_mode:
+        opacities = jnp.where(_drawable(colors, sh_degree), opacities, 0)
     projection = project(
         means,
         quats,
@@ -190,19 +207,25 @@ def _largest_of_batch(axis_size, in_batched, count):
 
 
 def capacity_bucket(needed: int) -> int:
-    """The next power of two, or the one and a half times a power of two, that holds `needed` pairs."""
+    """The next power of two, or the one and a half times a power of two, that holds `needed` pairs.
+
+    Raises:
+        ValueError: If `needed` is the largest int32, which stands for "does not fit".
+    """
+    if needed >= np.iinfo(np.int32).max:
+        raise ValueError(f"{needed} or more (tile, Gaussian) pairs do not fit 32-bit indices: render fewer or smaller")
     power = 1 << max(needed - 1, 255).bit_length()
     return power * 3 // 4 if needed <= power * 3 // 4 else power
 
 
-def _choose_capacity(means, quats, scales, opacities, viewmats, Ks, width, height, tile_size, options) -> int:
+@partial(jax.jit, static_argnames=("grid", "eps2d", "near_plane", "far_plane", "rules"))
+def _count(means, quats, scales, opacities, viewmats, Ks, grid, **options):
+    return count_pairs(project(means, quats, scales, opacities, viewmats, Ks, grid.width, grid.height, **options), grid)
+
+
+def _choose_capacity(means, quats, scales, opacities, viewmats, Ks, grid, options) -> int:
     arrays = jax.lax.stop_gradient((means, quats, scales, opacities, viewmats, Ks))
-    grid = TileGrid(viewmats.shape[0], width, height, tile_size)
-
-    def counted(m, q, s, o, v, k):
-        return count_pairs(project(m, q, s, o, v, k, width, height, **options), grid)
-
-    count = jax.jit(counted)(*arrays)
+    count = _count(*arrays, grid, **options)
     try:
         return capacity_bucket(int(_largest(count)))
     except jax.errors.ConcretizationTypeError:
@@ -272,10 +295,14 @@ def rasterization(
     """
     _check(means, quats, scales, opacities, colors, viewmats, Ks, backgrounds, sh_degree, render_mode, backend)
     tile_size = TILE_SIZE if tile_size is None else tile_size
+    for name, size in {"width": width, "height": height, "tile_size": tile_size, "capacity": capacity}.items():
+        if size is not None and size < 1:
+            raise ValueError(f"{name}={size}, expected at least 1")
     backend = "xla" if backend == "auto" else backend
     options = {"eps2d": eps2d, "near_plane": near_plane, "far_plane": far_plane, "rules": rules}
     if capacity is None and backend != "reference":
-        capacity = _choose_capacity(means, quats, scales, opacities, viewmats, Ks, width, height, tile_size, options)
+        grid = TileGrid(viewmats.shape[0], width, height, tile_size)
+        capacity = _choose_capacity(means, quats, scales, opacities, viewmats, Ks, grid, options)
     return _rasterize(
         means,
         quats,

@@ -54,10 +54,16 @@ def _tile_boxes(projection: Projection, grid: TileGrid) -> tuple[Array, Array]:
     return low, jnp.where(projection.visible.reshape(-1, 1), high - low, 0)
 
 
+def _total(count: Array) -> Array:
+    """`[]` int32 sum, or the largest int32 where the sum does not fit: a sum that wrapped round would look small."""
+    fits = jnp.sum(count.astype(jnp.float32)) < 2.0**31 * 0.99
+    return jnp.where(fits, jnp.sum(count), np.iinfo(np.int32).max)
+
+
 def count_pairs(projection: Projection, grid: TileGrid) -> Array:
-    """`[]` int32: the capacity that `bin_splats` needs for this projection."""
+    """`[]` int32: the capacity that `bin_splats` needs for this projection; the largest int32 if more."""
     _, size = _tile_boxes(projection, grid)
-    return jnp.sum(size[:, 0] * size[:, 1])
+    return _total(size[:, 0] * size[:, 1])
 
 
 def _depth_order(depths: Array, visible: Array) -> Array:
@@ -109,11 +115,14 @@ def bin_splats(projection: Projection, opacities: Array, grid: TileGrid, capacit
         `TilePairs`, not differentiable. If `overflowed`, pairs are missing.
     """
     visible = projection.visible.reshape(-1)
+    if visible.shape[0] == 0:
+        return TilePairs(
+            jnp.zeros(capacity, jnp.int32), jnp.zeros(grid.num_tiles + 1, jnp.int32), jnp.int32(0), jnp.array(False)
+        )
     order = _depth_order(jax.lax.stop_gradient(projection.depths).reshape(-1), visible)
     low, size = (x[order] for x in _tile_boxes(projection, grid))
     count = size[:, 0] * size[:, 1]
-    end = jnp.cumsum(count)
-    start, needed = end - count, end[-1]
+    start, needed = jnp.cumsum(count) - count, _total(count)
 
     # Slot -> rank in depth order: a mark where each non-empty splat starts, then a running count.
     num_splats = count.shape[0]

@@ -1,6 +1,5 @@
 """Real spherical harmonics of degree 0 to 4 in the sign convention of 3DGS and gsplat."""
 
-
 import jax
 import jax.numpy as jnp
 from jax import Array

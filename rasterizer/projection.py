@@ -25,9 +25,11 @@ class Projection(NamedTuple):
 
 def _rotation(quat: Array) -> list[list[Array]]:
     """Rotation matrix of a quaternion (w, x, y, z) of any length; zero gives the identity with zero gradient."""
-    squared = jnp.sum(quat * quat)
-    is_zero = squared < 1e-24
-    unit = quat * jax.lax.rsqrt(jnp.where(is_zero, 1, squared))
+    # Divided by its largest entry first: the square of a long one would overflow.
+    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(quat)))
+    is_zero = largest < 1e-12
+    quat = quat / jnp.where(is_zero, 1, largest)
+    unit = quat * jax.lax.rsqrt(jnp.where(is_zero, 1, jnp.sum(quat * quat)))
     w, x, y, z = jnp.where(is_zero, jnp.array([1, 0, 0, 0], quat.dtype), unit)
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

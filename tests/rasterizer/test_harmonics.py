@@ -1,0 +1,88 @@
+import jax
+import jax.numpy as jnp
+import jax.test_util
+import numpy as np
+import pytest
+import scipy.special
+from tolerances import assert_close
+
+from rasterizer import spherical_harmonics
+
+
+def unit_directions(count=50):
+    directions = np.random.default_rng(0).normal(size=(count, 3))
+    return directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+def real_harmonic(degree, order, directions):
+    """Real spherical harmonic made of scipy's complex ones, in the convention of 3DGS.
+
+    scipy has the Condon-Shortley phase; without it the real harmonics are sqrt(2) (-1)^m Re or Im, and 3DGS keeps it,
+    so that the (-1)^m falls away again.
+    """
+    x, y, z = directions.T
+    value = scipy.special.sph_harm_y(degree, abs(order), np.arccos(z), np.arctan2(y, x))
+    if order == 0:
+        return value.real
+    return np.sqrt(2) * (value.imag if order < 0 else value.real)
+
+
+@pytest.mark.parametrize("degree", range(5))
+def test_every_basis_function_against_scipy(degree, x64):
+    directions = unit_directions()
+    count = (degree + 1) ** 2
+    basis = spherical_harmonics(degree, jnp.asarray(directions), jnp.eye(count, dtype=jnp.float64)[None])
+    expected = [real_harmonic(d, m, directions) for d in range(degree + 1) for m in range(-d, d + 1)]
+    assert_close(basis, np.stack(expected, -1), rtol=0, atol=1e-12, why="zeros are compared; constants have 16 digits")
+
+
+def test_the_length_of_a_direction_does_not_matter():
+    directions = unit_directions(8).astype(np.float32)
+    coeffs = jnp.asarray(np.random.default_rng(1).normal(size=(8, 25, 3)), jnp.float32)
+    values = [spherical_harmonics(4, jnp.asarray(directions * length), coeffs) for length in (1, 1e-30, 1e30)]
+    assert_close(values[1], values[0])
+    assert_close(values[2], values[0])
+
+
+@pytest.mark.parametrize("length", [0.0, 1e-30, 1e30])
+def test_extreme_lengths_have_finite_values_and_gradients(length):
+    direction = jnp.asarray([[0.6 * length, 0.0, 0.8 * length]], jnp.float32)
+    coeffs = jnp.ones((1, 25, 1), jnp.float32)
+
+    def total(direction, coeffs):
+        return jnp.sum(spherical_harmonics(4, direction, coeffs))
+
+    value, gradients = jax.value_and_grad(total, (0, 1))(direction, coeffs)
+    unit = np.array([[0.0, 0, 1]]) if length == 0 else np.array([[0.6, 0, 0.8]])
+    expected = sum(real_harmonic(d, m, unit)[0] for d in range(5) for m in range(-d, d + 1))
+    assert_close(value, expected, rtol=1e-5, atol=1e-5, why="a float32 sum of 25 terms")
+    assert np.isfinite(gradients[0]).all() and np.isfinite(gradients[1]).all()
+    if length == 0:
+        np.testing.assert_array_equal(gradients[0], 0)
+
+
+def test_gradient_against_finite_differences(x64):
+    rng = np.random.default_rng(2)
+    directions, coeffs = jnp.asarray(rng.normal(size=(4, 3))), jnp.asarray(rng.normal(size=(4, 25, 2)))
+    jax.test_util.check_grads(
+        jax.jit(lambda d, c: spherical_harmonics(4, d, c)), (directions, coeffs), order=1, atol=1e-6, rtol=1e-6
+    )
+
+
+def test_bands_above_the_degree_are_ignored():
+    rng = np.random.default_rng(3)
+    directions = jnp.asarray(rng.normal(size=(5, 3)), jnp.float32)
+    coeffs = jnp.asarray(rng.normal(size=(5, 25, 3)), jnp.float32)
+    few = spherical_harmonics(2, directions, coeffs[:, :9])
+    np.testing.assert_array_equal(spherical_harmonics(2, directions, coeffs), few)
+    gradient = jax.grad(lambda c: jnp.sum(spherical_harmonics(2, directions, c)))(coeffs)
+    np.testing.assert_array_equal(gradient[:, 9:], 0)
+
+
+def test_wrong_degrees_and_too_few_coefficients_are_refused():
+    directions, coeffs = jnp.ones((2, 3)), jnp.ones((2, 4, 3))
+    for degree in (-1, 5):
+        with pytest.raises(ValueError, match=f"degree {degree}"):
+            spherical_harmonics(degree, directions, jnp.ones((2, 36, 3)))
+    with pytest.raises(ValueError, match="degree 2 needs 9 .* holds 4"):
+        spherical_harmonics(2, directions, coeffs)

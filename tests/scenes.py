@@ -1,0 +1,176 @@
+"""Scenes for the tests of the rasterizer, and the two things done with them: render and differentiate."""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import rasterizer
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Scene:
+    """Every array that `rasterization` differentiates, and the image size."""
+
+    means: jax.Array
+    quats: jax.Array
+    scales: jax.Array
+    opacities: jax.Array
+    colors: jax.Array
+    viewmats: jax.Array
+    Ks: jax.Array
+    backgrounds: jax.Array
+    width: int = field(metadata={"static": True})
+    height: int = field(metadata={"static": True})
+
+
+GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "colors")
+
+
+def camera_at(x=0.0, y=0.0, z=0.0, yaw=0.0):
+    """`[4, 4]` world to camera of a camera at a place, turned about its y axis by `yaw` radians."""
+    c, s = np.cos(yaw), np.sin(yaw)
+    rotation = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = rotation
+    viewmat[:3, 3] = -rotation @ [x, y, z]
+    return viewmat
+
+
+def intrinsics(width, height, fx=None, fy=None):
+    """`[3, 3]` pinhole with a principal point off the middle and fx != fy."""
+    fx = 0.9 * max(width, height) if fx is None else fx
+    fy = 1.1 * fx if fy is None else fy
+    return np.array([[fx, 0, 0.48 * width], [0, fy, 0.53 * height], [0, 0, 1.0]])
+
+
+def make(width, height, *, dtype=np.float32, **arrays):
+    """A scene from anything array-like."""
+    return Scene(width=width, height=height, **{k: jnp.asarray(np.asarray(v), dtype) for k, v in arrays.items()})
+
+
+def cloud(count=40, *, cameras=1, channels=3, sh_degree=None, size=(37, 29), seed=0, dtype=np.float32):
+    """Random Gaussians in front of one or more cameras, some of them off the image."""
+    rng = np.random.default_rng(seed)
+    width, height = size
+    color_shape = (count, channels) if sh_degree is None else (count, (sh_degree + 1) ** 2, channels)
+    return make(
+        width,
+        height,
+        dtype=dtype,
+        means=rng.uniform([-1.2, -1.0, 1.5], [1.2, 1.0, 4.0], (count, 3)),
+        quats=rng.normal(size=(count, 4)),
+        scales=np.exp(rng.uniform(np.log(0.02), np.log(0.3), (count, 3))),
+        opacities=rng.uniform(0.1, 1.0, count),
+        colors=rng.uniform(0, 1, color_shape) if sh_degree is None else rng.normal(size=color_shape) * 0.4,
+        viewmats=np.stack([camera_at(0.2 * c, 0.1 * c, 0, -0.08 * c) for c in range(cameras)]),
+        Ks=np.stack([intrinsics(width, height)] * cameras),
+        backgrounds=rng.uniform(0, 1, (cameras, channels)),
+    )
+
+
+def smooth(dtype=np.float64):
+    """Four overlapping splats, distinct depths, no alpha near the clamp: differentiable under `NO_THRESHOLDS`."""
+    return make(
+        6,
+        5,
+        dtype=dtype,
+        means=[[-0.3, 0.1, 2.0], [0.4, -0.2, 2.5], [0.05, 0.3, 3.1], [0.1, -0.35, 3.9]],
+        quats=[[1, 0.2, -0.3, 0.1], [0.4, 1, 0.2, -0.5], [0.9, -0.1, 0.4, 0.6], [0.3, 0.7, -0.8, 0.2]],
+        scales=[[0.5, 0.3, 0.2], [0.25, 0.6, 0.4], [0.7, 0.35, 0.5], [0.6, 0.8, 0.3]],
+        opacities=[0.6, 0.45, 0.7, 0.8],
+        colors=[[0.9, 0.1], [0.2, 0.8], [0.5, 0.4], [0.3, 0.7]],
+        viewmats=[camera_at(0.05, -0.04, 0.1, 0.07)],
+        Ks=[intrinsics(6, 5, fx=6.0)],
+        backgrounds=[[0.25, 0.6]],
+    )
+
+
+NO_THRESHOLDS = rasterizer.Rules(
+    alpha_max=1.0, alpha_min=0.0, transmittance_min=-1.0, extent_sigmas=1e3, opacity_extent=False
+)
+
+
+def single(
+    mean=(0.0, 0.0, 2.0),
+    scale=(0.1, 0.1, 0.1),
+    quat=(1.0, 0, 0, 0),
+    opacity=0.8,
+    *,
+    size=16,
+    focal=16.0,
+    dtype=np.float32,
+):
+    """One red-green Gaussian before a camera in the origin that looks along +z, principal point in the middle."""
+    return make(
+        size,
+        size,
+        dtype=dtype,
+        means=[mean],
+        quats=[quat],
+        scales=[scale],
+        opacities=[opacity],
+        colors=[[0.75, 0.25]],
+        viewmats=[np.eye(4)],
+        Ks=[[[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]]],
+        backgrounds=np.zeros((1, 2)),
+    )
+
+
+def stacks(dtype=np.float32, *, count=60, size=(37, 29)):
+    """Opaque splats in piles that cover the image: most pixels stop early, each at another depth."""
+    rng = np.random.default_rng(7)
+    scene = cloud(count, size=size, seed=8, dtype=dtype)
+    return replace(
+        scene,
+        scales=jnp.asarray(rng.uniform(0.15, 0.5, (count, 3)), dtype),
+        opacities=jnp.asarray(rng.uniform(0.7, 0.97, count), dtype),
+    )
+
+
+def with_rows(scene, **rows):
+    """The scene with further Gaussians behind its own in memory."""
+    extra = {name: jnp.asarray(np.asarray(rows[name]), getattr(scene, name).dtype) for name in GAUSSIAN_FIELDS}
+    return replace(scene, **{name: jnp.concatenate([getattr(scene, name), extra[name]]) for name in GAUSSIAN_FIELDS})
+
+
+def in_float64(scene):
+    """The same numbers in float64; call it under `jax.enable_x64(True)`."""
+    return jax.tree.map(lambda x: jnp.asarray(np.asarray(x), np.float64), scene)
+
+
+def render(scene, **options):
+    """`rasterizer.rasterization` of a scene."""
+    s = scene
+    return rasterizer.rasterization(
+        s.means, s.quats, s.scales, s.opacities, s.colors, s.viewmats, s.Ks, s.width, s.height,
+        **{"backgrounds": s.backgrounds, **options},
+    )  # fmt: skip
+
+
+def loss(scene, **options):
+    """`(loss, (image, alphas, info))`: image and alphas summed with fixed random weights."""
+    image, alphas, info = render(scene, **options)
+    rng = np.random.default_rng(3)
+    w_image, w_alpha = (jnp.asarray(rng.normal(size=x.shape), x.dtype) for x in (image, alphas))
+    return jnp.sum(w_image * image) + jnp.sum(w_alpha * alphas), (image, alphas, info)
+
+
+@partial(jax.jit, static_argnames=("backend", "capacity", "render_mode", "sh_degree", "rules", "near_plane"))
+def evaluate(scene, backend, capacity=2048, **options):
+    """`(image, alphas, info, gradient of loss)`: one program, and so one compilation, per shape and backend."""
+    value_and_grad = jax.value_and_grad(loss, has_aux=True)
+    (_, (image, alphas, info)), gradient = value_and_grad(scene, backend=backend, capacity=capacity, **options)
+    return image, alphas, info, gradient
+
+
+def relative_errors(actual, expected):
+    """Relative L2 error per field, in float64."""
+    errors = {}
+    for name in (*GAUSSIAN_FIELDS, "viewmats", "Ks", "backgrounds"):
+        a, e = (np.asarray(getattr(x, name), np.float64) for x in (actual, expected))
+        errors[name] = np.linalg.norm(a - e) / max(np.linalg.norm(e), 1e-12)
+    return errors
