@@ -19,7 +19,7 @@ TABLE_RADIUS = 1.6
 BOUNDS = ((-1.65, -1.65, -0.12), (1.65, 1.65, 0.95))  # of everything solid, world units
 
 _TABLE_THICKNESS = 0.08
-_SHADOW_STEPS = 28
+_SHADOW_STEPS = 22
 _FAR = 8.0  # where a ray has left the world
 _HIT = 1e-5  # residual distance at which a ray stands on the surface
 _SUN = np.array([0.45, -0.35, 0.82]) / np.linalg.norm([0.45, -0.35, 0.82])
@@ -316,8 +316,8 @@ def _waves(shortest: float, longest: float, count: int, seed: int) -> tuple[np.n
     return 2 * np.pi * directions / wavelengths[:, None], rng.uniform(0, 2 * np.pi, count)
 
 
-_COARSE_WAVES = _waves(0.22, 0.6, 16, seed=1)
-_FINE_WAVES = _waves(0.06, 0.14, 24, seed=2)
+_COARSE_WAVES = _waves(0.22, 0.6, 10, seed=1)
+_FINE_WAVES = _waves(0.06, 0.14, 14, seed=2)
 
 
 def _grain(point: Array, waves: tuple[np.ndarray, np.ndarray]) -> Array:
