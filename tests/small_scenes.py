@@ -4,9 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gsjax import gallery
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, rgb_to_sh
 from gsjax.initialize import DEAD_LOGIT
+from gsjax.scene import Frame
 
 
 def camera_at(eye=(0.0, 0.0, 0.0), target=(0.0, 0.0, 1.0), *, size=(32, 24), focal=30.0) -> Camera:
@@ -82,3 +84,18 @@ def angles(directions, expected) -> np.ndarray:
     a, b = (np.asarray(x, np.float64) for x in (directions, expected))
     cosine = np.sum(a * b, -1) / (np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1))
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def photographed(gaussians: Gaussians, cameras: list[Camera], *, with_mattes=False) -> tuple[Frame, ...]:
+    """Photos of the Gaussians over black; with mattes, straight colours and coverage."""
+    frames = []
+    for index, (camera, picture) in enumerate(
+        zip(cameras, gallery.pictures(gaussians, cameras, np.zeros(3)), strict=True)
+    ):
+        colors, matte = picture.colors, None
+        if with_mattes:
+            colors = colors / np.maximum(picture.alphas, 1e-3)[..., None]
+            matte = np.rint(255 * picture.alphas).astype(np.uint8)
+        photo = np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8)
+        frames.append(Frame(f"{index}.png", np.asarray(camera.viewmat), np.asarray(camera.K), photo, matte))
+    return tuple(frames)

@@ -1,0 +1,61 @@
+import numpy as np
+import pytest
+from small_scenes import camera_at, cloud, plane
+from tolerances import assert_close
+
+import rasterizer
+from gsjax import gallery
+from gsjax.cameras import Camera
+from gsjax.gaussians import opacities, scales, sh_coefficients
+from gsjax.render import MIN_COVERAGE
+
+BACKGROUND = np.array([0.1, 0.9, 0.4])
+CAMERAS = [
+    camera_at((0.0, 0.0, 0.0), size=(24, 20)),
+    camera_at((0.5, 0.0, 0.0), (0.0, 0.0, 4.0), size=(32, 16)),
+]
+
+
+@pytest.fixture(scope="module")
+def shown():
+    scene = cloud(30)
+    return scene, list(gallery.pictures(scene, CAMERAS, BACKGROUND))
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_a_picture_has_its_cameras_size_and_content(shown, index):
+    scene, pictures = shown
+    picture, camera = pictures[index], CAMERAS[index]
+    image, alphas, _ = rasterizer.rasterization(
+        scene.means,
+        scene.quats,
+        scales(scene),
+        opacities(scene),
+        sh_coefficients(scene),
+        camera.viewmat[None],
+        camera.K[None],
+        camera.width,
+        camera.height,
+        sh_degree=1,
+        render_mode="RGB+ED",
+        backend="reference",
+    )
+    image, alphas = np.asarray(image[0], np.float64), np.asarray(alphas[0, ..., 0], np.float64)
+    assert picture.colors.shape == (camera.height, camera.width, 3)
+    assert_close(picture.alphas, alphas)
+    assert_close(picture.colors, np.clip(image[..., :3] + (1 - alphas[..., None]) * BACKGROUND, 0, 1))
+    assert_close(picture.depth, np.where(alphas > MIN_COVERAGE, image[..., 3], 0))
+
+
+def test_pictures_are_numpy_and_float32(shown):
+    for picture in shown[1]:
+        for part in picture:
+            assert isinstance(part, np.ndarray) and part.dtype == np.float32
+
+
+def test_colours_are_clipped_and_numpy_scenes_will_do():
+    bright = plane((0.0, 0.0, -1.0), per_side=4, spacing=1.0, colors=np.tile([3.0, -2.0, 0.5], (16, 1)))
+    as_numpy = type(bright)(**{name: np.asarray(value) for name, value in bright.__dict__.items()})
+    camera = Camera(np.asarray(CAMERAS[0].viewmat), np.asarray(CAMERAS[0].K), 24, 20)
+    (picture,) = gallery.pictures(as_numpy, [camera], np.zeros(3))
+    assert picture.colors.min() == 0 and picture.colors.max() == 1
