@@ -28,8 +28,7 @@ SETTINGS: dict[str, Any] = {
     "sh_every": 400,
     "phases": [
         {"name": "vanilla", "steps": 1200, "density_control": True},
-        {"name": "entropy", "steps": 100, "weights": {"entropy": 0.1}, "cull_below": 0.1},
-        {"name": "surface", "steps": 700, "weights": {"sdf_normal": 0.2}},
+        {"name": "surface", "steps": 800, "weights": {"sdf_normal": 0.2}},
     ],
     "density": {"start": 200, "stop": 1000, "reset_every": 0},
     "logging": {"metrics_every": 50, "evaluate_every": 0, "checkpoint_every": 1000},
