@@ -31,26 +31,29 @@ def mesh(spacing: float) -> Mesh:
     return Mesh(np.asarray(vertices), faces, np.rint(255 * np.asarray(_albedo_all(vertices))).astype(np.uint8))
 
 
-def samples(surface: Mesh, is_table: bool, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points spread evenly over the solids, or over the upper side of the table.
+def samples(surface: Mesh, num_solids: int, num_table: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points spread evenly over the solids, and others over the upper side of the table.
 
     Args:
         surface: A mesh of the scene (`mesh`), which says where.
-        is_table: The table's points instead of the solids'.
-        count: How many to draw.
+        num_solids: Points to draw on the solids.
+        num_table: Points to draw on the table.
         seed: Of the draw.
 
     Returns:
-        `[P, 3]` float32 points, world, and their unit normals. P falls short of `count` by the few points in narrow
-        corners that do not come to rest on the surface.
+        `[P, 3]` float32 points in random order, world, their unit normals, and `[P]` bool: on the table. P falls short
+        of the numbers drawn by the few points in narrow corners that do not come to rest on the surface.
     """
     centroids = surface.vertices[surface.faces].mean(axis=1)
     on_table = np.asarray(_label_all(centroids)) == analytic.GROUND_LABEL
-    wanted = on_table & (centroids[:, 2] > -1e-3) if is_table else ~on_table
-    drawn, _ = sample_surface(Mesh(surface.vertices, surface.faces[wanted], surface.colors), count, seed)
-    points = _project_all(drawn.astype(np.float32))
-    at_rest = np.abs(_distance_all(points)) < _ON_SURFACE
-    return np.asarray(points)[at_rest], np.asarray(_normal_all(points))[at_rest]
+    drawn = []
+    for faces, count in ((~on_table, num_solids), (on_table & (centroids[:, 2] > -1e-3), num_table)):
+        part = Mesh(surface.vertices, surface.faces[faces], surface.colors)
+        drawn.append(sample_surface(part, count, seed)[0].astype(np.float32))
+    points = _project_all(np.concatenate(drawn))
+    at_rest = np.flatnonzero(np.abs(_distance_all(points)) < _ON_SURFACE)
+    chosen = np.random.default_rng(seed).permutation(at_rest)
+    return np.asarray(points)[chosen], np.asarray(_normal_all(points))[chosen], chosen >= num_solids
 
 
 def project(point: Array) -> Array:

@@ -17,6 +17,7 @@ import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -32,13 +33,22 @@ from gsjax.mesh import Mesh
 
 HELD_OUT_EVERY = 8  # views 0, 8, 16, ... are for scoring
 MESH_SPACING = 0.02  # world units
-SPARSE_POINTS = {"solids": 1200, "table": 800}
+SPARSE_POINTS = (1200, 800)  # on the solids, on the table
 POINT_NOISE = 0.004  # world units, as bundle adjustment leaves
 PIXEL_NOISE = 0.25
 LONGEST_TRACK = 10
-TRUTH_SAMPLES = {"solids": 24_000, "table": 16_000}
+TRUTH_SAMPLES = (24_000, 16_000)  # on the solids, on the table
 TRUTH_VIEWS = 3  # training views that must see a sample
 TRUTH_RADIUS = 1.1  # of the table's samples about its centre, world units
+
+
+class _Samples(NamedTuple):
+    """Points of the surface, spread evenly, in random order."""
+
+    points: np.ndarray  # [P, 3] float32 world
+    normals: np.ndarray  # [P, 3] float32 unit, world
+    on_table: np.ndarray  # [P] bool, else on a solid
+    seen: np.ndarray  # [V, P] bool by view
 
 
 def write(
@@ -88,8 +98,9 @@ def _write_parts(folder: Path, num_views: int, size: tuple[int, int], seed: int,
             bar.update()
     surface = analytic_surface.mesh(MESH_SPACING)
     _write_ply(folder / "gt_mesh.ply", surface)
-    np.savez_compressed(folder / "gt_points.npz", **_truth_points(surface, cameras, seed))
-    _write_model(folder / "sparse/0", surface, cameras, seed)
+    samples = _seen_samples(surface, cameras, seed)
+    np.savez_compressed(folder / "gt_points.npz", **_truth_points(samples))
+    _write_model(folder / "sparse/0", samples, cameras, seed)
     numbers = {
         "views": num_views,
         "test": list(range(0, num_views, HELD_OUT_EVERY)),
@@ -115,34 +126,39 @@ def _write_view(folder: Path, name: str, camera: Camera, view: analytic.Trace) -
     )
 
 
-def _truth_points(surface: Mesh, cameras: list[Camera], seed: int) -> dict[str, np.ndarray]:
+def _seen_samples(surface: Mesh, cameras: list[Camera], seed: int) -> _Samples:
+    """Three times as many as the truth needs: the table reaches beyond it, and views miss some."""
+    drawn = analytic_surface.samples(surface, *(3 * count for count in TRUTH_SAMPLES), seed)
+    return _Samples(*drawn, np.stack([np.asarray(_visible_all(drawn[0], camera)) for camera in cameras]))
+
+
+def _truth_points(samples: _Samples) -> dict[str, np.ndarray]:
     """Surface samples that enough training views see (all of these, where there are fewer)."""
-    training = [camera for index, camera in enumerate(cameras) if index % HELD_OUT_EVERY]
-    parts = []
-    for label, (part, count) in enumerate(TRUTH_SAMPLES.items()):
-        points, normals = analytic_surface.samples(surface, part == "table", 3 * count, seed)
-        near = np.linalg.norm(points[:, :2], axis=1) < TRUTH_RADIUS
-        views = _views_of(points, training).sum(axis=0)
-        chosen = np.flatnonzero(near & (views >= min(TRUTH_VIEWS, len(training))))[:count]
-        parts.append((points[chosen], normals[chosen].astype(np.float16), np.full(len(chosen), label), views[chosen]))
-    points, normals, labels, views = (np.concatenate(column) for column in zip(*parts, strict=True))
+    training = np.arange(len(samples.seen)) % HELD_OUT_EVERY != 0
+    views = samples.seen[training].sum(axis=0)
+    usable = views >= min(TRUTH_VIEWS, training.sum())
+    usable &= ~samples.on_table | (np.linalg.norm(samples.points[:, :2], axis=1) < TRUTH_RADIUS)
+    chosen = _first_of_each(usable, samples.on_table, TRUTH_SAMPLES)
     return {
-        "points": points,
-        "normals": normals,
-        "label": labels.astype(np.uint8),
-        "n_train_views": np.minimum(views, 255).astype(np.uint8),
+        "points": samples.points[chosen],
+        "normals": samples.normals[chosen].astype(np.float16),
+        "label": samples.on_table[chosen].astype(np.uint8),
+        "n_train_views": np.minimum(views[chosen], 255).astype(np.uint8),
     }
 
 
-def _write_model(folder: Path, surface: Mesh, cameras: list[Camera], seed: int) -> None:
+def _first_of_each(usable: np.ndarray, on_table: np.ndarray, counts: tuple[int, int]) -> np.ndarray:
+    """Indices of so many usable samples on the solids, then on the table."""
+    parts = (np.flatnonzero(usable & ~on_table), np.flatnonzero(usable & on_table))
+    return np.concatenate([part[:count] for part, count in zip(parts, counts, strict=True)])
+
+
+def _write_model(folder: Path, samples: _Samples, cameras: list[Camera], seed: int) -> None:
     """Poses, and noisy points with the pixels of the views that see them, as structure from motion leaves them."""
     pycolmap = require("pycolmap", "pip install pycolmap")
     rng = np.random.default_rng(seed)
-    points = np.concatenate(
-        [analytic_surface.samples(surface, part == "table", n, seed + 1)[0] for part, n in SPARSE_POINTS.items()]
-    )
-    seen = _limited(_views_of(points, cameras), rng)
-    points, seen = points[seen.sum(axis=0) >= 2], seen[:, seen.sum(axis=0) >= 2]
+    chosen = _first_of_each(samples.seen.sum(axis=0) >= 2, samples.on_table, SPARSE_POINTS)
+    points, seen = samples.points[chosen], _limited(samples.seen[:, chosen], rng)
     pixels = np.stack([np.asarray(_project_all(points, camera)) for camera in cameras])
     pixels += rng.normal(0, PIXEL_NOISE, pixels.shape).astype(np.float32)
     colors = _to_bytes(_appearance_all(points))
@@ -173,11 +189,6 @@ def _limited(seen: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """`[V, P]` bool with at most LONGEST_TRACK views, drawn at random, for every point."""
     rank = np.argsort(np.argsort(np.where(seen, rng.random(seen.shape), 2.0), axis=0), axis=0)
     return seen & (rank < LONGEST_TRACK)
-
-
-def _views_of(points: np.ndarray, cameras: list[Camera]) -> np.ndarray:
-    """`[V, P]` bool: view v sees point p."""
-    return np.stack([np.asarray(_visible_all(points, camera)) for camera in cameras])
 
 
 def _write_ply(path: Path, surface: Mesh) -> None:

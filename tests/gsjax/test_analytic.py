@@ -61,8 +61,8 @@ def test_distance_to_the_open_table_is_the_height():
     np.testing.assert_allclose(SDF(points), heights, atol=1e-6)
 
 
-def test_normals_equal_central_differences():
-    points, _ = analytic_surface.samples(analytic_surface.mesh(0.08), False, 2000, seed=0)
+def test_normals_equal_central_differences(surface):
+    points, _, _ = analytic_surface.samples(surface, 2_000, 100, seed=0)
     with jax.enable_x64(True):
         sdf = jax.vmap(analytic.scene_sdf)
         steps = 1e-6 * np.eye(3)
@@ -212,7 +212,12 @@ def test_the_mesh_is_closed_outward_and_on_the_surface(surface):
 
 
 def test_samples_are_spread_evenly_and_exactly_on_the_surface(surface):
-    table, up = analytic_surface.samples(surface, True, 20_000, seed=0)
+    points, normals, on_table = analytic_surface.samples(surface, 5_000, 20_000, seed=0)
+    assert np.abs(SDF(points)).max() < 1e-4
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+    table, up, solids = points[on_table], normals[on_table], points[~on_table]
+    assert 4_900 < len(solids) <= 5_000
+    assert np.mean(solids[:, 2] > 0.02) > 0.9
     open_table = np.linalg.norm(table[:, :2], axis=1) > 0.9
     np.testing.assert_allclose(table[open_table, 2], 0, atol=1e-5)
     np.testing.assert_allclose(up[open_table & (table[:, 0] < 1.2)][:, 2].min(), 1.0, atol=1e-4)
@@ -220,8 +225,3 @@ def test_samples_are_spread_evenly_and_exactly_on_the_surface(surface):
         np.mean((np.hypot(*table[:, :2].T) > r) & (np.hypot(*table[:, :2].T) < r + 0.2)) for r in (1.0, 1.3)
     )
     np.testing.assert_allclose(outer / inner, (1.5**2 - 1.3**2) / (1.2**2 - 1.0**2), rtol=0.1)
-    solids, normals = analytic_surface.samples(surface, False, 5_000, seed=0)
-    assert np.abs(SDF(solids)).max() < 1e-4
-    assert len(solids) > 4_900
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
-    assert np.mean(solids[:, 2] > 0.02) > 0.9
