@@ -18,21 +18,9 @@ from gsjax.meshing.pictures import headlight, render_mesh
 from gsjax.normals_prior import depth_normals
 from gsjax.pipeline.pictures import normal_picture, to_bytes
 from gsjax.pipeline.result import Result, open_result
-from gsjax.settings import Settings
+from gsjax.settings import DEMO, Settings
 
 NUM_VIEWS, SIZE = 48, (160, 160)
-SETTINGS: dict[str, Any] = {
-    "background": "white",
-    "max_gaussians": 12_000,
-    "sh_degree": 2,
-    "sh_every": 400,
-    "phases": [
-        {"name": "vanilla", "steps": 1200, "density_control": True},
-        {"name": "surface", "steps": 800, "weights": {"sdf_normal": 0.2}},
-    ],
-    "density": {"start": 200, "stop": 1000, "reset_every": 0},
-    "logging": {"metrics_every": 50, "evaluate_every": 0, "checkpoint_every": 1000},
-}
 SHOWN_VIEW = 1  # Of the held-out ones.
 REPORTED = ("psnr", "ssim", "normal_error_deg", "normal_error_median_deg", "normal_error_all_deg", "chamfer", "fscore",
             "normal_consistency", "gaussians")  # fmt: skip
@@ -59,7 +47,7 @@ def run(out: str | Path = "runs/demo") -> dict[str, Any]:
     scene = analytic_scene.write(out / "scene", num_views=NUM_VIEWS, size=SIZE)
     report: dict[str, Any] = {}
     for name, vanilla in (("vanilla", True), ("surface", False)):
-        settings = {**SETTINGS, "vanilla": vanilla, "normals": str(scene / "normals")}
+        settings = {**DEMO, "vanilla": vanilla, "normals": str(scene / "normals")}
         print(f"demo: training the {name} variant")
         trained = pipeline.train(scene, out / name, config.parse(Settings, settings))
         pipeline.mesh(out / name, out / name / "mesh.ply")

@@ -174,6 +174,20 @@ PAPER_13K_7K = {
     "rates": {"decay_steps": 30000},
 }
 
+DEMO: dict[str, Any] = {
+    "background": "white",
+    "max_gaussians": 12_000,
+    "sh_degree": 2,
+    "sh_every": 400,
+    "phases": [
+        {"name": "vanilla", "steps": 1200, "density_control": True},
+        {"name": "surface", "steps": 800, "weights": {"sdf_normal": 0.2}},
+    ],
+    "density": {"start": 200, "stop": 1000, "reset_every": 0},
+    "logging": {"metrics_every": 50, "evaluate_every": 0, "checkpoint_every": 1000},
+}
+"""The built-in scene at 160x160 pixels (`gsjax.demo`)."""
+
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": FAST,
     "balanced": BALANCED,

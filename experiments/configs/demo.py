@@ -1,5 +1,5 @@
 """The built-in scene at the demo's size (`gsjax.demo`)."""
 
-from gsjax.demo import SETTINGS
+from gsjax.settings import DEMO
 
-CONFIG: dict = SETTINGS
+CONFIG: dict = DEMO
