@@ -42,6 +42,10 @@ class Phase:
     def __post_init__(self):
         """Check ranges."""
         _check_lowest(self, steps=0, image_scale=1)
+        if self.image_scale > 1 and (self.weights.sdf_normal or self.weights.pixel_normal or self.weights.axis_normal):
+            raise ValueError(
+                f"image_scale={self.image_scale} with a normal term: normal maps serve full-size photos only"
+            )
 
 
 @dataclass(frozen=True)
@@ -56,6 +60,11 @@ class Rates:
     opacities: float = 0.05
     scales: float = 0.005
     quats: float = 0.001
+
+    def __post_init__(self):
+        """Check ranges."""
+        if not 0 < self.means_final <= self.means:
+            raise ValueError(f"means_final={self.means_final} is not between 0 and means={self.means}")
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 from jax import Array
 
 from gsjax.cameras import Camera
+from gsjax.errors import InputError
 from gsjax.losses import Batch
 from gsjax.scene import Frame
 
@@ -45,9 +46,16 @@ def stack_views(frames: tuple[Frame, ...], *, scale: int = 1) -> Views:
 
     Returns:
         `Views` of the largest (reduced) width and height.
+
+    Raises:
+        InputError: The reduced photos have no pixels.
     """
     width = max(f.width for f in frames) // scale
     height = max(f.height for f in frames) // scale
+    if width < 1 or height < 1:
+        raise InputError(
+            f"image_scale={scale}: nothing is left of a photo of {frames[0].width}x{frames[0].height} pixels"
+        )
 
     def stacked(arrays: list[np.ndarray]) -> np.ndarray:
         return np.stack(

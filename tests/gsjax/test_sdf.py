@@ -3,6 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from jax.test_util import check_grads
 from scipy.spatial.transform import Rotation
 from small_scenes import angles, camera_at, discs, moved, plane
 from tolerances import assert_close
@@ -215,6 +216,13 @@ def test_misalignment_is_the_mean_of_one_minus_the_unsigned_cosine():
     assert_close(value, (1 - np.abs(cosine))[valid].mean())
     assert 0 < float(value) < 1
     assert not np.any(np.asarray(gradient)[0, ~valid]) and np.all(np.any(np.asarray(gradient)[0, valid], -1))
+
+
+def test_the_gradient_of_misalignment_equals_finite_differences(x64):
+    directions, normals = np.random.default_rng(2).normal(size=(2, 4, 3, 3))
+    normals[1, 1] = 0
+    valid = jnp.asarray(np.arange(12).reshape(4, 3) != 7)
+    check_grads(lambda d: sdf.misalignment(d, jnp.asarray(normals), valid), (jnp.asarray(directions),), 1, ["rev"])
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

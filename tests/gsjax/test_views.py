@@ -4,6 +4,7 @@ import pytest
 from tolerances import assert_close
 
 from gsjax import losses, views
+from gsjax.errors import InputError
 from gsjax.render import View
 from gsjax.scene import Frame
 
@@ -54,6 +55,11 @@ def test_reduction_is_the_mean_over_blocks_and_scales_the_camera():
     assert_close(data.images[0], np.rint(blocks).astype(np.uint8))
     assert_close(data.Ks[0], np.diag([0.5, 0.5, 1]) @ photo.K)
     assert bool(data.valid.all())
+
+
+def test_a_reduction_that_leaves_no_pixel_is_one_line():
+    with pytest.raises(InputError, match="image_scale=8: nothing is left of a photo of 9x6 pixels"):
+        views.stack_views((frame(9, 6),), scale=8)
 
 
 def test_what_transparent_or_invalid_pixels_hold_does_not_bleed_into_a_reduced_photo():
