@@ -91,9 +91,10 @@ def _project_one(
         x, y, z = _camera_position(mean, viewmat)
         z_safe = jnp.where(z > near_plane, z, 1)
         xx, xy, yy, det = _covariance(*_image_axes([x, y, z_safe], quat, scale, viewmat, K, size), eps2d)
-        det_safe = jnp.where(det > 0, det, 1)
+        # Divided by the root twice: the derivative of a plain division squares the determinant, which may overflow.
+        inverse_root = jax.lax.rsqrt(jnp.where(det > 0, det, 1))
         mean2d = jnp.stack([K[0, 0] * x / z_safe + K[0, 2], K[1, 1] * y / z_safe + K[1, 2]])
-        return mean2d, z, jnp.stack([yy, -xy, xx]) / det_safe, jnp.stack([xx, yy]), det
+        return mean2d, z, jnp.stack([yy, -xy, xx]) * inverse_root * inverse_root, jnp.stack([xx, yy]), det
 
     # First look, without gradient: whatever overflows or is not a number is swapped for a harmless Gaussian *before*
     # the differentiated computation, since 0 x inf in a backward pass would be NaN.

@@ -47,12 +47,12 @@ def intrinsics(width, height, fx=None, fy=None):
     return np.array([[fx, 0, 0.48 * width], [0, fy, 0.53 * height], [0, 0, 1.0]])
 
 
-def make(width, height, *, dtype=np.float32, **arrays):
+def make(width, height, **arrays):
     """A scene from anything array-like."""
-    return Scene(width=width, height=height, **{k: jnp.asarray(np.asarray(v), dtype) for k, v in arrays.items()})
+    return Scene(width=width, height=height, **{k: jnp.asarray(np.asarray(v), np.float32) for k, v in arrays.items()})
 
 
-def cloud(count=40, *, cameras=1, channels=3, sh_degree=None, size=(37, 29), seed=0, dtype=np.float32):
+def cloud(count=40, *, cameras=1, channels=3, sh_degree=None, size=(37, 29), seed=0):
     """Random Gaussians in front of one or more cameras, some of them off the image."""
     rng = np.random.default_rng(seed)
     width, height = size
@@ -60,8 +60,7 @@ def cloud(count=40, *, cameras=1, channels=3, sh_degree=None, size=(37, 29), see
     return make(
         width,
         height,
-        dtype=dtype,
-        means=rng.uniform([-1.2, -1.0, 1.5], [1.2, 1.0, 4.0], (count, 3)),
+        means=rng.uniform([-2.0, -1.5, 1.5], [2.0, 1.5, 4.0], (count, 3)),
         quats=rng.normal(size=(count, 4)),
         scales=np.exp(rng.uniform(np.log(0.02), np.log(0.3), (count, 3))),
         opacities=rng.uniform(0.1, 1.0, count),
@@ -72,12 +71,11 @@ def cloud(count=40, *, cameras=1, channels=3, sh_degree=None, size=(37, 29), see
     )
 
 
-def smooth(dtype=np.float64):
+def smooth():
     """Four overlapping splats, distinct depths, no alpha near the clamp: differentiable under `NO_THRESHOLDS`."""
     return make(
         6,
         5,
-        dtype=dtype,
         means=[[-0.3, 0.1, 2.0], [0.4, -0.2, 2.5], [0.05, 0.3, 3.1], [0.1, -0.35, 3.9]],
         quats=[[1, 0.2, -0.3, 0.1], [0.4, 1, 0.2, -0.5], [0.9, -0.1, 0.4, 0.6], [0.3, 0.7, -0.8, 0.2]],
         scales=[[0.5, 0.3, 0.2], [0.25, 0.6, 0.4], [0.7, 0.35, 0.5], [0.6, 0.8, 0.3]],
@@ -108,7 +106,6 @@ def single(
     return make(
         size,
         size,
-        dtype=dtype,
         means=[mean],
         quats=[quat],
         scales=[scale],
@@ -120,21 +117,21 @@ def single(
     )
 
 
-def stacks(dtype=np.float32, *, count=60, size=(37, 29)):
+def stacks(*, count=40, size=(37, 29)):
     """Opaque splats in piles that cover the image: most pixels stop early, each at another depth."""
     rng = np.random.default_rng(7)
-    scene = cloud(count, size=size, seed=8, dtype=dtype)
+    scene = cloud(count, size=size, seed=8)
     return replace(
         scene,
-        scales=jnp.asarray(rng.uniform(0.15, 0.5, (count, 3)), dtype),
-        opacities=jnp.asarray(rng.uniform(0.7, 0.97, count), dtype),
+        scales=jnp.asarray(rng.uniform(0.3, 0.9, (count, 3)), np.float32),
+        opacities=jnp.asarray(rng.uniform(0.8, 0.97, count), np.float32),
     )
 
 
-def with_rows(scene, **rows):
-    """The scene with further Gaussians behind its own in memory."""
-    extra = {name: jnp.asarray(np.asarray(rows[name]), getattr(scene, name).dtype) for name in GAUSSIAN_FIELDS}
-    return replace(scene, **{name: jnp.concatenate([getattr(scene, name), extra[name]]) for name in GAUSSIAN_FIELDS})
+def with_odd_one(scene, **fields):
+    """The scene with the given fields of its last Gaussian replaced: no new shape, no new compilation."""
+    rows = {name: getattr(scene, name).at[-1].set(jnp.asarray(value, jnp.float32)) for name, value in fields.items()}
+    return replace(scene, **rows)
 
 
 def in_float64(scene):

@@ -1,0 +1,116 @@
+"""The capacity contract, and what the front door refuses."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import cloud, in_float64, loss, render
+from tolerances import assert_close
+
+from rasterizer import capacity_bucket
+from rasterizer.api import _count, _rasterize
+
+SCENE = replace(cloud(), scales=2 * cloud().scales)
+ENOUGH = 2048
+
+
+def batch_of(*scenes):
+    return jax.tree.map(lambda *x: jnp.stack(x), *scenes)
+
+
+def test_no_capacity_just_works_eagerly():
+    image, alphas, info = render(SCENE)
+    expected, expected_alphas, roomy = render(SCENE, capacity=ENOUGH)
+    np.testing.assert_array_equal(image, expected)
+    np.testing.assert_array_equal(alphas, expected_alphas)
+    assert not info["overflowed"]
+    assert info["splats"].size == capacity_bucket(int(roomy["needed"]))
+
+
+def test_no_capacity_just_works_under_grad_and_vmap():
+    # The second scene needs a fraction of the pairs of the first: the batch takes the larger capacity.
+    scenes = [SCENE, replace(SCENE, scales=0.2 * SCENE.scales)]
+    gradients = [jax.grad(lambda s: loss(s, capacity=ENOUGH)[0])(s) for s in scenes]
+    assert_close(jax.grad(lambda s: loss(s)[0])(SCENE), gradients[0], kind="gradient")
+    image, _, info = jax.vmap(render)(batch_of(*scenes))
+    assert not info["overflowed"].any()
+    assert_close(image, jnp.stack([render(s, capacity=ENOUGH)[0] for s in scenes]))
+    batched = jax.vmap(jax.grad(lambda s: loss(s)[0]))(batch_of(*scenes))
+    assert_close(batched, batch_of(*gradients), kind="gradient")
+
+
+def test_inside_jit_a_capacity_must_be_given():
+    with pytest.raises(ValueError, match="inside jit .* pass capacity="):
+        jax.jit(lambda s: render(s)[0])(SCENE)
+    with pytest.raises(ValueError, match="inside jit .* pass capacity="):
+        jax.jit(jax.grad(lambda s: loss(s)[0]))(SCENE)
+
+
+def test_the_reference_needs_no_capacity_inside_jit():
+    image = jax.jit(lambda s: render(s, backend="reference")[0])(SCENE)
+    assert_close(image, render(SCENE, capacity=ENOUGH)[0])
+
+
+def test_too_small_a_capacity_says_so_and_what_is_needed():
+    image, _, info = render(SCENE, capacity=192)
+    assert info["overflowed"]
+    assert np.isfinite(image).all()
+    needed = int(info["needed"])
+    assert needed > 192
+    assert not render(SCENE, capacity=capacity_bucket(needed))[2]["overflowed"]
+
+
+def test_buckets_hold_and_waste_at_most_half():
+    for needed in (0, 1, 192, 193, 256, 257, 384, 385, 1000, 1 << 20, (1 << 20) + 1):
+        bucket = capacity_bucket(needed)
+        assert needed <= bucket <= max(192, 1.5 * needed)
+    assert len({capacity_bucket(n) for n in range(1, 100_000, 7)}) < 25
+    with pytest.raises(ValueError, match="2147483647 or more"):
+        capacity_bucket(2**31 - 1)
+
+
+def test_a_new_camera_compiles_nothing():
+    render(SCENE)
+    sizes = _count._cache_size(), _rasterize._cache_size()
+    moved = replace(SCENE, viewmats=SCENE.viewmats.at[0, 0, 3].add(1e-3), Ks=SCENE.Ks * 1.0001)
+    assert not np.array_equal(render(moved)[0], render(SCENE)[0])
+    assert sizes == (_count._cache_size(), _rasterize._cache_size())
+
+
+@pytest.mark.parametrize(
+    "changes, options, message",
+    [
+        ({"means": jnp.ones((40, 2))}, {}, r"means.shape=\(40, 2\)"),
+        ({"quats": jnp.ones((39, 4))}, {}, r"quats.shape=\(39, 4\), expected \(40, 4\)"),
+        ({"scales": jnp.ones((40, 1))}, {}, r"scales.shape=\(40, 1\)"),
+        ({"opacities": jnp.ones((40, 1))}, {}, r"opacities.shape=\(40, 1\)"),
+        ({"viewmats": jnp.ones((1, 3, 4))}, {}, r"viewmats.shape=\(1, 3, 4\)"),
+        ({"Ks": jnp.ones((2, 3, 3))}, {}, r"Ks.shape=\(2, 3, 3\)"),
+        ({"colors": jnp.ones((41, 3))}, {}, r"colors.shape=\(41, 3\)"),
+        ({"colors": jnp.ones((2, 40, 3))}, {}, r"colors.shape=\(2, 40, 3\), expected .* C=1"),
+        ({}, {"sh_degree": 1}, r"colors.shape=\(40, 3\), expected \[N, K, 3\]"),
+        ({"colors": jnp.ones((40, 3, 3))}, {"sh_degree": 1}, r"degree 1 needs 4 coefficients"),
+        ({"colors": jnp.ones((40, 36, 3))}, {"sh_degree": 5}, "degree 5"),
+        ({"backgrounds": jnp.ones((1, 4))}, {}, r"backgrounds.shape=\(1, 4\), expected \(1, 3\)"),
+        ({}, {"render_mode": "RGB+D"}, r"expected \(1, 4\) for render_mode='RGB\+D'"),
+        ({}, {"render_mode": "rgb"}, "render_mode='rgb'"),
+        ({}, {"backend": "cuda"}, "backend='cuda'"),
+        ({"quats": jnp.ones((40, 4), jnp.int32)}, {}, "quats.dtype=int32"),
+        ({"colors": jnp.ones((40, 3), jnp.uint8)}, {}, "colors.dtype=uint8"),
+        ({"scales": jnp.ones((40, 3), jnp.bfloat16)}, {}, "scales.dtype=bfloat16"),
+        ({"width": 0}, {}, "width=0"),
+        ({"height": -3}, {}, "height=-3"),
+        ({}, {"capacity": 0}, "capacity=0"),
+        ({}, {"tile_size": 0}, "tile_size=0"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_its_value(changes, options, message):
+    with pytest.raises(ValueError, match=message):
+        render(replace(SCENE, **changes), **{"capacity": ENOUGH, **options})
+
+
+def test_the_tiles_refuse_float64(x64):
+    with pytest.raises(ValueError, match=r"means.dtype=float64, .* backend='reference'"):
+        render(in_float64(SCENE), capacity=ENOUGH)

@@ -1,0 +1,122 @@
+"""Derivatives of the dense reference against finite differences, and of the tiles where pixels stop early."""
+
+from dataclasses import fields, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import NO_THRESHOLDS, cloud, evaluate, in_float64, loss, relative_errors, smooth, stacks
+
+from rasterizer import _reference, project
+
+FIELDS = [f.name for f in fields(smooth()) if not f.metadata]
+STEP = 1e-6
+
+
+@pytest.fixture(scope="module")
+def scene():
+    with jax.enable_x64(True):
+        s = in_float64(smooth())
+        return replace(s, backgrounds=jnp.pad(s.backgrounds, ((0, 0), (0, 1)), constant_values=0.5))
+
+
+@pytest.fixture(scope="module")
+def directions(scene):
+    """One random direction per field, the others at rest: no field hides behind a larger one."""
+    rng = np.random.default_rng(11)
+    with jax.enable_x64(True):
+        zero = jax.tree.map(jnp.zeros_like, scene)
+        return {n: replace(zero, **{n: jnp.asarray(rng.normal(size=getattr(scene, n).shape))}) for n in FIELDS}
+
+
+def objective(scene):
+    return loss(scene, backend="reference", render_mode="RGB+ED", rules=NO_THRESHOLDS)[0]
+
+
+first_derivative = jax.jit(jax.grad(objective))
+
+
+def difference(function, scene, direction):
+    """Central difference of a function of a scene along a direction."""
+    forward, backward = (jax.tree.map(lambda x, d, h=h: x + h * d, scene, direction) for h in (STEP, -STEP))
+    return jax.tree.map(lambda a, b: (a - b) / (2 * STEP), function(forward), function(backward))
+
+
+def dot(a, b):
+    return sum(jnp.vdot(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_reverse_mode_against_central_differences(x64, scene, directions, name):
+    slope = difference(jax.jit(objective), scene, directions[name])
+    assert abs(slope) > 1e-3
+    np.testing.assert_allclose(dot(first_derivative(scene), directions[name]), slope, rtol=1e-7, atol=1e-8)
+
+
+def test_forward_mode_equals_reverse_mode(x64, scene, directions):
+    gradient = first_derivative(scene)
+    pushforward = jax.jit(lambda s, d: jax.jvp(objective, (s,), (d,))[1])
+    for name in FIELDS:
+        np.testing.assert_allclose(pushforward(scene, directions[name]), dot(gradient, directions[name]), rtol=1e-10)
+
+
+def test_second_order_against_central_differences(x64, scene, directions):
+    hessian_product = jax.jit(lambda s, d: jax.jvp(jax.grad(objective), (s,), (d,))[1])
+    for name in FIELDS:
+        expected = difference(first_derivative, scene, directions[name])
+        error = jax.tree.map(jnp.subtract, hessian_product(scene, directions[name]), expected)
+        assert np.sqrt(dot(error, error)) < 1e-7 * np.sqrt(dot(expected, expected)), name
+
+
+def test_blending_twice_in_reverse_equals_forward_over_reverse(x64, scene):
+    s = scene
+    projection = project(s.means, s.quats, s.scales, s.opacities, s.viewmats, s.Ks, s.width, s.height)
+
+    def blended(means2d, conics, opacities):
+        splats = projection._replace(means2d=means2d, conics=conics)
+        image, left = _reference.composite(splats, opacities, s.colors[None], s.width, s.height, NO_THRESHOLDS)
+        return jnp.sum(image**2) + jnp.sum(left)
+
+    inputs = projection.means2d, projection.conics, s.opacities[None]
+    rng = np.random.default_rng(12)
+    direction = tuple(jnp.asarray(rng.normal(size=x.shape)) for x in inputs)
+    gradient = jax.grad(blended, (0, 1, 2))
+    twice = jax.jit(jax.grad(lambda x: dot(gradient(*x), direction)))(inputs)
+    for actual, expected in zip(twice, jax.jit(lambda: jax.jvp(gradient, inputs, direction)[1])(), strict=True):
+        np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize("make_scene", [cloud, stacks])
+@pytest.mark.parametrize("backend", ["xla", "reference"])
+def test_float32_against_the_float64_reference(make_scene, backend):
+    scene = make_scene()
+    image, alphas, _, gradient = evaluate(scene, backend)
+    with jax.enable_x64(True):
+        expected_image, expected_alphas, _, expected = evaluate(in_float64(scene), "reference")
+    np.testing.assert_allclose(image, expected_image, atol=3e-6)
+    np.testing.assert_allclose(alphas, expected_alphas, atol=3e-6)
+    for field, error in relative_errors(gradient, expected).items():
+        assert error < 2e-5, (field, error)
+
+
+def test_most_pixels_of_the_stacks_stop_early():
+    scene = stacks()
+    alphas, gradient = evaluate(scene, "xla")[1::2]
+    assert np.mean(np.asarray(alphas) > 0.99) > 0.5
+    # Without the stop the picture is another one: a backward that forgets it would be found out above.
+    unstopped = partial(evaluate, rules=replace(NO_THRESHOLDS, alpha_max=0.99))
+    assert relative_errors(unstopped(scene, "reference")[3], gradient)["means"] > 1e-3
+
+
+def test_what_no_pixel_sees_has_exactly_zero_gradient():
+    scene = cloud()
+    _, _, info, gradient = evaluate(scene, "xla")
+    listed = np.zeros(scene.means.shape[0], bool)
+    listed[np.asarray(info["splats"])[: int(info["offsets"][-1])]] = True
+    assert 0 < (~listed).sum() < listed.size
+    for name in ("means", "quats", "scales", "opacities", "colors"):
+        rows = np.asarray(getattr(gradient, name)).reshape(listed.size, -1)
+        np.testing.assert_array_equal(rows[~listed], 0)
+        assert np.all(np.abs(rows[listed]).sum(-1) > 0) or name == "scales"

@@ -1,0 +1,92 @@
+"""What a call does not ask for is not in its program, and no array grows with tiles x splats: read off the jaxpr."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from scenes import cloud, loss, render
+
+COUNT = 41  # Like no other size in the program.
+CALLS = {"jit", "pjit", "custom_vjp_call"}
+
+
+def equations(jaxpr):
+    """All equations of a program, those of its inner programs too; calls, which compute nothing, left out."""
+    for equation in jaxpr.eqns:
+        if equation.primitive.name not in CALLS:
+            yield equation
+        for value in equation.params.values():
+            for item in value if isinstance(value, (tuple, list)) else [value]:
+                if hasattr(item, "eqns"):
+                    yield from equations(getattr(item, "jaxpr", item))
+
+
+def forward(scene, capacity=2048, **options):
+    return list(equations(jax.make_jaxpr(lambda s: render(s, capacity=capacity, **options)[:2])(scene).jaxpr))
+
+
+def forward_and_backward(scene, capacity=2048, **options):
+    gradient = jax.grad(lambda s: loss(s, capacity=capacity, **options)[0])
+    return list(equations(jax.make_jaxpr(gradient)(scene).jaxpr))
+
+
+def shapes(program):
+    return {v.aval.shape for e in program for v in (*e.invars, *e.outvars)}
+
+
+def uses_constant(program, constant):
+    values = [v.val for e in program for v in e.invars if hasattr(v, "val") and np.ndim(v.val) == 0]
+    return any(abs(abs(float(v)) - constant) < 1e-6 for v in values)
+
+
+def transparent(scene):
+    return replace(scene, backgrounds=None)
+
+
+@pytest.mark.parametrize("trace", [forward, forward_and_backward])
+@pytest.mark.parametrize("mode, channels", [("RGB", 3), ("D", 1), ("ED", 1), ("RGB+D", 4), ("RGB+ED", 4)])
+def test_only_the_channels_of_the_mode_are_blended(trace, mode, channels):
+    shaped = shapes(trace(transparent(cloud(COUNT)), render_mode=mode))
+    # A splat's row: mean 2, conic 3, opacity 1, and what is blended.
+    assert {c for c in (1, 3, 4) if (COUNT, 6 + c) in shaped} == {channels}
+
+
+@pytest.mark.parametrize("degree", range(5))
+def test_only_the_bands_of_the_degree_are_evaluated(degree):
+    program = forward(cloud(COUNT, sh_degree=4), sh_degree=degree)
+    leading_constants = [0.282094791, 0.488602512, 1.09254843, 0.590043589, 2.50334294]
+    assert [uses_constant(program, c) for c in leading_constants] == [d <= degree for d in range(5)]
+
+
+def test_colours_are_not_harmonics():
+    assert not uses_constant(forward(cloud(COUNT)), 0.282094791)
+
+
+def test_depth_alone_never_touches_the_colours():
+    scene = transparent(cloud(COUNT, sh_degree=4))
+    assert (COUNT, 25, 3) in shapes(forward(scene, sh_degree=4))
+    assert (COUNT, 25, 3) not in shapes(forward(scene, sh_degree=4, render_mode="D"))
+
+
+def test_expected_depth_alone_divides_the_image():
+    def divides(mode):
+        program = forward(transparent(cloud(COUNT)), render_mode=mode)
+        return any(e.primitive.name == "div" and e.outvars[0].aval.shape == (1, 29, 37, 1) for e in program)
+
+    assert [divides(m) for m in ("RGB", "D", "RGB+D", "ED", "RGB+ED")] == [False, False, False, True, True]
+
+
+def test_no_background_no_blend_with_it():
+    with_background, without = forward(cloud(COUNT)), forward(transparent(cloud(COUNT)))
+    assert len(without) < len(with_background)
+
+
+def test_no_array_of_tiles_by_splats_nor_of_pairs_by_pixels():
+    scene, capacity = cloud(2000, size=(256, 192)), 16384
+    num_tiles, channels = 32 * 24, 3
+    largest = max(np.prod(shape) for shape in shapes(forward_and_backward(scene, capacity)))
+    assert largest < num_tiles * 2000 / 4
+    assert largest < capacity * 64 / 2
+    # What there is: a few numbers per pair, and the image.
+    assert largest <= max(capacity * (6 + channels + 3), 2 * 256 * 192 * (channels + 1))

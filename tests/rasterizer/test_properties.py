@@ -1,0 +1,169 @@
+"""What must hold for every scene: invariances, linearity, and that a batch is its members."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import GAUSSIAN_FIELDS, cloud, evaluate, relative_errors, with_odd_one
+from tolerances import assert_close
+
+few = settings(max_examples=8, deadline=None, derandomize=True)
+seeds = st.integers(0, 2**31 - 1)
+
+
+def assert_gradients_close(actual, expected, bound=1e-4):
+    for field, error in relative_errors(actual, expected).items():
+        assert error < bound, (field, error)
+
+
+@few
+@given(seeds)
+def test_the_order_in_memory_does_not_matter(seed):
+    scene = cloud(seed=seed)
+    order = np.random.default_rng(seed).permutation(scene.means.shape[0])
+    shuffled = replace(scene, **{f: getattr(scene, f)[order] for f in GAUSSIAN_FIELDS})
+    image, alphas, _, gradient = evaluate(scene, "xla")
+    shuffled_image, shuffled_alphas, _, shuffled_gradient = evaluate(shuffled, "xla")
+    np.testing.assert_array_equal(shuffled_image, image)
+    np.testing.assert_array_equal(shuffled_alphas, alphas)
+    expected = replace(gradient, **{f: getattr(gradient, f)[order] for f in GAUSSIAN_FIELDS})
+    assert_gradients_close(shuffled_gradient, expected)
+
+
+@few
+@given(seeds)
+def test_what_lies_behind_an_opaque_wall_changes_nothing(seed):
+    # Two sheets of alpha 0.99 everywhere: the second would bring the transmittance under the limit, all pixels stop.
+    scene = cloud(seed=seed)
+    scene = replace(
+        scene,
+        means=scene.means.at[:2].set(jnp.array([[0, 0, 1.0], [0, 0, 1.1]], jnp.float32)),
+        scales=scene.scales.at[:2].set(1e3),
+        opacities=scene.opacities.at[:2].set(1.0),
+    )
+    other = cloud(seed=seed + 1)
+    replaced = replace(scene, **{f: getattr(other, f).at[:2].set(getattr(scene, f)[:2]) for f in GAUSSIAN_FIELDS})
+    image, _, _, gradient = evaluate(scene, "xla")
+    np.testing.assert_array_equal(evaluate(replace(replaced, backgrounds=scene.backgrounds), "xla")[0], image)
+    for field in GAUSSIAN_FIELDS:
+        np.testing.assert_array_equal(getattr(gradient, field)[2:], 0)
+    assert np.any(gradient.colors[0])
+
+
+@few
+@given(seeds)
+def test_images_are_linear_in_the_colours(seed):
+    scene, other = cloud(seed=seed), cloud(seed=seed + 1)
+    mixed = replace(
+        scene,
+        colors=2 * scene.colors - 0.5 * other.colors,
+        backgrounds=2 * scene.backgrounds - 0.5 * other.backgrounds,
+    )
+    second = replace(scene, colors=other.colors, backgrounds=other.backgrounds)
+    images = [evaluate(s, "xla")[0] for s in (mixed, scene, second)]
+    assert_close(images[0], 2 * images[1] - 0.5 * images[2])
+
+
+@few
+@given(seeds)
+def test_the_background_shows_through_exactly_where_alpha_is_missing(seed):
+    black = replace(cloud(seed=seed), colors=jnp.zeros((40, 3)), backgrounds=jnp.ones((1, 3)))
+    image, alphas, _, gradient = evaluate(black, "xla")
+    np.testing.assert_allclose(image, np.broadcast_to(1 - alphas, image.shape), rtol=0, atol=6e-8)
+    assert 0 <= alphas.min() and alphas.max() < 1
+    # The weights of the loss, seen through what is left.
+    weights = np.random.default_rng(3).normal(size=image.shape)
+    np.testing.assert_allclose(gradient.backgrounds[0], (weights * image).sum((0, 1, 2)), rtol=1e-4, atol=1e-4)
+
+
+def rotation_and_quaternion(rng):
+    w, x, y, z = q = (lambda v: v / np.linalg.norm(v))(rng.normal(size=4))
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return rotation, q
+
+
+def quaternion_product(a, b):
+    vector = a[0] * b[:, 1:] + b[:, :1] * a[1:] + np.cross(a[1:], b[:, 1:])
+    return np.concatenate([a[0] * b[:, :1] - b[:, 1:] @ a[1:, None], vector], -1)
+
+
+@few
+@given(seeds)
+def test_moving_world_and_camera_together_changes_nothing(seed):
+    scene, rng = cloud(seed=seed), np.random.default_rng(seed)
+    rotation, quat = rotation_and_quaternion(rng)
+    shift = rng.uniform(-2, 2, 3)
+    back = np.eye(4)
+    back[:3, :3], back[:3, 3] = rotation.T, -rotation.T @ shift
+    moved = replace(
+        scene,
+        means=jnp.asarray(np.asarray(scene.means) @ rotation.T + shift, jnp.float32),
+        quats=jnp.asarray(quaternion_product(quat, np.asarray(scene.quats)), jnp.float32),
+        viewmats=jnp.asarray(np.asarray(scene.viewmats) @ back, jnp.float32),
+    )
+    image, alphas, _, gradient = evaluate(scene, "xla")
+    moved_image, moved_alphas, _, moved_gradient = evaluate(moved, "xla")
+    # A pixel may sit on the alpha cut in one frame and not in the other.
+    for a, b in ((moved_image, image), (moved_alphas, alphas)):
+        difference = np.abs(a - b)
+        assert np.quantile(difference, 0.995) < 2e-5
+        assert difference.max() < 0.01
+    np.testing.assert_allclose(moved_gradient.colors, gradient.colors, atol=0.02)
+    turned_back = np.asarray(moved_gradient.means) @ rotation
+    assert np.linalg.norm(turned_back - gradient.means) < 1e-2 * np.linalg.norm(gradient.means)
+
+
+def test_two_runs_give_the_same_bits():
+    scene = cloud()
+    first, second = evaluate(scene, "xla"), evaluate(scene, "xla")
+    jax.tree.map(np.testing.assert_array_equal, first, second)
+
+
+def test_what_does_not_show_may_be_anything():
+    rng, scene = np.random.default_rng(0), cloud()
+    image = evaluate(with_odd_one(scene, opacities=0.0), "xla")[0]
+    for _ in range(5):
+        rubbish = {
+            f: rng.normal(size=getattr(scene, f).shape[1:]) * 10.0 ** rng.integers(-20, 20) for f in GAUSSIAN_FIELDS
+        }
+        np.testing.assert_array_equal(evaluate(with_odd_one(scene, **{**rubbish, "opacities": 0.0}), "xla")[0], image)
+
+
+def test_a_batch_of_scenes_is_its_scenes_and_so_are_its_gradients():
+    scenes = [cloud(seed=seed) for seed in (0, 5)]
+    batch = jax.tree.map(lambda *x: jnp.stack(x), *scenes)
+    image, alphas, info, gradient = jax.vmap(lambda s: evaluate(s, "xla"))(batch)
+    for i, scene in enumerate(scenes):
+        expected_image, expected_alphas, expected_info, expected_gradient = evaluate(scene, "xla")
+        assert_close(image[i], expected_image)
+        assert_close(alphas[i], expected_alphas)
+        assert info["needed"][i] == expected_info["needed"]
+        assert_gradients_close(jax.tree.map(lambda x, i=i: x[i], gradient), expected_gradient)
+
+
+def test_a_batch_of_cameras_is_its_cameras_and_so_are_its_gradients():
+    scene = cloud(cameras=2)
+    alone = [
+        replace(scene, **{f: getattr(scene, f)[i : i + 1] for f in ("viewmats", "Ks", "backgrounds")}) for i in range(2)
+    ]
+    axes = replace(
+        jax.tree.map(lambda _: None, scene, is_leaf=lambda x: x is not scene), viewmats=0, Ks=0, backgrounds=0
+    )
+    batch = jax.tree.map(lambda x: x[:, None], scene)
+    batch = replace(scene, viewmats=batch.viewmats, Ks=batch.Ks, backgrounds=batch.backgrounds)
+    image, _, _, gradient = jax.vmap(lambda s: evaluate(s, "xla"), in_axes=(axes,))(batch)
+    together = evaluate(scene, "xla")[0]
+    for i, scene_of_one in enumerate(alone):
+        expected_image, _, _, expected_gradient = evaluate(scene_of_one, "xla")
+        assert_close(image[i], expected_image)
+        assert_close(together[i : i + 1], expected_image)
+        assert_gradients_close(jax.tree.map(lambda x, i=i: x[i], gradient), expected_gradient)
