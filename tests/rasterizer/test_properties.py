@@ -73,7 +73,7 @@ def test_the_background_shows_through_exactly_where_alpha_is_missing(seed):
     black = replace(cloud(seed=seed), colors=jnp.zeros((40, 3)), backgrounds=jnp.ones((1, 3)))
     image, alphas, _, gradient = evaluate(black, "xla")
     np.testing.assert_allclose(image, np.broadcast_to(1 - alphas, image.shape), rtol=0, atol=6e-8)
-    assert 0 <= alphas.min() and alphas.max() < 1
+    assert alphas.min() >= 0 and alphas.max() < 1
     # The weights of the loss, seen through what is left.
     weights = np.random.default_rng(3).normal(size=image.shape)
     np.testing.assert_allclose(gradient.backgrounds[0], (weights * image).sum((0, 1, 2)), rtol=1e-4, atol=1e-4)
