@@ -1,9 +1,11 @@
 """Image measures as 3D Gaussian Splatting scores them: PSNR and SSIM, with an optional mask of valid pixels.
 
-Both are jit-able and differentiable, and SSIM is also the D-SSIM of the training loss. It runs in every step, so the
-window is applied as two passes of 11 shifted sums: XLA fuses each into one vectorised loop, several times faster on a
-CPU than its convolution or a banded matrix product.
+Both are jit-able and differentiable, and SSIM is also the D-SSIM of the training loss, which runs in every step. Hence
+the form that XLA makes fast on a CPU: the window is two passes of 11 shifted sums, each one vectorised loop, over
+images seen as `[H, W C]` (no transposes), and means are products with ones, which no loop is fused into.
 """
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -54,47 +56,58 @@ def ssim_map(image: Array, target: Array) -> Array:
     Neighbourhoods are weighted by an 11x11 Gaussian window (sigma 1.5 pixels) and read zeros beyond the border
     (Wang et al. 2004, in the variant of 3DGS).
     """
-    x, y = (jnp.moveaxis(a, -1, 0) for a in (image, target))  # the window slides over the contiguous axes
-    mean_x, mean_y = _blur(x), _blur(y)
+    x, y = (a.reshape(a.shape[0], -1) for a in (image, target))
+    channels = image.shape[2]
+    mean_x, mean_y = _blur(x, channels), _blur(y, channels)
     # The two variances enter only as their sum, so four blurs do for the usual five.
-    mean_squares, mean_product = _blur(x * x + y * y), _blur(x * y)
+    mean_squares, mean_product = _blur(x * x + y * y, channels), _blur(x * y, channels)
     product, squares = mean_x * mean_y, mean_x * mean_x + mean_y * mean_y
     luminance = (2 * product + _C1) / (squares + _C1)
     structure = (2 * (mean_product - product) + _C2) / (mean_squares - squares + _C2)
-    return jnp.moveaxis(luminance * structure, 0, -1)
+    return (luminance * structure).reshape(image.shape)
 
 
-@jax.custom_vjp
-def _blur(channels: Array) -> Array:
-    """`[C, H, W]` blurred by the window, zeros beyond the border.
+@partial(jax.custom_vjp, nondiff_argnums=(1,))
+def _blur(rows: Array, channels: int) -> Array:
+    """`[H, W C]` blurred by the window, channel by channel, zeros beyond the border.
 
     The operator is symmetric, hence its own transpose. Said so in `defvjp`, the backward pass is as fast as the
     forward; the transpose that autodiff derives (a sum of padded slices) is five times slower.
     """
-    return _blur_axis(_blur_axis(channels, 2), 1)
+    return _weighted_shifts(_weighted_shifts(rows, 1, channels), 0, 1)
 
 
-_blur.defvjp(lambda channels: (_blur(channels), None), lambda _, cotangent: (_blur(cotangent),))
+_blur.defvjp(
+    lambda rows, channels: (_blur(rows, channels), None),
+    lambda channels, _, cotangent: (_blur(cotangent, channels),),
+)
 
 
-def _blur_axis(channels: Array, axis: int) -> Array:
+def _weighted_shifts(rows: Array, axis: int, stride: int) -> Array:
     offsets = np.arange(-_WINDOW_RADIUS, _WINDOW_RADIUS + 1)
     weights = np.exp(-0.5 * (offsets / _WINDOW_SIGMA) ** 2)
     weights /= weights.sum()
-    size = channels.shape[axis]
-    padded = jnp.pad(channels, [(_WINDOW_RADIUS, _WINDOW_RADIUS) if a == axis else (0, 0) for a in range(3)])
+    size, border = rows.shape[axis], _WINDOW_RADIUS * stride
+    padded = jnp.pad(rows, [(border, border) if a == axis else (0, 0) for a in range(2)])
+    # Rounding to the precision at hand changes nothing, but XLA does not fuse through it: otherwise it would compute
+    # the padded image, and all that leads to it, once for each of the 11 slices.
+    precision = jnp.finfo(rows.dtype)
+    padded = jax.lax.reduce_precision(padded, precision.nexp, precision.nmant)
     return sum(
-        float(weight) * jax.lax.slice_in_dim(padded, start, start + size, axis=axis)
-        for start, weight in enumerate(weights)
+        float(weight) * jax.lax.slice_in_dim(padded, index * stride, index * stride + size, axis=axis)
+        for index, weight in enumerate(weights)
     )
 
 
 def _mean(values: Array, mask: Array | None) -> Array:
+    """Mean over the valid pixels and all channels of `[H, W, C]`; zero where none is valid."""
     if mask is None:
-        return jnp.mean(values)
-    valid = jnp.broadcast_to(mask[..., None], values.shape)
-    total = jnp.sum(jnp.where(valid, values, jnp.zeros_like(values)))
-    return total / jnp.maximum(jnp.sum(valid), 1).astype(values.dtype)
+        count = jnp.asarray(values.size, values.dtype)
+    else:
+        values = jnp.where(mask[..., None], values, jnp.zeros_like(values))
+        count = jnp.maximum(jnp.sum(mask) * values.shape[2], 1).astype(values.dtype)
+    rows = values.reshape(values.shape[0], -1)
+    return jnp.sum(jnp.dot(rows, jnp.ones(rows.shape[1], rows.dtype), precision="highest")) / count
 
 
 def _checked_and_masked(image: Array, target: Array, mask: Array | None) -> tuple[Array, Array]:

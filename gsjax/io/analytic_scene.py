@@ -128,8 +128,10 @@ def _write_view(folder: Path, name: str, camera: Camera, view: analytic.Trace) -
 
 def _seen_samples(surface: Mesh, cameras: list[Camera], seed: int) -> _Samples:
     """Three times as many as the truth needs: the table reaches beyond it, and views miss some."""
-    drawn = analytic_surface.samples(surface, *(3 * count for count in TRUTH_SAMPLES), seed)
-    return _Samples(*drawn, np.stack([np.asarray(_visible_all(drawn[0], camera)) for camera in cameras]))
+    num_solids, num_table = (3 * count for count in TRUTH_SAMPLES)
+    points, normals, on_table = analytic_surface.samples(surface, num_solids, num_table, seed)
+    seen = np.stack([np.asarray(_visible_all(points, camera)) for camera in cameras])
+    return _Samples(points, normals, on_table, seen)
 
 
 def _truth_points(samples: _Samples) -> dict[str, np.ndarray]:

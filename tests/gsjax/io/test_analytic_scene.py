@@ -110,8 +110,10 @@ def test_it_loads_as_a_scene_with_truth(folder):
     assert numbers["test"] == [0]
     K = scene.frames[0].K
     np.testing.assert_allclose([K[0, 0], K[1, 1], K[0, 2], K[1, 2]], numbers["K"], rtol=1e-6)
+    assert scene.truth is not None
+    assert scene.truth.points is not None
     assert set(scene.truth.depths) == {frame.name for frame in scene.frames}
-    assert len(scene.truth.points) == len(scene.truth.point_normals)
+    np.testing.assert_array_equal(scene.truth.points, np.load(folder / "gt_points.npz")["points"])
 
 
 def test_a_folder_in_use_is_left_alone(tmp_path):
