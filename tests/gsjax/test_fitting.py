@@ -130,14 +130,38 @@ def test_opacities_are_reset_when_due(whole):
     assert highest[4] == pytest.approx(0.7, abs=1e-5)
 
 
-def test_photos_are_reduced_by_the_phase_that_says_so(frames, monkeypatch):
-    scales = []
-    monkeypatch.setattr(fitting, "stack_views", lambda frames, scale: scales.append(scale) or views.stack_views(frames))
-    monkeypatch.setattr(
-        fitting, "_run_phase", lambda settings, phase, steps, data, extent, state, *rest: (state, steps[1])
-    )
-    fitted(frames)
-    assert scales == [2, 1]
+@pytest.fixture
+def entered(monkeypatch):
+    """(phase, scale, steps, capacity) of every phase that is entered; none is run."""
+    phases, scales = [], []
+
+    def stacked(frames, scale):
+        scales.append(scale)
+        return views.stack_views(frames)
+
+    def run_phase(settings, phase, steps, data, extent, state, optimizer, key, observe, capacity):
+        phases.append((phase.name, scales[-1], steps, capacity))
+        return state, steps[1]
+
+    monkeypatch.setattr(fitting, "stack_views", stacked)
+    monkeypatch.setattr(fitting, "_run_phase", run_phase)
+    return phases
+
+
+@pytest.mark.parametrize(
+    ("done", "expected"),
+    [
+        (0, [("coarse", 2, (0, 6), 777), ("surface", 1, (6, 11), None)]),
+        (2, [("coarse", 2, (2, 6), 777), ("surface", 1, (6, 11), None)]),
+        (6, [("surface", 1, (6, 11), 777)]),
+        (8, [("surface", 1, (8, 11), 777)]),
+        (11, []),
+    ],
+)
+def test_a_run_goes_on_in_the_phase_where_it_stopped_on_photos_of_its_scale(frames, entered, done, expected):
+    run = fitted(frames, state=replace(start(), step=np.int32(done)), capacity=777)
+    assert entered == expected
+    assert len(run.priors) == (done < 11)
 
 
 def test_a_run_continued_from_a_copy_in_a_starved_buffer_ends_with_the_same_bits(frames, whole):
@@ -150,22 +174,15 @@ def test_a_run_continued_from_a_copy_in_a_starved_buffer_ends_with_the_same_bits
     assert_identical(resumed.final, whole.final)
 
 
-def test_a_run_continued_within_its_last_phase_ends_with_the_same_bits(frames, whole):
-    resumed = fitted(frames, state=whole.states[8], capacity=whole.progress[8].capacity)
-    assert [p.step for p in resumed.progress] == [10, 11]
-    assert len(resumed.priors) == 1
-    assert_identical(resumed.final, whole.final)
+def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkeypatch):
+    trained_with = []
 
+    def make_train_step(optimizer, weights, **_):
+        trained_with.append(weights)
+        return lambda state, data, index, key: (state, SimpleNamespace(overflowed=False))
 
-def test_a_finished_run_has_nothing_to_do(frames, whole):
-    resumed = fitted(frames, state=whole.states[-1])
-    assert not resumed.progress and not resumed.priors
-    assert_identical(resumed.final, whole.final)
-
-
-def test_photos_without_mattes_are_trained_without_the_alpha_term(frames):
-    opaque = tuple(replace(f, matte=None) for f in frames)
+    monkeypatch.setattr(training, "make_train_step", make_train_step)
     settings = replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),))
-    assert PLAIN.alpha > 0
-    (progress,) = fitted(opaque, settings).progress
-    assert set(progress.metrics.terms) == {"l1"}
+    for photos in (frames, tuple(replace(f, matte=None) for f in frames)):
+        fitted(photos, settings, capacity=64)
+    assert trained_with == [PLAIN, replace(PLAIN, alpha=0.0)] and PLAIN.alpha > 0
