@@ -20,7 +20,7 @@ from gsjax.pipeline.pictures import normal_picture, to_bytes
 from gsjax.pipeline.result import Result, open_result
 from gsjax.settings import DEMO, Settings
 
-NUM_VIEWS, SIZE = 48, (160, 160)
+NUM_VIEWS, SIZE = 48, (192, 192)
 SHOWN_VIEW = 1  # Of the held-out ones.
 REPORTED = ("psnr", "ssim", "normal_error_deg", "normal_error_median_deg", "normal_error_all_deg", "chamfer", "fscore",
             "normal_consistency", "gaussians")  # fmt: skip

@@ -144,7 +144,7 @@ def _phase(name: str, steps: int, **more: Any) -> dict:
 
 # On short schedules the SDF gradient at every pixel's own surface point helps the one at the means, and an entropy
 # phase costs more than it brings (docs/deviations.md, experiments/studies/surface.py).
-_SURFACE_TERMS = {"sdf_normal": 0.2, "pixel_normal": 0.05}
+_SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05}
 FAST = {
     "max_gaussians": 36_000,
     "sh_every": 500,
@@ -189,13 +189,13 @@ DEMO: dict[str, Any] = {
     "sh_degree": 2,
     "sh_every": 400,
     "phases": [
-        {"name": "vanilla", "steps": 1200, "density_control": True},
-        {"name": "surface", "steps": 800, "weights": {"sdf_normal": 0.2}},
+        {"name": "vanilla", "steps": 1000, "density_control": True},
+        {"name": "surface", "steps": 1000, "weights": {"sdf_normal": 0.05, "pixel_normal": 0.1}},
     ],
-    "density": {"start": 200, "stop": 1000, "reset_every": 0},
+    "density": {"start": 200, "stop": 900, "reset_every": 0},
     "logging": {"metrics_every": 50, "evaluate_every": 0, "checkpoint_every": 1000},
 }
-"""The built-in scene at 160x160 pixels (`gsjax.demo`)."""
+"""The built-in scene at 192x192 pixels (`gsjax.demo`)."""
 
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": FAST,

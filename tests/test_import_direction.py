@@ -24,7 +24,7 @@ LAYERS = {
     "rasterizer": Layer(("rasterizer",), (), ("jax", "numpy")),
     "core": Layer(("gsjax",), ("rasterizer",), ("jax", "numpy", "optax", "scipy")),
     "io": Layer(("gsjax.io",), ("core",), ("jax", "numpy", "scipy", "tqdm", "cv2", "PIL", "pycolmap", "onnxruntime")),
-    "meshing": Layer(("gsjax.meshing",), ("core", "io"), ("jax", "numpy", "scipy", "open3d", "trimesh", "skimage")),
+    "meshing": Layer(("gsjax.meshing",), ("core", "io"), ("jax", "numpy", "scipy", "open3d", "trimesh")),
     "runs": Layer(
         ("gsjax.pipeline", "gsjax.demo"),
         ("rasterizer", "core", "io", "meshing"),
@@ -34,10 +34,10 @@ LAYERS = {
     "experiments": Layer(
         ("experiments",),
         ("rasterizer", "core", "io", "meshing", "runs", "cli"),
-        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib"),
+        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "train"),  # train: the script next to them
     ),
 }
-HEAVY = {"open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "matplotlib", "skimage", "PIL"}
+HEAVY = {"open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "matplotlib", "PIL"}
 
 
 def layer_of(module: str) -> str | None:

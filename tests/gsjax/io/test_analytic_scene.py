@@ -88,7 +88,7 @@ def test_truth_points_lie_on_the_surface_with_their_normals(folder):
     np.testing.assert_allclose(normals, jax.jit(jax.vmap(analytic.normal))(points), atol=1e-3)
     is_table = np.asarray(jax.jit(jax.vmap(analytic.label))(points)) == analytic.GROUND_LABEL
     assert np.mean(is_table == truth["label"]) > 0.99  # where both touch either may be named
-    assert np.linalg.norm(points[truth["label"] == 1, :2], axis=1).max() < analytic_scene.TRUTH_RADIUS
+    assert np.abs(points[truth["label"] == 1, :2]).max() < analytic_scene.TRUTH_HALF
     assert truth["n_train_views"].min() >= analytic_scene.TRUTH_VIEWS
     assert truth["n_train_views"].max() <= VIEWS - 1
     assert np.bincount(truth["label"]).min() > 5_000
