@@ -62,29 +62,43 @@ def test_forward_mode_equals_reverse_mode(x64, scene, directions):
         np.testing.assert_allclose(pushforward(scene, directions[name]), dot(gradient, directions[name]), rtol=1e-10)
 
 
-def test_second_order_against_central_differences(x64, scene, directions):
-    hessian_product = jax.jit(lambda s, d: jax.jvp(jax.grad(objective), (s,), (d,))[1])
-    for name in FIELDS:
-        expected = difference(first_derivative, scene, directions[name])
-        error = jax.tree.map(jnp.subtract, hessian_product(scene, directions[name]), expected)
-        assert np.sqrt(dot(error, error)) < 1e-7 * np.sqrt(dot(expected, expected)), name
+def projected(s):
+    """The scene's splats, and a scalar of all that is differentiable in them."""
+    p = project(s.means, s.quats, s.scales, s.opacities, s.viewmats, s.Ks, s.width, s.height, rules=NO_THRESHOLDS)
+    return p, sum(jnp.sum(jnp.sin(x)) for x in (p.means2d, p.depths, p.conics))
 
 
-def test_blending_twice_in_reverse_equals_forward_over_reverse(x64, scene):
-    s = scene
-    projection = project(s.means, s.quats, s.scales, s.opacities, s.viewmats, s.Ks, s.width, s.height)
+def assert_second_order(function, inputs, direction):
+    """Forward over reverse against central differences of the gradient, along one direction."""
+    gradient = jax.jit(jax.grad(function))
+    expected = difference(gradient, inputs, direction)
+    product = jax.jit(lambda x, d: jax.jvp(jax.grad(function), (x,), (d,))[1])(inputs, direction)
+    error = jax.tree.map(jnp.subtract, product, expected)
+    assert np.sqrt(dot(error, error)) < 1e-7 * np.sqrt(dot(expected, expected))
+    return product
 
-    def blended(means2d, conics, opacities):
+
+def test_second_order_of_the_projection(x64, scene, directions):
+    everywhere = jax.tree.map(lambda *x: sum(x), *directions.values())
+    assert_second_order(lambda s: projected(s)[1], scene, everywhere)
+
+
+def test_second_order_of_the_blend_in_both_modes(x64, scene):
+    projection = projected(scene)[0]
+    features = jnp.concatenate([scene.colors, projection.depths[0, :, None]], -1)
+    inputs = projection.means2d, projection.conics, scene.opacities[None], features[None]
+
+    def blended(inputs):
+        means2d, conics, opacities, features = inputs
         splats = projection._replace(means2d=means2d, conics=conics)
-        image, left = _reference.composite(splats, opacities, s.colors[None], s.width, s.height, NO_THRESHOLDS)
+        image, left = _reference.composite(splats, opacities, features, scene.width, scene.height, NO_THRESHOLDS)
         return jnp.sum(image**2) + jnp.sum(left)
 
-    inputs = projection.means2d, projection.conics, s.opacities[None]
     rng = np.random.default_rng(12)
     direction = tuple(jnp.asarray(rng.normal(size=x.shape)) for x in inputs)
-    gradient = jax.grad(blended, (0, 1, 2))
-    twice = jax.jit(jax.grad(lambda x: dot(gradient(*x), direction)))(inputs)
-    for actual, expected in zip(twice, jax.jit(lambda: jax.jvp(gradient, inputs, direction)[1])(), strict=True):
+    product = assert_second_order(blended, inputs, direction)
+    twice_reversed = jax.jit(jax.grad(lambda x: dot(jax.grad(blended)(x), direction)))(inputs)
+    for actual, expected in zip(twice_reversed, product, strict=True):
         np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-10)
 
 
