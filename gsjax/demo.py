@@ -12,7 +12,6 @@ from gsjax.io import analytic_scene, runs
 from gsjax.io.files import atomic_path, make_folder
 from gsjax.io.machine import machine, versions
 from gsjax.io.scenes import load_scene
-from gsjax.io.truth import load_truth
 from gsjax.meshing.export import read_mesh
 from gsjax.meshing.pictures import headlight, render_mesh
 from gsjax.normals_prior import depth_normals
@@ -66,8 +65,8 @@ def run(out: str | Path = "runs/demo") -> dict[str, Any]:
 
 def _comparison(scene: Path, vanilla: Result, surface: Result, out: Path) -> Path:
     """comparison.png: photo and render, normals before, after and true, and both meshes, of one held-out view."""
-    frame = load_scene(scene).held_out_frames[SHOWN_VIEW]
-    truth = load_truth(scene, (frame,))
+    loaded = load_scene(scene)
+    frame, truth = loaded.held_out_frames[SHOWN_VIEW], loaded.truth
     index = surface.names.index(frame.name)
     camera = surface.cameras[index]
     before, after = (next(gallery.pictures(r.gaussians, [camera], r.background)) for r in (vanilla, surface))
@@ -80,7 +79,7 @@ def _comparison(scene: Path, vanilla: Result, surface: Result, out: Path) -> Pat
             read_mesh(out / name / "mesh.ply"), camera.viewmat, camera.K, camera.width, camera.height, shading=headlight
         )
 
-    assert truth is not None
+    assert truth is not None, "the demo writes its own truth"
     panels = {
         "held-out photo": frame.image,
         "normals, vanilla": normals(before),

@@ -5,8 +5,8 @@ def _surface(weight: float) -> dict:
     return {
         "normals": "{scene}/normals",
         "phases": [
-            {"name": "vanilla", "steps": 1200, "density_control": True},
-            {"name": "surface", "steps": 700, "weights": {"sdf_normal": weight}},
+            {"name": "vanilla", "steps": 800, "density_control": True},
+            {"name": "surface", "steps": 500, "weights": {"sdf_normal": weight}},
         ],
     }
 

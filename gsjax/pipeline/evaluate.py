@@ -11,7 +11,6 @@ from gsjax import gallery, geometry, metrics
 from gsjax.gaussians import Gaussians
 from gsjax.io import runs
 from gsjax.io.scenes import load_scene
-from gsjax.io.truth import load_truth
 from gsjax.meshing.export import read_mesh
 from gsjax.normals_prior import depth_normals
 from gsjax.pipeline.mesh import mesh as extract
@@ -47,7 +46,7 @@ def evaluate(run: str | Path, *, mesh: str | Path | None = None) -> dict[str, An
         "train_seconds": manifest.get("train_seconds"),
         "steps": manifest.get("steps"),
     }
-    truth = load_truth(scene.root, scene.frames, downscale=settings["downscale"])
+    truth = scene.truth
     if truth is None:
         return figures
     figures |= score_surface(result.gaussians, scene.held_out_frames, truth)

@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from tqdm import tqdm
 
 from gsjax import config, density_control, fitting, initialize, optimizers, training
@@ -61,7 +60,7 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
         state = fitting.fit(
             settings, frames, size, state, optimizer, prior=prior, observe=journal.note, capacity=capacity
         )
-        return _finish(run, settings, loaded, state, optimizer, journal.seconds)
+        return _finish(run, settings, loaded, state, journal.seconds)
 
 
 def living(gaussians: Gaussians) -> Gaussians:
@@ -80,10 +79,7 @@ def _latest(run: Path, initial: TrainState) -> tuple[TrainState, int | None, flo
     return state, int(stored["capacity"]) or None, float(stored["seconds"])
 
 
-def _finish(
-    run: Path, settings: Settings, scene: Scene, state: TrainState, optimizer: optax.GradientTransformation, seconds
-) -> dict[str, Any]:
-    del optimizer
+def _finish(run: Path, settings: Settings, scene: Scene, state: TrainState, seconds: float) -> dict[str, Any]:
     gaussians = living(state.gaussians)
     write_gaussians(run / "gaussians.ply", gaussians)
     write_cameras(run / "cameras.json", scene.frames)

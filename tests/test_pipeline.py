@@ -1,0 +1,137 @@
+"""The whole road on a small scene: trained, stopped and continued, meshed, scored and drawn."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from tqdm import tqdm
+
+from gsjax import config, pipeline
+from gsjax.errors import InputError
+from gsjax.io import analytic_scene, runs
+from gsjax.io.ply import read_gaussians
+from gsjax.meshing.export import read_mesh
+from gsjax.settings import Settings
+
+SETTINGS = {
+    "background": "white",
+    "max_gaussians": 900,
+    "sh_degree": 1,
+    "sh_every": 10,
+    "phases": [
+        {"name": "coarse", "steps": 12, "image_scale": 2, "density_control": True},
+        {"name": "entropy", "steps": 8, "weights": {"entropy": 0.1}, "cull_below": 0.05},
+        {"name": "surface", "steps": 10, "weights": {"sdf_normal": 0.2}},
+    ],
+    "density": {"start": 2, "stop": 12, "every": 4, "reset_every": 0},
+    "logging": {"metrics_every": 5, "evaluate_every": 15, "checkpoint_every": 7},
+}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory) -> Path:
+    def silent(**options):
+        return tqdm(disable=True, **options)
+
+    return analytic_scene.write(tmp_path_factory.mktemp("data") / "scene", num_views=9, size=(48, 40), progress=silent)
+
+
+@pytest.fixture(scope="module")
+def run(scene, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "whole"
+    summary = pipeline.train(scene, folder, config.parse(Settings, SETTINGS))
+    assert summary["steps"] == 30
+    assert summary["views"] == 2
+    return folder
+
+
+def test_a_run_folder_holds_what_was_asked_and_what_came_of_it(run, scene):
+    manifest = runs.read_json(run / "manifest.json")
+    assert manifest["status"] == "done"
+    assert Path(manifest["scene"]) == scene.resolve()
+    assert {"config.json", "metrics.jsonl", "gaussians.ply", "cameras.json", "normals.npz"} <= set(manifest["files"])
+    steps = [record["step"] for record in runs.read_metrics(run)]
+    assert steps == [5, 10, 15, 20, 25, 30]
+    assert runs.read_metrics(run)[2]["held_out_psnr"] > 5
+    gaussians = read_gaussians(run / "gaussians.ply")
+    assert gaussians.num_gaussians == manifest["gaussians"] <= SETTINGS["max_gaussians"]
+
+
+@pytest.mark.parametrize("stopped_at", [3, 10, 23])
+def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, monkeypatch, stopped_at):
+    settings = config.parse(Settings, SETTINGS)
+    note = pipeline.train.__globals__["Journal"].note
+
+    def killed(journal, progress):
+        note(journal, progress)
+        if progress.step == stopped_at:
+            raise KeyboardInterrupt
+
+    folder = tmp_path / "run"
+    with monkeypatch.context() as patched:
+        patched.setattr(pipeline.train.__globals__["Journal"], "note", killed)
+        with pytest.raises(KeyboardInterrupt):
+            pipeline.train(scene, folder, settings)
+    pipeline.train(scene, folder, settings, resume=True)
+
+    assert (folder / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+    without_time = [
+        [{key: value for key, value in record.items() if key != "seconds"} for record in runs.read_metrics(one)]
+        for one in (folder, run)
+    ]
+    assert without_time[0] == without_time[1]
+
+
+def test_a_checkpoint_that_finds_no_room_ends_the_run_in_one_line(scene, tmp_path, monkeypatch):
+    def full(path, tree):
+        raise InputError(f"cannot write {path}: No space left on device")
+
+    monkeypatch.setattr(runs.checkpoints, "save", full)
+    with pytest.raises(InputError, match="step_0000007.npz: No space left on device"):
+        pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS))
+    assert len(runs.read_metrics(tmp_path / "run")) == 1, "what was logged before stays"
+
+
+def test_vanilla_is_the_same_run_without_its_terms(scene, tmp_path):
+    folder = tmp_path / "run"
+    pipeline.train(scene, folder, config.parse(Settings, {**SETTINGS, "vanilla": True}))
+    terms = [set(record["terms"]) for record in runs.read_metrics(folder)]
+    assert terms == [{"l1", "dssim"}] * 6
+    assert not (folder / "normals.npz").exists()
+
+
+def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, scene, tmp_path):
+    report = pipeline.mesh(run, tmp_path / "mesh.ply", level=0.1, points=5000)
+    mesh = read_mesh(tmp_path / "mesh.ply")
+    assert len(mesh.faces) == report["faces"] > 100
+    # Fewer than thirty steps on photos of forty pixels: near the surface, not on it.
+    figures = pipeline.evaluate(run, mesh=tmp_path / "mesh.ply")
+    json.dumps(figures)
+    assert figures["chamfer"] < 0.2
+    assert 5 < figures["normal_error_deg"] < 90
+    assert figures["psnr"] == pytest.approx(runs.read_json(run / "manifest.json")["psnr"], abs=1e-3)
+    assert 0 < figures["ssim"] < 1
+
+
+def test_pictures_have_the_size_of_their_views(run, tmp_path):
+    pipeline.render(run, tmp_path / "held_out", which="held_out")
+    files = sorted((tmp_path / "held_out").iterdir())
+    assert [f.name for f in files[:3]] == ["000_color.png", "000_depth.png", "000_normal.png"]
+    assert len(files) == 6
+    assert all(Image.open(f).size == (48, 40) for f in files)
+    photo = np.asarray(Image.open(Path(runs.read_json(run / "manifest.json")["scene"]) / "images/000.png"))
+    rendered = np.asarray(Image.open(files[0]))
+    assert np.abs(photo.astype(float) - rendered).mean() < 60, "the same view, roughly"
+
+
+def test_a_bare_file_of_gaussians_is_meshed_from_cameras_around_it(run, tmp_path):
+    report = pipeline.mesh(run / "gaussians.ply", tmp_path / "mesh.glb", level=0.1, points=3000)
+    assert report["faces"] > 0
+    assert (tmp_path / "mesh.glb").exists()
+
+
+def test_a_folder_without_gaussians_is_no_run(tmp_path):
+    with pytest.raises(InputError, match="holds no gaussians.ply; it is no run folder"):
+        pipeline.mesh(tmp_path, tmp_path / "mesh.ply")
