@@ -58,9 +58,9 @@ def ssim_map(image: Array, target: Array) -> Array:
     """
     x, y = (a.reshape(a.shape[0], -1) for a in (image, target))
     channels = image.shape[2]
-    mean_x, mean_y = _blur(x, channels), _blur(y, channels)
     # The two variances enter only as their sum, so four blurs do for the usual five.
-    mean_squares, mean_product = _blur(x * x + y * y, channels), _blur(x * y, channels)
+    moments: list[Array] = [_blur(m, channels) for m in (x, y, x * x + y * y, x * y)]
+    mean_x, mean_y, mean_squares, mean_product = moments
     product, squares = mean_x * mean_y, mean_x * mean_x + mean_y * mean_y
     luminance = (2 * product + _C1) / (squares + _C1)
     structure = (2 * (mean_product - product) + _C2) / (mean_squares - squares + _C2)
@@ -93,10 +93,10 @@ def _weighted_shifts(rows: Array, axis: int, stride: int) -> Array:
     # the padded image, and all that leads to it, once for each of the 11 slices.
     precision = jnp.finfo(rows.dtype)
     padded = jax.lax.reduce_precision(padded, precision.nexp, precision.nmant)
-    return sum(
-        float(weight) * jax.lax.slice_in_dim(padded, index * stride, index * stride + size, axis=axis)
-        for index, weight in enumerate(weights)
-    )
+    total = jnp.zeros_like(rows)
+    for index, weight in enumerate(weights):
+        total += float(weight) * jax.lax.slice_in_dim(padded, index * stride, index * stride + size, axis=axis)
+    return total
 
 
 def _mean(values: Array, mask: Array | None) -> Array:
@@ -117,4 +117,5 @@ def _checked_and_masked(image: Array, target: Array, mask: Array | None) -> tupl
         return image, target
     if mask.shape != image.shape[:2]:
         raise ValueError(f"{mask.shape=} does not match {image.shape=}")
-    return tuple(jnp.where(mask[..., None], x, jnp.zeros_like(x)) for x in (image, target))
+    covered = mask[..., None]
+    return jnp.where(covered, image, jnp.zeros_like(image)), jnp.where(covered, target, jnp.zeros_like(target))

@@ -121,10 +121,9 @@ def _moment(image: Array, sigma: float, power_x: int, power_y: int) -> Array:
     for axis, power in ((1, power_x), (0, power_y)):
         size = image.shape[axis]
         padded = jnp.pad(image, [(reach, reach) if a == axis else (0, 0) for a in range(2)])
-        image = sum(
-            float(weight) * jax.lax.slice_in_dim(padded, start, start + size, axis=axis)
-            for start, weight in enumerate(window * offsets**power)
-        )
+        image = jnp.zeros_like(image)
+        for start, weight in enumerate(window * offsets**power):
+            image += float(weight) * jax.lax.slice_in_dim(padded, start, start + size, axis=axis)
     return image
 
 
