@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import cloud, in_float64, loss, render
+from scenes import cloud, evaluate, in_float64, loss, relative_errors, render
 from tolerances import assert_close
 
 from rasterizer import capacity_bucket
@@ -29,16 +29,22 @@ def test_no_capacity_just_works_eagerly():
     assert info["splats"].size == capacity_bucket(int(roomy["needed"]))
 
 
-def test_no_capacity_just_works_under_grad_and_vmap():
+def test_no_capacity_just_works_under_grad_and_vmap_and_a_batch_is_its_scenes():
     # The second scene needs a fraction of the pairs of the first: the batch takes the larger capacity.
     scenes = [SCENE, replace(SCENE, scales=0.2 * SCENE.scales)]
-    gradients = [jax.grad(lambda s: loss(s, capacity=ENOUGH)[0])(s) for s in scenes]
-    assert_close(jax.grad(lambda s: loss(s)[0])(SCENE), gradients[0], kind="gradient")
-    image, _, info = jax.vmap(render)(batch_of(*scenes))
+    gradient_and_rest = jax.grad(loss, has_aux=True)
+    gradient, (batch_image, batch_alphas, info) = jax.vmap(gradient_and_rest)(batch_of(*scenes))
     assert not info["overflowed"].any()
-    assert_close(image, jnp.stack([render(s, capacity=ENOUGH)[0] for s in scenes]))
-    batched = jax.vmap(jax.grad(lambda s: loss(s)[0]))(batch_of(*scenes))
-    assert_close(batched, batch_of(*gradients), kind="gradient")
+    for i, scene in enumerate(scenes):
+        image, alphas, alone, expected = evaluate(scene, "xla")
+        assert_close(batch_image[i], image)
+        assert_close(batch_alphas[i], alphas)
+        assert info["needed"][i] == alone["needed"]
+        for name, error in relative_errors(jax.tree.map(lambda x, i=i: x[i], gradient), expected).items():
+            assert error < 1e-4, (name, error)
+    single = gradient_and_rest(SCENE)[0]
+    for name, error in relative_errors(single, evaluate(SCENE, "xla")[3]).items():
+        assert error < 1e-4, (name, error)
 
 
 def test_inside_jit_a_capacity_must_be_given():

@@ -1,7 +1,6 @@
 """Derivatives of the dense reference against finite differences, and of the tiles where pixels stop early."""
 
 from dataclasses import fields, replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -70,9 +69,9 @@ def projected(s):
 
 def assert_second_order(function, inputs, direction):
     """Forward over reverse against central differences of the gradient, along one direction."""
-    gradient = jax.jit(jax.grad(function))
-    expected = difference(gradient, inputs, direction)
-    product = jax.jit(lambda x, d: jax.jvp(jax.grad(function), (x,), (d,))[1])(inputs, direction)
+    # Not compiled: op by op is several times faster for so few numbers.
+    expected = difference(jax.grad(function), inputs, direction)
+    product = jax.jvp(jax.grad(function), (inputs,), (direction,))[1]
     error = jax.tree.map(jnp.subtract, product, expected)
     assert np.sqrt(dot(error, error)) < 1e-7 * np.sqrt(dot(expected, expected))
     return product
@@ -97,7 +96,7 @@ def test_second_order_of_the_blend_in_both_modes(x64, scene):
     rng = np.random.default_rng(12)
     direction = tuple(jnp.asarray(rng.normal(size=x.shape)) for x in inputs)
     product = assert_second_order(blended, inputs, direction)
-    twice_reversed = jax.jit(jax.grad(lambda x: dot(jax.grad(blended)(x), direction)))(inputs)
+    twice_reversed = jax.grad(lambda x: dot(jax.grad(blended)(x), direction))(inputs)
     for actual, expected in zip(twice_reversed, product, strict=True):
         np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-10)
 
@@ -117,11 +116,11 @@ def test_float32_against_the_float64_reference(make_scene, backend):
 
 def test_most_pixels_of_the_stacks_stop_early():
     scene = stacks()
-    alphas, gradient = evaluate(scene, "xla")[1::2]
+    alphas, info = evaluate(scene, "xla")[1:3]
     assert np.mean(np.asarray(alphas) > 0.99) > 0.5
-    # Without the stop the picture is another one: a backward that forgets it would be found out above.
-    unstopped = partial(evaluate, rules=replace(NO_THRESHOLDS, alpha_max=0.99))
-    assert relative_errors(unstopped(scene, "reference")[3], gradient)["means"] > 1e-3
+    # Far more is listed than a pixel needs to stop.
+    lengths = np.diff(np.asarray(info["offsets"]))
+    assert np.median(lengths) > 15
 
 
 def test_what_no_pixel_sees_has_exactly_zero_gradient():

@@ -138,32 +138,16 @@ def test_what_does_not_show_may_be_anything():
         np.testing.assert_array_equal(evaluate(with_odd_one(scene, **{**rubbish, "opacities": 0.0}), "xla")[0], image)
 
 
-def test_a_batch_of_scenes_is_its_scenes_and_so_are_its_gradients():
-    scenes = [cloud(seed=seed) for seed in (0, 5)]
-    batch = jax.tree.map(lambda *x: jnp.stack(x), *scenes)
-    image, alphas, info, gradient = jax.vmap(lambda s: evaluate(s, "xla"))(batch)
-    for i, scene in enumerate(scenes):
-        expected_image, expected_alphas, expected_info, expected_gradient = evaluate(scene, "xla")
-        assert_close(image[i], expected_image)
-        assert_close(alphas[i], expected_alphas)
-        assert info["needed"][i] == expected_info["needed"]
-        assert_gradients_close(jax.tree.map(lambda x, i=i: x[i], gradient), expected_gradient)
-
-
 def test_a_batch_of_cameras_is_its_cameras_and_so_are_its_gradients():
     scene = cloud(cameras=2)
-    alone = [
-        replace(scene, **{f: getattr(scene, f)[i : i + 1] for f in ("viewmats", "Ks", "backgrounds")}) for i in range(2)
-    ]
-    axes = replace(
-        jax.tree.map(lambda _: None, scene, is_leaf=lambda x: x is not scene), viewmats=0, Ks=0, backgrounds=0
-    )
-    batch = jax.tree.map(lambda x: x[:, None], scene)
-    batch = replace(scene, viewmats=batch.viewmats, Ks=batch.Ks, backgrounds=batch.backgrounds)
-    image, _, _, gradient = jax.vmap(lambda s: evaluate(s, "xla"), in_axes=(axes,))(batch)
-    together = evaluate(scene, "xla")[0]
-    for i, scene_of_one in enumerate(alone):
-        expected_image, _, _, expected_gradient = evaluate(scene_of_one, "xla")
+    cameras = {name: getattr(scene, name)[:, None] for name in ("viewmats", "Ks", "backgrounds")}
+
+    def with_camera(camera):
+        return evaluate(replace(scene, **camera), "xla")
+
+    image, alphas, _, gradient = jax.vmap(with_camera)(cameras)
+    for i in range(2):
+        expected_image, expected_alphas, _, expected_gradient = with_camera({k: v[i] for k, v in cameras.items()})
         assert_close(image[i], expected_image)
-        assert_close(together[i : i + 1], expected_image)
+        assert_close(alphas[i], expected_alphas)
         assert_gradients_close(jax.tree.map(lambda x, i=i: x[i], gradient), expected_gradient)
