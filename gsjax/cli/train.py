@@ -25,7 +25,11 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")
     add("--out", metavar="RUN", required=True, help="folder for the run; must be empty unless --resume")
-    add("--preset", choices=PRESETS, help="how long to train: minutes, or until it no longer gains (default: balanced)")
+    add(
+        "--preset",
+        choices=PRESETS,
+        help="how long to train: minutes on a CPU, or the paper's budgets for a GPU (default: fast)",
+    )
     add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
     add("--downscale", type=int, metavar="K", help="make the photos K times smaller (default: 1)")
     add("--normals", metavar="DIR", help="folder of normal maps (.npy or .png, named as the photos); without it the"
@@ -58,7 +62,7 @@ def settings(arguments: argparse.Namespace) -> Settings:
     if arguments.resume and started.exists():
         base = config.merge(runs.read_json(started), PRESETS.get(arguments.preset, {}))
     else:
-        base = PRESETS[arguments.preset or "balanced"]
+        base = PRESETS[arguments.preset or "fast"]
     options = given(arguments, "seed", "downscale", "normals", "background", "masks", "vanilla")
     # Parsed before the overrides too, so that `--set` reaches into defaults that are lists.
     whole = config.to_dict(config.parse(Settings, config.merge(base, options), where="settings"))

@@ -99,12 +99,12 @@ def test_wrong_arguments_are_one_line_and_code_2(arguments, message, capsys):
 
 def test_settings_come_from_the_preset_the_options_and_set(library):
     settings, keywords = train_settings(library, "--out", "r")
-    assert settings == config.parse(Settings, PRESETS["balanced"])
+    assert settings == config.parse(Settings, PRESETS["fast"])
     assert keywords == {"resume": False}
-    options = ["--preset", "fast", "--seed", "3", "--downscale", "2", "--background", "white", "--vanilla"]
+    options = ["--preset", "balanced", "--seed", "3", "--downscale", "2", "--background", "white", "--vanilla"]
     settings, _ = train_settings(library, "--out", "r", *options, "--normals", "maps", "--masks", "matte")
     given = {"seed": 3, "downscale": 2, "background": "white", "vanilla": True, "normals": "maps", "masks": "matte"}
-    assert settings == config.parse(Settings, PRESETS["fast"] | given)
+    assert settings == config.parse(Settings, PRESETS["balanced"] | given)
     options = ["--seed", "3", "--set", "seed=4", "phases.1.steps=9", "--set", "rates.quats=1"]
     settings, _ = train_settings(library, "--out", "r", *options)
     assert (settings.seed, settings.phases[1].steps, settings.rates.quats) == (4, 9, 1.0)
@@ -123,7 +123,7 @@ def test_a_resumed_run_keeps_the_settings_that_it_was_started_with(library, tmp_
     assert settings == started
     assert keywords == {"resume": True}
     settings, _ = train_settings(library, "--out", str(tmp_path / "new"), "--resume")
-    assert settings == config.parse(Settings, PRESETS["balanced"])
+    assert settings == config.parse(Settings, PRESETS["fast"])
 
 
 @pytest.mark.parametrize(
