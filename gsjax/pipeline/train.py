@@ -147,5 +147,6 @@ class Journal:
             scores = score_images(gaussians, self.scene.held_out_frames, self.settings.background)
             record["held_out_psnr"] = scores["psnr"]
         runs.append_metrics(self.run, record)
-        shown = {"loss": f"{record['loss']:.4f}", "psnr": f"{record['psnr']:.1f}", "gaussians": record["gaussians"]}
-        self._bar.set_postfix(shown, refresh=False)
+        self._bar.set_postfix_str(
+            f"loss {record['loss']:.4f}, PSNR {record['psnr']:.1f} dB, {record['gaussians']:,} Gaussians", refresh=False
+        )
