@@ -5,6 +5,7 @@ import resource
 import sys
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from gsjax import tables
@@ -107,6 +108,8 @@ def measure(workload: Workload) -> dict[str, float]:
 
 def main(chosen: Sequence[str] | None = None) -> None:
     """Measure and print."""
+    # Run as a script, this file would be found before the package of its name.
+    sys.path = [folder for folder in sys.path if Path(folder).resolve() != Path(__file__).resolve().parent]
     from gsjax.io.machine import machine, versions
 
     parser = argparse.ArgumentParser(description=__doc__)
