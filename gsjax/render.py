@@ -49,7 +49,7 @@ def splat(gaussians: Gaussians, camera: Camera, capacity: int, means2d_probe: Ar
     Returns:
         `Splats` of this view.
     """
-    grid = rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.TILE_SIZE)
+    grid = rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.default_tile_size())
     opacity = opacities(gaussians)
     projection = rasterizer.project(
         gaussians.means,
@@ -70,7 +70,7 @@ def splat(gaussians: Gaussians, camera: Camera, capacity: int, means2d_probe: Ar
 
 def needed_capacity(gaussians: Gaussians, camera: Camera) -> Array:
     """`[]` int32 length of the pair buffer that this view needs."""
-    grid = rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.TILE_SIZE)
+    grid = rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.default_tile_size())
     projection = rasterizer.project(
         gaussians.means,
         gaussians.quats,
@@ -87,7 +87,7 @@ def needed_capacity(gaussians: Gaussians, camera: Camera) -> Array:
 def features(splats: Splats, values: Array) -> tuple[Array, Array]:
     """`[H, W, D]` per-Gaussian `values` `[N, D]` composited on zero, and `[H, W]` alphas."""
     values = jnp.where(splats.projection.visible[0, :, None], values, 0)
-    image, left = rasterizer.blend(splats.projection, splats.opacities, values[None], splats.pairs, splats.grid)
+    image, left, _ = rasterizer.blend(splats.projection, splats.opacities, values[None], splats.pairs, splats.grid)
     return image[0], 1 - left[0, ..., 0]
 
 

@@ -98,7 +98,14 @@ def _least_sigma(offset_low: Array, offset_high: Array, conic: Array) -> Array:
     return jnp.where((nearest == 0).all(), 0, jnp.minimum(edge_x, edge_y))
 
 
-def bin_splats(projection: Projection, opacities: Array, grid: TileGrid, capacity: int, rules: Rules) -> TilePairs:
+def bin_splats(
+    projection: Projection,
+    opacities: Array,
+    grid: TileGrid,
+    capacity: int,
+    rules: Rules,
+    masks: Array | None = None,
+) -> TilePairs:
     """List, for every tile, the splats whose alpha passes the cut at one of its pixel centres, front to back.
 
     Depth-sorts the splats once, expands each into the tiles of its extent in that order, drops the tiles that its
@@ -106,10 +113,11 @@ def bin_splats(projection: Projection, opacities: Array, grid: TileGrid, capacit
 
     Args:
         projection: Splats of `grid.num_cameras` cameras.
-        opacities: `[C * N]` opacity of each splat.
+        opacities: `[N]` or `[C, N]` opacity of each splat.
         grid: The tiles. Static.
         capacity: Length of the pair buffer. Static.
         rules: Decides the alpha cut. Static.
+        masks: `[C, tiles_y, tiles_x]` bool, the tiles that are wanted; None for all. The others get empty lists.
 
     Returns:
         `TilePairs`, not differentiable. If `overflowed`, pairs are missing.
@@ -142,7 +150,7 @@ def bin_splats(projection: Projection, opacities: Array, grid: TileGrid, capacit
     tile_x, tile_y = box[:, 0] + index % box[:, 2], box[:, 1] + index // box[:, 2]
     tile = (box[:, 4] * grid.tiles_y + tile_y) * grid.tiles_x + tile_x
 
-    opacity = jax.lax.stop_gradient(opacities)
+    opacity = jnp.broadcast_to(jax.lax.stop_gradient(opacities), projection.depths.shape).reshape(-1)
     # The cut in sigma, with a margin for rounding: listing a pair too many is harmless.
     cut = jnp.log(jnp.maximum(opacity / rules.alpha_min, 1)) * 1.0001 + 1e-4
     splat = jnp.concatenate(
@@ -156,7 +164,10 @@ def bin_splats(projection: Projection, opacities: Array, grid: TileGrid, capacit
     first_pixel = jnp.stack([tile_x, tile_y], -1) * grid.tile_size
     offset_low = first_pixel.astype(splat.dtype) + 0.5 - splat[:, :2]
     sigma = jax.vmap(_least_sigma)(offset_low, offset_low + (grid.tile_size - 1), splat[:, 2:5])
-    tile = jnp.where((slot < needed) & (sigma <= splat[:, 5]), tile, grid.num_tiles)
+    listed = (slot < needed) & (sigma <= splat[:, 5])
+    if masks is not None:
+        listed &= masks.reshape(-1)[jnp.minimum(tile, grid.num_tiles - 1)]
+    tile = jnp.where(listed, tile, grid.num_tiles)
 
     tile, rank = _sort_by_tile(tile, rank)
     offsets = jnp.searchsorted(tile, jnp.arange(grid.num_tiles + 1, dtype=jnp.int32)).astype(jnp.int32)

@@ -1,4 +1,7 @@
-"""The alpha of one splat at one pixel and the front-to-back blend: the few lines that every backend shares."""
+"""The alpha of one splat at one pixel, the front-to-back blend and its way back: the lines that every backend shares.
+
+Elementwise on arrays of any shape, so that the same text runs in XLA's loops and inside a GPU kernel.
+"""
 
 import jax.numpy as jnp
 from jax import Array
@@ -15,3 +18,44 @@ def cut_alpha(unclamped: Array, sigma: Array, rules: Rules) -> Array:
     """Alpha as blended: clamped above, zero under the cut and where rounding made sigma negative."""
     kept = (unclamped >= rules.alpha_min) & (sigma >= 0)
     return jnp.where(kept, jnp.minimum(unclamped, rules.alpha_max), 0)
+
+
+def blend_splat(signed_t: Array, alpha: Array, rules: Rules) -> tuple[Array, Array]:
+    """One splat in front of all that is left.
+
+    Args:
+        signed_t: Transmittance so far, negative where the pixel has stopped: no flag array is carried.
+        alpha: Alpha of the splat, cut.
+        rules: Where a pixel stops.
+
+    Returns:
+        The splat's weight, and the signed transmittance behind it.
+    """
+    left = signed_t * (1 - alpha)
+    live = left > rules.transmittance_min
+    return jnp.where(live, signed_t - left, 0), jnp.where(live, left, -jnp.abs(signed_t))
+
+
+def unblend_splat(
+    t: Array, behind: Array, lit: Array, alpha: Array, unclamped: Array, rules: Rules
+) -> tuple[Array, Array, Array, Array]:
+    """One splat back to front: its part of the gradient, and the state in front of it.
+
+    Args:
+        t: Transmittance behind the splat.
+        behind: Sum over what lies behind of weight x lit, background and dL/dT included.
+        lit: dL/dimage . features of the splat.
+        alpha: Alpha of the splat, cut; zero where it does not count.
+        unclamped: The same before the clamp.
+        rules: Whether the gradient passes the clamp.
+
+    Returns:
+        dL/dsigma, the splat's weight (dL/dfeatures per dL/dimage), and `t` and `behind` in front of it.
+    """
+    inverse = 1 / (1 - alpha)
+    t = t * inverse
+    weight = t * alpha
+    # dL/dalpha = T lit - (what lies behind) / (1 - alpha); d alpha / d sigma = -unclamped alpha.
+    differentiable = alpha > 0 if rules.straight_through else (alpha > 0) & (unclamped < rules.alpha_max)
+    d_sigma = jnp.where(differentiable, (behind * inverse - t * lit) * unclamped, 0)
+    return d_sigma, weight, t, behind + weight * lit

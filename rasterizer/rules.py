@@ -15,6 +15,7 @@ class Rules:
         extent_sigmas: A splat's extent along each image axis, at most, in standard deviations.
         opacity_extent: Whether a faint splat's extent shrinks to where its alpha passes `alpha_min`.
         straight_through: Whether the gradient passes the alpha clamp as if it were not there.
+        compensation_min: The least factor by which antialiasing dims a splat.
     """
 
     alpha_max: float = 0.99
@@ -23,6 +24,7 @@ class Rules:
     extent_sigmas: float = 3.33
     opacity_extent: bool = True
     straight_through: bool = False
+    compensation_min: float = 0.005
 
 
 GSPLAT = Rules()

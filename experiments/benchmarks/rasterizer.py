@@ -74,7 +74,7 @@ def measure(workload: Workload) -> dict[str, float]:
     _, _, info = rasterizer.rasterization(*scene, side, side)
     capacity = int(info["splats"].shape[0])
     pairs = int(info["offsets"][-1])
-    grid = rasterizer.TileGrid(1, side, side, rasterizer.TILE_SIZE)
+    grid = rasterizer.TileGrid(1, side, side, rasterizer.default_tile_size())
 
     def projected(*arrays):
         return rasterizer.project(*arrays[:4], *arrays[5:], side, side)
@@ -92,7 +92,7 @@ def measure(workload: Workload) -> dict[str, float]:
     _, binning_ms = milliseconds(jax.jit(binned), *scene)
     _, forward_ms = milliseconds(jax.jit(image), *scene)
     first_ms, both_ms = milliseconds(jax.jit(jax.grad(loss)), scene)
-    pixel_pairs = pairs * rasterizer.TILE_SIZE**2
+    pixel_pairs = pairs * rasterizer.default_tile_size() ** 2
     return {
         "pairs": pairs,
         "projection_ms": projection_ms,

@@ -21,7 +21,7 @@ def project_scene(scene):
 
 @partial(jax.jit, static_argnames="capacity")
 def lists(projection, opacities, capacity=CAPACITY):
-    return bin_splats(projection, jnp.tile(opacities, 2), GRID, capacity, GSPLAT)
+    return bin_splats(projection, opacities, GRID, capacity, GSPLAT)
 
 
 def needles(scene):

@@ -10,7 +10,8 @@ from scenes import cloud, evaluate, in_float64, loss, relative_errors, render
 from tolerances import assert_close
 
 from rasterizer import capacity_bucket
-from rasterizer.api import _count, _rasterize
+from rasterizer.api import _rasterize
+from rasterizer.capacity import _count
 
 SCENE = replace(cloud(), scales=2 * cloud().scales)
 ENOUGH = 2048

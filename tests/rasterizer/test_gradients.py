@@ -90,7 +90,7 @@ def test_second_order_of_the_blend_in_both_modes(x64, scene):
     def blended(inputs):
         means2d, conics, opacities, features = inputs
         splats = projection._replace(means2d=means2d, conics=conics)
-        image, left = _reference.composite(splats, opacities, features, scene.width, scene.height, NO_THRESHOLDS)
+        image, left, _ = _reference.composite(splats, opacities, features, scene.width, scene.height, NO_THRESHOLDS)
         return jnp.sum(image**2) + jnp.sum(left)
 
     rng = np.random.default_rng(12)

@@ -1,0 +1,76 @@
+"""What the front door refuses, each in one line with the value in it."""
+
+from typing import get_args
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from rasterizer.engines import Backend
+from rasterizer.features import RenderMode, num_channels
+from rasterizer.projection import RasterizeMode
+
+
+def check_modes(render_mode, rasterize_mode, backend) -> None:
+    """Raise ValueError where a mode is none."""
+    modes = {"render_mode": RenderMode, "rasterize_mode": RasterizeMode, "backend": Backend}
+    for (name, kind), value in zip(modes.items(), (render_mode, rasterize_mode, backend), strict=True):
+        if value not in get_args(kind):
+            raise ValueError(f"{name}={value!r} is not one of {get_args(kind)}")
+
+
+def check_sizes(**sizes: int | None) -> None:
+    """Raise ValueError where a size is under 1; None is a size not given."""
+    for name, size in sizes.items():
+        if size is not None and size < 1:
+            raise ValueError(f"{name}={size}, expected at least 1")
+
+
+def _check_shapes(means, quats, scales, covars, opacities, viewmats, Ks) -> dict[str, Array]:
+    num_gaussians, num_cameras = means.shape[0], viewmats.shape[0]
+    expected = {
+        "means": (means, (num_gaussians, 3)),
+        "opacities": (opacities, (num_gaussians,)),
+        "viewmats": (viewmats, (num_cameras, 4, 4)),
+        "Ks": (Ks, (num_cameras, 3, 3)),
+    }
+    if covars is None:
+        if quats is None or scales is None:
+            raise ValueError("a Gaussian's shape is missing: pass quats and scales, or covars")
+        expected |= {"quats": (quats, (num_gaussians, 4)), "scales": (scales, (num_gaussians, 3))}
+    else:
+        expected["covars"] = (covars, (num_gaussians, 3, 3))
+    for name, (array, shape) in expected.items():
+        if array.shape != shape:
+            raise ValueError(f"{name}.shape={array.shape}, expected {shape} for {num_gaussians} Gaussians")
+    return {name: array for name, (array, _) in expected.items()}
+
+
+def check_arrays(
+    means, quats, scales, covars, opacities, colors, viewmats, Ks, backgrounds, masks, sh_degree, render_mode, backend
+) -> None:
+    """Raise ValueError where shapes or dtypes do not fit each other."""
+    arrays = _check_shapes(means, quats, scales, covars, opacities, viewmats, Ks)
+    num_gaussians, num_cameras = means.shape[0], viewmats.shape[0]
+    leading = (num_gaussians,) if colors.ndim == 2 or sh_degree is not None else (num_cameras, num_gaussians)
+    if colors.shape[: len(leading)] != leading or colors.ndim != len(leading) + (1 if sh_degree is None else 2):
+        kind = "[N, K, 3] with sh_degree" if sh_degree is not None else "[N, D] or [C, N, D]"
+        raise ValueError(f"colors.shape={colors.shape}, expected {kind} with N={num_gaussians}, C={num_cameras}")
+    channels = num_channels(colors, render_mode)
+    if backgrounds is not None and backgrounds.shape != (num_cameras, channels):
+        raise ValueError(f"{backgrounds.shape=}, expected {(num_cameras, channels)} for {render_mode=}")
+    if masks is not None and masks.dtype != jnp.bool_:
+        raise ValueError(f"{masks.dtype=}, expected bool")
+    arrays |= {"colors": colors} if backgrounds is None else {"colors": colors, "backgrounds": backgrounds}
+    dtypes = {name: jax.dtypes.canonicalize_dtype(array.dtype) for name, array in arrays.items()}
+    for name, dtype in dtypes.items():
+        if not jnp.issubdtype(dtype, jnp.floating) or dtype != dtypes["means"]:
+            raise ValueError(f"{name}.dtype={dtype}, expected one float dtype for all, means.dtype={dtypes['means']}")
+        if backend != "reference" and dtype != jnp.float32:
+            raise ValueError(f"{name}.dtype={dtype}, the tile backends compute in float32: pass backend='reference'")
+
+
+def check_masks(masks: Array | None, shape: tuple[int, int, int]) -> None:
+    """Raise ValueError where the masks are not one per tile."""
+    if masks is not None and masks.shape != shape:
+        raise ValueError(f"{masks.shape=}, expected one per tile, {shape}")

@@ -1,0 +1,151 @@
+"""Compositing of listed splats: one `custom_vjp` around whichever engine blends the tiles.
+
+An engine is two functions, forward and backward over tiles; layout, gathers and the chain rule from moments to means
+and conics, applied once per (tile, splat) pair, are the same for all and live here.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from rasterizer.binning import TileGrid
+from rasterizer.rules import Rules
+
+
+class Blended(NamedTuple):
+    """What an engine's forward pass leaves of T tiles of P pixels. Indices count along a tile's own list."""
+
+    features: Array  # [T, D, P]
+    transmittance: Array  # [T, P]
+    last: Array  # [T, P] int32 last contributing splat, -1 for none
+    median: Array | None  # [T, P] int32 last contributing splat with more than half the light left in front of it
+
+
+class Engine(NamedTuple):
+    """The two passes over tiles. Hashable, static."""
+
+    # (static, rows, splats, offsets) -> Blended. rows [M, 6 + D] of `_splat_rows`; lists of `binning.TilePairs`.
+    forward: Callable[..., Blended]
+    # (static, rows, splats, offsets, transmittance, last, d_features, d_transmittance) -> [capacity, 6 + D], per pair:
+    # dL/dsigma summed against `moment_basis`, then dL/dfeatures; zero where no pixel saw the pair; slots past
+    # offsets[-1] may hold anything.
+    backward: Callable[..., Array]
+
+
+class Static(NamedTuple):
+    """What a compiled compositor is specialised on."""
+
+    grid: TileGrid
+    rules: Rules
+    engine: Engine
+    with_median: bool = False
+
+
+def pixel_centers(grid: TileGrid) -> tuple[Array, Array]:
+    """`[P]` x and y of a tile's pixel centres, relative to the tile's centre (small numbers round less)."""
+    y, x = np.mgrid[0 : grid.tile_size, 0 : grid.tile_size] + 0.5 - grid.tile_size / 2
+    return jnp.asarray(x.ravel(), jnp.float32), jnp.asarray(y.ravel(), jnp.float32)
+
+
+def moment_basis(pixel_x: Array, pixel_y: Array) -> Array:
+    """`[P, 6]` what dL/dsigma is summed against: the chain rule to a splat's mean and conic needs no more."""
+    x, y = pixel_x, pixel_y
+    return jnp.stack([jnp.ones_like(x), x, y, x * x, x * y, y * y], -1)
+
+
+def tile_centers(tiles: Array, grid: TileGrid) -> Array:
+    """`[..., 2]` image position of the tiles' centres, pixels."""
+    within = tiles % (grid.tiles_x * grid.tiles_y)
+    corner = jnp.stack([within % grid.tiles_x, within // grid.tiles_x], -1) * grid.tile_size
+    return corner.astype(jnp.float32) + grid.tile_size / 2
+
+
+def to_tiles(image: Array, grid: TileGrid) -> Array:
+    """`[C, H, W, D]` -> `[num_tiles, D, P]`, zero beyond the image border."""
+    size, channels = grid.tile_size, image.shape[-1]
+    pad_y, pad_x = grid.tiles_y * size - grid.height, grid.tiles_x * size - grid.width
+    padded = jnp.pad(image, ((0, 0), (0, pad_y), (0, pad_x), (0, 0)))
+    blocks = padded.reshape(grid.num_cameras, grid.tiles_y, size, grid.tiles_x, size, channels)
+    return blocks.transpose(0, 1, 3, 5, 2, 4).reshape(grid.num_tiles, channels, size * size)
+
+
+def to_image(tiles: Array, grid: TileGrid) -> Array:
+    """`[num_tiles, D, P]` -> `[C, H, W, D]`."""
+    size, channels = grid.tile_size, tiles.shape[1]
+    blocks = tiles.reshape(grid.num_cameras, grid.tiles_y, grid.tiles_x, channels, size, size)
+    image = blocks.transpose(0, 1, 4, 2, 5, 3).reshape(
+        grid.num_cameras, grid.tiles_y * size, grid.tiles_x * size, channels
+    )
+    return image[:, : grid.height, : grid.width]
+
+
+def _splat_rows(means2d: Array, conics: Array, opacities: Array, features: Array) -> Array:
+    """`[M, 6 + D]`: x, y, conic xx xy yy, opacity, features: one gather per pair fetches all."""
+    return jnp.concatenate([means2d, conics, opacities[:, None], features], axis=-1)
+
+
+def _chain_to_splats(static: Static, rows: Array, splats: Array, offsets: Array, gradients: Array) -> Array:
+    """`[M, 6 + D]` gradient to the splat rows from the moments of every pair."""
+    grid = static.grid
+    slot = jnp.arange(splats.shape[0], dtype=jnp.int32)
+    starts = jnp.zeros(splats.shape[0] + 1, jnp.int32).at[offsets[1:]].add(1)
+    tile = jnp.minimum(jnp.cumsum(starts)[:-1], grid.num_tiles - 1)
+    center, row = tile_centers(tile, grid), rows[splats]
+    x, y, xx, xy, yy = row[:, 0] - center[:, 0], row[:, 1] - center[:, 1], row[:, 2], row[:, 3], row[:, 4]
+    m1, mx, my, mxx, mxy, myy = (gradients[:, i] for i in range(6))
+    # Sums of dL/dsigma times powers of the offset d = mean - pixel.
+    dx, dy = x * m1 - mx, y * m1 - my
+    dxx, dyy = x * (x * m1 - 2 * mx) + mxx, y * (y * m1 - 2 * my) + myy
+    dxy = x * y * m1 - x * my - y * mx + mxy
+    opacity = jnp.where(row[:, 5] > 0, row[:, 5], 1)
+    d_row = jnp.stack([xx * dx + xy * dy, xy * dx + yy * dy, 0.5 * dxx, dxy, 0.5 * dyy, -m1 / opacity], -1)
+    d_row = jnp.where((slot < offsets[-1])[:, None], jnp.concatenate([d_row, gradients[:, 6:]], -1), 0)
+    return jnp.zeros_like(rows).at[splats].add(d_row)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def composite(static: Static, means2d: Array, conics: Array, opacities: Array, features: Array, splats, offsets):
+    """Blend the listed splats front to back.
+
+    Args:
+        static: Tile grid, rules, engine, and whether the median splat is wanted.
+        means2d: `[M, 2]` pixels.
+        conics: `[M, 3]`.
+        opacities: `[M]`.
+        features: `[M, D]` any channels.
+        splats: `[capacity]` sorted pairs from `binning`.
+        offsets: `[num_tiles + 1]`.
+
+    Returns:
+        `[C, H, W, D]` blended features on nothing, `[C, H, W, 1]` transmittance left, and `[C, H, W]` int32 the splat
+        in which the light falls to one half (the last one that shows, where it does not; -1 for none), or None.
+    """
+    return _composite_fwd(static, means2d, conics, opacities, features, splats, offsets)[0]
+
+
+def _composite_fwd(static, means2d, conics, opacities, features, splats, offsets):
+    rows = _splat_rows(means2d, conics, opacities, features)
+    blended = static.engine.forward(static, rows, splats, offsets)
+    image = to_image(jnp.concatenate([blended.features, blended.transmittance[:, None]], 1), static.grid)
+    median = None
+    if blended.median is not None:
+        listed = splats[offsets[:-1, None] + jnp.maximum(blended.median, 0)]
+        median = to_image(jnp.where(blended.median >= 0, listed, -1)[:, None], static.grid)[..., 0]
+    residuals = rows, splats, offsets, blended.transmittance, blended.last
+    return (image[..., :-1], image[..., -1:], median), residuals
+
+
+def _composite_bwd(static, residuals, cotangents):
+    rows, splats, offsets, t, last = residuals
+    d_tiles = to_tiles(jnp.concatenate(cotangents[:2], -1), static.grid)
+    gradients = static.engine.backward(static, rows, splats, offsets, t, last, d_tiles[:, :-1], d_tiles[:, -1])
+    d_rows = _chain_to_splats(static, rows, splats, offsets, gradients)
+    return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:], None, None
+
+
+composite.defvjp(_composite_fwd, _composite_bwd)

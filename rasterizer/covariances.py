@@ -1,0 +1,96 @@
+"""Covariances of Gaussians, in space and in the image: 3x3 algebra written out in scalars.
+
+Written out, no matrix unit ever rounds a pose or a covariance, and `vmap` turns each line into one wide operation.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+Vector = list[Array]  # three scalars
+
+
+def dot(a: Vector, b: Vector) -> Array:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    """Vector product."""
+    return [a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3] for i in range(3)]
+
+
+def rotation(quat: Array) -> list[Vector]:
+    """Rows of the rotation of a quaternion `[4]` (w, x, y, z) of any length; zero: the identity, with zero gradient."""
+    # Divided by its largest entry first: the square of a long one would overflow.
+    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(quat)))
+    is_zero = largest < 1e-12
+    quat = quat / jnp.where(is_zero, 1, largest)
+    unit = quat * jax.lax.rsqrt(jnp.where(is_zero, 1, jnp.sum(quat * quat)))
+    w, x, y, z = jnp.where(is_zero, jnp.array([1, 0, 0, 0], quat.dtype), unit)
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+
+
+def seen_from_axes(row_x: Vector, row_y: Vector, quat: Array, scale: Array) -> tuple[Array, Array, Array, Array]:
+    """(xx, xy, yy, determinant) of A R S S R^T A^T for the 2x3 map A with the given rows.
+
+    The determinant is the squared cross product of the rows of A R S (Lagrange's identity): a needle of any aspect
+    keeps a positive one, where xx yy - xy^2 cancels to noise in float32.
+    """
+    axes = rotation(quat)
+    columns = [[axes[i][j] for i in range(3)] for j in range(3)]
+    x = [dot(row_x, columns[j]) * scale[j] for j in range(3)]
+    y = [dot(row_y, columns[j]) * scale[j] for j in range(3)]
+    normal = cross(x, y)
+    return dot(x, x), dot(x, y), dot(y, y), dot(normal, normal)
+
+
+def seen_from_matrix(row_x: Vector, row_y: Vector, covar: Array) -> tuple[Array, Array, Array, Array]:
+    """(xx, xy, yy, determinant) of A Sigma A^T for a symmetric `[3, 3]`; only its upper triangle is read.
+
+    The determinant is n^T adj(Sigma) n with n the cross product of the rows of A (Cauchy-Binet).
+    """
+    rows = [[covar[min(i, j), max(i, j)] for j in range(3)] for i in range(3)]
+    x, y, normal = [dot(row, row_x) for row in rows], [dot(row, row_y) for row in rows], cross(row_x, row_y)
+    adjugate = [cross(rows[1], rows[2]), cross(rows[2], rows[0]), cross(rows[0], rows[1])]
+    det = dot(normal, [dot(row, normal) for row in adjugate])
+    return dot(row_x, x), dot(row_x, y), dot(row_y, y), det
+
+
+def quat_scale_to_covar_preci(
+    quats: Array, scales: Array, compute_covar: bool = True, compute_preci: bool = True, triu: bool = False
+) -> tuple[Array | None, Array | None]:
+    """Covariances R S S R^T and precisions of Gaussians. Name and arguments of gsplat.
+
+    Args:
+        quats: `[..., 4]` rotations (w, x, y, z) of any length; a zero one is the identity.
+        scales: `[..., 3]` standard deviations.
+        compute_covar: Whether covariances are returned. Static.
+        compute_preci: Whether precisions are returned; infinite along a flat axis. Static.
+        triu: Whether matrices are returned as upper triangles `[..., 6]` (xx, xy, xz, yy, yz, zz). Static.
+
+    Returns:
+        Covariances and precisions `[..., 3, 3]`, None where not asked for. Differentiable to both arguments.
+
+    Raises:
+        ValueError: If the shapes do not fit.
+    """
+    if quats.shape[-1:] != (4,) or scales.shape != (*quats.shape[:-1], 3):
+        raise ValueError(f"{quats.shape=} and {scales.shape=}, expected [..., 4] and [..., 3]")
+
+    def matrix(quat, factors):
+        axes = rotation(quat)
+        scaled = [[axes[i][j] * factors[j] for j in range(3)] for i in range(3)]
+        if triu:
+            return jnp.stack([dot(scaled[i], scaled[j]) for i in range(3) for j in range(i, 3)])
+        return jnp.stack([jnp.stack([dot(scaled[i], scaled[j]) for j in range(3)]) for i in range(3)])
+
+    vectorised = jnp.vectorize(matrix, signature="(4),(3)->(n)" if triu else "(4),(3)->(n,m)")
+    return (
+        vectorised(quats, scales) if compute_covar else None,
+        vectorised(quats, 1 / scales) if compute_preci else None,
+    )
