@@ -1,17 +1,31 @@
-"""Covariances of Gaussians, in space and in the image: 3x3 algebra written out in scalars.
+"""Covariances of Gaussians, in space and in the image: 3x3 algebra written out in components.
 
-Written out, no matrix unit ever rounds a pose or a covariance, and `vmap` turns each line into one wide operation.
+Written out, no matrix unit ever rounds a pose or a covariance, and every line is one wide operation over all Gaussians.
+A component is an array of any shape; shapes broadcast.
 """
+
+from functools import reduce
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-Vector = list[Array]  # three scalars
+Vector = list[Array]
+Matrix = list[Vector]  # rows
+
+
+def components(vectors: Array) -> Vector:
+    """`[..., n]` -> n arrays `[...]`."""
+    return [vectors[..., i] for i in range(vectors.shape[-1])]
+
+
+def matrix_rows(matrices: Array) -> Matrix:
+    """`[..., n, m]` -> n rows of m arrays `[...]`."""
+    return [components(matrices[..., i, :]) for i in range(matrices.shape[-2])]
 
 
 def dot(a: Vector, b: Vector) -> Array:
-    """Scalar product."""
+    """Scalar product in three dimensions."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -20,14 +34,14 @@ def cross(a: Vector, b: Vector) -> Vector:
     return [a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3] for i in range(3)]
 
 
-def rotation(quat: Array) -> list[Vector]:
-    """Rows of the rotation of a quaternion `[4]` (w, x, y, z) of any length; zero: the identity, with zero gradient."""
+def rotation(quat: Vector) -> Matrix:
+    """The rotation of a quaternion (w, x, y, z) of any length; zero gives the identity, with zero gradient."""
     # Divided by its largest entry first: the square of a long one would overflow.
-    largest = jax.lax.stop_gradient(jnp.max(jnp.abs(quat)))
+    largest = jax.lax.stop_gradient(reduce(jnp.maximum, [jnp.abs(part) for part in quat]))
     is_zero = largest < 1e-12
-    quat = quat / jnp.where(is_zero, 1, largest)
-    unit = quat * jax.lax.rsqrt(jnp.where(is_zero, 1, jnp.sum(quat * quat)))
-    w, x, y, z = jnp.where(is_zero, jnp.array([1, 0, 0, 0], quat.dtype), unit)
+    quat = [part / jnp.where(is_zero, 1, largest) for part in quat]
+    inverse = jax.lax.rsqrt(jnp.where(is_zero, 1, sum(part * part for part in quat)))
+    w, x, y, z = (jnp.where(is_zero, one, part * inverse) for part, one in zip(quat, (1, 0, 0, 0), strict=True))
     return [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -35,7 +49,7 @@ def rotation(quat: Array) -> list[Vector]:
     ]
 
 
-def seen_from_axes(row_x: Vector, row_y: Vector, quat: Array, scale: Array) -> tuple[Array, Array, Array, Array]:
+def seen_from_axes(row_x: Vector, row_y: Vector, quat: Vector, scales: Vector) -> tuple[Array, Array, Array, Array]:
     """(xx, xy, yy, determinant) of A R S S R^T A^T for the 2x3 map A with the given rows.
 
     The determinant is the squared cross product of the rows of A R S (Lagrange's identity): a needle of any aspect
@@ -43,22 +57,28 @@ def seen_from_axes(row_x: Vector, row_y: Vector, quat: Array, scale: Array) -> t
     """
     axes = rotation(quat)
     columns = [[axes[i][j] for i in range(3)] for j in range(3)]
-    x = [dot(row_x, columns[j]) * scale[j] for j in range(3)]
-    y = [dot(row_y, columns[j]) * scale[j] for j in range(3)]
+    x = [dot(row_x, columns[j]) * scales[j] for j in range(3)]
+    y = [dot(row_y, columns[j]) * scales[j] for j in range(3)]
     normal = cross(x, y)
     return dot(x, x), dot(x, y), dot(y, y), dot(normal, normal)
 
 
-def seen_from_matrix(row_x: Vector, row_y: Vector, covar: Array) -> tuple[Array, Array, Array, Array]:
-    """(xx, xy, yy, determinant) of A Sigma A^T for a symmetric `[3, 3]`; only its upper triangle is read.
+def seen_from_triangle(row_x: Vector, row_y: Vector, triangle: Vector) -> tuple[Array, Array, Array, Array]:
+    """(xx, xy, yy, determinant) of A Sigma A^T for a Sigma given by its upper triangle (xx, xy, xz, yy, yz, zz).
 
     The determinant is n^T adj(Sigma) n with n the cross product of the rows of A (Cauchy-Binet).
     """
-    rows = [[covar[min(i, j), max(i, j)] for j in range(3)] for i in range(3)]
+    xx, xy, xz, yy, yz, zz = triangle
+    rows = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
     x, y, normal = [dot(row, row_x) for row in rows], [dot(row, row_y) for row in rows], cross(row_x, row_y)
     adjugate = [cross(rows[1], rows[2]), cross(rows[2], rows[0]), cross(rows[0], rows[1])]
     det = dot(normal, [dot(row, normal) for row in adjugate])
     return dot(row_x, x), dot(row_x, y), dot(row_y, y), det
+
+
+def upper_triangle(matrices: Array) -> Array:
+    """`[..., 3, 3]` -> `[..., 6]` (xx, xy, xz, yy, yz, zz)."""
+    return jnp.stack([matrices[..., i, j] for i in range(3) for j in range(i, 3)], -1)
 
 
 def quat_scale_to_covar_preci(
@@ -82,15 +102,15 @@ def quat_scale_to_covar_preci(
     if quats.shape[-1:] != (4,) or scales.shape != (*quats.shape[:-1], 3):
         raise ValueError(f"{quats.shape=} and {scales.shape=}, expected [..., 4] and [..., 3]")
 
-    def matrix(quat, factors):
-        axes = rotation(quat)
-        scaled = [[axes[i][j] * factors[j] for j in range(3)] for i in range(3)]
-        if triu:
-            return jnp.stack([dot(scaled[i], scaled[j]) for i in range(3) for j in range(i, 3)])
-        return jnp.stack([jnp.stack([dot(scaled[i], scaled[j]) for j in range(3)]) for i in range(3)])
+    axes = rotation(components(quats))
 
-    vectorised = jnp.vectorize(matrix, signature="(4),(3)->(n)" if triu else "(4),(3)->(n,m)")
+    def matrices(factors: Vector) -> Array:
+        scaled = [[axes[i][j] * factors[j] for j in range(3)] for i in range(3)]
+        full = jnp.stack([jnp.stack([dot(a, b) for b in scaled], -1) for a in scaled], -2)
+        return upper_triangle(full) if triu else full
+
+    factors = components(scales)
     return (
-        vectorised(quats, scales) if compute_covar else None,
-        vectorised(quats, 1 / scales) if compute_preci else None,
+        matrices(factors) if compute_covar else None,
+        matrices([1 / factor for factor in factors]) if compute_preci else None,
     )

@@ -4,16 +4,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from rasterizer.covariances import dot, rotation
+from rasterizer.covariances import components, dot, matrix_rows, rotation
 from rasterizer.projection import camera_position
-
-
-def _normal(mean: Array, quat: Array, scale: Array, viewmat: Array) -> Array:
-    axes, smallest = jnp.stack([jnp.stack(row) for row in rotation(quat)]), jnp.argmin(scale)
-    axis = list(jnp.take(axes, smallest, axis=1))
-    in_camera = [dot(list(viewmat[i, :3]), axis) for i in range(3)]
-    towards_scene = dot(in_camera, camera_position(mean, viewmat)) > 0
-    return jnp.where(jax.lax.stop_gradient(towards_scene), -1, 1) * jnp.stack(in_camera)
 
 
 def camera_normals(means: Array, quats: Array, scales: Array, viewmats: Array, visible: Array) -> Array:
@@ -29,11 +21,13 @@ def camera_normals(means: Array, quats: Array, scales: Array, viewmats: Array, v
     Returns:
         `[C, N, 3]`, differentiable to quats and viewmats.
     """
-
-    def one(mean, quat, scale, viewmat, visible):
-        safe = jnp.where(visible, quat, jnp.array([1, 0, 0, 0], quat.dtype))
-        mean, scale = jnp.where(visible, mean, 0), jnp.where(visible, scale, 1)
-        return jnp.where(visible, _normal(mean, safe, scale, viewmat), 0)
-
-    one_camera = jax.vmap(one, in_axes=(0, 0, 0, None, 0))
-    return jax.vmap(one_camera, in_axes=(None, None, None, 0, 0))(means, quats, scales, viewmats, visible)
+    # What no camera sees is made harmless first; what one camera sees is sound.
+    seen = visible.any(0)[:, None]
+    quats = jnp.where(seen, quats, jnp.array([1, 0, 0, 0], quats.dtype))
+    means = jax.lax.stop_gradient(jnp.where(seen, means, 0))
+    smallest = jnp.argmin(jnp.where(seen, scales, 1), axis=-1)
+    axis = [jnp.where(smallest == 0, x, jnp.where(smallest == 1, y, z)) for x, y, z in rotation(components(quats))]
+    viewmat = [[entry[:, None] for entry in row] for row in matrix_rows(viewmats)]
+    in_camera = [dot(viewmat[i], axis) for i in range(3)]
+    away = jax.lax.stop_gradient(dot(in_camera, camera_position(components(means), viewmat))) > 0
+    return jnp.stack([jnp.where(visible, jnp.where(away, -part, part), 0) for part in in_camera], -1)

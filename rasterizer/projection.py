@@ -1,6 +1,7 @@
 """EWA projection: 3D Gaussians to 2D splats. Plain jnp, differentiated by JAX to any order.
 
-One Gaussian and one camera per function, `vmap`ped at the public boundary.
+Written in components, each one array over all cameras and Gaussians: XLA's CPU loops over rows of structs are ten times
+slower.
 """
 
 from typing import Literal, NamedTuple
@@ -9,7 +10,16 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from rasterizer.covariances import Vector, dot, seen_from_axes, seen_from_matrix
+from rasterizer.covariances import (
+    Matrix,
+    Vector,
+    components,
+    dot,
+    matrix_rows,
+    seen_from_axes,
+    seen_from_triangle,
+    upper_triangle,
+)
 from rasterizer.rules import GSPLAT, Rules
 
 RasterizeMode = Literal["classic", "antialiased"]
@@ -26,21 +36,32 @@ class Projection(NamedTuple):
     compensations: Array | None = None  # [C, N] factor of the opacity that undoes the blur; None in classic mode
 
 
-def camera_position(mean: Array, viewmat: Array) -> Vector:
-    """A world point `[3]` in the camera's frame."""
-    return [dot(list(viewmat[i, :3]), list(mean)) + viewmat[i, 3] for i in range(3)]
+class _Splats(NamedTuple):
+    """Components of a projection, `[C, N]` each."""
+
+    mean2d: Vector
+    depth: Array
+    conic: Vector
+    extent: Vector
+    visible: Array
+    compensation: Array | None
 
 
-def _image_map(point: Vector, viewmat: Array, K: Array, size: tuple[int, int]) -> tuple[Vector, Vector]:
-    """Rows of J W: what a small step in the world does in the image, pixels per scene unit."""
+def camera_position(mean: Vector, viewmat: Matrix) -> Vector:
+    """A world point in the camera's frame."""
+    return [dot(viewmat[i], mean) + viewmat[i][3] for i in range(3)]
+
+
+def image_map(point: Vector, viewmat: Matrix, K: Matrix, size: tuple[int, int]) -> tuple[Vector, Vector]:
+    """Rows of J W: what a small step in the world does in the image, pixels per scene unit; `point` in the camera."""
     x, y, z = point
-    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    fx, fy, cx, cy = K[0][0], K[1][1], K[0][2], K[1][2]
     width, height = size
     # The affine approximation explodes far outside the image: it is taken at most 30 % of half a field of view out.
     slope_x = jnp.clip(x / z, -cx / fx - 0.15 * width / fx, (width - cx) / fx + 0.15 * width / fx)
     slope_y = jnp.clip(y / z, -cy / fy - 0.15 * height / fy, (height - cy) / fy + 0.15 * height / fy)
-    row_x = [fx / z * (viewmat[0, j] - slope_x * viewmat[2, j]) for j in range(3)]
-    row_y = [fy / z * (viewmat[1, j] - slope_y * viewmat[2, j]) for j in range(3)]
+    row_x = [fx / z * (viewmat[0][j] - slope_x * viewmat[2][j]) for j in range(3)]
+    row_y = [fy / z * (viewmat[1][j] - slope_y * viewmat[2][j]) for j in range(3)]
     return row_x, row_y
 
 
@@ -51,47 +72,52 @@ def _compensation(det: Array, blurred: Array, rules: Rules) -> Array:
     return jnp.where(ratio > floor, jnp.sqrt(jnp.where(ratio > floor, ratio, 1)), rules.compensation_min)
 
 
-def _project_one(
-    mean: Array,
-    shape: tuple[Array, ...],
+def _project_components(
+    mean: Vector,
+    shape: tuple[Vector, ...],
     opacity: Array,
-    viewmat: Array,
-    K: Array,
+    viewmat: Matrix,
+    K: Matrix,
+    *,
     size: tuple[int, int],
     eps2d: float,
     near_plane: float,
     far_plane: float,
     rasterize_mode: RasterizeMode,
     rules: Rules,
-) -> Projection:
-    """`shape`: quaternion and scales, or a covariance."""
-    seen = seen_from_axes if len(shape) == 2 else seen_from_matrix
-    round_shape = (jnp.array([1, 0, 0, 0], mean.dtype), jnp.ones(3, mean.dtype))
-    harmless_shape = round_shape if len(shape) == 2 else (jnp.eye(3, dtype=mean.dtype),)
+) -> _Splats:
+    """`shape`: quaternion and scales, or the upper triangle of a covariance."""
+    of_axes = len(shape) == 2
+    seen = seen_from_axes if of_axes else seen_from_triangle
+    harmless_shape = ((1, 0, 0, 0), (1, 1, 1)) if of_axes else ((1, 0, 0, 1, 0, 1),)
 
     def splat(mean, shape):
         x, y, z = camera_position(mean, viewmat)
         z_safe = jnp.where(z > near_plane, z, 1)
-        xx, xy, yy, sharp = seen(*_image_map([x, y, z_safe], viewmat, K, size), *shape)
+        xx, xy, yy, sharp = seen(*image_map([x, y, z_safe], viewmat, K, size), *shape)
         # det(S + eps 1) = det S + eps tr S + eps^2.
         xx, yy, det = xx + eps2d, yy + eps2d, sharp + eps2d * (xx + yy) + eps2d * eps2d
         # Divided by the root twice: the derivative of a plain division squares the determinant, which may overflow.
         inverse_root = jax.lax.rsqrt(jnp.where(det > 0, det, 1))
-        mean2d = jnp.stack([K[0, 0] * x / z_safe + K[0, 2], K[1, 1] * y / z_safe + K[1, 2]])
-        return mean2d, z, jnp.stack([yy, -xy, xx]) * inverse_root * inverse_root, jnp.stack([xx, yy]), det, sharp
+        conic = [part * inverse_root * inverse_root for part in (yy, -xy, xx)]
+        return [K[0][0] * x / z_safe + K[0][2], K[1][1] * y / z_safe + K[1][2]], z, conic, [xx, yy], det, sharp
 
     # First look, without gradient: whatever overflows or is not a number is swapped for a harmless Gaussian *before*
     # the differentiated computation, since 0 x inf in a backward pass would be NaN.
     mean2d, z, conic, variances, det, _ = jax.lax.stop_gradient(splat(mean, shape))
-    inputs = [mean, opacity[None], *(x.reshape(-1) for x in shape)]
-    finite = jnp.isfinite(jnp.concatenate([*inputs, mean2d, conic, variances, jnp.stack([z, det])])).all()
-    usable = finite & (z > near_plane) & (z < far_plane) & (det > 0) & (variances > 0).all()
+    usable = (z > near_plane) & (z < far_plane) & (det > 0) & (variances[0] > 0) & (variances[1] > 0)
     usable &= opacity >= rules.alpha_min
+    for part in (*mean, *sum(shape, []), opacity, *mean2d, *conic, *variances, z, det):
+        usable &= jnp.isfinite(part)
+
+    def where_usable(parts: Vector, harmless) -> Vector:
+        return [jnp.where(usable, part, safe) for part, safe in zip(parts, harmless, strict=True)]
+
     # A point one unit in front of the camera: -R^T t + R^T e_z.
-    harmless = (jnp.array([0, 0, 1], mean.dtype) - viewmat[:3, 3])[:, None] * viewmat[:3, :3]
+    ahead = [sum((at - viewmat[i][3]) * viewmat[i][j] for i, at in enumerate((0, 0, 1))) for j in range(3)]
     mean2d, z, conic, variances, det, sharp = splat(
-        jnp.where(usable, mean, jax.lax.stop_gradient(harmless.sum(0))),
-        tuple(jnp.where(usable, x, safe) for x, safe in zip(shape, harmless_shape, strict=True)),
+        where_usable(mean, jax.lax.stop_gradient(ahead)),
+        tuple(where_usable(parts, safe) for parts, safe in zip(shape, harmless_shape, strict=True)),
     )
     compensation = None
     if rasterize_mode == "antialiased":
@@ -103,11 +129,11 @@ def _project_one(
         # alpha falls to alpha_min where exp(-s^2 / 2) = alpha_min / opacity.
         ratio = jnp.where(usable, opacity, 1) / rules.alpha_min
         sigmas = jnp.minimum(sigmas, jnp.sqrt(2 * jnp.log(jnp.maximum(ratio, 1))))
-    extent = jax.lax.stop_gradient(sigmas * jnp.sqrt(variances))
-    center = jax.lax.stop_gradient(mean2d)
-    inside = (center + extent > 0).all() & (center - extent < jnp.array(size, mean.dtype)).all()
-    visible = usable & inside
-    return Projection(mean2d, z, conic, jnp.where(visible, extent, 0), visible, compensation)
+    extent = [jax.lax.stop_gradient(sigmas * jnp.sqrt(variance)) for variance in variances]
+    visible = usable
+    for center, reach, limit in zip(jax.lax.stop_gradient(mean2d), extent, size, strict=True):
+        visible &= (center + reach > 0) & (center - reach < limit)
+    return _Splats(mean2d, z, conic, [jnp.where(visible, reach, 0) for reach in extent], visible, compensation)
 
 
 def project(
@@ -150,7 +176,40 @@ def project(
         `Projection`; `means2d`, `depths`, `conics` and `compensations` are differentiable to means, quats, scales,
         covars, viewmats and Ks.
     """
-    shape = (quats, scales) if covars is None else (covars,)
-    options = ((width, height), eps2d, near_plane, far_plane, rasterize_mode, rules)
-    one_camera = jax.vmap(lambda m, s, o, v, k: _project_one(m, s, o, v, k, *options), in_axes=(0, 0, 0, None, None))
-    return jax.vmap(one_camera, in_axes=(None, None, None, 0, 0))(means, shape, opacities, viewmats, Ks)
+    shapes = (quats, scales) if covars is None else (upper_triangle(covars),)
+    inputs = (
+        components(means),
+        tuple(components(shape) for shape in shapes),
+        opacities,
+        [[entry[:, None] for entry in row] for row in matrix_rows(viewmats)],
+        [[entry[:, None] for entry in row] for row in matrix_rows(Ks)],
+    )
+
+    def project_all(*inputs):
+        return _project_components(
+            *inputs,
+            size=(width, height),
+            eps2d=eps2d,
+            near_plane=near_plane,
+            far_plane=far_plane,
+            rasterize_mode=rasterize_mode,
+            rules=rules,
+        )
+
+    nothing = jax.eval_shape(project_all, *inputs)
+    # A branch is a wall to XLA's fusion: without it the stacking of components is fused into their computation, and
+    # the derivative takes ten times as long on a CPU. The recomputation keeps the wall's inputs alone in memory.
+    splats = jax.lax.cond(
+        jnp.any(opacities >= rules.alpha_min),
+        jax.checkpoint(project_all),
+        lambda *_: jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), nothing),
+        *inputs,
+    )
+    return Projection(
+        jnp.stack(splats.mean2d, -1),
+        splats.depth,
+        jnp.stack(splats.conic, -1),
+        jnp.stack(splats.extent, -1),
+        splats.visible,
+        splats.compensation,
+    )
