@@ -1,5 +1,6 @@
 """Which splats touch which tile, front to back: sorted lists of (tile, splat) pairs at a fixed capacity."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -74,10 +75,40 @@ def _depth_order(depths: Array, visible: Array) -> Array:
         return (jnp.sort(key) & np.uint64(0xFFFFFFFF)).astype(jnp.int32)
 
 
-def _sort_by_tile(tiles: Array, ranks: Array) -> tuple[Array, Array]:
-    with jax.enable_x64(True):
-        key = jnp.sort((tiles.astype(jnp.uint64) << np.uint64(32)) | ranks.astype(jnp.uint64))
-        return (key >> np.uint64(32)).astype(jnp.int32), (key & np.uint64(0xFFFFFFFF)).astype(jnp.int32)
+def _lists(tiles: Array, ranks: Array, num_tiles: int) -> tuple[Array, Array]:
+    """Ranks by tile and, within a tile, rising, and `[num_tiles + 1]` offsets; tile `num_tiles` is left over.
+
+    The ranks come in rising.
+    """
+    # A GPU's radix sort wants one short key beside its value.
+    tiles, ranks = jax.lax.sort((tiles, ranks), num_keys=1, is_stable=True)
+    return ranks, jnp.searchsorted(tiles, jnp.arange(num_tiles + 1, dtype=jnp.int32)).astype(jnp.int32)
+
+
+def _lists_on_cpu(tiles: Array, ranks: Array, num_tiles: int) -> tuple[Array, Array]:
+    """`_lists` by two sorts of one packed integer each, which run side by side on two cores.
+
+    In every tile, the pairs of the nearer half of the slots come before those of the farther half: the halves are
+    merged by counting.
+    """
+
+    def sort(tiles, ranks):
+        with jax.enable_x64(True):
+            key = jnp.sort((tiles.astype(jnp.uint64) << np.uint64(32)) | ranks.astype(jnp.uint64))
+            tiles, ranks = (key >> np.uint64(32)).astype(jnp.int32), (key & np.uint64(0xFFFFFFFF)).astype(jnp.int32)
+        return tiles, ranks, jnp.searchsorted(tiles, jnp.arange(num_tiles + 2, dtype=jnp.int32)).astype(jnp.int32)
+
+    capacity, half = tiles.shape[0], tiles.shape[0] // 2
+    (near_tiles, near_ranks, near_starts), (far_tiles, far_ranks, far_starts) = (
+        sort(tiles[:half], ranks[:half]),
+        sort(tiles[half:], ranks[half:]),
+    )
+    near_place = jnp.arange(half, dtype=jnp.int32) + far_starts[near_tiles]
+    far_place = jnp.arange(capacity - half, dtype=jnp.int32) + near_starts[far_tiles + 1]
+    lists = jnp.zeros(capacity, jnp.int32)
+    lists = lists.at[jnp.where(near_tiles < num_tiles, near_place, capacity)].set(near_ranks, mode="drop")
+    lists = lists.at[jnp.where(far_tiles < num_tiles, far_place, capacity)].set(far_ranks, mode="drop")
+    return lists, (near_starts + far_starts)[:-1]
 
 
 def _least_sigma(offset_low: Array, offset_high: Array, conic: Array) -> Array:
@@ -147,7 +178,9 @@ def bin_splats(
     camera = order // (num_splats // grid.num_cameras)
     box = jnp.stack([low[:, 0], low[:, 1], jnp.maximum(size[:, 0], 1), start, camera], -1)[rank]
     index = slot - box[:, 3]
-    tile_x, tile_y = box[:, 0] + index % box[:, 2], box[:, 1] + index // box[:, 2]
+    # Half a tile is added so that rounding cannot reach the next integer: exact, and vectorised where // is not.
+    row = jnp.floor((index.astype(jnp.float32) + 0.5) / box[:, 2].astype(jnp.float32)).astype(jnp.int32)
+    tile_x, tile_y = box[:, 0] + index - row * box[:, 2], box[:, 1] + row
     tile = (box[:, 4] * grid.tiles_y + tile_y) * grid.tiles_x + tile_x
 
     opacity = jnp.broadcast_to(jax.lax.stop_gradient(opacities), projection.depths.shape).reshape(-1)
@@ -169,6 +202,10 @@ def bin_splats(
         listed &= masks.reshape(-1)[jnp.minimum(tile, grid.num_tiles - 1)]
     tile = jnp.where(listed, tile, grid.num_tiles)
 
-    tile, rank = _sort_by_tile(tile, rank)
-    offsets = jnp.searchsorted(tile, jnp.arange(grid.num_tiles + 1, dtype=jnp.int32)).astype(jnp.int32)
+    rank, offsets = jax.lax.platform_dependent(
+        tile,
+        rank,
+        cpu=partial(_lists_on_cpu, num_tiles=grid.num_tiles),
+        default=partial(_lists, num_tiles=grid.num_tiles),
+    )
     return TilePairs(order[rank], offsets, needed, needed > capacity)
