@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from rasterizer.blending import blend_splat, cut_alpha, splat_sigma, unblend_splat
-from rasterizer.compositing import Blended, Engine, Static, moment_basis, pixel_centers, tile_centers
+from rasterizer.compositing import Blended, Engine, Static, chain_to_rows, moment_basis, pixel_centers, tile_centers
 
 LANES = 256  # Tiles that run in lockstep: long vectors against early exit. 256-512 measured best on 2 cores.
 UNROLL = 4  # Splats per forward iteration.
@@ -35,7 +35,6 @@ def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blen
     pixel_x, pixel_y = pixel_centers(static.grid)
     counts = offsets[1:] - offsets[:-1]
     all_counts, all_starts = _with_empty_tile(counts), _with_empty_tile(offsets[:-1])
-    pairs = rows[splats]
     channels = rows.shape[1] - 6
 
     def group(tiles: Array):
@@ -43,7 +42,7 @@ def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blen
 
         def body(state):
             k, signed_t, out, last, median = state
-            block = pairs[start[:, None] + jnp.arange(UNROLL, dtype=jnp.int32) + k]
+            block = rows[splats[start[:, None] + jnp.arange(UNROLL, dtype=jnp.int32) + k]]
             for u in range(UNROLL):
                 row = block[:, u]
                 dx = (row[:, 0] - center[:, 0])[:, None] - pixel_x
@@ -85,17 +84,17 @@ def _backward(static: Static, rows: Array, splats: Array, offsets: Array, final_
     counts = jnp.minimum(offsets[1:] - offsets[:-1], last.max(-1) + 1)
     all_counts, all_starts = _with_empty_tile(counts), _with_empty_tile(offsets[:-1])
     all_t, all_last, all_df, all_dt = (_with_empty_tile(x) for x in (final_t, last, d_features, d_final_t))
-    pairs = rows[splats]
-    capacity, channels = splats.shape[0], rows.shape[1] - 6
+    channels = rows.shape[1] - 6
 
-    def group(gradients: Array, tiles: Array):
+    def group(d_rows: Array, tiles: Array):
         start, count, center = all_starts[tiles], all_counts[tiles], tile_centers(tiles, static.grid)
         d_feature, last_index = all_df[tiles], all_last[tiles]
 
         def body(state):
-            k, t, behind, gradients = state
+            k, t, behind, d_rows = state
             live = k < count
-            row = pairs[start + k]
+            splat = splats[start + k]
+            row = rows[splat]
             dx = (row[:, 0] - center[:, 0])[:, None] - pixel_x
             dy = (row[:, 1] - center[:, 1])[:, None] - pixel_y
             sigma = splat_sigma(dx, dy, row[:, 2:3], row[:, 3:4], row[:, 4:5])
@@ -105,16 +104,15 @@ def _backward(static: Static, rows: Array, splats: Array, offsets: Array, final_
             d_sigma, weight, t, behind = unblend_splat(t, behind, lit, alpha, unclamped, static.rules)
             moments = jnp.dot(d_sigma, basis, precision=jax.lax.Precision.HIGHEST)
             # A batched product: XLA's CPU row sums are a quarter of the whole backward pass otherwise.
-            d_row = jnp.einsum("gp,gcp->gc", weight, d_feature, precision=jax.lax.Precision.HIGHEST)
-            gradients = gradients.at[jnp.where(live, start + k, capacity)].set(
-                jnp.concatenate([moments, d_row], -1), mode="drop"
-            )
-            return k - 1, t, behind, gradients
+            d_pair = jnp.einsum("gp,gcp->gc", weight, d_feature, precision=jax.lax.Precision.HIGHEST)
+            d_row = chain_to_rows(row, center, moments, d_pair)
+            d_rows = d_rows.at[jnp.where(live, splat, rows.shape[0])].add(d_row, mode="drop")
+            return k - 1, t, behind, d_rows
 
-        state = (count.max() - 1, all_t[tiles], all_t[tiles] * all_dt[tiles], gradients)
+        state = (count.max() - 1, all_t[tiles], all_t[tiles] * all_dt[tiles], d_rows)
         return jax.lax.while_loop(lambda s: s[0] >= 0, body, state)[3], None
 
-    return jax.lax.scan(group, jnp.zeros((capacity, 6 + channels), jnp.float32), _groups(counts))[0]
+    return jax.lax.scan(group, jnp.zeros_like(rows), _groups(counts))[0]
 
 
 ENGINE = Engine(_forward, _backward)

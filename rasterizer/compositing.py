@@ -1,7 +1,7 @@
 """Compositing of listed splats: one `custom_vjp` around whichever engine blends the tiles.
 
-An engine is two functions, forward and backward over tiles; layout, gathers and the chain rule from moments to means
-and conics, applied once per (tile, splat) pair, are the same for all and live here.
+An engine is two functions, forward and backward over tiles; the layout and the chain rule from a tile's moments to
+means and conics, applied once per (tile, splat) pair, are the same for all and live here.
 """
 
 from collections.abc import Callable
@@ -14,6 +14,7 @@ import numpy as np
 from jax import Array
 
 from rasterizer.binning import TileGrid
+from rasterizer.covariances import components
 from rasterizer.rules import Rules
 
 
@@ -31,9 +32,7 @@ class Engine(NamedTuple):
 
     # (static, rows, splats, offsets) -> Blended. rows [M, 6 + D] of `_splat_rows`; lists of `binning.TilePairs`.
     forward: Callable[..., Blended]
-    # (static, rows, splats, offsets, transmittance, last, d_features, d_transmittance) -> [capacity, 6 + D], per pair:
-    # dL/dsigma summed against `moment_basis`, then dL/dfeatures; zero where no pixel saw the pair; slots past
-    # offsets[-1] may hold anything.
+    # (static, rows, splats, offsets, transmittance, last, d_features, d_transmittance) -> [M, 6 + D], dL/drows.
     backward: Callable[..., Array]
 
 
@@ -89,23 +88,33 @@ def _splat_rows(means2d: Array, conics: Array, opacities: Array, features: Array
     return jnp.concatenate([means2d, conics, opacities[:, None], features], axis=-1)
 
 
-def _chain_to_splats(static: Static, rows: Array, splats: Array, offsets: Array, gradients: Array) -> Array:
-    """`[M, 6 + D]` gradient to the splat rows from the moments of every pair."""
-    grid = static.grid
-    slot = jnp.arange(splats.shape[0], dtype=jnp.int32)
-    starts = jnp.zeros(splats.shape[0] + 1, jnp.int32).at[offsets[1:]].add(1)
-    tile = jnp.minimum(jnp.cumsum(starts)[:-1], grid.num_tiles - 1)
-    center, row = tile_centers(tile, grid), rows[splats]
-    x, y, xx, xy, yy = row[:, 0] - center[:, 0], row[:, 1] - center[:, 1], row[:, 2], row[:, 3], row[:, 4]
-    m1, mx, my, mxx, mxy, myy = (gradients[:, i] for i in range(6))
+def chain_to_rows(rows: Array, centers: Array, moments: Array, d_features: Array) -> Array:
+    """`[..., 6 + D]` gradients to splat rows from what one tile's pixels sum up.
+
+    Args:
+        rows: `[..., 6 + D]` splats.
+        centers: `[..., 2]` centre of the tile that summed, pixels.
+        moments: `[..., 6]` dL/dsigma summed against `moment_basis`.
+        d_features: `[..., D]` dL/dfeatures.
+    """
+    x, y, xx, xy, yy = rows[..., 0] - centers[..., 0], rows[..., 1] - centers[..., 1], *components(rows[..., 2:5])
+    m1, mx, my, mxx, mxy, myy = components(moments)
     # Sums of dL/dsigma times powers of the offset d = mean - pixel.
     dx, dy = x * m1 - mx, y * m1 - my
     dxx, dyy = x * (x * m1 - 2 * mx) + mxx, y * (y * m1 - 2 * my) + myy
     dxy = x * y * m1 - x * my - y * mx + mxy
-    opacity = jnp.where(row[:, 5] > 0, row[:, 5], 1)
-    d_row = jnp.stack([xx * dx + xy * dy, xy * dx + yy * dy, 0.5 * dxx, dxy, 0.5 * dyy, -m1 / opacity], -1)
-    d_row = jnp.where((slot < offsets[-1])[:, None], jnp.concatenate([d_row, gradients[:, 6:]], -1), 0)
-    return jnp.zeros_like(rows).at[splats].add(d_row)
+    opacity = jnp.where(rows[..., 5] > 0, rows[..., 5], 1)
+    shape = jnp.stack([xx * dx + xy * dy, xy * dx + yy * dy, 0.5 * dxx, dxy, 0.5 * dyy, -m1 / opacity], -1)
+    return jnp.concatenate([shape, d_features], -1)
+
+
+def pairs_to_rows(static: Static, rows: Array, splats: Array, offsets: Array, gradients: Array) -> Array:
+    """`[M, 6 + D]` gradients to splat rows from `[capacity, 6 + D]` moments and dL/dfeatures of every pair."""
+    slot = jnp.arange(splats.shape[0], dtype=jnp.int32)
+    starts = jnp.zeros(splats.shape[0] + 1, jnp.int32).at[offsets[1:]].add(1)
+    tile = jnp.minimum(jnp.cumsum(starts)[:-1], static.grid.num_tiles - 1)
+    d_rows = chain_to_rows(rows[splats], tile_centers(tile, static.grid), gradients[:, :6], gradients[:, 6:])
+    return jnp.zeros_like(rows).at[splats].add(jnp.where((slot < offsets[-1])[:, None], d_rows, 0))
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
@@ -143,8 +152,7 @@ def _composite_fwd(static, means2d, conics, opacities, features, splats, offsets
 def _composite_bwd(static, residuals, cotangents):
     rows, splats, offsets, t, last = residuals
     d_tiles = to_tiles(jnp.concatenate(cotangents[:2], -1), static.grid)
-    gradients = static.engine.backward(static, rows, splats, offsets, t, last, d_tiles[:, :-1], d_tiles[:, -1])
-    d_rows = _chain_to_splats(static, rows, splats, offsets, gradients)
+    d_rows = static.engine.backward(static, rows, splats, offsets, t, last, d_tiles[:, :-1], d_tiles[:, -1])
     return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:], None, None
 
 
