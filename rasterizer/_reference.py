@@ -8,28 +8,35 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from rasterizer.blending import cut_alpha, splat_sigma
+from rasterizer.blending import blend_splat, cut_alpha, splat_sigma
 from rasterizer.projection import Projection
 from rasterizer.rules import Rules
 
-BLOCK = 512  # Pixels per block.
+BLOCK = 512  # Pixels per block: the history of a block of 10,000 splats stays under 100 MB.
 
 
-def _blend_pixel(pixel: Array, means2d, conics, opacities, features, rules: Rules) -> tuple[Array, Array, Array]:
-    """Features `[D]`, transmittance `[]` and median splat's rank `[]` of one pixel from splats sorted front to back."""
-    d = means2d - pixel
-    sigma = splat_sigma(d[:, 0], d[:, 1], conics[:, 0], conics[:, 1], conics[:, 2])
-    unclamped = opacities * jnp.exp(-jnp.where(sigma >= 0, sigma, 0))
-    alpha = cut_alpha(unclamped, sigma, rules)
-    if rules.straight_through:
-        alpha = jnp.where(alpha > 0, unclamped + jax.lax.stop_gradient(alpha - unclamped), 0)
-    left = jnp.concatenate([jnp.ones(1, alpha.dtype), jnp.cumprod(1 - alpha)])
-    # Transmittance only falls, so everything from the first stop on is under the limit too.
-    live = left[1:] > rules.transmittance_min
-    weights = jnp.where(live, left[:-1] * alpha, 0)
-    ranks = jnp.arange(weights.shape[0], dtype=jnp.int32)
-    median = jnp.max(jnp.where((weights > 0) & (left[:-1] > 0.5), ranks, -1), initial=-1)
-    return jnp.sum(weights[:, None] * features, 0), left[jnp.sum(live)], median
+def _blend_block(pixels: Array, means2d, conics, opacities, features, rules: Rules) -> tuple[Array, Array, Array]:
+    """Features `[B, D]`, transmittance `[B]` and rank of the median splat `[B]` from splats sorted front to back."""
+
+    @jax.checkpoint  # Or every step would keep a dozen numbers per pixel for the way back.
+    def step(state, splat):
+        signed_t, image, median = state
+        rank, mean2d, conic, opacity, feature = splat
+        dx, dy = mean2d[0] - pixels[:, 0], mean2d[1] - pixels[:, 1]
+        sigma = splat_sigma(dx, dy, conic[0], conic[1], conic[2])
+        unclamped = opacity * jnp.exp(-jnp.where(sigma >= 0, sigma, 0))
+        alpha = cut_alpha(unclamped, sigma, rules)
+        if rules.straight_through:
+            alpha = jnp.where(alpha > 0, unclamped + jax.lax.stop_gradient(alpha - unclamped), 0)
+        weight, left = blend_splat(signed_t, alpha, rules)
+        median = jnp.where((weight > 0) & (signed_t > 0.5), rank, median)
+        return (left, image + weight[:, None] * feature, median), None
+
+    count, dtype = pixels.shape[0], features.dtype
+    start = jnp.ones(count, dtype), jnp.zeros((count, features.shape[1]), dtype), jnp.full(count, -1, jnp.int32)
+    ranks = jnp.arange(features.shape[0], dtype=jnp.int32)
+    (signed_t, image, median), _ = jax.lax.scan(step, start, (ranks, means2d, conics, opacities, features))
+    return image, jnp.abs(signed_t), median
 
 
 def composite(
@@ -52,8 +59,9 @@ def composite(
     dtype = features.dtype
     y, x = jnp.meshgrid(jnp.arange(height, dtype=dtype) + 0.5, jnp.arange(width, dtype=dtype) + 0.5, indexing="ij")
     pixels = jnp.stack([x, y], -1).reshape(-1, 2)
-    padding = -pixels.shape[0] % BLOCK
-    blocks = jnp.concatenate([pixels, jnp.zeros((padding, 2), dtype)]).reshape(-1, BLOCK, 2)
+    size = min(BLOCK, pixels.shape[0])
+    padding = -pixels.shape[0] % size
+    blocks = jnp.concatenate([pixels, jnp.zeros((padding, 2), dtype)]).reshape(-1, size, 2)
 
     def one_camera(means2d, depths, conics, visible, opacity, feature):
         order = jnp.argsort(jnp.where(visible, jax.lax.stop_gradient(depths), jnp.inf)).astype(jnp.int32)
@@ -64,7 +72,7 @@ def composite(
 
         @jax.checkpoint
         def block(pixels):
-            return jax.vmap(lambda pixel: _blend_pixel(pixel, *sorted_splats, rules))(pixels)
+            return _blend_block(pixels, *sorted_splats, rules)
 
         flat = [x.reshape(-1, *x.shape[2:])[: height * width] for x in jax.lax.map(block, blocks)]
         image, left, median = (x.reshape(height, width, *x.shape[1:]) for x in flat)
