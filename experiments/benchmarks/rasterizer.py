@@ -1,17 +1,26 @@
-"""Times the tile rasterizer on seeded workloads, stage by stage, and prints a table with the machine beside it."""
+"""Times the tile rasterizer on seeded workloads, stage by stage, and prints tables with the machine beside them."""
 
 import argparse
+import multiprocessing
 import resource
 import sys
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from gsjax import tables
 from gsjax.cli import guarded
 
-REPEATS = 9
+REPEATS = 15
+GOLDEN = Path(__file__).resolve().parents[3] / "shared" / "golden" / "random10k.npz"
+HEAVY = "112k, 648x420, heavy tails"
+# Wall ms (forward, forward + backward) of others on 2 quiet cores, as the project was given them.
+PEERS = {
+    "golden: 10k, 256x256, radius 6": {"OpenSplat (C++)": (28, 45), "gsplat (torch)": (105, 110)},
+    "100k, 512x512, radius 3": {"OpenSplat (C++)": (170, 307), "gsplat (torch)": (376, 475)},
+}
 
 
 class Workload(NamedTuple):
@@ -23,87 +32,184 @@ class Workload(NamedTuple):
 
 
 WORKLOADS = {
-    "10k, 256 px, radius 6": Workload(10_000, 256, 6.0),
-    "10k, 512 px, radius 6": Workload(10_000, 512, 6.0),
-    "100k, 256 px, radius 3": Workload(100_000, 256, 3.0),
-    "100k, 512 px, radius 3": Workload(100_000, 512, 3.0),
+    "10k, 256x256, radius 6": Workload(10_000, 256, 6.0),
+    "10k, 512x512, radius 6": Workload(10_000, 512, 6.0),
+    "100k, 256x256, radius 3": Workload(100_000, 256, 3.0),
+    "100k, 512x512, radius 3": Workload(100_000, 512, 3.0),
 }
 
 
-def make_scene(workload: Workload) -> tuple[Any, ...]:
-    """(means, quats, scales, opacities, colors, viewmats, Ks) of a workload, the same every time."""
-    import jax.numpy as jnp
+class Scene(NamedTuple):
+    """(means, quats, scales, opacities, colors, viewmats, Ks), and the image's size in pixels."""
+
+    arrays: tuple[Any, ...]
+    width: int
+    height: int
+
+
+def make_scene(workload: Workload, seed: int = 0) -> Scene:
+    """Evenly spread Gaussians, the same every time."""
     import numpy as np
 
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(seed)
     count, side = workload.gaussians, workload.side
     focal = 0.9 * side
     depth = rng.uniform(2, 8, count)
     position = rng.uniform(-0.05, 1.05, (count, 2)) * side
-    means = np.concatenate([(position - side / 2) / focal * depth[:, None], depth[:, None]], -1)
     spread = rng.lognormal(0, 0.4, (count, 3))
     scales = workload.radius / 3 * spread * (depth / focal)[:, None]
     quats, opacities, colors = rng.normal(size=(count, 4)), rng.uniform(0.05, 1, count), rng.uniform(0, 1, (count, 3))
-    K = np.array([[focal, 0, side / 2], [0, focal, side / 2], [0, 0, 1]])
+    return _scene(position, depth, quats, scales, opacities, colors, focal, side, side)
+
+
+def heavy_tailed_scene(seed: int = 0) -> Scene:
+    """Like a trained outdoor scene: clustered, sizes and opacities over decades, many hundreds deep on a tile."""
+    import numpy as np
+
+    rng = np.random.default_rng(seed)
+    count, width, height, focal = 112_000, 648, 420, 480.0
+    depth = rng.gamma(3, 1.5, count) + 0.5
+    clustered = rng.random((count, 1)) < 0.6
+    place = np.where(clustered, rng.normal([0.5, 0.62], [0.16, 0.14], (count, 2)), rng.uniform(-0.2, 1.2, (count, 2)))
+    sigma = np.exp(rng.normal(np.log(1.2), 0.9, count))
+    scales = (sigma * depth / focal)[:, None] * np.exp(rng.normal(0, 0.7, (count, 3)))
+    opacities = 1 / (1 + np.exp(-rng.normal(-0.5, 2, count)))
+    quats, colors = rng.normal(size=(count, 4)), rng.uniform(0, 1, (count, 3))
+    return _scene(place * [width, height], depth, quats, scales, opacities, colors, focal, width, height)
+
+
+def golden_scene(path: Path = GOLDEN) -> Scene:
+    """The 10,000 Gaussians of the golden tests."""
+    import jax.numpy as jnp
+    import numpy as np
+
+    golden = np.load(path)
+    gaussians = [jnp.asarray(golden[name]) for name in ("means", "quats", "scales", "opacities", "colors")]
+    cameras = jnp.asarray(golden["viewmat"])[None], jnp.asarray(golden["K"])[None]
+    return Scene((*gaussians, *cameras), int(golden["width"]), int(golden["height"]))
+
+
+def _scene(pixels, depth, quats, scales, opacities, colors, focal, width, height) -> Scene:
+    import jax.numpy as jnp
+    import numpy as np
+
+    center = np.array([width, height]) / 2
+    means = np.concatenate([(pixels - center) / focal * depth[:, None], depth[:, None]], -1)
+    K = np.array([[focal, 0, center[0]], [0, focal, center[1]], [0, 0, 1]])
     arrays = (means, quats, scales, opacities, colors, np.eye(4)[None], K[None])
-    return tuple(jnp.asarray(a, jnp.float32) for a in arrays)
+    return Scene(tuple(jnp.asarray(a, jnp.float32) for a in arrays), width, height)
 
 
-def milliseconds(function: Callable[..., Any], *arguments: Any) -> tuple[float, float]:
+def scene_named(name: str) -> Scene:
+    """The scene of a row of the table."""
+    if name in WORKLOADS:
+        return make_scene(WORKLOADS[name])
+    return heavy_tailed_scene() if name == HEAVY else golden_scene()
+
+
+def milliseconds(function: Callable[..., Any], *arguments: Any, repeats: int = REPEATS) -> tuple[float, float]:
     """(first call, median of the later ones), milliseconds; the first compiles."""
     import jax
 
     spans = []
-    for _ in range(REPEATS + 1):
+    for _ in range(repeats + 1):
         start = time.perf_counter()
         jax.block_until_ready(function(*arguments))
         spans.append(1e3 * (time.perf_counter() - start))
-    return spans[0], sorted(spans[1:])[REPEATS // 2]
+    return spans[0], sorted(spans[1:])[repeats // 2]
 
 
-def measure(workload: Workload) -> dict[str, float]:
-    """Figures of one workload."""
+def measure(name: str) -> dict[str, float]:
+    """Figures of one workload; meant for a process of its own, whose peak memory is part of them."""
     import jax
     import jax.numpy as jnp
 
     import rasterizer
 
     jax.config.update("jax_enable_compilation_cache", False)  # Or compile times would be those of reading a file.
-    scene = make_scene(workload)
-    side = workload.side
-    _, _, info = rasterizer.rasterization(*scene, side, side)
-    capacity = int(info["splats"].shape[0])
-    pairs = int(info["offsets"][-1])
-    grid = rasterizer.TileGrid(1, side, side, rasterizer.default_tile_size())
+    arrays, width, height = scene_named(name)
+    _, _, info = rasterizer.rasterization(*arrays, width, height)
+    capacity, pairs = int(info["splats"].shape[0]), int(info["offsets"][-1])
+    tile = rasterizer.default_tile_size()
+    grid = rasterizer.TileGrid(1, width, height, tile)
 
-    def projected(*arrays):
-        return rasterizer.project(*arrays[:4], *arrays[5:], side, side)
+    def projected(arrays):
+        return rasterizer.project(*arrays[:4], *arrays[5:], width, height)
 
-    def binned(*arrays):
-        return rasterizer.bin_splats(projected(*arrays), arrays[3], grid, capacity, rasterizer.GSPLAT)
+    def binned(arrays):
+        return rasterizer.bin_splats(projected(arrays), arrays[3], grid, capacity, rasterizer.GSPLAT)
 
-    def image(*arrays):
-        return rasterizer.rasterization(*arrays, side, side, capacity=capacity)[0]
+    def image(arrays):
+        return rasterizer.rasterization(*arrays, width, height, capacity=capacity)[0]
 
-    def loss(arrays):
-        return jnp.sum(image(*arrays) ** 2)
+    def projection_gradient(arrays):
+        return jax.grad(lambda a: sum(jnp.sum(x) for x in (projected(a).means2d, projected(a).conics)))(arrays)
 
-    _, projection_ms = milliseconds(jax.jit(projected), *scene)
-    _, binning_ms = milliseconds(jax.jit(binned), *scene)
-    _, forward_ms = milliseconds(jax.jit(image), *scene)
-    first_ms, both_ms = milliseconds(jax.jit(jax.grad(loss)), scene)
-    pixel_pairs = pairs * rasterizer.default_tile_size() ** 2
+    _, projection = milliseconds(jax.jit(projected), arrays)
+    _, binning = milliseconds(jax.jit(binned), arrays)
+    _, forward = milliseconds(jax.jit(image), arrays)
+    _, both_of_projection = milliseconds(jax.jit(projection_gradient), arrays)
+    first, both = milliseconds(jax.jit(jax.grad(lambda a: jnp.sum(image(a) ** 2))), arrays)
+    projection_backward = max(both_of_projection - projection, 0)
+    pixel_pairs = pairs * tile**2
     return {
         "pairs": pairs,
-        "projection_ms": projection_ms,
-        "projection_and_binning_ms": binning_ms,
-        "forward_ms": forward_ms,
-        "forward_backward_ms": both_ms,
-        "forward_ns_per_pixel_pair": 1e6 * (forward_ms - binning_ms) / pixel_pairs,
-        "backward_ns_per_pixel_pair": 1e6 * (both_ms - forward_ms) / pixel_pairs,
-        "compile_s": (first_ms - both_ms) / 1e3,
-        "peak_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20,
+        "projection": projection,
+        "binning": binning - projection,
+        "blending": forward - binning,
+        "blending_backward": both - forward - projection_backward,
+        "projection_backward": projection_backward,
+        "forward_ms": forward,
+        "forward_backward_ms": both,
+        "forward_ns": 1e6 * (forward - binning) / pixel_pairs,
+        "backward_ns": 1e6 * (both - forward - projection_backward) / pixel_pairs,
+        "compile_s": (first - both) / 1e3,
+        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10,
     }
+
+
+def operations_per_pixel_pair(channels: int = 3) -> tuple[int, int]:
+    """Elementwise operations of the forward and the backward blend, counted on the lines that the engines run."""
+    import jax
+    import jax.numpy as jnp
+
+    from rasterizer import GSPLAT, blending
+
+    def alpha(dx, dy, xx, xy, yy, opacity):
+        sigma = blending.splat_sigma(dx, dy, xx, xy, yy)
+        return opacity * jnp.exp(-sigma), sigma
+
+    def forward(t, x, y, px, py, *shape):
+        unclamped, sigma = alpha(x - px, y - py, *shape)
+        return blending.blend_splat(t, blending.cut_alpha(unclamped, sigma, GSPLAT), GSPLAT)
+
+    def backward(t, behind, lit, x, y, px, py, *shape):
+        unclamped, sigma = alpha(x - px, y - py, *shape)
+        cut = blending.cut_alpha(unclamped, sigma, GSPLAT)
+        return blending.unblend_splat(t, behind, lit, cut, unclamped, GSPLAT)
+
+    def count(function, arguments):
+        return str(jax.make_jaxpr(function)(*[1.0] * arguments)).count(" = ")
+
+    # And two a channel for the image; two a moment (6) and channel, and two a channel for what is lit, on the way back.
+    return count(forward, 9) + 2 * channels, count(backward, 11) + 2 * (6 + channels) + 2 * channels
+
+
+def operations_per_ns(lanes: int = 1 << 14, length: int = 64) -> float:
+    """What this machine does on blocks that fit its second cache: dependent multiplies and adds through XLA."""
+    import jax
+    import jax.numpy as jnp
+
+    def chain(x):
+        def body(_, x):
+            for i in range(length):
+                x = x * 0.999 if i % 2 else x + 0.001
+            return x
+
+        return jax.lax.fori_loop(0, 500, body, x)
+
+    _, ms = milliseconds(jax.jit(chain), jnp.ones(lanes, jnp.float32))
+    return 500 * length * lanes / (1e6 * ms)
 
 
 def main(chosen: Sequence[str] | None = None) -> None:
@@ -113,11 +219,38 @@ def main(chosen: Sequence[str] | None = None) -> None:
     from gsjax.io.machine import machine, versions
 
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", choices=WORKLOADS, help="one workload")
+    golden = [name for name in PEERS if name.startswith("golden") and GOLDEN.is_file()]
+    names = [*golden, *WORKLOADS, HEAVY]
+    parser.add_argument("--only", choices=names, help="one workload")
     arguments = parser.parse_args(chosen)
-    names = [arguments.only] if arguments.only else list(WORKLOADS)
-    print(tables.compare({name: measure(WORKLOADS[name]) for name in names}))
-    print(tables.record({**machine(), **versions()}))
+    rows = {}
+    for name in [arguments.only] if arguments.only else names:
+        # A process each, so that each has its own peak of memory.
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+            rows[name] = pool.submit(measure, name).result()
+    print(tables.compare(rows))
+    ratios = {
+        f"{peer}, {name}": {
+            "forward_ms": forward,
+            "forward_backward_ms": both,
+            "forward_ratio": forward / rows[name]["forward_ms"],
+            "forward_backward_ratio": both / rows[name]["forward_backward_ms"],
+        }
+        for name in rows
+        for peer, (forward, both) in PEERS.get(name, {}).items()
+    }
+    if ratios:
+        print(tables.compare(ratios))
+    forward, backward = operations_per_pixel_pair()
+    speed = operations_per_ns()
+    limits = {
+        "operations_forward": forward,
+        "operations_backward": backward,
+        "operations_per_ns": speed,
+        "limit_forward_ns": forward / speed,
+        "limit_backward_ns": backward / speed,
+    }
+    print(tables.record({**limits, **machine(), **versions()}))
 
 
 if __name__ == "__main__":
