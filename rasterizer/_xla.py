@@ -80,7 +80,7 @@ def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blen
 
 def _backward(static: Static, rows: Array, splats: Array, offsets: Array, final_t, last, d_features, d_final_t):
     pixel_x, pixel_y = pixel_centers(static.grid)
-    basis = moment_basis(pixel_x, pixel_y)
+    basis = jnp.stack(moment_basis(pixel_x, pixel_y), -1)
     counts = jnp.minimum(offsets[1:] - offsets[:-1], last.max(-1) + 1)
     all_counts, all_starts = _with_empty_tile(counts), _with_empty_tile(offsets[:-1])
     all_t, all_last, all_df, all_dt = (_with_empty_tile(x) for x in (final_t, last, d_features, d_final_t))

@@ -51,10 +51,10 @@ def pixel_centers(grid: TileGrid) -> tuple[Array, Array]:
     return jnp.asarray(x.ravel(), jnp.float32), jnp.asarray(y.ravel(), jnp.float32)
 
 
-def moment_basis(pixel_x: Array, pixel_y: Array) -> Array:
-    """`[P, 6]` what dL/dsigma is summed against: the chain rule to a splat's mean and conic needs no more."""
+def moment_basis(pixel_x: Array, pixel_y: Array) -> list[Array]:
+    """What dL/dsigma is summed against, `[P]` each: the chain rule to a splat's mean and conic needs no more."""
     x, y = pixel_x, pixel_y
-    return jnp.stack([jnp.ones_like(x), x, y, x * x, x * y, y * y], -1)
+    return [jnp.ones_like(x), x, y, x * x, x * y, y * y]
 
 
 def tile_centers(tiles: Array, grid: TileGrid) -> Array:
