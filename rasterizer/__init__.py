@@ -8,10 +8,19 @@ from rasterizer.engines import blend, default_tile_size
 from rasterizer.harmonics import spherical_harmonics
 from rasterizer.normals import camera_normals
 from rasterizer.projection import Projection, project
-from rasterizer.rules import GSPLAT, INRIA, Rules
+from rasterizer.rules import GSPLAT, GSPLAT_1_5, INRIA, Rules
+from rasterizer.stages import (
+    fully_fused_projection,
+    isect_offset_encode,
+    isect_tiles,
+    proj,
+    rasterize_to_pixels,
+    world_to_cam,
+)
 
 __all__ = [
     "GSPLAT",
+    "GSPLAT_1_5",
     "INRIA",
     "Projection",
     "Rules",
@@ -22,9 +31,15 @@ __all__ = [
     "camera_normals",
     "capacity_bucket",
     "count_pairs",
+    "default_tile_size",
+    "fully_fused_projection",
+    "isect_offset_encode",
+    "isect_tiles",
+    "proj",
     "project",
     "quat_scale_to_covar_preci",
     "rasterization",
+    "rasterize_to_pixels",
     "spherical_harmonics",
-    "default_tile_size",
+    "world_to_cam",
 ]

@@ -36,10 +36,8 @@ def image_features(
     if "RGB" in render_mode:
         if sh_degree is not None:
             centers = -jnp.sum(viewmats[:, :3, :3] * viewmats[:, :3, 3, None], axis=1)
-            usable = projection.visible[..., None]
-            dirs = jnp.where(usable, means[None] - centers[:, None], jnp.array([0, 0, 1], means.dtype))
-            coeffs = jnp.where(usable[..., None], colors[None], 0)
-            parts.append(jnp.maximum(spherical_harmonics(sh_degree, dirs, coeffs) + 0.5, 0))
+            values = spherical_harmonics(sh_degree, means[None] - centers[:, None], colors[None], projection.visible)
+            parts.append(jnp.maximum(values + 0.5, 0))
         else:
             colors = colors if colors.ndim == 3 else jnp.broadcast_to(colors[None], (num_cameras, *colors.shape))
             parts.append(jnp.where(projection.visible[..., None], colors, 0))

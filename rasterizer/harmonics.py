@@ -46,14 +46,15 @@ def _basis(degree: int, x: Array, y: Array, z: Array) -> list[Array]:
     return values
 
 
-def spherical_harmonics(degree: int, dirs: Array, coeffs: Array) -> Array:
+def spherical_harmonics(degrees_to_use: int, dirs: Array, coeffs: Array, masks: Array | None = None) -> Array:
     """Evaluate real spherical harmonics.
 
     Args:
-        degree: Highest degree used, 0 to 4. Static.
+        degrees_to_use: Highest degree used, 0 to 4. Static.
         dirs: `[..., 3]` directions from the camera to the point, any length; a zero direction is read as +z with
             zero gradient.
         coeffs: `[..., K, D]` coefficients, K >= (degree + 1)^2; more are ignored.
+        masks: `[...]` bool; where it is False the value is 0 and nothing is read, so that it may be anything.
 
     Returns:
         `[..., D]` values, differentiable to `dirs` and `coeffs`. 3DGS colours are `max(value + 0.5, 0)`.
@@ -61,11 +62,15 @@ def spherical_harmonics(degree: int, dirs: Array, coeffs: Array) -> Array:
     Raises:
         ValueError: If the degree is not 0 to 4 or `coeffs` holds too few coefficients.
     """
+    degree = degrees_to_use
     if not 0 <= degree <= 4:
         raise ValueError(f"spherical harmonics of degree {degree} are not supported, only 0 to 4")
     num_bases = (degree + 1) ** 2
     if coeffs.shape[-2] < num_bases:
         raise ValueError(f"degree {degree} needs {num_bases} coefficients, {coeffs.shape=} holds {coeffs.shape[-2]}")
+    if masks is not None:
+        dirs = jnp.where(masks[..., None], dirs, jnp.array([0, 0, 1], dirs.dtype))
+        coeffs = jnp.where(masks[..., None, None], coeffs, 0)
     # Divided by the largest entry first: the squares of a very long or short direction would overflow or vanish.
     largest = jax.lax.stop_gradient(jnp.max(jnp.abs(dirs), axis=-1, keepdims=True))
     is_zero = largest < jnp.finfo(dirs.dtype).tiny

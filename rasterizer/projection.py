@@ -132,7 +132,8 @@ def _project_components(
     extent = [jax.lax.stop_gradient(sigmas * jnp.sqrt(variance)) for variance in variances]
     visible = usable
     for center, reach, limit in zip(jax.lax.stop_gradient(mean2d), extent, size, strict=True):
-        visible &= (center + reach > 0) & (center - reach < limit)
+        # Rounded up to whole pixels, as gsplat's radii are.
+        visible &= (center + jnp.ceil(reach) > 0) & (center - jnp.ceil(reach) < limit)
     return _Splats(mean2d, z, conic, [jnp.where(visible, reach, 0) for reach in extent], visible, compensation)
 
 

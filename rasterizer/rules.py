@@ -32,3 +32,6 @@ GSPLAT = Rules()
 
 INRIA = Rules(extent_sigmas=3.0, opacity_extent=False, straight_through=True)
 """The original 3DGS CUDA rasterizer: 3 sigma, gradient straight through the clamp."""
+
+GSPLAT_1_5 = Rules(alpha_max=0.999, compensation_min=0.0)
+"""gsplat up to 1.5.3."""

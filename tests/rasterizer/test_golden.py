@@ -29,7 +29,13 @@ def rendered(golden, request):
 
     def loss(*gaussians):
         image, alphas, info = rasterizer.rasterization(
-            *gaussians, golden["viewmat"][None], golden["K"][None], width, height, capacity=1 << 19, backend=request.param
+            *gaussians,
+            golden["viewmat"][None],
+            golden["K"][None],
+            width,
+            height,
+            capacity=1 << 19,
+            backend=request.param,
         )
         total = jnp.sum(image[0] * golden["w_rgb"]) + jnp.sum(alphas[0, ..., 0] * golden["w_alpha"])
         return total, (image[0], alphas[0, ..., 0], info)

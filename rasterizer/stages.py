@@ -1,0 +1,340 @@
+"""The stages under the front door, one by one, with gsplat's names, argument order and conventions (1.5.3, 1.6).
+
+What gsplat has and a stage here has not is refused by name. `rasterization` does not go through these functions: its
+lists are per-tile exact and its buffers have a static size; this is the way to compare, to port and to take apart.
+"""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from rasterizer.binning import TileGrid, TilePairs
+from rasterizer.covariances import Matrix, components, dot, matrix_rows
+from rasterizer.engines import Backend, blend
+from rasterizer.projection import Projection, camera_position, image_map, project
+from rasterizer.rules import GSPLAT, Rules
+
+PADDING = np.iinfo(np.int64).max  # The intersection id of a slot that holds none: sorts last.
+
+
+def _refuse(**options) -> None:
+    """Raise ValueError for what only gsplat has."""
+    reasons = {
+        "packed": "its row count depends on the data, a compiled program's shapes do not",
+        "sparse_grad": "gradients here are dense",
+        "segmented": "there is one sort",
+        "absgrad": "differentiate to zeros added to means2d, and sum their absolute values yourself",
+    }
+    for name, value in options.items():
+        if name == "camera_model" and value != "pinhole":
+            raise ValueError(f"camera_model={value!r} is not supported, only 'pinhole'")
+        if name != "camera_model" and value:
+            raise ValueError(f"{name}={value!r} is not supported: {reasons[name]}")
+
+
+def _of_cameras(cameras: Array) -> Matrix:
+    """`[..., C, n, m]` -> rows of components `[..., C, 1]`, which broadcast against Gaussians."""
+    return [[entry[..., None] for entry in row] for row in matrix_rows(cameras)]
+
+
+def world_to_cam(means: Array, covars: Array, viewmats: Array) -> tuple[Array, Array]:
+    """Gaussians in the cameras' frames.
+
+    Args:
+        means: `[..., N, 3]` world.
+        covars: `[..., N, 3, 3]` world.
+        viewmats: `[..., C, 4, 4]` world to camera.
+
+    Returns:
+        Means `[..., C, N, 3]` and covariances `[..., C, N, 3, 3]`.
+    """
+    viewmat = _of_cameras(viewmats)
+    mean = [part[..., None, :] for part in components(means)]
+    rows = [[part[..., None, :] for part in row] for row in matrix_rows(covars)]
+    turned = [[dot(viewmat[i], [rows[k][j] for k in range(3)]) for j in range(3)] for i in range(3)]
+    both = [jnp.stack([dot(turned[i], viewmat[j]) for j in range(3)], -1) for i in range(3)]
+    return jnp.stack(camera_position(mean, viewmat), -1), jnp.stack(both, -2)
+
+
+def proj(
+    means: Array, covars: Array, Ks: Array, width: int, height: int, camera_model: str = "pinhole"
+) -> tuple[Array, Array]:
+    """Affine projection of Gaussians that are in their cameras' frames.
+
+    Args:
+        means: `[..., C, N, 3]` camera frame, in front of the camera.
+        covars: `[..., C, N, 3, 3]` camera frame.
+        Ks: `[..., C, 3, 3]` pixels.
+        width: Image width, pixels: decides how far outside the image the affine map is still followed.
+        height: Image height, pixels.
+        camera_model: "pinhole".
+
+    Returns:
+        Means `[..., C, N, 2]` and covariances `[..., C, N, 2, 2]`, pixels.
+
+    Raises:
+        ValueError: On another camera model.
+    """
+    _refuse(camera_model=camera_model)
+    K, mean, rows = _of_cameras(Ks), components(means), matrix_rows(covars)
+    identity = [[jnp.asarray(float(i == j), means.dtype) for j in range(3)] for i in range(3)]
+    jacobian = image_map(mean, identity, K, (width, height))
+    x, y, z = mean
+    means2d = jnp.stack([K[0][0] * x / z + K[0][2], K[1][1] * y / z + K[1][2]], -1)
+    spread = [[dot(row, step) for row in rows] for step in jacobian]
+    covars2d = [jnp.stack([dot(a, b) for b in spread], -1) for a in jacobian]
+    return means2d, jnp.stack(covars2d, -2)
+
+
+def fully_fused_projection(
+    means: Array,
+    covars: Array | None,
+    quats: Array | None,
+    scales: Array | None,
+    viewmats: Array,
+    Ks: Array,
+    width: int,
+    height: int,
+    eps2d: float = 0.3,
+    near_plane: float = 0.01,
+    far_plane: float = 1e10,
+    radius_clip: float = 0.0,
+    packed: bool = False,
+    sparse_grad: bool = False,
+    calc_compensations: bool = False,
+    camera_model: str = "pinhole",
+    opacities: Array | None = None,
+    *,
+    rules: Rules = GSPLAT,
+) -> tuple[Array, Array, Array, Array, Array | None]:
+    """Project Gaussians into cameras.
+
+    Args:
+        means: `[..., N, 3]`.
+        covars: `[..., N, 6]` upper triangles (xx, xy, xz, yy, yz, zz), or None.
+        quats: `[..., N, 4]`, or None with `covars`.
+        scales: `[..., N, 3]`, or None with `covars`.
+        viewmats: `[..., C, 4, 4]` world to camera.
+        Ks: `[..., C, 3, 3]` pixels.
+        width: Image width, pixels. Static.
+        height: Image height, pixels. Static.
+        eps2d: Added to the 2D variances, pixels^2.
+        near_plane: Gaussians at or nearer than this camera z are culled.
+        far_plane: Gaussians at or beyond this camera z are culled.
+        radius_clip: Gaussians whose radii are both at most this are culled, pixels.
+        packed: Refused.
+        sparse_grad: Refused.
+        calc_compensations: Whether the antialiasing factors are returned.
+        camera_model: "pinhole".
+        opacities: `[..., N]`; where given, a faint Gaussian's radii shrink and one under the cut is culled.
+        rules: Extents and alpha cut.
+
+    Returns:
+        Radii `[..., C, N, 2]` int32, 0 where culled; means2d `[..., C, N, 2]`, depths `[..., C, N]`, conics
+        `[..., C, N, 3]`, and compensations `[..., C, N]` or None. Rows of culled Gaussians hold harmless values.
+
+    Raises:
+        ValueError: On what is refused.
+    """
+    _refuse(packed=packed, sparse_grad=sparse_grad, camera_model=camera_model)
+    if opacities is None:
+        rules = replace(rules, opacity_extent=False)
+        opacities = jnp.ones(means.shape[:-1], means.dtype)
+    if covars is not None:
+        xx, xy, xz, yy, yz, zz = components(covars)
+        rows = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+        covars = jnp.stack([jnp.stack(row, -1) for row in rows], -2)
+
+    def one_batch(means, covars, quats, scales, opacities, viewmats, Ks):
+        projection = project(
+            means,
+            quats,
+            scales,
+            opacities,
+            viewmats,
+            Ks,
+            width,
+            height,
+            covars=covars,
+            eps2d=eps2d,
+            near_plane=near_plane,
+            far_plane=far_plane,
+            rasterize_mode="antialiased" if calc_compensations else "classic",
+            rules=rules,
+        )
+        reach = jnp.ceil(projection.extents)
+        radii = jnp.where((reach > radius_clip).any(-1, keepdims=True), reach, 0).astype(jnp.int32)
+        return radii, projection.means2d, projection.depths, projection.conics, projection.compensations
+
+    for _ in means.shape[:-2]:
+        one_batch = jax.vmap(one_batch)
+    return one_batch(means, covars, quats, scales, opacities, viewmats, Ks)
+
+
+def _tile_bits(num_tiles: int) -> int:
+    return max(num_tiles - 1, 0).bit_length()
+
+
+def isect_tiles(
+    means2d: Array,
+    radii: Array,
+    depths: Array,
+    tile_size: int,
+    tile_width: int,
+    tile_height: int,
+    sort: bool = True,
+    segmented: bool = False,
+    packed: bool = False,
+    n_images: int | None = None,
+    image_ids: Array | None = None,
+    gaussian_ids: Array | None = None,
+    *,
+    capacity: int | None = None,
+) -> tuple[Array, Array, Array]:
+    """List the tiles that the box of each splat's radii overlaps.
+
+    Args:
+        means2d: `[..., N, 2]` pixels.
+        radii: `[..., N, 2]` pixels; 0 along either axis lists nothing.
+        depths: `[..., N]`, positive.
+        tile_size: Side of a tile, pixels.
+        tile_width: Tiles per row.
+        tile_height: Rows of tiles.
+        sort: Whether the intersections are sorted by image, tile and depth.
+        segmented: Refused.
+        packed: Refused, and with it the three that follow.
+        n_images: Unused.
+        image_ids: Unused.
+        gaussian_ids: Unused.
+        capacity: Length of the lists. None counts on the host, which `jit` cannot: there a number must be given;
+            slots left over hold `PADDING` and -1, intersections beyond it are lost.
+
+    Returns:
+        Tiles per splat `[..., N]` int32, intersection ids int64 (image | tile | depth bits), and flattened splat
+        indices int32. Not differentiable.
+
+    Raises:
+        ValueError: On what is refused, and inside `jit` without a capacity.
+    """
+    del n_images, image_ids, gaussian_ids
+    _refuse(packed=packed, segmented=segmented)
+    means2d, radii, depths = (jax.lax.stop_gradient(x) for x in (means2d, radii, depths))
+    images, count = means2d.shape[:-2], means2d.shape[-2]
+    limit = jnp.array([tile_width, tile_height], means2d.dtype)
+    reach = radii.astype(means2d.dtype)
+    low = jnp.clip(jnp.floor((means2d - reach) / tile_size), 0, limit).astype(jnp.int32)
+    high = jnp.clip(jnp.ceil((means2d + reach) / tile_size), 0, limit).astype(jnp.int32)
+    size = jnp.where((radii > 0).all(-1, keepdims=True), high - low, 0)
+    tiles_per_gauss = size[..., 0] * size[..., 1]
+
+    flat, low, width = tiles_per_gauss.reshape(-1), low.reshape(-1, 2), jnp.maximum(size[..., 0].reshape(-1), 1)
+    if capacity is None:
+        try:
+            capacity = int(flat.sum())
+        except jax.errors.ConcretizationTypeError:
+            raise ValueError("inside jit the number of intersections is not known: pass capacity=...") from None
+    splat = jnp.repeat(jnp.arange(flat.size, dtype=jnp.int32), flat, total_repeat_length=capacity)
+    slot = jnp.arange(capacity, dtype=jnp.int32)
+    index = slot - (jnp.cumsum(flat) - flat)[splat]
+    tile = (low[splat, 1] + index // width[splat]) * tile_width + low[splat, 0] + index % width[splat]
+    bits = jax.lax.bitcast_convert_type(depths.astype(jnp.float32).reshape(-1), jnp.uint32)[splat]
+    image = splat // max(count, 1) if images else jnp.zeros_like(splat)
+    used = slot < flat.sum()
+    with jax.enable_x64(True):
+        high_bits = (image.astype(jnp.int64) << _tile_bits(tile_width * tile_height)) | tile.astype(jnp.int64)
+        ids = jnp.where(used, (high_bits << 32) | bits.astype(jnp.int64), PADDING)
+        splat = jnp.where(used, splat, -1)
+        if sort:
+            ids, splat = jax.lax.sort((ids, splat), num_keys=1, is_stable=True)
+    return tiles_per_gauss, ids, splat
+
+
+def isect_offset_encode(isect_ids: Array, n_images: int, tile_width: int, tile_height: int) -> Array:
+    """`[n_images, tile_height, tile_width]` int32: where each tile's run starts in sorted intersection ids."""
+    num_tiles = tile_width * tile_height
+    with jax.enable_x64(True):
+        image, tile = jnp.divmod(jnp.arange(n_images * num_tiles, dtype=jnp.int64), max(num_tiles, 1))
+        first = ((image << _tile_bits(num_tiles)) | tile) << 32
+        offsets = jnp.searchsorted(isect_ids, first).astype(jnp.int32)
+    return offsets.reshape(n_images, tile_height, tile_width)
+
+
+def _keep_masked(pairs: TilePairs, masks: Array) -> TilePairs:
+    """The lists of the tiles that are wanted, moved together."""
+    counts = pairs.offsets[1:] - pairs.offsets[:-1]
+    slot = jnp.arange(pairs.splats.shape[0], dtype=jnp.int32)
+    tile = jnp.clip(jnp.searchsorted(pairs.offsets, slot, side="right") - 1, 0, counts.shape[0] - 1)
+    kept = masks[tile] & (slot < pairs.offsets[-1])
+    place = jnp.where(kept, jnp.cumsum(kept, dtype=jnp.int32) - 1, slot.shape[0])
+    splats = jnp.zeros_like(pairs.splats).at[place].set(pairs.splats, mode="drop")
+    ends = jnp.cumsum(jnp.where(masks, counts, 0), dtype=jnp.int32)
+    return pairs._replace(splats=splats, offsets=jnp.concatenate([jnp.zeros(1, jnp.int32), ends]))
+
+
+def rasterize_to_pixels(
+    means2d: Array,
+    conics: Array,
+    colors: Array,
+    opacities: Array,
+    image_width: int,
+    image_height: int,
+    tile_size: int,
+    isect_offsets: Array,
+    flatten_ids: Array,
+    backgrounds: Array | None = None,
+    masks: Array | None = None,
+    packed: bool = False,
+    absgrad: bool = False,
+    *,
+    backend: Backend = "auto",
+    rules: Rules = GSPLAT,
+) -> tuple[Array, Array]:
+    """Blend listed splats.
+
+    Args:
+        means2d: `[..., N, 2]` pixels.
+        conics: `[..., N, 3]` inverse 2D covariances (xx, xy, yy).
+        colors: `[..., N, D]` any channels.
+        opacities: `[..., N]`.
+        image_width: Pixels. Static.
+        image_height: Pixels. Static.
+        tile_size: Side of a tile, pixels. Static.
+        isect_offsets: `[..., tile_height, tile_width]` of `isect_offset_encode`.
+        flatten_ids: `[n]` of `isect_tiles`.
+        backgrounds: `[..., D]` blended under each image.
+        masks: `[..., tile_height, tile_width]` bool; a tile that is False is not rendered: background, alpha 0.
+        packed: Refused.
+        absgrad: Refused.
+        backend: A tile backend. Static.
+        rules: Thresholds of compositing. Static.
+
+    Returns:
+        Image `[..., H, W, D]` and alphas `[..., H, W, 1]`, differentiable to means2d, conics, colors, opacities and
+        backgrounds.
+
+    Raises:
+        ValueError: On what is refused.
+    """
+    _refuse(packed=packed, absgrad=absgrad)
+    images, count = means2d.shape[:-2], means2d.shape[-2]
+    num_images = int(np.prod(images, dtype=int))
+    grid = TileGrid(num_images, image_width, image_height, tile_size)
+    total = jnp.sum(flatten_ids >= 0, dtype=jnp.int32)
+    splats = jnp.maximum(flatten_ids, 0) if flatten_ids.size else jnp.zeros(1, jnp.int32)
+    pairs = TilePairs(splats, jnp.append(isect_offsets.reshape(-1), total), total, jnp.array(False))
+    if masks is not None:
+        pairs = _keep_masked(pairs, masks.reshape(-1))
+
+    def flat(x: Array) -> Array:
+        return x.reshape(num_images, count, *x.shape[len(images) + 1 :])
+
+    everywhere = jnp.ones((num_images, count), bool)
+    projection = Projection(flat(means2d), flat(opacities), flat(conics), flat(means2d), everywhere)
+    image, left, _ = blend(projection, flat(opacities), flat(colors), pairs, grid, rules, backend=backend)
+    if backgrounds is not None:
+        image = image + left * backgrounds.reshape(num_images, 1, 1, -1)
+    shape = (*images, image_height, image_width)
+    return image.reshape(*shape, image.shape[-1]), (1 - left).reshape(*shape, 1)

@@ -1,0 +1,177 @@
+"""The stages with gsplat's names: composed they are the front door; alone they are what a loop in numpy says."""
+
+import struct
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import cloud, evaluate, relative_errors, render
+from tolerances import assert_close
+
+import rasterizer
+from rasterizer import stages
+
+TILE = 16
+SCENE = cloud(30, cameras=2)
+SIZE = SCENE.width, SCENE.height
+TILES = -(-SCENE.width // TILE), -(-SCENE.height // TILE)  # x, y
+
+
+def through_the_stages(scene, masks=None, capacity=None):
+    """Image and alphas of a scene, one stage after the other."""
+    radii, means2d, depths, conics, _ = rasterizer.fully_fused_projection(
+        scene.means, None, scene.quats, scene.scales, scene.viewmats, scene.Ks, *SIZE, opacities=scene.opacities
+    )
+    _, ids, splats = rasterizer.isect_tiles(means2d, radii, depths, TILE, *TILES, capacity=capacity)
+    offsets = rasterizer.isect_offset_encode(ids, 2, *TILES)
+    colors = jnp.broadcast_to(scene.colors, (2, *scene.colors.shape))
+    opacities = jnp.broadcast_to(scene.opacities, (2, *scene.opacities.shape))
+    return rasterizer.rasterize_to_pixels(
+        means2d, conics, colors, opacities, *SIZE, TILE, offsets, splats, scene.backgrounds, masks
+    )
+
+
+def test_the_stages_composed_are_the_front_door_in_value_and_gradient():
+    expected_image, expected_alphas, _, expected = evaluate(SCENE, "xla")
+    weights = np.random.default_rng(3).normal(size=expected_image.shape)
+    image, alphas = through_the_stages(SCENE)
+    assert_close(image, expected_image)
+    assert_close(alphas, expected_alphas)
+
+    def loss(render_scene, scene):
+        image, alphas = render_scene(scene)[:2]
+        return jnp.sum(image * jnp.asarray(weights, jnp.float32)) + jnp.sum(alphas**2)
+
+    gradient = jax.jit(jax.grad(lambda s: loss(lambda s: through_the_stages(s, capacity=512), s)))(SCENE)
+    expected = jax.jit(jax.grad(lambda s: loss(lambda s: render(s, capacity=2048), s)))(SCENE)
+    for field, error in relative_errors(gradient, expected).items():
+        assert error < 1e-4, (field, error)
+
+
+def test_masked_tiles_show_the_background_and_the_rest_is_unchanged():
+    masks = np.random.default_rng(0).uniform(size=(2, TILES[1], TILES[0])) < 0.5
+    image, alphas = through_the_stages(SCENE)
+    masked_image, masked_alphas = through_the_stages(SCENE, masks=jnp.asarray(masks))
+    drawn = masks.repeat(TILE, 1).repeat(TILE, 2)[:, : SIZE[1], : SIZE[0], None]
+    assert 0 < drawn.mean() < 1
+    background = np.asarray(SCENE.backgrounds)[:, None, None]
+    np.testing.assert_array_equal(masked_image, np.where(drawn, image, np.broadcast_to(background, image.shape)))
+    np.testing.assert_array_equal(masked_alphas, np.where(drawn, alphas, 0))
+
+
+def test_intersections_are_those_of_a_loop():
+    rng = np.random.default_rng(1)
+    means2d = rng.uniform(-20, 60, (2, 12, 2)).astype(np.float32)
+    radii = rng.integers(-3, 25, (2, 12, 2)).clip(0).astype(np.int32)
+    depths = rng.uniform(0.1, 9, (2, 12)).astype(np.float32)
+    counts, expected = np.zeros((2, 12), int), []
+    for image in range(2):
+        for n in range(12):
+            if (radii[image, n] == 0).any():
+                continue
+            low = np.floor((means2d[image, n] - radii[image, n]) / TILE).clip(0, TILES)
+            high = np.ceil((means2d[image, n] + radii[image, n]) / TILE).clip(0, TILES)
+            for y in range(int(low[1]), int(high[1])):
+                for x in range(int(low[0]), int(high[0])):
+                    depth_bits = struct.unpack("I", struct.pack("f", depths[image, n]))[0]
+                    tile_bits = (TILES[0] * TILES[1] - 1).bit_length()
+                    tile = (image << tile_bits) | (y * TILES[0] + x)
+                    expected.append(((tile << 32) | depth_bits, image * 12 + n))
+                    counts[image, n] += 1
+    arrays = jnp.asarray(means2d), jnp.asarray(radii), jnp.asarray(depths)
+    tiles_per_gauss, ids, splats = rasterizer.isect_tiles(*arrays, TILE, *TILES)
+    np.testing.assert_array_equal(tiles_per_gauss, counts)
+    assert list(zip(np.asarray(ids).tolist(), np.asarray(splats).tolist(), strict=True)) == sorted(expected)
+    assert (ids.dtype, splats.dtype, tiles_per_gauss.dtype) == (np.int64, np.int32, np.int32)
+    _, unsorted_ids, unsorted_splats = rasterizer.isect_tiles(*arrays, TILE, *TILES, sort=False)
+    assert set(zip(np.asarray(unsorted_ids).tolist(), np.asarray(unsorted_splats).tolist(), strict=True)) == set(
+        expected
+    )
+    # A roomy capacity leaves slots that hold nothing, and the offsets do not see them.
+    _, padded_ids, padded_splats = rasterizer.isect_tiles(*arrays, TILE, *TILES, capacity=400)
+    np.testing.assert_array_equal(padded_ids[len(expected) :], stages.PADDING)
+    np.testing.assert_array_equal(padded_splats[len(expected) :], -1)
+    offsets = np.asarray(rasterizer.isect_offset_encode(padded_ids, 2, *TILES))
+    for image, y, x in np.ndindex(offsets.shape):
+        first = ((image << (TILES[0] * TILES[1] - 1).bit_length()) | (y * TILES[0] + x)) << 32
+        assert offsets[image, y, x] == sum(key < first for key, _ in expected)
+
+
+def test_fused_and_staged_projection_agree_and_batches_are_their_members():
+    covars, precis = rasterizer.quat_scale_to_covar_preci(SCENE.quats, SCENE.scales)
+    means, covars = rasterizer.world_to_cam(SCENE.means, covars, SCENE.viewmats)
+    means2d, covars2d = rasterizer.proj(means, covars, SCENE.Ks, *SIZE)
+    triangles, _ = rasterizer.quat_scale_to_covar_preci(SCENE.quats, SCENE.scales, triu=True)
+    cameras = SCENE.viewmats, SCENE.Ks
+    of_axes = rasterizer.fully_fused_projection(SCENE.means, None, SCENE.quats, SCENE.scales, *cameras, *SIZE)
+    of_triangles = rasterizer.fully_fused_projection(SCENE.means, triangles, None, None, *cameras, *SIZE)
+    radii, fused_means2d, depths, conics, compensations = of_axes
+    seen = np.asarray(radii > 0).all(-1)
+    assert seen.any() and not seen.all() and compensations is None
+    assert_close(of_triangles[3], conics, rtol=1e-4, atol=1e-5, why="a determinant from products of covariances")
+    np.testing.assert_array_equal(of_triangles[0], radii)
+    assert_close(fused_means2d, means2d, rtol=1e-5, atol=1e-4, why="pixels")
+    assert_close(depths, means[..., 2])
+    blurred = np.asarray(covars2d, np.float64) + 0.3 * np.eye(2)
+    inverse = np.linalg.inv(blurred)[..., [0, 0, 1], [0, 1, 1]]
+    assert_close(np.asarray(conics)[seen], inverse[seen], rtol=1e-3, atol=1e-5, why="the oracle inverts in float32")
+    # Radii: 3.33 standard deviations, rounded up.
+    expected = np.ceil(3.33 * np.sqrt(np.diagonal(blurred, axis1=-2, axis2=-1)))
+    assert np.abs(np.asarray(radii)[seen] - expected[seen]).max() <= 1
+    np.testing.assert_allclose(
+        np.asarray(precis), np.linalg.inv(np.asarray(covars[0] * 0) + _world_covars()), rtol=2e-3
+    )
+
+    batch = jax.tree.map(lambda x: jnp.stack([x, x[::-1]]), (SCENE.means, SCENE.quats, SCENE.scales))
+    both = jax.tree.map(lambda x: jnp.stack([x, x]), cameras)
+    batched = rasterizer.fully_fused_projection(batch[0], None, batch[1], batch[2], *both, *SIZE)
+    assert_close(batched[3][1], conics[:, ::-1])
+    assert batched[0].shape == (2, 2, 30, 2)
+
+
+def _world_covars():
+    covars, _ = rasterizer.quat_scale_to_covar_preci(SCENE.quats, SCENE.scales, compute_preci=False)
+    return np.asarray(covars, np.float64)
+
+
+def test_compensations_and_the_clip_of_small_radii():
+    cameras = SCENE.viewmats, SCENE.Ks
+    gaussians = SCENE.means, None, SCENE.quats, SCENE.scales
+    radii, *_, compensations = rasterizer.fully_fused_projection(*gaussians, *cameras, *SIZE, calc_compensations=True)
+    assert np.all((np.asarray(compensations) > 0) & (np.asarray(compensations) < 1))
+    limit = int(np.median(np.asarray(radii)[np.asarray(radii) > 0]))
+    clipped = rasterizer.fully_fused_projection(*gaussians, *cameras, *SIZE, radius_clip=limit)[0]
+    small = (np.asarray(radii) <= limit).all(-1, keepdims=True)
+    np.testing.assert_array_equal(clipped, np.where(small, 0, radii))
+    assert np.any(clipped > 0)
+
+
+@pytest.mark.parametrize(
+    "call, message",
+    [
+        (lambda: stages._refuse(packed=True), "packed=True is not supported: its row count depends on the data"),
+        (lambda: stages._refuse(absgrad=True), "absgrad=True .* zeros added to means2d"),
+        (lambda: stages._refuse(camera_model="fisheye"), "camera_model='fisheye' is not supported, only 'pinhole'"),
+        (
+            lambda: jax.jit(lambda m, r, d: rasterizer.isect_tiles(m, r, d, TILE, *TILES))(
+                jnp.ones((1, 3, 2)), jnp.ones((1, 3, 2), jnp.int32), jnp.ones((1, 3))
+            ),
+            "inside jit .* pass capacity=",
+        ),
+    ],
+)
+def test_what_is_refused_says_why(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_nothing_to_draw_is_the_background():
+    empty = jnp.zeros((1, 0, 2)), jnp.zeros((1, 0, 2), jnp.int32), jnp.zeros((1, 0))
+    _, ids, splats = rasterizer.isect_tiles(*empty, TILE, *TILES)
+    offsets = rasterizer.isect_offset_encode(ids, 1, *TILES)
+    image, alphas = rasterizer.rasterize_to_pixels(
+        empty[0], jnp.zeros((1, 0, 3)), jnp.zeros((1, 0, 4)), empty[2], *SIZE, TILE, offsets, splats, jnp.ones((1, 4))
+    )
+    np.testing.assert_array_equal(image, np.ones((1, SIZE[1], SIZE[0], 4)))
+    np.testing.assert_array_equal(alphas, 0)
