@@ -156,7 +156,10 @@ def loss(scene, **options):
     return jnp.sum(w_image * image) + jnp.sum(w_alpha * alphas), (image, alphas, info)
 
 
-@partial(jax.jit, static_argnames=("backend", "capacity", "render_mode", "sh_degree", "rules", "near_plane"))
+@partial(
+    jax.jit,
+    static_argnames=("backend", "capacity", "render_mode", "sh_degree", "rules", "near_plane", "rasterize_mode"),
+)
 def evaluate(scene, backend, capacity=2048, **options):
     """`(image, alphas, info, gradient of loss)`: one program, and so one compilation, per shape and backend."""
     value_and_grad = jax.value_and_grad(loss, has_aux=True)
