@@ -17,7 +17,7 @@ from rasterizer.blending import blend_splat, cut_alpha, splat_sigma, unblend_spl
 from rasterizer.compositing import Blended, Engine, Static, moment_basis, pairs_to_rows
 
 CHUNK = 16  # Splats between two looks at whether every pixel has stopped: the look is a reduction over the program.
-FORWARD_WARPS = 4
+FORWARD_WARPS = 2
 BACKWARD_WARPS = 1  # Reductions within one warp need no barrier.
 
 

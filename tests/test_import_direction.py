@@ -34,7 +34,8 @@ LAYERS = {
     "experiments": Layer(
         ("experiments",),
         ("rasterizer", "core", "io", "meshing", "runs", "cli"),
-        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "train"),  # train: the script next to them
+        # Among them a peer to time ours against, and scripts that lie next to the one that imports them.
+        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "gsplat", "torch", "train", "workloads"),
     ),
 }
 HEAVY = {"open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "matplotlib", "PIL"}

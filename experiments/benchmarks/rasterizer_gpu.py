@@ -1,0 +1,145 @@
+"""Times the rasterizer on a GPU, after comparing it with the reference; gsplat beside it where it is installed."""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from workloads import Scene, Workload, make_scene, milliseconds
+
+from gsjax import tables
+from gsjax.cli import guarded
+from gsjax.errors import InputError
+
+COUNTS = {"100k": 100_000, "1M": 1_000_000, "3M": 3_000_000}
+SIZES = {"1080p": (1920, 1080), "4K": (3840, 2160)}
+RADIUS = 6.0  # Mean projected 3-sigma radius at 1080p, pixels.
+
+
+def workload(count: int, size: tuple[int, int]) -> Scene:
+    """Evenly spread Gaussians over a wide image: a square scene of its width, of which the middle is drawn."""
+    width, height = size
+    scene = make_scene(Workload(count, width, RADIUS * width / 1920))
+    *gaussians, viewmats, Ks = scene.arrays
+    return Scene((*gaussians, viewmats, Ks.at[0, 1, 2].set(height / 2)), width, height)
+
+
+def errors_against_reference(backend: str) -> dict[str, float]:
+    """Largest error of an image and its relative error of every gradient on a scene that the reference can do."""
+    import jax
+    import jax.numpy as jnp
+
+    import rasterizer
+
+    arrays, width, height = make_scene(Workload(2000, 128, 8.0))
+
+    def loss(arrays, backend):
+        image, alphas, _ = rasterizer.rasterization(*arrays, width, height, capacity=1 << 16, backend=backend)
+        return jnp.sum(image**2) + jnp.sum(alphas), image
+
+    run = jax.jit(jax.value_and_grad(loss, has_aux=True), static_argnums=1)
+    ((_, image), gradient), ((_, expected_image), expected) = run(arrays, backend), run(arrays, "reference")
+    names = ("means", "quats", "scales", "opacities", "colors")
+    relative = {
+        n: jnp.linalg.norm(g - e) / jnp.linalg.norm(e)
+        for n, g, e in zip(names, gradient[:5], expected[:5], strict=True)
+    }
+    return {"image": float(jnp.abs(image - expected_image).max()), **{n: float(r) for n, r in relative.items()}}
+
+
+def measure(scene: Scene, backend: str) -> dict[str, float]:
+    """Milliseconds and memory of our rasterizer."""
+    import jax
+    import jax.numpy as jnp
+
+    import rasterizer
+
+    arrays, width, height = scene
+    _, _, info = rasterizer.rasterization(*arrays, width, height, backend=backend)
+    capacity, pairs = int(info["splats"].shape[0]), int(info["offsets"][-1])
+
+    def image(arrays):
+        return rasterizer.rasterization(*arrays, width, height, capacity=capacity, backend=backend)[0]
+
+    gradient = jax.jit(jax.grad(lambda a: jnp.sum(image((*a, *arrays[5:])) ** 2)))
+    _, forward = milliseconds(jax.jit(image), arrays)
+    _, both = milliseconds(gradient, arrays[:5])
+    temporary = gradient.lower(arrays[:5]).compile().memory_analysis().temp_size_in_bytes
+    pixel_pairs = pairs * rasterizer.default_tile_size(backend) ** 2
+    return {
+        "pairs": pairs,
+        "forward_ms": forward,
+        "forward_backward_ms": both,
+        "forward_backward_ns": 1e6 * both / pixel_pairs,
+        "workspace_mib": temporary / 2**20,
+    }
+
+
+def gsplat_of(scene: Scene) -> Callable[[], dict[str, float]] | None:
+    """The same measurement of gsplat's CUDA kernels, or None where they are not at hand."""
+    try:
+        import gsplat
+        import torch
+    except ImportError:
+        return None
+    if not torch.cuda.is_available():
+        return None
+    import numpy as np
+
+    arrays, width, height = scene
+    tensors = [torch.tensor(np.asarray(a), device="cuda") for a in arrays]
+
+    def image() -> Any:
+        return gsplat.rasterization(*tensors, width, height, packed=False)[0]
+
+    def forward():
+        with torch.no_grad():
+            image()
+        torch.cuda.synchronize()
+
+    def both():
+        (image() ** 2).sum().backward()
+        torch.cuda.synchronize()
+
+    def run() -> dict[str, float]:
+        for tensor in tensors[:5]:
+            tensor.requires_grad_(True)
+        torch.cuda.reset_peak_memory_stats()
+        held = torch.cuda.memory_allocated()
+        timed = {"forward_ms": milliseconds(forward)[1], "forward_backward_ms": milliseconds(both)[1]}
+        return {**timed, "workspace_mib": (torch.cuda.max_memory_allocated() - held) / 2**20}
+
+    return run
+
+
+def main(chosen: Sequence[str] | None = None) -> None:
+    """Compare, measure and print."""
+    # A script beside this one has the name of the package.
+    sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
+    import jax
+
+    from gsjax.io.machine import machine, versions
+
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--backend", choices=("pallas", "xla"), default="pallas", help="engine to time")
+    parser.add_argument("--counts", nargs="+", choices=COUNTS, default=list(COUNTS), help="numbers of Gaussians")
+    parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES), help="image sizes")
+    arguments = parser.parse_args(chosen)
+    if jax.default_backend() != "gpu":
+        raise InputError(f"no GPU: jax runs on {jax.default_backend()!r} here")
+    print(tables.record(errors_against_reference(arguments.backend)))
+    rows = {}
+    for count in arguments.counts:
+        for size in arguments.sizes:
+            scene = workload(COUNTS[count], SIZES[size])
+            rows[f"{count}, {size}"] = measure(scene, arguments.backend)
+            peer = gsplat_of(scene)
+            if peer is not None:
+                rows[f"{count}, {size}, gsplat"] = peer()
+    print(tables.compare(rows))
+    print(tables.record({**machine(), **versions()}))
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))
