@@ -14,7 +14,7 @@ from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton
 
 from rasterizer.blending import blend_splat, cut_alpha, splat_sigma, unblend_splat
-from rasterizer.compositing import Blended, Engine, Static, moment_basis, pairs_to_rows
+from rasterizer.compositing import Blended, Engine, Static, chain_to_rows, moment_basis
 
 CHUNK = 16  # Splats between two looks at whether every pixel has stopped: the look is a reduction over the program.
 FORWARD_WARPS = 2
@@ -38,10 +38,13 @@ def _center(tile: Array, static: Static) -> tuple[Array, Array]:
             (y * grid.tile_size).astype(jnp.float32) + grid.tile_size / 2)  # fmt: skip
 
 
-def _alpha(rows, splat, pixels, center, rules) -> tuple[Array, Array]:
+def _offsets(rows, splat, pixels, center) -> tuple[Array, Array]:
+    """`[P]` x and y of the splat's mean relative to the pixels."""
+    return (rows[splat, 0] - center[0]) - pixels[0], (rows[splat, 1] - center[1]) - pixels[1]
+
+
+def _alpha(rows, splat, dx, dy, rules) -> tuple[Array, Array]:
     """`[P]` alpha before the clamp, and as blended."""
-    (pixel_x, pixel_y), (center_x, center_y) = pixels, center
-    dx, dy = (rows[splat, 0] - center_x) - pixel_x, (rows[splat, 1] - center_y) - pixel_y
     sigma = splat_sigma(dx, dy, rows[splat, 2], rows[splat, 3], rows[splat, 4])
     unclamped = rows[splat, 5] * jnp.exp(-sigma)
     return unclamped, cut_alpha(unclamped, sigma, rules)
@@ -56,7 +59,7 @@ def _forward_kernel(rows, splats, offsets, features, transmittance, last_index, 
     def blend_one(k, state):
         signed_t, image, last, median = state
         splat = splats[k]
-        _, alpha = _alpha(rows, splat, pixels, center, static.rules)
+        _, alpha = _alpha(rows, splat, *_offsets(rows, splat, pixels, center), static.rules)
         weight, left = blend_splat(signed_t, alpha, static.rules)
         image = tuple(c + weight * rows[splat, 6 + i] for i, c in enumerate(image))
         last = jnp.where(weight > 0, k - start, last)
@@ -90,7 +93,6 @@ def _backward_kernel(
     tile = pl.program_id(0)
     start = offsets[tile]
     pixels, center = _pixels(static), _center(tile, static)
-    _, *powers = moment_basis(*pixels)
     last = last_index[tile, :]
     channels = d_features.shape[1]
     count = jnp.max(last) + 1
@@ -99,12 +101,13 @@ def _backward_kernel(
         t, behind = state
         k = count - 1 - i
         splat = splats[start + k]
-        unclamped, alpha = _alpha(rows, splat, pixels, center, static.rules)
+        dx, dy = _offsets(rows, splat, pixels, center)
+        unclamped, alpha = _alpha(rows, splat, dx, dy, static.rules)
         alpha = jnp.where(k <= last, alpha, 0)
         lit = sum(rows[splat, 6 + c] * d_features[tile, c, :] for c in range(channels))
         d_sigma, weight, t, behind = unblend_splat(t, behind, lit, alpha, unclamped, static.rules)
-        for column, moment in enumerate((d_sigma, *(d_sigma * power for power in powers))):
-            gradients[start + k, column] = jnp.sum(moment)
+        for column, power in enumerate(moment_basis(dx, dy)):
+            gradients[start + k, column] = jnp.sum(d_sigma * power)
         for c in range(channels):
             gradients[start + k, 6 + c] = jnp.sum(weight * d_features[tile, c, :])
         return t, behind
@@ -142,7 +145,9 @@ def _backward(static: Static, rows, splats, offsets, t, last, d_features, d_t, *
     shapes = jax.ShapeDtypeStruct(zeros.shape, zeros.dtype)
     kernel = _call(_backward_kernel, static, shapes, BACKWARD_WARPS, interpret, input_output_aliases={7: 0})
     gradients = kernel(rows, splats, offsets, t, last, d_features, d_t, zeros)
-    return pairs_to_rows(static, rows, splats, offsets, gradients)
+    d_rows = chain_to_rows(rows[splats], gradients[:, :6], gradients[:, 6:])
+    used = jnp.arange(splats.shape[0], dtype=jnp.int32) < offsets[-1]
+    return jnp.zeros_like(rows).at[splats].add(jnp.where(used[:, None], d_rows, 0))
 
 
 @cache

@@ -12,7 +12,16 @@ import jax.numpy as jnp
 from jax import Array
 
 from rasterizer.blending import blend_splat, cut_alpha, splat_sigma, unblend_splat
-from rasterizer.compositing import Blended, Engine, Static, chain_to_rows, moment_basis, pixel_centers, tile_centers
+from rasterizer.compositing import (
+    Blended,
+    Engine,
+    Static,
+    chain_to_rows,
+    moment_basis,
+    moments_about_means,
+    pixel_centers,
+    tile_centers,
+)
 
 LANES = 256  # Tiles that run in lockstep: long vectors against early exit. 256-512 measured best on 2 cores.
 UNROLL = 4  # Splats per forward iteration.
@@ -105,7 +114,7 @@ def _backward(static: Static, rows: Array, splats: Array, offsets: Array, final_
             moments = jnp.dot(d_sigma, basis, precision=jax.lax.Precision.HIGHEST)
             # A batched product: XLA's CPU row sums are a quarter of the whole backward pass otherwise.
             d_pair = jnp.einsum("gp,gcp->gc", weight, d_feature, precision=jax.lax.Precision.HIGHEST)
-            d_row = chain_to_rows(row, center, moments, d_pair)
+            d_row = chain_to_rows(row, moments_about_means(row, center, moments), d_pair)
             d_rows = d_rows.at[jnp.where(live, splat, rows.shape[0])].add(d_row, mode="drop")
             return k - 1, t, behind, d_rows
 

@@ -51,9 +51,8 @@ def pixel_centers(grid: TileGrid) -> tuple[Array, Array]:
     return jnp.asarray(x.ravel(), jnp.float32), jnp.asarray(y.ravel(), jnp.float32)
 
 
-def moment_basis(pixel_x: Array, pixel_y: Array) -> list[Array]:
-    """What dL/dsigma is summed against, `[P]` each: the chain rule to a splat's mean and conic needs no more."""
-    x, y = pixel_x, pixel_y
+def moment_basis(x: Array, y: Array) -> list[Array]:
+    """What dL/dsigma is summed against: the chain rule to a splat's mean and conic needs no more."""
     return [jnp.ones_like(x), x, y, x * x, x * y, y * y]
 
 
@@ -88,33 +87,37 @@ def _splat_rows(means2d: Array, conics: Array, opacities: Array, features: Array
     return jnp.concatenate([means2d, conics, opacities[:, None], features], axis=-1)
 
 
-def chain_to_rows(rows: Array, centers: Array, moments: Array, d_features: Array) -> Array:
-    """`[..., 6 + D]` gradients to splat rows from what one tile's pixels sum up.
+def moments_about_means(rows: Array, centers: Array, moments: Array) -> Array:
+    """`[..., 6]` moments of dL/dsigma over a tile's pixels, moved from the tile's centre to the splat's mean.
 
     Args:
         rows: `[..., 6 + D]` splats.
         centers: `[..., 2]` centre of the tile that summed, pixels.
-        moments: `[..., 6]` dL/dsigma summed against `moment_basis`.
+        moments: `[..., 6]` dL/dsigma summed against `moment_basis` of the pixels relative to the tile's centre.
+
+    Returns:
+        The same sums against `moment_basis` of the offsets d = mean - pixel. A splat that shows far nearer to its mean
+        than to the tile's centre loses digits of the second ones, as the square of that ratio.
+    """
+    x, y = rows[..., 0] - centers[..., 0], rows[..., 1] - centers[..., 1]
+    m1, mx, my, mxx, mxy, myy = components(moments)
+    dxx, dyy = x * (x * m1 - 2 * mx) + mxx, y * (y * m1 - 2 * my) + myy
+    return jnp.stack([m1, x * m1 - mx, y * m1 - my, dxx, x * y * m1 - x * my - y * mx + mxy, dyy], -1)
+
+
+def chain_to_rows(rows: Array, moments: Array, d_features: Array) -> Array:
+    """`[..., 6 + D]` gradients to splat rows.
+
+    Args:
+        rows: `[..., 6 + D]` splats.
+        moments: `[..., 6]` dL/dsigma summed against `moment_basis` of the offsets mean - pixel.
         d_features: `[..., D]` dL/dfeatures.
     """
-    x, y, xx, xy, yy = rows[..., 0] - centers[..., 0], rows[..., 1] - centers[..., 1], *components(rows[..., 2:5])
-    m1, mx, my, mxx, mxy, myy = components(moments)
-    # Sums of dL/dsigma times powers of the offset d = mean - pixel.
-    dx, dy = x * m1 - mx, y * m1 - my
-    dxx, dyy = x * (x * m1 - 2 * mx) + mxx, y * (y * m1 - 2 * my) + myy
-    dxy = x * y * m1 - x * my - y * mx + mxy
+    xx, xy, yy = components(rows[..., 2:5])
+    d1, dx, dy, dxx, dxy, dyy = components(moments)
     opacity = jnp.where(rows[..., 5] > 0, rows[..., 5], 1)
-    shape = jnp.stack([xx * dx + xy * dy, xy * dx + yy * dy, 0.5 * dxx, dxy, 0.5 * dyy, -m1 / opacity], -1)
+    shape = jnp.stack([xx * dx + xy * dy, xy * dx + yy * dy, 0.5 * dxx, dxy, 0.5 * dyy, -d1 / opacity], -1)
     return jnp.concatenate([shape, d_features], -1)
-
-
-def pairs_to_rows(static: Static, rows: Array, splats: Array, offsets: Array, gradients: Array) -> Array:
-    """`[M, 6 + D]` gradients to splat rows from `[capacity, 6 + D]` moments and dL/dfeatures of every pair."""
-    slot = jnp.arange(splats.shape[0], dtype=jnp.int32)
-    starts = jnp.zeros(splats.shape[0] + 1, jnp.int32).at[offsets[1:]].add(1)
-    tile = jnp.minimum(jnp.cumsum(starts)[:-1], static.grid.num_tiles - 1)
-    d_rows = chain_to_rows(rows[splats], tile_centers(tile, static.grid), gradients[:, :6], gradients[:, 6:])
-    return jnp.zeros_like(rows).at[splats].add(jnp.where((slot < offsets[-1])[:, None], d_rows, 0))
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))

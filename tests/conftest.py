@@ -10,6 +10,63 @@ import pytest
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
+
+def pytest_addoption(parser):
+    parser.addoption("--hard-cases", metavar="FILE", help="write the errors measured on the hard cases as a table")
+
+
+class HardCases:
+    """Errors by case and backend, as the tests measure them, and the page that they make."""
+
+    def __init__(self):
+        self.rows = {}
+
+    def __call__(self, case, backend, *, value, gradient, bounds):
+        self.rows.setdefault(case, {"bounds": bounds})[backend] = (float(value), float(gradient))
+
+    def page(self):
+        from gsjax.io.machine import machine, versions
+
+        backends = ("reference", "xla", "pallas")
+        heads = [f"{name}, {what}" for name in backends for what in ("value", "gradient")]
+        lines = [
+            "# Hard cases",
+            "",
+            "Every row is rendered and differentiated in float32 by every backend and compared with the reference in",
+            "float64: the largest error of a pixel or alpha (relative to the largest colour), and the largest relative",
+            "L2 error of a gradient (means, quats, scales, opacities, colours, camera matrices, intrinsics,",
+            "backgrounds). A *hidden* Gaussian must leave every bit of the rest as if it were absent: its errors are",
+            "differences to that. Pallas kernels run interpreted. One command measures, asserts and writes this page:",
+            "",
+            "    python -m pytest tests/rasterizer/test_edge_cases.py --hard-cases docs/hard_cases.md",
+            "",
+            "| Case | " + " | ".join(heads) + " | Bounds |",
+            "|---" * (len(heads) + 2) + "|",
+        ]
+        for case, row in self.rows.items():
+            errors = [f"{error:.0e}" if error else "0" for name in backends for error in row.get(name, ())]
+            bounds = ", ".join(f"{bound:.0e}" if bound else "0" for bound in row["bounds"])
+            lines.append(f"| {case} | " + " | ".join(errors) + f" | {bounds} |")
+        everything = {**machine(), **versions()}
+        about = {name: everything[name] for name in ("cpu", "cores", "python", "jax", "jaxlib", "numpy", "commit")}
+        return "\n".join([*lines, "", ", ".join(f"{name} {value}" for name, value in about.items()), ""])
+
+
+ERRORS = HardCases()
+
+
+@pytest.fixture(scope="session")
+def hard_cases():
+    """Notes what a hard case measured: `hard_cases(case, backend, value=, gradient=, bounds=)`."""
+    return ERRORS
+
+
+def pytest_sessionfinish(session):
+    target = session.config.getoption("--hard-cases")
+    if target and ERRORS.rows:
+        Path(target).write_text(ERRORS.page())
+
+
 SHARED = Path(__file__).resolve().parents[1] / "../shared"
 
 

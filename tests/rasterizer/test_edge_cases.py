@@ -1,7 +1,10 @@
 """The catalogue of hard cases: one odd Gaussian among 39 ordinary ones, or an odd camera, in value and gradient.
 
 All cases share one shape, so that each backend compiles once. The bar is never "no NaN" alone: what cannot show must
-leave every bit of the rest as if it were absent, and what can show must agree with float64.
+leave every bit of the rest as if it were absent, and what can show must agree with float64. What is measured on the way
+is the table of docs/hard_cases.md:
+
+    python -m pytest tests/rasterizer/test_edge_cases.py --hard-cases docs/hard_cases.md
 """
 
 from dataclasses import replace
@@ -13,6 +16,7 @@ import pytest
 from scenes import GAUSSIAN_FIELDS, cloud, evaluate, in_float64, relative_errors, single, with_odd_one
 
 NAN, INF = float("nan"), float("inf")
+BACKENDS = ("reference", "xla", "pallas")
 ORDINARY = {
     "means": (0.1, -0.1, 2.0),
     "quats": (0.8, 0.2, -0.5, 0.3),
@@ -83,9 +87,13 @@ def all_finite(*trees):
     return all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(trees))
 
 
-@pytest.mark.parametrize("backend", ["xla", "reference"])
+def largest_error(actual, expected):
+    return np.abs(np.asarray(actual) - np.asarray(expected)).max()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("name", HIDDEN)
-def test_what_cannot_show_changes_no_bit_of_the_rest(name, backend):
+def test_what_cannot_show_changes_no_bit_of_the_rest(name, backend, hard_cases):
     image, alphas, info, gradient = evaluate(odd(HIDDEN[name]), backend)
     expected_image, expected_alphas, _, expected = evaluate(odd({"opacities": 0.0}), backend)
     np.testing.assert_array_equal(image, expected_image)
@@ -96,57 +104,71 @@ def test_what_cannot_show_changes_no_bit_of_the_rest(name, backend):
         np.testing.assert_array_equal(rows[:-1], expected_rows[:-1])
     for field in ("viewmats", "Ks", "backgrounds"):
         np.testing.assert_array_equal(getattr(gradient, field), getattr(expected, field))
-    if backend == "xla":
-        assert not info["overflowed"]
+    assert not info.get("overflowed", False)
+    hard_cases("hidden: " + name, backend, value=0.0, gradient=0.0, bounds=(0.0, 0.0))
 
 
-def agree_with_float64(scene, image_bound=1e-5, gradient_bound=1e-4, backends=("xla", "reference")):
-    with jax.enable_x64(True):
-        expected_image, expected_alphas, _, expected = evaluate(in_float64(scene), "reference")
-    assert all_finite(expected_image, expected)
-    for backend in backends:
-        image, alphas, info, gradient = evaluate(scene, backend)
-        assert all_finite(image, alphas, gradient)
+@pytest.fixture
+def agree_with_float64(hard_cases):
+    """A function that compares a scene on every backend with the float64 reference, and notes the errors."""
+
+    def agree(name, scene, value_bound=1e-5, gradient_bound=1e-4, backends=BACKENDS, **options):
+        with jax.enable_x64(True):
+            expected_image, expected_alphas, _, expected = evaluate(in_float64(scene), "reference", **options)
+        assert all_finite(expected_image, expected)
         largest_color = max(1, float(np.max(np.abs(scene.colors))))
-        np.testing.assert_allclose(image, expected_image, rtol=0, atol=image_bound * largest_color, err_msg=backend)
-        np.testing.assert_allclose(alphas, expected_alphas, rtol=0, atol=image_bound, err_msg=backend)
-        for field, error in relative_errors(gradient, expected).items():
-            assert error < gradient_bound, (backend, field, error)
-        if backend == "xla":
-            assert not info["overflowed"]
+        for backend in backends:
+            image, alphas, info, gradient = evaluate(scene, backend, **options)
+            assert all_finite(image, alphas, gradient)
+            assert not info.get("overflowed", False)
+            value = max(largest_error(image, expected_image) / largest_color, largest_error(alphas, expected_alphas))
+            errors = relative_errors(gradient, expected)
+            hard_cases(name, backend, value=value, gradient=max(errors.values()), bounds=(value_bound, gradient_bound))
+            assert value < value_bound, backend
+            for field, error in errors.items():
+                assert error < gradient_bound, (backend, field, error)
+
+    return agree
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_what_can_show_agrees_with_float64(name):
+def test_what_can_show_agrees_with_float64(name, agree_with_float64):
     scene = odd(SHOWN[name])
     assert evaluate(scene, "xla")[2]["visible"][0, -1]
-    agree_with_float64(scene)
+    agree_with_float64(name, scene)
+
+
+@pytest.mark.parametrize("name", ["ordinary", "a point", "two flat axes", "needle 1e6", "huge", "far away"])
+def test_antialiased_agrees_with_float64(name, agree_with_float64):
+    # What has no area is dimmed to the floor of the compensation, without gradient, and all the rest by a root.
+    scene = odd({**SHOWN[name], "opacities": 0.9})
+    agree_with_float64("antialiased: " + name, scene, rasterize_mode="antialiased")
 
 
 @pytest.mark.parametrize("focal", [1e-2, 1e6])
-def test_extreme_focal_lengths(focal):
+def test_extreme_focal_lengths(focal, agree_with_float64):
     scene = cloud()
     K = scene.Ks.at[0, 0, 0].set(focal).at[0, 1, 1].set(1.5 * focal)
     if focal > 1:
         # On the axis, or nothing is left in the image.
         scene = replace(scene, means=scene.means.at[:, :2].multiply(1e-6))
-    agree_with_float64(replace(scene, Ks=K))
+    agree_with_float64(f"focal length {focal:g} px", replace(scene, Ks=K))
 
 
-def test_coincident_depths_blend_by_index():
+def test_coincident_depths_blend_by_index(agree_with_float64):
     scene = cloud()
     flat = replace(scene, means=scene.means.at[:, 2].set(2.5))
-    agree_with_float64(flat)
+    agree_with_float64("all depths coincide", flat)
     image = evaluate(flat, "xla")[0]
     swapped = jax.tree.map(lambda x: x[::-1] if x.shape[0] == 40 else x, flat)
     assert np.abs(evaluate(swapped, "xla")[0] - image).max() > 1e-2
 
 
-def test_forty_copies_of_one_gaussian():
+def test_forty_copies_of_one_gaussian(agree_with_float64):
     scene = cloud()
     copies = odd({"opacities": 0.03})
     copies = replace(copies, **{f: jnp.repeat(getattr(copies, f)[-1:], 40, 0) for f in GAUSSIAN_FIELDS})
-    agree_with_float64(copies)
+    agree_with_float64("forty copies of one", copies)
     gradient = evaluate(copies, "xla")[3]
     assert scene.means.shape == gradient.means.shape
     # One colour for all: whichever lies in front, a pixel sees 1 - (1 - alpha)^40 of it.
@@ -154,8 +176,20 @@ def test_forty_copies_of_one_gaussian():
     np.testing.assert_allclose(image, alphas * np.array(ORDINARY["colors"]), atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    "name, scene",
+    {
+        "one pixel": cloud(20, size=(1, 1), channels=1),
+        "one Gaussian": cloud(1, size=(17, 33)),
+        "image of one row": cloud(20, size=(64, 1)),
+    }.items(),
+)
+def test_small_things(name, scene, agree_with_float64):
+    agree_with_float64(name, scene)
+
+
 @pytest.mark.parametrize("opacity", [0.005, 0.9])
-def test_thousands_stacked_on_one_pixel(opacity):
+def test_thousands_stacked_on_one_pixel(opacity, agree_with_float64):
     count, rng = 3000, np.random.default_rng(0)
     pile = single(size=5, scale=(0.1, 0.2, 0.05), quat=(0.9, 0.3, -0.4, 0.2))
     pile = replace(pile, **{f: jnp.repeat(getattr(pile, f), count, 0) for f in GAUSSIAN_FIELDS})
@@ -165,16 +199,13 @@ def test_thousands_stacked_on_one_pixel(opacity):
         colors=jnp.asarray(rng.uniform(size=(count, 2)), jnp.float32),
         opacities=jnp.full(count, opacity, jnp.float32),
     )
-    with jax.enable_x64(True):
-        expected_image, _, _, expected = evaluate(in_float64(pile), "reference")
-    image, alphas, info, gradient = evaluate(pile, "xla", capacity=4096)
-    assert not info["overflowed"]
-    assert all_finite(image, gradient)
-    np.testing.assert_allclose(image, expected_image, atol=1e-5)
+    name = f"3000 on one pixel, opacity {opacity}"
+    agree_with_float64(name, pile, backends=("reference", "pallas"), capacity=4096)
+    # The faint ones show in one pixel, 0.01 px from their means: the xla engine sums second moments about the tile's
+    # centre, 1.5 px away, and loses the square of that ratio. Measured 2e-3.
+    agree_with_float64(name, pile, gradient_bound=5e-3, backends=("xla",), capacity=4096)
+    _, alphas, _, gradient = evaluate(pile, "xla", capacity=4096)
     assert np.max(alphas) > 0.999
-    # Of 3000 faint splats some pass the cut at a pixel in one precision and not in the other: measured 2e-3.
-    for field, error in relative_errors(gradient, expected).items():
-        assert error < 5e-3, (field, error)
     if opacity == 0.9:
         # Pixels stop after a few: most splats get exactly nothing.
         assert np.mean(np.asarray(gradient.colors).any(-1)) < 0.25

@@ -1,0 +1,275 @@
+"""What a call may ask for beside colours: antialiasing, median depth, normals, covariances, masks, many channels."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import GAUSSIAN_FIELDS, cloud, evaluate, in_float64, relative_errors, render, single, with_odd_one
+from tolerances import assert_close
+
+import rasterizer
+from rasterizer import GSPLAT, INRIA
+
+BACKENDS = ("reference", "xla", "pallas")
+TILE = 16
+SCENE = cloud(cameras=2)
+
+
+@partial(jax.jit, static_argnames=("backend", "options"))
+def outputs(scene, extra, backend, options=()):
+    """Image, alphas, info and the gradient of a weighted sum of all images that were asked for."""
+
+    def weighted(scene, extra):
+        image, alphas, info = render(scene, backend=backend, capacity=4096, tile_size=TILE, **extra, **dict(options))
+        images = [image, alphas, *(info[name] for name in ("normals", "median_depths") if name in info)]
+        rng = np.random.default_rng(5)
+        total = sum(jnp.sum(x * jnp.asarray(rng.normal(size=x.shape), x.dtype)) for x in images)
+        return total, (image, alphas, info)
+
+    (_, rest), gradient = jax.value_and_grad(weighted, argnums=0, has_aux=True)(scene, extra)
+    return *rest, gradient
+
+
+EVERYTHING = (
+    ("rasterize_mode", "antialiased"),
+    ("render_mode", "RGB+ED"),
+    ("return_median_depth", True),
+    ("return_normals", True),
+)
+
+
+def with_masks():
+    masks = np.random.default_rng(0).uniform(size=(2, 2, 3)) < 0.5
+    return masks, masks.repeat(TILE, 1).repeat(TILE, 2)[:, : SCENE.height, : SCENE.width]
+
+
+@pytest.mark.parametrize("backend", ["xla", "pallas"])
+def test_everything_at_once_equals_the_reference(backend):
+    scene = replace(SCENE, backgrounds=jnp.pad(SCENE.backgrounds, ((0, 0), (0, 1)), constant_values=0.5))
+    extra = {"masks": jnp.asarray(with_masks()[0])}
+    expected_image, expected_alphas, expected_info, expected = outputs(scene, extra, "reference", EVERYTHING)
+    image, alphas, info, gradient = outputs(scene, extra, backend, EVERYTHING)
+    assert_close((image, alphas), (expected_image, expected_alphas))
+    assert_close(info["normals"], expected_info["normals"])
+    assert_close(info["median_depths"], expected_info["median_depths"])
+    for field, error in relative_errors(gradient, expected).items():
+        assert error < 1e-4, (field, error)
+
+
+def composited(scene, camera=0, rules=GSPLAT):
+    """Weights [N, H, W] in order of depth, with that order: alpha compositing written out in float64."""
+    info = render(scene, capacity=4096)[2]
+    means2d, conics, depths, visible = (np.asarray(info[k][camera], np.float64) for k in
+                                        ("means2d", "conics", "depths", "visible"))  # fmt: skip
+    order = np.argsort(np.where(visible > 0, depths, np.inf), kind="stable")
+    y, x = np.mgrid[: scene.height, : scene.width] + 0.5
+    left, weights, stopped = np.ones((scene.height, scene.width)), [], np.zeros((scene.height, scene.width), bool)
+    for n in order:
+        dx, dy = means2d[n, 0] - x, means2d[n, 1] - y
+        a, b, c = conics[n]
+        alpha = float(scene.opacities[n]) * np.exp(-0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy)
+        alpha = np.where((alpha >= rules.alpha_min) & (visible[n] > 0), np.minimum(alpha, rules.alpha_max), 0)
+        stopped |= left * (1 - alpha) <= rules.transmittance_min
+        weights.append(np.where(stopped, 0, alpha * left))
+        left = np.where(stopped, left, left * (1 - alpha))
+    return np.array(weights), order, depths
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_median_depth_is_where_the_light_falls_to_one_half(backend):
+    info = outputs(SCENE, {}, backend, EVERYTHING[2:3])[2]
+    for camera in range(2):
+        weights, order, depths = composited(SCENE, camera)
+        before = 1 - (np.cumsum(weights, 0) - weights)
+        counts = (weights > 0) & (before > 0.5)
+        last = np.where(counts.any(0), len(order) - 1 - counts[::-1].argmax(0), -1)
+        expected = np.where(last >= 0, depths[order[last]], 0)
+        assert np.any(last < 0) and np.any(1 - weights.sum(0) > 0.5) and np.any(1 - weights.sum(0) < 0.5)
+        assert_close(info["median_depths"][camera, ..., 0], expected)
+
+
+def test_the_gradient_of_a_median_depth_goes_to_its_one_splat():
+    def pixel(means):
+        return render(replace(SCENE, means=means), return_median_depth=True, capacity=4096)[2]["median_depths"][
+            0, 14, 18, 0
+        ]
+
+    gradient = np.asarray(jax.grad(pixel)(SCENE.means))
+    rows = np.flatnonzero(gradient.any(-1))
+    assert len(rows) == 1
+    # Depth is the third row of the camera matrix.
+    np.testing.assert_allclose(gradient[rows[0]], SCENE.viewmats[0, 2, :3], rtol=1e-6)
+
+
+def test_normals_are_the_smallest_axes_facing_the_camera():
+    # A disc, tilted by 30 degrees about x, seen from the front: opacity 0.8 at its middle pixel.
+    angle = np.pi / 6
+    disc = single(scale=(0.5, 0.5, 0.001), quat=(np.cos(angle / 2), np.sin(angle / 2), 0, 0), size=17)
+    _, alphas, info = render(disc, return_normals=True, capacity=256)
+    normal = np.array([0, np.sin(angle), -np.cos(angle)])
+    np.testing.assert_allclose(info["normals"][0, 8, 8], float(alphas[0, 8, 8, 0]) * normal, atol=1e-6)
+    turned_over = replace(disc, quats=jnp.asarray([[0, 0, np.cos(angle / 2), np.sin(angle / 2)]], jnp.float32))
+    seen = render(turned_over, return_normals=True, capacity=256)[2]["normals"][0, 8, 8]
+    assert seen[2] < 0 and abs(np.linalg.norm(seen) - float(alphas[0, 8, 8, 0])) < 1e-6
+    # A zero quaternion is the identity, a round Gaussian has some axis: all finite, and no gradient but to the turn.
+    odd = replace(disc, quats=jnp.zeros((1, 4)), scales=jnp.full((1, 3), 0.3))
+    _, _, info, gradient = outputs(odd, {}, "xla", EVERYTHING[3:])
+    assert np.isfinite(info["normals"]).all()
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+
+
+def test_normals_against_finite_differences(x64):
+    scene = in_float64(SCENE)
+
+    def total(quats):
+        normals = rasterizer.camera_normals(scene.means, quats, scene.scales, scene.viewmats, jnp.ones((2, 40), bool))
+        return jnp.sum(normals * jnp.asarray(np.random.default_rng(1).normal(size=(2, 40, 3))))
+
+    direction = jnp.asarray(np.random.default_rng(2).normal(size=scene.quats.shape))
+    step = 1e-6
+    expected = (total(scene.quats + step * direction) - total(scene.quats - step * direction)) / (2 * step)
+    np.testing.assert_allclose(jnp.sum(jax.grad(total)(scene.quats) * direction), expected, rtol=1e-7)
+
+
+def test_antialiasing_keeps_the_energy_of_what_is_smaller_than_a_pixel():
+    # 0.1 px wide: blurred to sqrt(0.01 + 0.3) px. Classic draws it thirty times too bright.
+    small = single(scale=(0.0125, 0.0125, 0.0125), size=17, opacity=0.9)
+    energy = 0.9 * 2 * np.pi * 0.1**2
+    _, classic, info = render(small, capacity=256)
+    _, fair, fair_info = render(
+        small, capacity=256, rasterize_mode="antialiased", rules=replace(GSPLAT, alpha_min=1e-6)
+    )
+    assert info["compensations"] is None
+    np.testing.assert_allclose(fair_info["compensations"], 0.01 / 0.31, rtol=1e-5)
+    np.testing.assert_allclose(fair.sum(), energy, rtol=0.02)
+    assert classic.sum() > 25 * energy
+    # Large splats are left alone: 6.4^2 / (6.4^2 + 0.3) is 0.9927.
+    large = single(scale=(0.8, 0.8, 0.8), size=17)
+    fair, classic = (render(large, capacity=256, rasterize_mode=mode)[1] for mode in ("antialiased", "classic"))
+    np.testing.assert_allclose(fair / classic, 0.9927, atol=1e-4)
+
+
+@pytest.mark.parametrize("backend", ["reference", "xla"])
+def test_covariances_in_place_of_quats_and_scales(backend):
+    expected_image, _, _, _ = outputs(SCENE, {}, "reference")
+    covars, _ = rasterizer.quat_scale_to_covar_preci(SCENE.quats, SCENE.scales, compute_preci=False)
+    s = SCENE
+
+    def image(covars):
+        return rasterizer.rasterization(
+            s.means, None, None, s.opacities, s.colors, s.viewmats, s.Ks, s.width, s.height,
+            covars=covars, backgrounds=s.backgrounds, capacity=4096, backend=backend,
+        )[0]  # fmt: skip
+
+    assert_close(image(covars), expected_image, rtol=1e-4, atol=1e-4, why="products of float32 covariances")
+    # Only the upper triangle is read.
+    lower = jnp.asarray(np.tril(np.ones((3, 3)), -1), jnp.float32)
+    np.testing.assert_array_equal(image(covars + 7 * lower), image(covars))
+    gradient = np.asarray(jax.grad(lambda c: jnp.sum(image(c) ** 2))(covars))
+    assert np.isfinite(gradient).all() and np.all(
+        gradient[:, np.tril_indices(3, -1)[0], np.tril_indices(3, -1)[1]] == 0
+    )
+
+
+@pytest.mark.parametrize(
+    "name, covar",
+    {
+        "zero": np.zeros((3, 3)),
+        "rank one": np.outer([1, 2, -1], [1, 2, -1]) * 0.01,
+        "not positive": -np.eye(3),
+        "indefinite": np.diag([1.0, -1.0, 0.5]),
+        "NaN": np.full((3, 3), np.nan),
+        "infinite": np.full((3, 3), np.inf),
+        "huge": np.eye(3) * 1e30,
+    }.items(),
+)
+def test_odd_covariances_are_drawn_or_hidden_but_never_disturb(name, covar):
+    s = with_odd_one(cloud(), means=(0.1, -0.1, 2.0), opacities=0.7)
+    covars, _ = rasterizer.quat_scale_to_covar_preci(s.quats, s.scales, compute_preci=False)
+
+    @jax.jit
+    def run(covars, opacities):
+        def loss(covars, means):
+            image, _, info = rasterizer.rasterization(
+                means,
+                None,
+                None,
+                opacities,
+                s.colors,
+                s.viewmats,
+                s.Ks,
+                s.width,
+                s.height,
+                covars=covars,
+                capacity=4096,
+            )
+            return jnp.sum(image**2), (image, info["visible"])
+
+        return jax.grad(loss, argnums=(0, 1), has_aux=True)(covars, s.means)
+
+    (d_covars, d_means), (image, visible) = run(covars.at[-1].set(jnp.asarray(covar, jnp.float32)), s.opacities)
+    assert np.isfinite(image).all() and np.isfinite(d_covars).all() and np.isfinite(d_means).all()
+    if not visible[0, -1]:
+        (expected, expected_means), (expected_image, _) = run(covars, s.opacities.at[-1].set(0.0))
+        np.testing.assert_array_equal(image, expected_image)
+        np.testing.assert_array_equal(d_covars[:-1], expected[:-1])
+        np.testing.assert_array_equal(d_means[:-1], expected_means[:-1])
+    assert bool(visible[0, -1]) == (name in ("zero", "rank one"))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_masked_tile_is_background_and_the_rest_keeps_its_bits(backend):
+    masks, drawn = with_masks()
+    image, alphas, _, _ = outputs(SCENE, {}, backend)
+    masked_image, masked_alphas, _, gradient = outputs(SCENE, {"masks": jnp.asarray(masks)}, backend)
+    background = np.broadcast_to(np.asarray(SCENE.backgrounds)[:, None, None], image.shape)
+    np.testing.assert_array_equal(masked_image, np.where(drawn[..., None], image, background))
+    np.testing.assert_array_equal(masked_alphas, np.where(drawn[..., None], alphas, 0))
+    nothing = outputs(SCENE, {"masks": jnp.zeros((2, 2, 3), bool)}, backend)[3]
+    for field in GAUSSIAN_FIELDS:
+        assert np.any(getattr(gradient, field))
+        np.testing.assert_array_equal(getattr(nothing, field), 0)
+
+
+@pytest.mark.parametrize("channels", [17, 128])
+def test_many_channels_are_those_rendered_alone(channels):
+    base = cloud(channels=128)
+    scene = replace(base, colors=base.colors[:, :channels], backgrounds=base.backgrounds[:, :channels])
+    image, alphas, _, gradient = evaluate(scene, "xla")
+    assert image.shape[-1] == channels
+    first = replace(base, colors=base.colors[:, :3], backgrounds=base.backgrounds[:, :3])
+    last = replace(base, colors=scene.colors[:, -3:], backgrounds=scene.backgrounds[:, -3:])
+    if channels > 3:
+        assert_close(image[..., :3], evaluate(first, "xla")[0])
+        assert_close(image[..., -3:], evaluate(last, "xla")[0])
+    _, expected_alphas, _, expected = evaluate(scene, "reference")
+    assert_close(alphas, expected_alphas)
+    for field, error in relative_errors(gradient, expected).items():
+        assert error < 1e-4, (field, error)
+
+
+@pytest.mark.parametrize(
+    "changes, options, message",
+    [
+        ({}, {"rasterize_mode": "mip"}, "rasterize_mode='mip' is not one of"),
+        ({"quats": None}, {}, "a Gaussian's shape is missing: pass quats and scales, or covars"),
+        ({}, {"covars": jnp.ones((40, 6))}, r"covars.shape=\(40, 6\), expected \(40, 3, 3\)"),
+        ({}, {"covars": jnp.ones((40, 3, 3)), "return_normals": True}, "return_normals needs quats and scales"),
+        ({}, {"masks": jnp.ones((2, 1, 1), bool)}, r"masks.shape=\(2, 1, 1\), expected one per tile, \(2, 4, 5\)"),
+        ({}, {"masks": jnp.ones((2, 4, 5))}, "masks.dtype=.*float32.*, expected bool"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_its_value(changes, options, message):
+    with pytest.raises(ValueError, match=message):
+        render(replace(SCENE, **changes), capacity=2048, **options)
+
+
+def test_inria_rules_see_three_sigma_whatever_the_opacity():
+    faint = replace(SCENE, opacities=jnp.full(40, 0.02))
+    extents = {rules: render(faint, rules=rules, capacity=8192)[2]["extents"] for rules in (GSPLAT, INRIA)}
+    seen = np.asarray(extents[GSPLAT] > 0).all(-1)
+    ratio = (np.asarray(extents[INRIA]) / np.where(seen[..., None], extents[GSPLAT], 1))[seen]
+    np.testing.assert_allclose(ratio, 3 / np.sqrt(2 * np.log(0.02 * 255)), rtol=1e-5)
