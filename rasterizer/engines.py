@@ -64,8 +64,13 @@ def blend(
         `[C, H, W, D]` features blended on nothing, `[C, H, W, 1]` transmittance left, and `[C, H, W]` int32 the splat
         c * N + n in which each pixel's light falls to one half (the last one that shows, where it does not; -1 for
         none), or None. Differentiable to `means2d` and `conics` of the projection, opacities and features.
+
+    Raises:
+        ValueError: If the tiles do not suit the backend.
     """
-    channels = features.shape[2]
+    channels, side = features.shape[2], grid.tile_size
+    if resolve(backend) == "pallas" and side & (side - 1):
+        raise ValueError(f"tile_size={side} is not a power of two, as backend='pallas' needs it")
     if features.shape[1] == 0:
         shape = (grid.num_cameras, grid.height, grid.width)
         median = jnp.full(shape, -1, jnp.int32) if with_median else None

@@ -158,7 +158,16 @@ def loss(scene, **options):
 
 @partial(
     jax.jit,
-    static_argnames=("backend", "capacity", "render_mode", "sh_degree", "rules", "near_plane", "rasterize_mode"),
+    static_argnames=(
+        "backend",
+        "capacity",
+        "render_mode",
+        "sh_degree",
+        "rules",
+        "near_plane",
+        "rasterize_mode",
+        "tile_size",
+    ),
 )
 def evaluate(scene, backend, capacity=2048, **options):
     """`(image, alphas, info, gradient of loss)`: one program, and so one compilation, per shape and backend."""

@@ -1,11 +1,15 @@
 """What a call does not ask for is not in its program, and no array grows with tiles x splats: read off the jaxpr."""
 
+from collections import Counter
 from dataclasses import replace
 
 import jax
 import numpy as np
 import pytest
 from scenes import cloud, loss, render
+
+import rasterizer
+from rasterizer import INRIA
 
 COUNT = 41  # Like no other size in the program.
 CALLS = {"jit", "pjit", "custom_vjp_call"}
@@ -75,6 +79,59 @@ def test_expected_depth_alone_divides_the_image():
         return any(e.primitive.name == "div" and e.outvars[0].aval.shape == (1, 29, 37, 1) for e in program)
 
     assert [divides(m) for m in ("RGB", "D", "RGB+D", "ED", "RGB+ED")] == [False, False, False, True, True]
+
+
+def operations(program):
+    """How many equations of each primitive."""
+    return Counter(e.primitive.name for e in program)
+
+
+ADDED = {
+    "antialiased": ({"rasterize_mode": "antialiased"}, {"sqrt"}),
+    "median depth": ({"return_median_depth": True}, set()),
+    "normals": ({"return_normals": True}, {"argmin"}),
+    "masks": ({"masks": np.ones((1, 4, 5), bool)}, set()),
+    "straight through": ({"rules": INRIA}, set()),
+}
+
+
+@pytest.mark.parametrize("name", ADDED)
+def test_an_option_adds_its_operations_and_its_absence_none(name):
+    options, primitives = ADDED[name]
+    scene = transparent(cloud(COUNT))
+    without, with_it = operations(forward(scene)), operations(forward(scene, **options))
+    if name != "straight through":
+        assert sum(with_it.values()) > sum(without.values())
+    for primitive in primitives:
+        assert with_it[primitive] > without[primitive]
+
+
+def test_a_plain_call_has_none_of_it():
+    plain = operations(forward_and_backward(transparent(cloud(COUNT))))
+    assert plain["argmin"] == 0
+    # The three roots that there are: two standard deviations of a splat, and how far a faint one reaches.
+    assert operations(forward(transparent(cloud(COUNT))))["sqrt"] == 3
+    # The loop carries an index, a flagged transmittance, three channels and the last splat; a median is one more.
+    carried = [len(e.outvars) for e in forward(transparent(cloud(COUNT))) if e.primitive.name == "while"]
+    with_median = [
+        len(e.outvars)
+        for e in forward(transparent(cloud(COUNT)), return_median_depth=True)
+        if e.primitive.name == "while"
+    ]
+    assert max(carried) == 6 and max(with_median) == 7
+
+
+def test_covariances_leave_the_quaternions_out():
+    scene = transparent(cloud(COUNT))
+    covars = np.broadcast_to(np.eye(3, dtype=np.float32), (COUNT, 3, 3))
+
+    def program(covars):
+        s = scene
+        arrays = s.means, None, None, s.opacities, s.colors, s.viewmats, s.Ks, s.width, s.height
+        return rasterizer.rasterization(*arrays, covars=covars, capacity=2048)[:2]
+
+    assert (COUNT, 4) not in shapes(list(equations(jax.make_jaxpr(program)(covars).jaxpr)))
+    assert (COUNT, 4) in shapes(forward(scene))
 
 
 def test_no_background_no_blend_with_it():
