@@ -1,5 +1,6 @@
 """One strict session for all tests: CPU, no silent promotion of dtypes."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -38,7 +39,7 @@ class HardCases:
             "backgrounds). A *hidden* Gaussian must leave every bit of the rest as if it were absent: its errors are",
             "differences to that. Pallas kernels run interpreted. One command measures, asserts and writes this page:",
             "",
-            "    python -m pytest tests/rasterizer/test_edge_cases.py --hard-cases docs/hard_cases.md",
+            "    python -m pytest tests/rasterizer/test_edge_cases.py --numprocesses 0 --hard-cases docs/hard_cases.md",
             "",
             "| Case | " + " | ".join(heads) + " | Bounds |",
             "|---" * (len(heads) + 2) + "|",
@@ -76,6 +77,19 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip("needs the data sets in ../shared, which is not beside this checkout")
     return SHARED.resolve()
+
+
+MOST_MAPPINGS = 30_000  # Linux allows a process 65,530; every compiled program takes some.
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _room_for_programs():
+    """Forgets compiled programs before the system refuses more memory mappings, which XLA does not survive."""
+    yield
+    mappings = Path("/proc/self/maps")
+    if mappings.exists() and len(mappings.read_bytes().splitlines()) > MOST_MAPPINGS:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture

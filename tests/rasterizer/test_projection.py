@@ -124,7 +124,9 @@ def test_depth_planes_and_the_image_cull(project_scene):
     assert visible(opacity=1 / 255 + 1e-6)
     # Half the image is 8 px; the extent of opacity 0.8 is 3.26 sigma = 3.16 px for a disc that faces the camera.
     assert visible(mean=((8 + 3.1) / 8, 0, 2.0), scale=(0.1, 0.1, 0))
-    assert not visible(mean=((8 + 3.2) / 8, 0, 2.0), scale=(0.1, 0.1, 0))
+    # Rounded up to whole pixels, as gsplat's radii are.
+    assert visible(mean=((8 + 3.9) / 8, 0, 2.0), scale=(0.1, 0.1, 0))
+    assert not visible(mean=((8 + 4.1) / 8, 0, 2.0), scale=(0.1, 0.1, 0))
 
 
 def test_extents_of_the_two_presets(project_scene):
