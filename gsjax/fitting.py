@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from gsjax.settings import Density, Phase, Settings, Weights
 from gsjax.training import Metrics, TrainState
 from gsjax.views import Views, stack_views
 
+S = TypeVar("S")  # A state of training.
 NormalsPrior = Callable[[Gaussians, Views], Views]
 """(Gaussians so far, views) -> views with normals."""
 
@@ -97,6 +98,45 @@ def fit(
     return state
 
 
+def advance(
+    compiled: Callable[[int], Callable[[S, Views, Array, Array], tuple[S, Metrics]]],
+    after: Callable[[int, S, Metrics, int], S],
+    state: S,
+    data: Views,
+    steps: tuple[int, int],
+    *,
+    seed: int,
+    capacity: int,
+) -> S:
+    """Take the steps of one program, each with a view of `view_order`, and make room where a view needs it.
+
+    Args:
+        compiled: Pair capacity -> step. A step that overflows leaves the state as it was, and is repeated.
+        after: (steps done, state, metrics, capacity) -> state, after every step.
+        state: Where to start.
+        data: The views.
+        steps: Steps done so far, and at the end.
+        seed: Of the order of views, and of the key that every step gets.
+        capacity: Pair buffer to start with.
+
+    Returns:
+        The state after the last step.
+    """
+    key = jax.random.key(seed)
+    train_step = compiled(capacity)
+    step, end = steps
+    while step < end:
+        index = jnp.int32(view_order(seed, step, data.num_views))
+        state, metrics = train_step(state, data, index, key)
+        if bool(metrics.overflowed):
+            capacity = training.rounded_capacity(int(metrics.needed), 1.25)
+            train_step = compiled(capacity)
+            continue
+        step += 1
+        state = after(step, state, metrics, capacity)
+    return state
+
+
 def _run_phase(
     settings: Settings,
     phase: Phase,
@@ -126,22 +166,17 @@ def _run_phase(
         # Splitting raises the number of pairs; too small a guess costs one more compilation.
         headroom = 1.5 if phase.density_control else 1.25
         capacity = training.chosen_capacity(state.gaussians, data, headroom=headroom)
-    train_step = compiled(capacity)
-    step, end = steps
-    while step < end:
-        index = jnp.int32(view_order(settings.seed, step, data.num_views))
-        state, metrics = train_step(state, data, index, key)
-        if bool(metrics.overflowed):
-            capacity = training.rounded_capacity(int(metrics.needed), 1.25)
-            train_step = compiled(capacity)
-            continue
-        step += 1
+
+    def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
+        done = step == steps[1]
         if phase.density_control:
             state = _control_density(settings.density, step, state, optimizer, extent, key)
-        if step == end and phase.cull_below > 0:
+        if done and phase.cull_below > 0:
             state = training.cull(state, optimizer=optimizer, min_opacity=phase.cull_below)
-        observe(Progress(step, phase, state, metrics, capacity, step == end))
-    return state, step
+        observe(Progress(step, phase, state, metrics, capacity, done))
+        return state
+
+    return advance(compiled, after, state, data, steps, seed=settings.seed, capacity=capacity), steps[1]
 
 
 def _control_density(

@@ -1,7 +1,8 @@
 """Gaussians and a camera to images: one projection and one binning, then as many channels as are asked for."""
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from functools import singledispatch
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +13,36 @@ from gsjax import cameras
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, opacities, scales, sh_coefficients
 from gsjax.numerics import safe_divide
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Drawable:
+    """What a renderer needs of Gaussians of any kind. The shape is `quats` and `scales`, or else `covars`."""
+
+    means: Array  # [N, 3] world
+    opacities: Array  # [N]
+    sh: Array  # [N, (L+1)^2, 3]
+    quats: Array | None = None  # [N, 4] (w, x, y, z)
+    scales: Array | None = None  # [N, 3] standard deviations, scene units
+    covars: Array | None = None  # [N, 3, 3] world, scene units squared
+
+
+@singledispatch
+def drawable(gaussians: Any) -> Drawable:
+    """The `Drawable` of a kind of Gaussians; a kind of its own registers how: `drawable.register`."""
+    raise TypeError(f"no way to draw a {type(gaussians).__name__} is registered")
+
+
+@drawable.register
+def _(gaussians: Gaussians) -> Drawable:
+    return Drawable(
+        means=gaussians.means,
+        opacities=opacities(gaussians),
+        sh=sh_coefficients(gaussians),
+        quats=gaussians.quats,
+        scales=scales(gaussians),
+    )
 
 
 @jax.tree_util.register_dataclass
@@ -37,11 +68,11 @@ class View(NamedTuple):
 MIN_COVERAGE = 0.5  # A pixel covered less has no surface whose depth would mean anything (method: A10, A11).
 
 
-def splat(gaussians: Gaussians, camera: Camera, capacity: int, means2d_probe: Array | None = None) -> Splats:
+def splat(gaussians: Any, camera: Camera, capacity: int, means2d_probe: Array | None = None) -> Splats:
     """Project and bin.
 
     Args:
-        gaussians: The scene.
+        gaussians: The scene, of any kind that `drawable` knows.
         camera: The view.
         capacity: Length of the (tile, splat) buffer. Static. `pairs.overflowed` says that it was too short.
         means2d_probe: `[N, 2]` zeros added to the projected means: the gradient to it is the one to the 2D means.
@@ -49,39 +80,39 @@ def splat(gaussians: Gaussians, camera: Camera, capacity: int, means2d_probe: Ar
     Returns:
         `Splats` of this view.
     """
-    grid = rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.default_tile_size())
-    opacity = opacities(gaussians)
-    projection = rasterizer.project(
-        gaussians.means,
-        gaussians.quats,
-        scales(gaussians),
-        opacity,
-        camera.viewmat[None],
-        camera.K[None],
-        camera.width,
-        camera.height,
-    )
+    return _splat(drawable(gaussians), camera, capacity, means2d_probe)
+
+
+def needed_capacity(gaussians: Any, camera: Camera) -> Array:
+    """`[]` int32 length of the pair buffer that this view needs."""
+    return rasterizer.count_pairs(_project(drawable(gaussians), camera), _grid(camera))
+
+
+def _splat(scene: Drawable, camera: Camera, capacity: int, means2d_probe: Array | None) -> Splats:
+    grid = _grid(camera)
+    projection = _project(scene, camera)
     if means2d_probe is not None:
         projection = projection._replace(means2d=projection.means2d + means2d_probe[None])
-    return Splats(
-        projection, opacity, rasterizer.bin_splats(projection, opacity, grid, capacity, rasterizer.GSPLAT), grid
-    )
+    pairs = rasterizer.bin_splats(projection, scene.opacities, grid, capacity, rasterizer.GSPLAT)
+    return Splats(projection, scene.opacities, pairs, grid)
 
 
-def needed_capacity(gaussians: Gaussians, camera: Camera) -> Array:
-    """`[]` int32 length of the pair buffer that this view needs."""
-    grid = rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.default_tile_size())
-    projection = rasterizer.project(
-        gaussians.means,
-        gaussians.quats,
-        scales(gaussians),
-        opacities(gaussians),
+def _project(scene: Drawable, camera: Camera) -> rasterizer.Projection:
+    return rasterizer.project(
+        scene.means,
+        scene.quats,
+        scene.scales,
+        scene.opacities,
         camera.viewmat[None],
         camera.K[None],
         camera.width,
         camera.height,
+        covars=scene.covars,
     )
-    return rasterizer.count_pairs(projection, grid)
+
+
+def _grid(camera: Camera) -> rasterizer.TileGrid:
+    return rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.default_tile_size())
 
 
 def features(splats: Splats, values: Array) -> tuple[Array, Array]:
@@ -91,22 +122,23 @@ def features(splats: Splats, values: Array) -> tuple[Array, Array]:
     return image[0], 1 - left[0, ..., 0]
 
 
-def colors(gaussians: Gaussians, camera: Camera, active_degree: Array | int | None = None) -> Array:
+def colors(scene: Drawable, camera: Camera, active_degree: Array | int | None = None) -> Array:
     """`[N, 3]` colour of every Gaussian seen from the camera, at least 0 (3DGS: max(0, SH + 0.5)).
 
     `active_degree` may be traced: bands above it are multiplied by zero, so a ramp never recompiles.
     """
-    coefficients = sh_coefficients(gaussians)
+    coefficients = scene.sh
     if active_degree is not None:
         band = jnp.floor(jnp.sqrt(jnp.arange(coefficients.shape[1], dtype=jnp.float32)))
         shown = band <= jnp.asarray(active_degree, jnp.float32)
         coefficients = coefficients * shown.astype(coefficients.dtype)[None, :, None]
-    directions = gaussians.means - cameras.center(camera)[None]
-    return jnp.maximum(rasterizer.spherical_harmonics(gaussians.sh_degree, directions, coefficients) + 0.5, 0)
+    degree = round(coefficients.shape[1] ** 0.5) - 1
+    directions = scene.means - cameras.center(camera)[None]
+    return jnp.maximum(rasterizer.spherical_harmonics(degree, directions, coefficients) + 0.5, 0)
 
 
 def view(
-    gaussians: Gaussians,
+    gaussians: Any,
     camera: Camera,
     *,
     capacity: int,
@@ -118,7 +150,7 @@ def view(
     """Render one view. Differentiable to the Gaussians, the camera matrices and the background.
 
     Args:
-        gaussians: The scene.
+        gaussians: The scene, of any kind that `drawable` knows.
         camera: The view.
         capacity: See `splat`.
         background: `[3]` colour under the image.
@@ -129,8 +161,9 @@ def view(
     Returns:
         `View`.
     """
-    splats = splat(gaussians, camera, capacity, means2d_probe)
-    channels = colors(gaussians, camera, active_degree)
+    scene = drawable(gaussians)
+    splats = _splat(scene, camera, capacity, means2d_probe)
+    channels = colors(scene, camera, active_degree)
     if with_depth:
         channels = jnp.concatenate([channels, splats.projection.depths[0, :, None]], -1)
     image, alphas = features(splats, channels)

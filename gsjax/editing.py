@@ -1,0 +1,60 @@
+"""A mesh that is edited takes its Gaussians along."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+
+from gsjax.bound import COLLAPSED, BoundGaussians, unit_turns
+
+
+def with_vertices(bound: BoundGaussians, vertices: np.ndarray) -> BoundGaussians:
+    """The Gaussians after the vertices were moved: each is stretched and turned in its plane as its triangle is.
+
+    Means and normals follow the vertices by themselves. The in-plane covariance S of a Gaussian becomes J S J^T, J
+    being the map that takes the old triangle to the new one, so a rigid motion or a scaling of the whole mesh moves
+    all but the thickness exactly. Gaussians of a triangle that was or becomes collapsed keep their shape.
+
+    Args:
+        bound: Before the edit.
+        vertices: `[V, 3]` new positions of the same vertices.
+
+    Returns:
+        After the edit.
+
+    Raises:
+        ValueError: Another number of vertices.
+    """
+    vertices = np.asarray(vertices, np.float64)
+    if vertices.shape != bound.vertices.shape:
+        raise ValueError(f"vertices of shape {vertices.shape} for a mesh of {bound.vertices.shape}")
+    before, after = (_flat_triangles(v, np.asarray(bound.faces)) for v in (np.asarray(bound.vertices), vertices))
+    usable = _is_usable(before) & _is_usable(after)
+    stretch = np.tile(np.eye(2), (len(before), 1, 1))
+    stretch[usable] = after[usable] @ np.linalg.inv(before[usable])
+
+    re, im = np.asarray(unit_turns(bound.rotations), np.float64).T
+    roots = np.stack([np.stack([re, -im], -1), np.stack([im, re], -1)], -2) * np.exp(bound.log_scales)[:, None, :]
+    axes, scales, _ = np.linalg.svd(np.repeat(stretch, bound.per_triangle, axis=0) @ roots)
+    return replace(
+        bound,
+        vertices=jnp.asarray(vertices, jnp.float32),
+        log_scales=jnp.asarray(np.log(np.maximum(scales, 1e-12)), jnp.float32),
+        rotations=jnp.asarray(axes[:, :, 0], jnp.float32),
+    )
+
+
+def _flat_triangles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """`[F, 2, 2]` two edges of each triangle (columns) in the plane's own axes, as `gsjax.bound` chooses them."""
+    a, b, c = np.moveaxis(vertices.astype(np.float64)[faces], 1, 0)
+    along, other = a - b, c - b
+    length = np.linalg.norm(along, axis=-1)
+    safe = np.where(length > 0, length, 1)
+    run = np.sum(other * along, axis=-1) / safe
+    height = -np.linalg.norm(np.cross(other, along), axis=-1) / safe
+    return np.stack([np.stack([length, run], -1), np.stack([np.zeros_like(length), height], -1)], -2)
+
+
+def _is_usable(triangles: np.ndarray) -> np.ndarray:
+    size = np.abs(triangles).max(axis=(1, 2))
+    return np.abs(np.linalg.det(triangles)) > COLLAPSED * size**2
