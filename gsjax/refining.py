@@ -6,7 +6,7 @@ Defaults are SuGaR's at full scale; a shorter run moves its SH ramp and its deca
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ from gsjax.bound import LAYOUTS, BoundGaussians
 from gsjax.fitting import advance
 from gsjax.mesh_terms import MeshGraph
 from gsjax.numerics import masked_mean
-from gsjax.training import BACKGROUNDS, Background, Metrics, active_terms, chosen_capacity
+from gsjax.training import Background, Metrics, active_terms, chosen_capacity
 from gsjax.views import Views
 
 
@@ -97,31 +97,41 @@ class RefineState:
     step: Array  # [] int32 steps done
 
 
+class RefineProgress(NamedTuple):
+    """What the loop tells after every step."""
+
+    step: int  # steps done
+    state: RefineState  # valid until the next step, which takes its buffers
+    metrics: Metrics
+    capacity: int  # of the pair buffer
+
+
 def refine(
     settings: Refinement,
-    bound: BoundGaussians,
     graph: MeshGraph,
     data: Views,
-    extent: float,
+    state: RefineState,
+    optimizer: optax.GradientTransformation,
     *,
-    background: Background = BACKGROUNDS["black"],
-    observe: Callable[[int, Metrics], None] = lambda step, metrics: None,
-) -> BoundGaussians:
-    """Train all parameters of bound Gaussians on photos.
+    background: Background,
+    observe: Callable[[RefineProgress], None],
+    capacity: int | None = None,
+) -> RefineState:
+    """Train all parameters of bound Gaussians on photos, from `state.step` on.
 
     Args:
         settings: The run.
-        bound: Where to start. Its buffers are taken.
-        graph: Of its faces, see `gsjax.mesh_terms.mesh_graph`.
+        graph: Of the faces, see `gsjax.mesh_terms.mesh_graph`.
         data: The photos.
-        extent: Camera extent, scene units.
+        state: Where to start. Its buffers are taken.
+        optimizer: The transformation that made the state.
         background: Colour under the images.
-        observe: Called after every step with the steps done.
+        observe: Called after every step.
+        capacity: Pair buffer to continue with; None counts.
 
     Returns:
-        Where the training ended; faces and thickness are as they were.
+        The final state; faces and thickness are as they were.
     """
-    optimizer = make_optimizer(settings, extent, bound.vertices.shape[0])
     # Photos without an alpha channel have nothing to compare alphas with.
     weights = settings.weights if data.mattes is not None else replace(settings.weights, alpha=0.0)
 
@@ -132,13 +142,12 @@ def refine(
         return partial(step, graph)
 
     def after(step: int, state: RefineState, metrics: Metrics, capacity: int) -> RefineState:
-        observe(step, metrics)
+        observe(RefineProgress(step, state, metrics, capacity))
         return state
 
-    capacity = chosen_capacity(bound, data)
-    state = initial_state(bound, optimizer)
-    steps = (0, settings.steps)
-    return advance(compiled, after, state, data, steps, seed=settings.seed, capacity=capacity).gaussians
+    steps = (int(state.step), settings.steps)
+    capacity = capacity or chosen_capacity(state.gaussians, data)
+    return advance(compiled, after, state, data, steps, seed=settings.seed, capacity=capacity)
 
 
 def initial_state(bound: BoundGaussians, optimizer: optax.GradientTransformation) -> RefineState:

@@ -3,6 +3,7 @@
 from gsjax.pipeline.evaluate import evaluate
 from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.pictures import render
+from gsjax.pipeline.refine import refine
 from gsjax.pipeline.train import train
 
-__all__ = ["evaluate", "mesh", "render", "train"]
+__all__ = ["evaluate", "mesh", "refine", "render", "train"]

@@ -1,0 +1,51 @@
+"""`gsjax refine`: a mesh and Gaussians bound to it, trained together."""
+
+import argparse
+
+from gsjax.cli.parsers import add_command, given
+
+PRESETS = ("fast", "short", "medium", "long")
+
+
+def add_to(commands: argparse._SubParsersAction) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands,
+        "refine",
+        _run,
+        summary="refine a mesh with Gaussians bound to it",
+        description="""
+            Puts flat Gaussians on the triangles of a mesh and trains them and its vertices together on
+            the photos of RUN. Writes OUT/mesh.ply and OUT/mesh.glb, OUT/gaussians.ply and
+            OUT/report.json. OUT is a run folder: `gsjax eval OUT` and `gsjax render OUT` take it.
+        """,
+        example="gsjax refine runs/garden --mesh garden.ply --out runs/garden_refined",
+    )
+    add = parser.add_argument
+    add("run_folder", metavar="RUN", help="folder that `gsjax train` made")
+    add("--mesh", metavar="FILE", help="the mesh; .ply, .obj or .glb (default: RUN/mesh.ply)")
+    add("--out", metavar="OUT", required=True, help="folder for the result; must be empty")
+    add("--preset", choices=PRESETS,
+        help="how long: minutes on a CPU, or 2,000, 7,000 or 15,000 steps for a GPU (default: fast)")  # fmt: skip
+    add("--steps", type=int, metavar="N", help="training steps, instead of the preset's")
+    add("--faces", type=int, metavar="N", help="decimate the mesh to at most so many triangles first")
+    add("--per-triangle", type=int, choices=(1, 3, 4, 6), help="Gaussians a triangle (default: 1)")
+    add("--seed", type=int, metavar="N", help="seed of the order of the photos (default: 0)")
+    add("--resume", action="store_true", help="continue OUT from its last checkpoint, given the same options")
+    add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
+        help="any setting by its dotted key, as OUT/config.json shows them; may be repeated")  # fmt: skip
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from gsjax import config, pipeline, tables
+    from gsjax.refining import PRESETS, Refinement
+
+    options = given(arguments, "steps", "faces", "per_triangle", "seed")
+    chosen = config.merge(PRESETS[arguments.preset or "fast"], options)
+    whole = config.to_dict(config.parse(Refinement, chosen, where="settings"))
+    assignments = [one for group in arguments.assignments for one in group]
+    settings = config.parse(Refinement, config.override(whole, assignments), where="--set")
+    report = pipeline.refine(
+        arguments.run_folder, arguments.out, settings, mesh=arguments.mesh, resume=arguments.resume
+    )
+    print(tables.record(report))
