@@ -24,7 +24,9 @@ LAYERS = {
     "rasterizer": Layer(("rasterizer",), (), ("jax", "numpy")),
     "core": Layer(("gsjax",), ("rasterizer",), ("jax", "numpy", "optax", "scipy")),
     "io": Layer(("gsjax.io",), ("core",), ("jax", "numpy", "scipy", "tqdm", "cv2", "PIL", "pycolmap", "onnxruntime")),
-    "meshing": Layer(("gsjax.meshing",), ("core", "io"), ("jax", "numpy", "scipy", "open3d", "trimesh")),
+    "meshing": Layer(
+        ("gsjax.meshing",), ("core", "io"), ("jax", "numpy", "scipy", "open3d", "trimesh", "xatlas", "PIL")
+    ),
     "runs": Layer(
         ("gsjax.pipeline", "gsjax.demo"),
         ("rasterizer", "core", "io", "meshing"),
@@ -38,7 +40,7 @@ LAYERS = {
         ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "gsplat", "torch", "train", "workloads"),
     ),
 }
-HEAVY = {"open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "matplotlib", "PIL"}
+HEAVY = {"open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "xatlas", "matplotlib", "PIL"}
 
 
 def layer_of(module: str) -> str | None:

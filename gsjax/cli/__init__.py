@@ -4,12 +4,14 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 
-from gsjax.cli import demo, environment, evaluate, mesh, refine, render, sfm, train
+from gsjax.cli import demo, environment, evaluate, mesh, refine, render, sfm, texture, train, turntable
 from gsjax.errors import InputError
 
 DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
 
   photos --sfm--> scene --train--> run --mesh--> mesh.ply --refine--> mesh and Gaussians bound to it
+                                    |                 |---texture--> mesh.glb with a texture
+                                    |                 `--turntable--> pictures around it
                                     |---eval---> figures
                                     `--render--> pictures
 """
@@ -54,7 +56,7 @@ def parser() -> argparse.ArgumentParser:
     """The parser of all commands; `arguments.run(arguments)` runs the one that was given."""
     top = _Parser(prog="gsjax", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
-    for command in (demo, sfm, train, mesh, refine, evaluate, render):
+    for command in (demo, sfm, train, mesh, refine, texture, evaluate, render, turntable):
         command.add_to(commands)
     return top
 

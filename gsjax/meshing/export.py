@@ -1,9 +1,13 @@
 """Meshes as files: PLY (binary), OBJ and GLB, by suffix, with vertex colours, in the scene's own coordinates.
 
+A texture goes into OBJ, with an MTL and a PNG of the same name beside it, or into GLB. The textured OBJ has vertex
+colours too; the textured GLB has none, since glTF would multiply them with the texture.
+
 No axis is turned on the way out or in. glTF calls y "up": a viewer of the GLB may show a scene whose up is another
 axis lying on its side, and it is still the same numbers as the cameras' and the Gaussians'.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +15,18 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.files import atomic_path
 from gsjax.mesh import Mesh
+from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.libraries import load_trimesh
 
 # Of trimesh's writers, and what keeps them from rounding float32 coordinates.
 WRITERS = {".ply": {"encoding": "binary"}, ".obj": {"digits": 9}, ".glb": {}}
+MATERIAL = """newmtl surface
+Ka 0 0 0
+Kd 1 1 1
+Ks 0 0 0
+illum 1
+map_Kd {picture}
+"""
 
 
 def write_mesh(path: str | Path, mesh: Mesh) -> None:
@@ -36,8 +48,30 @@ def write_mesh(path: str | Path, mesh: Mesh) -> None:
         temporary.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
+def write_textured(path: str | Path, textured: TexturedMesh) -> None:
+    """Writes a mesh with its texture, whole or not at all; of three files, the .obj that names the others comes last.
+
+    Args:
+        path: .glb or .obj; to the latter belong a .mtl and a .png of the same name, which are replaced too.
+        textured: What to write.
+
+    Raises:
+        InputError: Another suffix, or a file cannot be written.
+    """
+    path = Path(path)
+    textured_writer(path)(path, textured)
+
+
+def textured_writer(path: Path) -> Callable[[Path, TexturedMesh], None]:
+    """What writes textures to files of this suffix; InputError where nothing does."""
+    writers = {".obj": _write_textured_obj, ".glb": _write_textured_glb}
+    if path.suffix.lower() not in writers:
+        raise InputError(f"{path}: meshes with a texture end in {', '.join(writers)}")
+    return writers[path.suffix.lower()]
+
+
 def read_mesh(path: str | Path) -> Mesh:
-    """Reads a triangle mesh; grey where the file has no vertex colours.
+    """Reads a triangle mesh; its vertices have the texture's colours where it has only that, grey where no colours.
 
     Args:
         path: A .ply, .obj or .glb file.
@@ -45,19 +79,27 @@ def read_mesh(path: str | Path) -> Mesh:
     Raises:
         InputError: Unknown suffix, no such file, not readable as that format, or no triangles in it.
     """
-    path = Path(path)
-    supported_suffix(path)
-    if not path.is_file():
-        raise InputError(f"{path}: no such mesh file")
-    trimesh = load_trimesh()
-    try:
-        surface = trimesh.load(path, force="mesh", process=False, maintain_order=True)
-        vertices, faces = np.asarray(surface.vertices, np.float32), np.asarray(surface.faces, np.int32)
-    except Exception as error:  # Readers raise whatever the broken bytes lead to.
-        raise InputError(f"{path}: not readable as a mesh ({type(error).__name__}: {error})".splitlines()[0]) from error
-    if not len(faces):
-        raise InputError(f"{path}: holds no triangles")
-    return Mesh(vertices, faces, _vertex_colors(surface))
+    surface = _loaded(Path(path))
+    return Mesh(*_triangles(surface), _vertex_colors(surface))
+
+
+def read_textured(path: str | Path) -> TexturedMesh | None:
+    """Reads a mesh with its texture; None where the file has none.
+
+    Args:
+        path: A .ply, .obj or .glb file.
+
+    Raises:
+        InputError: As of `read_mesh`.
+    """
+    surface = _loaded(Path(path))
+    picture = _picture(surface)
+    if picture is None:
+        return None
+    vertices, faces = _triangles(surface)
+    uvs = np.asarray(surface.visual.uv, np.float32) * [1, -1] + [0, 1]
+    atlas = Atlas(uvs.astype(np.float32), np.arange(len(vertices), dtype=np.int32), faces, picture.shape[1], 0)
+    return TexturedMesh(Mesh(vertices, faces, _vertex_colors(surface)), atlas, picture)
 
 
 def supported_suffix(path: Path) -> str:
@@ -68,8 +110,81 @@ def supported_suffix(path: Path) -> str:
     return suffix
 
 
+def _write_textured_obj(path: Path, textured: TexturedMesh) -> None:
+    """Vertices as in the mesh, places in the texture apart from them. OBJ counts from 1 and v from below."""
+    mesh, atlas = textured.mesh, textured.atlas
+    material, picture = path.with_suffix(".mtl"), path.with_suffix(".png")
+    corners = np.stack([mesh.faces, atlas.faces], axis=-1).reshape(-1, 6) + 1
+    # Left in the opposite order: when the .obj appears, what it names is there.
+    with atomic_path(path) as obj, atomic_path(material) as mtl, atomic_path(picture) as png:
+        _image(textured.texture).save(png)
+        mtl.write_text(MATERIAL.format(picture=picture.name))
+        with obj.open("w") as file:
+            file.write(f"mtllib {material.name}\nusemtl surface\n")
+            np.savetxt(file, np.hstack([mesh.vertices, mesh.colors / 255.0]), "v %.9g %.9g %.9g %.4f %.4f %.4f")
+            np.savetxt(file, atlas.uvs * [1.0, -1.0] + [0.0, 1.0], "vt %.9g %.9g")
+            np.savetxt(file, corners, "f %d/%d %d/%d %d/%d")
+
+
+def _write_textured_glb(path: Path, textured: TexturedMesh) -> None:
+    """One vertex a place in the texture. Unlit, as photos hold their light already."""
+    mesh, atlas = textured.mesh, textured.atlas
+    trimesh = load_trimesh()
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=_image(textured.texture), metallicFactor=0.0, roughnessFactor=1.0
+    )
+    visual = trimesh.visual.TextureVisuals(uv=atlas.uvs * [1.0, -1.0] + [0.0, 1.0], material=material)
+    surface = trimesh.Trimesh(mesh.vertices[atlas.vertices], atlas.faces, visual=visual, process=False)
+
+    def unlit(tree: dict) -> None:
+        tree["materials"][0]["extensions"] = {"KHR_materials_unlit": {}}
+        tree["extensionsUsed"] = [*tree.get("extensionsUsed", ()), "KHR_materials_unlit"]
+
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(surface.export(file_type="glb", include_normals=False, tree_postprocessor=unlit))
+
+
+def _image(pixels: np.ndarray):
+    """The picture as Pillow has it."""
+    from PIL import Image
+
+    return Image.fromarray(np.ascontiguousarray(pixels))
+
+
+def _loaded(path: Path):
+    """The file as one trimesh with vertices in their order; InputError where it is none."""
+    supported_suffix(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such mesh file")
+    trimesh = load_trimesh()
+    try:
+        surface = trimesh.load(path, force="mesh", process=False, maintain_order=True)
+        _triangles(surface)
+    except Exception as error:  # Readers raise whatever the broken bytes lead to.
+        raise InputError(f"{path}: not readable as a mesh ({type(error).__name__}: {error})".splitlines()[0]) from error
+    if not len(surface.faces):
+        raise InputError(f"{path}: holds no triangles")
+    return surface
+
+
+def _triangles(surface) -> tuple[np.ndarray, np.ndarray]:
+    """`[V, 3]` float32 vertices and `[F, 3]` int32 faces."""
+    return np.asarray(surface.vertices, np.float32), np.asarray(surface.faces, np.int32)
+
+
 def _vertex_colors(surface) -> np.ndarray:
     """`[V, 3]` uint8."""
     if surface.visual.kind == "vertex":
         return np.asarray(surface.visual.vertex_colors[:, :3], np.uint8)
+    if _picture(surface) is not None:
+        return np.asarray(surface.visual.to_color().vertex_colors[:, :3], np.uint8)
     return np.full((len(surface.vertices), 3), 128, np.uint8)
+
+
+def _picture(surface) -> np.ndarray | None:
+    """`[H, W, 3]` uint8 texture, if there is one and every vertex has its place in it."""
+    if surface.visual.kind != "texture" or surface.visual.uv is None:
+        return None
+    material = surface.visual.material
+    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    return None if image is None else np.asarray(image.convert("RGB"))

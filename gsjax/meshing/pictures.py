@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gsjax.mesh import Mesh, face_normals
-from gsjax.meshing.libraries import load_open3d
+from gsjax.meshing.atlas import TexturedMesh
+from gsjax.meshing.rays import Cast, ray_caster
 
 BACKGROUND = np.ones(3)
 BACK_FACE = np.array([0.45, 0.0, 0.0])  # Dark red: seen from its inner side.
@@ -23,6 +24,8 @@ class Hits:
     normals: np.ndarray  # [R, 3] unit face normals, camera axes (x right, y down, z forward)
     colors: np.ndarray  # [R, 3] vertex colours at the hit, 0..1
     rays: np.ndarray  # [R, 3] unit directions away from the camera, camera axes
+    faces: np.ndarray  # [R] triangles
+    barycentrics: np.ndarray  # [R, 3] weights of their corners
 
 
 Shading = Callable[[Hits], np.ndarray]
@@ -44,8 +47,32 @@ def headlight(hits: Hits) -> np.ndarray:
     return np.broadcast_to(0.15 + 0.8 * facing, hits.rays.shape)
 
 
+def texture_colors(textured: TexturedMesh) -> Shading:
+    """The shading that shows a texture, read bilinearly."""
+    atlas, texture = textured.atlas, textured.texture.astype(np.float32) / 255
+    sides = np.array([texture.shape[1], texture.shape[0]])
+
+    def shading(hits: Hits) -> np.ndarray:
+        at = np.einsum("rk,rkd->rd", hits.barycentrics, atlas.uvs[atlas.faces[hits.faces]]) * sides - 0.5
+        low = np.floor(at).astype(np.int64)
+        (u, v), shown = (at - low).T[..., None], 0.0
+        for right, down, weight in ((0, 0, (1 - u) * (1 - v)), (1, 0, u * (1 - v)), (0, 1, (1 - u) * v), (1, 1, u * v)):
+            columns, rows = np.clip(low + [right, down], 0, sides - 1).T
+            shown = shown + weight * texture[rows, columns]
+        return shown
+
+    return shading
+
+
 def render_mesh(
-    mesh: Mesh, viewmat: np.ndarray, K: np.ndarray, width: int, height: int, *, shading: Shading = vertex_colors
+    mesh: Mesh,
+    viewmat: np.ndarray,
+    K: np.ndarray,
+    width: int,
+    height: int,
+    *,
+    shading: Shading = vertex_colors,
+    cast: Cast | None = None,
 ) -> np.ndarray:
     """`[H, W, 3]` uint8 picture on white; surfaces seen from their inner side are dark red.
 
@@ -56,46 +83,47 @@ def render_mesh(
         width: Pixels.
         height: Pixels.
         shading: Colours in 0..1 of what the rays hit.
+        cast: The mesh's `ray_caster`, where many pictures share it.
     """
-    hits, pixels = _cast(mesh, viewmat, K, width, height)
+    hits, pixels = _hits(mesh, cast or ray_caster(mesh), viewmat, K, width, height)
     is_back = np.sum(hits.normals * hits.rays, axis=-1, keepdims=True) > 0
     picture = np.broadcast_to(BACKGROUND, (height * width, 3)).copy()
     picture[pixels] = np.where(is_back, BACK_FACE, shading(hits))
     return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8).reshape(height, width, 3)
 
 
-def depth_of_mesh(mesh: Mesh, viewmat: np.ndarray, K: np.ndarray, width: int, height: int) -> np.ndarray:
+def depth_of_mesh(
+    mesh: Mesh, viewmat: np.ndarray, K: np.ndarray, width: int, height: int, *, cast: Cast | None = None
+) -> np.ndarray:
     """`[H, W]` float32 camera z of the nearest triangle at every pixel centre, 0 where there is none."""
-    hits, pixels = _cast(mesh, viewmat, K, width, height)
-    depth = np.zeros(height * width, np.float32)
-    depth[pixels] = hits.depths
-    return depth.reshape(height, width)
+    origin, directions = _pixel_rays(viewmat, K, width, height)
+    depth = (cast or ray_caster(mesh))(origin, directions).distances
+    return np.where(np.isfinite(depth), depth, 0).reshape(height, width)
 
 
-def _cast(mesh: Mesh, viewmat, K, width: int, height: int) -> tuple[Hits, np.ndarray]:
+def _hits(mesh: Mesh, cast: Cast, viewmat, K, width: int, height: int) -> tuple[Hits, np.ndarray]:
     """What each ray hits first, and the flat indices of the pixels that hit something."""
-    o3d = load_open3d()
-    viewmat, K = np.asarray(viewmat, np.float64), np.asarray(K, np.float64)
-    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    ones = np.ones(height * width)
-    in_camera = np.stack([(columns.ravel() - K[0, 2]) / K[0, 0], (rows.ravel() - K[1, 2]) / K[1, 1], ones], axis=-1)
-    origin = -viewmat[:3, :3].T @ viewmat[:3, 3]
-
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(np.ascontiguousarray(mesh.vertices, np.float32), mesh.faces.astype(np.uint32))
-    rays = np.concatenate([np.broadcast_to(origin, in_camera.shape), in_camera @ viewmat[:3, :3]], axis=1)
-    answer = scene.cast_rays(o3d.core.Tensor(rays.astype(np.float32)))
-
-    # A ray's direction has z = 1 in the camera, so its parameter is the depth.
-    depths = answer["t_hit"].numpy()
+    origin, directions = _pixel_rays(viewmat, K, width, height)
+    depths, faces, barycentrics = cast(origin, directions)
     pixels = np.flatnonzero(np.isfinite(depths))
-    faces = answer["primitive_ids"].numpy()[pixels]
-    u, v = answer["primitive_uvs"].numpy()[pixels].T
-    corners = mesh.colors[mesh.faces[faces]] / 255.0
+    faces, barycentrics = faces[pixels], barycentrics[pixels]
+    rotation = np.asarray(viewmat, np.float64)[:3, :3]
+    rays = directions[pixels] @ rotation.T
     hits = Hits(
         depths=depths[pixels],
-        normals=face_normals(mesh)[faces] @ viewmat[:3, :3].T,
-        colors=np.einsum("rk,rkc->rc", np.stack([1 - u - v, u, v], axis=-1), corners),
-        rays=in_camera[pixels] / np.linalg.norm(in_camera[pixels], axis=-1, keepdims=True),
+        normals=face_normals(mesh)[faces] @ rotation.T,
+        colors=np.einsum("rk,rkc->rc", barycentrics, mesh.colors[mesh.faces[faces]] / 255.0),
+        rays=rays / np.linalg.norm(rays, axis=-1, keepdims=True),
+        faces=faces,
+        barycentrics=barycentrics,
     )
     return hits, pixels
+
+
+def _pixel_rays(viewmat, K, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """`[3]` the camera's centre and `[H * W, 3]` directions whose lengths make a ray's parameter the camera z."""
+    viewmat, K = np.asarray(viewmat, np.float64), np.asarray(K, np.float64)
+    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    x, y = (columns.ravel() - K[0, 2]) / K[0, 0], (rows.ravel() - K[1, 2]) / K[1, 1]
+    in_camera = np.stack([x, y, np.ones(height * width)], axis=-1)
+    return -viewmat[:3, :3].T @ viewmat[:3, 3], in_camera @ viewmat[:3, :3]

@@ -4,6 +4,7 @@ from gsjax.pipeline.evaluate import evaluate
 from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.pictures import render
 from gsjax.pipeline.refine import refine
+from gsjax.pipeline.texture import texture, turntable
 from gsjax.pipeline.train import train
 
-__all__ = ["evaluate", "mesh", "refine", "render", "train"]
+__all__ = ["evaluate", "mesh", "refine", "render", "texture", "train", "turntable"]

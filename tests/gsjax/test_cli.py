@@ -14,7 +14,7 @@ from gsjax.cli import environment
 from gsjax.errors import InputError
 from gsjax.settings import PRESETS, Phase, Settings
 
-COMMANDS = ("demo", "sfm", "train", "mesh", "eval", "render")
+COMMANDS = ("demo", "sfm", "train", "mesh", "refine", "texture", "eval", "render", "turntable")
 
 
 @dataclass(frozen=True)

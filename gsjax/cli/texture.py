@@ -1,0 +1,32 @@
+"""`gsjax texture`: a mesh with a texture."""
+
+import argparse
+
+from gsjax.cli.parsers import add_command, given
+
+
+def add_to(commands: argparse._SubParsersAction) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands,
+        "texture",
+        _run,
+        summary="paint a mesh with what the Gaussians show",
+        description="""
+            Lays a mesh out in a square texture and gives every texel what the training views that see it
+            show there. Where none does, the mesh's own vertex colours stand.
+        """,
+        example="gsjax texture runs/garden --mesh garden.ply --out garden.glb",
+    )
+    parser.add_argument("source", metavar="RUN_OR_PLY", help="folder that `gsjax train` made, or a .ply of Gaussians")
+    parser.add_argument("--mesh", metavar="FILE", required=True, help="the mesh that `gsjax mesh` made of it")
+    parser.add_argument("--out", metavar="FILE", required=True, help=".glb, or .obj with .mtl and .png beside it")
+    parser.add_argument("--size", type=int, metavar="PX", help="side of the texture; default: 4096")
+    parser.add_argument("--scene", metavar="SCENE", help="data set whose cameras to look from, where a .ply is given")
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from gsjax import pipeline, tables
+
+    options = given(arguments, "size", "scene")
+    print(tables.record(pipeline.texture(arguments.source, arguments.mesh, arguments.out, **options)))

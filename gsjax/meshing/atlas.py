@@ -1,0 +1,173 @@
+"""Where every triangle of a mesh lies in a square texture.
+
+Two ways of one signature: `charts` unfolds connected pieces (xatlas), `cells` gives every triangle half a square of
+its own, at once whatever the size of the mesh, but with seams everywhere. `unwrap` takes charts where it can.
+"""
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gsjax.errors import InputError
+from gsjax.mesh import Mesh, face_area_vectors
+
+PADDING = 4  # Texels between charts.
+MOST_CHARTED_FACES = 300_000  # xatlas takes a minute on 2 cores at this number, and more than its share above.
+MOST_SECONDS = 900.0
+SMALLEST_CELL = 4  # Texels; see `cells`.
+SMALLEST_AREA = 1e-3  # Texels squared; a triangle below has one colour.
+UNFOLD = Path(__file__).with_name("unfold.py")
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """U places in the texture, of which a vertex at a seam has several."""
+
+    uvs: np.ndarray  # [U, 2] float32, 0..1: x to the right, y down, from the upper left corner of the picture
+    vertices: np.ndarray  # [U] int32 the mesh's vertex at each place
+    faces: np.ndarray  # [F, 3] int32 rows of uvs, in the order of the mesh's faces
+    size: int  # side of the texture, texels
+    num_charts: int  # pieces that lie apart
+
+
+@dataclass(frozen=True)
+class TexturedMesh:
+    """A mesh and the picture on it."""
+
+    mesh: Mesh
+    atlas: Atlas
+    texture: np.ndarray  # [H, W, 3] uint8 sRGB
+
+
+Unwrap = Callable[[Mesh, int], Atlas]
+
+
+class NotUnfoldedError(Exception):
+    """The charts of a mesh could not be made."""
+
+
+def unwrap(mesh: Mesh, size: int) -> Atlas:
+    """Charts; cells for more than 300,000 triangles, and where xatlas fails.
+
+    Args:
+        mesh: What to unwrap. Triangles without area are welcome.
+        size: Side of the texture, texels.
+
+    Raises:
+        InputError: The texture has no room for so many triangles.
+    """
+    if mesh.num_faces <= MOST_CHARTED_FACES:
+        try:
+            return charts(mesh, size)
+        except NotUnfoldedError:
+            pass
+    return cells(mesh, size)
+
+
+def charts(mesh: Mesh, size: int) -> Atlas:
+    """Connected pieces, unfolded with little distortion and packed about `PADDING` texels apart.
+
+    Raises:
+        NotUnfoldedError: xatlas is absent, crashed, or took longer than a quarter of an hour.
+    """
+    areas = np.linalg.norm(face_area_vectors(mesh), axis=1)
+    solid = np.flatnonzero(areas > 0)
+    if not len(solid):
+        raise NotUnfoldedError("no triangle has an area")
+    # xatlas compares areas with absolute bounds: the mean triangle gets area 1.
+    scaled = (mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(areas[solid].mean())
+    found = _unfolded(scaled.astype(np.float32), mesh.faces[solid], size)
+    extent = np.array([found["width"], found["height"]], np.float64)
+    faces = np.zeros((mesh.num_faces, 3), np.int32)
+    faces[solid] = found["faces"]
+    laid_out = Atlas(
+        uvs=(found["uvs"] * (extent / extent.max())).astype(np.float32),
+        vertices=found["vertices"].astype(np.int32),
+        faces=faces,
+        size=size,
+        num_charts=int(found["charts"]),
+    )
+    return _flat_faces_at_a_corner(laid_out, mesh)
+
+
+def cells(mesh: Mesh, size: int) -> Atlas:
+    """Two triangles a square cell, each as large as its neighbours' texels allow.
+
+    Corners lie on centres of texels, and the legs of the two right triangles are 3 texels shorter than the cell: what
+    bilinear sampling reads inside a triangle belongs to that triangle alone. Four texels are the smallest such cell.
+
+    Raises:
+        InputError: The cells would be smaller.
+    """
+    per_axis = int(np.ceil(np.sqrt(np.ceil(mesh.num_faces / 2))))
+    side = size // per_axis
+    if side < SMALLEST_CELL:
+        raise InputError(
+            f"a texture of {size} px has no room for {mesh.num_faces} triangles: it takes "
+            f"{SMALLEST_CELL * per_axis} px, or a mesh of at most {2 * (size // SMALLEST_CELL) ** 2} triangles"
+        )
+    index = np.arange(mesh.num_faces)
+    rows, columns = np.divmod(index // 2, per_axis)
+    lower = 0.5 + (side - 3) * np.array([[0, 0], [1, 0], [0, 1]])
+    corners = np.where((index % 2 == 0)[:, None, None], lower, side - lower)
+    texels = corners + side * np.stack([columns, rows], axis=-1)[:, None]
+    return Atlas(
+        uvs=(texels.reshape(-1, 2) / size).astype(np.float32),
+        vertices=mesh.faces.reshape(-1),
+        faces=np.arange(3 * mesh.num_faces, dtype=np.int32).reshape(-1, 3),
+        size=size,
+        num_charts=mesh.num_faces,
+    )
+
+
+def texel_corners(atlas: Atlas) -> np.ndarray:
+    """`[F, 3, 2]` float64 corners of every triangle in texels; centres of texels are at +0.5."""
+    return atlas.uvs.astype(np.float64)[atlas.faces] * atlas.size
+
+
+def doubled_areas(corners: np.ndarray) -> np.ndarray:
+    """`[F]` twice the signed area of triangles with corners `[F, 3, 2]`."""
+    (x1, y1), (x2, y2) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    return x1 * y2 - x2 * y1
+
+
+def _unfolded(vertices: np.ndarray, faces: np.ndarray, size: int) -> dict[str, np.ndarray]:
+    """What `unfold.py` writes, run as a process of its own: xatlas can crash, and takes the process with it."""
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder, "mesh.npz"), Path(folder, "atlas.npz")
+        np.savez(source, vertices=vertices, faces=faces.astype(np.uint32), size=size, padding=PADDING)
+        command = [sys.executable, str(UNFOLD), str(source), str(target)]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=MOST_SECONDS)
+        except subprocess.TimeoutExpired as error:
+            raise NotUnfoldedError(f"xatlas took longer than {MOST_SECONDS:.0f} s") from error
+        if done.returncode or not target.exists():
+            raise NotUnfoldedError(f"xatlas ended with code {done.returncode}: {done.stderr.strip()[-200:]}")
+        with np.load(target) as found:
+            return dict(found)
+
+
+def _flat_faces_at_a_corner(atlas: Atlas, mesh: Mesh) -> Atlas:
+    """Triangles without area in the texture are moved to one point: where a corner of theirs is painted."""
+    is_flat = np.abs(doubled_areas(texel_corners(atlas))) < 2 * SMALLEST_AREA
+    painted = atlas.faces[~is_flat].ravel()
+    if not is_flat.any() or not len(painted):
+        return atlas
+    place = np.full(mesh.num_vertices, painted[0])
+    place[atlas.vertices[painted]] = painted
+    corners = mesh.faces[is_flat]
+    points = np.repeat(place[corners[:, 0]], 3)
+    faces = atlas.faces.copy()
+    faces[is_flat] = len(atlas.uvs) + np.arange(corners.size, dtype=np.int32).reshape(-1, 3)
+    return Atlas(
+        uvs=np.concatenate([atlas.uvs, atlas.uvs[points]]),
+        vertices=np.concatenate([atlas.vertices, corners.ravel()]).astype(np.int32),
+        faces=faces,
+        size=atlas.size,
+        num_charts=atlas.num_charts,
+    )

@@ -1,0 +1,131 @@
+"""A texture from rendered views: every texel gets the mean of what the views that see it show there."""
+
+from collections.abc import Iterable, Sequence
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.scipy.ndimage import map_coordinates
+from scipy import ndimage
+
+from gsjax import cameras as pinhole
+from gsjax.cameras import Camera
+from gsjax.gallery import Picture
+from gsjax.mesh import Mesh, face_normals
+from gsjax.meshing.atlas import TexturedMesh, Unwrap, unwrap
+from gsjax.meshing.pictures import depth_of_mesh
+from gsjax.meshing.rays import ray_caster
+from gsjax.meshing.texels import Texels, painted, texels_of
+from gsjax.render import MIN_COVERAGE
+
+TEXELS_AT_ONCE = 1 << 18
+MIN_COSINE = 0.2  # A view flatter than this (78 degrees off the normal) says nothing of a texel.
+RELATIVE_SLACK = 2e-3  # Of the depth by which a texel may lie behind the mesh's own depth and be seen,
+PIXEL_SLACK = 2.2  # and of the pixels that the surface's slope is followed: the diagonal of 3 x 3 pixels, half.
+
+
+def texture_mesh(
+    mesh: Mesh,
+    cameras: Sequence[Camera],
+    pictures: Iterable[Picture],
+    *,
+    size: int = 4096,
+    unwrap: Unwrap = unwrap,
+) -> tuple[TexturedMesh, dict]:
+    """Paints a mesh with what its views show.
+
+    Memory: about 40 bytes a texel and 400 a triangle, one picture at a time.
+
+    Args:
+        mesh: Outward triangles. Its vertex colours stand where no view sees the surface.
+        cameras: One camera a view.
+        pictures: What each of them sees, over black (colours times coverage); a generator will do.
+        size: Side of the texture, texels.
+        unwrap: How the mesh is laid out.
+
+    Returns:
+        The mesh with its texture, and a report: `charts`, `texels` on the surface, `seen_share` of them.
+
+    Raises:
+        InputError: The texture has no room for so many triangles.
+    """
+    atlas = unwrap(mesh, size)
+    texels = texels_of(mesh, atlas)
+    colors, is_seen = composited(mesh, texels, cameras, pictures)
+    texture = painted(texels, np.where(is_seen[:, None], colors, texels.colors), size)
+    report = {"charts": atlas.num_charts, "texels": len(texels.where), "seen_share": float(np.mean(is_seen))}
+    return TexturedMesh(mesh, atlas, texture), report
+
+
+def composited(
+    mesh: Mesh, texels: Texels, cameras: Sequence[Camera], pictures: Iterable[Picture]
+) -> tuple[np.ndarray, np.ndarray]:
+    """`[M, 3]` uint8 weighted means over the views, and `[M]` whether any view sees the texel.
+
+    A view's weight is the number of its pixels that a unit of surface covers: near and frontal views count most.
+    Running sums are kept, so that memory does not grow with the number of views.
+    """
+    cast, normals = ray_caster(mesh), face_normals(mesh).astype(np.float32)
+    sums = np.zeros((len(texels.where), 4), np.float32)
+    for camera, picture in zip(cameras, pictures, strict=True):
+        depth = depth_of_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height, cast=cast)
+        # The least of 3 x 3 pixels, 0 where one misses the mesh: an outline mixes what lies before and behind it.
+        nearest = ndimage.minimum_filter(depth, size=3, mode="nearest")
+        image = np.concatenate([picture.colors, picture.alphas[..., None]], axis=-1)
+        for first in range(0, len(sums), TEXELS_AT_ONCE):
+            part = slice(first, min(first + TEXELS_AT_ONCE, len(sums)))
+            points, towards = _filled_up(texels.points[part]), _filled_up(normals[texels.faces[part]])
+            sums[part] += np.asarray(_sightings(points, towards, camera, image, nearest))[: part.stop - first]
+    weights = sums[:, 3:]
+    is_seen = weights[:, 0] > 0
+    colors = sums[:, :3] / np.where(is_seen[:, None], weights, 1)
+    return np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8), is_seen
+
+
+@jax.jit
+def _sightings(points: Array, normals: Array, camera: Camera, image: Array, nearest: Array) -> Array:
+    """`[C, 4]` of every texel what `_sighting` says."""
+    return jax.vmap(partial(_sighting, camera=camera, image=image, nearest=nearest))(points, normals)
+
+
+def _sighting(point: Array, normal: Array, camera: Camera, image: Array, nearest: Array) -> Array:
+    """`[4]` weighted colour and weight of one point of the surface in one view; zeros where it is not seen.
+
+    Args:
+        point: `[3]` world.
+        normal: `[3]` unit, outward, world.
+        camera: The view.
+        image: `[H, W, 4]` colours times coverage, and coverage.
+        nearest: `[H, W]` depth of the mesh, the least around every pixel.
+    """
+    in_camera = pinhole.world_to_camera(point, camera)
+    depth = jnp.maximum(in_camera[2], 1e-6)
+    x, y = pinhole.project(in_camera, camera)
+    is_inside = (in_camera[2] > 0) & (x >= 0.5) & (x <= camera.width - 0.5) & (y >= 0.5) & (y <= camera.height - 0.5)
+
+    to_camera = pinhole.center(camera) - point
+    cosine = jnp.sum(normal * to_camera) / jnp.maximum(jnp.sqrt(jnp.sum(to_camera * to_camera)), 1e-12)
+    is_facing = cosine > MIN_COSINE
+    cosine = jnp.where(is_facing, cosine, 1)
+
+    focal = jnp.sqrt(camera.K[0, 0] * camera.K[1, 1])
+    slope = jnp.sqrt(jnp.maximum(1 - cosine * cosine, 0)) / cosine
+    slack = depth * (RELATIVE_SLACK + PIXEL_SLACK * slope / focal)
+    row, column = (
+        jnp.clip(jnp.where(is_inside, at, 0).astype(jnp.int32), 0, count - 1)
+        for at, count in ((y, camera.height), (x, camera.width))
+    )
+    is_seen = is_inside & is_facing & (depth <= nearest[row, column] + slack)
+
+    at = [jnp.where(is_inside, y, 0.5) - 0.5, jnp.where(is_inside, x, 0.5) - 0.5]
+    color = jax.vmap(lambda channel: map_coordinates(channel, at, order=1, mode="nearest"), in_axes=-1)(image)
+    is_shown = color[3] > MIN_COVERAGE  # Else there is next to nothing in the picture but the haze before it.
+    weight = cosine * (focal / depth) ** 2
+    return jnp.where(is_seen & is_shown, weight, 0) * color
+
+
+def _filled_up(rows: np.ndarray) -> np.ndarray:
+    """`rows` with zeros up to `TEXELS_AT_ONCE`: one compiled size for all."""
+    return np.pad(rows, ((0, TEXELS_AT_ONCE - len(rows)), (0, 0)))
