@@ -22,7 +22,7 @@ def accuracy_completeness(predicted: np.ndarray, truth: np.ndarray) -> tuple[flo
     Returns:
         (accuracy, completeness), scene units.
     """
-    return float(_nearest(predicted, truth)[0].mean()), float(_nearest(truth, predicted)[0].mean())
+    return float(nearest(predicted, truth)[0].mean()), float(nearest(truth, predicted)[0].mean())
 
 
 def chamfer(points_a: np.ndarray, points_b: np.ndarray) -> float:
@@ -32,9 +32,7 @@ def chamfer(points_a: np.ndarray, points_b: np.ndarray) -> float:
 
 def fscore(predicted: np.ndarray, truth: np.ndarray, threshold: float) -> float:
     """F-score in 0..1: the harmonic mean of precision and recall, each a share of points within `threshold`."""
-    precision = float((_nearest(predicted, truth)[0] <= threshold).mean())
-    recall = float((_nearest(truth, predicted)[0] <= threshold).mean())
-    return 2 * precision * recall / max(precision + recall, 1e-300)
+    return _within(nearest(predicted, truth)[0], nearest(truth, predicted)[0], threshold)[2]
 
 
 def normal_consistency(
@@ -42,15 +40,11 @@ def normal_consistency(
 ) -> float:
     """Mean |cos| between each point's normal and its nearest counterpart's, averaged over both directions, in 0..1.
 
-    Unsigned, as it is usually reported; `cleaning.clean` reports an inside-out mesh.
+    Unsigned, as it is usually reported; `compare_to_truth` says besides how much of the surface faces the right way.
     """
-    there, back = _nearest(predicted, truth)[1], _nearest(truth, predicted)[1]
-    predicted_normals, true_normals = unit_or_zero(predicted_normals), unit_or_zero(true_normals)
-    cosines = (
-        np.abs(np.sum(predicted_normals * true_normals[there], -1)).mean(),
-        np.abs(np.sum(true_normals * predicted_normals[back], -1)).mean(),
-    )
-    return float(np.mean(cosines))
+    there, back = nearest(predicted, truth)[1], nearest(truth, predicted)[1]
+    cosines = _cosines(predicted_normals, true_normals[there]), _cosines(true_normals, predicted_normals[back])
+    return float(np.mean([np.abs(c).mean() for c in cosines]))
 
 
 def sample_surface(mesh: Mesh, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -90,7 +84,9 @@ def compare_to_truth(
         seed: Of those points.
 
     Returns:
-        `chamfer` (mean of the next two), `accuracy`, `completeness`, `fscore`, `normal_consistency`, `threshold`.
+        `chamfer` (mean of the next two), `accuracy`, `completeness`, `precision`, `recall` and `fscore` at the
+        threshold, `fscore_half` and `fscore_double` at half and at twice of it, `normal_consistency`, `outward_share`
+        (of the mesh's samples, those whose normal agrees in sign with the nearest true one) and `threshold`.
 
     Raises:
         InputError: No surface of the mesh lies in the box.
@@ -99,13 +95,22 @@ def compare_to_truth(
     if threshold is None:
         threshold = float(THRESHOLD_SHARE * np.linalg.norm(high - low))
     points, normals = _samples_in_box(mesh, low - threshold, high + threshold, samples, seed)
-    accuracy, completeness = accuracy_completeness(points, truth_points)
+    to_truth, there = nearest(points, truth_points)
+    to_mesh, back = nearest(truth_points, points)
+    precision, recall, score = _within(to_truth, to_mesh, threshold)
+    ours, theirs = _cosines(normals, truth_normals[there]), _cosines(truth_normals, normals[back])
+    accuracy, completeness = float(to_truth.mean()), float(to_mesh.mean())
     return {
         "chamfer": (accuracy + completeness) / 2,
         "accuracy": accuracy,
         "completeness": completeness,
-        "fscore": fscore(points, truth_points, threshold),
-        "normal_consistency": normal_consistency(points, normals, truth_points, truth_normals),
+        "precision": precision,
+        "recall": recall,
+        "fscore": score,
+        "fscore_half": _within(to_truth, to_mesh, threshold / 2)[2],
+        "fscore_double": _within(to_truth, to_mesh, threshold * 2)[2],
+        "normal_consistency": float((np.abs(ours).mean() + np.abs(theirs).mean()) / 2),
+        "outward_share": float((ours > 0).mean()),
         "threshold": threshold,
     }
 
@@ -131,12 +136,27 @@ def normal_error_degrees(rendered: np.ndarray, true: np.ndarray, mask: np.ndarra
     return {"mean": float(angles.mean()), "median": float(np.median(angles)), "count": count}
 
 
-def _nearest(queries: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance from each query to its nearest point, and that point's index."""
+def nearest(queries: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance from each `[P, 3]` query to its nearest of `[Q, 3]` points, and that point's index.
+
+    Raises:
+        InputError: One of the sets is empty.
+    """
     if not len(queries) or not len(points):
         raise InputError(f"cannot compare {len(queries)} points with {len(points)}: both sets need one at least")
     distances, ids = KDTree(points).query(queries, workers=-1)
     return np.asarray(distances), np.asarray(ids)
+
+
+def _within(to_truth: np.ndarray, to_mesh: np.ndarray, threshold: float) -> tuple[float, float, float]:
+    """Precision, recall and F-score of the distances in both directions."""
+    precision, recall = float((to_truth <= threshold).mean()), float((to_mesh <= threshold).mean())
+    return precision, recall, 2 * precision * recall / max(precision + recall, 1e-300)
+
+
+def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """`[P]` cosines between `[P, 3]` vectors of any length; 0 where one is zero."""
+    return np.sum(unit_or_zero(a) * unit_or_zero(b), axis=-1)
 
 
 def _samples_in_box(mesh: Mesh, low: np.ndarray, high: np.ndarray, count: int, seed: int):

@@ -4,6 +4,8 @@ import argparse
 
 from gsjax.cli.parsers import add_command, given
 
+BOX = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
+
 
 def add_to(commands: argparse._SubParsersAction) -> None:
     """Adds the command."""
@@ -15,24 +17,35 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         description="""
             Finds points of the surface along the cameras' rays, reconstructs a mesh from them (Poisson),
             trims what no point supports and colours the vertices. A .ply alone has no cameras: give
-            --scene.
+            --scene, or some are placed around (or, in a room, within) the Gaussians.
         """,
         example="gsjax mesh runs/garden --out garden.glb",
     )
     add = parser.add_argument
     add("source", metavar="RUN_OR_PLY", help="folder that `gsjax train` made, or a .ply of Gaussians")
     add("--out", metavar="FILE", required=True, help="the mesh; .ply, .obj or .glb by its suffix")
+    add("--method", choices=("poisson", "tsdf", "centers", "marching-cubes"),
+        help="poisson (default): points of the level set; tsdf: fusion of depth, open where nothing was seen; "
+        "centers: Poisson through the Gaussians' centres; marching-cubes: of the density, needs no views")  # fmt: skip
     add("--depth", type=int, metavar="N", help="depth of the Poisson octree: one more doubles the resolution")
-    add("--trim-quantile", type=float, metavar="Q", help="share (0..1) of vertices, the least supported, to cut away")
+    add("--trim-quantile", type=float, metavar="Q",
+        help="share (0..1) of vertices, the least supported, to cut away; default: as the points ask for")  # fmt: skip
+    add("--cell", type=float, metavar="C", help="side of a voxel (tsdf) or grid cell (marching-cubes), scene units")
     add("--level", type=float, metavar="L", help="density (0..1) at which the surface lies")
     add("--points", type=int, metavar="N", help="number of surface points to reconstruct from")
-    add("--bounds", type=float, nargs=6, metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
-        help="keep only what lies in this box, scene coordinates")  # fmt: skip
+    add("--bounds", type=float, nargs=6, metavar=BOX, help="keep only what lies in this box, scene coordinates")
+    add("--background-bounds", type=float, nargs=6, metavar=BOX,
+        help="reconstruct what lies in this box and not in --bounds too, at its own resolution")  # fmt: skip
+    add("--foreground-only", action="store_const", const=True, help="no background, whatever there is")
+    add("--faces", type=int, metavar="N", help="most triangles, of the foreground and of the background each")
     add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a .ply is given")
 
 
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
 
-    options = given(arguments, "depth", "trim_quantile", "level", "points", "bounds", "scene")
+    options = given(
+        arguments, "method", "depth", "trim_quantile", "cell", "level", "points", "bounds", "background_bounds",
+        "foreground_only", "faces", "scene",
+    )  # fmt: skip
     print(tables.record(pipeline.mesh(arguments.source, arguments.out, **options)))

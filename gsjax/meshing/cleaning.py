@@ -1,32 +1,25 @@
 """Taking out of a mesh what no later stage should have to expect, and saying what was there."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from gsjax.errors import InputError
-from gsjax.mesh import Mesh, face_area_vectors, signed_volume
+from gsjax.mesh import Mesh, face_area_vectors
 from gsjax.meshing.libraries import load_open3d
+from gsjax.topology import edge_table, face_components
 
 
 @dataclass(frozen=True)
 class CleaningReport:
-    """What a cleaned mesh is, and what was taken out of it."""
+    """What was taken out of a mesh."""
 
-    vertices: int
-    faces: int
-    components: int  # pieces connected by edges, after the small ones went
-    watertight: bool  # every edge has two triangles
-    boundary_length: float  # sum over edges with one triangle, scene units
-    oriented: bool  # neighbours run along their common edge in opposite directions
-    inside_out: bool  # watertight, and encloses a negative volume
-    degenerate_faces: int  # taken out: a corner twice, or no area
-    duplicate_faces: int  # taken out: the same three corners again
-    non_manifold_faces: int  # taken out: smallest ones at edges of more than two triangles
-    small_components: int  # taken out
-    small_component_faces: int  # taken out with them
+    degenerate_faces: int  # a corner twice, or no area
+    duplicate_faces: int  # the same three corners again
+    non_manifold_faces: int  # smaller ones at edges of more than two triangles
+    small_components: int
+    small_component_faces: int  # with them
     decimated_faces: int  # saved by decimation
 
 
@@ -54,16 +47,7 @@ def clean(
     if not result.num_faces:
         raise InputError(f"no mesh: nothing of {mesh.num_faces} triangles is left after cleaning")
 
-    edges = edge_table(result.faces)
-    watertight = bool(np.all(edges.faces == 2))
     return result, CleaningReport(
-        vertices=result.num_vertices,
-        faces=result.num_faces,
-        components=int(face_components(result)[1].size),
-        watertight=watertight,
-        boundary_length=_length(result, edges.pairs[edges.faces == 1]),
-        oriented=bool(np.all(edges.same_direction < 2)),
-        inside_out=watertight and signed_volume(result) < 0,
         degenerate_faces=degenerate,
         duplicate_faces=duplicate,
         non_manifold_faces=merged.num_faces - manifold.num_faces,
@@ -73,40 +57,25 @@ def clean(
     )
 
 
-@dataclass(frozen=True)
-class EdgeTable:
-    """E undirected edges of a mesh."""
-
-    pairs: np.ndarray  # [E, 2] vertex ids, smaller first
-    faces: np.ndarray  # [E] triangles on the edge
-    same_direction: np.ndarray  # [E] most triangles that run along it in one direction
-    of_face: np.ndarray  # [F, 3] edge ids of each triangle
-
-
-def edge_table(faces: np.ndarray) -> EdgeTable:
-    """The edges of `[F, 3]` faces."""
-    directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    pairs, of_face, counts = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True, return_counts=True)
-    of_face = of_face.reshape(-1)
-    forward = np.bincount(of_face, directed[:, 0] < directed[:, 1], minlength=len(pairs)).astype(np.int64)
-    return EdgeTable(pairs, counts, np.maximum(forward, counts - forward), of_face.reshape(-1, 3))
-
-
-def face_components(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """`[F]` component id of each face (connected through edges), and `[C]` faces in each component."""
-    edges = edge_table(mesh.faces)
-    face_ids = np.repeat(np.arange(mesh.num_faces), 3)
-    incidence = coo_matrix(
-        (np.ones(len(face_ids), bool), (face_ids, edges.of_face.reshape(-1))), (mesh.num_faces, len(edges.pairs))
-    ).tocsr()
-    labels = connected_components(incidence @ incidence.T, directed=False)[1]
-    return labels, np.bincount(labels)
+def joined(meshes: Sequence[Mesh]) -> Mesh:
+    """Several meshes as one, side by side: nothing is stitched."""
+    starts = np.cumsum([0, *(mesh.num_vertices for mesh in meshes[:-1])])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]).astype(np.int32),
+        np.concatenate([mesh.colors for mesh in meshes]),
+    )
 
 
 def _merge_vertices(mesh: Mesh) -> Mesh:
     """Vertices at exactly the same place become one, the first; its colour stays."""
-    _, first, inverse = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
-    return Mesh(mesh.vertices, first[inverse.reshape(-1)][mesh.faces].astype(np.int32), mesh.colors)
+    order = np.lexsort(mesh.vertices.T)
+    ordered = mesh.vertices[order]
+    is_new = np.concatenate([[True], np.any(ordered[1:] != ordered[:-1], axis=1)])[: len(order)]
+    # lexsort is stable, so that a run begins with its first vertex.
+    same_as = np.empty(len(order), np.int32)
+    same_as[order] = order[is_new][np.cumsum(is_new) - 1]
+    return Mesh(mesh.vertices, same_as[mesh.faces], mesh.colors)
 
 
 def _distinct_faces(mesh: Mesh) -> tuple[Mesh, int, int]:
@@ -120,23 +89,26 @@ def _distinct_faces(mesh: Mesh) -> tuple[Mesh, int, int]:
 
 
 def _manifold(mesh: Mesh) -> Mesh:
-    """At every edge of more than two triangles, only the two largest stay."""
+    """At every edge of more than two triangles, only the largest stays of those that run along it in one direction."""
     edges = edge_table(mesh.faces)
-    if not len(edges.faces) or edges.faces.max() <= 2:
+    crowded = (edges.faces > 2)[edges.of_face]
+    if not crowded.any():
         return mesh
-    o3d = load_open3d()
-    surface = o3d.geometry.TriangleMesh(
-        o3d.utility.Vector3dVector(mesh.vertices.astype(np.float64)), o3d.utility.Vector3iVector(mesh.faces)
-    )
-    surface.remove_non_manifold_edges()
-    return Mesh(mesh.vertices, np.asarray(surface.triangles, np.int32), mesh.colors)
+    starts, ends = mesh.faces, np.roll(mesh.faces, -1, axis=1)
+    keys = 2 * edges.of_face + (starts < ends)
+    areas = np.broadcast_to(np.linalg.norm(face_area_vectors(mesh), axis=1)[:, None], keys.shape)
+    by_area = np.argsort(-areas, axis=None, kind="stable")
+    largest = np.zeros(keys.size, bool)
+    largest[by_area[np.unique(keys.ravel()[by_area], return_index=True)[1]]] = True
+    kept = np.all(largest.reshape(-1, 3) | ~crowded, axis=1)
+    return Mesh(mesh.vertices, mesh.faces[kept], mesh.colors)
 
 
 def _large_components(mesh: Mesh, min_share: float) -> tuple[Mesh, int, int]:
     """The components of at least this share of the largest's faces; how many went, with how many faces."""
     if not mesh.num_faces:
         return mesh, 0, 0
-    labels, sizes = face_components(mesh)
+    labels, sizes = face_components(mesh.faces, edge_table(mesh.faces))
     small = sizes < min_share * sizes.max()
     faces = mesh.faces[~small[labels]]
     return Mesh(mesh.vertices, faces, mesh.colors), int(small.sum()), mesh.num_faces - len(faces)
@@ -161,8 +133,3 @@ def _decimate(mesh: Mesh, max_faces: int | None) -> Mesh:
 def _without_unused_vertices(mesh: Mesh) -> Mesh:
     used, faces = np.unique(mesh.faces, return_inverse=True)
     return Mesh(mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32), mesh.colors[used])
-
-
-def _length(mesh: Mesh, pairs: np.ndarray) -> float:
-    ends = mesh.vertices.astype(np.float64)[pairs]
-    return float(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=-1).sum())

@@ -1,72 +1,90 @@
 """From oriented points to triangles: Open3D's screened Poisson reconstruction, trimmed to where there are points."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.spatial import KDTree
 
 from gsjax.errors import InputError
 from gsjax.mesh import Mesh
 from gsjax.meshing.libraries import load_open3d
+from gsjax.meshing.trimming import Support, Trim, adaptive
+from gsjax.topology import edge_table
 
 DEPTHS = (6, 10)  # Coarsest and finest octree that is chosen unasked; SuGaR takes 10, and 6 to 8 against bumps.
-GROWTH = 1.1  # Open3D's octree cube over the longest side of the points' box.
-OUTLIER_NEIGHBORS, OUTLIER_RATIO = 20, 20.0  # SuGaR's statistical filter: very lax.
 MIN_POINTS = 100
-TRIM_CELLS, TRIM_SPACINGS = 4.0, 4.0  # Holes up to twice this wide are bridged, and open ends grow by as much.
+
+
+@dataclass(frozen=True)
+class PoissonOptions:
+    """The numbers of the reconstruction; SuGaR's, but for what it leaves to the user."""
+
+    depth: int | None = None  # of the octree; None: cells of twice the points' spacing or what the caller asks for
+    scale: float = 1.1  # the octree's cube over the longest side of the points' box
+    linear_fit: bool = False
+    threads: int = 1  # with more, equal input gives meshes that differ in the last bits
+    outlier_neighbors: int = 20  # of the statistical filter
+    outlier_ratio: float = 20.0  # standard deviations beyond the mean distance: very lax
+    trim: Trim = adaptive
+    trim_cells: float = 4.0  # holes up to twice as wide are bridged, and open ends grow by as much: cells, or
+    trim_spacings: float = 4.0  # spacings of the points where those are longer; half of it is near
+
+
+@dataclass(frozen=True)
+class PoissonReport:
+    """What was chosen, and what it led to."""
+
+    points_used: int  # in the region and its rim, after the outliers went
+    depth: int
+    trim_quantile: float  # share of the vertices cut for their density
+    trim_distance: float  # beyond which vertices were cut, scene units
 
 
 def reconstruct(
     points: np.ndarray,
     normals: np.ndarray,
     colors: np.ndarray,
+    options: PoissonOptions | None = None,
     *,
-    depth: int | None = None,
-    trim_quantile: float = 0.0,
-    trim_distance: float | None = None,
-) -> Mesh:
+    smallest_cell: float = 0.0,
+) -> tuple[Mesh, PoissonReport]:
     """The surface through oriented points, cut off where it is only a guess.
-
-    Open3D runs on one thread here: with more, equal input gives meshes that differ in the last bits.
 
     Args:
         points: `[P, 3]` world positions.
         normals: `[P, 3]` unit, outward.
         colors: `[P, 3]` uint8 sRGB.
-        depth: Octree depth: the finest cell is 1.1 x longest side / 2^depth. None: cells of about twice the
-            spacing of the points, depth 6 to 10.
-        trim_quantile: Share of the vertices cut off for having the fewest points around them (SuGaR: 0.1). It cuts
-            into closed, well sampled surfaces too, so none by default.
-        trim_distance: Vertices farther than this from every point are cut off, scene units. None: 4 cells, or 4
-            spacings where those are longer.
+        options: The numbers. None: the defaults.
+        smallest_cell: Where the depth is chosen, cells are no finer than this, scene units.
 
     Returns:
-        An oriented mesh with the points' colours, counter-clockwise seen from outside.
+        An oriented mesh with the points' colours, counter-clockwise seen from outside, and what was chosen.
 
     Raises:
         InputError: Fewer than 100 points, or nothing is left after trimming.
     """
-    cloud = _without_outliers(_as_cloud(points, normals, colors))
+    options = PoissonOptions() if options is None else options
+    cloud = _without_outliers(_as_cloud(points, normals, colors), options)
     kept = np.asarray(cloud.points)
     if len(kept) < MIN_POINTS:
         raise InputError(f"no mesh: {len(kept)} surface points, Poisson reconstruction needs {MIN_POINTS}")
-    gap = spacing(kept)
-    if depth is None:
-        depth = depth_for_cell(kept, 2 * gap)
-    if trim_distance is None:
-        trim_distance = max(TRIM_SPACINGS * gap, TRIM_CELLS * cell_size(kept, depth))
+    gap, side = spacing(kept), options.scale * np.ptp(kept, axis=0).max()
+    depth = options.depth or depth_for_cell(side, max(2 * gap, smallest_cell))
+    far = max(options.trim_spacings * gap, options.trim_cells * side / 2**depth)
 
-    surface, densities = _poisson(cloud, depth)
-    far = KDTree(kept).query(np.asarray(surface.vertices), workers=-1)[0] > trim_distance
-    thin = densities < np.quantile(densities, trim_quantile)
-    surface.remove_vertices_by_mask(far | thin)
+    surface, densities = _poisson(cloud, depth, options)
+    distances = np.asarray(KDTree(kept).query(np.asarray(surface.vertices), workers=-1)[0])
+    edges = edge_table(np.asarray(surface.triangles)).pairs
+    cut = options.trim(Support(distances, densities, edges, near=far / 2, far=far))
+    surface.remove_vertices_by_mask(cut.vertices)
     if not len(surface.triangles):
-        raise InputError(
-            f"no mesh: no Poisson vertex lies within {trim_distance:.4g} of the {len(kept)} points; widen the trim"
-        )
-    return Mesh(
+        raise InputError(f"no mesh: no Poisson vertex is supported by the {len(kept)} points (within {far:.4g})")
+    mesh = Mesh(
         vertices=np.asarray(surface.vertices, np.float32),
         faces=np.asarray(surface.triangles, np.int32),
         colors=np.clip(np.round(np.asarray(surface.vertex_colors) * 255), 0, 255).astype(np.uint8),
     )
+    return mesh, PoissonReport(len(kept), depth, cut.quantile, float(far))
 
 
 def spacing(points: np.ndarray) -> float:
@@ -75,14 +93,8 @@ def spacing(points: np.ndarray) -> float:
     return float(np.median(KDTree(points).query(sample, 2, workers=-1)[0][:, 1]))
 
 
-def cell_size(points: np.ndarray, depth: int) -> float:
-    """Finest cell of an octree of that depth around the points, scene units."""
-    return float(GROWTH * np.ptp(points, axis=0).max() / 2**depth)
-
-
-def depth_for_cell(points: np.ndarray, cell: float) -> int:
-    """The deepest octree, from 6 to 10, whose finest cell is no smaller than `cell` (scene units)."""
-    side = GROWTH * np.ptp(points, axis=0).max()
+def depth_for_cell(side: float, cell: float) -> int:
+    """The deepest octree of that side, from 6 to 10, whose finest cell is no smaller than `cell`; scene units."""
     return int(np.clip(np.floor(np.log2(side / max(cell, 1e-6 * side))), *DEPTHS))
 
 
@@ -96,16 +108,16 @@ def _as_cloud(points: np.ndarray, normals: np.ndarray, colors: np.ndarray):
     return cloud
 
 
-def _without_outliers(cloud):
-    if len(cloud.points) <= OUTLIER_NEIGHBORS:
+def _without_outliers(cloud, options: PoissonOptions):
+    if len(cloud.points) <= options.outlier_neighbors:
         return cloud
-    return cloud.remove_statistical_outlier(OUTLIER_NEIGHBORS, OUTLIER_RATIO)[0]
+    return cloud.remove_statistical_outlier(options.outlier_neighbors, options.outlier_ratio)[0]
 
 
-def _poisson(cloud, depth: int):
+def _poisson(cloud, depth: int, options: PoissonOptions):
     o3d = load_open3d()
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         surface, densities = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
-            cloud, depth=depth, scale=GROWTH, linear_fit=False, n_threads=1
+            cloud, depth=depth, scale=options.scale, linear_fit=options.linear_fit, n_threads=options.threads
         )
     return surface, np.asarray(densities)

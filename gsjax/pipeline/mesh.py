@@ -1,28 +1,43 @@
 """Gaussians to a mesh file."""
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
-from gsjax import gallery
+from gsjax import boxes, gallery, level_set
+from gsjax.boxes import Box
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
+from gsjax.meshing import trimming
 from gsjax.meshing.export import supported_suffix, write_mesh
 from gsjax.meshing.extract import extract_mesh
-from gsjax.pipeline.result import open_result
+from gsjax.meshing.marching_cubes import marching_cubes
+from gsjax.meshing.methods import Method, centers_poisson, level_set_poisson
+from gsjax.meshing.poisson import PoissonOptions
+from gsjax.meshing.tsdf import tsdf
+from gsjax.pipeline.result import Result, open_result
+
+METHODS = ("poisson", "tsdf", "centers", "marching-cubes")
 
 
 def mesh(
     source: str | Path,
     out: str | Path,
     *,
-    depth: int | None = None,
-    trim_quantile: float = 0.0,
+    method: str = "poisson",
     level: float = 0.3,
-    points: int = 300_000,
+    points: int | None = None,
+    depth: int | None = None,
+    trim_quantile: float | None = None,
+    cell: float | None = None,
     bounds: list[float] | None = None,
+    background_bounds: list[float] | None = None,
+    foreground_only: bool = False,
+    faces: int = 1_000_000,
     scene: str | Path | None = None,
 ) -> dict[str, Any]:
     """Extract the mesh of a run, or of any 3DGS .ply.
@@ -30,12 +45,19 @@ def mesh(
     Args:
         source: Run folder or .ply.
         out: Mesh file; .ply, .obj or .glb.
-        depth: Of the Poisson octree. None: chosen from the sizes of the Gaussians.
-        trim_quantile: Share of the least supported vertices to cut away.
-        level: Density at which the surface lies.
-        points: Most surface points.
-        bounds: x0 y0 z0 x1 y1 z1 of the box to keep, scene coordinates.
-        scene: Data set whose cameras to use with a .ply.
+        method: "poisson" through points of the level set, "centers" through the Gaussians' centres, "tsdf" fusion of
+            the rendered depth, "marching-cubes" of the density.
+        level: Density at which the surface lies ("poisson", "marching-cubes").
+        points: Most surface points ("poisson"). None: an eighth of the pixels, 200,000 to 10 million.
+        depth: Of the Poisson octree ("poisson", "centers"). None: chosen from the sizes of the Gaussians.
+        trim_quantile: Share of the least supported vertices to cut away ("poisson", "centers"). None: adaptive.
+        cell: Side of a voxel ("tsdf") or of a grid cell ("marching-cubes"), scene units. None: from the Gaussians.
+        bounds: x0 y0 z0 x1 y1 z1 of the box to keep, scene coordinates. None: around the points; the rest, up to four
+            times that size, is a background with a coarser surface of its own.
+        background_bounds: The same of a background around `bounds`.
+        foreground_only: No background is reconstructed.
+        faces: Most triangles of the foreground, and of the background.
+        scene: Data set whose cameras to use with a .ply. None: cameras around the Gaussians, or within them.
 
     Returns:
         A report of plain numbers: `vertices`, `faces` and what `extract_mesh` says.
@@ -44,28 +66,20 @@ def mesh(
         InputError: Nothing to mesh, or a file cannot be read or written.
     """
     supported_suffix(Path(out))
-    if not 0 < level < 1:
-        raise InputError(f"--level {level} is not between 0 and 1")
-    if not 0 <= trim_quantile < 1:
-        raise InputError(f"--trim-quantile {trim_quantile} is not in 0..1")
-    if points < 1:
-        raise InputError(f"--points {points} is below 1")
-    if depth is not None and not 2 <= depth <= 14:
-        raise InputError(f"--depth {depth} is not between 2 and 14")
+    _check(level=level, points=points, depth=depth, trim_quantile=trim_quantile, cell=cell, faces=faces)
+    regions = _regions(bounds, background_bounds, foreground_only)
     result = open_result(source, scene=scene)
     cameras = [c for c, held_out in zip(result.cameras, result.held_out, strict=True) if not held_out]
-    pictures = list(gallery.pictures(without_view_dependence(result.gaussians), cameras, result.background))
+    if not cameras:
+        raise InputError(f"{source}: has no training views to look from")
+    pictures = gallery.pictures(without_view_dependence(result.gaussians), cameras, result.background)
     surface, report = extract_mesh(
         result.gaussians,
         cameras,
-        [p.depth for p in pictures],
-        [p.alphas for p in pictures],
-        [p.colors for p in pictures],
-        level=level,
-        num_points=points,
-        bounds=None if bounds is None else (np.array(bounds[:3]), np.array(bounds[3:])),
-        depth=depth,
-        trim_quantile=trim_quantile,
+        pictures,
+        method=_method(method, result, level, points, depth, trim_quantile, cell),
+        regions=regions,
+        max_faces=faces,
     )
     write_mesh(out, surface)
     return {"vertices": len(surface.vertices), "faces": len(surface.faces), **report}
@@ -74,3 +88,56 @@ def mesh(
 def without_view_dependence(gaussians: Gaussians) -> Gaussians:
     """The same Gaussians with their constant colour alone: what a surface is painted with."""
     return Gaussians(**{**gaussians.__dict__, "sh_rest": jnp.zeros_like(jnp.asarray(gaussians.sh_rest))})
+
+
+def _method(
+    name: str,
+    result: Result,
+    level: float,
+    points: int | None,
+    depth: int | None,
+    trim_quantile: float | None,
+    cell: float | None,
+) -> Method:
+    trim = trimming.adaptive if trim_quantile is None else trimming.at_quantile(trim_quantile)
+    reconstruction = PoissonOptions(depth=depth, trim=trim)
+    sampling = replace(level_set.options_for(result.cameras), level=level)
+    if points is not None:
+        sampling = replace(sampling, num_points=points)
+    makers = {
+        "poisson": partial(level_set_poisson, sampling, reconstruction),
+        "tsdf": partial(tsdf, voxel=cell),
+        "centers": partial(centers_poisson, reconstruction),
+        "marching-cubes": partial(marching_cubes, level=level, cell=cell),
+    }
+    if name not in makers:
+        raise InputError(f"--method {name} is none of {', '.join(METHODS)}")
+    return makers[name]()
+
+
+def _regions(bounds: list[float] | None, background: list[float] | None, foreground_only: bool):
+    """The function from points to regions that the options ask for."""
+    if bounds is None:
+        if background is not None:
+            raise InputError("--background-bounds needs --bounds: the background is what lies around that box")
+        return boxes.near_only if foreground_only else boxes.near_and_far
+    near, far = (
+        None if corners is None else Box(*np.split(np.asarray(corners), 2)) for corners in (bounds, background)
+    )
+    assert near is not None
+    return lambda _: boxes.fixed(near, None if foreground_only else far)
+
+
+def _check(*, level, points, depth, trim_quantile, cell, faces) -> None:
+    if not 0 < level < 1:
+        raise InputError(f"--level {level} is not between 0 and 1")
+    if trim_quantile is not None and not 0 <= trim_quantile < 1:
+        raise InputError(f"--trim-quantile {trim_quantile} is not in 0..1")
+    if points is not None and points < 1:
+        raise InputError(f"--points {points} is below 1")
+    if depth is not None and not 2 <= depth <= 14:
+        raise InputError(f"--depth {depth} is not between 2 and 14")
+    if cell is not None and not cell > 0:
+        raise InputError(f"--cell {cell} is not above 0")
+    if faces < 1:
+        raise InputError(f"--faces {faces} is below 1")

@@ -14,7 +14,8 @@ from gsjax.gaussians import Gaussians, opacities
 from gsjax.io.files import make_folder
 from gsjax.io.images import write_image
 from gsjax.normals_prior import depth_normals
-from gsjax.pipeline.result import Result, look_at, open_result
+from gsjax.pipeline.result import Result, open_result
+from gsjax.pipeline.viewpoints import look_at
 
 TURNTABLE_VIEWS = 36
 

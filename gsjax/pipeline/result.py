@@ -8,14 +8,13 @@ import numpy as np
 
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians, opacities
+from gsjax.gaussians import Gaussians
 from gsjax.io import runs
 from gsjax.io.ply import read_gaussians
 from gsjax.io.scenes import load_scene
+from gsjax.pipeline import viewpoints
 from gsjax.scene import Frame
 
-SAMPLED_CAMERAS = 32  # Around a 3DGS file that comes without any.
-SAMPLED_SIZE = 400  # Their side, pixels.
 BACKGROUNDS = {"white": np.ones(3, np.float32), "black": np.zeros(3, np.float32), "random": np.zeros(3, np.float32)}
 """Colour that pictures and scores are made over; a run trained on random ones is scored over black."""
 
@@ -64,9 +63,15 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
         return _result(gaussians, records, background)
     gaussians = read_gaussians(source)
     if scene is None:
-        records = _cameras_around(gaussians)
-    else:
-        records = [f.__dict__ | {"width": f.width, "height": f.height} for f in load_scene(scene).frames]
+        cameras = viewpoints.around(gaussians)
+        return Result(
+            gaussians,
+            cameras,
+            tuple(f"around_{index:02d}" for index in range(len(cameras))),
+            (False,) * len(cameras),
+            BACKGROUNDS["black"],
+        )
+    records = [f.__dict__ | {"width": f.width, "height": f.height} for f in load_scene(scene).frames]
     return _result(gaussians, records, BACKGROUNDS["black"])
 
 
@@ -87,41 +92,3 @@ def _result(gaussians: Gaussians, records: list[dict[str, Any]], background: np.
         tuple(bool(r["held_out"]) for r in records),
         background,
     )
-
-
-def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """`[4, 4]` float32 world to camera (OpenCV axes) of a camera at `eye` that sees `target` in the middle."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, up)
-    if np.linalg.norm(right) < 1e-6:  # looking along up: any right will do
-        right = np.cross(forward, np.roll(up, 1))
-    right /= np.linalg.norm(right)
-    viewmat = np.eye(4, dtype=np.float32)
-    viewmat[:3, :3] = [right, np.cross(forward, right), forward]
-    viewmat[:3, 3] = -viewmat[:3, :3] @ eye
-    return viewmat
-
-
-def _cameras_around(gaussians: Gaussians) -> list[dict[str, Any]]:
-    """Cameras on a sphere around the opaque Gaussians (a Fibonacci lattice), looking at their median."""
-    means = gaussians.means[np.asarray(opacities(gaussians)) > 0.5]
-    means = means if len(means) else gaussians.means
-    middle = np.median(means, axis=0)
-    radius = float(np.quantile(np.linalg.norm(means - middle, axis=1), 0.9))
-    height = 1 - 2 * (np.arange(SAMPLED_CAMERAS) + 0.5) / SAMPLED_CAMERAS
-    angle = np.pi * (3 - np.sqrt(5)) * np.arange(SAMPLED_CAMERAS)
-    ring = np.sqrt(1 - height**2)
-    directions = np.stack([ring * np.cos(angle), ring * np.sin(angle), height], -1)
-    focal = 1.2 * SAMPLED_SIZE
-    K = np.array([[focal, 0, SAMPLED_SIZE / 2], [0, focal, SAMPLED_SIZE / 2], [0, 0, 1]], np.float32)
-    return [
-        {
-            "name": f"around_{i:02d}",
-            "width": SAMPLED_SIZE,
-            "height": SAMPLED_SIZE,
-            "viewmat": look_at(middle + 3 * radius * d, middle, np.array([0.0, 0.0, 1.0])),
-            "K": K,
-            "held_out": False,
-        }
-        for i, d in enumerate(directions)
-    ]

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gsjax.cameras import Camera
+from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 
 RADIUS = 1.0
@@ -24,9 +25,14 @@ class DiscScene:
     colors: list[np.ndarray]
 
     @property
+    def pictures(self):
+        """What a renderer would give for the cameras."""
+        return [Picture(*parts) for parts in zip(self.colors, self.depths, self.alphas, strict=True)]
+
+    @property
     def views(self):
-        """The four arguments after the Gaussians of everything that extracts a surface."""
-        return self.cameras, self.depths, self.alphas, self.colors
+        """The two arguments after the Gaussians of everything that extracts a surface."""
+        return self.cameras, self.pictures
 
 
 @pytest.fixture(scope="session")

@@ -4,12 +4,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
-from gsjax import cameras, density_field, level_set
+from gsjax import cameras, density_field, level_crossing, level_set
 from gsjax import gaussians as gs
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
+from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
+from gsjax.level_set import LevelSetOptions
 
 
 def one_gaussian(scales, opacity):
@@ -27,7 +30,7 @@ def one_gaussian(scales, opacity):
 
 def march(field, hit, direction, level=0.3):
     direction = np.asarray(direction, np.float32) / np.linalg.norm(direction)
-    return level_set.march_ray(
+    return level_crossing.march_ray(
         field, jnp.asarray(hit, jnp.float32), jnp.asarray(direction), level=level, samples=21, sigma_range=3.0
     )
 
@@ -75,7 +78,7 @@ def test_extreme_kernels_march_to_finite_numbers(scales):
 
 
 def test_ball_gives_points_on_the_sphere_with_outward_normals(ball):
-    surface = level_set.surface_points(ball.gaussians, *ball.views, num_points=5000)
+    surface = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=5000))
     radii = np.linalg.norm(surface.points, axis=1)
     # A disc of thickness s meets the level within s sqrt(2 ln(sum / level)) of its plane.
     assert np.abs(radii - 1).max() < 0.02
@@ -90,7 +93,7 @@ def test_ball_gives_points_on_the_sphere_with_outward_normals(ball):
 
 
 def test_points_lie_on_the_rays_of_pixel_centres(ball):
-    surface = level_set.surface_points(ball.gaussians, *ball.views, num_points=500)
+    surface = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=500))
     camera = ball.cameras[3]
     seen = surface.points[surface.view_ids == 3]
     pixels = np.stack(
@@ -101,27 +104,29 @@ def test_points_lie_on_the_rays_of_pixel_centres(ball):
 
 
 def test_same_seed_same_points_whatever_the_chunk(ball):
-    a = level_set.surface_points(ball.gaussians, *ball.views, num_points=1000, seed=3)
-    b = level_set.surface_points(ball.gaussians, *ball.views, num_points=1000, seed=3, chunk=700)
-    other = level_set.surface_points(ball.gaussians, *ball.views, num_points=1000, seed=4)
+    a = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1000), seed=3)
+    b = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1000, chunk=700), seed=3)
+    other = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1000), seed=4)
     np.testing.assert_allclose(a.points, b.points, atol=1e-6)
     assert a.crossings == b.crossings
     assert not np.array_equal(a.points, other.points)
 
 
 def test_number_of_points_is_a_cap(ball):
-    surface = level_set.surface_points(ball.gaussians, *ball.views, num_points=137)
+    surface = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=137))
     assert len(surface.points) == len(surface.normals) == len(surface.colors) == len(surface.view_ids) == 137
 
 
 def test_one_compilation_for_many_chunks(ball):
-    level_set.march_rays.clear_cache()
-    level_set.surface_points(ball.gaussians, *ball.views, num_points=1500, chunk=512)
-    assert level_set.march_rays._cache_size() == 1
+    level_crossing.march_rays.clear_cache()
+    level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1500, chunk=512))
+    assert level_crossing.march_rays._cache_size() == 1
 
 
 def test_one_view_is_enough(ball):
-    surface = level_set.surface_points(ball.gaussians, *(part[:1] for part in ball.views), num_points=300)
+    surface = level_set.surface_points(
+        ball.gaussians, *(part[:1] for part in ball.views), LevelSetOptions(num_points=300)
+    )
     assert np.all(surface.points @ np.asarray(cameras.center(ball.cameras[0])) > 0)
 
 
@@ -132,57 +137,88 @@ def test_transparent_gaussians_do_not_make_density(ball):
         logit_opacities=jnp.full_like(ball.gaussians.logit_opacities, -0.5),
     )
     both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), ball.gaussians, faint)
-    alone = level_set.surface_points(ball.gaussians, *ball.views, num_points=500)
-    surface = level_set.surface_points(both, *ball.views, num_points=500)
+    alone = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=500))
+    surface = level_set.surface_points(both, *ball.views, LevelSetOptions(num_points=500))
     assert surface.kernels == 2000
     np.testing.assert_array_equal(surface.points, alone.points)
 
 
 def test_where_all_are_transparent_all_are_used(ball):
     soft = replace(ball.gaussians, logit_opacities=jnp.full_like(ball.gaussians.logit_opacities, -0.2))
-    assert level_set.surface_points(soft, *ball.views, num_points=100).kernels == 2000
+    assert level_set.surface_points(soft, *ball.views, LevelSetOptions(num_points=100)).kernels == 2000
 
 
 def test_gaussians_with_nan_are_left_out(ball):
     poisoned = replace(ball.gaussians, means=ball.gaussians.means.at[7].set(jnp.nan))
-    surface = level_set.surface_points(poisoned, *ball.views, num_points=500)
+    surface = level_set.surface_points(poisoned, *ball.views, LevelSetOptions(num_points=500))
     assert surface.kernels == 1999
     assert np.isfinite(surface.points).all()
 
 
 def test_coincident_gaussians_are_their_own_first_neighbours():
-    means = np.zeros((40, 3))
-    table, nearest = level_set._neighbor_ids(means, np.zeros((5, 3)), 16)
+    table = level_set.neighbor_table(KDTree(np.zeros((40, 3))), 16)
     np.testing.assert_array_equal(table[:, 0], np.arange(40))
     assert all(len(set(row)) == 16 for row in table)
-    assert nearest.shape == (5,)
 
 
 def test_fewer_gaussians_than_neighbours():
-    table, _ = level_set._neighbor_ids(np.eye(3), np.zeros((1, 3)), 16)
-    assert sorted(table[0]) == [0, 1, 2]
-    single, _ = level_set._neighbor_ids(np.zeros((1, 3)), np.zeros((2, 3)), 16)
-    assert single.tolist() == [[0]]
+    assert sorted(level_set.neighbor_table(KDTree(np.eye(3)), 16)[0]) == [0, 1, 2]
+    assert level_set.neighbor_table(KDTree(np.zeros((1, 3))), 16).tolist() == [[0]]
+
+
+def test_neighbours_are_the_same_in_any_chunks(monkeypatch):
+    points = np.random.default_rng(0).normal(size=(500, 3))
+    whole = level_set.neighbor_table(KDTree(points), 16)
+    monkeypatch.setattr(level_set, "TREE_CHUNK", 70)
+    np.testing.assert_array_equal(level_set.neighbor_table(KDTree(points), 16), whole)
+    distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    np.testing.assert_array_equal(whole, np.argsort(distances, axis=1)[:, :16])
+
+
+def test_options_are_sugars_and_points_follow_the_pixels(ball):
+    options = LevelSetOptions()
+    assert (options.level, options.num_points, options.neighbors, options.samples) == (0.3, 10_000_000, 16, 21)
+    assert (options.sigma_range, options.min_opacity, options.oversampling) == (3.0, 0.5, 2.0)
+    assert level_set.options_for(ball.cameras).num_points == 200_000
+    photos = [Camera(ball.cameras[0].viewmat, ball.cameras[0].K, 1600, 1000)] * 10
+    assert level_set.options_for(photos).num_points == 2_000_000
+    assert level_set.options_for(photos * 20).num_points == 10_000_000
+
+
+@pytest.mark.parametrize(
+    ("wrong", "fault"),
+    [({"level": 1.0}, "level 1.0"), ({"num_points": 0}, "points 0"), ({"samples": 1}, "too small to march")],
+)
+def test_options_out_of_range_are_one_line(wrong, fault):
+    with pytest.raises(InputError, match=fault):
+        LevelSetOptions(**wrong)
+
+
+def test_pictures_may_come_one_by_one(ball):
+    options = LevelSetOptions(num_points=500)
+    listed = level_set.surface_points(ball.gaussians, *ball.views, options)
+    streamed = level_set.surface_points(ball.gaussians, ball.cameras, iter(ball.pictures), options)
+    np.testing.assert_array_equal(listed.points, streamed.points)
 
 
 def test_empty_level_set_says_so(ball):
     soft = replace(ball.gaussians, logit_opacities=jnp.full_like(ball.gaussians.logit_opacities, -9.0))
     with pytest.raises(InputError, match=r"level set is empty: none of 2020 rays.*2000 of 2000"):
-        level_set.surface_points(soft, *ball.views, num_points=1000)
+        level_set.surface_points(soft, *ball.views, LevelSetOptions(num_points=1000))
 
 
 def test_nothing_to_see_and_nothing_there(ball):
-    blank = [np.zeros_like(alpha) for alpha in ball.alphas]
+    blank = [Picture(p.colors, p.depth, np.zeros_like(p.alphas)) for p in ball.pictures]
     with pytest.raises(InputError, match="no pixel of 10 views"):
-        level_set.surface_points(ball.gaussians, ball.cameras, ball.depths, blank, ball.colors)
+        level_set.surface_points(ball.gaussians, ball.cameras, blank)
     with pytest.raises(InputError, match="none of 0 Gaussians"):
         level_set.surface_points(gs.take(ball.gaussians, np.arange(0)), *ball.views)
     with pytest.raises(InputError, match="no pixel of 0 views"):
-        level_set.surface_points(ball.gaussians, [], [], [], [])
+        level_set.surface_points(ball.gaussians, [], [])
 
 
 def test_maps_of_another_size_than_their_camera_are_refused(ball):
     camera = ball.cameras[0]
     wide = Camera(camera.viewmat, camera.K, 65, 60)
     with pytest.raises(ValueError, match="view 0"):
-        level_set.surface_points(ball.gaussians, [wide, *ball.cameras[1:]], *ball.views[1:])
+        level_set.surface_points(ball.gaussians, [wide, *ball.cameras[1:]], ball.pictures)

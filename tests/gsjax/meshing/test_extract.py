@@ -1,27 +1,39 @@
 import json
+from dataclasses import replace
+from functools import partial
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax import geometry
+from gsjax import boxes, geometry
+from gsjax.boxes import Box, Region
 from gsjax.errors import InputError
-from gsjax.mesh import face_normals, signed_volume
+from gsjax.level_set import LevelSetOptions
+from gsjax.mesh import Mesh, face_normals, signed_volume
 from gsjax.meshing import depth_of_mesh, extract_mesh
-from gsjax.meshing.extract import robust_bounds
+from gsjax.meshing.extract import cut
+from gsjax.meshing.methods import level_set_poisson
+from gsjax.meshing.poisson import PoissonOptions
+
+
+def through(num_points, depth=None):
+    return level_set_poisson(LevelSetOptions(num_points=num_points), PoissonOptions(depth=depth))
 
 
 @pytest.fixture(scope="module")
 def ball_mesh(ball):
-    return extract_mesh(ball.gaussians, *ball.views, num_points=12_000)
+    return extract_mesh(ball.gaussians, *ball.views, method=through(12_000))
 
 
 def test_ball_becomes_one_closed_outward_sphere(ball_mesh):
     mesh, report = ball_mesh
-    cleaning = report["cleaning"]
-    assert cleaning["components"] == 1
-    assert cleaning["watertight"]
-    assert cleaning["oriented"]
-    assert not cleaning["inside_out"]
+    found = report["topology"]
+    assert found["components"] == 1
+    assert found["watertight"]
+    assert found["oriented"]
+    assert not found["inside_out"]
+    assert report["facing_share"] == 1
     assert signed_volume(mesh) == pytest.approx(4 / 3 * np.pi, rel=0.05)
     radii = np.linalg.norm(mesh.vertices, axis=1)
     assert np.abs(radii - 1).max() < 0.05
@@ -46,19 +58,20 @@ def test_colors_come_from_the_images(ball_mesh):
 
 def test_report_is_plain_json(ball_mesh):
     report = json.loads(json.dumps(ball_mesh[1]))
-    assert report["level_set"]["crossing_share"] > 0.9
-    assert report["cleaning"]["faces"] == ball_mesh[0].num_faces
-    assert report["points_in_bounds"] <= report["level_set"]["points"] <= 12_000
+    assert set(report) == {"seen", "foreground", "topology", "facing_share"}
+    assert report["seen"]["crossing_share"] > 0.9
+    assert report["seen"]["flipped_share"] == 0
+    assert report["foreground"]["points_seen"] <= report["seen"]["points"] <= 12_000
 
 
 def test_same_seed_same_mesh(ball, ball_mesh):
-    again, _ = extract_mesh(ball.gaussians, *ball.views, num_points=12_000)
+    again, _ = extract_mesh(ball.gaussians, *ball.views, method=through(12_000))
     np.testing.assert_array_equal(again.vertices, ball_mesh[0].vertices)
     np.testing.assert_array_equal(again.faces, ball_mesh[0].faces)
 
 
 def test_ball_on_ground_renders_to_the_depth_it_came_from(ball_on_ground):
-    mesh, _ = extract_mesh(ball_on_ground.gaussians, *ball_on_ground.views, num_points=20_000, depth=7)
+    mesh, _ = extract_mesh(ball_on_ground.gaussians, *ball_on_ground.views, method=through(20_000, depth=7))
     camera, depth = ball_on_ground.cameras[0], ball_on_ground.depths[0]
     found = depth_of_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height)
     both = (found > 0) & (depth > 0)
@@ -66,42 +79,83 @@ def test_ball_on_ground_renders_to_the_depth_it_came_from(ball_on_ground):
     assert np.median(np.abs(found - depth)[both]) < 0.02
 
 
-def test_bounds_are_taken_as_they_are(ball):
-    mesh, report = extract_mesh(ball.gaussians, *ball.views, num_points=5_000, bounds=((-2, -2, 0), (2, 2, 2)), depth=6)
-    assert mesh.vertices[:, 2].min() > -0.2  # The trim lets a few cells over the edge.
+def test_a_given_box_is_taken_as_it_is(ball):
+    upper = Box((-2, -2, 0), (2, 2, 2))
+    mesh, report = extract_mesh(
+        ball.gaussians, *ball.views, method=through(5_000, depth=6), regions=lambda _: boxes.fixed(upper)
+    )
+    assert mesh.vertices[:, 2].min() > -0.05  # The triangles on the border stick out.
     assert mesh.vertices[:, 2].max() == pytest.approx(1, abs=0.05)
-    assert not report["cleaning"]["watertight"]
-    # Cut at the equator, a little below it.
-    assert report["cleaning"]["boundary_length"] == pytest.approx(2 * np.pi, rel=0.35)
-    assert report["bounds"] == [[-2, -2, 0], [2, 2, 2]]
+    assert not report["topology"]["watertight"]
+    # Cut at the equator; the border is a zigzag.
+    assert 2 * np.pi < report["topology"]["largest_hole"] < 1.6 * 2 * np.pi
+    assert report["foreground"]["box"] == [[-2, -2, 0], [2, 2, 2]]
 
 
-@pytest.mark.parametrize(
-    ("bounds", "fault"),
-    [
-        (((5, 5, 5), (6, 6, 6)), "hold none of .* surface points"),
-        (((1, 0, 0), (0, 1, 1)), "min below a max"),
-        (((0, 0), (1, 1)), "min below a max"),
-    ],
-)
-def test_bounds_with_nothing_in_them_are_one_line(ball, bounds, fault):
-    with pytest.raises(InputError, match=fault) as caught:
-        extract_mesh(ball.gaussians, *ball.views, num_points=500, bounds=bounds)
+def test_two_regions_meet_without_a_crack_and_each_has_its_report(ball):
+    near, far = Box((-2, -2, 0), (2, 2, 2)), Box((-2, -2, -2), (2, 2, 2))
+    mesh, report = extract_mesh(
+        ball.gaussians, *ball.views, method=through(8_000, depth=6), regions=lambda _: boxes.fixed(near, far)
+    )
+    assert report["topology"]["components"] == 2
+    assert report["foreground"]["points_seen"] + report["background"]["points_seen"] == report["seen"]["points"]
+    # Rays from the middle of the ball meet the surface everywhere, the seam included.
+    K = np.array([[32.0, 0, 32], [0, 32, 32], [0, 0, 1]])
+    for axes in (np.eye(3), np.eye(3)[[1, 2, 0]], np.eye(3)[[2, 0, 1]]):
+        for sign in (1, -1):
+            viewmat = np.eye(4)
+            viewmat[:3, :3] = np.diag([sign, 1, sign]) @ axes
+            assert (depth_of_mesh(mesh, viewmat, K, 64, 64) > 0).all()
+
+
+def test_an_empty_region_is_said_and_the_other_is_kept(ball):
+    near, far = Box((-2, -2, -2), (2, 2, 2)), Box((-9, -9, -9), (9, 9, 9))
+    mesh, report = extract_mesh(
+        ball.gaussians, *ball.views, method=through(5_000), regions=lambda _: boxes.fixed(near, far)
+    )
+    assert report["topology"]["watertight"]
+    assert "holds none of" in report["background"]["empty"]
+    assert mesh.num_faces > 1000
+
+
+def test_a_box_with_nothing_in_it_is_one_line(ball):
+    nowhere = Box((5, 5, 5), (6, 6, 6))
+    with pytest.raises(InputError, match=r"foreground: no mesh: the box .* holds none of .* surface points") as caught:
+        extract_mesh(ball.gaussians, *ball.views, method=through(500), regions=lambda _: boxes.fixed(nowhere))
     assert "\n" not in str(caught.value)
 
 
+def test_all_gaussians_culled_is_one_line(ball):
+    nothing = replace(ball.gaussians, means=jnp.full_like(ball.gaussians.means, jnp.nan))
+    with pytest.raises(InputError, match="none of 2000 Gaussians is usable"):
+        extract_mesh(nothing, *ball.views, method=through(500))
+
+
 def test_one_view_gives_the_side_it_sees(ball):
-    mesh, report = extract_mesh(ball.gaussians, *(part[:1] for part in ball.views), num_points=2_000)
+    mesh, report = extract_mesh(ball.gaussians, *(part[:1] for part in ball.views), method=through(2_000))
     eye = -ball.cameras[0].viewmat[:3, :3].T @ ball.cameras[0].viewmat[:3, 3]
     toward = eye / np.linalg.norm(eye)
     assert (mesh.vertices @ toward).min() > -0.2
     assert (mesh.vertices @ toward).max() == pytest.approx(1, abs=0.05)
-    assert not report["cleaning"]["watertight"]
+    assert not report["topology"]["watertight"]
+    assert report["facing_share"] > 0.99
 
 
-def test_robust_bounds_ignore_a_few_strays():
-    points = np.random.default_rng(0).uniform(-1, 1, (10_000, 3))
-    points[:20] = 1000
-    low, high = robust_bounds(points)
-    assert np.all(low < -1) and np.all(low > -1.5)
-    assert np.all(high > 1) and np.all(high < 1.5)
+def test_the_border_belongs_to_both_sides_of_a_cut():
+    vertices = np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0], [2, 1, 0], [3, 0, 0], [20, 0, 0]])
+    faces = np.int32([[0, 1, 2], [1, 3, 2], [3, 5, 4], [6, 6, 6]])
+    mesh = Mesh(vertices, faces, np.zeros((7, 3), np.uint8))
+    inner, outer = Box((-1, -1, -1), (1.2, 2, 1)), Box((-9, -9, -9), (9, 9, 9))
+    np.testing.assert_array_equal(cut(mesh, Region(inner)).faces, faces[:2])
+    np.testing.assert_array_equal(cut(mesh, Region(outer, without=inner)).faces, faces[1:3])
+
+
+def test_regions_are_a_function_of_the_points(ball):
+    asked = []
+
+    def regions(points):
+        asked.append(points)
+        return boxes.near_only(points)
+
+    extract_mesh(ball.gaussians, *ball.views, method=through(3_000), regions=partial(regions))
+    assert np.abs(np.linalg.norm(asked[0], axis=1) - 1).max() < 0.02

@@ -3,7 +3,10 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.mesh import signed_volume
-from gsjax.meshing import poisson
+from gsjax.meshing import poisson, trimming
+from gsjax.meshing.poisson import PoissonOptions
+
+DEPTH_6 = PoissonOptions(depth=6)
 
 
 def sphere(count, seed=0):
@@ -14,57 +17,64 @@ def sphere(count, seed=0):
 
 def test_sphere_from_its_own_points():
     points, colors = sphere(5000)
-    mesh = poisson.reconstruct(points, points, colors, depth=6)
+    mesh, report = poisson.reconstruct(points, points, colors, DEPTH_6)
     assert np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1).max() < 0.02
     assert signed_volume(mesh) == pytest.approx(4 / 3 * np.pi, rel=0.02)
     expected = (mesh.vertices + 1) * 127.5
     assert np.median(np.abs(mesh.colors - expected)) < 8
+    assert (report.points_used, report.depth, report.trim_quantile) == (5000, 6, 0.0)
 
 
 def test_inward_normals_turn_it_inside_out():
     points, colors = sphere(3000)
-    assert signed_volume(poisson.reconstruct(points, -points, colors, depth=6)) < -4
+    assert signed_volume(poisson.reconstruct(points, -points, colors, DEPTH_6)[0]) < -4
 
 
 def test_a_half_sphere_is_not_closed_by_guesswork():
     points, colors = sphere(6000)
     upper = points[:, 2] > 0
-    mesh = poisson.reconstruct(points[upper], points[upper], colors[upper], depth=6)
+    half = points[upper], points[upper], colors[upper]
+    mesh, report = poisson.reconstruct(*half, DEPTH_6)
     assert mesh.vertices[:, 2].min() > -0.15
-    closed = poisson.reconstruct(points[upper], points[upper], colors[upper], depth=6, trim_distance=10.0)
-    assert closed.vertices[:, 2].min() < mesh.vertices[:, 2].min()
+    assert report.trim_quantile > 0
+    closed, _ = poisson.reconstruct(*half, PoissonOptions(depth=6, trim_cells=300, trim=trimming.at_quantile(0)))
+    assert closed.vertices[:, 2].min() < mesh.vertices[:, 2].min() - 0.1
 
 
 def test_a_quantile_takes_its_share_of_the_vertices():
     points, colors = sphere(5000)
-    whole = poisson.reconstruct(points, points, colors, depth=6)
-    trimmed = poisson.reconstruct(points, points, colors, depth=6, trim_quantile=0.1)
+    whole, _ = poisson.reconstruct(points, points, colors, DEPTH_6)
+    options = PoissonOptions(depth=6, trim=trimming.at_quantile(0.1))
+    trimmed, report = poisson.reconstruct(points, points, colors, options)
     assert trimmed.num_vertices == pytest.approx(0.9 * whole.num_vertices, rel=0.02)
+    assert report.trim_quantile == 0.1
 
 
 def test_a_far_stray_is_not_meshed():
     points, colors = sphere(5000)
     points, normals = np.vstack([points, [[60.0, 0, 0]]]), np.vstack([points, [[1.0, 0, 0]]])
-    mesh = poisson.reconstruct(points, normals, np.vstack([colors, [[0, 0, 0]]]), depth=6)
+    mesh, report = poisson.reconstruct(points, normals, np.vstack([colors, [[0, 0, 0]]]), DEPTH_6)
     assert np.abs(mesh.vertices).max() < 1.1
     # With the stray kept, one cell of depth 6 would be as long as the ball.
     assert mesh.num_faces > 2000
+    assert report.points_used == 5000
 
 
 def test_equal_input_gives_equal_meshes():
     points, colors = sphere(3000)
-    a, b = (poisson.reconstruct(points, points, colors, depth=6) for _ in range(2))
+    a, b = (poisson.reconstruct(points, points, colors, DEPTH_6)[0] for _ in range(2))
     np.testing.assert_array_equal(a.vertices, b.vertices)
     np.testing.assert_array_equal(a.faces, b.faces)
 
 
-def test_depth_follows_the_cell():
-    cube = np.array([[0.0, 0, 0], [1.0, 1.0, 0.5]])
+def test_depth_follows_the_cell_and_the_spacing():
     for depth in (6, 7, 8, 9, 10):
-        assert poisson.depth_for_cell(cube, 1.001 * poisson.cell_size(cube, depth)) == max(depth - 1, 6)
-        assert poisson.depth_for_cell(cube, 0.999 * poisson.cell_size(cube, depth)) == depth
-    assert poisson.depth_for_cell(cube, 0.0) == 10
-    assert poisson.depth_for_cell(cube, 5.0) == 6
+        assert poisson.depth_for_cell(3.0, 1.001 * 3.0 / 2**depth) == max(depth - 1, 6)
+        assert poisson.depth_for_cell(3.0, 0.999 * 3.0 / 2**depth) == depth
+    assert poisson.depth_for_cell(3.0, 0.0) == 10
+    assert poisson.depth_for_cell(3.0, 5.0) == 6
+    points, colors = sphere(3000)
+    assert poisson.reconstruct(points, points, colors, smallest_cell=2.2 / 2**6)[1].depth == 6
 
 
 def test_spacing_of_a_grid_is_its_step():

@@ -1,0 +1,108 @@
+"""Axis-aligned boxes in world units, and the regions that a surface is reconstructed in.
+
+A box that is given is taken as it is: nothing here shifts or scales it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gsjax.errors import InputError
+
+MIDDLE, MARGIN = 0.98, 0.1  # A robust box: share of the points along each axis; of its longest side, added all round.
+CORE, CORE_MARGIN = 0.9, 0.25  # The same of a foreground that has a background: all of an even spread, no long tail.
+BACKGROUND_FACTOR = 4.0  # Of the foreground's size: SuGaR's 1 E for the near part and 4 E for the far one.
+FAR = 2.0  # Times the foreground's size that the points must reach for a background: two parts leave a seam.
+
+
+@dataclass(frozen=True)
+class Box:
+    """The points p with low <= p <= high."""
+
+    low: np.ndarray  # [3] float64 world, scene units
+    high: np.ndarray  # [3]
+
+    def __post_init__(self):
+        """Check shapes and order."""
+        for name in ("low", "high"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), np.float64))
+        if self.low.shape != (3,) or self.high.shape != (3,) or not np.all(self.low < self.high):
+            raise InputError(
+                f"a box must have a min below its max along x, y and z, not {self.low.tolist()} and "
+                f"{self.high.tolist()}"
+            )
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """`[P]` bool for `[P, 3]` points."""
+        return np.all((points >= self.low) & (points <= self.high), axis=1)
+
+    def grown(self, margin: float) -> "Box":
+        """The box with every side moved outwards by `margin`, scene units; never shrunk to nothing."""
+        middle, half = (self.low + self.high) / 2, (self.high - self.low) / 2
+        half = np.maximum(half + margin, 1e-3 * half)
+        return Box(middle - half, middle + half)
+
+    def scaled(self, factor: float) -> "Box":
+        """The box `factor` times as large about its own middle."""
+        middle, half = (self.low + self.high) / 2, (self.high - self.low) / 2
+        return Box(middle - factor * half, middle + factor * half)
+
+    @property
+    def longest(self) -> float:
+        """Longest side, scene units."""
+        return float(np.max(self.high - self.low))
+
+
+@dataclass(frozen=True)
+class Region:
+    """A box, less another one inside it."""
+
+    box: Box
+    without: Box | None = None
+
+    def contains(self, points: np.ndarray) -> np.ndarray:
+        """`[P]` bool for `[P, 3]` points."""
+        inside = self.box.contains(points)
+        return inside if self.without is None else inside & ~self.without.contains(points)
+
+    def grown(self, margin: float) -> "Region":
+        """The region with a rim of `margin` scene units, also towards the box that it leaves out."""
+        return Region(self.box.grown(margin), None if self.without is None else self.without.grown(-margin))
+
+    def corners(self) -> list:
+        """[low, high] of the box as plain numbers."""
+        return [self.box.low.tolist(), self.box.high.tolist()]
+
+
+Regions = dict[str, Region]  # name -> where; "foreground" and "background"
+
+
+def robust_box(points: np.ndarray, middle: float = MIDDLE, margin: float = MARGIN) -> Box:
+    """The box of the middle share of `[P, 3]` points along every axis, grown by a share of its size on each side."""
+    low, high = np.quantile(points, [(1 - middle) / 2, (1 + middle) / 2], axis=0)
+    rim = margin * max((high - low).max(), 1e-6 * (1 + np.abs(points).max()))
+    return Box(low - rim, high + rim)
+
+
+def near_and_far(points: np.ndarray) -> Regions:
+    """One robust box around the `[P, 3]` surface points (world), or two regions where they thin out far away.
+
+    The foreground is then the box of the middle 90 %, half as large again, and the background the rest up to four times
+    its size. One box with all of it is better where it is not even twice as large as that foreground.
+    """
+    core, whole = robust_box(points, CORE, CORE_MARGIN), robust_box(points)
+    if whole.longest < FAR * core.longest:
+        return {"foreground": Region(whole)}
+    return fixed(core, core.scaled(BACKGROUND_FACTOR))
+
+
+def near_only(points: np.ndarray) -> Regions:
+    """The foreground of `near_and_far` alone."""
+    return {"foreground": near_and_far(points)["foreground"]}
+
+
+def fixed(foreground: Box, background: Box | None = None) -> Regions:
+    """Boxes that the caller knows: the far part is what is in the second and not in the first."""
+    return {"foreground": Region(foreground)} | (
+        {} if background is None else {"background": Region(background, without=foreground)}
+    )

@@ -1,0 +1,148 @@
+"""The ways to a surface beside the level set: what each brings back from the same ball of discs."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+from gsjax import boxes
+from gsjax import gaussians as gs
+from gsjax.boxes import Box, Region
+from gsjax.errors import InputError
+from gsjax.gallery import Picture
+from gsjax.mesh import Mesh, face_normals, signed_volume
+from gsjax.meshing import extract_mesh, methods
+from gsjax.meshing.marching_cubes import density_grid, marching_cubes
+from gsjax.meshing.methods import centers_poisson
+from gsjax.meshing.orientation import facing_share, outward
+from gsjax.meshing.tsdf import tsdf
+
+ALL = {
+    "centers": centers_poisson(),
+    "tsdf": tsdf(voxel=0.06),
+    "marching-cubes": marching_cubes(cell=0.06),
+}
+
+
+@pytest.fixture(scope="module", params=ALL)
+def named_mesh(request, ball):
+    return request.param, *extract_mesh(ball.gaussians, *ball.views, method=ALL[request.param])
+
+
+def test_every_method_finds_the_ball(named_mesh):
+    name, mesh, report = named_mesh
+    # The grid shows both sides of discs that count as 0.6 cells thick: 0.036 sqrt(2 ln(3.2 / 0.3)) = 0.08 away.
+    near = 0.11 if name == "marching-cubes" else 0.05
+    radii = np.linalg.norm(mesh.vertices, axis=1)
+    assert np.quantile(np.abs(radii - 1), 0.99) < near
+    assert report["facing_share"] > 0.99
+    assert report["topology"]["oriented"]
+    assert np.abs(mesh.colors.astype(int) - ([128] * 3 if name != "tsdf" else [255, 128, 0])).max() <= 2
+
+
+def test_poisson_through_the_centres_is_a_closed_outward_ball(ball):
+    mesh, report = extract_mesh(ball.gaussians, *ball.views, method=centers_poisson())
+    assert signed_volume(mesh) == pytest.approx(4 / 3 * np.pi, rel=0.05)
+    assert report["topology"]["components"] == 1
+    assert report["seen"]["points"] == 2000
+
+
+def test_a_centre_that_no_view_sees_has_no_outside(ball):
+    towards = methods.directions_to_viewers(
+        np.array([[0.0, 0, 1], [0, 0, 0], [0, 0, 3]]), np.full(3, 0.1), ball.cameras, ball.pictures
+    )
+    assert towards[0, 2] > 0
+    np.testing.assert_array_equal(towards[1:], 0)
+    blank = [Picture(p.colors, np.zeros_like(p.depth), p.alphas) for p in ball.pictures]
+    with pytest.raises(InputError, match="no view sees the centre of any of 2000 Gaussians"):
+        extract_mesh(ball.gaussians, ball.cameras, blank, method=centers_poisson())
+
+
+def test_plane_normals_of_a_plane():
+    rng = np.random.default_rng(0)
+    axis = np.array([1.0, 2.0, -2.0]) / 3
+    points = rng.normal(size=(300, 3))
+    points -= (points @ axis)[:, None] * axis
+    np.testing.assert_allclose(np.abs(methods.plane_normals(points, 16) @ axis), 1, atol=1e-9)
+
+
+def test_fusion_leaves_open_what_nothing_saw(ball):
+    views = ball.cameras[:1], ball.pictures[:1]
+    mesh, report = extract_mesh(ball.gaussians, *views, method=tsdf(voxel=0.06))
+    eye = -ball.cameras[0].viewmat[:3, :3].T @ ball.cameras[0].viewmat[:3, 3]
+    assert (mesh.vertices @ (eye / np.linalg.norm(eye))).min() > -0.2
+    assert not report["topology"]["watertight"]
+
+
+def test_fused_surfaces_lie_at_the_depth_and_not_half_a_voxel_beside(ball_on_ground):
+    mesh, _ = extract_mesh(
+        ball_on_ground.gaussians,
+        *ball_on_ground.views,
+        method=tsdf(voxel=0.1),
+        regions=lambda _: boxes.fixed(Box((1.5, -2, -2), (2.4, 2, 0))),
+    )
+    assert abs(np.median(mesh.vertices[:, 2]) + 1) < 0.01
+
+
+def test_nothing_opaque_cannot_be_fused(ball):
+    blank = [Picture(p.colors, p.depth, np.zeros_like(p.alphas)) for p in ball.pictures]
+    with pytest.raises(InputError, match="no pixel of 10 views"):
+        extract_mesh(ball.gaussians, ball.cameras, blank, method=tsdf())
+
+
+def test_the_grid_holds_the_density_at_its_own_points():
+    scene = gs.Gaussians(
+        means=np.float32([[0.3, -0.2, 0.1], [5, 5, 5]]),
+        quats=np.float32([[1, 0, 0, 0], [1, 0, 0, 0]]),
+        log_scales=np.log(np.float32([[0.4, 0.3, 0.2], [0.1, 0.1, 0.1]])),
+        logit_opacities=np.float32([1.0, 9.0]),
+        sh_dc=np.zeros((2, 1, 3), np.float32),
+        sh_rest=np.zeros((2, 0, 3), np.float32),
+    )
+    box, step = Box((-1, -0.9, -0.8), (1, 0.9, 0.8)), 0.1
+    grid = density_grid(scene, box, step)
+    z, y, x = np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij")
+    offset = (box.low + step * np.stack([x, y, z], -1) - [0.3, -0.2, 0.1]) / [0.4, 0.3, 0.2]
+    distance = np.linalg.norm(offset, axis=-1)
+    expected = np.exp(-0.5 * distance**2) / (1 + np.exp(-1.0))
+    inside = distance < 3  # Beyond, whole blocks may be left out.
+    np.testing.assert_allclose(grid[inside], expected[inside], atol=2e-6)
+    assert grid[~inside].max() <= expected[~inside].max() + 2e-6
+
+
+def test_vertices_of_a_round_gaussian_lie_on_its_level_sphere():
+    scene = gs.Gaussians(
+        means=np.float32([[0.111, -0.07, 0.03]]),
+        quats=np.float32([[1, 0, 0, 0]]),
+        log_scales=np.log(np.full((1, 3), 0.5, np.float32)),
+        logit_opacities=np.float32([2.0]),
+        sh_dc=np.zeros((1, 1, 3), np.float32),
+        sh_rest=np.zeros((1, 0, 3), np.float32),
+    )
+    sighting = marching_cubes(level=0.3, cell=0.05)(scene, [], [])
+    mesh, _ = sighting.build(Region(Box((-2, -2, -2), (2, 2, 2))))
+    radius = 0.5 * np.sqrt(2 * np.log(1 / (1 + np.exp(-2.0)) / 0.3))
+    # Half a cell would be 0.025.
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices - [0.111, -0.07, 0.03], axis=1), radius, atol=1e-3)
+    assert signed_volume(mesh) == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.01)
+    with pytest.raises(InputError, match=r"density stays under 0.95"):
+        marching_cubes(level=0.95, cell=0.05)(scene, [], []).build(Region(Box((-2, -2, -2), (2, 2, 2))))
+
+
+def test_faces_that_look_away_from_the_views_are_turned_about(ball):
+    mesh, _ = extract_mesh(ball.gaussians, *ball.views, method=centers_poisson())
+    inside_out = Mesh(mesh.vertices, mesh.faces[:, ::-1].copy(), mesh.colors)
+    assert facing_share(mesh, ball.cameras) == 1
+    assert facing_share(inside_out, ball.cameras) == 0
+    turned, share = outward(inside_out, ball.cameras)
+    assert share == 1
+    np.testing.assert_allclose(face_normals(turned), face_normals(mesh), atol=1e-12)
+    nowhere = Mesh(mesh.vertices + np.float32(100), mesh.faces, mesh.colors)
+    assert facing_share(nowhere, ball.cameras) == 1
+
+
+@pytest.mark.parametrize("method", ALL.values(), ids=ALL)
+def test_a_box_with_nothing_in_it_is_one_line_for_all(ball, method):
+    nowhere = Box((5, 5, 5), (6, 6, 6))
+    with pytest.raises(InputError, match=r"the box .* holds none of"):
+        extract_mesh(ball.gaussians, *ball.views, method=method, regions=partial(lambda _: boxes.fixed(nowhere)))
