@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gsjax.cameras import Camera, center, pixel_rays, project, rotation, world_to_camera
+from gsjax.cameras import Camera, center, look_at, pixel_rays, project, rotation, world_to_camera
 
 GROUND_LABEL = 255
 TABLE_RADIUS = 1.6
@@ -229,18 +229,10 @@ def cameras(num_views: int, size: tuple[int, int], *, seed: int = 0) -> list[Cam
         horizontal = np.cos(elevation) * np.array([np.cos(azimuth), np.sin(azimuth), 0])
         eye = rng.uniform(2.75, 3.15) * (horizontal + np.array([0, 0, np.sin(elevation)]))
         target = np.array([0, 0, 0.22]) + rng.uniform(-0.06, 0.06, 3)
-        views.append(Camera(jnp.asarray(_look_at(eye, target)), jnp.asarray(K), width, height))
+        views.append(
+            Camera(jnp.asarray(look_at(eye, target, np.array([0.0, 0.0, 1.0]))), jnp.asarray(K), width, height)
+        )
     return views
-
-
-def _look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    viewmat = np.eye(4)
-    viewmat[:3, :3] = np.stack([right, np.cross(forward, right), forward])
-    viewmat[:3, 3] = -viewmat[:3, :3] @ eye
-    return viewmat.astype(np.float32)
 
 
 # The shapes, each around its own foot at the origin. Coordinates are scalars, which keeps the mapped code vectorised.

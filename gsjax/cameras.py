@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 
@@ -55,3 +56,22 @@ def pixel_rays(camera: Camera) -> Array:
 def unproject(depth: Array, camera: Camera) -> Array:
     """`[H, W, 3]` camera-frame points of a `[H, W]` depth map (camera z)."""
     return pixel_rays(camera) * depth[..., None]
+
+
+def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """`[4, 4]` float32 viewmat, numpy, of a camera at `eye` with `target` in the middle; any turn if it looks along up.
+
+    Args:
+        eye: `[3]` world.
+        target: `[3]` world, elsewhere.
+        up: `[3]` the world's direction that points up in the image, any length.
+    """
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, up / np.linalg.norm(up))
+    if np.linalg.norm(right) < 1e-6:
+        right = np.cross(forward, np.roll(up, 1))
+    right /= np.linalg.norm(right)
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+    viewmat[:3, 3] = -viewmat[:3, :3] @ eye
+    return viewmat.astype(np.float32)

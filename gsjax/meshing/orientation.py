@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from gsjax.cameras import Camera
-from gsjax.mesh import Mesh
-from gsjax.meshing.libraries import load_open3d
+from gsjax.mesh import Mesh, face_normals
+from gsjax.meshing.rays import ray_caster
 
 SIDE = 64  # Rays along the longer side of a view: enough to tell a share.
 MOST_VIEWS = 24
@@ -17,15 +17,16 @@ def facing_share(mesh: Mesh, cameras: Sequence[Camera]) -> float:
 
     A sound mesh has 0.99 and more; what is missing looks through a hole at an inner side.
     """
-    o3d = load_open3d()
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(np.ascontiguousarray(mesh.vertices, np.float32), mesh.faces.astype(np.uint32))
+    cast, normals = ray_caster(mesh), face_normals(mesh)
     chosen = np.unique(np.linspace(0, len(cameras) - 1, min(MOST_VIEWS, len(cameras))).astype(int))
-    rays = np.concatenate([_rays(cameras[index]) for index in chosen])
-    answer = scene.cast_rays(o3d.core.Tensor(rays))
-    hit = np.isfinite(answer["t_hit"].numpy())
-    facing = np.sum(answer["primitive_normals"].numpy()[hit] * rays[hit, 3:], axis=1) < 0
-    return float(facing.mean()) if hit.any() else 1.0
+    faces_cameras = []
+    for index in chosen:
+        origin, directions = _rays(cameras[index])
+        hits = cast(origin, directions)
+        hit = np.isfinite(hits.distances)
+        faces_cameras.append(np.sum(normals[hits.faces[hit]] * directions[hit], axis=1) < 0)
+    found = np.concatenate(faces_cameras)
+    return float(found.mean()) if len(found) else 1.0
 
 
 def outward(mesh: Mesh, cameras: Sequence[Camera]) -> tuple[Mesh, float]:
@@ -36,8 +37,8 @@ def outward(mesh: Mesh, cameras: Sequence[Camera]) -> tuple[Mesh, float]:
     return mesh, share
 
 
-def _rays(camera: Camera) -> np.ndarray:
-    """`[R, 6]` float32 origins and directions through the view, up to 64 along its longer side, spread evenly."""
+def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Origin `[3]` and directions `[R, 3]` through the view, up to 64 along its longer side, spread evenly."""
     viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
     factor = min(1.0, SIDE / max(camera.width, camera.height))
     columns, rows = (
@@ -47,5 +48,4 @@ def _rays(camera: Camera) -> np.ndarray:
     )
     x, y = np.meshgrid((columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1])
     directions = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=-1) @ viewmat[:3, :3]
-    origins = np.broadcast_to(-viewmat[:3, :3].T @ viewmat[:3, 3], directions.shape)
-    return np.concatenate([origins, directions], axis=1).astype(np.float32)
+    return -viewmat[:3, :3].T @ viewmat[:3, 3], directions

@@ -8,14 +8,13 @@ import numpy as np
 from tqdm import tqdm
 
 from gsjax import gallery
-from gsjax.cameras import Camera
+from gsjax.cameras import Camera, look_at
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, opacities
 from gsjax.io.files import make_folder
 from gsjax.io.images import write_image
 from gsjax.normals_prior import depth_normals
 from gsjax.pipeline.result import Result, open_result
-from gsjax.pipeline.viewpoints import look_at
 
 TURNTABLE_VIEWS = 36
 

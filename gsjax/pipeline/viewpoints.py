@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from gsjax import gallery
-from gsjax.cameras import Camera
+from gsjax.cameras import Camera, look_at
 from gsjax.gaussians import Gaussians, opacities
 from gsjax.meshing.methods import directions_to_viewers
 
@@ -34,19 +34,6 @@ def around(gaussians: Gaussians) -> tuple[Camera, ...]:
     seen = [_count_seen(gaussians, means, radii, place(PROBE_SIZE)) for place in places]
     best = int(np.argmax(seen))
     return places[best if seen[best] > MUCH_BETTER * seen[0] else 0](SIZE)
-
-
-def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """`[4, 4]` float32 world to camera (OpenCV axes) of a camera at `eye` that sees `target` in the middle."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, up)
-    if np.linalg.norm(right) < 1e-6:  # looking along up: any right will do
-        right = np.cross(forward, np.roll(up, 1))
-    right /= np.linalg.norm(right)
-    viewmat = np.eye(4, dtype=np.float32)
-    viewmat[:3, :3] = [right, np.cross(forward, right), forward]
-    viewmat[:3, 3] = -viewmat[:3, :3] @ eye
-    return viewmat
 
 
 def _spread(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -61,3 +61,20 @@ def test_a_new_pose_does_not_recompile_and_a_new_size_does():
     assert rays._cache_size() == 1
     rays(Camera(CAMERA.viewmat, CAMERA.K, 8, 8))
     assert rays._cache_size() == 2
+
+
+def test_a_camera_sees_its_target_in_the_middle_and_up_above():
+    eye, target, up = np.array([3.0, -2.0, 1.5]), np.array([0.2, 0.1, 0.3]), np.array([0.0, 0.0, 4.0])
+    viewmat = cameras.look_at(eye, target, up).astype(np.float64)
+    np.testing.assert_allclose(viewmat @ [*target, 1], [0, 0, np.linalg.norm(eye - target), 1], atol=1e-6)
+    np.testing.assert_allclose(viewmat @ [*eye, 1], [0, 0, 0, 1], atol=1e-6)
+    above = viewmat @ [*(target + 0.1 * up), 1]
+    assert above[1] < 0  # y points down
+    np.testing.assert_allclose(above[0], 0, atol=1e-6)
+
+
+def test_looking_along_up_is_still_a_rotation():
+    viewmat = cameras.look_at(np.array([0, 0, 5.0]), np.zeros(3), np.array([0, 0, 1.0])).astype(np.float64)
+    np.testing.assert_allclose(viewmat[:3, :3] @ viewmat[:3, :3].T, np.eye(3), atol=1e-6)
+    assert np.linalg.det(viewmat[:3, :3]) == pytest.approx(1)
+    np.testing.assert_allclose(viewmat @ [0, 0, 0, 1], [0, 0, 5, 1], atol=1e-6)
