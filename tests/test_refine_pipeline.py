@@ -1,0 +1,136 @@
+"""`gsjax refine` on a tiny run: what it writes, how it goes on, and what it refuses."""
+
+import json
+import shutil
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from small_scenes import camera_at
+
+from gsjax import cli, config, pipeline
+from gsjax.errors import InputError
+from gsjax.io import runs
+from gsjax.io.images import write_image
+from gsjax.io.ply import read_gaussians
+from gsjax.mesh import Mesh, face_normals
+from gsjax.meshing.export import read_mesh, write_mesh
+from gsjax.refining import PRESETS, Refinement
+from gsjax.settings import Settings
+
+SETTINGS = Refinement(steps=4, per_triangle=3, sh_degree=1, thickness=1e-3)
+
+
+def sheet(depth=4.0) -> Mesh:
+    """Four by four bumpy vertices about (0, 0, `depth`)."""
+    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-1, 1, 4)] * 2))
+    z = depth + 0.2 * np.random.default_rng(0).normal(size=16)
+    corner = (np.arange(3)[:, None] * 4 + np.arange(3)).ravel()
+    faces = np.concatenate([np.stack([corner + k for k in quad], -1) for quad in ((0, 5, 1), (0, 4, 5))])
+    colors = np.random.default_rng(1).integers(0, 255, (16, 3))
+    return Mesh(np.stack([x, y, z], -1).astype(np.float32), faces.astype(np.int32), colors.astype(np.uint8))
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A data set of nine photos of noise, and a run folder that names it, with a mesh."""
+    root = tmp_path_factory.mktemp("refine")
+    scene, run = root / "scene", root / "run"
+    rng, frames = np.random.default_rng(2), []
+    for index in range(9):
+        camera = camera_at((0.2 * index - 0.8, 0.1 * index, 0.0), (0.0, 0.0, 4.0), size=(24, 24))
+        (scene / "images").mkdir(parents=True, exist_ok=True)
+        write_image(scene / f"images/{index}.png", rng.integers(0, 255, (24, 24, 3), dtype=np.uint8))
+        pose = np.linalg.inv(np.asarray(camera.viewmat, np.float64)) @ np.diag([1, -1, -1, 1])
+        frames.append({"file_path": f"images/{index}.png", "transform_matrix": pose.tolist()})
+    (scene / "transforms.json").write_text(json.dumps({"fl_x": 30.0, "frames": frames}))
+    runs.create(run, config.to_dict(Settings(background="white")), scene=scene, seed=0)
+    write_mesh(run / "mesh.ply", sheet())
+    return SimpleNamespace(root=root, run=run, scene=scene)
+
+
+@pytest.fixture(scope="module")
+def refined(place):
+    out = place.root / "refined"
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setitem(pipeline.refine.__globals__, "SAVED_EVERY", 2)
+        return SimpleNamespace(out=out, report=pipeline.refine(place.run, out, SETTINGS))
+
+
+def test_the_folder_holds_mesh_gaussians_and_report_and_is_a_run(place, refined):
+    report = runs.read_json(refined.out / "report.json")
+    assert report == refined.report
+    assert (report["faces"], report["vertices"], report["gaussians"], report["steps"]) == (18, 16, 54, 4)
+    mesh, coarse = read_mesh(refined.out / "mesh.ply"), read_mesh(place.run / "mesh.ply")
+    np.testing.assert_array_equal(mesh.faces, coarse.faces)
+    assert 1e-4 < np.abs(mesh.vertices - coarse.vertices).max() < 0.1
+    np.testing.assert_allclose(read_mesh(refined.out / "mesh.glb").vertices, mesh.vertices, atol=1e-6)
+    manifest = runs.read_json(refined.out / "manifest.json")
+    assert manifest["status"] == "done" and manifest["scene"] == str(place.scene)
+    assert {"mesh.ply", "mesh.glb", "gaussians.ply", "cameras.json", "report.json"} <= set(manifest["files"])
+    scores = pipeline.evaluate(refined.out)
+    assert scores["views"] == 2 and scores["psnr"] == pytest.approx(report["psnr"], abs=1e-3)
+
+
+def test_the_gaussians_in_the_file_lie_on_the_mesh_in_the_file(refined):
+    mesh, gaussians = read_mesh(refined.out / "mesh.ply"), read_gaussians(refined.out / "gaussians.ply")
+    corner, normals = mesh.vertices[mesh.faces[:, 0]].astype(np.float64), face_normals(mesh)
+    offsets = gaussians.means.reshape(18, 3, 3) - corner[:, None]
+    np.testing.assert_allclose(np.einsum("fnk,fk->fn", offsets, normals), 0, atol=1e-6)
+    assert np.all(np.argmin(gaussians.log_scales, axis=1) == 0)
+
+
+def test_a_stopped_refinement_goes_on_to_the_same_bytes(place, refined, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(refined.out, out)
+    for left_by_the_end in ("mesh.ply", "gaussians.ply", "checkpoints/step_0000004.npz"):
+        (out / left_by_the_end).unlink()
+    assert runs.latest_checkpoint(out)[0] == 2
+    pipeline.refine(place.run, out, SETTINGS, resume=True)
+    for name in ("mesh.ply", "gaussians.ply"):
+        assert (out / name).read_bytes() == (refined.out / name).read_bytes()
+    with pytest.raises(InputError, match="refinement.steps = 4, not 5; a resumed run keeps its settings"):
+        pipeline.refine(place.run, out, Refinement(**{**SETTINGS.__dict__, "steps": 5}), resume=True)
+
+
+def test_what_cannot_be_refined_is_one_line_and_leaves_nothing(place, refined, tmp_path, capsys):
+    write_mesh(tmp_path / "behind.ply", sheet(depth=-4.0))
+    (tmp_path / "broken.ply").write_bytes(b"ply\nformat")
+    bare = tmp_path / "bare"
+    runs.create(bare, config.to_dict(Settings()), scene=place.scene, seed=0)
+    cases = [
+        ([str(place.run), "--mesh", str(tmp_path / "none.ply")], "none.ply: no such mesh file"),
+        ([str(place.run), "--mesh", str(tmp_path / "broken.ply")], "broken.ply: not readable as a mesh"),
+        ([str(place.run), "--mesh", str(tmp_path / "behind.ply")], "sees any of its 18 triangles"),
+        ([str(bare)], f"{bare}/mesh.ply: no such mesh; `gsjax mesh {bare} --out {bare}/mesh.ply` makes it"),
+        ([str(tmp_path / "norun"), "--mesh", str(place.run / "mesh.ply")], "norun/manifest.json: No such file"),
+    ]
+    for arguments, message in cases:
+        assert cli.main(["refine", *arguments, "--out", str(tmp_path / "out")]) == 2
+        error = capsys.readouterr().err.splitlines()
+        assert message in error[-1] and error[-1].startswith("gsjax: error: ")
+        assert not (tmp_path / "out").exists()
+    assert cli.main(["refine", str(place.run), "--out", str(refined.out)]) == 2
+    assert "this folder is not empty" in capsys.readouterr().err
+
+
+def test_the_command_hands_over_its_settings(monkeypatch, capsys):
+    calls = []
+    monkeypatch.setattr(pipeline, "refine", lambda *args, **kwargs: calls.append((args, kwargs)) or {"psnr": 30.0})
+    assert cli.main(["refine", "run", "--out", "o"]) == 0
+    options = ["--preset", "short", "--faces", "500", "--per-triangle", "6", "--mesh", "m.obj", "--resume"]
+    assert cli.main(["refine", "run", "--out", "o", *options, "--set", "weights.laplacian=2", "opacity=0.5"]) == 0
+    (first, keywords), (second, more) = calls
+    assert first == ("run", "o", config.parse(Refinement, PRESETS["fast"]))
+    assert keywords == {"mesh": None, "resume": False}
+    assert (second[2].steps, second[2].faces, second[2].per_triangle) == (2000, 500, 6)
+    assert (second[2].weights.laplacian, second[2].opacity) == (2.0, 0.5)
+    assert more == {"mesh": "m.obj", "resume": True}
+    assert "psnr  30" in capsys.readouterr().out
+    assert cli.main(["refine", "run", "--out", "o", "--set", "weights.l2=1"]) == 2
+    assert "unknown key 'weights.l2'; the nearest known one is 'weights.l1'" in capsys.readouterr().err
+    assert cli.main(["refine", "run", "--out", "o", "--per-triangle", "2"]) == 2
+
+
+def test_the_presets_that_the_command_offers_are_those_that_there_are():
+    assert tuple(PRESETS) == cli.refine.PRESETS
