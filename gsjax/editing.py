@@ -5,7 +5,44 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
-from gsjax.bound import COLLAPSED, BoundGaussians, unit_turns
+from gsjax.bound import COLLAPSED, LAYOUTS, BoundGaussians, axes, bind, means, unit_turns
+from gsjax.errors import InputError
+from gsjax.gaussians import Gaussians, rotation_matrices
+from gsjax.mesh import Mesh
+
+MOST_APART = 1e-4  # Of the mesh's size: a Gaussian farther than this from its place on the mesh is another's.
+
+
+def rebound(mesh: Mesh, gaussians: Gaussians) -> BoundGaussians:
+    """The bound Gaussians of which `gsjax.bound.to_mesh` and `to_gaussians` made this mesh and these Gaussians.
+
+    Args:
+        mesh: With its vertices and faces in the order in which they were written.
+        gaussians: Likewise.
+
+    Returns:
+        Gaussians on the device, ready to be edited, trained or drawn.
+
+    Raises:
+        InputError: The Gaussians are not those of the mesh.
+    """
+    count, faces = gaussians.num_gaussians, mesh.num_faces
+    if not faces or count % faces or count // faces not in LAYOUTS:
+        raise InputError(f"{count} Gaussians are not 1, 3, 4 or 6 to each of {faces} triangles")
+    plain = bind(mesh, per_triangle=count // faces, thickness=float(np.exp(gaussians.log_scales[0, 0])), sh_degree=0)
+    apart = np.linalg.norm(np.asarray(means(plain)) - gaussians.means, axis=-1).max()
+    size = np.ptp(mesh.vertices, axis=0).max()
+    if apart > MOST_APART * size:
+        raise InputError(f"the Gaussians are not those of the mesh: one is {apart:.3g} units from its place there")
+    frames, first = axes(plain), rotation_matrices(jnp.asarray(gaussians.quats))[:, :, 1]
+    return replace(
+        plain,
+        log_scales=jnp.asarray(gaussians.log_scales[:, 1:]),
+        rotations=jnp.stack([jnp.sum(first * frames[:, :, axis], axis=-1) for axis in (1, 2)], axis=-1),
+        logit_opacities=jnp.asarray(gaussians.logit_opacities),
+        sh_dc=jnp.asarray(gaussians.sh_dc),
+        sh_rest=jnp.asarray(gaussians.sh_rest),
+    )
 
 
 def with_vertices(bound: BoundGaussians, vertices: np.ndarray) -> BoundGaussians:
@@ -35,12 +72,12 @@ def with_vertices(bound: BoundGaussians, vertices: np.ndarray) -> BoundGaussians
 
     re, im = np.asarray(unit_turns(bound.rotations), np.float64).T
     roots = np.stack([np.stack([re, -im], -1), np.stack([im, re], -1)], -2) * np.exp(bound.log_scales)[:, None, :]
-    axes, scales, _ = np.linalg.svd(np.repeat(stretch, bound.per_triangle, axis=0) @ roots)
+    turned, scales, _ = np.linalg.svd(np.repeat(stretch, bound.per_triangle, axis=0) @ roots)
     return replace(
         bound,
         vertices=jnp.asarray(vertices, jnp.float32),
         log_scales=jnp.asarray(np.log(np.maximum(scales, 1e-12)), jnp.float32),
-        rotations=jnp.asarray(axes[:, :, 0], jnp.float32),
+        rotations=jnp.asarray(turned[:, :, 0], jnp.float32),
     )
 
 

@@ -14,7 +14,8 @@ from gsjax import bound as bound_gaussians
 from gsjax import gaussians as free_gaussians
 from gsjax import render
 from gsjax.bound import LAYOUTS, bind, covariances, means, opacities, to_gaussians, to_mesh
-from gsjax.editing import with_vertices
+from gsjax.editing import rebound, with_vertices
+from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0
 from gsjax.initialize import DEAD_LOGIT
 from gsjax.mesh import Mesh, face_normals
@@ -147,6 +148,21 @@ def test_a_triangle_that_collapses_in_an_edit_keeps_the_shape_of_its_gaussians()
     before = trained(mesh_of(TRIANGLE, [[0, 1, 2]]))
     after = with_vertices(before, TRIANGLE * [1, 0, 1])
     assert_close(jnp.sort(after.log_scales), jnp.sort(before.log_scales))
+
+
+def test_mesh_and_gaussians_as_they_are_written_can_be_bound_again():
+    before = trained(crumpled())
+    mesh, gaussians = to_mesh(before), to_gaussians(before)
+    after = rebound(mesh, gaussians)
+    assert after.thickness == pytest.approx(THICKNESS)
+    assert_close(means(after), means(before))
+    assert_close(covariances(after), covariances(before))
+    for name in ("logit_opacities", "sh_dc", "sh_rest", "faces"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+    with pytest.raises(InputError, match="32 Gaussians are not 1, 3, 4 or 6 to each of 7 triangles"):
+        rebound(mesh_of(mesh.vertices, mesh.faces[:7]), gaussians)
+    with pytest.raises(InputError, match="one is .* units from its place there"):
+        rebound(mesh_of(mesh.vertices, mesh.faces[::-1]), gaussians)
 
 
 # --- gradients
