@@ -1,0 +1,156 @@
+"""Photos to a mesh in three ways on one scene, over seeds: vanilla, surface, and surface then refined.
+
+Every stage runs in a process of its own, so that its seconds (loading and compilation included) and its peak memory are
+its own. Prints a table of figures and one of stages; writes OUT/surface.json and OUT/surface.png.
+"""
+
+import argparse
+import resource
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from train import load_settings
+
+from gsjax import tables
+from gsjax.cli import guarded
+
+WAYS = ("vanilla", "surface", "refined")
+FIGURES = ("chamfer", "fscore", "fscore_half", "normal_consistency", "outward_share", "psnr", "ssim",
+           "normal_error_deg", "normal_error_all_deg")  # fmt: skip
+PICTURE_SIZE = 480
+
+
+def run(name: str, scene: str, out: str, *, seeds: int = 3, refinement: Sequence[str] = ()) -> dict[str, Any]:
+    """Figures and stages of the three ways over the seeds.
+
+    Args:
+        name: A config of `configs/`; its normals are used, if it names any.
+        scene: Data set with true surface points.
+        out: Folder for the runs, OUT/WAY_SEED each.
+        seeds: Runs of every way, with seeds 0, 1, ...
+        refinement: key=value assignments to the refinement's "fast" settings.
+    """
+    from gsjax.io import runs
+
+    figures: dict[str, list[dict]] = {way: [] for way in WAYS}
+    stages: dict[str, list[dict]] = {}
+    for seed in range(seeds):
+        folders = {way: Path(out) / f"{way}_{seed}" for way in WAYS}
+
+        def staged(label: str, stage: Callable, *arguments: Any, seed: int = seed) -> Any:
+            print(f"== seed {seed}: {label}", flush=True)
+            result, cost = _alone(stage, *arguments)
+            stages.setdefault(label, []).append(cost)
+            return result
+
+        for way in ("vanilla", "surface"):
+            staged(f"train {way}", _train, name, scene, folders[way], seed, way == "vanilla")
+            staged(f"mesh {way}", _mesh, folders[way])
+        staged("refine", _refine, folders["surface"], folders["refined"], seed, refinement)
+        staged("texture refined", _texture, folders["refined"])
+        for way in WAYS:
+            figures[way].append(staged(f"score {way}", _score, folders[way]))
+    _alone(_picture, scene, [Path(out) / f"{way}_0" for way in WAYS], Path(out) / "surface.png")
+    report = {"figures": figures, "stages": stages}
+    runs.write_json(Path(out) / "surface.json", report)
+    return report
+
+
+def _alone(stage: Callable, *arguments: Any) -> tuple[Any, dict[str, float]]:
+    """What a stage returns when run in a fresh process, and what it cost."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+        return process.submit(_measured, stage, *arguments).result()
+
+
+def _measured(stage: Callable, *arguments: Any) -> tuple[Any, dict[str, float]]:
+    started = time.perf_counter()
+    result = stage(*arguments)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    return result, {"seconds": time.perf_counter() - started, "peak_gib": peak}
+
+
+def _train(name: str, scene: str, folder: Path, seed: int, vanilla: bool) -> None:
+    from gsjax import pipeline
+
+    normals = Path(scene) / "normals"
+    given = [f"normals={normals}"] if normals.is_dir() else []
+    pipeline.train(scene, folder, load_settings(name, [f"seed={seed}", f"vanilla={str(vanilla).lower()}", *given]))
+
+
+def _mesh(folder: Path) -> None:
+    from gsjax import pipeline
+
+    pipeline.mesh(folder, folder / "mesh.ply")
+
+
+def _refine(folder: Path, out: Path, seed: int, assignments: Sequence[str]) -> None:
+    from gsjax import config, pipeline
+    from gsjax.refining import PRESETS, Refinement
+
+    whole = config.to_dict(config.parse(Refinement, {**PRESETS["fast"], "seed": seed}))
+    pipeline.refine(folder, out, config.parse(Refinement, config.override(whole, assignments)))
+
+
+def _texture(folder: Path) -> None:
+    from gsjax import pipeline
+
+    pipeline.texture(folder, folder / "mesh.ply", folder / "textured.glb")
+
+
+def _score(folder: Path) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    from gsjax import pipeline
+    from gsjax.meshing.export import read_mesh
+    from gsjax.topology import topology
+
+    figures = pipeline.evaluate(folder, mesh=folder / "mesh.ply")
+    return {key: figures[key] for key in FIGURES if key in figures} | asdict(topology(read_mesh(folder / "mesh.ply")))
+
+
+def _picture(scene: str, folders: Sequence[Path], out: Path) -> None:
+    """One held-out view: the photo and, a column each, the meshes in grey above and in their colours below."""
+    from gsjax.io.images import write_image
+    from gsjax.io.scenes import load_scene
+    from gsjax.meshing import headlight, read_mesh, render_mesh, vertex_colors
+
+    frame = load_scene(scene).held_out_frames[0]
+    factor = PICTURE_SIZE / max(frame.width, frame.height)
+    K = frame.K * np.array([[factor], [factor], [1]])
+    size = round(factor * frame.width), round(factor * frame.height)
+    columns = [
+        np.concatenate([render_mesh(read_mesh(f / "mesh.ply"), frame.viewmat, K, *size, shading=s) for s in shadings])
+        for f in folders
+        for shadings in [(headlight, vertex_colors)]
+    ]
+    write_image(out, np.concatenate(columns, axis=1))
+
+
+def summary(rows: Sequence[dict[str, Any]]) -> dict[str, str]:
+    """Mean and, in brackets, least and most of every figure over the seeds."""
+    found = {key: np.array([row[key] for row in rows], float) for key in rows[0]}
+    return {key: f"{v.mean():.4g} [{v.min():.4g} {v.max():.4g}]" for key, v in found.items()}
+
+
+def main() -> None:
+    """Reads the arguments and prints the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("config", metavar="CONFIG", help="name of a file in configs/, without .py")
+    parser.add_argument("--scene", required=True, help="folder of the data set")
+    parser.add_argument("--out", required=True, metavar="DIR", help="empty folder for the runs")
+    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="runs of every way (default: 3)")
+    parser.add_argument("--refine", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the refinement")
+    arguments = parser.parse_args()
+    report = run(arguments.config, arguments.scene, arguments.out, seeds=arguments.seeds, refinement=arguments.refine)
+    for part in ("figures", "stages"):
+        print(tables.compare({label: summary(rows) for label, rows in report[part].items()}))
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))
