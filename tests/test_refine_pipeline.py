@@ -1,7 +1,9 @@
 """`gsjax refine` on a tiny run: what it writes, how it goes on, and what it refuses."""
 
 import json
+import re
 import shutil
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,6 +20,7 @@ from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.refining import PRESETS, Refinement
 from gsjax.settings import Settings
 
+DOCS = Path(__file__).resolve().parents[1] / "docs"
 SETTINGS = Refinement(steps=4, per_triangle=3, sh_degree=1, thickness=1e-3)
 
 
@@ -78,6 +81,23 @@ def test_the_gaussians_in_the_file_lie_on_the_mesh_in_the_file(refined):
     offsets = gaussians.means.reshape(18, 3, 3) - corner[:, None]
     np.testing.assert_allclose(np.einsum("fnk,fk->fn", offsets, normals), 0, atol=1e-6)
     assert np.all(np.argmin(gaussians.log_scales, axis=1) == 0)
+
+
+def test_the_editing_example_of_the_docs_moves_the_gaussians_with_the_mesh(refined, tmp_path, monkeypatch):
+    (example,) = re.findall(r"```python\n(.*?)```", (DOCS / "refinement.md").read_text(), re.DOTALL)
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs/garden_refined").symlink_to(refined.out)
+    monkeypatch.chdir(tmp_path)
+    exec(example, {})
+    before, after = read_mesh(refined.out / "mesh.ply"), read_mesh("edited.glb")
+    moved = np.linalg.norm(after.vertices - before.vertices, axis=1)
+    turned = np.abs(2 * np.hypot(*before.vertices[:, :2].T) * np.sin(0.8 * before.vertices[:, 2]))
+    np.testing.assert_allclose(moved, turned, atol=1e-5)
+    assert moved.max() > 0.5
+    corners = after.vertices[after.faces].astype(np.float64)
+    places = np.array([[2, 1, 1], [1, 2, 1], [1, 1, 2]]) / 4
+    gaussians = read_gaussians(Path("edited.ply"))
+    np.testing.assert_allclose(gaussians.means.reshape(18, 3, 3), places @ corners, atol=1e-5)
 
 
 def test_a_stopped_refinement_goes_on_to_the_same_bytes(place, refined, tmp_path):

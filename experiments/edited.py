@@ -1,0 +1,65 @@
+"""Draws what the editing example of docs/refinement.md does: mesh and Gaussians of a refined run, before and after.
+
+    python experiments/edited.py --run REFINED --out docs/assets/edited.png
+
+REFINED is a folder that `gsjax refine` made from a scene whose z axis points up.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from gsjax import gallery
+from gsjax.bound import BoundGaussians, to_gaussians, to_mesh
+from gsjax.cameras import Camera
+from gsjax.cli import guarded
+from gsjax.editing import rebound, with_vertices
+from gsjax.io.images import write_image
+from gsjax.meshing import read_mesh, render_mesh
+from gsjax.meshing.pictures import headlight
+from gsjax.pipeline.pictures import to_bytes
+from gsjax.pipeline.result import Result, open_result
+
+TWIST = 1.6  # radians per unit of height
+ENLARGED = 2
+GAP = 6  # white pixels between the panels
+
+
+def draw(run: str, out: str, *, view: int) -> None:
+    """Writes four panels in a row: mesh and Gaussians as refined, mesh and Gaussians twisted."""
+    result, mesh = open_result(run), read_mesh(Path(run) / "mesh.ply")
+    refined = rebound(mesh, result.gaussians)
+    panels = [*_panels(refined, result, view), *_panels(with_vertices(refined, twisted(mesh.vertices)), result, view)]
+    gap = np.full((panels[0].shape[0], GAP, 3), 255, np.uint8)
+    write_image(Path(out), np.concatenate([part for panel in panels for part in (panel, gap)][:-1], axis=1))
+
+
+def twisted(vertices: np.ndarray) -> np.ndarray:
+    """`[V, 3]` vertices turned about the z axis, more the higher they are."""
+    x, y, z = vertices.T
+    angle = TWIST * np.maximum(z, 0)
+    return np.stack([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y, z], axis=-1)
+
+
+def enlarged(camera: Camera) -> Camera:
+    """The same view with `ENLARGED` times as many pixels along each side."""
+    K = camera.K * np.array([[ENLARGED], [ENLARGED], [1]], np.float32)
+    return Camera(camera.viewmat, K, ENLARGED * camera.width, ENLARGED * camera.height)
+
+
+def _panels(bound: BoundGaussians, result: Result, view: int) -> list[np.ndarray]:
+    camera = enlarged(result.cameras[view])
+    picture = next(gallery.pictures(to_gaussians(bound), [camera], result.background))
+    surface = render_mesh(to_mesh(bound), camera.viewmat, camera.K, camera.width, camera.height, shading=headlight)
+    return [surface, to_bytes(picture.colors)]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--run", required=True, help="folder that `gsjax refine` made")
+    parser.add_argument("--out", required=True, help="the picture (.png)")
+    parser.add_argument("--view", type=int, default=8, help="index of the view to draw (default: 8)")
+    arguments = parser.parse_args()
+    sys.exit(guarded(lambda: draw(arguments.run, arguments.out, view=arguments.view)))
