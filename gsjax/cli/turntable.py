@@ -14,7 +14,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         summary="draw a mesh from all around",
         description="""
             Draws any mesh file from a circle around it, with its texture or its vertex colours, without a
-            display. Surfaces seen from their inner side are dark red.
+            display. Faces are seen from outside only: a room is looked into through its walls.
         """,
         example="gsjax turntable garden.glb --out garden.gif --frames 36",
     )

@@ -17,7 +17,8 @@ from gsjax.errors import InputError
 from gsjax.mesh import Mesh, face_area_vectors
 
 PADDING = 4  # Texels between charts.
-MOST_CHARTED_FACES = 300_000  # xatlas takes a minute on 2 cores at this number, and more than its share above.
+LEAST_PADDING = 2  # Of which so many must be left where the charts are shrunk to fit.
+MOST_CHARTED_FACES = 1_500_000  # A million take xatlas two minutes on 2 cores.
 MOST_SECONDS = 900.0
 SMALLEST_CELL = 4  # Texels; see `cells`.
 SMALLEST_AREA = 1e-3  # Texels squared; a triangle below has one colour.
@@ -52,7 +53,7 @@ class NotUnfoldedError(Exception):
 
 
 def unwrap(mesh: Mesh, size: int) -> Atlas:
-    """Charts; cells for more than 300,000 triangles, and where xatlas fails.
+    """Charts; cells for more than 1.5 million triangles, and where xatlas fails.
 
     Args:
         mesh: What to unwrap. Triangles without area are welcome.
@@ -73,7 +74,7 @@ def charts(mesh: Mesh, size: int) -> Atlas:
     """Connected pieces, unfolded with little distortion and packed about `PADDING` texels apart.
 
     Raises:
-        NotUnfoldedError: xatlas is absent, crashed, or took longer than a quarter of an hour.
+        NotUnfoldedError: xatlas is absent, crashed, took longer than a quarter of an hour, or the texture is too small.
     """
     areas = np.linalg.norm(face_area_vectors(mesh), axis=1)
     solid = np.flatnonzero(areas > 0)
@@ -83,6 +84,8 @@ def charts(mesh: Mesh, size: int) -> Atlas:
     scaled = (mesh.vertices - mesh.vertices.mean(axis=0)) / np.sqrt(areas[solid].mean())
     found = _unfolded(scaled.astype(np.float32), mesh.faces[solid], size)
     extent = np.array([found["width"], found["height"]], np.float64)
+    if PADDING * size / extent.max() < LEAST_PADDING:
+        raise NotUnfoldedError(f"{size} px are too few for charts that take {extent.max():.0f}")
     faces = np.zeros((mesh.num_faces, 3), np.int32)
     faces[solid] = found["faces"]
     laid_out = Atlas(

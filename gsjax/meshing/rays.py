@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.mesh import Mesh
+from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.libraries import load_open3d
 
 
@@ -13,12 +13,16 @@ class FirstHits(NamedTuple):
     """The first triangle on each of R rays."""
 
     distances: np.ndarray  # [R] float32 in lengths of the ray's direction, inf where there is none
-    faces: np.ndarray  # [R] int64, meaningless where there is none
+    faces: np.ndarray  # [R] int64, 0 where there is none
     barycentrics: np.ndarray  # [R, 3] float32 weights of the triangle's corners
 
 
 Cast = Callable[[np.ndarray, np.ndarray], FirstHits]
 """From origins `[R, 3]` (or one, `[3]`) and directions `[R, 3]` of any length to what they hit first."""
+
+
+MOST_BACK_FACES = 16  # That a ray passes on its way.
+STEP = 1e-4  # Of the distance, by which a ray goes on behind a back face.
 
 
 def ray_caster(mesh: Mesh) -> Cast:
@@ -33,8 +37,32 @@ def ray_caster(mesh: Mesh) -> Cast:
         uv = answer["primitive_uvs"].numpy()
         return FirstHits(
             answer["t_hit"].numpy(),
-            answer["primitive_ids"].numpy().astype(np.int64),
+            np.where(np.isfinite(answer["t_hit"].numpy()), answer["primitive_ids"].numpy(), 0).astype(np.int64),
             np.concatenate([1 - uv.sum(axis=1, keepdims=True), uv], axis=1),
         )
 
     return cast
+
+
+def front_faces_only(mesh: Mesh, cast: Cast) -> Cast:
+    """The same for faces that are met from outside: rays pass through back faces, as viewers of glTF show a mesh."""
+    normals = face_normals(mesh)
+
+    def cast_on(origins: np.ndarray, directions: np.ndarray) -> FirstHits:
+        origins = np.broadcast_to(origins, directions.shape)
+        hits = cast(origins, directions)
+        going, passed = np.arange(len(directions)), np.zeros(len(directions))
+        for _ in range(MOST_BACK_FACES):
+            from_inside = np.sum(normals[hits.faces[going]] * directions[going], axis=1) > 0
+            going = going[np.isfinite(hits.distances[going]) & from_inside]
+            if not len(going):
+                return hits
+            passed[going] = hits.distances[going] * (1 + STEP)
+            onward = cast(origins[going] + passed[going, None] * directions[going], directions[going])
+            for whole, part in zip(hits, onward, strict=True):
+                whole[going] = part
+            hits.distances[going] += passed[going]
+        hits.distances[going] = np.inf
+        return hits
+
+    return cast_on

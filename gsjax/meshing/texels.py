@@ -10,6 +10,7 @@ from gsjax.meshing.atlas import Atlas, doubled_areas, texel_corners
 from gsjax.meshing.rays import Cast, ray_caster
 
 RAYS_AT_ONCE = 1 << 20
+GROWTH = 0.02  # Texels by which a triangle's corners are moved out before rays are cast at it.
 
 
 @dataclass(frozen=True)
@@ -32,12 +33,7 @@ def texels_of(mesh: Mesh, atlas: Atlas) -> Texels:
         atlas: Where its triangles lie.
     """
     corners = texel_corners(atlas)
-    flat_mesh = Mesh(
-        np.pad(corners.reshape(-1, 2), ((0, 0), (0, 1))).astype(np.float32),
-        np.arange(corners.shape[0] * 3, dtype=np.int32).reshape(-1, 3),
-        np.zeros((corners.shape[0] * 3, 3), np.uint8),
-    )
-    cast, rows = ray_caster(flat_mesh), max(RAYS_AT_ONCE // atlas.size, 1)
+    cast, rows = ray_caster(_lying(corners)), max(RAYS_AT_ONCE // atlas.size, 1)
     bands = [_covered(cast, atlas.size, first, min(first + rows, atlas.size)) for first in range(0, atlas.size, rows)]
     where, faces = (np.concatenate(parts).astype(np.int32) for parts in zip(*bands, strict=True))
     where, faces = _with_small_triangles(where, faces, corners, atlas.size)
@@ -80,6 +76,18 @@ def painted(texels: Texels, colors: np.ndarray, size: int) -> np.ndarray:
         assert nearest is not None
         image = image[nearest[0].ravel() * np.int64(size) + nearest[1].ravel()]
     return image.reshape(size, size, 3)
+
+
+def _lying(corners: np.ndarray) -> Mesh:
+    """The triangles in the plane z = 0, a little larger: centres exactly on a border shall be met for certain."""
+    away = corners - corners.mean(axis=1, keepdims=True)
+    away /= np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-12)
+    places = (corners + GROWTH * away).reshape(-1, 2)
+    return Mesh(
+        np.pad(places, ((0, 0), (0, 1))).astype(np.float32),
+        np.arange(len(places), dtype=np.int32).reshape(-1, 3),
+        np.zeros((len(places), 3), np.uint8),
+    )
 
 
 def _covered(cast: Cast, size: int, first_row: int, end_row: int) -> tuple[np.ndarray, np.ndarray]:

@@ -7,8 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.scipy.ndimage import map_coordinates
-from scipy import ndimage
 
 from gsjax import cameras as pinhole
 from gsjax.cameras import Camera
@@ -22,8 +20,9 @@ from gsjax.render import MIN_COVERAGE
 
 TEXELS_AT_ONCE = 1 << 18
 MIN_COSINE = 0.2  # A view flatter than this (78 degrees off the normal) says nothing of a texel.
-RELATIVE_SLACK = 2e-3  # Of the depth by which a texel may lie behind the mesh's own depth and be seen,
-PIXEL_SLACK = 2.2  # and of the pixels that the surface's slope is followed: the diagonal of 3 x 3 pixels, half.
+DEPTH_SLACK = 2e-3  # Share of its depth by which a texel may differ from the mesh's depth at a pixel and be seen there,
+PIXEL_SLACK = 2.0  # and pixels along which the surface's slope is followed.
+RENDERED_SLACK = 0.1  # Share of its depth by which what the Gaussians show may float before a texel.
 
 
 def texture_mesh(
@@ -71,13 +70,13 @@ def composited(
     sums = np.zeros((len(texels.where), 4), np.float32)
     for camera, picture in zip(cameras, pictures, strict=True):
         depth = depth_of_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height, cast=cast)
-        # The least of 3 x 3 pixels, 0 where one misses the mesh: an outline mixes what lies before and behind it.
-        nearest = ndimage.minimum_filter(depth, size=3, mode="nearest")
-        image = np.concatenate([picture.colors, picture.alphas[..., None]], axis=-1)
+        # Nothing rendered is no haze.
+        rendered = np.where(picture.depth > 0, picture.depth, np.inf)
+        shown = np.dstack([picture.colors, picture.alphas, depth, rendered]).astype(np.float32)
         for first in range(0, len(sums), TEXELS_AT_ONCE):
             part = slice(first, min(first + TEXELS_AT_ONCE, len(sums)))
             points, towards = _filled_up(texels.points[part]), _filled_up(normals[texels.faces[part]])
-            sums[part] += np.asarray(_sightings(points, towards, camera, image, nearest))[: part.stop - first]
+            sums[part] += np.asarray(_sightings(points, towards, camera, shown))[: part.stop - first]
     weights = sums[:, 3:]
     is_seen = weights[:, 0] > 0
     colors = sums[:, :3] / np.where(is_seen[:, None], weights, 1)
@@ -85,20 +84,22 @@ def composited(
 
 
 @jax.jit
-def _sightings(points: Array, normals: Array, camera: Camera, image: Array, nearest: Array) -> Array:
+def _sightings(points: Array, normals: Array, camera: Camera, shown: Array) -> Array:
     """`[C, 4]` of every texel what `_sighting` says."""
-    return jax.vmap(partial(_sighting, camera=camera, image=image, nearest=nearest))(points, normals)
+    return jax.vmap(partial(_sighting, camera=camera, shown=shown))(points, normals)
 
 
-def _sighting(point: Array, normal: Array, camera: Camera, image: Array, nearest: Array) -> Array:
+def _sighting(point: Array, normal: Array, *, camera: Camera, shown: Array) -> Array:
     """`[4]` weighted colour and weight of one point of the surface in one view; zeros where it is not seen.
+
+    The four pixels around it are mixed bilinearly, those left out that show something else: where the mesh lies
+    before or behind the point, where Gaussians float before it, or where nothing much is.
 
     Args:
         point: `[3]` world.
         normal: `[3]` unit, outward, world.
         camera: The view.
-        image: `[H, W, 4]` colours times coverage, and coverage.
-        nearest: `[H, W]` depth of the mesh, the least around every pixel.
+        shown: `[H, W, 6]` colours times coverage, coverage, depth of the mesh, and depth of the Gaussians.
     """
     in_camera = pinhole.world_to_camera(point, camera)
     depth = jnp.maximum(in_camera[2], 1e-6)
@@ -109,21 +110,21 @@ def _sighting(point: Array, normal: Array, camera: Camera, image: Array, nearest
     cosine = jnp.sum(normal * to_camera) / jnp.maximum(jnp.sqrt(jnp.sum(to_camera * to_camera)), 1e-12)
     is_facing = cosine > MIN_COSINE
     cosine = jnp.where(is_facing, cosine, 1)
-
     focal = jnp.sqrt(camera.K[0, 0] * camera.K[1, 1])
     slope = jnp.sqrt(jnp.maximum(1 - cosine * cosine, 0)) / cosine
-    slack = depth * (RELATIVE_SLACK + PIXEL_SLACK * slope / focal)
-    row, column = (
-        jnp.clip(jnp.where(is_inside, at, 0).astype(jnp.int32), 0, count - 1)
-        for at, count in ((y, camera.height), (x, camera.width))
-    )
-    is_seen = is_inside & is_facing & (depth <= nearest[row, column] + slack)
+    slack = depth * (DEPTH_SLACK + PIXEL_SLACK * slope / focal)
 
-    at = [jnp.where(is_inside, y, 0.5) - 0.5, jnp.where(is_inside, x, 0.5) - 0.5]
-    color = jax.vmap(lambda channel: map_coordinates(channel, at, order=1, mode="nearest"), in_axes=-1)(image)
-    is_shown = color[3] > MIN_COVERAGE  # Else there is next to nothing in the picture but the haze before it.
-    weight = cosine * (focal / depth) ** 2
-    return jnp.where(is_seen & is_shown, weight, 0) * color
+    def pixel(right: int, down: int) -> Array:
+        """`[4]` what one of the four pixels adds."""
+        column, row = jnp.floor(left).astype(jnp.int32) + right, jnp.floor(top).astype(jnp.int32) + down
+        here = shown[jnp.minimum(row, camera.height - 1), jnp.minimum(column, camera.width - 1)]
+        share = jnp.abs(1 - right - (left - jnp.floor(left))) * jnp.abs(1 - down - (top - jnp.floor(top)))
+        is_own = (jnp.abs(here[4] - depth) <= slack) & (here[5] * (1 + RENDERED_SLACK) >= depth)
+        return jnp.where(is_own & (here[3] > MIN_COVERAGE), share, 0) * here[:4]
+
+    left, top = (jnp.where(is_inside, at, 0.5) - 0.5 for at in (x, y))
+    mixed = pixel(0, 0) + pixel(1, 0) + pixel(0, 1) + pixel(1, 1)
+    return jnp.where(is_inside & is_facing, cosine * (focal / depth) ** 2, 0) * mixed
 
 
 def _filled_up(rows: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from gsjax.errors import InputError
 from gsjax.io.files import atomic_path
 from gsjax.mesh import Mesh, unit_or_zero
 from gsjax.meshing.pictures import Shading, render_mesh, vertex_colors
-from gsjax.meshing.rays import ray_caster
+from gsjax.meshing.rays import front_faces_only, ray_caster
 
 ELEVATION = np.radians(20.0)
 FOCAL = 1.8  # In sides of the picture: a view of 31 degrees.
@@ -28,7 +28,8 @@ def turntable(
 ) -> Iterator[np.ndarray]:
     """Pictures from a circle around the mesh, 20 degrees above its middle.
 
-    The circle leaves out the farthest hundredth of the vertices at every side: stray ones do not shrink the rest.
+    Faces are seen from outside only, as viewers of glTF show them: a room is looked into through its walls. The circle
+    leaves out the farthest hundredth of the vertices at every side: stray ones do not shrink the rest.
 
     Args:
         mesh: What to show.
@@ -45,7 +46,7 @@ def turntable(
     fine = size * OVERSAMPLING
     K = np.array([[FOCAL * fine, 0, fine / 2], [0, FOCAL * fine, fine / 2], [0, 0, 1]])
     distance = MARGIN * radius * float(np.hypot(1, 2 * FOCAL))
-    cast = ray_caster(mesh)
+    cast = front_faces_only(mesh, ray_caster(mesh))
     for viewmat in _circle(middle, distance, unit_or_zero(np.asarray(up, np.float64)), frames):
         picture = render_mesh(mesh, viewmat, K, fine, fine, shading=shading, cast=cast)
         blocks = picture.reshape(size, OVERSAMPLING, size, OVERSAMPLING, 3)
