@@ -97,8 +97,7 @@ def read_textured(path: str | Path) -> TexturedMesh | None:
     if picture is None:
         return None
     vertices, faces = _triangles(surface)
-    uvs = np.asarray(surface.visual.uv, np.float32) * [1, -1] + [0, 1]
-    atlas = Atlas(uvs.astype(np.float32), np.arange(len(vertices), dtype=np.int32), faces, picture.shape[1], 0)
+    atlas = Atlas(_uvs(surface), np.arange(len(vertices), dtype=np.int32), faces, picture.shape[1], 0)
     return TexturedMesh(Mesh(vertices, faces, _vertex_colors(surface)), atlas, picture)
 
 
@@ -158,7 +157,9 @@ def _loaded(path: Path):
         raise InputError(f"{path}: no such mesh file")
     trimesh = load_trimesh()
     try:
-        surface = trimesh.load(path, force="mesh", process=False, maintain_order=True)
+        # Where order is kept, places in the texture that share a vertex of an .obj become one.
+        has_places = path.suffix.lower() == ".obj" and b"\nvt " in path.read_bytes()
+        surface = trimesh.load(path, force="mesh", process=False, maintain_order=not has_places)
         _triangles(surface)
     except Exception as error:  # Readers raise whatever the broken bytes lead to.
         raise InputError(f"{path}: not readable as a mesh ({type(error).__name__}: {error})".splitlines()[0]) from error
@@ -176,9 +177,16 @@ def _vertex_colors(surface) -> np.ndarray:
     """`[V, 3]` uint8."""
     if surface.visual.kind == "vertex":
         return np.asarray(surface.visual.vertex_colors[:, :3], np.uint8)
-    if _picture(surface) is not None:
-        return np.asarray(surface.visual.to_color().vertex_colors[:, :3], np.uint8)
+    picture = _picture(surface)
+    if picture is not None:
+        columns, rows = np.floor(_uvs(surface) % 1 * picture.shape[1::-1]).astype(np.int64).T
+        return picture[rows, columns]
     return np.full((len(surface.vertices), 3), 128, np.uint8)
+
+
+def _uvs(surface) -> np.ndarray:
+    """`[V, 2]` float32 places in the texture, y down; trimesh counts from below."""
+    return (np.asarray(surface.visual.uv, np.float64) * [1, -1] + [0, 1]).astype(np.float32)
 
 
 def _picture(surface) -> np.ndarray | None:

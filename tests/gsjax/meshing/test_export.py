@@ -7,6 +7,8 @@ import pytest
 from gsjax.errors import InputError
 from gsjax.mesh import Mesh
 from gsjax.meshing import read_mesh, write_mesh
+from gsjax.meshing.atlas import Atlas, TexturedMesh
+from gsjax.meshing.export import read_textured, write_textured
 
 
 @pytest.fixture
@@ -105,3 +107,114 @@ def test_no_colours_in_the_file_is_grey(tmp_path):
     (tmp_path / "m.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     found = read_mesh(tmp_path / "m.obj")
     np.testing.assert_array_equal(found.colors, np.full((3, 3), 128))
+
+
+@pytest.fixture
+def textured(mesh):
+    """Every triangle has its own quarter or so of a picture without any symmetry, and vertices on seams."""
+    rng = np.random.default_rng(1)
+    faces = np.arange(15, dtype=np.int32).reshape(5, 3)
+    atlas = Atlas(rng.uniform(0.05, 0.95, (15, 2)).astype(np.float32), mesh.faces.ravel(), faces, 32, 5)
+    return TexturedMesh(mesh, atlas, rng.integers(0, 256, (32, 32, 3), dtype=np.uint8))
+
+
+def nearest(picture, uvs):
+    """Texels under places whose y points down."""
+    rows, columns = np.floor(uvs[:, ::-1] * len(picture)).astype(int).T
+    return picture[rows, columns]
+
+
+@pytest.mark.parametrize("name", ["m.glb", "m.obj"])
+def test_a_texture_round_trips(tmp_path, textured, name):
+    write_textured(tmp_path / name, textured)
+    found = read_textured(tmp_path / name)
+    np.testing.assert_array_equal(found.texture, textured.texture)
+    corners = textured.mesh.faces
+    np.testing.assert_allclose(
+        found.mesh.vertices[found.mesh.faces], textured.mesh.vertices[corners], rtol=1e-7, atol=1e-7
+    )
+    ours, theirs = textured.atlas.uvs[textured.atlas.faces], found.atlas.uvs[found.atlas.faces]
+    np.testing.assert_allclose(theirs, ours, atol=1e-6)
+    np.testing.assert_array_equal(found.mesh.faces, found.atlas.faces)
+    # A reader that knows of no textures shows what they hold at the corners.
+    seen = read_mesh(tmp_path / name)
+    np.testing.assert_array_equal(
+        seen.colors[seen.faces].reshape(-1, 3), nearest(textured.texture, ours.reshape(-1, 2))
+    )
+
+
+def test_a_file_without_a_texture_has_none(tmp_path, mesh):
+    for name in ("m.ply", "m.glb", "m.obj"):
+        write_mesh(tmp_path / name, mesh)
+        assert read_textured(tmp_path / name) is None
+
+
+def test_open3d_reads_the_same_texture_from_obj(tmp_path, textured):
+    import open3d as o3d
+
+    write_textured(tmp_path / "m.obj", textured)
+    found = o3d.io.read_triangle_mesh(str(tmp_path / "m.obj"), enable_post_processing=False)
+    np.testing.assert_allclose(
+        np.asarray(found.vertices)[np.asarray(found.triangles)], textured.mesh.vertices[textured.mesh.faces], rtol=1e-6
+    )
+    picture, uvs = np.asarray(found.textures[-1])[..., :3], np.asarray(found.triangle_uvs)
+    ours = textured.atlas.uvs[textured.atlas.faces].reshape(-1, 2)
+    # Open3D turns the picture over where its places count from below.
+    np.testing.assert_array_equal(nearest(picture, uvs), nearest(textured.texture, ours))
+
+
+def test_obj_keeps_the_vertices_and_their_colours_beside_the_texture(tmp_path, textured):
+    write_textured(tmp_path / "m.obj", textured)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["m.mtl", "m.obj", "m.png"]
+    lines = (tmp_path / "m.obj").read_text().splitlines()
+    vertices = np.array([line.split()[1:] for line in lines if line.startswith("v ")], float)
+    np.testing.assert_allclose(vertices[:, :3], textured.mesh.vertices, rtol=1e-7)
+    np.testing.assert_allclose(vertices[:, 3:] * 255, textured.mesh.colors, atol=0.1)
+    places = np.array([line.split()[1:] for line in lines if line.startswith("vt ")], float)
+    np.testing.assert_allclose(places * [1, -1] + [0, 1], textured.atlas.uvs, atol=1e-6)  # v counts from below
+    corners = [[part.split("/") for part in line.split()[1:]] for line in lines if line.startswith("f ")]
+    corners = np.array(corners, int) - 1
+    np.testing.assert_array_equal(corners[..., 0], textured.mesh.faces)
+    np.testing.assert_array_equal(corners[..., 1], textured.atlas.faces)
+    assert "map_Kd m.png" in (tmp_path / "m.mtl").read_text().splitlines()
+
+
+def test_textured_glb_is_unlit_and_nothing_is_multiplied_with_the_texture(tmp_path, textured):
+    write_textured(tmp_path / "m.glb", textured)
+    data = (tmp_path / "m.glb").read_bytes()
+    header = json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])
+    (material,), (image,) = header["materials"], header["images"]
+    assert "KHR_materials_unlit" in material["extensions"]
+    assert header["extensionsUsed"] == ["KHR_materials_unlit"]
+    assert "KHR_materials_unlit" not in header.get("extensionsRequired", [])
+    assert material["pbrMetallicRoughness"].get("baseColorFactor", [1, 1, 1, 1]) == [1, 1, 1, 1]
+    assert image["mimeType"] == "image/png"
+    (primitive,) = header["meshes"][0]["primitives"]
+    assert "COLOR_0" not in primitive["attributes"]
+    # glTF's v counts from above, as ours does.
+    accessor = header["accessors"][primitive["attributes"]["TEXCOORD_0"]]
+    view = header["bufferViews"][accessor["bufferView"]]
+    start = 20 + struct.unpack("<I", data[12:16])[0] + 8 + view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    stored = np.frombuffer(data, np.float32, accessor["count"] * 2, start).reshape(-1, 2)
+    np.testing.assert_allclose(stored, textured.atlas.uvs, atol=1e-6)
+
+
+def test_textures_go_into_obj_and_glb_alone(tmp_path, textured):
+    with pytest.raises(InputError, match=r"m\.ply: meshes with a texture end in \.obj, \.glb"):
+        write_textured(tmp_path / "m.ply", textured)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("name", "writer"), [("m.obj", "numpy.savetxt"), ("m.glb", "trimesh.Trimesh.export")])
+def test_a_failed_write_of_a_texture_leaves_the_old_files(tmp_path, textured, monkeypatch, name, writer):
+    write_textured(tmp_path / name, textured)
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(writer, full)
+    other = TexturedMesh(textured.mesh, textured.atlas, 255 - textured.texture)
+    with pytest.raises(InputError, match="No space left"):
+        write_textured(tmp_path / name, other)
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before

@@ -1,0 +1,114 @@
+"""`gsjax texture` from files to files."""
+
+import numpy as np
+import pytest
+import small_scenes
+
+from gsjax import cli
+from gsjax.io import ply, runs
+from gsjax.mesh import Mesh
+from gsjax.meshing.export import read_textured, write_mesh
+
+SIZE = 128
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A run of a striped wall at z = 4 that three cameras look at, and a mesh of it in grey."""
+    folder = tmp_path_factory.mktemp("run")
+    steps = np.linspace(-1.5, 1.5, 46)
+    x, y = (part.ravel() for part in np.meshgrid(steps, steps))
+    colors = np.where((x < 0)[:, None], [0.9, 0.1, 0.1], [0.1, 0.2, 0.8])
+    wall = small_scenes.discs(np.stack([x, y, np.full(x.size, 4.0)], -1), [0, 0, -1.0], 0.05, colors=colors)
+    ply.write_gaussians(folder / "gaussians.ply", wall)
+    runs.write_json(folder / "config.json", {"background": "white"})
+    cameras = [small_scenes.camera_at((at, 0.1, 0), (0, 0, 4), size=(64, 48), focal=60) for at in (-0.5, 0.0, 0.5, 1.0)]
+    records = [
+        {"name": f"{k}.png", "width": 64, "height": 48, "viewmat": c.viewmat, "K": c.K, "held_out": k == 3}
+        for k, c in enumerate(cameras)
+    ]
+    runs.write_json(folder / "cameras.json", records)
+    corners = np.array([[-1, -1, 4], [1, -1, 4], [1, 1, 4], [-1, 1, 4]], np.float32)
+    faces = np.array([[0, 2, 1], [0, 3, 2]], np.int32)
+    write_mesh(folder / "grey.ply", Mesh(corners, faces, np.full((4, 3), 128, np.uint8)))
+    return folder
+
+
+@pytest.mark.parametrize("name", ["wall.glb", "wall.obj"])
+def test_a_grey_mesh_gets_the_colours_of_the_gaussians(folder, tmp_path, capsys, name):
+    command = ["texture", str(folder), "--mesh", str(folder / "grey.ply"), "--out", str(tmp_path / name)]
+    assert cli.main([*command, "--size", str(SIZE)]) == 0
+    report = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines() if line)
+    assert int(report["faces"]) == 2
+    assert float(report["seen_share"]) > 0.85
+    textured = read_textured(tmp_path / name)
+    assert textured is not None
+    assert textured.texture.shape == (SIZE, SIZE, 3)
+    inner = np.array([[u, v] for u in (-0.5, 0.5) for v in (-0.5, 0.0, 0.5)])  # in the world, clear of the stripe
+    found = [_color_at(textured, point) for point in inner]
+    expected = np.where(inner[:, :1] < 0, [0.9, 0.1, 0.1], [0.1, 0.2, 0.8])
+    # The discs cover 0.97 of a pixel and its neighbours mix in: measured 0.02.
+    assert np.abs(np.array(found) / 255 - expected).max() < 0.05
+
+
+def _color_at(textured, point):
+    """The texel at a point (x, y) of the wall, through the triangle that holds it."""
+    for corners, places in zip(
+        textured.mesh.vertices[textured.mesh.faces], textured.atlas.uvs[textured.atlas.faces], strict=True
+    ):
+        weights = np.linalg.solve(np.vstack([corners[:, :2].T.astype(float), np.ones(3)]), [*point, 1])
+        if weights.min() >= -1e-9:
+            column, row = np.floor(weights @ places * SIZE).astype(int)
+            return textured.texture[row, column]
+    raise AssertionError(f"no triangle at {point}")
+
+
+@pytest.mark.parametrize(
+    ("mesh", "options", "message"),
+    [
+        ("grey.ply", ["--out", "t.ply"], "t.ply: meshes with a texture end in .obj, .glb"),
+        ("grey.ply", ["--out", "t.glb", "--size", "20"], "--size 20 is not between 64 and 8192"),
+        ("grey.ply", ["--out", "t.glb", "--size", "9000"], "--size 9000 is not between 64 and 8192"),
+        ("none.ply", ["--out", "t.glb"], "none.ply: no such mesh file"),
+    ],
+)
+def test_bad_input_is_one_line_and_code_2(folder, monkeypatch, capsys, mesh, options, message):
+    monkeypatch.chdir(folder)
+    before = sorted(folder.iterdir())
+    assert cli.main(["texture", str(folder), "--mesh", mesh, *options]) == 2
+    assert capsys.readouterr().err == f"gsjax: error: {message}\n"
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_texture_too_small_for_the_triangles_is_one_line(folder, tmp_path, capsys):
+    steps = np.linspace(-1, 1, 41, dtype=np.float32)
+    x, y = np.meshgrid(steps, steps)
+    at = np.arange(x.size, dtype=np.int32).reshape(x.shape)
+    a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]))
+    faces = np.r_[np.stack([a, b, c], -1), np.stack([b, d, c], -1)]
+    corners = np.stack([x.ravel(), y.ravel(), np.full(x.size, 4, np.float32)], -1)[faces]
+    # Apart from each other: charts of their own, each with its padding.
+    vertices = (0.9 * corners + 0.1 * corners.mean(axis=1, keepdims=True)).reshape(-1, 3)
+    loose = Mesh(
+        vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3), np.zeros((len(vertices), 3), np.uint8)
+    )
+    write_mesh(tmp_path / "loose.ply", loose)
+    out = tmp_path / "t.glb"
+    assert (
+        cli.main(["texture", str(folder), "--mesh", str(tmp_path / "loose.ply"), "--out", str(out), "--size", "64"])
+        == 2
+    )
+    error = capsys.readouterr().err
+    assert "a texture of 64 px has no room for 3200 triangles: it takes 160 px" in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_a_run_without_training_views_is_one_line(folder, tmp_path, capsys):
+    for name in ("gaussians.ply", "config.json"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    records = runs.read_json(folder / "cameras.json")
+    runs.write_json(tmp_path / "cameras.json", [record | {"held_out": True} for record in records])
+    command = ["texture", str(tmp_path), "--mesh", str(folder / "grey.ply"), "--out", str(tmp_path / "t.glb")]
+    assert cli.main(command) == 2
+    assert "has no training views to look from" in capsys.readouterr().err
