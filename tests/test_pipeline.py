@@ -80,7 +80,7 @@ def test_a_run_folder_holds_what_was_asked_and_what_came_of_it(run, scene):
 @pytest.mark.parametrize("stopped_at", [10, 23])
 def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, monkeypatch, stopped_at):
     settings = config.parse(Settings, SETTINGS)
-    note = pipeline.train.__globals__["Journal"].note
+    note = pipeline.train.__globals__["TrainingJournal"].note
 
     def killed(journal, progress):
         note(journal, progress)
@@ -89,7 +89,7 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, mon
 
     folder = tmp_path / "run"
     with monkeypatch.context() as patched:
-        patched.setattr(pipeline.train.__globals__["Journal"], "note", killed)
+        patched.setattr(pipeline.train.__globals__["TrainingJournal"], "note", killed)
         with pytest.raises(KeyboardInterrupt):
             pipeline.train(scene, folder, settings)
     pipeline.train(scene, folder, settings, resume=True)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gsjax.cameras import look_at
 from gsjax.errors import InputError
 from gsjax.io.files import atomic_path
 from gsjax.mesh import Mesh, unit_or_zero
@@ -88,9 +89,4 @@ def _circle(middle: np.ndarray, distance: float, up: np.ndarray, count: int) -> 
     second = np.cross(up, first)
     for angle in 2 * np.pi * np.arange(count) / count:
         outward = np.cos(angle) * first + np.sin(angle) * second
-        forward = -(np.cos(ELEVATION) * outward + np.sin(ELEVATION) * up)
-        right = unit_or_zero(np.cross(forward, up))
-        rotation = np.stack([right, np.cross(forward, right), forward])
-        viewmat = np.eye(4)
-        viewmat[:3, :3], viewmat[:3, 3] = rotation, -rotation @ (middle - distance * forward)
-        yield viewmat
+        yield look_at(middle + distance * (np.cos(ELEVATION) * outward + np.sin(ELEVATION) * up), middle, up)

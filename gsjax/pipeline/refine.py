@@ -1,26 +1,24 @@
 """A mesh and Gaussians bound to it, trained together on a run's photos, in a run folder of their own."""
 
-import time
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from tqdm import tqdm
+from jax import Array
 
 from gsjax import config, refining
 from gsjax.bound import BoundGaussians, bind, to_gaussians, to_mesh
 from gsjax.errors import InputError
-from gsjax.io import checkpoints, runs
+from gsjax.io import runs
 from gsjax.io.ply import write_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.mesh_terms import mesh_graph
 from gsjax.meshing.cleaning import clean
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline.evaluate import score_images
+from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.result import write_cameras
-from gsjax.refining import Refinement, RefineProgress, RefineState
+from gsjax.refining import Refinement, RefineProgress
 from gsjax.scene import Scene, extent
 from gsjax.training import BACKGROUNDS, largest_need
 from gsjax.views import stack_views
@@ -71,9 +69,8 @@ def refine(
     asked = {**trained, "mesh": str(source.resolve()), "refinement": config.to_dict(settings)}
     folder = runs.reopen(out, asked) if resume else runs.create(out, asked, scene=scene.root, seed=settings.seed)
     optimizer = refining.make_optimizer(settings, size, coarse.num_vertices)
-    state, capacity, seconds = _latest(folder, refining.initial_state(bound, optimizer))
-    runs.truncate_metrics(folder, int(state.step))
-    with _Journal(folder, settings.steps, int(state.step), seconds) as journal:
+    state, capacity, seconds = beginning(folder, refining.initial_state(bound, optimizer))
+    with _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
         state = refining.refine(
             settings,
             mesh_graph(np.asarray(state.gaussians.faces)),
@@ -85,19 +82,6 @@ def refine(
             capacity=capacity,
         )
         return _finish(folder, scene, trained["background"], state.gaussians, settings.steps, journal.seconds)
-
-
-def _latest(folder: Path, initial: RefineState) -> tuple[RefineState, int | None, float]:
-    """State, pair capacity and seconds of the newest checkpoint, or of the start."""
-    found = runs.latest_checkpoint(folder)
-    if found is None:
-        return initial, None, 0.0
-    stored = checkpoints.load(found[1], _checkpoint(initial, 0, 0.0))
-    return jax.tree.map(jnp.asarray, stored["state"]), int(stored["capacity"]), float(stored["seconds"])
-
-
-def _checkpoint(state: RefineState, capacity: int, seconds: float) -> dict[str, Any]:
-    return {"state": state, "capacity": np.int64(capacity), "seconds": np.float64(seconds)}
 
 
 def _finish(
@@ -121,46 +105,19 @@ def _finish(
     return summary
 
 
-class _Journal:
-    """What a refinement leaves behind while it goes: a progress bar, metrics and checkpoints."""
+class _RefinementJournal(Journal):
+    """Logs and saves now and then."""
 
     def __init__(self, folder: Path, steps: int, step: int, seconds: float):
-        self.folder, self.steps, self.recent = folder, steps, []
-        self._seconds_before, self._started = seconds, time.perf_counter()
-        self._bar = tqdm(total=steps, initial=step, desc="refine", unit="step", smoothing=0.05)
-
-    def __enter__(self) -> "_Journal":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()
-
-    @property
-    def seconds(self) -> float:
-        """Time so far, earlier sessions of this refinement included."""
-        return self._seconds_before + time.perf_counter() - self._started
+        super().__init__(folder, "refine", steps, step, seconds)
+        self.recent: list[Array] = []  # PSNR of the views since the last line: single views differ by decibels
 
     def note(self, progress: RefineProgress) -> None:
-        self._bar.update()
+        self.bar.update()
         self.recent.append(progress.metrics.psnr)
         last = progress.step == self.steps
         if progress.step % LOGGED_EVERY == 0 or last:
-            self._log(progress)
+            self.log(progress.step, progress.metrics, psnr=sum(map(float, self.recent)) / len(self.recent))
+            self.recent = []
         if progress.step % SAVED_EVERY == 0 or last:
-            tree = _checkpoint(progress.state, progress.capacity, self.seconds)
-            runs.save_checkpoint(self.folder, progress.step, tree)
-
-    def _log(self, progress: RefineProgress) -> None:
-        metrics = progress.metrics
-        record = {
-            "step": progress.step,
-            "loss": float(metrics.loss),
-            # Single views differ by decibels.
-            "psnr": sum(map(float, self.recent)) / len(self.recent),
-            "pairs": int(metrics.needed),
-            "seconds": round(self.seconds, 2),
-            "terms": {name: float(value) for name, value in metrics.terms.items()},
-        }
-        self.recent = []
-        runs.append_metrics(self.folder, record)
-        self._bar.set_postfix_str(f"loss {record['loss']:.4f}, PSNR {record['psnr']:.1f} dB", refresh=False)
+            self.save(progress.step, progress.state, progress.capacity)

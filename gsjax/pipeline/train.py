@@ -1,22 +1,20 @@
 """A data set to Gaussians, in a run folder that can be stopped and continued at any moment."""
 
-import time
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from tqdm import tqdm
 
 from gsjax import config, density_control, fitting, initialize, optimizers, training
 from gsjax.errors import InputError
 from gsjax.fitting import Progress
 from gsjax.gaussians import Gaussians, take
-from gsjax.io import checkpoints, runs
+from gsjax.io import runs
 from gsjax.io.ply import write_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.pipeline.evaluate import score_images
+from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.prior import RunPrior
 from gsjax.pipeline.result import write_cameras
 from gsjax.scene import Scene, extent
@@ -54,9 +52,8 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
     first = initialize.from_points(
         loaded.points, loaded.point_colors, capacity=settings.max_gaussians, sh_degree=settings.sh_degree
     )
-    state, capacity, seconds = _latest(run, training.initial_state(first, optimizer))
-    runs.truncate_metrics(run, int(state.step))
-    with Journal(run, settings, loaded, int(state.step), seconds) as journal:
+    state, capacity, seconds = beginning(run, training.initial_state(first, optimizer))
+    with TrainingJournal(run, settings, loaded, int(state.step), seconds) as journal:
         state = fitting.fit(
             settings, frames, size, state, optimizer, prior=prior, observe=journal.note, capacity=capacity
         )
@@ -66,17 +63,6 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
 def living(gaussians: Gaussians) -> Gaussians:
     """The Gaussians without the free rows of their buffers, numpy."""
     return jax.tree.map(np.asarray, take(gaussians, np.asarray(density_control.is_alive(gaussians))))
-
-
-def _latest(run: Path, initial: TrainState) -> tuple[TrainState, int | None, float]:
-    """State, pair capacity and seconds of the newest checkpoint, or of the start."""
-    found = runs.latest_checkpoint(run)
-    if found is None:
-        return initial, None, 0.0
-    like = {"state": initial, "capacity": np.int64(0), "seconds": np.float64(0)}
-    stored = checkpoints.load(found[1], like)
-    state = jax.tree.map(jnp.asarray, stored["state"])
-    return state, int(stored["capacity"]) or None, float(stored["seconds"])
 
 
 def _finish(run: Path, settings: Settings, scene: Scene, state: TrainState, seconds: float) -> dict[str, Any]:
@@ -94,59 +80,30 @@ def _finish(run: Path, settings: Settings, scene: Scene, state: TrainState, seco
     return summary
 
 
-class Journal:
-    """What a run leaves behind while it goes: a progress bar, metrics and checkpoints."""
+class TrainingJournal(Journal):
+    """Logs, scores and saves as the settings say."""
 
     def __init__(self, run: Path, settings: Settings, scene: Scene, step: int, seconds: float):
-        self.run, self.settings, self.scene = run, settings, scene
-        self._seconds_before, self._started = seconds, time.perf_counter()
-        self._bar = tqdm(total=total_steps(settings), initial=step, desc="train", unit="step", smoothing=0.05)
-
-    def __enter__(self) -> "Journal":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()
-
-    @property
-    def seconds(self) -> float:
-        """Training time so far, scoring and earlier sessions of this run included."""
-        return self._seconds_before + time.perf_counter() - self._started
+        """Begin at `step`."""
+        super().__init__(run, "train", total_steps(settings), step, seconds)
+        self.settings, self.scene = settings, scene
 
     def note(self, progress: Progress) -> None:
-        """Log, score and save as the settings say."""
-        every, last = self.settings.logging, progress.step == total_steps(self.settings)
-        self._bar.set_description(progress.phase.name, refresh=False)
-        self._bar.update()
+        """What the loop tells after every step."""
+        every, last = self.settings.logging, progress.step == self.steps
+        self.bar.set_description(progress.phase.name, refresh=False)
+        self.bar.update()
         scored = every.evaluate_every > 0 and progress.step % every.evaluate_every == 0 and not last
         if scored or last or progress.step % every.metrics_every == 0:
-            self._log(progress, scored)
+            count = int(training.count_alive(progress.state.gaussians))
+            more: dict[str, Any] = {"phase": progress.phase.name, "gaussians": count}
+            if scored:
+                more["held_out_psnr"] = self._held_out_psnr(progress.state)
+            self.log(progress.step, progress.metrics, f", {count:,} Gaussians", **more)
         if progress.step % every.checkpoint_every == 0 or last:
             # The last step of a phase leaves the buffer's capacity to the next phase.
-            tree = {
-                "state": progress.state,
-                "capacity": np.int64(0 if progress.phase_done else progress.capacity),
-                "seconds": np.float64(self.seconds),
-            }
-            runs.save_checkpoint(self.run, progress.step, tree)
+            self.save(progress.step, progress.state, 0 if progress.phase_done else progress.capacity)
 
-    def _log(self, progress: Progress, scored: bool) -> None:
-        metrics = progress.metrics
-        record = {
-            "step": progress.step,
-            "phase": progress.phase.name,
-            "loss": float(metrics.loss),
-            "psnr": float(metrics.psnr),
-            "gaussians": int(training.count_alive(progress.state.gaussians)),
-            "pairs": int(metrics.needed),
-            "seconds": round(self.seconds, 2),
-            "terms": {name: float(value) for name, value in metrics.terms.items()},
-        }
-        if scored:
-            gaussians = living(progress.state.gaussians)
-            scores = score_images(gaussians, self.scene.held_out_frames, self.settings.background)
-            record["held_out_psnr"] = scores["psnr"]
-        runs.append_metrics(self.run, record)
-        self._bar.set_postfix_str(
-            f"loss {record['loss']:.4f}, PSNR {record['psnr']:.1f} dB, {record['gaussians']:,} Gaussians", refresh=False
-        )
+    def _held_out_psnr(self, state: TrainState) -> float:
+        frames, background = self.scene.held_out_frames, self.settings.background
+        return score_images(living(state.gaussians), frames, background)["psnr"]
