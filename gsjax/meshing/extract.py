@@ -71,11 +71,15 @@ def _part(seen: Sighting, region: Region, min_component_share: float, max_faces:
         low, high = region.corners()
         raise InputError(
             f"no mesh: the box {low} to {high} holds none of {len(seen.points)} surface points, "
-            f"which span {seen.points.min(0).tolist()} to {seen.points.max(0).tolist()}"
+            f"which span {_rounded(seen.points.min(0))} to {_rounded(seen.points.max(0))}"
         )
     rough, chosen = seen.build(region)
     mesh, cleaning = clean(cut(rough, region), min_component_share=min_component_share, max_faces=max_faces)
     return mesh, {"box": region.corners(), "points_seen": count, **chosen, "cleaning": asdict(cleaning)}
+
+
+def _rounded(point: np.ndarray) -> list[float]:
+    return point.astype(np.float64).round(3).tolist()
 
 
 def cut(mesh: Mesh, region: Region) -> Mesh:

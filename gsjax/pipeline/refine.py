@@ -49,10 +49,10 @@ def refine(
             cannot be written.
     """
     run = Path(run)
+    manifest, trained = runs.read_json(run / "manifest.json"), runs.read_json(run / "config.json")
     source = run / "mesh.ply" if mesh is None else Path(mesh)
     if mesh is None and not source.exists():
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
-    manifest, trained = runs.read_json(run / "manifest.json"), runs.read_json(run / "config.json")
     scene = load_scene(manifest["scene"], downscale=trained["downscale"], folder_masks=trained["masks"])
     coarse, _ = clean(read_mesh(source), max_faces=settings.faces)
     data, size = stack_views(scene.train_frames), extent(scene.train_frames)
