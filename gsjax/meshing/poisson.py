@@ -20,13 +20,13 @@ class PoissonOptions:
     """The numbers of the reconstruction; SuGaR's, but for what it leaves to the user."""
 
     depth: int | None = None  # of the octree; None: cells of twice the points' spacing or what the caller asks for
-    scale: float = 1.1  # the octree's cube over the longest side of the points' box
+    scale: float = 1.1  # the octree's cube over the longest side of the points' box, at least
     linear_fit: bool = False
     threads: int = 1  # with more, equal input gives meshes that differ in the last bits
     outlier_neighbors: int = 20  # of the statistical filter
     outlier_ratio: float = 20.0  # standard deviations beyond the mean distance: very lax
     trim: Trim = adaptive
-    trim_cells: float = 4.0  # holes up to twice as wide are bridged, and open ends grow by as much: cells, or
+    trim_cells: float = 5.0  # holes up to twice as wide are bridged, and open ends grow by as much: cells, or
     trim_spacings: float = 4.0  # spacings of the points where those are longer; half of it is near
 
 
@@ -36,6 +36,7 @@ class PoissonReport:
 
     points_used: int  # in the region and its rim, after the outliers went
     depth: int
+    cell: float  # side of the finest, scene units
     trim_quantile: float  # share of the vertices cut for their density
     trim_distance: float  # beyond which vertices were cut, scene units
 
@@ -68,11 +69,15 @@ def reconstruct(
     kept = np.asarray(cloud.points)
     if len(kept) < MIN_POINTS:
         raise InputError(f"no mesh: {len(kept)} surface points, Poisson reconstruction needs {MIN_POINTS}")
-    gap, side = spacing(kept), options.scale * np.ptp(kept, axis=0).max()
-    depth = options.depth or depth_for_cell(side, max(2 * gap, smallest_cell))
-    far = max(options.trim_spacings * gap, options.trim_cells * side / 2**depth)
+    gap, extent = spacing(kept), float(np.ptp(kept, axis=0).max())
+    if options.depth is None:
+        depth, scale = octree_for_cell(extent, max(2 * gap, smallest_cell), options.scale)
+    else:
+        depth, scale = options.depth, options.scale
+    cell = scale * extent / 2**depth
+    far = max(options.trim_spacings * gap, options.trim_cells * cell)
 
-    surface, densities = _poisson(cloud, depth, options)
+    surface, densities = _poisson(cloud, depth, scale, options)
     distances = np.asarray(KDTree(kept).query(np.asarray(surface.vertices), workers=-1)[0])
     edges = edge_table(np.asarray(surface.triangles)).pairs
     cut = options.trim(Support(distances, densities, edges, near=far / 2, far=far))
@@ -84,7 +89,7 @@ def reconstruct(
         faces=np.asarray(surface.triangles, np.int32),
         colors=np.clip(np.round(np.asarray(surface.vertex_colors) * 255), 0, 255).astype(np.uint8),
     )
-    return mesh, PoissonReport(len(kept), depth, cut.quantile, float(far))
+    return mesh, PoissonReport(len(kept), depth, cell, cut.quantile, float(far))
 
 
 def spacing(points: np.ndarray) -> float:
@@ -93,9 +98,20 @@ def spacing(points: np.ndarray) -> float:
     return float(np.median(KDTree(points).query(sample, 2, workers=-1)[0][:, 1]))
 
 
-def depth_for_cell(side: float, cell: float) -> int:
-    """The deepest octree of that side, from 6 to 10, whose finest cell is no smaller than `cell`; scene units."""
-    return int(np.clip(np.floor(np.log2(side / max(cell, 1e-6 * side))), *DEPTHS))
+def octree_for_cell(extent: float, cell: float, scale: float) -> tuple[int, float]:
+    """Depth, from 6 to 10, and scale, at least the given one, of an octree whose finest cells are of side `cell`.
+
+    An octree halves its cube, so the cube is made larger until a whole number of halvings fits. Cells are larger than
+    asked for where depth 10 is not enough, and smaller where 6 is too much.
+
+    Args:
+        extent: Longest side of the points' box, scene units.
+        cell: Scene units.
+        scale: Of the cube over the box.
+    """
+    halvings = np.ceil(np.log2(scale * extent / max(cell, 1e-6 * extent)))
+    depth = int(np.clip(halvings, *DEPTHS))
+    return depth, float(np.clip(cell * 2**depth / extent, scale, 2 * scale))
 
 
 def _as_cloud(points: np.ndarray, normals: np.ndarray, colors: np.ndarray):
@@ -114,10 +130,10 @@ def _without_outliers(cloud, options: PoissonOptions):
     return cloud.remove_statistical_outlier(options.outlier_neighbors, options.outlier_ratio)[0]
 
 
-def _poisson(cloud, depth: int, options: PoissonOptions):
+def _poisson(cloud, depth: int, scale: float, options: PoissonOptions):
     o3d = load_open3d()
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         surface, densities = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
-            cloud, depth=depth, scale=options.scale, linear_fit=options.linear_fit, n_threads=options.threads
+            cloud, depth=depth, scale=scale, linear_fit=options.linear_fit, n_threads=options.threads
         )
     return surface, np.asarray(densities)

@@ -67,14 +67,23 @@ def test_equal_input_gives_equal_meshes():
     np.testing.assert_array_equal(a.faces, b.faces)
 
 
-def test_depth_follows_the_cell_and_the_spacing():
-    for depth in (6, 7, 8, 9, 10):
-        assert poisson.depth_for_cell(3.0, 1.001 * 3.0 / 2**depth) == max(depth - 1, 6)
-        assert poisson.depth_for_cell(3.0, 0.999 * 3.0 / 2**depth) == depth
-    assert poisson.depth_for_cell(3.0, 0.0) == 10
-    assert poisson.depth_for_cell(3.0, 5.0) == 6
+def test_the_octree_has_cells_of_the_size_asked_for():
+    for cell in np.geomspace(3.3 / 2**10, 3.3 / 2**6, 9):
+        depth, scale = poisson.octree_for_cell(3.0, cell, 1.1)
+        assert 3.0 * scale / 2**depth == pytest.approx(cell)
+        assert 6 <= depth <= 10 and 1.1 <= scale <= 2.2
+    assert poisson.octree_for_cell(3.0, 0.0, 1.1) == (10, 1.1)
+    assert poisson.octree_for_cell(3.0, 50.0, 1.1) == (6, 2.2)
     points, colors = sphere(3000)
-    assert poisson.reconstruct(points, points, colors, smallest_cell=2.2 / 2**6)[1].depth == 6
+    for cell in (0.065, 0.05):
+        _, report = poisson.reconstruct(points, points, colors, smallest_cell=cell)
+        assert report.cell == pytest.approx(max(cell, 2 * poisson.spacing(points)))
+
+
+def test_a_given_depth_keeps_the_scale():
+    points, colors = sphere(3000)
+    report = poisson.reconstruct(points, points, colors, DEPTH_6)[1]
+    assert report.cell == pytest.approx(1.1 * np.ptp(points, axis=0).max() / 2**6)
 
 
 def test_spacing_of_a_grid_is_its_step():
