@@ -5,7 +5,6 @@ its own. Prints a table of figures and one of stages; writes OUT/surface.json an
 """
 
 import argparse
-import resource
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -19,6 +18,7 @@ from train import load_settings
 
 from gsjax import tables
 from gsjax.cli import guarded
+from gsjax.io.machine import peak_memory
 
 WAYS = ("vanilla", "surface", "refined")
 FIGURES = ("chamfer", "fscore", "fscore_half", "normal_consistency", "outward_share", "psnr", "ssim",
@@ -71,8 +71,7 @@ def _alone(stage: Callable, *arguments: Any) -> tuple[Any, dict[str, float]]:
 def _measured(stage: Callable, *arguments: Any) -> tuple[Any, dict[str, float]]:
     started = time.perf_counter()
     result = stage(*arguments)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    return result, {"seconds": time.perf_counter() - started, "peak_gib": peak}
+    return result, {"seconds": time.perf_counter() - started, "peak_gib": peak_memory() / 2**30}
 
 
 def _train(name: str, scene: str, folder: Path, seed: int, vanilla: bool) -> None:

@@ -2,7 +2,6 @@
 
 import argparse
 import multiprocessing
-import resource
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -12,6 +11,7 @@ from workloads import GOLDEN, HEAVY, WORKLOADS, milliseconds, scene_named
 
 from gsjax import tables
 from gsjax.cli import guarded
+from gsjax.io.machine import peak_memory
 
 # A process keeps its luck with memory and neighbours from the first call to the last, up to a factor of two.
 PROCESSES = 3
@@ -67,7 +67,7 @@ def measure(name: str) -> dict[str, float]:
         "forward_ns": 1e6 * (forward - binning) / pixel_pairs,
         "backward_ns": 1e6 * (both - forward - projection_backward) / pixel_pairs,
         "compile_s": (first - both) / 1e3,
-        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10,
+        "peak_mib": peak_memory() / 2**20,
     }
 
 

@@ -3,6 +3,7 @@
 import os
 import platform
 import re
+import resource
 import subprocess
 from importlib import metadata
 from pathlib import Path
@@ -34,6 +35,19 @@ def versions() -> dict[str, str]:
             continue
     commit = _commit()
     return found | {"commit": commit} if commit else found
+
+
+def peak_memory(path: str | Path = "/proc/self/status") -> int:
+    """Most physical memory that this process has held since its program began, bytes.
+
+    Linux's own high-water mark: `ru_maxrss` of a new process begins with that of the one that started it. Elsewhere
+    that has to do.
+    """
+    match = re.search(r"^VmHWM:\s*(\d+) kB$", _text(path), re.MULTILINE)
+    if match:
+        return 1024 * int(match[1])
+    unit = 1 if platform.system() == "Darwin" else 1024
+    return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def cpu_flags(path: str | Path = "/proc/cpuinfo") -> frozenset[str]:

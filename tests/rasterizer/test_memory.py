@@ -7,9 +7,10 @@ import sys
 COUNT, WIDTH, HEIGHT, CAPACITY = 1_000_000, 1920, 1080, 1 << 22
 
 PROGRAM = f"""
-import json, resource
+import json
 import jax, jax.numpy as jnp, numpy as np
 import rasterizer
+from gsjax.io.machine import peak_memory
 
 rng = np.random.default_rng(0)
 focal, depth = 1000.0, rng.uniform(2, 8, {COUNT})
@@ -33,7 +34,7 @@ print(json.dumps({{
     "overflowed": bool(overflowed),
     "finite": all(bool(jnp.isfinite(g).all()) for g in gradient),
     "temporary_bytes": compiled.memory_analysis().temp_size_in_bytes,
-    "peak_bytes": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
+    "peak_bytes": peak_memory(),
 }}))
 """
 

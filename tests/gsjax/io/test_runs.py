@@ -1,5 +1,7 @@
 import json
 import os
+import subprocess
+import sys
 
 import jax.numpy as jnp
 import numpy as np
@@ -99,6 +101,25 @@ def test_metrics_on_a_full_disk(run):
     (run / "metrics.jsonl").symlink_to("/dev/full")
     with pytest.raises(InputError, match=r"cannot write .*metrics\.jsonl: No space left on device"):
         runs.append_metrics(run, {"step": 1})
+
+
+def test_peak_memory_is_the_process_s_own_and_does_not_fall(tmp_path):
+    # However large the process that starts it: `ru_maxrss` would begin with that one's.
+    program = """
+import numpy as np
+from gsjax.io.machine import peak_memory
+before = peak_memory()
+block = np.ones(300 * 2**20, np.uint8)
+del block
+print(before, peak_memory())
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    before, after = map(int, done.stdout.split())
+    assert before < 200 * 2**20
+    assert after > before + 250 * 2**20
+    (tmp_path / "status").write_text("VmPeak:\t 900 kB\nVmHWM:\t  512 kB\n")
+    assert machine.peak_memory(tmp_path / "status") == 512 * 1024
+    assert machine.peak_memory(tmp_path / "absent") > 2**20
 
 
 def test_cpu_flags_are_those_of_the_file(tmp_path):

@@ -80,7 +80,8 @@ def test_many_photos_are_matched_along_their_names(shared, tmp_path, monkeypatch
     (tmp_path / "photos").mkdir()
     for file in sorted((shared / "data/fox/images").iterdir())[:6]:
         shutil.copy(file, tmp_path / "photos")
-    assert reconstruct(tmp_path / "photos", tmp_path / "scene", threads=2, progress=quietly).registered == 6
+    # One thread: with more, COLMAP ends elsewhere every time, and now and then without the last photo.
+    assert reconstruct(tmp_path / "photos", tmp_path / "scene", threads=1, progress=quietly).registered == 6
 
 
 def test_photos_that_show_nothing_in_common_are_counted(tmp_path):
