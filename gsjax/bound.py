@@ -12,7 +12,7 @@ import numpy as np
 from jax import Array
 from scipy.spatial.transform import Rotation
 
-from gsjax.gaussians import SH_C0, Gaussians, rgb_to_sh
+from gsjax.gaussians import SH_C0, Gaussians, PixelFilter, rgb_to_sh
 from gsjax.initialize import DEAD_LOGIT
 from gsjax.mesh import Mesh
 from gsjax.render import Drawable, drawable
@@ -53,6 +53,7 @@ class BoundGaussians:
     sh_rest: Array  # [G, (L+1)^2 - 1, 3] coefficients of degrees 1..L
     faces: Array | None  # [F, 3] int32 vertex ids, counter-clockwise seen from outside
     thickness: float = field(metadata={"static": True})  # standard deviation along the normal, scene units
+    pixel_filter: PixelFilter = field(default="mip", metadata={"static": True})
 
     @property
     def num_gaussians(self) -> int:
@@ -66,7 +67,13 @@ class BoundGaussians:
 
 
 def bind(
-    mesh: Mesh, *, per_triangle: int, thickness: float, sh_degree: int = 3, opacity: float = 0.9
+    mesh: Mesh,
+    *,
+    per_triangle: int,
+    thickness: float,
+    sh_degree: int = 3,
+    opacity: float = 0.9,
+    pixel_filter: PixelFilter = "mip",
 ) -> BoundGaussians:
     """Round Gaussians on every triangle, as wide as the layout leaves room beside the shortest edge.
 
@@ -76,6 +83,7 @@ def bind(
         thickness: Standard deviation along the normal, scene units.
         sh_degree: Degree of the harmonics, zero above the constant band.
         opacity: Of every Gaussian, 0..1.
+        pixel_filter: How they are to be drawn; the classic one bends the geometry (docs/refinement.md).
 
     Returns:
         Gaussians on the device.
@@ -104,6 +112,7 @@ def bind(
         sh_rest=jnp.zeros((count, (sh_degree + 1) ** 2 - 1, 3), jnp.float32),
         faces=jnp.asarray(mesh.faces, jnp.int32),
         thickness=float(thickness),
+        pixel_filter=pixel_filter,
     )
 
 
@@ -153,6 +162,7 @@ def _(bound: BoundGaussians) -> Drawable:
         opacities=opacities(bound),
         sh=jnp.concatenate([bound.sh_dc, bound.sh_rest], axis=1),
         covars=covariances(bound),
+        pixel_filter=bound.pixel_filter,
     )
 
 
@@ -172,6 +182,7 @@ def to_gaussians(bound: BoundGaussians) -> Gaussians:
         logit_opacities=np.where(visible, bound.logit_opacities, np.float32(DEAD_LOGIT)),
         sh_dc=np.asarray(bound.sh_dc),
         sh_rest=np.asarray(bound.sh_rest),
+        pixel_filter=bound.pixel_filter,
     )
 
 

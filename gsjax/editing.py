@@ -29,7 +29,10 @@ def rebound(mesh: Mesh, gaussians: Gaussians) -> BoundGaussians:
     count, faces = gaussians.num_gaussians, mesh.num_faces
     if not faces or count % faces or count // faces not in LAYOUTS:
         raise InputError(f"{count} Gaussians are not 1, 3, 4 or 6 to each of {faces} triangles")
-    plain = bind(mesh, per_triangle=count // faces, thickness=float(np.exp(gaussians.log_scales[0, 0])), sh_degree=0)
+    thickness = float(np.exp(gaussians.log_scales[0, 0]))
+    plain = bind(
+        mesh, per_triangle=count // faces, thickness=thickness, sh_degree=0, pixel_filter=gaussians.pixel_filter
+    )
     apart = np.linalg.norm(np.asarray(means(plain)) - gaussians.means, axis=-1).max()
     size = np.ptp(mesh.vertices, axis=0).max()
     if apart > MOST_APART * size:

@@ -1,6 +1,7 @@
 """The Gaussians of a scene as one pytree, and the maps from its free parameters to what a renderer needs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +9,9 @@ import numpy as np
 from jax import Array
 
 SH_C0 = 0.28209479177387814  # Y_0^0, the constant that turns an rgb into a degree-0 coefficient.
+
+PixelFilter = Literal["classic", "mip"]
+"""How splats meet pixels, see `gsjax.render.PIXEL_FILTERS`. They look right through the one they were fitted with."""
 
 
 @jax.tree_util.register_dataclass
@@ -24,6 +28,7 @@ class Gaussians:
     logit_opacities: Array  # [N] log-odds of the opacity
     sh_dc: Array  # [N, 1, 3] degree-0 coefficients
     sh_rest: Array  # [N, (L+1)^2 - 1, 3] coefficients of degrees 1..L
+    pixel_filter: PixelFilter = field(default="classic", metadata={"static": True})
 
     @property
     def num_gaussians(self) -> int:

@@ -16,6 +16,7 @@ from jax import Array
 from gsjax import losses, mesh_terms, optimizers, render, views
 from gsjax.bound import LAYOUTS, BoundGaussians
 from gsjax.fitting import advance
+from gsjax.gaussians import PixelFilter
 from gsjax.mesh_terms import MeshGraph
 from gsjax.numerics import masked_mean
 from gsjax.training import Background, Metrics, active_terms, chosen_capacity
@@ -61,6 +62,7 @@ class Refinement:
     sh_degree: int = 3
     opacity: float = 0.9  # of every Gaussian at the start
     thickness: float = 1e-6  # of the extent: standard deviation along the normal
+    pixel_filter: PixelFilter = "mip"
     seed: int = 0
     weights: RefinementWeights = RefinementWeights()
     rates: RefinementRates = RefinementRates()

@@ -11,8 +11,15 @@ from jax import Array
 import rasterizer
 from gsjax import cameras
 from gsjax.cameras import Camera
-from gsjax.gaussians import Gaussians, opacities, scales, sh_coefficients
+from gsjax.gaussians import Gaussians, PixelFilter, opacities, scales, sh_coefficients
 from gsjax.numerics import safe_divide
+
+PIXEL_FILTERS: dict[PixelFilter, dict[str, Any]] = {
+    "classic": {"eps2d": 0.3},
+    "mip": {"eps2d": 0.1, "rasterize_mode": "antialiased"},
+}
+"""Blur of a projected Gaussian, pixels squared: the one of 3DGS, which makes small splats larger than they are, and the
+one of Mip-Splatting (and of Brush's mip mode), which dims them in return."""
 
 
 @jax.tree_util.register_dataclass
@@ -26,6 +33,7 @@ class Drawable:
     quats: Array | None = None  # [N, 4] (w, x, y, z)
     scales: Array | None = None  # [N, 3] standard deviations, scene units
     covars: Array | None = None  # [N, 3, 3] world, scene units squared
+    pixel_filter: PixelFilter = field(default="classic", metadata={"static": True})
 
 
 @singledispatch
@@ -42,6 +50,7 @@ def _(gaussians: Gaussians) -> Drawable:
         sh=sh_coefficients(gaussians),
         quats=gaussians.quats,
         scales=scales(gaussians),
+        pixel_filter=gaussians.pixel_filter,
     )
 
 
@@ -51,7 +60,7 @@ class Splats:
     """A scene's splats in one view, binned: what every pass over that view shares."""
 
     projection: rasterizer.Projection  # one camera
-    opacities: Array  # [N]
+    opacities: Array  # [N] as the pixels see them: dimmed by the filter where it dims
     pairs: rasterizer.TilePairs
     grid: rasterizer.TileGrid = field(metadata={"static": True})
 
@@ -93,8 +102,11 @@ def _splat(scene: Drawable, camera: Camera, capacity: int, means2d_probe: Array 
     projection = _project(scene, camera)
     if means2d_probe is not None:
         projection = projection._replace(means2d=projection.means2d + means2d_probe[None])
-    pairs = rasterizer.bin_splats(projection, scene.opacities, grid, capacity, rasterizer.GSPLAT)
-    return Splats(projection, scene.opacities, pairs, grid)
+    opacities = scene.opacities
+    if projection.compensations is not None:
+        opacities = opacities * projection.compensations[0]
+    pairs = rasterizer.bin_splats(projection, opacities, grid, capacity, rasterizer.GSPLAT)
+    return Splats(projection, opacities, pairs, grid)
 
 
 def _project(scene: Drawable, camera: Camera) -> rasterizer.Projection:
@@ -108,6 +120,7 @@ def _project(scene: Drawable, camera: Camera) -> rasterizer.Projection:
         camera.width,
         camera.height,
         covars=scene.covars,
+        **PIXEL_FILTERS[scene.pixel_filter],
     )
 
 

@@ -1,11 +1,12 @@
 """3D Gaussians as the PLY that viewers open (the layout of the original 3DGS code), and coloured points as PLY."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians
+from gsjax.gaussians import Gaussians, PixelFilter
 from gsjax.io.files import atomic_path
 
 _TYPES = {
@@ -17,12 +18,15 @@ _MEANS = ["x", "y", "z"]
 _DC = [f"f_dc_{i}" for i in range(3)]
 _SCALES = [f"scale_{i}" for i in range(3)]
 _QUATS = [f"rot_{i}" for i in range(4)]  # w first
+# As Brush and SuperSplat's tools tell it, and as Postshot does.
+_FILTER_COMMENT = re.compile(r"^comment\s+(?:SplatRenderMode:\s*(\w+)|antialiased\s+(\d))\s*$", re.I | re.M)
 _REST_COUNTS = [3 * ((degree + 1) ** 2 - 1) for degree in range(5)]
 
 
 def write_gaussians(path: str | Path, gaussians: Gaussians) -> None:
     """Writes Gaussians as a binary little-endian 3DGS PLY: opacities as logits, scales as logs, quaternions w first.
 
+    A pixel filter other than the classic one is told by a comment, as Brush and SuperSplat's tools have it.
     The coefficients `f_rest_*` run channel by channel. Normals are written as zeros, as viewers expect the columns.
 
     Raises:
@@ -42,8 +46,9 @@ def write_gaussians(path: str | Path, gaussians: Gaussians) -> None:
         gaussians.quats,
     ]
     table = np.concatenate([np.asarray(c, "<f4") for c in columns], axis=1)
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(table)}"]
-    header += [f"property float {name}" for name in fields] + ["end_header", ""]
+    header = ["ply", "format binary_little_endian 1.0"]
+    header += ["comment SplatRenderMode: mip"] if gaussians.pixel_filter == "mip" else []
+    header += [f"element vertex {len(table)}"] + [f"property float {name}" for name in fields] + ["end_header", ""]
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         file.write("\n".join(header).encode())
         file.write(np.ascontiguousarray(table, "<f4").tobytes())
@@ -59,7 +64,7 @@ def read_gaussians(path: str | Path) -> Gaussians:
         InputError: The file is no PLY or truncated, lacks columns (named), or holds values that are not finite.
     """
     path = Path(path)
-    vertices = _read_vertices(path)
+    vertices, header = _read_vertices(path)
     names = vertices.dtype.names or ()
     rest_names = [f"f_rest_{i}" for i in range(sum(name.startswith("f_rest_") for name in names))]
     needed = [*_MEANS, *_DC, *rest_names, "opacity", *_SCALES, *_QUATS]
@@ -84,6 +89,7 @@ def read_gaussians(path: str | Path) -> Gaussians:
         logit_opacities=columns["opacity"],
         sh_dc=stacked(_DC)[:, None],
         sh_rest=np.ascontiguousarray(rest.reshape(len(vertices), 3, len(rest_names) // 3).transpose(0, 2, 1)),
+        pixel_filter=_pixel_filter(header),
     )
 
 
@@ -93,7 +99,7 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         InputError: The file is missing, no PLY, truncated, without x, y, z, or holds no finite point.
     """
-    vertices = _read_vertices(path)
+    vertices, _ = _read_vertices(path)
     names = vertices.dtype.names or ()
     if not set(_MEANS) <= set(names):
         raise InputError(f"{path}: not a PLY of points, it lacks {', '.join(n for n in _MEANS if n not in names)}")
@@ -107,8 +113,14 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return points[finite], colors[finite]
 
 
-def _read_vertices(path: Path) -> np.ndarray:
-    """The rows of the element `vertex`, which has to come first, as a structured array."""
+def _pixel_filter(header: str) -> PixelFilter:
+    """What the comments say, the last of them where they disagree."""
+    told = ["".join(either).lower() for either in _FILTER_COMMENT.findall(header)]
+    return "mip" if told and told[-1] in ("mip", "1") else "classic"
+
+
+def _read_vertices(path: Path) -> tuple[np.ndarray, str]:
+    """The rows of the element `vertex`, which has to come first, as a structured array; and the header."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -117,15 +129,16 @@ def _read_vertices(path: Path) -> np.ndarray:
     body = data.find(b"\n", end) + 1
     if not data.startswith(b"ply") or end < 0 or body == 0:
         raise InputError(f"{path}: not a PLY file")
-    form, count, dtype = _parse_header(path, data[:end].decode("ascii", "replace"))
+    header = data[:end].decode("ascii", "replace")
+    form, count, dtype = _parse_header(path, header)
     if form == "ascii":
-        return _ascii_rows(path, data[body:], count, dtype)
+        return _ascii_rows(path, data[body:], count, dtype), header
     dtype = dtype.newbyteorder("<" if form == "binary_little_endian" else ">")
     if len(data) - body < count * dtype.itemsize:
         raise InputError(
             f"{path}: truncated, {count} vertices need {count * dtype.itemsize} bytes, {len(data) - body} left"
         )
-    return np.frombuffer(data, dtype, count, body)
+    return np.frombuffer(data, dtype, count, body), header
 
 
 def _parse_header(path: Path, header: str) -> tuple[str, int, np.dtype]:

@@ -62,6 +62,7 @@ def refine(
         thickness=settings.thickness * size,
         sh_degree=settings.sh_degree,
         opacity=settings.opacity,
+        pixel_filter=settings.pixel_filter,
     )
     if not int(largest_need(bound, data)):
         raise InputError(f"{source}: no training view of {scene.root} sees any of its {coarse.num_faces} triangles")

@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +26,7 @@ def shown(gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND):
     )
 
 
-def dense_reference(gaussians, sh_degree=2):
+def dense_reference(gaussians, sh_degree=2, **pixel_filter):
     image, alphas, _ = rasterizer.rasterization(
         gaussians.means,
         gaussians.quats,
@@ -39,6 +40,7 @@ def dense_reference(gaussians, sh_degree=2):
         sh_degree=sh_degree,
         render_mode="RGB+D",
         backend="reference",
+        **pixel_filter,
     )
     return np.asarray(image[0], np.float64), np.asarray(alphas[0, ..., 0], np.float64)
 
@@ -52,6 +54,17 @@ def test_a_view_equals_the_dense_reference():
     covered = alphas > render.MIN_COVERAGE
     assert 0.1 < covered.mean() < 0.9
     assert_close(view.depth, np.where(covered, image[..., 3] / np.where(covered, alphas, 1), 0))
+
+
+def test_the_mip_filter_is_the_antialiased_reference_and_absent_where_it_is_not_asked_for():
+    filtered = replace(SCENE, pixel_filter="mip")
+    image, alphas = dense_reference(SCENE, eps2d=0.1, rasterize_mode="antialiased")
+    view = shown(filtered)
+    assert_close(view.alphas, alphas)
+    assert_close(view.colors, image[..., :3] + (1 - alphas[..., None]) * np.asarray(BACKGROUND))
+    assert float(jnp.abs(view.alphas - shown(SCENE).alphas).max()) > 0.01
+    assert int(jax.jit(render.needed_capacity)(filtered, CAMERA)) == int(view.splats.pairs.needed)
+    assert shown(SCENE).splats.projection.compensations is None
 
 
 @pytest.mark.parametrize("degree", [0, 1])

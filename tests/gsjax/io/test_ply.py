@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,6 +82,36 @@ def test_columns_in_any_order_with_foreign_ones_and_in_every_form(tmp_path, form
     shuffled = [*[names[i] for i in order], "filter_3D"]
     write_table(tmp_path / "h.ply", shuffled, np.column_stack([rows[:, order], rows[:, 0]]), form)
     assert_same(read_gaussians(tmp_path / "h.ply"), gaussians)
+
+
+@pytest.mark.parametrize(
+    ("comments", "expected"),
+    [
+        ([], "classic"),
+        (["Exported from Brush", "SH degree: 0", "SplatRenderMode: mip"], "mip"),
+        (["SPLATRENDERMODE:  MIP  "], "mip"),
+        (["antialiased 1"], "mip"),
+        (["antialiased 0"], "classic"),
+        (["SplatRenderMode: default"], "classic"),
+        (["SplatRenderMode: mip", "antialiased 0"], "classic"),  # the last of them
+        (["not SplatRenderMode: mip"], "classic"),
+    ],
+)
+def test_the_pixel_filter_is_told_by_the_comments_of_other_programs(tmp_path, comments, expected):
+    write_gaussians(tmp_path / "g.ply", some_gaussians())
+    names, rows = table_of(tmp_path / "g.ply")
+    write_table(tmp_path / "h.ply", names, rows)
+    data = (tmp_path / "h.ply").read_bytes()
+    told = "".join(f"comment {text}\n" for text in comments).encode()
+    (tmp_path / "h.ply").write_bytes(data.replace(b"element", told + b"element", 1))
+    assert read_gaussians(tmp_path / "h.ply").pixel_filter == expected
+
+
+@pytest.mark.parametrize("pixel_filter", ["classic", "mip"])
+def test_the_pixel_filter_is_written_for_other_programs(tmp_path, pixel_filter):
+    write_gaussians(tmp_path / "g.ply", replace(some_gaussians(), pixel_filter=pixel_filter))
+    assert (b"\ncomment SplatRenderMode: mip\n" in (tmp_path / "g.ply").read_bytes()) == (pixel_filter == "mip")
+    assert read_gaussians(tmp_path / "g.ply").pixel_filter == pixel_filter
 
 
 def test_missing_columns_are_named(tmp_path):
