@@ -1,3 +1,4 @@
+import jax
 import numpy as np
 import pytest
 from small_scenes import camera_at, cloud, plane
@@ -55,7 +56,7 @@ def test_pictures_are_numpy_and_float32(shown):
 
 def test_colours_are_clipped_and_numpy_scenes_will_do():
     bright = plane((0.0, 0.0, -1.0), per_side=4, spacing=1.0, colors=np.tile([3.0, -2.0, 0.5], (16, 1)))
-    as_numpy = type(bright)(**{name: np.asarray(value) for name, value in bright.__dict__.items()})
+    as_numpy = jax.tree.map(np.asarray, bright)
     camera = Camera(np.asarray(CAMERAS[0].viewmat), np.asarray(CAMERAS[0].K), 24, 20)
     (picture,) = gallery.pictures(as_numpy, [camera], np.zeros(3))
     assert picture.colors.min() == 0 and picture.colors.max() == 1
