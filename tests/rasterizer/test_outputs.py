@@ -80,7 +80,7 @@ def composited(scene, camera=0, rules=GSPLAT):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_median_depth_is_where_the_light_falls_to_one_half(backend):
-    info = outputs(SCENE, {}, backend, EVERYTHING[2:3])[2]
+    info = jax.jit(lambda scene: render(scene, backend=backend, capacity=4096, return_median_depth=True)[2])(SCENE)
     for camera in range(2):
         weights, order, depths = composited(SCENE, camera)
         before = 1 - (np.cumsum(weights, 0) - weights)
@@ -174,6 +174,23 @@ def test_covariances_in_place_of_quats_and_scales(backend):
     )
 
 
+ODD = with_odd_one(cloud(), means=(0.1, -0.1, 2.0), opacities=0.7)
+
+
+@jax.jit
+def drawn_by_covariances(covars, opacities):
+    """Gradients to covariances and means, and the image and what is visible in it."""
+
+    def loss(covars, means):
+        image, _, info = rasterizer.rasterization(
+            means, None, None, opacities, ODD.colors, ODD.viewmats, ODD.Ks, ODD.width, ODD.height,
+            covars=covars, capacity=4096,
+        )  # fmt: skip
+        return jnp.sum(image**2), (image, info["visible"])
+
+    return jax.grad(loss, argnums=(0, 1), has_aux=True)(covars, ODD.means)
+
+
 @pytest.mark.parametrize(
     "name, covar",
     {
@@ -187,33 +204,13 @@ def test_covariances_in_place_of_quats_and_scales(backend):
     }.items(),
 )
 def test_odd_covariances_are_drawn_or_hidden_but_never_disturb(name, covar):
-    s = with_odd_one(cloud(), means=(0.1, -0.1, 2.0), opacities=0.7)
-    covars, _ = rasterizer.quat_scale_to_covar_preci(s.quats, s.scales, compute_preci=False)
-
-    @jax.jit
-    def run(covars, opacities):
-        def loss(covars, means):
-            image, _, info = rasterizer.rasterization(
-                means,
-                None,
-                None,
-                opacities,
-                s.colors,
-                s.viewmats,
-                s.Ks,
-                s.width,
-                s.height,
-                covars=covars,
-                capacity=4096,
-            )
-            return jnp.sum(image**2), (image, info["visible"])
-
-        return jax.grad(loss, argnums=(0, 1), has_aux=True)(covars, s.means)
-
-    (d_covars, d_means), (image, visible) = run(covars.at[-1].set(jnp.asarray(covar, jnp.float32)), s.opacities)
+    covars, _ = rasterizer.quat_scale_to_covar_preci(ODD.quats, ODD.scales, compute_preci=False)
+    odd = covars.at[-1].set(jnp.asarray(covar, jnp.float32))
+    (d_covars, d_means), (image, visible) = drawn_by_covariances(odd, ODD.opacities)
     assert np.isfinite(image).all() and np.isfinite(d_covars).all() and np.isfinite(d_means).all()
     if not visible[0, -1]:
-        (expected, expected_means), (expected_image, _) = run(covars, s.opacities.at[-1].set(0.0))
+        unseen = ODD.opacities.at[-1].set(0.0)
+        (expected, expected_means), (expected_image, _) = drawn_by_covariances(covars, unseen)
         np.testing.assert_array_equal(image, expected_image)
         np.testing.assert_array_equal(d_covars[:-1], expected[:-1])
         np.testing.assert_array_equal(d_means[:-1], expected_means[:-1])
@@ -242,9 +239,8 @@ def test_many_channels_are_those_rendered_alone(channels):
     assert image.shape[-1] == channels
     first = replace(base, colors=base.colors[:, :3], backgrounds=base.backgrounds[:, :3])
     last = replace(base, colors=scene.colors[:, -3:], backgrounds=scene.backgrounds[:, -3:])
-    if channels > 3:
-        assert_close(image[..., :3], evaluate(first, "xla")[0])
-        assert_close(image[..., -3:], evaluate(last, "xla")[0])
+    assert_close(image[..., :3], evaluate(first, "xla")[0])
+    assert_close(image[..., -3:], evaluate(last, "xla")[0])
     _, expected_alphas, _, expected = evaluate(scene, "reference")
     assert_close(alphas, expected_alphas)
     for field, error in relative_errors(gradient, expected).items():
