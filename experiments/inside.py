@@ -27,7 +27,11 @@ from gsjax.scene import Frame
 
 def compare(folders: Sequence[str], reach: float) -> dict[str, dict[str, float]]:
     """For every run: `psnr`, `psnr_inside`, and `inside`, the share of the pixels."""
-    scene = load_scene(runs.read_json(Path(folders[0]) / "manifest.json")["scene"])
+    root, *others = [runs.read_json(Path(folder) / "manifest.json")["scene"] for folder in folders]
+    for folder, other in zip(folders[1:], others, strict=True):
+        if other != root:
+            raise InputError(f"{folder}: is a run on {other}, not on {root}")
+    scene = load_scene(root)
     if scene.truth is None or not scene.truth.depths:
         raise InputError(f"{scene.root}: has no true depth")
     masks = [inside(frame, scene.truth.depths[frame.name], reach) for frame in scene.held_out_frames]
@@ -37,10 +41,8 @@ def compare(folders: Sequence[str], reach: float) -> dict[str, dict[str, float]]
     )
     figures = {}
     for folder in folders:
-        gaussians, background = (
-            open_result(folder).gaussians,
-            runs.read_json(Path(folder) / "config.json")["background"],
-        )
+        gaussians = open_result(folder).gaussians
+        background = runs.read_json(Path(folder) / "config.json")["background"]
         figures[folder] = {
             "psnr": score_images(gaussians, scene.held_out_frames, background)["psnr"],
             "psnr_inside": score_images(gaussians, masked, background)["psnr"],

@@ -1,5 +1,6 @@
 """One Adam per field of the Gaussians, with the learning rates of 3DGS."""
 
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -13,6 +14,11 @@ from gsjax.settings import Rates
 LABELS = Gaussians(
     means="means", quats="quats", log_scales="scales", logit_opacities="opacities", sh_dc="sh_dc", sh_rest="sh_rest"
 )  # pyright: ignore[reportArgumentType]
+
+
+def labels(gaussians: Any) -> Gaussians:
+    """`LABELS` in the structure of these Gaussians; optax also asks with a placeholder in their stead."""
+    return replace(LABELS, pixel_filter=getattr(gaussians, "pixel_filter", LABELS.pixel_filter))
 
 
 def make_optimizer(rates: Rates, extent: float, decay_steps: int) -> optax.GradientTransformation:
@@ -42,7 +48,7 @@ def make_optimizer(rates: Rates, extent: float, decay_steps: int) -> optax.Gradi
             "sh_dc": adam(rates.sh_dc),
             "sh_rest": adam(rates.sh_rest),
         },
-        LABELS,
+        labels,
     )
 
 

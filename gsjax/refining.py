@@ -62,7 +62,7 @@ class Refinement:
     sh_degree: int = 3
     opacity: float = 0.9  # of every Gaussian at the start
     thickness: float = 1e-6  # of the extent: standard deviation along the normal
-    pixel_filter: PixelFilter = "mip"
+    pixel_filter: PixelFilter = "mip"  # see `gsjax.render.PIXEL_FILTERS`
     seed: int = 0
     weights: RefinementWeights = RefinementWeights()
     rates: RefinementRates = RefinementRates()

@@ -18,7 +18,7 @@ _MEANS = ["x", "y", "z"]
 _DC = [f"f_dc_{i}" for i in range(3)]
 _SCALES = [f"scale_{i}" for i in range(3)]
 _QUATS = [f"rot_{i}" for i in range(4)]  # w first
-# As Brush and SuperSplat's tools tell it, and as Postshot does.
+# As Brush and splat-transform tell it, and as Postshot does.
 _FILTER_COMMENT = re.compile(r"^comment\s+(?:SplatRenderMode:\s*(\w+)|antialiased\s+(\d))\s*$", re.I | re.M)
 _REST_COUNTS = [3 * ((degree + 1) ** 2 - 1) for degree in range(5)]
 
@@ -26,7 +26,7 @@ _REST_COUNTS = [3 * ((degree + 1) ** 2 - 1) for degree in range(5)]
 def write_gaussians(path: str | Path, gaussians: Gaussians) -> None:
     """Writes Gaussians as a binary little-endian 3DGS PLY: opacities as logits, scales as logs, quaternions w first.
 
-    A pixel filter other than the classic one is told by a comment, as Brush and SuperSplat's tools have it.
+    A pixel filter other than the classic one is told by a comment, as Brush and splat-transform have it.
     The coefficients `f_rest_*` run channel by channel. Normals are written as zeros, as viewers expect the columns.
 
     Raises:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -90,3 +92,15 @@ def test_counts_are_no_moments(optimizer):
     counts = [int(leaf) for leaf in jax.tree.leaves(cleared) if leaf.dtype == jnp.int32]
     assert counts == [3] * 7  # one Adam a field, and the schedule of the means
     assert all(not np.any(leaf) for leaf in jax.tree.leaves(cleared) if leaf.dtype == jnp.float32)
+
+
+def test_gaussians_of_any_pixel_filter_are_trained_alike(optimizer):
+    results = []
+    for name in ("classic", "mip"):
+        scene, gradients = (replace(tree, pixel_filter=name) for tree in (SCENE, SIGNS))
+        scene, state = apply_gradients(optimizer, scene, optimizer.init(scene), gradients)
+        state = rearrange_moments(optimizer, state, jnp.arange(6, dtype=jnp.int32)[::-1], jnp.zeros(6, bool))
+        results.append(jax.tree.leaves((scene, state)))
+        assert np.any(moments(state, "means"))
+    for a, b in zip(*results, strict=True):
+        np.testing.assert_array_equal(a, b)
