@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from gsjax import gallery
-from gsjax.bound import BoundGaussians, to_gaussians, to_mesh
+from gsjax.binding.bound import BoundGaussians, to_gaussians, to_mesh
+from gsjax.binding.editing import rebound, with_vertices
 from gsjax.cameras import Camera
 from gsjax.cli import guarded
-from gsjax.editing import rebound, with_vertices
 from gsjax.io.images import write_image
 from gsjax.meshing import read_mesh, render_mesh
 from gsjax.meshing.pictures import headlight

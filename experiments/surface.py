@@ -90,7 +90,7 @@ def _mesh(folder: Path) -> None:
 
 def _refine(folder: Path, out: Path, seed: int, assignments: Sequence[str]) -> None:
     from gsjax import config, pipeline
-    from gsjax.refining import PRESETS, Refinement
+    from gsjax.binding.refining import PRESETS, Refinement
 
     whole = config.to_dict(config.parse(Refinement, {**PRESETS["fast"], "seed": seed}))
     pipeline.refine(folder, out, config.parse(Refinement, config.override(whole, assignments)))
@@ -107,7 +107,7 @@ def _score(folder: Path) -> dict[str, Any]:
 
     from gsjax import pipeline
     from gsjax.meshing.export import read_mesh
-    from gsjax.topology import topology
+    from gsjax.meshing.topology import topology
 
     figures = pipeline.evaluate(folder, mesh=folder / "mesh.ply")
     return {key: figures[key] for key in FIGURES if key in figures} | asdict(topology(read_mesh(folder / "mesh.ply")))

@@ -9,7 +9,6 @@ from jax import Array
 
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.losses import Batch
 from gsjax.scene import Frame
 
 
@@ -34,6 +33,18 @@ class Views:
     def size(self) -> tuple[int, int]:
         """Padded width and height."""
         return self.images.shape[2], self.images.shape[1]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Batch:
+    """One training view on the device."""
+
+    camera: Camera
+    image: Array  # [H, W, 3] 0..1, already over the background
+    valid: Array  # [H, W] bool
+    matte: Array | None  # [H, W] 0..1
+    normals: Array | None  # [H, W, 3] camera frame, zero where there is none
 
 
 def stack_views(frames: tuple[Frame, ...], *, scale: int = 1) -> Views:

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from gsjax import gallery
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, rgb_to_sh
-from gsjax.initialize import DEAD_LOGIT
 from gsjax.scene import Frame
+from gsjax.training.initialize import DEAD_LOGIT
 
 
 def camera_at(eye=(0.0, 0.0, 0.0), target=(0.0, 0.0, 1.0), *, size=(32, 24), focal=30.0) -> Camera:

@@ -11,13 +11,13 @@ import pytest
 from small_scenes import camera_at
 
 from gsjax import cli, config, pipeline
+from gsjax.binding.refining import PRESETS, Refinement
 from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.io.images import write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.export import read_mesh, write_mesh
-from gsjax.refining import PRESETS, Refinement
 from gsjax.settings import Settings
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"

@@ -23,7 +23,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import demo, tables
+    from gsjax import tables
+    from gsjax.pipeline import demo
 
     report = demo.run(arguments.out)
     print(tables.compare({name: report[name] for name in ("vanilla", "surface")}))

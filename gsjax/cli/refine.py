@@ -38,7 +38,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import config, pipeline, tables
-    from gsjax.refining import PRESETS, Refinement
+    from gsjax.binding.refining import PRESETS, Refinement
 
     options = given(arguments, "steps", "faces", "per_triangle", "seed")
     chosen = config.merge(PRESETS[arguments.preset or "fast"], options)

@@ -24,7 +24,7 @@ import numpy as np
 from jax import Array
 from tqdm import tqdm
 
-from gsjax import analytic, analytic_surface
+from gsjax.analytic import solids, true_surface
 from gsjax.cameras import Camera, project, rotation, world_to_camera
 from gsjax.errors import InputError
 from gsjax.io.files import make_folder, unwritable
@@ -91,12 +91,12 @@ def write(
 def _write_parts(folder: Path, num_views: int, size: tuple[int, int], seed: int, progress) -> None:
     for part in ("images", "depth", "normals", "sparse/0"):
         (folder / part).mkdir(parents=True)
-    cameras = analytic.cameras(num_views, size, seed=seed)
+    cameras = solids.cameras(num_views, size, seed=seed)
     with progress(total=num_views, desc="analytic scene", unit="view") as bar:
         for index, camera in enumerate(cameras):
-            _write_view(folder, f"{index:03d}", camera, analytic.trace(camera))
+            _write_view(folder, f"{index:03d}", camera, solids.trace(camera))
             bar.update()
-    surface = analytic_surface.mesh(MESH_SPACING)
+    surface = true_surface.mesh(MESH_SPACING)
     _write_ply(folder / "gt_mesh.ply", surface)
     samples = _seen_samples(surface, cameras, seed)
     np.savez_compressed(folder / "gt_points.npz", **_truth_points(samples))
@@ -108,7 +108,7 @@ def _write_parts(folder: Path, num_views: int, size: tuple[int, int], seed: int,
         "res": list(size),
         "seed": seed,
         "sky_rgb": [255, 255, 255],
-        "table_radius": analytic.TABLE_RADIUS,
+        "table_radius": solids.TABLE_RADIUS,
         "eval_half": TRUTH_HALF,
         "point_noise": POINT_NOISE,
         "pixel_noise": PIXEL_NOISE,
@@ -116,7 +116,7 @@ def _write_parts(folder: Path, num_views: int, size: tuple[int, int], seed: int,
     (folder / "scene.json").write_text(json.dumps(numbers, indent=1) + "\n")
 
 
-def _write_view(folder: Path, name: str, camera: Camera, view: analytic.Trace) -> None:
+def _write_view(folder: Path, name: str, camera: Camera, view: solids.Trace) -> None:
     Image = require("PIL.Image", "pip install pillow")
     Image.fromarray(_to_bytes(view.colors)).save(folder / "images" / f"{name}.png")
     np.savez_compressed(folder / "depth" / f"{name}.npz", depth=view.depth, label=view.labels)
@@ -129,7 +129,7 @@ def _write_view(folder: Path, name: str, camera: Camera, view: analytic.Trace) -
 def _seen_samples(surface: Mesh, cameras: list[Camera], seed: int) -> _Samples:
     """Three times as many as the truth needs: the table reaches beyond it, and views miss some."""
     num_solids, num_table = (3 * count for count in TRUTH_SAMPLES)
-    points, normals, on_table = analytic_surface.samples(surface, num_solids, num_table, seed)
+    points, normals, on_table = true_surface.samples(surface, num_solids, num_table, seed)
     seen = np.stack([np.asarray(_visible_all(points, camera)) for camera in cameras])
     return _Samples(points, normals, on_table, seen)
 
@@ -215,6 +215,6 @@ def _to_bytes(colors: Array) -> np.ndarray:
     return np.rint(255 * np.clip(np.asarray(colors), 0, 1)).astype(np.uint8)
 
 
-_visible_all = jax.jit(jax.vmap(analytic.visible, in_axes=(0, None)))
+_visible_all = jax.jit(jax.vmap(solids.visible, in_axes=(0, None)))
 _project_all = jax.jit(jax.vmap(lambda point, camera: project(world_to_camera(point, camera), camera), (0, None)))
-_appearance_all = jax.jit(jax.vmap(lambda point: analytic.srgb(analytic.shade(point))))
+_appearance_all = jax.jit(jax.vmap(lambda point: solids.srgb(solids.shade(point))))

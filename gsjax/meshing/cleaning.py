@@ -8,7 +8,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.mesh import Mesh, face_area_vectors
 from gsjax.meshing.libraries import load_open3d
-from gsjax.topology import edge_table, face_components
+from gsjax.meshing.topology import edge_table, face_components
 
 
 @dataclass(frozen=True)

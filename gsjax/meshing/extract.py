@@ -5,16 +5,16 @@ from dataclasses import asdict
 
 import numpy as np
 
-from gsjax.boxes import Region, Regions, near_and_far
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.mesh import Mesh
+from gsjax.meshing.boxes import Region, Regions, near_and_far
 from gsjax.meshing.cleaning import clean, joined
 from gsjax.meshing.methods import Method, Sighting, level_set_poisson
 from gsjax.meshing.orientation import outward
-from gsjax.topology import topology
+from gsjax.meshing.topology import topology
 
 
 def extract_mesh(

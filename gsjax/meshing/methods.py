@@ -13,15 +13,14 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gsjax import gaussians as gs
-from gsjax import level_set
-from gsjax.boxes import Region
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
-from gsjax.level_set import LevelSetOptions
 from gsjax.mesh import Mesh, unit_or_zero
-from gsjax.meshing import poisson
+from gsjax.meshing import level_set, poisson
+from gsjax.meshing.boxes import Region
+from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.poisson import PoissonOptions
 
 CELL_PER_SCALE = 1.0  # Poisson cells smaller than the Gaussians reproduce their bumps, not the surface.

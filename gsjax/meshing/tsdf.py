@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gsjax import level_set
-from gsjax.boxes import Region
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.mesh import Mesh
+from gsjax.meshing import level_set
+from gsjax.meshing.boxes import Region
 from gsjax.meshing.libraries import load_open3d
 from gsjax.meshing.methods import Method, Sighting, typical_scale
 

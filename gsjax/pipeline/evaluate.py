@@ -7,12 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gsjax import gallery, geometry, metrics
+from gsjax import gallery
 from gsjax.gaussians import Gaussians
 from gsjax.io import runs
 from gsjax.io.scenes import load_scene
+from gsjax.measures import geometry
+from gsjax.measures.images import psnr, ssim
 from gsjax.meshing.export import read_mesh
-from gsjax.normals_prior import depth_normals
+from gsjax.normals.from_depth import depth_normals
 from gsjax.pipeline.mesh import mesh as extract
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera, open_result
 from gsjax.scene import Frame, Truth
@@ -77,7 +79,7 @@ def score_images(gaussians: Gaussians, frames: tuple[Frame, ...], background: st
 
 @jax.jit
 def _scores(image: jax.Array, target: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array]:
-    return metrics.psnr(image, target, valid), metrics.ssim(image, target, valid)
+    return psnr(image, target, valid), ssim(image, target, valid)
 
 
 def score_surface(gaussians: Gaussians, frames: tuple[Frame, ...], truth: Truth) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from gsjax.io import checkpoints, runs
-from gsjax.training import Metrics
+from gsjax.training.step import Metrics
 
 
 class Journal:

@@ -8,11 +8,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from gsjax import boxes, gallery, level_set
-from gsjax.boxes import Box
+from gsjax import gallery
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.meshing import trimming
+from gsjax.meshing import boxes, level_set, trimming
+from gsjax.meshing.boxes import Box
 from gsjax.meshing.export import supported_suffix, write_mesh
 from gsjax.meshing.extract import extract_mesh
 from gsjax.meshing.marching_cubes import marching_cubes

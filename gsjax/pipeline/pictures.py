@@ -13,7 +13,7 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, opacities
 from gsjax.io.files import make_folder
 from gsjax.io.images import write_image
-from gsjax.normals_prior import depth_normals
+from gsjax.normals.from_depth import depth_normals
 from gsjax.pipeline.result import Result, open_result
 
 TURNTABLE_VIEWS = 36

@@ -6,11 +6,13 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from gsjax import gallery, normals_prior
+from gsjax import gallery
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.io.files import atomic_path
 from gsjax.io.normals import load_normals
+from gsjax.normals.axes import apply_axes, detect_axes
+from gsjax.normals.from_depth import depth_normals, smoothed_depth_normals
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera
 from gsjax.scene import Frame
 from gsjax.views import Views, with_normals
@@ -47,10 +49,9 @@ class RunPrior:
             return [_smoothed(p, c) for p, c in zip(rendered, cameras, strict=True)]
         maps = [self.given[f.name] for f in self.frames]
         references = [
-            np.asarray(normals_prior.depth_normals(jnp.asarray(p.depth), c))
-            for p, c in zip(rendered, cameras, strict=True)
+            np.asarray(depth_normals(jnp.asarray(p.depth), c)) for p, c in zip(rendered, cameras, strict=True)
         ]
-        signs, score, margin = normals_prior.detect_axes(maps, references)
+        signs, score, margin = detect_axes(maps, references)
         names = "".join(f"{'+' if s > 0 else '-'}{axis}" for s, axis in zip(signs, "xyz", strict=True))
         doubt = "" if score >= CLEAR_SCORE and margin >= CLEAR_MARGIN else "; this is doubtful, check the maps' axes"
         print(
@@ -58,10 +59,8 @@ class RunPrior:
             f"lower){doubt}",
             file=sys.stderr,
         )
-        return [normals_prior.apply_axes(m, signs) for m in maps]
+        return [apply_axes(m, signs) for m in maps]
 
 
 def _smoothed(picture: gallery.Picture, camera: Camera) -> np.ndarray:
-    return np.asarray(
-        normals_prior.smoothed_depth_normals(jnp.asarray(picture.depth), jnp.asarray(picture.alphas), camera)
-    )
+    return np.asarray(smoothed_depth_normals(jnp.asarray(picture.depth), jnp.asarray(picture.alphas), camera))

@@ -6,21 +6,22 @@ from typing import Any
 import numpy as np
 from jax import Array
 
-from gsjax import config, refining
-from gsjax.bound import BoundGaussians, bind, to_gaussians, to_mesh
+from gsjax import config
+from gsjax.binding import refining
+from gsjax.binding.bound import BoundGaussians, bind, to_gaussians, to_mesh
+from gsjax.binding.mesh_terms import mesh_graph
+from gsjax.binding.refining import Refinement, RefineProgress
 from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.io.ply import write_gaussians
 from gsjax.io.scenes import load_scene
-from gsjax.mesh_terms import mesh_graph
 from gsjax.meshing.cleaning import clean
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.result import write_cameras
-from gsjax.refining import Refinement, RefineProgress
 from gsjax.scene import Scene, extent
-from gsjax.training import BACKGROUNDS, largest_need
+from gsjax.training.step import BACKGROUNDS, largest_need
 from gsjax.views import stack_views
 
 LOGGED_EVERY, SAVED_EVERY = 50, 500  # steps

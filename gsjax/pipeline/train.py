@@ -6,9 +6,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from gsjax import config, density_control, fitting, initialize, optimizers, training
+from gsjax import config
 from gsjax.errors import InputError
-from gsjax.fitting import Progress
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import runs
 from gsjax.io.ply import write_gaussians
@@ -19,7 +18,9 @@ from gsjax.pipeline.prior import RunPrior
 from gsjax.pipeline.result import write_cameras
 from gsjax.scene import Scene, extent
 from gsjax.settings import Settings, total_steps
-from gsjax.training import TrainState
+from gsjax.training import density_control, initialize, optimizers
+from gsjax.training.loop import Progress, fit
+from gsjax.training.step import TrainState, count_alive, initial_state
 
 
 def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: bool = False) -> dict[str, Any]:
@@ -52,11 +53,9 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
     first = initialize.from_points(
         loaded.points, loaded.point_colors, capacity=settings.max_gaussians, sh_degree=settings.sh_degree
     )
-    state, capacity, seconds = beginning(run, training.initial_state(first, optimizer))
+    state, capacity, seconds = beginning(run, initial_state(first, optimizer))
     with TrainingJournal(run, settings, loaded, int(state.step), seconds) as journal:
-        state = fitting.fit(
-            settings, frames, size, state, optimizer, prior=prior, observe=journal.note, capacity=capacity
-        )
+        state = fit(settings, frames, size, state, optimizer, prior=prior, observe=journal.note, capacity=capacity)
         return _finish(run, settings, loaded, state, journal.seconds)
 
 
@@ -95,7 +94,7 @@ class TrainingJournal(Journal):
         self.bar.update()
         scored = every.evaluate_every > 0 and progress.step % every.evaluate_every == 0 and not last
         if scored or last or progress.step % every.metrics_every == 0:
-            count = int(training.count_alive(progress.state.gaussians))
+            count = int(count_alive(progress.state.gaussians))
             more: dict[str, Any] = {"phase": progress.phase.name, "gaussians": count}
             if scored:
                 more["held_out_psnr"] = self._held_out_psnr(progress.state)

@@ -53,7 +53,7 @@ def library(monkeypatch):
     names = ("train", "mesh", "evaluate", "render")
     install("gsjax.pipeline", **{name: recorded(name, {"psnr": 29.5, "views": 7}) for name in names})
     install("gsjax.io.sfm", reconstruct=recorded("sfm", SfmReport(registered=45)))
-    install("gsjax.demo", run=recorded("demo", {"vanilla": {"psnr": 30.0}, "surface": {"psnr": 31.0}}))
+    install("gsjax.pipeline.demo", run=recorded("demo", {"vanilla": {"psnr": 30.0}, "surface": {"psnr": 31.0}}))
     return calls
 
 

@@ -3,10 +3,11 @@ import numpy as np
 import pytest
 from tolerances import assert_close
 
-from gsjax import losses, views
+from gsjax import views
 from gsjax.errors import InputError
 from gsjax.render import View
 from gsjax.scene import Frame
+from gsjax.training import losses
 
 RNG = np.random.default_rng(0)
 BLACK, WHITE = jnp.zeros(3, jnp.float32), jnp.ones(3, jnp.float32)

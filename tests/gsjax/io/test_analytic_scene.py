@@ -9,14 +9,14 @@ import trimesh
 from PIL import Image
 from tqdm import tqdm
 
-from gsjax import analytic
+from gsjax.analytic import solids
 from gsjax.cameras import unproject
 from gsjax.errors import InputError
 from gsjax.io import analytic_scene
 from gsjax.io.scenes import load_scene
 
 VIEWS, SIZE = 5, (36, 30)
-SDF = jax.jit(jax.vmap(analytic.scene_sdf))
+SDF = jax.jit(jax.vmap(solids.scene_sdf))
 
 
 @pytest.fixture(scope="module")
@@ -29,11 +29,11 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def cameras():
-    return analytic.cameras(VIEWS, SIZE)
+    return solids.cameras(VIEWS, SIZE)
 
 
 def test_depth_normals_and_labels_are_those_of_a_new_trace(folder, cameras):
-    view = analytic.trace(cameras[3])
+    view = solids.trace(cameras[3])
     depth, normals = np.load(folder / "depth/003.npz"), np.load(folder / "normals/003.npz")
     assert (depth["depth"].dtype, depth["label"].dtype, normals["cam"].dtype) == (np.float32, np.uint8, np.float16)
     np.testing.assert_array_equal(depth["depth"], view.depth)
@@ -85,8 +85,8 @@ def test_truth_points_lie_on_the_surface_with_their_normals(folder):
     points, normals = truth["points"], truth["normals"].astype(np.float32)
     assert points.dtype == np.float32
     assert np.abs(SDF(points)).max() < 1e-4
-    np.testing.assert_allclose(normals, jax.jit(jax.vmap(analytic.normal))(points), atol=1e-3)
-    is_table = np.asarray(jax.jit(jax.vmap(analytic.label))(points)) == analytic.GROUND_LABEL
+    np.testing.assert_allclose(normals, jax.jit(jax.vmap(solids.normal))(points), atol=1e-3)
+    is_table = np.asarray(jax.jit(jax.vmap(solids.label))(points)) == solids.GROUND_LABEL
     assert np.mean(is_table == truth["label"]) > 0.99  # where both touch either may be named
     assert np.abs(points[truth["label"] == 1, :2]).max() < analytic_scene.TRUTH_HALF
     assert truth["n_train_views"].min() >= analytic_scene.TRUTH_VIEWS
@@ -99,7 +99,7 @@ def test_the_mesh_opens_elsewhere_with_its_colours(folder):
     assert mesh.is_watertight
     assert mesh.volume > 0
     vertices = np.asarray(mesh.vertices, np.float32)
-    albedo = np.asarray(jax.jit(jax.vmap(analytic.albedo))(vertices))
+    albedo = np.asarray(jax.jit(jax.vmap(solids.albedo))(vertices))
     np.testing.assert_allclose(mesh.visual.vertex_colors[:, :3], 255 * albedo, atol=0.6)
 
 
@@ -127,7 +127,7 @@ def test_nothing_is_left_of_a_run_that_fails(tmp_path, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(analytic, "trace", full)
+    monkeypatch.setattr(solids, "trace", full)
     with pytest.raises(InputError, match=r"scene: No space left on device"):
         analytic_scene.write(tmp_path / "scene", num_views=2, size=(8, 8), progress=lambda **o: tqdm(disable=True))
     assert list(tmp_path.iterdir()) == []

@@ -8,7 +8,7 @@ import pytest
 from gsjax.errors import InputError
 from gsjax.mesh import Mesh, signed_volume
 from gsjax.meshing.cleaning import clean, joined
-from gsjax.topology import edge_table, face_components, topology
+from gsjax.meshing.topology import edge_table, face_components, topology
 
 
 def mesh_of(vertices, faces):
@@ -119,11 +119,11 @@ def test_the_first_of_equal_vertices_stays_with_its_colour():
 
 MILLION = """
 import numpy as np
-from gsjax import geometry
+from gsjax.measures import geometry
 from gsjax.io.machine import peak_memory
 from gsjax.mesh import Mesh
 from gsjax.meshing.cleaning import clean
-from gsjax.topology import topology
+from gsjax.meshing.topology import topology
 
 count = 711
 x, y = (a.ravel().astype(np.float32) for a in np.meshgrid(np.linspace(0, 1, count), np.linspace(0, 1, count)))

@@ -6,13 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax import boxes, geometry
-from gsjax.boxes import Box, Region
 from gsjax.errors import InputError
-from gsjax.level_set import LevelSetOptions
+from gsjax.measures import geometry
 from gsjax.mesh import Mesh, face_normals, signed_volume
-from gsjax.meshing import depth_of_mesh, extract_mesh
+from gsjax.meshing import boxes, depth_of_mesh, extract_mesh
+from gsjax.meshing.boxes import Box, Region
 from gsjax.meshing.extract import cut
+from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.methods import level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
 

@@ -5,13 +5,12 @@ from functools import partial
 import numpy as np
 import pytest
 
-from gsjax import boxes
 from gsjax import gaussians as gs
-from gsjax.boxes import Box, Region
 from gsjax.errors import InputError
 from gsjax.gallery import Picture
 from gsjax.mesh import Mesh, face_normals, signed_volume
-from gsjax.meshing import extract_mesh, methods
+from gsjax.meshing import boxes, extract_mesh, methods
+from gsjax.meshing.boxes import Box, Region
 from gsjax.meshing.marching_cubes import density_grid, marching_cubes
 from gsjax.meshing.methods import centers_poisson
 from gsjax.meshing.orientation import facing_share, outward

@@ -1,0 +1,1 @@
+"""A built-in scene of our own, known exactly."""

@@ -1,0 +1,1 @@
+"""Gaussians bound to a mesh: trained together with its vertices, and taken along when it is edited."""

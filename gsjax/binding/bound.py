@@ -1,0 +1,219 @@
+"""Gaussians bound to the triangles of a mesh: vertices and a few numbers a Gaussian to means and covariances.
+
+Every triangle carries 1, 3, 4 or 6 flat Gaussians at fixed barycentric places (SuGaR, section 4.2). Their means are
+combinations of its corners, their normal is its normal, so whatever moves the vertices moves the Gaussians.
+"""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from scipy.spatial.transform import Rotation
+
+from gsjax.gaussians import SH_C0, Gaussians, PixelFilter, rgb_to_sh
+from gsjax.mesh import Mesh
+from gsjax.render import Drawable, drawable
+from gsjax.training.initialize import DEAD_LOGIT
+
+COLLAPSED = 1e-5  # Height over longest edge under which a triangle has no direction left in float32.
+
+
+def _rotations_of(a: float, b: float, c: float) -> list[list[float]]:
+    return [[a, b, c], [c, a, b], [b, c, a]]
+
+
+_CENTER = [[1 / 3, 1 / 3, 1 / 3]]
+LAYOUTS: dict[int, tuple[np.ndarray, float]] = {
+    1: (np.array(_CENTER), 1 / (2 * 3**0.5)),
+    3: (np.array(_rotations_of(1 / 2, 1 / 4, 1 / 4)), 1 / (2 * (3**0.5 + 1))),
+    4: (np.array(_CENTER + _rotations_of(2 / 3, 1 / 6, 1 / 6)), 1 / (4 * 3**0.5)),
+    6: (
+        np.array(_rotations_of(2 / 3, 1 / 6, 1 / 6) + _rotations_of(1 / 6, 5 / 12, 5 / 12)),
+        1 / (4 + 2 * 3**0.5),
+    ),
+}
+"""Gaussians a triangle -> their barycentric coordinates `[n, 3]`, and first radius over the shortest edge (SuGaR)."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class BoundGaussians:
+    """G = n F Gaussians on F triangles, those of a triangle in a row; floats are float32 and free (unconstrained).
+
+    `faces` is None where only the free parameters are meant: gradients and optimiser states.
+    """
+
+    vertices: Array  # [V, 3] world positions, scene units
+    log_scales: Array  # [G, 2] natural log of the standard deviations in the plane, scene units
+    rotations: Array  # [G, 2] (re, im) of a complex number of any length but zero: the turn in the plane
+    logit_opacities: Array  # [G] log-odds of the opacity
+    sh_dc: Array  # [G, 1, 3] degree-0 coefficients
+    sh_rest: Array  # [G, (L+1)^2 - 1, 3] coefficients of degrees 1..L
+    faces: Array | None  # [F, 3] int32 vertex ids, counter-clockwise seen from outside
+    thickness: float = field(metadata={"static": True})  # standard deviation along the normal, scene units
+    pixel_filter: PixelFilter = field(default="mip", metadata={"static": True})
+
+    @property
+    def num_gaussians(self) -> int:
+        """Number of Gaussians, those of collapsed triangles included."""
+        return self.log_scales.shape[0]
+
+    @property
+    def per_triangle(self) -> int:
+        """Gaussians a triangle."""
+        return self.num_gaussians // _faces(self).shape[0]
+
+
+def bind(
+    mesh: Mesh,
+    *,
+    per_triangle: int,
+    thickness: float,
+    sh_degree: int = 3,
+    opacity: float = 0.9,
+    pixel_filter: PixelFilter = "mip",
+) -> BoundGaussians:
+    """Round Gaussians on every triangle, as wide as the layout leaves room beside the shortest edge.
+
+    Args:
+        mesh: Vertices, triangles and the colours that the Gaussians start with.
+        per_triangle: 1, 3, 4 or 6.
+        thickness: Standard deviation along the normal, scene units.
+        sh_degree: Degree of the harmonics, zero above the constant band.
+        opacity: Of every Gaussian, 0..1.
+        pixel_filter: How they are to be drawn; the classic one bends the geometry (docs/refinement.md).
+
+    Returns:
+        Gaussians on the device.
+
+    Raises:
+        ValueError: There is no such layout, the thickness or opacity is out of range, or there are no triangles.
+    """
+    if per_triangle not in LAYOUTS:
+        raise ValueError(f"per_triangle={per_triangle} is none of {', '.join(map(str, LAYOUTS))}")
+    if not thickness > 0 or not 0 < opacity < 1:
+        raise ValueError(f"thickness={thickness} must be above 0, opacity={opacity} between 0 and 1")
+    if not mesh.num_faces:
+        raise ValueError("a mesh without triangles carries no Gaussians")
+    barycentric, radius = LAYOUTS[per_triangle]
+    corners = mesh.vertices.astype(np.float64)[mesh.faces]
+    shortest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1).min(axis=1)
+    colors = np.einsum("nk,fkc->fnc", barycentric, mesh.colors[mesh.faces] / 255.0).reshape(-1, 1, 3)
+    count = per_triangle * mesh.num_faces
+    scales = np.repeat(np.maximum(radius * shortest, 1e-7), per_triangle)  # SuGaR's floor.
+    return BoundGaussians(
+        vertices=jnp.asarray(mesh.vertices, jnp.float32),
+        log_scales=jnp.asarray(np.log(np.stack([scales, scales], axis=-1)), jnp.float32),
+        rotations=jnp.asarray(np.tile([1.0, 0.0], (count, 1)), jnp.float32),
+        logit_opacities=jnp.full(count, np.log(opacity / (1 - opacity)), jnp.float32),
+        sh_dc=jnp.asarray(rgb_to_sh(colors), jnp.float32),
+        sh_rest=jnp.zeros((count, (sh_degree + 1) ** 2 - 1, 3), jnp.float32),
+        faces=jnp.asarray(mesh.faces, jnp.int32),
+        thickness=float(thickness),
+        pixel_filter=pixel_filter,
+    )
+
+
+def means(bound: BoundGaussians) -> Array:
+    """`[G, 3]` world positions."""
+    barycentric = jnp.asarray(LAYOUTS[bound.per_triangle][0], bound.vertices.dtype)
+    corners = bound.vertices[_faces(bound)]
+    return jnp.sum(barycentric[None, :, :, None] * corners[:, None], axis=2).reshape(-1, 3)
+
+
+def covariances(bound: BoundGaussians) -> Array:
+    """`[G, 3, 3]` R diag(thickness, s_1, s_2)^2 R^T, world, scene units squared."""
+    in_plane = jnp.exp(bound.log_scales)
+    scales = jnp.concatenate([jnp.full_like(in_plane[:, :1], bound.thickness), in_plane], axis=-1)
+    columns = axes(bound) * scales[:, None, :]
+    return jnp.sum(columns[:, :, None, :] * columns[:, None, :, :], axis=-1)
+
+
+def axes(bound: BoundGaussians) -> Array:
+    """`[G, 3, 3]` rotations; the columns are the normal and the two turned directions in the plane.
+
+    The rows of a collapsed triangle are the identity turned, whatever the corners, with zero gradient to them.
+    """
+    normal, first, second = (jnp.repeat(axis, bound.per_triangle, axis=0) for axis in _frames(bound)[:3])
+    re, im = jnp.split(unit_turns(bound.rotations), 2, axis=-1)
+    return jnp.stack([normal, re * first + im * second, re * second - im * first], axis=-1)
+
+
+def unit_turns(rotations: Array) -> Array:
+    """`[G, 2]` complex numbers of length 1; 0 is read as 1, with zero gradient."""
+    squared = jnp.sum(rotations * rotations, axis=-1, keepdims=True)
+    is_zero = squared < 1e-24
+    one = jnp.array([1.0, 0.0], rotations.dtype)
+    return jnp.where(is_zero, one, rotations * jax.lax.rsqrt(jnp.where(is_zero, 1, squared)))
+
+
+def opacities(bound: BoundGaussians) -> Array:
+    """`[G]` opacities in (0, 1); 0 on a collapsed triangle, which has no side to show."""
+    has_area = jnp.repeat(_frames(bound)[3], bound.per_triangle)
+    return jnp.where(has_area, jax.nn.sigmoid(bound.logit_opacities), 0)
+
+
+@drawable.register
+def _(bound: BoundGaussians) -> Drawable:
+    return Drawable(
+        means=means(bound),
+        opacities=opacities(bound),
+        sh=jnp.concatenate([bound.sh_dc, bound.sh_rest], axis=1),
+        covars=covariances(bound),
+        pixel_filter=bound.pixel_filter,
+    )
+
+
+def to_gaussians(bound: BoundGaussians) -> Gaussians:
+    """The same Gaussians without their mesh, numpy: for files in the 3DGS layout. Rows keep their places.
+
+    The first axis is the triangle's normal. Gaussians of collapsed triangles get an opacity too faint to be drawn.
+    """
+    scalars = np.asarray(bound.log_scales)
+    thickness = np.full_like(scalars[:, :1], np.log(bound.thickness))
+    visible = np.asarray(opacities(bound)) > 0
+    turns = Rotation.from_matrix(np.asarray(axes(bound), np.float64))
+    return Gaussians(
+        means=np.asarray(means(bound)),
+        quats=turns.as_quat()[:, [3, 0, 1, 2]].astype(np.float32),
+        log_scales=np.concatenate([thickness, scalars], axis=1),
+        logit_opacities=np.where(visible, bound.logit_opacities, np.float32(DEAD_LOGIT)),
+        sh_dc=np.asarray(bound.sh_dc),
+        sh_rest=np.asarray(bound.sh_rest),
+        pixel_filter=bound.pixel_filter,
+    )
+
+
+def to_mesh(bound: BoundGaussians) -> Mesh:
+    """The mesh, its vertices coloured by the constant colours of the Gaussians around, weighted by nearness."""
+    faces, barycentric = np.asarray(_faces(bound)), LAYOUTS[bound.per_triangle][0]
+    shade = np.asarray(bound.sh_dc, np.float64)[:, 0].reshape(len(faces), -1, 3) * SH_C0 + 0.5
+    weights = barycentric[None] * np.asarray(opacities(bound), np.float64).reshape(len(faces), -1, 1)
+    colors, total = np.full((len(bound.vertices), 3), 0.5e-9), np.full((len(bound.vertices), 1), 1e-9)
+    for corner in range(3):
+        np.add.at(colors, faces[:, corner], np.sum(weights[..., corner, None] * np.clip(shade, 0, 1), axis=1))
+        np.add.at(total, faces[:, corner], np.sum(weights[..., corner], axis=1, keepdims=True))
+    return Mesh(np.asarray(bound.vertices, np.float32), faces, np.rint(255 * colors / total).astype(np.uint8))
+
+
+def _faces(bound: BoundGaussians) -> Array:
+    if bound.faces is None:
+        raise ValueError("these are free parameters without faces")
+    return bound.faces
+
+
+def _frames(bound: BoundGaussians) -> tuple[Array, Array, Array, Array]:
+    """Unit normal, unit first edge, their cross product, `[F, 3]` each, and `[F]` whether there is an area."""
+    a, b, c = jnp.moveaxis(bound.vertices[_faces(bound)], 1, 0)
+    longest = jax.lax.stop_gradient(jnp.max(jnp.abs(jnp.stack([a - b, c - b, a - c])), axis=(0, 2)))
+    size = jnp.where(longest > 0, longest, 1)[:, None]
+    along, other = (a - b) / size, (c - b) / size
+    across = jnp.cross(other, along)
+    has_area = jnp.sum(across * across, axis=-1) > COLLAPSED**2
+    fallback = jnp.eye(3, dtype=a.dtype)
+    along = jnp.where(has_area[:, None], along, fallback[1])
+    across = jnp.where(has_area[:, None], across, fallback[0])
+    normal, first = (v * jax.lax.rsqrt(jnp.sum(v * v, axis=-1, keepdims=True)) for v in (across, along))
+    return normal, first, jnp.cross(normal, first), has_area

@@ -1,0 +1,232 @@
+"""Refinement: a mesh's vertices and the Gaussians bound to it, trained together on the photos (SuGaR, section 4.2).
+
+Defaults are SuGaR's at full scale; a shorter run moves its SH ramp and its decay in proportion.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+
+from gsjax import render, views
+from gsjax.binding import mesh_terms
+from gsjax.binding.bound import LAYOUTS, BoundGaussians
+from gsjax.binding.mesh_terms import MeshGraph
+from gsjax.gaussians import PixelFilter
+from gsjax.numerics import masked_mean
+from gsjax.training import losses, optimizers
+from gsjax.training.loop import advance
+from gsjax.training.step import Background, Metrics, active_terms, chosen_capacity
+from gsjax.views import Views
+
+
+@dataclass(frozen=True)
+class RefinementWeights:
+    """Weights of the loss terms. A term of weight 0 is not in the compiled program."""
+
+    l1: float = 0.8
+    dssim: float = 0.2
+    alpha: float = 0.1  # mean |alpha - matte|; only where the photos have an alpha channel
+    normal_consistency: float = 0.1  # mean 1 - cos between neighbouring triangles
+    laplacian: float = 0.0  # mean squared distance of a vertex from its neighbours' mean, in mean squared edges
+
+
+@dataclass(frozen=True)
+class RefinementRates:
+    """Adam learning rates."""
+
+    vertices: float = 1.6e-4  # times 10 extent / sqrt(number of vertices)
+    vertices_final: float = 1.6e-6  # the same; reached log-linearly after twice the steps of the run
+    sh_dc: float = 0.0025
+    sh_rest: float = 0.000125
+    opacities: float = 0.05
+    scales: float = 0.005
+    rotations: float = 0.001
+
+    def __post_init__(self):
+        """Check ranges."""
+        if not 0 < self.vertices_final <= self.vertices:
+            raise ValueError(f"vertices_final={self.vertices_final} is not between 0 and vertices={self.vertices}")
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """A refinement run."""
+
+    steps: int = 15_000
+    per_triangle: int = 1
+    faces: int = 1_000_000  # above it, the mesh is decimated first
+    sh_degree: int = 3
+    opacity: float = 0.9  # of every Gaussian at the start
+    thickness: float = 1e-6  # of the extent: standard deviation along the normal
+    pixel_filter: PixelFilter = "mip"  # see `gsjax.render.PIXEL_FILTERS`
+    seed: int = 0
+    weights: RefinementWeights = RefinementWeights()
+    rates: RefinementRates = RefinementRates()
+
+    def __post_init__(self):
+        """Check ranges."""
+        for name, low in {"steps": 1, "faces": 1}.items():
+            if getattr(self, name) < low:
+                raise ValueError(f"{name}={getattr(self, name)} is below {low}")
+        if self.per_triangle not in LAYOUTS:
+            raise ValueError(f"per_triangle={self.per_triangle} is none of {', '.join(map(str, LAYOUTS))}")
+        if not 0 <= self.sh_degree <= 4:
+            raise ValueError(f"sh_degree={self.sh_degree} is not 0 to 4")
+        if not 0 < self.opacity < 1 or not self.thickness > 0:
+            raise ValueError(f"opacity={self.opacity} is not in 0..1 or thickness={self.thickness} is not above 0")
+
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "fast": {"steps": 1_000, "faces": 30_000, "rates": {"vertices": 1.5e-3}},
+    "short": {"steps": 2_000},
+    "medium": {"steps": 7_000},
+    "long": {"steps": 15_000},
+}
+"""A CPU's, whose few steps are large (docs/refinement.md), and SuGaR's three."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class RefineState:
+    """All that changes while refining."""
+
+    gaussians: BoundGaussians
+    opt_state: Any
+    step: Array  # [] int32 steps done
+
+
+class RefineProgress(NamedTuple):
+    """What the loop tells after every step."""
+
+    step: int  # steps done
+    state: RefineState  # valid until the next step, which takes its buffers
+    metrics: Metrics
+    capacity: int  # of the pair buffer
+
+
+def refine(
+    settings: Refinement,
+    graph: MeshGraph,
+    data: Views,
+    state: RefineState,
+    optimizer: optax.GradientTransformation,
+    *,
+    background: Background,
+    observe: Callable[[RefineProgress], None],
+    capacity: int | None = None,
+) -> RefineState:
+    """Train all parameters of bound Gaussians on photos, from `state.step` on.
+
+    Args:
+        settings: The run.
+        graph: Of the faces, see `gsjax.mesh_terms.mesh_graph`.
+        data: The photos.
+        state: Where to start. Its buffers are taken.
+        optimizer: The transformation that made the state.
+        background: Colour under the images.
+        observe: Called after every step.
+        capacity: Pair buffer to continue with; None counts.
+
+    Returns:
+        The final state; faces and thickness are as they were.
+    """
+    # Photos without an alpha channel have nothing to compare alphas with.
+    weights = settings.weights if data.mattes is not None else replace(settings.weights, alpha=0.0)
+
+    def compiled(capacity: int):
+        step = make_refine_step(
+            optimizer, weights, capacity=capacity, background=background, sh_every=max(settings.steps // 15, 1)
+        )
+        return partial(step, graph)
+
+    def after(step: int, state: RefineState, metrics: Metrics, capacity: int) -> RefineState:
+        observe(RefineProgress(step, state, metrics, capacity))
+        return state
+
+    steps = (int(state.step), settings.steps)
+    capacity = capacity or chosen_capacity(state.gaussians, data)
+    return advance(compiled, after, state, data, steps, seed=settings.seed, capacity=capacity)
+
+
+def initial_state(bound: BoundGaussians, optimizer: optax.GradientTransformation) -> RefineState:
+    """Step 0."""
+    return RefineState(bound, optimizer.init(free(bound)), jnp.zeros((), jnp.int32))
+
+
+def free(bound: BoundGaussians) -> BoundGaussians:
+    """What is trained: everything but the faces."""
+    return replace(bound, faces=None)
+
+
+def make_refine_step(
+    optimizer: optax.GradientTransformation,
+    weights: RefinementWeights,
+    *,
+    capacity: int,
+    background: Background,
+    sh_every: int,
+) -> Callable[[MeshGraph, RefineState, Views, Array, Array], tuple[RefineState, Metrics]]:
+    """The compiled step: (graph, state, views, view index, key) -> (state, metrics). The state is donated.
+
+    A view that needs more pairs than `capacity` leaves the state untouched and says so.
+    """
+    terms = active_terms(weights)
+
+    def objective(parameters: BoundGaussians, faces: Array, graph: MeshGraph, batch, color: Array, degree: Array):
+        bound = replace(parameters, faces=faces)
+        view = render.view(bound, batch.camera, capacity=capacity, background=color, active_degree=degree)
+        values = {name: _term(name, bound, graph, view, batch) for name in terms}
+        total = sum(weight * values[name] for name, weight in terms.items())
+        mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
+        return total, (values, mse, view.splats.pairs)
+
+    @partial(jax.jit, donate_argnums=1)
+    def refine_step(graph: MeshGraph, state: RefineState, data: Views, index: Array, key: Array):
+        color = background(jax.random.fold_in(key, state.step))
+        batch = views.batch(data, index, color)
+        parameters, faces = free(state.gaussians), state.gaussians.faces
+        (total, (values, mse, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
+            parameters, faces, graph, batch, color, state.step // sh_every
+        )
+        parameters, opt_state = optimizers.apply_gradients(optimizer, parameters, state.opt_state, gradients)
+        proposed = RefineState(replace(parameters, faces=faces), opt_state, state.step + 1)
+        state = jax.tree.map(lambda old, new: jnp.where(pairs.overflowed, old, new), state, proposed)
+        return state, Metrics(total, -10 * jnp.log10(jnp.maximum(mse, 1e-10)), pairs.needed, pairs.overflowed, values)
+
+    return refine_step
+
+
+def make_optimizer(settings: Refinement, extent: float, num_vertices: int) -> optax.GradientTransformation:
+    """Adam (0.9, 0.999, eps 1e-15) per field; the vertices' rate falls log-linearly (SuGaR)."""
+    rates = settings.rates
+    unit = 10 * extent / num_vertices**0.5
+    schedule = optax.exponential_decay(
+        rates.vertices * unit,
+        2 * settings.steps,
+        rates.vertices_final / rates.vertices,
+        end_value=rates.vertices_final * unit,
+    )
+    chosen = {
+        "vertices": schedule,
+        "log_scales": rates.scales,
+        "rotations": rates.rotations,
+        "logit_opacities": rates.opacities,
+        "sh_dc": rates.sh_dc,
+        "sh_rest": rates.sh_rest,
+    }
+    transforms = {name: optax.adam(rate, eps=1e-15) for name, rate in chosen.items()}
+    return optax.partition(transforms, lambda parameters: replace(parameters, **{name: name for name in chosen}))
+
+
+def _term(name: str, bound: BoundGaussians, graph: MeshGraph, view: render.View, batch: losses.Batch) -> Array:
+    if name == "normal_consistency":
+        return mesh_terms.normal_consistency(bound.vertices, bound.faces, graph)
+    if name == "laplacian":
+        return mesh_terms.laplacian(bound.vertices, graph)
+    return losses.TERMS[name](bound, view, batch)

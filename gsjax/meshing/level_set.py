@@ -1,0 +1,239 @@
+"""Points on the level set of the density, found along camera rays.
+
+Every view contributes: random opaque pixels, a short march along their rays around the rendered depth, the first
+crossing of the level from outside to inside, and the outward normal there (SuGaR's sampling, with its half-pixel
+offset and its inward normals put right).
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import numpy as np
+from scipy.spatial import KDTree
+
+from gsjax import cameras as cams
+from gsjax import gaussians as gs
+from gsjax.cameras import Camera
+from gsjax.errors import InputError
+from gsjax.gallery import Picture
+from gsjax.gaussians import Gaussians
+from gsjax.meshing import density_field
+from gsjax.meshing.level_crossing import march_rays
+
+PIXELS_PER_POINT = 8  # Photos of so many pixels in all bear one surface point.
+FEWEST_POINTS = 200_000
+TREE_CHUNK = 262_144  # Queries of the nearest neighbours at once.
+
+
+@dataclass(frozen=True)
+class LevelSetOptions:
+    """The numbers of the sampling; the defaults are SuGaR's at full scale, `options_for` suits them to small photos."""
+
+    level: float = 0.3  # density of the surface; SuGaR takes 0.1, 0.3 or 0.5
+    num_points: int = 10_000_000  # most points, over all views
+    oversampling: float = 2.0  # rays marched per point wanted; what finds too many is cut back at random
+    neighbors: int = 16  # Gaussians that make the density around a ray: the one nearest to its hit, and that one's
+    samples: int = 21  # densities evaluated along a ray
+    sigma_range: float = 3.0  # half length of the march, standard deviations of the hit Gaussian along the ray
+    min_opacity: float = 0.5  # Gaussians up to this make no density, unless fewer than `neighbors` would remain
+    min_alpha: float = 0.5  # a pixel covered less shows no surface
+    chunk: int = 16_384  # rays marched at once: a bound of the memory, results do not depend on it
+
+    def __post_init__(self):
+        """Check ranges."""
+        if not 0 < self.level < 1:
+            raise InputError(f"level {self.level} is not between 0 and 1")
+        if self.num_points < 1:
+            raise InputError(f"number of surface points {self.num_points} is below 1")
+        if min(self.neighbors, self.chunk) < 1 or self.samples < 2:
+            raise InputError(f"{self.neighbors=}, {self.samples=}, {self.chunk=}: too small to march with")
+
+
+def options_for(cameras: Sequence[Camera]) -> LevelSetOptions:
+    """SuGaR's numbers with as many points as the photos bear: an eighth of their pixels, 200,000 to 10 million."""
+    pixels = sum(camera.width * camera.height for camera in cameras)
+    full = LevelSetOptions()
+    return LevelSetOptions(num_points=int(np.clip(pixels // PIXELS_PER_POINT, FEWEST_POINTS, full.num_points)))
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """P oriented, coloured points on the level set, and how many rays it took to find them."""
+
+    points: np.ndarray  # [P, 3] float32 world
+    normals: np.ndarray  # [P, 3] float32 unit, world, outward: towards the camera that saw the point
+    colors: np.ndarray  # [P, 3] uint8 sRGB
+    view_ids: np.ndarray  # [P] int32 index of the camera
+    rays: int  # marched
+    crossings: int  # rays that crossed the level; a random part of them is kept where there are more than asked for
+    flipped: int  # of the crossings, those whose density gradient faced away from the camera
+    kernels: int  # Gaussians that made the density, after the cull by opacity
+
+    @property
+    def crossing_share(self) -> float:
+        """Share of rays that met the level; under 0.2 the Gaussians are too soft or too thin for it."""
+        return self.crossings / self.rays
+
+
+@dataclass(frozen=True)
+class Rays:
+    """R rays to march, numpy, world frame."""
+
+    hits: np.ndarray  # [R, 3] float32 the pixel's point at the rendered depth
+    directions: np.ndarray  # [R, 3] float32 unit, away from the camera
+    colors: np.ndarray  # [R, 3] uint8
+    view_ids: np.ndarray  # [R] int32
+
+
+def surface_points(
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    pictures: Iterable[Picture],
+    options: LevelSetOptions | None = None,
+    *,
+    seed: int = 0,
+) -> SurfacePoints:
+    """Points of the level set {d = level} seen by the cameras.
+
+    Args:
+        gaussians: The trained scene.
+        cameras: One camera a view.
+        pictures: One rendered picture a camera, in order; looked at one by one. Colours best come from the degree-0
+            coefficients alone.
+        options: The numbers. None: `options_for` these cameras.
+        seed: Of the random choice of pixels.
+
+    Returns:
+        At most `options.num_points` points with outward normals.
+
+    Raises:
+        InputError: No pixel is opaque, no Gaussian is there, or no ray crosses the level.
+    """
+    options = options_for(cameras) if options is None else options
+    rng = np.random.default_rng(seed)
+    kept = opaque_enough(gaussians, options.min_opacity, options.neighbors)
+    wanted = options.num_points // max(len(cameras), 1) + 1
+    rays = _draw_rays(cameras, pictures, round(options.oversampling * wanted), options.min_alpha, rng)
+
+    points, normals, crossed = _march(kept, rays, options)
+    ids = np.flatnonzero(crossed)
+    if not len(ids):
+        raise InputError(
+            f"the level set is empty: none of {len(crossed)} rays crosses density {options.level} "
+            f"({kept.num_gaussians} of {gaussians.num_gaussians} Gaussians kept); train longer or lower the level"
+        )
+    # Density grows inwards, so that its gradient is turned about; and a surface that a camera sees faces that camera.
+    away = np.sum(normals * rays.directions, axis=-1) > 0
+    normals[away] *= -1
+    chosen = np.sort(rng.choice(ids, min(options.num_points, len(ids)), replace=False))
+    return SurfacePoints(
+        points=points[chosen],
+        normals=normals[chosen],
+        colors=rays.colors[chosen],
+        view_ids=rays.view_ids[chosen],
+        rays=len(crossed),
+        crossings=len(ids),
+        flipped=int(away[ids].sum()),
+        kernels=kept.num_gaussians,
+    )
+
+
+def opaque_enough(gaussians: Gaussians, min_opacity: float, fewest: int) -> Gaussians:
+    """The Gaussians above the opacity and with finite parameters, or all finite ones where fewer than `fewest` are.
+
+    Raises:
+        InputError: No Gaussian is finite.
+    """
+    parameters = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities[:, None])
+    finite = np.all([np.isfinite(np.asarray(values)).all(axis=1) for values in parameters], axis=0)
+    opaque = finite & (np.asarray(gs.opacities(gaussians)) > min_opacity)
+    kept = np.flatnonzero(opaque if opaque.sum() >= fewest else finite)
+    if not len(kept):
+        raise InputError(f"no surface to extract: none of {gaussians.num_gaussians} Gaussians is usable")
+    return gs.take(gaussians, kept)
+
+
+def world_points(camera: Camera, depth: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> tuple:
+    """`[R, 3]` world points of pixels of a `[H, W]` depth map, and `[R, 3]` unit rays away from the camera."""
+    viewmat = np.asarray(camera.viewmat, np.float64)
+    rays = np.asarray(cams.pixel_rays(camera), np.float64)[rows, columns] @ viewmat[:3, :3]
+    points = rays * depth[rows, columns, None] - viewmat[:3, 3] @ viewmat[:3, :3]
+    return points, rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+
+def check_sizes(index: int, camera: Camera, picture: Picture) -> None:
+    """Raise ValueError where a picture is not as large as its camera's image."""
+    size = (camera.height, camera.width)
+    colors, depth, alphas = picture
+    if depth.shape != size or alphas.shape != size or colors.shape != (*size, 3):
+        raise ValueError(f"view {index}: {depth.shape=}, {alphas.shape=}, {colors.shape=} do not fit camera {size}")
+
+
+def to_bytes(colors: np.ndarray) -> np.ndarray:
+    """8-bit sRGB of colours in 0..1."""
+    return np.clip(np.round(colors * 255.0), 0, 255).astype(np.uint8)
+
+
+def _draw_rays(cameras, pictures, rays_per_view: int, min_alpha: float, rng: np.random.Generator) -> Rays:
+    """Random opaque pixels of every view, no pixel twice, back-projected at their centres."""
+    views = [
+        _rays_of_view(index, camera, picture, rays_per_view, min_alpha, rng)
+        for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True))
+    ]
+    rays = [np.concatenate(parts) for parts in zip(*views, strict=True)] if views else [np.zeros((0, 3))]
+    if not len(rays[0]):
+        raise InputError(f"no surface to extract: no pixel of {len(views)} views has alpha > {min_alpha} and a depth")
+    return Rays(*rays)
+
+
+def _rays_of_view(
+    index: int, camera: Camera, picture: Picture, count: int, min_alpha: float, rng: np.random.Generator
+) -> tuple[np.ndarray, ...]:
+    """Arrays (hits, directions, colours, view ids) of one view."""
+    check_sizes(index, camera, picture)
+    depth = np.asarray(picture.depth)
+    rows, columns = np.nonzero((np.asarray(picture.alphas) > min_alpha) & (depth > 0) & np.isfinite(depth))
+    drawn = rng.permutation(len(rows))[:count]
+    rows, columns = rows[drawn], columns[drawn]
+    hits, directions = world_points(camera, depth, rows, columns)
+    colors = to_bytes(np.asarray(picture.colors)[rows, columns])
+    return hits.astype(np.float32), directions.astype(np.float32), colors, np.full(len(rows), index, np.int32)
+
+
+def _march(kept: Gaussians, rays: Rays, options: LevelSetOptions) -> tuple[np.ndarray, ...]:
+    """Points, outward normals and whether there is a crossing, of every ray, chunk by chunk."""
+    tree = KDTree(np.asarray(kept.means))
+    table = neighbor_table(tree, options.neighbors)
+    march = partial(
+        march_rays,
+        density_field.kernels(kept),
+        level=options.level,
+        samples=options.samples,
+        sigma_range=options.sigma_range,
+    )
+    total, outputs = len(rays.hits), []
+    for start in range(0, total, options.chunk):
+        # The last chunk is padded with repetitions, so that all have one length and one compilation.
+        ids = np.minimum(np.arange(start, start + options.chunk), total - 1)
+        nearest = np.asarray(tree.query(rays.hits[ids], 1, workers=-1)[1])
+        outputs.append(jax.device_get(march(rays.hits[ids], rays.directions[ids], table[nearest])))
+    return tuple(np.concatenate(parts)[:total] for parts in zip(*outputs, strict=True))
+
+
+def neighbor_table(tree: KDTree, neighbors: int) -> np.ndarray:
+    """`[N, k]` int32 ids of the nearest of every point of the tree, itself first; found in chunks."""
+    points = tree.data
+    count = min(neighbors, len(points))
+    table = np.empty((len(points), count), np.int32)
+    for start in range(0, len(points), TREE_CHUNK):
+        part = slice(start, start + TREE_CHUNK)
+        table[part] = np.asarray(tree.query(points[part], count, workers=-1)[1]).reshape(-1, count)
+    # Coincident Gaussians may push one out of its own list, or out of first place.
+    own = np.arange(len(points), dtype=np.int32)
+    is_own = table == own[:, None]
+    place = np.where(is_own.any(1), is_own.argmax(1), count - 1)
+    table[own, place] = table[:, 0]
+    table[:, 0] = own
+    return table

@@ -1,0 +1,108 @@
+"""The embedded default: a scene of our own, known exactly, trained with and without the normal term and compared."""
+
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from gsjax import config, gallery, pipeline
+from gsjax.errors import InputError
+from gsjax.io import analytic_scene, runs
+from gsjax.io.files import atomic_path, make_folder
+from gsjax.io.machine import machine, versions
+from gsjax.io.scenes import load_scene
+from gsjax.meshing.export import read_mesh
+from gsjax.meshing.pictures import headlight, render_mesh
+from gsjax.normals.from_depth import depth_normals
+from gsjax.pipeline.pictures import normal_picture, to_bytes
+from gsjax.pipeline.result import Result, open_result
+from gsjax.settings import DEMO, Settings
+
+NUM_VIEWS, SIZE = 48, (192, 192)
+SHOWN_VIEW = 1  # Of the held-out ones.
+REPORTED = ("psnr", "ssim", "normal_error_deg", "normal_error_median_deg", "normal_error_all_deg", "chamfer", "fscore",
+            "normal_consistency", "gaussians")  # fmt: skip
+
+
+def run(out: str | Path = "runs/demo") -> dict[str, Any]:
+    """Make the scene, train both variants from the same start for the same steps, mesh, score, and draw.
+
+    The true normals of the scene play the part of the monocular ones.
+
+    Args:
+        out: Folder for the scene, both runs, `report.json` and `comparison.png`; absent or empty.
+
+    Returns:
+        The report: figures of `vanilla` and `surface`, path of the surface `mesh`, `machine`, `versions`.
+
+    Raises:
+        InputError: The folder is in use or cannot be written.
+    """
+    out = Path(out)
+    if out.is_dir() and any(out.iterdir()):
+        raise InputError(f"{out}: this folder is not empty; remove it, or choose another with --out")
+    make_folder(out)
+    scene = analytic_scene.write(out / "scene", num_views=NUM_VIEWS, size=SIZE)
+    report: dict[str, Any] = {}
+    for name, vanilla in (("vanilla", True), ("surface", False)):
+        settings = {**DEMO, "vanilla": vanilla, "normals": str(scene / "normals")}
+        print(f"demo: training the {name} variant")
+        trained = pipeline.train(scene, out / name, config.parse(Settings, settings))
+        pipeline.mesh(out / name, out / name / "mesh.ply")
+        figures = pipeline.evaluate(out / name)
+        report[name] = {key: figures[key] for key in REPORTED} | {"seconds": trained["train_seconds"]}
+    picture = _comparison(scene, open_result(out / "vanilla"), open_result(out / "surface"), out)
+    report |= {
+        "mesh": str(out / "surface" / "mesh.ply"),
+        "picture": str(picture),
+        "machine": machine(),
+        "versions": versions(),
+    }
+    runs.write_json(out / "report.json", report)
+    return report
+
+
+def _comparison(scene: Path, vanilla: Result, surface: Result, out: Path) -> Path:
+    """comparison.png: photo and render, normals before, after and true, and both meshes, of one held-out view."""
+    loaded = load_scene(scene)
+    frame, truth = loaded.held_out_frames[SHOWN_VIEW], loaded.truth
+    index = surface.names.index(frame.name)
+    camera = surface.cameras[index]
+    before, after = (next(gallery.pictures(r.gaussians, [camera], r.background)) for r in (vanilla, surface))
+
+    def normals(picture: gallery.Picture) -> np.ndarray:
+        return normal_picture(np.asarray(depth_normals(jnp.asarray(picture.depth), camera)))
+
+    def mesh(name: str) -> np.ndarray:
+        return render_mesh(
+            read_mesh(out / name / "mesh.ply"), camera.viewmat, camera.K, camera.width, camera.height, shading=headlight
+        )
+
+    assert truth is not None, "the demo writes its own truth"
+    panels = {
+        "held-out photo": frame.image,
+        "normals, vanilla": normals(before),
+        "normals, with the SDF term": normals(after),
+        "normals, true": normal_picture(truth.normals[frame.name]),
+        "render, with the SDF term": to_bytes(after.colors),
+        "mesh, vanilla": mesh("vanilla"),
+        "mesh, with the SDF term": mesh("surface"),
+    }
+    return _draw(panels, out / "comparison.png")
+
+
+def _draw(panels: dict[str, np.ndarray], path: Path) -> Path:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 6.8), layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, (title, image) in zip(figure.subplots(2, 4).flat, panels.items(), strict=False):
+        axes.imshow(image, interpolation="nearest")
+        axes.set_title(title, fontsize=11)
+    for axes in figure.axes:
+        axes.axis("off")
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=110)
+    return path

@@ -1,0 +1,131 @@
+"""Adaptive density control of 3DGS at a fixed capacity, under jit: clone, split, prune, reset, cull.
+
+A row of the buffers is dead when its log-odds of opacity are at `DEAD_LOGIT`: it draws nothing, has no gradient, and is
+free for a new Gaussian. When more Gaussians want to grow than rows are free, the largest gradients win.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales, take
+from gsjax.settings import Density
+from gsjax.training.initialize import DEAD_LOGIT
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class GrowthStatistics:
+    """What decides who grows, summed since the last densification."""
+
+    gradient: Array  # [N] norms of the loss' gradient to the 2D mean, NDC units
+    views: Array  # [N] times visible
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Moves:
+    """How the rows of every per-Gaussian array move: row i comes from `source[i]`, with fresh state where `fresh`."""
+
+    source: Array  # [N] int32
+    fresh: Array  # [N] bool
+
+
+def is_alive(gaussians: Gaussians) -> Array:
+    """`[N]` bool: which rows hold a Gaussian."""
+    return gaussians.logit_opacities > 0.5 * DEAD_LOGIT
+
+
+def empty_statistics(capacity: int) -> GrowthStatistics:
+    """Zero sums."""
+    return GrowthStatistics(jnp.zeros(capacity, jnp.float32), jnp.zeros(capacity, jnp.float32))
+
+
+def accumulate(
+    statistics: GrowthStatistics, means2d_gradient: Array, visible: Array, width: int, height: int
+) -> GrowthStatistics:
+    """Add one view: `means2d_gradient` `[N, 2]` in 1 / pixels becomes NDC units (times half the image size)."""
+    ndc = means2d_gradient * jnp.array([0.5 * width, 0.5 * height], jnp.float32)[None]
+    norm = jnp.sqrt(jnp.sum(ndc * ndc, -1))
+    return GrowthStatistics(
+        statistics.gradient + jnp.where(visible, norm, 0), statistics.views + visible.astype(jnp.float32)
+    )
+
+
+def densify(
+    gaussians: Gaussians,
+    statistics: GrowthStatistics,
+    key: Array,
+    *,
+    density: Density,
+    extent: float | Array,
+    prune_large: Array | bool,
+) -> tuple[Gaussians, Moves]:
+    """Clone, split and prune.
+
+    A Gaussian whose mean gradient reaches `density.gradient` is cloned when small (the copy starts with zero moments)
+    and split when large (two samples of itself, 1.6 times smaller, both with zero moments). Pruned are those under
+    `density.min_opacity` and, if `prune_large`, those larger than `density.max_share` of the extent.
+
+    Args:
+        gaussians: The scene, `[N]` rows.
+        statistics: Sums since the last densification.
+        key: Consumed.
+        density: Thresholds.
+        extent: Camera extent, scene units.
+        prune_large: Whether size prunes; may be traced.
+
+    Returns:
+        The Gaussians and how rows moved, for the optimiser's moments.
+    """
+    capacity = gaussians.num_gaussians
+    largest = scales(gaussians).max(-1)
+    too_faint = opacities(gaussians) < density.min_opacity
+    too_large = jnp.asarray(prune_large) & (largest > density.max_share * extent)
+    alive = is_alive(gaussians) & ~too_faint & ~too_large
+
+    gradient = statistics.gradient / jnp.maximum(statistics.views, 1)
+    grows = alive & (gradient >= density.gradient)
+    # Free rows in order of index, growing Gaussians in order of gradient: the j-th of one takes the j-th of the other.
+    free_rows = jnp.argsort(alive, stable=True).astype(jnp.int32)
+    growers = jnp.argsort(jnp.where(grows, -gradient, jnp.inf)).astype(jnp.int32)
+    turn = jnp.arange(capacity, dtype=jnp.int32)
+    granted = turn < jnp.minimum(jnp.sum(~alive), jnp.sum(grows))
+    target = jnp.where(granted, free_rows, capacity)
+    source = turn.at[target].set(growers, mode="drop")
+    born = jnp.zeros(capacity, bool).at[target].set(True, mode="drop")
+    parent = jnp.zeros(capacity, bool).at[jnp.where(granted, growers, capacity)].set(True, mode="drop")
+
+    splits = largest > density.dense_share * extent
+    is_half = splits[source] & (born | parent)
+    logits = jnp.where(alive, gaussians.logit_opacities, DEAD_LOGIT)
+    moved = take(_with(gaussians, logit_opacities=logits), source)
+    offset = jnp.sum(
+        rotation_matrices(moved.quats)
+        * (scales(moved) * jax.random.normal(key, (capacity, 3), jnp.float32))[:, None, :],
+        axis=-1,
+    )
+    densified = _with(
+        moved,
+        means=jnp.where(is_half[:, None], moved.means + offset, moved.means),
+        log_scales=jnp.where(is_half[:, None], moved.log_scales - jnp.log(jnp.float32(1.6)), moved.log_scales),
+    )
+    return densified, Moves(source, born | is_half | ~is_alive(densified))
+
+
+def reset_opacities(gaussians: Gaussians, limit: float) -> Gaussians:
+    """Opacities capped at `limit`; dead rows stay dead."""
+    logit = jnp.log(jnp.float32(limit / (1 - limit)))
+    return _with(gaussians, logit_opacities=jnp.minimum(gaussians.logit_opacities, logit))
+
+
+def cull(gaussians: Gaussians, min_opacity: float) -> Gaussians:
+    """Kill the Gaussians of lower opacity."""
+    kept = opacities(gaussians) >= min_opacity
+    return _with(gaussians, logit_opacities=jnp.where(kept, gaussians.logit_opacities, DEAD_LOGIT))
+
+
+def _with(gaussians: Gaussians, **fields: Array) -> Gaussians:
+    return Gaussians(**{**gaussians.__dict__, **fields})

@@ -1,0 +1,66 @@
+"""The terms of the training loss: functions of (Gaussians, View, Batch).
+
+Each is a mean, so that weights mean the same at every resolution.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from gsjax.gaussians import Gaussians
+from gsjax.measures.images import ssim
+from gsjax.normals import sdf
+from gsjax.numerics import masked_mean
+from gsjax.render import MIN_COVERAGE, View
+from gsjax.views import Batch
+
+
+def l1(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+    """Mean absolute difference over valid pixels and channels."""
+    del gaussians
+    return masked_mean(jnp.mean(jnp.abs(view.colors - batch.image), axis=-1), batch.valid)
+
+
+def dssim(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+    """1 - SSIM over valid pixels (3DGS; not halved)."""
+    del gaussians
+    return 1 - ssim(view.colors, batch.image, batch.valid)
+
+
+def entropy(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+    """Mean binary entropy of the visible opacities, nats (SuGaR); closed form from the log-odds, exact at 0 and 1."""
+    del batch
+    logits = gaussians.logit_opacities
+    value = jax.nn.softplus(logits) - logits * jax.nn.sigmoid(logits)
+    return masked_mean(value, view.splats.projection.visible[0])
+
+
+def alpha(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+    """Mean |alpha - matte| over valid pixels: no smoke around an object, no holes in it."""
+    del gaussians
+    return masked_mean(jnp.abs(view.alphas - batch.matte), batch.valid)  # pyright: ignore[reportOperatorIssue]
+
+
+def _normal(estimator: sdf.Estimator):
+    def term(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+        covered = batch.valid & (jax.lax.stop_gradient(view.alphas) > MIN_COVERAGE)
+        return sdf.misalignment(estimator(gaussians, view, batch.camera), batch.normals, covered)
+
+    return term
+
+
+sdf_normal = _normal(sdf.sdf_gradient_map)
+pixel_normal = _normal(sdf.pixel_depth_map)
+axis_normal = _normal(sdf.smallest_axis_map)
+
+TERMS = {
+    "l1": l1,
+    "dssim": dssim,
+    "entropy": entropy,
+    "alpha": alpha,
+    "sdf_normal": sdf_normal,
+    "pixel_normal": pixel_normal,
+    "axis_normal": axis_normal,
+}
+NEEDS_NORMALS = frozenset({"sdf_normal", "pixel_normal", "axis_normal"})
+NEEDS_DEPTH = frozenset({"sdf_normal", "pixel_normal"})

@@ -1,0 +1,227 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from gsjax.analytic import solids, true_surface
+from gsjax.cameras import center, unproject
+from gsjax.mesh import signed_volume
+
+SDF = jax.jit(jax.vmap(solids.scene_sdf))
+SPACING = 0.04
+BOX_TOP = np.float32([-0.36, 0.30, 0.54])  # above the carved box's foot
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return solids.cameras(5, (56, 48), seed=3)[4]
+
+
+@pytest.fixture(scope="module")
+def view(camera):
+    return jax.tree.map(np.asarray, solids.trace(camera, samples=2))
+
+
+@pytest.fixture(scope="module")
+def world_points(camera, view):
+    """`[H, W, 3]` unprojected depth, world."""
+    pose = np.asarray(camera.viewmat, np.float64)
+    return (np.asarray(unproject(jnp.asarray(view.depth), camera)) - pose[:3, 3]) @ pose[:3, :3]
+
+
+@pytest.fixture(scope="module")
+def surface():
+    return true_surface.mesh(SPACING)
+
+
+def random_points(count, seed=0):
+    return np.random.default_rng(seed).uniform(*solids.BOUNDS, (count, 3)).astype(np.float32)
+
+
+def test_the_distance_never_exceeds_the_true_one():
+    a = random_points(20_000)
+    b = a + np.random.default_rng(1).normal(0, 0.1, a.shape).astype(np.float32)
+    change, distance = np.abs(SDF(a) - SDF(b)), np.linalg.norm(a - b, axis=1)
+    assert np.all(change <= distance + 1e-5)
+
+
+def test_the_solids_and_the_table_are_one_body():
+    """No sheet of distance zero where a solid stands."""
+    x, y = np.meshgrid(np.linspace(-0.7, 0.7, 300), np.linspace(-0.7, 0.7, 300))
+    soles = np.stack([x.ravel(), y.ravel(), np.full(x.size, -1e-3)], axis=-1).astype(np.float32)
+    parts = np.asarray(jax.jit(jax.vmap(lambda p: jnp.stack(solids.part_sdfs(p))))(soles))
+    for part in range(5):
+        assert parts[:, part].min() < -1e-3
+    assert SDF(soles).max() < 0
+
+
+def test_distance_to_the_open_table_is_the_height():
+    heights = np.float32([0.0, 0.1, -0.02])
+    points = np.stack([np.full(3, 1.3), np.full(3, 0.2), heights], axis=-1).astype(np.float32)
+    np.testing.assert_allclose(SDF(points), heights, atol=1e-6)
+
+
+def test_normals_equal_central_differences(surface):
+    points, _, _ = true_surface.samples(surface, 2_000, 100, seed=0)
+    with jax.enable_x64(True):
+        sdf = jax.vmap(solids.scene_sdf)
+        steps = 1e-6 * np.eye(3)
+        points = points.astype(np.float64)
+        differences = np.stack([(sdf(points + h) - sdf(points - h)) / 2e-6 for h in steps], axis=-1)
+        normals = np.asarray(jax.vmap(solids.normal)(points))
+    differences /= np.linalg.norm(differences, axis=1, keepdims=True)
+    assert np.mean(np.abs(normals - differences).max(axis=1) < 1e-4) > 0.99  # the rest lies on edges
+
+
+def test_hits_lie_on_the_surface(view, world_points):
+    hit = view.depth > 0
+    assert 0.3 < hit.mean() < 1
+    assert np.abs(SDF(world_points[hit].astype(np.float32))).max() < 1e-4
+
+
+def test_nothing_stands_between_the_camera_and_a_hit(camera, view, world_points):
+    hit = view.depth > 0
+    eye = np.asarray(center(camera))
+    for share in np.linspace(0.3, 0.99, 150, dtype=np.float32):
+        between = (eye + share * (world_points[hit] - eye)).astype(np.float32)
+        assert SDF(between).min() > -1e-4
+
+
+def test_rays_without_a_hit_leave_the_world(camera, view):
+    rays = np.asarray(unproject(jnp.ones(view.depth.shape, jnp.float32), camera))[view.depth == 0]
+    directions = rays @ np.asarray(camera.viewmat)[:3, :3]
+    eye = np.asarray(center(camera))
+    blocked = np.zeros(len(rays), bool)
+    for depth in np.linspace(1.0, 6.0, 400, dtype=np.float32):
+        blocked |= np.asarray(SDF((eye + depth * directions).astype(np.float32))) < -2e-3
+    assert blocked.mean() < 3e-3  # a grazing ray in a thousand stays undecided
+
+
+def test_the_normals_of_a_view_are_those_of_its_depth(camera, view):
+    points = np.asarray(unproject(jnp.asarray(view.depth), camera), np.float64)
+    across = np.cross(points[2:, 1:-1] - points[:-2, 1:-1], points[1:-1, 2:] - points[1:-1, :-2])
+    length = np.linalg.norm(across, axis=-1, keepdims=True)
+    inner = view.labels[1:-1, 1:-1]
+    around = [view.labels[1 + i : 47 + i, 1 + j : 55 + j] for i, j in ((0, 1), (0, -1), (1, 0), (-1, 0))]
+    same = np.all([a == inner for a in around], axis=0) & (inner > 0)
+    cosine = np.sum(across / np.where(length > 0, length, 1) * view.normals[1:-1, 1:-1], axis=-1)[same]
+    assert np.median(cosine) > 0.999
+    assert np.mean(cosine > 0.97) > 0.85  # the rest lies on edges and where a pixel spans much of a curve
+
+
+def test_normals_are_unit_and_face_the_camera(camera, view):
+    hit = view.depth > 0
+    np.testing.assert_allclose(np.linalg.norm(view.normals, axis=-1), hit, atol=1e-5)
+    rays = np.asarray(unproject(jnp.ones(hit.shape, jnp.float32), camera))
+    assert np.sum(rays * view.normals, axis=-1)[hit].max() < 1e-2
+
+
+def test_labels_name_what_is_hit(view, world_points):
+    assert set(np.unique(view.labels)) == {0, 1, 2, 3, 4, 5, 255}
+    np.testing.assert_array_equal(view.labels == 0, view.depth == 0)
+    on_table = world_points[view.labels == solids.GROUND_LABEL]
+    assert np.all(on_table[:, 2] < 1e-4)
+    assert np.all(np.linalg.norm(on_table[:, :2], axis=1) < solids.TABLE_RADIUS + 1e-4)
+
+
+def test_the_sky_is_white_and_colours_are_colours(view):
+    sky = view.labels == 0
+    well_inside = sky[1:-1, 1:-1] & sky[2:, 1:-1] & sky[:-2, 1:-1] & sky[1:-1, 2:] & sky[1:-1, :-2]
+    assert well_inside.any()
+    np.testing.assert_allclose(view.colors[1:-1, 1:-1][well_inside], 1.0, atol=1e-5)
+    assert view.colors.min() >= 0
+    assert view.colors.max() <= 1 + 1e-5
+
+
+def test_a_pixel_shows_the_mean_light_of_its_area(camera, view):
+    """One sample a pixel of a camera of twice the resolution, averaged in linear light, is two samples a side."""
+    K = camera.K * jnp.array([[2.0], [2.0], [1.0]], jnp.float32)
+    double = solids.trace(solids.Camera(camera.viewmat, K, 2 * camera.width, 2 * camera.height), samples=1)
+    colors = np.asarray(double.colors, np.float64)
+    linear = np.where(colors < 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
+    mean = linear.reshape(camera.height, 2, camera.width, 2, 3).mean(axis=(1, 3))
+    difference = np.abs(np.asarray(solids.srgb(jnp.asarray(mean, jnp.float32))) - view.colors)
+    assert np.quantile(difference, 0.995) < 1e-3  # a sample at a silhouette may fall on either side
+
+
+def test_the_sun_casts_shadows():
+    sun = solids._SUN
+    behind_box = BOX_TOP - 0.3 * sun  # inside the box's shadow whatever the bowl takes away
+    on_table = behind_box - sun * behind_box[2] / sun[2]
+    points = np.float32([on_table, [1.3, 0.9, 0.0]]) + np.float32([0, 0, 2e-3])
+    np.testing.assert_allclose(jax.vmap(solids.sun_visibility)(points), [0.0, 1.0], atol=1e-3)
+
+
+def test_no_patch_is_flat():
+    x, y = np.meshgrid(np.linspace(-1.0, 1.0, 200), np.linspace(-1.0, 1.0, 200))
+    table = np.stack([x, y, np.zeros_like(x)], axis=-1).astype(np.float32)
+    albedo = np.asarray(jax.jit(jax.vmap(jax.vmap(solids.albedo)))(table))
+    patches = albedo.reshape(10, 20, 10, 20, 3).std(axis=(1, 3)).max(axis=-1)  # 0.2 x 0.2 units
+    assert patches.min() > 0.02
+    assert albedo.min() > 0
+    assert albedo.max() < 1
+
+
+def test_a_point_is_visible_where_the_depth_map_shows_it(camera, view, world_points):
+    hit = view.depth > 0
+    rows, columns = np.nonzero(hit)
+    facing = -np.sum(view.normals * np.asarray(unproject(jnp.ones(hit.shape, jnp.float32), camera)), axis=-1)[hit] > 0.2
+    visible_all = jax.jit(jax.vmap(solids.visible, in_axes=(0, None)))
+    seen = world_points[hit].astype(np.float32)
+    assert (
+        np.asarray(visible_all(seen, camera))[facing].mean() > 0.99
+    )  # but for rays that graze another solid on their way
+    eye = np.asarray(center(camera))
+    behind = seen + np.float32(0.05) * (seen - eye) / np.linalg.norm(seen - eye, axis=1, keepdims=True)
+    assert not np.asarray(visible_all(behind, camera)).any()
+    outside = eye + 3 * (eye - seen)
+    assert not np.asarray(visible_all(outside.astype(np.float32), camera)).any()
+    assert len(rows) == len(columns) == len(seen)
+
+
+def test_cameras_look_at_the_solids_from_all_sides():
+    cameras = solids.cameras(24, (64, 48), seed=1)
+    centers = np.stack([np.asarray(center(c)) for c in cameras])
+    assert np.all((np.linalg.norm(centers, axis=1) > 2.7) & (np.linalg.norm(centers, axis=1) < 3.2))
+    azimuths = np.sort(np.arctan2(centers[:, 1], centers[:, 0]))
+    assert np.diff(np.r_[azimuths, azimuths[0] + 2 * np.pi]).max() < 0.8
+    for camera in cameras:
+        rotation = np.asarray(camera.viewmat)[:3, :3]
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+        assert np.linalg.det(rotation) > 0
+        assert rotation[1, 2] < 0  # world up is image up
+        middle = np.asarray(camera.K) @ (rotation @ [0, 0, 0.22] + np.asarray(camera.viewmat)[:3, 3])
+        assert np.all(np.abs(middle[:2] / middle[2] / (64, 48) - 0.5) < 0.1)
+    assert cameras[0].K[0, 0] != cameras[0].K[1, 1]
+    assert cameras[0].K[0, 2] != 32
+    again = solids.cameras(24, (64, 48), seed=1)
+    np.testing.assert_array_equal(cameras[7].viewmat, again[7].viewmat)
+    assert np.any(np.asarray(cameras[7].viewmat) != np.asarray(solids.cameras(24, (64, 48), seed=2)[7].viewmat))
+
+
+def test_the_mesh_is_closed_outward_and_on_the_surface(surface):
+    edges = np.concatenate([surface.faces[:, [i, (i + 1) % 3]] for i in range(3)])
+    forward, backward = ({tuple(e) for e in edges[:, order].tolist()} for order in ([0, 1], [1, 0]))
+    assert forward == backward  # every edge has its opposite: closed, one orientation
+    distances = np.abs(SDF(surface.vertices))
+    assert np.mean(distances < 1e-4) > 0.999
+    assert distances.max() < 0.2 * SPACING  # in the wedge under the ring
+    inside = SDF(random_points(400_000, seed=5)) < 0
+    volume = np.mean(inside) * np.prod(np.subtract(*solids.BOUNDS[::-1]))
+    np.testing.assert_allclose(signed_volume(surface), volume, rtol=0.03)
+
+
+def test_samples_are_spread_evenly_and_exactly_on_the_surface(surface):
+    points, normals, on_table = true_surface.samples(surface, 5_000, 20_000, seed=0)
+    assert np.abs(SDF(points)).max() < 1e-4
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+    table, up, solids = points[on_table], normals[on_table], points[~on_table]
+    assert 4_900 < len(solids) <= 5_000
+    assert np.mean(solids[:, 2] > 0.02) > 0.9
+    open_table = np.linalg.norm(table[:, :2], axis=1) > 0.9
+    np.testing.assert_allclose(table[open_table, 2], 0, atol=1e-5)
+    np.testing.assert_allclose(up[open_table & (table[:, 0] < 1.2)][:, 2].min(), 1.0, atol=1e-4)
+    inner, outer = (
+        np.mean((np.hypot(*table[:, :2].T) > r) & (np.hypot(*table[:, :2].T) < r + 0.2)) for r in (1.0, 1.3)
+    )
+    np.testing.assert_allclose(outer / inner, (1.5**2 - 1.3**2) / (1.2**2 - 1.0**2), rtol=0.1)

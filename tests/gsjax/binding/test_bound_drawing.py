@@ -1,0 +1,79 @@
+"""What Gaussians on a surface look like, and how far the picture is from that of the surface."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scenes import camera_at
+
+from gsjax import cameras, gallery, render
+from gsjax.binding.bound import BoundGaussians, bind
+from gsjax.cameras import Camera, look_at
+from gsjax.mesh import Mesh
+
+WAVE, EDGE, VERTICES_A_SIDE = 0.3, 0.03, 50  # of the stripes, of a triangle
+ELEVATION = np.radians(38)
+
+
+def painted_plane(seed=0) -> Mesh:
+    """A ground plane in stripes along x, its vertices a little out of their grid."""
+    rng, n = np.random.default_rng(seed), VERTICES_A_SIDE
+    x, y = (axis.ravel() for axis in np.meshgrid(*[(np.arange(n) - n / 2) * EDGE] * 2))
+    shift = rng.uniform(-0.3, 0.3, (2, n * n)) * EDGE
+    vertices = np.stack([x + shift[0], y + shift[1], 0 * x], axis=-1).astype(np.float32)
+    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    faces = np.concatenate([np.stack([corner + k for k in ks], axis=-1) for ks in ((0, 1, n + 1), (0, n + 1, n))])
+    shade = 127.5 + 100 * np.sin(2 * np.pi * vertices[:, 1:2] / WAVE)
+    return Mesh(vertices, faces.astype(np.int32), np.rint(np.repeat(shade, 3, axis=1)).astype(np.uint8))
+
+
+def seen_from(side: int) -> tuple[Camera, np.ndarray]:
+    """A camera on one side of the plane, 3 units away; its pixels are 0.011 units. And where its centre is."""
+    eye = 3 * np.array([0, side * np.cos(ELEVATION), np.sin(ELEVATION)])
+    K = np.array([[270, 0, 48], [0, 270, 48], [0, 0, 1]], np.float32)
+    return Camera(jnp.asarray(look_at(eye, np.zeros(3), np.array([0.0, 0, 1]))), jnp.asarray(K), 96, 96), eye
+
+
+def seeming_height(bound: BoundGaussians, side: int) -> float:
+    """How far over the plane the stripes seem to lie: their shift away from the camera, read as parallax."""
+    camera, eye = seen_from(side)
+    rays = np.asarray(cameras.pixel_rays(camera)).reshape(-1, 3) @ np.asarray(camera.viewmat)[:3, :3]
+    points = eye - rays * (eye[2] / rays[:, 2:])
+    inner = np.all(np.abs(points[:, :2]) < 0.45, axis=1)
+    picture = next(gallery.pictures(bound, [camera], np.zeros(3)))
+    phase = 2 * np.pi * points[inner, 1] / WAVE
+    waves = np.stack([np.sin(phase), np.cos(phase), np.ones_like(phase)], axis=-1)
+    sine, cosine, _ = np.linalg.lstsq(waves, picture.colors[..., 0].ravel()[inner], rcond=None)[0]
+    moved = -np.arctan2(cosine, sine) / (2 * np.pi) * WAVE
+    return -side * moved * np.tan(ELEVATION)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_mip_filter_halves_the_false_height_of_a_painted_plane(side):
+    # Discs are blended in the order of their centres, so each covers the near part of the one behind it; the wider
+    # they are drawn, the more.
+    start = bind(painted_plane(), per_triangle=1, thickness=3e-6, sh_degree=0, opacity=0.93)
+    wider = replace(start, log_scales=start.log_scales + np.float32(np.log(1.3)))
+    classic, mip = (seeming_height(replace(wider, pixel_filter=name), side) for name in ("classic", "mip"))
+    assert 0.6 * 0.011 < classic < 0.011  # most of a pixel
+    assert 0 < mip < 0.6 * classic
+
+
+def test_a_triangle_seen_edge_on_through_the_mip_filter_is_finite_in_value_and_gradient():
+    corners = np.array([[0.0, -0.5, 3.5], [0, 0.5, 3.5], [0, 0, 4.5], [0.4, 0, 4]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 1, 3]], np.int32)  # The first one's plane holds the camera.
+    mesh = Mesh(corners, faces, np.full((4, 3), 200, np.uint8))
+    bound = bind(mesh, per_triangle=1, thickness=1e-6, sh_degree=0, pixel_filter="mip")
+    camera = camera_at(size=(24, 24))
+
+    @jax.jit
+    @jax.value_and_grad
+    def brightness(vertices):
+        moved = replace(bound, vertices=vertices)
+        return jnp.mean(render.view(moved, camera, capacity=256, background=jnp.zeros(3, jnp.float32)).colors)
+
+    value, gradient = brightness(bound.vertices)
+    assert float(value) > 0.001
+    assert bool(jnp.isfinite(gradient).all()) and float(jnp.abs(gradient[3]).max()) > 0

@@ -1,0 +1,100 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tolerances import assert_close
+
+from gsjax.binding.mesh_terms import laplacian, mesh_graph, normal_consistency
+
+CUBE = np.array(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), np.float32).reshape(3, -1).T
+CUBE_FACES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+     [1, 5, 7], [1, 7, 3]],
+    np.int32,
+)  # fmt: skip
+
+
+def grid(rng):
+    """A bumpy square of 4 by 4 vertices."""
+    x, y = np.meshgrid(np.arange(4.0), np.arange(4.0))
+    vertices = np.stack([x.ravel(), y.ravel(), 0.4 * rng.normal(size=16)], axis=-1).astype(np.float32)
+    corner = (np.arange(3)[:, None] * 4 + np.arange(3)).ravel()
+    faces = np.concatenate([np.stack(corner + np.array(k)[:, None], -1) for k in ((0, 1, 5), (0, 5, 4))])
+    return vertices, faces.astype(np.int32)
+
+
+with_slope = jax.jit(jax.value_and_grad(normal_consistency))
+
+
+def consistency(vertices, faces):
+    return normal_consistency(jnp.asarray(vertices), jnp.asarray(faces), mesh_graph(faces))
+
+
+def by_numpy(vertices, faces):
+    """Every pair of triangles with two common corners, the slow way."""
+    a, b, c = np.moveaxis(vertices.astype(np.float64)[faces], 1, 0)
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    cosines = [
+        normals[i] @ normals[j] for i in range(len(faces)) for j in range(i) if len(set(faces[i]) & set(faces[j])) == 2
+    ]
+    return np.mean(1 - np.array(cosines))
+
+
+def test_normal_consistency_of_a_cube_is_two_thirds():
+    # 18 edges: 12 of them square, 6 diagonals flat.
+    assert len(mesh_graph(CUBE_FACES).face_pairs) == 18
+    assert_close(consistency(CUBE, CUBE_FACES), np.array(12 / 18))
+    assert_close(consistency(CUBE * 1e-3, CUBE_FACES), np.array(12 / 18))
+    assert_close(consistency(CUBE * 1e4 + 3, CUBE_FACES), np.array(12 / 18))
+
+
+def test_normal_consistency_is_the_mean_over_neighbours_and_zero_on_a_plane():
+    vertices, faces = grid(np.random.default_rng(0))
+    assert_close(consistency(vertices, faces), by_numpy(vertices, faces))
+    assert by_numpy(vertices, faces) > 0.05
+    flat = vertices * [1, 1, 0] @ np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    assert float(jnp.abs(consistency(flat.astype(np.float32), faces))) < 1e-6
+
+
+def test_minimising_it_flattens():
+    vertices, faces = grid(np.random.default_rng(0))
+    slope = with_slope(vertices, faces, mesh_graph(faces))[1]
+    assert float(consistency(vertices - 0.1 * np.asarray(slope), faces)) < float(consistency(vertices, faces))
+
+
+@pytest.mark.parametrize("place", [[0, 0, 0], [1, 0, 0], [0.5, 0, 0]])
+def test_a_collapsed_triangle_says_nothing_and_leaves_gradients_finite(place):
+    # Beside a square of two triangles, a third hangs on its side (0, 1) with its tip on that side's line.
+    square = np.array([[0, 0, 0], [1, 0, 0.1], [1, 1, 0], [0, 1, 0.2]], np.float32)
+    vertices = np.r_[square, [place]].astype(np.float32)
+    vertices[4, 2] = 0.1 * place[0]
+    faces = np.array([[0, 1, 2], [0, 2, 3], [1, 0, 4]], np.int32)
+    assert len(mesh_graph(faces).face_pairs) == 2
+    value, slope = with_slope(vertices, faces, mesh_graph(faces))
+    alone, expected = with_slope(square, faces[:2], mesh_graph(faces[:2]))
+    assert_close(value, 0.5 * alone)  # the mean is over one pair more
+    assert_close(slope[:4], 0.5 * expected, kind="gradient")
+    assert not np.any(slope[4])
+
+
+def test_repeated_corners_folded_and_crowded_edges_are_counted_once():
+    faces = np.array([[0, 1, 2], [0, 0, 1], [1, 0, 3], [1, 0, 4], [0, 1, 5]], np.int32)
+    graph = mesh_graph(faces)
+    assert [sorted(pair) for pair in np.asarray(graph.face_pairs).tolist()] == [[0, 2]]
+    same_way = mesh_graph(np.array([[0, 1, 2], [0, 1, 3]], np.int32))  # inconsistent: normals cannot be compared
+    assert same_way.face_pairs.shape == (0, 2)
+    assert float(consistency(CUBE, np.array([[0, 1, 2]], np.int32))) == 0
+    assert len(same_way.edges) == 5
+
+
+def test_the_laplacian_is_the_offset_from_the_neighbours_mean():
+    vertices, faces = grid(np.random.default_rng(2))
+    neighbours = [{int(v) for f in faces if i in f for v in f} - {i} for i in range(16)]
+    offsets = np.array([vertices[list(n)].mean(0) - vertices[i] for i, n in enumerate(neighbours)])
+    edges = np.array([vertices[i] - vertices[j] for i, n in enumerate(neighbours) for j in n if i < j])
+    expected = np.sum(offsets**2, axis=1).mean() / np.sum(edges**2, axis=1).mean()
+    for scale in (1, 1e-3):
+        assert_close(laplacian(jnp.asarray(vertices * np.float32(scale)), mesh_graph(faces)), expected)
+    collapsed = jax.jit(jax.grad(laplacian))(jnp.zeros((16, 3), jnp.float32), mesh_graph(faces))
+    assert bool(jnp.isfinite(collapsed).all())

@@ -1,0 +1,194 @@
+from dataclasses import replace
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scenes import camera_at
+from tolerances import assert_close
+
+from gsjax import config, gallery, views
+from gsjax.binding import refining
+from gsjax.binding.bound import bind, to_mesh
+from gsjax.binding.mesh_terms import mesh_graph, normal_consistency
+from gsjax.binding.refining import PRESETS, Refinement, RefinementRates
+from gsjax.errors import InputError
+from gsjax.measures import geometry
+from gsjax.mesh import Mesh
+from gsjax.scene import Frame
+from gsjax.training.step import BACKGROUNDS
+
+EXTENT = 4.0
+SETTINGS = Refinement(steps=200, sh_degree=0, thickness=2e-3, seed=1, rates=RefinementRates(vertices=1e-3))
+EYES = [(0.0, -1.5, 0.0), (1.6, 0.8, 0.5), (-1.6, 0.8, 0.5), (1.2, -1.0, 1.5), (-1.2, -1.0, 1.5), (0.1, 1.7, 0.3)]
+
+
+def checkered(x, y):
+    """Colours that say where they are: two waves, at every scale that 48 pixels show."""
+    waves = [np.sin(7 * x) * np.cos(6 * y), np.sin(5 * x + 9 * y), np.cos(8 * x - 4 * y)]
+    return np.rint(127.5 + 120 * np.stack(waves, axis=-1)).astype(np.uint8)
+
+
+def relief(per_side: int, bumps: float) -> Mesh:
+    """A wavy sheet about (0, 0, 4), its front towards the camera, painted by place; `bumps` displace its vertices."""
+    rng = np.random.default_rng(0)
+    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-1, 1, per_side)] * 2))
+    z = 4 + 0.25 * np.sin(2 * x) * np.cos(2 * y)
+    vertices = np.stack([x, y, z + bumps * rng.normal(size=z.shape)], axis=-1)
+    corner = (np.arange(per_side - 1)[:, None] * per_side + np.arange(per_side - 1)).ravel()
+    quads = [(0, per_side + 1, 1), (0, per_side, per_side + 1)]
+    faces = np.concatenate([np.stack([corner + k for k in quad], -1) for quad in quads])
+    return Mesh(vertices.astype(np.float32), faces.astype(np.int32), checkered(x, y))
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """Photos of the true sheet, and a sheet of the same triangles whose vertices are off."""
+    truth, rough = relief(16, 0.0), relief(16, 0.06)
+    sharp = bind(truth, per_triangle=6, thickness=2e-3, sh_degree=0, opacity=0.95)
+    cameras = [camera_at(eye, (0.0, 0.0, 4.0), size=(48, 48), focal=70.0) for eye in EYES]
+    photos = gallery.pictures(sharp, cameras, np.zeros(3))
+    frames = tuple(
+        Frame(f"{i}.png", np.asarray(c.viewmat), np.asarray(c.K), np.rint(255 * p.colors).astype(np.uint8))
+        for i, (c, p) in enumerate(zip(cameras, photos, strict=True))
+    )
+    return SimpleNamespace(
+        truth=truth, rough=rough, frames=frames, data=views.stack_views(frames), graph=mesh_graph(truth.faces)
+    )
+
+
+def started(scene):
+    bound = bind(scene.rough, per_triangle=1, thickness=SETTINGS.thickness * EXTENT, sh_degree=0)
+    optimizer = refining.make_optimizer(SETTINGS, EXTENT, scene.rough.num_vertices)
+    return refining.initial_state(bound, optimizer), optimizer
+
+
+def refined(scene, *, capacity, state=None):
+    progress = []
+
+    def observe(one):
+        progress.append(one._replace(state=jax.tree.map(np.array, one.state)))
+
+    fresh, optimizer = started(scene)
+    state = fresh if state is None else jax.tree.map(jnp.asarray, state)
+    final = refining.refine(
+        SETTINGS,
+        scene.graph,
+        scene.data,
+        state,
+        optimizer,
+        background=BACKGROUNDS["black"],
+        observe=observe,
+        capacity=capacity,
+    )
+    return SimpleNamespace(final=jax.tree.map(np.asarray, final), progress=progress)
+
+
+@pytest.fixture(scope="module")
+def whole(scene):
+    """A run that starts with too short a pair buffer."""
+    return refined(scene, capacity=64)
+
+
+def distance(mesh: Mesh, truth: Mesh) -> float:
+    return geometry.chamfer(*(geometry.sample_surface(m, 4000, seed=0)[0] for m in (mesh, truth)))
+
+
+def test_refinement_brings_the_mesh_to_the_truth(scene, whole):
+    mesh = to_mesh(whole.final.gaussians)
+    before, after = distance(scene.rough, scene.truth), distance(mesh, scene.truth)
+    off = [np.abs(m.vertices - scene.truth.vertices)[:, 2].mean() for m in (scene.rough, mesh)]
+    assert after < 0.6 * before
+    assert off[1] < 0.3 * off[0]
+    first, last = (np.mean([p.metrics.psnr for p in part]) for part in (whole.progress[:6], whole.progress[-6:]))
+    assert last > first + 8  # decibels
+    np.testing.assert_array_equal(mesh.faces, scene.rough.faces)
+
+
+def test_every_parameter_is_trained_and_nothing_else(scene, whole):
+    before, after = started(scene)[0].gaussians, whole.final.gaussians
+    for name in ("vertices", "log_scales", "rotations", "logit_opacities", "sh_dc"):
+        assert float(jnp.abs(getattr(after, name) - getattr(before, name)).max()) > 1e-4, name
+    np.testing.assert_array_equal(after.faces, before.faces)
+    assert after.thickness == before.thickness
+
+
+def test_the_loss_is_the_weighted_sum_of_its_terms(whole):
+    first = whole.progress[0].metrics
+    assert set(first.terms) == {"l1", "dssim", "normal_consistency"}  # no mattes, no alpha term; no Laplacian
+    total = 0.8 * first.terms["l1"] + 0.2 * first.terms["dssim"] + 0.1 * first.terms["normal_consistency"]
+    assert_close(first.loss, total)
+
+
+def test_the_terms_over_the_mesh_are_those_of_the_coarse_mesh_at_the_first_step(scene, whole):
+    expected = normal_consistency(jnp.asarray(scene.rough.vertices), jnp.asarray(scene.rough.faces), scene.graph)
+    assert_close(whole.progress[0].metrics.terms["normal_consistency"], expected)
+
+
+def test_a_refinement_that_was_stopped_goes_on_to_the_same_bits(scene, whole):
+    stopped = whole.progress[194]
+    again = refined(scene, state=stopped.state, capacity=stopped.capacity)
+    assert stopped.capacity > 64
+    assert [p.step for p in again.progress] == list(range(196, 201))
+    jax.tree.map(np.testing.assert_array_equal, again.final, whole.final)
+
+
+def test_the_rate_of_the_vertices_is_in_proportion_to_the_mesh():
+    optimizer = refining.make_optimizer(Refinement(steps=500), 2.0, 400)
+    mesh = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8))
+    bound = refining.free(bind(mesh, per_triangle=1, thickness=1e-3))
+    ones = jax.tree.map(jnp.ones_like, bound)
+    with jax.numpy_dtype_promotion("standard"):
+        updates, state = optimizer.update(ones, optimizer.init(bound), bound)
+    # Adam's first step is the rate itself: 1.6e-4 times 10 extent / sqrt(V).
+    assert_close(updates.vertices, np.full((3, 3), -Refinement().rates.vertices * 10 * 2.0 / 20))
+    assert_close(updates.rotations, np.full((1, 2), -1e-3))
+    assert_close(updates.log_scales, np.full((1, 2), -5e-3))
+
+
+def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):
+    trained_with = []
+
+    def make_refine_step(optimizer, weights, **_):
+        trained_with.append(weights)
+        return lambda graph, state, data, index, key: (state, SimpleNamespace(overflowed=False))
+
+    monkeypatch.setattr(refining, "make_refine_step", make_refine_step)
+    state, optimizer = started(scene)
+    solid = tuple(replace(f, matte=np.full((48, 48), 255, np.uint8)) for f in scene.frames)
+    for data in (scene.data, views.stack_views(solid)):
+        refining.refine(
+            replace(SETTINGS, steps=1),
+            scene.graph,
+            data,
+            state,
+            optimizer,
+            background=BACKGROUNDS["black"],
+            observe=lambda progress: None,
+            capacity=4096,
+        )
+    weights = SETTINGS.weights
+    assert trained_with == [replace(weights, alpha=0.0), weights] and weights.alpha > 0
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_every_preset_parses(preset):
+    assert config.parse(Refinement, PRESETS[preset]).steps == PRESETS[preset]["steps"]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"steps": 0}, "steps=0 is below 1"),
+        ({"faces": 0}, "faces=0 is below 1"),
+        ({"per_triangle": 2}, "per_triangle=2 is none of 1, 3, 4, 6"),
+        ({"sh_degree": 5}, "sh_degree=5 is not 0 to 4"),
+        ({"opacity": 1.0}, "opacity=1.0"),
+        ({"thickness": 0.0}, "thickness=0.0"),
+        ({"rates": {"vertices": 0.0}}, "rates: vertices_final=1.6e-06 is not between 0 and vertices=0.0"),
+    ],
+)
+def test_wrong_settings_are_named(wrong, message):
+    with pytest.raises(InputError, match=message):
+        config.parse(Refinement, wrong)

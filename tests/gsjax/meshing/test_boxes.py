@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+
+from gsjax.errors import InputError
+from gsjax.meshing import boxes
+from gsjax.meshing.boxes import Box, Region
+
+UNIT = Box((-1, -1, -1), (1, 1, 1))
+
+
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [((1, 0, 0), (0, 1, 1)), ((0, 0), (1, 1)), ((0, 0, 0), (1, 1, 0)), ((0, 0, np.nan), (1, 1, 1))],
+)
+def test_a_box_that_is_none_is_one_line(low, high):
+    with pytest.raises(InputError, match="min below its max") as caught:
+        Box(low, high)
+    assert "\n" not in str(caught.value)
+
+
+def test_growing_and_scaling_keep_the_middle():
+    box = Box((0, 0, 0), (2, 4, 6))
+    grown, scaled = box.grown(0.5), box.scaled(4)
+    np.testing.assert_allclose([grown.low, grown.high], [[-0.5] * 3, [2.5, 4.5, 6.5]])
+    np.testing.assert_allclose([scaled.low, scaled.high], [[-3, -6, -9], [5, 10, 15]])
+    assert box.longest == 6
+    shrunk = box.grown(-10)
+    assert np.all(shrunk.low < shrunk.high)
+    np.testing.assert_allclose(shrunk.low + shrunk.high, box.low + box.high)
+
+
+def test_a_region_leaves_its_inner_box_out():
+    far = Region(UNIT.scaled(4), without=UNIT)
+    points = np.array([[0.0, 0, 0], [1.0, 0, 0], [1.01, 0, 0], [4.0, 4, 4], [4.01, 0, 0]])
+    assert far.contains(points).tolist() == [False, False, True, True, False]
+    # A rim outwards, and inwards too: what lies beside the border shapes the surface at the border.
+    assert far.grown(0.1).contains(points).tolist() == [False, True, True, True, True]
+
+
+def test_the_robust_box_ignores_a_few_strays():
+    points = np.random.default_rng(0).uniform(-1, 1, (10_000, 3))
+    points[:20] = 1000
+    box = boxes.robust_box(points)
+    assert np.all(box.low < -1) and np.all(box.low > -1.5)
+    assert np.all(box.high > 1) and np.all(box.high < 1.5)
+
+
+def test_points_in_a_plane_or_in_one_place_have_a_box():
+    flat = np.random.default_rng(0).uniform(-1, 1, (100, 3)) * [1, 1, 0]
+    assert boxes.robust_box(flat).contains(flat).mean() > 0.9
+    assert boxes.robust_box(np.full((5, 3), 7.0)).contains(np.full((1, 3), 7.0)).all()
+
+
+def test_an_even_spread_is_one_region_with_nearly_all_of_it():
+    points = np.random.default_rng(0).uniform([-1, -2, 0], [1, 2, 0.5], (10_000, 3))
+    regions = boxes.near_and_far(points)
+    assert set(regions) == {"foreground"}
+    assert regions["foreground"].contains(points).all()
+
+
+def test_a_long_tail_is_a_background_of_its_own():
+    rng = np.random.default_rng(0)
+    near, far = rng.uniform(-1, 1, (9_000, 3)), rng.uniform(-4, 4, (1_000, 3))
+    points = np.concatenate([near, far])
+    regions = boxes.near_and_far(points)
+    assert set(regions) == {"foreground", "background"}
+    inside, outside = (region.contains(points) for region in regions.values())
+    assert inside[:9_000].all()
+    assert outside.sum() > 700
+    assert not np.any(inside & outside)
+    np.testing.assert_allclose(
+        regions["background"].box.longest, boxes.BACKGROUND_FACTOR * regions["foreground"].box.longest
+    )
+    assert boxes.near_only(points)["foreground"].corners() == regions["foreground"].corners()
+
+
+def test_given_boxes_are_taken_as_they_are():
+    regions = boxes.fixed(UNIT, UNIT.scaled(2))
+    assert regions["foreground"].corners() == [[-1.0] * 3, [1.0] * 3]
+    assert regions["background"].corners() == [[-2.0] * 3, [2.0] * 3]
+    assert set(boxes.fixed(UNIT)) == {"foreground"}

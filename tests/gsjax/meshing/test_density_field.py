@@ -1,0 +1,164 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gsjax.gaussians import Gaussians
+from gsjax.meshing import density_field
+
+
+def random_gaussians(count, seed=0, log_scale=-1.0, spread=0.5):
+    rng = np.random.default_rng(seed)
+    return Gaussians(
+        means=jnp.asarray(rng.normal(size=(count, 3)), jnp.float32),
+        quats=jnp.asarray(rng.normal(size=(count, 4)), jnp.float32),
+        log_scales=jnp.asarray(log_scale + spread * rng.normal(size=(count, 3)), jnp.float32),
+        logit_opacities=jnp.asarray(rng.normal(size=count), jnp.float32),
+        sh_dc=jnp.zeros((count, 1, 3), jnp.float32),
+        sh_rest=jnp.zeros((count, 0, 3), jnp.float32),
+    )
+
+
+def one_gaussian(log_scales, opacity=0.8, mean=(0.0, 0.0, 0.0)):
+    return Gaussians(
+        means=jnp.asarray([mean], jnp.float32),
+        quats=jnp.asarray([[1, 0, 0, 0]], jnp.float32),
+        log_scales=jnp.asarray([log_scales], jnp.float32),
+        logit_opacities=jnp.asarray([np.log(opacity / (1 - opacity))], jnp.float32),
+        sh_dc=jnp.zeros((1, 1, 3), jnp.float32),
+        sh_rest=jnp.zeros((1, 0, 3), jnp.float32),
+    )
+
+
+def density_in_numpy(point, gaussians):
+    """Eq. 1 with explicit inverse covariances, float64."""
+    total = 0.0
+    quats = np.asarray(gaussians.quats, np.float64)
+    for mean, quat, log_scale, logit in zip(
+        np.asarray(gaussians.means, np.float64),
+        quats,
+        np.asarray(gaussians.log_scales, np.float64),
+        np.asarray(gaussians.logit_opacities, np.float64),
+        strict=True,
+    ):
+        axes = Rotation.from_quat(quat[[1, 2, 3, 0]]).as_matrix()
+        covariance = axes @ np.diag(np.exp(2 * log_scale)) @ axes.T
+        offset = point - mean
+        total += np.exp(-0.5 * offset @ np.linalg.solve(covariance, offset)) / (1 + np.exp(-logit))
+    return total
+
+
+def test_density_is_the_papers_sum():
+    gaussians = random_gaussians(16)
+    points = np.random.default_rng(1).normal(size=(20, 3)).astype(np.float32)
+    field = density_field.kernels(gaussians)
+    found = jax.vmap(density_field.density, (0, None))(jnp.asarray(points), field)
+    expected = [density_in_numpy(p.astype(np.float64), gaussians) for p in points]
+    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-7)
+
+
+def test_gradient_is_the_derivative():
+    field = density_field.kernels(random_gaussians(16))
+    points = jnp.asarray(np.random.default_rng(2).normal(size=(50, 3)), jnp.float32)
+    closed = jax.vmap(density_field.density_gradient, (0, None))(points, field)
+    derived = jax.vmap(jax.grad(density_field.density), (0, None))(points, field)
+    assert float(jnp.abs(derived).max()) > 0.1
+    np.testing.assert_allclose(closed, derived, rtol=1e-4, atol=1e-6)
+
+
+def test_gradient_by_finite_differences_of_the_numpy_sum():
+    gaussians = random_gaussians(16)
+    point, step = np.array([0.2, -0.1, 0.3]), 1e-5
+    expected = [
+        (density_in_numpy(point + step * axis, gaussians) - density_in_numpy(point - step * axis, gaussians))
+        / (2 * step)
+        for axis in np.eye(3)
+    ]
+    found = density_field.density_gradient(jnp.asarray(point, jnp.float32), density_field.kernels(gaussians))
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_density_at_the_centre_is_the_opacity_and_points_inwards_beside_it():
+    field = density_field.kernels(one_gaussian(np.log([0.1, 0.2, 0.3]), opacity=0.7))
+    assert float(density_field.density(jnp.zeros(3, jnp.float32), field)) == pytest.approx(0.7, rel=1e-6)
+    gradient = density_field.density_gradient(jnp.array([0.05, 0.0, 0.0], jnp.float32), field)
+    # Closed form: -alpha x / s^2 exp(-x^2 / 2 s^2).
+    np.testing.assert_allclose(gradient, [-0.7 * 0.05 / 0.01 * np.exp(-0.125), 0, 0], rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "log_scales",
+    [(-1.0, -1.0, -40.0), (-40.0, -40.0, -40.0), (-200.0, 0.0, 0.0), (90.0, 90.0, 90.0), (88.0, -40.0, 0.0)],
+    ids=["flat", "collapsed", "exp underflows", "exp overflows", "needle"],
+)
+@pytest.mark.parametrize("point", [(0.0, 0.0, 0.0), (1e-7, 0.0, 0.0), (0.3, 0.2, 0.1), (1e6, -1e6, 1e6)])
+def test_extreme_gaussians_give_finite_values_and_gradients(log_scales, point):
+    def at(p, gaussians):
+        return density_field.density(p, density_field.kernels(gaussians))
+
+    gaussians, p = one_gaussian(log_scales), jnp.asarray(point, jnp.float32)
+    value, (by_point, by_gaussian) = jax.value_and_grad(at, argnums=(0, 1))(p, gaussians)
+    assert 0 <= float(value) <= 0.8 + 1e-6
+    closed = density_field.density_gradient(p, density_field.kernels(gaussians))
+    for leaf in [closed, by_point, *jax.tree.leaves(by_gaussian)]:
+        assert bool(jnp.all(jnp.isfinite(leaf)))
+    np.testing.assert_allclose(closed, by_point, rtol=1e-4, atol=1e-6)
+
+
+def test_a_collapsed_gaussian_counts_as_one_of_the_smallest_scale():
+    near = jnp.array([5e-9, 0.0, 0.0], jnp.float32)
+    collapsed = density_field.density(near, density_field.kernels(one_gaussian((-60.0, -60.0, -60.0))))
+    smallest = density_field.density(near, density_field.kernels(one_gaussian(np.log([1e-8] * 3))))
+    assert float(collapsed) == pytest.approx(0.8 * np.exp(-0.125), rel=1e-4)
+    assert float(collapsed) == pytest.approx(float(smallest), rel=1e-5)
+
+
+def test_take_picks_neighbours():
+    field = density_field.kernels(random_gaussians(8))
+    point = jnp.zeros(3, jnp.float32)
+    parts = [
+        density_field.density(point, density_field.take(field, jnp.array(ids))) for ids in ([0, 5], [1, 2, 3, 4, 6, 7])
+    ]
+    assert float(sum(parts)) == pytest.approx(float(density_field.density(point, field)), rel=1e-5)
+
+
+def test_profile_along_a_ray_is_the_density_there():
+    field = density_field.kernels(random_gaussians(16))
+    rng = np.random.default_rng(4)
+    for _ in range(5):
+        origin = jnp.asarray(rng.normal(size=3), jnp.float32)
+        direction = rng.normal(size=3)
+        direction = jnp.asarray(direction / np.linalg.norm(direction), jnp.float32)
+        distances = jnp.linspace(-3, 3, 50, dtype=jnp.float32)
+        profile = density_field.along_ray(origin, direction, field)
+        found = jax.vmap(density_field.profile_density, (0, None))(distances, profile)
+        points = origin[None, :] + distances[:, None] * direction[None, :]
+        expected = jax.vmap(density_field.density, (0, None))(points, field)
+        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_profile_of_one_gaussian_in_closed_form():
+    field = density_field.kernels(one_gaussian(np.log([1.0, 1.0, 0.1]), opacity=0.7, mean=(0.0, 0.0, 2.0)))
+    direction = jnp.asarray([0.6, 0.0, 0.8], jnp.float32)
+    profile = density_field.along_ray(jnp.zeros(3, jnp.float32), direction, field)
+    # Minimise (0.6 t)^2 + ((0.8 t - 2) / 0.1)^2.
+    precision = 0.36 + 64.0
+    peak = 160 / precision
+    assert float(profile.peaks[0]) == pytest.approx(peak, rel=1e-5)
+    assert float(profile.inverse_deviations[0]) == pytest.approx(precision**0.5, rel=1e-5)
+    squared = (0.6 * peak) ** 2 + ((0.8 * peak - 2) / 0.1) ** 2
+    assert float(profile.heights[0]) == pytest.approx(0.7 * np.exp(-squared / 2), rel=1e-3)
+    # Var(0.6 x + 0.8 z) of the Gaussian itself, not of its density on the ray.
+    spread = density_field.deviation_along(direction, density_field.take(field, 0))
+    assert float(spread) == pytest.approx(np.sqrt(0.36 + 0.64 * 0.01), rel=1e-5)
+
+
+@pytest.mark.parametrize("log_scales", [(-60.0, -60.0, -60.0), (90.0, 90.0, 90.0), (88.0, -40.0, 0.0)])
+def test_profiles_of_extreme_gaussians_are_finite(log_scales):
+    field = density_field.kernels(one_gaussian(log_scales))
+    direction = jnp.asarray([0.6, 0.0, 0.8], jnp.float32)
+    profile = density_field.along_ray(jnp.asarray([0.3, 0.2, 0.1], jnp.float32), direction, field)
+    spread = density_field.deviation_along(direction, density_field.take(field, 0))
+    for value in [*jax.tree.leaves(profile), spread, density_field.profile_density(jnp.float32(1e6), profile)]:
+        assert bool(jnp.all(jnp.isfinite(value)))

@@ -1,0 +1,225 @@
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from gsjax import cameras
+from gsjax import gaussians as gs
+from gsjax.cameras import Camera
+from gsjax.errors import InputError
+from gsjax.gallery import Picture
+from gsjax.gaussians import Gaussians
+from gsjax.meshing import density_field, level_crossing, level_set
+from gsjax.meshing.level_set import LevelSetOptions
+
+
+def one_gaussian(scales, opacity):
+    return density_field.kernels(
+        Gaussians(
+            means=jnp.zeros((1, 3), jnp.float32),
+            quats=jnp.asarray([[1, 0, 0, 0]], jnp.float32),
+            log_scales=jnp.log(jnp.asarray([scales], jnp.float32)),
+            logit_opacities=jnp.asarray([np.log(opacity / (1 - opacity))], jnp.float32),
+            sh_dc=jnp.zeros((1, 1, 3), jnp.float32),
+            sh_rest=jnp.zeros((1, 0, 3), jnp.float32),
+        )
+    )
+
+
+def march(field, hit, direction, level=0.3):
+    direction = np.asarray(direction, np.float32) / np.linalg.norm(direction)
+    return level_crossing.march_ray(
+        field, jnp.asarray(hit, jnp.float32), jnp.asarray(direction), level=level, samples=21, sigma_range=3.0
+    )
+
+
+@pytest.mark.parametrize("level", [0.1, 0.3, 0.5])
+@pytest.mark.parametrize("off_peak", [-0.1, 0.0, 0.15])
+def test_crossing_of_one_gaussian_in_closed_form(level, off_peak):
+    # alpha exp(-z^2 / 2 s^2) = level at z = -s sqrt(2 ln(alpha / level)), entering along +z.
+    point, normal, crossed = march(one_gaussian((1.0, 1.0, 0.2), 0.9), (0, 0, off_peak), (0, 0, 1), level)
+    assert bool(crossed)
+    np.testing.assert_allclose(point, [0, 0, -0.2 * np.sqrt(2 * np.log(0.9 / level))], atol=2e-4)
+    np.testing.assert_allclose(normal, [0, 0, -1], atol=1e-5)
+
+
+def test_oblique_ray_ends_on_the_level_with_the_gradients_normal():
+    field = one_gaussian((1.0, 0.5, 0.2), 0.9)
+    point, normal, crossed = march(field, (0.1, 0.2, 0.05), (1, 1, 2))
+    assert bool(crossed)
+    assert float(density_field.density(point, field)) == pytest.approx(0.3, abs=2e-3)
+    expected = np.asarray(point) / np.array([1.0, 0.25, 0.04])  # Sigma^-1 x
+    np.testing.assert_allclose(normal, expected / np.linalg.norm(expected), atol=1e-4)
+
+
+def test_a_disc_thinner_than_the_step_is_met_from_the_near_side():
+    point, normal, crossed = march(one_gaussian((1.0, 1.0, 0.01), 0.9), (0, 0, 0.02), (1, 0, 1))
+    assert bool(crossed)
+    assert float(point[2]) == pytest.approx(-0.01 * np.sqrt(2 * np.log(3)), abs=5e-4)
+    assert float(normal[2]) < -0.99
+
+
+def test_too_soft_and_already_inside_are_no_crossings():
+    assert not bool(march(one_gaussian((1.0, 1.0, 0.2), 0.25), (0, 0, 0), (0, 0, 1))[2])
+    wide_over_narrow = density_field.Kernels(
+        means=jnp.zeros((2, 3), jnp.float32),
+        whitening=jnp.stack([10 * jnp.eye(3, dtype=jnp.float32), 0.01 * jnp.eye(3, dtype=jnp.float32)]),
+        opacities=jnp.asarray([0.9, 0.9], jnp.float32),
+    )
+    assert not bool(march(wide_over_narrow, (0, 0, 0), (0, 0, 1))[2])
+
+
+@pytest.mark.parametrize("scales", [(1e-30, 1e-30, 1e-30), (1e30, 1e30, 1e30), (1.0, 1.0, 1e-30)])
+def test_extreme_kernels_march_to_finite_numbers(scales):
+    for part in march(one_gaussian(scales, 0.9), (1e-3, 0, 0), (0, 0, 1)):
+        assert bool(jnp.all(jnp.isfinite(part)))
+
+
+def test_ball_gives_points_on_the_sphere_with_outward_normals(ball):
+    surface = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=5000))
+    radii = np.linalg.norm(surface.points, axis=1)
+    # A disc of thickness s meets the level within s sqrt(2 ln(sum / level)) of its plane.
+    assert np.abs(radii - 1).max() < 0.02
+    assert np.quantile(np.sum(surface.normals * surface.points / radii[:, None], -1), 0.01) > 0.9
+    np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1, atol=1e-5)
+    assert surface.crossing_share > 0.9
+    assert surface.flipped < 0.01 * surface.crossings
+    assert np.all(surface.colors == [255, 128, 0])
+    centers = np.stack([np.asarray(cameras.center(c)) for c in ball.cameras])[surface.view_ids]
+    assert np.all(np.sum(surface.normals * (centers - surface.points), -1) >= 0)
+    assert len(np.unique(surface.view_ids)) == 10
+
+
+def test_points_lie_on_the_rays_of_pixel_centres(ball):
+    surface = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=500))
+    camera = ball.cameras[3]
+    seen = surface.points[surface.view_ids == 3]
+    pixels = np.stack(
+        [cameras.project(jnp.asarray(camera.viewmat[:3, :3] @ p + camera.viewmat[:3, 3]), camera) for p in seen]
+    )
+    assert len(seen) > 10
+    np.testing.assert_allclose(pixels % 1, 0.5, atol=2e-3)
+
+
+def test_same_seed_same_points_whatever_the_chunk(ball):
+    a = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1000), seed=3)
+    b = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1000, chunk=700), seed=3)
+    other = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1000), seed=4)
+    np.testing.assert_allclose(a.points, b.points, atol=1e-6)
+    assert a.crossings == b.crossings
+    assert not np.array_equal(a.points, other.points)
+
+
+def test_number_of_points_is_a_cap(ball):
+    surface = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=137))
+    assert len(surface.points) == len(surface.normals) == len(surface.colors) == len(surface.view_ids) == 137
+
+
+def test_one_compilation_for_many_chunks(ball):
+    level_crossing.march_rays.clear_cache()
+    level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1500, chunk=512))
+    assert level_crossing.march_rays._cache_size() == 1
+
+
+def test_one_view_is_enough(ball):
+    surface = level_set.surface_points(
+        ball.gaussians, *(part[:1] for part in ball.views), LevelSetOptions(num_points=300)
+    )
+    assert np.all(surface.points @ np.asarray(cameras.center(ball.cameras[0])) > 0)
+
+
+def test_transparent_gaussians_do_not_make_density(ball):
+    faint = replace(
+        ball.gaussians,
+        means=1.2 * ball.gaussians.means,
+        logit_opacities=jnp.full_like(ball.gaussians.logit_opacities, -0.5),
+    )
+    both = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), ball.gaussians, faint)
+    alone = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=500))
+    surface = level_set.surface_points(both, *ball.views, LevelSetOptions(num_points=500))
+    assert surface.kernels == 2000
+    np.testing.assert_array_equal(surface.points, alone.points)
+
+
+def test_where_all_are_transparent_all_are_used(ball):
+    soft = replace(ball.gaussians, logit_opacities=jnp.full_like(ball.gaussians.logit_opacities, -0.2))
+    assert level_set.surface_points(soft, *ball.views, LevelSetOptions(num_points=100)).kernels == 2000
+
+
+def test_gaussians_with_nan_are_left_out(ball):
+    poisoned = replace(ball.gaussians, means=ball.gaussians.means.at[7].set(jnp.nan))
+    surface = level_set.surface_points(poisoned, *ball.views, LevelSetOptions(num_points=500))
+    assert surface.kernels == 1999
+    assert np.isfinite(surface.points).all()
+
+
+def test_coincident_gaussians_are_their_own_first_neighbours():
+    table = level_set.neighbor_table(KDTree(np.zeros((40, 3))), 16)
+    np.testing.assert_array_equal(table[:, 0], np.arange(40))
+    assert all(len(set(row)) == 16 for row in table)
+
+
+def test_fewer_gaussians_than_neighbours():
+    assert sorted(level_set.neighbor_table(KDTree(np.eye(3)), 16)[0]) == [0, 1, 2]
+    assert level_set.neighbor_table(KDTree(np.zeros((1, 3))), 16).tolist() == [[0]]
+
+
+def test_neighbours_are_the_same_in_any_chunks(monkeypatch):
+    points = np.random.default_rng(0).normal(size=(500, 3))
+    whole = level_set.neighbor_table(KDTree(points), 16)
+    monkeypatch.setattr(level_set, "TREE_CHUNK", 70)
+    np.testing.assert_array_equal(level_set.neighbor_table(KDTree(points), 16), whole)
+    distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    np.testing.assert_array_equal(whole, np.argsort(distances, axis=1)[:, :16])
+
+
+def test_options_are_sugars_and_points_follow_the_pixels(ball):
+    options = LevelSetOptions()
+    assert (options.level, options.num_points, options.neighbors, options.samples) == (0.3, 10_000_000, 16, 21)
+    assert (options.sigma_range, options.min_opacity, options.oversampling) == (3.0, 0.5, 2.0)
+    assert level_set.options_for(ball.cameras).num_points == 200_000
+    photos = [Camera(ball.cameras[0].viewmat, ball.cameras[0].K, 1600, 1000)] * 10
+    assert level_set.options_for(photos).num_points == 2_000_000
+    assert level_set.options_for(photos * 20).num_points == 10_000_000
+
+
+@pytest.mark.parametrize(
+    ("wrong", "fault"),
+    [({"level": 1.0}, "level 1.0"), ({"num_points": 0}, "points 0"), ({"samples": 1}, "too small to march")],
+)
+def test_options_out_of_range_are_one_line(wrong, fault):
+    with pytest.raises(InputError, match=fault):
+        LevelSetOptions(**wrong)
+
+
+def test_pictures_may_come_one_by_one(ball):
+    options = LevelSetOptions(num_points=500)
+    listed = level_set.surface_points(ball.gaussians, *ball.views, options)
+    streamed = level_set.surface_points(ball.gaussians, ball.cameras, iter(ball.pictures), options)
+    np.testing.assert_array_equal(listed.points, streamed.points)
+
+
+def test_empty_level_set_says_so(ball):
+    soft = replace(ball.gaussians, logit_opacities=jnp.full_like(ball.gaussians.logit_opacities, -9.0))
+    with pytest.raises(InputError, match=r"level set is empty: none of 2020 rays.*2000 of 2000"):
+        level_set.surface_points(soft, *ball.views, LevelSetOptions(num_points=1000))
+
+
+def test_nothing_to_see_and_nothing_there(ball):
+    blank = [Picture(p.colors, p.depth, np.zeros_like(p.alphas)) for p in ball.pictures]
+    with pytest.raises(InputError, match="no pixel of 10 views"):
+        level_set.surface_points(ball.gaussians, ball.cameras, blank)
+    with pytest.raises(InputError, match="none of 0 Gaussians"):
+        level_set.surface_points(gs.take(ball.gaussians, np.arange(0)), *ball.views)
+    with pytest.raises(InputError, match="no pixel of 0 views"):
+        level_set.surface_points(ball.gaussians, [], [])
+
+
+def test_maps_of_another_size_than_their_camera_are_refused(ball):
+    camera = ball.cameras[0]
+    wide = Camera(camera.viewmat, camera.K, 65, 60)
+    with pytest.raises(ValueError, match="view 0"):
+        level_set.surface_points(ball.gaussians, [wide, *ball.cameras[1:]], ball.pictures)

@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+
+from gsjax.mesh import Mesh
+from gsjax.meshing.topology import boundary_loops, edge_table, face_components, topology
+
+
+def mesh_of(vertices, faces):
+    vertices = np.asarray(vertices, np.float32)
+    return Mesh(vertices, np.asarray(faces, np.int32), np.full((len(vertices), 3), 90, np.uint8))
+
+
+def tetrahedron():
+    return mesh_of([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+
+def square(count, without=()):
+    """`count` by `count` unit cells of two triangles, some cells left out."""
+    x, y = np.meshgrid(np.arange(count + 1), np.arange(count + 1))
+    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=-1)
+    cells = [(i, j) for j in range(count) for i in range(count) if (i, j) not in without]
+    corner = np.array([j * (count + 1) + i for i, j in cells])
+    faces = np.r_[
+        np.stack([corner, corner + 1, corner + count + 1], -1),
+        np.stack([corner + 1, corner + count + 2, corner + count + 1], -1),
+    ]
+    return mesh_of(vertices, faces)
+
+
+def test_a_tetrahedron_is_closed_and_faces_outwards():
+    found = topology(tetrahedron())
+    assert (found.components, found.boundary_loops, found.boundary_length, found.largest_hole) == (1, 0, 0, 0)
+    assert found.watertight and found.oriented and not found.inside_out
+    table = edge_table(tetrahedron().faces)
+    assert table.pairs.tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]
+    assert table.faces.tolist() == [2] * 6
+    np.testing.assert_array_equal(table.of_face[0], [1, 3, 0])
+
+
+def test_inside_out_and_one_turned_face():
+    mesh = tetrahedron()
+    turned = topology(Mesh(mesh.vertices, mesh.faces[:, ::-1].copy(), mesh.colors))
+    assert turned.inside_out and turned.oriented
+    faces = mesh.faces.copy()
+    faces[0] = faces[0, ::-1]
+    assert not topology(Mesh(mesh.vertices, faces, mesh.colors)).oriented
+
+
+def test_holes_are_loops_with_lengths():
+    mesh = square(8, without={(2, 2), (5, 4), (6, 4)})
+    np.testing.assert_allclose(boundary_loops(mesh, edge_table(mesh.faces)), [32, 6, 4])
+    found = topology(mesh)
+    assert (found.boundary_loops, found.boundary_length, found.largest_hole) == (3, 42, 32)
+    assert not found.watertight
+
+
+def test_holes_that_touch_in_a_corner_are_one_loop():
+    mesh = square(6, without={(2, 2), (3, 3)})
+    np.testing.assert_allclose(boundary_loops(mesh, edge_table(mesh.faces)), [24, 8])
+
+
+def test_pieces_connect_through_edges_not_corners():
+    mesh = mesh_of(np.eye(5, 3), [[0, 1, 2], [2, 3, 4]])
+    labels, sizes = face_components(mesh.faces, edge_table(mesh.faces))
+    assert labels[0] != labels[1]
+    assert sizes.tolist() == [1, 1]
+    far = square(3)
+    both = mesh_of(np.r_[far.vertices, far.vertices[:3] + 9], np.r_[far.faces, [[16, 17, 18]]])
+    assert topology(both).components == 2
+    assert topology(both).largest_component_share == pytest.approx(18 / 19)
+
+
+def test_a_fin_makes_an_edge_of_three():
+    mesh = tetrahedron()
+    fin = mesh_of(np.r_[mesh.vertices, [[0.5, -0.1, -0.1]]], np.r_[mesh.faces, [[0, 1, 4]]])
+    assert edge_table(fin.faces).faces.max() == 3
+    assert not topology(fin).watertight

@@ -1,0 +1,291 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from jax.test_util import check_grads
+from scipy.spatial.transform import Rotation
+from small_scenes import angles, camera_at, discs, moved, plane
+from tolerances import assert_close
+
+from gsjax import cameras, render
+from gsjax.gaussians import Gaussians, rotation_matrices
+from gsjax.normals import sdf
+from gsjax.render import View
+
+CAMERA = camera_at((0.6, -0.4, -0.5), (0.1, 0.2, 4.0), size=(40, 36), focal=36.0)
+TURN = np.asarray(CAMERA.viewmat, np.float64)[:3, :3]
+CENTER = np.asarray(cameras.center(CAMERA), np.float64)
+K = np.asarray(CAMERA.K, np.float64)
+BALL, RADIUS = np.array([0.1, 0.2, 4.0]), 1.5
+
+
+def unit(v):
+    return np.asarray(v, np.float64) / np.linalg.norm(v)
+
+
+def rays_through(pixels):
+    """Camera-frame rays with z = 1 of `[..., 2]` pixel positions."""
+    return np.concatenate([(pixels - K[:2, 2]) / np.diag(K)[:2], np.ones((*pixels.shape[:-1], 1))], -1)
+
+
+RAYS = rays_through(np.stack(np.meshgrid(np.arange(40) + 0.5, np.arange(36) + 0.5), -1))
+CORNERS = np.stack(np.meshgrid(np.arange(4, 37), np.arange(4, 33)), -1).astype(
+    float
+)  # there a patch's slope is central
+
+
+def plane_depth(normal, rays=RAYS):
+    """Camera z of the plane through (0, 0, 4) along the rays; `normal` is in the world."""
+    return (normal @ (np.array([0, 0, 4.0]) - CENTER)) / (rays @ TURN @ normal)
+
+
+def seen_ball(rays=RAYS):
+    """The ball's camera z along the rays (0 beside it), camera-frame normals, and where it is not seen at a slant."""
+    c = TURN @ (BALL - CENTER)
+    a, b = np.sum(rays * rays, -1), rays @ c
+    inside = b * b - a * (c @ c - RADIUS**2)
+    depth = np.where(inside > 0, (b - np.sqrt(np.maximum(inside, 0))) / a, 0)
+    normals = (rays * depth[..., None] - c) / RADIUS
+    return depth, normals, (inside > 0) & (np.sum(normals * rays, -1) < -0.6 * np.linalg.norm(rays, axis=-1))
+
+
+def in_world(points_cam):
+    return jnp.asarray(points_cam @ TURN + CENTER, jnp.float32)
+
+
+def gradients(points_cam, depth):
+    """Gradients of the estimate at `[P, 3]` camera-frame points, world frame."""
+    of_one = jax.vmap(jax.grad(sdf.depth_sdf), (0, None, None))
+    return np.asarray(of_one(in_world(points_cam), jnp.asarray(depth, jnp.float32), CAMERA), np.float64)
+
+
+@jax.jit
+def maps(gaussians, camera, depth=None):
+    view = render.view(gaussians, camera, capacity=8192, background=jnp.zeros(3, jnp.float32), with_depth=True)
+    view = view if depth is None else view._replace(depth=depth)
+    estimates = {e.__name__: e(gaussians, view, camera) for e in ESTIMATORS}
+    return view.alphas, estimates
+
+
+ESTIMATORS = (sdf.sdf_gradient_map, sdf.pixel_depth_map, sdf.smallest_axis_map)
+
+
+# --- the estimate at one point
+
+
+@pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (0.3, 0.2, -1.0), (-0.5, 0.4, -1.0)])
+def test_on_a_plane_the_gradient_is_the_normal_over_its_cosine_with_the_ray(normal):
+    normal = unit(normal)
+    rays = rays_through(CORNERS.reshape(-1, 2))
+    found = gradients(rays * plane_depth(normal, rays)[:, None], plane_depth(normal))
+    assert angles(found, np.broadcast_to(normal, found.shape)).max() < 0.3
+    np.testing.assert_allclose(np.linalg.norm(found, axis=-1), 1 / np.abs(rays @ TURN @ normal), rtol=3e-3)
+
+
+def test_on_a_ball_the_gradient_is_radial():
+    rays = rays_through(CORNERS)
+    depth, normals, frontal = seen_ball(rays)
+    found = gradients((rays * depth[..., None])[frontal], seen_ball()[0])
+    off = angles(found @ TURN.T, normals[frontal])
+    assert len(off) > 300
+    assert np.median(off) < 0.3 and off.max() < 1  # a pixel spans 5 degrees of the ball
+
+
+@pytest.mark.parametrize("distance", [-0.7, 0.0, 0.4])
+def test_the_estimate_is_the_distance_along_z_positive_in_front(distance):
+    normal = unit((0.3, 0.2, -1.0))
+    depth = plane_depth(normal)
+    point = in_world(RAYS[13, 20] * (depth[13, 20] - distance))
+    value = sdf.depth_sdf(point, jnp.asarray(depth, jnp.float32), CAMERA)
+    assert float(value) == pytest.approx(distance, abs=2e-5)
+
+
+@pytest.mark.parametrize(
+    "in_camera",
+    [(50.0, 0.0, 2.0), (0.0, -900.0, 0.1), (0.3, 0.2, 0.0), (0.3, 0.2, -3.0), (0.0, 0.0, 0.0), (1e-3, 0.0, 1e-9)],
+    ids=["beside", "far beside", "camera plane", "behind", "camera centre", "almost on the plane"],
+)
+def test_off_screen_and_behind_the_estimate_is_finite(in_camera):
+    depth = jnp.asarray(plane_depth(unit((0.3, 0.2, -1.0))), jnp.float32)
+    everything = jax.value_and_grad(sdf.depth_sdf, argnums=(0, 1, 2))(in_world(np.array(in_camera)), depth, CAMERA)
+    for leaf in jax.tree.leaves(everything):
+        assert bool(jnp.isfinite(leaf).all())
+
+
+# --- the maps
+
+
+def interior(alphas, margin=6):
+    mask = np.zeros(alphas.shape, bool)
+    mask[margin:-margin, margin:-margin] = True
+    return mask & (np.asarray(alphas) > 0.9)
+
+
+@pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (0.3, 0.2, -1.0), (-0.5, 0.3, -1.0)])
+def test_on_a_plane_of_gaussians_every_estimator_gives_the_normal_facing_the_camera(normal):
+    alphas, found = maps(plane(unit(normal)), CAMERA)
+    mask = interior(alphas) & np.any(found["pixel_depth_map"], -1)
+    assert mask.sum() > 400
+    for name, bound in (("sdf_gradient_map", 2), ("pixel_depth_map", 4), ("smallest_axis_map", 0.1)):
+        off = angles(found[name][mask], np.broadcast_to(TURN @ unit(normal), (mask.sum(), 3)))
+        assert np.median(off) < bound, name
+        assert off.max() < 45, name  # on the camera's side, everywhere
+
+
+def test_on_a_ball_of_gaussians_with_its_exact_depth_the_normals_are_those_of_the_ball():
+    k = np.arange(256) + 0.5
+    z, turn = 1 - 2 * k / 256, np.pi * (1 + 5**0.5) * k
+    normals = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], -1)
+    depth, expected, frontal = seen_ball()
+    alphas, found = maps(discs(BALL + RADIUS * normals, normals, 0.2), CAMERA, jnp.asarray(depth, jnp.float32))
+    mask = (np.asarray(alphas) > 0.9) & frontal
+    assert mask.sum() > 300
+    for name, bound in (("sdf_gradient_map", 8), ("pixel_depth_map", 0.3), ("smallest_axis_map", 10)):
+        off = angles(found[name][mask], expected[mask])
+        assert np.median(off) < bound, name  # a disc spans 8 degrees
+        assert off.max() < 2 * bound + 1, name
+
+
+def test_the_pixel_map_of_an_exact_plane_is_its_normal_and_nothing_at_the_border():
+    normal = unit((0.3, 0.2, -1.0))
+    view = View(None, None, jnp.asarray(plane_depth(normal), jnp.float32), None)
+    found = np.asarray(sdf.pixel_depth_map(None, view, CAMERA))
+    assert angles(found[1:-1, 1:-1], np.broadcast_to(TURN @ normal, (34, 38, 3))).max() < 0.02
+    for border in (found[0], found[-1], found[:, 0], found[:, -1]):
+        assert not border.any()
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_the_pixel_map_counts_at_every_scale_and_focal_length(scale):
+    # Neighbouring pixels of a photo are a thousandth of the depth apart: short steps, but no short directions.
+    camera = cameras.Camera(CAMERA.viewmat, CAMERA.K * jnp.asarray([[50.0], [50.0], [1.0]]), 40, 36)
+    view = View(None, None, jnp.full((36, 40), scale, jnp.float32), None)
+    directions = sdf.pixel_depth_map(None, view, camera)
+    sideways = jnp.broadcast_to(jnp.asarray([1.0, 0, 0]), directions.shape)
+    assert float(sdf.misalignment(directions, sideways, jnp.ones((36, 40), bool))) == pytest.approx(1, abs=1e-5)
+
+
+def test_uncovered_neighbours_leave_no_direction_and_no_nan():
+    depth = np.full((36, 40), 3.0, np.float32)
+    depth[10, 12] = 0
+
+    def total(depth):
+        return jnp.sum(sdf.pixel_depth_map(None, View(None, None, depth, None), CAMERA))
+
+    found = np.asarray(sdf.pixel_depth_map(None, View(None, None, jnp.asarray(depth), None), CAMERA))
+    missing = ~found.any(-1)
+    assert all(missing[r, c] for r, c in ((9, 12), (11, 12), (10, 11), (10, 13)))
+    assert missing[1:-1, 1:-1].sum() == 4
+    assert bool(jnp.isfinite(jax.grad(total)(jnp.asarray(depth))).all())
+
+
+def test_the_maps_do_not_depend_on_where_the_world_is():
+    gaussians = plane(unit((0.3, 0.2, -1.0)))
+    turn, shift = Rotation.from_rotvec([0.4, -0.8, 0.3]), np.array([3.0, -2.0, 5.0])
+    quats = np.asarray(gaussians.quats)[:, [1, 2, 3, 0]]
+    elsewhere = Gaussians(
+        **{
+            **gaussians.__dict__,
+            "means": jnp.asarray(np.asarray(gaussians.means, np.float64) @ turn.as_matrix().T + shift, jnp.float32),
+            "quats": jnp.asarray((turn * Rotation.from_quat(quats)).as_quat()[:, [3, 0, 1, 2]], jnp.float32),
+        }
+    )
+    alphas, here = maps(gaussians, CAMERA)
+    _, there = maps(elsewhere, moved(CAMERA, turn.as_matrix(), shift))
+    mask = interior(alphas)
+    for name in here:
+        off = angles(here[name][mask], there[name][mask])
+        assert np.quantile(off, 0.98) < 0.3, name  # a mean on the kink of the bilinear read may fall to either side
+
+
+# --- the loss
+
+
+def misaligned(directions, normals, valid=None):
+    directions, normals = (jnp.asarray(x, jnp.float32).reshape(1, -1, 3) for x in (directions, normals))
+    valid = jnp.ones(directions.shape[:2], bool) if valid is None else jnp.asarray(valid).reshape(1, -1)
+    return jax.value_and_grad(sdf.misalignment)(directions, normals, valid)
+
+
+def test_misalignment_is_the_mean_of_one_minus_the_unsigned_cosine():
+    rng = np.random.default_rng(0)
+    directions, normals = rng.normal(size=(2, 50, 3))
+    valid = rng.random(50) > 0.4
+    cosine = np.sum(directions * normals, -1) / np.linalg.norm(directions, axis=-1) / np.linalg.norm(normals, axis=-1)
+    value, gradient = misaligned(directions, normals, valid)
+    assert_close(value, (1 - np.abs(cosine))[valid].mean())
+    assert 0 < float(value) < 1
+    assert not np.any(np.asarray(gradient)[0, ~valid]) and np.all(np.any(np.asarray(gradient)[0, valid], -1))
+
+
+def test_the_gradient_of_misalignment_equals_finite_differences(x64):
+    directions, normals = np.random.default_rng(2).normal(size=(2, 4, 3, 3))
+    normals[1, 1] = 0
+    valid = jnp.asarray(np.arange(12).reshape(4, 3) != 7)
+    check_grads(lambda d: sdf.misalignment(d, jnp.asarray(normals), valid), (jnp.asarray(directions),), 1, ["rev"])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_both_signs_of_the_normal_are_minima_of_value_zero(sign):
+    normals = np.random.default_rng(1).normal(size=(20, 3))
+    value, gradient = misaligned(sign * 3 * normals, normals)
+    assert_close(value, np.float32(0), rtol=0, atol=3e-7, why="rounding of a unit vector")
+    assert_close(gradient, np.zeros((1, 20, 3)), rtol=0, atol=1e-7, why="rounding of a unit vector")
+    assert float(misaligned([[1.0, 0, 0]], [[0, 1.0, 0]])[0]) == 1
+
+
+@pytest.mark.parametrize(
+    ("directions", "normals"),
+    [([[0.0, 0, 0]], [[0, 0, 1.0]]), ([[5e-4, 0, 0]], [[0, 0, 1.0]]), ([[1.0, 0, 0]], [[0, 0, 0.0]])],
+    ids=["no direction", "too short", "no normal"],
+)
+def test_what_has_no_direction_does_not_count(directions, normals):
+    value, gradient = misaligned(directions, normals)
+    assert float(value) == 0 and not np.any(gradient)
+    value, _ = misaligned([*directions, [1.0, 1.0, 0]], [*normals, [0, 1.0, 0]])
+    assert float(value) == pytest.approx(1 - 0.5**0.5, abs=1e-6)
+
+
+def test_no_valid_pixel_is_no_loss():
+    value, gradient = misaligned(np.ones((4, 3)), np.eye(4, 3), np.zeros(4, bool))
+    assert float(value) == 0 and not np.any(gradient)
+
+
+def tilted(tilt) -> Gaussians:
+    """A plane of Gaussians turned about (0, 0, 4) by the rotation (1, tilt / 2) as a whole."""
+    gaussians = plane((0.0, 0.0, -1.0), per_side=12, spacing=0.45)
+    w, x, y = jnp.float32(1), 0.5 * tilt[0], 0.5 * tilt[1]
+    a, b, c, d = gaussians.quats.T
+    quats = jnp.stack([w * a - x * b - y * c, w * b + x * a + y * d, w * c - x * d + y * a, w * d + x * c - y * b], -1)
+    turn = rotation_matrices(jnp.stack([w, x, y, jnp.float32(0)]))
+    pivot = jnp.asarray([0.0, 0.0, 4.0])
+    means = jnp.sum((gaussians.means - pivot)[:, None, :] * turn, -1) + pivot
+    return Gaussians(**{**gaussians.__dict__, "means": means, "quats": quats})
+
+
+def test_minimising_it_turns_a_plane_to_its_normal_and_the_printed_sign_turns_it_away():
+    camera = camera_at(size=(32, 24))
+    normals = jnp.broadcast_to(jnp.asarray([0.0, 0.0, -1.0]), (24, 32, 3))
+
+    @jax.jit
+    @jax.value_and_grad
+    def regulariser(tilt):
+        gaussians = tilted(tilt)
+        view = render.view(gaussians, camera, capacity=4096, background=jnp.zeros(3, jnp.float32), with_depth=True)
+        return sdf.misalignment(sdf.sdf_gradient_map(gaussians, view, camera), normals, view.alphas > 0.5)
+
+    def degrees_after(sign, steps=10):
+        optimizer = optax.adam(0.03)
+        tilt = jnp.asarray([0.3, -0.4], jnp.float32)
+        state = optimizer.init(tilt)
+        for _ in range(steps):
+            _, gradient = regulariser(tilt)
+            with jax.numpy_dtype_promotion("standard"):
+                updates, state = optimizer.update(sign * gradient, state)
+            tilt = tilt + updates
+        return np.degrees(2 * np.arctan(0.5 * np.linalg.norm(tilt)))
+
+    at_the_start = degrees_after(1, steps=0)
+    assert degrees_after(1) < at_the_start - 10  # 1 - |cos|, ours
+    assert degrees_after(-1) > at_the_start + 10  # + |cos|, as printed

@@ -1,0 +1,185 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scenes import cloud
+from tolerances import assert_close
+
+from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales
+from gsjax.settings import Density
+from gsjax.training import density_control as control
+from gsjax.training.density_control import GrowthStatistics
+from gsjax.training.initialize import DEAD_LOGIT
+
+EXTENT = 10.0
+DENSITY = Density(gradient=0.5, dense_share=0.01, min_opacity=0.1, max_share=0.5)  # small is up to 0.1, large over 5
+CAPACITY, ALIVE = 16, 10
+KEY = jax.random.key(3)
+
+
+def scene(*, opacity=None, size=None) -> Gaussians:
+    """10 Gaussians in 16 rows, of scale 0.05 and opacity 0.6 where nothing else is said (row -> value)."""
+    logits = np.where(np.arange(CAPACITY) < ALIVE, np.log(0.6 / 0.4), DEAD_LOGIT)
+    log_scales = np.full((CAPACITY, 3), np.log(0.05))
+    for row, value in (opacity or {}).items():
+        logits[row] = np.log(value / (1 - value))
+    for row, value in (size or {}).items():
+        log_scales[row, row % 3] = np.log(value)
+    fields = {"logit_opacities": jnp.asarray(logits, jnp.float32), "log_scales": jnp.asarray(log_scales, jnp.float32)}
+    return Gaussians(**{**cloud(ALIVE, capacity=CAPACITY).__dict__, **fields})
+
+
+def gradients(mean_of, views=4):
+    """Statistics over some views whose mean gradient is `mean_of[row]`, else 0."""
+    sums = np.zeros(CAPACITY, np.float32)
+    sums[list(mean_of)] = np.array(list(mean_of.values())) * views
+    return GrowthStatistics(jnp.asarray(sums), jnp.full(CAPACITY, views, jnp.float32))
+
+
+@jax.jit
+def densified(gaussians, statistics, prune_large=False, key=KEY):
+    return control.densify(gaussians, statistics, key, density=DENSITY, extent=EXTENT, prune_large=prune_large)
+
+
+def alive(gaussians):
+    return np.asarray(control.is_alive(gaussians))
+
+
+def rows(tree, index):
+    return jax.tree.map(lambda x: np.asarray(x)[index], tree)
+
+
+def assert_same_rows(actual, expected, index):
+    jax.tree.map(np.testing.assert_array_equal, rows(actual, index), rows(expected, index))
+
+
+def test_without_gradients_and_faint_gaussians_nothing_changes():
+    before = scene()
+    after, moved = densified(before, gradients({}))
+    assert_same_rows(after, before, slice(None))
+    np.testing.assert_array_equal(moved.source, np.arange(CAPACITY))
+    np.testing.assert_array_equal(moved.fresh, ~alive(before))
+
+
+def test_a_small_gaussian_is_cloned_and_the_original_keeps_its_state():
+    before = scene()
+    after, moved = densified(before, gradients({4: 0.6, 7: 0.4}))
+    assert alive(after).sum() == ALIVE + 1
+    assert_same_rows(after, before, slice(ALIVE))
+    new = ALIVE  # the first free row
+    assert int(moved.source[new]) == 4
+    assert_same_rows(rows(after, [new]), rows(before, [4]), slice(None))
+    assert bool(moved.fresh[new]) and not np.any(moved.fresh[:ALIVE])
+
+
+@pytest.mark.parametrize(("mean", "grows"), [(0.4999, False), (0.5, True)])
+def test_the_threshold_of_growth_is_inclusive(mean, grows):
+    after, _ = densified(scene(), gradients({2: mean}))
+    assert alive(after).sum() == ALIVE + grows
+
+
+def test_a_large_gaussian_is_split_in_two_smaller_ones_inside_itself():
+    before = scene(size={3: 0.4})
+    after, moved = densified(before, gradients({3: 2.0}))
+    halves = [3, ALIVE]
+    assert alive(after).sum() == ALIVE + 1
+    assert np.all(moved.fresh[np.array(halves)])
+    assert_close(scales(after)[np.array(halves)], np.tile(np.asarray(scales(before))[3] / 1.6, (2, 1)))
+    for name in ("quats", "logit_opacities", "sh_dc", "sh_rest"):
+        field = np.asarray(getattr(after, name))[halves]
+        np.testing.assert_array_equal(field, np.repeat(np.asarray(getattr(before, name))[3:4], 2, axis=0))
+    offsets = (np.asarray(after.means)[halves] - np.asarray(before.means)[3]) @ np.asarray(
+        rotation_matrices(before.quats)[3]
+    )
+    assert np.abs(offsets[0] - offsets[1]).max() > 1e-3
+    assert np.all(np.abs(offsets) < 5 * np.asarray(scales(before))[3])
+    assert_same_rows(after, before, [0, 1, 2, 4, 5, 6, 7, 8, 9])
+
+
+def test_split_positions_are_samples_of_the_gaussian():
+    before = scene(size={3: 0.4})
+    after = jax.vmap(lambda key: densified(before, gradients({3: 2.0}), key=key)[0])(jax.random.split(KEY, 2000))
+    local = (after.means[:, np.array([3, ALIVE])] - before.means[3]) @ rotation_matrices(before.quats)[3]
+    found = np.asarray(local, np.float64).reshape(-1, 3)
+    expected = np.asarray(scales(before))[3]
+    np.testing.assert_allclose(found.std(0), expected, rtol=0.06)  # 4,000 samples: 1.1 % a standard error
+    np.testing.assert_allclose(found.mean(0), np.zeros(3), atol=0.08 * expected.max())
+
+
+def test_the_limit_between_clone_and_split_is_a_share_of_the_extent():
+    before = scene(size={1: 0.0999, 2: 0.1001})
+    after, _ = densified(before, gradients({1: 1.0, 2: 1.0}))
+    largest = np.asarray(scales(after)).max(1)
+    np.testing.assert_allclose(largest[1], 0.0999, rtol=1e-5)
+    np.testing.assert_allclose(largest[2], 0.1001 / 1.6, rtol=1e-5)
+
+
+def test_when_rows_are_short_the_largest_gradients_win():
+    means = {row: 1 + 0.1 * ((7 * row) % 10) for row in range(ALIVE)}
+    after, moved = densified(scene(), gradients(means))
+    assert alive(after).all()
+    winners = sorted(means, key=means.get)[-(CAPACITY - ALIVE) :]
+    assert sorted(np.asarray(moved.source)[ALIVE:]) == sorted(winners)
+    np.testing.assert_array_equal(np.asarray(moved.source)[:ALIVE], np.arange(ALIVE))
+
+
+def test_a_full_buffer_of_opaque_gaussians_stays_as_it_is():
+    full = scene(opacity=dict.fromkeys(range(CAPACITY), 0.9), size={0: 0.4})
+    after, moved = densified(full, gradients(dict.fromkeys(range(CAPACITY), 9.0)))
+    assert_same_rows(after, full, slice(None))
+    assert not np.any(moved.fresh)
+
+
+def test_faint_gaussians_die_and_their_rows_serve_at_once():
+    before = scene(opacity={0: 0.09, 5: 0.11, 6: 0.02})
+    after, moved = densified(before, gradients({}))
+    np.testing.assert_array_equal(np.flatnonzero(~alive(after)), [0, 6, *range(ALIVE, CAPACITY)])
+    assert np.all(moved.fresh[np.array([0, 6])]) and not bool(moved.fresh[5])
+    # A dying one does not grow, and its row is the first that is given away.
+    after, moved = densified(before, gradients({0: 9.0, 3: 1.0}))
+    assert int(moved.source[0]) == 3 and alive(after)[0] and alive(after).sum() == ALIVE - 1
+
+
+def test_size_prunes_only_when_asked():
+    before = scene(size={8: 5.1, 9: 4.9})
+    kept, _ = densified(before, gradients({}), prune_large=False)
+    pruned, _ = densified(before, gradients({}), prune_large=True)
+    np.testing.assert_array_equal(np.flatnonzero(alive(kept)), np.arange(ALIVE))
+    np.testing.assert_array_equal(np.flatnonzero(alive(pruned)), np.delete(np.arange(ALIVE), 8))
+
+
+def test_a_gaussian_never_seen_does_not_grow():
+    unseen = GrowthStatistics(jnp.zeros(CAPACITY, jnp.float32), jnp.zeros(CAPACITY, jnp.float32))
+    after, _ = densified(scene(), unseen)
+    assert alive(after).sum() == ALIVE
+
+
+def test_accumulated_gradients_are_norms_in_ndc_units_of_the_visible():
+    gradient = np.random.default_rng(0).normal(size=(CAPACITY, 2))
+    visible = np.arange(CAPACITY) % 3 > 0
+    statistics = control.empty_statistics(CAPACITY)
+    for _ in range(2):
+        statistics = control.accumulate(
+            statistics, jnp.asarray(gradient, jnp.float32), jnp.asarray(visible), width=40, height=30
+        )
+    expected = np.where(visible, np.linalg.norm(gradient * [20, 15], axis=1), 0)
+    assert_close(statistics.gradient, 2 * expected)
+    assert_close(statistics.views, 2.0 * visible)
+
+
+def test_reset_caps_opacities_and_leaves_the_dead_dead():
+    before = scene(opacity={1: 0.005})
+    after = control.reset_opacities(before, 0.01)
+    expected = np.where(np.arange(CAPACITY) < ALIVE, 0.01, 0)
+    expected[1] = 0.005
+    assert_close(opacities(after), expected)
+    np.testing.assert_array_equal(alive(after), alive(before))
+    assert_same_rows(after.log_scales, before.log_scales, slice(None))
+
+
+def test_cull_removes_what_is_fainter():
+    before = scene(opacity={2: 0.49, 3: 0.51})
+    after = control.cull(before, 0.5)
+    np.testing.assert_array_equal(alive(after), alive(before) & (np.arange(CAPACITY) != 2))
+    kept = alive(after)
+    assert_same_rows(after, before, kept)

@@ -1,0 +1,57 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tolerances import assert_close
+
+from gsjax.gaussians import SH_C0, opacities, scales
+from gsjax.training.initialize import DEAD_LOGIT, from_points
+
+RNG = np.random.default_rng(0)
+POINTS, COLORS = RNG.normal(size=(20, 3)), RNG.integers(0, 256, (20, 3), dtype=np.uint8)
+
+
+def test_scales_are_the_distances_to_the_three_nearest():
+    distances = np.sort(np.linalg.norm(POINTS[:, None] - POINTS[None], axis=-1), axis=1)[:, 1:4]
+    expected = np.sqrt((distances**2).mean(1))
+    made = from_points(POINTS, COLORS, capacity=20, sh_degree=0)
+    assert_close(scales(made), np.repeat(expected[:, None], 3, 1))
+    assert_close(made.means, POINTS)
+
+
+def test_opacity_colour_and_rotation():
+    made = from_points(POINTS, COLORS, capacity=20, sh_degree=2, opacity=0.3)
+    assert_close(opacities(made), np.full(20, 0.3))
+    assert_close(made.sh_dc[:, 0] * SH_C0 + 0.5, COLORS / 255)
+    assert_close(made.sh_rest, np.zeros((20, 8, 3)))
+    assert_close(made.quats, np.tile([1.0, 0, 0, 0], (20, 1)))
+    assert_close(made, from_points(POINTS, COLORS / 255, capacity=20, sh_degree=2, opacity=0.3))
+
+
+def test_rows_beyond_the_points_are_dead_and_everything_is_float32():
+    made = from_points(POINTS, COLORS, capacity=32, sh_degree=1)
+    assert {leaf.dtype for leaf in jax.tree.leaves(made)} == {jnp.dtype("float32")}
+    assert {leaf.shape[0] for leaf in jax.tree.leaves(made)} == {32}
+    assert_close(made.logit_opacities[20:], np.full(12, DEAD_LOGIT))
+    assert bool((made.logit_opacities[:20] > -5).all())
+
+
+def test_too_many_points_are_thinned_over_their_whole_length():
+    made = from_points(POINTS, COLORS, capacity=5, sh_degree=0)
+    rows = [0, 4, 9, 14, 19]
+    assert_close(made.means, POINTS[rows])
+    assert_close(made.sh_dc[:, 0] * SH_C0 + 0.5, COLORS[rows] / 255)
+
+
+@pytest.mark.parametrize(
+    ("points", "expected"),
+    [
+        ([[1.0, 2, 3]], 0.01),
+        ([[0.0, 0, 0], [0, 0, 2]], 2.0),
+        ([[1.0, 1, 1]] * 6, np.sqrt(1e-7)),
+    ],
+    ids=["one", "two", "coincident"],
+)
+def test_few_or_coincident_points_get_a_usable_scale(points, expected):
+    made = from_points(np.array(points), np.zeros((len(points), 3)), capacity=len(points), sh_degree=0)
+    assert_close(scales(made), np.full((len(points), 3), expected))

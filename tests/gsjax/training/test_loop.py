@@ -1,0 +1,190 @@
+from dataclasses import replace
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scenes import camera_at, cloud, photographed
+
+from gsjax import views
+from gsjax.gaussians import opacities
+from gsjax.settings import Density, Phase, Rates, Settings, Weights
+from gsjax.training import loop
+from gsjax.training.loop import fit, planned_phases, view_order
+from gsjax.training.optimizers import make_optimizer
+from gsjax.training.step import active_terms, count_alive, initial_state
+
+PLAIN = Weights(dssim=0.0)
+SETTINGS = Settings(
+    seed=3,
+    background="random",
+    phases=(
+        Phase("coarse", 6, PLAIN, image_scale=2, density_control=True, cull_below=0.6),
+        Phase("surface", 5, replace(PLAIN, entropy=0.1, sdf_normal=0.2)),
+    ),
+    sh_every=4,
+    density=Density(start=1, stop=6, every=2, gradient=1e-6, reset_every=5, reset_opacity=0.7, min_opacity=0.01),
+)
+EXTENT, ALIVE, CAPACITY = 1.0, 30, 48
+OPTIMIZER = make_optimizer(Rates(), EXTENT, 11)
+
+
+def start():
+    return initial_state(cloud(ALIVE, capacity=CAPACITY, seed=1), OPTIMIZER)
+
+
+@pytest.fixture(scope="module")
+def frames():
+    cameras = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-1.0, 0.0, 1.0)]
+    return photographed(cloud(50, seed=5), cameras, with_mattes=True)
+
+
+class Watch:
+    """Copies of what the loop told, and of what it asked the prior."""
+
+    def __init__(self):
+        self.progress, self.states, self.priors = [], [], []
+
+    def observe(self, progress):
+        # The next step takes the state's buffers: a checkpoint copies.
+        self.states.append(jax.tree.map(np.array, progress.state))
+        self.progress.append(progress._replace(state=None))
+
+    def prior(self, gaussians, data):
+        self.priors.append((jax.tree.map(np.array, gaussians), data.size))
+        width, height = data.size
+        return views.with_normals(data, [np.tile(np.float32([0.1, 0.2, -1]), (height, width, 1))] * data.num_views)
+
+
+def fitted(frames, settings=SETTINGS, state=None, capacity=None):
+    watch = Watch()
+    state = start() if state is None else jax.tree.map(jnp.asarray, state)
+    final = fit(settings, frames, EXTENT, state, OPTIMIZER, prior=watch.prior, observe=watch.observe, capacity=capacity)
+    return SimpleNamespace(final=final, **watch.__dict__)
+
+
+@pytest.fixture(scope="module")
+def whole(frames):
+    """The uninterrupted run."""
+    return fitted(frames)
+
+
+def assert_identical(actual, expected):
+    jax.tree.map(np.testing.assert_array_equal, actual, expected)
+
+
+# --- the plan
+
+
+def test_an_epoch_shows_every_view_once_in_an_order_of_its_own():
+    epochs = [[view_order(7, 10 * epoch + i, 10) for i in range(10)] for epoch in range(4)]
+    assert all(sorted(order) == list(range(10)) for order in epochs)
+    assert len({tuple(order) for order in epochs}) == 4
+    assert epochs[2] == [view_order(7, 20 + i, 10) for i in range(10)]  # of (seed, step) alone
+    assert epochs[0] != [view_order(8, i, 10) for i in range(10)]
+
+
+def test_a_vanilla_plan_has_the_same_steps_and_only_photometric_terms():
+    plan = planned_phases(replace(SETTINGS, vanilla=True))
+    assert [(p.name, p.steps, p.image_scale, p.density_control) for p in plan] == [
+        (p.name, p.steps, p.image_scale, p.density_control) for p in SETTINGS.phases
+    ]
+    for phase in plan:
+        assert set(active_terms(phase.weights)) == {"l1", "alpha"}
+        assert phase.cull_below == 0
+    assert planned_phases(SETTINGS) == SETTINGS.phases
+
+
+# --- the loop
+
+
+def test_phases_follow_each_other_with_their_terms(whole):
+    steps = [(p.step, p.phase.name, p.phase_done) for p in whole.progress]
+    names = ["coarse"] * 6 + ["surface"] * 5
+    assert steps == [(i + 1, name, i + 1 in (6, 11)) for i, name in enumerate(names)]
+    assert [int(s.step) for s in whole.states] == list(range(1, 12))
+    terms = {p.phase.name: set(p.metrics.terms) for p in whole.progress}
+    assert terms == {"coarse": {"l1", "alpha"}, "surface": {"l1", "alpha", "entropy", "sdf_normal"}}
+    assert len({(p.phase.name, p.capacity) for p in whole.progress}) == 2  # a capacity is a compilation
+    assert_identical(whole.states[-1], whole.final)
+
+
+def test_the_prior_is_asked_once_and_only_for_the_phase_of_normals(whole):
+    ((gaussians, size),) = whole.priors
+    assert size == (32, 24)
+    assert_identical(gaussians, whole.states[5].gaussians)
+
+
+def test_gaussians_grow_only_when_due_and_are_culled_at_the_end_of_the_phase(whole):
+    alive = [int(count_alive(s.gaussians)) for s in whole.states]
+    assert alive[0] == ALIVE  # not before `start`
+    assert alive[1] > ALIVE and alive[2] == alive[1] and alive[3] >= alive[2]  # at steps 2 and 4, not at 3
+    assert alive[4] == alive[3] <= CAPACITY
+    kept = np.asarray(opacities(whole.states[5].gaussians))
+    assert alive[5] == (kept >= 0.6).sum() < alive[4]
+    assert alive[6:] == [alive[5]] * 5
+
+
+def test_opacities_are_reset_when_due(whole):
+    highest = [float(opacities(s.gaussians).max()) for s in whole.states]
+    assert highest[3] > 0.75
+    assert highest[4] == pytest.approx(0.7, abs=1e-5)
+
+
+@pytest.fixture
+def entered(monkeypatch):
+    """(phase, scale, steps, capacity) of every phase that is entered; none is run."""
+    phases, scales = [], []
+
+    def stacked(frames, scale):
+        scales.append(scale)
+        return views.stack_views(frames)
+
+    def run_phase(settings, phase, steps, data, extent, state, optimizer, key, observe, capacity):
+        phases.append((phase.name, scales[-1], steps, capacity))
+        return state, steps[1]
+
+    monkeypatch.setattr(loop, "stack_views", stacked)
+    monkeypatch.setattr(loop, "_run_phase", run_phase)
+    return phases
+
+
+@pytest.mark.parametrize(
+    ("done", "expected"),
+    [
+        (0, [("coarse", 2, (0, 6), 777), ("surface", 1, (6, 11), None)]),
+        (2, [("coarse", 2, (2, 6), 777), ("surface", 1, (6, 11), None)]),
+        (6, [("surface", 1, (6, 11), 777)]),
+        (8, [("surface", 1, (8, 11), 777)]),
+        (11, []),
+    ],
+)
+def test_a_run_goes_on_in_the_phase_where_it_stopped_on_photos_of_its_scale(frames, entered, done, expected):
+    run = fitted(frames, state=replace(start(), step=np.int32(done)), capacity=777)
+    assert entered == expected
+    assert len(run.priors) == (done < 11)
+
+
+def test_a_run_continued_from_a_copy_in_a_starved_buffer_ends_with_the_same_bits(frames, whole):
+    # Resumed in the middle of the first phase, so all the later ones run a second time, too.
+    resumed = fitted(frames, state=whole.states[2], capacity=64)
+    assert [p.step for p in resumed.progress] == list(range(4, 12))
+    assert resumed.progress[0].capacity > 64
+    for again, before in zip(resumed.states, whole.states[3:], strict=True):
+        assert_identical(again, before)
+    assert_identical(resumed.final, whole.final)
+
+
+def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkeypatch):
+    trained_with = []
+
+    def make_train_step(optimizer, weights, **_):
+        trained_with.append(weights)
+        return lambda state, data, index, key: (state, SimpleNamespace(overflowed=False))
+
+    monkeypatch.setattr(loop, "make_train_step", make_train_step)
+    settings = replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),))
+    for photos in (frames, tuple(replace(f, matte=None) for f in frames)):
+        fitted(photos, settings, capacity=64)
+    assert trained_with == [PLAIN, replace(PLAIN, alpha=0.0)] and PLAIN.alpha > 0

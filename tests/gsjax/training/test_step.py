@@ -1,0 +1,279 @@
+from dataclasses import replace
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scenes import camera_at, cloud, photographed
+from tolerances import assert_close
+
+from gsjax import render, views
+from gsjax.gaussians import opacities
+from gsjax.measures.images import psnr
+from gsjax.settings import Density, Rates, Weights
+from gsjax.training.initialize import DEAD_LOGIT
+from gsjax.training.optimizers import make_optimizer
+from gsjax.training.step import (
+    BACKGROUNDS,
+    active_terms,
+    chosen_capacity,
+    count_alive,
+    cull,
+    densify,
+    density_control,
+    initial_state,
+    largest_need,
+    make_train_step,
+    reset_opacities,
+)
+
+ALIVE, CAPACITY, PAIRS = 180, 200, 8192
+SIZE = (32, 32)
+CAMERAS = [camera_at(eye, (0.0, 0.0, 4.0), size=SIZE) for eye in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.3), (0.0, -1.0, 0.0))]
+KEY = jax.random.key(0)
+SH_EVERY = 2
+FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest")
+
+
+@pytest.fixture(scope="module")
+def setup():
+    """Photos with mattes of one cloud, the optimiser, and the compiled step of a vanilla phase over random colours."""
+    optimizer = make_optimizer(Rates(means=2e-3, means_final=2e-4), 1.0, 60)
+    step = make_train_step(
+        optimizer,
+        Weights(alpha=0.1),
+        capacity=PAIRS,
+        background=BACKGROUNDS["random"],
+        sh_every=SH_EVERY,
+        with_statistics=True,
+    )
+    data = views.stack_views(photographed(cloud(200, seed=5), CAMERAS, with_mattes=True))
+    return SimpleNamespace(optimizer=optimizer, step=step, data=data)
+
+
+def start(setup):
+    return initial_state(cloud(ALIVE, capacity=CAPACITY, seed=1), setup.optimizer)
+
+
+def run(setup, state, steps):
+    """State and metrics after steps over the views in turn."""
+    metrics = []
+    for index in range(steps):
+        state, reported = setup.step(state, setup.data, jnp.int32(index % len(CAMERAS)), KEY)
+        metrics.append(reported)
+    return state, metrics
+
+
+def copied(tree):
+    return jax.tree.map(jnp.copy, tree)
+
+
+def assert_identical(actual, expected):
+    jax.tree.map(np.testing.assert_array_equal, actual, expected)
+
+
+def moments(state, field):
+    leaves = jax.tree.flatten_with_path(state.opt_state)[0]
+    return [np.asarray(leaf) for path, leaf in leaves if jax.tree_util.keystr(path).endswith(f".{field}")]
+
+
+def test_one_compilation_serves_all_views_steps_and_bands(setup):
+    state, metrics = run(setup, start(setup), 7)
+    assert setup.step._cache_size() == 1
+    assert int(state.step) == 7
+    assert not any(bool(m.overflowed) for m in metrics)
+
+
+def test_the_picture_comes_nearer_to_the_photos(setup):
+    _, metrics = run(setup, start(setup), 60)
+    first, last = (np.mean([float(m.psnr) for m in part]) for part in (metrics[:3], metrics[-3:]))
+    assert last > first + 5  # decibels
+    assert float(metrics[-1].loss) < 0.6 * float(metrics[0].loss)
+
+
+def test_the_report_is_of_the_view_before_the_update(setup):
+    before = start(setup)
+    gaussians = copied(before.gaussians)
+    color = BACKGROUNDS["random"](jax.random.fold_in(KEY, 0))
+    _, metrics = setup.step(before, setup.data, jnp.int32(1), KEY)
+    batch = views.batch(setup.data, 1, color)
+    view = jax.jit(render.view, static_argnames="capacity")(
+        gaussians, batch.camera, capacity=PAIRS, background=color, active_degree=0
+    )
+    assert_close(metrics.psnr, psnr(jnp.clip(view.colors, 0, 1), batch.image), rtol=1e-4, atol=0, why="sums differ")
+    assert int(metrics.needed) == int(view.splats.pairs.needed)
+    assert set(metrics.terms) == {"l1", "dssim", "alpha"}
+    assert_close(metrics.terms["l1"], jnp.mean(jnp.abs(view.colors - batch.image)))
+    assert_close(metrics.loss, 0.8 * metrics.terms["l1"] + 0.2 * metrics.terms["dssim"] + 0.1 * metrics.terms["alpha"])
+
+
+def test_random_backgrounds_differ_between_steps_and_repeat(setup):
+    def terms_at(step):
+        state = replace(start(setup), step=jnp.int32(step))
+        return {k: float(v) for k, v in setup.step(state, setup.data, jnp.int32(0), KEY)[1].terms.items()}
+
+    assert terms_at(0) == terms_at(0)
+    assert terms_at(0)["alpha"] == terms_at(1)["alpha"]  # coverage knows no background
+    assert terms_at(0)["l1"] != terms_at(1)["l1"]
+
+
+def test_backgrounds_are_what_they_are_called():
+    assert_close(BACKGROUNDS["white"](KEY), np.ones(3))
+    assert_close(BACKGROUNDS["black"](KEY), np.zeros(3))
+    colors = np.stack([BACKGROUNDS["random"](jax.random.fold_in(KEY, step)) for step in range(50)])
+    assert 0 <= colors.min() < 0.1 and 0.9 < colors.max() < 1
+    assert len(np.unique(colors)) == 150
+
+
+def test_an_overflowing_step_leaves_every_bit_and_says_what_it_needs(setup):
+    state, _ = run(setup, start(setup), 2)
+    narrow = make_train_step(
+        setup.optimizer,
+        Weights(alpha=0.1),
+        capacity=64,
+        background=BACKGROUNDS["random"],
+        sh_every=SH_EVERY,
+        with_statistics=True,
+    )
+    before = copied(state)
+    after, metrics = narrow(state, setup.data, jnp.int32(2), KEY)
+    assert bool(metrics.overflowed)
+    assert_identical(after, before)
+    camera = views.camera(setup.data, 2)
+    assert int(metrics.needed) == int(jax.jit(render.needed_capacity)(before.gaussians, camera)) > 64
+
+
+def test_dtypes_and_shapes_stay_whatever_happens_to_the_state(setup):
+    state = start(setup)
+    kinds = jax.tree.map(lambda x: (x.shape, x.dtype, x.weak_type), state)
+
+    def check(changed):
+        assert jax.tree.map(lambda x: (x.shape, x.dtype, x.weak_type), changed) == kinds
+        return changed
+
+    state = check(run(setup, state, 3)[0])
+    state = check(reset_opacities(state, optimizer=setup.optimizer, limit=0.01))
+    state = check(cull(state, optimizer=setup.optimizer, min_opacity=0.001))
+    state = check(
+        densify(
+            state, KEY, jnp.float32(2.0), jnp.asarray(False), optimizer=setup.optimizer, density=Density(gradient=0)
+        )
+    )
+    before = setup.step._cache_size()
+    check(run(setup, state, 1)[0])
+    assert setup.step._cache_size() == before
+
+
+def test_dead_rows_stay_as_they_are(setup):
+    before = start(setup).gaussians
+    after = run(setup, start(setup), 5)[0].gaussians
+    for field in FIELDS:
+        old, new = np.asarray(getattr(before, field)), np.asarray(getattr(after, field))
+        np.testing.assert_array_equal(new[ALIVE:], old[ALIVE:])
+        assert np.abs(new[:ALIVE] - old[:ALIVE]).max() > 0
+    assert int(count_alive(after)) == ALIVE
+
+
+def test_statistics_count_the_views_and_the_gradient_of_each(setup):
+    state, _ = run(setup, start(setup), 3)
+    statistics = jax.tree.map(np.asarray, state.statistics)
+    assert set(np.unique(statistics.views)) <= {0, 1, 2, 3}
+    assert (statistics.views[:ALIVE] == 3).mean() > 0.5
+    assert not statistics.views[ALIVE:].any()
+    assert np.all((statistics.gradient > 0) <= (statistics.views > 0))
+    assert statistics.gradient.max() > 0
+
+
+def test_densification_moves_moments_with_their_gaussians(setup):
+    state, _ = run(setup, start(setup), 3)
+    mean_gradient = np.asarray(state.statistics.gradient / jnp.maximum(state.statistics.views, 1))
+    # Room for 20: the threshold lets 30 ask; those under 0.1 units are cloned, the others split.
+    density = Density(gradient=float(np.sort(mean_gradient)[-30]), dense_share=0.25, min_opacity=0.0)
+    before = jax.tree.map(np.array, state)
+    expected, moved = density_control.densify(
+        state.gaussians,
+        state.statistics,
+        jax.random.fold_in(KEY, state.step),
+        density=density,
+        extent=1.0,
+        prune_large=False,
+    )
+    source, fresh = np.asarray(moved.source), np.asarray(moved.fresh)
+    after = densify(state, KEY, jnp.float32(1.0), jnp.asarray(False), optimizer=setup.optimizer, density=density)
+    assert_close(after.gaussians, expected)
+    assert int(count_alive(after.gaussians)) == CAPACITY
+    assert set(source[ALIVE:]) == set(np.argsort(mean_gradient)[-20:])
+    assert 0 < fresh[:ALIVE].sum() < 20  # those split; a cloned original goes on
+    for field in FIELDS:
+        for old, new in zip(moments(before, field), moments(after, field), strict=True):
+            np.testing.assert_array_equal(new[~fresh], old[source[~fresh]])
+            assert not new[fresh].any()
+    assert not np.any(after.statistics.views) and not np.any(after.statistics.gradient)
+    assert int(after.step) == 3
+
+
+def test_a_reset_forgets_the_moments_of_opacities_only(setup):
+    state, _ = run(setup, start(setup), 3)
+    before = jax.tree.map(np.array, state)
+    after = reset_opacities(state, optimizer=setup.optimizer, limit=0.01)
+    assert float(opacities(after.gaussians).max()) == pytest.approx(0.01, rel=1e-4)
+    assert int(count_alive(after.gaussians)) == ALIVE
+    for field in FIELDS:
+        for old, new in zip(moments(before, field), moments(after, field), strict=True):
+            assert old.any()
+            np.testing.assert_array_equal(new, np.zeros_like(old) if field == "logit_opacities" else old)
+    integers = [[int(x) for x in jax.tree.leaves(s.opt_state) if x.dtype == np.int32] for s in (before, after)]
+    assert integers[0] == integers[1] and set(integers[0]) == {3}
+
+
+def test_a_cull_kills_the_faint_and_leaves_the_others(setup):
+    state, _ = run(setup, start(setup), 3)
+    before = jax.tree.map(np.array, state)
+    faint = np.asarray(opacities(before.gaussians)) < 0.5
+    after = cull(state, optimizer=setup.optimizer, min_opacity=0.5)
+    assert 20 < faint[:ALIVE].sum() < ALIVE - 20
+    assert int(count_alive(after.gaussians)) == (~faint).sum()
+    assert_close(after.gaussians.logit_opacities[faint], np.full(faint.sum(), DEAD_LOGIT))
+    for field in FIELDS:
+        np.testing.assert_array_equal(
+            np.asarray(getattr(after.gaussians, field))[~faint], getattr(before.gaussians, field)[~faint]
+        )
+        for old, new in zip(moments(before, field), moments(after, field), strict=True):
+            np.testing.assert_array_equal(new, np.where(faint.reshape(-1, *[1] * (old.ndim - 1)), 0, old))
+
+
+def test_only_terms_of_weight_are_active():
+    assert active_terms(Weights(dssim=0.0, alpha=0.0, entropy=0.1)) == {"l1": 0.8, "entropy": 0.1}
+
+
+def test_the_capacity_holds_every_view_with_headroom(setup):
+    gaussians = cloud(ALIVE, capacity=CAPACITY, seed=1)
+    needs = [int(jax.jit(render.needed_capacity)(gaussians, views.camera(setup.data, i))) for i in range(3)]
+    assert int(largest_need(gaussians, setup.data)) == max(needs)
+    chosen = chosen_capacity(gaussians, setup.data, headroom=1.5)
+    assert chosen % 4096 == 0 and 1.5 * max(needs) < chosen <= 1.5 * max(needs) + 4097
+
+
+def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
+    normals = np.zeros((*SIZE[::-1], 3), np.float32)
+    normals[..., 2] = -1
+    normals[0, 0] = np.nan  # a hole that somebody wrote as such
+    data = views.with_normals(setup.data, [normals] * 3)
+    weights = Weights(alpha=0.1, entropy=0.1, sdf_normal=0.2, pixel_normal=0.1, axis_normal=0.1)
+    step = make_train_step(
+        setup.optimizer,
+        weights,
+        capacity=PAIRS,
+        background=BACKGROUNDS["white"],
+        sh_every=SH_EVERY,
+        with_statistics=False,
+    )
+    state = start(setup)
+    for index in range(4):
+        state, metrics = step(state, data, jnp.int32(index % 3), KEY)
+        assert set(metrics.terms) == set(weights.__dict__)
+        assert all(0 < float(value) < 1 for value in metrics.terms.values()), metrics.terms
+    assert step._cache_size() == 1
+    assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state))
+    assert not np.any(state.statistics.views)
