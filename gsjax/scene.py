@@ -1,32 +1,48 @@
-"""What a data set is once it is loaded: plain records of numpy arrays, whatever the files looked like."""
+"""What a data set is, whatever its files looked like: plain records of numpy arrays, pixels read when asked for."""
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 
+class Pixels(NamedTuple):
+    """What a frame shows."""
+
+    image: np.ndarray  # [H, W, 3] uint8 sRGB, straight (un-premultiplied) where there is a matte
+    matte: np.ndarray | None = None  # [H, W] uint8 coverage by the object (alpha): composited over the background
+    valid: np.ndarray | None = None  # [H, W] uint8, 0 where a pixel must not be used (masks, undistortion border)
+
+
 @dataclass(frozen=True)
 class Frame:
-    """One undistorted pinhole photo."""
+    """One undistorted pinhole photo: where it was taken, and how to read its pixels, which are not kept."""
 
     name: str  # file name relative to the image folder, the key of the split
     viewmat: np.ndarray  # [4, 4] float32, world to camera, OpenCV axes
     K: np.ndarray  # [3, 3] float32 pixels; pixel centres at +0.5
-    image: np.ndarray  # [H, W, 3] uint8 sRGB, straight (un-premultiplied) where there is a matte
-    matte: np.ndarray | None = None  # [H, W] uint8 coverage by the object (alpha): composited over the background
-    valid: np.ndarray | None = None  # [H, W] uint8, 0 where a pixel must not be used (masks, undistortion border)
+    width: int  # pixels
+    height: int  # pixels
+    pixels: Callable[[], Pixels]  # reads them, anew at every call (see `in_memory`); InputError where it cannot
     held_out: bool = False  # scored, never trained on
 
-    @property
-    def width(self) -> int:
-        """Image width in pixels."""
-        return self.image.shape[1]
 
-    @property
-    def height(self) -> int:
-        """Image height in pixels."""
-        return self.image.shape[0]
+def frame_of(name: str, viewmat: np.ndarray, K: np.ndarray, pixels: Pixels, *, held_out: bool = False) -> Frame:
+    """A frame whose pixels are at hand."""
+    height, width = pixels.image.shape[:2]
+    return Frame(name, viewmat, K, width, height, lambda: pixels, held_out)
+
+
+def in_memory(frame: Frame) -> Frame:
+    """The same frame with its pixels read now and kept."""
+    return with_pixels(frame, frame.pixels())
+
+
+def with_pixels(frame: Frame, pixels: Pixels) -> Frame:
+    """The same view of something else."""
+    return replace(frame, pixels=lambda: pixels)
 
 
 @dataclass(frozen=True)

@@ -73,11 +73,12 @@ def stack_views(frames: tuple[Frame, ...], *, scale: int = 1) -> Views:
             [np.pad(a, [(0, height - a.shape[0]), (0, width - a.shape[1])] + [(0, 0)] * (a.ndim - 2)) for a in arrays]
         )
 
-    mattes = [_full(f) if f.matte is None else f.matte for f in frames]
-    valid = [_full(f) if f.valid is None else f.valid for f in frames]
+    pixels = [frame.pixels() for frame in frames]
+    mattes = [_full(p.image) if p.matte is None else p.matte for p in pixels]
+    valid = [_full(p.image) if p.valid is None else p.valid for p in pixels]
     images = [
-        _block_mean(f.image, scale, (m[..., None] / 255.0) * (v[..., None] / 255.0))
-        for f, m, v in zip(frames, mattes, valid, strict=True)
+        _block_mean(p.image, scale, (m[..., None] / 255.0) * (v[..., None] / 255.0))
+        for p, m, v in zip(pixels, mattes, valid, strict=True)
     ]
     to_small = np.diag(np.array([1 / scale, 1 / scale, 1], np.float32))
     return Views(
@@ -86,7 +87,7 @@ def stack_views(frames: tuple[Frame, ...], *, scale: int = 1) -> Views:
         images=jnp.asarray(stacked(images)),
         valid=jnp.asarray(stacked([_block_mean(v, scale) for v in valid]) > 127),
         mattes=jnp.asarray(stacked([_block_mean(m, scale) for m in mattes]))
-        if any(f.matte is not None for f in frames)
+        if any(p.matte is not None for p in pixels)
         else None,
     )
 
@@ -116,8 +117,8 @@ def batch(views: Views, index: Array | int, background: Array) -> Batch:
     return Batch(camera(views, index), image, views.valid[index], matte, normals)
 
 
-def _full(frame: Frame) -> np.ndarray:
-    return np.full((frame.height, frame.width), 255, np.uint8)
+def _full(image: np.ndarray) -> np.ndarray:
+    return np.full(image.shape[:2], 255, np.uint8)
 
 
 def _block_mean(array: np.ndarray, scale: int, weights: np.ndarray | float = 1.0) -> np.ndarray:

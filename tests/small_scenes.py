@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from gsjax import gallery
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, rgb_to_sh
-from gsjax.scene import Frame
+from gsjax.scene import Frame, Pixels, frame_of
 from gsjax.training.initialize import DEAD_LOGIT
 
 
@@ -97,5 +97,5 @@ def photographed(gaussians: Gaussians, cameras: list[Camera], *, with_mattes=Fal
             colors = colors / np.maximum(picture.alphas, 1e-3)[..., None]
             matte = np.rint(255 * picture.alphas).astype(np.uint8)
         photo = np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8)
-        frames.append(Frame(f"{index}.png", np.asarray(camera.viewmat), np.asarray(camera.K), photo, matte))
+        frames.append(frame_of(f"{index}.png", np.asarray(camera.viewmat), np.asarray(camera.K), Pixels(photo, matte)))
     return tuple(frames)

@@ -1,14 +1,15 @@
 """Posed photos as a data set lists them, and the frames made of them: masked, undistorted, downscaled."""
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.images import cv2, filter_straight, read_image, read_mask, resize
+from gsjax.io.images import cv2, filter_straight, image_size, read_image, read_mask, resize
 from gsjax.io.lenses import Lens, PinholeView, pinhole_views
-from gsjax.scene import Frame
+from gsjax.scene import Frame, Pixels
 
 MASK_USES = ("valid", "matte")
 
@@ -35,27 +36,25 @@ class Capture:
     point_colors: np.ndarray  # [P, 3] uint8
 
 
-def load_frames(photo: Photo, downscale: float, folder_masks: str) -> list[Frame]:
-    """Reads a photo and makes its frames: one, or six of a panorama.
+def frames_of(photo: Photo, downscale: float, folder_masks: str) -> list[Frame]:
+    """The frames of a photo: one, or six of a panorama. Only headers of files are read.
 
     Args:
-        photo: What to read.
+        photo: Where it lies, and its camera.
         downscale: Factor >= 1 by which the frame is smaller than the photo; sides are rounded to whole pixels and K
             is scaled per axis by what the rounding gave.
         folder_masks: "valid" or "matte": what the photo's mask file means.
 
     Raises:
-        InputError: The image or mask is missing, damaged, or not of its camera's size.
+        InputError: The image is missing or not of its camera's size. Reading a frame's pixels raises it where the
+            image or mask is damaged.
     """
-    colors, alpha = read_image(photo.path)
-    lens = photo.lens
-    if colors.shape[:2] != (lens.height, lens.width):
-        found = f"{colors.shape[1]}x{colors.shape[0]}"
-        raise InputError(f"{photo.path}: image is {found} but its camera says {lens.width}x{lens.height}")
-    mask = None if photo.mask_path is None else _mask_of_size(photo.mask_path, lens.width, lens.height)
-    if mask is not None and folder_masks == "matte":
-        alpha, mask = mask if alpha is None else np.minimum(alpha, mask), None
-    return [_frame(photo, view, downscale, colors, alpha, mask) for view in pinhole_views(lens)]
+    lens, found = photo.lens, image_size(photo.path)
+    if found != (lens.width, lens.height):
+        raise InputError(f"{photo.path}: image is {found[0]}x{found[1]} but its camera says {lens.width}x{lens.height}")
+    if photo.mask_path is not None:
+        _check_mask_size(photo.mask_path, lens)
+    return [_frame(photo, index, downscale, folder_masks) for index in range(len(pinhole_views(lens)))]
 
 
 def listed(what: str, names: list[str]) -> str:
@@ -64,21 +63,9 @@ def listed(what: str, names: list[str]) -> str:
     return f"{len(names)} {what}{'s' * (len(names) > 1)} missing: {shown}"
 
 
-def _frame(
-    photo: Photo,
-    view: PinholeView,
-    downscale: float,
-    colors: np.ndarray,
-    alpha: np.ndarray | None,
-    mask: np.ndarray | None,
-) -> Frame:
+def _frame(photo: Photo, index: int, downscale: float, folder_masks: str) -> Frame:
+    view = pinhole_views(photo.lens)[index]
     width, height = scaled_size(view.width, view.height, downscale)
-
-    def warp(array: np.ndarray) -> np.ndarray:
-        return resize(view.warp(array), width, height)
-
-    unchanged = view.source_xy is None and (width, height) == (view.width, view.height)
-    image, matte = (colors, alpha) if unchanged else filter_straight(colors, alpha, warp)
     turn = np.eye(4)
     turn[:3, :3] = view.rotation
     scale = np.array([[width / view.width], [height / view.height], [1.0]])
@@ -86,11 +73,28 @@ def _frame(
         name=_with_suffix(photo.name, view.suffix),
         viewmat=(turn @ photo.viewmat).astype(np.float32),
         K=(view.K * scale).astype(np.float32),
-        image=image,
-        matte=matte,
-        valid=_valid(view, mask, width, height),
+        width=width,
+        height=height,
+        pixels=partial(_read, photo, index, (width, height), folder_masks),
         held_out=photo.held_out,
     )
+
+
+def _read(photo: Photo, index: int, size: tuple[int, int], folder_masks: str) -> Pixels:
+    """Decodes a photo and makes the pixels of one of its frames: masked, undistorted, downscaled to `size`."""
+    (width, height), lens = size, photo.lens
+    view = pinhole_views(lens)[index]
+    colors, alpha = read_image(photo.path)
+    mask = None if photo.mask_path is None else _mask_of_size(photo.mask_path, lens.width, lens.height)
+    if mask is not None and folder_masks == "matte":
+        alpha, mask = mask if alpha is None else np.minimum(alpha, mask), None
+
+    def warp(array: np.ndarray) -> np.ndarray:
+        return resize(view.warp(array), width, height)
+
+    unchanged = view.source_xy is None and size == (view.width, view.height)
+    image, matte = (colors, alpha) if unchanged else filter_straight(colors, alpha, warp)
+    return Pixels(image, matte, _valid(view, mask, width, height))
 
 
 def scaled_size(width: int, height: int, downscale: float) -> tuple[int, int]:
@@ -110,12 +114,15 @@ def _valid(view: PinholeView, mask: np.ndarray | None, width: int, height: int) 
     return np.where(resize(usable, width, height) > 254.5, np.uint8(255), np.uint8(0))
 
 
+def _check_mask_size(path: Path, lens: Lens) -> None:
+    width, height = image_size(path)
+    if width * lens.height != height * lens.width:
+        raise InputError(f"{path}: mask is {width}x{height} but its image {lens.width}x{lens.height}")
+
+
 def _mask_of_size(path: Path, width: int, height: int) -> np.ndarray:
     mask = read_mask(path)
-    found_height, found_width = mask.shape
-    if found_width * height != found_height * width:
-        raise InputError(f"{path}: mask is {found_width}x{found_height} but its image {width}x{height}")
-    if found_width < width:
+    if mask.shape[1] < width:
         return cv2.resize(mask, (width, height), interpolation=cv2.INTER_NEAREST)
     return resize(mask, width, height)
 

@@ -4,13 +4,11 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from gsjax.errors import InputError
 from gsjax.io import colmap, transforms
-from gsjax.io.photos import MASK_USES, Capture, Photo, listed, load_frames
+from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, listed
 from gsjax.io.truth import load_truth
-from gsjax.scene import Frame, Scene
+from gsjax.scene import Scene
 
 HOLD_OUT_EVERY = 8
 
@@ -43,7 +41,7 @@ def load_scene(root: str | Path, *, downscale: float = 1.0, folder_masks: str = 
         raise InputError(f"folder_masks must be one of {', '.join(MASK_USES)}, not {folder_masks!r}")
     capture = _read_capture(root)
     photos = _with_folder_masks(_split(_checked_photos(root, capture)), root / "masks")
-    frames = _alike([frame for photo in photos for frame in load_frames(photo, downscale, folder_masks)])
+    frames = tuple(frame for photo in photos for frame in frames_of(photo, downscale, folder_masks))
     truth = load_truth(root, frames, downscale=downscale)
     return Scene(root, capture.source, frames, capture.points, capture.point_colors, truth)
 
@@ -99,15 +97,3 @@ def _mask_path(name: str, folder: Path) -> Path | None:
     same = folder / name
     candidates = (same, same.with_name(same.name + ".png"), same.with_suffix(".png"))
     return next((c for c in candidates if c.is_file()), None)
-
-
-def _alike(frames: list[Frame]) -> tuple[Frame, ...]:
-    """All frames with a matte or none, all with a validity mask or none, so that one program serves them all."""
-    for field in ("matte", "valid"):
-        if any(getattr(frame, field) is not None for frame in frames):
-            frames = [frame if getattr(frame, field) is not None else _whole(frame, field) for frame in frames]
-    return tuple(frames)
-
-
-def _whole(frame: Frame, field: str) -> Frame:
-    return replace(frame, **{field: np.full((frame.height, frame.width), 255, np.uint8)})

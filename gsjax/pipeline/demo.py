@@ -81,7 +81,7 @@ def _comparison(scene: Path, vanilla: Result, surface: Result, out: Path) -> Pat
 
     assert truth is not None, "the demo writes its own truth"
     panels = {
-        "held-out photo": frame.image,
+        "held-out photo": frame.pixels().image,
         "normals, vanilla": normals(before),
         "normals, with the SDF term": normals(after),
         "normals, true": normal_picture(truth.normals[frame.name]),

@@ -67,11 +67,12 @@ def score_images(gaussians: Gaussians, frames: tuple[Frame, ...], background: st
     for frame, picture in zip(
         frames, gallery.pictures(gaussians, [frame_camera(f) for f in frames], color), strict=True
     ):
-        target = frame.image.astype(np.float32) / 255
-        if frame.matte is not None:
-            matte = frame.matte[..., None].astype(np.float32) / 255
-            target = target * matte + (1 - matte) * color
-        valid = np.ones(target.shape[:2], bool) if frame.valid is None else frame.valid > 127
+        image, matte, valid = frame.pixels()
+        target = image.astype(np.float32) / 255
+        if matte is not None:
+            coverage = matte[..., None].astype(np.float32) / 255
+            target = target * coverage + (1 - coverage) * color
+        valid = np.ones(target.shape[:2], bool) if valid is None else valid > 127
         scores.append(_scores(jnp.asarray(picture.colors), jnp.asarray(target), jnp.asarray(valid)))
     psnr, ssim = np.asarray(scores, np.float64).mean(0)
     return {"psnr": float(psnr), "ssim": float(ssim), "views": len(scores)}

@@ -20,7 +20,7 @@ from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.result import write_cameras
-from gsjax.scene import Scene, extent
+from gsjax.scene import Scene, extent, in_memory
 from gsjax.training.step import BACKGROUNDS, largest_need
 from gsjax.views import stack_views
 
@@ -56,7 +56,8 @@ def refine(
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
     scene = load_scene(manifest["scene"], downscale=trained["downscale"], folder_masks=trained["masks"])
     coarse, _ = clean(read_mesh(source), max_faces=settings.faces)
-    data, size = stack_views(scene.train_frames), extent(scene.train_frames)
+    frames = tuple(map(in_memory, scene.train_frames))
+    data, size = stack_views(frames), extent(frames)
     bound = bind(
         coarse,
         per_triangle=settings.per_triangle,

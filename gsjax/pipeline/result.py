@@ -71,7 +71,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             (False,) * len(cameras),
             BACKGROUNDS["black"],
         )
-    records = [f.__dict__ | {"width": f.width, "height": f.height} for f in load_scene(scene).frames]
+    records = [f.__dict__ for f in load_scene(scene).frames]
     return _result(gaussians, records, BACKGROUNDS["black"])
 
 

@@ -1,5 +1,6 @@
 """A data set to Gaussians, in a run folder that can be stopped and continued at any moment."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.prior import RunPrior
 from gsjax.pipeline.result import write_cameras
-from gsjax.scene import Scene, extent
+from gsjax.scene import Scene, extent, in_memory
 from gsjax.settings import Settings, total_steps
 from gsjax.training import density_control, initialize, optimizers
 from gsjax.training.loop import Progress, fit
@@ -39,6 +40,8 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
         InputError: The data set, the normals or the run folder cannot be used.
     """
     loaded = load_scene(scene, downscale=settings.downscale, folder_masks=settings.masks)
+    # Read once, here, so that a damaged photo is found before the run begins.
+    loaded = replace(loaded, frames=tuple(map(in_memory, loaded.frames)))
     frames = loaded.train_frames
     if not loaded.held_out_frames or not frames:
         raise InputError(f"{scene}: {len(loaded.frames)} usable photos leave none to train on or none to score")

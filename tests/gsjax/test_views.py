@@ -6,7 +6,7 @@ from tolerances import assert_close
 from gsjax import views
 from gsjax.errors import InputError
 from gsjax.render import View
-from gsjax.scene import Frame
+from gsjax.scene import Pixels, frame_of, with_pixels
 from gsjax.training import losses
 
 RNG = np.random.default_rng(0)
@@ -17,15 +17,16 @@ def frame(width, height, *, matte=None, valid=None, name="a.png"):
     K = np.array([[40.0, 0, 0.5 * width + 1], [0, 44.0, 0.5 * height - 1], [0, 0, 1]], np.float32)
     viewmat = np.eye(4, dtype=np.float32)
     viewmat[:3, 3] = RNG.normal(size=3)
-    return Frame(name, viewmat, K, RNG.integers(0, 256, (height, width, 3), dtype=np.uint8), matte, valid)
+    image = RNG.integers(0, 256, (height, width, 3), dtype=np.uint8)
+    return frame_of(name, viewmat, K, Pixels(image, matte, valid))
 
 
 def test_mixed_sizes_are_padded_right_and_below_and_the_padding_is_invalid():
     frames = (frame(12, 6), frame(8, 10))
     data = views.stack_views(frames)
     assert data.num_views == 2 and data.size == (12, 10)
-    assert_close(data.images[0, :6], frames[0].image)
-    assert_close(data.images[1, :, :8], frames[1].image)
+    assert_close(data.images[0, :6], frames[0].pixels().image)
+    assert_close(data.images[1, :, :8], frames[1].pixels().image)
     expected = np.zeros((2, 10, 12), bool)
     expected[0, :6], expected[1, :, :8] = True, True
     assert_close(data.valid, expected)
@@ -51,7 +52,7 @@ def test_the_loss_of_a_padded_photo_is_that_of_the_photo_alone():
 def test_reduction_is_the_mean_over_blocks_and_scales_the_camera():
     photo = frame(9, 6)
     data = views.stack_views((photo,), scale=2)
-    blocks = photo.image[:6, :8].astype(np.float64).reshape(3, 2, 4, 2, 3).mean((1, 3))
+    blocks = photo.pixels().image[:6, :8].astype(np.float64).reshape(3, 2, 4, 2, 3).mean((1, 3))
     assert data.size == (4, 3)
     assert_close(data.images[0], np.rint(blocks).astype(np.uint8))
     assert_close(data.Ks[0], np.diag([0.5, 0.5, 1]) @ photo.K)
@@ -69,7 +70,8 @@ def test_what_transparent_or_invalid_pixels_hold_does_not_bleed_into_a_reduced_p
     coverage[:2, 0] = 51
     for field in ("matte", "valid"):
         photo = frame(4, 4, **{field: coverage})
-        poisoned = Frame(**{**photo.__dict__, "image": np.where(coverage[..., None] > 0, photo.image, 255)})
+        shown = photo.pixels()
+        poisoned = with_pixels(photo, shown._replace(image=np.where(coverage[..., None] > 0, shown.image, 255)))
         assert_close(
             views.stack_views((poisoned,), scale=2).images[:, :, :1],
             views.stack_views((photo,), scale=2).images[:, :, :1],
@@ -93,7 +95,7 @@ def test_a_photo_without_a_matte_among_others_is_opaque():
     photos = (frame(7, 5, matte=np.zeros((5, 7), np.uint8)), frame(7, 5))
     data = views.stack_views(photos)
     assert_close(views.batch(data, 0, WHITE).image, np.ones((5, 7, 3)))
-    assert_close(views.batch(data, 1, WHITE).image, photos[1].image / 255)
+    assert_close(views.batch(data, 1, WHITE).image, photos[1].pixels().image / 255)
 
 
 @pytest.mark.parametrize("scale", [1, 2])

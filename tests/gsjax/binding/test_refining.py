@@ -16,7 +16,7 @@ from gsjax.binding.refining import PRESETS, Refinement, RefinementRates
 from gsjax.errors import InputError
 from gsjax.measures import geometry
 from gsjax.mesh import Mesh
-from gsjax.scene import Frame
+from gsjax.scene import Pixels, frame_of, with_pixels
 from gsjax.training.step import BACKGROUNDS
 
 EXTENT = 4.0
@@ -50,7 +50,7 @@ def scene():
     cameras = [camera_at(eye, (0.0, 0.0, 4.0), size=(48, 48), focal=70.0) for eye in EYES]
     photos = gallery.pictures(sharp, cameras, np.zeros(3))
     frames = tuple(
-        Frame(f"{i}.png", np.asarray(c.viewmat), np.asarray(c.K), np.rint(255 * p.colors).astype(np.uint8))
+        frame_of(f"{i}.png", np.asarray(c.viewmat), np.asarray(c.K), Pixels(np.rint(255 * p.colors).astype(np.uint8)))
         for i, (c, p) in enumerate(zip(cameras, photos, strict=True))
     )
     return SimpleNamespace(
@@ -156,7 +156,7 @@ def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):
 
     monkeypatch.setattr(refining, "make_refine_step", make_refine_step)
     state, optimizer = started(scene)
-    solid = tuple(replace(f, matte=np.full((48, 48), 255, np.uint8)) for f in scene.frames)
+    solid = tuple(with_pixels(f, f.pixels()._replace(matte=np.full((48, 48), 255, np.uint8))) for f in scene.frames)
     for data in (scene.data, views.stack_views(solid)):
         refining.refine(
             replace(SETTINGS, steps=1),

@@ -44,8 +44,8 @@ def test_our_undistortion_shows_what_colmaps_own_shows(shared):
 
     def difference(extra: float) -> float:
         moved = np.concatenate([np.eye(2), shift + [[extra], [0.0]]], axis=1)
-        picture = cv2.warpAffine(ours.image, moved, (theirs.width, theirs.height))
-        return np.abs(picture.astype(int) - theirs.image)[8:-8, 8:-8].mean()
+        picture = cv2.warpAffine(ours.pixels().image, moved, (theirs.width, theirs.height))
+        return np.abs(picture.astype(int) - theirs.pixels().image)[8:-8, 8:-8].mean()
 
     assert difference(0.0) < 3.5  # two rounds of JPEG; the distorted photo itself differs by 7
     assert difference(0.0) < 0.6 * min(difference(-1.0), difference(1.0))

@@ -4,14 +4,16 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.io.normals import load_normals
-from gsjax.scene import Frame
+from gsjax.scene import Pixels, frame_of
 
 NAME = "001.png"
 
 
 def frames(*names, width=12, height=8):
     K, viewmat = np.eye(3, dtype=np.float32), np.eye(4, dtype=np.float32)
-    return tuple(Frame(name, viewmat, K, np.zeros((height, width, 3), np.uint8)) for name in names or (NAME,))
+    return tuple(
+        frame_of(name, viewmat, K, Pixels(np.zeros((height, width, 3), np.uint8))) for name in names or (NAME,)
+    )
 
 
 def smooth_normals(width=12, height=8):

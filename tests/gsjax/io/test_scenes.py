@@ -36,13 +36,13 @@ def test_every_eighth_of_the_sorted_names_is_held_out(colmap_scene):
 def test_a_frame_keeps_pixels_intrinsics_and_pose(colmap_scene):
     root = colmap_scene()
     frame = load_scene(root).frames[4]
-    np.testing.assert_array_equal(frame.image, read(root / "images/004.png")[..., ::-1])
+    np.testing.assert_array_equal(frame.pixels().image, read(root / "images/004.png")[..., ::-1])
     np.testing.assert_array_equal(frame.K, np.array([[30, 0, 21], [0, 31, 14.5], [0, 0, 1]], np.float32))
     expected = np.eye(4, dtype=np.float32)
     expected[0, 3] = 0.4
     np.testing.assert_allclose(frame.viewmat, expected, atol=1e-7)
-    assert frame.viewmat.dtype == frame.K.dtype == np.float32 and frame.image.dtype == np.uint8
-    assert frame.matte is None and frame.valid is None
+    assert frame.viewmat.dtype == frame.K.dtype == np.float32 and frame.pixels().image.dtype == np.uint8
+    assert frame.pixels().matte is None and frame.pixels().valid is None
 
 
 @pytest.mark.parametrize(("downscale", "size"), [(2.0, (20, 15)), (3.0, (13, 10)), (1.5, (27, 20)), (100.0, (1, 1))])
@@ -57,7 +57,7 @@ def test_downscale_averages_pixels_and_scales_each_axis_of_K_by_what_it_became(c
     if downscale == 2.0:
         full = read(root / "images/000.png")[..., ::-1].astype(float)
         means = full.reshape(15, 2, 20, 2, 3).mean((1, 3))
-        assert np.abs(frame.image - means).max() <= 0.5
+        assert np.abs(frame.pixels().image - means).max() <= 0.5
 
 
 @pytest.mark.parametrize("pattern", ["{}.png", "{}.png.png"])
@@ -65,11 +65,11 @@ def test_folder_masks_as_validity_and_as_matte(colmap_scene, pattern):
     root = colmap_scene(count=3)
     write_masks(root, [pattern.format(f"{i:03d}") for i in range(3)], half_mask())
     valid = load_scene(root).frames[1]
-    np.testing.assert_array_equal(valid.valid, half_mask())
-    assert valid.matte is None
+    np.testing.assert_array_equal(valid.pixels().valid, half_mask())
+    assert valid.pixels().matte is None
     matte = load_scene(root, folder_masks="matte").frames[1]
-    np.testing.assert_array_equal(matte.matte, half_mask())
-    assert matte.valid is None
+    np.testing.assert_array_equal(matte.pixels().matte, half_mask())
+    assert matte.pixels().valid is None
 
 
 def test_downscaled_validity_excludes_every_pixel_that_draws_from_a_masked_one(colmap_scene):
@@ -77,7 +77,7 @@ def test_downscaled_validity_excludes_every_pixel_that_draws_from_a_masked_one(c
     mask = np.full((30, 40), 255, np.uint8)
     mask[8, 11] = 0
     write_masks(root, [f"{i:03d}.png" for i in range(3)], mask)
-    valid = load_scene(root, downscale=2).frames[0].valid
+    valid = load_scene(root, downscale=2).frames[0].pixels().valid
     expected = np.full((15, 20), 255, np.uint8)
     expected[4, 5] = 0
     np.testing.assert_array_equal(valid, expected)
@@ -88,9 +88,9 @@ def test_masks_of_zeros_and_ones_and_of_half_size_are_understood(colmap_scene):
     write_masks(root, ["000.png"], half_mask() // 255)
     cv2.imwrite(str(root / "masks/001.png"), half_mask(20, 15))
     frames = load_scene(root).frames
-    np.testing.assert_array_equal(frames[0].valid, half_mask())
-    np.testing.assert_array_equal(frames[1].valid, half_mask())
-    assert (frames[2].valid == 255).all()  # no mask of its own, but like the others it has one
+    np.testing.assert_array_equal(frames[0].pixels().valid, half_mask())
+    np.testing.assert_array_equal(frames[1].pixels().valid, half_mask())
+    assert frames[2].pixels().valid is None  # no mask of its own
 
 
 def test_masks_that_fit_nothing_are_refused(colmap_scene):
@@ -110,23 +110,23 @@ def test_alpha_becomes_the_matte_and_averages_weigh_colours_by_it(colmap_scene):
     rgba[:, 1::2] = (255, 255, 255, 0)  # what they hold must not show
     cv2.imwrite(str(root / "images/000.png"), rgba)
     first, second = load_scene(root).frames
-    np.testing.assert_array_equal(first.matte, rgba[..., 3])
-    np.testing.assert_array_equal(first.image, rgba[..., 2::-1])
-    assert (second.matte == 255).all()
+    np.testing.assert_array_equal(first.pixels().matte, rgba[..., 3])
+    np.testing.assert_array_equal(first.pixels().image, rgba[..., 2::-1])
+    assert second.pixels().matte is None
     half = load_scene(root, downscale=2).frames[0]
-    assert (half.image == (200, 20, 10)).all()
-    assert np.abs(half.matte.astype(int) - 127.5).max() <= 0.5
+    assert (half.pixels().image == (200, 20, 10)).all()
+    assert np.abs(half.pixels().matte.astype(int) - 127.5).max() <= 0.5
 
 
 def test_distortion_removal_passes_masks_and_marks_what_it_must(colmap_scene):
     root = colmap_scene(model="SIMPLE_RADIAL", params=(30.0, 20.0, 15.0, 0.1), count=3)
     write_masks(root, [f"{i:03d}.png" for i in range(3)], half_mask())
     frame = load_scene(root).frames[0]
-    assert frame.image.shape[:2] == frame.valid.shape
+    assert frame.pixels().image.shape[:2] == frame.pixels().valid.shape
     x_edge = 10.0 - 20.0  # photo pixels from the principal point to the mask's edge, on the row through it
     undistorted = np.roots([0.1 / 30**2, 0, 1, -x_edge])
     edge = float(undistorted[np.abs(undistorted.imag) < 1e-9][0].real) + frame.K[0, 2]
-    row = frame.valid[int(frame.K[1, 2])]
+    row = frame.pixels().valid[int(frame.K[1, 2])]
     first_valid = int(np.flatnonzero(row)[0])
     assert abs(first_valid + 0.5 - edge) <= 1.6  # a pixel counts once all that it draws from is on
     assert (row[first_valid:] == 255).all()
@@ -171,7 +171,7 @@ def test_truncated_images_are_named(colmap_scene, share, suffix):
     data = cv2.imencode(suffix, read(file))[1].tobytes()  # a JPEG under a PNG's name is read as what it is
     file.write_bytes(data[: int(share * len(data))])
     with pytest.raises(InputError, match=r"005.png: not a whole image") as error:
-        load_scene(root)
+        load_scene(root).frames[5].pixels()
     assert "\n" not in str(error.value)
 
 

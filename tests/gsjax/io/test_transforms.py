@@ -74,7 +74,7 @@ def test_a_colmap_model_written_as_transforms_loads_as_the_same_scene(shared, tm
     for a, b in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(a.viewmat, b.viewmat, atol=2e-6)
         np.testing.assert_allclose(a.K, b.K, rtol=1e-6)
-        assert (np.abs(a.image.astype(int) - b.image) <= 1).all()
+        assert (np.abs(a.pixels().image.astype(int) - b.pixels().image) <= 1).all()
 
 
 def test_fisheye_coefficients_and_frames_of_their_own(tmp_path):
@@ -153,7 +153,7 @@ def test_masks_named_in_the_file(tmp_path):
     mask[:10] = 0
     cv2.imwrite(str(root / "m.png"), mask)
     edit(root, lambda m: m["frames"][2].update(mask_path="m.png"))
-    np.testing.assert_array_equal(load_scene(root).frames[2].valid, mask)
+    np.testing.assert_array_equal(load_scene(root).frames[2].pixels().valid, mask)
 
 
 def test_nerf_synthetic_keeps_its_own_split_and_its_alpha(tmp_path):
@@ -164,7 +164,7 @@ def test_nerf_synthetic_keeps_its_own_split_and_its_alpha(tmp_path):
     assert scene.source == "nerf-synthetic"
     assert [f.name for f in scene.held_out_frames] == [f"test/{i:03d}.png" for i in range(3)]
     assert [f.name for f in scene.train_frames] == [f"train/{i:03d}.png" for i in range(8)]
-    assert (scene.frames[0].matte == 128).all() and (scene.frames[0].image == (255, 0, 0)).all()
+    assert (scene.frames[0].pixels().matte == 128).all() and (scene.frames[0].pixels().image == (255, 0, 0)).all()
     assert scene.points.shape == (30_000, 3) and 1.29 < np.abs(scene.points).max() <= 1.3
 
 
@@ -178,7 +178,7 @@ def test_lego_mattes_are_silhouettes_of_one_solid(shared):
         xy = (cam[:, :2] / cam[:, 2:] * frame.K[[0, 1], [0, 1]] + frame.K[:2, 2]).astype(int)
         on_image = (xy >= 0).all(1) & (xy < [frame.width, frame.height]).all(1)
         x, y = np.clip(xy, 0, [[frame.width - 1, frame.height - 1]]).T
-        inside &= on_image & (frame.matte[y, x] > 128)
+        inside &= on_image & (frame.pixels().matte[y, x] > 128)
     hull = scene.points[inside]
     assert len(hull) > 300
     np.testing.assert_allclose(np.abs(hull).max(0), [0.66, 1.16, 1.01], atol=0.12)  # the README's bounding box

@@ -4,11 +4,12 @@ import pytest
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.io.truth import load_truth
-from gsjax.scene import Frame
+from gsjax.scene import Pixels, frame_of
 
 
 def frame(name="a/001.png", width=6, height=4):
-    return Frame(name, np.eye(4, dtype=np.float32), np.eye(3, dtype=np.float32), np.zeros((height, width, 3), np.uint8))
+    image = np.zeros((height, width, 3), np.uint8)
+    return frame_of(name, np.eye(4, dtype=np.float32), np.eye(3, dtype=np.float32), Pixels(image))
 
 
 def test_nothing_there_is_none(tmp_path):

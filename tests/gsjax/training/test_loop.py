@@ -9,6 +9,7 @@ from small_scenes import camera_at, cloud, photographed
 
 from gsjax import views
 from gsjax.gaussians import opacities
+from gsjax.scene import with_pixels
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
 from gsjax.training import loop
 from gsjax.training.loop import fit, planned_phases, view_order
@@ -185,6 +186,6 @@ def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkey
 
     monkeypatch.setattr(loop, "make_train_step", make_train_step)
     settings = replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),))
-    for photos in (frames, tuple(replace(f, matte=None) for f in frames)):
+    for photos in (frames, tuple(with_pixels(f, f.pixels()._replace(matte=None)) for f in frames)):
         fitted(photos, settings, capacity=64)
     assert trained_with == [PLAIN, replace(PLAIN, alpha=0.0)] and PLAIN.alpha > 0
