@@ -4,6 +4,7 @@ Defaults are those of 3DGS and of the paper at full scale; each preset shortens 
 in proportion.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -111,7 +112,7 @@ class Settings:
     """A training run."""
 
     seed: int = 0
-    downscale: int = 1
+    downscale: float | None = None  # photos are so many times smaller; None: see `longest_side` and `cpu_pixels`
     normals: str | None = None  # folder of normal maps; None: the smoothed depth normals of the first phases
     background: Literal["white", "black", "random"] = "black"
     masks: Literal["valid", "matte"] = "valid"
@@ -123,10 +124,19 @@ class Settings:
     rates: Rates = Rates()
     density: Density = Density()
     logging: Logging = Logging()
+    longest_side: int = 1600  # of a photo, pixels, where no downscale is given (3DGS)
+    cpu_pixels: int | None = None  # of a photo on a CPU, most, where no downscale is given; None: any number
+    view_share: float = 0.5  # of the device's memory, for photos; what does not fit is streamed
 
     def __post_init__(self):
         """Check ranges."""
-        _check_lowest(self, downscale=1, max_gaussians=1, sh_every=1)
+        _check_lowest(self, max_gaussians=1, sh_every=1, longest_side=1)
+        if self.downscale is not None and not 1 <= self.downscale < math.inf:
+            raise ValueError(f"downscale={self.downscale} is not a number of at least 1")
+        if self.cpu_pixels is not None and self.cpu_pixels < 1:
+            raise ValueError(f"cpu_pixels={self.cpu_pixels} is below 1")
+        if not 0 <= self.view_share <= 1:
+            raise ValueError(f"view_share={self.view_share} is not between 0 and 1")
         if not 0 <= self.sh_degree <= 4:
             raise ValueError(f"sh_degree={self.sh_degree} is not 0 to 4")
         if not self.phases:
@@ -147,6 +157,7 @@ def _phase(name: str, steps: int, **more: Any) -> dict:
 _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05}
 FAST = {
     "max_gaussians": 36_000,
+    "cpu_pixels": 300_000,
     "sh_every": 500,
     "phases": [
         _phase("coarse", 500, image_scale=2, density_control=True),

@@ -1,6 +1,7 @@
-"""Photos on the device: one array per quantity, padded to a common size: one compiled step serves every view."""
+"""Photos as the compiled step reads them: one compact record a view, on the device when its turn comes."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -9,36 +10,60 @@ from jax import Array
 
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.scene import Frame
+from gsjax.scene import Frame, Pixels
+
+NORMAL_UNIT = 127  # What a component of 1 is stored as: 3 bytes a normal, off by 0.2 degrees on average.
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Views:
-    """V photos, padded at the right and the bottom; padding is not valid."""
+class Target:
+    """What the render of one view is compared with: a photo, padded at the right and the bottom. numpy, or on a device.
 
-    viewmats: Array  # [V, 4, 4]
-    Ks: Array  # [V, 3, 3]
-    images: Array  # [V, H, W, 3] uint8, straight
-    valid: Array  # [V, H, W] bool
-    mattes: Array | None  # [V, H, W] uint8
-    normals: Array | None = None  # [V, H, W, 3] float16, camera frame, zero where there is none
+    What is None is not stored and not in the compiled program.
+    """
+
+    viewmat: Array  # [4, 4]
+    K: Array  # [3, 3]
+    size: Array  # [2] int32 width and height of the photo itself
+    image: Array  # [H, W, 3] uint8, straight
+    valid: Array | None  # [H, W] bool; None: all of the photo
+    matte: Array | None  # [H, W] uint8
+    normals: Array | None = None  # [H, W, 3] int8, camera frame, times `NORMAL_UNIT`; zero where there is none
+
+
+@dataclass(frozen=True)
+class Views:
+    """V photos in host memory, alike in size and in what they hold: one compiled step serves every one."""
+
+    targets: tuple[Target, ...]
 
     @property
     def num_views(self) -> int:
         """Number of photos."""
-        return self.images.shape[0]
+        return len(self.targets)
 
     @property
     def size(self) -> tuple[int, int]:
         """Padded width and height."""
-        return self.images.shape[2], self.images.shape[1]
+        height, width = self.targets[0].image.shape[:2]
+        return width, height
+
+    @property
+    def has_mattes(self) -> bool:
+        """Whether the photos tell an object from its background."""
+        return self.targets[0].matte is not None
+
+    @property
+    def num_bytes(self) -> int:
+        """What all of them take on a device."""
+        return sum(leaf.nbytes for leaf in jax.tree.leaves(self.targets))
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Batch:
-    """One training view on the device."""
+    """One view as the loss terms read it."""
 
     camera: Camera
     image: Array  # [H, W, 3] 0..1, already over the background
@@ -47,8 +72,8 @@ class Batch:
     normals: Array | None  # [H, W, 3] camera frame, zero where there is none
 
 
-def stack_views(frames: tuple[Frame, ...], *, scale: int = 1) -> Views:
-    """Put frames on the device.
+def views_of(frames: Sequence[Frame], *, scale: int = 1) -> Views:
+    """Read the pixels of frames.
 
     Args:
         frames: Photos of any sizes.
@@ -56,79 +81,129 @@ def stack_views(frames: tuple[Frame, ...], *, scale: int = 1) -> Views:
             are weighted by matte and validity, so what an unused pixel happens to hold never bleeds in.
 
     Returns:
-        `Views` of the largest (reduced) width and height.
+        `Views` of the largest (reduced) width and height. A photo of that size that is not reduced is not copied.
 
     Raises:
-        InputError: The reduced photos have no pixels.
+        InputError: The reduced photos have no pixels, or a photo cannot be read.
     """
-    width = max(f.width for f in frames) // scale
-    height = max(f.height for f in frames) // scale
+    width, height = (max(getattr(frame, side) for frame in frames) // scale for side in ("width", "height"))
     if width < 1 or height < 1:
         raise InputError(
             f"image_scale={scale}: nothing is left of a photo of {frames[0].width}x{frames[0].height} pixels"
         )
-
-    def stacked(arrays: list[np.ndarray]) -> np.ndarray:
-        return np.stack(
-            [np.pad(a, [(0, height - a.shape[0]), (0, width - a.shape[1])] + [(0, 0)] * (a.ndim - 2)) for a in arrays]
-        )
-
-    pixels = [frame.pixels() for frame in frames]
-    mattes = [_full(p.image) if p.matte is None else p.matte for p in pixels]
-    valid = [_full(p.image) if p.valid is None else p.valid for p in pixels]
-    images = [
-        _block_mean(p.image, scale, (m[..., None] / 255.0) * (v[..., None] / 255.0))
-        for p, m, v in zip(pixels, mattes, valid, strict=True)
-    ]
-    to_small = np.diag(np.array([1 / scale, 1 / scale, 1], np.float32))
-    return Views(
-        viewmats=jnp.asarray(np.stack([f.viewmat for f in frames])),
-        Ks=jnp.asarray(np.stack([to_small @ f.K for f in frames])),
-        images=jnp.asarray(stacked(images)),
-        valid=jnp.asarray(stacked([_block_mean(v, scale) for v in valid]) > 127),
-        mattes=jnp.asarray(stacked([_block_mean(m, scale) for m in mattes]))
-        if any(p.matte is not None for p in pixels)
-        else None,
-    )
+    targets = [_target(frame, scale, width, height) for frame in frames]
+    return Views(tuple(_alike(_alike(targets, "matte"), "valid")))
 
 
-def with_normals(views: Views, maps: list[np.ndarray]) -> Views:
-    """The same views with `[H, W, 3]` normal maps (not larger than the views, smaller ones are padded with zeros)."""
+def with_normals(views: Views, maps: Sequence[np.ndarray]) -> Views:
+    """The same views with int8 normal maps `[H, W, 3]` (see `Target`), each of its photo's size."""
     width, height = views.size
-    stacked = np.stack(
-        [np.pad(m, ((0, height - m.shape[0]), (0, width - m.shape[1]), (0, 0))).astype(np.float16) for m in maps]
-    )
-    return Views(**{**views.__dict__, "normals": jnp.asarray(stacked)})
+    pairs = zip(views.targets, maps, strict=True)
+    return Views(tuple(replace(target, normals=_padded(normals, width, height)) for target, normals in pairs))
 
 
-def camera(views: Views, index: Array | int) -> Camera:
-    """The camera of one view; the index may be traced."""
-    return Camera(views.viewmats[index], views.Ks[index], *views.size)
+def feed(views: Views, *, room: int) -> Callable[[int, int], Target]:
+    """How targets reach the device: all at once where they fit, else each in its turn, the next one meanwhile.
+
+    Args:
+        views: The photos.
+        room: Bytes of the device's memory that photos may take, see `device_room`.
+
+    Returns:
+        (index, the index that will be asked for next) -> the target on the device; the same bits either way.
+    """
+    if views.num_bytes <= room:
+        resident = jax.device_put(views.targets)
+        return lambda index, following: resident[index]
+    ahead: dict[int, Target] = {}
+
+    def streamed(index: int, following: int) -> Target:
+        here = ahead.pop(index) if index in ahead else jax.device_put(views.targets[index])
+        ahead.clear()
+        ahead[following] = here if following == index else jax.device_put(views.targets[following])
+        return here
+
+    return streamed
 
 
-def batch(views: Views, index: Array | int, background: Array) -> Batch:
-    """One view as the loss terms read it, its photo laid over `background` `[3]` by its matte."""
-    image = views.images[index].astype(jnp.float32) / 255
+def device_room(share: float) -> int:
+    """A share of the device's memory, bytes; none on a CPU, where a second copy of what the host holds helps nobody."""
+    memory = jax.devices()[0].memory_stats()
+    return int(share * memory["bytes_limit"]) if memory else 0
+
+
+def cameras(views: Views) -> Camera:
+    """The cameras of all views, their matrices stacked along a leading axis."""
+    viewmats, Ks = (np.stack([getattr(target, name) for target in views.targets]) for name in ("viewmat", "K"))
+    return Camera(jnp.asarray(viewmats), jnp.asarray(Ks), *views.size)
+
+
+def batch(target: Target, background: Array) -> Batch:
+    """A target as the loss terms read it, its photo laid over `background` `[3]` by its matte."""
+    height, width = target.image.shape[:2]
+    image = target.image.astype(jnp.float32) / 255
     matte = None
-    if views.mattes is not None:
-        matte = views.mattes[index].astype(jnp.float32) / 255
+    if target.matte is not None:
+        matte = target.matte.astype(jnp.float32) / 255
         image = image * matte[..., None] + (1 - matte)[..., None] * background[None, None]
-    normals = None if views.normals is None else views.normals[index].astype(jnp.float32)
-    return Batch(camera(views, index), image, views.valid[index], matte, normals)
+    in_columns = jnp.arange(width, dtype=jnp.int32) < target.size[0]
+    in_rows = jnp.arange(height, dtype=jnp.int32) < target.size[1]
+    valid = in_rows[:, None] & in_columns[None, :]
+    if target.valid is not None:
+        valid &= target.valid
+    normals = None if target.normals is None else target.normals.astype(jnp.float32) / NORMAL_UNIT
+    return Batch(Camera(target.viewmat, target.K, width, height), image, valid, matte, normals)
 
 
-def _full(image: np.ndarray) -> np.ndarray:
-    return np.full(image.shape[:2], 255, np.uint8)
+def _target(frame: Frame, scale: int, width: int, height: int) -> Target:
+    image, matte, valid = _reduced(frame.pixels(), scale)
+    to_small = np.diag(np.array([1 / scale, 1 / scale, 1], np.float32))
+    return Target(
+        viewmat=frame.viewmat,
+        K=to_small @ frame.K,
+        size=np.array(image.shape[1::-1], np.int32),
+        image=_padded(image, width, height),
+        valid=None if valid is None else _padded(valid > 127, width, height),
+        matte=None if matte is None else _padded(matte, width, height),
+    )
 
 
-def _block_mean(array: np.ndarray, scale: int, weights: np.ndarray | float = 1.0) -> np.ndarray:
+def _alike(targets: list[Target], name: str) -> list[Target]:
+    """All with this field or none: where one has it, the others' is full."""
+    found = next((array for target in targets if (array := getattr(target, name)) is not None), None)
+    if found is None:
+        return targets
+    full = np.full(found.shape, True if found.dtype == bool else 255, found.dtype)
+    return [replace(target, **{name: full}) if getattr(target, name) is None else target for target in targets]
+
+
+def _padded(array: np.ndarray, width: int, height: int) -> np.ndarray:
+    missing = [(0, height - array.shape[0]), (0, width - array.shape[1])] + [(0, 0)] * (array.ndim - 2)
+    return np.pad(array, missing) if np.any(missing) else array
+
+
+def _reduced(pixels: Pixels, scale: int) -> Pixels:
     if scale == 1:
-        return array
+        return pixels
+    image, matte, valid = pixels
+    weights = [mask / 255.0 for mask in (matte, valid) if mask is not None]
+    return Pixels(
+        _block_mean(image, scale, np.prod(weights, axis=0)[..., None] if weights else None),
+        None if matte is None else _block_mean(matte, scale),
+        None if valid is None else _block_mean(valid, scale),
+    )
+
+
+def _block_mean(array: np.ndarray, scale: int, weights: np.ndarray | None = None) -> np.ndarray:
     height, width = array.shape[0] // scale, array.shape[1] // scale
 
-    def blocks(pixels: np.ndarray) -> np.ndarray:
-        return pixels[: height * scale, : width * scale].reshape(height, scale, width, scale, *array.shape[2:])
+    def sums(pixels: np.ndarray, kind: type) -> np.ndarray:
+        blocks = pixels[: height * scale, : width * scale].reshape(height, scale, width, scale, *pixels.shape[2:])
+        return blocks.sum(axis=(1, 3), dtype=kind)
 
-    weights = blocks(np.broadcast_to(weights, array.shape))
-    weights = np.where(weights.sum((1, 3), keepdims=True) > 0, weights, 1)  # A block without weight: the plain mean.
-    return np.rint(np.average(blocks(array), axis=(1, 3), weights=weights)).astype(array.dtype)
+    mean = sums(array, np.uint32) / scale**2
+    if weights is not None:
+        total = sums(weights, np.float64)
+        weighted = sums(array * weights, np.float64) / np.where(total > 0, total, 1)
+        mean = np.where(total > 0, weighted, mean)  # A block without weight: the plain mean.
+    return np.rint(mean).astype(array.dtype)

@@ -20,9 +20,10 @@ from gsjax.binding.mesh_terms import MeshGraph
 from gsjax.gaussians import PixelFilter
 from gsjax.numerics import masked_mean
 from gsjax.training import losses, optimizers
+from gsjax.training.capacity import chosen_capacity
 from gsjax.training.loop import advance
-from gsjax.training.step import Background, Metrics, active_terms, chosen_capacity
-from gsjax.views import Views
+from gsjax.training.step import Background, Metrics, active_terms
+from gsjax.views import Target, Views
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,7 @@ def refine(
         The final state; faces and thickness are as they were.
     """
     # Photos without an alpha channel have nothing to compare alphas with.
-    weights = settings.weights if data.mattes is not None else replace(settings.weights, alpha=0.0)
+    weights = settings.weights if data.has_mattes else replace(settings.weights, alpha=0.0)
 
     def compiled(capacity: int):
         step = make_refine_step(
@@ -171,8 +172,8 @@ def make_refine_step(
     capacity: int,
     background: Background,
     sh_every: int,
-) -> Callable[[MeshGraph, RefineState, Views, Array, Array], tuple[RefineState, Metrics]]:
-    """The compiled step: (graph, state, views, view index, key) -> (state, metrics). The state is donated.
+) -> Callable[[MeshGraph, RefineState, Target, Array], tuple[RefineState, Metrics]]:
+    """The compiled step: (graph, state, what one view shows, key) -> (state, metrics). The state is donated.
 
     A view that needs more pairs than `capacity` leaves the state untouched and says so.
     """
@@ -187,9 +188,9 @@ def make_refine_step(
         return total, (values, mse, view.splats.pairs)
 
     @partial(jax.jit, donate_argnums=1)
-    def refine_step(graph: MeshGraph, state: RefineState, data: Views, index: Array, key: Array):
+    def refine_step(graph: MeshGraph, state: RefineState, target: Target, key: Array):
         color = background(jax.random.fold_in(key, state.step))
-        batch = views.batch(data, index, color)
+        batch = views.batch(target, color)
         parameters, faces = free(state.gaussians), state.gaussians.faces
         (total, (values, mse, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
             parameters, faces, graph, batch, color, state.step // sh_every

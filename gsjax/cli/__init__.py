@@ -4,10 +4,12 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 
-from gsjax.cli import demo, environment, evaluate, mesh, refine, render, sfm, texture, train, turntable
+from gsjax.cli import demo, environment, evaluate, mesh, refine, render, scan, sfm, texture, train, turntable
 from gsjax.errors import InputError
 
 DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
+
+  photos --scan--> all of this at once:
 
   photos --sfm--> scene --train--> run --mesh--> mesh.ply --refine--> mesh and Gaussians bound to it
                                     |                 |---texture--> mesh.glb with a texture
@@ -56,7 +58,7 @@ def parser() -> argparse.ArgumentParser:
     """The parser of all commands; `arguments.run(arguments)` runs the one that was given."""
     top = _Parser(prog="gsjax", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
-    for command in (demo, sfm, train, mesh, refine, texture, evaluate, render, turntable):
+    for command in (demo, scan, sfm, train, mesh, refine, texture, evaluate, render, turntable):
         command.add_to(commands)
     return top
 

@@ -1,7 +1,9 @@
 """`gsjax train`: a data set to Gaussians."""
 
 import argparse
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from gsjax import config
 from gsjax.cli.parsers import add_command, given
@@ -31,7 +33,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         help="how long to train: minutes on a CPU, or the paper's budgets for a GPU (default: fast)",
     )
     add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
-    add("--downscale", type=int, metavar="K", help="make the photos K times smaller (default: 1)")
+    add("--downscale", type=float, metavar="K", help="make the photos K times smaller (default: to 1600 pixels,"
+        " and with fast on a CPU to what its minutes bear)")  # fmt: skip
     add("--normals", metavar="DIR", help="folder of normal maps (.npy or .png, named as the photos); without it the"
         " first phase's own smoothed depth normals serve")  # fmt: skip
     add("--background", choices=("white", "black", "random"), help="colour behind the Gaussians (default: black)")
@@ -63,7 +66,12 @@ def settings(arguments: argparse.Namespace) -> Settings:
         base = config.merge(runs.read_json(started), PRESETS.get(arguments.preset, {}))
     else:
         base = PRESETS[arguments.preset or "fast"]
-    options = given(arguments, "seed", "downscale", "normals", "background", "masks", "vanilla")
+    return overridden(base, arguments, "seed", "downscale", "normals", "background", "masks", "vanilla")
+
+
+def overridden(base: Mapping[str, Any], arguments: argparse.Namespace, *names: str) -> Settings:
+    """Settings with the named options where they were given, then what `--set` says."""
+    options = given(arguments, *names)
     # Parsed before the overrides too, so that `--set` reaches into defaults that are lists.
     whole = config.to_dict(config.parse(Settings, config.merge(base, options), where="settings"))
     assignments = [one for group in arguments.assignments for one in group]

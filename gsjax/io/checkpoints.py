@@ -5,6 +5,7 @@ with plain numpy and says what it holds.
 """
 
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,17 +34,20 @@ def save(path: str | Path, tree: Any) -> None:
         np.savez(temporary, allow_pickle=False, **leaves)
 
 
-def load(path: str | Path, like: Any) -> Any:
+def load(path: str | Path, like: Any | Callable[[dict[str, np.ndarray]], Any]) -> Any:
     """The tree of `like`'s structure with the stored leaves: numpy where `like` has numpy, else on jax's device.
 
     Args:
         path: A file that `save` wrote.
-        like: Pytree of arrays or `jax.ShapeDtypeStruct`; only its structure, shapes and dtypes are read.
+        like: Pytree of arrays or `jax.ShapeDtypeStruct`; only its structure, shapes and dtypes are read. Or what makes
+            one of the stored arrays, by their path in the tree: where a size is in the file.
 
     Raises:
         InputError: The file is absent, truncated or damaged, or its first difference from `like`.
     """
     stored = load_arrays(path)
+    if callable(like):
+        like = like(stored)
     wanted = _named_leaves(like)
     for name in stored.keys() - {name for name, _ in wanted}:
         raise InputError(f"{path}: holds {_shown(name)}, which this run has no place for")

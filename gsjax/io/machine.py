@@ -5,6 +5,7 @@ import platform
 import re
 import resource
 import subprocess
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
@@ -48,6 +49,12 @@ def peak_memory(path: str | Path = "/proc/self/status") -> int:
         return 1024 * int(match[1])
     unit = 1 if platform.system() == "Darwin" else 1024
     return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def restart_peak_memory() -> None:
+    """Makes `peak_memory` begin anew, where the system lets it (Linux)."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
 
 
 def cpu_flags(path: str | Path = "/proc/cpuinfo") -> frozenset[str]:

@@ -97,3 +97,10 @@ def _mask_path(name: str, folder: Path) -> Path | None:
     same = folder / name
     candidates = (same, same.with_name(same.name + ".png"), same.with_suffix(".png"))
     return next((c for c in candidates if c.is_file()), None)
+
+
+def is_data_set(root: str | Path) -> bool:
+    """Whether a folder has camera poses beside its photos, in one of the layouts that `load_scene` reads."""
+    root = Path(root)
+    tables = ("transforms.json", "transforms_train.json")
+    return root.is_dir() and (colmap.find_model(root) is not None or any((root / name).is_file() for name in tables))

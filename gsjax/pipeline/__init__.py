@@ -4,7 +4,8 @@ from gsjax.pipeline.evaluate import evaluate
 from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.pictures import render
 from gsjax.pipeline.refine import refine
+from gsjax.pipeline.scan import scan
 from gsjax.pipeline.texture import texture, turntable
 from gsjax.pipeline.train import train
 
-__all__ = ["evaluate", "mesh", "refine", "render", "texture", "train", "turntable"]
+__all__ = ["evaluate", "mesh", "refine", "render", "scan", "texture", "train", "turntable"]

@@ -9,12 +9,13 @@ import numpy as np
 from gsjax import config, gallery, pipeline
 from gsjax.errors import InputError
 from gsjax.io import analytic_scene, runs
-from gsjax.io.files import atomic_path, make_folder
+from gsjax.io.files import make_folder
 from gsjax.io.machine import machine, versions
 from gsjax.io.scenes import load_scene
 from gsjax.meshing.export import read_mesh
 from gsjax.meshing.pictures import headlight, render_mesh
 from gsjax.normals.from_depth import depth_normals
+from gsjax.pipeline.panels import draw_panels
 from gsjax.pipeline.pictures import normal_picture, to_bytes
 from gsjax.pipeline.result import Result, open_result
 from gsjax.settings import DEMO, Settings
@@ -89,20 +90,4 @@ def _comparison(scene: Path, vanilla: Result, surface: Result, out: Path) -> Pat
         "mesh, vanilla": mesh("vanilla"),
         "mesh, with the SDF term": mesh("surface"),
     }
-    return _draw(panels, out / "comparison.png")
-
-
-def _draw(panels: dict[str, np.ndarray], path: Path) -> Path:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13, 6.8), layout="constrained")
-    FigureCanvasAgg(figure)
-    for axes, (title, image) in zip(figure.subplots(2, 4).flat, panels.items(), strict=False):
-        axes.imshow(image, interpolation="nearest")
-        axes.set_title(title, fontsize=11)
-    for axes in figure.axes:
-        axes.axis("off")
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=110)
-    return path
+    return draw_panels(panels, out / "comparison.png")

@@ -1,6 +1,7 @@
 """What long work leaves behind while it goes, and where it goes on from: a bar with an ETA, metrics, checkpoints."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self
@@ -11,6 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from gsjax.io import checkpoints, runs
+from gsjax.pipeline.compilations import Compilations
 from gsjax.training.step import Metrics
 
 
@@ -22,15 +24,18 @@ class Journal:
         self.run, self.steps = run, steps
         self._seconds_before, self._started = seconds, time.perf_counter()
         self.bar = tqdm(total=steps, initial=step, desc=label, unit="step", smoothing=0.05)
+        self._compilations = Compilations()
 
     def __enter__(self) -> Self:
         """The journal itself."""
+        self._compilations.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Close the bar."""
+        self._compilations.__exit__(kind, error, trace)
         self.bar.close()
 
     @property
@@ -39,7 +44,7 @@ class Journal:
         return self._seconds_before + time.perf_counter() - self._started
 
     def log(self, step: int, metrics: Metrics, shown: str = "", **more: Any) -> None:
-        """One line of metrics.jsonl; loss, PSNR and what is `shown` beside the bar."""
+        """One line of metrics.jsonl, compilations since the last included; loss, PSNR and `shown` beside the bar."""
         record = {
             "step": step,
             "loss": float(metrics.loss),
@@ -48,6 +53,8 @@ class Journal:
             "seconds": round(self.seconds, 2),
             "terms": {name: float(value) for name, value in metrics.terms.items()},
         } | more
+        if compiled := self._compilations.taken():
+            record["compiled"] = compiled
         runs.append_metrics(self.run, record)
         self.bar.set_postfix_str(f"loss {record['loss']:.4f}, PSNR {record['psnr']:.1f} dB{shown}", refresh=False)
 
@@ -64,12 +71,18 @@ class Beginning(NamedTuple):
     seconds: float  # spent so far
 
 
-def beginning(run: Path, initial: Any) -> Beginning:
-    """The newest checkpoint of a run folder, or the initial state; metrics of later steps are taken back."""
+def beginning(run: Path, initial: Callable[[int | None], Any]) -> Beginning:
+    """The newest checkpoint of a run folder, or the initial state; metrics of later steps are taken back.
+
+    Args:
+        run: The folder.
+        initial: The state at step 0, in buffers of so many rows (None: as many as it takes).
+    """
     found = runs.latest_checkpoint(run)
-    start = Beginning(initial, None, 0.0)
-    if found is not None:
-        stored = checkpoints.load(found[1], _checkpoint(initial, 0, 0.0))
+    if found is None:
+        start = Beginning(initial(None), None, 0.0)
+    else:
+        stored = checkpoints.load(found[1], lambda arrays: _checkpoint(initial(int(arrays["['rows']"])), 0, 0.0))
         state = jax.tree.map(jnp.asarray, stored["state"])
         start = Beginning(state, int(stored["capacity"]) or None, float(stored["seconds"]))
     runs.truncate_metrics(run, int(start.state.step))
@@ -77,4 +90,5 @@ def beginning(run: Path, initial: Any) -> Beginning:
 
 
 def _checkpoint(state: Any, capacity: int, seconds: float) -> dict[str, Any]:
-    return {"state": state, "capacity": np.int64(capacity), "seconds": np.float64(seconds)}
+    rows = state.gaussians.num_gaussians
+    return {"state": state, "rows": np.int64(rows), "capacity": np.int64(capacity), "seconds": np.float64(seconds)}

@@ -15,7 +15,7 @@ from gsjax.normals.axes import apply_axes, detect_axes
 from gsjax.normals.from_depth import depth_normals, smoothed_depth_normals
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera
 from gsjax.scene import Frame
-from gsjax.views import Views, with_normals
+from gsjax.views import NORMAL_UNIT
 
 CLEAR_SCORE, CLEAR_MARGIN = 0.5, 0.02  # Below either, the axes of foreign maps are doubtful (method: A8).
 
@@ -32,15 +32,15 @@ class RunPrior:
         self.frames = frames
         self.given = None if folder is None else load_normals(folder, frames)
 
-    def __call__(self, gaussians: Gaussians, views: Views) -> Views:
-        """Add normals to the views, made of the Gaussians so far where the user gave none."""
+    def __call__(self, gaussians: Gaussians) -> list[np.ndarray]:
+        """An int8 map a frame, made of the Gaussians so far where the user gave none."""
         if not self.file.exists():
             maps = self._maps(gaussians)
             with atomic_path(self.file) as temporary, open(temporary, "wb") as file:
                 np.savez_compressed(file, **{str(i): m.astype(np.float16) for i, m in enumerate(maps)})
         with np.load(self.file) as stored:
             maps = [stored[str(i)] for i in range(len(self.frames))]
-        return with_normals(views, maps)
+        return [np.rint(m.astype(np.float32) * NORMAL_UNIT).astype(np.int8) for m in maps]
 
     def _maps(self, gaussians: Gaussians) -> list[np.ndarray]:
         cameras = [frame_camera(f) for f in self.frames]

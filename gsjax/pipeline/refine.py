@@ -21,8 +21,9 @@ from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.result import write_cameras
 from gsjax.scene import Scene, extent, in_memory
-from gsjax.training.step import BACKGROUNDS, largest_need
-from gsjax.views import stack_views
+from gsjax.training.capacity import largest_need
+from gsjax.training.step import BACKGROUNDS
+from gsjax.views import views_of
 
 LOGGED_EVERY, SAVED_EVERY = 50, 500  # steps
 
@@ -57,7 +58,7 @@ def refine(
     scene = load_scene(manifest["scene"], downscale=trained["downscale"], folder_masks=trained["masks"])
     coarse, _ = clean(read_mesh(source), max_faces=settings.faces)
     frames = tuple(map(in_memory, scene.train_frames))
-    data, size = stack_views(frames), extent(frames)
+    data, size = views_of(frames), extent(frames)
     bound = bind(
         coarse,
         per_triangle=settings.per_triangle,
@@ -66,13 +67,13 @@ def refine(
         opacity=settings.opacity,
         pixel_filter=settings.pixel_filter,
     )
-    if not int(largest_need(bound, data)):
+    if not largest_need(bound, data):
         raise InputError(f"{source}: no training view of {scene.root} sees any of its {coarse.num_faces} triangles")
 
     asked = {**trained, "mesh": str(source.resolve()), "refinement": config.to_dict(settings)}
     folder = runs.reopen(out, asked) if resume else runs.create(out, asked, scene=scene.root, seed=settings.seed)
     optimizer = refining.make_optimizer(settings, size, coarse.num_vertices)
-    state, capacity, seconds = beginning(folder, refining.initial_state(bound, optimizer))
+    state, capacity, seconds = beginning(folder, lambda rows: refining.initial_state(bound, optimizer))
     with _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
         state = refining.refine(
             settings,

@@ -1,11 +1,15 @@
 """A data set to Gaussians, in a run folder that can be stopped and continued at any moment."""
 
+import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+import optax
+from tqdm import tqdm
 
 from gsjax import config
 from gsjax.errors import InputError
@@ -15,13 +19,16 @@ from gsjax.io.ply import write_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
+from gsjax.pipeline.pace import Pace, seconds_left, spoken
 from gsjax.pipeline.prior import RunPrior
 from gsjax.pipeline.result import write_cameras
+from gsjax.pipeline.sizes import chosen_downscale, size_line
 from gsjax.scene import Scene, extent, in_memory
 from gsjax.settings import Settings, total_steps
 from gsjax.training import density_control, initialize, optimizers
 from gsjax.training.loop import Progress, fit
-from gsjax.training.step import TrainState, count_alive, initial_state
+from gsjax.training.rows import bucket
+from gsjax.training.state import TrainState, count_alive, initial_state
 
 
 def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: bool = False) -> dict[str, Any]:
@@ -39,27 +46,50 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
     Raises:
         InputError: The data set, the normals or the run folder cannot be used.
     """
-    loaded = load_scene(scene, downscale=settings.downscale, folder_masks=settings.masks)
-    # Read once, here, so that a damaged photo is found before the run begins.
-    loaded = replace(loaded, frames=tuple(map(in_memory, loaded.frames)))
+    loaded, settings = _sized(scene, settings)
     frames = loaded.train_frames
     if not loaded.held_out_frames or not frames:
         raise InputError(f"{scene}: {len(loaded.frames)} usable photos leave none to train on or none to score")
     size = extent(frames)
     if size <= 0:
         raise InputError(f"{scene}: all {len(frames)} training cameras are at one place, nothing can be reconstructed")
+    # Read once, and before the run begins: a damaged photo is found now.
+    photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
+    loaded = replace(loaded, frames=tuple(map(in_memory, photos)))
+    frames = loaded.train_frames
     prior = RunPrior(Path(out), settings.normals, frames)
     as_dict = config.to_dict(settings)
     run = runs.reopen(out, as_dict) if resume else runs.create(out, as_dict, scene=scene, seed=settings.seed)
 
     optimizer = optimizers.make_optimizer(settings.rates, size, settings.rates.decay_steps or total_steps(settings))
-    first = initialize.from_points(
-        loaded.points, loaded.point_colors, capacity=settings.max_gaussians, sh_degree=settings.sh_degree
-    )
-    state, capacity, seconds = beginning(run, initial_state(first, optimizer))
+    state, capacity, seconds = beginning(run, partial(_initial, loaded, settings, optimizer))
     with TrainingJournal(run, settings, loaded, int(state.step), seconds) as journal:
         state = fit(settings, frames, size, state, optimizer, prior=prior, observe=journal.note, capacity=capacity)
         return _finish(run, settings, loaded, state, journal.seconds)
+
+
+def _sized(scene: str | Path, settings: Settings) -> tuple[Scene, Settings]:
+    """The data set at the size that the run looks at, which the settings then name; one line says it."""
+    taken = load_scene(scene, folder_masks=settings.masks)
+    settings = replace(settings, downscale=chosen_downscale(settings, taken.frames))
+    loaded = (
+        taken
+        if settings.downscale == 1
+        else load_scene(scene, downscale=settings.downscale, folder_masks=settings.masks)
+    )
+    print(f"train: {size_line(settings, taken.frames, loaded.frames)}", file=sys.stderr)
+    return loaded, settings
+
+
+def _initial(scene: Scene, settings: Settings, optimizer: optax.GradientTransformation, rows: int | None) -> TrainState:
+    """Step 0 in a buffer of so many rows; None: of those that the points take."""
+    first = initialize.from_points(
+        scene.points,
+        scene.point_colors,
+        capacity=rows or bucket(len(scene.points), settings.max_gaussians),
+        sh_degree=settings.sh_degree,
+    )
+    return initial_state(first, optimizer)
 
 
 def living(gaussians: Gaussians) -> Gaussians:
@@ -71,7 +101,8 @@ def _finish(run: Path, settings: Settings, scene: Scene, state: TrainState, seco
     gaussians = living(state.gaussians)
     write_gaussians(run / "gaussians.ply", gaussians)
     write_cameras(run / "cameras.json", scene.frames)
-    scores = score_images(gaussians, scene.held_out_frames, settings.background)
+    # The buffer as it is: a program for this very number of Gaussians would serve once.
+    scores = score_images(state.gaussians, scene.held_out_frames, settings.background)
     summary = {
         **scores,
         "gaussians": gaussians.num_gaussians,
@@ -89,12 +120,14 @@ class TrainingJournal(Journal):
         """Begin at `step`."""
         super().__init__(run, "train", total_steps(settings), step, seconds)
         self.settings, self.scene = settings, scene
+        self._pace = Pace()
 
     def note(self, progress: Progress) -> None:
         """What the loop tells after every step."""
         every, last = self.settings.logging, progress.step == self.steps
         self.bar.set_description(progress.phase.name, refresh=False)
         self.bar.update()
+        self._tell_pace(progress)
         scored = every.evaluate_every > 0 and progress.step % every.evaluate_every == 0 and not last
         if scored or last or progress.step % every.metrics_every == 0:
             count = int(count_alive(progress.state.gaussians))
@@ -107,5 +140,11 @@ class TrainingJournal(Journal):
             self.save(progress.step, progress.state, 0 if progress.phase_done else progress.capacity)
 
     def _held_out_psnr(self, state: TrainState) -> float:
-        frames, background = self.scene.held_out_frames, self.settings.background
-        return score_images(living(state.gaussians), frames, background)["psnr"]
+        return score_images(state.gaussians, self.scene.held_out_frames, self.settings.background)["psnr"]
+
+    def _tell_pace(self, progress: Progress) -> None:
+        """How long the rest will take, once a phase."""
+        pace = self._pace.seconds_per_step(progress.phase)
+        if pace is not None:
+            left = seconds_left(self.settings, progress.step, progress.phase, pace)
+            self.bar.write(f"{progress.phase.name}: {1e3 * pace:.0f} ms a step, about {spoken(left)} to go", sys.stderr)

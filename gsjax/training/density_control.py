@@ -43,11 +43,9 @@ def empty_statistics(capacity: int) -> GrowthStatistics:
     return GrowthStatistics(jnp.zeros(capacity, jnp.float32), jnp.zeros(capacity, jnp.float32))
 
 
-def accumulate(
-    statistics: GrowthStatistics, means2d_gradient: Array, visible: Array, width: int, height: int
-) -> GrowthStatistics:
-    """Add one view: `means2d_gradient` `[N, 2]` in 1 / pixels becomes NDC units (times half the image size)."""
-    ndc = means2d_gradient * jnp.array([0.5 * width, 0.5 * height], jnp.float32)[None]
+def accumulate(statistics: GrowthStatistics, means2d_gradient: Array, visible: Array, size: Array) -> GrowthStatistics:
+    """Add one view: `means2d_gradient` `[N, 2]` in 1 / pixels becomes NDC units (times half the photo's `[2]` size)."""
+    ndc = means2d_gradient * (0.5 * size.astype(jnp.float32))[None]
     norm = jnp.sqrt(jnp.sum(ndc * ndc, -1))
     return GrowthStatistics(
         statistics.gradient + jnp.where(visible, norm, 0), statistics.views + visible.astype(jnp.float32)

@@ -1,6 +1,6 @@
-"""The host loop over the phases: which view, when to densify, when the pair buffer must grow."""
+"""The host loop over the phases: which view, when to densify, when a buffer must grow."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
@@ -10,28 +10,24 @@ import numpy as np
 import optax
 from jax import Array
 
+from gsjax import views
+from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.scene import Frame
 from gsjax.settings import Density, Phase, Settings, Weights
+from gsjax.training import rows
+from gsjax.training.capacity import chosen_capacity, rounded_capacity
 from gsjax.training.losses import NEEDS_NORMALS
-from gsjax.training.step import (
-    BACKGROUNDS,
-    Metrics,
-    TrainState,
-    TrainStep,
-    active_terms,
-    chosen_capacity,
-    cull,
-    densify,
-    make_train_step,
-    reset_opacities,
-    rounded_capacity,
-)
-from gsjax.views import Views, stack_views
+from gsjax.training.state import TrainState, cull, densify, reset_opacities
+from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, active_terms, make_train_step
+from gsjax.views import Target, Views
 
 S = TypeVar("S")  # A state of training.
-NormalsPrior = Callable[[Gaussians, Views], Views]
-"""(Gaussians so far, views) -> views with normals."""
+NormalsPrior = Callable[[Gaussians], Sequence[np.ndarray]]
+"""Gaussians so far -> an int8 normal map a frame, see `gsjax.views.Target`."""
+
+GROWTH = 2.0  # How much longer the pair buffer is than needed while Gaussians multiply,
+STILL = 1.25  # and while they do not: a view that needs more costs another compilation.
 
 
 class Progress(NamedTuple):
@@ -69,7 +65,7 @@ def view_order(seed: int, step: int, num_views: int) -> int:
 
 def fit(
     settings: Settings,
-    frames: tuple[Frame, ...],
+    frames: Sequence[Frame],
     extent: float,
     state: TrainState,
     optimizer: optax.GradientTransformation,
@@ -82,35 +78,35 @@ def fit(
 
     Args:
         settings: The run.
-        frames: Training photos.
+        frames: Training photos, best in memory: every phase reads them.
         extent: Camera extent, scene units.
         state: Where to start; step 0 or a checkpoint. Its buffers are taken.
         optimizer: The transformation that made the state.
-        prior: Gives normals to the views of the first phase that needs them.
+        prior: Gives normals to the first phase that needs them.
         observe: Called after every step.
         capacity: Pair buffer to continue with; None counts.
 
     Returns:
         The final state.
+
+    Raises:
+        InputError: The device has no room for so many Gaussians at this size.
     """
-    key = jax.random.key(settings.seed)
     done, start = int(state.step), 0
     for phase in planned_phases(settings):
         end = start + phase.steps
         if done < end:
-            data = stack_views(frames, scale=phase.image_scale)
+            data = views.views_of(frames, scale=phase.image_scale)
             if not NEEDS_NORMALS.isdisjoint(active_terms(phase.weights)):
-                data = prior(state.gaussians, data)
-            state, done = _run_phase(
-                settings, phase, (done, end), data, extent, state, optimizer, key, observe, capacity
-            )
-            capacity = None
+                data = views.with_normals(data, prior(state.gaussians))
+            state = _run_phase(settings, phase, (done, end), data, extent, state, optimizer, observe, capacity)
+            done, capacity = end, None
         start = end
     return state
 
 
 def advance(
-    compiled: Callable[[int], Callable[[S, Views, Array, Array], tuple[S, Metrics]]],
+    compiled: Callable[[int], Callable[[S, Target, Array], tuple[S, Metrics]]],
     after: Callable[[int, S, Metrics, int], S],
     state: S,
     data: Views,
@@ -118,6 +114,8 @@ def advance(
     *,
     seed: int,
     capacity: int,
+    headroom: float = STILL,
+    view_share: float = 0.5,
 ) -> S:
     """Take the steps of one program, each with a view of `view_order`, and make room where a view needs it.
 
@@ -129,23 +127,43 @@ def advance(
         steps: Steps done so far, and at the end.
         seed: Of the order of views, and of the key that every step gets.
         capacity: Pair buffer to start with.
+        headroom: How much longer than needed the buffer is made where it was too short.
+        view_share: Of the device's memory, for photos; beyond it they are streamed.
 
     Returns:
         The state after the last step.
+
+    Raises:
+        InputError: The device has no room.
     """
-    key = jax.random.key(seed)
+    key, view = jax.random.key(seed), views.feed(data, room=views.device_room(view_share))
     train_step = compiled(capacity)
     step, end = steps
     while step < end:
-        index = jnp.int32(view_order(seed, step, data.num_views))
-        state, metrics = train_step(state, data, index, key)
-        if bool(metrics.overflowed):
-            capacity = rounded_capacity(int(metrics.needed), 1.25)
+        index, following = (view_order(seed, at, data.num_views) for at in (step, step + 1))
+        try:
+            state, metrics = train_step(state, view(index, following), key)
+            overflowed = bool(metrics.overflowed)
+        except jax.errors.JaxRuntimeError as error:
+            raise _no_room(error, data, capacity) from error
+        if overflowed:
+            capacity = rounded_capacity(int(metrics.needed), headroom)
             train_step = compiled(capacity)
             continue
         step += 1
         state = after(step, state, metrics, capacity)
     return state
+
+
+def _no_room(error: Exception, data: Views, capacity: int) -> Exception:
+    """The one line for a device whose memory is full; any other error is a bug and stays what it is."""
+    if "RESOURCE_EXHAUSTED" not in str(error):
+        return error
+    width, height = data.size
+    return InputError(
+        f"the device has no room for a step at {width}x{height} with {capacity:,} pairs; "
+        "make the photos smaller (--downscale) or the Gaussians fewer (--set max_gaussians=N)"
+    )
 
 
 def _run_phase(
@@ -156,12 +174,13 @@ def _run_phase(
     extent: float,
     state: TrainState,
     optimizer: optax.GradientTransformation,
-    key: Array,
     observe: Callable[[Progress], None],
     capacity: int | None,
-) -> tuple[TrainState, int]:
+) -> TrainState:
+    key = jax.random.key(settings.seed)
     # Photos without an alpha channel have nothing to compare alphas with.
-    weights = phase.weights if data.mattes is not None else replace(phase.weights, alpha=0.0)
+    weights = phase.weights if data.has_mattes else replace(phase.weights, alpha=0.0)
+    headroom = GROWTH if phase.density_control else STILL
 
     def compiled(capacity: int) -> TrainStep:
         return make_train_step(
@@ -173,28 +192,35 @@ def _run_phase(
             with_statistics=phase.density_control,
         )
 
-    if capacity is None:
-        # Splitting raises the number of pairs; too small a guess costs one more compilation.
-        headroom = 1.5 if phase.density_control else 1.25
-        capacity = chosen_capacity(state.gaussians, data, headroom=headroom)
-
     def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
         done = step == steps[1]
         if phase.density_control:
-            state = _control_density(settings.density, step, state, optimizer, extent, key)
+            state = _control_density(settings, step, state, optimizer, extent, key)
         if done and phase.cull_below > 0:
             state = cull(state, optimizer=optimizer, min_opacity=phase.cull_below)
         observe(Progress(step, phase, state, metrics, capacity, done))
         return state
 
-    return advance(compiled, after, state, data, steps, seed=settings.seed, capacity=capacity), steps[1]
+    return advance(
+        compiled,
+        after,
+        state,
+        data,
+        steps,
+        seed=settings.seed,
+        capacity=capacity or chosen_capacity(state.gaussians, data, headroom=headroom),
+        headroom=headroom,
+        view_share=settings.view_share,
+    )
 
 
 def _control_density(
-    density: Density, step: int, state: TrainState, optimizer: optax.GradientTransformation, extent: float, key: Array
+    settings: Settings, step: int, state: TrainState, optimizer: optax.GradientTransformation, extent: float, key: Array
 ) -> TrainState:
+    density: Density = settings.density
     if density.start < step < density.stop and step % density.every == 0:
         reset_before = density.reset_every > 0 and step > density.reset_every
+        state = rows.with_room_to_densify(state, optimizer, density, settings.max_gaussians)
         state = densify(
             state, key, jnp.float32(extent), jnp.asarray(reset_before), optimizer=optimizer, density=density
         )

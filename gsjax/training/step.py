@@ -1,34 +1,23 @@
 """One compiled step per phase: render, lose, update, accumulate."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 from jax import Array
 
+import rasterizer
 from gsjax import render, views
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import masked_mean
-from gsjax.settings import Density, Weights
+from gsjax.settings import Weights
 from gsjax.training import density_control, optimizers
-from gsjax.training.density_control import GrowthStatistics
 from gsjax.training.losses import NEEDS_DEPTH, TERMS
-from gsjax.views import Views
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class TrainState:
-    """All that changes while training, and all that a checkpoint holds."""
-
-    gaussians: Gaussians
-    opt_state: Any
-    statistics: GrowthStatistics
-    step: Array  # [] int32 steps done
+from gsjax.training.state import TrainState
+from gsjax.views import Target
 
 
 class Metrics(NamedTuple):
@@ -41,8 +30,8 @@ class Metrics(NamedTuple):
     terms: dict[str, Array]
 
 
-TrainStep = Callable[[TrainState, Views, Array, Array], tuple[TrainState, Metrics]]
-"""(state, views, view index, random key) -> (state, metrics). The state is donated."""
+TrainStep = Callable[[TrainState, Target, Array], tuple[TrainState, Metrics]]
+"""(state, what one view shows, random key) -> (state, metrics). The state is donated."""
 
 Background = Callable[[Array], Array]
 """key -> `[3]` colour under the images of this step."""
@@ -52,16 +41,6 @@ BACKGROUNDS: dict[str, Background] = {
     "black": lambda key: jnp.zeros(3, jnp.float32),
     "random": lambda key: jax.random.uniform(key, (3,), jnp.float32),
 }
-
-
-def initial_state(gaussians: Gaussians, optimizer: optax.GradientTransformation) -> TrainState:
-    """Step 0."""
-    return TrainState(
-        gaussians,
-        optimizer.init(gaussians),  # pyright: ignore[reportArgumentType]
-        density_control.empty_statistics(gaussians.num_gaussians),
-        jnp.zeros((), jnp.int32),
-    )
 
 
 def active_terms(weights: Weights) -> dict[str, float]:
@@ -107,22 +86,23 @@ def make_train_step(
         losses = {name: TERMS[name](gaussians, view, batch) for name in terms}
         total = sum(weight * losses[name] for name, weight in terms.items())
         mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
-        return total, (losses, mse, view.splats.projection.visible[0], view.splats.pairs)
+        return total, (losses, mse, view.splats.projection, view.splats.pairs)
 
     @partial(jax.jit, donate_argnums=0)
-    def train_step(state: TrainState, data: Views, index: Array, key: Array):
+    def train_step(state: TrainState, target: Target, key: Array):
         color = background(jax.random.fold_in(key, state.step))
-        batch = views.batch(data, index, color)
+        batch = views.batch(target, color)
         active_degree = state.step // sh_every
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if with_statistics else None
         gradient = jax.value_and_grad(objective, argnums=(0, 1) if with_statistics else (0,), has_aux=True)
-        (total, (losses, mse, visible, pairs)), gradients = gradient(
+        (total, (losses, mse, projection, pairs)), gradients = gradient(
             state.gaussians, probe, batch, color, active_degree
         )
         gaussians, opt_state = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients[0])
         statistics = state.statistics
         if with_statistics:
-            statistics = density_control.accumulate(statistics, gradients[1], visible, *data.size)
+            seen = _in_photo(projection, target.size)
+            statistics = density_control.accumulate(statistics, gradients[1], seen, target.size)
         proposed = TrainState(gaussians, opt_state, statistics, state.step + 1)
         # A full buffer means a wrong image: the state stays, the host makes room and repeats the step.
         state = jax.tree.map(lambda old, new: jnp.where(pairs.overflowed, old, new), state, proposed)
@@ -131,73 +111,7 @@ def make_train_step(
     return train_step
 
 
-@partial(jax.jit, static_argnames=("optimizer", "density"), donate_argnums=0)
-def densify(
-    state: TrainState,
-    key: Array,
-    extent: Array,
-    prune_large: Array,
-    *,
-    optimizer: optax.GradientTransformation,
-    density: Density,
-) -> TrainState:
-    """Clone, split and prune; moments follow their Gaussian, statistics start anew."""
-    gaussians, moved = density_control.densify(
-        state.gaussians,
-        state.statistics,
-        jax.random.fold_in(key, state.step),
-        density=density,
-        extent=extent,
-        prune_large=prune_large,
-    )
-    opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, moved.source, moved.fresh)
-    return TrainState(gaussians, opt_state, density_control.empty_statistics(gaussians.num_gaussians), state.step)
-
-
-@partial(jax.jit, static_argnames=("optimizer", "limit"), donate_argnums=0)
-def reset_opacities(state: TrainState, *, optimizer: optax.GradientTransformation, limit: float) -> TrainState:
-    """Cap the opacities and forget their moments."""
-    capacity = state.gaussians.num_gaussians
-    # The opacities' moments are the only per-Gaussian arrays of rank 1.
-    opt_state = optimizers.map_moments(
-        optimizer, lambda m: jnp.zeros_like(m) if m.shape == (capacity,) else m, state.opt_state
-    )
-    gaussians = density_control.reset_opacities(state.gaussians, limit)
-    return TrainState(gaussians, opt_state, state.statistics, state.step)
-
-
-@partial(jax.jit, static_argnames=("optimizer", "min_opacity"), donate_argnums=0)
-def cull(state: TrainState, *, optimizer: optax.GradientTransformation, min_opacity: float) -> TrainState:
-    """Remove faint Gaussians; the moments of the others stay."""
-    gaussians = density_control.cull(state.gaussians, min_opacity)
-    rows = jnp.arange(gaussians.num_gaussians, dtype=jnp.int32)
-    opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, rows, ~density_control.is_alive(gaussians))
-    return TrainState(gaussians, opt_state, state.statistics, state.step)
-
-
-@jax.jit
-def count_alive(gaussians: Gaussians) -> Array:
-    """`[]` int32 Gaussians in the buffer."""
-    return jnp.sum(density_control.is_alive(gaussians), dtype=jnp.int32)
-
-
-@jax.jit
-def largest_need(gaussians: Gaussians, data: Views) -> Array:
-    """`[]` int32 pair capacity that serves every one of the views."""
-    return jax.lax.map(
-        lambda index: render.needed_capacity(gaussians, views.camera(data, index)),
-        jnp.arange(data.num_views, dtype=jnp.int32),
-    ).max()
-
-
-def chosen_capacity(gaussians: Gaussians, data: Views, *, headroom: float = 1.25) -> int:
-    """Pair capacity that holds every view with room to grow.
-
-    Every slot is sorted in every step, used or not, so this is tighter than the buckets of the front door.
-    """
-    return rounded_capacity(int(largest_need(gaussians, data)), headroom)
-
-
-def rounded_capacity(needed: int, headroom: float) -> int:
-    """`needed` times `headroom`, up to the next multiple of 4096."""
-    return -(-int(needed * headroom + 1) // 4096) * 4096
+def _in_photo(projection: rasterizer.Projection, size: Array) -> Array:
+    """`[N]` bool: what shows in a photo of `[2]` width and height, not only in the padding beside it."""
+    reaches = projection.means2d[0] - projection.extents[0] < size.astype(jnp.float32)[None]
+    return projection.visible[0] & jnp.all(reaches, axis=-1)

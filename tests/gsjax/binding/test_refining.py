@@ -54,7 +54,7 @@ def scene():
         for i, (c, p) in enumerate(zip(cameras, photos, strict=True))
     )
     return SimpleNamespace(
-        truth=truth, rough=rough, frames=frames, data=views.stack_views(frames), graph=mesh_graph(truth.faces)
+        truth=truth, rough=rough, frames=frames, data=views.views_of(frames), graph=mesh_graph(truth.faces)
     )
 
 
@@ -152,12 +152,12 @@ def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):
 
     def make_refine_step(optimizer, weights, **_):
         trained_with.append(weights)
-        return lambda graph, state, data, index, key: (state, SimpleNamespace(overflowed=False))
+        return lambda graph, state, target, key: (state, SimpleNamespace(overflowed=False))
 
     monkeypatch.setattr(refining, "make_refine_step", make_refine_step)
     state, optimizer = started(scene)
     solid = tuple(with_pixels(f, f.pixels()._replace(matte=np.full((48, 48), 255, np.uint8))) for f in scene.frames)
-    for data in (scene.data, views.stack_views(solid)):
+    for data in (scene.data, views.views_of(solid)):
         refining.refine(
             replace(SETTINGS, steps=1),
             scene.graph,

@@ -14,7 +14,8 @@ from gsjax.settings import Density, Phase, Rates, Settings, Weights
 from gsjax.training import loop
 from gsjax.training.loop import fit, planned_phases, view_order
 from gsjax.training.optimizers import make_optimizer
-from gsjax.training.step import active_terms, count_alive, initial_state
+from gsjax.training.state import count_alive, initial_state
+from gsjax.training.step import active_terms
 
 PLAIN = Weights(dssim=0.0)
 SETTINGS = Settings(
@@ -52,10 +53,9 @@ class Watch:
         self.states.append(jax.tree.map(np.array, progress.state))
         self.progress.append(progress._replace(state=None))
 
-    def prior(self, gaussians, data):
-        self.priors.append((jax.tree.map(np.array, gaussians), data.size))
-        width, height = data.size
-        return views.with_normals(data, [np.tile(np.float32([0.1, 0.2, -1]), (height, width, 1))] * data.num_views)
+    def prior(self, gaussians):
+        self.priors.append(jax.tree.map(np.array, gaussians))
+        return [np.tile(np.int8([12, 25, -124]), (24, 32, 1))] * 3
 
 
 def fitted(frames, settings=SETTINGS, state=None, capacity=None):
@@ -112,8 +112,7 @@ def test_phases_follow_each_other_with_their_terms(whole):
 
 
 def test_the_prior_is_asked_once_and_only_for_the_phase_of_normals(whole):
-    ((gaussians, size),) = whole.priors
-    assert size == (32, 24)
+    (gaussians,) = whole.priors
     assert_identical(gaussians, whole.states[5].gaussians)
 
 
@@ -140,13 +139,14 @@ def entered(monkeypatch):
 
     def stacked(frames, scale):
         scales.append(scale)
-        return views.stack_views(frames)
+        return unreduced(frames)
 
-    def run_phase(settings, phase, steps, data, extent, state, optimizer, key, observe, capacity):
+    def run_phase(settings, phase, steps, data, extent, state, optimizer, observe, capacity):
         phases.append((phase.name, scales[-1], steps, capacity))
-        return state, steps[1]
+        return state
 
-    monkeypatch.setattr(loop, "stack_views", stacked)
+    unreduced = views.views_of
+    monkeypatch.setattr(views, "views_of", stacked)
     monkeypatch.setattr(loop, "_run_phase", run_phase)
     return phases
 
@@ -182,7 +182,7 @@ def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkey
 
     def make_train_step(optimizer, weights, **_):
         trained_with.append(weights)
-        return lambda state, data, index, key: (state, SimpleNamespace(overflowed=False))
+        return lambda state, target, key: (state, SimpleNamespace(overflowed=False))
 
     monkeypatch.setattr(loop, "make_train_step", make_train_step)
     settings = replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),))

@@ -12,21 +12,12 @@ from gsjax import render, views
 from gsjax.gaussians import opacities
 from gsjax.measures.images import psnr
 from gsjax.settings import Density, Rates, Weights
+from gsjax.training import density_control
+from gsjax.training.capacity import chosen_capacity, largest_need
 from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.optimizers import make_optimizer
-from gsjax.training.step import (
-    BACKGROUNDS,
-    active_terms,
-    chosen_capacity,
-    count_alive,
-    cull,
-    densify,
-    density_control,
-    initial_state,
-    largest_need,
-    make_train_step,
-    reset_opacities,
-)
+from gsjax.training.state import count_alive, cull, densify, initial_state, reset_opacities
+from gsjax.training.step import BACKGROUNDS, active_terms, make_train_step
 
 ALIVE, CAPACITY, PAIRS = 180, 200, 8192
 SIZE = (32, 32)
@@ -48,7 +39,7 @@ def setup():
         sh_every=SH_EVERY,
         with_statistics=True,
     )
-    data = views.stack_views(photographed(cloud(200, seed=5), CAMERAS, with_mattes=True))
+    data = views.views_of(photographed(cloud(200, seed=5), CAMERAS, with_mattes=True))
     return SimpleNamespace(optimizer=optimizer, step=step, data=data)
 
 
@@ -60,7 +51,7 @@ def run(setup, state, steps):
     """State and metrics after steps over the views in turn."""
     metrics = []
     for index in range(steps):
-        state, reported = setup.step(state, setup.data, jnp.int32(index % len(CAMERAS)), KEY)
+        state, reported = setup.step(state, setup.data.targets[index % len(CAMERAS)], KEY)
         metrics.append(reported)
     return state, metrics
 
@@ -96,8 +87,8 @@ def test_the_report_is_of_the_view_before_the_update(setup):
     before = start(setup)
     gaussians = copied(before.gaussians)
     color = BACKGROUNDS["random"](jax.random.fold_in(KEY, 0))
-    _, metrics = setup.step(before, setup.data, jnp.int32(1), KEY)
-    batch = views.batch(setup.data, 1, color)
+    _, metrics = setup.step(before, setup.data.targets[1], KEY)
+    batch = views.batch(setup.data.targets[1], color)
     view = jax.jit(render.view, static_argnames="capacity")(
         gaussians, batch.camera, capacity=PAIRS, background=color, active_degree=0
     )
@@ -111,7 +102,7 @@ def test_the_report_is_of_the_view_before_the_update(setup):
 def test_random_backgrounds_differ_between_steps_and_repeat(setup):
     def terms_at(step):
         state = replace(start(setup), step=jnp.int32(step))
-        return {k: float(v) for k, v in setup.step(state, setup.data, jnp.int32(0), KEY)[1].terms.items()}
+        return {k: float(v) for k, v in setup.step(state, setup.data.targets[0], KEY)[1].terms.items()}
 
     assert terms_at(0) == terms_at(0)
     assert terms_at(0)["alpha"] == terms_at(1)["alpha"]  # coverage knows no background
@@ -137,10 +128,10 @@ def test_an_overflowing_step_leaves_every_bit_and_says_what_it_needs(setup):
         with_statistics=True,
     )
     before = copied(state)
-    after, metrics = narrow(state, setup.data, jnp.int32(2), KEY)
+    after, metrics = narrow(state, setup.data.targets[2], KEY)
     assert bool(metrics.overflowed)
     assert_identical(after, before)
-    camera = views.camera(setup.data, 2)
+    camera = CAMERAS[2]
     assert int(metrics.needed) == int(jax.jit(render.needed_capacity)(before.gaussians, camera)) > 64
 
 
@@ -249,16 +240,16 @@ def test_only_terms_of_weight_are_active():
 
 def test_the_capacity_holds_every_view_with_headroom(setup):
     gaussians = cloud(ALIVE, capacity=CAPACITY, seed=1)
-    needs = [int(jax.jit(render.needed_capacity)(gaussians, views.camera(setup.data, i))) for i in range(3)]
-    assert int(largest_need(gaussians, setup.data)) == max(needs)
+    needs = [int(jax.jit(render.needed_capacity)(gaussians, camera)) for camera in CAMERAS]
+    assert largest_need(gaussians, setup.data) == max(needs)
     chosen = chosen_capacity(gaussians, setup.data, headroom=1.5)
     assert chosen % 4096 == 0 and 1.5 * max(needs) < chosen <= 1.5 * max(needs) + 4097
 
 
 def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
-    normals = np.zeros((*SIZE[::-1], 3), np.float32)
-    normals[..., 2] = -1
-    normals[0, 0] = np.nan  # a hole that somebody wrote as such
+    normals = np.zeros((*SIZE[::-1], 3), np.int8)
+    normals[..., 2] = -views.NORMAL_UNIT
+    normals[0, 0] = 0  # a hole
     data = views.with_normals(setup.data, [normals] * 3)
     weights = Weights(alpha=0.1, entropy=0.1, sdf_normal=0.2, pixel_normal=0.1, axis_normal=0.1)
     step = make_train_step(
@@ -271,7 +262,7 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     )
     state = start(setup)
     for index in range(4):
-        state, metrics = step(state, data, jnp.int32(index % 3), KEY)
+        state, metrics = step(state, data.targets[index % 3], KEY)
         assert set(metrics.terms) == set(weights.__dict__)
         assert all(0 < float(value) < 1 for value in metrics.terms.values()), metrics.terms
     assert step._cache_size() == 1

@@ -1,0 +1,48 @@
+"""`gsjax scan`: photos or a video to a textured mesh, all stages in one go."""
+
+import argparse
+
+from gsjax.cli.parsers import add_command
+from gsjax.settings import PRESETS
+
+REFINEMENTS = {"fast": "fast", "balanced": "short"}  # The others: long.
+
+
+def add_to(commands: argparse._SubParsersAction) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands,
+        "scan",
+        _run,
+        summary="photos or a video to a textured mesh, all stages in one go",
+        description="""
+            Runs sfm, train, mesh, refine and texture, and leaves OUT/scene, OUT/run with its mesh.ply,
+            OUT/refined, OUT/mesh.glb, OUT/overview.png and OUT/report.json. Called again, it goes on where
+            it stopped. A data set that has camera poses already begins with train.
+        """,
+        example="gsjax scan photos/ --out scans/garden",
+    )
+    add = parser.add_argument
+    add("source", metavar="PHOTOS_OR_VIDEO", help="folder of photos, a video, or a data set")
+    add("--out", metavar="OUT", required=True, help="folder for everything; the same one again to go on")
+    add("--frames", type=int, metavar="N", help="how many frames of a video to take")
+    add("--preset", choices=PRESETS, default="fast", help="how long to train and refine (default: fast)")
+    add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
+    add("--downscale", type=float, metavar="K", help="make the photos K times smaller (default: as `gsjax train`)")
+    add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
+        help="any setting of the training by its dotted key; may be repeated")  # fmt: skip
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from gsjax import config, pipeline, tables
+    from gsjax.binding.refining import PRESETS as LENGTHS
+    from gsjax.binding.refining import Refinement
+    from gsjax.cli.train import overridden
+    from gsjax.pipeline.scan import table
+
+    settings = overridden(PRESETS[arguments.preset], arguments, "seed", "downscale")
+    length = LENGTHS[REFINEMENTS.get(arguments.preset, "long")]
+    refinement = config.parse(Refinement, config.merge(length, {"seed": settings.seed}))
+    report = pipeline.scan(arguments.source, arguments.out, settings, refinement, frames=arguments.frames)
+    print(tables.compare(table(report)))
+    print(f"mesh: {report['mesh']}, picture: {report['picture']}")

@@ -1,0 +1,38 @@
+"""Which programs were compiled while a run went, and how long that took."""
+
+from types import TracebackType
+from typing import Any, Self
+
+from jax import monitoring
+
+_COMPILED = "/jax/core/compile/backend_compile_duration"
+_SHORTEST = 0.1  # seconds: below, nobody waits
+
+
+class Compilations:
+    """Collects compilations of this process while its context is open."""
+
+    def __init__(self):
+        """Nothing seen yet."""
+        self._seen: list[dict[str, Any]] = []
+
+    def __enter__(self) -> Self:
+        """Begin to listen."""
+        monitoring.register_event_duration_secs_listener(self._note)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Listen no more."""
+        monitoring.unregister_event_duration_listener(self._note)
+
+    def taken(self) -> list[dict[str, Any]]:
+        """`program` and `seconds` of each compilation since the last call, the ones that nobody noticed left out."""
+        seen, self._seen = self._seen, []
+        return seen
+
+    def _note(self, event: str, seconds: float, **about: Any) -> None:
+        if event == _COMPILED and seconds >= _SHORTEST:
+            program = str(about.get("fun_name", "?")).removeprefix("jit(").removesuffix(")")
+            self._seen.append({"program": program, "seconds": round(seconds, 2)})

@@ -1,0 +1,167 @@
+"""The whole road in one go: photos or a video to a textured mesh, each stage where its command would leave it."""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from gsjax import config, gallery
+from gsjax.binding.refining import Refinement
+from gsjax.errors import InputError
+from gsjax.io import runs
+from gsjax.io.files import make_folder
+from gsjax.io.machine import machine, peak_memory, restart_peak_memory, versions
+from gsjax.io.scenes import is_data_set
+from gsjax.mesh import Mesh
+from gsjax.meshing.export import read_mesh, read_textured
+from gsjax.meshing.pictures import Shading, headlight, render_mesh, texture_colors
+from gsjax.normals.from_depth import depth_normals
+from gsjax.pipeline.mesh import mesh
+from gsjax.pipeline.panels import draw_panels
+from gsjax.pipeline.pictures import normal_picture, to_bytes
+from gsjax.pipeline.refine import refine
+from gsjax.pipeline.result import open_result
+from gsjax.pipeline.texture import texture
+from gsjax.pipeline.train import train
+from gsjax.settings import Settings
+
+
+class Stage(NamedTuple):
+    """One command of the road."""
+
+    name: str
+    is_done: Callable[[], bool]
+    run: Callable[[], Mapping[str, Any]]  # what it reports
+
+
+def scan(
+    source: str | Path,
+    out: str | Path,
+    settings: Settings,
+    refinement: Refinement,
+    *,
+    frames: int | None = None,
+    progress: Callable[[str], None] = print,
+) -> dict[str, Any]:
+    """Photos, a video or a data set to a textured mesh; stages that an earlier call has finished are not done again.
+
+    Args:
+        source: Folder of photos, a video, or a data set that `train` reads (then nothing is reconstructed first).
+        out: Folder for everything: `scene/` (sfm), `run/` with `run/mesh.ply` (train, mesh), `refined/` (refine),
+            `mesh.glb` (texture), `overview.png`, `report.json`.
+        settings: Of the training.
+        refinement: Of the mesh.
+        frames: Of a video, how many to take. None: as `gsjax.io.sfm.reconstruct` has it.
+        progress: Told the name of every stage as it begins.
+
+    Returns:
+        The report: figures of every stage with its `seconds` and `peak_gib`, `mesh`, `picture`, `machine`, `versions`.
+
+    Raises:
+        InputError: A stage cannot be done, or `out` was begun with something else.
+    """
+    source, out = Path(source), Path(out)
+    asked = {
+        "source": str(source.resolve()),
+        "frames": frames,
+        "settings": config.to_dict(settings),
+        "refinement": config.to_dict(refinement),
+    }
+    report = _begun(out, asked)
+    for stage in _stages(source, out, settings, refinement, frames):
+        if stage.is_done():
+            continue
+        progress(f"scan: {stage.name}")
+        started, before = time.perf_counter(), report["stages"].get(stage.name, {}).get("seconds", 0.0)
+        restart_peak_memory()
+        figures = stage.run()
+        report["stages"][stage.name] = {
+            **figures,
+            "seconds": round(before + time.perf_counter() - started, 1),
+            "peak_gib": round(peak_memory() / 2**30, 2),
+        }
+        runs.write_json(out / "report.json", report)
+    report |= {
+        "mesh": str(out / "mesh.glb"),
+        "picture": str(_overview(out)),
+        "machine": machine(),
+        "versions": versions(),
+    }
+    runs.write_json(out / "report.json", report)
+    return report
+
+
+def table(report: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """What a person wants to read of the report: a row a stage, for `gsjax.tables.compare`."""
+    shown = ("seconds", "peak_gib", "registered", "psnr", "ssim", "gaussians", "faces", "seen_share")
+    return {
+        stage: {name: figures[name] for name in shown if name in figures} for stage, figures in report["stages"].items()
+    }
+
+
+def _begun(out: Path, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """The report so far of a scan that was begun with the same wishes, or a new one."""
+    file = out / "report.json"
+    if file.exists():
+        report = runs.read_json(file)
+        for key, value in asked.items():
+            if report.get("asked", {}).get(key) != value:
+                raise InputError(f"{out}: was begun with another {key}; choose another folder with --out")
+        return report
+    if out.is_dir() and any(out.iterdir()):
+        raise InputError(f"{out}: this folder is not empty and holds no scan; choose another with --out")
+    make_folder(out)
+    report = {"asked": dict(asked), "stages": {}}
+    runs.write_json(file, report)
+    return report
+
+
+def _stages(source: Path, out: Path, settings: Settings, refinement: Refinement, frames: int | None) -> list[Stage]:
+    scene = source if is_data_set(source) else out / "scene"
+    run, refined, coarse, textured = out / "run", out / "refined", out / "run/mesh.ply", out / "mesh.glb"
+    return [
+        Stage("sfm", scene.exists, lambda: _reconstruct(source, scene, frames)),
+        Stage("train", lambda: _is_finished(run), lambda: train(scene, run, settings, resume=run.exists())),
+        Stage("mesh", coarse.exists, lambda: mesh(run, coarse)),
+        Stage(
+            "refine", lambda: _is_finished(refined), lambda: refine(run, refined, refinement, resume=refined.exists())
+        ),
+        Stage("texture", textured.exists, lambda: texture(refined, refined / "mesh.ply", textured)),
+    ]
+
+
+def _reconstruct(source: Path, scene: Path, frames: int | None) -> dict[str, Any]:
+    from gsjax.io import sfm  # pycolmap: only where there is something to reconstruct.
+
+    return asdict(sfm.reconstruct(source, scene, **({} if frames is None else {"frames": frames})))
+
+
+def _is_finished(run: Path) -> bool:
+    manifest = run / "manifest.json"
+    return manifest.exists() and runs.read_json(manifest)["status"] == "done"
+
+
+def _overview(out: Path) -> Path:
+    """overview.png: one photo's view as Gaussians, as normals, and as the meshes."""
+    result, textured = open_result(out / "run"), read_textured(out / "mesh.glb")
+    coarse, refined = read_mesh(out / "run/mesh.ply"), read_mesh(out / "refined/mesh.ply")
+    assert textured is not None, "the scan wrote its texture"
+    chosen = next((i for i, held_out in enumerate(result.held_out) if held_out), 0)
+    camera = result.cameras[chosen]
+    picture = next(gallery.pictures(result.gaussians, [camera], result.background))
+
+    def drawn(surface: Mesh, shading: Shading) -> np.ndarray:
+        return render_mesh(surface, camera.viewmat, camera.K, camera.width, camera.height, shading=shading)
+
+    panels = {
+        f"Gaussians, {result.names[chosen]}": to_bytes(picture.colors),
+        "normals": normal_picture(np.asarray(depth_normals(jnp.asarray(picture.depth), camera))),
+        "coarse mesh": drawn(coarse, headlight),
+        "refined mesh": drawn(refined, headlight),
+        "refined mesh, textured": drawn(textured.mesh, texture_colors(textured)),
+    }
+    return draw_panels(panels, out / "overview.png", columns=5)

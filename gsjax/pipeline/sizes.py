@@ -1,0 +1,38 @@
+"""At what size a run looks at its photos: chosen and said, not asked."""
+
+import math
+from collections.abc import Sequence
+
+import jax
+
+from gsjax.scene import Frame
+from gsjax.settings import Settings, total_steps
+
+
+def chosen_downscale(settings: Settings, frames: Sequence[Frame], *, on_cpu: bool | None = None) -> float:
+    """How many times smaller the photos become: what the user said, else what the largest of them needs.
+
+    Its longer side is brought to `settings.longest_side` (1600 pixels, as 3DGS does), and on a CPU its area to
+    `settings.cpu_pixels` where the preset has that.
+
+    Args:
+        settings: The run.
+        frames: Photos as they were taken.
+        on_cpu: Where it runs. None: as jax says.
+    """
+    if settings.downscale is not None:
+        return settings.downscale
+    factor = max(1.0, max(max(f.width, f.height) for f in frames) / settings.longest_side)
+    on_cpu = jax.default_backend() == "cpu" if on_cpu is None else on_cpu
+    if on_cpu and settings.cpu_pixels is not None:
+        factor = max(factor, math.sqrt(max(f.width * f.height for f in frames) / settings.cpu_pixels))
+    return round(factor, 4)
+
+
+def size_line(settings: Settings, taken: Sequence[Frame], used: Sequence[Frame]) -> str:
+    """One line for the user: how many photos, at what size and why, and how many steps."""
+    largest, reduced = (max(frames, key=lambda f: f.width * f.height) for frames in (taken, used))
+    line = f"{len(used)} photos at {reduced.width}x{reduced.height}"
+    if (largest.width, largest.height) != (reduced.width, reduced.height):
+        line += f" (taken at {largest.width}x{largest.height}; --downscale 1 keeps that)"
+    return f"{line}, {total_steps(settings):,} steps"

@@ -1,0 +1,65 @@
+"""Buffers that grow with the Gaussians: a step costs what is alive, not what the budget allows.
+
+Every per-Gaussian array has rows for the Gaussians of today and some to come, and is lengthened before density control
+would run out of them. A buffer of the whole budget would give the same numbers, bit for bit, and be slower.
+"""
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+
+from gsjax.gaussians import Gaussians
+from gsjax.settings import Density
+from gsjax.training import density_control, optimizers
+from gsjax.training.initialize import DEAD_LOGIT
+from gsjax.training.state import TrainState
+
+FEWEST_ROWS = 1 << 15  # Below, another compilation costs more than it saves.
+
+
+def bucket(count: int, most: int) -> int:
+    """Rows for `count` Gaussians: a power of two from `FEWEST_ROWS` on, at most the budget `most`."""
+    return min(most, max(FEWEST_ROWS, 1 << max(count - 1, 0).bit_length()))
+
+
+def lengthened(state: TrainState, optimizer: optax.GradientTransformation, rows: int) -> TrainState:
+    """The same state in longer buffers; the new rows are free. With no more rows than now, the state itself."""
+    extra = rows - state.gaussians.num_gaussians
+    if extra <= 0:
+        return state
+
+    def zeros_after(array: Array) -> Array:
+        return jnp.concatenate([array, jnp.zeros((extra, *array.shape[1:]), array.dtype)])
+
+    gaussians = jax.tree.map(zeros_after, state.gaussians)
+    return TrainState(
+        Gaussians(
+            **{
+                **gaussians.__dict__,
+                "quats": gaussians.quats.at[-extra:, 0].set(1.0),
+                "logit_opacities": gaussians.logit_opacities.at[-extra:].set(DEAD_LOGIT),
+            }
+        ),
+        optimizers.map_moments(optimizer, zeros_after, state.opt_state),
+        jax.tree.map(zeros_after, state.statistics),
+        state.step,
+    )
+
+
+@jax.jit
+def _wanted(state: TrainState, gradient: Array) -> Array:
+    alive = density_control.is_alive(state.gaussians)
+    mean = state.statistics.gradient / jnp.maximum(state.statistics.views, 1)
+    return jnp.sum(alive, dtype=jnp.int32) + jnp.sum(alive & (mean >= gradient), dtype=jnp.int32)
+
+
+def with_room_to_densify(
+    state: TrainState, optimizer: optax.GradientTransformation, density: Density, most: int
+) -> TrainState:
+    """The state in buffers that hold every Gaussian and a child of each that grows now, as far as `most` allows."""
+    rows = state.gaussians.num_gaussians
+    if rows >= most:
+        return state
+    wanted = int(_wanted(state, jnp.float32(density.gradient)))
+    return state if wanted <= rows else lengthened(state, optimizer, bucket(wanted, most))

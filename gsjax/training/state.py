@@ -1,0 +1,86 @@
+"""All that changes while training, and the changes that are not optimiser steps: densify, reset, cull."""
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+
+from gsjax.gaussians import Gaussians
+from gsjax.settings import Density
+from gsjax.training import density_control, optimizers
+from gsjax.training.density_control import GrowthStatistics
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class TrainState:
+    """All that changes while training, and all that a checkpoint holds."""
+
+    gaussians: Gaussians
+    opt_state: Any
+    statistics: GrowthStatistics
+    step: Array  # [] int32 steps done
+
+
+def initial_state(gaussians: Gaussians, optimizer: optax.GradientTransformation) -> TrainState:
+    """Step 0."""
+    return TrainState(
+        gaussians,
+        optimizer.init(gaussians),  # pyright: ignore[reportArgumentType]
+        density_control.empty_statistics(gaussians.num_gaussians),
+        jnp.zeros((), jnp.int32),
+    )
+
+
+@partial(jax.jit, static_argnames=("optimizer", "density"), donate_argnums=0)
+def densify(
+    state: TrainState,
+    key: Array,
+    extent: Array,
+    prune_large: Array,
+    *,
+    optimizer: optax.GradientTransformation,
+    density: Density,
+) -> TrainState:
+    """Clone, split and prune; moments follow their Gaussian, statistics start anew."""
+    gaussians, moved = density_control.densify(
+        state.gaussians,
+        state.statistics,
+        jax.random.fold_in(key, state.step),
+        density=density,
+        extent=extent,
+        prune_large=prune_large,
+    )
+    opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, moved.source, moved.fresh)
+    return TrainState(gaussians, opt_state, density_control.empty_statistics(gaussians.num_gaussians), state.step)
+
+
+@partial(jax.jit, static_argnames=("optimizer", "limit"), donate_argnums=0)
+def reset_opacities(state: TrainState, *, optimizer: optax.GradientTransformation, limit: float) -> TrainState:
+    """Cap the opacities and forget their moments."""
+    capacity = state.gaussians.num_gaussians
+    # The opacities' moments are the only per-Gaussian arrays of rank 1.
+    opt_state = optimizers.map_moments(
+        optimizer, lambda m: jnp.zeros_like(m) if m.shape == (capacity,) else m, state.opt_state
+    )
+    gaussians = density_control.reset_opacities(state.gaussians, limit)
+    return TrainState(gaussians, opt_state, state.statistics, state.step)
+
+
+@partial(jax.jit, static_argnames=("optimizer", "min_opacity"), donate_argnums=0)
+def cull(state: TrainState, *, optimizer: optax.GradientTransformation, min_opacity: float) -> TrainState:
+    """Remove faint Gaussians; the moments of the others stay."""
+    gaussians = density_control.cull(state.gaussians, min_opacity)
+    rows = jnp.arange(gaussians.num_gaussians, dtype=jnp.int32)
+    opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, rows, ~density_control.is_alive(gaussians))
+    return TrainState(gaussians, opt_state, state.statistics, state.step)
+
+
+@jax.jit
+def count_alive(gaussians: Gaussians) -> Array:
+    """`[]` int32 Gaussians in the buffer."""
+    return jnp.sum(density_control.is_alive(gaussians), dtype=jnp.int32)

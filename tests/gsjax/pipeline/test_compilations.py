@@ -1,0 +1,32 @@
+import jax
+import jax.numpy as jnp
+from jax import monitoring
+
+from gsjax.pipeline import compilations
+from gsjax.pipeline.compilations import Compilations
+
+
+def test_programs_are_named_once_each_and_only_while_one_listens(monkeypatch):
+    monkeypatch.setattr(compilations, "_SHORTEST", 0.0)
+    values = jnp.arange(7.0)
+    with Compilations() as seen:
+
+        @jax.jit
+        def halved(x):
+            return 0.5 * x
+
+        for _ in range(2):
+            halved(values)
+        (told,) = [one for one in seen.taken() if one["program"] == "halved"]
+        assert told["seconds"] >= 0
+        assert seen.taken() == []
+    jax.jit(lambda x: x - 3)(values)
+    assert seen.taken() == []
+
+
+def test_what_nobody_waits_for_is_not_told():
+    with Compilations() as seen:
+        for seconds in (0.05, 4.25):
+            monitoring.record_event_duration_secs(compilations._COMPILED, seconds, fun_name="jit(train_step)")
+        monitoring.record_event_duration_secs("/jax/else", 9.0)
+        assert seen.taken() == [{"program": "train_step", "seconds": 4.25}]

@@ -1,0 +1,80 @@
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from gsjax.settings import Density, Rates
+from gsjax.training import rows
+from gsjax.training.density_control import GrowthStatistics
+from gsjax.training.initialize import from_points
+from gsjax.training.optimizers import apply_gradients, make_optimizer
+from gsjax.training.rows import bucket, lengthened, with_room_to_densify
+from gsjax.training.state import count_alive, densify, initial_state
+
+OPTIMIZER = make_optimizer(Rates(), 1.0, 10)
+ALIVE, SHORT, LONG = 20, 24, 64
+DENSITY = Density(gradient=0.5)
+
+
+def trained(capacity):
+    """A state of twenty living rows with moments and statistics, in a buffer of so many rows."""
+    points = np.random.default_rng(0).normal(size=(ALIVE, 3))
+    gaussians = from_points(points, np.full((ALIVE, 3), 0.4), capacity=capacity, sh_degree=1)
+    state = initial_state(gaussians, OPTIMIZER)
+    alive = (np.arange(capacity) < ALIVE).astype(np.float32)
+    gradients = jax.tree.map(
+        lambda x: jnp.asarray(alive.reshape(-1, *[1] * (x.ndim - 1)) * np.ones(x.shape, np.float32)), gaussians
+    )
+    moved, opt_state = apply_gradients(OPTIMIZER, gaussians, state.opt_state, gradients)
+    statistics = GrowthStatistics(jnp.asarray(alive * np.arange(capacity) / ALIVE, jnp.float32), jnp.asarray(alive))
+    return replace(state, gaussians=moved, opt_state=opt_state, statistics=statistics)
+
+
+def assert_identical(actual, expected):
+    jax.tree.map(np.testing.assert_array_equal, actual, expected)
+
+
+def test_buckets_double_up_to_the_budget(monkeypatch):
+    monkeypatch.setattr(rows, "FEWEST_ROWS", 8)
+    assert [bucket(count, 100) for count in (0, 1, 8, 9, 16, 17, 64, 65, 100, 1000)] == [
+        8,
+        8,
+        8,
+        16,
+        16,
+        32,
+        64,
+        100,
+        100,
+        100,
+    ]
+    assert bucket(3, 5) == 5, "a budget under the smallest bucket is the buffer"
+
+
+def test_a_lengthened_state_is_the_one_that_was_long_from_the_start():
+    assert_identical(lengthened(trained(SHORT), OPTIMIZER, LONG), trained(LONG))
+    state = trained(LONG)
+    assert lengthened(state, OPTIMIZER, SHORT) is state
+
+
+def test_density_control_gives_the_same_bits_in_a_buffer_that_grows_as_in_one_of_the_whole_budget(monkeypatch):
+    monkeypatch.setattr(rows, "FEWEST_ROWS", 8)
+    key = jax.random.key(1)
+    ended = []
+    for state in (with_room_to_densify(trained(SHORT), OPTIMIZER, DENSITY, LONG), trained(LONG)):
+        ended.append(densify(state, key, jnp.float32(1.0), jnp.asarray(False), optimizer=OPTIMIZER, density=DENSITY))
+    grown, whole = ended
+    assert SHORT < grown.gaussians.num_gaussians == 32 < LONG
+    assert int(count_alive(whole.gaussians)) == ALIVE + 10 > SHORT
+    assert_identical(lengthened(grown, OPTIMIZER, LONG), whole)
+
+
+@pytest.mark.parametrize("most", [SHORT, LONG])
+def test_rows_are_added_only_when_they_are_wanted_and_allowed(most):
+    calm = Density(gradient=1e9)
+    state = trained(SHORT)
+    assert with_room_to_densify(state, OPTIMIZER, calm, most) is state
+    eager = with_room_to_densify(state, OPTIMIZER, Density(gradient=0.0), most)
+    assert eager.gaussians.num_gaussians == most
