@@ -81,7 +81,8 @@ def _photos(file: Path, meta: dict, held_out: bool = False) -> tuple[Photo, ...]
         if not isinstance(entry.get("file_path"), str):
             raise InputError(f'{file}: frame {number} has no "file_path"')
     paths = [_existing(file.parent / entry["file_path"]) for entry in entries]
-    missing = [path for path in paths if not path.is_file()]
+    # What says its size may lie in another folder: `gsjax.io.image_folders` looks for it.
+    missing = [path for path, entry in zip(paths, entries, strict=True) if not (path.is_file() or _has_size(entry))]
     if missing:
         raise InputError(f"{file}: {listed('image', [p.relative_to(file.parent).as_posix() for p in missing])}")
     return tuple(
@@ -95,6 +96,10 @@ def _photos(file: Path, meta: dict, held_out: bool = False) -> tuple[Photo, ...]
         )
         for path, entry in zip(paths, entries, strict=True)
     )
+
+
+def _has_size(entry: dict) -> bool:
+    return bool(entry.get("w") and entry.get("h"))
 
 
 def _existing(path: Path) -> Path:
@@ -130,9 +135,8 @@ def _viewmat(file: Path, entry: dict) -> np.ndarray:
 
 def _lens(file: Path, entry: dict, path: Path) -> Lens:
     name = entry.get("camera_model") or ("OPENCV_FISHEYE" if entry.get("is_fisheye") else "OPENCV")
-    width, height = image_size(path)
     try:
-        width, height = int(entry.get("w", width)), int(entry.get("h", height))
+        width, height = (int(entry["w"]), int(entry["h"])) if _has_size(entry) else image_size(path)
         if name == "EQUIRECTANGULAR":
             return check_lens(Lens(name, width, height, (float(width), float(height))), file)
         fx, fy = _focal_lengths(file, entry, width, height)

@@ -90,14 +90,16 @@ def score_surface(gaussians: Gaussians, frames: tuple[Frame, ...], truth: Truth)
     for frame, camera, picture in zip(
         frames, cameras, gallery.pictures(gaussians, cameras, BACKGROUNDS["black"]), strict=True
     ):
-        labels = truth.labels.get(frame.name)
-        is_object = np.ones(picture.depth.shape, bool) if labels is None else (labels != SKY) & (labels != GROUND)
+        is_object = np.ones(picture.depth.shape, bool)
+        if frame.name in truth.labels:
+            labels = truth.labels[frame.name]()
+            is_object = (labels != SKY) & (labels != GROUND)
         if frame.name in truth.normals:
             rendered.append(np.asarray(depth_normals(jnp.asarray(picture.depth), camera)).reshape(-1, 3))
-            true.append(truth.normals[frame.name].reshape(-1, 3))
+            true.append(truth.normals[frame.name]().reshape(-1, 3))
             objects.append(is_object.reshape(-1))
         if frame.name in truth.depths:
-            depth = truth.depths[frame.name]
+            depth = truth.depths[frame.name]()
             both = is_object & (depth > 0) & (picture.depth > 0)
             depth_errors.append(np.abs(depth - picture.depth)[both])
     figures: dict[str, Any] = {}

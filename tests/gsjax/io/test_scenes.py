@@ -158,8 +158,8 @@ def test_missing_images_are_all_counted_and_five_named(colmap_scene):
 
 def test_an_image_of_another_size_than_its_camera_is_named_with_both(colmap_scene):
     root = colmap_scene()
-    cv2.imwrite(str(root / "images/005.png"), np.zeros((15, 20, 3), np.uint8))
-    with pytest.raises(InputError, match=r"005.png: image is 20x15 but its camera says 40x30"):
+    cv2.imwrite(str(root / "images/005.png"), np.zeros((18, 20, 3), np.uint8))
+    with pytest.raises(InputError, match=r"005.png: image is 20x18 but its camera says 40x30"):
         load_scene(root)
 
 

@@ -27,12 +27,19 @@ def ring(count=8, radius=2.0, target=(0.0, 0.0, 0.0)):
     return [looking_at(np.array([radius * np.cos(a), radius * np.sin(a), 0.5]) + target, target) for a in angles]
 
 
+def red_behind_glass():
+    """BGRA; clear in the upper half."""
+    pixels = np.full((30, 40, 4), (0, 0, 255, 128), np.uint8)
+    pixels[:15, :, 3] = 255
+    return pixels
+
+
 def write(root, file="transforms.json", folder="images", poses=None, suffix=".png", **meta):
     (root / folder).mkdir(parents=True, exist_ok=True)
     frames = []
     for i, pose in enumerate(ring() if poses is None else poses):
         path = f"{folder}/{i:03d}"
-        cv2.imwrite(str(root / f"{path}.png"), np.full((30, 40, 4), (0, 0, 255, 128), np.uint8))
+        cv2.imwrite(str(root / f"{path}.png"), red_behind_glass())
         frames.append({"file_path": "./" + path + suffix, "transform_matrix": np.asarray(pose).tolist()})
     (root / file).write_text(json.dumps({**meta, "frames": frames}))
     return root
@@ -164,7 +171,8 @@ def test_nerf_synthetic_keeps_its_own_split_and_its_alpha(tmp_path):
     assert scene.source == "nerf-synthetic"
     assert [f.name for f in scene.held_out_frames] == [f"test/{i:03d}.png" for i in range(3)]
     assert [f.name for f in scene.train_frames] == [f"train/{i:03d}.png" for i in range(8)]
-    assert (scene.frames[0].pixels().matte == 128).all() and (scene.frames[0].pixels().image == (255, 0, 0)).all()
+    np.testing.assert_array_equal(scene.frames[0].pixels().matte, red_behind_glass()[..., 3])
+    assert (scene.frames[0].pixels().image == (255, 0, 0)).all()
     assert scene.points.shape == (30_000, 3) and 1.29 < np.abs(scene.points).max() <= 1.3
 
 
@@ -197,7 +205,7 @@ def test_lego_mattes_are_silhouettes_of_one_solid(shared):
         (lambda m: m.update(fl_x="wide"), "wide"),
         (lambda m: m.update(camera_model="LENSBABY"), "unknown camera_model 'LENSBABY'"),
         (lambda m: m.update(k4=0.1), "takes no k4"),
-        (lambda m: m.update(w=80, h=60), "image is 40x30 but its camera says 80x60"),
+        (lambda m: m.update(w=80, h=50), "image is 40x30 but its camera says 80x50"),
         (lambda m: m["frames"][3].update(file_path="images/gone.png"), "1 image missing: images/gone.png"),
         (lambda m: m["frames"][3].update(file_path="images/002.png"), "002.png is listed more than once"),
         (lambda m: m.update(frames=m["frames"][:1]), "1 posed image in it"),
