@@ -112,6 +112,8 @@ class Settings:
 
     seed: int = 0
     downscale: int = 1
+    images: str | None = None  # folder of the photos, within the data set or absolute; None: looked for
+    hold_out: str = "auto"  # every N-th photo, "none", a file of names, or "auto" (`gsjax.io.splits`)
     normals: str | None = None  # folder of normal maps; None: the smoothed depth normals of the first phases
     background: Literal["white", "black", "random"] = "black"
     masks: Literal["valid", "matte"] = "valid"

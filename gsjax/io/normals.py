@@ -113,7 +113,7 @@ def _read_resized(file: Path, frame: Frame) -> np.ndarray:
 
 
 def _read_undistorted(file: Path, frame: Frame, origin: Origin) -> np.ndarray:
-    """A map of the frame's distorted photo, read where the frame's pixels lie in it; the axes stay, so do the vectors."""
+    """A map of the frame's distorted photo, read where the frame's pixels lie in it; the axes are the same."""
     # A larger map is averaged to the frame's scale first, or pixels between those that are read would not count.
     share = frame.width / origin.undistorted[0], frame.height / origin.undistorted[1]
     unit = _shrunk(_unit(_read(file)), *(max(1, round(side * s)) for side, s in zip(origin.photo, share, strict=True)))

@@ -47,7 +47,7 @@ def _held_out(photos: Sequence[Photo], hold_out: str, root: Path) -> set[str]:
 def _listed(file: Path, names: Sequence[str]) -> set[str]:
     """The names in a text file, all of which must be among `names`."""
     try:
-        lines = [line.strip() for line in file.read_text(encoding="utf-8").splitlines()]
+        lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
     except FileNotFoundError as error:
         raise InputError(f"{file}: no such list of photos; --hold-out takes a number, none, or a file") from error
     except (OSError, ValueError) as error:

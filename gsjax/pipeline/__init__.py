@@ -6,5 +6,6 @@ from gsjax.pipeline.pictures import render
 from gsjax.pipeline.refine import refine
 from gsjax.pipeline.texture import texture, turntable
 from gsjax.pipeline.train import train
+from gsjax.pipeline.undistort import undistort
 
-__all__ = ["evaluate", "mesh", "refine", "render", "texture", "train", "turntable"]
+__all__ = ["evaluate", "mesh", "refine", "render", "texture", "train", "turntable", "undistort"]

@@ -34,23 +34,31 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
 
     Returns:
-        `psnr`, `ssim` and `views` of the held-out views, `gaussians`, `steps`, `train_seconds`.
+        `psnr` and `ssim` (None without held-out views), `views`, `gaussians`, `steps`, `train_seconds`.
 
     Raises:
         InputError: The data set, the normals or the run folder cannot be used.
     """
-    loaded = load_scene(scene, downscale=settings.downscale, folder_masks=settings.masks)
+    loaded = load_scene(
+        scene,
+        downscale=settings.downscale,
+        folder_masks=settings.masks,
+        images=settings.images,
+        hold_out=settings.hold_out,
+    )
     # Read once, here, so that a damaged photo is found before the run begins.
     loaded = replace(loaded, frames=tuple(map(in_memory, loaded.frames)))
     frames = loaded.train_frames
-    if not loaded.held_out_frames or not frames:
-        raise InputError(f"{scene}: {len(loaded.frames)} usable photos leave none to train on or none to score")
+    if not frames:
+        raise InputError(f"{scene}: all {len(loaded.frames)} photos are held out, none is left to train on")
     size = extent(frames)
     if size <= 0:
         raise InputError(f"{scene}: all {len(frames)} training cameras are at one place, nothing can be reconstructed")
     prior = RunPrior(Path(out), settings.normals, frames)
     as_dict = config.to_dict(settings)
-    run = runs.reopen(out, as_dict) if resume else runs.create(out, as_dict, scene=scene, seed=settings.seed)
+    run = (
+        runs.reopen(out, as_dict, scene=scene) if resume else runs.create(out, as_dict, scene=scene, seed=settings.seed)
+    )
 
     optimizer = optimizers.make_optimizer(settings.rates, size, settings.rates.decay_steps or total_steps(settings))
     first = initialize.from_points(
@@ -89,13 +97,14 @@ class TrainingJournal(Journal):
         """Begin at `step`."""
         super().__init__(run, "train", total_steps(settings), step, seconds)
         self.settings, self.scene = settings, scene
+        self.evaluate_every = settings.logging.evaluate_every if scene.held_out_frames else 0
 
     def note(self, progress: Progress) -> None:
         """What the loop tells after every step."""
         every, last = self.settings.logging, progress.step == self.steps
         self.bar.set_description(progress.phase.name, refresh=False)
         self.bar.update()
-        scored = every.evaluate_every > 0 and progress.step % every.evaluate_every == 0 and not last
+        scored = self.evaluate_every > 0 and progress.step % self.evaluate_every == 0 and not last
         if scored or last or progress.step % every.metrics_every == 0:
             count = int(count_alive(progress.state.gaussians))
             more: dict[str, Any] = {"phase": progress.phase.name, "gaussians": count}

@@ -1,4 +1,5 @@
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -154,6 +155,19 @@ def test_points_of_the_named_file_are_taken(tmp_path):
     np.testing.assert_array_equal(scene.point_colors, [[10, 20, 30], [40, 50, 60]])
 
 
+def test_reduced_photos_in_the_folder_asked_for_and_in_the_one_that_is_there(tmp_path):
+    root = write(tmp_path, fl_x=50.0, fl_y=52.0, cx=21.0, cy=14.0, w=40, h=30)
+    (root / "images_2").mkdir()
+    for file in (root / "images").iterdir():
+        cv2.imwrite(str(root / "images_2" / file.with_suffix(".jpg").name), np.zeros((15, 20, 3), np.uint8))
+    expected = np.array([[25, 0, 10.5], [0, 26, 7], [0, 0, 1]], np.float32)
+    asked = load_scene(root, images="images_2").frames
+    shutil.rmtree(root / "images")
+    for frames in (asked, load_scene(root).frames):
+        assert [f.name for f in frames] == [f"{i:03d}.png" for i in range(8)]
+        np.testing.assert_array_equal(frames[3].K, expected)
+
+
 def test_masks_named_in_the_file(tmp_path):
     root = write(tmp_path, fl_x=50.0)
     mask = np.full((30, 40), 255, np.uint8)
@@ -169,6 +183,7 @@ def test_nerf_synthetic_keeps_its_own_split_and_its_alpha(tmp_path):
     write(tmp_path, "transforms_val.json", "val", suffix="", camera_angle_x=0.8, poses=ring(3))
     scene = load_scene(tmp_path)
     assert scene.source == "nerf-synthetic"
+    assert not load_scene(tmp_path, hold_out="none").held_out_frames
     assert [f.name for f in scene.held_out_frames] == [f"test/{i:03d}.png" for i in range(3)]
     assert [f.name for f in scene.train_frames] == [f"train/{i:03d}.png" for i in range(8)]
     np.testing.assert_array_equal(scene.frames[0].pixels().matte, red_behind_glass()[..., 3])

@@ -70,8 +70,8 @@ def test_faults_are_named(tmp_path):
     np.savez(file, depth=np.zeros((4, 6), np.float32))
     with pytest.raises(InputError, match=r"001.npz: lacks label; it holds depth"):
         load_truth(tmp_path, (frame(),))
-    np.savez(file, depth=np.zeros((4, 9), np.float32), label=np.zeros((4, 9), np.uint8))
-    with pytest.raises(InputError, match=r"001.npz: map is 9x4 but a/001.png is 6x4"):
+    np.savez(file, depth=np.zeros((4, 12), np.float32), label=np.zeros((4, 12), np.uint8))
+    with pytest.raises(InputError, match=r"001.npz: map is 12x4 but a/001.png is 6x4"):
         load_truth(tmp_path, (frame(),))
     data = file.read_bytes()
     for share in (0.0, 0.1, 0.5, 0.95):
