@@ -67,7 +67,8 @@ def found_files(paths: Sequence[Path]) -> list[Path]:
 
 
 def _in_folder(photos: Sequence[Photo], folder: Path) -> list[Photo]:
-    return _with_files(photos, [folder / photo.name for photo in photos])
+    names = [Path(photo.name) for photo in photos]  # Absolute where a data set lists photos outside its folder.
+    return _with_files(photos, [folder / (name.name if name.is_absolute() else name) for name in names])
 
 
 def _with_files(photos: Sequence[Photo], paths: Sequence[Path]) -> list[Photo]:

@@ -50,7 +50,8 @@ def load_scene(
     capture = _read_capture(root)
     photos = split(_checked_photos(root, located(root, capture.photos, images)), hold_out, root)
     photos = _with_folder_masks(photos, root / "masks")
-    frames = tuple(frame for photo in photos for frame in frames_of(photo, downscale, folder_masks))
+    frames = [frame for photo in photos for frame in frames_of(photo, downscale, folder_masks)]
+    frames = tuple(sorted(frames, key=lambda frame: frame.name))
     return Scene(root, capture.source, frames, capture.points, capture.point_colors, load_truth(root, frames))
 
 

@@ -112,7 +112,7 @@ def _existing(path: Path) -> Path:
 def _name(path: Path, root: Path) -> str:
     relative = path.resolve().relative_to(root.resolve()) if path.resolve().is_relative_to(root.resolve()) else path
     parts = relative.parts
-    return "/".join(parts[1:] if parts[0] == "images" and len(parts) > 1 else parts)
+    return "/".join(parts[1:]) if parts[0] == "images" and len(parts) > 1 else relative.as_posix()
 
 
 def _viewmat(file: Path, entry: dict) -> np.ndarray:

@@ -62,6 +62,7 @@ def _picture(pixels: Pixels) -> np.ndarray:
 
 def _file_name(name: str, pixels: Pixels) -> str:
     """The frame's name within a folder, its suffix that of a format that can hold the frame."""
-    path = PurePosixPath(*[part for part in PurePosixPath(name).parts if part not in ("/", "..")])
+    path = PurePosixPath(name)
+    path = PurePosixPath(*[part for part in path.parts if part not in (path.anchor, "..")])
     is_jpeg = path.suffix.lower() in _JPEG and pixels.matte is None
     return str(path if is_jpeg else path.with_suffix(".png"))

@@ -171,7 +171,8 @@ def seen_along(rays):
 def map_of_photo(params, size=PHOTO):
     """The field as the distorted photo records it, by pycolmap's inverse of the lens, at any size."""
     camera = pycolmap.Camera(model="SIMPLE_RADIAL", width=PHOTO[0], height=PHOTO[1], params=list(params))
-    pixels = np.stack(np.meshgrid(*((np.arange(side) + 0.5) * full / side for side, full in zip(size, PHOTO))), -1)
+    x, y = ((np.arange(side) + 0.5) * full / side for side, full in zip(size, PHOTO, strict=True))
+    pixels = np.stack(np.meshgrid(x, y), -1)
     rays = np.asarray(camera.cam_from_img(pixels.reshape(-1, 2))).reshape(*size[::-1], 2)
     return seen_along(np.dstack([rays, np.ones(size[::-1])])).astype(np.float32)
 
