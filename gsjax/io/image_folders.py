@@ -38,7 +38,7 @@ def located(root: Path, photos: Sequence[Photo], images: str | None) -> list[Pho
     best = max(range(len(REDUCED)), key=lambda index: _count(reduced[index]))
     if not _count(reduced[best]):
         return found
-    print(f"images: none where {root} says; {root / REDUCED[best]} is taken", file=sys.stderr)
+    _say(f"images: none where {root} says; {root / REDUCED[best]} is taken")
     return reduced[best]
 
 
@@ -64,6 +64,12 @@ def found_files(paths: Sequence[Path]) -> list[Path]:
         return same[0] if len(same) == 1 and wanted[_stem(path)] == 1 else path
 
     return [found(path) for path in paths]
+
+
+@cache
+def _say(line: str) -> None:
+    """On stderr; once, however often a command loads the data set."""
+    print(line, file=sys.stderr)
 
 
 def _in_folder(photos: Sequence[Photo], folder: Path) -> list[Photo]:

@@ -55,18 +55,23 @@ def load_scene(
     return Scene(root, capture.source, frames, capture.points, capture.point_colors, load_truth(root, frames))
 
 
+def is_data_set(root: str | Path) -> bool:
+    """Whether a folder is laid out as one that `load_scene` reads; what the files hold is not looked at."""
+    root = Path(root)
+    return colmap.find_model(root) is not None or any((root / file).is_file() for file in transforms.FILES)
+
+
 def _read_capture(root: Path) -> Capture:
     if not root.is_dir():
         raise InputError(f"{root}: no such folder")
     model = colmap.find_model(root)
     if model is not None:
         return colmap.read_capture(root, model)
-    if (root / "transforms.json").is_file():
-        return transforms.read_transforms(root)
-    if (root / "transforms_train.json").is_file():
-        return transforms.read_synthetic(root)
+    for file, read in zip(transforms.FILES, (transforms.read_transforms, transforms.read_synthetic), strict=True):
+        if (root / file).is_file():
+            return read(root)
     places = ", ".join(f"{folder}/cameras.bin or .txt" for folder in colmap.MODEL_FOLDERS)
-    raise InputError(f"{root}: no data set; looked for {places}, transforms.json, transforms_train.json")
+    raise InputError(f"{root}: no data set; looked for {places}, {', '.join(transforms.FILES)}")
 
 
 def _checked_photos(root: Path, photos: Sequence[Photo]) -> list[Photo]:

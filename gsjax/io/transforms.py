@@ -15,6 +15,8 @@ from gsjax.io.lenses import Lens, check_lens, is_float32
 from gsjax.io.photos import Capture, Photo, listed
 from gsjax.io.ply import read_points
 
+FILES = ("transforms.json", "transforms_train.json")  # Of instant-ngp and nerfstudio; of the NeRF-synthetic layout.
+
 # For each `camera_model`: COLMAP's model and the coefficients it takes after fx, fy, cx, cy.
 _MODELS = {
     "PINHOLE": ("PINHOLE", ()),
@@ -38,7 +40,7 @@ def read_transforms(root: Path) -> Capture:
     Raises:
         InputError: The file, or a file that it names, is missing, damaged or contradicts itself.
     """
-    file = root / "transforms.json"
+    file = root / FILES[0]
     meta = _read_json(file)
     photos = _photos(file, meta)
     if meta.get("ply_file_path"):
@@ -55,7 +57,8 @@ def read_synthetic(root: Path) -> Capture:
     Raises:
         InputError: A file is missing, damaged or contradicts itself.
     """
-    photos = list(_photos(root / "transforms_train.json", _read_json(root / "transforms_train.json")))
+    train = root / FILES[1]
+    photos = list(_photos(train, _read_json(train)))
     test = root / "transforms_test.json"
     if test.is_file():
         photos += _photos(test, _read_json(test), held_out=True)

@@ -18,7 +18,9 @@ from gsjax.scene import Frame, Pixels
 _JPEG = (".jpg", ".jpeg")
 
 
-def undistort(scene: str | Path, out: str | Path, *, downscale: int = 1, images: str | None = None) -> dict[str, Any]:
+def undistort(
+    scene: str | Path, out: str | Path, *, downscale: float = 1.0, images: str | None = None
+) -> dict[str, Any]:
     """Write the frames that training sees: undistorted, cropped, masked, downscaled.
 
     Args:
@@ -26,7 +28,7 @@ def undistort(scene: str | Path, out: str | Path, *, downscale: int = 1, images:
         out: Folder to make, absent or empty; appears when everything is done. It is a data set with the same views,
             split and points: `images/` (JPEG at quality 95 where the photo is one, else PNG; with the matte as alpha),
             `masks/` where not every pixel is valid, `sparse/0` with PINHOLE cameras, `hold_out.txt`.
-        downscale: Frames are this many times smaller.
+        downscale: Frames are this many times smaller, at least 1.
         images: Folder of the photos, absolute or in `scene`. None: looked for.
 
     Returns:

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 from gsjax.errors import InputError
-from gsjax.io.scenes import load_scene
+from gsjax.io.scenes import is_data_set, load_scene
 
 
 def read(path):
@@ -108,6 +108,7 @@ def test_copies_of_reduced_size_are_taken_where_there_are_no_others(colmap_scene
     (root / "images_8").mkdir()
     frame = load_scene(root).frames[1]
     assert (frame.width, frame.height, frame.name) == (10, 8, "001.png")
+    load_scene(root)
     np.testing.assert_allclose(frame.K, [[7.5, 0, 5.25], [0, 31 * 8 / 30, 14.5 * 8 / 30], [0, 0, 1]], rtol=1e-6)
     assert capsys.readouterr().err == f"images: none where {root} says; {root / 'images_4'} is taken\n"
 
@@ -321,6 +322,9 @@ def test_a_folder_that_is_no_data_set_is_told_what_is_looked_for(tmp_path):
         load_scene(tmp_path)
     with pytest.raises(InputError, match="no such folder"):
         load_scene(tmp_path / "nowhere")
+    assert not is_data_set(tmp_path) and not is_data_set(tmp_path / "nowhere")
+    (tmp_path / "transforms.json").touch()
+    assert is_data_set(tmp_path)
 
 
 @pytest.mark.parametrize("downscale", [0.5, 0.0, -1.0, float("nan"), float("inf")])
