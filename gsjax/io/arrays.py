@@ -1,6 +1,7 @@
 """Arrays in `.npy` and `.npz` files: read whole, or looked at without reading."""
 
 import zipfile
+import zlib
 from lzma import LZMAError
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -9,7 +10,8 @@ import numpy as np
 
 from gsjax.errors import InputError
 
-_FAULTS = (OSError, ValueError, EOFError, TypeError, AttributeError, KeyError, zipfile.BadZipFile, LZMAError)
+_FAULTS = (OSError, ValueError, EOFError, TypeError, AttributeError, KeyError)
+_FAULTS += (zipfile.BadZipFile, zlib.error, LZMAError, NotImplementedError)
 
 
 class Header(NamedTuple):
