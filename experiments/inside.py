@@ -9,7 +9,6 @@ reach; sky does not.
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -22,7 +21,7 @@ from gsjax.io import runs
 from gsjax.io.scenes import load_scene
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.result import frame_camera, open_result
-from gsjax.scene import Frame
+from gsjax.scene import Frame, with_pixels
 
 
 def compare(folders: Sequence[str], reach: float) -> dict[str, dict[str, float]]:
@@ -34,9 +33,9 @@ def compare(folders: Sequence[str], reach: float) -> dict[str, dict[str, float]]
     scene = load_scene(root)
     if scene.truth is None or not scene.truth.depths:
         raise InputError(f"{scene.root}: has no true depth")
-    masks = [inside(frame, scene.truth.depths[frame.name], reach) for frame in scene.held_out_frames]
+    masks = [inside(frame, scene.truth.depths[frame.name](), reach) for frame in scene.held_out_frames]
     masked = tuple(
-        replace(frame, valid=255 * mask.astype(np.uint8))
+        with_pixels(frame, frame.pixels()._replace(valid=255 * mask.astype(np.uint8)))
         for frame, mask in zip(scene.held_out_frames, masks, strict=True)
     )
     figures = {}

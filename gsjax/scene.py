@@ -1,6 +1,6 @@
 """What a data set is, whatever its files looked like: plain records of numpy arrays, pixels read when asked for."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -16,6 +16,15 @@ class Pixels(NamedTuple):
     valid: np.ndarray | None = None  # [H, W] uint8, 0 where a pixel must not be used (masks, undistortion border)
 
 
+class Origin(NamedTuple):
+    """The distorted photo that a frame was undistorted from."""
+
+    photo: tuple[int, int]  # its width and height, pixels
+    undistorted: tuple[int, int]  # width and height without distortion and bare border, before a frame is downscaled
+    positions: Callable[[], np.ndarray]  # [H, W, 2] float32: where in the photo, in shares of its width and height,
+    # each of the frame's pixel centres lies; -1 where the photo shows nothing
+
+
 @dataclass(frozen=True)
 class Frame:
     """One undistorted pinhole photo: where it was taken, and how to read its pixels, which are not kept."""
@@ -27,6 +36,7 @@ class Frame:
     height: int  # pixels
     pixels: Callable[[], Pixels]  # reads them, anew at every call (see `in_memory`); InputError where it cannot
     held_out: bool = False  # scored, never trained on
+    origin: Origin | None = None  # None: the photo had no distortion, the frame shows it whole; or it is a panorama's
 
 
 def frame_of(name: str, viewmat: np.ndarray, K: np.ndarray, pixels: Pixels, *, held_out: bool = False) -> Frame:
@@ -45,13 +55,17 @@ def with_pixels(frame: Frame, pixels: Pixels) -> Frame:
     return replace(frame, pixels=lambda: pixels)
 
 
+Maps = Mapping[str, Callable[[], np.ndarray]]
+"""Frame's name -> function that reads its map."""
+
+
 @dataclass(frozen=True)
 class Truth:
-    """Ground truth beside the images; every part is optional."""
+    """Ground truth beside the images; every part is optional. Maps are read when asked for, and not kept."""
 
-    depths: dict[str, np.ndarray] = field(default_factory=dict)  # name -> [H, W] float32 camera z, 0 where nothing
-    normals: dict[str, np.ndarray] = field(default_factory=dict)  # name -> [H, W, 3] float32 camera frame, 0: nothing
-    labels: dict[str, np.ndarray] = field(default_factory=dict)  # name -> [H, W] uint8: 0 sky, 255 ground, else object
+    depths: Maps = field(default_factory=dict)  # frame's name -> [H, W] float32 camera z, 0 where nothing
+    normals: Maps = field(default_factory=dict)  # frame's name -> [H, W, 3] float32 camera frame, 0 where nothing
+    labels: Maps = field(default_factory=dict)  # frame's name -> [H, W] uint8: 0 sky, 255 ground, else object
     points: np.ndarray | None = None  # [P, 3] float32 surface samples, world
     point_normals: np.ndarray | None = None  # [P, 3] float32 unit, world
     point_labels: np.ndarray | None = None  # [P] uint8, 0 object, 1 ground

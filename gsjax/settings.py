@@ -113,6 +113,8 @@ class Settings:
 
     seed: int = 0
     downscale: float | None = None  # photos are so many times smaller; None: see `longest_side` and `cpu_pixels`
+    images: str | None = None  # folder of the photos, within the data set or absolute; None: looked for
+    hold_out: str = "auto"  # every N-th photo, "none", a file of names, or "auto" (`gsjax.io.splits`)
     normals: str | None = None  # folder of normal maps; None: the smoothed depth normals of the first phases
     background: Literal["white", "black", "random"] = "black"
     masks: Literal["valid", "matte"] = "valid"

@@ -1,20 +1,23 @@
 """The whole road on a small scene: trained, stopped and continued, meshed, scored and drawn."""
 
 import json
+import shutil
 from pathlib import Path
 
 import jax
 import numpy as np
+import pycolmap
 import pytest
 from jax.experimental.compilation_cache import compilation_cache
 from tqdm import tqdm
 
-from gsjax import config, pipeline
+from gsjax import cli, config, pipeline
 from gsjax.errors import InputError
 from gsjax.io import analytic_scene, runs
-from gsjax.io.images import image_size, read_image
+from gsjax.io.images import image_size, read_image, write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.meshing.export import read_mesh
+from gsjax.pipeline.result import open_result
 from gsjax.settings import Settings
 
 SETTINGS = {
@@ -100,6 +103,82 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, mon
         for one in (folder, run)
     ]
     assert without_time[0] == without_time[1]
+
+
+def test_a_benchmark_folder_with_reduced_photos_only_trains_and_scores_the_same(run, scene, tmp_path):
+    """The model at four times the size, its names those of the full photos: the same cameras, so the same bits."""
+    model = pycolmap.Reconstruction(scene / "sparse/0")
+    camera = model.cameras[1]
+    camera.width, camera.height, camera.params = 4 * camera.width, 4 * camera.height, 4 * np.asarray(camera.params)
+    for image in model.images.values():
+        image.name = image.name.replace(".png", ".JPG")
+    (tmp_path / "scene/sparse/0").mkdir(parents=True)
+    model.write_binary(tmp_path / "scene/sparse/0")
+    shutil.copytree(scene / "images", tmp_path / "scene/images_4")
+
+    summary = pipeline.train(tmp_path / "scene", tmp_path / "run", config.parse(Settings, SETTINGS))
+
+    assert (tmp_path / "run/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+    assert summary["psnr"] == runs.read_json(run / "manifest.json")["psnr"]
+    assert pipeline.evaluate(tmp_path / "run")["psnr"] == pytest.approx(summary["psnr"], abs=1e-3)
+    with pytest.raises(InputError, match=r"run: was started on .*/scene, not on .*; a resumed run keeps its data set"):
+        pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS), resume=True)
+
+
+def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scene, tmp_path):
+    """On the photos that the other runs train on: their programs, compiled once."""
+    model = pycolmap.Reconstruction(scene / "sparse/0")
+    for image in [image for image in model.images.values() if image.name in ("000.png", "008.png")]:
+        model.deregister_frame(image.frame_id)
+    (tmp_path / "scene/sparse/0").mkdir(parents=True)
+    model.write_binary(tmp_path / "scene/sparse/0")
+    shutil.copy(scene / "gt_points.npz", tmp_path / "scene")
+    settings = config.parse(Settings, {**SETTINGS, "hold_out": "none", "images": str(scene / "images")})
+
+    summary = pipeline.train(tmp_path / "scene", tmp_path / "run", settings)
+
+    assert (summary["psnr"], summary["ssim"], summary["views"], summary["steps"]) == (None, None, 0, 30)
+    cameras = runs.read_json(tmp_path / "run/cameras.json")
+    assert len(cameras) == 7 and not any(camera["held_out"] for camera in cameras)
+    assert not any("held_out_psnr" in record for record in runs.read_metrics(tmp_path / "run"))
+    figures = pipeline.evaluate(tmp_path / "run", mesh=scene / "gt_mesh.ply")
+    assert (figures["psnr"], figures["views"]) == (None, 0)
+    assert figures["chamfer"] < 0.02, "the true mesh"
+    with pytest.raises(InputError, match="run: has no held-out views to render"):
+        pipeline.render(tmp_path / "run", tmp_path / "pictures", which="held_out")
+
+
+@pytest.mark.parametrize("fault", ["hold-out", "mask", "normals", "images"])
+def test_data_that_do_not_fit_are_one_line_and_leave_no_run(scene, tmp_path, capsys, fault):
+    options = {"hold-out": ["--hold-out", str(tmp_path / "list.txt")], "normals": ["--normals", str(tmp_path / "maps")]}
+    shutil.copytree(scene, tmp_path / "scene", ignore=shutil.ignore_patterns("depth", "normals", "gt_*"))
+    (tmp_path / "list.txt").write_text("004.jpg")
+    for folder, names in (("maps", [f"{i:03d}.png" for i in range(9)]), ("scene/masks", ["004.png"])):
+        for name in names if fault != "hold-out" else []:
+            write_image(tmp_path / folder / name, np.full((40, 40, 3), 9, np.uint8))
+    if fault == "images":
+        shutil.move(tmp_path / "maps/004.png", tmp_path / "scene/images/004.png")
+    if fault != "mask":
+        shutil.rmtree(tmp_path / "scene/masks", ignore_errors=True)
+    told = {
+        "hold-out": "list.txt, line 1: there is no photo 004.jpg; the nearest name is 004.png",
+        "mask": "masks/004.png: mask is 40x40 but its image 48x40",
+        "normals": "maps/001.png: normal map is 40x40, its frame 48x40",
+        "images": "images/004.png: image is 40x40 but its camera says 48x40",
+    }
+    assert cli.main(["train", str(tmp_path / "scene"), "--out", str(tmp_path / "run"), *options.get(fault, [])]) == 2
+    error = capsys.readouterr().err
+    assert error.endswith(f"{told[fault]}\n") and error.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_gaussians_are_meshed_from_a_scenes_cameras_without_its_pixels(run, scene, tmp_path):
+    shutil.copytree(scene / "sparse", tmp_path / "scene/sparse")
+    (tmp_path / "scene/images").mkdir()
+    for photo in (scene / "images").iterdir():
+        (tmp_path / "scene/images" / photo.name).write_bytes(photo.read_bytes()[:100])  # the header, and no more
+    result = open_result(run / "gaussians.ply", scene=tmp_path / "scene")
+    assert result.names == open_result(run).names and result.held_out == open_result(run).held_out
 
 
 def test_a_checkpoint_that_finds_no_room_ends_the_run_in_one_line(scene, tmp_path, monkeypatch):

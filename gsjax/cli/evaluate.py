@@ -1,6 +1,7 @@
 """`gsjax eval`: how good a run is, in figures."""
 
 import argparse
+import sys
 
 from gsjax.cli.parsers import add_command
 
@@ -30,4 +31,6 @@ def _run(arguments: argparse.Namespace) -> None:
     figures = pipeline.evaluate(arguments.run_folder, mesh=arguments.mesh)
     if arguments.json:
         runs.write_json(arguments.json, figures)
+    if not figures["views"]:
+        print(f"{arguments.run_folder}: no held-out views, pictures are not scored", file=sys.stderr)
     print(tables.record(figures))

@@ -29,6 +29,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--preset", choices=PRESETS, default="fast", help="how long to train and refine (default: fast)")
     add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
     add("--downscale", type=float, metavar="K", help="make the photos K times smaller (default: as `gsjax train`)")
+    add("--hold-out", metavar="N|none|FILE", help="photos for scoring only (default: as `gsjax train`)")
     add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
         help="any setting of the training by its dotted key; may be repeated")  # fmt: skip
 
@@ -40,7 +41,7 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax.cli.train import overridden
     from gsjax.pipeline.scan import table
 
-    settings = overridden(PRESETS[arguments.preset], arguments, "seed", "downscale")
+    settings = overridden(PRESETS[arguments.preset], arguments, "seed", "downscale", "hold_out")
     length = LENGTHS[REFINEMENTS.get(arguments.preset, "long")]
     refinement = config.parse(Refinement, config.merge(length, {"seed": settings.seed}))
     report = pipeline.scan(arguments.source, arguments.out, settings, refinement, frames=arguments.frames)

@@ -20,7 +20,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         description="""
             Reads a COLMAP model (SCENE/images, SCENE/sparse/0), a transforms.json or a NeRF-synthetic
             folder, and writes RUN/gaussians.ply, checkpoints, metrics.jsonl, and the settings in
-            RUN/config.json. Every 8th photo (sorted by name) is held out for `gsjax eval`.
+            RUN/config.json. Some photos are held out for `gsjax eval`: see --hold-out.
         """,
         example="gsjax train scenes/garden --out runs/garden --preset fast",
     )
@@ -35,6 +35,10 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
     add("--downscale", type=float, metavar="K", help="make the photos K times smaller (default: to 1600 pixels,"
         " and with fast on a CPU to what its minutes bear)")  # fmt: skip
+    add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute; copies of another size"
+        " rescale the cameras (default: images/, or the largest of images_2, images_4, images_8)")  # fmt: skip
+    add("--hold-out", metavar="N|none|FILE", help="photos for scoring only: every N-th, none, or those that a text"
+        " file names, one a line (default: the data set's own split, else 8)")  # fmt: skip
     add("--normals", metavar="DIR", help="folder of normal maps (.npy or .png, named as the photos); without it the"
         " first phase's own smoothed depth normals serve")  # fmt: skip
     add("--background", choices=("white", "black", "random"), help="colour behind the Gaussians (default: black)")
@@ -66,12 +70,16 @@ def settings(arguments: argparse.Namespace) -> Settings:
         base = config.merge(runs.read_json(started), PRESETS.get(arguments.preset, {}))
     else:
         base = PRESETS[arguments.preset or "fast"]
-    return overridden(base, arguments, "seed", "downscale", "normals", "background", "masks", "vanilla")
+    return overridden(
+        base, arguments, "seed", "downscale", "images", "hold_out", "normals", "background", "masks", "vanilla"
+    )
 
 
 def overridden(base: Mapping[str, Any], arguments: argparse.Namespace, *names: str) -> Settings:
     """Settings with the named options where they were given, then what `--set` says."""
     options = given(arguments, *names)
+    if Path(options.get("hold_out", "")).is_file():  # As an absolute path, later commands find it from anywhere.
+        options["hold_out"] = str(Path(options["hold_out"]).resolve())
     # Parsed before the overrides too, so that `--set` reaches into defaults that are lists.
     whole = config.to_dict(config.parse(Settings, config.merge(base, options), where="settings"))
     assignments = [one for group in arguments.assignments for one in group]

@@ -13,8 +13,6 @@ The layout is that of any rendered data set with truth (`gsjax.io.truth` reads i
 """
 
 import json
-import os
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -26,8 +24,7 @@ from tqdm import tqdm
 
 from gsjax.analytic import solids, true_surface
 from gsjax.cameras import Camera, project, rotation, world_to_camera
-from gsjax.errors import InputError
-from gsjax.io.files import make_folder, unwritable
+from gsjax.io.files import atomic_folder
 from gsjax.io.packages import require
 from gsjax.mesh import Mesh
 
@@ -74,18 +71,9 @@ def write(
     Raises:
         InputError: `out` is in use or cannot be written.
     """
-    out = Path(out)
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: exists and is not empty; choose another folder for the scene")
-    make_folder(out.parent)
-    try:
-        with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as workspace:
-            folder = Path(workspace) / "scene"
-            _write_parts(folder, num_views, size, seed, progress)
-            os.replace(folder, out)
-    except OSError as error:
-        raise unwritable(out, error) from error
-    return out
+    with atomic_folder(out) as folder:
+        _write_parts(folder, num_views, size, seed, progress)
+    return Path(out)
 
 
 def _write_parts(folder: Path, num_views: int, size: tuple[int, int], seed: int, progress) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io.image_folders import found_files
 from gsjax.io.lenses import Lens, check_lens, is_float32
 from gsjax.io.packages import require
 from gsjax.io.photos import Capture, Photo
@@ -92,7 +93,7 @@ def _photos(reconstruction, root: Path, model: Path) -> tuple[Photo, ...]:
 def _image_folder(root: Path, model: Path, names: list[str]) -> Path:
     """Of the usual places, the one that holds most of the photos; the first of equals."""
     places = [root / "images", *(p / "images" for p in (model, *model.resolve().parents[:2])), root]
-    return max(places, key=lambda place: sum((place / name).is_file() for name in names))
+    return max(places, key=lambda place: sum(p.is_file() for p in found_files([place / name for name in names])))
 
 
 def _check_text_cameras(path: Path, known: set[str]) -> None:

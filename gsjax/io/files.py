@@ -3,6 +3,7 @@
 import os
 import re
 import secrets
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -43,6 +44,34 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+@contextmanager
+def atomic_folder(path: str | Path) -> Iterator[Path]:
+    """An empty temporary folder beside `path`, renamed onto `path` when the block ends without an error.
+
+    After a failure nothing of the block remains.
+
+    Args:
+        path: Where the whole folder is to be; absent or empty so far.
+
+    Yields:
+        The folder to write to.
+
+    Raises:
+        InputError: `path` is in use, or the disk is full, read-only, or the like.
+    """
+    path = Path(path)
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise InputError(f"{path}: exists and is not empty; choose another folder")
+    make_folder(path.parent)
+    try:
+        with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as workspace:
+            folder = make_folder(Path(workspace) / path.name)
+            yield folder
+            os.replace(folder, path)
+    except OSError as error:
+        raise unwritable(path, error) from error
 
 
 def sweep(folder: str | Path) -> None:

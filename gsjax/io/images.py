@@ -13,6 +13,8 @@ from gsjax.io.packages import require
 cv2 = require("cv2", "pip install opencv-contrib-python-headless")
 Image = require("PIL.Image", "pip install pillow")
 
+_ORIENTATION, _QUARTER_TURNS = 0x0112, (5, 6, 7, 8)  # EXIF: the tag, and its values that swap the sides.
+
 
 def read_image(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """A photo as its pixels are stored: an EXIF orientation is not applied, as COLMAP does not apply it.
@@ -49,13 +51,13 @@ def read_mask(path: Path) -> np.ndarray:
 
 
 def write_image(path: str | Path, image: np.ndarray) -> None:
-    """Writes `[H, W, 3]` (or `[H, W]`, `[H, W, 4]`) uint8 pixels, in the format that the suffix names.
+    """Writes `[H, W, 3]` (or `[H, W]`, `[H, W, 4]`) uint8 pixels, in the format that the suffix names; JPEGs at 95.
 
     Raises:
         InputError: The target cannot be written.
     """
     with atomic_path(path) as temporary:
-        Image.fromarray(np.ascontiguousarray(image)).save(temporary)
+        Image.fromarray(np.ascontiguousarray(image)).save(temporary, quality=95)
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -69,6 +71,33 @@ def image_size(path: Path) -> tuple[int, int]:
             return picture.size
     except (OSError, ValueError, SyntaxError) as error:
         raise _unreadable(path, error) from error
+
+
+def upright_size(path: Path) -> tuple[int, int]:
+    """Width and height of the picture as its EXIF orientation shows it, from the header only.
+
+    Raises:
+        InputError: The file is missing or no image.
+    """
+    try:
+        with Image.open(path) as picture:
+            width, height = picture.size
+            return (height, width) if picture.getexif().get(_ORIENTATION) in _QUARTER_TURNS else (width, height)
+    except (OSError, ValueError, SyntaxError) as error:
+        raise _unreadable(path, error) from error
+
+
+def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether one size (width, height) can be the other resized: some factor gives both sides of the smaller one.
+
+    Programs that resize round a side down, up or to the nearest whole pixel: each side of the smaller one must be less
+    than a pixel from the factor times the larger one's.
+    """
+    (width, height), (full_width, full_height) = sorted((size, other), key=lambda sides: sides[0] * sides[1])
+    # The factors that suit a side lie between (side - 1) / full and (side + 1) / full; the two ranges must meet.
+    return (width - 1) * full_height < (height + 1) * full_width and (
+        (height - 1) * full_width < (width + 1) * full_height
+    )
 
 
 def resize(array: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -14,6 +14,16 @@ from gsjax.errors import InputError
 from gsjax.io.images import cv2
 from gsjax.io.packages import require
 
+# Models of one focal length: the same model with two, and how many coefficients that one has more, all zero.
+_WITH_TWO_FOCALS = {
+    "SIMPLE_PINHOLE": ("PINHOLE", 0),
+    "SIMPLE_RADIAL": ("OPENCV", 3),
+    "RADIAL": ("OPENCV", 2),
+    "SIMPLE_DIVISION": ("DIVISION", 0),
+    "SIMPLE_FISHEYE": ("FISHEYE", 0),
+    "SIMPLE_RADIAL_FISHEYE": ("OPENCV_FISHEYE", 3),
+    "RADIAL_FISHEYE": ("OPENCV_FISHEYE", 2),
+}
 _NO_REMAP_BELOW = 0.01  # pixels: a lens that moves nothing farther is read as it is
 
 
@@ -56,6 +66,26 @@ def check_lens(lens: Lens, file: Path) -> Lens:
     if lens.width < 1 or lens.height < 1 or not is_float32(np.array(lens.params)).all() or lens.params[0] <= 0:
         raise InputError(f"{file}: camera {lens.model} {lens.width}x{lens.height} with params {list(lens.params)}")
     return lens
+
+
+def resized(lens: Lens, width: int, height: int) -> Lens:
+    """The lens of the same photo resized to `width` x `height` pixels.
+
+    Focal lengths and the principal point are scaled per axis; distortion acts on the ray and stays. Where the axes'
+    factors differ, a model of one focal length becomes its sibling of two, so nothing is rounded.
+    """
+    across, down = width / lens.width, height / lens.height
+    if lens.model == "EQUIRECTANGULAR":
+        return Lens(lens.model, width, height, (float(width), float(height)))
+    if lens.model not in _WITH_TWO_FOCALS:
+        fx, fy, cx, cy, *distortion = lens.params
+        return Lens(lens.model, width, height, (fx * across, fy * down, cx * across, cy * down, *distortion))
+    focal, cx, cy, *distortion = lens.params
+    if across == down:
+        return Lens(lens.model, width, height, (focal * across, cx * across, cy * down, *distortion))
+    model, zeros = _WITH_TWO_FOCALS[lens.model]
+    params = (focal * across, focal * down, cx * across, cy * down, *distortion, *[0.0] * zeros)
+    return Lens(model, width, height, params)
 
 
 def is_float32(values: np.ndarray) -> np.ndarray:

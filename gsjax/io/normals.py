@@ -1,48 +1,56 @@
 """Normal maps from a folder: the monocular prior, as any network may have written it."""
 
 from collections import Counter
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.images import cv2
-from gsjax.io.photos import listed
-from gsjax.io.truth import read_arrays
-from gsjax.scene import Frame
+from gsjax.io.arrays import headers, read_arrays
+from gsjax.io.images import cv2, image_size, same_shape
+from gsjax.io.photos import listed, scaled_size
+from gsjax.scene import Frame, Origin
 
 _SUFFIXES = (".npy", ".npz", ".png")
 _ASPECT_TOLERANCE = 0.02
+_REDUCTIONS = range(1, 17)  # Whole factors by which a map may be smaller and its size still tells what it shows.
 
 
-def load_normals(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, np.ndarray]:
-    """Normal maps of the frames, resized to them.
+def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, Callable[[], np.ndarray]]:
+    """Readers of the frames' normal maps, each brought to its frame: one map at a time is in memory.
 
     A map has its frame's name with the suffix `.npy`, `.npz` (the array `cam`, or the only one) or `.png` (8 or 16
     bit, n = 2v - 1), in the same subfolder or in `directory` itself. Arrays are [H, W, 3] or [3, H, W]. Axes are the
     camera's: x right, y down, z forward.
+
+    A map of a distorted photo is undistorted with it, a map of the undistorted frame is taken as it is. The size tells
+    which: that of the photo or of the frame, or of either reduced by a whole factor, or else of one's shape
+    (`gsjax.io.images.same_shape`) and not of the other's. Where both have one size, the map is the photo's.
 
     Args:
         directory: Folder of the maps.
         frames: The frames that need one each.
 
     Returns:
-        Frame name -> [H, W, 3] float32, unit length, exactly zero where the map says nothing.
+        Frame name -> function that reads [H, W, 3] float32, unit length, exactly zero where the map says nothing.
 
     Raises:
-        InputError: A map is missing, damaged, of another shape or aspect ratio, or holds values that are not finite.
+        InputError: A map is missing, or its header tells that it is no map, or none of this frame. Reading one raises
+            it where the map is damaged or holds values that are not finite.
     """
     directory = Path(directory)
     if not directory.is_dir():
         raise InputError(f"{directory}: no such folder of normal maps")
     files = _files(directory, frames)
-    missing = [name for name, file in files.items() if file is None]
+    missing = [frame.name for frame in frames if frame.name not in files]
     if missing:
         raise InputError(f"{directory}: {listed('normal map', missing)}")
-    return {frame.name: _load_map(files[frame.name], frame) for frame in frames}
+    return {frame.name: _reader(files[frame.name], frame) for frame in frames}
 
 
-def _files(directory: Path, frames: tuple[Frame, ...]) -> dict[str, Path | None]:
+def _files(directory: Path, frames: tuple[Frame, ...]) -> dict[str, Path]:
     """Each frame's map: under its whole name, or under its bare stem where no other frame shares that."""
     paths = {frame.name: PurePosixPath(frame.name) for frame in frames}
     shared = Counter(path.stem for path in paths.values())
@@ -50,39 +58,114 @@ def _files(directory: Path, frames: tuple[Frame, ...]) -> dict[str, Path | None]
     for name, path in paths.items():
         places = [path.with_suffix("")] + [PurePosixPath(path.stem)] * (shared[path.stem] == 1)
         candidates = [directory / f"{place}{suffix}" for place in places for suffix in _SUFFIXES]
-        files[name] = next((c for c in candidates if c.is_file()), None)
+        found = next((c for c in candidates if c.is_file()), None)
+        if found is not None:
+            files[name] = found
     return files
 
 
-def _load_map(file: Path, frame: Frame) -> np.ndarray:
+def _reader(file: Path, frame: Frame) -> Callable[[], np.ndarray]:
+    size = _size(file)
+    if frame.origin is not None and _shows_photo(file, size, frame, frame.origin):
+        return partial(_read_undistorted, file, frame, frame.origin)
+    if frame.origin is None and abs(size[0] * frame.height / (size[1] * frame.width) - 1) > _ASPECT_TOLERANCE:
+        raise InputError(f"{file}: normal map is {size[0]}x{size[1]}, its frame {frame.width}x{frame.height}")
+    return partial(_read_resized, file, frame)
+
+
+def _size(file: Path) -> tuple[int, int]:
+    """Width and height of a map, from its header."""
+    if file.suffix == ".png":
+        return image_size(file)
+    known = headers(file)
+    shape, dtype = known[_key(file, list(known))]
+    if dtype.kind != "f":
+        raise InputError(f"{file}: normal map of type {dtype}, not of floats")
+    if len(shape) != 3 or 0 in shape or 3 not in (shape[0], shape[2]):
+        raise InputError(f"{file}: normal map has shape {list(shape)}, not [H, W, 3] or [3, H, W]")
+    height, width = shape[:2] if shape[2] == 3 else shape[1:]
+    return width, height
+
+
+def _shows_photo(file: Path, size: tuple[int, int], frame: Frame, origin: Origin) -> bool:
+    """Whether a map is of the distorted photo (else of the undistorted frame), as its size tells."""
+    wholes = (origin.photo, origin.undistorted)
+    exact = [size in [scaled_size(*whole, factor) for factor in _REDUCTIONS] for whole in wholes]
+    exact[1] |= size == (frame.width, frame.height)
+    of_photo, of_frame = exact if any(exact) else [same_shape(size, whole) for whole in wholes]
+    if not (of_photo or of_frame) or (of_photo and of_frame and origin.photo != origin.undistorted):
+        whose = "may be its photo's, {}x{}, or its" if of_photo else "neither its photo's, {}x{}, nor its"
+        raise InputError(
+            f"{file}: normal map is {size[0]}x{size[1]}, {whose.format(*origin.photo)} undistorted frame's, "
+            f"{origin.undistorted[0]}x{origin.undistorted[1]}; `gsjax undistort` makes a data set where both are one"
+        )
+    return of_photo
+
+
+def _read_resized(file: Path, frame: Frame) -> np.ndarray:
+    """A map of what the frame shows, at the frame's size."""
+    unit = _shrunk(_unit(_read(file)), frame.width, frame.height)
+    if unit.shape[:2] == (frame.height, frame.width):
+        return unit
+    mixed = cv2.resize(unit, (frame.width, frame.height), interpolation=cv2.INTER_LINEAR)
+    nearest = cv2.resize(unit, (frame.width, frame.height), interpolation=cv2.INTER_NEAREST)
+    return _known(mixed, nearest)
+
+
+def _read_undistorted(file: Path, frame: Frame, origin: Origin) -> np.ndarray:
+    """A map of the frame's distorted photo, read where the frame's pixels lie in it; the axes are the same."""
+    # A larger map is averaged to the frame's scale first, or pixels between those that are read would not count.
+    share = frame.width / origin.undistorted[0], frame.height / origin.undistorted[1]
+    unit = _shrunk(_unit(_read(file)), *(max(1, round(side * s)) for side, s in zip(origin.photo, share, strict=True)))
+    positions = origin.positions()
+    source = positions * np.array([unit.shape[1], unit.shape[0]], np.float32) - np.float32(0.5)
+    mixed = cv2.remap(unit, source, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    nearest = cv2.remap(unit, source, None, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+    return _known(mixed, np.where(positions[..., :1] < 0, np.float32(0), nearest))
+
+
+def _shrunk(unit: np.ndarray, width: int, height: int) -> np.ndarray:
+    """A map of unit vectors averaged down where it is larger than `width` x `height` in both directions."""
+    if unit.shape[0] <= height or unit.shape[1] <= width:
+        return unit
+    mixed = cv2.resize(unit, (width, height), interpolation=cv2.INTER_AREA)
+    return _known(mixed, cv2.resize(unit, (width, height), interpolation=cv2.INTER_NEAREST))
+
+
+def _known(mixed: np.ndarray, nearest: np.ndarray) -> np.ndarray:
+    """Means of vectors made unit; zero where the nearest one is, so that no edge is invented.
+
+    Zero vectors add nothing to a mean's direction: what is unknown does not bleed into what is known.
+    """
+    return np.where(nearest.any(axis=-1, keepdims=True), _unit(mixed, 1e-3), np.float32(0))
+
+
+def _unit(normals: np.ndarray, shortest: float = 0.0) -> np.ndarray:
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    usable = length > shortest
+    return np.where(usable, normals / np.where(usable, length, 1), 0).astype(np.float32)
+
+
+def _read(file: Path) -> np.ndarray:
+    """`[H, W, 3]` float32 as the file has them."""
     normals = _read_png(file) if file.suffix == ".png" else _read_array(file)
-    if normals.ndim == 3 and normals.shape[0] == 3 and normals.shape[2] != 3:
-        normals = normals.transpose(1, 2, 0)
-    if normals.ndim != 3 or normals.shape[2] != 3 or 0 in normals.shape:
-        raise InputError(f"{file}: normal map has shape {list(normals.shape)}, not [H, W, 3] or [3, H, W]")
-    height, width = normals.shape[:2]
-    if abs(width * frame.height / (height * frame.width) - 1) > _ASPECT_TOLERANCE:
-        raise InputError(f"{file}: normal map is {width}x{height}, its frame {frame.width}x{frame.height}")
     broken = ~np.isfinite(normals).all(axis=-1)
     if broken.any():
         raise InputError(f"{file}: {broken.sum()} pixels of the normal map are not finite")
-    return _resized(normals.astype(np.float32), frame.width, frame.height)
+    return normals.astype(np.float32)
 
 
 def _read_array(file: Path) -> np.ndarray:
-    if file.suffix == ".npz":
-        arrays = read_arrays(file)
-        if "cam" not in arrays and len(arrays) != 1:
-            raise InputError(f"{file}: needs an array cam, or only one; it holds {', '.join(arrays)}")
-        array = arrays["cam"] if "cam" in arrays else next(iter(arrays.values()))
-    else:
-        try:
-            array = np.load(file)
-        except (OSError, ValueError, EOFError) as error:
-            raise InputError(f"{file}: cannot be read ({error})") from error
-    if array.dtype.kind != "f":
-        raise InputError(f"{file}: normal map of type {array.dtype}, not of floats")
-    return array
+    arrays = read_arrays(file)
+    array = arrays[_key(file, list(arrays))]
+    return array if array.shape[2] == 3 else array.transpose(1, 2, 0)
+
+
+def _key(file: Path, keys: list[str]) -> str:
+    """The array of a file that is the map."""
+    if "cam" not in keys and len(keys) != 1:
+        raise InputError(f"{file}: needs an array cam, or only one; it holds {', '.join(keys)}")
+    return "cam" if "cam" in keys else keys[0]
 
 
 def _read_png(file: Path) -> np.ndarray:
@@ -96,16 +179,3 @@ def _read_png(file: Path) -> np.ndarray:
     size = np.abs(normals)
     nothing = (size < 1.5 / top).all(axis=-1) | (size == 1).all(axis=-1)
     return np.where(nothing[..., None], np.float32(0), normals)
-
-
-def _resized(normals: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Bilinear and unit again; zero where the nearest pixel of the map is zero, so that no edge is invented."""
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    unit = normals / np.where(length > 0, length, np.float32(1))
-    known = (length[..., 0] > 0).astype(np.float32)
-    if unit.shape[:2] != (height, width):
-        unit = cv2.resize(unit, (width, height), interpolation=cv2.INTER_LINEAR)
-        known = cv2.resize(known, (width, height), interpolation=cv2.INTER_NEAREST)
-    length = np.linalg.norm(unit, axis=-1, keepdims=True)
-    usable = (length > 1e-3) & (known[..., None] > 0)
-    return np.where(usable, unit / np.where(usable, length, 1), 0).astype(np.float32)

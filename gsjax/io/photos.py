@@ -1,15 +1,24 @@
 """Posed photos as a data set lists them, and the frames made of them: masked, undistorted, downscaled."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.images import cv2, filter_straight, image_size, read_image, read_mask, resize
-from gsjax.io.lenses import Lens, PinholeView, pinhole_views
-from gsjax.scene import Frame, Pixels
+from gsjax.io.images import (
+    cv2,
+    filter_straight,
+    image_size,
+    read_image,
+    read_mask,
+    resize,
+    same_shape,
+    upright_size,
+)
+from gsjax.io.lenses import Lens, PinholeView, pinhole_views, resized
+from gsjax.scene import Frame, Origin, Pixels
 
 MASK_USES = ("valid", "matte")
 
@@ -40,27 +49,42 @@ def frames_of(photo: Photo, downscale: float, folder_masks: str) -> list[Frame]:
     """The frames of a photo: one, or six of a panorama. Only headers of files are read.
 
     Args:
-        photo: Where it lies, and its camera.
+        photo: Where it lies, and its camera; the file may be a resized copy of what the camera took.
         downscale: Factor >= 1 by which the frame is smaller than the photo; sides are rounded to whole pixels and K
             is scaled per axis by what the rounding gave.
         folder_masks: "valid" or "matte": what the photo's mask file means.
 
     Raises:
-        InputError: The image is missing or not of its camera's size. Reading a frame's pixels raises it where the
+        InputError: The image is missing or not of its camera's shape. Reading a frame's pixels raises it where the
             image or mask is damaged.
     """
-    lens, found = photo.lens, image_size(photo.path)
-    if found != (lens.width, lens.height):
-        raise InputError(f"{photo.path}: image is {found[0]}x{found[1]} but its camera says {lens.width}x{lens.height}")
+    photo = replace(photo, lens=_lens_of_file(photo))
     if photo.mask_path is not None:
-        _check_mask_size(photo.mask_path, lens)
-    return [_frame(photo, index, downscale, folder_masks) for index in range(len(pinhole_views(lens)))]
+        _check_mask_size(photo.mask_path, photo.lens)
+    return [_frame(photo, index, downscale, folder_masks) for index in range(len(pinhole_views(photo.lens)))]
 
 
 def listed(what: str, names: list[str]) -> str:
     """The end of a message: `3 images missing: a, b, c`, shortened after five names."""
     shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
     return f"{len(names)} {what}{'s' * (len(names) > 1)} missing: {shown}"
+
+
+def _lens_of_file(photo: Photo) -> Lens:
+    """The photo's lens at the size of its file."""
+    lens, found = photo.lens, image_size(photo.path)
+    camera = (lens.width, lens.height)
+    if found == camera:
+        return lens
+    if same_shape(found, camera):
+        return resized(lens, *found)
+    turned = upright_size(photo.path)
+    if turned != found and same_shape(turned, camera):
+        raise InputError(
+            f"{photo.path}: image is stored as {found[0]}x{found[1]} and its EXIF orientation turns it, but its camera "
+            f"says {camera[0]}x{camera[1]}: the model was made from turned photos; save them turned, and load again"
+        )
+    raise InputError(f"{photo.path}: image is {found[0]}x{found[1]} but its camera says {camera[0]}x{camera[1]}")
 
 
 def _frame(photo: Photo, index: int, downscale: float, folder_masks: str) -> Frame:
@@ -77,7 +101,25 @@ def _frame(photo: Photo, index: int, downscale: float, folder_masks: str) -> Fra
         height=height,
         pixels=partial(_read, photo, index, (width, height), folder_masks),
         held_out=photo.held_out,
+        origin=_origin(photo.lens, view, (width, height)),
     )
+
+
+def _origin(lens: Lens, view: PinholeView, size: tuple[int, int]) -> Origin | None:
+    if view.source_xy is None or view.suffix:
+        return None
+    return Origin((lens.width, lens.height), (view.width, view.height), partial(_positions, lens, size))
+
+
+def _positions(lens: Lens, size: tuple[int, int]) -> np.ndarray:
+    """`[H, W, 2]` float32 shares of the photo's width and height at a frame's pixel centres, -1 beyond the photo."""
+    (view,) = pinhole_views(lens)
+    assert view.source_xy is not None, "only frames of distorted photos have an origin"
+    shares = resize(view.source_xy / np.array([lens.width, lens.height], np.float32), *size)
+    if view.valid is None:
+        return shares
+    inside = resize(view.valid.astype(np.float32), *size) > 254.5
+    return np.where(inside[..., None], shares, np.float32(-1))
 
 
 def _read(photo: Photo, index: int, size: tuple[int, int], folder_masks: str) -> Pixels:
@@ -85,6 +127,7 @@ def _read(photo: Photo, index: int, size: tuple[int, int], folder_masks: str) ->
     (width, height), lens = size, photo.lens
     view = pinhole_views(lens)[index]
     colors, alpha = read_image(photo.path)
+    alpha = None if alpha is None or _says_nothing(alpha) else alpha
     mask = None if photo.mask_path is None else _mask_of_size(photo.mask_path, lens.width, lens.height)
     if mask is not None and folder_masks == "matte":
         alpha, mask = mask if alpha is None else np.minimum(alpha, mask), None
@@ -95,6 +138,11 @@ def _read(photo: Photo, index: int, size: tuple[int, int], folder_masks: str) ->
     unchanged = view.source_xy is None and size == (view.width, view.height)
     image, matte = (colors, alpha) if unchanged else filter_straight(colors, alpha, warp)
     return Pixels(image, matte, _valid(view, mask, width, height))
+
+
+def _says_nothing(alpha: np.ndarray) -> bool:
+    """Whether an alpha channel is one value: no matte then. One of zeros is: the object is not in this view."""
+    return bool(alpha.min() == alpha.max() > 0)
 
 
 def scaled_size(width: int, height: int, downscale: float) -> tuple[int, int]:
@@ -116,7 +164,7 @@ def _valid(view: PinholeView, mask: np.ndarray | None, width: int, height: int) 
 
 def _check_mask_size(path: Path, lens: Lens) -> None:
     width, height = image_size(path)
-    if width * lens.height != height * lens.width:
+    if not same_shape((width, height), (lens.width, lens.height)):
         raise InputError(f"{path}: mask is {width}x{height} but its image {lens.width}x{lens.height}")
 
 

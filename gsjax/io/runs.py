@@ -59,14 +59,16 @@ def create(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path, s
     return run
 
 
-def reopen(run: str | Path, settings: Mapping[str, Any]) -> Path:
-    """Opens the folder of a run to continue it with the settings it was started with.
+def reopen(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path) -> Path:
+    """Opens the folder of a run to continue it on the data set and with the settings it was started with.
 
     Raises:
-        InputError: It is no run folder, or a setting differs; the message names the first that does.
+        InputError: It is no run folder, or the data set or a setting differs; the message names the first that does.
     """
     run = Path(run)
-    started = read_json(run / "config.json")
+    started, before = read_json(run / "config.json"), read_json(run / "manifest.json")["scene"]
+    if before != str(Path(scene).resolve()):
+        raise InputError(f"{run}: was started on {before}, not on {scene}; a resumed run keeps its data set")
     for key, (before, now) in _differences(started, _plain(settings)).items():
         raise InputError(f"{run}: was started with {key} = {before}, not {now}; a resumed run keeps its settings")
     sweep(run)

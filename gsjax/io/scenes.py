@@ -1,35 +1,43 @@
 """A folder of photos with cameras, whatever its layout, as one `Scene`."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from gsjax.errors import InputError
 from gsjax.io import colmap, transforms
+from gsjax.io.image_folders import located
 from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, listed
+from gsjax.io.splits import AUTO, split
 from gsjax.io.truth import load_truth
 from gsjax.scene import Scene
 
-HOLD_OUT_EVERY = 8
 
-
-def load_scene(root: str | Path, *, downscale: float = 1.0, folder_masks: str = "valid") -> Scene:
+def load_scene(
+    root: str | Path,
+    *,
+    downscale: float = 1.0,
+    folder_masks: str = "valid",
+    images: str | None = None,
+    hold_out: str = AUTO,
+) -> Scene:
     """Loads a data set: COLMAP, `transforms.json` (instant-ngp, nerfstudio) or NeRF-synthetic.
 
     A COLMAP model is looked for in `sparse/0`, `sparse`, `colmap/sparse/0` and the folder itself; its photos in
-    `images/` or beside it. Lens distortion is removed (`gsjax.io.lenses`). Masks come from a folder `masks/` (a mask
-    has the photo's name, that name with `.png` after it, or its stem with `.png`), from `mask_path` in
-    `transforms.json`, or from the photos' alpha channel, which always becomes the matte. Truth beside the images is
-    loaded too (`gsjax.io.truth`).
-
-    Photos sorted by name, every 8th starting with the first is held out; in the NeRF-synthetic layout it is those of
-    `transforms_test.json` instead.
+    `images/` or beside it, or in reduced copies (`gsjax.io.image_folders`). Photos of another size than their camera
+    says rescale its intrinsics where the shape fits (`gsjax.io.images.same_shape`). Lens distortion is removed
+    (`gsjax.io.lenses`). Masks come from a folder `masks/` (a mask has the photo's name, that name with `.png` after
+    it, or its stem with `.png`), from `mask_path` in `transforms.json`, or from the photos' alpha channel, which
+    always becomes the matte. Truth beside the images is listed too (`gsjax.io.truth`).
 
     Args:
         root: Folder of the data set.
         downscale: Images, masks, truth and intrinsics are this many times smaller, at least 1.
         folder_masks: What masks from files mean: "valid", pixels that are 0 are ignored; "matte", the object's
             coverage.
+        images: Folder of the photos, absolute or in `root`; None looks for them.
+        hold_out: Which photos are for scoring only, see `gsjax.io.splits.split`.
 
     Raises:
         InputError: The folder is no data set, or a file in it is unusable; one line naming the file and the fault.
@@ -40,10 +48,17 @@ def load_scene(root: str | Path, *, downscale: float = 1.0, folder_masks: str = 
     if folder_masks not in MASK_USES:
         raise InputError(f"folder_masks must be one of {', '.join(MASK_USES)}, not {folder_masks!r}")
     capture = _read_capture(root)
-    photos = _with_folder_masks(_split(_checked_photos(root, capture)), root / "masks")
-    frames = tuple(frame for photo in photos for frame in frames_of(photo, downscale, folder_masks))
-    truth = load_truth(root, frames, downscale=downscale)
-    return Scene(root, capture.source, frames, capture.points, capture.point_colors, truth)
+    photos = split(_checked_photos(root, located(root, capture.photos, images)), hold_out, root)
+    photos = _with_folder_masks(photos, root / "masks")
+    frames = [frame for photo in photos for frame in frames_of(photo, downscale, folder_masks)]
+    frames = tuple(sorted(frames, key=lambda frame: frame.name))
+    return Scene(root, capture.source, frames, capture.points, capture.point_colors, load_truth(root, frames))
+
+
+def is_data_set(root: str | Path) -> bool:
+    """Whether a folder is laid out as one that `load_scene` reads; what the files hold is not looked at."""
+    root = Path(root)
+    return colmap.find_model(root) is not None or any((root / file).is_file() for file in transforms.FILES)
 
 
 def _read_capture(root: Path) -> Capture:
@@ -52,17 +67,16 @@ def _read_capture(root: Path) -> Capture:
     model = colmap.find_model(root)
     if model is not None:
         return colmap.read_capture(root, model)
-    if (root / "transforms.json").is_file():
-        return transforms.read_transforms(root)
-    if (root / "transforms_train.json").is_file():
-        return transforms.read_synthetic(root)
+    for file, read in zip(transforms.FILES, (transforms.read_transforms, transforms.read_synthetic), strict=True):
+        if (root / file).is_file():
+            return read(root)
     places = ", ".join(f"{folder}/cameras.bin or .txt" for folder in colmap.MODEL_FOLDERS)
-    raise InputError(f"{root}: no data set; looked for {places}, transforms.json, transforms_train.json")
+    raise InputError(f"{root}: no data set; looked for {places}, {', '.join(transforms.FILES)}")
 
 
-def _checked_photos(root: Path, capture: Capture) -> list[Photo]:
+def _checked_photos(root: Path, photos: Sequence[Photo]) -> list[Photo]:
     """The photos sorted by name: at least two, all there, no name twice."""
-    photos = sorted(capture.photos, key=lambda photo: photo.name)
+    photos = sorted(photos, key=lambda photo: photo.name)
     if len(photos) < 2:
         raise InputError(f"{root}: {len(photos)} posed image in it, at least 2 are needed")
     names = [photo.name for photo in photos]
@@ -74,13 +88,6 @@ def _checked_photos(root: Path, capture: Capture) -> list[Photo]:
         folder = missing[0].path.parents[len(Path(missing[0].name).parts) - 1]
         raise InputError(f"{folder}: {listed('image', [photo.name for photo in missing])}")
     return photos
-
-
-def _split(photos: list[Photo]) -> list[Photo]:
-    """Holds out every 8th, unless the layout has its own split."""
-    if any(photo.held_out for photo in photos):
-        return photos
-    return [replace(photo, held_out=i % HOLD_OUT_EVERY == 0) for i, photo in enumerate(photos)]
 
 
 def _with_folder_masks(photos: list[Photo], folder: Path) -> list[Photo]:
@@ -97,10 +104,3 @@ def _mask_path(name: str, folder: Path) -> Path | None:
     same = folder / name
     candidates = (same, same.with_name(same.name + ".png"), same.with_suffix(".png"))
     return next((c for c in candidates if c.is_file()), None)
-
-
-def is_data_set(root: str | Path) -> bool:
-    """Whether a folder has camera poses beside its photos, in one of the layouts that `load_scene` reads."""
-    root = Path(root)
-    tables = ("transforms.json", "transforms_train.json")
-    return root.is_dir() and (colmap.find_model(root) is not None or any((root / name).is_file() for name in tables))

@@ -15,6 +15,8 @@ from gsjax.io.lenses import Lens, check_lens, is_float32
 from gsjax.io.photos import Capture, Photo, listed
 from gsjax.io.ply import read_points
 
+FILES = ("transforms.json", "transforms_train.json")  # Of instant-ngp and nerfstudio; of the NeRF-synthetic layout.
+
 # For each `camera_model`: COLMAP's model and the coefficients it takes after fx, fy, cx, cy.
 _MODELS = {
     "PINHOLE": ("PINHOLE", ()),
@@ -38,7 +40,7 @@ def read_transforms(root: Path) -> Capture:
     Raises:
         InputError: The file, or a file that it names, is missing, damaged or contradicts itself.
     """
-    file = root / "transforms.json"
+    file = root / FILES[0]
     meta = _read_json(file)
     photos = _photos(file, meta)
     if meta.get("ply_file_path"):
@@ -55,7 +57,8 @@ def read_synthetic(root: Path) -> Capture:
     Raises:
         InputError: A file is missing, damaged or contradicts itself.
     """
-    photos = list(_photos(root / "transforms_train.json", _read_json(root / "transforms_train.json")))
+    train = root / FILES[1]
+    photos = list(_photos(train, _read_json(train)))
     test = root / "transforms_test.json"
     if test.is_file():
         photos += _photos(test, _read_json(test), held_out=True)
@@ -81,7 +84,8 @@ def _photos(file: Path, meta: dict, held_out: bool = False) -> tuple[Photo, ...]
         if not isinstance(entry.get("file_path"), str):
             raise InputError(f'{file}: frame {number} has no "file_path"')
     paths = [_existing(file.parent / entry["file_path"]) for entry in entries]
-    missing = [path for path in paths if not path.is_file()]
+    # What says its size may lie in another folder: `gsjax.io.image_folders` looks for it.
+    missing = [path for path, entry in zip(paths, entries, strict=True) if not (path.is_file() or _has_size(entry))]
     if missing:
         raise InputError(f"{file}: {listed('image', [p.relative_to(file.parent).as_posix() for p in missing])}")
     return tuple(
@@ -97,6 +101,10 @@ def _photos(file: Path, meta: dict, held_out: bool = False) -> tuple[Photo, ...]
     )
 
 
+def _has_size(entry: dict) -> bool:
+    return bool(entry.get("w") and entry.get("h"))
+
+
 def _existing(path: Path) -> Path:
     """The path, or the same with the suffix that the layout leaves out."""
     suffixes = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG")
@@ -107,7 +115,7 @@ def _existing(path: Path) -> Path:
 def _name(path: Path, root: Path) -> str:
     relative = path.resolve().relative_to(root.resolve()) if path.resolve().is_relative_to(root.resolve()) else path
     parts = relative.parts
-    return "/".join(parts[1:] if parts[0] == "images" and len(parts) > 1 else parts)
+    return "/".join(parts[1:]) if parts[0] == "images" and len(parts) > 1 else relative.as_posix()
 
 
 def _viewmat(file: Path, entry: dict) -> np.ndarray:
@@ -130,9 +138,8 @@ def _viewmat(file: Path, entry: dict) -> np.ndarray:
 
 def _lens(file: Path, entry: dict, path: Path) -> Lens:
     name = entry.get("camera_model") or ("OPENCV_FISHEYE" if entry.get("is_fisheye") else "OPENCV")
-    width, height = image_size(path)
     try:
-        width, height = int(entry.get("w", width)), int(entry.get("h", height))
+        width, height = (int(entry["w"]), int(entry["h"])) if _has_size(entry) else image_size(path)
         if name == "EQUIRECTANGULAR":
             return check_lens(Lens(name, width, height, (float(width), float(height))), file)
         fx, fy = _focal_lengths(file, entry, width, height)

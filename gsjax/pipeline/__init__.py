@@ -7,5 +7,6 @@ from gsjax.pipeline.refine import refine
 from gsjax.pipeline.scan import scan
 from gsjax.pipeline.texture import texture, turntable
 from gsjax.pipeline.train import train
+from gsjax.pipeline.undistort import undistort
 
-__all__ = ["evaluate", "mesh", "refine", "render", "scan", "texture", "train", "turntable"]
+__all__ = ["evaluate", "mesh", "refine", "render", "scan", "texture", "train", "turntable", "undistort"]

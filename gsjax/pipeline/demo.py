@@ -85,7 +85,7 @@ def _comparison(scene: Path, vanilla: Result, surface: Result, out: Path) -> Pat
         "held-out photo": frame.pixels().image,
         "normals, vanilla": normals(before),
         "normals, with the SDF term": normals(after),
-        "normals, true": normal_picture(truth.normals[frame.name]),
+        "normals, true": normal_picture(truth.normals[frame.name]()),
         "render, with the SDF term": to_bytes(after.colors),
         "mesh, vanilla": mesh("vanilla"),
         "mesh, with the SDF term": mesh("surface"),

@@ -10,13 +10,12 @@ import numpy as np
 from gsjax import gallery
 from gsjax.gaussians import Gaussians
 from gsjax.io import runs
-from gsjax.io.scenes import load_scene
 from gsjax.measures import geometry
 from gsjax.measures.images import psnr, ssim
 from gsjax.meshing.export import read_mesh
 from gsjax.normals.from_depth import depth_normals
 from gsjax.pipeline.mesh import mesh as extract
-from gsjax.pipeline.result import BACKGROUNDS, frame_camera, open_result
+from gsjax.pipeline.result import BACKGROUNDS, frame_camera, open_result, scene_of_run
 from gsjax.scene import Frame, Truth
 
 SKY, GROUND = 0, 255  # Labels of the truth; everything between is an object.
@@ -30,10 +29,11 @@ def evaluate(run: str | Path, *, mesh: str | Path | None = None) -> dict[str, An
         mesh: Mesh to score against the true surface points. None: `RUN/mesh.ply`, extracted now if it is absent.
 
     Returns:
-        `psnr`, `ssim`, `views`, `gaussians`, `train_seconds`, `steps`; with true normals `normal_error_deg` and
-        `normal_error_median_deg` of the rendered depth over object pixels and `normal_error_all_deg` over all surface
-        pixels; with true depth `depth_error` (mean absolute, object pixels, scene units); with surface points
-        `chamfer`, `fscore`, `normal_consistency` and their parts.
+        `psnr` and `ssim` (None without held-out views), `views`, `gaussians`, `train_seconds`, `steps`; with true
+        normals `normal_error_deg` and `normal_error_median_deg` of the rendered depth over object pixels and
+        `normal_error_all_deg` over all surface pixels; with true depth `depth_error` (mean absolute, object pixels,
+        scene units), both in held-out views; with surface points `chamfer`, `fscore`, `normal_consistency` and their
+        parts.
 
     Raises:
         InputError: The run, its data set or the mesh cannot be read.
@@ -41,7 +41,7 @@ def evaluate(run: str | Path, *, mesh: str | Path | None = None) -> dict[str, An
     run = Path(run)
     result = open_result(run)
     manifest, settings = runs.read_json(run / "manifest.json"), runs.read_json(run / "config.json")
-    scene = load_scene(manifest["scene"], downscale=settings["downscale"], folder_masks=settings["masks"])
+    scene = scene_of_run(run)
     figures = score_images(result.gaussians, scene.held_out_frames, settings["background"])
     figures |= {
         "gaussians": result.gaussians.num_gaussians,
@@ -61,7 +61,9 @@ def evaluate(run: str | Path, *, mesh: str | Path | None = None) -> dict[str, An
 
 
 def score_images(gaussians: Gaussians, frames: tuple[Frame, ...], background: str) -> dict[str, Any]:
-    """Mean PSNR and SSIM over frames, as 3DGS defines them (float renders, every pixel that is valid)."""
+    """Mean PSNR and SSIM over frames, as 3DGS defines them (float renders, every pixel that is valid); None of none."""
+    if not frames:
+        return {"psnr": None, "ssim": None, "views": 0}
     color = BACKGROUNDS[background]
     scores = []
     for frame, picture in zip(
@@ -85,19 +87,24 @@ def _scores(image: jax.Array, target: jax.Array, valid: jax.Array) -> tuple[jax.
 
 def score_surface(gaussians: Gaussians, frames: tuple[Frame, ...], truth: Truth) -> dict[str, Any]:
     """Errors of the rendered depth and of its normals against true maps, pooled over the pixels of all frames."""
+    frames = tuple(f for f in frames if f.name in truth.normals or f.name in truth.depths)
+    if not frames:
+        return {}
     cameras = [frame_camera(f) for f in frames]
     rendered, true, objects, depth_errors = [], [], [], []
     for frame, camera, picture in zip(
         frames, cameras, gallery.pictures(gaussians, cameras, BACKGROUNDS["black"]), strict=True
     ):
-        labels = truth.labels.get(frame.name)
-        is_object = np.ones(picture.depth.shape, bool) if labels is None else (labels != SKY) & (labels != GROUND)
+        is_object = np.ones(picture.depth.shape, bool)
+        if frame.name in truth.labels:
+            labels = truth.labels[frame.name]()
+            is_object = (labels != SKY) & (labels != GROUND)
         if frame.name in truth.normals:
             rendered.append(np.asarray(depth_normals(jnp.asarray(picture.depth), camera)).reshape(-1, 3))
-            true.append(truth.normals[frame.name].reshape(-1, 3))
+            true.append(truth.normals[frame.name]().reshape(-1, 3))
             objects.append(is_object.reshape(-1))
         if frame.name in truth.depths:
-            depth = truth.depths[frame.name]
+            depth = truth.depths[frame.name]()
             both = is_object & (depth > 0) & (picture.depth > 0)
             depth_errors.append(np.abs(depth - picture.depth)[both])
     figures: dict[str, Any] = {}

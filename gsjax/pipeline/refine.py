@@ -14,12 +14,11 @@ from gsjax.binding.refining import Refinement, RefineProgress
 from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.io.ply import write_gaussians
-from gsjax.io.scenes import load_scene
 from gsjax.meshing.cleaning import clean
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
-from gsjax.pipeline.result import write_cameras
+from gsjax.pipeline.result import scene_of_run, write_cameras
 from gsjax.scene import Scene, extent, in_memory
 from gsjax.training.capacity import largest_need
 from gsjax.training.step import BACKGROUNDS
@@ -51,11 +50,11 @@ def refine(
             cannot be written.
     """
     run = Path(run)
-    manifest, trained = runs.read_json(run / "manifest.json"), runs.read_json(run / "config.json")
+    trained = runs.read_json(run / "config.json")
     source = run / "mesh.ply" if mesh is None else Path(mesh)
     if mesh is None and not source.exists():
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
-    scene = load_scene(manifest["scene"], downscale=trained["downscale"], folder_masks=trained["masks"])
+    scene = scene_of_run(run)
     coarse, _ = clean(read_mesh(source), max_faces=settings.faces)
     frames = tuple(map(in_memory, scene.train_frames))
     data, size = views_of(frames), extent(frames)
@@ -71,7 +70,11 @@ def refine(
         raise InputError(f"{source}: no training view of {scene.root} sees any of its {coarse.num_faces} triangles")
 
     asked = {**trained, "mesh": str(source.resolve()), "refinement": config.to_dict(settings)}
-    folder = runs.reopen(out, asked) if resume else runs.create(out, asked, scene=scene.root, seed=settings.seed)
+    folder = (
+        runs.reopen(out, asked, scene=scene.root)
+        if resume
+        else runs.create(out, asked, scene=scene.root, seed=settings.seed)
+    )
     optimizer = refining.make_optimizer(settings, size, coarse.num_vertices)
     state, capacity, seconds = beginning(folder, lambda rows: refining.initial_state(bound, optimizer))
     with _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:

@@ -12,8 +12,9 @@ from gsjax.gaussians import Gaussians
 from gsjax.io import runs
 from gsjax.io.ply import read_gaussians
 from gsjax.io.scenes import load_scene
+from gsjax.io.splits import AUTO
 from gsjax.pipeline import viewpoints
-from gsjax.scene import Frame
+from gsjax.scene import Frame, Scene
 
 BACKGROUNDS = {"white": np.ones(3, np.float32), "black": np.zeros(3, np.float32), "random": np.zeros(3, np.float32)}
 """Colour that pictures and scores are made over; a run trained on random ones is scored over black."""
@@ -73,6 +74,22 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
         )
     records = [f.__dict__ for f in load_scene(scene).frames]
     return _result(gaussians, records, BACKGROUNDS["black"])
+
+
+def scene_of_run(run: Path) -> Scene:
+    """The data set of a run folder, loaded as it was trained on.
+
+    Raises:
+        InputError: It is no run folder, or its data set cannot be used any more.
+    """
+    manifest, settings = runs.read_json(run / "manifest.json"), runs.read_json(run / "config.json")
+    return load_scene(
+        manifest["scene"],
+        downscale=settings["downscale"],
+        folder_masks=settings["masks"],
+        images=settings.get("images"),  # Absent from folders of runs that could not choose.
+        hold_out=settings.get("hold_out", AUTO),
+    )
 
 
 def frame_camera(frame: Frame) -> Camera:

@@ -41,15 +41,15 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
 
     Returns:
-        `psnr`, `ssim` and `views` of the held-out views, `gaussians`, `steps`, `train_seconds`.
+        `psnr` and `ssim` (None without held-out views), `views`, `gaussians`, `steps`, `train_seconds`.
 
     Raises:
         InputError: The data set, the normals or the run folder cannot be used.
     """
     loaded, settings = _sized(scene, settings)
     frames = loaded.train_frames
-    if not loaded.held_out_frames or not frames:
-        raise InputError(f"{scene}: {len(loaded.frames)} usable photos leave none to train on or none to score")
+    if not frames:
+        raise InputError(f"{scene}: all {len(loaded.frames)} photos are held out, none is left to train on")
     size = extent(frames)
     if size <= 0:
         raise InputError(f"{scene}: all {len(frames)} training cameras are at one place, nothing can be reconstructed")
@@ -59,7 +59,9 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
     frames = loaded.train_frames
     prior = RunPrior(Path(out), settings.normals, frames)
     as_dict = config.to_dict(settings)
-    run = runs.reopen(out, as_dict) if resume else runs.create(out, as_dict, scene=scene, seed=settings.seed)
+    run = (
+        runs.reopen(out, as_dict, scene=scene) if resume else runs.create(out, as_dict, scene=scene, seed=settings.seed)
+    )
 
     optimizer = optimizers.make_optimizer(settings.rates, size, settings.rates.decay_steps or total_steps(settings))
     state, capacity, seconds = beginning(run, partial(_initial, loaded, settings, optimizer))
@@ -70,13 +72,10 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
 
 def _sized(scene: str | Path, settings: Settings) -> tuple[Scene, Settings]:
     """The data set at the size that the run looks at, which the settings then name; one line says it."""
-    taken = load_scene(scene, folder_masks=settings.masks)
+    opened = partial(load_scene, scene, folder_masks=settings.masks, images=settings.images, hold_out=settings.hold_out)
+    taken = opened()
     settings = replace(settings, downscale=chosen_downscale(settings, taken.frames))
-    loaded = (
-        taken
-        if settings.downscale == 1
-        else load_scene(scene, downscale=settings.downscale, folder_masks=settings.masks)
-    )
+    loaded = taken if settings.downscale == 1 else opened(downscale=settings.downscale)
     print(f"train: {size_line(settings, taken.frames, loaded.frames)}", file=sys.stderr)
     return loaded, settings
 
@@ -121,6 +120,7 @@ class TrainingJournal(Journal):
         super().__init__(run, "train", total_steps(settings), step, seconds)
         self.settings, self.scene = settings, scene
         self._pace = Pace()
+        self.evaluate_every = settings.logging.evaluate_every if scene.held_out_frames else 0
 
     def note(self, progress: Progress) -> None:
         """What the loop tells after every step."""
@@ -128,7 +128,7 @@ class TrainingJournal(Journal):
         self.bar.set_description(progress.phase.name, refresh=False)
         self.bar.update()
         self._tell_pace(progress)
-        scored = every.evaluate_every > 0 and progress.step % every.evaluate_every == 0 and not last
+        scored = self.evaluate_every > 0 and progress.step % self.evaluate_every == 0 and not last
         if scored or last or progress.step % every.metrics_every == 0:
             count = int(count_alive(progress.state.gaussians))
             more: dict[str, Any] = {"phase": progress.phase.name, "gaussians": count}

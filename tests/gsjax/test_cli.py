@@ -14,7 +14,7 @@ from gsjax.cli import environment
 from gsjax.errors import InputError
 from gsjax.settings import PRESETS, Phase, Settings
 
-COMMANDS = ("demo", "sfm", "train", "mesh", "refine", "texture", "eval", "render", "turntable")
+COMMANDS = ("demo", "sfm", "train", "mesh", "refine", "texture", "eval", "render", "turntable", "undistort")
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ def library(monkeypatch):
 
         return function
 
-    names = ("train", "mesh", "evaluate", "render")
+    names = ("train", "mesh", "evaluate", "render", "undistort")
     install("gsjax.pipeline", **{name: recorded(name, {"psnr": 29.5, "views": 7}) for name in names})
     install("gsjax.io.sfm", reconstruct=recorded("sfm", SfmReport(registered=45)))
     install("gsjax.pipeline.demo", run=recorded("demo", {"vanilla": {"psnr": 30.0}, "surface": {"psnr": 31.0}}))
@@ -110,6 +110,16 @@ def test_settings_come_from_the_preset_the_options_and_set(library):
     assert (settings.seed, settings.phases[1].steps, settings.rates.quats) == (4, 9, 1.0)
 
 
+def test_the_photos_and_their_split_are_chosen_on_the_command_line(library, tmp_path, monkeypatch):
+    for hold_out in ("none", "5"):
+        settings, _ = train_settings(library, "--out", "r", "--images", "images_4", "--hold-out", hold_out)
+        assert (settings.images, settings.hold_out) == ("images_4", hold_out)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "list.txt").write_text("a.png")
+    settings, _ = train_settings(library, "--out", "r", "--hold-out", "list.txt")
+    assert settings.hold_out == str(tmp_path / "list.txt"), "read again from wherever the run is scored"
+
+
 def test_every_preset_is_offered_and_parses(library):
     for preset in PRESETS:
         settings, _ = train_settings(library, "--out", "r", "--preset", preset)
@@ -159,15 +169,27 @@ def test_eval_writes_json_and_prints_a_table(library, tmp_path, capsys):
     assert capsys.readouterr().out == "psnr   29.5\nviews  7\n"
 
 
+def test_eval_says_that_there_are_no_views_to_score(library, capsys, monkeypatch):
+    monkeypatch.setattr(gsjax.pipeline, "evaluate", lambda *args, **kwargs: {"psnr": None, "views": 0, "chamfer": 0.1})
+    assert cli.main(["eval", "run"]) == 0
+    printed = capsys.readouterr()
+    assert printed.out == "psnr     -\nviews    0\nchamfer  0.1\n"
+    assert printed.err == "run: no held-out views, pictures are not scored\n"
+
+
 def test_the_other_commands_reach_their_functions(library, capsys):
     assert cli.main(["render", "run", "--out", "o"]) == 0
     assert cli.main(["render", "run", "--out", "o", "--held-out"]) == 0
     assert cli.main(["sfm", "photos", "--out", "scene"]) == 0
+    assert cli.main(["undistort", "scene", "--out", "o"]) == 0
+    assert cli.main(["undistort", "scene", "--out", "o", "--downscale", "2", "--images", "images_4"]) == 0
     assert cli.main(["demo"]) == 0
     assert library == [
         ("render", ("run", "o"), {"which": "all"}),
         ("render", ("run", "o"), {"which": "held_out"}),
         ("sfm", ("photos", "scene"), {}),
+        ("undistort", ("scene", "o"), {}),
+        ("undistort", ("scene", "o"), {"downscale": 2, "images": "images_4"}),
         ("demo", ("runs/demo",), {}),
     ]
     assert "vanilla    30\nsurface    31\n" in capsys.readouterr().out

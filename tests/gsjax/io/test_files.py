@@ -30,6 +30,22 @@ def test_a_failing_block_keeps_the_old_file_and_leaves_nothing(tmp_path):
     assert os.listdir(tmp_path) == ["state.npz"]
 
 
+def test_a_folder_appears_whole_or_not_at_all(tmp_path):
+    target = tmp_path / "a/scene"
+    with files.atomic_folder(target) as folder:
+        (folder / "images").mkdir()
+        assert not target.exists()
+    assert os.listdir(target) == ["images"] and os.listdir(tmp_path / "a") == ["scene"]
+    with pytest.raises(InputError, match="scene: exists and is not empty"), files.atomic_folder(target):
+        pass
+    with (
+        pytest.raises(InputError, match="cannot write .*other: No space left"),
+        files.atomic_folder(tmp_path / "other"),
+    ):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    assert os.listdir(tmp_path) == ["a"]
+
+
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EROFS, errno.EDQUOT, errno.EIO])
 def test_a_sick_disk_is_one_line_with_the_path_and_the_reason(tmp_path, number):
     target = tmp_path / "state.npz"

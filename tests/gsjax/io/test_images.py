@@ -4,7 +4,16 @@ import pytest
 from PIL import Image
 
 from gsjax.errors import InputError
-from gsjax.io.images import filter_straight, image_size, read_image, read_mask, resize, write_image
+from gsjax.io.images import (
+    filter_straight,
+    image_size,
+    read_image,
+    read_mask,
+    resize,
+    same_shape,
+    upright_size,
+    write_image,
+)
 
 
 def noise(*shape, dtype=np.uint8, seed=0):
@@ -70,3 +79,39 @@ def test_filtering_straight_colours_equals_filtering_the_premultiplied_image():
     np.testing.assert_allclose(coverage, 255 * expected_coverage, atol=0.51)
     np.testing.assert_allclose(straight, expected, atol=0.51)
     assert (straight[0, 0] == 0).all() and coverage[0, 0] == 0
+
+
+@pytest.mark.parametrize("full", [(5187, 3361), (4946, 3286), (1957, 1091), (641, 480)])
+@pytest.mark.parametrize("factor", [1.0, 1.5, 1.9988, 2.0, 3.3, 4.0, 8.0])
+def test_a_size_fits_whichever_way_its_sides_were_rounded(full, factor):
+    sides = np.array(full) / factor
+    for width in {int(np.floor(sides[0])), int(np.ceil(sides[0]))}:
+        for height in {int(np.floor(sides[1])), int(np.ceil(sides[1]))}:
+            assert same_shape((width, height), full) and same_shape(full, (width, height))
+
+
+@pytest.mark.parametrize(
+    ("size", "full", "fits"),
+    [
+        ((979, 546), (1957, 1091), True),  # Tanks and Temples
+        ((1297, 840), (5187, 3361), True),  # Mip-NeRF 360, images_4
+        ((979, 549), (1957, 1091), False),  # three rows more than half of them
+        ((546, 979), (1957, 1091), False),
+        ((1000, 1000), (1957, 1091), False),
+        ((960, 540), (960, 544), False),  # four rows cut off
+        ((1, 1), (1, 1), True),
+    ],
+)
+def test_shapes_that_fit_and_that_do_not(size, full, fits):
+    assert same_shape(size, full) == same_shape(full, size) == fits
+
+
+@pytest.mark.parametrize(("orientation", "size"), [(None, (7, 5)), (1, (7, 5)), (3, (7, 5)), (6, (5, 7)), (8, (5, 7))])
+def test_the_orientation_of_a_photo_turns_its_size_but_not_its_pixels(tmp_path, orientation, size):
+    exif = Image.Exif()
+    if orientation is not None:
+        exif[0x0112] = orientation
+    Image.fromarray(noise(5, 7, 3)).save(tmp_path / "a.jpg", exif=exif)
+    assert upright_size(tmp_path / "a.jpg") == size
+    assert image_size(tmp_path / "a.jpg") == (7, 5)
+    assert read_image(tmp_path / "a.jpg")[0].shape == (5, 7, 3)

@@ -4,7 +4,7 @@ import pycolmap
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.io.lenses import Lens, check_lens, pinhole_views
+from gsjax.io.lenses import Lens, check_lens, pinhole_views, resized
 
 WIDTH, HEIGHT = 160, 120
 CENTER = (78.0, 61.5)
@@ -91,6 +91,24 @@ def test_pinhole_and_undistorted_models_are_left_alone():
         (view,) = pinhole_views(lens)
         assert view.source_xy is None and view.valid is None
         np.testing.assert_allclose(view.K[:2, 2], CENTER)
+
+
+@pytest.mark.parametrize("size", [(WIDTH // 2, HEIGHT // 2), (41, 29), (2 * WIDTH, 2 * HEIGHT + 1)])
+@pytest.mark.parametrize("model", [n for n in pycolmap.CameraModelId.__members__ if n != "INVALID"])
+def test_a_resized_lens_records_every_ray_at_the_resized_place(model, size):
+    lens = Lens(model, 160, 120, (160.0, 120.0)) if model == "EQUIRECTANGULAR" else lens_of(model)
+    factors = np.array(size) / [lens.width, lens.height]
+    rays = np.random.default_rng(0).uniform([-0.5, -0.4, 1], [0.5, 0.4, 1], (50, 3))
+
+    def recorded(lens):
+        camera = pycolmap.Camera(model=lens.model, width=lens.width, height=lens.height, params=list(lens.params))
+        return np.asarray(camera.img_from_cam(rays))
+
+    smaller = resized(lens, *size)
+    assert (smaller.width, smaller.height) == size
+    np.testing.assert_allclose(recorded(smaller), recorded(lens) * factors, rtol=1e-12, atol=1e-10)
+    if factors[0] == factors[1]:
+        assert smaller.model == model
 
 
 def test_fisheye_without_coefficients_is_still_a_fisheye():

@@ -1,9 +1,11 @@
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.io.normals import load_normals
+from gsjax.io.normals import normal_maps
+from gsjax.io.scenes import load_scene
 from gsjax.scene import Pixels, frame_of
 
 NAME = "001.png"
@@ -14,6 +16,11 @@ def frames(*names, width=12, height=8):
     return tuple(
         frame_of(name, viewmat, K, Pixels(np.zeros((height, width, 3), np.uint8))) for name in names or (NAME,)
     )
+
+
+def load_normals(folder, frames):
+    """All maps, each read on its own."""
+    return {name: read() for name, read in normal_maps(folder, frames).items()}
 
 
 def smooth_normals(width=12, height=8):
@@ -146,3 +153,119 @@ def test_truncated_maps_are_named(tmp_path, suffix, share):
     with pytest.raises(InputError, match=f"001{suffix}") as error:
         load_normals(tmp_path, frames())
     assert "\n" not in str(error.value)
+
+
+# A wide lens that bends much, and the photo's size: with a positive coefficient the undistorted frame loses its
+# border, with a negative one it keeps the photo's size.
+CROPPED, WHOLE = (120.0, 78.0, 61.5, 0.12), (120.0, 78.0, 61.5, -0.12)
+PHOTO = (160, 120)
+
+
+def seen_along(rays):
+    """A smooth field of normals over the directions in a camera's frame, unit."""
+    x, y = rays[..., 0] / rays[..., 2], rays[..., 1] / rays[..., 2]
+    normals = np.stack([0.7 * np.sin(3 * x), 0.7 * np.cos(2 * y + x), -np.ones_like(x)], -1)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def map_of_photo(params, size=PHOTO):
+    """The field as the distorted photo records it, by pycolmap's inverse of the lens, at any size."""
+    camera = pycolmap.Camera(model="SIMPLE_RADIAL", width=PHOTO[0], height=PHOTO[1], params=list(params))
+    x, y = ((np.arange(side) + 0.5) * full / side for side, full in zip(size, PHOTO, strict=True))
+    pixels = np.stack(np.meshgrid(x, y), -1)
+    rays = np.asarray(camera.cam_from_img(pixels.reshape(-1, 2))).reshape(*size[::-1], 2)
+    return seen_along(np.dstack([rays, np.ones(size[::-1])])).astype(np.float32)
+
+
+def map_of_frame(frame, size=None):
+    """The field as the undistorted frame shows it."""
+    width, height = (frame.width, frame.height) if size is None else size
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    rays = np.stack([x * frame.width, y * frame.height, np.ones_like(x)], -1) @ np.linalg.inv(frame.K.astype(float)).T
+    return seen_along(rays).astype(np.float32)
+
+
+def degrees(a, b):
+    return np.degrees(np.arccos(np.clip((a.astype(float) * b).sum(-1), -1, 1)))
+
+
+@pytest.fixture
+def distorted(colmap_scene, tmp_path):
+    """Frames of photos through a lens; and a function that reads the first one's map, given as an array."""
+
+    def make(params, downscale=1):
+        root = colmap_scene(count=2, model="SIMPLE_RADIAL", params=params, size=PHOTO)
+        frames = load_scene(root, downscale=downscale).frames[:1]
+
+        def read(array):
+            np.save(tmp_path / "000.npy", array)
+            return normal_maps(tmp_path, frames)["000.png"]()
+
+        return frames[0], read
+
+    return make
+
+
+@pytest.mark.parametrize("params", [CROPPED, WHOLE])
+@pytest.mark.parametrize("downscale", [1, 3])
+@pytest.mark.parametrize("factor", [1, 2])
+def test_maps_of_a_distorted_photo_are_undistorted_with_it(distorted, params, downscale, factor):
+    frame, read = distorted(params, downscale)
+    assert (frame.origin.undistorted == PHOTO) == (params is WHOLE)
+    loaded = read(map_of_photo(params, (PHOTO[0] // factor, PHOTO[1] // factor)))
+    assert loaded.shape == (frame.height, frame.width, 3)
+    np.testing.assert_allclose(np.linalg.norm(loaded, axis=-1), 1, atol=1e-6)
+    error = degrees(loaded, map_of_frame(frame))
+    assert error[2:-2, 2:-2].max() < 0.2, "borders are read from the map's last pixels"
+    as_it_is = cv2.resize(map_of_photo(params), (frame.width, frame.height), interpolation=cv2.INTER_AREA)
+    assert degrees(as_it_is / np.linalg.norm(as_it_is, axis=-1, keepdims=True), map_of_frame(frame)).max() > 1.5
+
+
+@pytest.mark.parametrize("downscale", [1, 3])
+@pytest.mark.parametrize("factor", [1, 2])
+def test_maps_of_the_undistorted_frame_are_taken_as_they_are(distorted, downscale, factor):
+    frame, read = distorted(CROPPED, downscale)
+    width, height = frame.origin.undistorted
+    loaded = read(map_of_frame(frame, (round(width / factor), round(height / factor))))
+    assert degrees(loaded, map_of_frame(frame)).max() < 0.25 * downscale * factor
+    np.testing.assert_allclose(read(map_of_frame(frame)), map_of_frame(frame), atol=1e-6)
+
+
+@pytest.mark.parametrize("downscale", [1, 3])
+def test_what_a_distorted_map_does_not_know_does_not_bleed(distorted, downscale):
+    frame, read = distorted(CROPPED, downscale)
+    normals = map_of_photo(CROPPED)
+    unknown = np.zeros(PHOTO[::-1], bool)
+    unknown[40:70, 60:90] = True
+    normals[unknown] = 0
+    loaded = read(normals)
+    none = ~loaded.any(axis=-1)
+    np.testing.assert_allclose(np.linalg.norm(loaded[~none], axis=-1), 1, atol=1e-6)
+    # Beside the hole a direction comes from the known side of its neighbours: at most two pixels of the photo away.
+    assert degrees(loaded, map_of_frame(frame))[~none].max() < 2.5 * downscale
+    positions = frame.origin.positions() * PHOTO
+    inside = (positions[..., 0] > 60) & (positions[..., 0] < 90) & (positions[..., 1] > 40) & (positions[..., 1] < 70)
+    assert (none != inside).mean() < 0.01 * downscale and none.sum() > 50 / downscale
+
+
+def test_distorted_maps_whose_size_does_not_tell_what_they_show_are_refused(distorted):
+    frame, read = distorted(CROPPED)
+    (width, height), size = frame.origin.undistorted, (100, 75)
+    assert abs(width / height - 4 / 3) < 0.03, "else the sizes would tell"
+    undistorted = f"its undistorted frame's, {width}x{height}; `gsjax undistort` makes"
+    with pytest.raises(InputError, match=f"100x75, may be its photo's, 160x120, or {undistorted}"):
+        read(np.zeros((*size[::-1], 3), np.float32))
+    with pytest.raises(InputError, match="100x100, neither its photo's, 160x120, nor its undistorted frame's"):
+        read(np.zeros((100, 100, 3), np.float32))
+
+
+def test_headers_are_read_at_once_and_maps_one_by_one(tmp_path):
+    np.save(tmp_path / "a.npy", smooth_normals())
+    np.savez(tmp_path / "b.npz", world=smooth_normals(), cam=np.full((8, 12, 3), np.nan, np.float32))
+    readers = normal_maps(tmp_path, frames("a.png", "b.png"))
+    readers["a.png"]()
+    with pytest.raises(InputError, match=r"b.npz: 96 pixels of the normal map are not finite"):
+        readers["b.png"]()
+    np.savez(tmp_path / "b.npz", cam=np.zeros((8, 8, 3), np.float32))
+    with pytest.raises(InputError, match=r"b.npz: normal map is 8x8, its frame 12x8"):
+        normal_maps(tmp_path, frames("a.png", "b.png"))

@@ -36,17 +36,20 @@ def test_nothing_is_overwritten(run):
     assert (run / "config.json").read_bytes() == before
 
 
-def test_a_run_is_reopened_with_its_own_settings_only(run):
+def test_a_run_is_reopened_on_its_own_data_set_with_its_own_settings_only(run, tmp_path):
+    scene = tmp_path / "nowhere" / ".." / "scene"  # the same place, named another way
     leftover = run / "checkpoints/.step_0000001-0123abcd.npz"
     leftover.write_text("half")
-    assert runs.reopen(run, {"seed": 3, "train": {"steps": 100, "rates": (0.1, 0.2)}}) == run
+    assert runs.reopen(run, {"seed": 3, "train": {"steps": 100, "rates": (0.1, 0.2)}}, scene=scene) == run
     assert not leftover.exists()
     with pytest.raises(InputError, match=r"run: was started with train\.steps = 100, not 50"):
-        runs.reopen(run, {"seed": 3, "train": {"steps": 50, "rates": [0.1, 0.2]}})
+        runs.reopen(run, {"seed": 3, "train": {"steps": 50, "rates": [0.1, 0.2]}}, scene=scene)
     with pytest.raises(InputError, match=r"was started with extra = null, not 1"):
-        runs.reopen(run, SETTINGS | {"extra": 1})
+        runs.reopen(run, SETTINGS | {"extra": 1}, scene=scene)
     with pytest.raises(InputError, match=r"config\.json: No such file or directory"):
-        runs.reopen(run / "nothing", SETTINGS)
+        runs.reopen(run / "nothing", SETTINGS, scene=scene)
+    with pytest.raises(InputError, match=r"run: was started on .*/scene, not on .*/other; a resumed run keeps"):
+        runs.reopen(run, SETTINGS, scene=tmp_path / "other")
 
 
 def test_the_newest_two_checkpoints_stay(run):

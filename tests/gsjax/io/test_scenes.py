@@ -2,9 +2,10 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
+from PIL import Image
 
 from gsjax.errors import InputError
-from gsjax.io.scenes import load_scene
+from gsjax.io.scenes import is_data_set, load_scene
 
 
 def read(path):
@@ -58,6 +59,138 @@ def test_downscale_averages_pixels_and_scales_each_axis_of_K_by_what_it_became(c
         full = read(root / "images/000.png")[..., ::-1].astype(float)
         means = full.reshape(15, 2, 20, 2, 3).mean((1, 3))
         assert np.abs(frame.pixels().image - means).max() <= 0.5
+
+
+ORIENTATION = 0x0112  # EXIF
+
+
+def reduced(root, folder, factors=(0.5, 0.5), suffix=".png"):
+    """Moves the photos to `root / folder`, each side times its factor."""
+    (root / folder).mkdir(parents=True)
+    for file in (root / "images").iterdir():
+        small = cv2.resize(read(file), None, fx=factors[0], fy=factors[1], interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str((root / folder / file.name).with_suffix(suffix)), small)
+        file.unlink()
+    (root / "images").rmdir()
+    return root
+
+
+@pytest.mark.parametrize("model", ["PINHOLE", "SIMPLE_RADIAL"])
+def test_photos_of_another_size_rescale_their_camera_per_axis(colmap_scene, model):
+    """80x62 to 40x31 exactly, and to 41x31: what the camera sees of a ray stays at the same share of the sides."""
+    params = {"PINHOLE": (60.0, 62.0, 42.0, 29.0), "SIMPLE_RADIAL": (60.0, 42.0, 29.0, 0.0)}[model]
+    root = colmap_scene(count=3, model=model, params=params, size=(80, 62))
+    full = load_scene(root).frames[0]
+    for name, width in (("000.png", 40), ("001.png", 41)):
+        cv2.imwrite(str(root / "images" / name), np.full((31, width, 3), 7, np.uint8))
+    exact, wider, whole = load_scene(root).frames
+    assert [(f.width, f.height) for f in (exact, wider, whole)] == [(40, 31), (41, 31), (80, 62)]
+    for frame in (exact, wider, whole):
+        shares = np.array([[frame.width / 80], [frame.height / 62], [1]])
+        np.testing.assert_allclose(frame.K, full.K * shares, rtol=1e-6)
+        assert frame.pixels().image.shape == (frame.height, frame.width, 3)
+
+
+def test_distortion_of_a_rescaled_photo_is_that_of_the_full_one(colmap_scene):
+    root = colmap_scene(count=2, model="SIMPLE_RADIAL", params=(60.0, 42.0, 29.0, 0.1), size=(80, 60))
+    full = load_scene(root, downscale=2).frames[0]
+    for file in (root / "images").iterdir():
+        cv2.imwrite(str(file), cv2.resize(read(file), (40, 30), interpolation=cv2.INTER_AREA))
+    half = load_scene(root).frames[0]
+    # Border rows are cut in whole pixels: the principal point tells where the window lies.
+    np.testing.assert_allclose(half.K[[0, 1], [0, 1]], [30, 30], rtol=1e-6)
+    np.testing.assert_allclose(half.K[:2, 2], full.K[:2, 2], atol=1.01)
+
+
+def test_copies_of_reduced_size_are_taken_where_there_are_no_others(colmap_scene, capsys):
+    root = colmap_scene(count=3)
+    reduced(root, "images_4", (0.25, 0.25))
+    (root / "images_8").mkdir()
+    frame = load_scene(root).frames[1]
+    assert (frame.width, frame.height, frame.name) == (10, 8, "001.png")
+    load_scene(root)
+    np.testing.assert_allclose(frame.K, [[7.5, 0, 5.25], [0, 31 * 8 / 30, 14.5 * 8 / 30], [0, 0, 1]], rtol=1e-6)
+    assert capsys.readouterr().err == f"images: none where {root} says; {root / 'images_4'} is taken\n"
+
+
+def test_the_largest_copies_that_hold_the_photos_are_taken(colmap_scene, capsys):
+    root = colmap_scene(count=3)
+    reduced(root, "images_8", (0.125, 0.125))
+    for folder, size, names in (("images_2", (20, 15), ["000"]), ("images_4", (10, 8), ["000", "001", "002"])):
+        (root / folder).mkdir()
+        for name in names:
+            cv2.imwrite(str(root / folder / f"{name}.png"), np.zeros((*size[::-1], 3), np.uint8))
+    assert {(f.width, f.height) for f in load_scene(root).frames} == {(10, 8)}
+    assert "images_4 is taken" in capsys.readouterr().err
+
+
+def test_the_folder_asked_for_is_taken(colmap_scene, tmp_path, capsys):
+    root = colmap_scene(count=3)
+    reduced(root, "elsewhere/half")
+    cv2.imwrite(str(root / "elsewhere/half/notes.jpg"), np.zeros((2, 2, 3), np.uint8))
+    for folder in ("elsewhere/half", str(root / "elsewhere/half")):
+        assert {(f.width, f.height) for f in load_scene(root, images=folder).frames} == {(20, 15)}
+    assert capsys.readouterr().err == ""
+    with pytest.raises(InputError, match="nowhere: no such folder of images"):
+        load_scene(root, images="nowhere")
+    (root / "elsewhere/half/001.png").unlink()
+    with pytest.raises(InputError, match=r"elsewhere/half: 1 image missing: 001.png"):
+        load_scene(root, images="elsewhere/half")
+
+
+def test_a_photo_is_found_by_its_stem_where_its_name_is_not_there(colmap_scene):
+    root = colmap_scene(count=3)
+    reduced(root, "images_2", suffix=".JPG")
+    frames = load_scene(root).frames
+    assert [f.name for f in frames] == ["000.png", "001.png", "002.png"]
+    np.testing.assert_array_equal(frames[2].pixels().image, read(root / "images_2/002.JPG")[..., ::-1])
+    cv2.imwrite(str(root / "images_2/002.jpeg"), np.zeros((15, 20, 3), np.uint8))  # which of the two?
+    with pytest.raises(InputError, match="images_2: 1 image missing: 002.png"):
+        load_scene(root, images="images_2")
+
+
+@pytest.mark.parametrize("orientation", [3, 6])
+def test_photos_that_the_model_saw_turned_are_refused(colmap_scene, orientation):
+    """40x30 by its camera, stored as 30x40: only a quarter turn (6) explains that."""
+    root = colmap_scene(count=3)
+    exif = Image.Exif()
+    exif[ORIENTATION] = orientation
+    Image.fromarray(np.zeros((40, 30, 3), np.uint8)).save(root / "images/001.png", exif=exif)
+    reason = "stored as 30x40 and its EXIF" if orientation == 6 else "30x40 but its camera says 40x30"
+    with pytest.raises(InputError, match=f"001.png: image is {reason}"):
+        load_scene(root)
+
+
+def test_photos_of_the_size_of_their_camera_are_read_as_stored_whatever_their_orientation(colmap_scene):
+    root = colmap_scene(count=3)
+    pixels, exif = read(root / "images/001.png")[..., ::-1], Image.Exif()
+    exif[ORIENTATION] = 6
+    Image.fromarray(np.ascontiguousarray(pixels)).save(root / "images/001.png", exif=exif)
+    np.testing.assert_array_equal(load_scene(root).frames[1].pixels().image, pixels)
+
+
+@pytest.mark.parametrize(("value", "is_matte"), [(255, False), (77, False), (0, True)])
+def test_an_alpha_channel_of_one_value_is_no_matte_unless_it_is_zero(colmap_scene, value, is_matte):
+    """Zero everywhere: the object is not in this view; the first photo shows it."""
+    root = colmap_scene(count=3)
+    rgba = np.full((30, 40, 4), 90, np.uint8)
+    rgba[..., 3] = value
+    cv2.imwrite(str(root / "images/001.png"), rgba)
+    rgba[:9, :9, 3] = 255 - value // 2
+    cv2.imwrite(str(root / "images/000.png"), rgba)
+    first, second, _ = load_scene(root).frames
+    np.testing.assert_array_equal(first.pixels().matte, rgba[..., 3])
+    assert (second.pixels().matte is not None) == is_matte
+
+
+def test_headers_alone_are_read_until_pixels_are_asked_for(colmap_scene):
+    root = colmap_scene(count=2)
+    for file in (root / "images").iterdir():
+        file.write_bytes(file.read_bytes()[:200])  # the PNG's header is in the first 33
+    frames = load_scene(root).frames
+    assert {(f.width, f.height) for f in frames} == {(40, 30)}
+    with pytest.raises(InputError, match="000.png: not a whole image"):
+        frames[0].pixels()
 
 
 @pytest.mark.parametrize("pattern", ["{}.png", "{}.png.png"])
@@ -132,6 +265,15 @@ def test_distortion_removal_passes_masks_and_marks_what_it_must(colmap_scene):
     assert (row[first_valid:] == 255).all()
 
 
+def test_masks_of_the_full_size_serve_reduced_photos(colmap_scene):
+    root = colmap_scene(count=3)
+    reduced(root, "images_4", (0.25, 0.25))
+    write_masks(root, ["000.png"], half_mask())
+    valid = load_scene(root).frames[0].pixels().valid
+    assert valid.shape == (8, 10)
+    assert (valid[:, :2] == 0).all() and (valid[:, 3:] == 255).all()
+
+
 def test_mixed_sizes_are_kept(colmap_scene):
     root = colmap_scene(count=4)
     model = pycolmap.Reconstruction(root / "sparse/0")
@@ -158,8 +300,8 @@ def test_missing_images_are_all_counted_and_five_named(colmap_scene):
 
 def test_an_image_of_another_size_than_its_camera_is_named_with_both(colmap_scene):
     root = colmap_scene()
-    cv2.imwrite(str(root / "images/005.png"), np.zeros((15, 20, 3), np.uint8))
-    with pytest.raises(InputError, match=r"005.png: image is 20x15 but its camera says 40x30"):
+    cv2.imwrite(str(root / "images/005.png"), np.zeros((18, 20, 3), np.uint8))
+    with pytest.raises(InputError, match=r"005.png: image is 20x18 but its camera says 40x30"):
         load_scene(root)
 
 
@@ -180,6 +322,9 @@ def test_a_folder_that_is_no_data_set_is_told_what_is_looked_for(tmp_path):
         load_scene(tmp_path)
     with pytest.raises(InputError, match="no such folder"):
         load_scene(tmp_path / "nowhere")
+    assert not is_data_set(tmp_path) and not is_data_set(tmp_path / "nowhere")
+    (tmp_path / "transforms.json").touch()
+    assert is_data_set(tmp_path)
 
 
 @pytest.mark.parametrize("downscale", [0.5, 0.0, -1.0, float("nan"), float("inf")])

@@ -1,4 +1,5 @@
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -27,12 +28,19 @@ def ring(count=8, radius=2.0, target=(0.0, 0.0, 0.0)):
     return [looking_at(np.array([radius * np.cos(a), radius * np.sin(a), 0.5]) + target, target) for a in angles]
 
 
+def red_behind_glass():
+    """BGRA; clear in the upper half."""
+    pixels = np.full((30, 40, 4), (0, 0, 255, 128), np.uint8)
+    pixels[:15, :, 3] = 255
+    return pixels
+
+
 def write(root, file="transforms.json", folder="images", poses=None, suffix=".png", **meta):
     (root / folder).mkdir(parents=True, exist_ok=True)
     frames = []
     for i, pose in enumerate(ring() if poses is None else poses):
         path = f"{folder}/{i:03d}"
-        cv2.imwrite(str(root / f"{path}.png"), np.full((30, 40, 4), (0, 0, 255, 128), np.uint8))
+        cv2.imwrite(str(root / f"{path}.png"), red_behind_glass())
         frames.append({"file_path": "./" + path + suffix, "transform_matrix": np.asarray(pose).tolist()})
     (root / file).write_text(json.dumps({**meta, "frames": frames}))
     return root
@@ -147,6 +155,19 @@ def test_points_of_the_named_file_are_taken(tmp_path):
     np.testing.assert_array_equal(scene.point_colors, [[10, 20, 30], [40, 50, 60]])
 
 
+def test_reduced_photos_in_the_folder_asked_for_and_in_the_one_that_is_there(tmp_path):
+    root = write(tmp_path, fl_x=50.0, fl_y=52.0, cx=21.0, cy=14.0, w=40, h=30)
+    (root / "images_2").mkdir()
+    for file in (root / "images").iterdir():
+        cv2.imwrite(str(root / "images_2" / file.with_suffix(".jpg").name), np.zeros((15, 20, 3), np.uint8))
+    expected = np.array([[25, 0, 10.5], [0, 26, 7], [0, 0, 1]], np.float32)
+    asked = load_scene(root, images="images_2").frames
+    shutil.rmtree(root / "images")
+    for frames in (asked, load_scene(root).frames):
+        assert [f.name for f in frames] == [f"{i:03d}.png" for i in range(8)]
+        np.testing.assert_array_equal(frames[3].K, expected)
+
+
 def test_masks_named_in_the_file(tmp_path):
     root = write(tmp_path, fl_x=50.0)
     mask = np.full((30, 40), 255, np.uint8)
@@ -162,9 +183,11 @@ def test_nerf_synthetic_keeps_its_own_split_and_its_alpha(tmp_path):
     write(tmp_path, "transforms_val.json", "val", suffix="", camera_angle_x=0.8, poses=ring(3))
     scene = load_scene(tmp_path)
     assert scene.source == "nerf-synthetic"
+    assert not load_scene(tmp_path, hold_out="none").held_out_frames
     assert [f.name for f in scene.held_out_frames] == [f"test/{i:03d}.png" for i in range(3)]
     assert [f.name for f in scene.train_frames] == [f"train/{i:03d}.png" for i in range(8)]
-    assert (scene.frames[0].pixels().matte == 128).all() and (scene.frames[0].pixels().image == (255, 0, 0)).all()
+    np.testing.assert_array_equal(scene.frames[0].pixels().matte, red_behind_glass()[..., 3])
+    assert (scene.frames[0].pixels().image == (255, 0, 0)).all()
     assert scene.points.shape == (30_000, 3) and 1.29 < np.abs(scene.points).max() <= 1.3
 
 
@@ -197,7 +220,7 @@ def test_lego_mattes_are_silhouettes_of_one_solid(shared):
         (lambda m: m.update(fl_x="wide"), "wide"),
         (lambda m: m.update(camera_model="LENSBABY"), "unknown camera_model 'LENSBABY'"),
         (lambda m: m.update(k4=0.1), "takes no k4"),
-        (lambda m: m.update(w=80, h=60), "image is 40x30 but its camera says 80x60"),
+        (lambda m: m.update(w=80, h=50), "image is 40x30 but its camera says 80x50"),
         (lambda m: m["frames"][3].update(file_path="images/gone.png"), "1 image missing: images/gone.png"),
         (lambda m: m["frames"][3].update(file_path="images/002.png"), "002.png is listed more than once"),
         (lambda m: m.update(frames=m["frames"][:1]), "1 posed image in it"),

@@ -1,0 +1,82 @@
+"""Arrays in `.npy` and `.npz` files: read whole, or looked at without reading."""
+
+import zipfile
+import zlib
+from lzma import LZMAError
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import numpy as np
+
+from gsjax.errors import InputError
+
+_FAULTS = (OSError, ValueError, EOFError, TypeError, AttributeError, KeyError)
+_FAULTS += (zipfile.BadZipFile, zlib.error, LZMAError, NotImplementedError)
+
+
+class Header(NamedTuple):
+    """What the first bytes of an array say of it."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+
+
+def headers(file: Path, *keys: str) -> dict[str, Header]:
+    """Shapes and types of the named arrays of an `.npz` (all where none is named), or of an `.npy` under the key "".
+
+    Raises:
+        InputError: The file is damaged or lacks one; names the file.
+    """
+    try:
+        with file.open("rb") as handle:
+            if file.suffix == ".npy":
+                return {"": _header(handle)}
+            with zipfile.ZipFile(handle) as archive:
+                known = [name.removesuffix(".npy") for name in archive.namelist()]
+                _check_known(file, keys, known)
+                return {key: _header_in(archive, key) for key in keys or known}
+    except InputError:
+        raise
+    except _FAULTS as error:
+        raise _unreadable(file, error) from error
+
+
+def read_arrays(file: Path, *keys: str) -> dict[str, np.ndarray]:
+    """The named arrays of an `.npz` (all of them where none is named), or that of an `.npy` under the key "".
+
+    Raises:
+        InputError: The file is damaged or lacks one; names the file.
+    """
+    try:
+        with file.open("rb") as handle:
+            if file.suffix == ".npy":
+                return {"": np.load(handle)}
+            with np.load(handle) as archive:
+                _check_known(file, keys, list(archive))
+                return {key: archive[key] for key in keys or archive}
+    except InputError:
+        raise
+    except _FAULTS as error:
+        raise _unreadable(file, error) from error
+
+
+def _header_in(archive: zipfile.ZipFile, key: str) -> Header:
+    with archive.open(f"{key}.npy") as handle:
+        return _header(handle)
+
+
+def _header(handle: IO[bytes]) -> Header:
+    version = np.lib.format.read_magic(handle)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, dtype = read(handle)
+    return Header(shape, dtype)
+
+
+def _check_known(file: Path, keys: tuple[str, ...], known: list[str]) -> None:
+    missing = [key for key in keys if key not in known]
+    if missing:
+        raise InputError(f"{file}: lacks {', '.join(missing)}; it holds {', '.join(known)}")
+
+
+def _unreadable(file: Path, error: Exception) -> InputError:
+    return InputError(f"{file}: cannot be read ({str(error).splitlines()[0] if str(error) else 'it ends too soon'})")

@@ -1,0 +1,89 @@
+"""Where the files of a data set's photos lie: the folder that is asked for, or that there is, and the suffix found."""
+
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+from gsjax.errors import InputError
+from gsjax.io.photos import Photo
+
+REDUCED = ("images_2", "images_4", "images_8")  # Copies of reduced size, as benchmarks bring them, largest first.
+_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
+
+
+def located(root: Path, photos: Sequence[Photo], images: str | None) -> list[Photo]:
+    """The photos with the paths of the files that there are; what is not found keeps the path where it should be.
+
+    Args:
+        root: Folder of the data set.
+        photos: As the data set lists them.
+        images: Folder that holds them by their names, absolute or in `root`. None: where the data set says, or,
+            where none of them is there, the largest of `images_2`, `images_4` and `images_8` that holds the most; one
+            line on stderr says so.
+
+    Raises:
+        InputError: The folder that is asked for does not exist.
+    """
+    if images is not None:
+        if not (root / images).is_dir():
+            raise InputError(f"{root / images}: no such folder of images")
+        return _in_folder(photos, root / images)
+    found = _with_files(photos, [photo.path for photo in photos])
+    if _count(found):
+        return found
+    reduced = [_in_folder(photos, root / folder) for folder in REDUCED]
+    best = max(range(len(REDUCED)), key=lambda index: _count(reduced[index]))
+    if not _count(reduced[best]):
+        return found
+    _say(f"images: none where {root} says; {root / REDUCED[best]} is taken")
+    return reduced[best]
+
+
+def found_files(paths: Sequence[Path]) -> list[Path]:
+    """Each path itself where it is a file, else the image beside it of the same stem, whatever its suffix and case.
+
+    A stem that two of the paths share, or two images, tells nothing: the path stays as it is.
+    """
+    wanted = Counter(_stem(path) for path in paths)
+
+    @cache
+    def images_in(folder: Path) -> dict[Path, list[Path]]:
+        images = [p for p in folder.glob("*") if p.suffix.lower() in _SUFFIXES and p.is_file()]
+        by_stem: dict[Path, list[Path]] = {}
+        for image in images:
+            by_stem.setdefault(_stem(image), []).append(image)
+        return by_stem
+
+    def found(path: Path) -> Path:
+        if path.is_file():
+            return path
+        same = images_in(path.parent).get(_stem(path), [])
+        return same[0] if len(same) == 1 and wanted[_stem(path)] == 1 else path
+
+    return [found(path) for path in paths]
+
+
+@cache
+def _say(line: str) -> None:
+    """On stderr; once, however often a command loads the data set."""
+    print(line, file=sys.stderr)
+
+
+def _in_folder(photos: Sequence[Photo], folder: Path) -> list[Photo]:
+    names = [Path(photo.name) for photo in photos]  # Absolute where a data set lists photos outside its folder.
+    return _with_files(photos, [folder / (name.name if name.is_absolute() else name) for name in names])
+
+
+def _with_files(photos: Sequence[Photo], paths: Sequence[Path]) -> list[Photo]:
+    return [replace(photo, path=path) for photo, path in zip(photos, found_files(paths), strict=True)]
+
+
+def _count(photos: Sequence[Photo]) -> int:
+    return sum(photo.path.is_file() for photo in photos)
+
+
+def _stem(path: Path) -> Path:
+    return path.parent / path.stem.casefold()

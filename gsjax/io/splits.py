@@ -1,0 +1,62 @@
+"""Which photos are held out for scoring: the data set's own split, every N-th, those of a list, or none."""
+
+import difflib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from gsjax.errors import InputError
+from gsjax.io.photos import Photo
+
+AUTO, NONE = "auto", "none"
+EVERY = 8
+OWN_LIST = "hold_out.txt"  # In a data set's folder: its own split.
+
+
+def split(photos: Sequence[Photo], hold_out: str, root: Path) -> list[Photo]:
+    """Marks the photos that are held out.
+
+    Args:
+        photos: Sorted by name.
+        hold_out: A number N: every N-th, starting with the first; "none"; a text file of names, one a line, where
+            blank lines and lines that begin with # do not count; "auto": the layout's own split, else the names in
+            `root`/hold_out.txt, else every 8th.
+        root: Folder of the data set.
+
+    Raises:
+        InputError: It is none of these, or the file names a photo that there is not, or none.
+    """
+    held_out = _held_out(photos, hold_out, root)
+    return [replace(photo, held_out=photo.name in held_out) for photo in photos]
+
+
+def _held_out(photos: Sequence[Photo], hold_out: str, root: Path) -> set[str]:
+    names = [photo.name for photo in photos]
+    if hold_out == NONE:
+        return set()
+    if hold_out == AUTO:
+        own = {photo.name for photo in photos if photo.held_out}
+        return own or (_listed(root / OWN_LIST, names) if (root / OWN_LIST).is_file() else set(names[::EVERY]))
+    if not hold_out.isdecimal():
+        return _listed(Path(hold_out), names)
+    if int(hold_out) < 2:
+        raise InputError(f"--hold-out {hold_out}: every N-th photo needs an N of at least 2")
+    return set(names[:: int(hold_out)])
+
+
+def _listed(file: Path, names: Sequence[str]) -> set[str]:
+    """The names in a text file, all of which must be among `names`."""
+    try:
+        lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
+    except FileNotFoundError as error:
+        raise InputError(f"{file}: no such list of photos; --hold-out takes a number, none, or a file") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read as a list of photos ({error})") from error
+    wanted = {number: line for number, line in enumerate(lines, 1) if line and not line.startswith("#")}
+    if not wanted:
+        raise InputError(f"{file}: names no photo; --hold-out none holds none out")
+    for number, name in wanted.items():
+        if name not in names:
+            (nearest,) = difflib.get_close_matches(name, names, n=1, cutoff=0.0)
+            raise InputError(f"{file}, line {number}: there is no photo {name}; the nearest name is {nearest}")
+    return set(wanted.values())

@@ -1,0 +1,70 @@
+"""A data set as training sees it, written out: for networks and programs that want pinhole photos."""
+
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from gsjax.errors import InputError
+from gsjax.io.colmap_writer import write_model
+from gsjax.io.files import atomic_folder
+from gsjax.io.images import write_image
+from gsjax.io.scenes import load_scene
+from gsjax.io.splits import OWN_LIST
+from gsjax.scene import Frame, Pixels
+
+_JPEG = (".jpg", ".jpeg")
+
+
+def undistort(
+    scene: str | Path, out: str | Path, *, downscale: float = 1.0, images: str | None = None
+) -> dict[str, Any]:
+    """Write the frames that training sees: undistorted, cropped, masked, downscaled.
+
+    Args:
+        scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
+        out: Folder to make, absent or empty; appears when everything is done. It is a data set with the same views,
+            split and points: `images/` (JPEG at quality 95 where the photo is one, else PNG; with the matte as alpha),
+            `masks/` where not every pixel is valid, `sparse/0` with PINHOLE cameras, `hold_out.txt`.
+        downscale: Frames are this many times smaller, at least 1.
+        images: Folder of the photos, absolute or in `scene`. None: looked for.
+
+    Returns:
+        `images`, `held_out`, `masks`: how many; `points`.
+
+    Raises:
+        InputError: The data set cannot be used, two frames would be written to one file, or `out` is in use or cannot
+            be written.
+    """
+    loaded = load_scene(scene, downscale=downscale, images=images)
+    written: dict[str, Frame] = {}
+    masks = 0
+    with atomic_folder(out) as folder:
+        for frame in tqdm(loaded.frames, desc="undistort", unit="image"):
+            pixels = frame.pixels()
+            name = _file_name(frame.name, pixels)
+            if name in written:
+                raise InputError(f"{scene}: two of its photos would both be written as {name}")
+            written[name] = replace(frame, name=name)
+            write_image(folder / "images" / name, _picture(pixels))
+            if pixels.valid is not None and not pixels.valid.all():
+                write_image(folder / "masks" / f"{name}.png", pixels.valid)
+                masks += 1
+        held_out = [name for name, frame in written.items() if frame.held_out]
+        (folder / OWN_LIST).write_text("".join(f"{name}\n" for name in held_out), encoding="utf-8")
+        write_model(folder / "sparse" / "0", tuple(written.values()), loaded.points, loaded.point_colors)
+    return {"images": len(written), "held_out": len(held_out), "masks": masks, "points": len(loaded.points)}
+
+
+def _picture(pixels: Pixels) -> np.ndarray:
+    return pixels.image if pixels.matte is None else np.dstack([pixels.image, pixels.matte])
+
+
+def _file_name(name: str, pixels: Pixels) -> str:
+    """The frame's name within a folder, its suffix that of a format that can hold the frame."""
+    path = PurePosixPath(name)
+    path = PurePosixPath(*[part for part in path.parts if part not in (path.anchor, "..")])
+    is_jpeg = path.suffix.lower() in _JPEG and pixels.matte is None
+    return str(path if is_jpeg else path.with_suffix(".png"))
