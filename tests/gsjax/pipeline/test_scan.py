@@ -1,0 +1,136 @@
+"""The order of the stages, what is not done twice, what is refused; the stages themselves have tests of their own."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsjax.binding.refining import Refinement
+from gsjax.errors import InputError
+from gsjax.io import runs
+from gsjax.pipeline import scan as scanning
+from gsjax.pipeline.scan import scan, table
+from gsjax.settings import Settings
+
+
+@dataclass(frozen=True)
+class SfmReport:
+    registered: int = 7
+
+
+@pytest.fixture
+def stages(monkeypatch):
+    """Stages that write what the real ones leave, and note how they were called; `fail` names one that breaks."""
+    calls, broken = [], set()
+
+    def stage(name, make):
+        def run(*arguments, **options):
+            calls.append((name, *(str(a) for a in arguments if isinstance(a, str | Path)), options))
+            if name in broken:
+                raise InputError(f"{name} has no room")
+            return make(*arguments)
+
+        return run
+
+    def run_folder(*arguments):
+        runs.write_json(arguments[1] / "manifest.json", {"status": "done"})
+        return {"psnr": 30.0}
+
+    def product(*arguments):
+        arguments[-1].parent.mkdir(parents=True, exist_ok=True)
+        arguments[-1].write_bytes(b"whole")
+        return {"faces": 12}
+
+    def scene(source, folder):
+        folder.mkdir()
+        return SfmReport()
+
+    import gsjax.io.sfm
+
+    monkeypatch.setattr(gsjax.io.sfm, "reconstruct", stage("sfm", scene))
+    monkeypatch.setattr(scanning, "train", stage("train", run_folder))
+    monkeypatch.setattr(scanning, "mesh", stage("mesh", product))
+    monkeypatch.setattr(scanning, "refine", stage("refine", run_folder))
+    monkeypatch.setattr(scanning, "texture", stage("texture", product))
+    monkeypatch.setattr(scanning, "_overview", lambda out: out / "overview.png")
+    return calls, broken
+
+
+@pytest.fixture
+def photos(tmp_path):
+    (tmp_path / "photos").mkdir()
+    return tmp_path / "photos"
+
+
+def scanned(source, out, settings=None, **options):
+    return scan(source, out, settings or Settings(), Refinement(), progress=lambda line: None, **options)
+
+
+def test_every_stage_leaves_its_work_where_its_command_would(stages, photos, tmp_path):
+    out = tmp_path / "scan"
+    report = scanned(photos, out, frames=30)
+    calls, _ = stages
+    assert [(name, *(str(Path(p).relative_to(tmp_path)) for p in paths)) for name, *paths, _ in calls] == [
+        ("sfm", "photos", "scan/scene"),
+        ("train", "scan/scene", "scan/run"),
+        ("mesh", "scan/run", "scan/run/mesh.ply"),
+        ("refine", "scan/run", "scan/refined"),
+        ("texture", "scan/refined", "scan/refined/mesh.ply", "scan/mesh.glb"),
+    ]
+    assert calls[0][-1] == {"frames": 30}
+    assert runs.read_json(out / "report.json") == runs._plain(report)
+    rows = table(report)
+    assert list(rows) == ["sfm", "train", "mesh", "refine", "texture"]
+    assert rows["sfm"]["registered"] == 7 and rows["mesh"]["faces"] == 12
+    assert all(row["seconds"] >= 0 and row["peak_gib"] > 0 for row in rows.values())
+
+
+def test_a_scan_goes_on_where_it_stopped_and_then_has_nothing_to_do(stages, photos, tmp_path):
+    calls, broken = stages
+    broken.add("refine")
+    with pytest.raises(InputError, match="refine has no room"):
+        scanned(photos, tmp_path / "scan")
+    (tmp_path / "scan/refined").mkdir()  # as a refinement that was killed leaves it
+    broken.clear()
+    calls.clear()
+    report = scanned(photos, tmp_path / "scan")
+    assert [call[0] for call in calls] == ["refine", "texture"]
+    assert calls[0][-1] == {"resume": True}
+    assert list(report["stages"]) == ["sfm", "train", "mesh", "refine", "texture"], "what was done before is told too"
+    calls.clear()
+    scanned(photos, tmp_path / "scan")
+    assert calls == []
+
+
+def test_a_data_set_with_poses_is_not_reconstructed(stages, tmp_path):
+    scene = tmp_path / "scene"
+    (scene / "sparse/0").mkdir(parents=True)
+    (scene / "sparse/0/cameras.bin").write_bytes(b"")
+    scanned(scene, tmp_path / "scan")
+    calls, _ = stages
+    assert calls[0][:2] == ("train", str(scene))
+
+
+def test_a_folder_with_other_things_or_other_wishes_is_left_alone(stages, photos, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/letter.txt").write_text("kept")
+    with pytest.raises(InputError, match="mine: this folder is not empty and holds no scan"):
+        scanned(photos, tmp_path / "mine")
+    assert [p.name for p in (tmp_path / "mine").iterdir()] == ["letter.txt"]
+    scanned(photos, tmp_path / "scan")
+    with pytest.raises(InputError, match="scan: was begun with another settings"):
+        scanned(photos, tmp_path / "scan", Settings(seed=1))
+    with pytest.raises(InputError, match="scan: was begun with another source"):
+        scanned(tmp_path, tmp_path / "scan")
+
+
+def test_panels_are_drawn_in_rows_under_their_titles(tmp_path):
+    from gsjax.io.images import image_size
+    from gsjax.pipeline.panels import draw_panels
+
+    pictures = {f"picture {i}": np.full((20, 30, 3), 40 * i, np.uint8) for i in range(5)}
+    wide = draw_panels(pictures, tmp_path / "a.png", columns=5)
+    square = draw_panels(pictures, tmp_path / "b.png", columns=2)
+    (one_width, one_height), (three_width, three_height) = image_size(wide), image_size(square)
+    assert one_width == three_width and three_height > 3 * one_height
