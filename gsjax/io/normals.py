@@ -1,6 +1,8 @@
 """Normal maps from a folder: the monocular prior, as any network may have written it."""
 
 from collections import Counter
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -15,8 +17,8 @@ _SUFFIXES = (".npy", ".npz", ".png")
 _ASPECT_TOLERANCE = 0.02
 
 
-def load_normals(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, np.ndarray]:
-    """Normal maps of the frames, resized to them.
+def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, Callable[[], np.ndarray]]:
+    """Readers of the frames' normal maps, each resized to its frame: one map at a time is in memory.
 
     A map has its frame's name with the suffix `.npy`, `.npz` (the array `cam`, or the only one) or `.png` (8 or 16
     bit, n = 2v - 1), in the same subfolder or in `directory` itself. Arrays are [H, W, 3] or [3, H, W]. Axes are the
@@ -27,10 +29,11 @@ def load_normals(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, 
         frames: The frames that need one each.
 
     Returns:
-        Frame name -> [H, W, 3] float32, unit length, exactly zero where the map says nothing.
+        Frame name -> function that reads [H, W, 3] float32, unit length, exactly zero where the map says nothing.
 
     Raises:
-        InputError: A map is missing, damaged, of another shape or aspect ratio, or holds values that are not finite.
+        InputError: A map is missing. Reading one raises it where the map is damaged, of another shape or aspect ratio,
+            or holds values that are not finite.
     """
     directory = Path(directory)
     if not directory.is_dir():
@@ -39,7 +42,7 @@ def load_normals(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, 
     missing = [name for name, file in files.items() if file is None]
     if missing:
         raise InputError(f"{directory}: {listed('normal map', missing)}")
-    return {frame.name: _load_map(files[frame.name], frame) for frame in frames}
+    return {frame.name: partial(_read_map, files[frame.name], frame) for frame in frames}
 
 
 def _files(directory: Path, frames: tuple[Frame, ...]) -> dict[str, Path | None]:
@@ -54,7 +57,7 @@ def _files(directory: Path, frames: tuple[Frame, ...]) -> dict[str, Path | None]
     return files
 
 
-def _load_map(file: Path, frame: Frame) -> np.ndarray:
+def _read_map(file: Path, frame: Frame) -> np.ndarray:
     normals = _read_png(file) if file.suffix == ".png" else _read_array(file)
     if normals.ndim == 3 and normals.shape[0] == 3 and normals.shape[2] != 3:
         normals = normals.transpose(1, 2, 0)

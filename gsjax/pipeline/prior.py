@@ -10,7 +10,7 @@ from gsjax import gallery
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.io.files import atomic_path
-from gsjax.io.normals import load_normals
+from gsjax.io.normals import normal_maps
 from gsjax.normals.axes import apply_axes, detect_axes
 from gsjax.normals.from_depth import depth_normals, smoothed_depth_normals
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera
@@ -23,14 +23,14 @@ CLEAR_SCORE, CLEAR_MARGIN = 0.5, 0.02  # Below either, the axes of foreign maps 
 class RunPrior:
     """The normals prior of a run, `[H, W, 3]` camera frame a view, kept in RUN/normals.npz once it is known.
 
-    A resumed run reads that file, so that it goes on with the same numbers. Maps given by the user are checked when
-    the run starts, not hours later.
+    A resumed run reads that file, so that it goes on with the same numbers. That every map given by the user is there
+    is checked when the run starts, not hours later.
     """
 
     def __init__(self, run: Path, folder: str | None, frames: tuple[Frame, ...]):
         self.file = run / "normals.npz"
         self.frames = frames
-        self.given = None if folder is None else load_normals(folder, frames)
+        self.given = None if folder is None else normal_maps(folder, frames)
 
     def __call__(self, gaussians: Gaussians, views: Views) -> Views:
         """Add normals to the views, made of the Gaussians so far where the user gave none."""
@@ -47,7 +47,7 @@ class RunPrior:
         rendered = list(gallery.pictures(gaussians, cameras, BACKGROUNDS["black"]))
         if self.given is None:
             return [_smoothed(p, c) for p, c in zip(rendered, cameras, strict=True)]
-        maps = [self.given[f.name] for f in self.frames]
+        maps = [self.given[f.name]() for f in self.frames]
         references = [
             np.asarray(depth_normals(jnp.asarray(p.depth), c)) for p, c in zip(rendered, cameras, strict=True)
         ]

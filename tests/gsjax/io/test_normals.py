@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.io.normals import load_normals
+from gsjax.io.normals import normal_maps
 from gsjax.scene import Pixels, frame_of
 
 NAME = "001.png"
@@ -14,6 +14,11 @@ def frames(*names, width=12, height=8):
     return tuple(
         frame_of(name, viewmat, K, Pixels(np.zeros((height, width, 3), np.uint8))) for name in names or (NAME,)
     )
+
+
+def load_normals(folder, frames):
+    """All maps, each read on its own."""
+    return {name: read() for name, read in normal_maps(folder, frames).items()}
 
 
 def smooth_normals(width=12, height=8):
