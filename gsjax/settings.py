@@ -113,6 +113,7 @@ class Settings:
     seed: int = 0
     downscale: int = 1
     normals: str | None = None  # folder of normal maps; None: the smoothed depth normals of the first phases
+    normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: found by comparing with the rendered depth
     background: Literal["white", "black", "random"] = "black"
     masks: Literal["valid", "matte"] = "valid"
     vanilla: bool = False  # plain 3DGS for the same number of steps: no entropy, no cull, no normals

@@ -93,8 +93,12 @@ def stack_views(frames: tuple[Frame, ...], *, scale: int = 1) -> Views:
 
 
 def with_normals(views: Views, maps: list[np.ndarray]) -> Views:
-    """The same views with `[H, W, 3]` normal maps (not larger than the views, smaller ones are padded with zeros)."""
+    """The same views with `[H, W, 3]` normal maps (not larger than the views, smaller ones are padded with zeros).
+
+    Maps are unit vectors, or int8 and 127 times as long.
+    """
     width, height = views.size
+    maps = [m / np.float32(127) if m.dtype == np.int8 else m for m in maps]
     stacked = np.stack(
         [np.pad(m, ((0, height - m.shape[0]), (0, width - m.shape[1]), (0, 0))).astype(np.float16) for m in maps]
     )

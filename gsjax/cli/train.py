@@ -34,6 +34,9 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--downscale", type=int, metavar="K", help="make the photos K times smaller (default: 1)")
     add("--normals", metavar="DIR", help="folder of normal maps (.npy or .png, named as the photos); without it the"
         " first phase's own smoothed depth normals serve")  # fmt: skip
+    add("--normal-axes", metavar="SIGNS", help="what brings the maps' axes to ours (x right, y down, z forward): three"
+        " signs, as in --normal-axes=+x-y-z, or opencv, opengl, dsine, pytorch3d (default: found by"
+        " comparing)")  # fmt: skip
     add("--background", choices=("white", "black", "random"), help="colour behind the Gaussians (default: black)")
     add("--masks", choices=("valid", "matte"), help="what the masks/ folder means: pixels to use, or the object's"
         " coverage over the background (default: valid)")  # fmt: skip
@@ -63,7 +66,7 @@ def settings(arguments: argparse.Namespace) -> Settings:
         base = config.merge(runs.read_json(started), PRESETS.get(arguments.preset, {}))
     else:
         base = PRESETS[arguments.preset or "fast"]
-    options = given(arguments, "seed", "downscale", "normals", "background", "masks", "vanilla")
+    options = given(arguments, "seed", "downscale", "normals", "normal_axes", "background", "masks", "vanilla")
     # Parsed before the overrides too, so that `--set` reaches into defaults that are lists.
     whole = config.to_dict(config.parse(Settings, config.merge(base, options), where="settings"))
     assignments = [one for group in arguments.assignments for one in group]

@@ -22,6 +22,7 @@ from gsjax.settings import Settings, total_steps
 from gsjax.training import density_control, initialize, optimizers
 from gsjax.training.loop import Progress, fit
 from gsjax.training.step import TrainState, count_alive, initial_state
+from gsjax.views import Views, with_normals
 
 
 def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: bool = False) -> dict[str, Any]:
@@ -48,7 +49,7 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
     size = extent(frames)
     if size <= 0:
         raise InputError(f"{scene}: all {len(frames)} training cameras are at one place, nothing can be reconstructed")
-    prior = RunPrior(Path(out), settings.normals, frames)
+    prior = RunPrior(Path(out), settings.normals, settings.normal_axes, frames)
     as_dict = config.to_dict(settings)
     run = runs.reopen(out, as_dict) if resume else runs.create(out, as_dict, scene=scene, seed=settings.seed)
 
@@ -57,8 +58,12 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
         loaded.points, loaded.point_colors, capacity=settings.max_gaussians, sh_degree=settings.sh_degree
     )
     state, capacity, seconds = beginning(run, initial_state(first, optimizer))
+
+    def with_prior(gaussians: Gaussians, views: Views) -> Views:
+        return with_normals(views, prior(gaussians, frames))
+
     with TrainingJournal(run, settings, loaded, int(state.step), seconds) as journal:
-        state = fit(settings, frames, size, state, optimizer, prior=prior, observe=journal.note, capacity=capacity)
+        state = fit(settings, frames, size, state, optimizer, prior=with_prior, observe=journal.note, capacity=capacity)
         return _finish(run, settings, loaded, state, journal.seconds)
 
 
