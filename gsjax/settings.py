@@ -116,6 +116,7 @@ class Settings:
     images: str | None = None  # folder of the photos, within the data set or absolute; None: looked for
     hold_out: str = "auto"  # every N-th photo, "none", a file of names, or "auto" (`gsjax.io.splits`)
     normals: str | None = None  # folder of normal maps; None: the smoothed depth normals of the first phases
+    normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: found by comparing with the rendered depth
     background: Literal["white", "black", "random"] = "black"
     masks: Literal["valid", "matte"] = "valid"
     vanilla: bool = False  # plain 3DGS for the same number of steps: no entropy, no cull, no normals

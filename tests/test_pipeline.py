@@ -72,7 +72,9 @@ def test_a_run_folder_holds_what_was_asked_and_what_came_of_it(run, scene):
     manifest = runs.read_json(run / "manifest.json")
     assert manifest["status"] == "done"
     assert Path(manifest["scene"]) == scene.resolve()
-    assert {"config.json", "metrics.jsonl", "gaussians.ply", "cameras.json", "normals.npz"} <= set(manifest["files"])
+    assert {"config.json", "metrics.jsonl", "gaussians.ply", "cameras.json", "normals/001.png"} <= set(
+        manifest["files"]
+    )
     steps = [record["step"] for record in runs.read_metrics(run)]
     assert steps == [5, 10, 15, 20, 25, 30]
     assert runs.read_metrics(run)[2]["held_out_psnr"] > 5
@@ -98,6 +100,8 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, mon
     pipeline.train(scene, folder, settings, resume=True)
 
     assert (folder / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+    for file in (run / "normals").iterdir():
+        assert (folder / "normals" / file.name).read_bytes() == file.read_bytes()
     without_time = [
         [{key: value for key, value in record.items() if key != "seconds"} for record in runs.read_metrics(one)]
         for one in (folder, run)
@@ -196,7 +200,7 @@ def test_vanilla_is_the_same_run_without_its_terms(scene, tmp_path):
     pipeline.train(scene, folder, config.parse(Settings, {**SETTINGS, "vanilla": True}))
     terms = [set(record["terms"]) for record in runs.read_metrics(folder)]
     assert terms == [{"l1", "dssim"}] * 6
-    assert not (folder / "normals.npz").exists()
+    assert not (folder / "normals").exists()
 
 
 def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, scene, tmp_path):

@@ -9,6 +9,10 @@ from gsjax import config
 from gsjax.cli.parsers import add_command, given
 from gsjax.settings import PRESETS, Settings
 
+OPTIONS = (
+    "seed", "downscale", "images", "hold_out", "normals", "normal_axes", "background", "masks", "vanilla"
+)  # fmt: skip
+
 
 def add_to(commands: argparse._SubParsersAction) -> None:
     """Adds the command."""
@@ -41,6 +45,9 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         " file names, one a line (default: the data set's own split, else 8)")  # fmt: skip
     add("--normals", metavar="DIR", help="folder of normal maps (.npy or .png, named as the photos); without it the"
         " first phase's own smoothed depth normals serve")  # fmt: skip
+    add("--normal-axes", metavar="SIGNS", help="what brings the maps' axes to ours (x right, y down, z forward): three"
+        " signs, as in --normal-axes=+x-y-z, or opencv, opengl, dsine, pytorch3d (default: found by"
+        " comparing)")  # fmt: skip
     add("--background", choices=("white", "black", "random"), help="colour behind the Gaussians (default: black)")
     add("--masks", choices=("valid", "matte"), help="what the masks/ folder means: pixels to use, or the object's"
         " coverage over the background (default: valid)")  # fmt: skip
@@ -70,9 +77,7 @@ def settings(arguments: argparse.Namespace) -> Settings:
         base = config.merge(runs.read_json(started), PRESETS.get(arguments.preset, {}))
     else:
         base = PRESETS[arguments.preset or "fast"]
-    return overridden(
-        base, arguments, "seed", "downscale", "images", "hold_out", "normals", "background", "masks", "vanilla"
-    )
+    return overridden(base, arguments, *OPTIONS)
 
 
 def overridden(base: Mapping[str, Any], arguments: argparse.Namespace, *names: str) -> Settings:

@@ -1,26 +1,60 @@
 """Foreign normal maps brought to our axes: x right, y down, z forward in the camera, towards it."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable
 
 import numpy as np
+
+from gsjax.errors import InputError
+
+NAMED_AXES = {"opencv": "+x+y+z", "opengl": "+x-y-z", "dsine": "-x-y-z", "pytorch3d": "-x-y+z"}
+"""What networks and programs are known to write, as signs that bring it to our axes: opencv Omnidata, Metric3D and
+MoGe's arrays; opengl Marigold and MoGe's pictures; dsine DSINE, StableNormal and Lotus."""
 
 # The ways to mirror axes, up to the sign of the whole, which an unsigned cosine cannot tell.
 SIGN_PATTERNS = np.array([[1, 1, 1], [-1, 1, 1], [1, -1, 1], [1, 1, -1]], np.float32)
 
 
-def detect_axes(maps: Sequence[np.ndarray], references: Sequence[np.ndarray]) -> tuple[np.ndarray, float, float]:
+def axis_signs(axes: str) -> np.ndarray:
+    """`[3]` float32 signs of axes written out (`+x-y-z`) or named (`NAMED_AXES`).
+
+    Raises:
+        InputError: They are neither.
+    """
+    written = re.fullmatch("([+-])x([+-])y([+-])z", NAMED_AXES.get(axes, axes))
+    if written is None:
+        raise InputError(
+            f"--normal-axes {axes}: expected three signs such as +x-y-z, or one of {', '.join(NAMED_AXES)}"
+        )
+    return np.array([float(f"{sign}1") for sign in written.groups()], np.float32)
+
+
+def written_axes(signs: np.ndarray) -> str:
+    """The other way: `[3]` signs as `+x-y-z`."""
+    return "".join(f"{'+' if s > 0 else '-'}{axis}" for s, axis in zip(signs, "xyz", strict=True))
+
+
+def detect_axes(
+    maps: Iterable[np.ndarray], references: Iterable[np.ndarray], *, pixels_per_map: int = 4000, seed: int = 0
+) -> tuple[np.ndarray, float, float]:
     """Which axes of foreign normal maps point the other way: the mirroring that agrees best with reference normals.
+
+    Maps are taken one at a time, a random sample of each is kept. They must show surfaces that face left or right: all
+    else looks the same whichever way x points.
 
     Args:
         maps: `[H, W, 3]` each, any sign convention, zero where there is no normal.
         references: As many, of the same views in our convention, such as `depth_normals` of a trained scene.
+        pixels_per_map: At most so many pixels of a map are compared.
+        seed: Of the sample.
 
     Returns:
         `[3]` signs (+1 or -1) for `apply_axes`, with the sign of the whole such that maps face the camera; the mean
         |cos| that they reach, 0..1; and by how much the next best mirroring falls short of it. A score under 0.5 or
         a margin under 0.02 is doubtful; without a pixel to compare both are 0.
     """
-    pairs = [_unit_pairs(m, r) for m, r in zip(maps, references, strict=True)]
+    rng = np.random.default_rng(seed)
+    pairs = [_unit_pairs(m, r, pixels_per_map, rng) for m, r in zip(maps, references, strict=True)]
     products = np.concatenate([a * b for a, b in pairs])
     if not len(products):
         return SIGN_PATTERNS[0], 0.0, 0.0
@@ -37,8 +71,13 @@ def apply_axes(normals: np.ndarray, signs: np.ndarray) -> np.ndarray:
     return normals * signs.astype(normals.dtype)
 
 
-def _unit_pairs(normals: np.ndarray, reference: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`[P, 3]` float64 unit normals of both at the pixels where both have one."""
-    lengths = [np.linalg.norm(np.asarray(m, np.float64), axis=-1) for m in (normals, reference)]
-    both = (lengths[0] > 0.5) & (lengths[1] > 0.5)
-    return normals[both] / lengths[0][both][:, None], reference[both] / lengths[1][both][:, None]
+def _unit_pairs(
+    normals: np.ndarray, reference: np.ndarray, count: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """`[P, 3]` float64 unit normals of both at no more than `count` of the pixels where both have one."""
+    both = np.flatnonzero(np.any(normals, axis=-1) & np.any(reference, axis=-1))
+    chosen = rng.choice(both, min(count, len(both)), replace=False)
+    pairs = [m.reshape(-1, 3)[chosen].astype(np.float64) for m in (normals, reference)]
+    lengths = [np.linalg.norm(p, axis=-1, keepdims=True) for p in pairs]
+    long = (lengths[0][:, 0] > 0.5) & (lengths[1][:, 0] > 0.5)
+    return pairs[0][long] / lengths[0][long], pairs[1][long] / lengths[1][long]

@@ -1,66 +1,138 @@
 """Where the normals of a run come from: a folder of maps, or the run's own smoothed depth."""
 
 import sys
-from pathlib import Path
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path, PurePosixPath
+from typing import TypeVar
 
 import jax.numpy as jnp
 import numpy as np
+from tqdm import tqdm
 
 from gsjax import gallery
-from gsjax.cameras import Camera
+from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.io.files import atomic_path
+from gsjax.io.images import read_image, write_image
 from gsjax.io.normals import normal_maps
-from gsjax.normals.axes import apply_axes, detect_axes
-from gsjax.normals.from_depth import depth_normals, smoothed_depth_normals
+from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
+from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera
 from gsjax.scene import Frame
-from gsjax.views import NORMAL_UNIT
 
 CLEAR_SCORE, CLEAR_MARGIN = 0.5, 0.02  # Below either, the axes of foreign maps are doubtful (method: A8).
+VIEWS_FOR_AXES = 50  # as many as are compared with their maps, 4,000 pixels each
+VIEWS_FOR_NOISE = 4
+
+T = TypeVar("T")
 
 
 class RunPrior:
-    """The normals prior of a run, `[H, W, 3]` camera frame a view, kept in RUN/normals.npz once it is known.
+    """The normals prior of a run, one map a view, kept in RUN/normals as 8-bit pictures once it is known.
 
-    A resumed run reads that file, so that it goes on with the same numbers. That every map given by the user is there
-    is checked when the run starts, not hours later.
+    A run that was stopped reads what is there and makes what is missing, so that it goes on with the same numbers.
+    Maps given by the user are looked for when the run starts, not hours later. One view at a time is in memory, but
+    for the maps themselves: 3 bytes a pixel.
     """
 
-    def __init__(self, run: Path, folder: str | None, frames: tuple[Frame, ...]):
-        self.file = run / "normals.npz"
-        self.frames = frames
+    def __init__(self, run: Path, folder: str | None, axes: str | None, frames: tuple[Frame, ...]):
+        """Check what was given.
+
+        Args:
+            run: The run's folder, which need not exist yet.
+            folder: Of foreign normal maps; None: the Gaussians' own.
+            axes: Those of the foreign maps, see `axis_signs`; None: found by comparing with the Gaussians.
+            frames: Whose normals will be asked for.
+
+        Raises:
+            InputError: A map is missing, or the axes are none.
+        """
+        self.folder = run / "normals"
+        self.signs = None if axes is None else axis_signs(axes)
+        if folder is None and axes is not None:
+            raise InputError(f"--normal-axes {axes}: there are no maps whose axes these are, --normals DIR names them")
         self.given = None if folder is None else normal_maps(folder, frames)
 
-    def __call__(self, gaussians: Gaussians) -> list[np.ndarray]:
-        """An int8 map a frame, made of the Gaussians so far where the user gave none."""
-        if not self.file.exists():
-            maps = self._maps(gaussians)
-            with atomic_path(self.file) as temporary, open(temporary, "wb") as file:
-                np.savez_compressed(file, **{str(i): m.astype(np.float16) for i, m in enumerate(maps)})
-        with np.load(self.file) as stored:
-            maps = [stored[str(i)] for i in range(len(self.frames))]
-        return [np.rint(m.astype(np.float32) * NORMAL_UNIT).astype(np.int8) for m in maps]
+    def __call__(self, gaussians: Gaussians, frames: tuple[Frame, ...]) -> list[np.ndarray]:
+        """The maps, made of the Gaussians so far where the user gave none.
 
-    def _maps(self, gaussians: Gaussians) -> list[np.ndarray]:
-        cameras = [frame_camera(f) for f in self.frames]
-        rendered = list(gallery.pictures(gaussians, cameras, BACKGROUNDS["black"]))
-        if self.given is None:
-            return [_smoothed(p, c) for p, c in zip(rendered, cameras, strict=True)]
-        maps = [self.given[f.name]() for f in self.frames]
-        references = [
-            np.asarray(depth_normals(jnp.asarray(p.depth), c)) for p, c in zip(rendered, cameras, strict=True)
-        ]
+        Returns:
+            `[H, W, 3]` int8 a frame: 127 times the unit normal in the camera frame, zero where there is none.
+
+        Raises:
+            InputError: A map is damaged, or cannot be written.
+        """
+        files = _files(self.folder, frames)
+        missing = [frame for frame in frames if not files[frame.name].exists()]
+        if missing:
+            maps = self._foreign(gaussians, frames, missing) if self.given else _own(gaussians, frames, missing)
+            shown = tqdm(zip(missing, maps, strict=True), total=len(missing), desc="normals prior", unit="view")
+            for frame, normals in shown:
+                write_map(files[frame.name], normals)
+        return [read_map(files[frame.name], frame) for frame in frames]
+
+    def _foreign(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
+        assert self.given is not None
+        signs = self._detected(gaussians, _spread(frames, VIEWS_FOR_AXES)) if self.signs is None else self.signs
+        for frame in missing:
+            yield apply_axes(self.given[frame.name](), signs)
+
+    def _detected(self, gaussians: Gaussians, frames: Sequence[Frame]) -> np.ndarray:
+        """Signs of the axes, those of the convention where the views cannot tell; one line says which."""
+        assert self.given is not None
+        maps = (self.given[frame.name]() for frame in frames)
+        references = (np.asarray(depth_normals(depth, camera)) for depth, _, camera in _rendered(gaussians, frames))
         signs, score, margin = detect_axes(maps, references)
-        names = "".join(f"{'+' if s > 0 else '-'}{axis}" for s, axis in zip(signs, "xyz", strict=True))
-        doubt = "" if score >= CLEAR_SCORE and margin >= CLEAR_MARGIN else "; this is doubtful, check the maps' axes"
-        print(
-            f"normals: axes read as {names} (mean |cos| {score:.3f} against the rendered depth, next best {margin:.3f} "
-            f"lower){doubt}",
-            file=sys.stderr,
-        )
-        return [apply_axes(m, signs) for m in maps]
+        measured = f"mean |cos| {score:.3f} against the rendered depth, next best {margin:.3f} lower"
+        clear = score >= CLEAR_SCORE and margin >= CLEAR_MARGIN
+        if clear:
+            line = f"axes read as {written_axes(signs)} ({measured})"
+        else:
+            guess, signs = written_axes(signs), np.ones(3, np.float32)
+            line = f"axes taken as {written_axes(signs)}: {guess} is doubtful ({measured}); --normal-axes sets them"
+        tqdm.write(f"normals: {line}", file=sys.stderr)
+        return signs
 
 
-def _smoothed(picture: gallery.Picture, camera: Camera) -> np.ndarray:
-    return np.asarray(smoothed_depth_normals(jnp.asarray(picture.depth), jnp.asarray(picture.alphas), camera))
+def write_map(file: Path, normals: np.ndarray) -> None:
+    """Writes `[H, W, 3]` unit normals as an 8-bit PNG, 128 + 127 n: zero is exactly middle grey."""
+    write_image(file, (np.rint(127 * normals) + 128).astype(np.uint8))
+
+
+def read_map(file: Path, frame: Frame) -> np.ndarray:
+    """`[H, W, 3]` int8, 127 times the normals that `write_map` was given.
+
+    Raises:
+        InputError: The file is damaged or not of the frame's size.
+    """
+    pixels, _ = read_image(file)
+    if pixels.shape[:2] != (frame.height, frame.width):
+        found = f"{pixels.shape[1]}x{pixels.shape[0]}"
+        raise InputError(f"{file}: normal map is {found}, its frame {frame.width}x{frame.height}")
+    return (pixels ^ np.uint8(128)).view(np.int8)  # value - 128, without leaving 8 bits
+
+
+def _files(folder: Path, frames: Sequence[Frame]) -> dict[str, Path]:
+    """Each frame's map: the frame's name with the suffix .png, added to it where two frames differ by theirs alone."""
+    stems = {frame.name: PurePosixPath(frame.name).with_suffix("") for frame in frames}
+    shared = Counter(stems.values())
+    return {name: folder / f"{stem if shared[stem] == 1 else name}.png" for name, stem in stems.items()}
+
+
+def _own(gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
+    reduction = chosen_reduction(_rendered(gaussians, _spread(frames, VIEWS_FOR_NOISE)))
+    for depth, alphas, camera in _rendered(gaussians, missing):
+        yield np.asarray(smoothed_depth_normals(depth, alphas, camera, reduction=reduction))
+
+
+def _rendered(gaussians: Gaussians, frames: Sequence[Frame]) -> Iterator[tuple]:
+    """Depth, alphas and camera of one frame after the other."""
+    cameras = [frame_camera(frame) for frame in frames]
+    pictures = gallery.pictures(gaussians, cameras, BACKGROUNDS["black"])
+    for picture, camera in zip(pictures, cameras, strict=True):
+        yield jnp.asarray(picture.depth), jnp.asarray(picture.alphas), camera
+
+
+def _spread(items: Sequence[T], count: int) -> list[T]:
+    """No more than `count` of them, evenly spread."""
+    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, min(count, len(items))).round().astype(int))]

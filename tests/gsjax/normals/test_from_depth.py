@@ -8,8 +8,9 @@ from scipy.ndimage import gaussian_filter
 
 from gsjax.analytic import solids
 from gsjax.cameras import Camera, pixel_rays
-from gsjax.normals.axes import apply_axes, detect_axes
-from gsjax.normals.from_depth import depth_normals, smoothed_depth_normals
+from gsjax.errors import InputError
+from gsjax.normals.axes import NAMED_AXES, apply_axes, axis_signs, detect_axes, written_axes
+from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
 
 K = np.float32([[70, 0, 25.5], [0, 64, 17.0], [0, 0, 1]])
 CAMERA = Camera(jnp.eye(4, dtype=jnp.float32), jnp.asarray(K), 48, 36)
@@ -34,13 +35,18 @@ def smoothed(depth, camera=CAMERA, alphas=None, **options):
     return np.asarray(smoothed_depth_normals(jnp.asarray(depth, jnp.float32), jnp.asarray(alphas), camera, **options))
 
 
+def reduced(depth):
+    """Blocks that do not fill the image."""
+    return smoothed(depth, reduction=5)
+
+
 def raw(depth, camera=CAMERA):
     return np.asarray(depth_normals(jnp.asarray(depth, jnp.float32), camera))
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
 @pytest.mark.parametrize("normal", [(0, 0, -1), (0.4, -0.3, -1), (-0.1, -1, -0.7)])
-@pytest.mark.parametrize("estimate", [raw, smoothed])
+@pytest.mark.parametrize("estimate", [raw, smoothed, reduced])
 def test_a_plane_gives_its_normal_everywhere_at_any_scale(estimate, normal, scale):
     depth = plane_depth(unit(normal), scale)
     depth = np.where((depth > 0) & (depth < 20 * scale), depth, 0)
@@ -99,10 +105,10 @@ def test_the_gradient_is_finite_at_holes_and_right_elsewhere():
         np.testing.assert_allclose(np.sum(gradient * direction), expected, rtol=1e-5)
 
 
-def splat_like_noise(shape, seed):
-    """Unit variance, correlated over 2 to 6 pixels, as splats of several sizes leave it."""
+def splat_like_noise(shape, seed, scale=1.0):
+    """Unit variance, correlated over 2 to 6 pixels times `scale`, as splats of several sizes leave it."""
     rng = np.random.default_rng(seed)
-    fields = [gaussian_filter(rng.standard_normal(shape), size) for size in (1.0, 2.0, 3.0)]
+    fields = [gaussian_filter(rng.standard_normal(shape), scale * size) for size in (1.0, 2.0, 3.0)]
     return sum(f / f.std() for f in fields) / np.sqrt(3)
 
 
@@ -123,6 +129,41 @@ def test_smoothing_beats_raw_normals_of_a_noisy_depth(scene_view, amplitude, any
     for mask, factor in ((known, anywhere), (known & (view.labels < solids.GROUND_LABEL), on_objects)):
         before, after = (degrees_between(m, view.normals)[mask].mean() for m in maps)
         assert before > factor * after
+
+
+def seen(depth, camera):
+    """A view as `chosen_reduction` reads it."""
+    return jnp.asarray(depth, jnp.float32), jnp.asarray(depth > 0, jnp.float32), camera
+
+
+# As in a picture of 256 pixels, and in the middle of one of 1024.
+@pytest.mark.parametrize("scale", [1, 4])
+def test_windows_follow_the_size_of_the_bumps(scene_view, scale):
+    camera, normal = scene_view[0], unit((0.4, -0.3, -1))
+    depth = -2.0 / (np.asarray(pixel_rays(camera), np.float64) @ normal)
+    # Bumps of one slope, whatever their size.
+    depth = depth * (1 + 0.002 * scale * splat_like_noise(depth.shape, 0, scale))
+    before = degrees_between(raw(depth, camera), normal).mean()
+    reduction = chosen_reduction([seen(depth, camera)])
+    after = degrees_between(smoothed(depth, camera, reduction=reduction), normal).mean()
+    assert reduction == scale
+    assert before > 15
+    assert after < 0.4 * before
+    if scale > 1:
+        assert degrees_between(smoothed(depth, camera), normal).mean() > 0.6 * before
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 0.003, 0.01])
+def test_windows_stay_small_where_there_is_little_noise_or_shapes_are_small(scene_view, amplitude):
+    camera, view = scene_view
+    depth = view.depth * (1 + amplitude * splat_like_noise(view.depth.shape, 0))
+    assert chosen_reduction([seen(depth, camera)]) == 1
+
+
+def test_the_edge_of_larger_windows_is_as_sharp_in_blocks_of_theirs():
+    depth, truth = roof(0.0)
+    error = degrees_between(smoothed(depth, reduction=2), truth)
+    assert error[:, np.abs(np.arange(48) - 23.5) > 4].max() < 1
 
 
 def roof(noise):
@@ -210,12 +251,39 @@ def test_axes_that_cannot_be_told_have_no_margin(references):
 
 
 def test_score_and_margin_are_mean_cosines(references):
-    foreign = np.roll(references[0], 40, axis=1)
-    _, score, margin = detect_axes([foreign], references[:1])
-    both = np.any(foreign != 0, axis=-1) & np.any(references[0] != 0, axis=-1)
+    reference = references[0][::4, ::4]  # few enough pixels for all to be compared
+    foreign = np.roll(reference, 10, axis=1)
+    _, score, margin = detect_axes([foreign], [reference])
+    both = np.any(foreign != 0, axis=-1) & np.any(reference != 0, axis=-1)
     means = [
-        np.abs(np.sum(foreign * s * references[0], axis=-1))[both].mean()
-        for s in itertools.product([1, -1], [1, -1], [1])
+        np.abs(np.sum(foreign * s * reference, axis=-1))[both].mean() for s in itertools.product([1, -1], [1, -1], [1])
     ]
     best, second = sorted(means)[:-3:-1]
     np.testing.assert_allclose([score, margin], [best, best - second], atol=1e-5)
+
+
+def test_maps_are_taken_one_at_a_time_and_a_sample_of_each_tells_the_same(references):
+    def one_by_one(signs):
+        for reference in references:
+            yield reference * np.float32(signs)
+
+    results = [
+        detect_axes(one_by_one([1, -1, -1]), one_by_one([1, 1, 1]), pixels_per_map=count) for count in (500, 500, 10**6)
+    ]
+    for signs, score, margin in results:
+        np.testing.assert_array_equal(signs, [1, -1, -1])
+        np.testing.assert_allclose((score, margin), results[-1][1:], atol=0.05)
+    assert results[0][1:] == results[1][1:], "the sample is seeded"
+
+
+@pytest.mark.parametrize("signs", list(itertools.product([1, -1], repeat=3)))
+def test_axes_are_written_as_they_are_read(signs):
+    np.testing.assert_array_equal(axis_signs(written_axes(np.float32(signs))), signs)
+
+
+def test_axes_have_names_and_anything_else_is_an_error():
+    np.testing.assert_array_equal([axis_signs(n)[1:] for n in ("opengl", "dsine")], [[-1, -1], [-1, -1]])
+    assert [axis_signs(n)[0] for n in ("opengl", "dsine")] == [1, -1], "a side wall tells them apart"
+    for wrong in ("", "xyz", "+x+y", "+x+y+z ", "OpenGL"):
+        with pytest.raises(InputError, match="expected three signs such as .*, or one of " + ", ".join(NAMED_AXES)):
+            axis_signs(wrong)
