@@ -12,7 +12,8 @@ from jax import Array
 
 from gsjax.gaussians import Gaussians
 from gsjax.scene import Frame
-from gsjax.settings import Density, Phase, Settings, Weights
+from gsjax.settings import Phase, Settings, Weights
+from gsjax.training import density_control
 from gsjax.training.losses import NEEDS_NORMALS
 from gsjax.training.step import (
     BACKGROUNDS,
@@ -181,7 +182,7 @@ def _run_phase(
     def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
         done = step == steps[1]
         if phase.density_control:
-            state = _control_density(settings.density, step, state, optimizer, extent, key)
+            state = _control_density(settings, step, state, optimizer, extent, key)
         if done and phase.cull_below > 0:
             state = cull(state, optimizer=optimizer, min_opacity=phase.cull_below)
         observe(Progress(step, phase, state, metrics, capacity, done))
@@ -191,13 +192,12 @@ def _run_phase(
 
 
 def _control_density(
-    density: Density, step: int, state: TrainState, optimizer: optax.GradientTransformation, extent: float, key: Array
+    settings: Settings, step: int, state: TrainState, optimizer: optax.GradientTransformation, extent: float, key: Array
 ) -> TrainState:
-    if density.start < step < density.stop and step % density.every == 0:
-        reset_before = density.reset_every > 0 and step > density.reset_every
-        state = densify(
-            state, key, jnp.float32(extent), jnp.asarray(reset_before), optimizer=optimizer, density=density
-        )
-    if density.reset_every > 0 and step < density.stop and step % density.reset_every == 0:
+    density = settings.density
+    if density_control.densifies(density, step):
+        large = jnp.asarray(density_control.prunes_large(density, step))
+        state = densify(state, key, jnp.float32(extent), large, optimizer=optimizer, density=density)
+    if density_control.resets_opacities(density, step, settings.background):
         state = reset_opacities(state, optimizer=optimizer, limit=density.reset_opacity)
     return state
