@@ -78,13 +78,16 @@ class Density:
     gradient: float = 2e-4  # mean norm of the loss' gradient to the 2D mean, in NDC units
     dense_share: float = 0.01  # of the extent: larger Gaussians split, smaller ones are cloned
     min_opacity: float = 0.005
-    max_share: float = 0.1  # of the extent: larger Gaussians are pruned once opacities have been reset
-    reset_every: int = 3000  # 0: never
+    max_share: float = 0.1  # of the extent: larger Gaussians are pruned, after `prune_large_after` steps
+    prune_large_after: int | None = None  # None: after the first reset; a fifth of `stop` where there is none
+    reset_every: int = 3000  # and, over a white background, at `start`; 0: never
     reset_opacity: float = 0.01
 
     def __post_init__(self):
         """Check ranges."""
         _check_lowest(self, every=1, reset_every=0)
+        if self.prune_large_after is not None:
+            _check_lowest(self, prune_large_after=0)
         if not 0 < self.reset_opacity < 1:
             raise ValueError(f"reset_opacity={self.reset_opacity} is not between 0 and 1")
 

@@ -51,12 +51,16 @@ def _composite_directions(world: Array, gaussians: Gaussians, view: View, camera
 
 
 def sdf_gradient_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
-    """`[H, W, 3]` the paper's estimator: jax.grad of `depth_sdf` at the visible means, composited by the rasterizer."""
-    usable = view.splats.projection.visible[0]
-    # A mean that this view does not show is read at a harmless place, so that nothing odd enters the gradient.
-    points = jnp.where(usable[:, None], gaussians.means, jax.lax.stop_gradient(_in_front(camera))[None])
+    """`[H, W, 3]` the paper's estimator: jax.grad of `depth_sdf` at the visible means, composited by the rasterizer.
+
+    A mean off the image, or beside a pixel without depth, has no slope to read: it adds no direction and no gradient.
+    """
+    reads = jax.vmap(_reads_depth, in_axes=(0, None, None))(gaussians.means, view.depth > 0, camera)
+    usable = (view.splats.projection.visible[0] & reads)[:, None]
+    # What is not usable is read at a harmless place, so that nothing odd enters the gradient.
+    points = jnp.where(usable, gaussians.means, jax.lax.stop_gradient(_in_front(camera))[None])
     world = jax.vmap(jax.grad(depth_sdf), in_axes=(0, None, None))(points, view.depth, camera)
-    return _composite_directions(world, gaussians, view, camera)
+    return _composite_directions(jnp.where(usable, world, 0), gaussians, view, camera)
 
 
 def pixel_depth_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
@@ -100,6 +104,15 @@ def misalignment(directions: Array, normals: Array, valid: Array) -> Array:
     target = safe_normalize(normals)
     usable = valid & (jnp.sum(unit * unit, -1) > 0.5) & (jnp.sum(target * target, -1) > 0.5)
     return masked_mean(1 - jnp.abs(jnp.sum(unit * target, axis=-1)), usable)
+
+
+def _reads_depth(point: Array, covered: Array, camera: Camera) -> Array:
+    """`[]` bool: a world point projects between four pixel centres of the image, all of them `covered` `[H, W]`."""
+    x, y = cameras.project(cameras.world_to_camera(point, camera), camera) - 0.5
+    inside = (x >= 0) & (x <= camera.width - 1) & (y >= 0) & (y <= camera.height - 1)
+    column, row = (jnp.where(inside, at, 0).astype(jnp.int32) for at in (x, y))
+    right, below = jnp.minimum(column + 1, camera.width - 1), jnp.minimum(row + 1, camera.height - 1)
+    return inside & covered[row, column] & covered[row, right] & covered[below, column] & covered[below, right]
 
 
 def _in_front(camera: Camera) -> Array:

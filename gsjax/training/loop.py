@@ -14,8 +14,8 @@ from gsjax import views
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.scene import Frame
-from gsjax.settings import Density, Phase, Settings, Weights
-from gsjax.training import rows
+from gsjax.settings import Phase, Settings, Weights
+from gsjax.training import density_control, rows
 from gsjax.training.capacity import chosen_capacity, rounded_capacity
 from gsjax.training.losses import NEEDS_NORMALS
 from gsjax.training.state import TrainState, cull, densify, reset_opacities
@@ -217,13 +217,11 @@ def _run_phase(
 def _control_density(
     settings: Settings, step: int, state: TrainState, optimizer: optax.GradientTransformation, extent: float, key: Array
 ) -> TrainState:
-    density: Density = settings.density
-    if density.start < step < density.stop and step % density.every == 0:
-        reset_before = density.reset_every > 0 and step > density.reset_every
+    density = settings.density
+    if density_control.densifies(density, step):
+        large = jnp.asarray(density_control.prunes_large(density, step))
         state = rows.with_room_to_densify(state, optimizer, density, settings.max_gaussians)
-        state = densify(
-            state, key, jnp.float32(extent), jnp.asarray(reset_before), optimizer=optimizer, density=density
-        )
-    if density.reset_every > 0 and step < density.stop and step % density.reset_every == 0:
+        state = densify(state, key, jnp.float32(extent), large, optimizer=optimizer, density=density)
+    if density_control.resets_opacities(density, step, settings.background):
         state = reset_opacities(state, optimizer=optimizer, limit=density.reset_opacity)
     return state

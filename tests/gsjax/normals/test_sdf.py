@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -178,6 +180,65 @@ def test_uncovered_neighbours_leave_no_direction_and_no_nan():
     assert all(missing[r, c] for r, c in ((9, 12), (11, 12), (10, 11), (10, 13)))
     assert missing[1:-1, 1:-1].sum() == 4
     assert bool(jnp.isfinite(jax.grad(total)(jnp.asarray(depth))).all())
+
+
+# --- means that read no surface
+
+HOLE = np.s_[14:22, 22:30]  # pixels without depth, as beyond a silhouette
+STRAY_PIXELS = np.array(
+    [
+        [12.0, 10.0],  # well on the surface
+        [21.4, 18.0],  # its four pixels are columns 20 and 21: the last before the hole
+        [21.6, 18.0],  # columns 21 and 22: touches the hole
+        [26.0, 18.0],  # in the hole
+        [30.4, 22.4],  # touches the hole's last pixel with one corner
+        [30.6, 22.4],
+        [0.6, 5.0],  # on the outermost centres
+        [0.4, 5.0],  # in the image, outside its outermost centres: the border value is read, without slope
+        [-3.0, 5.0],  # beside the image
+        [20.0, 38.0],  # below it
+        [39.6, 35.6],
+    ]
+)
+READS = np.array([1, 1, 0, 0, 0, 1, 1, 0, 0, 0, 0], bool)
+
+
+@pytest.fixture
+def strays(monkeypatch):
+    """Means on a plane that project to `STRAY_PIXELS`, its exact depth with a hole, its normal in the camera, and the
+    estimator before it composites: `[N, 3]` directions from (means, depth)."""
+    normal = unit((0.3, 0.2, -1.0))
+    rays = rays_through(STRAY_PIXELS)
+    depth = plane_depth(normal).astype(np.float32)
+    depth[HOLE] = 0
+    monkeypatch.setattr(render, "features", lambda splats, values: (values, None))
+    all_visible = SimpleNamespace(projection=SimpleNamespace(visible=np.ones((1, len(rays)), bool)))
+
+    def directions(means, depth):
+        return sdf.sdf_gradient_map(SimpleNamespace(means=means), View(None, None, depth, all_visible), CAMERA)
+
+    return in_world(rays * plane_depth(normal, rays)[:, None]), jnp.asarray(depth), TURN @ normal, directions
+
+
+def test_means_that_read_no_depth_have_no_direction(strays):
+    means, depth, normal, directions = strays
+    found = np.asarray(jax.jit(directions)(means, depth))
+    np.testing.assert_array_equal(np.any(found != 0, axis=1), READS)
+    assert angles(found[READS], np.tile(normal, (READS.sum(), 1))).max() < 0.3
+
+
+def test_means_that_read_no_depth_get_and_give_no_gradient(strays):
+    means, depth, _, directions = strays
+    towards = jnp.asarray(np.random.default_rng(0).normal(size=means.shape), jnp.float32)
+    gradient = jax.jit(jax.grad(lambda means, depth: jnp.sum(directions(means, depth) * towards), (0, 1)))
+    to_means, to_depth = (np.asarray(g) for g in gradient(means, depth))
+    np.testing.assert_array_equal(np.any(to_means != 0, axis=1), READS)
+    low = np.floor(STRAY_PIXELS[READS] - 0.5).astype(int)
+    read = np.zeros((36, 40), bool)
+    for right, down in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        read[low[:, 1] + down, low[:, 0] + right] = True
+    np.testing.assert_array_equal(to_depth != 0, read)
+    assert np.isfinite(to_means).all() and np.isfinite(to_depth).all()
 
 
 def test_the_maps_do_not_depend_on_where_the_world_is():

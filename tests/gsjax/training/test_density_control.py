@@ -148,6 +148,87 @@ def test_size_prunes_only_when_asked():
     np.testing.assert_array_equal(np.flatnonzero(alive(pruned)), np.delete(np.arange(ALIVE), 8))
 
 
+def test_a_large_gaussian_that_grows_leaves_its_halves_behind_where_these_are_small_enough():
+    before = scene(size={1: 5.1, 4: 7.9, 7: 8.1, 9: 7.0})  # halves of 3.2, 4.9 and 5.1; the last one is well fitted
+    after, moved = densified(before, gradients({1: 1.0, 4: 2.0, 7: 9.0}), prune_large=True)
+    survivors = {row: float(scales(after)[row].max()) for row in np.flatnonzero(alive(after))}
+    # The doomed ones' rows, 7 and 9, are the first that are free: the steeper gradient gets the first.
+    assert (int(moved.source[7]), int(moved.source[9])) == (4, 1)
+    assert len(survivors) == ALIVE
+    for row, size in ((1, 5.1), (9, 5.1), (4, 7.9), (7, 7.9)):
+        assert survivors[row] == pytest.approx(size / 1.6, rel=1e-5)
+    assert max(survivors.values()) < 5
+
+
+def test_a_large_gaussian_that_finds_no_row_for_its_second_half_waits():
+    full = scene(opacity=dict.fromkeys(range(CAPACITY), 0.9), size={3: 7.0})
+    steeper = {row: 9.0 for row in range(CAPACITY) if row != 3}
+    after, moved = densified(full, gradients({**steeper, 3: 1.0}), prune_large=True)
+    assert_same_rows(after, full, slice(None))
+    room = scene(opacity=dict.fromkeys(range(CAPACITY), 0.9) | {8: 0.01}, size={3: 7.0})
+    after, moved = densified(room, gradients({3: 1.0}), prune_large=True)
+    assert int(moved.source[8]) == 3 and alive(after).all()
+
+
+def densify_and_prune_of_3dgs(gaussians, gradient, prune_large):
+    """Sizes and opacities of what is left, sorted, by the order of 3DGS: clone, split, then prune (numpy)."""
+    sizes, seen = np.asarray(scales(gaussians).max(1)), np.asarray(opacities(gaussians))
+    rows = [(sizes[k], seen[k], gradient.get(k, 0.0)) for k in np.flatnonzero(alive(gaussians))]
+    rows += [(size, opacity, 0.0) for size, opacity, slope in rows if slope >= 0.5 and size <= 0.1]
+    halves = [(size / 1.6, opacity, 0.0) for size, opacity, slope in rows if slope >= 0.5 and size > 0.1] * 2
+    rows = [row for row in rows if not (row[2] >= 0.5 and row[0] > 0.1)] + halves
+    return sorted((size, opacity) for size, opacity, _ in rows if opacity >= 0.1 and not (prune_large and size > 5))
+
+
+@pytest.mark.parametrize("prune_large", [False, True])
+def test_with_room_enough_what_is_left_is_what_3dgs_leaves(prune_large):
+    sizes = {0: 0.3, 1: 6.0, 2: 7.5, 3: 9.0, 4: 5.5, 6: 0.2}
+    gradient = {0: 1.0, 1: 0.7, 3: 2.0, 5: 0.9, 6: 3.0, 7: 0.4, 8: 5.0}
+    before = scene(opacity={6: 0.05, 8: 0.02, 9: 0.3}, size=sizes)
+    after, _ = densified(before, gradients(gradient), prune_large)
+    found = sorted(zip(np.asarray(scales(after).max(1))[alive(after)], np.asarray(opacities(after))[alive(after)]))
+    np.testing.assert_allclose(found, densify_and_prune_of_3dgs(before, gradient, prune_large), rtol=1e-5)
+
+
+def steps_where(rule, *arguments, density, last=100):
+    return [step for step in range(1, last + 1) if rule(density, step, *arguments)]
+
+
+def test_densification_is_due_between_its_bounds():
+    assert steps_where(control.densifies, density=Density(start=20, stop=60, every=10)) == [30, 40, 50]
+
+
+@pytest.mark.parametrize(
+    ("settings", "first"),
+    [
+        ({}, 41),  # after the first reset, as in 3DGS
+        ({"reset_every": 0}, 17),  # without resets: past a fifth of the 80 steps
+        ({"prune_large_after": 70}, 71),
+        ({"prune_large_after": 0, "reset_every": 0}, 1),
+    ],
+)
+def test_size_prunes_from_a_step_on_also_where_opacities_are_never_reset(settings, first):
+    density = Density(**{"stop": 80, "reset_every": 40, **settings})
+    assert steps_where(control.prunes_large, density=density) == list(range(first, 101))
+    assert min(steps_where(control.prunes_large, density=Density(), last=3100)) == 3001
+    assert min(steps_where(control.prunes_large, density=Density(reset_every=0), last=3100)) == 3001
+
+
+@pytest.mark.parametrize(
+    ("background", "settings", "expected"),
+    [
+        ("black", {}, [40]),
+        ("white", {}, [15, 40]),  # what was fitted to the white goes once more, before anything grows
+        ("random", {}, [40]),
+        ("white", {"reset_every": 0}, []),  # resets are off: all of them
+        ("white", {"start": 80}, [40]),
+    ],
+)
+def test_opacities_are_reset_now_and_then_and_at_the_start_over_white(background, settings, expected):
+    density = Density(**{"start": 15, "stop": 80, "reset_every": 40, **settings})
+    assert steps_where(control.resets_opacities, background, density=density) == expected
+
+
 def test_a_gaussian_never_seen_does_not_grow():
     unseen = GrowthStatistics(jnp.zeros(CAPACITY, jnp.float32), jnp.zeros(CAPACITY, jnp.float32))
     after, _ = densified(scene(), unseen)

@@ -132,6 +132,20 @@ def test_opacities_are_reset_when_due(whole):
     assert highest[4] == pytest.approx(0.7, abs=1e-5)
 
 
+def test_size_prunes_without_resets_and_white_photos_reset_once_more_at_the_start(monkeypatch):
+    calls = []
+    monkeypatch.setattr(loop, "densify", lambda state, key, extent, large, **_: calls.append((int(state), bool(large))))
+    monkeypatch.setattr(loop, "reset_opacities", lambda state, **_: calls.append("reset"))
+    density = Density(start=2, stop=9, every=2, reset_every=5)
+    for density, background in ((density, "white"), (replace(density, reset_every=0), "white")):
+        for step in range(1, 9):
+            settings = replace(SETTINGS, density=density, background=background)
+            loop._control_density(settings, step, step, OPTIMIZER, EXTENT, jax.random.key(0))
+        calls.append("end")
+    with_resets = ["reset", (4, False), "reset", (6, True), (8, True), "end"]  # at 2, 4, 5, 6 and 8
+    assert calls == [*with_resets, (4, True), (6, True), (8, True), "end"]
+
+
 @pytest.fixture
 def entered(monkeypatch):
     """(phase, scale, steps, capacity) of every phase that is entered; none is run."""
