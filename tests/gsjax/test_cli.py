@@ -20,6 +20,7 @@ COMMANDS = ("demo", "sfm", "train", "mesh", "refine", "texture", "eval", "render
 @dataclass(frozen=True)
 class SfmReport:
     registered: int
+    left_out: dict[str, str]
 
 
 @pytest.fixture(autouse=True)
@@ -52,7 +53,8 @@ def library(monkeypatch):
 
     names = ("train", "mesh", "evaluate", "render")
     install("gsjax.pipeline", **{name: recorded(name, {"psnr": 29.5, "views": 7}) for name in names})
-    install("gsjax.io.sfm", reconstruct=recorded("sfm", SfmReport(registered=45)))
+    left_out = {"a.jpg": "blurred", "b.jpg": "dark", "c.jpg": "dark"}
+    install("gsjax.io.sfm", reconstruct=recorded("sfm", SfmReport(45, left_out)))
     install("gsjax.pipeline.demo", run=recorded("demo", {"vanilla": {"psnr": 30.0}, "surface": {"psnr": 31.0}}))
     return calls
 
@@ -163,14 +165,20 @@ def test_the_other_commands_reach_their_functions(library, capsys):
     assert cli.main(["render", "run", "--out", "o"]) == 0
     assert cli.main(["render", "run", "--out", "o", "--held-out"]) == 0
     assert cli.main(["sfm", "photos", "--out", "scene"]) == 0
+    assert cli.main(["sfm", "clip.mp4", "--out", "scene", "--frames", "30"]) == 0
     assert cli.main(["demo"]) == 0
     assert library == [
         ("render", ("run", "o"), {"which": "all"}),
         ("render", ("run", "o"), {"which": "held_out"}),
         ("sfm", ("photos", "scene"), {}),
+        ("sfm", ("clip.mp4", "scene"), {"frames": 30}),
         ("demo", ("runs/demo",), {}),
     ]
-    assert "vanilla    30\nsurface    31\n" in capsys.readouterr().out
+    printed = capsys.readouterr()
+    assert "vanilla    30\nsurface    31\n" in printed.out
+    assert "registered  45\nleft_out    3\n" in printed.out
+    reasons = "gsjax: left out (blurred): a.jpg\ngsjax: left out (dark): b.jpg, c.jpg\n"
+    assert printed.err == 2 * reasons
 
 
 @pytest.mark.parametrize(
