@@ -14,7 +14,7 @@ import tempfile
 import threading
 import traceback
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Any, BinaryIO
 
 from tqdm import tqdm
@@ -53,17 +53,19 @@ def run_apart(function: Callable, *arguments: Any, name: str, progress: Callable
             start_new_session=True,  # An interrupt from the keyboard is for us, who then end the child.
         )
         stack.callback(_end, child)
-        try:
+        assert child.stdin and child.stdout  # pipes, as asked for
+        with suppress(BrokenPipeError):  # From one that died at once nothing will be heard either.
             pickle.dump((function, arguments), child.stdin)
             child.stdin.flush()
+        try:
             return _listen(child.stdout, progress)
-        except (EOFError, BrokenPipeError, pickle.UnpicklingError) as error:
+        except (EOFError, pickle.UnpicklingError) as error:
             raise InputError(f"{name}: {_cause(child.wait(), log)}") from error
 
 
 def _listen(stream: BinaryIO, progress: Callable[..., tqdm]) -> Any:
     """Shows the bars that the child tells of, until its result comes."""
-    bar = None
+    bar: Any = None
     with ExitStack() as bars:
         while True:
             what, value = pickle.load(stream)
@@ -86,8 +88,10 @@ def _listen(stream: BinaryIO, progress: Callable[..., tqdm]) -> Any:
 def _end(child: subprocess.Popen) -> None:
     child.kill()
     child.wait()
-    child.stdin.close()
-    child.stdout.close()
+    for pipe in (child.stdin, child.stdout):
+        with suppress(BrokenPipeError):  # What was not sent is not wanted any more.
+            if pipe:
+                pipe.close()
 
 
 def _cause(code: int, log: BinaryIO) -> str:

@@ -64,20 +64,20 @@ class Band(NamedTuple):
     points: np.ndarray  # [M, 3] float32 homogeneous pixels of the other photo's features
 
 
-def match(a: np.ndarray, b: np.ndarray, bands: tuple[Band, Band] | None = None) -> np.ndarray:
+def match(a: np.ndarray, b: np.ndarray, within: tuple[Band, Band] | None = None) -> np.ndarray:
     """Rows of two sets of unit vectors that are each other's nearest, and clearly nearer than the second nearest.
 
     Args:
         a: `[N, 128]` float32.
         b: `[M, 128]` float32.
-        bands: Where to look: for `a` in b's photo, and for `b` in a's. None: everywhere.
+        within: Where to look: for `a` in b's photo, and for `b` in a's. None: everywhere.
 
     Returns:
         `[K, 2]` uint32 rows of `a` and `b`.
     """
     if min(len(a), len(b)) < 2:
         return np.empty((0, 2), np.uint32)
-    there, back = bands or (None, None)
+    there, back = within or (None, None)
     nearest = _nearest(a, b, there)
     rows = np.flatnonzero(nearest >= 0)
     columns, column = np.unique(nearest[rows], return_inverse=True)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -49,7 +50,7 @@ def guess_cameras(shots: list[Shot]) -> list:
     return [cameras[shot.camera] for shot in shots]
 
 
-def match_photos(material: Material, progress: Callable[..., tqdm]) -> tuple[dict[Pair, object], set[Pair]]:
+def match_photos(material: Material, progress: Callable[..., tqdm]) -> tuple[dict[Pair, Any], set[Pair]]:
     """Matches the chosen pairs, then others as long as they may join parts that do not hang together.
 
     Returns:
@@ -66,7 +67,7 @@ def match_photos(material: Material, progress: Callable[..., tqdm]) -> tuple[dic
     return geometries, tried
 
 
-def match_pairs(material: Material, pairs: set[Pair], title: str, progress: Callable[..., tqdm]) -> dict[Pair, object]:
+def match_pairs(material: Material, pairs: set[Pair], title: str, progress: Callable[..., tqdm]) -> dict[Pair, Any]:
     """The geometry of those pairs that match and move as a rigid scene would."""
     options = pycolmap.TwoViewGeometryOptions()
     options.min_num_inliers = _FEWEST_MATCHES
@@ -83,7 +84,8 @@ def match_pairs(material: Material, pairs: set[Pair], title: str, progress: Call
             return None
         fundamental = _fundamental(geometry, *cameras)
         if fundamental is not None:  # Along epipolar lines many a match is clear that was not before.
-            geometry.inlier_matches = match(a.unit(), b.unit(), bands(a, b, fundamental))
+            guided = match(a.unit(), b.unit(), bands(a, b, fundamental))
+            geometry.inlier_matches = max(geometry.inlier_matches, guided, key=len)
         return geometry
 
     ordered = sorted(pairs)
@@ -110,7 +112,7 @@ def _fundamental(geometry, first, second) -> np.ndarray | None:
     return None
 
 
-def map_photos(material: Material, workspace: Path, progress: Callable[..., tqdm]) -> tuple[object, dict[str, str]]:
+def map_photos(material: Material, workspace: Path, progress: Callable[..., tqdm]) -> tuple[Any, dict[str, str]]:
     """The largest model that can be made, and why photos are not in it.
 
     Returns:
@@ -141,7 +143,7 @@ def map_photos(material: Material, workspace: Path, progress: Callable[..., tqdm
 
 def _map(
     material: Material,
-    geometries: Mapping[Pair, object],
+    geometries: Mapping[Pair, Any],
     folder: Path,
     start: Path | None,
     progress: Callable[..., tqdm],
@@ -172,7 +174,7 @@ def _map(
     return list(models.values())
 
 
-def _write_database(path: Path, material: Material, geometries: Mapping[Pair, object]) -> None:
+def _write_database(path: Path, material: Material, geometries: Mapping[Pair, Any]) -> None:
     """Image ids count the photos from 1; each camera is a rig of its own, each photo a frame of it."""
     with pycolmap.Database.open(path) as database:
         for camera in {camera.camera_id: camera for camera in material.cameras}.values():
@@ -213,7 +215,7 @@ def _self_calibrate(model) -> None:
     model.update_point_3d_errors()
 
 
-def _reasons(material: Material, geometries: Mapping[Pair, object], models: list, model) -> dict[str, str]:
+def _reasons(material: Material, geometries: Mapping[Pair, Any], models: list, model) -> dict[str, str]:
     """Why each photo outside the model is not in it."""
     matched = {photo for pair in geometries for photo in pair}
     elsewhere = {photo: len(_registered(other)) for other in models for photo in _registered(other)}
