@@ -1,8 +1,8 @@
-"""`gsjax sfm`: camera poses and a sparse cloud from bare photos."""
+"""`gsjax sfm`: camera poses and a sparse cloud from bare photos or a video."""
 
 import argparse
 
-from gsjax.cli.parsers import add_command
+from gsjax.cli.parsers import add_command, given
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -11,22 +11,31 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         commands,
         "sfm",
         _run,
-        summary="make a data set (COLMAP) from bare photos",
+        summary="make a data set (COLMAP) from bare photos or a video",
         description="""
             Finds where each photo was taken (SIFT, matching, incremental mapping), removes the lens
-            distortion and writes SCENE/images and SCENE/sparse/0. Prints images registered, points,
-            reprojection error.
+            distortion, turns the photos upright and writes SCENE/images and SCENE/sparse/0. Of a video
+            the sharpest frame of every stretch is taken. Prints images registered, points, reprojection
+            error; names the photos left out, and why.
         """,
         example="gsjax sfm photos/ --out scenes/garden",
     )
-    parser.add_argument("photos", metavar="PHOTOS", help="folder of overlapping photos of one still scene")
+    parser.add_argument(
+        "photos", metavar="PHOTOS_OR_VIDEO", help="folder of overlapping photos of one still scene, or a video of it"
+    )
     parser.add_argument("--out", metavar="SCENE", required=True, help="folder to make: the data set for `gsjax train`")
+    parser.add_argument("--frames", metavar="N", type=int, help="frames to take of a video (default: 100)")
 
 
 def _run(arguments: argparse.Namespace) -> None:
+    import sys
     from dataclasses import asdict
 
     from gsjax import tables
     from gsjax.io import sfm
 
-    print(tables.record(asdict(sfm.reconstruct(arguments.photos, arguments.out))))
+    report = sfm.reconstruct(arguments.photos, arguments.out, **given(arguments, "frames"))
+    for reason in dict.fromkeys(report.left_out.values()):
+        names = [name for name, why in report.left_out.items() if why == reason]
+        print(f"gsjax: left out ({reason}): {', '.join(names)}", file=sys.stderr)
+    print(tables.record(asdict(report) | {"left_out": len(report.left_out)}))

@@ -14,12 +14,15 @@ from gsjax.cli import environment
 from gsjax.errors import InputError
 from gsjax.settings import PRESETS, Phase, Settings
 
-COMMANDS = ("demo", "sfm", "train", "mesh", "refine", "texture", "eval", "render", "turntable", "undistort")
+COMMANDS = (
+    "demo", "scan", "sfm", "train", "mesh", "refine", "texture", "eval", "render", "turntable", "undistort"
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class SfmReport:
     registered: int
+    left_out: dict[str, str]
 
 
 @pytest.fixture(autouse=True)
@@ -52,7 +55,8 @@ def library(monkeypatch):
 
     names = ("train", "mesh", "evaluate", "render", "undistort")
     install("gsjax.pipeline", **{name: recorded(name, {"psnr": 29.5, "views": 7}) for name in names})
-    install("gsjax.io.sfm", reconstruct=recorded("sfm", SfmReport(registered=45)))
+    left_out = {"a.jpg": "blurred", "b.jpg": "dark", "c.jpg": "dark"}
+    install("gsjax.io.sfm", reconstruct=recorded("sfm", SfmReport(45, left_out)))
     install("gsjax.pipeline.demo", run=recorded("demo", {"vanilla": {"psnr": 30.0}, "surface": {"psnr": 31.0}}))
     return calls
 
@@ -183,6 +187,7 @@ def test_the_other_commands_reach_their_functions(library, capsys):
     assert cli.main(["sfm", "photos", "--out", "scene"]) == 0
     assert cli.main(["undistort", "scene", "--out", "o"]) == 0
     assert cli.main(["undistort", "scene", "--out", "o", "--downscale", "2", "--images", "images_4"]) == 0
+    assert cli.main(["sfm", "clip.mp4", "--out", "scene", "--frames", "30"]) == 0
     assert cli.main(["demo"]) == 0
     assert library == [
         ("render", ("run", "o"), {"which": "all"}),
@@ -190,9 +195,14 @@ def test_the_other_commands_reach_their_functions(library, capsys):
         ("sfm", ("photos", "scene"), {}),
         ("undistort", ("scene", "o"), {}),
         ("undistort", ("scene", "o"), {"downscale": 2, "images": "images_4"}),
+        ("sfm", ("clip.mp4", "scene"), {"frames": 30}),
         ("demo", ("runs/demo",), {}),
     ]
-    assert "vanilla    30\nsurface    31\n" in capsys.readouterr().out
+    printed = capsys.readouterr()
+    assert "vanilla    30\nsurface    31\n" in printed.out
+    assert "registered  45\nleft_out    3\n" in printed.out
+    reasons = "gsjax: left out (blurred): a.jpg\ngsjax: left out (dark): b.jpg, c.jpg\n"
+    assert printed.err == 2 * reasons
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,5 @@
 import io
+import os
 import shutil
 from functools import partial
 
@@ -13,7 +14,7 @@ from gsjax.errors import InputError
 from gsjax.io import sfm
 from gsjax.io.images import image_size, read_image
 from gsjax.io.scenes import load_scene
-from gsjax.io.sfm import reconstruct
+from gsjax.io.sfm import pairs, reconstruct
 
 quietly = partial(tqdm, disable=True)
 
@@ -43,20 +44,26 @@ def fox(shared, tmp_path_factory):
     return root / "scene", report, bars
 
 
+def check_poses(scene, shared, turns=None, tolerance=1.0):
+    """Relative rotations agree with the reference model's; `turns` by name: quarter turns clockwise of a picture."""
+    reference = pycolmap.Reconstruction(shared / "data/fox/undistorted/sparse/0")
+    theirs = {image.name: image.cam_from_world().matrix()[:, :3] for image in reference.images.values()}
+    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    frames = load_scene(scene).frames
+    expected = [np.linalg.matrix_power(turn, (turns or {}).get(f.name, 0)) @ theirs[f.name] for f in frames]
+    for frame, rotation in zip(frames[1:], expected[1:], strict=True):
+        ours = frame.viewmat[:3, :3] @ frames[0].viewmat[:3, :3].T
+        off = ours @ (rotation @ expected[0].T).T
+        angle = np.degrees(np.arccos(np.clip((np.trace(off) - 1) / 2, -1, 1)))
+        assert angle < tolerance, frame.name
+
+
 def test_real_photos_get_the_poses_of_the_reference_model(fox, shared):
     scene, report, _ = fox
-    assert (report.images, report.registered) == (6, 6)
+    assert (report.images, report.registered, report.left_out) == (6, 6, {})
     assert report.points > 500 and report.mean_track_length > 2.5 and 0 < report.mean_reprojection_error < 1.2
     assert 0 < report.seconds < 120
-    reference = pycolmap.Reconstruction(shared / "data/fox/undistorted/sparse/0")
-    frames = load_scene(scene).frames
-    theirs = {image.name: image for image in reference.images.values()}
-    ours_first, theirs_first = frames[0].viewmat, theirs[frames[0].name].cam_from_world().matrix()
-    for frame in frames[1:]:
-        relative = frame.viewmat[:3, :3] @ ours_first[:3, :3].T
-        expected = theirs[frame.name].cam_from_world().matrix()[:, :3] @ theirs_first[:, :3].T
-        angle = np.degrees(np.arccos(np.clip((np.trace(relative @ expected.T) - 1) / 2, -1, 1)))
-        assert angle < 1.0  # six photos fix the focal length, and with it the angles, to a few per cent only
+    check_poses(scene, shared)  # six photos fix the focal length, and with it the angles, to a few per cent only
 
 
 def test_the_result_is_an_undistorted_data_set_and_nothing_else(fox):
@@ -71,17 +78,129 @@ def test_the_result_is_an_undistorted_data_set_and_nothing_else(fox):
 
 def test_every_stage_reports_its_progress_to_the_end(fox):
     _, _, bars = fox
-    assert [bar.desc for bar in bars] == ["features", "matching", "mapping", "undistortion"]
-    assert [(bar.n, bar.total) for bar in bars] == [(6, 6), (15, 15), (6, 6), (6, 6)]
+    assert [bar.desc for bar in bars] == ["features", "first look", "matching", "mapping", "undistortion"]
+    assert [(bar.n, bar.total) for bar in bars] == [(6, 6), (15, 15), (15, 15), (6, 6), (6, 6)]
 
 
-def test_many_photos_are_matched_along_their_names(shared, tmp_path, monkeypatch):
-    monkeypatch.setattr(sfm, "_EXHAUSTIVE_UP_TO", 3)
+def test_points_have_the_colours_of_the_photos(fox):
+    scene, _, _ = fox
+    model = pycolmap.Reconstruction(scene / "sparse/0")
+    image = model.image(1)
+    pixels, _ = read_image(scene / "images" / image.name)
+    seen = [point for point in image.points2D if point.has_point3D()]
+    here = np.array([pixels[int(point.xy[1]), int(point.xy[0])] for point in seen], float)
+    colors = np.array([model.point3D(point.point3D_id).color for point in seen], float)
+    assert np.median(np.abs(colors - here)) < 10
+
+
+def save_turned(source, target, turns, orientation=None):
+    """A photo with its stored pixels turned clockwise by quarter turns, and a tag where one is given."""
+    pixels, _ = read_image(source)
+    exif = Image.Exif()
+    if orientation:
+        exif[0x0112] = orientation
+    Image.fromarray(np.ascontiguousarray(np.rot90(pixels, -turns))).save(target, quality=95, exif=exif)
+
+
+def test_photos_held_upright_and_across_share_a_camera_and_come_out_upright(shared, tmp_path):
     (tmp_path / "photos").mkdir()
-    for file in sorted((shared / "data/fox/images").iterdir())[:6]:
-        shutil.copy(file, tmp_path / "photos")
-    # One thread: with more, COLMAP ends elsewhere every time, and now and then without the last photo.
-    assert reconstruct(tmp_path / "photos", tmp_path / "scene", threads=1, progress=quietly).registered == 6
+    turns = {}
+    for number, source in enumerate(sorted((shared / "data/fox/images").iterdir())[:8]):
+        target = tmp_path / "photos" / source.name
+        match number % 4:
+            case 0:
+                shutil.copy(source, target)
+            case 1:
+                save_turned(source, target, turns=3, orientation=6)  # as phones store what was held upright
+            case 2:
+                save_turned(source, target, turns=1, orientation=8)
+            case 3:
+                save_turned(source, target, turns=3)  # as if it had been held across
+                turns[source.name] = 3
+    report = reconstruct(tmp_path / "photos", tmp_path / "scene", progress=quietly)
+    assert report.registered == 8
+    model = pycolmap.Reconstruction(tmp_path / "scene/sparse/0")
+    across, *upright = sorted(model.cameras.values(), key=lambda camera: -camera.width)
+    assert len(upright) == 2  # The device stood on its one side, or on the other.
+    for camera in upright:
+        assert (camera.width, camera.height) == (across.height, across.width)
+        np.testing.assert_array_equal(camera.params[:2], across.params[1::-1])
+    check_poses(tmp_path / "scene", shared, turns)
+    for source in sorted((shared / "data/fox/images").iterdir())[:8]:
+        written = tmp_path / "scene/images" / source.name
+        with Image.open(written) as picture:
+            assert 0x0112 not in picture.getexif()
+        pixels, _ = read_image(written)
+        expected = np.rot90(read_image(source)[0], -turns.get(source.name, 0))
+        expected = cv2.resize(expected, pixels.shape[1::-1])
+        assert np.abs(pixels.astype(int) - expected).mean() < 12
+        assert np.abs(pixels[::-1, ::-1].astype(int) - expected).mean() > 30  # so that the test can fail
+
+
+def test_photos_of_two_sizes_and_one_of_something_else(shared, tmp_path):
+    photos = noise_photos(tmp_path / "photos", 1, size=(270, 480))
+    for number, source in enumerate(sorted((shared / "data/fox/images").iterdir())[:6]):
+        image = cv2.imread(str(source))
+        cv2.imwrite(str(photos / source.name), image if number % 2 else cv2.resize(image, (248, 440)))
+    report = reconstruct(photos, tmp_path / "scene", progress=quietly)
+    assert (report.images, report.registered) == (7, 6)
+    assert report.left_out == {"0.png": "no match with any other photo"}
+    assert len(pycolmap.Reconstruction(tmp_path / "scene/sparse/0").cameras) == 2
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["photos", "scene"]
+
+
+def build_with_few_pairs(*arguments):
+    pairs._PARTNERS, pairs._NEXT_BY_NAME = 3, 0
+    return sfm._build(*arguments)
+
+
+def test_photos_in_no_order_are_one_model_by_few_pairs(shared, tmp_path, monkeypatch):
+    monkeypatch.setattr(sfm, "_build", build_with_few_pairs)
+    (tmp_path / "photos").mkdir()
+    sources = sorted((shared / "data/fox/images").iterdir())[:10]
+    for number, place in enumerate(np.random.default_rng(0).permutation(10)):
+        shutil.copy(sources[place], tmp_path / "photos" / f"{number}.jpg")
+    report = reconstruct(tmp_path / "photos", tmp_path / "scene", progress=quietly)
+    assert (report.registered, report.left_out) == (10, {})
+
+
+def test_a_video_becomes_a_data_set_of_its_sharpest_frames(shared, tmp_path):
+    sharp = [cv2.imread(str(source)) for source in sorted((shared / "data/fox/images").iterdir())[:8]]
+    frames = [frame for image in sharp for frame in (cv2.GaussianBlur(image, (0, 0), 3), image, image // 4)]
+    writer = cv2.VideoWriter(str(tmp_path / "clip.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25, (270, 480))
+    for frame in frames:
+        writer.write(frame)
+    writer.release()
+    report = reconstruct(tmp_path / "clip.avi", tmp_path / "scene", frames=8, progress=quietly)
+    assert (report.images, report.registered) == (8, 8)
+    assert sorted(p.name for p in (tmp_path / "scene/images").iterdir()) == [f"{3 * i + 1:06d}.jpg" for i in range(8)]
+
+
+def crash(*_):
+    os.abort()
+
+
+def test_a_crash_is_one_line_and_leaves_nothing_behind(tmp_path, monkeypatch):
+    photos = noise_photos(tmp_path / "photos", 2)
+    monkeypatch.setattr(sfm, "_build", crash)
+    with pytest.raises(InputError, match=r"photos: the process was ended by SIGABRT") as raised:
+        reconstruct(photos, tmp_path / "scene", progress=quietly)
+    assert "\n" not in str(raised.value)
+    assert [p.name for p in tmp_path.iterdir()] == ["photos"]
+
+
+def test_what_cannot_be_meant_is_refused(tmp_path):
+    photos = noise_photos(tmp_path / "photos", 2)
+    with pytest.raises(InputError, match="is a folder of photos, of which all are taken"):
+        reconstruct(photos, tmp_path / "scene", frames=5)
+    with pytest.raises(InputError, match="0.png: is one photo"):
+        reconstruct(photos / "0.png", tmp_path / "scene", progress=quietly)
+    with pytest.raises(InputError, match="--frames 1: at least 2"):
+        reconstruct(photos / "0.png", tmp_path / "scene", frames=1)
+    (tmp_path / "clip.mp4").write_bytes(b"no video")
+    with pytest.raises(InputError, match="clip.mp4: not a video that can be read"):
+        reconstruct(tmp_path / "clip.mp4", tmp_path / "scene", progress=quietly)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["clip.mp4", "photos"]
 
 
 def test_photos_that_show_nothing_in_common_are_counted(tmp_path):

@@ -1,0 +1,158 @@
+"""A function in a process of its own, with its progress shown here: what crashes there is one line here.
+
+Native libraries abort their process when something is wrong inside them. Started apart, they cannot take the caller
+with them, and one that is no longer wanted is simply ended.
+"""
+
+import os
+import pickle
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import traceback
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from typing import Any, BinaryIO
+
+from tqdm import tqdm
+
+from gsjax.errors import InputError
+
+_LAST_WORDS = re.compile(rb"(?:what\(\):|^F\d{4,8} .*?\])\s*(\S.*)", re.MULTILINE)  # Of C++, and of Google's log.
+
+
+def run_apart(function: Callable, *arguments: Any, name: str, progress: Callable[..., tqdm] = tqdm) -> Any:
+    """Calls `function(*arguments, progress)` in a new process and returns what it returns.
+
+    The process ends with this call, however the call ends; what it prints is not shown.
+
+    Args:
+        function: Of a module that can be imported. Its last argument makes progress bars, as `progress` does, one
+            open at a time.
+        arguments: Anything that can be pickled, as must be the result.
+        name: What the error of a crash begins with.
+        progress: Makes the bars that are shown here, called with tqdm's `total`, `desc` and `unit`.
+
+    Raises:
+        InputError: The function raised one, or its process died.
+        RuntimeError: The function raised anything else; holds the traceback from there.
+    """
+    # One thread for each product of matrices: who calls this runs many of them side by side.
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "gsjax.io.apart"]
+    with tempfile.TemporaryFile() as log, ExitStack() as stack:
+        child = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            env=environment,
+            start_new_session=True,  # An interrupt from the keyboard is for us, who then end the child.
+        )
+        stack.callback(_end, child)
+        assert child.stdin and child.stdout  # pipes, as asked for
+        with suppress(BrokenPipeError):  # From one that died at once nothing will be heard either.
+            pickle.dump((function, arguments), child.stdin)
+            child.stdin.flush()
+        try:
+            return _listen(child.stdout, progress)
+        except (EOFError, pickle.UnpicklingError) as error:
+            raise InputError(f"{name}: {_cause(child.wait(), log)}") from error
+
+
+def _listen(stream: BinaryIO, progress: Callable[..., tqdm]) -> Any:
+    """Shows the bars that the child tells of, until its result comes."""
+    bar: Any = None
+    with ExitStack() as bars:
+        while True:
+            what, value = pickle.load(stream)
+            match what:
+                case "open":
+                    bars.close()
+                    bar = bars.enter_context(progress(**value))
+                case "update":
+                    bar.update(value)
+                case "reset":
+                    bar.reset()
+                case "result":
+                    return value
+                case "unusable":
+                    raise InputError(value)
+                case "failed":
+                    raise RuntimeError(value)
+
+
+def _end(child: subprocess.Popen) -> None:
+    child.kill()
+    child.wait()
+    for pipe in (child.stdin, child.stdout):
+        with suppress(BrokenPipeError):  # What was not sent is not wanted any more.
+            if pipe:
+                pipe.close()
+
+
+def _cause(code: int, log: BinaryIO) -> str:
+    """How a child ended that said nothing: by which signal, and its last words."""
+    log.seek(0)
+    said = log.read()
+    words = _LAST_WORDS.findall(said) or said.strip().splitlines()
+    last = f" ({words[-1].decode(errors='replace').strip()})" if words else ""
+    how = f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with code {code}"
+    memory = "; was there memory left?" if code == -signal.SIGKILL else ""
+    return f"the process {how}{last}{memory}"
+
+
+class _Bar:
+    """The child's end of a progress bar."""
+
+    def __init__(self, tell: Callable[[str, Any], None]):
+        self._tell = tell
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def update(self, n: int = 1) -> None:
+        self._tell("update", n)
+
+    def reset(self) -> None:
+        self._tell("reset", None)
+
+
+def _serve() -> None:
+    """The child: reads a function and its arguments, runs it, and tells how it goes on what was standard output."""
+    channel = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # Whatever libraries print goes the way of errors.
+    lock = threading.Lock()
+
+    def tell(what: str, value: Any) -> None:
+        with lock:
+            pickle.dump((what, value), channel)
+            channel.flush()
+
+    def progress(**settings: Any) -> _Bar:
+        tell("open", settings)
+        return _Bar(tell)
+
+    try:
+        function, arguments = pickle.load(sys.stdin.buffer)
+        threading.Thread(target=_leave_with_the_parent, daemon=True).start()
+        tell("result", function(*arguments, progress))
+    except InputError as error:
+        tell("unusable", str(error))
+    except Exception:
+        tell("failed", traceback.format_exc())
+
+
+def _leave_with_the_parent() -> None:
+    sys.stdin.buffer.read()  # Ends when the parent does.
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    _serve()

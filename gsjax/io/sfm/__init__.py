@@ -1,0 +1,123 @@
+"""Bare photos, or a video, to a COLMAP data set: SIFT, chosen pairs, incremental mapping, undistortion."""
+
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from tqdm import tqdm
+
+from gsjax.errors import InputError
+from gsjax.io.apart import run_apart
+from gsjax.io.files import make_folder, unwritable
+
+DEFAULT_FRAMES = 100
+
+__all__ = ["DEFAULT_FRAMES", "SfmReport", "reconstruct"]
+
+
+@dataclass(frozen=True)
+class SfmReport:
+    """What a reconstruction came to."""
+
+    images: int  # photos given, or frames taken of a video
+    registered: int  # photos with a pose
+    left_out: dict[str, str]  # names of the other photos, and why they have none
+    points: int
+    mean_reprojection_error: float  # pixels of the photos
+    mean_track_length: float  # photos a point is seen in
+    seconds: float
+
+
+def reconstruct(
+    photos: str | Path,
+    out: str | Path,
+    *,
+    frames: int | None = None,
+    max_image_size: int = 1600,
+    threads: int = -1,
+    progress: Callable[..., tqdm] = tqdm,
+) -> SfmReport:
+    """Makes a COLMAP data set (`out/images`, `out/sparse/0`, PINHOLE cameras) from a folder of photos or a video.
+
+    Photos of one make, model, focal length and size are taken to come from one camera, held upright or across; what
+    is written is upright. Each photo is matched with the twenty most like it, whatever their order, and with the
+    next by name; the largest model is kept. The work is done in a process of its own.
+
+    Args:
+        photos: Folder of photos, subfolders included; or a video, of which the sharpest frame of every stretch is
+            taken.
+        out: Folder to make; appears when everything is done. Must not exist, or be empty.
+        frames: How many frames to take of a video, None for 100; a shorter video gives all that it has.
+        max_image_size: Features are sought in photos whose longer side is reduced to this, pixels; the photos
+            written are not reduced.
+        threads: Threads to use, -1 for all cores.
+        progress: Makes a progress bar, called with tqdm's `total`, `desc` and `unit`.
+
+    Raises:
+        InputError: No folder or video, fewer than two photos or frames, an unreadable one (named), no model found,
+            `out` in use or not writable, or the process of the reconstruction crashed.
+    """
+    start = time.monotonic()
+    photos, out = Path(photos), Path(out)
+    if frames is not None and frames < 2:
+        raise InputError(f"--frames {frames}: at least 2 are needed")
+    if frames is not None and photos.is_dir():
+        raise InputError(f"{photos}: is a folder of photos, of which all are taken; --frames is for a video")
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out}: exists and is not empty; choose another folder for the scene")
+    threads = threads if threads > 0 else len(os.sched_getaffinity(0))
+    with _workspace(out) as workspace:
+        arguments = (photos, workspace, frames or DEFAULT_FRAMES, max_image_size, threads)
+        report = run_apart(_build, *arguments, name=str(photos), progress=progress)
+        os.replace(workspace / "scene", out)
+    return SfmReport(**report, seconds=time.monotonic() - start)
+
+
+def _build(
+    source: Path, workspace: Path, frames: int, max_image_size: int, threads: int, progress: Callable[..., tqdm]
+) -> dict:
+    """The reconstruction, as it runs in its own process: leaves `workspace/scene`, returns the report."""
+    from gsjax.io.sfm import features, mapping, pairs, publishing, shots
+
+    mapping.pycolmap.set_random_seed(0)
+    folder = _frames_of(source, workspace / "frames", frames, progress) if source.is_file() else source
+    taken = shots.list_shots(folder)
+    found = features.find_features(taken, max_image_size, threads, progress)
+    scores = pairs.likeness(found, threads, progress)
+    material = mapping.Material(taken, found, scores, mapping.guess_cameras(taken), threads)
+    try:
+        model, left_out = mapping.map_photos(material, workspace, progress)
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
+    publishing.write_dataset(model, taken, make_folder(workspace / "scene"), progress)
+    return {
+        "images": len(taken),
+        "registered": model.num_reg_images(),
+        "left_out": left_out,
+        "points": model.num_points3D(),
+        "mean_reprojection_error": model.compute_mean_reprojection_error(),
+        "mean_track_length": model.compute_mean_track_length(),
+    }
+
+
+def _frames_of(source: Path, folder: Path, count: int, progress: Callable[..., tqdm]) -> Path:
+    from gsjax.io.sfm import shots, video
+
+    if source.suffix.lower() in shots.PHOTO_SUFFIXES:
+        raise InputError(f"{source}: is one photo; give the folder that holds all of them")
+    return video.write_sharpest_frames(source, folder, count, progress)
+
+
+@contextmanager
+def _workspace(out: Path) -> Iterator[Path]:
+    """A folder beside `out`, gone afterwards whatever happens."""
+    make_folder(out.parent)
+    try:
+        with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as folder:
+            yield Path(folder)
+    except OSError as error:
+        raise unwritable(out, error) from error

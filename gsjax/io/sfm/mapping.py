@@ -1,0 +1,236 @@
+"""From features to a model: verified matches, COLMAP's incremental mapping, and a second look at what is left out."""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from gsjax.errors import InputError
+from gsjax.io.files import make_folder
+from gsjax.io.packages import require
+from gsjax.io.sfm.features import Features, bands, match
+from gsjax.io.sfm.pairs import Pair, bridging_pairs, choose_pairs, likeliest
+from gsjax.io.sfm.shots import Shot
+
+pycolmap = require("pycolmap", "pip install pycolmap")
+
+_FEWEST_MATCHES = 15  # of a pair, after verification
+_BRIDGING_ROUNDS = 2
+_FULL_LENS_FROM = 5  # photos of one camera that pin two focal lengths and four numbers of distortion down
+_SELF_CALIBRATE_FROM = 20  # registered photos of one camera that pin its principal point down
+_SEED = 0
+
+
+@dataclass(frozen=True)
+class Material:
+    """All that mapping is made of."""
+
+    shots: list[Shot]
+    features: list[Features]
+    scores: np.ndarray  # [V, V] int, likeness of photos
+    cameras: list  # pycolmap.Camera of each photo, shared by the photos of one
+    threads: int
+
+
+def guess_cameras(shots: list[Shot]) -> list:
+    """A `pycolmap.Camera` for each photo, one for all of one camera, with the focal length from EXIF or a guess."""
+    kinds = list(dict.fromkeys(shot.camera for shot in shots))
+    cameras = {}
+    for number, kind in enumerate(kinds, start=1):
+        members = [shot for shot in shots if shot.camera == kind]
+        guess = pycolmap.infer_camera_from_image(members[0].path)
+        model = "OPENCV" if len(members) >= _FULL_LENS_FROM else "SIMPLE_RADIAL"
+        camera = pycolmap.Camera.create_from_model_name(number, model, guess.mean_focal_length(), *members[0].size)
+        camera.has_prior_focal_length = guess.has_prior_focal_length
+        cameras[kind] = camera
+    return [cameras[shot.camera] for shot in shots]
+
+
+def match_photos(material: Material, progress: Callable[..., tqdm]) -> tuple[dict[Pair, Any], set[Pair]]:
+    """Matches the chosen pairs, then others as long as they may join parts that do not hang together.
+
+    Returns:
+        The geometry (`pycolmap.TwoViewGeometry`) of the pairs that match, and all pairs that were tried.
+    """
+    tried = choose_pairs(material.scores)
+    geometries = match_pairs(material, tried, "matching", progress)
+    for _ in range(_BRIDGING_ROUNDS):
+        more = bridging_pairs(material.scores, geometries, tried)
+        if not more:
+            break
+        geometries |= match_pairs(material, more, "matching the rest", progress)
+        tried |= more
+    return geometries, tried
+
+
+def match_pairs(material: Material, pairs: set[Pair], title: str, progress: Callable[..., tqdm]) -> dict[Pair, Any]:
+    """The geometry of those pairs that match and move as a rigid scene would."""
+    options = pycolmap.TwoViewGeometryOptions()
+    options.min_num_inliers = _FEWEST_MATCHES
+    options.ransac.random_seed = _SEED
+
+    def verified(pair: Pair):
+        a, b = (material.features[photo] for photo in pair)
+        matches = match(a.unit(), b.unit())
+        if len(matches) < _FEWEST_MATCHES:
+            return None
+        cameras = [material.cameras[photo] for photo in pair]
+        geometry = pycolmap.estimate_two_view_geometry(cameras[0], a.xy, cameras[1], b.xy, matches, options)
+        if len(geometry.inlier_matches) < _FEWEST_MATCHES:
+            return None
+        fundamental = _fundamental(geometry, *cameras)
+        if fundamental is not None:  # Along epipolar lines many a match is clear that was not before.
+            guided = match(a.unit(), b.unit(), bands(a, b, fundamental))
+            geometry.inlier_matches = max(geometry.inlier_matches, guided, key=len)
+        return geometry
+
+    ordered = sorted(pairs)
+    found = {}
+    with (
+        ThreadPoolExecutor(material.threads) as pool,
+        progress(total=len(ordered), desc=title, unit="pair") as bar,
+    ):
+        for pair, geometry in zip(ordered, pool.map(verified, ordered), strict=True):
+            if geometry is not None:
+                found[pair] = geometry
+            bar.update(1)
+    return found
+
+
+def _fundamental(geometry, first, second) -> np.ndarray | None:
+    """F with `second^T F first = 0` in pixels; None where a plane or a turn on the spot explains the matches."""
+    kinds = pycolmap.TwoViewGeometryConfiguration
+    if geometry.config == kinds.UNCALIBRATED:
+        return geometry.F
+    if geometry.config == kinds.CALIBRATED:
+        into_first, into_second = (np.linalg.inv(camera.calibration_matrix()) for camera in (first, second))
+        return into_second.T @ geometry.E @ into_first
+    return None
+
+
+def map_photos(material: Material, workspace: Path, progress: Callable[..., tqdm]) -> tuple[Any, dict[str, str]]:
+    """The largest model that can be made, and why photos are not in it.
+
+    Returns:
+        `pycolmap.Reconstruction` whose image ids count the photos from 1, and reasons by the names of photos left out.
+
+    Raises:
+        InputError: No two photos give a model.
+    """
+    geometries, tried = match_photos(material, progress)
+    models = _map(material, geometries, workspace / "first", None, progress)
+    if not models:
+        matched = len({photo for pair in geometries for photo in pair})
+        raise InputError(
+            f"no model found; {matched} of {len(material.shots)} photos match another one:"
+            " take photos that overlap by two thirds, from different places"
+        )
+    model = max(models, key=lambda model: (model.num_reg_images(), model.num_points3D()))
+    inside = _registered(model)
+    outside = {photo for pair in geometries for photo in pair} - inside
+    more = likeliest(material.scores, outside, inside, tried) if outside else set()
+    if more and (found := match_pairs(material, more, "matching the rest", progress)):
+        model.write_binary(make_folder(workspace / "largest"))
+        again = _map(material, geometries | found, workspace / "second", workspace / "largest", progress)
+        model = max([model, *again], key=lambda model: model.num_reg_images())
+    _self_calibrate(model)
+    return model, _reasons(material, geometries, models, model)
+
+
+def _map(
+    material: Material,
+    geometries: Mapping[Pair, Any],
+    folder: Path,
+    start: Path | None,
+    progress: Callable[..., tqdm],
+) -> list:
+    """COLMAP's incremental mapping, from the model in the folder `start` on where one is given."""
+    database = make_folder(folder) / "database.db"
+    _write_database(database, material, geometries)
+    options = pycolmap.IncrementalPipelineOptions()
+    options.num_threads = material.threads
+    options.random_seed = _SEED
+    options.min_model_size = 2
+    options.extract_colors = False  # It would read the photos as they are stored.
+    with progress(total=len(material.shots), desc="mapping", unit="photo") as bar:
+
+        def started() -> None:
+            bar.reset()
+            bar.update(2)
+
+        models = pycolmap.incremental_mapping(
+            database,
+            folder,
+            folder,
+            options,
+            start or "",
+            initial_image_pair_callback=started,
+            next_image_callback=lambda: bar.update(1),
+        )
+    return list(models.values())
+
+
+def _write_database(path: Path, material: Material, geometries: Mapping[Pair, Any]) -> None:
+    """Image ids count the photos from 1; each camera is a rig of its own, each photo a frame of it."""
+    with pycolmap.Database.open(path) as database:
+        for camera in {camera.camera_id: camera for camera in material.cameras}.values():
+            database.write_camera(camera, use_camera_id=True)
+            rig = pycolmap.Rig(rig_id=camera.camera_id)
+            rig.add_ref_sensor(camera.sensor_id)
+            database.write_rig(rig, use_rig_id=True)
+        photos = zip(material.shots, material.cameras, material.features, strict=True)
+        for number, (shot, camera, features) in enumerate(photos, start=1):
+            image = pycolmap.Image(name=shot.name, camera_id=camera.camera_id, image_id=number)
+            database.write_image(image, use_image_id=True)
+            frame = pycolmap.Frame(frame_id=number, rig_id=camera.camera_id)
+            frame.add_data_id(image.data_id)
+            database.write_frame(frame, use_frame_id=True)
+            database.write_keypoints(number, features.xy.astype(np.float32))
+        for (i, j), geometry in geometries.items():
+            database.write_two_view_geometry(i + 1, j + 1, geometry)
+
+
+def _self_calibrate(model) -> None:
+    """Lets principal points go as well, which mapping holds at the centre: phones are off by a percent or more."""
+    shares = [model.image(image).camera_id for image in model.reg_image_ids()]
+    few = [camera for camera in set(shares) if shares.count(camera) < _SELF_CALIBRATE_FROM]
+    if len(few) == len(set(shares)):
+        return
+    options = pycolmap.BundleAdjustmentOptions()
+    options.refine_principal_point = True
+    options.print_summary = False
+    options.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1  # wrong matches must not bend the camera
+    config = pycolmap.BundleAdjustmentConfig()
+    for image in model.reg_image_ids():
+        config.add_image(image)
+    for camera in few:
+        config.set_constant_cam_intrinsics(camera)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    # The shorter `pycolmap.bundle_adjustment` switches COLMAP's log back on.
+    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+    model.update_point_3d_errors()
+
+
+def _reasons(material: Material, geometries: Mapping[Pair, Any], models: list, model) -> dict[str, str]:
+    """Why each photo outside the model is not in it."""
+    matched = {photo for pair in geometries for photo in pair}
+    elsewhere = {photo: len(_registered(other)) for other in models for photo in _registered(other)}
+    reasons = {}
+    for photo in sorted(set(range(len(material.shots))) - _registered(model)):
+        if photo not in matched:
+            reason = "no match with any other photo"
+        elif photo in elsewhere:
+            reason = f"in a separate model of {elsewhere[photo]} photos"
+        else:
+            reason = "matched, but too little to be placed"
+        reasons[material.shots[photo].name] = reason
+    return reasons
+
+
+def _registered(model) -> set[int]:
+    """The photos of a model, by their place in the list."""
+    return {image - 1 for image in model.reg_image_ids()}

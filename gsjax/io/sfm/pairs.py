@@ -1,0 +1,76 @@
+"""Which photos are worth matching with which: a cheap look at few features of each tells."""
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from itertools import combinations
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from tqdm import tqdm
+
+from gsjax.io.sfm.features import Features, match
+
+Pair = tuple[int, int]  # photos by their place in the list, the smaller first
+
+_FEW_FEATURES = 400  # the largest of each photo, for the first look
+_PARTNERS = 20  # photos that each is matched with
+_NEXT_BY_NAME = 3  # photos that follow in name order: mostly, and in a video always, the next ones taken
+
+
+def likeness(features: list[Features], threads: int, progress: Callable[..., tqdm]) -> np.ndarray:
+    """`[V, V]` int: how many of their few largest features two photos have in common; 0 on the diagonal."""
+    few = [one.unit(_FEW_FEATURES) for one in features]
+    count = len(few)
+    scores = np.zeros((count, count), np.int64)
+
+    def look(i: int) -> list[int]:
+        return [len(match(few[i], few[j])) for j in range(i + 1, count)]
+
+    with (
+        ThreadPoolExecutor(threads) as pool,
+        progress(total=count * (count - 1) // 2, desc="first look", unit="pair") as bar,
+    ):
+        for i, row in enumerate(pool.map(look, range(count))):
+            scores[i, i + 1 :] = row
+            bar.update(len(row))
+    return scores + scores.T
+
+
+def choose_pairs(scores: np.ndarray) -> set[Pair]:
+    """The pairs to match: each photo with those most like it and with those next by name.
+
+    Args:
+        scores: `[V, V]` as `likeness` gives them, photos in name order.
+    """
+    everything = range(len(scores))
+    following = {(i, j) for i, j in combinations(everything, 2) if j - i <= _NEXT_BY_NAME}
+    return following | likeliest(scores, everything, everything, set())
+
+
+def likeliest(scores: np.ndarray, photos: Iterable[int], among: Iterable[int], tried: set[Pair]) -> set[Pair]:
+    """For each of `photos` the pairs with those `among` others that are most like it, pairs `tried` left out."""
+    among = np.fromiter(among, np.int64)
+    chosen = set()
+    for i in photos:
+        ranked = among[np.argsort(-scores[i, among], kind="stable")]
+        new = [pair for j in ranked.tolist() if i != j and (pair := (min(i, j), max(i, j))) not in tried]
+        chosen |= set(new[:_PARTNERS])
+    return chosen
+
+
+def bridging_pairs(scores: np.ndarray, matched: Iterable[Pair], tried: set[Pair]) -> set[Pair]:
+    """Pairs that may join what hangs together so far: photos outside the largest part, with those of other parts."""
+    parts = connected_parts(len(scores), matched)
+    largest = np.bincount(parts).argmax()
+    chosen = set()
+    for part in np.unique(parts[parts != largest]):
+        chosen |= likeliest(scores, np.flatnonzero(parts == part).tolist(), np.flatnonzero(parts != part), tried)
+    return chosen
+
+
+def connected_parts(count: int, matched: Iterable[Pair]) -> np.ndarray:
+    """`[V]` int, equal for photos that are connected by matched pairs."""
+    rows, columns = np.array(list(matched), np.int64).reshape(-1, 2).T
+    graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count))
+    return connected_components(graph, directed=False)[1]

@@ -1,0 +1,82 @@
+"""A model in the sensor's frame to a data set of upright, undistorted photos."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from gsjax.io.files import make_folder
+from gsjax.io.images import Image
+from gsjax.io.lenses import Lens, PinholeView, pinhole_views
+from gsjax.io.packages import require
+from gsjax.io.sfm.shots import Shot, turned_pinhole, turned_points, turned_pose
+
+pycolmap = require("pycolmap", "pip install pycolmap")
+
+_JPEG_QUALITY = 95
+
+
+def write_dataset(model, shots: list[Shot], folder: Path, progress: Callable[..., tqdm]) -> None:
+    """Writes `images/` and `sparse/0` (PINHOLE), the layout that 3DGS programs read.
+
+    Args:
+        model: `pycolmap.Reconstruction` in the sensors' frames; image ids count `shots` from 1.
+        shots: The photos.
+        folder: Where to write.
+        progress: Makes a progress bar.
+    """
+    upright = pycolmap.Reconstruction()
+    cameras: dict[tuple[int, int], int] = {}  # ids, by id of the camera in the model and quarter turns
+    sums = {point: np.zeros(4) for point in model.points3D}  # colours that were seen of a point, and how many
+    # Camera by camera: the map of a lens is large and made once.
+    images = sorted(model.reg_image_ids(), key=lambda image: (model.image(image).camera_id, image))
+    with progress(total=len(images), desc="undistortion", unit="photo") as bar:
+        for number in images:
+            image, shot = model.image(number), shots[number - 1]
+            (view,) = pinhole_views(_lens(image.camera))
+            key = (image.camera_id, shot.to_upright)
+            if key not in cameras:
+                cameras[key] = len(cameras) + 1
+                upright.add_camera_with_trivial_rig(_camera(cameras[key], view, shot.to_upright))
+            colors = view.warp(shot.read())
+            xy = _undistorted(image, view)
+            _gather_colors(sums, image, colors, xy)
+            _write(folder / "images" / shot.name, shot.upright(colors))
+            xy = turned_points(xy, view.width, view.height, shot.to_upright)
+            pose = turned_pose(image.cam_from_world().matrix(), shot.to_upright)
+            turned = pycolmap.Image(shot.name, xy, cameras[key], number)
+            upright.add_image_with_trivial_frame(turned, pycolmap.Rigid3d(pose))
+            bar.update(1)
+    for number, point in model.points3D.items():
+        color = np.rint(sums[number][:3] / max(sums[number][3], 1)).astype(np.uint8)
+        upright.add_point3D(point.xyz, point.track, color)
+    upright.update_point_3d_errors()
+    upright.write_binary(make_folder(folder / "sparse" / "0"))
+
+
+def _lens(camera) -> Lens:
+    return Lens(camera.model_name, camera.width, camera.height, tuple(camera.params))
+
+
+def _camera(number: int, view: PinholeView, turns: int):
+    params, width, height = turned_pinhole(view.K, view.width, view.height, turns)
+    return pycolmap.Camera(camera_id=number, model="PINHOLE", width=width, height=height, params=params)
+
+
+def _undistorted(image, view: PinholeView) -> np.ndarray:
+    """`[N, 2]` pixels of the view where the photo's features lie."""
+    xy = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
+    return image.camera.cam_from_img(xy) * view.K[[0, 1], [0, 1]] + view.K[:2, 2]
+
+
+def _gather_colors(sums: dict[int, np.ndarray], image, colors: np.ndarray, xy: np.ndarray) -> None:
+    height, width = colors.shape[:2]
+    for point, (x, y) in zip(image.points2D, xy, strict=True):
+        if point.has_point3D() and 0 <= x < width and 0 <= y < height:
+            sums[point.point3D_id] += [*colors[int(y), int(x)], 1]
+
+
+def _write(path: Path, colors: np.ndarray) -> None:
+    make_folder(path.parent)
+    Image.fromarray(np.ascontiguousarray(colors)).save(path, quality=_JPEG_QUALITY)

@@ -1,0 +1,90 @@
+"""The frames of a video that are worth a photo: the sharpest of every stretch."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from gsjax.errors import InputError
+from gsjax.io.files import make_folder
+from gsjax.io.images import cv2
+
+_JUDGED_AT = 640  # pixels of the longer side: what a lens resolves, without the noise of single pixels
+_JPEG_QUALITY = 95
+
+
+def write_sharpest_frames(video: Path, folder: Path, count: int, progress: Callable[..., tqdm]) -> Path:
+    """Cuts the video into `count` stretches of one length and writes the sharpest frame of each.
+
+    Frames are turned as the video's rotation says. One pass; two frames in memory at a time.
+
+    Args:
+        video: Any file that OpenCV reads.
+        folder: Where to write NNNNNN.jpg, the number of the frame in the video, from 0.
+        count: Frames wanted; a video of fewer frames gives them all.
+        progress: Makes a progress bar.
+
+    Returns:
+        `folder`.
+
+    Raises:
+        InputError: The video cannot be read, or has fewer than two frames.
+    """
+    make_folder(folder)
+    total = _frame_count(video)
+    stretches = min(count, total)
+    best, best_sharpness, best_index, stretch = None, -1.0, 0, 0
+    with progress(total=total, desc="video", unit="frame") as bar:
+        for index, frame in enumerate(_frames(video)):
+            if index * stretches // total > stretch and stretch < stretches - 1:
+                _write(folder, best_index, best)
+                best_sharpness, stretch = -1.0, stretch + 1
+            if (sharpness := _sharpness(frame)) > best_sharpness:
+                best, best_sharpness, best_index = frame, sharpness, index
+            bar.update(1)
+    _write(folder, best_index, best)
+    return folder
+
+
+def _frame_count(video: Path) -> int:
+    """What the file says, or where it says nothing, what can be counted."""
+    capture = _open(video)
+    stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+    count = 0
+    while count < (2 if stated > 0 else np.inf) and capture.grab():
+        count += 1
+    capture.release()
+    if count < 2:
+        raise InputError(f"{video}: needs at least 2 frames, has {count}")
+    return max(count, stated)
+
+
+def _frames(video: Path):
+    capture = _open(video)
+    while (read := capture.read())[0]:
+        yield read[1]
+    capture.release()
+
+
+def _open(video: Path):
+    capture = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
+    if not capture.isOpened():
+        raise InputError(f"{video}: not a video that can be read")
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
+    return capture
+
+
+def _sharpness(frame: np.ndarray) -> float:
+    """Variance of the Laplacian of the reduced picture."""
+    grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
+    scale = _JUDGED_AT / max(grey.shape)
+    if scale < 1:
+        grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return float(cv2.Laplacian(grey, cv2.CV_32F).var())
+
+
+def _write(folder: Path, index: int, frame: np.ndarray) -> None:
+    path = folder / f"{index:06d}.jpg"
+    if not cv2.imwrite(str(path), frame, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]):
+        raise InputError(f"cannot write {path}")

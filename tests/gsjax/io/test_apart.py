@@ -1,0 +1,124 @@
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+
+import pytest
+from tqdm import tqdm
+
+from gsjax.errors import InputError
+from gsjax.io.apart import run_apart
+
+quietly = partial(tqdm, disable=True)
+
+
+def counted(upto, progress):
+    with progress(total=upto, desc="counting", unit="one") as bar:
+        for _ in range(upto):
+            bar.update(1)
+        bar.reset()
+        bar.update(upto - 1)
+    print("noise on standard output")
+    return {"sum": sum(range(upto)), "process": os.getpid()}
+
+
+def crash(number, progress):
+    print("terminate called\n  what():  database is locked\n@ 0x1234", file=sys.stderr, flush=True)
+    os.kill(os.getpid(), number)
+
+
+def refuse(progress):
+    raise InputError("photo.jpg: not a photo")
+
+
+def fail(progress):
+    raise KeyError("a bug")
+
+
+def leave(progress):
+    os._exit(3)
+
+
+def sleep(pid_file, progress):
+    pid_file.write_text(str(os.getpid()))
+    with progress(total=1, desc="sleeping", unit="one") as bar:
+        bar.update(1)
+        time.sleep(600)
+
+
+def test_results_come_back_and_bars_are_shown_here():
+    bars = []
+
+    def progress(**settings):
+        bars.append(tqdm(**settings, file=io.StringIO()))
+        return bars[-1]
+
+    result = run_apart(counted, 5, name="it", progress=progress)
+    assert result["sum"] == 10
+    assert result["process"] != os.getpid()
+    assert [(bar.desc, bar.total, bar.n) for bar in bars] == [("counting", 5, 4)]
+
+
+@pytest.mark.parametrize("number", [signal.SIGABRT, signal.SIGSEGV, signal.SIGKILL])
+def test_a_crash_is_one_line_with_the_last_words(number):
+    expected = rf"^it: the process was ended by {number.name} \(database is locked\)(; was there memory left\?)?$"
+    with pytest.raises(InputError, match=expected):
+        run_apart(crash, number, name="it", progress=quietly)
+
+
+def test_an_end_without_a_word_is_one_line():
+    with pytest.raises(InputError, match=r"^it: the process ended with code 3$"):
+        run_apart(leave, name="it", progress=quietly)
+
+
+def test_errors_keep_their_kind():
+    with pytest.raises(InputError, match=r"^photo.jpg: not a photo$"):
+        run_apart(refuse, name="it", progress=quietly)
+    with pytest.raises(RuntimeError, match=r"in fail\n(.*\n)*KeyError: 'a bug'"):
+        run_apart(fail, name="it", progress=quietly)
+
+
+def test_an_interrupt_here_ends_the_process_there(tmp_path):
+    class Interrupted(tqdm):
+        def update(self, n=1):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_apart(sleep, tmp_path / "pid", name="it", progress=partial(Interrupted, disable=True))
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "pid").read_text()), 0)
+
+
+def test_the_process_does_not_outlive_its_parent(tmp_path):
+    program = f"""
+from pathlib import Path
+from gsjax.io.apart import run_apart
+from {__name__} import quietly, sleep
+run_apart(sleep, Path({str(tmp_path / "pid")!r}), name="it", progress=quietly)
+"""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen([sys.executable, "-c", program], env=environment) as parent:
+        assert within(30, lambda: (tmp_path / "pid").is_file() and (tmp_path / "pid").read_text())
+        parent.kill()
+    assert within(30, lambda: not is_running(int((tmp_path / "pid").read_text())))
+
+
+def within(seconds, condition):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if condition():
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def is_running(process):
+    """Not gone, and not a body that nobody has fetched yet."""
+    try:
+        with open(f"/proc/{process}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False

@@ -1,0 +1,204 @@
+"""The pieces of a reconstruction that need no COLMAP: how photos are turned, matches, pairs, frames of a video."""
+
+import io
+from functools import partial
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image, ImageOps
+from tqdm import tqdm
+
+from gsjax.errors import InputError
+from gsjax.io.sfm import features as sift
+from gsjax.io.sfm import pairs, shots, video
+from gsjax.io.sfm.features import Features, bands, match
+
+quietly = partial(tqdm, disable=True)
+
+
+def photo(path, size=(40, 20), **tags):
+    """A photo of noise, with EXIF tags by name."""
+    exif = Image.Exif()
+    details = exif.get_ifd(0x8769)
+    for name, value in tags.items():
+        where = {"make": (exif, 0x010F), "orientation": (exif, 0x0112), "focal": (details, 0xA405)}[name]
+        where[0][where[1]] = value
+    pixels = np.random.default_rng(0).integers(0, 256, (size[1], size[0], 3), dtype=np.uint8)
+    Image.fromarray(pixels).save(path, exif=exif)
+
+
+@pytest.mark.parametrize("size", [(40, 20), (20, 40)])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_every_exif_orientation_ends_upright_by_way_of_the_sensor(tmp_path, orientation, size):
+    photo(tmp_path / "a.png", size, orientation=orientation)
+    photo(tmp_path / "b.png", size)
+    shot, _ = shots.list_shots(tmp_path)
+    sensor = shot.read()
+    assert sensor.shape == (20, 40, 3)
+    assert shot.size == (40, 20)
+    with Image.open(tmp_path / "a.png") as picture:
+        expected = np.asarray(ImageOps.exif_transpose(picture))
+    np.testing.assert_array_equal(shot.upright(sensor), expected)
+
+
+def test_photos_of_one_camera_share_it_however_it_was_held(tmp_path):
+    photo(tmp_path / "0.png", make="One", focal=26)
+    photo(tmp_path / "1.png", make="One", focal=26, orientation=6)
+    photo(tmp_path / "2.png", (20, 40), make="One", focal=26)
+    photo(tmp_path / "3.png", make="One", focal=52)
+    photo(tmp_path / "4.png", make="Two", focal=26)
+    photo(tmp_path / "5.png", (42, 20), make="One", focal=26)
+    photo(tmp_path / "6.png")
+    cameras = [shot.camera for shot in shots.list_shots(tmp_path)]
+    assert len(set(cameras[:3])) == 1
+    assert len(set(cameras[2:])) == 5
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_pose_and_pinhole_turn_with_the_picture(turns):
+    K, width, height = np.array([[30.0, 0, 17], [0, 35, 12], [0, 0, 1]]), 40, 24
+    pose = np.c_[np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0], [0.1, 0.2, 3.0]]
+    point = np.array([0.3, -0.2, 0.4, 1.0])
+    x, y, z = K @ pose @ point
+    picture = np.zeros((height, width))
+    picture[int(y / z), int(x / z)] = 1
+    turned = np.rot90(picture, -turns)
+    (fx, fy, cx, cy), new_width, new_height = shots.turned_pinhole(K, width, height, turns)
+    assert turned.shape == (new_height, new_width)
+    x_up, y_up, z_up = shots.turned_pose(pose, turns) @ point
+    pixel = np.array([fx * x_up / z_up + cx, fy * y_up / z_up + cy])
+    assert turned[int(pixel[1]), int(pixel[0])] == 1
+    np.testing.assert_allclose(pixel, shots.turned_points(np.array([[x / z, y / z]]), width, height, turns)[0])
+
+
+def unit(rng, count):
+    vectors = rng.normal(size=(count, 128)).astype(np.float32)
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def mutual_and_clear(a, b):
+    """The definition, in a loop and float64."""
+    angles = np.arccos(np.clip(a.astype(np.float64) @ b.T.astype(np.float64), -1, 1))
+
+    def nearest(row):
+        first, second = np.sort(row)[:2]
+        return int(row.argmin()) if first < 0.7 and first < 0.8 * second else -1
+
+    there, back = [nearest(row) for row in angles], [nearest(row) for row in angles.T]
+    return [(i, j) for i, j in enumerate(there) if j >= 0 and back[j] == i]
+
+
+def test_matches_are_those_of_the_definition(monkeypatch):
+    monkeypatch.setattr(sift, "_BLOCK", 7)
+    rng = np.random.default_rng(0)
+    a = unit(rng, 40)
+    b = a[rng.permutation(40)[:30]] + rng.uniform(0, 0.12, (30, 1)) * rng.normal(size=(30, 128))
+    b = np.r_[b, b[:5] + 0.01 * rng.normal(size=(5, 128))].astype(np.float32)  # five with a twin: not clear
+    b /= np.linalg.norm(b, axis=1, keepdims=True)
+    found = match(a, b)
+    assert 5 < len(found) < 25
+    assert found.tolist() == [list(pair) for pair in mutual_and_clear(a, b)]
+    assert match(a, b[:1]).shape == match(a[:0], b).shape == (0, 2)
+
+
+def test_along_epipolar_lines_twins_elsewhere_do_no_harm():
+    rng = np.random.default_rng(0)
+    descriptors = rng.integers(0, 200, (20, 128)).astype(np.uint8)
+    xy = np.stack([np.full(20, 50.0), 20.0 * np.arange(20)], axis=-1)
+    a = Features(xy, descriptors)
+    b = Features(np.r_[xy + [9, 0], xy + [9, 300]], np.r_[descriptors, descriptors])  # twins 300 rows below
+    along_rows = np.array([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # F of a camera that moved to the side
+    assert len(match(a.unit(), b.unit())) == 0
+    found = match(a.unit(), b.unit(), bands(a, b, along_rows))
+    assert found[:5].tolist() == [[i, i] for i in range(5)]  # of the others a twin lies on the line of another
+
+
+def test_likeness_counts_what_photos_share():
+    rng = np.random.default_rng(0)
+    world = rng.integers(0, 200, (60, 128)).astype(np.uint8)
+    ranges = [(0, 30), (20, 50), (45, 60)]
+    photos = [Features(np.zeros((stop - start, 2)), world[start:stop]) for start, stop in ranges]
+    np.testing.assert_array_equal(pairs.likeness(photos, 2, quietly), [[0, 10, 0], [10, 0, 5], [0, 5, 0]])
+
+
+def test_photos_are_paired_with_the_likest_and_with_the_next_by_name(monkeypatch):
+    monkeypatch.setattr(pairs, "_PARTNERS", 2)
+    monkeypatch.setattr(pairs, "_NEXT_BY_NAME", 1)
+    count = 60
+    order = np.random.default_rng(0).permutation(count)  # where each photo stands on a line
+    distance = np.abs(order[:, None] - order)
+    scores = np.where(distance == 0, 0, 100 - distance)
+    chosen = pairs.choose_pairs(scores)
+    neighbours = {(min(i, j), max(i, j)) for i, j in zip(*np.where(distance == 1), strict=True)}
+    assert neighbours <= chosen
+    assert {(i, i + 1) for i in range(count - 1)} <= chosen
+    assert len(chosen) < 4 * count
+    assert len(set(pairs.connected_parts(count, neighbours))) == 1
+
+
+def test_parts_are_bridged_by_their_likest_pairs(monkeypatch):
+    monkeypatch.setattr(pairs, "_PARTNERS", 1)
+    matched = {(0, 1), (1, 2), (3, 4)}
+    scores = np.zeros((5, 5), int)
+    scores[1, 4] = scores[4, 1] = 9
+    scores[2, 3] = scores[3, 2] = 8
+    scores[0, 3] = scores[3, 0] = 7
+    assert pairs.bridging_pairs(scores, matched, set()) == {(1, 4), (2, 3)}
+    assert pairs.bridging_pairs(scores, matched, {(2, 3), (1, 4)}) == {(0, 3), (0, 4)}
+    assert pairs.bridging_pairs(scores, matched | {(2, 3)}, set()) == set()
+
+
+def write_video(path, frames, code="MJPG"):
+    height, width = frames[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), 25, (width, height))
+    for frame in frames:
+        writer.write(frame)
+    writer.release()
+    return path
+
+
+def noise_frames(count, sharp):
+    """Blurred noise, but for the frames named."""
+    rng = np.random.default_rng(0)
+    frames = [rng.integers(0, 256, (48, 64, 3), dtype=np.uint8) for _ in range(count)]
+    return [frame if i in sharp else cv2.GaussianBlur(frame, (0, 0), 2) for i, frame in enumerate(frames)]
+
+
+def test_the_sharpest_frame_of_every_stretch_is_taken(tmp_path):
+    clip = write_video(tmp_path / "clip.avi", noise_frames(20, sharp=(3, 5, 14, 19)))
+    bars = []
+
+    def progress(**settings):
+        bars.append(tqdm(**settings, file=io.StringIO()))
+        return bars[-1]
+
+    video.write_sharpest_frames(clip, tmp_path / "frames", 4, progress)
+    assert sorted(f.name for f in (tmp_path / "frames").iterdir()) == [f"{i:06d}.jpg" for i in (3, 5, 14, 19)]
+    assert [(bar.n, bar.total) for bar in bars] == [(20, 20)]
+
+
+def test_a_short_video_gives_all_its_frames(tmp_path):
+    clip = write_video(tmp_path / "clip.avi", noise_frames(3, sharp=()))
+    video.write_sharpest_frames(clip, tmp_path / "frames", 100, quietly)
+    assert len(list((tmp_path / "frames").iterdir())) == 3
+
+
+def test_a_video_is_turned_as_it_says(tmp_path):
+    clip = write_video(tmp_path / "clip.mp4", noise_frames(4, sharp=()), "mp4v")
+    data = bytearray(clip.read_bytes())
+    matrix = data.index(b"tkhd") + 44  # of the track header: where the picture's axes go, 16.16 fixed point
+    one = 1 << 16
+    data[matrix : matrix + 36] = np.array([0, one, 0, -one, 0, 0, 48 * one, 0, 1 << 30], ">i4").tobytes()
+    clip.write_bytes(data)
+    video.write_sharpest_frames(clip, tmp_path / "frames", 2, quietly)
+    assert {cv2.imread(str(f)).shape for f in (tmp_path / "frames").iterdir()} == {(64, 48, 3)}
+
+
+def test_unusable_videos_are_named(tmp_path):
+    (tmp_path / "broken.mp4").write_bytes(b"no video")
+    with pytest.raises(InputError, match=r"broken.mp4: not a video that can be read"):
+        video.write_sharpest_frames(tmp_path / "broken.mp4", tmp_path / "frames", 4, quietly)
+    clip = write_video(tmp_path / "one.avi", noise_frames(1, sharp=()))
+    with pytest.raises(InputError, match=r"one.avi: needs at least 2 frames, has 1"):
+        video.write_sharpest_frames(clip, tmp_path / "frames", 4, quietly)
