@@ -164,33 +164,37 @@ def _fit_planes(values: Array, weights: Array) -> tuple[Array, Array]:
         the squared residual, infinite where less than 15 % of the window is valid.
     """
     weighted = weights * values
-    mass, x, y = (_moment(weights, *powers) for powers in ((0, 0), (1, 0), (0, 1)))
-    xx, xy, yy = (_moment(weights, *powers) for powers in ((2, 0), (1, 1), (0, 2)))
-    right = jnp.stack([_moment(weighted, *powers) for powers in ((0, 0), (1, 0), (0, 1))], axis=-1)
+    along_x = _moments(jnp.stack([weights] * 3 + [weighted] * 2 + [weighted * values]), (0, 1, 2, 0, 1, 0), axis=2)
+    chosen = along_x[jnp.array([0, 1, 0, 2, 1, 0, 3, 4, 3, 5])]
+    mass, x, y, xx, xy, yy, v, vx, vy, vv = _moments(chosen, (0, 0, 1, 0, 1, 2, 0, 0, 1, 0), axis=1)
     # Coordinates are in units of sigma, moments of order 1: the ridge only decides where a window is all but empty.
     rows = [[mass + 1e-6, x, y], [x, xx + 1e-3, xy], [y, xy, yy + 1e-3]]
     first, second, third = (jnp.stack(row, axis=-1) for row in rows)
     adjugate = jnp.stack([jnp.cross(second, third), jnp.cross(third, first), jnp.cross(first, second)], axis=-1)
     determinant = jnp.sum(first * adjugate[..., 0], axis=-1, keepdims=True)
+    right = jnp.stack([v, vx, vy], axis=-1)
     planes = jnp.sum(adjugate * right[..., None, :], axis=-1) / determinant
-    residual = _moment(weighted * values, 0, 0) - jnp.sum(planes * right, axis=-1)
-    variance = jnp.maximum(residual, 0.0) / jnp.maximum(mass, 1e-6)
+    variance = jnp.maximum(vv - jnp.sum(planes * right, axis=-1), 0.0) / jnp.maximum(mass, 1e-6)
     per_pixel = jnp.array([1.0, 1.0 / _SIGMA, 1.0 / _SIGMA], values.dtype)
     return planes * per_pixel[None, None], jnp.where(mass > 0.15, variance, jnp.inf)
 
 
-def _moment(image: Array, power_x: int, power_y: int) -> Array:
-    """`[H, W]` sum over a normalised Gaussian window of image x^px y^py, offsets from the centre in units of sigma."""
+def _moments(images: Array, powers: tuple[int, ...], axis: int) -> Array:
+    """`[C, H, W]` sums of images over a normalised Gaussian window along an axis, times a power of the offset each.
+
+    Offsets are from the window's centre, in units of sigma.
+    """
     reach = math.ceil(2.5 * _SIGMA)
     offsets = np.arange(-reach, reach + 1) / _SIGMA
     window = np.exp(-0.5 * offsets**2) / np.exp(-0.5 * offsets**2).sum()
-    for axis, power in ((1, power_x), (0, power_y)):
-        size = image.shape[axis]
-        padded = jnp.pad(image, [(reach, reach) if a == axis else (0, 0) for a in range(2)])
-        image = jnp.zeros_like(image)
-        for start, weight in enumerate(window * offsets**power):
-            image += float(weight) * jax.lax.slice_in_dim(padded, start, start + size, axis=axis)
-    return image
+    weights = jnp.asarray(window[:, None] * offsets[:, None] ** np.array(powers), images.dtype)
+    padded = jnp.pad(images, [(reach, reach) if a == axis else (0, 0) for a in range(3)])
+
+    def add(tap: Array, total: Array) -> Array:
+        neighbours = jax.lax.dynamic_slice_in_dim(padded, tap, images.shape[axis], axis=axis)
+        return total + weights[tap][:, None, None] * neighbours
+
+    return jax.lax.fori_loop(0, len(offsets), add, jnp.zeros_like(images))
 
 
 def _choose_planes(planes: Array, variance: Array, values: Array) -> tuple[Array, Array]:
