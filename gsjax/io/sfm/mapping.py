@@ -19,6 +19,7 @@ from gsjax.io.sfm.shots import Shot
 pycolmap = require("pycolmap", "pip install pycolmap")
 
 _FEWEST_MATCHES = 15  # of a pair, after verification
+_ENOUGH_MATCHES = 200  # of a pair; with fewer, more are sought along epipolar lines
 _BRIDGING_ROUNDS = 2
 _FULL_LENS_FROM = 5  # photos of one camera that pin two focal lengths and four numbers of distortion down
 _SELF_CALIBRATE_FROM = 20  # registered photos of one camera that pin its principal point down
@@ -83,7 +84,8 @@ def match_pairs(material: Material, pairs: set[Pair], title: str, progress: Call
         if len(geometry.inlier_matches) < _FEWEST_MATCHES:
             return None
         fundamental = _fundamental(geometry, *cameras)
-        if fundamental is not None:  # Along epipolar lines many a match is clear that was not before.
+        if len(geometry.inlier_matches) < _ENOUGH_MATCHES and fundamental is not None:
+            # Along epipolar lines many a match is clear that was not before.
             guided = match(a.unit(), b.unit(), bands(a, b, fundamental))
             geometry.inlier_matches = max(geometry.inlier_matches, guided, key=len)
         return geometry
