@@ -28,7 +28,7 @@ LAYERS = {
     "measures": Layer(("gsjax.measures",), ("vocabulary",), CORE_PACKAGES),
     "normals": Layer(("gsjax.normals",), ("vocabulary",), CORE_PACKAGES),
     "analytic": Layer(("gsjax.analytic",), ("vocabulary", "measures"), CORE_PACKAGES),
-    "training": Layer(("gsjax.training",), ("vocabulary", "measures", "normals"), CORE_PACKAGES),
+    "training": Layer(("gsjax.training",), ("rasterizer", "vocabulary", "measures", "normals"), CORE_PACKAGES),
     "binding": Layer(("gsjax.binding",), ("vocabulary", "training"), CORE_PACKAGES),
     "io": Layer(
         ("gsjax.io",),
@@ -48,7 +48,7 @@ LAYERS = {
         ("experiments",),
         ("rasterizer", *CORE, "io", "meshing", "runs", "cli"),
         # Among them a peer to time ours against, and scripts that lie next to the one that imports them.
-        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "gsplat", "torch", "train", "workloads"),
+        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "gsplat", "torch", "train", "workloads"),
     ),
 }
 HEAVY = {"open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "xatlas", "matplotlib", "PIL"}

@@ -145,7 +145,7 @@ def test_a_resumed_run_keeps_the_settings_that_it_was_started_with(library, tmp_
     [
         (["--set", "sed=3"], "gsjax: error: --set: unknown key 'sed'; the nearest known one is 'seed'\n"),
         (["--set", "seed=many"], "gsjax: error: --set: seed is 'many', expected int\n"),
-        (["--downscale", "0"], "gsjax: error: settings: downscale=0 is below 1\n"),
+        (["--downscale", "0"], "gsjax: error: settings: downscale=0.0 is not a number of at least 1\n"),
         (["--set", "seed"], "gsjax: error: --set seed: expected key=value, for example --set seed=3\n"),
     ],
 )

@@ -38,7 +38,7 @@ def test_the_papers_budgets():
     [
         ({"sh_degree": 5}, "sh_degree=5"),
         ({"sh_every": 0}, "sh_every=0 is below 1"),
-        ({"downscale": 0}, "downscale=0 is below 1"),
+        ({"downscale": 0}, "downscale=0.0 is not a number of at least 1"),
         ({"max_gaussians": 0}, "max_gaussians=0 is below 1"),
         ({"phases": []}, "there are no phases"),
         ({"phases": [{"name": "a", "steps": -1}]}, r"phases.0: steps=-1 is below 0"),

@@ -1,5 +1,6 @@
 """The order of the stages, what is not done twice, what is refused; the stages themselves have tests of their own."""
 
+import importlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,9 +10,10 @@ import pytest
 from gsjax.binding.refining import Refinement
 from gsjax.errors import InputError
 from gsjax.io import runs
-from gsjax.pipeline import scan as scanning
 from gsjax.pipeline.scan import scan, table
 from gsjax.settings import Settings
+
+scanning = importlib.import_module("gsjax.pipeline.scan")  # The package's attribute of that name is the function.
 
 
 @dataclass(frozen=True)

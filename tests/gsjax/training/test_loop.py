@@ -18,6 +18,7 @@ from gsjax.training.state import count_alive, initial_state
 from gsjax.training.step import active_terms
 
 PLAIN = Weights(dssim=0.0)
+EXTENT, ALIVE, CAPACITY = 1.0, 30, 48
 SETTINGS = Settings(
     seed=3,
     background="random",
@@ -26,9 +27,9 @@ SETTINGS = Settings(
         Phase("surface", 5, replace(PLAIN, entropy=0.1, sdf_normal=0.2)),
     ),
     sh_every=4,
+    max_gaussians=CAPACITY,
     density=Density(start=1, stop=6, every=2, gradient=1e-6, reset_every=5, reset_opacity=0.7, min_opacity=0.01),
 )
-EXTENT, ALIVE, CAPACITY = 1.0, 30, 48
 OPTIMIZER = make_optimizer(Rates(), EXTENT, 11)
 
 
@@ -137,9 +138,10 @@ def test_size_prunes_without_resets_and_white_photos_reset_once_more_at_the_star
     monkeypatch.setattr(loop, "densify", lambda state, key, extent, large, **_: calls.append((int(state), bool(large))))
     monkeypatch.setattr(loop, "reset_opacities", lambda state, **_: calls.append("reset"))
     density = Density(start=2, stop=9, every=2, reset_every=5)
-    for density, background in ((density, "white"), (replace(density, reset_every=0), "white")):
+    monkeypatch.setattr(loop.rows, "with_room_to_densify", lambda state, *_: state)
+    for chosen in (density, replace(density, reset_every=0)):
         for step in range(1, 9):
-            settings = replace(SETTINGS, density=density, background=background)
+            settings = replace(SETTINGS, density=chosen, background="white")
             loop._control_density(settings, step, step, OPTIMIZER, EXTENT, jax.random.key(0))
         calls.append("end")
     with_resets = ["reset", (4, False), "reset", (6, True), (8, True), "end"]  # at 2, 4, 5, 6 and 8
