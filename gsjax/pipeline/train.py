@@ -16,7 +16,7 @@ from gsjax.io.scenes import load_scene
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.prior import RunPrior
-from gsjax.pipeline.result import write_cameras
+from gsjax.pipeline.result import write_views
 from gsjax.scene import Scene, extent, in_memory
 from gsjax.settings import Settings, total_steps
 from gsjax.training import density_control, initialize, optimizers
@@ -70,7 +70,7 @@ def living(gaussians: Gaussians) -> Gaussians:
 def _finish(run: Path, settings: Settings, scene: Scene, state: TrainState, seconds: float) -> dict[str, Any]:
     gaussians = living(state.gaussians)
     write_gaussians(run / "gaussians.ply", gaussians)
-    write_cameras(run / "cameras.json", scene.frames)
+    write_views(run, scene.frames)
     scores = score_images(gaussians, scene.held_out_frames, settings.background)
     summary = {
         **scores,
