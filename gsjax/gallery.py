@@ -1,6 +1,6 @@
 """Many views of finished Gaussians as numpy pictures, with one compilation for all of them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -33,6 +33,20 @@ def pictures(gaussians: Gaussians, cameras: Sequence[Camera], background: np.nda
         view = _view(gaussians, camera, jnp.asarray(background, jnp.float32), capacity=capacity)
         shown = (jnp.clip(view.colors, 0, 1), view.depth, view.alphas)
         yield Picture(*(np.asarray(x)[: own.height, : own.width] for x in shown))
+
+
+def masked(pictures: Iterable[Picture], valid: Iterable[np.ndarray | None]) -> Iterator[Picture]:
+    """The same pictures with nothing in them, in colour, depth and coverage, where their photos say nothing.
+
+    Args:
+        pictures: One a view; looked at one by one, as `valid` is.
+        valid: `[H, W]` bool a view, False where its photo must not be used; None: it may be everywhere.
+    """
+    for picture, usable in zip(pictures, valid, strict=True):
+        if usable is None:
+            yield picture
+        else:
+            yield Picture(*(np.where(usable.reshape(*usable.shape, *[1] * (x.ndim - 2)), x, 0) for x in picture))
 
 
 _needed = jax.jit(render.needed_capacity)

@@ -37,12 +37,13 @@ class Frame:
     pixels: Callable[[], Pixels]  # reads them, anew at every call (see `in_memory`); InputError where it cannot
     held_out: bool = False  # scored, never trained on
     origin: Origin | None = None  # None: the photo had no distortion, the frame shows it whole; or it is a panorama's
+    masked: bool = True  # False: all pixels are valid, which is known without reading them
 
 
 def frame_of(name: str, viewmat: np.ndarray, K: np.ndarray, pixels: Pixels, *, held_out: bool = False) -> Frame:
     """A frame whose pixels are at hand."""
     height, width = pixels.image.shape[:2]
-    return Frame(name, viewmat, K, width, height, lambda: pixels, held_out)
+    return Frame(name, viewmat, K, width, height, lambda: pixels, held_out, masked=pixels.valid is not None)
 
 
 def in_memory(frame: Frame) -> Frame:
@@ -52,7 +53,17 @@ def in_memory(frame: Frame) -> Frame:
 
 def with_pixels(frame: Frame, pixels: Pixels) -> Frame:
     """The same view of something else."""
-    return replace(frame, pixels=lambda: pixels)
+    return replace(frame, pixels=lambda: pixels, masked=pixels.valid is not None)
+
+
+def valid_pixels(frame: Frame) -> np.ndarray | None:
+    """`[H, W]` bool, which pixels may be used; None for all. The frame is read only where it has a mask.
+
+    Raises:
+        InputError: Its photo or mask cannot be read.
+    """
+    valid = frame.pixels().valid if frame.masked else None
+    return None if valid is None else valid > 127
 
 
 Maps = Mapping[str, Callable[[], np.ndarray]]

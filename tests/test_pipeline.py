@@ -14,7 +14,7 @@ from tqdm import tqdm
 from gsjax import cli, config, pipeline
 from gsjax.errors import InputError
 from gsjax.io import analytic_scene, runs
-from gsjax.io.images import image_size, read_image, write_image
+from gsjax.io.images import image_size, read_image, read_mask, write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.meshing.export import read_mesh
 from gsjax.pipeline.result import open_result
@@ -33,6 +33,8 @@ SETTINGS = {
     "density": {"start": 2, "stop": 12, "every": 4, "reset_every": 0},
     "logging": {"metrics_every": 5, "evaluate_every": 15, "checkpoint_every": 7},
 }
+
+MASK = np.where(np.arange(48) < 44, np.uint8(255), np.uint8(0))[None] * np.ones((40, 1), np.uint8)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -56,7 +58,10 @@ def scene(tmp_path_factory) -> Path:
     def silent(**options):
         return tqdm(disable=True, **options)
 
-    return analytic_scene.write(tmp_path_factory.mktemp("data") / "scene", num_views=9, size=(48, 40), progress=silent)
+    folder = tmp_path_factory.mktemp("data") / "scene"
+    analytic_scene.write(folder, num_views=9, size=(48, 40), progress=silent)
+    write_image(folder / "masks/003.png", MASK)
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +80,9 @@ def test_a_run_folder_holds_what_was_asked_and_what_came_of_it(run, scene):
     assert {"config.json", "metrics.jsonl", "gaussians.ply", "cameras.json", "normals/001.png"} <= set(
         manifest["files"]
     )
+    masks = [record["mask"] for record in runs.read_json(run / "cameras.json")]
+    assert [path for path in masks if path] == [masks[3]] == ["masks/0003.png"]
+    np.testing.assert_array_equal(read_mask(run / masks[3]), MASK)
     steps = [record["step"] for record in runs.read_metrics(run)]
     assert steps == [5, 10, 15, 20, 25, 30]
     assert runs.read_metrics(run)[2]["held_out_psnr"] > 5

@@ -13,11 +13,12 @@ from small_scenes import camera_at
 from gsjax import cli, config, pipeline
 from gsjax.binding.refining import PRESETS, Refinement
 from gsjax.errors import InputError
-from gsjax.io import runs
-from gsjax.io.images import write_image
+from gsjax.io import photos, runs
+from gsjax.io.images import read_image, write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.export import read_mesh, write_mesh
+from gsjax.pipeline.refine import prepared
 from gsjax.settings import Settings
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -57,13 +58,16 @@ def refined(place):
     out = place.root / "refined"
     with pytest.MonkeyPatch.context() as patched:
         patched.setitem(pipeline.refine.__globals__, "SAVED_EVERY", 2)
-        return SimpleNamespace(out=out, report=pipeline.refine(place.run, out, SETTINGS))
+        read = []
+        patched.setattr(photos, "read_image", lambda path: read.append(path.name) or read_image(path))
+        return SimpleNamespace(out=out, report=pipeline.refine(place.run, out, SETTINGS), read=read)
 
 
 def test_the_folder_holds_mesh_gaussians_and_report_and_is_a_run(place, refined):
     report = runs.read_json(refined.out / "report.json")
     assert report == refined.report
     assert (report["faces"], report["vertices"], report["gaussians"], report["steps"]) == (18, 16, 54, 4)
+    assert report["taken_out"] == {"degenerate": 0, "duplicate": 0, "non_manifold": 0, "decimated": 0}
     mesh, coarse = read_mesh(refined.out / "mesh.ply"), read_mesh(place.run / "mesh.ply")
     np.testing.assert_array_equal(mesh.faces, coarse.faces)
     assert 1e-4 < np.abs(mesh.vertices - coarse.vertices).max() < 0.1
@@ -73,6 +77,27 @@ def test_the_folder_holds_mesh_gaussians_and_report_and_is_a_run(place, refined)
     assert {"mesh.ply", "mesh.glb", "gaussians.ply", "cameras.json", "report.json"} <= set(manifest["files"])
     scores = pipeline.evaluate(refined.out)
     assert scores["views"] == 2 and scores["psnr"] == pytest.approx(report["psnr"], abs=1e-3)
+
+
+def test_every_photo_is_read_once_and_those_held_out_last(refined):
+    assert sorted(refined.read) == [f"{index}.png" for index in range(9)]
+    assert refined.read[-2:] == ["0.png", "8.png"]
+
+
+def test_the_parts_of_a_mesh_stay_and_what_goes_is_said(capsys):
+    rest = sheet(depth=9.0)
+    corners = np.concatenate([sheet().vertices, rest.vertices[[0, 1, 4]]])
+    faces = np.concatenate([sheet().faces, [[16, 17, 18]], [[0, 0, 1], [16, 17, 18]]])
+    given = Mesh(corners, faces.astype(np.int32), np.zeros((19, 3), np.uint8))
+    mesh, taken_out = prepared(given, 1000)
+    assert mesh.num_faces == 19 and mesh.vertices[:, 2].max() > 8, "a part of one triangle stays"
+    assert taken_out == {"degenerate": 1, "duplicate": 1, "non_manifold": 0, "decimated": 0}
+    assert capsys.readouterr().err == "refine: 19 of 21 triangles are left; 1 degenerate, 1 duplicate\n"
+    fewer, taken_out = prepared(sheet(), 10)
+    assert fewer.num_faces <= 10 and taken_out["decimated"] == 18 - fewer.num_faces
+    assert "decimated" in capsys.readouterr().err
+    prepared(sheet(), 1000)
+    assert not capsys.readouterr().err
 
 
 def test_the_gaussians_in_the_file_lie_on_the_mesh_in_the_file(refined):

@@ -102,6 +102,7 @@ def _frame(photo: Photo, index: int, downscale: float, folder_masks: str) -> Fra
         pixels=partial(_read, photo, index, (width, height), folder_masks),
         held_out=photo.held_out,
         origin=_origin(photo.lens, view, (width, height)),
+        masked=view.valid is not None or (photo.mask_path is not None and folder_masks == "valid"),
     )
 
 

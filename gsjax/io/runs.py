@@ -6,6 +6,7 @@
     checkpoints/       step_0001234.npz, the last two
     gaussians.ply      the result, for viewers
     cameras.json       the views it was trained on and scored on
+    masks/             0007.png of every training view with pixels that must not be used: 0 there, else 255
 
 `create` starts one, `reopen` continues one; every write is whole or not at all.
 """

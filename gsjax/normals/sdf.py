@@ -55,6 +55,7 @@ def sdf_gradient_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
 
     A mean off the image, or beside a pixel without depth, has no slope to read: it adds no direction and no gradient.
     """
+    assert view.depth is not None, "the estimate reads the rendered depth"
     reads = jax.vmap(_reads_depth, in_axes=(0, None, None))(gaussians.means, view.depth > 0, camera)
     usable = (view.splats.projection.visible[0] & reads)[:, None]
     # What is not usable is read at a harmless place, so that nothing odd enters the gradient.

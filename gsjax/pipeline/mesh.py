@@ -8,7 +8,6 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from gsjax import gallery
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import boxes, level_set, trimming
@@ -19,7 +18,7 @@ from gsjax.meshing.marching_cubes import marching_cubes
 from gsjax.meshing.methods import Method, centers_poisson, level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.tsdf import tsdf
-from gsjax.pipeline.result import Result, open_result
+from gsjax.pipeline.result import Result, open_result, training_pictures
 
 METHODS = ("poisson", "tsdf", "centers", "marching-cubes")
 
@@ -41,6 +40,8 @@ def mesh(
     scene: str | Path | None = None,
 ) -> dict[str, Any]:
     """Extract the mesh of a run, or of any 3DGS .ply.
+
+    The surface is looked at, and its colours are taken, only where the photos are not masked.
 
     Args:
         source: Run folder or .ply.
@@ -69,10 +70,7 @@ def mesh(
     _check(level=level, points=points, depth=depth, trim_quantile=trim_quantile, cell=cell, faces=faces)
     regions = _regions(bounds, background_bounds, foreground_only)
     result = open_result(source, scene=scene)
-    cameras = [c for c, held_out in zip(result.cameras, result.held_out, strict=True) if not held_out]
-    if not cameras:
-        raise InputError(f"{source}: has no training views to look from")
-    pictures = gallery.pictures(without_view_dependence(result.gaussians), cameras, result.background)
+    cameras, pictures = training_pictures(result, without_view_dependence(result.gaussians), result.background)
     surface, report = extract_mesh(
         result.gaussians,
         cameras,

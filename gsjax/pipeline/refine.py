@@ -1,5 +1,7 @@
 """A mesh and Gaussians bound to it, trained together on a run's photos, in a run folder of their own."""
 
+import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +16,12 @@ from gsjax.binding.refining import Refinement, RefineProgress
 from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.io.ply import write_gaussians
+from gsjax.mesh import Mesh
 from gsjax.meshing.cleaning import clean
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
-from gsjax.pipeline.result import scene_of_run, write_cameras
+from gsjax.pipeline.result import scene_of_run, write_views
 from gsjax.scene import Scene, extent, in_memory
 from gsjax.training.capacity import largest_need
 from gsjax.training.step import BACKGROUNDS
@@ -38,12 +41,12 @@ def refine(
             `gaussians.ply` in the 3DGS layout, `report.json`, and what makes it a run folder that can be scored and
             rendered.
         settings: The refinement.
-        mesh: Any mesh in the data set's coordinates. None: `RUN/mesh.ply`.
+        mesh: Any mesh in the data set's coordinates; all its parts are kept. None: `RUN/mesh.ply`.
         resume: Continue `out` from its last checkpoint; with the same settings and mesh.
 
     Returns:
         The report: `psnr`, `ssim` and `views` of the held-out views, `vertices`, `faces`, `gaussians`, `steps`,
-        `train_seconds`.
+        `train_seconds`, and `taken_out` of the mesh before it was refined.
 
     Raises:
         InputError: The run, its data set or the mesh cannot be read, no triangle is seen, or the folder is in use or
@@ -55,8 +58,10 @@ def refine(
     if mesh is None and not source.exists():
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
     scene = scene_of_run(run)
-    coarse, _ = clean(read_mesh(source), max_faces=settings.faces)
-    frames = tuple(map(in_memory, scene.train_frames))
+    coarse, taken_out = prepared(read_mesh(source), settings.faces)
+    # Held-out photos are read when they are scored, one by one.
+    scene = replace(scene, frames=tuple(frame if frame.held_out else in_memory(frame) for frame in scene.frames))
+    frames = scene.train_frames
     data, size = views_of(frames), extent(frames)
     bound = bind(
         coarse,
@@ -88,24 +93,52 @@ def refine(
             observe=journal.note,
             capacity=capacity,
         )
-        return _finish(folder, scene, trained["background"], state.gaussians, settings.steps, journal.seconds)
+        summary = {"steps": settings.steps, "train_seconds": round(journal.seconds, 1), "taken_out": taken_out}
+        return _finish(folder, scene, trained["background"], state.gaussians, summary)
+
+
+def prepared(given: Mesh, most_faces: int) -> tuple[Mesh, dict[str, int]]:
+    """A mesh that Gaussians can be bound to: without triangles that spoil it, decimated where it has too many.
+
+    Parts stay, however small: what to leave out was decided when the mesh was made. One line says what went.
+
+    Args:
+        given: Any mesh.
+        most_faces: Above it, the mesh is decimated.
+
+    Returns:
+        The mesh, and numbers of triangles: `degenerate`, `duplicate`, `non_manifold`, `decimated`.
+
+    Raises:
+        InputError: Nothing is left.
+    """
+    mesh, report = clean(given, min_component_share=0.0, max_faces=most_faces)
+    taken_out = {
+        "degenerate": report.degenerate_faces,
+        "duplicate": report.duplicate_faces,
+        "non_manifold": report.non_manifold_faces,
+        "decimated": report.decimated_faces,
+    }
+    if any(taken_out.values()):
+        counts = ", ".join(f"{count:,} {name.replace('_', '-')}" for name, count in taken_out.items() if count)
+        print(f"refine: {mesh.num_faces:,} of {given.num_faces:,} triangles are left; {counts}", file=sys.stderr)
+    return mesh, taken_out
 
 
 def _finish(
-    folder: Path, scene: Scene, background: str, bound: BoundGaussians, steps: int, seconds: float
+    folder: Path, scene: Scene, background: str, bound: BoundGaussians, summary: dict[str, Any]
 ) -> dict[str, Any]:
     refined, gaussians = to_mesh(bound), to_gaussians(bound)
     write_mesh(folder / "mesh.ply", refined)
     write_mesh(folder / "mesh.glb", refined)
     write_gaussians(folder / "gaussians.ply", gaussians)
-    write_cameras(folder / "cameras.json", scene.frames)
+    write_views(folder, scene.frames)
     summary = {
         **score_images(gaussians, scene.held_out_frames, background),
         "vertices": refined.num_vertices,
         "faces": refined.num_faces,
         "gaussians": gaussians.num_gaussians,
-        "steps": steps,
-        "train_seconds": round(seconds, 1),
+        **summary,
     }
     runs.write_json(folder / "report.json", summary)
     runs.update_manifest(folder, status="done", **summary)

@@ -1,20 +1,25 @@
-"""What a finished run, or a bare 3DGS file, offers to the later stages: Gaussians and cameras."""
+"""What a finished run, or a bare 3DGS file, offers to the later stages: Gaussians, cameras, and where photos count."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gsjax import gallery
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
+from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.io import runs
+from gsjax.io.images import read_mask, write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import AUTO
 from gsjax.pipeline import viewpoints
-from gsjax.scene import Frame, Scene
+from gsjax.scene import Frame, Scene, valid_pixels
 
 BACKGROUNDS = {"white": np.ones(3, np.float32), "black": np.zeros(3, np.float32), "random": np.zeros(3, np.float32)}
 """Colour that pictures and scores are made over; a run trained on random ones is scored over black."""
@@ -24,15 +29,30 @@ BACKGROUNDS = {"white": np.ones(3, np.float32), "black": np.zeros(3, np.float32)
 class Result:
     """Gaussians and the views they were made from."""
 
+    source: Path
     gaussians: Gaussians  # numpy
     cameras: tuple[Camera, ...]
     names: tuple[str, ...]
     held_out: tuple[bool, ...]
+    valid: tuple[
+        Callable[[], np.ndarray | None], ...
+    ]  # reads [H, W] bool, where the photo may be used; None: all of it
     background: np.ndarray  # [3]
 
 
-def write_cameras(path: Path, frames: tuple[Frame, ...]) -> None:
-    """`cameras.json`: one record a view, world to camera, OpenCV axes, pixels."""
+def write_views(run: Path, frames: tuple[Frame, ...]) -> None:
+    """`cameras.json`: one record a view, world to camera, OpenCV axes, pixels; and the masks of the training views.
+
+    A mask (`masks/0007.png`, 255 where the photo may be used) is written only for a view that has one, and its record
+    names it: later stages need no photo to know what must not be seen. Only masked frames are read, one by one.
+
+    Args:
+        run: Run folder.
+        frames: All views, in the order of the data set.
+
+    Raises:
+        InputError: A file cannot be written, or a frame not be read.
+    """
     records = [
         {
             "name": f.name,
@@ -41,10 +61,11 @@ def write_cameras(path: Path, frames: tuple[Frame, ...]) -> None:
             "viewmat": f.viewmat,
             "K": f.K,
             "held_out": f.held_out,
+            "mask": None if f.held_out else _written_mask(run, f"masks/{index:04d}.png", f),
         }
-        for f in frames
+        for index, f in enumerate(frames)
     ]
-    runs.write_json(path, records)
+    runs.write_json(run / "cameras.json", records)
 
 
 def open_result(source: str | Path, *, scene: str | Path | None = None) -> Result:
@@ -61,19 +82,58 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
         gaussians = read_gaussians(source / "gaussians.ply")
         background = BACKGROUNDS[runs.read_json(source / "config.json")["background"]]
         records = runs.read_json(source / "cameras.json")
-        return _result(gaussians, records, background)
+        return Result(
+            source,
+            gaussians,
+            cameras=tuple(map(_recorded_camera, records)),
+            names=tuple(record["name"] for record in records),
+            held_out=tuple(bool(record["held_out"]) for record in records),
+            valid=tuple(partial(_read_mask, source, record) for record in records),
+            background=background,
+        )
     gaussians = read_gaussians(source)
     if scene is None:
         cameras = viewpoints.around(gaussians)
         return Result(
+            source,
             gaussians,
             cameras,
-            tuple(f"around_{index:02d}" for index in range(len(cameras))),
-            (False,) * len(cameras),
-            BACKGROUNDS["black"],
+            names=tuple(f"around_{index:02d}" for index in range(len(cameras))),
+            held_out=(False,) * len(cameras),
+            valid=(lambda: None,) * len(cameras),
+            background=BACKGROUNDS["black"],
         )
-    records = [f.__dict__ for f in load_scene(scene).frames]
-    return _result(gaussians, records, BACKGROUNDS["black"])
+    frames = load_scene(scene).frames
+    return Result(
+        source,
+        gaussians,
+        cameras=tuple(map(frame_camera, frames)),
+        names=tuple(f.name for f in frames),
+        held_out=tuple(f.held_out for f in frames),
+        valid=tuple(partial(valid_pixels, f) for f in frames),
+        background=BACKGROUNDS["black"],
+    )
+
+
+def training_pictures(
+    result: Result, gaussians: Gaussians, background: np.ndarray
+) -> tuple[list[Camera], Iterator[Picture]]:
+    """The cameras that a surface is looked at from, and what `gaussians` show there: nothing where photos are masked.
+
+    Args:
+        result: Whose training views.
+        gaussians: Its own, or what was made of them.
+        background: `[3]` colour under the pictures.
+
+    Raises:
+        InputError: There is no training view; or, as the pictures are drawn, a mask cannot be used.
+    """
+    chosen = [index for index, held_out in enumerate(result.held_out) if not held_out]
+    if not chosen:
+        raise InputError(f"{result.source}: has no training views to look from")
+    cameras = [result.cameras[index] for index in chosen]
+    pictures = gallery.pictures(gaussians, cameras, background)
+    return cameras, gallery.masked(pictures, (result.valid[index]() for index in chosen))
 
 
 def scene_of_run(run: Path) -> Scene:
@@ -97,15 +157,25 @@ def frame_camera(frame: Frame) -> Camera:
     return Camera(frame.viewmat, frame.K, frame.width, frame.height)  # pyright: ignore[reportArgumentType]
 
 
-def _result(gaussians: Gaussians, records: list[dict[str, Any]], background: np.ndarray) -> Result:
-    def camera(record: dict[str, Any]) -> Camera:
-        viewmat, K = (np.asarray(record[key], np.float32) for key in ("viewmat", "K"))
-        return Camera(viewmat, K, record["width"], record["height"])  # pyright: ignore[reportArgumentType]
+def _recorded_camera(record: dict[str, Any]) -> Camera:
+    viewmat, K = (np.asarray(record[key], np.float32) for key in ("viewmat", "K"))
+    return Camera(viewmat, K, record["width"], record["height"])  # pyright: ignore[reportArgumentType]
 
-    return Result(
-        gaussians,
-        tuple(camera(r) for r in records),
-        tuple(r["name"] for r in records),
-        tuple(bool(r["held_out"]) for r in records),
-        background,
-    )
+
+def _written_mask(run: Path, name: str, frame: Frame) -> str | None:
+    valid = valid_pixels(frame)
+    if valid is None or valid.all():
+        return None
+    write_image(run / name, np.where(valid, np.uint8(255), np.uint8(0)))
+    return name
+
+
+def _read_mask(run: Path, record: dict[str, Any]) -> np.ndarray | None:
+    name = record.get("mask")
+    if name is None:
+        return None
+    valid = read_mask(run / name) > 127
+    if valid.shape != (record["height"], record["width"]):
+        found = f"{valid.shape[1]}x{valid.shape[0]}"
+        raise InputError(f"{run / name}: mask is {found} but its view {record['width']}x{record['height']}")
+    return valid

@@ -5,14 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from gsjax import gallery
 from gsjax.errors import InputError
 from gsjax.meshing.export import read_mesh, read_textured, textured_writer, write_textured
 from gsjax.meshing.pictures import texture_colors, vertex_colors
 from gsjax.meshing.texture import texture_mesh
 from gsjax.meshing.turntable import check_suffix, write_turntable
 from gsjax.meshing.turntable import turntable as pictures_around
-from gsjax.pipeline.result import open_result
+from gsjax.pipeline.result import open_result, training_pictures
 
 SIZES = (64, 8192)  # Browsers hold no larger texture.
 
@@ -20,7 +19,7 @@ SIZES = (64, 8192)  # Browsers hold no larger texture.
 def texture(
     source: str | Path, mesh: str | Path, out: str | Path, *, size: int = 4096, scene: str | Path | None = None
 ) -> dict[str, Any]:
-    """Paint a mesh with what the Gaussians show in the training views.
+    """Paint a mesh with what the Gaussians show in the training views, where the photos are not masked.
 
     Args:
         source: Run folder, or a 3DGS .ply.
@@ -40,10 +39,7 @@ def texture(
         raise InputError(f"--size {size} is not between {SIZES[0]} and {SIZES[1]}")
     surface = read_mesh(mesh)
     result = open_result(source, scene=scene)
-    cameras = [camera for camera, held_out in zip(result.cameras, result.held_out, strict=True) if not held_out]
-    if not cameras:
-        raise InputError(f"{source}: has no training views to look from")
-    pictures = gallery.pictures(result.gaussians, cameras, np.zeros(3, np.float32))
+    cameras, pictures = training_pictures(result, result.gaussians, np.zeros(3, np.float32))
     textured, report = texture_mesh(surface, cameras, pictures, size=size)
     write_textured(out, textured)
     return {"vertices": surface.num_vertices, "faces": surface.num_faces, **report}

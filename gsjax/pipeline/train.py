@@ -21,7 +21,7 @@ from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.pace import Pace, seconds_left, spoken
 from gsjax.pipeline.prior import RunPrior
-from gsjax.pipeline.result import write_cameras
+from gsjax.pipeline.result import write_views
 from gsjax.pipeline.sizes import chosen_downscale, size_line
 from gsjax.scene import Scene, extent, in_memory
 from gsjax.settings import Settings, total_steps
@@ -99,7 +99,7 @@ def living(gaussians: Gaussians) -> Gaussians:
 def _finish(run: Path, settings: Settings, scene: Scene, state: TrainState, seconds: float) -> dict[str, Any]:
     gaussians = living(state.gaussians)
     write_gaussians(run / "gaussians.ply", gaussians)
-    write_cameras(run / "cameras.json", scene.frames)
+    write_views(run, scene.frames)
     # The buffer as it is: a program for this very number of Gaussians would serve once.
     scores = score_images(state.gaussians, scene.held_out_frames, settings.background)
     summary = {

@@ -47,16 +47,18 @@ def densifies(density: Density, step: int) -> bool:
 
 
 def prunes_large(density: Density, step: int) -> bool:
-    """Whether size prunes after this step: past `prune_large_after`; unasked, past the first reset of the opacities
-    (3DGS), or without resets past a fifth of the steps up to `stop`.
+    """Whether size prunes after this step: past `prune_large_after`.
+
+    Unasked, past the first reset of the opacities (3DGS), or without resets past a fifth of the steps up to `stop`.
     """
     unasked = density.reset_every or LARGE_SHARE * density.stop
     return step > (unasked if density.prune_large_after is None else density.prune_large_after)
 
 
 def resets_opacities(density: Density, step: int, background: str) -> bool:
-    """Whether opacities are reset after this step: every `reset_every` steps and, over a white background, at `start`
-    too (3DGS: what was fitted to the white goes before anything grows). Never where `reset_every` is 0.
+    """Whether opacities are reset after this step: every `reset_every` steps; never where that is 0.
+
+    Over a white background at `start` too (3DGS: what was fitted to the white goes before anything grows).
     """
     if density.reset_every == 0 or step >= density.stop:
         return False

@@ -60,3 +60,13 @@ def test_colours_are_clipped_and_numpy_scenes_will_do():
     camera = Camera(np.asarray(CAMERAS[0].viewmat), np.asarray(CAMERAS[0].K), 24, 20)
     (picture,) = gallery.pictures(as_numpy, [camera], np.zeros(3))
     assert picture.colors.min() == 0 and picture.colors.max() == 1
+
+
+def test_masked_pictures_show_nothing_where_the_photo_does_not_count(shown):
+    valid = np.random.default_rng(0).random((20, 24)) > 0.4
+    first, second = gallery.masked(iter(shown[1]), iter([valid, None]))
+    for before, after in zip(shown[1][0], first, strict=True):
+        assert after.dtype == np.float32 and before[~valid].any()
+        np.testing.assert_array_equal(after[valid], before[valid])
+        assert not after[~valid].any()
+    assert second is shown[1][1]

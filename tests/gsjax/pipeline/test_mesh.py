@@ -1,14 +1,22 @@
 """A 3DGS file that was not trained here becomes a mesh, by every method; options out of range are one line."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import ndimage
 
+from gsjax import gallery
 from gsjax.errors import InputError
+from gsjax.gaussians import Gaussians, take
+from gsjax.io import runs
 from gsjax.io.ply import write_gaussians
 from gsjax.mesh import signed_volume
 from gsjax.meshing.export import read_mesh
 from gsjax.pipeline import viewpoints
 from gsjax.pipeline.mesh import METHODS, mesh
+from gsjax.pipeline.result import write_views
+from gsjax.scene import Pixels, frame_of
 
 
 @pytest.fixture
@@ -39,6 +47,46 @@ def test_a_box_and_a_number_of_faces_are_kept(file, tmp_path):
     assert "background" not in report
     around = mesh(file, tmp_path / "mesh.ply", bounds=box, background_bounds=[-2.0, -2, -2, 2, 2, 2])
     assert around["background"]["points_seen"] > 0
+
+
+LUMP = np.array([0.0, 0.0, 1.6])  # Its middle, above the ball; its radius is 0.35.
+
+
+@pytest.fixture(scope="module")
+def lumpy(ball, tmp_path_factory):
+    """Run folders of the ball with a smaller one floating above it, which masks hide in one of the two."""
+    as_lump = {"means": 0.35 * ball.gaussians.means + jnp.asarray(LUMP, jnp.float32),
+               "log_scales": ball.gaussians.log_scales + jnp.float32(np.log(0.35))}  # fmt: skip
+    lump = take(Gaussians(**{**ball.gaussians.__dict__, **as_lump}), np.arange(1, 2000, 4))
+    both = jax.tree.map(lambda a, b: jnp.concatenate([a[np.arange(2000) % 4 != 0], b]), ball.gaussians, lump)
+    shown = gallery.pictures(lump, ball.cameras, np.zeros(3))
+    folders = {}
+    for name in ("masked", "unmasked"):
+        folders[name] = tmp_path_factory.mktemp(name)
+        write_gaussians(folders[name] / "gaussians.ply", both)
+        runs.write_json(folders[name] / "config.json", {"background": "black"})
+    frames, count = [], 0
+    for index, (camera, picture) in enumerate(zip(ball.cameras, shown, strict=True)):
+        hidden = ndimage.binary_dilation(picture.alphas > 0, iterations=1)
+        count += hidden.sum()
+        pixels = Pixels(np.zeros((*hidden.shape, 3), np.uint8), None, np.where(hidden, 0, 255).astype(np.uint8))
+        frames.append(frame_of(f"{index}.png", camera.viewmat, camera.K, pixels))
+    assert 500 < count < 0.1 * len(frames) * hidden.size
+    write_views(folders["masked"], tuple(frames))
+    write_views(folders["unmasked"], tuple(frame_of(f.name, f.viewmat, f.K, Pixels(f.pixels().image)) for f in frames))
+    return folders
+
+
+@pytest.mark.parametrize("method", ["poisson", "tsdf", "centers"])
+def test_where_photos_are_masked_no_triangle_grows(lumpy, method, tmp_path):
+    def near_lump(name):
+        mesh(lumpy[name], tmp_path / f"{name}.ply", method=method)
+        found = read_mesh(tmp_path / f"{name}.ply")
+        assert np.sum(np.linalg.norm(found.vertices, axis=1) < 1.15) > 500  # the ball is there
+        return int(np.sum(np.linalg.norm(found.vertices - LUMP, axis=1) < 0.5))
+
+    assert near_lump("unmasked") > 50
+    assert near_lump("masked") == 0
 
 
 @pytest.mark.parametrize(

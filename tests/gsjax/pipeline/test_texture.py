@@ -6,6 +6,7 @@ import small_scenes
 
 from gsjax import cli
 from gsjax.io import ply, runs
+from gsjax.io.images import write_image
 from gsjax.mesh import Mesh
 from gsjax.meshing.export import read_textured, write_mesh
 
@@ -61,6 +62,26 @@ def _color_at(textured, point):
             column, row = np.floor(weights @ places * SIZE).astype(int)
             return textured.texture[row, column]
     raise AssertionError(f"no triangle at {point}")
+
+
+def test_where_photos_are_masked_the_mesh_keeps_its_own_colours(folder, tmp_path):
+    for name in ("gaussians.ply", "config.json"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    records = runs.read_json(folder / "cameras.json")
+    x = np.arange(64) + 0.5
+    for record in records:
+        viewmat, K = np.array(record["viewmat"]), np.array(record["K"])
+        on_wall = (x - K[0, 2]) / K[0, 0] * 4  # Roughly, the cameras look along z: x of the wall at z = 4.
+        column = on_wall + (np.linalg.inv(viewmat) @ [0, 0, 4, 1])[0]
+        record["mask"] = f"masks/{record['name']}"
+        write_image(tmp_path / record["mask"], np.tile(np.where(column > 0.1, 255, 0).astype(np.uint8), (48, 1)))
+    runs.write_json(tmp_path / "cameras.json", records)
+    command = ["texture", str(tmp_path), "--mesh", str(folder / "grey.ply"), "--out", str(tmp_path / "half.glb")]
+    assert cli.main([*command, "--size", str(SIZE)]) == 0
+    textured = read_textured(tmp_path / "half.glb")
+    assert textured is not None
+    assert np.all(np.abs(_color_at(textured, (-0.5, 0.2)).astype(int) - 128) <= 1)
+    assert np.abs(_color_at(textured, (0.6, 0.2)) / 255 - [0.1, 0.2, 0.8]).max() < 0.05
 
 
 @pytest.mark.parametrize(

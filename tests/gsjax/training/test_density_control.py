@@ -186,7 +186,8 @@ def test_with_room_enough_what_is_left_is_what_3dgs_leaves(prune_large):
     gradient = {0: 1.0, 1: 0.7, 3: 2.0, 5: 0.9, 6: 3.0, 7: 0.4, 8: 5.0}
     before = scene(opacity={6: 0.05, 8: 0.02, 9: 0.3}, size=sizes)
     after, _ = densified(before, gradients(gradient), prune_large)
-    found = sorted(zip(np.asarray(scales(after).max(1))[alive(after)], np.asarray(opacities(after))[alive(after)]))
+    sizes_and_opacities = (np.asarray(scales(after).max(1)), np.asarray(opacities(after)))
+    found = sorted(zip(*(values[alive(after)] for values in sizes_and_opacities), strict=True))
     np.testing.assert_allclose(found, densify_and_prune_of_3dgs(before, gradient, prune_large), rtol=1e-5)
 
 
