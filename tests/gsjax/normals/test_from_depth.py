@@ -53,8 +53,8 @@ def test_a_plane_gives_its_normal_everywhere_at_any_scale(estimate, normal, scal
     inner = depth > 0
     assert inner.mean() > 0.3
     normals = estimate(depth)
-    # Float32 depth over footprints of a hundredth of it.
-    assert degrees_between(normals[inner], unit(normal)).max() < 0.2
+    # Float32 depth over footprints of a hundredth of it; blocks that the border cuts are not seen at their centres.
+    assert degrees_between(normals[inner], unit(normal)).max() < (0.6 if estimate is reduced else 0.2)
     assert np.all(normals[~inner] == 0)
 
 
@@ -136,21 +136,21 @@ def seen(depth, camera):
     return jnp.asarray(depth, jnp.float32), jnp.asarray(depth > 0, jnp.float32), camera
 
 
-# As in a picture of 256 pixels, and in the middle of one of 1024.
 @pytest.mark.parametrize("scale", [1, 4])
-def test_windows_follow_the_size_of_the_bumps(scene_view, scale):
-    camera, normal = scene_view[0], unit((0.4, -0.3, -1))
+def test_windows_follow_the_size_of_the_bumps(scale):
+    """The middle of a bumpy tilted plane, photographed with more and more pixels."""
+    K = jnp.float32([[220 * scale, 0, 80], [0, 220 * scale, 80], [0, 0, 1]])
+    camera, normal = Camera(jnp.eye(4, dtype=jnp.float32), K, 160, 160), unit((0.4, -0.3, -1))
     depth = -2.0 / (np.asarray(pixel_rays(camera), np.float64) @ normal)
-    # Bumps of one slope, whatever their size.
-    depth = depth * (1 + 0.002 * scale * splat_like_noise(depth.shape, 0, scale))
+    depth = depth * (1 + 0.005 * splat_like_noise(depth.shape, 0, scale))
     before = degrees_between(raw(depth, camera), normal).mean()
     reduction = chosen_reduction([seen(depth, camera)])
     after = degrees_between(smoothed(depth, camera, reduction=reduction), normal).mean()
     assert reduction == scale
-    assert before > 15
-    assert after < 0.4 * before
+    assert before > 20
+    assert after < 0.35 * before
     if scale > 1:
-        assert degrees_between(smoothed(depth, camera), normal).mean() > 0.6 * before
+        assert degrees_between(smoothed(depth, camera), normal).mean() > 0.6 * before, "the smallest windows"
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 0.003, 0.01])
