@@ -101,9 +101,11 @@ run_apart(sleep, Path({str(tmp_path / "pid")!r}), name="it", progress=quietly)
 """
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     with subprocess.Popen([sys.executable, "-c", program], env=environment) as parent:
-        assert within(30, lambda: (tmp_path / "pid").is_file() and (tmp_path / "pid").read_text())
-        parent.kill()
-    assert within(30, lambda: not is_running(int((tmp_path / "pid").read_text())))
+        try:
+            assert within(120, lambda: (tmp_path / "pid").is_file() and (tmp_path / "pid").read_text())
+        finally:
+            parent.kill()
+    assert within(120, lambda: not is_running(int((tmp_path / "pid").read_text())))
 
 
 def within(seconds, condition):
