@@ -129,6 +129,7 @@ def test_a_benchmark_folder_with_reduced_photos_only_trains_and_scores_the_same(
     (tmp_path / "scene/sparse/0").mkdir(parents=True)
     model.write_binary(tmp_path / "scene/sparse/0")
     shutil.copytree(scene / "images", tmp_path / "scene/images_4")
+    shutil.copytree(scene / "masks", tmp_path / "scene/masks")
 
     summary = pipeline.train(tmp_path / "scene", tmp_path / "run", config.parse(Settings, SETTINGS))
 

@@ -48,7 +48,7 @@ def place(tmp_path_factory):
         pose = np.linalg.inv(np.asarray(camera.viewmat, np.float64)) @ np.diag([1, -1, -1, 1])
         frames.append({"file_path": f"images/{index}.png", "transform_matrix": pose.tolist()})
     (scene / "transforms.json").write_text(json.dumps({"fl_x": 30.0, "frames": frames}))
-    runs.create(run, config.to_dict(Settings(background="white")), scene=scene, seed=0)
+    runs.create(run, config.to_dict(Settings(downscale=1, background="white")), scene=scene, seed=0)
     write_mesh(run / "mesh.ply", sheet())
     return SimpleNamespace(root=root, run=run, scene=scene)
 
@@ -142,7 +142,7 @@ def test_what_cannot_be_refined_is_one_line_and_leaves_nothing(place, refined, t
     write_mesh(tmp_path / "behind.ply", sheet(depth=-4.0))
     (tmp_path / "broken.ply").write_bytes(b"ply\nformat")
     bare = tmp_path / "bare"
-    runs.create(bare, config.to_dict(Settings()), scene=place.scene, seed=0)
+    runs.create(bare, config.to_dict(Settings(downscale=1)), scene=place.scene, seed=0)
     cases = [
         ([str(place.run), "--mesh", str(tmp_path / "none.ply")], "none.ply: no such mesh file"),
         ([str(place.run), "--mesh", str(tmp_path / "broken.ply")], "broken.ply: not readable as a mesh"),
