@@ -19,8 +19,11 @@ FEWEST_ROWS = 1 << 15  # Below, another compilation costs more than it saves.
 
 
 def bucket(count: int, most: int) -> int:
-    """Rows for `count` Gaussians: a power of two from `FEWEST_ROWS` on, at most the budget `most`."""
-    return min(most, max(FEWEST_ROWS, 1 << max(count - 1, 0).bit_length()))
+    """Rows for `count` Gaussians: the budget `most`, halved as often as leaves room for them and for `FEWEST_ROWS`."""
+    rows = most
+    while rows // 2 >= max(count, FEWEST_ROWS):
+        rows //= 2
+    return rows
 
 
 def lengthened(state: TrainState, optimizer: optax.GradientTransformation, rows: int) -> TrainState:

@@ -36,20 +36,10 @@ def assert_identical(actual, expected):
     jax.tree.map(np.testing.assert_array_equal, actual, expected)
 
 
-def test_buckets_double_up_to_the_budget(monkeypatch):
+def test_buckets_are_halves_of_the_budget(monkeypatch):
     monkeypatch.setattr(rows, "FEWEST_ROWS", 8)
-    assert [bucket(count, 100) for count in (0, 1, 8, 9, 16, 17, 64, 65, 100, 1000)] == [
-        8,
-        8,
-        8,
-        16,
-        16,
-        32,
-        64,
-        100,
-        100,
-        100,
-    ]
+    counts = {0: 12, 8: 12, 12: 12, 13: 25, 25: 25, 26: 50, 51: 100, 100: 100, 1000: 100}
+    assert {count: bucket(count, 100) for count in counts} == counts
     assert bucket(3, 5) == 5, "a budget under the smallest bucket is the buffer"
 
 
