@@ -101,7 +101,7 @@ def make_train_step(
         gaussians, opt_state = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients[0])
         statistics = state.statistics
         if with_statistics:
-            seen = _in_photo(projection, target.size)
+            seen = in_photo(projection, target.size)
             statistics = density_control.accumulate(statistics, gradients[1], seen, target.size)
         proposed = TrainState(gaussians, opt_state, statistics, state.step + 1)
         # A full buffer means a wrong image: the state stays, the host makes room and repeats the step.
@@ -111,7 +111,7 @@ def make_train_step(
     return train_step
 
 
-def _in_photo(projection: rasterizer.Projection, size: Array) -> Array:
+def in_photo(projection: rasterizer.Projection, size: Array) -> Array:
     """`[N]` bool: what shows in a photo of `[2]` width and height, not only in the padding beside it."""
     reaches = projection.means2d[0] - projection.extents[0] < size.astype(jnp.float32)[None]
     return projection.visible[0] & jnp.all(reaches, axis=-1)

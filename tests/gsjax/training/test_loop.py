@@ -8,6 +8,7 @@ import pytest
 from small_scenes import camera_at, cloud, photographed
 
 from gsjax import views
+from gsjax.errors import InputError
 from gsjax.gaussians import opacities
 from gsjax.scene import with_pixels
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
@@ -205,3 +206,27 @@ def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkey
     for photos in (frames, tuple(with_pixels(f, f.pixels()._replace(matte=None)) for f in frames)):
         fitted(photos, settings, capacity=64)
     assert trained_with == [PLAIN, replace(PLAIN, alpha=0.0)] and PLAIN.alpha > 0
+
+
+@pytest.mark.parametrize(
+    ("said", "raised", "line"),
+    [
+        (
+            "RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes",
+            InputError,
+            "no room for a step at 32x24 with 64 pairs",
+        ),
+        ("INTERNAL: something else", jax.errors.JaxRuntimeError, "something else"),
+    ],
+)
+def test_a_device_without_room_is_one_line_and_any_other_failure_stays_one(frames, monkeypatch, said, raised, line):
+    def make_train_step(optimizer, weights, **_):
+        def step(state, target, key):
+            raise jax.errors.JaxRuntimeError(said)
+
+        return step
+
+    monkeypatch.setattr(loop, "make_train_step", make_train_step)
+    with pytest.raises(raised, match=line) as error:
+        fitted(frames, replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),)), capacity=64)
+    assert "\n" not in str(error.value)

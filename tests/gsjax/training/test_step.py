@@ -8,6 +8,7 @@ import pytest
 from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
+import rasterizer
 from gsjax import render, views
 from gsjax.gaussians import opacities
 from gsjax.measures.images import psnr
@@ -17,7 +18,7 @@ from gsjax.training.capacity import chosen_capacity, largest_need
 from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import count_alive, cull, densify, initial_state, reset_opacities
-from gsjax.training.step import BACKGROUNDS, active_terms, make_train_step
+from gsjax.training.step import BACKGROUNDS, active_terms, in_photo, make_train_step
 
 ALIVE, CAPACITY, PAIRS = 180, 200, 8192
 SIZE = (32, 32)
@@ -174,6 +175,20 @@ def test_statistics_count_the_views_and_the_gradient_of_each(setup):
     assert not statistics.views[ALIVE:].any()
     assert np.all((statistics.gradient > 0) <= (statistics.views > 0))
     assert statistics.gradient.max() > 0
+
+
+def test_what_shows_in_the_padding_alone_is_not_seen_in_the_photo():
+    """A photo of 30x20 in a set whose largest is 50x40: splats of half width 4 and half height 2."""
+    means = np.array([[10.0, 10.0], [33.9, 10.0], [34.1, 10.0], [10.0, 21.9], [10.0, 22.1], [40.0, 30.0], [10.0, 10.0]])
+    shown = rasterizer.Projection(
+        means2d=jnp.asarray(means[None], jnp.float32),
+        depths=jnp.ones((1, 7), jnp.float32),
+        conics=jnp.ones((1, 7, 3), jnp.float32),
+        extents=jnp.tile(jnp.array([4.0, 2.0], jnp.float32), (1, 7, 1)),
+        visible=jnp.arange(7)[None] < 6,
+    )
+    seen = in_photo(shown, jnp.array([30, 20], jnp.int32))
+    np.testing.assert_array_equal(seen, [True, True, False, True, False, False, False])
 
 
 def test_densification_moves_moments_with_their_gaussians(setup):
