@@ -148,7 +148,7 @@ def test_what_cannot_be_refined_is_one_line_and_leaves_nothing(place, refined, t
         ([str(place.run), "--mesh", str(tmp_path / "broken.ply")], "broken.ply: not readable as a mesh"),
         ([str(place.run), "--mesh", str(tmp_path / "behind.ply")], "sees any of its 18 triangles"),
         ([str(bare)], f"{bare}/mesh.ply: no such mesh; `gsjax mesh {bare} --out {bare}/mesh.ply` makes it"),
-        ([str(tmp_path / "norun"), "--mesh", str(place.run / "mesh.ply")], "norun/manifest.json: No such file"),
+        ([str(tmp_path / "norun"), "--mesh", str(place.run / "mesh.ply")], "norun/config.json: No such file"),
     ]
     for arguments, message in cases:
         assert cli.main(["refine", *arguments, "--out", str(tmp_path / "out")]) == 2
