@@ -213,13 +213,16 @@ def _march(kept: Gaussians, rays: Rays, options: LevelSetOptions) -> tuple[np.nd
         samples=options.samples,
         sigma_range=options.sigma_range,
     )
-    total, outputs = len(rays.hits), []
+    total = len(rays.hits)
+    found = np.empty((total, 3), np.float32), np.empty((total, 3), np.float32), np.empty(total, bool)
     for start in range(0, total, options.chunk):
         # The last chunk is padded with repetitions, so that all have one length and one compilation.
         ids = np.minimum(np.arange(start, start + options.chunk), total - 1)
         nearest = np.asarray(tree.query(rays.hits[ids], 1, workers=-1)[1])
-        outputs.append(jax.device_get(march(rays.hits[ids], rays.directions[ids], table[nearest])))
-    return tuple(np.concatenate(parts)[:total] for parts in zip(*outputs, strict=True))
+        part = jax.device_get(march(rays.hits[ids], rays.directions[ids], table[nearest]))
+        for whole, values in zip(found, part, strict=True):
+            whole[start : start + options.chunk] = values[: total - start]
+    return found
 
 
 def neighbor_table(tree: KDTree, neighbors: int) -> np.ndarray:
