@@ -87,6 +87,8 @@ def _write_scene(scene: Path, photos: int, size: tuple[int, int]) -> None:
 
 def main() -> None:
     """Measure and print one table, with machine and versions."""
+    # A script beside this one has the name of the package.
+    sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder for the capture and its runs, about 3 GiB")
     parser.add_argument("--photos", type=int, default=300)

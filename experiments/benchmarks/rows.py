@@ -6,6 +6,7 @@ Both are timed in turn, round by round, in one process; the ratio is what the ta
 import argparse
 import sys
 import time
+from pathlib import Path
 from typing import Any
 
 from gsjax import tables
@@ -74,7 +75,7 @@ def _stepper(alive: int, rows: int):
     optimizer = make_optimizer(Rates(), 1.0, 1000)
     step = make_train_step(
         optimizer,
-        Weights(),
+        Weights(alpha=0.0),
         capacity=chosen_capacity(gaussians, data),
         background=BACKGROUNDS["black"],
         sh_every=1,
@@ -87,6 +88,8 @@ def _stepper(alive: int, rows: int):
 
 def main() -> None:
     """Measure and print one table, with machine and versions."""
+    # A script beside this one has the name of the package.
+    sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--budget", type=int, default=1_000_000, help="rows of the other buffer (default: 1,000,000)")
     parser.add_argument("--alive", type=int, nargs="+", default=ALIVE, help="Gaussians alive")
