@@ -20,7 +20,7 @@ _CONTRAST = 0.012  # low: small and blurred photos have few strong corners
 _MOST_READERS = 4  # threads that hold a photo's pyramid, about 400 MB at 1600 pixels
 _LARGEST_ANGLE = 0.7  # radians between descriptors that match
 _LARGEST_RATIO = 0.8  # of that angle to the one of the second best
-_BAND = 4.0  # pixels to either side of an epipolar line
+_MOST_OFF = 4.0  # pixels from where the geometry of two photos puts a feature
 _BLOCK = 1024  # features at a time against all of another photo: the table of products stays small
 
 
@@ -57,14 +57,41 @@ def find_features(
     return found
 
 
-class Band(NamedTuple):
+class Lines(NamedTuple):
     """Where matches of each feature of one photo may lie in another: along its epipolar line."""
 
     lines: np.ndarray  # [N, 3] float32, of unit normal, in pixels of the other photo
     points: np.ndarray  # [M, 3] float32 homogeneous pixels of the other photo's features
 
+    def of(self, rows) -> "Lines":
+        """For some of the features only."""
+        return Lines(self.lines[rows], self.points)
 
-def match(a: np.ndarray, b: np.ndarray, within: tuple[Band, Band] | None = None) -> np.ndarray:
+    def too_far(self) -> np.ndarray:
+        """`[N, M]` bool, pairs of features that the geometry rules out."""
+        return np.abs(self.lines @ self.points.T) > _MOST_OFF
+
+
+class Spots(NamedTuple):
+    """Where matches of each feature of one photo may lie in another: about one place, as all of it shows one plane."""
+
+    spots: np.ndarray  # [N, 2] float32 pixels of the other photo
+    points: np.ndarray  # [M, 2] float32 pixels of the other photo's features
+
+    def of(self, rows) -> "Spots":
+        """For some of the features only."""
+        return Spots(self.spots[rows], self.points)
+
+    def too_far(self) -> np.ndarray:
+        """`[N, M]` bool, pairs of features that the geometry rules out."""
+        x, y = (self.spots[:, None, axis] - self.points[None, :, axis] for axis in range(2))
+        return x * x + y * y > _MOST_OFF**2
+
+
+Region = Lines | Spots
+
+
+def match(a: np.ndarray, b: np.ndarray, within: tuple[Region, Region] | None = None) -> np.ndarray:
     """Rows of two sets of unit vectors that are each other's nearest, and clearly nearer than the second nearest.
 
     Args:
@@ -81,20 +108,36 @@ def match(a: np.ndarray, b: np.ndarray, within: tuple[Band, Band] | None = None)
     nearest = _nearest(a, b, there)
     rows = np.flatnonzero(nearest >= 0)
     columns, column = np.unique(nearest[rows], return_inverse=True)
-    returned = _nearest(b[columns], a, back and Band(back.lines[columns], back.points))
+    returned = _nearest(b[columns], a, back and back.of(columns))
     return np.stack([rows, nearest[rows]], axis=-1)[returned[column] == rows].astype(np.uint32)
 
 
-def bands(a: Features, b: Features, fundamental: np.ndarray) -> tuple[Band, Band]:
-    """The bands of two photos whose pixels satisfy `b^T F a = 0`, `fundamental` being F, `[3, 3]`."""
-    points_a, points_b = (np.c_[one.xy, np.ones(len(one.xy))] for one in (a, b))
+def along_lines(a: Features, b: Features, fundamental: np.ndarray) -> tuple[Lines, Lines]:
+    """Where to look in two photos whose pixels satisfy `b^T F a = 0`, `fundamental` being F, `[3, 3]`."""
+    points_a, points_b = _homogeneous(a.xy), _homogeneous(b.xy)
     lines_b, lines_a = points_a @ fundamental.T, points_b @ fundamental
-    return _band(lines_b, points_b), _band(lines_a, points_a)
+    return _lines(lines_b, points_b), _lines(lines_a, points_a)
 
 
-def _band(lines: np.ndarray, points: np.ndarray) -> Band:
+def at_spots(a: Features, b: Features, homography: np.ndarray) -> tuple[Spots, Spots]:
+    """Where to look in two photos whose pixels satisfy `b = H a` up to scale, `homography` being H, `[3, 3]`."""
+    return _spots(a.xy, b.xy, homography), _spots(b.xy, a.xy, np.linalg.inv(homography))
+
+
+def _lines(lines: np.ndarray, points: np.ndarray) -> Lines:
     lines = lines / np.maximum(np.linalg.norm(lines[:, :2], axis=1, keepdims=True), 1e-12)
-    return Band(lines.astype(np.float32), points.astype(np.float32))
+    return Lines(lines.astype(np.float32), points.astype(np.float32))
+
+
+def _spots(xy: np.ndarray, points: np.ndarray, homography: np.ndarray) -> Spots:
+    moved = _homogeneous(xy) @ homography.T
+    depth = moved[:, 2:]
+    spots = moved[:, :2] / np.where(np.abs(depth) > 1e-9, depth, 1e-9)
+    return Spots(spots.astype(np.float32), points.astype(np.float32))
+
+
+def _homogeneous(xy: np.ndarray) -> np.ndarray:
+    return np.c_[xy, np.ones(len(xy))]
 
 
 def _features(colors: np.ndarray, max_image_size: int) -> Features:
@@ -113,18 +156,19 @@ def _features(colors: np.ndarray, max_image_size: int) -> Features:
     return Features(xy, np.minimum(np.rint(np.sqrt(histograms) * 512), 255).astype(np.uint8))
 
 
-def _nearest(a: np.ndarray, b: np.ndarray, band: Band | None) -> np.ndarray:
+def _nearest(a: np.ndarray, b: np.ndarray, region: Region | None) -> np.ndarray:
     """`[N]` the row of `b` nearest to each of `a`, or -1 where it is too far off or hardly nearer than the second."""
     nearest = np.empty(len(a), np.int64)
     for start in range(0, len(a), _BLOCK):
-        cosines = a[start : start + _BLOCK] @ b.T
-        if band is not None:
-            cosines[np.abs(band.lines[start : start + _BLOCK] @ band.points.T) > _BAND] = -1
+        block = slice(start, start + _BLOCK)
+        cosines = a[block] @ b.T
+        if region is not None:
+            cosines[region.of(block).too_far()] = -1
         rows = np.arange(len(cosines))
         best = cosines.argmax(axis=1)
         first = np.arccos(np.clip(cosines[rows, best], -1, 1))
         cosines[rows, best] = -1
         second = np.arccos(np.clip(cosines.max(axis=1), -1, 1))
         is_clear = (first < _LARGEST_ANGLE) & (first < _LARGEST_RATIO * second)
-        nearest[start : start + _BLOCK] = np.where(is_clear, best, -1)
+        nearest[block] = np.where(is_clear, best, -1)
     return nearest

@@ -12,14 +12,14 @@ from tqdm import tqdm
 from gsjax.errors import InputError
 from gsjax.io.files import make_folder
 from gsjax.io.packages import require
-from gsjax.io.sfm.features import Features, bands, match
+from gsjax.io.sfm.features import Features, Region, along_lines, at_spots, match
 from gsjax.io.sfm.pairs import Pair, bridging_pairs, choose_pairs, likeliest
 from gsjax.io.sfm.shots import Shot
 
 pycolmap = require("pycolmap", "pip install pycolmap")
 
 _FEWEST_MATCHES = 15  # of a pair, after verification
-_ENOUGH_MATCHES = 200  # of a pair; with fewer, more are sought along epipolar lines
+_ENOUGH_MATCHES = 500  # of a pair; with fewer, more are sought where the geometry of the pair puts them
 _BRIDGING_ROUNDS = 2
 _FULL_LENS_FROM = 5  # photos of one camera that pin two focal lengths and four numbers of distortion down
 _SELF_CALIBRATE_FROM = 20  # registered photos of one camera that pin its principal point down
@@ -83,10 +83,9 @@ def match_pairs(material: Material, pairs: set[Pair], title: str, progress: Call
         geometry = pycolmap.estimate_two_view_geometry(cameras[0], a.xy, cameras[1], b.xy, matches, options)
         if len(geometry.inlier_matches) < _FEWEST_MATCHES:
             return None
-        fundamental = _fundamental(geometry, *cameras)
-        if len(geometry.inlier_matches) < _ENOUGH_MATCHES and fundamental is not None:
-            # Along epipolar lines many a match is clear that was not before.
-            guided = match(a.unit(), b.unit(), bands(a, b, fundamental))
+        if len(geometry.inlier_matches) < _ENOUGH_MATCHES and (within := _regions(geometry, a, b, *cameras)):
+            # With less to mistake it for, many a match is clear that was not before.
+            guided = match(a.unit(), b.unit(), within)
             geometry.inlier_matches = max(geometry.inlier_matches, guided, key=len)
         return geometry
 
@@ -103,14 +102,16 @@ def match_pairs(material: Material, pairs: set[Pair], title: str, progress: Call
     return found
 
 
-def _fundamental(geometry, first, second) -> np.ndarray | None:
-    """F with `second^T F first = 0` in pixels; None where a plane or a turn on the spot explains the matches."""
+def _regions(geometry, a: Features, b: Features, first, second) -> tuple[Region, Region] | None:
+    """Where the features of two photos may lie in the other one: along lines, or at a spot where a plane fills both."""
     kinds = pycolmap.TwoViewGeometryConfiguration
     if geometry.config == kinds.UNCALIBRATED:
-        return geometry.F
+        return along_lines(a, b, geometry.F)
     if geometry.config == kinds.CALIBRATED:
         into_first, into_second = (np.linalg.inv(camera.calibration_matrix()) for camera in (first, second))
-        return into_second.T @ geometry.E @ into_first
+        return along_lines(a, b, into_second.T @ geometry.E @ into_first)
+    if geometry.config in (kinds.PLANAR, kinds.PANORAMIC, kinds.PLANAR_OR_PANORAMIC):
+        return at_spots(a, b, geometry.H)
     return None
 
 

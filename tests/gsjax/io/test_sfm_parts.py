@@ -12,7 +12,7 @@ from tqdm import tqdm
 from gsjax.errors import InputError
 from gsjax.io.sfm import features as sift
 from gsjax.io.sfm import pairs, shots, video
-from gsjax.io.sfm.features import Features, bands, match
+from gsjax.io.sfm.features import Features, along_lines, at_spots, match
 
 quietly = partial(tqdm, disable=True)
 
@@ -110,8 +110,24 @@ def test_along_epipolar_lines_twins_elsewhere_do_no_harm():
     b = Features(np.r_[xy + [9, 0], xy + [9, 300]], np.r_[descriptors, descriptors])  # twins 300 rows below
     along_rows = np.array([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # F of a camera that moved to the side
     assert len(match(a.unit(), b.unit())) == 0
-    found = match(a.unit(), b.unit(), bands(a, b, along_rows))
+    found = match(a.unit(), b.unit(), along_lines(a, b, along_rows))
     assert found[:5].tolist() == [[i, i] for i in range(5)]  # of the others a twin lies on the line of another
+
+
+def test_where_one_plane_fills_both_photos_twins_along_the_line_do_no_harm_either():
+    rng = np.random.default_rng(0)
+    descriptors = rng.integers(0, 200, (20, 128)).astype(np.uint8)
+    xy = rng.uniform(0, 400, (20, 2))
+    plane = np.array([[1.1, 0.1, 9], [-0.1, 0.9, 4], [1e-4, -2e-4, 1]])
+    moved = np.c_[xy, np.ones(20)] @ plane.T
+    moved = moved[:, :2] / moved[:, 2:] + rng.uniform(-1, 1, (20, 2))
+    a = Features(xy, descriptors)
+    b = Features(np.r_[moved, moved + [300, 0]], np.r_[descriptors, descriptors])  # twins 300 columns beside
+    assert len(match(a.unit(), b.unit())) == 0
+    found = match(a.unit(), b.unit(), at_spots(a, b, plane))
+    assert found.tolist() == [[i, i] for i in range(20)]
+    back = match(b.unit(), a.unit(), at_spots(b, a, np.linalg.inv(plane)))
+    assert sorted(back[:, ::-1].tolist()) == found.tolist()
 
 
 def test_likeness_counts_what_photos_share():
