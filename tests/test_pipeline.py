@@ -17,7 +17,7 @@ from gsjax.io import analytic_scene, runs
 from gsjax.io.images import image_size, read_image, read_mask, write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.meshing.export import read_mesh
-from gsjax.pipeline.result import open_result
+from gsjax.pipeline.result import open_result, scene_of_run
 from gsjax.settings import Settings
 
 SETTINGS = {
@@ -161,6 +161,14 @@ def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scen
     assert figures["chamfer"] < 0.02, "the true mesh"
     with pytest.raises(InputError, match="run: has no held-out views to render"):
         pipeline.render(tmp_path / "run", tmp_path / "pictures", which="held_out")
+
+
+def test_a_run_is_scored_on_its_own_split_whatever_became_of_the_list(run, scene, tmp_path):
+    shutil.copytree(run, tmp_path / "run")
+    config_file = tmp_path / "run/config.json"
+    runs.write_json(config_file, {**runs.read_json(config_file), "hold_out": str(tmp_path / "gone.txt")})
+    held_out = [record["name"] for record in runs.read_json(run / "cameras.json") if record["held_out"]]
+    assert [frame.name for frame in scene_of_run(tmp_path / "run").held_out_frames] == held_out != []
 
 
 @pytest.mark.parametrize("fault", ["hold-out", "mask", "normals", "images"])

@@ -1,6 +1,7 @@
 """The command line: one small file per command, each calling one function of the library."""
 
 import argparse
+import signal
 import sys
 from collections.abc import Callable, Sequence
 
@@ -42,9 +43,11 @@ def guarded(action: Callable[[], None]) -> int:
 
     Returns:
         0 done, 2 unusable input (one line on stderr says which), 130 interrupted. Anything else is a bug and comes
-        up as the exception that it is.
+        up as the exception that it is. Asked to end (SIGTERM), it cleans up as after any other end, and leaves with
+        the code that shells give to it, 143.
     """
     environment.prepare()
+    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     try:
         action()
     except InputError as error:
@@ -53,6 +56,8 @@ def guarded(action: Callable[[], None]) -> int:
     except KeyboardInterrupt:
         print("gsjax: interrupted", file=sys.stderr)
         return 130
+    finally:
+        signal.signal(signal.SIGTERM, before)
     return 0
 
 

@@ -1,7 +1,7 @@
 """What a finished run, or a bare 3DGS file, offers to the later stages: Gaussians, cameras, and where photos count."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from gsjax.io import runs
 from gsjax.io.images import read_mask, write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.io.scenes import load_scene
-from gsjax.io.splits import AUTO
+from gsjax.io.splits import NONE
 from gsjax.pipeline import viewpoints
 from gsjax.scene import Frame, Scene, valid_pixels
 
@@ -137,19 +137,21 @@ def training_pictures(
 
 
 def scene_of_run(run: Path) -> Scene:
-    """The data set of a run folder, loaded as it was trained on.
+    """The data set of a finished run, loaded as it was trained on: with its split, whatever became of the list of it.
 
     Raises:
         InputError: It is no run folder, or its data set cannot be used any more.
     """
     manifest, settings = runs.read_json(run / "manifest.json"), runs.read_json(run / "config.json")
-    return load_scene(
+    held_out = {record["name"] for record in runs.read_json(run / "cameras.json") if record["held_out"]}
+    scene = load_scene(
         manifest["scene"],
         downscale=settings["downscale"],
         folder_masks=settings["masks"],
         images=settings.get("images"),  # Absent from folders of runs that could not choose.
-        hold_out=settings.get("hold_out", AUTO),
+        hold_out=NONE,
     )
+    return replace(scene, frames=tuple(replace(frame, held_out=frame.name in held_out) for frame in scene.frames))
 
 
 def frame_camera(frame: Frame) -> Camera:

@@ -1,7 +1,9 @@
 import json
 import os
+import signal
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import dataclass
 from types import ModuleType
@@ -219,6 +221,21 @@ def test_what_ends_a_command_early(library, monkeypatch, capsys, error, code, me
     monkeypatch.setattr(gsjax.pipeline, "evaluate", fail)
     assert cli.main(["eval", "run"]) == code
     assert capsys.readouterr().err == message
+
+
+def test_a_command_that_is_asked_to_end_cleans_up_first(library, monkeypatch, tmp_path):
+    before = signal.getsignal(signal.SIGTERM)
+
+    def asked(*args, **kwargs):
+        with tempfile.TemporaryDirectory(prefix="half-written-", dir=tmp_path):
+            signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(gsjax.pipeline, "evaluate", asked)
+    with pytest.raises(SystemExit) as end:
+        cli.main(["eval", "run"])
+    assert end.value.code == 128 + signal.SIGTERM
+    assert not list(tmp_path.glob("half-written-*"))
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_a_bug_is_not_dressed_up_as_bad_input(library, monkeypatch):
