@@ -11,7 +11,7 @@ from rasterizer.projection import Projection
 RenderMode = Literal["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 
 
-def num_channels(colors: Array | None, render_mode: RenderMode) -> int:
+def num_channels(colors: Array, render_mode: RenderMode) -> int:
     """Channels of the image."""
     return (colors.shape[-1] if "RGB" in render_mode else 0) + (render_mode != "RGB")
 
