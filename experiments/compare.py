@@ -18,7 +18,7 @@ FIGURES = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "depth_er
 
 
 def run(study: str, scene: str, out: str, seeds: int = 1) -> dict[str, dict[str, Any]]:
-    """Mean figures of every variant over the seeds; `OUT/study.json` holds them with each seed's own.
+    """Mean figures of every variant over the seeds, and the true mesh's own; `OUT/study.json` also has each seed's.
 
     Args:
         study: Name of a file in `studies/`: its `BASE` names a config, its `VARIANTS` hold differences from that.
@@ -31,19 +31,22 @@ def run(study: str, scene: str, out: str, seeds: int = 1) -> dict[str, dict[str,
     described = load_config(study, folder=STUDIES)
     base = config.merge(load_config("base"), load_config(described["base"], folder=CONFIGS))
     every: dict[str, list[dict[str, Any]]] = {}
+    floor: dict[str, Any] = {}
     for seed in range(seeds):
         for variant, difference in described["variants"].items():
             settings = config.merge(base, _placed(difference, scene), {"seed": seed})
             folder = Path(out) / f"{variant}_{seed}"
-            every.setdefault(variant, []).append(_figures(scene, folder, settings))
+            figures, floor = _figures(scene, folder, settings)
+            every.setdefault(variant, []).append(figures)
     means = {
         variant: {key: float(np.mean([r[key] for r in rows])) for key in rows[0]} for variant, rows in every.items()
     }
-    runs.write_json(Path(out) / "study.json", {"means": means, "seeds": every})
-    return means
+    runs.write_json(Path(out) / "study.json", {"means": means, "seeds": every, "floor": floor})
+    return means | ({tables.FLOOR: floor} if floor else {})
 
 
-def _figures(scene: str, folder: Path, settings: dict) -> dict[str, Any]:
+def _figures(scene: str, folder: Path, settings: dict) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A variant's figures, and those of the true mesh where there is one."""
     from gsjax import pipeline
     from gsjax.io import runs
 
@@ -52,9 +55,8 @@ def _figures(scene: str, folder: Path, settings: dict) -> dict[str, Any]:
     figures = pipeline.evaluate(folder)
     last = runs.read_metrics(folder)[-20:]
     aligned = [1 - record["terms"]["sdf_normal"] for record in last if "sdf_normal" in record["terms"]]
-    return {key: figures[key] for key in FIGURES if key in figures} | (
-        {"mean_cos": np.mean(aligned)} if aligned else {}
-    )
+    scores, floor = ({key: f[key] for key in FIGURES if key in f} for f in (figures, figures.get("floor", {})))
+    return scores | ({"mean_cos": np.mean(aligned)} if aligned else {}), floor
 
 
 def _placed(value: Any, scene: str) -> Any:

@@ -27,11 +27,11 @@ PICTURE_SIZE = 480
 
 
 def run(name: str, scene: str, out: str, *, seeds: int = 3, refinement: Sequence[str] = ()) -> dict[str, Any]:
-    """Figures and stages of the three ways over the seeds.
+    """Figures of the three ways and of the true mesh over the seeds, and stages.
 
     Args:
         name: A config of `configs/`; its normals are used, if it names any.
-        scene: Data set with true surface points.
+        scene: Data set with a true surface.
         out: Folder for the runs, OUT/WAY_SEED each.
         seeds: Runs of every way, with seeds 0, 1, ...
         refinement: key=value assignments to the refinement's "fast" settings.
@@ -55,7 +55,9 @@ def run(name: str, scene: str, out: str, *, seeds: int = 3, refinement: Sequence
         staged("refine", _refine, folders["surface"], folders["refined"], seed, refinement)
         staged("texture refined", _texture, folders["refined"])
         for way in WAYS:
-            figures[way].append(staged(f"score {way}", _score, folders[way]))
+            scores, floor = staged(f"score {way}", _score, folders[way])
+            figures[way].append(scores)
+        figures[tables.FLOOR] = [floor] if floor else []
     _alone(_picture, scene, [Path(out) / f"{way}_0" for way in WAYS], Path(out) / "surface.png")
     report = {"figures": figures, "stages": stages}
     runs.write_json(Path(out) / "surface.json", report)
@@ -102,7 +104,8 @@ def _texture(folder: Path) -> None:
     pipeline.texture(folder, folder / "mesh.ply", folder / "textured.glb")
 
 
-def _score(folder: Path) -> dict[str, Any]:
+def _score(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Figures of a run and its mesh, and those of the true mesh where there is one."""
     from dataclasses import asdict
 
     from gsjax import pipeline
@@ -110,7 +113,8 @@ def _score(folder: Path) -> dict[str, Any]:
     from gsjax.meshing.topology import topology
 
     figures = pipeline.evaluate(folder, mesh=folder / "mesh.ply")
-    return {key: figures[key] for key in FIGURES if key in figures} | asdict(topology(read_mesh(folder / "mesh.ply")))
+    scores, floor = ({key: f[key] for key in FIGURES if key in f} for f in (figures, figures.get("floor", {})))
+    return scores | asdict(topology(read_mesh(folder / "mesh.ply"))), floor
 
 
 def _picture(scene: str, folders: Sequence[Path], out: Path) -> None:
@@ -148,7 +152,7 @@ def main() -> None:
     arguments = parser.parse_args()
     report = run(arguments.config, arguments.scene, arguments.out, seeds=arguments.seeds, refinement=arguments.refine)
     for part in ("figures", "stages"):
-        print(tables.compare({label: summary(rows) for label, rows in report[part].items()}))
+        print(tables.compare({label: summary(rows) for label, rows in report[part].items() if rows}))
 
 
 if __name__ == "__main__":

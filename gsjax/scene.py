@@ -77,9 +77,10 @@ class Truth:
     depths: Maps = field(default_factory=dict)  # frame's name -> [H, W] float32 camera z, 0 where nothing
     normals: Maps = field(default_factory=dict)  # frame's name -> [H, W, 3] float32 camera frame, 0 where nothing
     labels: Maps = field(default_factory=dict)  # frame's name -> [H, W] uint8: 0 sky, 255 ground, else object
-    points: np.ndarray | None = None  # [P, 3] float32 surface samples, world
+    points: np.ndarray | None = None  # [P, 3] float32 surface samples that cameras saw, world
     point_normals: np.ndarray | None = None  # [P, 3] float32 unit, world
     point_labels: np.ndarray | None = None  # [P] uint8, 0 object, 1 ground
+    mesh: Path | None = None  # file of the whole surface as triangles, seen or not, world (`gsjax.meshing.read_mesh`)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
+FLOOR = "true mesh (floor)"
+"""The row below which no distance to the truth can fall: what the true mesh itself scores."""
+
 
 def record(values: Mapping[str, Any]) -> str:
     """Two columns, name and value; nested mappings get dotted names."""

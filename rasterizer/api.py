@@ -15,6 +15,7 @@ from rasterizer.engines import Backend, blend, default_tile_size, resolve
 from rasterizer.features import RenderMode, drawable, expected_depth, image_features, median_depth
 from rasterizer.normals import camera_normals
 from rasterizer.projection import Projection, RasterizeMode, project
+from rasterizer.refusals import refuse_at_the_door
 from rasterizer.rules import GSPLAT, Rules
 
 
@@ -26,6 +27,14 @@ def _blend_densely(projection, opacities, features, grid: TileGrid, masks, rules
     pixels = jnp.repeat(jnp.repeat(masks, grid.tile_size, 1), grid.tile_size, 2)[:, : grid.height, : grid.width]
     drawn = pixels[..., None]
     return jnp.where(drawn, image, 0), jnp.where(drawn, left, 1), jnp.where(pixels, median, -1)
+
+
+def _behind(backgrounds: Array, num_channels: int, render_mode: RenderMode) -> Array:
+    """`[C, X]` backgrounds; where only those of the colours are given, depth has zero, as in gsplat."""
+    if backgrounds.shape[-1] == num_channels:
+        return backgrounds
+    of_colors = backgrounds if "RGB" in render_mode else backgrounds[:, :0]
+    return jnp.pad(of_colors, ((0, 0), (0, num_channels - of_colors.shape[-1])))
 
 
 def _gsplat_radii(projection: Projection) -> Array:
@@ -98,7 +107,7 @@ def _rasterize(
     if "ED" in render_mode:
         image = expected_depth(image, alphas)
     if backgrounds is not None:
-        image = image + left * backgrounds[:, None, None, :]
+        image = image + left * _behind(backgrounds, image.shape[-1], render_mode)[:, None, None, :]
     return image, alphas, info
 
 
@@ -107,7 +116,7 @@ def rasterization(
     quats: Array | None,
     scales: Array | None,
     opacities: Array,
-    colors: Array,
+    colors: Array | None,
     viewmats: Array,
     Ks: Array,
     width: int,
@@ -128,6 +137,7 @@ def rasterization(
     capacity: int | None = None,
     backend: Backend = "auto",
     rules: Rules = GSPLAT,
+    **gsplat_only: Any,
 ) -> tuple[Array, Array, dict[str, Any]]:
     """Render N Gaussians into C cameras.
 
@@ -139,7 +149,8 @@ def rasterization(
         quats: `[N, 4]` rotations (w, x, y, z), any length; None with `covars`.
         scales: `[N, 3]` standard deviations, linear; None with `covars`.
         opacities: `[N]` in 0..1.
-        colors: `[N, D]` or `[C, N, D]` channels of any meaning, or SH coefficients `[N, K, 3]` with `sh_degree`.
+        colors: `[N, D]` or `[C, N, D]` channels of any meaning, or SH coefficients `[N, K, 3]` with `sh_degree`;
+            may be None where only depth is rendered.
         viewmats: `[C, 4, 4]` world to camera, OpenCV axes (x right, y down, z forward).
         Ks: `[C, 3, 3]` pixels; pixel centres at +0.5.
         width: Image width in pixels.
@@ -148,7 +159,7 @@ def rasterization(
         far_plane: Gaussians at or beyond this camera z are culled.
         eps2d: Added to both variances of a splat, pixels^2 (the low-pass filter of 3DGS).
         sh_degree: Degree of the harmonics in `colors`, 0 to 4; None where colors are colours.
-        backgrounds: `[C, X]` blended under each image.
+        backgrounds: `[C, X]` blended under each image; or `[C, D]`, those of the colours alone: depth then has zero.
         masks: `[C, tiles_y, tiles_x]` bool; a tile that is False is not rendered: background, alpha 0.
         covars: `[N, 3, 3]` symmetric covariances in place of quats and scales.
         render_mode: What X holds: "RGB" the channels of `colors`; "D" depth blended like a colour; "ED" depth divided
@@ -164,6 +175,8 @@ def rasterization(
         backend: "xla" tiles in jnp, "pallas" tiles in GPU kernels, "reference" the dense oracle (any dtype, any order
             of derivatives), "auto" the fastest on this machine.
         rules: Thresholds of compositing; presets `rasterizer.GSPLAT` and `rasterizer.INRIA`.
+        **gsplat_only: What else gsplat 1.6 takes (`packed`, `absgrad`, `camera_model`, ...), at the values that ask for
+            nothing.
 
     Returns:
         `[C, H, W, X]` image, `[C, H, W, 1]` alphas, and a dict of the intermediate results: `means2d`, `depths`,
@@ -172,12 +185,15 @@ def rasterization(
         an image whose `overflowed` is true is incomplete and must not be used.
 
     Raises:
-        ValueError: On shapes, dtypes, modes or degrees that do not fit, with the value in the message.
+        ValueError: On shapes, dtypes, modes or degrees that do not fit, with the value in the message; on an argument
+            that only gsplat answers to.
+        TypeError: On an argument that gsplat has not either.
     """
     check_modes(render_mode, rasterize_mode, backend)
     gaussians = means, quats, scales, covars, opacities
     check_arrays(*gaussians, colors, viewmats, Ks, backgrounds, masks, sh_degree, render_mode, backend)
     check_sizes(width=width, height=height, tile_size=tile_size, capacity=capacity)
+    refuse_at_the_door(gsplat_only)
     if return_normals and covars is not None:
         raise ValueError("return_normals needs quats and scales: a covariance does not name its axes")
     backend = resolve(backend)

@@ -13,14 +13,14 @@ from rasterizer.projection import project
 
 @jax.custom_batching.custom_vmap
 def _largest(count: Array) -> Array:
-    """The count itself; under `vmap`, the largest of the batch, unbatched."""
+    """The count itself; under `vmap`, the largest of the batch, unbatched; under several, of them all."""
     return count
 
 
 @_largest.def_vmap
 def _largest_of_batch(axis_size, in_batched, count):
     del axis_size, in_batched
-    return jnp.max(count), False
+    return _largest(jnp.max(count)), False
 
 
 def capacity_bucket(needed: int) -> int:

@@ -46,22 +46,38 @@ def _check_shapes(means, quats, scales, covars, opacities, viewmats, Ks) -> dict
     return {name: array for name, (array, _) in expected.items()}
 
 
+def _check_colors(colors, num_gaussians, num_cameras, sh_degree, render_mode) -> dict[str, Array]:
+    if colors is None:
+        if "RGB" in render_mode:
+            raise ValueError(f"colors=None needs a render_mode of depth alone, not {render_mode!r}")
+        return {}
+    leading = (num_gaussians,) if colors.ndim == 2 or sh_degree is not None else (num_cameras, num_gaussians)
+    if colors.shape[: len(leading)] != leading or colors.ndim != len(leading) + (1 if sh_degree is None else 2):
+        kind = "[N, K, 3] with sh_degree" if sh_degree is not None else "[N, D] or [C, N, D]"
+        raise ValueError(f"colors.shape={colors.shape}, expected {kind} with N={num_gaussians}, C={num_cameras}")
+    return {"colors": colors}
+
+
+def _check_backgrounds(backgrounds, colors, num_cameras, render_mode) -> dict[str, Array]:
+    if backgrounds is None:
+        return {}
+    channels = [num_channels(colors, render_mode), *([] if colors is None else [colors.shape[-1]])]
+    expected = dict.fromkeys((num_cameras, count) for count in channels)
+    if backgrounds.shape not in expected:
+        raise ValueError(f"{backgrounds.shape=}, expected {' or '.join(map(str, expected))} for {render_mode=}")
+    return {"backgrounds": backgrounds}
+
+
 def check_arrays(
     means, quats, scales, covars, opacities, colors, viewmats, Ks, backgrounds, masks, sh_degree, render_mode, backend
 ) -> None:
     """Raise ValueError where shapes or dtypes do not fit each other."""
     arrays = _check_shapes(means, quats, scales, covars, opacities, viewmats, Ks)
     num_gaussians, num_cameras = means.shape[0], viewmats.shape[0]
-    leading = (num_gaussians,) if colors.ndim == 2 or sh_degree is not None else (num_cameras, num_gaussians)
-    if colors.shape[: len(leading)] != leading or colors.ndim != len(leading) + (1 if sh_degree is None else 2):
-        kind = "[N, K, 3] with sh_degree" if sh_degree is not None else "[N, D] or [C, N, D]"
-        raise ValueError(f"colors.shape={colors.shape}, expected {kind} with N={num_gaussians}, C={num_cameras}")
-    channels = num_channels(colors, render_mode)
-    if backgrounds is not None and backgrounds.shape != (num_cameras, channels):
-        raise ValueError(f"{backgrounds.shape=}, expected {(num_cameras, channels)} for {render_mode=}")
+    arrays |= _check_colors(colors, num_gaussians, num_cameras, sh_degree, render_mode)
+    arrays |= _check_backgrounds(backgrounds, colors, num_cameras, render_mode)
     if masks is not None and masks.dtype != jnp.bool_:
         raise ValueError(f"{masks.dtype=}, expected bool")
-    arrays |= {"colors": colors} if backgrounds is None else {"colors": colors, "backgrounds": backgrounds}
     dtypes = {name: jax.dtypes.canonicalize_dtype(array.dtype) for name, array in arrays.items()}
     for name, dtype in dtypes.items():
         if not jnp.issubdtype(dtype, jnp.floating) or dtype != dtypes["means"]:

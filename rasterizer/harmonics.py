@@ -60,7 +60,7 @@ def spherical_harmonics(degrees_to_use: int, dirs: Array, coeffs: Array, masks: 
         `[..., D]` values, differentiable to `dirs` and `coeffs`. 3DGS colours are `max(value + 0.5, 0)`.
 
     Raises:
-        ValueError: If the degree is not 0 to 4 or `coeffs` holds too few coefficients.
+        ValueError: If the degree is not 0 to 4 or `coeffs` holds too few coefficients or no channel.
     """
     degree = degrees_to_use
     if not 0 <= degree <= 4:
@@ -68,6 +68,8 @@ def spherical_harmonics(degrees_to_use: int, dirs: Array, coeffs: Array, masks: 
     num_bases = (degree + 1) ** 2
     if coeffs.shape[-2] < num_bases:
         raise ValueError(f"degree {degree} needs {num_bases} coefficients, {coeffs.shape=} holds {coeffs.shape[-2]}")
+    if coeffs.shape[-1] == 0:
+        raise ValueError(f"{coeffs.shape=} holds no channel")
     if masks is not None:
         dirs = jnp.where(masks[..., None], dirs, jnp.array([0, 0, 1], dirs.dtype))
         coeffs = jnp.where(masks[..., None, None], coeffs, 0)

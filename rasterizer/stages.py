@@ -15,24 +15,10 @@ from rasterizer.binning import TileGrid, TilePairs
 from rasterizer.covariances import Matrix, components, dot, matrix_rows
 from rasterizer.engines import Backend, blend
 from rasterizer.projection import Projection, camera_position, image_map, project
+from rasterizer.refusals import refuse
 from rasterizer.rules import GSPLAT, Rules
 
 PADDING = np.iinfo(np.int64).max  # The intersection id of a slot that holds none: sorts last.
-
-
-def _refuse(**options) -> None:
-    """Raise ValueError for what only gsplat has."""
-    reasons = {
-        "packed": "its row count depends on the data, a compiled program's shapes do not",
-        "sparse_grad": "gradients here are dense",
-        "segmented": "there is one sort",
-        "absgrad": "differentiate to zeros added to means2d, and sum their absolute values yourself",
-    }
-    for name, value in options.items():
-        if name == "camera_model" and value != "pinhole":
-            raise ValueError(f"camera_model={value!r} is not supported, only 'pinhole'")
-        if name != "camera_model" and value:
-            raise ValueError(f"{name}={value!r} is not supported: {reasons[name]}")
 
 
 def _of_cameras(cameras: Array) -> Matrix:
@@ -78,7 +64,7 @@ def proj(
     Raises:
         ValueError: On another camera model.
     """
-    _refuse(camera_model=camera_model)
+    refuse(camera_model=camera_model)
     K, mean, rows = _of_cameras(Ks), components(means), matrix_rows(covars)
     identity = [[jnp.asarray(float(i == j), means.dtype) for j in range(3)] for i in range(3)]
     jacobian = image_map(mean, identity, K, (width, height))
@@ -139,7 +125,7 @@ def fully_fused_projection(
     Raises:
         ValueError: On what is refused.
     """
-    _refuse(packed=packed, sparse_grad=sparse_grad, camera_model=camera_model)
+    refuse(packed=packed, sparse_grad=sparse_grad, camera_model=camera_model)
     if opacities is None:
         rules = replace(rules, opacity_extent=False)
         opacities = jnp.ones(means.shape[:-1], means.dtype)
@@ -220,7 +206,7 @@ def isect_tiles(
         ValueError: On what is refused, and inside `jit` without a capacity.
     """
     del n_images, image_ids, gaussian_ids
-    _refuse(packed=packed, segmented=segmented)
+    refuse(packed=packed, segmented=segmented)
     means2d, radii, depths = (jax.lax.stop_gradient(x) for x in (means2d, radii, depths))
     images, count = means2d.shape[:-2], means2d.shape[-2]
     limit = jnp.array([tile_width, tile_height], means2d.dtype)
@@ -318,7 +304,7 @@ def rasterize_to_pixels(
     Raises:
         ValueError: On what is refused.
     """
-    _refuse(packed=packed, absgrad=absgrad)
+    refuse(packed=packed, absgrad=absgrad)
     images, count = means2d.shape[:-2], means2d.shape[-2]
     num_images = int(np.prod(images, dtype=int))
     grid = TileGrid(num_images, image_width, image_height, tile_size)

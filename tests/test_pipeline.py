@@ -159,6 +159,9 @@ def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scen
     figures = pipeline.evaluate(tmp_path / "run", mesh=scene / "gt_mesh.ply")
     assert (figures["psnr"], figures["views"]) == (None, 0)
     assert figures["chamfer"] < 0.02, "the true mesh"
+    assert figures["distances"] == "point to point" and "floor" not in figures, (
+        "its triangles are not beside the points"
+    )
     with pytest.raises(InputError, match="run: has no held-out views to render"):
         pipeline.render(tmp_path / "run", tmp_path / "pictures", which="held_out")
 
@@ -230,10 +233,19 @@ def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, scene, tm
     # Fewer than thirty steps on photos of forty pixels: near the surface, not on it.
     figures = pipeline.evaluate(run, mesh=tmp_path / "mesh.ply")
     json.dumps(figures)
-    assert figures["chamfer"] < 0.2
+    assert figures["floor"]["chamfer"] < 5e-4 < figures["chamfer"] < 0.2
+    assert figures["distances"] == "point to surface"
     assert 5 < figures["normal_error_deg"] < 90
     assert figures["psnr"] == pytest.approx(runs.read_json(run / "manifest.json")["psnr"], abs=1e-3)
     assert 0 < figures["ssim"] < 1
+
+
+def test_the_true_mesh_is_its_own_floor(run, scene):
+    figures = pipeline.evaluate(run, mesh=scene / "gt_mesh.ply")
+    floor = figures["floor"]
+    assert floor == {name: figures[name] for name in floor}
+    assert max(floor["accuracy"], floor["completeness"], floor["chamfer"]) < 5e-4
+    assert floor["fscore"] == 1.0 and floor["outward_share"] > 0.999
 
 
 def test_pictures_have_the_size_of_their_views(run, tmp_path):

@@ -27,5 +27,5 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax.pipeline import demo
 
     report = demo.run(arguments.out)
-    print(tables.compare({name: report[name] for name in ("vanilla", "surface")}))
+    print(tables.compare({**{name: report[name] for name in ("vanilla", "surface")}, tables.FLOOR: report["floor"]}))
     print(f"report and pictures: {arguments.out}")

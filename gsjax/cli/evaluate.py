@@ -15,13 +15,14 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         summary="score a run on its held-out views",
         description="""
             Prints PSNR and SSIM over the held-out views; where the data set has true depth, normals or
-            surface points, also the errors against them. Pixel masks of the data set are respected.
+            a true surface, also the errors against them: of a mesh from point to surface, and the true mesh's
+            own as floor. Pixel masks of the data set are respected.
         """,
         example="gsjax eval runs/garden --json garden.json",
     )
     parser.add_argument("run_folder", metavar="RUN", help="folder that `gsjax train` made")
     parser.add_argument("--json", metavar="FILE", help="also write the figures here")
-    parser.add_argument("--mesh", metavar="FILE", help="score this mesh against the true surface points as well")
+    parser.add_argument("--mesh", metavar="FILE", help="score this mesh against the true surface as well")
 
 
 def _run(arguments: argparse.Namespace) -> None:

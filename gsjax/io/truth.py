@@ -2,6 +2,7 @@
 
 from functools import partial
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 
@@ -12,12 +13,14 @@ from gsjax.scene import Frame, Truth
 
 
 def load_truth(root: str | Path, frames: tuple[Frame, ...]) -> Truth | None:
-    """What there is of `depth/STEM.npz`, `normals/STEM.npz` and `gt_points.npz`; None where there is nothing.
+    """What there is of `depth/STEM.npz`, `normals/STEM.npz`, `gt_points.npz` and `gt_mesh.ply`; None of nothing.
 
     `depth` holds `depth` [H, W] (camera z, scene units, 0 where nothing) and `label` [H, W] (0 sky, 255 ground, else
     object); `normals` holds `cam` [H, W, 3] (camera frame, 0 where nothing); `gt_points.npz` holds `points` and
-    `normals` [P, 3] (world) and `label` [P] (0 object, 1 ground). Of maps, headers are read now and pixels when asked
-    for, at the nearest pixel centre where a frame is smaller: averages of depths or normals would lie on no surface.
+    `normals` [P, 3] (world) and `label` [P] (0 object, 1 ground), of points that cameras saw; `gt_mesh.ply` is the
+    whole surface, and counts only where there are such points. Of maps, headers are read now and pixels when asked for,
+    at the nearest pixel centre where a frame is smaller: averages of depths or normals would lie on no surface. The
+    mesh is named and not read.
 
     Args:
         root: Folder of the data set.
@@ -38,13 +41,14 @@ def load_truth(root: str | Path, frames: tuple[Frame, ...]) -> Truth | None:
         if (file := root / "normals" / stem).is_file():
             _check(file, frame, "cam")
             normals[frame.name] = partial(_read_normals, file, frame)
-    surface = _surface(root / "gt_points.npz")
+    surface = _surface(root)
     if not (depths or normals or surface):
         return None
     return Truth(depths, normals, labels, **surface)
 
 
-def _surface(file: Path) -> dict[str, np.ndarray]:
+def _surface(root: Path) -> dict[str, Any]:
+    file, mesh = root / "gt_points.npz", root / "gt_mesh.ply"
     if not file.is_file():
         return {}
     arrays = read_arrays(file, "points", "normals", "label")
@@ -52,6 +56,7 @@ def _surface(file: Path) -> dict[str, np.ndarray]:
         "points": arrays["points"].astype(np.float32),
         "point_normals": _unit_or_zero(arrays["normals"].astype(np.float32)),
         "point_labels": arrays["label"].astype(np.uint8),
+        "mesh": mesh if mesh.is_file() else None,
     }
 
 

@@ -1,15 +1,21 @@
-"""How far a surface is from the truth: distances between point sets, and angles between normals.
+"""How far a surface is from the truth: distances to points and to triangles, and angles between normals.
 
 Distances are in scene units, in float64. Nearest neighbours are exact.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from gsjax.errors import InputError
-from gsjax.mesh import Mesh, face_area_vectors, unit_or_zero
+from gsjax.mesh import Mesh, face_area_vectors, face_normals, unit_or_zero
 
 THRESHOLD_SHARE = 0.01  # Of the diagonal of the truth's box: the F-score's default threshold.
+REACH_SHARE = 0.99  # Of the points that cameras saw, those that have another one within reach.
+
+Closest = Callable[[Mesh, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""(mesh, `[P, 3]` queries) -> `[P, 3]` nearest points of its surface and `[P]` the triangles that they lie on."""
 
 
 def accuracy_completeness(predicted: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
@@ -70,7 +76,10 @@ def compare_to_truth(
     samples: int = 100_000,
     seed: int = 0,
 ) -> dict[str, float]:
-    """Distances and normals of a mesh against surface samples of the truth.
+    """Distances and normals of a mesh against surface samples of the truth, for a truth that is nothing but points.
+
+    Distances are between points, so they never fall below the gaps of the samples: the true surface itself does not
+    score 0. Where the truth is a mesh, `compare_to_surface` has no such floor.
 
     The truth has samples only where cameras saw something. What the mesh says elsewhere is neither right nor wrong, so
     its surface counts only inside the axis-aligned box of the truth samples, grown by the threshold on every side.
@@ -91,28 +100,64 @@ def compare_to_truth(
     Raises:
         InputError: No surface of the mesh lies in the box.
     """
-    low, high = truth_points.min(axis=0), truth_points.max(axis=0)
-    if threshold is None:
-        threshold = float(THRESHOLD_SHARE * np.linalg.norm(high - low))
-    points, normals = _samples_in_box(mesh, low - threshold, high + threshold, samples, seed)
+    low, high, threshold = _box(truth_points, threshold)
+    points, normals = _samples_in_box(mesh, low, high, samples, seed)
     to_truth, there = nearest(points, truth_points)
     to_mesh, back = nearest(truth_points, points)
-    precision, recall, score = _within(to_truth, to_mesh, threshold)
-    ours, theirs = _cosines(normals, truth_normals[there]), _cosines(truth_normals, normals[back])
-    accuracy, completeness = float(to_truth.mean()), float(to_mesh.mean())
-    return {
-        "chamfer": (accuracy + completeness) / 2,
-        "accuracy": accuracy,
-        "completeness": completeness,
-        "precision": precision,
-        "recall": recall,
-        "fscore": score,
-        "fscore_half": _within(to_truth, to_mesh, threshold / 2)[2],
-        "fscore_double": _within(to_truth, to_mesh, threshold * 2)[2],
-        "normal_consistency": float((np.abs(ours).mean() + np.abs(theirs).mean()) / 2),
-        "outward_share": float((ours > 0).mean()),
-        "threshold": threshold,
-    }
+    cosines = _cosines(normals, truth_normals[there]), _cosines(truth_normals, normals[back])
+    return _scores(to_truth, to_mesh, *cosines, threshold)
+
+
+def compare_to_surface(
+    mesh: Mesh,
+    truth: Mesh,
+    seen_points: np.ndarray,
+    seen_normals: np.ndarray,
+    closest: Closest,
+    *,
+    threshold: float | None = None,
+    samples: int = 100_000,
+    seed: int = 0,
+) -> dict[str, float]:
+    """Distances and normals of a mesh against true triangles, point to surface both ways: what is true scores 0.
+
+    Completeness and recall: from every true point that cameras saw to the triangles of the mesh. Accuracy and
+    precision: from samples of the mesh to the true triangles, of those samples whose nearest true point was seen, which
+    is one that has a seen point within reach (`REACH_SHARE` of the seen points have another one so near), and that lie
+    in the box of the seen points, grown by the threshold. So the underside of the ground, what lies in it, and the
+    world beyond count neither for nor against.
+
+    Args:
+        mesh: The prediction.
+        truth: The whole true surface, seen or not.
+        seen_points: `[Q, 3]` points of it that cameras saw, spread evenly, world.
+        seen_normals: `[Q, 3]` its normals there.
+        closest: Finds nearest points of a surface: `gsjax.meshing.closest.closest_on_mesh`.
+        threshold: Of the F-score, scene units. None: 1 % of the diagonal of the box of the seen points.
+        samples: Points drawn on the mesh near the box.
+        seed: Of those points.
+
+    Returns:
+        As of `compare_to_truth`; normals are those of the triangles, and `seen_normals`.
+
+    Raises:
+        InputError: No surface of the mesh lies in the box, or none of it where cameras saw something.
+    """
+    low, high, threshold = _box(seen_points, threshold)
+    mesh, truth = _with_area(mesh), _with_area(truth)
+    points, normals = _samples_in_box(mesh, low, high, samples, seed)
+    feet, there = closest(truth, points)
+    seen = nearest(feet, seen_points)[0] <= _reach(seen_points)
+    if not seen.any():
+        raise InputError(f"no surface of the mesh ({mesh.num_faces} faces) lies where cameras saw the truth")
+    touched, back = closest(mesh, seen_points)
+    return _scores(
+        np.linalg.norm(points - feet, axis=1)[seen],
+        np.linalg.norm(seen_points - touched, axis=1),
+        _cosines(normals, face_normals(truth)[there])[seen],
+        _cosines(seen_normals, face_normals(mesh)[back]),
+        threshold,
+    )
 
 
 def normal_error_degrees(rendered: np.ndarray, true: np.ndarray, mask: np.ndarray) -> dict[str, float]:
@@ -148,6 +193,46 @@ def nearest(queries: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.nda
     return np.asarray(distances), np.asarray(ids)
 
 
+def _box(truth_points: np.ndarray, threshold: float | None) -> tuple[np.ndarray, np.ndarray, float]:
+    """The threshold, and the corners of the truth's box grown by it."""
+    low, high = truth_points.min(axis=0), truth_points.max(axis=0)
+    if threshold is None:
+        threshold = float(THRESHOLD_SHARE * np.linalg.norm(high - low))
+    return low - threshold, high + threshold, threshold
+
+
+def _reach(points: np.ndarray) -> float:
+    """The distance within which `REACH_SHARE` of `[P, 3]` points have another one."""
+    return float(np.quantile(KDTree(points).query(points, k=2, workers=-1)[0][:, 1], REACH_SHARE))
+
+
+def _with_area(mesh: Mesh) -> Mesh:
+    """The mesh without triangles that have no area, hence no normal."""
+    kept = np.any(face_area_vectors(mesh) != 0, axis=1)
+    return Mesh(mesh.vertices, mesh.faces[kept], mesh.colors)
+
+
+def _scores(
+    to_truth: np.ndarray, to_mesh: np.ndarray, ours: np.ndarray, theirs: np.ndarray, threshold: float
+) -> dict[str, float]:
+    """All scores, of the distances and the cosines in both directions."""
+    precision, recall, score = _within(to_truth, to_mesh, threshold)
+    accuracy, completeness = float(to_truth.mean()), float(to_mesh.mean())
+    return {
+        "chamfer": (accuracy + completeness) / 2,
+        "accuracy": accuracy,
+        "completeness": completeness,
+        "precision": precision,
+        "recall": recall,
+        "fscore": score,
+        "fscore_half": _within(to_truth, to_mesh, threshold / 2)[2],
+        "fscore_double": _within(to_truth, to_mesh, threshold * 2)[2],
+        "normal_consistency": float((np.abs(ours).mean() + np.abs(theirs).mean()) / 2),
+        "outward_share": float((ours > 0).mean()),
+        "threshold": threshold,
+    }
+
+
 def _within(to_truth: np.ndarray, to_mesh: np.ndarray, threshold: float) -> tuple[float, float, float]:
     """Precision, recall and F-score of the distances in both directions."""
     precision, recall = float((to_truth <= threshold).mean()), float((to_mesh <= threshold).mean())
@@ -156,7 +241,7 @@ def _within(to_truth: np.ndarray, to_mesh: np.ndarray, threshold: float) -> tupl
 
 def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """`[P]` cosines between `[P, 3]` vectors of any length; 0 where one is zero."""
-    return np.sum(unit_or_zero(a) * unit_or_zero(b), axis=-1)
+    return np.sum(unit_or_zero(a.astype(np.float64)) * unit_or_zero(b.astype(np.float64)), axis=-1)
 
 
 def _samples_in_box(mesh: Mesh, low: np.ndarray, high: np.ndarray, count: int, seed: int):

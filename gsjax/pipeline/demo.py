@@ -35,7 +35,8 @@ def run(out: str | Path = "runs/demo") -> dict[str, Any]:
         out: Folder for the scene, both runs, `report.json` and `comparison.png`; absent or empty.
 
     Returns:
-        The report: figures of `vanilla` and `surface`, path of the surface `mesh`, `machine`, `versions`.
+        The report: figures of `vanilla` and `surface`, and of the true mesh as their `floor`; path of the surface
+        `mesh`, `machine`, `versions`.
 
     Raises:
         InputError: The folder is in use or cannot be written.
@@ -53,6 +54,7 @@ def run(out: str | Path = "runs/demo") -> dict[str, Any]:
         pipeline.mesh(out / name, out / name / "mesh.ply")
         figures = pipeline.evaluate(out / name)
         report[name] = {key: figures[key] for key in REPORTED} | {"seconds": trained["train_seconds"]}
+        report["floor"] = {key: value for key, value in figures["floor"].items() if key in REPORTED}
     picture = _comparison(scene, open_result(out / "vanilla"), open_result(out / "surface"), out)
     report |= {
         "mesh": str(out / "surface" / "mesh.ply"),

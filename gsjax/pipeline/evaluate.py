@@ -12,6 +12,8 @@ from gsjax.gaussians import Gaussians
 from gsjax.io import runs
 from gsjax.measures import geometry
 from gsjax.measures.images import psnr, ssim
+from gsjax.mesh import Mesh
+from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.export import read_mesh
 from gsjax.normals.from_depth import depth_normals
 from gsjax.pipeline.mesh import mesh as extract
@@ -26,14 +28,13 @@ def evaluate(run: str | Path, *, mesh: str | Path | None = None) -> dict[str, An
 
     Args:
         run: Run folder.
-        mesh: Mesh to score against the true surface points. None: `RUN/mesh.ply`, extracted now if it is absent.
+        mesh: Mesh to score against the true surface. None: `RUN/mesh.ply`, extracted now if it is absent.
 
     Returns:
         `psnr` and `ssim` (None without held-out views), `views`, `gaussians`, `train_seconds`, `steps`; with true
         normals `normal_error_deg` and `normal_error_median_deg` of the rendered depth over object pixels and
         `normal_error_all_deg` over all surface pixels; with true depth `depth_error` (mean absolute, object pixels,
-        scene units), both in held-out views; with surface points `chamfer`, `fscore`, `normal_consistency` and their
-        parts.
+        scene units), both in held-out views; with true surface points what `score_mesh` returns.
 
     Raises:
         InputError: The run, its data set or the mesh cannot be read.
@@ -56,8 +57,34 @@ def evaluate(run: str | Path, *, mesh: str | Path | None = None) -> dict[str, An
         file = Path(mesh) if mesh is not None else run / "mesh.ply"
         if mesh is None and not file.exists():
             extract(run, file)
-        figures |= geometry.compare_to_truth(read_mesh(file), truth.points, truth.point_normals)
+        figures |= score_mesh(read_mesh(file), truth.points, truth.point_normals, truth.mesh)
     return figures
+
+
+def score_mesh(mesh: Mesh, seen_points: np.ndarray, seen_normals: np.ndarray, true_mesh: Path | None) -> dict[str, Any]:
+    """How far a mesh is from the true surface: from its triangles where they are known, else from its points.
+
+    Args:
+        mesh: The prediction.
+        seen_points: `[P, 3]` points of the true surface that cameras saw, world.
+        seen_normals: `[P, 3]` its normals there.
+        true_mesh: File of the true triangles.
+
+    Returns:
+        `chamfer`, `accuracy`, `completeness`, `fscore`, `normal_consistency` and the rest that
+        `gsjax.measures.geometry.compare_to_surface` tells; `distances`, "point to surface" or, without true triangles,
+        "point to point"; with true triangles also `floor`: the same scores of the true mesh itself.
+
+    Raises:
+        InputError: The true mesh cannot be read, or nothing of the mesh lies where cameras saw something.
+    """
+    if true_mesh is None:
+        return geometry.compare_to_truth(mesh, seen_points, seen_normals) | {"distances": "point to point"}
+    truth = read_mesh(true_mesh)
+    found, floor = (
+        geometry.compare_to_surface(each, truth, seen_points, seen_normals, closest_on_mesh) for each in (mesh, truth)
+    )
+    return found | {"distances": "point to surface", "floor": floor}
 
 
 def score_images(gaussians: Gaussians, frames: tuple[Frame, ...], background: str) -> dict[str, Any]:

@@ -59,7 +59,8 @@ def library(monkeypatch):
     install("gsjax.pipeline", **{name: recorded(name, {"psnr": 29.5, "views": 7}) for name in names})
     left_out = {"a.jpg": "blurred", "b.jpg": "dark", "c.jpg": "dark"}
     install("gsjax.io.sfm", reconstruct=recorded("sfm", SfmReport(45, left_out)))
-    install("gsjax.pipeline.demo", run=recorded("demo", {"vanilla": {"psnr": 30.0}, "surface": {"psnr": 31.0}}))
+    report = {"vanilla": {"psnr": 30.0, "chamfer": 0.004}, "surface": {"psnr": 31.0}, "floor": {"chamfer": 1e-4}}
+    install("gsjax.pipeline.demo", run=recorded("demo", report))
     return calls
 
 
@@ -201,7 +202,10 @@ def test_the_other_commands_reach_their_functions(library, capsys):
         ("demo", ("runs/demo",), {}),
     ]
     printed = capsys.readouterr()
-    assert "vanilla    30\nsurface    31\n" in printed.out
+    table = [line.split() for line in printed.out.splitlines()[-5:-1]]
+    assert table[0] == ["psnr", "chamfer"]
+    assert table[1:3] == [["vanilla", "30", "0.004"], ["surface", "31", "-"]]
+    assert table[3] == ["true", "mesh", "(floor)", "-", "0.0001"]
     assert "registered  45\nleft_out    3\n" in printed.out
     reasons = "gsjax: left out (blurred): a.jpg\ngsjax: left out (dark): b.jpg, c.jpg\n"
     assert printed.err == 2 * reasons

@@ -48,6 +48,15 @@ def test_no_capacity_just_works_under_grad_and_vmap_and_a_batch_is_its_scenes():
         assert error < 1e-4, (name, error)
 
 
+def test_no_capacity_just_works_under_vmaps_in_each_other():
+    many = [replace(SCENE, scales=scale * SCENE.scales) for scale in (1, 0.2, 0.5, 0.7)]
+    batch = jax.tree.map(lambda *x: jnp.stack(x).reshape(2, 2, *x[0].shape), *many)
+    images, _, info = jax.vmap(jax.vmap(render))(batch)
+    assert not info["overflowed"].any() and info["splats"].shape[-1] == render(SCENE)[2]["splats"].size
+    for i, scene in enumerate(many):
+        assert_close(images[i // 2, i % 2], render(scene, capacity=ENOUGH)[0])
+
+
 def test_inside_jit_a_capacity_must_be_given():
     with pytest.raises(ValueError, match="inside jit .* pass capacity="):
         jax.jit(lambda s: render(s)[0])(SCENE)
@@ -101,7 +110,7 @@ def test_a_new_camera_compiles_nothing():
         ({"colors": jnp.ones((40, 3, 3))}, {"sh_degree": 1}, r"degree 1 needs 4 coefficients"),
         ({"colors": jnp.ones((40, 36, 3))}, {"sh_degree": 5}, "degree 5"),
         ({"backgrounds": jnp.ones((1, 4))}, {}, r"backgrounds.shape=\(1, 4\), expected \(1, 3\)"),
-        ({}, {"render_mode": "RGB+D"}, r"expected \(1, 4\) for render_mode='RGB\+D'"),
+        ({"backgrounds": jnp.ones((1, 5))}, {"render_mode": "RGB+D"}, r"expected \(1, 4\) or \(1, 3\) for .*'RGB\+D'"),
         ({}, {"render_mode": "rgb"}, "render_mode='rgb'"),
         ({}, {"backend": "cuda"}, "backend='cuda'"),
         ({"quats": jnp.ones((40, 4), jnp.int32)}, {}, "quats.dtype=int32"),

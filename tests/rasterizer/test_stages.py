@@ -11,6 +11,7 @@ from tolerances import assert_close
 
 import rasterizer
 from rasterizer import stages
+from rasterizer.refusals import refuse
 
 TILE = 16
 SCENE = cloud(30, cameras=2)
@@ -150,9 +151,9 @@ def test_compensations_and_the_clip_of_small_radii():
 @pytest.mark.parametrize(
     "call, message",
     [
-        (lambda: stages._refuse(packed=True), "packed=True is not supported: its row count depends on the data"),
-        (lambda: stages._refuse(absgrad=True), "absgrad=True .* zeros added to means2d"),
-        (lambda: stages._refuse(camera_model="fisheye"), "camera_model='fisheye' is not supported, only 'pinhole'"),
+        (lambda: refuse(packed=True), "packed=True is not supported: its row count depends on the data"),
+        (lambda: refuse(absgrad=True), "absgrad=True .* zeros added to means2d"),
+        (lambda: refuse(camera_model="fisheye"), "camera_model='fisheye' is not supported: only 'pinhole' is"),
         (
             lambda: jax.jit(lambda m, r, d: rasterizer.isect_tiles(m, r, d, TILE, *TILES))(
                 jnp.ones((1, 3, 2)), jnp.ones((1, 3, 2), jnp.int32), jnp.ones((1, 3))

@@ -39,6 +39,18 @@ def test_normals_become_unit_and_nothing_stays_nothing(tmp_path):
     np.testing.assert_allclose(normals[1:], np.broadcast_to([0.6, 0, -0.8], (3, 6, 3)), atol=3e-4)
 
 
+def test_a_true_mesh_is_named_where_points_say_what_of_it_was_seen(tmp_path):
+    (tmp_path / "gt_mesh.ply").write_bytes(b"read by whoever needs it")
+    assert load_truth(tmp_path, (frame(),)) is None
+    up = np.tile([0.0, 0.0, 2.0], (3, 1))
+    np.savez(tmp_path / "gt_points.npz", points=up, normals=up, label=np.zeros(3, int))
+    truth = load_truth(tmp_path, (frame(),))
+    assert truth.mesh == tmp_path / "gt_mesh.ply"
+    np.testing.assert_array_equal(truth.point_normals, up / 2)
+    (tmp_path / "gt_mesh.ply").unlink()
+    assert load_truth(tmp_path, (frame(),)).mesh is None
+
+
 @pytest.mark.parametrize("downscale", [1, 2])
 def test_bunny_depth_lies_on_the_ground_and_normals_match_it(shared, downscale):
     scene = load_scene(shared / "data/bunny_plane", downscale=downscale)

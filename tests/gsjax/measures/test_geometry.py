@@ -4,6 +4,7 @@ import pytest
 from gsjax.errors import InputError
 from gsjax.measures import geometry
 from gsjax.mesh import Mesh, face_normals, signed_volume, vertex_normals
+from gsjax.meshing.closest import closest_on_mesh
 
 
 def box(size=(1.0, 1.0, 1.0), center=(0.0, 0.0, 0.0)):
@@ -119,6 +120,93 @@ def test_a_mesh_away_from_the_truth_is_refused():
     flat = Mesh(np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8))
     with pytest.raises(InputError, match="without area"):
         geometry.sample_surface(flat, 10, seed=0)
+
+
+def joined(*meshes):
+    starts = np.cumsum([0, *(m.num_vertices for m in meshes)])
+    return Mesh(
+        np.concatenate([m.vertices for m in meshes]),
+        np.concatenate([m.faces + start for m, start in zip(meshes, starts, strict=False)]),
+        np.concatenate([m.colors for m in meshes]),
+    )
+
+
+def seen_of_box(count=5_000):
+    """Samples of the unit box but its underside, and their normals."""
+    points, normals = geometry.sample_surface(box(), count, seed=1)
+    seen = normals[:, 2] > -0.5
+    return points[seen], normals[seen]
+
+
+def test_the_true_surface_scores_zero_however_few_its_points():
+    found = geometry.compare_to_surface(box(), box(), *seen_of_box(500), closest_on_mesh, samples=5_000)
+    assert found["chamfer"] < 1e-7
+    assert found["fscore"] == found["fscore_half"] == found["fscore_double"] == 1.0
+    # On an edge either of its two triangles may be nearest; both have the same samples, of one face each.
+    assert found["normal_consistency"] == pytest.approx(1.0, abs=1e-6)
+    assert found["outward_share"] == 1.0
+    assert found["threshold"] == pytest.approx(0.01 * np.sqrt(3), rel=0.01)
+
+
+def test_from_point_to_surface_a_grown_box_is_off_by_what_it_grew():
+    grown = box((1.1, 1.1, 1.1))
+    found = geometry.compare_to_surface(grown, box(), *seen_of_box(), closest_on_mesh, threshold=0.06)
+    assert found["completeness"] == pytest.approx(0.05, abs=1e-6)
+    # Of a side of 1.1, the middle 1.0 lies straight above the box; round it, edges are up to 0.05 further aside. Of the
+    # underside, only that rim is near what was seen.
+    x = np.maximum(np.abs(np.linspace(-0.55, 0.55, 1101)) - 0.5, 0)
+    assert found["accuracy"] == pytest.approx(np.sqrt(x[:, None] ** 2 + x**2 + 0.05**2).mean(), rel=5e-3)
+    assert (found["recall"], found["fscore_double"]) == (1.0, 1.0)
+    assert found["normal_consistency"] > 0.9  # Of a sample outside an edge, either side of the box is nearest.
+
+
+def test_normals_of_the_triangles_count_in_both_directions():
+    tilt, flat = 0.3, box((2.0, 2.0, 1e-3))
+    rotation = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])
+    seen = square_grid(20) - [0.5, 0.5, 0]
+    tilted = Mesh((flat.vertices @ rotation.T).astype(np.float32), flat.faces, flat.colors)
+    up = np.tile([0.0, 0, 1], (len(seen), 1))
+    found = geometry.compare_to_surface(tilted, flat, seen, up, closest_on_mesh, threshold=0.3, samples=20_000)
+    assert found["normal_consistency"] == pytest.approx(np.cos(tilt), abs=0.01)
+
+
+def test_what_is_nearest_to_a_side_that_no_camera_saw_does_not_count():
+    alone = box()
+    under = box((0.8, 0.8, 0.01), (0.0, 0.0, -0.45))  # Within the box, 0.05 above its underside.
+    inside = box((0.5, 0.5, 0.01), (0.0, 0.0, 0.4))  # As much, 0.1 below its upper side: wrong.
+    far = box((3.0, 3.0, 3.0), (20.0, 0.0, 0.0))
+    expected, same, wrong = (
+        geometry.compare_to_surface(mesh, box(), *seen_of_box(), closest_on_mesh, samples=40_000)
+        for mesh in (alone, joined(alone, under, far), joined(alone, inside))
+    )
+    assert expected["accuracy"] < 1e-7
+    assert same["accuracy"] < 1e-7 and same["precision"] == 1.0
+    share = 0.52 / 6.52  # Of the area, with its sides of 0.01; an underside that is not seen makes it 0.52 / 5.52.
+    assert wrong["accuracy"] == pytest.approx(0.1 * share * 6.52 / 5.52, rel=0.05)
+    assert wrong["completeness"] < 1e-7
+
+
+def test_a_gap_in_the_mesh_is_missed_by_completeness_alone():
+    top = face_normals(box())[:, 2] > 0.5
+    open_box = Mesh(box().vertices, box().faces[~top], box().colors)
+    found = geometry.compare_to_surface(open_box, box(), *seen_of_box(20_000), closest_on_mesh)
+    assert found["accuracy"] < 1e-7
+    # A fifth of what is seen is the top; its points are on the mean 1/6 from the nearest edge.
+    assert found["completeness"] == pytest.approx(1 / 5 / 6, rel=0.05)
+
+
+def test_triangles_without_area_are_left_out():
+    whole = box()
+    sliver = Mesh(whole.vertices, np.concatenate([whole.faces, [[0, 0, 1]]]).astype(np.int32), whole.colors)
+    options = {"samples": 2_000}
+    expected = geometry.compare_to_surface(whole, whole, *seen_of_box(500), closest_on_mesh, **options)
+    assert geometry.compare_to_surface(sliver, sliver, *seen_of_box(500), closest_on_mesh, **options) == expected
+
+
+def test_a_mesh_only_where_no_camera_looked_is_refused():
+    under = box((0.8, 0.8, 0.01), (0.0, 0.0, -0.45))
+    with pytest.raises(InputError, match=r"no surface of the mesh \(12 faces\) lies where cameras saw"):
+        geometry.compare_to_surface(under, box(), *seen_of_box(), closest_on_mesh, samples=1_000)
 
 
 def test_normal_error_of_known_rotations():

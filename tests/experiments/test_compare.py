@@ -1,0 +1,34 @@
+"""The table of a study: means over the seeds, and below them what the true mesh itself scores."""
+
+import importlib
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from gsjax import pipeline, tables
+from gsjax.io import runs
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
+
+
+@pytest.fixture
+def compare(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXPERIMENTS))
+    yield importlib.import_module("compare")
+    for name in ("compare", "train"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize("with_mesh", [True, False])
+def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_path, with_mesh):
+    chamfers = iter([0.004, 0.006, 0.002] * 2)
+    floor = {"floor": {"chamfer": 1e-4, "threshold": 0.03}} if with_mesh else {}
+    monkeypatch.setattr(pipeline, "train", lambda *_: None)
+    monkeypatch.setattr(pipeline, "evaluate", lambda _: {"psnr": 30.0, "chamfer": next(chamfers), "views": 2, **floor})
+    monkeypatch.setattr(runs, "read_metrics", lambda _: [])
+    rows = compare.run("surface", "scene", str(tmp_path), seeds=2)
+    assert [row["chamfer"] for row in rows.values()] == pytest.approx([0.004, 0.006, 0.002] + [1e-4] * with_mesh)
+    assert (tables.FLOOR in rows) == with_mesh
+    assert json.loads((tmp_path / "study.json").read_text())["floor"] == ({"chamfer": 1e-4} if with_mesh else {})
