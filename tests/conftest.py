@@ -2,6 +2,7 @@
 
 import gc
 import os
+import tempfile
 from pathlib import Path
 
 os.environ["JAX_PLATFORMS"] = "cpu"
@@ -60,6 +61,22 @@ ERRORS = HardCases()
 def hard_cases():
     """Notes what a hard case measured: `hard_cases(case, backend, value=, gradient=, bounds=)`."""
     return ERRORS
+
+
+PROGRAMS = pytest.StashKey[tempfile.TemporaryDirectory]()
+
+
+def pytest_configure(config):
+    """One store of compiled programs for all workers of this session: each would compile most of them anew."""
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # Set by now in the workers, which inherit it.
+        config.stash[PROGRAMS] = tempfile.TemporaryDirectory(prefix="gsjax-tests-")
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = config.stash[PROGRAMS].name
+        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"
+
+
+def pytest_unconfigure(config):
+    if PROGRAMS in config.stash:
+        config.stash[PROGRAMS].cleanup()
 
 
 def pytest_sessionfinish(session):
