@@ -78,7 +78,11 @@ def scan(
         progress(f"scan: {stage.name}")
         started, before = time.perf_counter(), report["stages"].get(stage.name, {}).get("seconds", 0.0)
         restart_peak_memory()
-        figures = stage.run()
+        try:
+            figures = stage.run()
+        except InputError:
+            _forget_if_empty(out)
+            raise
         report["stages"][stage.name] = {
             **figures,
             "seconds": round(before + time.perf_counter() - started, 1),
@@ -118,6 +122,13 @@ def _begun(out: Path, asked: Mapping[str, Any]) -> dict[str, Any]:
     report = {"asked": dict(asked), "stages": {}}
     runs.write_json(file, report)
     return report
+
+
+def _forget_if_empty(out: Path) -> None:
+    """Removes the folder of a scan that came to nothing: the next try may be another."""
+    if [file.name for file in out.iterdir()] == ["report.json"]:
+        (out / "report.json").unlink()
+        out.rmdir()
 
 
 def _stages(source: Path, out: Path, settings: Settings, refinement: Refinement, frames: int | None) -> list[Stage]:

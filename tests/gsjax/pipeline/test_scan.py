@@ -127,6 +127,17 @@ def test_a_folder_with_other_things_or_other_wishes_is_left_alone(stages, photos
         scanned(tmp_path, tmp_path / "scan")
 
 
+def test_a_scan_that_comes_to_nothing_leaves_nothing(stages, photos, tmp_path):
+    calls, broken = stages
+    broken.add("sfm")
+    with pytest.raises(InputError, match="sfm has no room"):
+        scanned(photos, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    broken.clear()
+    scanned(photos, tmp_path / "out", Settings(seed=1))  # Other wishes: there is nothing they could contradict.
+    assert len(calls) == 6
+
+
 def test_panels_are_drawn_in_rows_under_their_titles(tmp_path):
     from gsjax.io.images import image_size
     from gsjax.pipeline.panels import draw_panels
