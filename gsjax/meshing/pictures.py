@@ -123,7 +123,8 @@ def _hits(mesh: Mesh, cast: Cast, viewmat, K, width: int, height: int) -> tuple[
 def _pixel_rays(viewmat, K, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """`[3]` the camera's centre and `[H * W, 3]` directions whose lengths make a ray's parameter the camera z."""
     viewmat, K = np.asarray(viewmat, np.float64), np.asarray(K, np.float64)
-    columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    x, y = (columns.ravel() - K[0, 2]) / K[0, 0], (rows.ravel() - K[1, 2]) / K[1, 1]
-    in_camera = np.stack([x, y, np.ones(height * width)], axis=-1)
-    return -viewmat[:3, :3].T @ viewmat[:3, 3], in_camera @ viewmat[:3, :3]
+    right, down, forward = viewmat[:3, :3]
+    columns = (np.arange(width) + 0.5 - K[0, 2]) / K[0, 0]
+    rows = (np.arange(height) + 0.5 - K[1, 2]) / K[1, 1]
+    directions = columns[:, None] * right + (rows[:, None] * down + forward)[:, None]
+    return -viewmat[:3, :3].T @ viewmat[:3, 3], directions.reshape(-1, 3)

@@ -73,14 +73,27 @@ def composited(
         # Nothing rendered is no haze.
         rendered = np.where(picture.depth > 0, picture.depth, np.inf)
         shown = np.dstack([picture.colors, picture.alphas, depth, rendered]).astype(np.float32)
-        for first in range(0, len(sums), TEXELS_AT_ONCE):
-            part = slice(first, min(first + TEXELS_AT_ONCE, len(sums)))
+        chosen = np.flatnonzero(_may_be_seen(mesh, normals, camera)[texels.faces])
+        for first in range(0, len(chosen), TEXELS_AT_ONCE):
+            part = chosen[first : first + TEXELS_AT_ONCE]
             points, towards = _filled_up(texels.points[part]), _filled_up(normals[texels.faces[part]])
-            sums[part] += np.asarray(_sightings(points, towards, camera, shown))[: part.stop - first]
+            sums[part] += np.asarray(_sightings(points, towards, camera, shown))[: len(part)]
     weights = sums[:, 3:]
     is_seen = weights[:, 0] > 0
     colors = sums[:, :3] / np.where(is_seen[:, None], weights, 1)
     return np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8), is_seen
+
+
+def _may_be_seen(mesh: Mesh, normals: np.ndarray, camera: Camera) -> np.ndarray:
+    """`[F]` bool: triangles that face the camera and do not lie beside its image as a whole, or behind it."""
+    viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
+    center = -viewmat[:3, :3].T @ viewmat[:3, 3]
+    is_facing = np.sum(normals * (center - mesh.vertices[mesh.faces[:, 0]]), axis=1) > 0
+    in_camera = mesh.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
+    # A corner lies within a border of the image where its weighted pixel does: that holds on either side of z = 0.
+    (x, y), z = (in_camera @ K.T).T[:2], in_camera[:, 2]
+    within = np.stack([z > 0, x > 0, y > 0, x < camera.width * z, y < camera.height * z])
+    return is_facing & within[:, mesh.faces].any(axis=2).all(axis=0)
 
 
 @jax.jit

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from gsjax import gallery
 from gsjax.cameras import Camera
@@ -132,7 +133,7 @@ def training_pictures(
     if not chosen:
         raise InputError(f"{result.source}: has no training views to look from")
     cameras = [result.cameras[index] for index in chosen]
-    pictures = gallery.pictures(gaussians, cameras, background)
+    pictures = tqdm(gallery.pictures(gaussians, cameras, background), total=len(cameras), desc="views", unit="view")
     return cameras, gallery.masked(pictures, (result.valid[index]() for index in chosen))
 
 

@@ -12,6 +12,7 @@ from gsjax.mesh import Mesh
 from gsjax.meshing import texture
 from gsjax.meshing.atlas import Atlas, cells, texel_corners
 from gsjax.meshing.cleaning import joined
+from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.texels import texels_of
 from gsjax.meshing.texture import composited, texture_mesh
 
@@ -191,6 +192,23 @@ def test_chunks_change_nothing(monkeypatch):
     monkeypatch.setattr(texture, "TEXELS_AT_ONCE", 1 << 13)
     for ours, whole in zip(in_parts, seen_of(mesh, [view], shown)[1:], strict=True):
         np.testing.assert_array_equal(ours, whole)
+
+
+def test_triangles_left_out_beforehand_would_not_have_been_seen(monkeypatch):
+    """Walls on all sides, one of them facing away, cut by the image's border and by the plane of the camera."""
+    low, high, away = square(z=-1.0, half=3.0, per_side=5), square(z=0.5, half=1.0, turned=True), square(z=2.0)
+    mesh = joined([low, high, away])
+    views = [camera((0.4, 0.1, 1.0)), camera((2.5, 0, 0.0), target=(0, 0.3, 0.2)), camera((0, 0, 1.0), (0.1, 0, 2.0))]
+    maps = [depth_of_mesh(mesh, view.viewmat, view.K, WIDTH, HEIGHT) for view in views]
+    pictures = [picture([0.2 * k, 0.5, 0.1], depth, (depth > 0) * np.float32(1)) for k, depth in enumerate(maps)]
+    texels = texels_of(mesh, cells(mesh, 128))
+    expected, everywhere = [], lambda mesh, normals, camera: np.ones(mesh.num_faces, bool)
+    for may_be_seen in (texture._may_be_seen, everywhere):
+        monkeypatch.setattr(texture, "_may_be_seen", may_be_seen)
+        expected.append(composited(mesh, texels, views, pictures))
+    for few, all_of_them in zip(*expected, strict=True):
+        np.testing.assert_array_equal(few, all_of_them)
+    assert 0.05 < expected[0][1].mean() < 0.9
 
 
 def test_the_texture_reads_the_same_on_both_sides_of_a_seam():
