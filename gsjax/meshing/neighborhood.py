@@ -1,4 +1,4 @@
-"""Which Gaussians make the density around a ray: what was hit, what is near, and what is large enough to reach there."""
+"""Which Gaussians make the density around a ray: the one that was hit, near ones, and large ones that reach there."""
 
 import numpy as np
 from scipy.spatial import KDTree
