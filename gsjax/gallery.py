@@ -20,6 +20,7 @@ class Picture(NamedTuple):
     colors: np.ndarray  # [H, W, 3] float32, clipped to 0..1, over the background
     depth: np.ndarray  # [H, W] float32 expected camera z, 0 where nothing covers the pixel
     alphas: np.ndarray  # [H, W] float32
+    owners: np.ndarray  # [H, W] int32, the Gaussian that was hit: in which half of the pixel's light is gone; -1: none
 
 
 def pictures(gaussians: Gaussians, cameras: Sequence[Camera], background: np.ndarray) -> Iterator[Picture]:
@@ -30,8 +31,7 @@ def pictures(gaussians: Gaussians, cameras: Sequence[Camera], background: np.nda
     needed = max(int(_needed(gaussians, camera)) for camera in padded)
     capacity = rasterizer.capacity_bucket(needed)
     for camera, own in zip(padded, cameras, strict=True):
-        view = _view(gaussians, camera, jnp.asarray(background, jnp.float32), capacity=capacity)
-        shown = (jnp.clip(view.colors, 0, 1), view.depth, view.alphas)
+        shown = _shown(gaussians, camera, jnp.asarray(background, jnp.float32), capacity=capacity)
         yield Picture(*(np.asarray(x)[: own.height, : own.width] for x in shown))
 
 
@@ -46,12 +46,17 @@ def masked(pictures: Iterable[Picture], valid: Iterable[np.ndarray | None]) -> I
         if usable is None:
             yield picture
         else:
-            yield Picture(*(np.where(usable.reshape(*usable.shape, *[1] * (x.ndim - 2)), x, 0) for x in picture))
+            colors, depth, alphas, owners = picture
+            shown = [
+                np.where(usable.reshape(*usable.shape, *[1] * (x.ndim - 2)), x, 0) for x in (colors, depth, alphas)
+            ]
+            yield Picture(*shown, np.where(usable, owners, -1))
 
 
 _needed = jax.jit(render.needed_capacity)
 
 
 @partial(jax.jit, static_argnames="capacity")
-def _view(gaussians: Gaussians, camera: Camera, background: jax.Array, *, capacity: int) -> render.View:
-    return render.view(gaussians, camera, capacity=capacity, background=background, with_depth=True)
+def _shown(gaussians: Gaussians, camera: Camera, background: jax.Array, *, capacity: int) -> tuple[jax.Array, ...]:
+    view = render.view(gaussians, camera, capacity=capacity, background=background, with_depth=True)
+    return jnp.clip(view.colors, 0, 1), view.depth, view.alphas, render.owners(view.splats)

@@ -135,6 +135,18 @@ def features(splats: Splats, values: Array) -> tuple[Array, Array]:
     return image[0], 1 - left[0, ..., 0]
 
 
+def owners(splats: Splats) -> Array:
+    """`[H, W]` int32: the Gaussian in which the light of each pixel falls to one half, or the last one that shows.
+
+    -1 where none does. Not differentiable.
+    """
+    nothing = jnp.zeros((1, len(splats.opacities), 1), splats.opacities.dtype)
+    blended = rasterizer.blend(
+        splats.projection, splats.opacities, nothing, splats.pairs, splats.grid, with_median=True
+    )
+    return blended[2][0]
+
+
 def colors(scene: Drawable, camera: Camera, active_degree: Array | int | None = None) -> Array:
     """`[N, 3]` colour of every Gaussian seen from the camera, at least 0 (3DGS: max(0, SH + 0.5)).
 

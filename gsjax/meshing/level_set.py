@@ -11,7 +11,6 @@ from functools import partial
 
 import jax
 import numpy as np
-from scipy.spatial import KDTree
 
 from gsjax import cameras as cams
 from gsjax import gaussians as gs
@@ -21,6 +20,7 @@ from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import density_field
 from gsjax.meshing.level_crossing import march_rays
+from gsjax.meshing.neighborhood import Neighborhood
 
 PIXELS_PER_POINT = 8  # Photos of so many pixels in all bear one surface point.
 FEWEST_POINTS = 200_000
@@ -34,7 +34,7 @@ class LevelSetOptions:
     level: float = 0.3  # density of the surface; SuGaR takes 0.1, 0.3 or 0.5
     num_points: int = 10_000_000  # most points, over all views
     oversampling: float = 2.0  # rays marched per point wanted; what finds too many is cut back at random
-    neighbors: int = 16  # Gaussians that make the density around a ray: the one nearest to its hit, and that one's
+    neighbors: int = 16  # Gaussians that make the density around a ray, the one that was hit among them
     samples: int = 21  # densities evaluated along a ray
     sigma_range: float = 3.0  # half length of the march, standard deviations of the hit Gaussian along the ray
     min_opacity: float = 0.5  # Gaussians up to this make no density, unless fewer than `neighbors` would remain
@@ -85,6 +85,7 @@ class Rays:
     directions: np.ndarray  # [R, 3] float32 unit, away from the camera
     colors: np.ndarray  # [R, 3] uint8
     view_ids: np.ndarray  # [R] int32
+    owners: np.ndarray  # [R] int32 the Gaussian that was hit, of those that make the density
 
 
 def surface_points(
@@ -100,8 +101,8 @@ def surface_points(
     Args:
         gaussians: The trained scene.
         cameras: One camera a view.
-        pictures: One rendered picture a camera, in order; looked at one by one. Colours best come from the degree-0
-            coefficients alone.
+        pictures: One rendered picture of these Gaussians a camera, in order; looked at one by one. Colours best come
+            from the degree-0 coefficients alone. Pixels that a Gaussian too faint to make density owns say nothing.
         options: The numbers. None: `options_for` these cameras.
         seed: Of the random choice of pixels.
 
@@ -113,10 +114,13 @@ def surface_points(
     """
     options = options_for(cameras) if options is None else options
     rng = np.random.default_rng(seed)
-    kept = opaque_enough(gaussians, options.min_opacity, options.neighbors)
+    ids = opaque_ids(gaussians, options.min_opacity, options.neighbors)
     wanted = options.num_points // max(len(cameras), 1) + 1
-    rays = _draw_rays(cameras, pictures, round(options.oversampling * wanted), options.min_alpha, rng)
+    place = np.full(gaussians.num_gaussians + 1, -1, np.int32)  # Of each Gaussian among the kept ones; -1 stays -1.
+    place[ids] = np.arange(len(ids))
+    rays = _draw_rays(cameras, pictures, place, round(options.oversampling * wanted), options.min_alpha, rng)
 
+    kept = gs.take(gaussians, ids)
     points, normals, crossed = _march(kept, rays, options)
     ids = np.flatnonzero(crossed)
     if not len(ids):
@@ -141,7 +145,12 @@ def surface_points(
 
 
 def opaque_enough(gaussians: Gaussians, min_opacity: float, fewest: int) -> Gaussians:
-    """The Gaussians above the opacity and with finite parameters, or all finite ones where fewer than `fewest` are.
+    """The Gaussians of `opaque_ids`."""
+    return gs.take(gaussians, opaque_ids(gaussians, min_opacity, fewest))
+
+
+def opaque_ids(gaussians: Gaussians, min_opacity: float, fewest: int) -> np.ndarray:
+    """`[K]` of the Gaussians above the opacity with finite parameters, or of all finite ones, were it under `fewest`.
 
     Raises:
         InputError: No Gaussian is finite.
@@ -152,7 +161,7 @@ def opaque_enough(gaussians: Gaussians, min_opacity: float, fewest: int) -> Gaus
     kept = np.flatnonzero(opaque if opaque.sum() >= fewest else finite)
     if not len(kept):
         raise InputError(f"no surface to extract: none of {gaussians.num_gaussians} Gaussians is usable")
-    return gs.take(gaussians, kept)
+    return kept
 
 
 def world_points(camera: Camera, depth: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> tuple:
@@ -166,9 +175,10 @@ def world_points(camera: Camera, depth: np.ndarray, rows: np.ndarray, columns: n
 def check_sizes(index: int, camera: Camera, picture: Picture) -> None:
     """Raise ValueError where a picture is not as large as its camera's image."""
     size = (camera.height, camera.width)
-    colors, depth, alphas = picture
-    if depth.shape != size or alphas.shape != size or colors.shape != (*size, 3):
-        raise ValueError(f"view {index}: {depth.shape=}, {alphas.shape=}, {colors.shape=} do not fit camera {size}")
+    colors, depth, alphas, owners = picture
+    if not depth.shape == alphas.shape == owners.shape == size or colors.shape != (*size, 3):
+        shapes = f"{depth.shape=}, {alphas.shape=}, {owners.shape=}, {colors.shape=}"
+        raise ValueError(f"view {index}: {shapes} do not fit camera {size}")
 
 
 def to_bytes(colors: np.ndarray) -> np.ndarray:
@@ -176,36 +186,46 @@ def to_bytes(colors: np.ndarray) -> np.ndarray:
     return np.clip(np.round(colors * 255.0), 0, 255).astype(np.uint8)
 
 
-def _draw_rays(cameras, pictures, rays_per_view: int, min_alpha: float, rng: np.random.Generator) -> Rays:
+def _draw_rays(cameras, pictures, place: np.ndarray, rays_per_view: int, min_alpha: float, rng) -> Rays:
     """Random opaque pixels of every view, no pixel twice, back-projected at their centres."""
     views = [
-        _rays_of_view(index, camera, picture, rays_per_view, min_alpha, rng)
+        _rays_of_view(index, camera, picture, place, rays_per_view, min_alpha, rng)
         for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True))
     ]
     rays = [np.concatenate(parts) for parts in zip(*views, strict=True)] if views else [np.zeros((0, 3))]
     if not len(rays[0]):
-        raise InputError(f"no surface to extract: no pixel of {len(views)} views has alpha > {min_alpha} and a depth")
+        raise InputError(
+            f"no surface to extract: no pixel of {len(views)} views has alpha > {min_alpha}, a depth,"
+            " and an owner that is opaque"
+        )
     return Rays(*rays)
 
 
 def _rays_of_view(
-    index: int, camera: Camera, picture: Picture, count: int, min_alpha: float, rng: np.random.Generator
+    index: int,
+    camera: Camera,
+    picture: Picture,
+    place: np.ndarray,
+    count: int,
+    min_alpha: float,
+    rng: np.random.Generator,
 ) -> tuple[np.ndarray, ...]:
-    """Arrays (hits, directions, colours, view ids) of one view."""
+    """Arrays (hits, directions, colours, view ids, owners) of one view."""
     check_sizes(index, camera, picture)
-    depth = np.asarray(picture.depth)
-    rows, columns = np.nonzero((np.asarray(picture.alphas) > min_alpha) & (depth > 0) & np.isfinite(depth))
+    depth, owners = np.asarray(picture.depth), place[picture.owners]
+    covered = (np.asarray(picture.alphas) > min_alpha) & (depth > 0) & np.isfinite(depth)
+    rows, columns = np.nonzero(covered & (owners >= 0))
     drawn = rng.permutation(len(rows))[:count]
     rows, columns = rows[drawn], columns[drawn]
     hits, directions = world_points(camera, depth, rows, columns)
     colors = to_bytes(np.asarray(picture.colors)[rows, columns])
-    return hits.astype(np.float32), directions.astype(np.float32), colors, np.full(len(rows), index, np.int32)
+    views = np.full(len(rows), index, np.int32)
+    return hits.astype(np.float32), directions.astype(np.float32), colors, views, owners[rows, columns]
 
 
 def _march(kept: Gaussians, rays: Rays, options: LevelSetOptions) -> tuple[np.ndarray, ...]:
     """Points, outward normals and whether there is a crossing, of every ray, chunk by chunk."""
-    tree = KDTree(np.asarray(kept.means))
-    table = neighbor_table(tree, options.neighbors)
+    nearby = Neighborhood(kept, options.neighbors)
     march = partial(
         march_rays,
         density_field.kernels(kept),
@@ -218,25 +238,8 @@ def _march(kept: Gaussians, rays: Rays, options: LevelSetOptions) -> tuple[np.nd
     for start in range(0, total, options.chunk):
         # The last chunk is padded with repetitions, so that all have one length and one compilation.
         ids = np.minimum(np.arange(start, start + options.chunk), total - 1)
-        nearest = np.asarray(tree.query(rays.hits[ids], 1, workers=-1)[1])
-        part = jax.device_get(march(rays.hits[ids], rays.directions[ids], table[nearest]))
+        around = nearby.of(rays.hits[ids], rays.owners[ids])
+        part = jax.device_get(march(rays.hits[ids], rays.directions[ids], around))
         for whole, values in zip(found, part, strict=True):
             whole[start : start + options.chunk] = values[: total - start]
     return found
-
-
-def neighbor_table(tree: KDTree, neighbors: int) -> np.ndarray:
-    """`[N, k]` int32 ids of the nearest of every point of the tree, itself first; found in chunks."""
-    points = tree.data
-    count = min(neighbors, len(points))
-    table = np.empty((len(points), count), np.int32)
-    for start in range(0, len(points), TREE_CHUNK):
-        part = slice(start, start + TREE_CHUNK)
-        table[part] = np.asarray(tree.query(points[part], count, workers=-1)[1]).reshape(-1, count)
-    # Coincident Gaussians may push one out of its own list, or out of first place.
-    own = np.arange(len(points), dtype=np.int32)
-    is_own = table == own[:, None]
-    place = np.where(is_own.any(1), is_own.argmax(1), count - 1)
-    table[own, place] = table[:, 0]
-    table[:, 0] = own
-    return table

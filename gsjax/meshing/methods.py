@@ -21,6 +21,7 @@ from gsjax.mesh import Mesh, unit_or_zero
 from gsjax.meshing import level_set, poisson
 from gsjax.meshing.boxes import Region
 from gsjax.meshing.level_set import LevelSetOptions
+from gsjax.meshing.neighborhood import TREE_CHUNK
 from gsjax.meshing.poisson import PoissonOptions
 
 CELL_PER_SCALE = 1.0  # Poisson cells smaller than the Gaussians reproduce their bumps, not the surface.
@@ -140,8 +141,8 @@ def plane_normals(points: np.ndarray, neighbors: int) -> np.ndarray:
     """`[P, 3]` unit normals, of either sign, of the planes through each point and its nearest neighbours."""
     tree = KDTree(points)
     normals = np.empty_like(points)
-    for start in range(0, len(points), level_set.TREE_CHUNK):
-        part = slice(start, start + level_set.TREE_CHUNK)
+    for start in range(0, len(points), TREE_CHUNK):
+        part = slice(start, start + TREE_CHUNK)
         around = points[np.asarray(tree.query(points[part], neighbors, workers=-1)[1]).reshape(-1, neighbors)]
         offsets = around - around.mean(axis=1, keepdims=True)
         normals[part] = np.linalg.eigh(np.einsum("pki,pkj->pij", offsets, offsets))[1][:, :, 0]

@@ -5,11 +5,13 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gsjax.cameras import Camera
 from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
+from gsjax.meshing.level_set import world_points
 
 RADIUS = 1.0
 
@@ -27,7 +29,19 @@ class DiscScene:
     @property
     def pictures(self):
         """What a renderer would give for the cameras."""
-        return [Picture(*parts) for parts in zip(self.colors, self.depths, self.alphas, strict=True)]
+        maps = zip(self.colors, self.depths, self.alphas, self.owners, strict=True)
+        return [Picture(*parts) for parts in maps]
+
+    @property
+    def owners(self):
+        """The Gaussian nearest to what each pixel shows, -1 where it shows nothing."""
+        tree = KDTree(np.asarray(self.gaussians.means))
+        hits = [
+            world_points(c, d, *np.indices(d.shape).reshape(2, -1))[0]
+            for c, d in zip(self.cameras, self.depths, strict=True)
+        ]
+        nearest = [tree.query(points)[1].reshape(d.shape) for points, d in zip(hits, self.depths, strict=True)]
+        return [np.where(d > 0, ids, -1).astype(np.int32) for ids, d in zip(nearest, self.depths, strict=True)]
 
     @property
     def views(self):

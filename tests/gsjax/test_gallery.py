@@ -50,8 +50,35 @@ def test_a_picture_has_its_cameras_size_and_content(shown, index):
 
 def test_pictures_are_numpy_and_float32(shown):
     for picture in shown[1]:
-        for part in picture:
-            assert isinstance(part, np.ndarray) and part.dtype == np.float32
+        assert all(isinstance(part, np.ndarray) for part in picture)
+        assert [part.dtype for part in picture] == 3 * [np.float32] + [np.int32]
+
+
+def test_owners_are_the_medians_of_the_reference(shown):
+    scene, pictures = shown
+    camera = CAMERAS[0]
+    projection = rasterizer.project(
+        scene.means, scene.quats, scales(scene), opacities(scene), camera.viewmat[None], camera.K[None], 24, 20
+    )
+    owners = pictures[0].owners
+    *_, info = rasterizer.rasterization(
+        scene.means,
+        scene.quats,
+        scales(scene),
+        opacities(scene),
+        sh_coefficients(scene),
+        camera.viewmat[None],
+        camera.K[None],
+        camera.width,
+        camera.height,
+        sh_degree=1,
+        render_mode="RGB+ED",
+        backend="reference",
+        return_median_depth=True,
+    )
+    depths = np.where(owners >= 0, np.asarray(projection.depths)[0, owners], 0)
+    assert (owners >= 0).any() and (owners < 0).any()
+    np.testing.assert_allclose(depths, info["median_depths"][0, ..., 0], rtol=1e-6)
 
 
 def test_colours_are_clipped_and_numpy_scenes_will_do():
@@ -65,8 +92,8 @@ def test_colours_are_clipped_and_numpy_scenes_will_do():
 def test_masked_pictures_show_nothing_where_the_photo_does_not_count(shown):
     valid = np.random.default_rng(0).random((20, 24)) > 0.4
     first, second = gallery.masked(iter(shown[1]), iter([valid, None]))
-    for before, after in zip(shown[1][0], first, strict=True):
-        assert after.dtype == np.float32 and before[~valid].any()
+    for before, after, nothing in zip(shown[1][0], first, (0, 0, 0, -1), strict=True):
+        assert after.dtype == before.dtype and (before[~valid] != nothing).any()
         np.testing.assert_array_equal(after[valid], before[valid])
-        assert not after[~valid].any()
+        assert (after[~valid] == nothing).all()
     assert second is shown[1][1]

@@ -4,13 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.spatial import KDTree
 
 from gsjax import cameras
 from gsjax import gaussians as gs
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import density_field, level_crossing, level_set
 from gsjax.meshing.level_set import LevelSetOptions
@@ -156,26 +154,6 @@ def test_gaussians_with_nan_are_left_out(ball):
     assert np.isfinite(surface.points).all()
 
 
-def test_coincident_gaussians_are_their_own_first_neighbours():
-    table = level_set.neighbor_table(KDTree(np.zeros((40, 3))), 16)
-    np.testing.assert_array_equal(table[:, 0], np.arange(40))
-    assert all(len(set(row)) == 16 for row in table)
-
-
-def test_fewer_gaussians_than_neighbours():
-    assert sorted(level_set.neighbor_table(KDTree(np.eye(3)), 16)[0]) == [0, 1, 2]
-    assert level_set.neighbor_table(KDTree(np.zeros((1, 3))), 16).tolist() == [[0]]
-
-
-def test_neighbours_are_the_same_in_any_chunks(monkeypatch):
-    points = np.random.default_rng(0).normal(size=(500, 3))
-    whole = level_set.neighbor_table(KDTree(points), 16)
-    monkeypatch.setattr(level_set, "TREE_CHUNK", 70)
-    np.testing.assert_array_equal(level_set.neighbor_table(KDTree(points), 16), whole)
-    distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    np.testing.assert_array_equal(whole, np.argsort(distances, axis=1)[:, :16])
-
-
 def test_options_are_sugars_and_points_follow_the_pixels(ball):
     options = LevelSetOptions()
     assert (options.level, options.num_points, options.neighbors, options.samples) == (0.3, 10_000_000, 16, 21)
@@ -209,7 +187,7 @@ def test_empty_level_set_says_so(ball):
 
 
 def test_nothing_to_see_and_nothing_there(ball):
-    blank = [Picture(p.colors, p.depth, np.zeros_like(p.alphas)) for p in ball.pictures]
+    blank = [p._replace(alphas=np.zeros_like(p.alphas)) for p in ball.pictures]
     with pytest.raises(InputError, match="no pixel of 10 views"):
         level_set.surface_points(ball.gaussians, ball.cameras, blank)
     with pytest.raises(InputError, match="none of 0 Gaussians"):

@@ -7,7 +7,6 @@ import pytest
 
 from gsjax import gaussians as gs
 from gsjax.errors import InputError
-from gsjax.gallery import Picture
 from gsjax.mesh import Mesh, face_normals, signed_volume
 from gsjax.meshing import boxes, extract_mesh, methods
 from gsjax.meshing.boxes import Box, Region
@@ -52,7 +51,7 @@ def test_a_centre_that_no_view_sees_has_no_outside(ball):
     )
     assert towards[0, 2] > 0
     np.testing.assert_array_equal(towards[1:], 0)
-    blank = [Picture(p.colors, np.zeros_like(p.depth), p.alphas) for p in ball.pictures]
+    blank = [p._replace(depth=np.zeros_like(p.depth)) for p in ball.pictures]
     with pytest.raises(InputError, match="no view sees the centre of any of 2000 Gaussians"):
         extract_mesh(ball.gaussians, ball.cameras, blank, method=centers_poisson())
 
@@ -84,7 +83,7 @@ def test_fused_surfaces_lie_at_the_depth_and_not_half_a_voxel_beside(ball_on_gro
 
 
 def test_nothing_opaque_cannot_be_fused(ball):
-    blank = [Picture(p.colors, p.depth, np.zeros_like(p.alphas)) for p in ball.pictures]
+    blank = [p._replace(alphas=np.zeros_like(p.alphas)) for p in ball.pictures]
     with pytest.raises(InputError, match="no pixel of 10 views"):
         extract_mesh(ball.gaussians, ball.cameras, blank, method=tsdf())
 

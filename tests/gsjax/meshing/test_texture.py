@@ -69,7 +69,7 @@ def picture(colors, depth=None, alphas=None) -> Picture:
     colors = np.broadcast_to(np.asarray(colors, np.float32), (HEIGHT, WIDTH, 3))
     depth = np.zeros((HEIGHT, WIDTH), np.float32) if depth is None else depth
     alphas = np.ones((HEIGHT, WIDTH), np.float32) if alphas is None else alphas
-    return Picture(colors * alphas[..., None], depth, alphas)
+    return Picture(colors * alphas[..., None], depth, alphas, np.zeros((HEIGHT, WIDTH), np.int32))
 
 
 def pattern(xy):
@@ -249,7 +249,12 @@ mesh = Mesh(np.stack([x, y, 0.1 * np.sin(9 * x)], -1).reshape(-1, 3), faces, np.
 viewmat = np.eye(4, dtype=np.float32)
 viewmat[2, 3] = 3
 view = Camera(viewmat, np.array([[90, 0, 48], [0, 90, 48], [0, 0, 1]], np.float32), 96, 96)
-shown = Picture(np.full((96, 96, 3), 0.5, np.float32), np.zeros((96, 96), np.float32), np.ones((96, 96), np.float32))
+shown = Picture(
+    np.full((96, 96, 3), 0.5, np.float32),
+    np.zeros((96, 96), np.float32),
+    np.ones((96, 96), np.float32),
+    np.zeros((96, 96), np.int32),
+)
 from gsjax.meshing.atlas import cells
 textured, report = texture_mesh(mesh, [view], [shown], size=2048, unwrap=cells)
 assert report["seen_share"] > 0.9, report

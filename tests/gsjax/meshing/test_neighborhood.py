@@ -1,0 +1,101 @@
+"""The Gaussians around a ray: what was hit, what is near, what is large; and walls that would lose their rays."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from gsjax import gallery
+from gsjax.cameras import Camera
+from gsjax.gaussians import Gaussians
+from gsjax.meshing import level_set, neighborhood
+from gsjax.meshing.level_set import LevelSetOptions
+from gsjax.meshing.neighborhood import Neighborhood, nearest_table
+
+WALL = Camera(
+    np.eye(4, dtype=np.float32) + np.float32([[0] * 4, [0] * 4, [0, 0, 0, 2], [0] * 4]),
+    np.float32([[60, 0, 32], [0, 60, 32], [0, 0, 1]]),
+    64,
+    64,
+)
+"""Two units in front of the plane z = 0, of which it sees about one unit to either side."""
+
+
+def discs(centers, radii, opacity=0.95) -> Gaussians:
+    """Flat discs that lie in planes of constant z."""
+    count = len(centers)
+    scales = np.stack([radii, radii, np.full(count, 1e-3)], -1)
+    return Gaussians(
+        means=jnp.asarray(centers, jnp.float32),
+        quats=jnp.tile(jnp.asarray([1.0, 0, 0, 0]), (count, 1)),
+        log_scales=jnp.log(jnp.asarray(scales, jnp.float32)),
+        logit_opacities=jnp.full(count, np.log(opacity / (1 - opacity)), jnp.float32),
+        sh_dc=jnp.zeros((count, 1, 3), jnp.float32),
+        sh_rest=jnp.zeros((count, 0, 3), jnp.float32),
+    )
+
+
+def wall(small: int) -> Gaussians:
+    """One large disc at z = 0 with small ones just in front of it, and others behind the camera: always 201."""
+    xy = np.random.default_rng(0).uniform(-1, 1, (200, 2))
+    centers = np.r_[[[0.0, 0, 0]], np.c_[xy, np.where(np.arange(200) < small, -0.002, -9)]]
+    return discs(centers, np.r_[3.0, np.full(200, 0.03)])
+
+
+@pytest.mark.parametrize("small", [0, 40, 200])
+def test_a_wall_crosses_whatever_lies_on_it(small):
+    gaussians = wall(small)
+    pictures = list(gallery.pictures(gaussians, [WALL], np.zeros(3)))
+    surface = level_set.surface_points(gaussians, [WALL], pictures, LevelSetOptions(num_points=4096, min_opacity=0.5))
+    assert surface.rays == 64 * 64
+    assert surface.crossing_share > 0.99
+    assert np.abs(surface.points[:, 2]).max() < 0.01
+    assert np.abs(surface.normals[:, 2]).min() > 0.997  # 0.9977 measured, on the rims of small discs
+
+
+def test_what_is_hit_is_in_the_list_and_first_and_nothing_twice():
+    gaussians = wall(200)
+    hits = np.random.default_rng(1).uniform(-1, 1, (50, 3)) * [1, 1, 0]
+    owners = np.arange(50, dtype=np.int32) * 4
+    ids = Neighborhood(gaussians, 16).of(hits, owners)
+    assert ids.shape == (50, 16)
+    np.testing.assert_array_equal(ids[:, 0], owners)
+    assert all(len(set(row)) == 16 for row in ids.tolist())
+
+
+def test_large_gaussians_are_found_from_afar_by_their_density():
+    """Against all densities, computed one by one: none that is left out makes more than the least that was chosen."""
+    rng = np.random.default_rng(2)
+    radii = np.r_[np.full(300, 0.02), rng.uniform(0.3, 3, 12)]
+    gaussians = discs(np.c_[rng.uniform(-1, 1, (312, 2)), rng.normal(0, 1e-3, 312)], radii)
+    nearby = Neighborhood(gaussians, 16)
+    centers = np.asarray(gaussians.means, np.float64)
+    ids = nearby.of(centers, np.arange(312, dtype=np.int32))
+    near = nearest_table(KDTree(centers), 12)
+    scales = np.stack([radii, radii, np.full(312, 1e-3)], -1)
+    for row in range(312):
+        distances = np.linalg.norm((centers[row] - centers) / scales, axis=-1)
+        others = np.setdiff1d(np.arange(312), near[row])
+        large = others[np.argsort(distances[others])][:4]
+        expected = large[distances[large] < neighborhood.REACH]
+        assert set(expected) <= set(ids[row].tolist())
+
+
+def test_coincident_gaussians_are_their_own_first_neighbours():
+    table = nearest_table(KDTree(np.zeros((40, 3))), 16)
+    np.testing.assert_array_equal(table[:, 0], np.arange(40))
+    assert all(len(set(row)) == 16 for row in table)
+
+
+def test_fewer_gaussians_than_neighbours():
+    assert sorted(nearest_table(KDTree(np.eye(3)), 16)[0]) == [0, 1, 2]
+    assert nearest_table(KDTree(np.zeros((1, 3))), 16).tolist() == [[0]]
+
+
+def test_neighbours_are_the_same_in_any_chunks(monkeypatch):
+    points = np.random.default_rng(0).normal(size=(500, 3))
+    whole = nearest_table(KDTree(points), 16)
+    monkeypatch.setattr(neighborhood, "TREE_CHUNK", 70)
+    np.testing.assert_array_equal(nearest_table(KDTree(points), 16), whole)
+    distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    np.testing.assert_array_equal(whole, np.argsort(distances, axis=1)[:, :16])
