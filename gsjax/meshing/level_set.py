@@ -11,6 +11,7 @@ from functools import partial
 
 import jax
 import numpy as np
+from tqdm import tqdm
 
 from gsjax import cameras as cams
 from gsjax import gaussians as gs
@@ -24,7 +25,7 @@ from gsjax.meshing.neighborhood import Neighborhood
 
 PIXELS_PER_POINT = 8  # Photos of so many pixels in all bear one surface point.
 FEWEST_POINTS = 200_000
-TREE_CHUNK = 262_144  # Queries of the nearest neighbours at once.
+QUIET = 3.0  # Seconds of marching that need no bar.
 
 
 @dataclass(frozen=True)
@@ -235,7 +236,7 @@ def _march(kept: Gaussians, rays: Rays, options: LevelSetOptions) -> tuple[np.nd
     )
     total = len(rays.hits)
     found = np.empty((total, 3), np.float32), np.empty((total, 3), np.float32), np.empty(total, bool)
-    for start in range(0, total, options.chunk):
+    for start in tqdm(range(0, total, options.chunk), desc="level set", unit="chunk", delay=QUIET):
         # The last chunk is padded with repetitions, so that all have one length and one compilation.
         ids = np.minimum(np.arange(start, start + options.chunk), total - 1)
         around = nearby.of(rays.hits[ids], rays.owners[ids])
