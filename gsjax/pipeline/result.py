@@ -25,6 +25,8 @@ from gsjax.scene import Frame, Scene, valid_pixels
 BACKGROUNDS = {"white": np.ones(3, np.float32), "black": np.zeros(3, np.float32), "random": np.zeros(3, np.float32)}
 """Colour that pictures and scores are made over; a run trained on random ones is scored over black."""
 
+QUIET = 3.0  # Seconds of drawing that need no bar.
+
 
 @dataclass(frozen=True)
 class Result:
@@ -133,7 +135,8 @@ def training_pictures(
     if not chosen:
         raise InputError(f"{result.source}: has no training views to look from")
     cameras = [result.cameras[index] for index in chosen]
-    pictures = tqdm(gallery.pictures(gaussians, cameras, background), total=len(cameras), desc="views", unit="view")
+    drawn = gallery.pictures(gaussians, cameras, background)
+    pictures = tqdm(drawn, total=len(cameras), desc="views", unit="view", delay=QUIET)
     return cameras, gallery.masked(pictures, (result.valid[index]() for index in chosen))
 
 
