@@ -15,7 +15,9 @@ from rasterizer.rules import Rules
 BLOCK = 512  # Pixels per block: the history of a block of 10,000 splats stays under 100 MB.
 
 
-def _blend_block(pixels: Array, means2d, conics, opacities, features, slopes, rules: Rules) -> tuple[Array, Array, Array]:
+def _blend_block(
+    pixels: Array, means2d, conics, opacities, features, slopes, rules: Rules
+) -> tuple[Array, Array, Array]:
     """Features `[B, D]`, transmittance `[B]` and rank of the median splat `[B]` from splats sorted front to back."""
 
     @jax.checkpoint  # Or every step would keep a dozen numbers per pixel for the way back.

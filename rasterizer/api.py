@@ -203,9 +203,9 @@ def rasterization(
 
     Returns:
         `[C, H, W, X]` image, `[C, H, W, 1]` alphas, and a dict of the intermediate results: `means2d`, `depths`,
-        `conics`, `extents`, `radii` (extents rounded up, as gsplat has them), `visible`, `compensations`, `slopes` (with
-        `depth_mode="plane"`, where depth is asked for), what was asked for above, and for the tile backends `splats`, `offsets`, `needed`, `overflowed`. With a capacity given,
-        an image whose `overflowed` is true is incomplete and must not be used.
+        `conics`, `extents`, `radii` (extents rounded up, as gsplat has them), `visible`, `compensations`, `slopes` (of
+        plane depth, else None), what was asked for above, and for the tile backends `splats`, `offsets`, `needed`,
+        `overflowed`. With a capacity given, an image whose `overflowed` is true is incomplete and must not be used.
 
     Raises:
         ValueError: On shapes, dtypes, modes or degrees that do not fit, with the value in the message; on an argument

@@ -124,7 +124,7 @@ def _project_components(
         conic = [part * inverse_root * inverse_root for part in (yy, -xy, xx)]
         slope = None
         if depth_mode == "plane":
-            # The mean of z given the pixel, under the blurred splat: conic x cov((u, v), z), adj(S + eps 1) = adj S + eps 1.
+            # The mean of z given the pixel: conic x cov((u, v), z), blurred; adj(S + eps 1) = adj S + eps 1.
             xz, yz, slope_x, slope_y = tilted(*rows, viewmat[2][:3], *shape)
             slope = [(part + eps2d * c) * inverse_root * inverse_root for part, c in ((slope_x, xz), (slope_y, yz))]
             slope = _within_reach(slope, [xz, yz], z_safe - near_plane)
