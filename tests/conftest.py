@@ -38,7 +38,7 @@ class HardCases:
             "float64: the largest error of a pixel or alpha (relative to the largest colour), and the largest relative",
             "L2 error of a gradient (means, quats, scales, opacities, colours, camera matrices, intrinsics,",
             "backgrounds). A *hidden* Gaussian must leave every bit of the rest as if it were absent: its errors are",
-            "differences to that. *Planes* are the same Gaussians' depth, with the slopes of their splats. Pallas kernels",
+            "differences to that. *Planes* are the same Gaussians' depth, with their splats' slopes. Pallas kernels",
             "run interpreted. One command measures, asserts and writes this page:",
             "",
             "    python -m pytest tests/rasterizer/test_edge_cases.py --numprocesses 0 --hard-cases docs/hard_cases.md",

@@ -1,12 +1,13 @@
 """Depth that knows a splat's slope: conditional means written out in float64, tilted planes, and its bound."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import cloud, evaluate, intrinsics, make
+from scenes import cloud, intrinsics, make, render
 from scipy.spatial.transform import Rotation
 from tolerances import assert_close
 
@@ -64,12 +65,6 @@ def test_slopes_are_those_of_the_conditional_mean(splats, options, of_covariance
     assert found.visible.sum() > 20
     # A covariance has lost the digits that thin axes need.
     assert np.max(error) < (1e-4 if of_covariances else 3e-6) * np.abs(expected).max()
-
-
-def test_centre_depth_has_no_slopes():
-    scene = cloud()
-    _, _, info, _ = evaluate(scene, "xla")
-    assert info["slopes"] is None
 
 
 def test_a_needle_of_aspect_a_million_keeps_its_slope(splats):
@@ -130,6 +125,11 @@ def wall(normal, *, focal=60.0, distance=4.0, spacing=0.25, per_side=21):
     )
 
 
+@partial(jax.jit, static_argnames="depth_mode")
+def drawn(scene, depth_mode):
+    return render(scene, render_mode="ED", depth_mode=depth_mode, capacity=4096, backend="xla")
+
+
 def true_depth(scene, normal, distance=4.0):
     """Camera z of the wall at every pixel's centre."""
     K = np.asarray(scene.Ks[0], np.float64)
@@ -142,12 +142,11 @@ def true_depth(scene, normal, distance=4.0):
 @pytest.mark.parametrize("normal", [(0.5, 0.0, -1.0), (0.4, -0.6, -1.0), (1.0, 0.3, -0.6)])
 def test_a_tilted_wall_of_discs_has_the_depth_of_its_plane(normal):
     scene = wall(normal)
-    options = {"render_mode": "ED", "capacity": 16384}
-    plane, alphas, _, _ = evaluate(scene, "xla", depth_mode="plane", **options)
-    center = evaluate(scene, "xla", **options)[0]
+    (plane, alphas, info), (center, _, of_centers) = (drawn(scene, mode) for mode in ("plane", "center"))
+    assert info["slopes"] is not None and of_centers["slopes"] is None
     expected = true_depth(scene, normal)
     inside = np.asarray(alphas[0, ..., 0]) > 0.99
-    assert inside.mean() > 0.9
+    assert inside.mean() > 0.8
     of_plane, of_center = (np.abs(d[0, ..., 0] - expected)[inside] for d in (plane, center))
     assert of_plane.mean() < 0.15 * of_center.mean()
     # What is left: the blur makes the slope flatter, and what is linear in the image is not in space.
