@@ -139,18 +139,18 @@ def true_depth(scene, normal, distance=4.0):
     return distance * normal[2] / (rays @ normal)
 
 
-@pytest.mark.parametrize("normal", [(0.5, 0.0, -1.0), (0.4, -0.6, -1.0), (1.0, 0.3, -0.6)])
+@pytest.mark.parametrize("normal", [(0.5, 0.0, -1.0), (0.4, -0.6, -1.0), (1.0, 0.3, -1.0)])
 def test_a_tilted_wall_of_discs_has_the_depth_of_its_plane(normal):
     scene = wall(normal)
     (plane, alphas, info), (center, _, of_centers) = (drawn(scene, mode) for mode in ("plane", "center"))
     assert info["slopes"] is not None and of_centers["slopes"] is None
     expected = true_depth(scene, normal)
     inside = np.asarray(alphas[0, ..., 0]) > 0.99
-    assert inside.mean() > 0.8
+    assert inside.mean() > 0.9
     of_plane, of_center = (np.abs(d[0, ..., 0] - expected)[inside] for d in (plane, center))
     assert of_plane.mean() < 0.15 * of_center.mean()
     # What is left: the blur makes the slope flatter, and what is linear in the image is not in space.
-    assert of_plane.max() < 0.01 * 4
+    assert of_plane.max() < 0.05
 
 
 def test_the_slope_of_a_flat_disc_is_its_planes_without_blur(splats):
