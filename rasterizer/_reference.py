@@ -89,8 +89,6 @@ def composite(
 
     p = projection
     num_cameras, num_splats = p.depths.shape
-    image, left, median = jax.vmap(one_camera)(
-        p.means2d, p.depths, p.conics, p.slopes, p.visible, opacities, features
-    )
+    image, left, median = jax.vmap(one_camera)(p.means2d, p.depths, p.conics, p.slopes, p.visible, opacities, features)
     first = num_splats * jnp.arange(num_cameras, dtype=jnp.int32)[:, None, None]
     return image, left, jnp.where(median >= 0, first + median, -1)

@@ -74,7 +74,7 @@ SHOWN = {
     "huge colour": {"colors": (1e6, -1e6, 0.0)},
     "disc edge-on": {"means": (0.0, 0.0, 2.0), "quats": (1.0, 0, 1.0, 0), "scales": (0.2, 0.2, 1e-6)},
     "needle along the ray": {"means": (0.0, 0.0, 2.0), "quats": (1.0, 0, 0, 0), "scales": (1e-6, 1e-6, 1.0)},
-    "needle past the eye": {"quats": (0.95, 0.2, -0.2, 0.1), "scales": (1e-3, 1e-3, 1e3)},
+    "needle past the eye": {"quats": (0.95, 0.2, -0.2, 0.1), "scales": (0.1, 0.1, 1e3)},
     "ground at a grazing angle": {"means": (0.0, 0.3, 1.0), "quats": (1.0, 0, 0, 0), "scales": (3.0, 1e-3, 3.0)},
     "at the image border": {"means": (1.2, -0.1, 2.0)},
     "mean far outside the image": {"means": (60.0, -20.0, 2.0), "scales": (40.0, 0.3, 30.0)},
@@ -105,8 +105,11 @@ def largest_error(actual, expected):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("name", HIDDEN)
-@pytest.mark.parametrize("planes", [False, True])
+@pytest.mark.parametrize(
+    ("planes", "name"),
+    # Depth alone does not look at colours: a bad one hides nothing.
+    [*((False, name) for name in HIDDEN), *((True, name) for name in HIDDEN if not name.startswith("colors"))],
+)
 def test_what_cannot_show_changes_no_bit_of_the_rest(planes, name, backend, hard_cases):
     scene, without, options = odd(HIDDEN[name]), odd({"opacities": 0.0}), {}
     if planes:

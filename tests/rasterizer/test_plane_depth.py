@@ -11,7 +11,7 @@ from scenes import cloud, intrinsics, make, render
 from scipy.spatial.transform import Rotation
 from tolerances import assert_close
 
-from rasterizer import project, quat_scale_to_covar_preci
+from rasterizer import Projection, blended_depth, depth_channels, project, quat_scale_to_covar_preci
 
 SIGMAS = 3.33
 
@@ -163,3 +163,20 @@ def test_the_slope_of_a_flat_disc_is_its_planes_without_blur(splats):
     expected = -(means[:, 2:] ** 2) * normal[:2] / np.diag(K)[:2] / (means @ normal)[:, None]
     assert inside.sum() > 30
     assert_close(p.slopes[0][inside], expected[inside], rtol=1e-4, atol=1e-6, why="thickness 1e-4, 4 px wide")
+
+
+def test_a_steep_plane_at_the_rim_of_a_wide_image_loses_a_rounding_of_half_its_width():
+    width, slope, mean2d, depth = 4096, 0.7, 4090.3, 3.0
+    scene = Projection(
+        means2d=jnp.array([[[mean2d, 1.2]]], jnp.float32),
+        depths=jnp.array([[depth]], jnp.float32),
+        conics=jnp.ones((1, 1, 3)),
+        extents=jnp.ones((1, 1, 2)),
+        visible=jnp.ones((1, 1), bool),
+        slopes=jnp.array([[[slope, -0.1]]], jnp.float32),
+    )
+    everywhere = jnp.broadcast_to(depth_channels(scene, width, 2)[:, :, None], (1, 2, width, 3))
+    y, x = np.mgrid[:2, :width] + 0.5
+    expected = depth + slope * (x - mean2d) - 0.1 * (y - 1.2)
+    error = np.abs(blended_depth(everywhere)[0, ..., 0] - expected)
+    assert error.max() < 2e-7 * slope * width / 2
