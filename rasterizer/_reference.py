@@ -15,10 +15,12 @@ from rasterizer.rules import Rules
 BLOCK = 512  # Pixels per block: the history of a block of 10,000 splats stays under 100 MB.
 
 
-def _blend_block(
-    pixels: Array, means2d, conics, opacities, features, slopes, rules: Rules
-) -> tuple[Array, Array, Array]:
-    """Features `[B, D]`, transmittance `[B]` and rank of the median splat `[B]` from splats sorted front to back."""
+def _blend_block(pixels: Array, splats: tuple, rules: Rules) -> tuple[Array, Array, Array]:
+    """Features `[B, D]`, transmittance `[B]` and rank of the median splat `[B]` from splats sorted front to back.
+
+    `splats`: means2d, conics, opacities, features, and slopes or None.
+    """
+    features = splats[3]
 
     @jax.checkpoint  # Or every step would keep a dozen numbers per pixel for the way back.
     def step(state, splat):
@@ -41,7 +43,7 @@ def _blend_block(
     count, dtype = pixels.shape[0], features.dtype
     start = jnp.ones(count, dtype), jnp.zeros((count, features.shape[1]), dtype), jnp.full(count, -1, jnp.int32)
     ranks = jnp.arange(features.shape[0], dtype=jnp.int32)
-    (signed_t, image, median), _ = jax.lax.scan(step, start, (ranks, means2d, conics, opacities, features, slopes))
+    (signed_t, image, median), _ = jax.lax.scan(step, start, (ranks, *splats))
     return image, jnp.abs(signed_t), median
 
 
@@ -80,7 +82,7 @@ def composite(
 
         @jax.checkpoint
         def block(pixels):
-            return _blend_block(pixels, *sorted_splats, rules)
+            return _blend_block(pixels, sorted_splats, rules)
 
         flat = [x.reshape(-1, *x.shape[2:])[: height * width] for x in jax.lax.map(block, blocks)]
         image, left, median = (x.reshape(height, width, *x.shape[1:]) for x in flat)
