@@ -98,9 +98,10 @@ def _rasterize(
     projection = project(*gaussians, viewmats, Ks, grid.width, grid.height, covars=covars, **options)
     if projection.compensations is not None:
         opacities = opacities * projection.compensations
-    # The oracle evaluates every splat's plane at every pixel itself.
-    dense = backend == "reference"
-    depths = center_channels(projection) if dense else depth_channels(projection, grid.width, grid.height)
+    dense, depths = backend == "reference", None
+    if has_depth:
+        # The oracle evaluates every splat's plane at every pixel itself.
+        depths = center_channels(projection) if dense else depth_channels(projection, grid.width, grid.height)
     features = image_features(means, colors, viewmats, projection, depths, sh_degree, render_mode)
     if return_normals:
         normals = camera_normals(means, quats, scales, viewmats, projection.visible)
@@ -114,7 +115,7 @@ def _rasterize(
         how = {"backend": backend, "with_median": return_median_depth}
         image, left, median = blend(projection, opacities, features, pairs, grid, options["rules"], **how)
         info |= pairs._asdict()
-        if has_depth:
+        if depths is not None:
             colors_end = image.shape[-1] - depths.shape[-1]
             image = jnp.concatenate([image[..., :colors_end], blended_depth(image[..., colors_end:])], -1)
 

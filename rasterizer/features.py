@@ -27,7 +27,7 @@ def image_features(
     colors: Array,
     viewmats: Array,
     projection: Projection,
-    depths: Array,
+    depths: Array | None,
     sh_degree: int | None,
     render_mode: RenderMode,
 ) -> Array:
@@ -42,7 +42,7 @@ def image_features(
         else:
             colors = colors if colors.ndim == 3 else jnp.broadcast_to(colors[None], (num_cameras, *colors.shape))
             parts.append(jnp.where(projection.visible[..., None], colors, 0))
-    if render_mode != "RGB":
+    if depths is not None:
         parts.append(depths)
     return jnp.concatenate(parts, -1)
 
