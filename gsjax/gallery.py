@@ -12,6 +12,7 @@ import rasterizer
 from gsjax import render
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
+from rasterizer import DepthMode
 
 
 class Picture(NamedTuple):
@@ -23,15 +24,22 @@ class Picture(NamedTuple):
     owners: np.ndarray  # [H, W] int32, the Gaussian that was hit: in which half of the pixel's light is gone; -1: none
 
 
-def pictures(gaussians: Gaussians, cameras: Sequence[Camera], background: np.ndarray) -> Iterator[Picture]:
-    """Render every camera over `background` `[3]`; sizes may differ, each picture has its camera's."""
+def pictures(
+    gaussians: Gaussians, cameras: Sequence[Camera], background: np.ndarray, depth_mode: DepthMode = "plane"
+) -> Iterator[Picture]:
+    """Render every camera over `background` `[3]`; sizes may differ, each picture has its camera's.
+
+    Depth is as `depth_mode` says, see `gsjax.render.view`.
+    """
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     width, height = max(c.width for c in cameras), max(c.height for c in cameras)
     padded = [Camera(jnp.asarray(c.viewmat), jnp.asarray(c.K), width, height) for c in cameras]
     needed = max(int(_needed(gaussians, camera)) for camera in padded)
     capacity = rasterizer.capacity_bucket(needed)
     for camera, own in zip(padded, cameras, strict=True):
-        shown = _shown(gaussians, camera, jnp.asarray(background, jnp.float32), capacity=capacity)
+        shown = _shown(
+            gaussians, camera, jnp.asarray(background, jnp.float32), capacity=capacity, depth_mode=depth_mode
+        )
         yield Picture(*(np.asarray(x)[: own.height, : own.width] for x in shown))
 
 
@@ -56,7 +64,11 @@ def masked(pictures: Iterable[Picture], valid: Iterable[np.ndarray | None]) -> I
 _needed = jax.jit(render.needed_capacity)
 
 
-@partial(jax.jit, static_argnames="capacity")
-def _shown(gaussians: Gaussians, camera: Camera, background: jax.Array, *, capacity: int) -> tuple[jax.Array, ...]:
-    view = render.view(gaussians, camera, capacity=capacity, background=background, with_depth=True)
+@partial(jax.jit, static_argnames=("capacity", "depth_mode"))
+def _shown(
+    gaussians: Gaussians, camera: Camera, background: jax.Array, *, capacity: int, depth_mode: DepthMode
+) -> tuple[jax.Array, ...]:
+    view = render.view(
+        gaussians, camera, capacity=capacity, background=background, with_depth=True, depth_mode=depth_mode
+    )
     return jnp.clip(view.colors, 0, 1), view.depth, view.alphas, render.owners(view.splats)

@@ -13,6 +13,7 @@ from gsjax import cameras
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, PixelFilter, opacities, scales, sh_coefficients
 from gsjax.numerics import safe_divide
+from rasterizer import DepthMode
 
 PIXEL_FILTERS: dict[PixelFilter, dict[str, Any]] = {
     "classic": {"eps2d": 0.3},
@@ -77,7 +78,13 @@ class View(NamedTuple):
 MIN_COVERAGE = 0.5  # A pixel covered less has no surface whose depth would mean anything (method: A10, A11).
 
 
-def splat(gaussians: Any, camera: Camera, capacity: int, means2d_probe: Array | None = None) -> Splats:
+def splat(
+    gaussians: Any,
+    camera: Camera,
+    capacity: int,
+    means2d_probe: Array | None = None,
+    depth_mode: DepthMode = "center",
+) -> Splats:
     """Project and bin.
 
     Args:
@@ -85,11 +92,12 @@ def splat(gaussians: Any, camera: Camera, capacity: int, means2d_probe: Array | 
         camera: The view.
         capacity: Length of the (tile, splat) buffer. Static. `pairs.overflowed` says that it was too short.
         means2d_probe: `[N, 2]` zeros added to the projected means: the gradient to it is the one to the 2D means.
+        depth_mode: "plane" gives the splats slopes, see `rasterizer.project`. Static.
 
     Returns:
         `Splats` of this view.
     """
-    return _splat(drawable(gaussians), camera, capacity, means2d_probe)
+    return _splat(drawable(gaussians), camera, capacity, means2d_probe, depth_mode)
 
 
 def needed_capacity(gaussians: Any, camera: Camera) -> Array:
@@ -97,9 +105,11 @@ def needed_capacity(gaussians: Any, camera: Camera) -> Array:
     return rasterizer.count_pairs(_project(drawable(gaussians), camera), _grid(camera))
 
 
-def _splat(scene: Drawable, camera: Camera, capacity: int, means2d_probe: Array | None) -> Splats:
+def _splat(
+    scene: Drawable, camera: Camera, capacity: int, means2d_probe: Array | None, depth_mode: DepthMode
+) -> Splats:
     grid = _grid(camera)
-    projection = _project(scene, camera)
+    projection = _project(scene, camera, depth_mode)
     if means2d_probe is not None:
         projection = projection._replace(means2d=projection.means2d + means2d_probe[None])
     opacities = scene.opacities
@@ -109,7 +119,7 @@ def _splat(scene: Drawable, camera: Camera, capacity: int, means2d_probe: Array 
     return Splats(projection, opacities, pairs, grid)
 
 
-def _project(scene: Drawable, camera: Camera) -> rasterizer.Projection:
+def _project(scene: Drawable, camera: Camera, depth_mode: DepthMode = "center") -> rasterizer.Projection:
     return rasterizer.project(
         scene.means,
         scene.quats,
@@ -120,6 +130,7 @@ def _project(scene: Drawable, camera: Camera) -> rasterizer.Projection:
         camera.width,
         camera.height,
         covars=scene.covars,
+        depth_mode=depth_mode,
         **PIXEL_FILTERS[scene.pixel_filter],
     )
 
@@ -170,6 +181,7 @@ def view(
     background: Array,
     active_degree: Array | int | None = None,
     with_depth: bool = False,
+    depth_mode: DepthMode = "plane",
     means2d_probe: Array | None = None,
 ) -> View:
     """Render one view. Differentiable to the Gaussians, the camera matrices and the background.
@@ -181,17 +193,22 @@ def view(
         background: `[3]` colour under the image.
         active_degree: Highest SH degree used; may be traced. None: all.
         with_depth: Whether depth is composited too. Static; not in the program otherwise.
+        depth_mode: What a splat's depth is: "plane" where the Gaussian is densest along each pixel's ray, "center" that
+            of its mean. Static.
         means2d_probe: See `splat`.
 
     Returns:
         `View`.
     """
     scene = drawable(gaussians)
-    splats = _splat(scene, camera, capacity, means2d_probe)
-    channels = colors(scene, camera, active_degree)
+    splats = _splat(scene, camera, capacity, means2d_probe, depth_mode if with_depth else "center")
+    channels, depth = colors(scene, camera, active_degree), None
     if with_depth:
-        channels = jnp.concatenate([channels, splats.projection.depths[0, :, None]], -1)
+        depths = rasterizer.depth_channels(splats.projection, camera.width, camera.height)
+        channels = jnp.concatenate([channels, depths[0]], -1)
     image, alphas = features(splats, channels)
-    depth = safe_divide(image[..., 3], alphas, alphas > MIN_COVERAGE) if with_depth else None
+    if with_depth:
+        composited = rasterizer.blended_depth(image[None, ..., 3:])[0, ..., 0]
+        depth = safe_divide(composited, alphas, alphas > MIN_COVERAGE)
     shown = image[..., :3] + (1 - alphas)[..., None] * background[None, None]
     return View(shown, alphas, depth, splats)

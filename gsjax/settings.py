@@ -122,6 +122,7 @@ class Settings:
     normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: found by comparing with the rendered depth
     background: Literal["white", "black", "random"] = "black"
     masks: Literal["valid", "matte"] = "valid"
+    depth_mode: Literal["plane", "center"] = "plane"  # a splat's depth, see `gsjax.render.view`
     vanilla: bool = False  # plain 3DGS for the same number of steps: no entropy, no cull, no normals
     phases: tuple[Phase, ...] = (VANILLA, ENTROPY, SURFACE)
     max_gaussians: int = 1_000_000

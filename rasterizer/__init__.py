@@ -5,9 +5,10 @@ from rasterizer.binning import TileGrid, TilePairs, bin_splats, count_pairs
 from rasterizer.capacity import capacity_bucket
 from rasterizer.covariances import quat_scale_to_covar_preci
 from rasterizer.engines import blend, default_tile_size
+from rasterizer.features import blended_depth, depth_channels
 from rasterizer.harmonics import spherical_harmonics
 from rasterizer.normals import camera_normals
-from rasterizer.projection import Projection, project
+from rasterizer.projection import DepthMode, Projection, project
 from rasterizer.rules import GSPLAT, GSPLAT_1_5, INRIA, Rules
 from rasterizer.stages import (
     fully_fused_projection,
@@ -22,16 +23,19 @@ __all__ = [
     "GSPLAT",
     "GSPLAT_1_5",
     "INRIA",
+    "DepthMode",
     "Projection",
     "Rules",
     "TileGrid",
     "TilePairs",
     "bin_splats",
     "blend",
+    "blended_depth",
     "camera_normals",
     "capacity_bucket",
     "count_pairs",
     "default_tile_size",
+    "depth_channels",
     "fully_fused_projection",
     "isect_offset_encode",
     "isect_tiles",

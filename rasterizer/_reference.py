@@ -15,13 +15,17 @@ from rasterizer.rules import Rules
 BLOCK = 512  # Pixels per block: the history of a block of 10,000 splats stays under 100 MB.
 
 
-def _blend_block(pixels: Array, means2d, conics, opacities, features, rules: Rules) -> tuple[Array, Array, Array]:
-    """Features `[B, D]`, transmittance `[B]` and rank of the median splat `[B]` from splats sorted front to back."""
+def _blend_block(pixels: Array, splats: tuple, rules: Rules) -> tuple[Array, Array, Array]:
+    """Features `[B, D]`, transmittance `[B]` and rank of the median splat `[B]` from splats sorted front to back.
+
+    `splats`: means2d, conics, opacities, features, and slopes or None.
+    """
+    features = splats[3]
 
     @jax.checkpoint  # Or every step would keep a dozen numbers per pixel for the way back.
     def step(state, splat):
         signed_t, image, median = state
-        rank, mean2d, conic, opacity, feature = splat
+        rank, mean2d, conic, opacity, feature, slope = splat
         dx, dy = mean2d[0] - pixels[:, 0], mean2d[1] - pixels[:, 1]
         sigma = splat_sigma(dx, dy, conic[0], conic[1], conic[2])
         unclamped = opacity * jnp.exp(-jnp.where(sigma >= 0, sigma, 0))
@@ -30,12 +34,16 @@ def _blend_block(pixels: Array, means2d, conics, opacities, features, rules: Rul
             alpha = jnp.where(alpha > 0, unclamped + jax.lax.stop_gradient(alpha - unclamped), 0)
         weight, left = blend_splat(signed_t, alpha, rules)
         median = jnp.where((weight > 0) & (signed_t > 0.5), rank, median)
-        return (left, image + weight[:, None] * feature, median), None
+        shown = weight[:, None] * feature
+        if slope is not None:
+            # Depth, the last feature, is that of the splat's plane at every pixel.
+            shown = shown.at[:, -1].add(-weight * (slope[0] * dx + slope[1] * dy))
+        return (left, image + shown, median), None
 
     count, dtype = pixels.shape[0], features.dtype
     start = jnp.ones(count, dtype), jnp.zeros((count, features.shape[1]), dtype), jnp.full(count, -1, jnp.int32)
     ranks = jnp.arange(features.shape[0], dtype=jnp.int32)
-    (signed_t, image, median), _ = jax.lax.scan(step, start, (ranks, means2d, conics, opacities, features))
+    (signed_t, image, median), _ = jax.lax.scan(step, start, (ranks, *splats))
     return image, jnp.abs(signed_t), median
 
 
@@ -47,7 +55,7 @@ def composite(
     Args:
         projection: Splats of C cameras.
         opacities: `[C, N]`.
-        features: `[C, N, D]`.
+        features: `[C, N, D]`. Where the projection has slopes, the last one is the centres' depth.
         width: Image width. Static.
         height: Image height. Static.
         rules: Thresholds. Static.
@@ -63,16 +71,18 @@ def composite(
     padding = -pixels.shape[0] % size
     blocks = jnp.concatenate([pixels, jnp.zeros((padding, 2), dtype)]).reshape(-1, size, 2)
 
-    def one_camera(means2d, depths, conics, visible, opacity, feature):
+    def one_camera(means2d, depths, conics, slopes, visible, opacity, feature):
         order = jnp.argsort(jnp.where(visible, jax.lax.stop_gradient(depths), jnp.inf)).astype(jnp.int32)
         # Far off the image the square of an offset overflows: every field of a hidden splat is made safe.
-        means2d, conics, feature = (jnp.where(visible[:, None], x, 0) for x in (means2d, conics, feature))
+        means2d, conics, feature, slopes = jax.tree.map(
+            lambda x: jnp.where(visible[:, None], x, 0), (means2d, conics, feature, slopes)
+        )
         opacity = jnp.where(visible, opacity, 0)
-        sorted_splats = means2d[order], conics[order], opacity[order], feature[order]
+        sorted_splats = jax.tree.map(lambda x: x[order], (means2d, conics, opacity, feature, slopes))
 
         @jax.checkpoint
         def block(pixels):
-            return _blend_block(pixels, *sorted_splats, rules)
+            return _blend_block(pixels, sorted_splats, rules)
 
         flat = [x.reshape(-1, *x.shape[2:])[: height * width] for x in jax.lax.map(block, blocks)]
         image, left, median = (x.reshape(height, width, *x.shape[1:]) for x in flat)
@@ -81,6 +91,6 @@ def composite(
 
     p = projection
     num_cameras, num_splats = p.depths.shape
-    image, left, median = jax.vmap(one_camera)(p.means2d, p.depths, p.conics, p.visible, opacities, features)
+    image, left, median = jax.vmap(one_camera)(p.means2d, p.depths, p.conics, p.slopes, p.visible, opacities, features)
     first = num_splats * jnp.arange(num_cameras, dtype=jnp.int32)[:, None, None]
     return image, left, jnp.where(median >= 0, first + median, -1)

@@ -12,9 +12,18 @@ from rasterizer.binning import TileGrid, bin_splats
 from rasterizer.capacity import choose_capacity
 from rasterizer.checks import check_arrays, check_masks, check_modes, check_sizes
 from rasterizer.engines import Backend, blend, default_tile_size, resolve
-from rasterizer.features import RenderMode, drawable, expected_depth, image_features, median_depth
+from rasterizer.features import (
+    RenderMode,
+    blended_depth,
+    center_channels,
+    depth_channels,
+    drawable,
+    expected_depth,
+    image_features,
+    median_depth,
+)
 from rasterizer.normals import camera_normals
-from rasterizer.projection import Projection, RasterizeMode, project
+from rasterizer.projection import DepthMode, Projection, RasterizeMode, project
 from rasterizer.refusals import refuse_at_the_door
 from rasterizer.rules import GSPLAT, Rules
 
@@ -55,6 +64,7 @@ def _gsplat_radii(projection: Projection) -> Array:
         "far_plane",
         "eps2d",
         "rasterize_mode",
+        "depth_mode",
         "rules",
     ),
 )
@@ -77,32 +87,42 @@ def _rasterize(
     render_mode,
     return_median_depth,
     return_normals,
+    depth_mode,
     **options,
 ):
     if "RGB" in render_mode:
         opacities = jnp.where(drawable(colors, sh_degree), opacities, 0)
     gaussians = means, quats, scales, opacities
+    has_depth = render_mode != "RGB"
+    options |= {"depth_mode": depth_mode if has_depth or return_median_depth else "center"}
     projection = project(*gaussians, viewmats, Ks, grid.width, grid.height, covars=covars, **options)
     if projection.compensations is not None:
         opacities = opacities * projection.compensations
-    features = image_features(means, colors, viewmats, projection, sh_degree, render_mode)
+    dense, depths = backend == "reference", None
+    if has_depth:
+        # The oracle evaluates every splat's plane at every pixel itself.
+        depths = center_channels(projection) if dense else depth_channels(projection, grid.width, grid.height)
+    features = image_features(means, colors, viewmats, projection, depths, sh_degree, render_mode)
     if return_normals:
         normals = camera_normals(means, quats, scales, viewmats, projection.visible)
         features = jnp.concatenate([normals, features], -1)
 
     info = projection._asdict() | {"radii": _gsplat_radii(projection)}
-    if backend == "reference":
+    if dense:
         image, left, median = _blend_densely(projection, opacities, features, grid, masks, options["rules"])
     else:
         pairs = bin_splats(projection, opacities, grid, capacity, options["rules"], masks)
         how = {"backend": backend, "with_median": return_median_depth}
         image, left, median = blend(projection, opacities, features, pairs, grid, options["rules"], **how)
         info |= pairs._asdict()
+        if depths is not None:
+            colors_end = image.shape[-1] - depths.shape[-1]
+            image = jnp.concatenate([image[..., :colors_end], blended_depth(image[..., colors_end:])], -1)
 
     if return_normals:
         info["normals"], image = image[..., :3], image[..., 3:]
     if return_median_depth:
-        info["median_depths"] = median_depth(projection.depths, median)
+        info["median_depths"] = median_depth(projection, median)
     alphas = 1 - left
     if "ED" in render_mode:
         image = expected_depth(image, alphas)
@@ -131,6 +151,7 @@ def rasterization(
     covars: Array | None = None,
     render_mode: RenderMode = "RGB",
     rasterize_mode: RasterizeMode = "classic",
+    depth_mode: DepthMode = "center",
     return_median_depth: bool = False,
     return_normals: bool = False,
     tile_size: int | None = None,
@@ -165,6 +186,9 @@ def rasterization(
         render_mode: What X holds: "RGB" the channels of `colors`; "D" depth blended like a colour; "ED" depth divided
             by alpha; "RGB+D" and "RGB+ED" both, depth last. Depth is camera z.
         rasterize_mode: "antialiased" dims each splat by what the low-pass filter widened it (Mip-Splatting).
+        depth_mode: What a splat's depth is: "center" that of its mean, at every pixel; "plane" where the Gaussian is
+            densest along the pixel's ray, a plane over the splat (see `rasterizer.project`). In all depth modes, and
+            in the median depth. Gradients then reach quats and scales too.
         return_median_depth: Adds `median_depths` `[C, H, W, 1]`: depth of the splat in which a pixel's light falls to
             one half, of the last one that shows where it does not, 0 where none does.
         return_normals: Adds `normals` `[C, H, W, 3]`: the Gaussians' smallest axes in the camera's frame, facing it,
@@ -180,16 +204,16 @@ def rasterization(
 
     Returns:
         `[C, H, W, X]` image, `[C, H, W, 1]` alphas, and a dict of the intermediate results: `means2d`, `depths`,
-        `conics`, `extents`, `radii` (extents rounded up, as gsplat has them), `visible`, `compensations`, what was
-        asked for above, and for the tile backends `splats`, `offsets`, `needed`, `overflowed`. With a capacity given,
-        an image whose `overflowed` is true is incomplete and must not be used.
+        `conics`, `extents`, `radii` (extents rounded up, as gsplat has them), `visible`, `compensations`, `slopes` (of
+        plane depth, else None), what was asked for above, and for the tile backends `splats`, `offsets`, `needed`,
+        `overflowed`. With a capacity given, an image whose `overflowed` is true is incomplete and must not be used.
 
     Raises:
         ValueError: On shapes, dtypes, modes or degrees that do not fit, with the value in the message; on an argument
             that only gsplat answers to.
         TypeError: On an argument that gsplat has not either.
     """
-    check_modes(render_mode, rasterize_mode, backend)
+    check_modes(render_mode, rasterize_mode, depth_mode, backend)
     gaussians = means, quats, scales, covars, opacities
     check_arrays(*gaussians, colors, viewmats, Ks, backgrounds, masks, sh_degree, render_mode, backend)
     check_sizes(width=width, height=height, tile_size=tile_size, capacity=capacity)
@@ -226,5 +250,6 @@ def rasterization(
         render_mode=render_mode,
         return_median_depth=return_median_depth,
         return_normals=return_normals,
+        depth_mode=depth_mode,
         **options,
     )

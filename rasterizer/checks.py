@@ -8,13 +8,18 @@ from jax import Array
 
 from rasterizer.engines import Backend
 from rasterizer.features import RenderMode, num_channels
-from rasterizer.projection import RasterizeMode
+from rasterizer.projection import DepthMode, RasterizeMode
 
 
-def check_modes(render_mode, rasterize_mode, backend) -> None:
+def check_modes(render_mode, rasterize_mode, depth_mode, backend) -> None:
     """Raise ValueError where a mode is none."""
-    modes = {"render_mode": RenderMode, "rasterize_mode": RasterizeMode, "backend": Backend}
-    for (name, kind), value in zip(modes.items(), (render_mode, rasterize_mode, backend), strict=True):
+    modes = {
+        "render_mode": (RenderMode, render_mode),
+        "rasterize_mode": (RasterizeMode, rasterize_mode),
+        "depth_mode": (DepthMode, depth_mode),
+        "backend": (Backend, backend),
+    }
+    for name, (kind, value) in modes.items():
         if value not in get_args(kind):
             raise ValueError(f"{name}={value!r} is not one of {get_args(kind)}")
 

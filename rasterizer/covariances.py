@@ -68,12 +68,44 @@ def seen_from_triangle(row_x: Vector, row_y: Vector, triangle: Vector) -> tuple[
 
     The determinant is n^T adj(Sigma) n with n the cross product of the rows of A (Cauchy-Binet).
     """
-    xx, xy, xz, yy, yz, zz = triangle
-    rows = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+    rows, adjugate = _symmetric(triangle)
     x, y, normal = [dot(row, row_x) for row in rows], [dot(row, row_y) for row in rows], cross(row_x, row_y)
-    adjugate = [cross(rows[1], rows[2]), cross(rows[2], rows[0]), cross(rows[0], rows[1])]
     det = dot(normal, [dot(row, normal) for row in adjugate])
     return dot(row_x, x), dot(row_x, y), dot(row_y, y), det
+
+
+def tilt_from_axes(
+    row_x: Vector, row_y: Vector, row_z: Vector, quat: Vector, scales: Vector
+) -> tuple[Array, Array, Array, Array]:
+    """(xz, yz, slope_x, slope_y): what a Gaussian's depth has to do with its image, for the 3x3 map of the given rows.
+
+    `xz`, `yz` are covariances of image and depth; `slope_x`, `slope_y` are the adjugate of the sharp 2x2 covariance
+    times them. Written out these are differences such as yy xz - xy yz, which for a needle cancel to noise; as
+    products of crosses (Binet-Cauchy) they keep their digits, as the determinant does.
+    """
+    axes = rotation(quat)
+    columns = [[axes[i][j] for i in range(3)] for j in range(3)]
+    x, y, z = ([dot(row, columns[j]) * scales[j] for j in range(3)] for row in (row_x, row_y, row_z))
+    normal = cross(x, y)
+    return dot(x, z), dot(y, z), dot(normal, cross(z, y)), dot(normal, cross(x, z))
+
+
+def tilt_from_triangle(
+    row_x: Vector, row_y: Vector, row_z: Vector, triangle: Vector
+) -> tuple[Array, Array, Array, Array]:
+    """`tilt_from_axes` of a covariance given by its upper triangle."""
+    rows, adjugate = _symmetric(triangle)
+    z = [dot(row, row_z) for row in rows]
+    normal = cross(row_x, row_y)
+    seen = [dot(row, normal) for row in adjugate]
+    return dot(row_x, z), dot(row_y, z), dot(seen, cross(row_z, row_y)), dot(seen, cross(row_x, row_z))
+
+
+def _symmetric(triangle: Vector) -> tuple[Matrix, Matrix]:
+    """A symmetric matrix and its adjugate, of the upper triangle."""
+    xx, xy, xz, yy, yz, zz = triangle
+    rows = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+    return rows, [cross(rows[1], rows[2]), cross(rows[2], rows[0]), cross(rows[0], rows[1])]
 
 
 def upper_triangle(matrices: Array) -> Array:

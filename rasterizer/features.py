@@ -27,10 +27,11 @@ def image_features(
     colors: Array,
     viewmats: Array,
     projection: Projection,
+    depths: Array | None,
     sh_degree: int | None,
     render_mode: RenderMode,
 ) -> Array:
-    """`[C, N, X]` channels of the image: colours (from harmonics where asked) and, last, depth."""
+    """`[C, N, X]` channels of the image: colours (from harmonics where asked) and, last, those of `depths`."""
     num_cameras = viewmats.shape[0]
     parts = []
     if "RGB" in render_mode:
@@ -41,9 +42,45 @@ def image_features(
         else:
             colors = colors if colors.ndim == 3 else jnp.broadcast_to(colors[None], (num_cameras, *colors.shape))
             parts.append(jnp.where(projection.visible[..., None], colors, 0))
-    if render_mode != "RGB":
-        parts.append(jnp.where(projection.visible, projection.depths, 0)[..., None])
+    if depths is not None:
+        parts.append(depths)
     return jnp.concatenate(parts, -1)
+
+
+def center_channels(projection: Projection) -> Array:
+    """`[C, N, 1]` the centres' depths."""
+    return jnp.where(projection.visible, projection.depths, 0)[..., None]
+
+
+def depth_channels(projection: Projection, width: int, height: int) -> Array:
+    """What is blended for depth, whether it is the centres' or the planes': `blended_depth` reads it.
+
+    Args:
+        projection: Splats of C cameras.
+        width: Image width in pixels. Static.
+        height: Image height in pixels. Static.
+
+    Returns:
+        `[C, N, 1]` the centres' depths; or, where the projection has slopes, `[C, N, 3]` every splat's plane: its
+        depth in the middle of the image, and the slopes. Zero where not visible. A sum of planes is a plane, so three
+        channels carry what each pixel would else compute for each splat. Seen from the middle of the image they are
+        small numbers, which keeps float32's digits: the error is a rounding of slope x half the image.
+    """
+    if projection.slopes is None:
+        return center_channels(projection)
+    from_mean = jnp.array([0.5 * width, 0.5 * height], projection.means2d.dtype) - projection.means2d
+    in_the_middle = projection.depths + jnp.sum(projection.slopes * from_mean, -1)
+    planes = jnp.concatenate([in_the_middle[..., None], projection.slopes], -1)
+    return jnp.where(projection.visible[..., None], planes, 0)
+
+
+def blended_depth(channels: Array) -> Array:
+    """`[C, H, W, 1]` depth of blended `depth_channels`, `[C, H, W, 1]` or `[C, H, W, 3]`; not divided by alpha."""
+    if channels.shape[-1] == 1:
+        return channels
+    height, width = channels.shape[1:3]
+    x, y = (jnp.arange(n, dtype=channels.dtype) - (0.5 * n - 0.5) for n in (width, height))
+    return (channels[..., 0] + x[None, None, :] * channels[..., 1] + y[None, :, None] * channels[..., 2])[..., None]
 
 
 def expected_depth(image: Array, alphas: Array) -> Array:
@@ -54,8 +91,16 @@ def expected_depth(image: Array, alphas: Array) -> Array:
     return jnp.concatenate([image[..., :-1], depth], -1)
 
 
-def median_depth(depths: Array, median: Array) -> Array:
-    """`[C, H, W, 1]` depth of each pixel's median splat, 0 where there is none; differentiable to `depths` `[C, N]`."""
-    if depths.size == 0:
-        return jnp.zeros((*median.shape, 1), depths.dtype)
-    return jnp.where(median >= 0, depths.reshape(-1)[jnp.maximum(median, 0)], 0)[..., None]
+def median_depth(projection: Projection, median: Array) -> Array:
+    """`[C, H, W, 1]` depth of each pixel's median splat, 0 where there is none; differentiable to the projection."""
+    p, found = projection, median >= 0
+    if p.depths.size == 0:
+        return jnp.zeros((*median.shape, 1), p.depths.dtype)
+    index = jnp.maximum(median, 0)
+    depth = p.depths.reshape(-1)[index]
+    if p.slopes is not None:
+        _, height, width = median.shape
+        y, x = jnp.meshgrid(*(jnp.arange(n, dtype=depth.dtype) + 0.5 for n in (height, width)), indexing="ij")
+        slope, mean2d = (part.reshape(-1, 2)[index] for part in (p.slopes, p.means2d))
+        depth = depth + jnp.sum(slope * (jnp.stack([x, y], -1)[None] - mean2d), -1)
+    return jnp.where(found, depth, 0)[..., None]

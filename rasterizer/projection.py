@@ -18,11 +18,17 @@ from rasterizer.covariances import (
     matrix_rows,
     seen_from_axes,
     seen_from_triangle,
+    tilt_from_axes,
+    tilt_from_triangle,
     upper_triangle,
 )
 from rasterizer.rules import GSPLAT, Rules
 
 RasterizeMode = Literal["classic", "antialiased"]
+DepthMode = Literal["center", "plane"]
+"""What a splat's depth is at a pixel: that of its centre, or where along the pixel's ray the Gaussian is densest."""
+
+SHOWN_SIGMAS = 3.33  # sqrt(2 ln 255): where a splat of opacity 1 falls under the alpha cut, standard deviations.
 
 
 class Projection(NamedTuple):
@@ -34,6 +40,7 @@ class Projection(NamedTuple):
     extents: Array  # [C, N, 2] half width and height of what can pass the alpha cut, pixels; 0 where not visible
     visible: Array  # [C, N] bool: in front, finite, not too faint, inside the image
     compensations: Array | None = None  # [C, N] factor of the opacity that undoes the blur; None in classic mode
+    slopes: Array | None = None  # [C, N, 2] what depth gains per pixel along x and y; None where depth is the centre's
 
 
 class _Splats(NamedTuple):
@@ -45,6 +52,7 @@ class _Splats(NamedTuple):
     extent: Vector
     visible: Array
     compensation: Array | None
+    slope: Vector | None
 
 
 def camera_position(mean: Vector, viewmat: Matrix) -> Vector:
@@ -72,6 +80,17 @@ def _compensation(det: Array, blurred: Array, rules: Rules) -> Array:
     return jnp.where(ratio > floor, jnp.sqrt(jnp.where(ratio > floor, ratio, 1)), rules.compensation_min)
 
 
+def _within_reach(slope: Vector, tilt: Vector, room: Array) -> Vector:
+    """The slope, made flatter where the splat would show depths beyond `room` from its centre's.
+
+    Within k standard deviations of the splat, depth changes by k sqrt(slope . tilt) at most.
+    """
+    reach_squared = SHOWN_SIGMAS**2 * (slope[0] * tilt[0] + slope[1] * tilt[1])
+    beyond = reach_squared > room * room
+    flatter = jnp.where(beyond, room * jax.lax.rsqrt(jnp.where(beyond, reach_squared, 1)), 1)
+    return [part * flatter for part in slope]
+
+
 def _project_components(
     mean: Vector,
     shape: tuple[Vector, ...],
@@ -84,30 +103,40 @@ def _project_components(
     near_plane: float,
     far_plane: float,
     rasterize_mode: RasterizeMode,
+    depth_mode: DepthMode,
     rules: Rules,
 ) -> _Splats:
     """`shape`: quaternion and scales, or the upper triangle of a covariance."""
     of_axes = len(shape) == 2
     seen = seen_from_axes if of_axes else seen_from_triangle
+    tilted = tilt_from_axes if of_axes else tilt_from_triangle
     harmless_shape = ((1, 0, 0, 0), (1, 1, 1)) if of_axes else ((1, 0, 0, 1, 0, 1),)
 
     def splat(mean, shape):
         x, y, z = camera_position(mean, viewmat)
         z_safe = jnp.where(z > near_plane, z, 1)
-        xx, xy, yy, sharp = seen(*image_map([x, y, z_safe], viewmat, K, size), *shape)
+        rows = image_map([x, y, z_safe], viewmat, K, size)
+        xx, xy, yy, sharp = seen(*rows, *shape)
         # det(S + eps 1) = det S + eps tr S + eps^2.
         xx, yy, det = xx + eps2d, yy + eps2d, sharp + eps2d * (xx + yy) + eps2d * eps2d
         # Divided by the root twice: the derivative of a plain division squares the determinant, which may overflow.
         inverse_root = jax.lax.rsqrt(jnp.where(det > 0, det, 1))
         conic = [part * inverse_root * inverse_root for part in (yy, -xy, xx)]
-        return [K[0][0] * x / z_safe + K[0][2], K[1][1] * y / z_safe + K[1][2]], z, conic, [xx, yy], det, sharp
+        slope = None
+        if depth_mode == "plane":
+            # The mean of z given the pixel: conic x cov((u, v), z), blurred; adj(S + eps 1) = adj S + eps 1.
+            xz, yz, slope_x, slope_y = tilted(*rows, viewmat[2][:3], *shape)
+            slope = [(part + eps2d * c) * inverse_root * inverse_root for part, c in ((slope_x, xz), (slope_y, yz))]
+            slope = _within_reach(slope, [xz, yz], z_safe - near_plane)
+        mean2d = [K[0][0] * x / z_safe + K[0][2], K[1][1] * y / z_safe + K[1][2]]
+        return mean2d, z, conic, slope, [xx, yy], det, sharp
 
     # First look, without gradient: whatever overflows or is not a number is swapped for a harmless Gaussian *before*
     # the differentiated computation, since 0 x inf in a backward pass would be NaN.
-    mean2d, z, conic, variances, det, _ = jax.lax.stop_gradient(splat(mean, shape))
+    mean2d, z, conic, slope, variances, det, _ = jax.lax.stop_gradient(splat(mean, shape))
     usable = (z > near_plane) & (z < far_plane) & (det > 0) & (variances[0] > 0) & (variances[1] > 0)
     usable &= opacity >= rules.alpha_min
-    for part in (*mean, *sum(shape, []), opacity, *mean2d, *conic, *variances, z, det):
+    for part in (*mean, *sum(shape, []), opacity, *mean2d, *conic, *(slope or ()), *variances, z, det):
         usable &= jnp.isfinite(part)
 
     def where_usable(parts: Vector, harmless) -> Vector:
@@ -115,7 +144,7 @@ def _project_components(
 
     # A point one unit in front of the camera: -R^T t + R^T e_z.
     ahead = [sum((at - viewmat[i][3]) * viewmat[i][j] for i, at in enumerate((0, 0, 1))) for j in range(3)]
-    mean2d, z, conic, variances, det, sharp = splat(
+    mean2d, z, conic, slope, variances, det, sharp = splat(
         where_usable(mean, jax.lax.stop_gradient(ahead)),
         tuple(where_usable(parts, safe) for parts, safe in zip(shape, harmless_shape, strict=True)),
     )
@@ -134,7 +163,8 @@ def _project_components(
     for center, reach, limit in zip(jax.lax.stop_gradient(mean2d), extent, size, strict=True):
         # Rounded up to whole pixels, as gsplat's radii are.
         visible &= (center + jnp.ceil(reach) > 0) & (center - jnp.ceil(reach) < limit)
-    return _Splats(mean2d, z, conic, [jnp.where(visible, reach, 0) for reach in extent], visible, compensation)
+    extent = [jnp.where(visible, reach, 0) for reach in extent]
+    return _Splats(mean2d, z, conic, extent, visible, compensation, slope)
 
 
 def project(
@@ -152,6 +182,7 @@ def project(
     near_plane: float = 0.01,
     far_plane: float = 1e10,
     rasterize_mode: RasterizeMode = "classic",
+    depth_mode: DepthMode = "center",
     rules: Rules = GSPLAT,
 ) -> Projection:
     """Project N Gaussians into C cameras (EWA splatting; conventions of gsplat 1.6).
@@ -171,11 +202,15 @@ def project(
         near_plane: Gaussians at or nearer than this camera z are culled.
         far_plane: Gaussians at or beyond this camera z are culled.
         rasterize_mode: "antialiased" also computes `compensations`, and sizes extents by the compensated opacity.
+        depth_mode: "plane" also computes `slopes`: at a pixel u a splat's depth is `depths + slopes . (u - means2d)`,
+            the mean of camera z given u under the linearised camera, blur included. Wherever the splat can pass an
+            alpha cut of 1/255 that is within 3.33 standard deviations of its centre's depth, and not behind
+            `near_plane`: a steeper plane is made flatter.
         rules: Decides extents and the opacity below which nothing shows.
 
     Returns:
-        `Projection`; `means2d`, `depths`, `conics` and `compensations` are differentiable to means, quats, scales,
-        covars, viewmats and Ks.
+        `Projection`; `means2d`, `depths`, `conics`, `compensations` and `slopes` are differentiable to means, quats,
+        scales, covars, viewmats and Ks.
     """
     shapes = (quats, scales) if covars is None else (upper_triangle(covars),)
     inputs = (
@@ -194,6 +229,7 @@ def project(
             near_plane=near_plane,
             far_plane=far_plane,
             rasterize_mode=rasterize_mode,
+            depth_mode=depth_mode,
             rules=rules,
         )
 
@@ -213,4 +249,5 @@ def project(
         jnp.stack(splats.extent, -1),
         splats.visible,
         splats.compensation,
+        None if splats.slope is None else jnp.stack(splats.slope, -1),
     )

@@ -166,6 +166,7 @@ def loss(scene, **options):
         "rules",
         "near_plane",
         "rasterize_mode",
+        "depth_mode",
         "tile_size",
     ),
 )

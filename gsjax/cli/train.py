@@ -74,7 +74,7 @@ def settings(arguments: argparse.Namespace) -> Settings:
 
     started = Path(arguments.out) / "config.json"
     if arguments.resume and started.exists():
-        base = config.merge(runs.read_json(started), PRESETS.get(arguments.preset, {}))
+        base = config.merge(runs.read_settings(started.parent), PRESETS.get(arguments.preset, {}))
     else:
         base = PRESETS[arguments.preset or "fast"]
     return overridden(base, arguments, *OPTIONS)

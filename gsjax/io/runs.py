@@ -27,6 +27,7 @@ from gsjax.io import checkpoints
 from gsjax.io.files import atomic_path, make_folder, sweep, unwritable
 from gsjax.io.machine import machine, versions
 
+EARLIER: dict[str, Any] = {"depth_mode": "center"}  # What runs did before they could choose.
 KEPT_CHECKPOINTS = 2  # The newest and, should it turn out damaged, the one before.
 
 
@@ -67,10 +68,10 @@ def reopen(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path) -
         InputError: It is no run folder, or the data set or a setting differs; the message names the first that does.
     """
     run = Path(run)
-    started, before = read_json(run / "config.json"), read_json(run / "manifest.json")["scene"]
+    started, before = read_settings(run), read_json(run / "manifest.json")["scene"]
     if before != str(Path(scene).resolve()):
         raise InputError(f"{run}: was started on {before}, not on {scene}; a resumed run keeps its data set")
-    for key, (before, now) in _differences(started, _plain(settings)).items():
+    for key, (before, now) in _differences(started, _plain({**EARLIER, **settings})).items():
         raise InputError(f"{run}: was started with {key} = {before}, not {now}; a resumed run keeps its settings")
     sweep(run)
     return run
@@ -126,6 +127,15 @@ def truncate_metrics(run: str | Path, step: int) -> None:
     kept = [record for record in read_metrics(run) if record["step"] <= step]
     with atomic_path(Path(run) / "metrics.jsonl") as temporary:
         temporary.write_text("".join(json.dumps(record) + "\n" for record in kept), encoding="utf-8")
+
+
+def read_settings(run: str | Path) -> dict[str, Any]:
+    """What `config.json` holds, and for a run of an earlier version what it did where there was no choice.
+
+    Raises:
+        InputError: The file is absent or is no JSON.
+    """
+    return {**EARLIER, **read_json(Path(run) / "config.json")}
 
 
 def write_json(path: str | Path, data: Any) -> None:

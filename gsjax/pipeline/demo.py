@@ -72,7 +72,9 @@ def _comparison(scene: Path, vanilla: Result, surface: Result, out: Path) -> Pat
     frame, truth = loaded.held_out_frames[SHOWN_VIEW], loaded.truth
     index = surface.names.index(frame.name)
     camera = surface.cameras[index]
-    before, after = (next(gallery.pictures(r.gaussians, [camera], r.background)) for r in (vanilla, surface))
+    before, after = (
+        next(gallery.pictures(r.gaussians, [camera], r.background, r.depth_mode)) for r in (vanilla, surface)
+    )
 
     def normals(picture: gallery.Picture) -> np.ndarray:
         return normal_picture(np.asarray(depth_normals(jnp.asarray(picture.depth), camera)))

@@ -19,6 +19,7 @@ from gsjax.normals.from_depth import depth_normals
 from gsjax.pipeline.mesh import mesh as extract
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera, open_result, scene_of_run
 from gsjax.scene import Frame, Truth
+from rasterizer import DepthMode
 
 SKY, GROUND = 0, 255  # Labels of the truth; everything between is an object.
 
@@ -52,7 +53,7 @@ def evaluate(run: str | Path, *, mesh: str | Path | None = None) -> dict[str, An
     truth = scene.truth
     if truth is None:
         return figures
-    figures |= score_surface(result.gaussians, scene.held_out_frames, truth)
+    figures |= score_surface(result.gaussians, scene.held_out_frames, truth, result.depth_mode)
     if truth.points is not None and truth.point_normals is not None:
         file = Path(mesh) if mesh is not None else run / "mesh.ply"
         if mesh is None and not file.exists():
@@ -112,7 +113,9 @@ def _scores(image: jax.Array, target: jax.Array, valid: jax.Array) -> tuple[jax.
     return psnr(image, target, valid), ssim(image, target, valid)
 
 
-def score_surface(gaussians: Gaussians, frames: tuple[Frame, ...], truth: Truth) -> dict[str, Any]:
+def score_surface(
+    gaussians: Gaussians, frames: tuple[Frame, ...], truth: Truth, depth_mode: DepthMode = "plane"
+) -> dict[str, Any]:
     """Errors of the rendered depth and of its normals against true maps, pooled over the pixels of all frames."""
     frames = tuple(f for f in frames if f.name in truth.normals or f.name in truth.depths)
     if not frames:
@@ -120,7 +123,7 @@ def score_surface(gaussians: Gaussians, frames: tuple[Frame, ...], truth: Truth)
     cameras = [frame_camera(f) for f in frames]
     rendered, true, objects, depth_errors = [], [], [], []
     for frame, camera, picture in zip(
-        frames, cameras, gallery.pictures(gaussians, cameras, BACKGROUNDS["black"]), strict=True
+        frames, cameras, gallery.pictures(gaussians, cameras, BACKGROUNDS["black"], depth_mode), strict=True
     ):
         is_object = np.ones(picture.depth.shape, bool)
         if frame.name in truth.labels:

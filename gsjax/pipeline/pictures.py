@@ -43,7 +43,7 @@ def render(run: str | Path, out: str | Path, *, which: Literal["all", "held_out"
             raise InputError(f"{run}: has no held-out views to render")
         cameras, names = [result.cameras[i] for i in chosen], [result.names[i] for i in chosen]
     out = make_folder(out)
-    shown = gallery.pictures(result.gaussians, cameras, result.background)
+    shown = gallery.pictures(result.gaussians, cameras, result.background, result.depth_mode)
     for name, camera, picture in tqdm(
         zip(names, cameras, shown, strict=True), total=len(cameras), desc="render", unit="view"
     ):

@@ -19,6 +19,7 @@ from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera
 from gsjax.scene import Frame
+from rasterizer import DepthMode
 
 CLEAR_SCORE, CLEAR_MARGIN = 0.5, 0.02  # Below either, the axes of foreign maps are doubtful (method: A8).
 VIEWS_FOR_AXES = 50  # as many as are compared with their maps, 4,000 pixels each
@@ -35,7 +36,14 @@ class RunPrior:
     for the maps themselves: 3 bytes a pixel.
     """
 
-    def __init__(self, run: Path, folder: str | None, axes: str | None, frames: tuple[Frame, ...]):
+    def __init__(
+        self,
+        run: Path,
+        folder: str | None,
+        axes: str | None,
+        frames: tuple[Frame, ...],
+        depth_mode: DepthMode = "plane",
+    ):
         """Check what was given.
 
         Args:
@@ -43,6 +51,7 @@ class RunPrior:
             folder: Of foreign normal maps; None: the Gaussians' own.
             axes: Those of the foreign maps, see `axis_signs`; None: found by comparing with the Gaussians.
             frames: Whose normals will be asked for.
+            depth_mode: What the Gaussians' depth is, see `gsjax.render.view`.
 
         Raises:
             InputError: A map is missing, or the axes are none.
@@ -51,6 +60,7 @@ class RunPrior:
         self.signs = None if axes is None else axis_signs(axes)
         if folder is None and axes is not None:
             raise InputError(f"--normal-axes {axes}: there are no maps whose axes these are, --normals DIR names them")
+        self.depth_mode: DepthMode = depth_mode
         self.given = None if folder is None else normal_maps(folder, frames)
 
     def __call__(self, gaussians: Gaussians, frames: tuple[Frame, ...]) -> list[np.ndarray]:
@@ -65,7 +75,7 @@ class RunPrior:
         files = _files(self.folder, frames)
         missing = [frame for frame in frames if not files[frame.name].exists()]
         if missing:
-            maps = self._foreign(gaussians, frames, missing) if self.given else _own(gaussians, frames, missing)
+            maps = self._foreign(gaussians, frames, missing) if self.given else self._own(gaussians, frames, missing)
             shown = tqdm(zip(missing, maps, strict=True), total=len(missing), desc="normals prior", unit="view")
             for frame, normals in shown:
                 write_map(files[frame.name], normals)
@@ -81,7 +91,9 @@ class RunPrior:
         """Signs of the axes, those of the convention where the views cannot tell; one line says which."""
         assert self.given is not None
         maps = (self.given[frame.name]() for frame in frames)
-        references = (np.asarray(depth_normals(depth, camera)) for depth, _, camera in _rendered(gaussians, frames))
+        references = (
+            np.asarray(depth_normals(depth, camera)) for depth, _, camera in self._rendered(gaussians, frames)
+        )
         signs, score, margin = detect_axes(maps, references)
         measured = f"mean |cos| {score:.3f} against the rendered depth, next best {margin:.3f} lower"
         clear = score >= CLEAR_SCORE and margin >= CLEAR_MARGIN
@@ -92,6 +104,18 @@ class RunPrior:
             line = f"axes taken as {written_axes(signs)}: {guess} is doubtful ({measured}); --normal-axes sets them"
         tqdm.write(f"normals: {line}", file=sys.stderr)
         return signs
+
+    def _own(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
+        reduction = chosen_reduction(self._rendered(gaussians, _spread(frames, VIEWS_FOR_NOISE)))
+        for depth, alphas, camera in self._rendered(gaussians, missing):
+            yield np.asarray(smoothed_depth_normals(depth, alphas, camera, reduction=reduction))
+
+    def _rendered(self, gaussians: Gaussians, frames: Sequence[Frame]) -> Iterator[tuple]:
+        """Depth, alphas and camera of one frame after the other."""
+        cameras = [frame_camera(frame) for frame in frames]
+        pictures = gallery.pictures(gaussians, cameras, BACKGROUNDS["black"], self.depth_mode)
+        for picture, camera in zip(pictures, cameras, strict=True):
+            yield jnp.asarray(picture.depth), jnp.asarray(picture.alphas), camera
 
 
 def write_map(file: Path, normals: np.ndarray) -> None:
@@ -117,20 +141,6 @@ def _files(folder: Path, frames: Sequence[Frame]) -> dict[str, Path]:
     stems = {frame.name: PurePosixPath(frame.name).with_suffix("") for frame in frames}
     shared = Counter(stems.values())
     return {name: folder / f"{stem if shared[stem] == 1 else name}.png" for name, stem in stems.items()}
-
-
-def _own(gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
-    reduction = chosen_reduction(_rendered(gaussians, _spread(frames, VIEWS_FOR_NOISE)))
-    for depth, alphas, camera in _rendered(gaussians, missing):
-        yield np.asarray(smoothed_depth_normals(depth, alphas, camera, reduction=reduction))
-
-
-def _rendered(gaussians: Gaussians, frames: Sequence[Frame]) -> Iterator[tuple]:
-    """Depth, alphas and camera of one frame after the other."""
-    cameras = [frame_camera(frame) for frame in frames]
-    pictures = gallery.pictures(gaussians, cameras, BACKGROUNDS["black"])
-    for picture, camera in zip(pictures, cameras, strict=True):
-        yield jnp.asarray(picture.depth), jnp.asarray(picture.alphas), camera
 
 
 def _spread(items: Sequence[T], count: int) -> list[T]:

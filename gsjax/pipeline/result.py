@@ -21,6 +21,7 @@ from gsjax.io.scenes import load_scene
 from gsjax.io.splits import NONE
 from gsjax.pipeline import viewpoints
 from gsjax.scene import Frame, Scene, valid_pixels
+from rasterizer import DepthMode
 
 BACKGROUNDS = {"white": np.ones(3, np.float32), "black": np.zeros(3, np.float32), "random": np.zeros(3, np.float32)}
 """Colour that pictures and scores are made over; a run trained on random ones is scored over black."""
@@ -41,6 +42,7 @@ class Result:
         Callable[[], np.ndarray | None], ...
     ]  # reads [H, W] bool, where the photo may be used; None: all of it
     background: np.ndarray  # [3]
+    depth_mode: DepthMode = "plane"  # how depth was read in training, see `gsjax.render.view`
 
 
 def write_views(run: Path, frames: tuple[Frame, ...]) -> None:
@@ -83,7 +85,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             hint = "its training has not finished" if (source / "manifest.json").exists() else "it is no run folder"
             raise InputError(f"{source}: holds no gaussians.ply; {hint}")
         gaussians = read_gaussians(source / "gaussians.ply")
-        background = BACKGROUNDS[runs.read_json(source / "config.json")["background"]]
+        settings = runs.read_settings(source)
         records = runs.read_json(source / "cameras.json")
         return Result(
             source,
@@ -92,7 +94,8 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             names=tuple(record["name"] for record in records),
             held_out=tuple(bool(record["held_out"]) for record in records),
             valid=tuple(partial(_read_mask, source, record) for record in records),
-            background=background,
+            background=BACKGROUNDS[settings["background"]],
+            depth_mode=settings["depth_mode"],
         )
     gaussians = read_gaussians(source)
     if scene is None:
@@ -135,7 +138,7 @@ def training_pictures(
     if not chosen:
         raise InputError(f"{result.source}: has no training views to look from")
     cameras = [result.cameras[index] for index in chosen]
-    drawn = gallery.pictures(gaussians, cameras, background)
+    drawn = gallery.pictures(gaussians, cameras, background, result.depth_mode)
     pictures = tqdm(drawn, total=len(cameras), desc="views", unit="view", delay=QUIET)
     return cameras, gallery.masked(pictures, (result.valid[index]() for index in chosen))
 

@@ -163,7 +163,7 @@ def _overview(out: Path) -> Path:
     assert textured is not None, "the scan wrote its texture"
     chosen = next((i for i, held_out in enumerate(result.held_out) if held_out), 0)
     camera = result.cameras[chosen]
-    picture = next(gallery.pictures(result.gaussians, [camera], result.background))
+    picture = next(gallery.pictures(result.gaussians, [camera], result.background, result.depth_mode))
 
     def drawn(surface: Mesh, shading: Shading) -> np.ndarray:
         return render_mesh(surface, camera.viewmat, camera.K, camera.width, camera.height, shading=shading)

@@ -57,7 +57,8 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
     photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
     loaded = replace(loaded, frames=tuple(map(in_memory, photos)))
     frames = loaded.train_frames
-    prior = partial(RunPrior(Path(out), settings.normals, settings.normal_axes, frames), frames=frames)
+    prior = RunPrior(Path(out), settings.normals, settings.normal_axes, frames, settings.depth_mode)
+    prior = partial(prior, frames=frames)
     as_dict = config.to_dict(settings)
     run = (
         runs.reopen(out, as_dict, scene=scene) if resume else runs.create(out, as_dict, scene=scene, seed=settings.seed)

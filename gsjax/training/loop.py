@@ -190,6 +190,7 @@ def _run_phase(
             background=BACKGROUNDS[settings.background],
             sh_every=settings.sh_every,
             with_statistics=phase.density_control,
+            depth_mode=settings.depth_mode,
         )
 
     def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:

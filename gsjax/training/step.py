@@ -56,6 +56,7 @@ def make_train_step(
     background: Background,
     sh_every: int,
     with_statistics: bool,
+    depth_mode: rasterizer.DepthMode = "plane",
 ) -> TrainStep:
     """The compiled step of one phase.
 
@@ -66,6 +67,7 @@ def make_train_step(
         background: Colour under the images.
         sh_every: Steps between the bands of the SH ramp.
         with_statistics: Whether growth statistics are gathered.
+        depth_mode: What a splat's depth is, see `gsjax.render.view`.
 
     Returns:
         A `TrainStep`.
@@ -81,6 +83,7 @@ def make_train_step(
             background=color,
             active_degree=active_degree,
             with_depth=with_depth,
+            depth_mode=depth_mode,
             means2d_probe=probe,
         )
         losses = {name: TERMS[name](gaussians, view, batch) for name in terms}

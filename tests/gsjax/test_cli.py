@@ -5,7 +5,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 
 import pytest
@@ -139,6 +139,10 @@ def test_a_resumed_run_keeps_the_settings_that_it_was_started_with(library, tmp_
     settings, keywords = train_settings(library, "--out", str(tmp_path), "--resume")
     assert settings == started
     assert keywords == {"resume": True}
+    earlier = {key: value for key, value in config.to_dict(started).items() if key != "depth_mode"}
+    (tmp_path / "config.json").write_text(json.dumps(earlier))
+    settings, _ = train_settings(library, "--out", str(tmp_path), "--resume")
+    assert settings == replace(started, depth_mode="center"), "there was no other depth"
     settings, _ = train_settings(library, "--out", str(tmp_path / "new"), "--resume")
     assert settings == config.parse(Settings, PRESETS["fast"])
 

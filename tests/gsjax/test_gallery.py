@@ -39,6 +39,7 @@ def test_a_picture_has_its_cameras_size_and_content(shown, index):
         camera.height,
         sh_degree=1,
         render_mode="RGB+ED",
+        depth_mode="plane",
         backend="reference",
     )
     image, alphas = np.asarray(image[0], np.float64), np.asarray(alphas[0, ..., 0], np.float64)

@@ -1,5 +1,6 @@
 import re
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -19,14 +20,20 @@ ALIVE = 40
 SCENE = cloud(ALIVE, capacity=48, sh_degree=2)
 
 
-@jax.jit
-def shown(gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND):
+@partial(jax.jit, static_argnames="depth_mode")
+def shown(gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND, depth_mode="plane"):
     return render.view(
-        gaussians, camera, capacity=CAPACITY, background=background, active_degree=active_degree, with_depth=True
+        gaussians,
+        camera,
+        capacity=CAPACITY,
+        background=background,
+        active_degree=active_degree,
+        with_depth=True,
+        depth_mode=depth_mode,
     )
 
 
-def dense_reference(gaussians, sh_degree=2, **pixel_filter):
+def dense_reference(gaussians, sh_degree=2, **options):
     image, alphas, _ = rasterizer.rasterization(
         gaussians.means,
         gaussians.quats,
@@ -40,7 +47,7 @@ def dense_reference(gaussians, sh_degree=2, **pixel_filter):
         sh_degree=sh_degree,
         render_mode="RGB+D",
         backend="reference",
-        **pixel_filter,
+        **{"depth_mode": "plane", **options},
     )
     return np.asarray(image[0], np.float64), np.asarray(alphas[0, ..., 0], np.float64)
 
@@ -54,6 +61,35 @@ def test_a_view_equals_the_dense_reference():
     covered = alphas > render.MIN_COVERAGE
     assert 0.1 < covered.mean() < 0.9
     assert_close(view.depth, np.where(covered, image[..., 3] / np.where(covered, alphas, 1), 0))
+
+
+def test_the_centres_depth_is_there_to_compare_with():
+    image, alphas = dense_reference(SCENE, depth_mode="center")
+    of_center = shown(SCENE, depth_mode="center").depth
+    covered = alphas > render.MIN_COVERAGE
+    assert_close(of_center, np.where(covered, image[..., 3] / np.where(covered, alphas, 1), 0))
+    assert float(jnp.abs(of_center - shown(SCENE).depth).max()) > 0.01
+
+
+def test_the_gradient_of_depth_turns_and_stretches_splats():
+    # One disc fills the image: its alpha does not change to first order where only its plane turns.
+    disc = plane((0.3, 0.2, -1.0), per_side=2, spacing=1.0, radius=6.0)
+    camera = camera_at()
+    weights = jnp.asarray(np.random.default_rng(0).uniform(size=(24, 32)), jnp.float32)
+
+    @jax.jit
+    @jax.value_and_grad
+    def objective(free):
+        return jnp.mean(weights * shown(replace(disc, **free), 0, camera).depth)
+
+    free = {"quats": disc.quats, "log_scales": disc.log_scales}
+    gradient = objective(free)[1]
+    for name, values in free.items():
+        direction = jnp.asarray(np.random.default_rng(1).normal(size=values.shape), jnp.float32)
+        ahead, behind = (objective({**free, name: values + step * direction})[0] for step in (1e-2, -1e-2))
+        slope = float(jnp.sum(gradient[name] * direction))
+        assert abs(slope) > 1e-3
+        assert (float(ahead) - float(behind)) / 2e-2 == pytest.approx(slope, rel=2e-2)
 
 
 def test_the_mip_filter_is_the_antialiased_reference_and_absent_where_it_is_not_asked_for():
@@ -95,7 +131,8 @@ def test_dead_rows_are_invisible_and_have_no_gradient():
 
 def test_depth_of_a_fronto_parallel_plane_is_its_z():
     camera = camera_at()
-    view = shown(plane((0.0, 0.0, -1.0), distance=4.0), 0, camera)
+    # Thin: a thick disc is densest elsewhere than in its middle along a ray that slants through it.
+    view = shown(plane((0.0, 0.0, -1.0), distance=4.0, thickness=1e-3), 0, camera)
     assert float(view.alphas.min()) > 0.9
     assert_close(view.depth, np.full((24, 32), 4.0), rtol=1e-5, atol=0, why="a quotient of float32 sums")
 
@@ -148,10 +185,12 @@ def test_the_capacity_that_a_view_needs_is_counted_before_it_is_rendered():
 
 
 def test_without_depth_there_is_no_depth_in_the_program():
-    def most_channels(with_depth):
-        program = jax.make_jaxpr(
-            lambda g: render.view(g, CAMERA, capacity=CAPACITY, background=BACKGROUND, with_depth=with_depth)
-        )(SCENE)
+    def most_channels(**options):
+        program = jax.make_jaxpr(lambda g: render.view(g, CAMERA, capacity=CAPACITY, background=BACKGROUND, **options))(
+            SCENE
+        )
         return max(int(channels) for channels in re.findall(r"f32\[1,24,32,(\d+)\]", str(program)))
 
-    assert most_channels(True) == most_channels(False) + 1
+    without = most_channels()
+    assert most_channels(with_depth=True, depth_mode="center") == without + 1
+    assert most_channels(with_depth=True) == without + 3

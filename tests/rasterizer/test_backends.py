@@ -17,6 +17,7 @@ CASES = {
     "pixels that stop": (stacks(), {}),
     "RGB+D, degree 1, two cameras": (cloud(cameras=2, sh_degree=1), {"sh_degree": 1, "render_mode": "RGB+D"}),
     "RGB+ED, degree 4, 7 channels": (cloud(channels=7, sh_degree=4), {"sh_degree": 4, "render_mode": "RGB+ED"}),
+    "RGB+ED of planes, two cameras": (cloud(cameras=2), {"render_mode": "RGB+ED", "depth_mode": "plane"}),
     "ED, one pixel": (cloud(20, size=(1, 1), channels=1), {"render_mode": "ED"}),
     "degree 0, one Gaussian, 1 channel": (cloud(1, size=(9, 7), sh_degree=0, channels=1), {"sh_degree": 0}),
 }

@@ -72,7 +72,15 @@ SHOWN = {
     "far away": {"means": (0.0, 0.0, 1e6), "scales": (1e5, 1e5, 1e5)},
     "coincident with another": {"means": None},
     "huge colour": {"colors": (1e6, -1e6, 0.0)},
+    "disc edge-on": {"means": (0.0, 0.0, 2.0), "quats": (1.0, 0, 1.0, 0), "scales": (0.2, 0.2, 1e-6)},
+    "needle along the ray": {"means": (0.0, 0.0, 2.0), "quats": (1.0, 0, 0, 0), "scales": (1e-6, 1e-6, 1.0)},
+    "needle past the eye": {"quats": (0.95, 0.2, -0.2, 0.1), "scales": (0.1, 0.1, 1e3)},
+    "ground at a grazing angle": {"means": (0.0, 0.3, 1.0), "quats": (1.0, 0, 0, 0), "scales": (3.0, 1e-3, 3.0)},
+    "at the image border": {"means": (1.2, -0.1, 2.0)},
+    "mean far outside the image": {"means": (60.0, -20.0, 2.0), "scales": (40.0, 0.3, 30.0)},
 }
+# Planes of depth, of every Gaussian: one channel, over one.
+PLANES = {"render_mode": "D", "depth_mode": "plane"}
 
 
 def odd(fields):
@@ -81,6 +89,11 @@ def odd(fields):
     if fields["means"] is None:
         fields["means"] = scene.means[7]
     return with_odd_one(scene, **fields)
+
+
+def of_depth(scene):
+    """The scene with a background for its depth."""
+    return replace(scene, backgrounds=scene.backgrounds[:, :1])
 
 
 def all_finite(*trees):
@@ -92,10 +105,17 @@ def largest_error(actual, expected):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("name", HIDDEN)
-def test_what_cannot_show_changes_no_bit_of_the_rest(name, backend, hard_cases):
-    image, alphas, info, gradient = evaluate(odd(HIDDEN[name]), backend)
-    expected_image, expected_alphas, _, expected = evaluate(odd({"opacities": 0.0}), backend)
+@pytest.mark.parametrize(
+    ("planes", "name"),
+    # Depth alone does not look at colours: a bad one hides nothing.
+    [*((False, name) for name in HIDDEN), *((True, name) for name in HIDDEN if not name.startswith("colors"))],
+)
+def test_what_cannot_show_changes_no_bit_of_the_rest(planes, name, backend, hard_cases):
+    scene, without, options = odd(HIDDEN[name]), odd({"opacities": 0.0}), {}
+    if planes:
+        scene, without, options = of_depth(scene), of_depth(without), PLANES
+    image, alphas, info, gradient = evaluate(scene, backend, **options)
+    expected_image, expected_alphas, _, expected = evaluate(without, backend, **options)
     np.testing.assert_array_equal(image, expected_image)
     np.testing.assert_array_equal(alphas, expected_alphas)
     for field in GAUSSIAN_FIELDS:
@@ -105,7 +125,7 @@ def test_what_cannot_show_changes_no_bit_of_the_rest(name, backend, hard_cases):
     for field in ("viewmats", "Ks", "backgrounds"):
         np.testing.assert_array_equal(getattr(gradient, field), getattr(expected, field))
     assert not info.get("overflowed", False)
-    hard_cases("hidden: " + name, backend, value=0.0, gradient=0.0, bounds=(0.0, 0.0))
+    hard_cases(f"{'planes, ' * planes}hidden: {name}", backend, value=0.0, gradient=0.0, bounds=(0.0, 0.0))
 
 
 @pytest.fixture
@@ -116,12 +136,12 @@ def agree_with_float64(hard_cases):
         with jax.enable_x64(True):
             expected_image, expected_alphas, _, expected = evaluate(in_float64(scene), "reference", **options)
         assert all_finite(expected_image, expected)
-        largest_color = max(1, float(np.max(np.abs(scene.colors))))
+        largest = max(1, np.max(np.abs(scene.colors)) if "render_mode" not in options else np.abs(expected_image).max())
         for backend in backends:
             image, alphas, info, gradient = evaluate(scene, backend, **options)
             assert all_finite(image, alphas, gradient)
             assert not info.get("overflowed", False)
-            value = max(largest_error(image, expected_image) / largest_color, largest_error(alphas, expected_alphas))
+            value = max(largest_error(image, expected_image) / largest, largest_error(alphas, expected_alphas))
             errors = relative_errors(gradient, expected)
             hard_cases(name, backend, value=value, gradient=max(errors.values()), bounds=(value_bound, gradient_bound))
             assert value < value_bound, backend
@@ -136,6 +156,11 @@ def test_what_can_show_agrees_with_float64(name, agree_with_float64):
     scene = odd(SHOWN[name])
     assert evaluate(scene, "xla")[2]["visible"][0, -1]
     agree_with_float64(name, scene)
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_planes_agree_with_float64(name, agree_with_float64):
+    agree_with_float64("planes: " + name, of_depth(odd(SHOWN[name])), **PLANES)
 
 
 @pytest.mark.parametrize("name", ["ordinary", "a point", "two flat axes", "needle 1e6", "huge", "far away"])

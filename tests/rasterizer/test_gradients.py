@@ -30,11 +30,19 @@ def directions(scene):
         return {n: replace(zero, **{n: jnp.asarray(rng.normal(size=getattr(scene, n).shape))}) for n in FIELDS}
 
 
-def objective(scene):
-    return loss(scene, backend="reference", render_mode="RGB+ED", rules=NO_THRESHOLDS)[0]
+# Of planes, the last time with so little room before the near plane that some are made flatter.
+DEPTHS = {
+    "center": {},
+    "plane": {"depth_mode": "plane"},
+    "plane, flatter": {"depth_mode": "plane", "near_plane": 1.5},
+}
 
 
-first_derivative = jax.jit(jax.grad(objective))
+def objective(scene, depth="center"):
+    return loss(scene, backend="reference", render_mode="RGB+ED", rules=NO_THRESHOLDS, **DEPTHS[depth])[0]
+
+
+first_derivative = jax.jit(jax.grad(objective), static_argnums=1)
 
 
 def difference(function, scene, direction):
@@ -48,10 +56,24 @@ def dot(a, b):
 
 
 @pytest.mark.parametrize("name", FIELDS)
-def test_reverse_mode_against_central_differences(x64, scene, directions, name):
-    slope = difference(jax.jit(objective), scene, directions[name])
+@pytest.mark.parametrize("depth", DEPTHS)
+def test_reverse_mode_against_central_differences(x64, scene, directions, depth, name):
+    value = jax.jit(objective, static_argnums=1)
+    slope = difference(lambda s: value(s, depth), scene, directions[name])
     assert abs(slope) > 1e-3
-    np.testing.assert_allclose(dot(first_derivative(scene), directions[name]), slope, rtol=1e-7, atol=1e-8)
+    np.testing.assert_allclose(dot(first_derivative(scene, depth), directions[name]), slope, rtol=1e-7, atol=1e-8)
+
+
+def test_some_planes_of_that_scene_are_made_flatter(x64, scene):
+    s = scene
+
+    def slopes(near_plane):
+        cameras = s.viewmats, s.Ks, s.width, s.height
+        return project(s.means, s.quats, s.scales, s.opacities, *cameras, depth_mode="plane", near_plane=near_plane)
+
+    free, bounded = (slopes(near).slopes[0] for near in (0.01, 1.5))
+    flatter = np.linalg.norm(bounded, axis=-1) < 0.999 * np.linalg.norm(free, axis=-1)
+    assert 0 < flatter.sum() < 4
 
 
 def test_forward_mode_equals_reverse_mode(x64, scene, directions):

@@ -15,6 +15,7 @@ from rasterizer.compositing import Static, composite
 CASES = {
     "pixels that stop": (stacks(), {}),
     "two cameras, 7 channels": (cloud(cameras=2, channels=7), {}),
+    "planes": (cloud(), {"render_mode": "D", "depth_mode": "plane"}),
     "inria": (replace(cloud(), opacities=0.35 * cloud().opacities), {"rules": INRIA}),
 }
 
@@ -22,6 +23,8 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_kernels_equal_the_reference(name):
     scene, options = CASES[name]
+    if "render_mode" in options:
+        scene = replace(scene, backgrounds=scene.backgrounds[:, :1])
     image, alphas, info, gradient = evaluate(scene, "pallas", **options)
     expected_image, expected_alphas, _, expected = evaluate(scene, "reference", **options)
     assert not info["overflowed"]

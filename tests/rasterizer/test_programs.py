@@ -56,6 +56,15 @@ def test_only_the_channels_of_the_mode_are_blended(trace, mode, channels):
     assert {c for c in (1, 3, 4) if (COUNT, 6 + c) in shaped} == {channels}
 
 
+@pytest.mark.parametrize("mode, channels", [("RGB", 3), ("D", 3), ("RGB+ED", 6)])
+def test_planes_are_three_channels_where_depth_is_asked_for(mode, channels):
+    scene = transparent(cloud(COUNT))
+    shaped = shapes(forward(scene, render_mode=mode, depth_mode="plane"))
+    assert {c for c in (1, 3, 4, 6) if (COUNT, 6 + c) in shaped} == {channels}
+    if mode == "RGB":
+        assert operations(forward(scene, depth_mode="plane")) == operations(forward(scene))
+
+
 @pytest.mark.parametrize("degree", range(5))
 def test_only_the_bands_of_the_degree_are_evaluated(degree):
     program = forward(cloud(COUNT, sh_degree=4), sh_degree=degree)

@@ -52,6 +52,15 @@ def test_a_run_is_reopened_on_its_own_data_set_with_its_own_settings_only(run, t
         runs.reopen(run, SETTINGS, scene=tmp_path / "other")
 
 
+def test_a_run_from_before_depth_could_be_chosen_keeps_the_depth_that_it_had(run, tmp_path):
+    assert runs.read_settings(run) == {**SETTINGS, "depth_mode": "center"}
+    assert runs.reopen(run, SETTINGS | {"depth_mode": "center"}, scene=tmp_path / "scene") == run
+    with pytest.raises(InputError, match=r'was started with depth_mode = "center", not "plane"'):
+        runs.reopen(run, SETTINGS | {"depth_mode": "plane"}, scene=tmp_path / "scene")
+    runs.write_json(run / "config.json", SETTINGS | {"depth_mode": "plane"})
+    assert runs.read_settings(run)["depth_mode"] == "plane"
+
+
 def test_the_newest_two_checkpoints_stay(run):
     assert runs.latest_checkpoint(run) is None
     for step in (5, 90, 1234567):

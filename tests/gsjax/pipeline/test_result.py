@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from small_scenes import camera_at, cloud
 
+from gsjax import gallery
 from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.io.images import write_image
@@ -64,6 +65,19 @@ def test_training_pictures_are_empty_where_photos_are_masked(run):
     for part, nothing in zip(masked, (0, 0, 0, -1), strict=True):
         assert (part[VALID == 0] == nothing).all() and (part[VALID > 0] != nothing).any()
     assert np.all(whole.colors.max(axis=-1) > 0)
+
+
+def test_depth_is_what_it_was_in_training(run):
+    def depth():
+        result = open_result(run)
+        return list(training_pictures(result, result.gaussians, result.background)[1])[1].depth
+
+    before_there_was_a_choice = depth()
+    for mode in ("center", "plane"):
+        runs.write_json(run / "config.json", {"background": "white", "depth_mode": mode})
+        expected = list(gallery.pictures(open_result(run).gaussians, [CAMERAS[2]], np.ones(3), mode))[0].depth
+        np.testing.assert_array_equal(depth(), expected)
+        assert np.array_equal(expected, before_there_was_a_choice) == (mode == "center")
 
 
 def test_a_run_without_masks_or_from_before_there_were_any_is_valid_everywhere(run):

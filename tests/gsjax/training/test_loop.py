@@ -197,15 +197,15 @@ def test_a_run_continued_from_a_copy_in_a_starved_buffer_ends_with_the_same_bits
 def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkeypatch):
     trained_with = []
 
-    def make_train_step(optimizer, weights, **_):
-        trained_with.append(weights)
+    def make_train_step(optimizer, weights, *, depth_mode, **_):
+        trained_with.append((weights, depth_mode))
         return lambda state, target, key: (state, SimpleNamespace(overflowed=False))
 
     monkeypatch.setattr(loop, "make_train_step", make_train_step)
-    settings = replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),))
+    settings = replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),), depth_mode="center")
     for photos in (frames, tuple(with_pixels(f, f.pixels()._replace(matte=None)) for f in frames)):
         fitted(photos, settings, capacity=64)
-    assert trained_with == [PLAIN, replace(PLAIN, alpha=0.0)] and PLAIN.alpha > 0
+    assert trained_with == [(PLAIN, "center"), (replace(PLAIN, alpha=0.0), "center")] and PLAIN.alpha > 0
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,182 @@
+"""Depth that knows a splat's slope: conditional means written out in float64, tilted planes, and its bound."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import cloud, intrinsics, make, render
+from scipy.spatial.transform import Rotation
+from tolerances import assert_close
+
+from rasterizer import Projection, blended_depth, depth_channels, project, quat_scale_to_covar_preci
+
+SIGMAS = 3.33
+
+
+@pytest.fixture(scope="module")
+def splats():
+    def run(scene, covars=None, **options):
+        s = scene
+        shape = (s.quats, s.scales) if covars is None else (None, None)
+        arrays = s.means, *shape, s.opacities, s.viewmats, s.Ks, s.width, s.height
+        return project(*arrays, covars=covars, depth_mode="plane", **options)
+
+    return jax.jit(run, static_argnames=("eps2d", "near_plane", "rasterize_mode"))
+
+
+def joint_covariances(scene):
+    """`[N, 3, 3]` of (u, v, z) under the camera linearised at each mean, from the textbook's matrices, and `[N]` z."""
+    viewmat, K = np.asarray(scene.viewmats[0], np.float64), np.asarray(scene.Ks[0], np.float64)
+    size = np.array([scene.width, scene.height])
+    focal, middle = np.diag(K)[:2], K[:2, 2]
+    rotations = Rotation.from_quat(np.asarray(scene.quats, np.float64)[:, [1, 2, 3, 0]]).as_matrix()
+    found, depths = [], []
+    for mean, axes, scales in zip(scene.means, rotations, scene.scales, strict=True):
+        point = viewmat[:3, :3] @ np.asarray(mean, np.float64) + viewmat[:3, 3]
+        margin = 0.15 * size / focal
+        slope = np.clip(point[:2] / point[2], -middle / focal - margin, (size - middle) / focal + margin)
+        J = np.zeros((3, 3))
+        J[[0, 1], [0, 1]], J[:2, 2], J[2, 2] = focal / point[2], -focal * slope / point[2], 1
+        M = J @ viewmat[:3, :3] @ axes @ np.diag(np.asarray(scales, np.float64))
+        found.append(M @ M.T)
+        depths.append(point[2])
+    return np.array(found), np.array(depths)
+
+
+def conditional_slopes(scene, eps2d=0.3, near_plane=0.01):
+    """`[N, 2]` of E[z | u, v], made flatter where 3.33 standard deviations reach the near plane."""
+    joint, depths = joint_covariances(scene)
+    slopes = np.array([np.linalg.solve(S[:2, :2] + eps2d * np.eye(2), S[:2, 2]) for S in joint])
+    reach = SIGMAS * np.sqrt(np.sum(slopes * joint[:, :2, 2], -1))
+    return slopes * np.minimum(1, (depths - near_plane) / np.maximum(reach, 1e-300))[:, None]
+
+
+@pytest.mark.parametrize("options", [{}, {"eps2d": 0.1, "rasterize_mode": "antialiased"}])
+@pytest.mark.parametrize("of_covariances", [False, True])
+def test_slopes_are_those_of_the_conditional_mean(splats, options, of_covariances):
+    scene = cloud(seed=1)
+    covars = quat_scale_to_covar_preci(scene.quats, scene.scales)[0] if of_covariances else None
+    found = splats(scene, covars, **options)
+    expected = conditional_slopes(scene, options.get("eps2d", 0.3))
+    error = np.linalg.norm(found.slopes[0] - expected, axis=-1)
+    assert found.visible.sum() > 20
+    # A covariance has lost the digits that thin axes need.
+    assert np.max(error) < (1e-4 if of_covariances else 3e-6) * np.abs(expected).max()
+
+
+def test_a_needle_of_aspect_a_million_keeps_its_slope(splats):
+    rng = np.random.default_rng(0)
+    scene = cloud(seed=3)
+    needles = replace(scene, scales=jnp.asarray(10.0 ** rng.choice([-6, 0], (40, 3)), jnp.float32))
+    found, expected = splats(needles), conditional_slopes(needles)
+    error = np.linalg.norm(found.slopes[0] - expected, axis=-1) / np.linalg.norm(expected, axis=-1)
+    assert np.max(error[np.asarray(found.visible[0])]) < 1e-4
+
+
+def test_no_splat_shows_a_depth_behind_the_near_plane_nor_far_from_its_centres(splats):
+    # Large ones, close to the camera and beside the image.
+    scene = cloud(seed=2)
+    scene = replace(scene, scales=4 * scene.scales, means=scene.means * jnp.array([1.5, 1.5, 0.4]))
+    near = 0.2
+    p = splats(scene, near_plane=near)
+    joint, _ = joint_covariances(scene)
+    y, x = np.mgrid[: scene.height, : scene.width] + 0.5
+    flattened = 0
+    for n in np.flatnonzero(p.visible[0]):
+        xx, xy, yy = np.asarray(p.conics[0, n], np.float64)
+        mean2d, slope = (np.asarray(part[0, n], np.float64) for part in (p.means2d, p.slopes))
+        dx, dy = x - mean2d[0], y - mean2d[1]
+        sigmas = np.sqrt(xx * dx * dx + 2 * xy * dx * dy + yy * dy * dy)
+        shown = np.asarray(scene.opacities, np.float64)[n] * np.exp(-0.5 * sigmas**2) >= 1 / 255
+        offset = slope[0] * dx + slope[1] * dy
+        z = float(p.depths[0, n])
+        assert np.all(np.abs(offset) <= np.sqrt(joint[n, 2, 2]) * sigmas * (1 + 1e-5) + 1e-6)
+        assert np.all(z + offset[shown] >= near - 1e-5 * z)
+        flattened += np.linalg.norm(slope) < 0.99 * np.linalg.norm(
+            np.linalg.solve(joint[n, :2, :2] + 0.3 * np.eye(2), joint[n, :2, 2])
+        )
+    assert 0 < flattened < p.visible.sum()
+
+
+def wall(normal, *, focal=60.0, distance=4.0, spacing=0.25, per_side=21):
+    """Discs on the plane through (0, 0, `distance`), four pixels apart, before a camera in the origin; D over black."""
+    normal = np.asarray(normal) / np.linalg.norm(normal)
+    x = np.cross([0.0, 1.0, 0.0], normal)
+    x /= np.linalg.norm(x)
+    steps = (np.arange(per_side) - per_side // 2) * spacing
+    u, v = (part.reshape(-1, 1) for part in np.meshgrid(steps, steps))
+    points = u * x + v * np.cross(normal, x) + [0, 0, distance]
+    turn = Rotation.from_matrix(np.stack([x, np.cross(normal, x), normal], -1)).as_quat()[[3, 0, 1, 2]]
+    count, (width, height) = len(points), (37, 29)
+    return make(
+        width,
+        height,
+        means=points,
+        quats=np.tile(turn, (count, 1)),
+        scales=np.tile([0.8 * spacing, 0.8 * spacing, 1e-4], (count, 1)),
+        opacities=np.full(count, 0.9),
+        colors=np.zeros((count, 1)),
+        viewmats=[np.eye(4)],
+        Ks=[intrinsics(width, height, fx=focal)],
+        backgrounds=np.zeros((1, 1)),
+    )
+
+
+@partial(jax.jit, static_argnames="depth_mode")
+def drawn(scene, depth_mode):
+    return render(scene, render_mode="ED", depth_mode=depth_mode, capacity=4096, backend="xla")
+
+
+def true_depth(scene, normal, distance=4.0):
+    """Camera z of the wall at every pixel's centre."""
+    K = np.asarray(scene.Ks[0], np.float64)
+    y, x = np.mgrid[: scene.height, : scene.width] + 0.5
+    rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1)
+    normal = np.asarray(normal) / np.linalg.norm(normal)
+    return distance * normal[2] / (rays @ normal)
+
+
+@pytest.mark.parametrize("normal", [(0.5, 0.0, -1.0), (0.4, -0.6, -1.0), (1.0, 0.3, -1.0)])
+def test_a_tilted_wall_of_discs_has_the_depth_of_its_plane(normal):
+    scene = wall(normal)
+    (plane, alphas, info), (center, _, of_centers) = (drawn(scene, mode) for mode in ("plane", "center"))
+    assert info["slopes"] is not None and of_centers["slopes"] is None
+    expected = true_depth(scene, normal)
+    inside = np.asarray(alphas[0, ..., 0]) > 0.99
+    assert inside.mean() > 0.9
+    of_plane, of_center = (np.abs(d[0, ..., 0] - expected)[inside] for d in (plane, center))
+    assert of_plane.mean() < 0.15 * of_center.mean()
+    # What is left: the blur makes the slope flatter, and what is linear in the image is not in space.
+    assert of_plane.max() < 0.05
+
+
+def test_the_slope_of_a_flat_disc_is_its_planes_without_blur(splats):
+    # At its centre, dz/du = -z n_x / (f n . ray): the linearised camera is exact to first order.
+    normal = np.array([0.4, -0.6, -1.0])
+    scene = wall(normal)
+    p = splats(scene, eps2d=0.0)
+    inside = np.asarray(p.visible[0]) & np.all(np.abs(p.means2d[0] - np.array([18.0, 14.0])) < 14, -1)
+    K, means = np.asarray(scene.Ks[0], np.float64), np.asarray(scene.means, np.float64)
+    expected = -(means[:, 2:] ** 2) * normal[:2] / np.diag(K)[:2] / (means @ normal)[:, None]
+    assert inside.sum() > 30
+    assert_close(p.slopes[0][inside], expected[inside], rtol=1e-4, atol=1e-6, why="thickness 1e-4, 4 px wide")
+
+
+def test_a_steep_plane_at_the_rim_of_a_wide_image_loses_a_rounding_of_half_its_width():
+    width, slope, mean2d, depth = 4096, 0.7, 4090.3, 3.0
+    scene = Projection(
+        means2d=jnp.array([[[mean2d, 1.2]]], jnp.float32),
+        depths=jnp.array([[depth]], jnp.float32),
+        conics=jnp.ones((1, 1, 3)),
+        extents=jnp.ones((1, 1, 2)),
+        visible=jnp.ones((1, 1), bool),
+        slopes=jnp.array([[[slope, -0.1]]], jnp.float32),
+    )
+    everywhere = jnp.broadcast_to(depth_channels(scene, width, 2)[:, :, None], (1, 2, width, 3))
+    y, x = np.mgrid[:2, :width] + 0.5
+    expected = depth + slope * (x - mean2d) - 0.1 * (y - 1.2)
+    error = np.abs(blended_depth(everywhere)[0, ..., 0] - expected)
+    assert error.max() < 2e-7 * slope * width / 2
