@@ -71,4 +71,5 @@ def _shown(
     view = render.view(
         gaussians, camera, capacity=capacity, background=background, with_depth=True, depth_mode=depth_mode
     )
+    assert view.depth is not None  # as asked for
     return jnp.clip(view.colors, 0, 1), view.depth, view.alphas, render.owners(view.splats)

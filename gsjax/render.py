@@ -152,10 +152,10 @@ def owners(splats: Splats) -> Array:
     -1 where none does. Not differentiable.
     """
     nothing = jnp.zeros((1, len(splats.opacities), 1), splats.opacities.dtype)
-    blended = rasterizer.blend(
-        splats.projection, splats.opacities, nothing, splats.pairs, splats.grid, with_median=True
-    )
-    return blended[2][0]
+    to_blend = splats.projection, splats.opacities, nothing, splats.pairs, splats.grid
+    _, _, median = rasterizer.blend(*to_blend, with_median=True)
+    assert median is not None  # as asked for
+    return median[0]
 
 
 def colors(scene: Drawable, camera: Camera, active_degree: Array | int | None = None) -> Array:
