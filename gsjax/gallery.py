@@ -54,11 +54,9 @@ def masked(pictures: Iterable[Picture], valid: Iterable[np.ndarray | None]) -> I
         if usable is None:
             yield picture
         else:
-            colors, depth, alphas, owners = picture
-            shown = [
-                np.where(usable.reshape(*usable.shape, *[1] * (x.ndim - 2)), x, 0) for x in (colors, depth, alphas)
-            ]
-            yield Picture(*shown, np.where(usable, owners, -1))
+            colors = np.where(usable[..., None], picture.colors, 0)
+            depth, alphas = np.where(usable, picture.depth, 0), np.where(usable, picture.alphas, 0)
+            yield Picture(colors, depth, alphas, np.where(usable, picture.owners, -1))
 
 
 _needed = jax.jit(render.needed_capacity)
