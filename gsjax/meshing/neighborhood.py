@@ -8,11 +8,11 @@ from gsjax.gaussians import Gaussians
 from gsjax.meshing import density_field
 
 TREE_CHUNK = 262_144  # Queries of the nearest neighbours at once.
-REACH = 3.0  # Standard deviations beyond which a Gaussian makes no density to speak of.
-ROWS_CHUNK = 32_768  # Rows of the table at once.
-SMALLEST = 1e-8  # Standard deviations under this are of one size, scene units.
-CANDIDATES = 2  # Of each size, for each of those places.
 LARGE_SHARE = 0.25  # Of the places for neighbours: those kept for what is large.
+CANDIDATES = 2  # Of each size, for each of those places.
+REACH = 3.0  # Standard deviations beyond which a Gaussian makes no density to speak of.
+SMALLEST = 1e-8  # Standard deviations under this are of one size, scene units.
+ROWS_CHUNK = 32_768  # Rows of the table at once.
 
 
 class Neighborhood:
