@@ -123,6 +123,7 @@ class Settings:
     background: Literal["white", "black", "random"] = "black"
     masks: Literal["valid", "matte"] = "valid"
     depth_mode: Literal["plane", "center"] = "plane"  # a splat's depth, see `gsjax.render.view`
+    pixel_filter: Literal["classic", "mip"] = "classic"  # see `gsjax.render.PIXEL_FILTERS`; files of Gaussians tell it
     vanilla: bool = False  # plain 3DGS for the same number of steps: no entropy, no cull, no normals
     phases: tuple[Phase, ...] = (VANILLA, ENTROPY, SURFACE)
     max_gaussians: int = 1_000_000

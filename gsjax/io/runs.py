@@ -27,7 +27,7 @@ from gsjax.io import checkpoints
 from gsjax.io.files import atomic_path, make_folder, sweep, unwritable
 from gsjax.io.machine import machine, versions
 
-EARLIER: dict[str, Any] = {"depth_mode": "center"}  # What runs did before they could choose.
+EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic"}  # What runs did before they could choose.
 KEPT_CHECKPOINTS = 2  # The newest and, should it turn out damaged, the one before.
 
 

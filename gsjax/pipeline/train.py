@@ -88,6 +88,7 @@ def _initial(scene: Scene, settings: Settings, optimizer: optax.GradientTransfor
         scene.point_colors,
         capacity=rows or bucket(len(scene.points), settings.max_gaussians),
         sh_degree=settings.sh_degree,
+        pixel_filter=settings.pixel_filter,
     )
     return initial_state(first, optimizer)
 

@@ -4,14 +4,20 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import KDTree
 
-from gsjax.gaussians import Gaussians, rgb_to_sh
+from gsjax.gaussians import Gaussians, PixelFilter, rgb_to_sh
 
 DEAD_LOGIT = -30.0
 """Log-odds of a free row of the buffer: under every alpha cut, so never drawn and without gradient."""
 
 
 def from_points(
-    points: np.ndarray, colors: np.ndarray, *, capacity: int, sh_degree: int, opacity: float = 0.1
+    points: np.ndarray,
+    colors: np.ndarray,
+    *,
+    capacity: int,
+    sh_degree: int,
+    opacity: float = 0.1,
+    pixel_filter: PixelFilter = "classic",
 ) -> Gaussians:
     """Isotropic Gaussians at the points, as 3DGS starts (its create_from_pcd), in a buffer of fixed capacity.
 
@@ -21,6 +27,7 @@ def from_points(
         capacity: Rows of the buffer. Those beyond the points are dead.
         sh_degree: Degree of the harmonics, zero above the constant band.
         opacity: Of every Gaussian.
+        pixel_filter: How they are to be drawn.
 
     Returns:
         Float32 Gaussians; a scale is the root mean square distance to the 3 nearest other points, at least 3e-4.
@@ -47,4 +54,5 @@ def from_points(
         logit_opacities=buffer(np.full(count, np.log(opacity / (1 - opacity))), DEAD_LOGIT),
         sh_dc=buffer(rgb_to_sh(colors)[:, None, :]),
         sh_rest=jnp.zeros((capacity, (sh_degree + 1) ** 2 - 1, 3), jnp.float32),
+        pixel_filter=pixel_filter,
     )

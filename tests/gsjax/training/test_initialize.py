@@ -1,3 +1,6 @@
+import importlib
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -5,7 +8,13 @@ import pytest
 from tolerances import assert_close
 
 from gsjax.gaussians import SH_C0, opacities, scales
+from gsjax.scene import Scene
+from gsjax.settings import Settings
 from gsjax.training.initialize import DEAD_LOGIT, from_points
+from gsjax.training.optimizers import make_optimizer
+from gsjax.training.rows import with_room_to_densify
+
+training = importlib.import_module("gsjax.pipeline.train")  # The package's attribute of that name is the function.
 
 RNG = np.random.default_rng(0)
 POINTS, COLORS = RNG.normal(size=(20, 3)), RNG.integers(0, 256, (20, 3), dtype=np.uint8)
@@ -55,3 +64,13 @@ def test_too_many_points_are_thinned_over_their_whole_length():
 def test_few_or_coincident_points_get_a_usable_scale(points, expected):
     made = from_points(np.array(points), np.zeros((len(points), 3)), capacity=len(points), sh_degree=0)
     assert_close(scales(made), np.full((len(points), 3), expected))
+
+
+@pytest.mark.parametrize("pixel_filter", ["classic", "mip"])
+def test_a_run_starts_with_the_pixel_filter_of_its_settings_and_growing_keeps_it(pixel_filter):
+    scene = Scene(Path("scene"), "colmap", (), POINTS.astype(np.float32), COLORS)
+    settings = Settings(pixel_filter=pixel_filter, max_gaussians=40, sh_degree=0)
+    optimizer = make_optimizer(settings.rates, 1.0, 10)
+    state = training._initial(scene, settings, optimizer, None)
+    assert state.gaussians.pixel_filter == pixel_filter
+    assert with_room_to_densify(state, optimizer, settings.density, 40).gaussians.pixel_filter == pixel_filter
