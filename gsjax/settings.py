@@ -26,6 +26,7 @@ class Weights:
     sdf_normal: float = 0.0  # lambda_r: composited SDF gradient against the normals (the paper's R)
     pixel_normal: float = 0.0  # the SDF gradient at every pixel's surface point against the normals
     axis_normal: float = 0.0  # composited smallest axes against the normals (DN-Splatter's reading)
+    thickness: float = 0.0  # mean smallest standard deviation of the visible Gaussians, pixels at their depth
     alpha: float = 0.1  # mean |alpha - matte|; only where the photos have an alpha channel
 
 

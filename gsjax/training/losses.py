@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from gsjax.gaussians import Gaussians
+from gsjax.gaussians import Gaussians, scales
 from gsjax.measures.images import ssim
 from gsjax.normals import sdf
 from gsjax.numerics import masked_mean
@@ -41,6 +41,18 @@ def alpha(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     return masked_mean(jnp.abs(view.alphas - batch.matte), batch.valid)  # pyright: ignore[reportOperatorIssue]
 
 
+def thickness(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+    """Mean smallest standard deviation of the visible Gaussians, in pixels at their depth (PGSR's, without a unit).
+
+    Differentiable to the scales alone: a Gaussian is to become a disc, not to move away.
+    """
+    projection = view.splats.projection
+    focal = jnp.sqrt(batch.camera.K[0, 0] * batch.camera.K[1, 1])
+    visible = projection.visible[0]
+    per_unit = jax.lax.stop_gradient(focal / jnp.where(visible, projection.depths[0], 1))
+    return masked_mean(scales(gaussians).min(-1) * per_unit, visible)
+
+
 def _normal(estimator: sdf.Estimator):
     def term(gaussians: Gaussians, view: View, batch: Batch) -> Array:
         covered = batch.valid & (jax.lax.stop_gradient(view.alphas) > MIN_COVERAGE)
@@ -58,6 +70,7 @@ TERMS = {
     "dssim": dssim,
     "entropy": entropy,
     "alpha": alpha,
+    "thickness": thickness,
     "sdf_normal": sdf_normal,
     "pixel_normal": pixel_normal,
     "axis_normal": axis_normal,

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from types import SimpleNamespace
 
 import jax
@@ -52,6 +53,30 @@ def test_dssim_is_one_minus_ssim_and_differentiable(x64):
     expected = 1 - ssim(jnp.asarray(IMAGE), jnp.asarray(TARGET), jnp.asarray(VALID))
     assert_close(losses.dssim(None, view_of(IMAGE), batch_of()), expected)
     check_grads(lambda c: losses.dssim(None, view_of(c), batch_of()), (jnp.asarray(IMAGE),), order=1, modes=["rev"])
+
+
+def test_thickness_is_the_smallest_deviation_in_pixels_and_moves_nothing(x64):
+    rng = np.random.default_rng(1)
+    log_scales, depths, visible = rng.normal(-2, 1, (9, 3)), rng.uniform(1, 5, 9), np.arange(9) % 4 != 0
+    depths[0] = 0.0  # Not visible: its row may hold anything harmless.
+    camera = camera_at((0.0, 0, 0), (0.0, 0, 4), size=(24, 20))
+    camera = replace(camera, K=jnp.asarray(camera.K, jnp.float64))
+    batch = replace(batch_of(), camera=camera)
+    focal = np.sqrt(float(camera.K[0, 0]) * float(camera.K[1, 1]))
+
+    def term(log_scales, depths):
+        projection = SimpleNamespace(visible=jnp.asarray(visible)[None], depths=depths[None])
+        view = View(jnp.asarray(IMAGE), jnp.asarray(ALPHAS), None, SimpleNamespace(projection=projection))
+        return losses.thickness(Gaussians(**{**cloud(9).__dict__, "log_scales": log_scales}), view, batch)
+
+    smallest = np.exp(log_scales.min(1))
+    value, (to_scales, to_depths) = jax.value_and_grad(term, (0, 1))(jnp.asarray(log_scales), jnp.asarray(depths))
+    pixels = np.where(visible, smallest * focal / np.where(visible, depths, 1), 0)
+    assert_close(value, pixels.sum() / visible.sum())
+    is_smallest = log_scales == log_scales.min(1, keepdims=True)
+    expected = np.where(is_smallest, pixels[:, None], 0) / visible.sum()
+    assert_close(to_scales, expected)
+    assert_close(to_depths, np.zeros(9))
 
 
 def test_alpha_is_the_mean_distance_to_the_matte(x64):
