@@ -73,6 +73,7 @@ class View(NamedTuple):
     alphas: Array  # [H, W] coverage
     depth: Array | None  # [H, W] expected camera z: composited depth / alpha, 0 where alpha is under `MIN_COVERAGE`
     splats: Splats
+    extra: Array | None = None  # [H, W, D] what `extra` composites to, on zero
 
 
 MIN_COVERAGE = 0.5  # A pixel covered less has no surface whose depth would mean anything (method: A10, A11).
@@ -183,6 +184,7 @@ def view(
     with_depth: bool = False,
     depth_mode: DepthMode = "plane",
     means2d_probe: Array | None = None,
+    extra: Array | None = None,
 ) -> View:
     """Render one view. Differentiable to the Gaussians, the camera matrices and the background.
 
@@ -196,6 +198,7 @@ def view(
         depth_mode: What a splat's depth is: "plane" where the Gaussian is densest along each pixel's ray, "center" that
             of its mean. Static.
         means2d_probe: See `splat`.
+        extra: `[N, D]` further channels.
 
     Returns:
         `View`.
@@ -203,12 +206,15 @@ def view(
     scene = drawable(gaussians)
     splats = _splat(scene, camera, capacity, means2d_probe, depth_mode if with_depth else "center")
     channels, depth = colors(scene, camera, active_degree), None
+    if extra is not None:
+        channels = jnp.concatenate([channels, extra], -1)
+    before_depth = channels.shape[1]
     if with_depth:
         depths = rasterizer.depth_channels(splats.projection, camera.width, camera.height)
         channels = jnp.concatenate([channels, depths[0]], -1)
     image, alphas = features(splats, channels)
     if with_depth:
-        composited = rasterizer.blended_depth(image[None, ..., 3:])[0, ..., 0]
+        composited = rasterizer.blended_depth(image[None, ..., before_depth:])[0, ..., 0]
         depth = safe_divide(composited, alphas, alphas > MIN_COVERAGE)
     shown = image[..., :3] + (1 - alphas)[..., None] * background[None, None]
-    return View(shown, alphas, depth, splats)
+    return View(shown, alphas, depth, splats, None if extra is None else image[..., 3:before_depth])

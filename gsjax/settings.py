@@ -71,13 +71,16 @@ class Rates:
 
 @dataclass(frozen=True)
 class Density:
-    """Clone, split, prune and reset (3DGS section 5), at a fixed budget of Gaussians."""
+    """Clone, split, prune and reset, at a fixed budget of Gaussians."""
 
+    rule: Literal["adc", "error"] = "adc"  # who grows, see `gsjax.training.rules`
     start: int = 500
     stop: int = 15000
     every: int = 100
-    gradient: float = 2e-4  # mean norm of the loss' gradient to the 2D mean, in NDC units
-    dense_share: float = 0.01  # of the extent: larger Gaussians split, smaller ones are cloned
+    gradient: float = 2e-4  # adc: mean norm of the loss' gradient to the 2D mean, in NDC units
+    dense_share: float = 0.01  # adc, of the extent: larger Gaussians split, smaller ones are cloned
+    growth: float = 0.7  # error: how many more there are after each densification, until the budget is full
+    replace: float = 0.05  # error: share of a full budget that moves in each densification
     min_opacity: float = 0.005
     max_share: float = 0.1  # of the extent: larger Gaussians are pruned, after `prune_large_after` steps
     prune_large_after: int | None = None  # None: after the first reset; a fifth of `stop` where there is none
@@ -86,7 +89,9 @@ class Density:
 
     def __post_init__(self):
         """Check ranges."""
-        _check_lowest(self, every=1, reset_every=0)
+        _check_lowest(self, every=1, reset_every=0, growth=0)
+        if not 0 <= self.replace < 1:
+            raise ValueError(f"replace={self.replace} is not at least 0 and under 1")
         if self.prune_large_after is not None:
             _check_lowest(self, prune_large_after=0)
         if not 0 < self.reset_opacity < 1:

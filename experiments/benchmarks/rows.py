@@ -62,6 +62,7 @@ def _stepper(alive: int, rows: int):
     from gsjax.training.capacity import chosen_capacity
     from gsjax.training.initialize import from_points
     from gsjax.training.optimizers import make_optimizer
+    from gsjax.training.rules import RULES
     from gsjax.training.state import initial_state
     from gsjax.training.step import BACKGROUNDS, make_train_step
 
@@ -79,7 +80,7 @@ def _stepper(alive: int, rows: int):
         capacity=chosen_capacity(gaussians, data),
         background=BACKGROUNDS["black"],
         sh_every=1,
-        with_statistics=True,
+        rule=RULES["adc"],
     )
     key, target = jax.random.key(0), jax.device_put(data.targets[0])
     state, _ = step(initial_state(gaussians, optimizer), target, key)

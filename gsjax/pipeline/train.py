@@ -90,7 +90,7 @@ def _initial(scene: Scene, settings: Settings, optimizer: optax.GradientTransfor
         sh_degree=settings.sh_degree,
         pixel_filter=settings.pixel_filter,
     )
-    return initial_state(first, optimizer)
+    return initial_state(first, optimizer, settings.density)
 
 
 def living(gaussians: Gaussians) -> Gaussians:

@@ -79,6 +79,13 @@ def accumulate(statistics: GrowthStatistics, means2d_gradient: Array, visible: A
     )
 
 
+def wanted_rows(gaussians: Gaussians, statistics: GrowthStatistics, density: Density) -> Array:
+    """`[]` int32 Gaussians that there would be after the next densification if the budget allowed."""
+    alive = is_alive(gaussians)
+    mean = statistics.gradient / jnp.maximum(statistics.views, 1)
+    return jnp.sum(alive, dtype=jnp.int32) + jnp.sum(alive & (mean >= density.gradient), dtype=jnp.int32)
+
+
 def densify(
     gaussians: Gaussians,
     statistics: GrowthStatistics,

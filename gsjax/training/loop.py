@@ -18,6 +18,7 @@ from gsjax.settings import Phase, Settings, Weights
 from gsjax.training import density_control, rows
 from gsjax.training.capacity import chosen_capacity, rounded_capacity
 from gsjax.training.losses import NEEDS_NORMALS
+from gsjax.training.rules import RULES
 from gsjax.training.state import TrainState, cull, densify, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, active_terms, make_train_step
 from gsjax.views import Target, Views
@@ -189,7 +190,7 @@ def _run_phase(
             capacity=capacity,
             background=BACKGROUNDS[settings.background],
             sh_every=settings.sh_every,
-            with_statistics=phase.density_control,
+            rule=RULES[settings.density.rule] if phase.density_control else None,
             depth_mode=settings.depth_mode,
         )
 

@@ -4,6 +4,8 @@ Every per-Gaussian array has rows for the Gaussians of today and some to come, a
 would run out of them. A buffer of the whole budget would give the same numbers, bit for bit, and be slower.
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import optax
@@ -11,8 +13,9 @@ from jax import Array
 
 from gsjax.gaussians import Gaussians
 from gsjax.settings import Density
-from gsjax.training import density_control, optimizers
+from gsjax.training import optimizers
 from gsjax.training.initialize import DEAD_LOGIT
+from gsjax.training.rules import RULES
 from gsjax.training.state import TrainState
 
 FEWEST_ROWS = 1 << 15  # Below, another compilation costs more than it saves.
@@ -50,19 +53,17 @@ def lengthened(state: TrainState, optimizer: optax.GradientTransformation, rows:
     )
 
 
-@jax.jit
-def _wanted(state: TrainState, gradient: Array) -> Array:
-    alive = density_control.is_alive(state.gaussians)
-    mean = state.statistics.gradient / jnp.maximum(state.statistics.views, 1)
-    return jnp.sum(alive, dtype=jnp.int32) + jnp.sum(alive & (mean >= gradient), dtype=jnp.int32)
+@partial(jax.jit, static_argnames="density")
+def _wanted(state: TrainState, density: Density) -> Array:
+    return RULES[density.rule].wanted_rows(state.gaussians, state.statistics, density)
 
 
 def with_room_to_densify(
     state: TrainState, optimizer: optax.GradientTransformation, density: Density, most: int
 ) -> TrainState:
-    """The state in buffers that hold every Gaussian and a child of each that grows now, as far as `most` allows."""
+    """The state in buffers that hold what the next densification makes of it, as far as `most` allows."""
     rows = state.gaussians.num_gaussians
     if rows >= most:
         return state
-    wanted = int(_wanted(state, jnp.float32(density.gradient)))
+    wanted = int(_wanted(state, density))
     return state if wanted <= rows else lengthened(state, optimizer, bucket(wanted, most))

@@ -12,7 +12,7 @@ from jax import Array
 from gsjax.gaussians import Gaussians
 from gsjax.settings import Density
 from gsjax.training import density_control, optimizers
-from gsjax.training.density_control import GrowthStatistics
+from gsjax.training.rules import RULES
 
 
 @jax.tree_util.register_dataclass
@@ -22,16 +22,18 @@ class TrainState:
 
     gaussians: Gaussians
     opt_state: Any
-    statistics: GrowthStatistics
+    statistics: Any  # [N] sums of the rule of density control, see `gsjax.training.rules`
     step: Array  # [] int32 steps done
 
 
-def initial_state(gaussians: Gaussians, optimizer: optax.GradientTransformation) -> TrainState:
+def initial_state(
+    gaussians: Gaussians, optimizer: optax.GradientTransformation, density: Density = Density()
+) -> TrainState:
     """Step 0."""
     return TrainState(
         gaussians,
         optimizer.init(gaussians),  # pyright: ignore[reportArgumentType]
-        density_control.empty_statistics(gaussians.num_gaussians),
+        RULES[density.rule].empty_statistics(gaussians.num_gaussians),
         jnp.zeros((), jnp.int32),
     )
 
@@ -46,8 +48,9 @@ def densify(
     optimizer: optax.GradientTransformation,
     density: Density,
 ) -> TrainState:
-    """Clone, split and prune; moments follow their Gaussian, statistics start anew."""
-    gaussians, moved = density_control.densify(
+    """Densify by the rule; moments follow their Gaussian, statistics start anew."""
+    rule = RULES[density.rule]
+    gaussians, moved = rule.densify(
         state.gaussians,
         state.statistics,
         jax.random.fold_in(key, state.step),
@@ -56,7 +59,7 @@ def densify(
         prune_large=prune_large,
     )
     opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, moved.source, moved.fresh)
-    return TrainState(gaussians, opt_state, density_control.empty_statistics(gaussians.num_gaussians), state.step)
+    return TrainState(gaussians, opt_state, rule.empty_statistics(gaussians.num_gaussians), state.step)
 
 
 @partial(jax.jit, static_argnames=("optimizer", "limit"), donate_argnums=0)

@@ -14,8 +14,9 @@ from gsjax import render, views
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import masked_mean
 from gsjax.settings import Weights
-from gsjax.training import density_control, optimizers
+from gsjax.training import optimizers
 from gsjax.training.losses import NEEDS_DEPTH, TERMS
+from gsjax.training.rules import Rule
 from gsjax.training.state import TrainState
 from gsjax.views import Target
 
@@ -55,7 +56,7 @@ def make_train_step(
     capacity: int,
     background: Background,
     sh_every: int,
-    with_statistics: bool,
+    rule: Rule | None,
     depth_mode: rasterizer.DepthMode = "plane",
 ) -> TrainStep:
     """The compiled step of one phase.
@@ -66,7 +67,7 @@ def make_train_step(
         capacity: Of the pair buffer. A view that needs more leaves the state untouched and says so.
         background: Colour under the images.
         sh_every: Steps between the bands of the SH ramp.
-        with_statistics: Whether growth statistics are gathered.
+        rule: Of density control, whose statistics are gathered; None: none are.
         depth_mode: What a splat's depth is, see `gsjax.render.view`.
 
     Returns:
@@ -84,10 +85,12 @@ def make_train_step(
             active_degree=active_degree,
             with_depth=with_depth,
             depth_mode=depth_mode,
-            means2d_probe=probe,
+            **({rule.probes: probe} if rule else {}),
         )
         losses = {name: TERMS[name](gaussians, view, batch) for name in terms}
         total = sum(weight * losses[name] for name, weight in terms.items())
+        if rule:
+            total += rule.probed(view, batch)
         mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
         return total, (losses, mse, view.splats.projection, view.splats.pairs)
 
@@ -96,16 +99,16 @@ def make_train_step(
         color = background(jax.random.fold_in(key, state.step))
         batch = views.batch(target, color)
         active_degree = state.step // sh_every
-        probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if with_statistics else None
-        gradient = jax.value_and_grad(objective, argnums=(0, 1) if with_statistics else (0,), has_aux=True)
+        probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
+        gradient = jax.value_and_grad(objective, argnums=(0, 1) if rule else (0,), has_aux=True)
         (total, (losses, mse, projection, pairs)), gradients = gradient(
             state.gaussians, probe, batch, color, active_degree
         )
         gaussians, opt_state = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients[0])
         statistics = state.statistics
-        if with_statistics:
+        if rule:
             seen = in_photo(projection, target.size)
-            statistics = density_control.accumulate(statistics, gradients[1], seen, target.size)
+            statistics = rule.accumulate(statistics, gradients[1], seen, target.size)
         proposed = TrainState(gaussians, opt_state, statistics, state.step + 1)
         # A full buffer means a wrong image: the state stays, the host makes room and repeats the step.
         state = jax.tree.map(lambda old, new: jnp.where(pairs.overflowed, old, new), state, proposed)

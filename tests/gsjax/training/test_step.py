@@ -17,6 +17,7 @@ from gsjax.training import density_control
 from gsjax.training.capacity import chosen_capacity, largest_need
 from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.optimizers import make_optimizer
+from gsjax.training.rules import RULES
 from gsjax.training.state import count_alive, cull, densify, initial_state, reset_opacities
 from gsjax.training.step import BACKGROUNDS, active_terms, in_photo, make_train_step
 
@@ -38,7 +39,7 @@ def setup():
         capacity=PAIRS,
         background=BACKGROUNDS["random"],
         sh_every=SH_EVERY,
-        with_statistics=True,
+        rule=RULES["adc"],
     )
     data = views.views_of(photographed(cloud(200, seed=5), CAMERAS, with_mattes=True))
     return SimpleNamespace(optimizer=optimizer, step=step, data=data)
@@ -126,7 +127,7 @@ def test_an_overflowing_step_leaves_every_bit_and_says_what_it_needs(setup):
         capacity=64,
         background=BACKGROUNDS["random"],
         sh_every=SH_EVERY,
-        with_statistics=True,
+        rule=RULES["adc"],
     )
     before = copied(state)
     after, metrics = narrow(state, setup.data.targets[2], KEY)
@@ -273,7 +274,7 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
         capacity=PAIRS,
         background=BACKGROUNDS["white"],
         sh_every=SH_EVERY,
-        with_statistics=False,
+        rule=None,
     )
     state = start(setup)
     for index in range(4):

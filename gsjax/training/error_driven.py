@@ -1,0 +1,162 @@
+"""Error-driven densification: the budget goes where the pictures are wrong, and comes from what they hardly show.
+
+A Gaussian answers for its share of every pixel's error: sum over pixels of blending weight times error (Rota Bulo,
+Porzi, Kontschieder: Revising Densification in Gaussian Splatting). The largest shares split, as many as the count may
+grow; once the budget is full, as many of the least seen make room, so that it goes on moving.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales, take
+from gsjax.render import View
+from gsjax.settings import Density
+from gsjax.training.density_control import Moves, is_alive
+from gsjax.training.initialize import DEAD_LOGIT
+from gsjax.views import Batch
+
+SHORTER = 0.6  # A half's deviation along the axis that splits, in those of the whole; the others stay.
+APART = (1 - SHORTER**2) ** 0.5  # And how far off it sits: both halves together spread as the whole did.
+OVERLAP = np.exp(-((APART / SHORTER) ** 2)) / np.sqrt(2)  # Integral of the halves' product over that of one of them.
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class ErrorStatistics:
+    """What decides who splits and who goes, summed over the views since the last densification."""
+
+    error: Array  # [N] pixels: blending weight times mean absolute difference to the photo
+    weight: Array  # [N] pixels: blending weight
+    views: Array  # [N] times it showed
+
+
+def empty_statistics(capacity: int) -> ErrorStatistics:
+    """Zero sums."""
+    return ErrorStatistics(*(jnp.zeros(capacity, jnp.float32) for _ in range(3)))
+
+
+def probed(view: View, batch: Batch) -> Array:
+    """`[]` zero, whose gradient to two channels of zeros is each Gaussian's `[N, 2]` share of the error and of the photo."""
+    assert view.extra is not None, "the probe is rendered as two more channels"
+    error = jnp.mean(jnp.abs(view.colors - batch.image), -1)
+    seen = jnp.stack([error, jnp.ones_like(error)], -1) * batch.valid[..., None].astype(jnp.float32)
+    return jnp.sum(jax.lax.stop_gradient(seen) * view.extra)
+
+
+def accumulate(statistics: ErrorStatistics, shares: Array, visible: Array, size: Array) -> ErrorStatistics:
+    """Add one view: the `[N, 2]` gradient of `probed`."""
+    del size
+    return ErrorStatistics(
+        statistics.error + shares[:, 0],
+        statistics.weight + shares[:, 1],
+        statistics.views + visible.astype(jnp.float32),
+    )
+
+
+def wanted_rows(gaussians: Gaussians, statistics: ErrorStatistics, density: Density) -> Array:
+    """`[]` int32 Gaussians that there would be after the next densification if the budget allowed."""
+    del statistics
+    alive = jnp.sum(is_alive(gaussians).astype(jnp.float32))
+    return jnp.ceil(alive * (1 + density.growth)).astype(jnp.int32)
+
+
+def densify(
+    gaussians: Gaussians,
+    statistics: ErrorStatistics,
+    key: Array,
+    *,
+    density: Density,
+    extent: float | Array,
+    prune_large: Array | bool,
+) -> tuple[Gaussians, Moves]:
+    """Drop the faint and the oversized, split those that answer for most of the error, the largest shares first.
+
+    The count grows by `density.growth` as far as there are rows. Where they end, the budget is full: then the least
+    seen, `density.replace` of the rows, make room for further splits.
+
+    Args:
+        gaussians: The scene, `[N]` rows, as many as `wanted_rows` or the whole budget.
+        statistics: Sums since the last densification.
+        key: Not used: nothing here is drawn.
+        density: Thresholds.
+        extent: Camera extent, scene units.
+        prune_large: Whether size prunes; may be traced.
+
+    Returns:
+        The Gaussians and how rows moved, for the optimiser's moments: both halves of a split start with none.
+    """
+    del key
+    rows = gaussians.num_gaussians
+    too_large = scales(gaussians).max(-1) > density.max_share * extent
+    stays = is_alive(gaussians) & (opacities(gaussians) >= density.min_opacity)
+    stays &= ~(jnp.asarray(prune_large) & too_large)
+    wanted = wanted_rows(gaussians, statistics, density)
+    moving = jnp.where(wanted > rows, int(density.replace * rows), 0)
+    candidates = stays & (statistics.error > 0)
+    free = rows - jnp.sum(stays, dtype=jnp.int32)
+    births = jnp.minimum(wanted, rows) - (rows - free) + moving
+    births = jnp.clip(births, 0, jnp.sum(candidates, dtype=jnp.int32))
+
+    splitting = _ranked(candidates, -statistics.error)
+    is_parent = _marked(splitting, births)
+    # What was in no view of late may be needed in the next.
+    expendable = stays & ~is_parent & (statistics.views > 0)
+    evicted = jnp.clip(births - free, 0, jnp.sum(expendable, dtype=jnp.int32))
+    stays &= ~_marked(_ranked(expendable, statistics.weight), evicted)
+    births = jnp.minimum(births, free + evicted)
+    turn = jnp.arange(rows, dtype=jnp.int32)
+    # Free rows in order of index: the j-th takes a half of the j-th that splits.
+    target = jnp.where(turn < births, _ranked(~stays, turn), rows)
+    source = turn.at[target].set(splitting, mode="drop")
+    is_child, is_parent = _marked(target, births), _marked(splitting, births)
+
+    logits = jnp.where(stays, gaussians.logit_opacities, DEAD_LOGIT)
+    moved = take(replace(gaussians, logit_opacities=logits), source)
+    is_half = is_child | is_parent
+    halves = split(moved, jnp.where(is_child, 1.0, -1.0))
+    densified = jax.tree.map(
+        lambda half, whole: jnp.where(is_half.reshape(-1, *[1] * (whole.ndim - 1)), half, whole), halves, moved
+    )
+    return densified, Moves(source, is_half | ~is_alive(densified))
+
+
+def split(gaussians: Gaussians, side: Array) -> Gaussians:
+    """The half of each Gaussian on the `side` `[N]` (-1 or 1) of its longest axis.
+
+    Both together have its mean and, without overlap, its covariance; and their opacity is the one with which a view
+    from the side shows the same sum along that axis: the integral of 1 - (1 - a)(1 - b) over two halves is that of the
+    whole.
+
+    Args:
+        gaussians: The wholes, `[N]` rows.
+        side: `[N]` -1 or 1.
+
+    Returns:
+        The halves, `[N]` rows.
+    """
+    along = jax.nn.one_hot(jnp.argmax(gaussians.log_scales, -1), 3, dtype=gaussians.means.dtype)
+    offset = jnp.sum(rotation_matrices(gaussians.quats) * (along * scales(gaussians))[:, None, :], axis=-1)
+    # 2 o' r - OVERLAP r o'^2 = o, where r is `SHORTER`.
+    per_length = opacities(gaussians) / SHORTER
+    opacity = per_length / (1 + jnp.sqrt(1 - float(OVERLAP) * per_length))
+    return replace(
+        gaussians,
+        means=gaussians.means + APART * side[:, None] * offset,
+        log_scales=gaussians.log_scales + float(np.log(SHORTER)) * along,
+        logit_opacities=jnp.log(opacity) - jnp.log1p(-opacity),
+    )
+
+
+def _ranked(eligible: Array, order: Array) -> Array:
+    """`[N]` int32 rows, the eligible ones first, by ascending `order`; the earlier row first among equals."""
+    return jnp.lexsort((order, ~eligible)).astype(jnp.int32)
+
+
+def _marked(rows: Array, count: Array) -> Array:
+    """`[N]` bool: the first `count` of `rows`."""
+    taken = jnp.arange(len(rows), dtype=jnp.int32) < count
+    return jnp.zeros(len(rows), bool).at[jnp.where(taken, rows, len(rows))].set(True, mode="drop")
