@@ -28,6 +28,7 @@ from gsjax.settings import Settings, total_steps
 from gsjax.training import density_control, initialize, optimizers
 from gsjax.training.loop import Progress, fit
 from gsjax.training.rows import bucket
+from gsjax.training.rules import RULES
 from gsjax.training.state import TrainState, count_alive, initial_state
 
 
@@ -90,7 +91,7 @@ def _initial(scene: Scene, settings: Settings, optimizer: optax.GradientTransfor
         sh_degree=settings.sh_degree,
         pixel_filter=settings.pixel_filter,
     )
-    return initial_state(first, optimizer, settings.density)
+    return initial_state(first, optimizer, RULES[settings.density.rule])
 
 
 def living(gaussians: Gaussians) -> Gaussians:

@@ -40,7 +40,7 @@ def empty_statistics(capacity: int) -> ErrorStatistics:
 
 
 def probed(view: View, batch: Batch) -> Array:
-    """`[]` zero, whose gradient to two channels of zeros is each Gaussian's `[N, 2]` share of the error and of the photo."""
+    """`[]` zero, whose gradient to two channels of zeros is what each Gaussian has of the error and of the photo."""
     assert view.extra is not None, "the probe is rendered as two more channels"
     error = jnp.mean(jnp.abs(view.colors - batch.image), -1)
     seen = jnp.stack([error, jnp.ones_like(error)], -1) * batch.valid[..., None].astype(jnp.float32)

@@ -12,7 +12,7 @@ from jax import Array
 from gsjax.gaussians import Gaussians
 from gsjax.settings import Density
 from gsjax.training import density_control, optimizers
-from gsjax.training.rules import RULES
+from gsjax.training.rules import RULES, Rule
 
 
 @jax.tree_util.register_dataclass
@@ -27,13 +27,13 @@ class TrainState:
 
 
 def initial_state(
-    gaussians: Gaussians, optimizer: optax.GradientTransformation, density: Density = Density()
+    gaussians: Gaussians, optimizer: optax.GradientTransformation, rule: Rule = RULES["adc"]
 ) -> TrainState:
     """Step 0."""
     return TrainState(
         gaussians,
         optimizer.init(gaussians),  # pyright: ignore[reportArgumentType]
-        RULES[density.rule].empty_statistics(gaussians.num_gaussians),
+        rule.empty_statistics(gaussians.num_gaussians),
         jnp.zeros((), jnp.int32),
     )
 

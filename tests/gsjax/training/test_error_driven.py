@@ -155,7 +155,7 @@ def test_hard_cases_stay_finite_and_within_the_budget(count, error):
 def test_a_budget_of_one_gaussian_neither_grows_nor_dies():
     one = jax.tree.map(lambda x: x[:1], scene(1))
     sums = jax.tree.map(lambda x: x[:1], statistics(9.0, 1.0))
-    after, moved = error_driven.densify(one, sums, KEY, density=DENSITY, extent=EXTENT, prune_large=False)
+    after, moved = densified(one, sums)
     jax.tree.map(np.testing.assert_array_equal, after, one)
     assert not np.any(moved.fresh)
 
@@ -175,7 +175,7 @@ def setup():
         )
 
     def start():
-        return initial_state(cloud(ALIVE, capacity=ROWS, seed=1), optimizer, DENSITY)
+        return initial_state(cloud(ALIVE, capacity=ROWS, seed=1), optimizer, RULES["error"])
 
     return SimpleNamespace(data=data, step=step, start=start, seeing=step(RULES["error"]))
 

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -8,27 +9,31 @@ import pytest
 from gsjax.settings import Density, Rates
 from gsjax.training import rows
 from gsjax.training.density_control import GrowthStatistics
+from gsjax.training.error_driven import ErrorStatistics
 from gsjax.training.initialize import from_points
 from gsjax.training.optimizers import apply_gradients, make_optimizer
 from gsjax.training.rows import bucket, lengthened, with_room_to_densify
+from gsjax.training.rules import RULES
 from gsjax.training.state import count_alive, densify, initial_state
 
 OPTIMIZER = make_optimizer(Rates(), 1.0, 10)
 ALIVE, SHORT, LONG = 20, 24, 64
-DENSITY = Density(gradient=0.5)
+DENSITY = {"adc": Density(gradient=0.5), "error": Density(rule="error", growth=0.5)}
 
 
-def trained(capacity):
+def trained(capacity, rule="adc"):
     """A state of twenty living rows with moments and statistics, in a buffer of so many rows."""
     points = np.random.default_rng(0).normal(size=(ALIVE, 3))
     gaussians = from_points(points, np.full((ALIVE, 3), 0.4), capacity=capacity, sh_degree=1)
-    state = initial_state(gaussians, OPTIMIZER)
+    state = initial_state(gaussians, OPTIMIZER, RULES[rule])
     alive = (np.arange(capacity) < ALIVE).astype(np.float32)
     gradients = jax.tree.map(
         lambda x: jnp.asarray(alive.reshape(-1, *[1] * (x.ndim - 1)) * np.ones(x.shape, np.float32)), gaussians
     )
     moved, opt_state = apply_gradients(OPTIMIZER, gaussians, state.opt_state, gradients)
-    statistics = GrowthStatistics(jnp.asarray(alive * np.arange(capacity) / ALIVE, jnp.float32), jnp.asarray(alive))
+    rising = jnp.asarray(alive * np.arange(capacity) / ALIVE, jnp.float32)
+    kinds = {"adc": GrowthStatistics, "error": partial(ErrorStatistics, rising)}
+    statistics = kinds[rule](rising, jnp.asarray(alive))
     return replace(state, gaussians=moved, opt_state=opt_state, statistics=statistics)
 
 
@@ -49,12 +54,13 @@ def test_a_lengthened_state_is_the_one_that_was_long_from_the_start():
     assert lengthened(state, OPTIMIZER, SHORT) is state
 
 
-def test_density_control_gives_the_same_bits_in_a_buffer_that_grows_as_in_one_of_the_whole_budget(monkeypatch):
+@pytest.mark.parametrize("rule", RULES)
+def test_density_control_gives_the_same_bits_in_a_buffer_that_grows_as_in_one_of_the_whole_budget(monkeypatch, rule):
     monkeypatch.setattr(rows, "FEWEST_ROWS", 8)
-    key = jax.random.key(1)
+    key, density = jax.random.key(1), DENSITY[rule]
     ended = []
-    for state in (with_room_to_densify(trained(SHORT), OPTIMIZER, DENSITY, LONG), trained(LONG)):
-        ended.append(densify(state, key, jnp.float32(1.0), jnp.asarray(False), optimizer=OPTIMIZER, density=DENSITY))
+    for state in (with_room_to_densify(trained(SHORT, rule), OPTIMIZER, density, LONG), trained(LONG, rule)):
+        ended.append(densify(state, key, jnp.float32(1.0), jnp.asarray(False), optimizer=OPTIMIZER, density=density))
     grown, whole = ended
     assert SHORT < grown.gaussians.num_gaussians == 32 < LONG
     assert int(count_alive(whole.gaussians)) == ALIVE + 10 > SHORT
