@@ -79,8 +79,8 @@ class Density:
     every: int = 100
     gradient: float = 2e-4  # adc: mean norm of the loss' gradient to the 2D mean, in NDC units
     dense_share: float = 0.01  # adc, of the extent: larger Gaussians split, smaller ones are cloned
-    growth: float = 0.7  # error: how many more there are after each densification, until the budget is full
-    replace: float = 0.05  # error: share of a full budget that moves in each densification
+    full_by: float = 0.6  # error: where between `start` and `stop` the budget is full, reached geometrically
+    replace: float = 0.1  # error: share that moves in each densification, from the least seen to the worst
     min_opacity: float = 0.005
     max_share: float = 0.1  # of the extent: larger Gaussians are pruned, after `prune_large_after` steps
     prune_large_after: int | None = None  # None: after the first reset; a fifth of `stop` where there is none
@@ -89,9 +89,10 @@ class Density:
 
     def __post_init__(self):
         """Check ranges."""
-        _check_lowest(self, every=1, reset_every=0, growth=0)
-        if not 0 <= self.replace < 1:
-            raise ValueError(f"replace={self.replace} is not at least 0 and under 1")
+        _check_lowest(self, every=1, reset_every=0)
+        for name in ("full_by", "replace"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name}={getattr(self, name)} is not between 0 and 1")
         if self.prune_large_after is not None:
             _check_lowest(self, prune_large_after=0)
         if not 0 < self.reset_opacity < 1:

@@ -79,8 +79,9 @@ def accumulate(statistics: GrowthStatistics, means2d_gradient: Array, visible: A
     )
 
 
-def wanted_rows(gaussians: Gaussians, statistics: GrowthStatistics, density: Density) -> Array:
-    """`[]` int32 Gaussians that there would be after the next densification if the budget allowed."""
+def wanted(gaussians: Gaussians, statistics: GrowthStatistics, density: Density, *, step: Array, budget: int) -> Array:
+    """`[]` int32 Gaussians that the densification after this step asks for; within the budget it gets them."""
+    del step, budget
     alive = is_alive(gaussians)
     mean = statistics.gradient / jnp.maximum(statistics.views, 1)
     return jnp.sum(alive, dtype=jnp.int32) + jnp.sum(alive & (mean >= density.gradient), dtype=jnp.int32)
@@ -94,6 +95,7 @@ def densify(
     density: Density,
     extent: float | Array,
     prune_large: Array | bool,
+    count: Array | None = None,
 ) -> tuple[Gaussians, Moves]:
     """Clone, split and prune.
 
@@ -109,10 +111,12 @@ def densify(
         density: Thresholds.
         extent: Camera extent, scene units.
         prune_large: Whether size prunes; may be traced.
+        count: Not used: who grows is a matter of gradients, and how many one of rows.
 
     Returns:
         The Gaussians and how rows moved, for the optimiser's moments.
     """
+    del count
     capacity = gaussians.num_gaussians
     largest = scales(gaussians).max(-1)
     gradient = statistics.gradient / jnp.maximum(statistics.views, 1)

@@ -57,11 +57,18 @@ def accumulate(statistics: ErrorStatistics, shares: Array, visible: Array, size:
     )
 
 
-def wanted_rows(gaussians: Gaussians, statistics: ErrorStatistics, density: Density) -> Array:
-    """`[]` int32 Gaussians that there would be after the next densification if the budget allowed."""
+def wanted(gaussians: Gaussians, statistics: ErrorStatistics, density: Density, *, step: Array, budget: int) -> Array:
+    """`[]` int32 Gaussians after the densification of this step, on the way to the whole budget.
+
+    The same factor in every densification fills it at `density.full_by` of the steps from `start` to `stop`. A scene
+    that starts with few points and one that starts with many are both on time, and what dies is made up for.
+    """
     del statistics
+    last = int(density.start + density.full_by * (density.stop - density.start)) // density.every
+    left = jnp.maximum(last - step // density.every + 1, 1)  # densifications until then, this one included
     alive = jnp.sum(is_alive(gaussians).astype(jnp.float32))
-    return jnp.ceil(alive * (1 + density.growth)).astype(jnp.int32)
+    factor = (budget / jnp.maximum(alive, 1)) ** (1 / left.astype(jnp.float32))
+    return jnp.where(left == 1, budget, jnp.minimum(jnp.ceil(alive * factor).astype(jnp.int32), budget))
 
 
 def densify(
@@ -72,19 +79,20 @@ def densify(
     density: Density,
     extent: float | Array,
     prune_large: Array | bool,
+    count: Array,
 ) -> tuple[Gaussians, Moves]:
     """Drop the faint and the oversized, split those that answer for most of the error, the largest shares first.
 
-    The count grows by `density.growth` as far as there are rows. Where they end, the budget is full: then the least
-    seen, `density.replace` of the rows, make room for further splits.
+    So many split that there are `count`, and `density.replace` of it more: for these the least seen make room.
 
     Args:
-        gaussians: The scene, `[N]` rows, as many as `wanted_rows` or the whole budget.
+        gaussians: The scene, `[N]` rows.
         statistics: Sums since the last densification.
         key: Not used: nothing here is drawn.
         density: Thresholds.
         extent: Camera extent, scene units.
         prune_large: Whether size prunes; may be traced.
+        count: `[]` int32 Gaussians that there shall be, at most N; see `wanted`.
 
     Returns:
         The Gaussians and how rows moved, for the optimiser's moments: both halves of a split start with none.
@@ -94,20 +102,19 @@ def densify(
     too_large = scales(gaussians).max(-1) > density.max_share * extent
     stays = is_alive(gaussians) & (opacities(gaussians) >= density.min_opacity)
     stays &= ~(jnp.asarray(prune_large) & too_large)
-    wanted = wanted_rows(gaussians, statistics, density)
-    moving = jnp.where(wanted > rows, int(density.replace * rows), 0)
+    staying = jnp.sum(stays, dtype=jnp.int32)
     candidates = stays & (statistics.error > 0)
-    free = rows - jnp.sum(stays, dtype=jnp.int32)
-    births = jnp.minimum(wanted, rows) - (rows - free) + moving
-    births = jnp.clip(births, 0, jnp.sum(candidates, dtype=jnp.int32))
-
     splitting = _ranked(candidates, -statistics.error)
-    is_parent = _marked(splitting, births)
+    count = jnp.minimum(count, rows)
+    moving = (density.replace * count.astype(jnp.float32)).astype(jnp.int32)
+    births = jnp.clip(count + moving - staying, 0, jnp.sum(candidates, dtype=jnp.int32))
     # What was in no view of late may be needed in the next.
-    expendable = stays & ~is_parent & (statistics.views > 0)
-    evicted = jnp.clip(births - free, 0, jnp.sum(expendable, dtype=jnp.int32))
+    expendable = stays & ~_marked(splitting, births) & (statistics.views > 0)
+    most = jnp.minimum(moving, jnp.sum(expendable, dtype=jnp.int32))
+    evicted = jnp.clip(staying + births - count, 0, most)
     stays &= ~_marked(_ranked(expendable, statistics.weight), evicted)
-    births = jnp.minimum(births, free + evicted)
+    births = jnp.minimum(births, count - staying + evicted)
+
     turn = jnp.arange(rows, dtype=jnp.int32)
     # Free rows in order of index: the j-th takes a half of the j-th that splits.
     target = jnp.where(turn < births, _ranked(~stays, turn), rows)

@@ -223,7 +223,15 @@ def _control_density(
     if density_control.densifies(density, step):
         large = jnp.asarray(density_control.prunes_large(density, step))
         state = rows.with_room_to_densify(state, optimizer, density, settings.max_gaussians)
-        state = densify(state, key, jnp.float32(extent), large, optimizer=optimizer, density=density)
+        state = densify(
+            state,
+            key,
+            jnp.float32(extent),
+            large,
+            optimizer=optimizer,
+            density=density,
+            budget=settings.max_gaussians,
+        )
     if density_control.resets_opacities(density, step, settings.background):
         state = reset_opacities(state, optimizer=optimizer, limit=density.reset_opacity)
     return state

@@ -53,9 +53,10 @@ def lengthened(state: TrainState, optimizer: optax.GradientTransformation, rows:
     )
 
 
-@partial(jax.jit, static_argnames="density")
-def _wanted(state: TrainState, density: Density) -> Array:
-    return RULES[density.rule].wanted_rows(state.gaussians, state.statistics, density)
+@partial(jax.jit, static_argnames=("density", "budget"))
+def _wanted(state: TrainState, *, density: Density, budget: int) -> Array:
+    wanted = RULES[density.rule].wanted
+    return wanted(state.gaussians, state.statistics, density, step=state.step, budget=budget)
 
 
 def with_room_to_densify(
@@ -65,5 +66,5 @@ def with_room_to_densify(
     rows = state.gaussians.num_gaussians
     if rows >= most:
         return state
-    wanted = int(_wanted(state, density))
+    wanted = int(_wanted(state, density=density, budget=most))
     return state if wanted <= rows else lengthened(state, optimizer, bucket(wanted, most))

@@ -7,7 +7,6 @@ from jax import Array
 
 from gsjax.gaussians import Gaussians
 from gsjax.render import View
-from gsjax.settings import Density
 from gsjax.training import density_control, error_driven
 from gsjax.views import Batch
 
@@ -22,7 +21,7 @@ class Rule(NamedTuple):
     probed: Callable[[View, Batch], Array | float]  # what is added to the loss for the probe's sake: zero
     empty_statistics: Callable[[int], Any]  # rows -> sums of nothing
     accumulate: Callable[[Any, Array, Array, Array], Any]  # (sums, gradient, `[N]` visible, `[2]` size of the photo)
-    wanted_rows: Callable[[Gaussians, Any, Density], Array]  # how many there would be if the budget allowed
+    wanted: Callable[..., Array]  # how many there shall be, see `density_control.wanted`
     densify: Callable[..., tuple[Gaussians, density_control.Moves]]  # see `density_control.densify`
 
 
@@ -32,7 +31,7 @@ RULES = {
         lambda view, batch: 0.0,
         density_control.empty_statistics,
         density_control.accumulate,
-        density_control.wanted_rows,
+        density_control.wanted,
         density_control.densify,
     ),
     "error": Rule(
@@ -40,7 +39,7 @@ RULES = {
         error_driven.probed,
         error_driven.empty_statistics,
         error_driven.accumulate,
-        error_driven.wanted_rows,
+        error_driven.wanted,
         error_driven.densify,
     ),
 }

@@ -38,7 +38,7 @@ def initial_state(
     )
 
 
-@partial(jax.jit, static_argnames=("optimizer", "density"), donate_argnums=0)
+@partial(jax.jit, static_argnames=("optimizer", "density", "budget"), donate_argnums=0)
 def densify(
     state: TrainState,
     key: Array,
@@ -47,9 +47,11 @@ def densify(
     *,
     optimizer: optax.GradientTransformation,
     density: Density,
+    budget: int,
 ) -> TrainState:
-    """Densify by the rule; moments follow their Gaussian, statistics start anew."""
+    """Densify by the rule within `budget` Gaussians; moments follow their Gaussian, statistics start anew."""
     rule = RULES[density.rule]
+    count = rule.wanted(state.gaussians, state.statistics, density, step=state.step, budget=budget)
     gaussians, moved = rule.densify(
         state.gaussians,
         state.statistics,
@@ -57,6 +59,7 @@ def densify(
         density=density,
         extent=extent,
         prune_large=prune_large,
+        count=count,
     )
     opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, moved.source, moved.fresh)
     return TrainState(gaussians, opt_state, rule.empty_statistics(gaussians.num_gaussians), state.step)

@@ -14,7 +14,7 @@ from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales, sh_coefficients
 from gsjax.settings import Density, Rates, Weights
 from gsjax.training import error_driven
-from gsjax.training.density_control import is_alive
+from gsjax.training.density_control import densifies, is_alive
 from gsjax.training.error_driven import ErrorStatistics
 from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.optimizers import make_optimizer
@@ -24,7 +24,7 @@ from gsjax.training.step import BACKGROUNDS, make_train_step
 
 KEY = jax.random.key(0)
 ROWS, ALIVE = 40, 20
-DENSITY = Density(rule="error", growth=0.5, replace=0.1, min_opacity=0.1, max_share=0.5)
+DENSITY = Density(rule="error", replace=0.1, min_opacity=0.1, max_share=0.5)
 EXTENT = 10.0
 
 
@@ -43,8 +43,10 @@ def statistics(error, weight, views=3.0) -> ErrorStatistics:
 
 
 @jax.jit
-def densified(gaussians, sums, prune_large=False):
-    return error_driven.densify(gaussians, sums, KEY, density=DENSITY, extent=EXTENT, prune_large=prune_large)
+def densified(gaussians, sums, count=ROWS, prune_large=False):
+    return error_driven.densify(
+        gaussians, sums, KEY, density=DENSITY, extent=EXTENT, prune_large=prune_large, count=jnp.int32(count)
+    )
 
 
 def rows_of(tree, index):
@@ -95,18 +97,21 @@ def test_both_halves_show_the_same_line_integral_mean_and_spread_as_the_whole(op
 # --- a densification
 
 
-def test_the_count_grows_by_its_share_and_the_largest_errors_split():
+def test_the_count_is_reached_and_the_largest_errors_split():
     before = scene()
-    after, moved = densified(before, statistics(RISING, 1.0))
+    weight = np.where(RISING == 0, 9.0, RISING)  # Rows 1 to 3 are seen least.
+    after, moved = densified(before, statistics(RISING, weight), 30)
     assert alive(after).sum() == 30
-    parents = np.arange(10, 20)
-    np.testing.assert_array_equal(np.asarray(moved.source)[20:30], parents[::-1])  # the worst takes the first free row
-    np.testing.assert_array_equal(np.asarray(moved.source)[:20], np.arange(20))
-    np.testing.assert_array_equal(np.flatnonzero(~np.asarray(moved.fresh)), np.arange(10))
+    parents, free = np.arange(7, 20), np.array([1, 2, 3, *range(20, 30)])
+    # Ten more and a tenth of them all that moves: the worst takes the first free row.
+    np.testing.assert_array_equal(np.asarray(moved.source)[free], parents[::-1])
+    np.testing.assert_array_equal(np.flatnonzero(np.asarray(moved.source) != np.arange(ROWS)), free)
+    kept = [0, 4, 5, 6]
+    np.testing.assert_array_equal(np.flatnonzero(~np.asarray(moved.fresh)), kept)
     for field in ("means", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest"):
-        np.testing.assert_array_equal(getattr(after, field)[:10], getattr(before, field)[:10])
-    for side, index in ((-1.0, parents), (1.0, np.arange(29, 19, -1))):
-        expected = error_driven.split(rows_of(before, parents), jnp.full(10, side))
+        np.testing.assert_array_equal(np.asarray(getattr(after, field))[kept], np.asarray(getattr(before, field))[kept])
+    for side, index in ((-1.0, parents), (1.0, free[::-1])):
+        expected = error_driven.split(rows_of(before, parents), jnp.full(13, side))
         assert_close(rows_of(after, index), rows_of(expected, slice(None)))
 
 
@@ -135,7 +140,7 @@ def test_size_prunes_only_when_asked():
     large = scene()
     large = replace(large, log_scales=large.log_scales.at[4, 1].set(np.log(5.1)))
     assert alive(densified(large, statistics(0.0, 1.0))[0])[4]
-    assert not alive(densified(large, statistics(0.0, 1.0), prune_large=True)[0])[4]
+    assert not alive(densified(large, statistics(0.0, 1.0), ROWS, True)[0])[4]
 
 
 @pytest.mark.parametrize("count", [0, 1, ROWS])
@@ -158,6 +163,25 @@ def test_a_budget_of_one_gaussian_neither_grows_nor_dies():
     after, moved = densified(one, sums)
     jax.tree.map(np.testing.assert_array_equal, after, one)
     assert not np.any(moved.fresh)
+
+
+def counts(density, start, budget, died=0):
+    """Of Gaussians after every densification of 100 steps."""
+    found, count = [], start
+    for step in range(1, 101):
+        if densifies(density, step):
+            rows = cloud(count - died, capacity=ROWS)
+            count = int(error_driven.wanted(rows, None, density, step=jnp.int32(step), budget=budget))
+            found.append(count)
+    return found
+
+
+def test_the_budget_is_full_on_time_by_equal_factors():
+    density = Density(rule="error", start=20, stop=90, every=10, full_by=0.6)
+    assert counts(density, 5, 40) == [9, 15, 25, 40, 40, 40]  # at 30, 40, ..., 80; 20 + 0.6 * 70 = 62
+    assert counts(replace(density, full_by=0.0), 5, 40) == [40] * 6
+    assert counts(density, 40, 40) == [40] * 6
+    assert counts(density, 5, 40, died=2)[3:] == [40] * 3
 
 
 # --- what is seen

@@ -18,7 +18,8 @@ from gsjax.training.state import count_alive, densify, initial_state
 
 OPTIMIZER = make_optimizer(Rates(), 1.0, 10)
 ALIVE, SHORT, LONG = 20, 24, 64
-DENSITY = {"adc": Density(gradient=0.5), "error": Density(rule="error", growth=0.5)}
+DENSITY = {"adc": Density(gradient=0.5), "error": Density(rule="error", start=0, stop=200, full_by=1.0)}
+# The rule of errors fills 64 rows in three densifications: 20 * (64 / 20)^(1/3), rounded up, are 30.
 
 
 def trained(capacity, rule="adc"):
@@ -32,7 +33,7 @@ def trained(capacity, rule="adc"):
     )
     moved, opt_state = apply_gradients(OPTIMIZER, gaussians, state.opt_state, gradients)
     rising = jnp.asarray(alive * np.arange(capacity) / ALIVE, jnp.float32)
-    kinds = {"adc": GrowthStatistics, "error": partial(ErrorStatistics, rising)}
+    kinds = {"adc": GrowthStatistics, "error": partial(ErrorStatistics, 2 * rising)}
     statistics = kinds[rule](rising, jnp.asarray(alive))
     return replace(state, gaussians=moved, opt_state=opt_state, statistics=statistics)
 
@@ -60,7 +61,8 @@ def test_density_control_gives_the_same_bits_in_a_buffer_that_grows_as_in_one_of
     key, density = jax.random.key(1), DENSITY[rule]
     ended = []
     for state in (with_room_to_densify(trained(SHORT, rule), OPTIMIZER, density, LONG), trained(LONG, rule)):
-        ended.append(densify(state, key, jnp.float32(1.0), jnp.asarray(False), optimizer=OPTIMIZER, density=density))
+        flags = {"optimizer": OPTIMIZER, "density": density, "budget": LONG}
+        ended.append(densify(state, key, jnp.float32(1.0), jnp.asarray(False), **flags))
     grown, whole = ended
     assert SHORT < grown.gaussians.num_gaussians == 32 < LONG
     assert int(count_alive(whole.gaussians)) == ALIVE + 10 > SHORT

@@ -150,7 +150,13 @@ def test_dtypes_and_shapes_stay_whatever_happens_to_the_state(setup):
     state = check(cull(state, optimizer=setup.optimizer, min_opacity=0.001))
     state = check(
         densify(
-            state, KEY, jnp.float32(2.0), jnp.asarray(False), optimizer=setup.optimizer, density=Density(gradient=0)
+            state,
+            KEY,
+            jnp.float32(2.0),
+            jnp.asarray(False),
+            optimizer=setup.optimizer,
+            density=Density(gradient=0),
+            budget=CAPACITY,
         )
     )
     before = setup.step._cache_size()
@@ -207,7 +213,9 @@ def test_densification_moves_moments_with_their_gaussians(setup):
         prune_large=False,
     )
     source, fresh = np.asarray(moved.source), np.asarray(moved.fresh)
-    after = densify(state, KEY, jnp.float32(1.0), jnp.asarray(False), optimizer=setup.optimizer, density=density)
+    after = densify(
+        state, KEY, jnp.float32(1.0), jnp.asarray(False), optimizer=setup.optimizer, density=density, budget=CAPACITY
+    )
     assert_close(after.gaussians, expected)
     assert int(count_alive(after.gaussians)) == CAPACITY
     assert set(source[ALIVE:]) == set(np.argsort(mean_gradient)[-20:])
