@@ -15,6 +15,7 @@ from gsjax.settings import Density, Phase, Rates, Settings, Weights
 from gsjax.training import loop
 from gsjax.training.loop import fit, planned_phases, view_order
 from gsjax.training.optimizers import make_optimizer
+from gsjax.training.rules import RULES
 from gsjax.training.state import count_alive, initial_state
 from gsjax.training.step import active_terms
 
@@ -230,3 +231,19 @@ def test_a_device_without_room_is_one_line_and_any_other_failure_stays_one(frame
     with pytest.raises(raised, match=line) as error:
         fitted(frames, replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),)), capacity=64)
     assert "\n" not in str(error.value)
+
+
+def test_error_driven_densification_fills_the_budget_and_resumes_to_the_same_bits(frames):
+    density = Density(rule="error", start=0, stop=6, every=2, full_by=0.5, min_opacity=0.01, reset_every=0)
+    settings = replace(SETTINGS, phases=(replace(SETTINGS.phases[0], cull_below=0.0),), density=density)
+
+    def start():
+        return initial_state(cloud(ALIVE, capacity=CAPACITY, seed=1), OPTIMIZER, RULES["error"])
+
+    run = fitted(frames, settings, start())
+    assert [int(count_alive(s.gaussians)) for s in run.states] == [ALIVE, *[CAPACITY] * 5]
+    for before, after in zip(run.states[2:4], run.states[3:5], strict=True):
+        moved = np.abs(after.gaussians.means - before.gaussians.means).max(1) > 0.02  # A step is under 2e-4.
+        assert moved.any() == (int(after.step) == 4), "a full budget goes on moving"
+    resumed = fitted(frames, settings, run.states[2], capacity=run.progress[2].capacity)
+    assert_identical(resumed.final, run.final)
