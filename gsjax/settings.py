@@ -179,7 +179,7 @@ FAST = {
         _phase("vanilla", 1500, density_control=True),
         _phase("surface", 1000, weights=_SURFACE_TERMS),
     ],
-    "density": {"start": 200, "stop": 1500, "reset_every": 0},
+    "density": {"rule": "error", "start": 200, "stop": 1500, "reset_every": 0},
     "logging": {"evaluate_every": 250, "checkpoint_every": 250},
 }
 BALANCED = {
@@ -190,7 +190,7 @@ BALANCED = {
         _phase("vanilla", 5000, density_control=True),
         _phase("surface", 3000, weights=_SURFACE_TERMS),
     ],
-    "density": {"stop": 4500, "reset_every": 0},
+    "density": {"rule": "error", "stop": 4500, "reset_every": 0},
 }
 ACCURATE = {
     "phases": [
@@ -218,7 +218,7 @@ DEMO: dict[str, Any] = {
         {"name": "vanilla", "steps": 1000, "density_control": True},
         {"name": "surface", "steps": 1000, "weights": {"sdf_normal": 0.05, "pixel_normal": 0.1}},
     ],
-    "density": {"start": 200, "stop": 900, "reset_every": 0},
+    "density": {"rule": "error", "start": 200, "stop": 900, "reset_every": 0},
     "logging": {"metrics_every": 50, "evaluate_every": 0, "checkpoint_every": 1000},
 }
 """The built-in scene at 192x192 pixels (`gsjax.demo`)."""

@@ -234,7 +234,7 @@ def test_a_device_without_room_is_one_line_and_any_other_failure_stays_one(frame
 
 
 def test_error_driven_densification_fills_the_budget_and_resumes_to_the_same_bits(frames):
-    density = Density(rule="error", start=0, stop=6, every=2, full_by=0.5, min_opacity=0.01, reset_every=0)
+    density = Density(rule="error", start=0, stop=6, every=2, full_by=0.5, min_opacity=0.01, max_share=9.0)
     settings = replace(SETTINGS, phases=(replace(SETTINGS.phases[0], cull_below=0.0),), density=density)
 
     def start():
