@@ -198,7 +198,7 @@ def view(
         depth_mode: What a splat's depth is: "plane" where the Gaussian is densest along each pixel's ray, "center" that
             of its mean. Static.
         means2d_probe: See `splat`.
-        extra: `[N, D]` further channels.
+        extra: `[N, D]` further channels, composited on zero.
 
     Returns:
         `View`.

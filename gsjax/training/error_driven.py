@@ -1,8 +1,8 @@
 """Error-driven densification: the budget goes where the pictures are wrong, and comes from what they hardly show.
 
 A Gaussian answers for its share of every pixel's error: sum over pixels of blending weight times error (Rota Bulo,
-Porzi, Kontschieder: Revising Densification in Gaussian Splatting). The largest shares split, as many as the count may
-grow; once the budget is full, as many of the least seen make room, so that it goes on moving.
+Porzi, Kontschieder: Revising Densification in Gaussian Splatting). The largest shares split, so many that the budget is
+full on time; and in every densification some of the least seen make room for more, so that a full one goes on moving.
 """
 
 from dataclasses import dataclass, replace

@@ -21,7 +21,7 @@ SCENE = cloud(ALIVE, capacity=48, sh_degree=2)
 
 
 @partial(jax.jit, static_argnames="depth_mode")
-def shown(gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND, depth_mode="plane"):
+def shown(gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND, depth_mode="plane", extra=None):
     return render.view(
         gaussians,
         camera,
@@ -30,6 +30,7 @@ def shown(gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND, dept
         active_degree=active_degree,
         with_depth=True,
         depth_mode=depth_mode,
+        extra=extra,
     )
 
 
@@ -150,6 +151,14 @@ def test_features_of_one_are_the_alphas():
     image, alphas = render.features(view.splats, jnp.ones((48, 2), jnp.float32))
     assert_close(image, jnp.stack([alphas, alphas], -1))
     assert_close(alphas, view.alphas)
+
+
+def test_further_channels_are_composited_beside_colours_and_depth():
+    values = jnp.stack([jnp.ones(48, jnp.float32), 0.1 * jnp.arange(48, dtype=jnp.float32)], -1)
+    plain, view = shown(SCENE), shown(SCENE, extra=values)
+    assert plain.extra is None
+    assert_close(view.extra, render.features(plain.splats, values)[0])
+    assert_close((view.colors, view.alphas, view.depth), (plain.colors, plain.alphas, plain.depth))
 
 
 def test_nothing_enters_from_a_row_that_is_not_visible():
