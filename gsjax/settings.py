@@ -79,7 +79,7 @@ class Density:
     every: int = 100
     gradient: float = 2e-4  # adc: mean norm of the loss' gradient to the 2D mean, in NDC units
     dense_share: float = 0.01  # adc, of the extent: larger Gaussians split, smaller ones are cloned
-    full_by: float = 0.6  # error: where between `start` and `stop` the budget is full, reached geometrically
+    full_by: float = 0.9  # error: where between `start` and `stop` the budget is full, reached geometrically
     replace: float = 0.1  # error: share that moves in each densification, from the least seen to the worst
     min_opacity: float = 0.005
     max_share: float = 0.1  # of the extent: larger Gaussians are pruned, after `prune_large_after` steps
