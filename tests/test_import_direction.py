@@ -36,7 +36,9 @@ LAYERS = {
         ("jax", "numpy", "scipy", "tqdm", "cv2", "PIL", "pycolmap", "onnxruntime"),
     ),
     "meshing": Layer(
-        ("gsjax.meshing",), ("vocabulary", "io"), ("jax", "numpy", "scipy", "open3d", "trimesh", "xatlas", "PIL")
+        ("gsjax.meshing",),
+        ("vocabulary", "io"),
+        ("jax", "numpy", "scipy", "tqdm", "open3d", "trimesh", "xatlas", "PIL"),
     ),
     "runs": Layer(
         ("gsjax.pipeline",),
