@@ -16,9 +16,11 @@ from gsjax.errors import InputError
 from gsjax.io import photos, runs
 from gsjax.io.images import read_image, write_image
 from gsjax.io.ply import read_gaussians
+from gsjax.io.scenes import load_scene
 from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline.refine import prepared
+from gsjax.pipeline.result import write_views
 from gsjax.settings import Settings
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -50,6 +52,7 @@ def place(tmp_path_factory):
     (scene / "transforms.json").write_text(json.dumps({"fl_x": 30.0, "frames": frames}))
     runs.create(run, config.to_dict(Settings(downscale=1, background="white")), scene=scene, seed=0)
     write_mesh(run / "mesh.ply", sheet())
+    write_views(run, load_scene(scene, downscale=1).frames)
     return SimpleNamespace(root=root, run=run, scene=scene)
 
 

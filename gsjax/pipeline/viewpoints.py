@@ -70,5 +70,6 @@ def _camera(eye: np.ndarray, target: np.ndarray, focal: float, size: int) -> Cam
 def _count_seen(gaussians: Gaussians, means: np.ndarray, radii: np.ndarray, cameras: tuple[Camera, ...]) -> int:
     """How many means lie on the rendered depth of some view."""
     near = np.full(len(means), 0.02 * np.median(radii))
-    pictures = gallery.pictures(gaussians, cameras, np.zeros(3, np.float32))
+    # Means are looked for, so the depth is theirs.
+    pictures = gallery.pictures(gaussians, cameras, np.zeros(3, np.float32), "center")
     return int(np.any(directions_to_viewers(means, near, cameras, pictures) != 0, axis=1).sum())
