@@ -23,11 +23,9 @@ def shown():
     return scene, list(gallery.pictures(scene, CAMERAS, BACKGROUND))
 
 
-@pytest.mark.parametrize("index", [0, 1])
-def test_a_picture_has_its_cameras_size_and_content(shown, index):
-    scene, pictures = shown
-    picture, camera = pictures[index], CAMERAS[index]
-    image, alphas, _ = rasterizer.rasterization(
+def reference(scene, camera, **options):
+    """Colours and expected depth of the dense backend."""
+    return rasterizer.rasterization(
         scene.means,
         scene.quats,
         scales(scene),
@@ -39,9 +37,16 @@ def test_a_picture_has_its_cameras_size_and_content(shown, index):
         camera.height,
         sh_degree=1,
         render_mode="RGB+ED",
-        depth_mode="plane",
         backend="reference",
+        **options,
     )
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_a_picture_has_its_cameras_size_and_content(shown, index):
+    scene, pictures = shown
+    picture, camera = pictures[index], CAMERAS[index]
+    image, alphas, _ = reference(scene, camera, depth_mode="plane")
     image, alphas = np.asarray(image[0], np.float64), np.asarray(alphas[0, ..., 0], np.float64)
     assert picture.colors.shape == (camera.height, camera.width, 3)
     assert_close(picture.alphas, alphas)
@@ -62,21 +67,7 @@ def test_owners_are_the_medians_of_the_reference(shown):
         scene.means, scene.quats, scales(scene), opacities(scene), camera.viewmat[None], camera.K[None], 24, 20
     )
     owners = pictures[0].owners
-    *_, info = rasterizer.rasterization(
-        scene.means,
-        scene.quats,
-        scales(scene),
-        opacities(scene),
-        sh_coefficients(scene),
-        camera.viewmat[None],
-        camera.K[None],
-        camera.width,
-        camera.height,
-        sh_degree=1,
-        render_mode="RGB+ED",
-        backend="reference",
-        return_median_depth=True,
-    )
+    *_, info = reference(scene, camera, return_median_depth=True)
     depths = np.where(owners >= 0, np.asarray(projection.depths)[0, owners], 0)
     assert (owners >= 0).any() and (owners < 0).any()
     np.testing.assert_allclose(depths, info["median_depths"][0, ..., 0], rtol=1e-6)
