@@ -12,7 +12,7 @@ NAMED_AXES = {"opencv": "+x+y+z", "opengl": "+x-y-z", "dsine": "-x-y-z", "pytorc
 """What networks and programs are known to write, as signs that bring it to our axes: opencv Omnidata, Metric3D and
 MoGe's arrays; opengl Marigold and MoGe's pictures; dsine DSINE, StableNormal and Lotus."""
 
-# The ways to mirror axes, up to the sign of the whole, which an unsigned cosine cannot tell.
+# The ways to mirror axes, up to the sign of the whole.
 SIGN_PATTERNS = np.array([[1, 1, 1], [-1, 1, 1], [1, -1, 1], [1, 1, -1]], np.float32)
 
 
@@ -104,7 +104,7 @@ def detect_axes(
 
     Returns:
         `[3]` signs (+1 or -1) for `apply_axes`, with the sign of the whole such that maps face the camera; the mean
-        |cos| that they reach, 0..1; and by how much the next best mirroring falls short of it. A score under 0.5 or
+        cosine that they reach, 0..1; and by how much the next best mirroring falls short of it. A score under 0.5 or
         a margin under 0.02 is doubtful; without a pixel to compare both are 0.
     """
     rng = np.random.default_rng(seed)
@@ -112,10 +112,11 @@ def detect_axes(
     products = np.concatenate([a * b for a, b in pairs])
     if not len(products):
         return SIGN_PATTERNS[0], 0.0, 0.0
-    cosines = products @ SIGN_PATTERNS.T
-    scores = np.abs(cosines).mean(axis=0)
+    # Signs before the mean: where walls, floor and camera are upright, all mirrorings have the same |cos| everywhere.
+    means = (products @ SIGN_PATTERNS.T).mean(axis=0)
+    scores = np.abs(means)
     best = int(scores.argmax())
-    facing = 1.0 if cosines[:, best].mean() >= 0 else -1.0
+    facing = 1.0 if means[best] >= 0 else -1.0
     runner_up = np.delete(scores, best).max()
     return np.float32(facing) * SIGN_PATTERNS[best], float(scores[best]), float(scores[best] - runner_up)
 

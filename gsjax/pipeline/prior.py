@@ -100,7 +100,7 @@ class RunPrior:
             np.asarray(depth_normals(depth, camera)) for depth, _, camera in self._rendered(gaussians, frames)
         )
         signs, score, margin = detect_axes(maps, references)
-        measured = f"mean |cos| {score:.3f} against the rendered depth, next best {margin:.3f} lower"
+        measured = f"mean cosine {score:.3f} against the rendered depth, next best {margin:.3f} lower"
         clear = score >= CLEAR_SCORE and margin >= CLEAR_MARGIN
         guess, ours = written_axes(signs), np.ones(3, np.float32)
         if clear and self.network is None:
