@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
 
+from gsjax.pipeline.perceptual import CHANNELS
+
 IR, OPSET = 8, 17  # What onnx itself would write is newer than onnxruntime loads.
 TYPES = {np.float16: TensorProto.FLOAT16, np.float32: TensorProto.FLOAT, np.int64: TensorProto.INT64}
 ANY = ("b", 3, "h", "w")
@@ -64,3 +66,32 @@ def color_network(file, *, name="normal", picture="image", shape=ANY, white=1.0,
     value = graph.transposed(value, NCHW) if shape[1] != 3 else value
     graph.output(graph.affine(value, np.divide(gain, white), bias), name)
     return graph.save(file)
+
+
+STRIDES = (1, 2, 4, 8, 16)
+
+
+def small_lpips(file, kind="vgg", seed=0, sign=1.0):
+    """Layers of 1x1 convolutions of the picture, coarser and coarser, with a network's numbers of channels.
+
+    Returns:
+        The file; a function from a picture [H, W, 3] to the layers' features; the linear weights.
+    """
+    rng, graph = np.random.default_rng(seed), SmallGraph()
+    image = graph.input("image", (1, 3, "h", "w"))
+    layers, weights = [], []
+    for index, (channels, stride) in enumerate(zip(CHANNELS[kind], STRIDES, strict=True)):
+        kernel, bias = rng.normal(size=(channels, 3)), rng.normal(size=channels)
+        kernel, bias = kernel.astype(np.float32), bias.astype(np.float32)
+        value = graph.add("Conv", image, graph.constant(kernel[:, :, None, None]), graph.constant(bias),
+                          strides=[stride, stride])  # fmt: skip
+        graph.output(graph.add("Relu", value), f"layer{index}")
+        layers.append((kernel, bias, stride))
+        weights.append(rng.uniform(size=channels).astype(np.float32) / channels)
+    for index, weight in enumerate(weights):
+        graph.output(graph.constant(sign * weight[None, :, None, None]), f"linear{index}")
+
+    def features(picture):
+        return [np.maximum(np.einsum("oc,hwc->ohw", k, picture[::s, ::s]) + b[:, None, None], 0) for k, b, s in layers]
+
+    return graph.save(file), features, weights

@@ -65,7 +65,7 @@ class Graph:
             InputError: The graph takes no such arrays, or fails.
         """
         types = {port.name: port.dtype for port in self.inputs}
-        feeds = {name: np.ascontiguousarray(array, types.get(name)) for name, array in feeds.items()}
+        feeds = {name: np.asarray(array, types.get(name), order="C") for name, array in feeds.items()}
         try:
             return self._session.run(names, feeds)
         except Exception as error:  # onnxruntime's own have no base class of theirs.

@@ -108,12 +108,8 @@ class RunPrior:
         elif clear and np.array_equal(signs, ours):
             line = f"axes confirmed as in {self.network}'s record ({measured})"
         else:
-            taken = (
-                f"taken as {written_axes(ours)}"
-                if self.network is None
-                else f"kept as {self.network}'s record has them"
-            )
-            fault = "fits better" if clear else "is doubtful"
+            own, fault = self.network is None, "fits better" if clear else "is doubtful"
+            taken = f"taken as {written_axes(ours)}" if own else f"kept as in {self.network}'s record"
             line, signs = f"axes {taken}: {guess} {fault} ({measured}); --normal-axes sets them", ours
         tqdm.write(f"normals: {line}", file=sys.stderr)
         return signs

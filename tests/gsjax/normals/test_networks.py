@@ -1,10 +1,16 @@
+import json
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from gsjax import config
 from gsjax.normals.networks import (
     NETWORKS,
     Confidence,
+    Network,
     Size,
     decoded,
     expected_error_degrees,
@@ -90,3 +96,12 @@ def test_colours_and_normals_in_closed_form():
     left_and_floor = decoded(NETWORKS["dsine"], np.float32([[[-1, 0, 0], [0, 1, 0]]]))
     np.testing.assert_allclose(left_and_floor[0], [[1, 0, 0], [0, -1, 0]])
     np.testing.assert_array_equal(decoded(NETWORKS["moge2"], np.zeros((1, 1, 3), np.float32)), 0)
+
+
+def test_the_page_shows_every_record_and_every_key():
+    page = (Path(__file__).parents[3] / "docs/normals.md").read_text()
+    shown = [json.loads(block) for block in re.findall(r"```json\n(.*?)```", page, re.DOTALL)]
+    assert [config.parse(Network, record, where="page") for record in shown] == list(NETWORKS.values())
+    for cls in (Network, Size, Confidence):
+        for key in cls.__dataclass_fields__:
+            assert f"`{key}`" in page, key

@@ -81,8 +81,11 @@ def contract(network: str, file) -> Path:
         normal = graph.transposed(graph.affine(image, 2.0, -1.0), NHWC)
         graph.output(graph.add("Mul", normal, graph.constant(1.0)), "points")
         graph.output(normal, "normal")
-        mask = graph.channel(graph.affine(image, 0.0, 1.0), 0)
-        graph.output(graph.add("Min", mask, graph.add("Cast", tokens, to=1)), "mask")
+        # A list with the tokens in it cannot be made where they are a list themselves.
+        listed = graph.add("Unsqueeze", tokens, graph.constant([0], np.int64))
+        listed = graph.add("Concat", listed, graph.constant([9999], np.int64), axis=0)
+        one = graph.add("Min", graph.add("ReduceMin", graph.add("Cast", listed, to=1)), graph.constant(1.0))
+        graph.output(graph.channel(graph.add("Mul", graph.affine(image, 0.0, 1.0), one), 0), "mask")
         graph.output(graph.channel(image, 1), "scale")
     elif network == "metric3d":
         image = graph.input("pixel_values")

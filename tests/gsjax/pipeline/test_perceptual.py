@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from small_graphs import SmallGraph
+from small_graphs import SmallGraph, small_lpips
 
 from gsjax.errors import InputError
 from gsjax.measures.lpips import lpips
-from gsjax.pipeline.perceptual import CHANNELS, lpips_measures
-
-STRIDES = (1, 2, 4, 8, 16)
+from gsjax.pipeline.perceptual import lpips_measures
 
 
 def published(first, second, weights):
@@ -41,35 +39,13 @@ def test_the_published_formula():
     assert lpips(a, [3 * f for f in a], WEIGHTS) < 1e-12, "directions of features, not their lengths"
 
 
-def network(file, kind="vgg", seed=0, sign=1.0):
-    """Layers of 1x1 convolutions of the picture, coarser and coarser, with a network's numbers of channels."""
-    rng, graph = np.random.default_rng(seed), SmallGraph()
-    image = graph.input("image", (1, 3, "h", "w"))
-    layers, weights = [], []
-    for index, (channels, stride) in enumerate(zip(CHANNELS[kind], STRIDES, strict=True)):
-        kernel, bias = rng.normal(size=(channels, 3)), rng.normal(size=channels)
-        kernel, bias = kernel.astype(np.float32), bias.astype(np.float32)
-        value = graph.add("Conv", image, graph.constant(kernel[:, :, None, None]), graph.constant(bias),
-                          strides=[stride, stride])  # fmt: skip
-        graph.output(graph.add("Relu", value), f"layer{index}")
-        layers.append((kernel, bias, stride))
-        weights.append(rng.uniform(size=channels).astype(np.float32) / channels)
-    for index, weight in enumerate(weights):
-        graph.output(graph.constant(sign * weight[None, :, None, None]), f"linear{index}")
-
-    def features(picture):
-        return [np.maximum(np.einsum("oc,hwc->ohw", k, picture[::s, ::s]) + b[:, None, None], 0) for k, b, s in layers]
-
-    return graph.save(file), features, weights
-
-
 def pictures():
     rng = np.random.default_rng(3)
     return rng.uniform(size=(2, 33, 40, 3)).astype(np.float32)
 
 
 def test_the_two_ranges_of_vgg_are_named_apart(tmp_path):
-    file, features, weights = network(tmp_path / "vgg.onnx")
+    file, features, weights = small_lpips(tmp_path / "vgg.onnx")
     image, target = pictures()
     measures = lpips_measures([file])
     assert sorted(measures) == ["lpips_vgg", "lpips_vgg_3dgs"]
@@ -82,13 +58,13 @@ def test_the_two_ranges_of_vgg_are_named_apart(tmp_path):
 
 
 def test_alexnet_is_told_by_its_channels(tmp_path):
-    file, features, weights = network(tmp_path / "alex.onnx", "alex")
+    file, features, weights = small_lpips(tmp_path / "alex.onnx", "alex")
     image, target = pictures()
     (name, measure), = lpips_measures([file]).items()  # fmt: skip
     assert name == "lpips_alex"
     expected = published(features(2 * image - 1), features(2 * target - 1), weights)
     np.testing.assert_allclose(measure(image, target), expected, rtol=1e-4)
-    assert len(lpips_measures([file, network(tmp_path / "vgg.onnx")[0]])) == 3
+    assert len(lpips_measures([file, small_lpips(tmp_path / "vgg.onnx")[0]])) == 3
 
 
 def test_files_that_are_no_such_network_are_named(tmp_path):
@@ -99,7 +75,7 @@ def test_files_that_are_no_such_network_are_named(tmp_path):
     with pytest.raises(InputError, match="s.onnx: no features for LPIPS; it needs .* ten outputs, not 1 and 1"):
         lpips_measures([graph.save(tmp_path / "s.onnx")])
     with pytest.raises(InputError, match="n.onnx: has negative weights"):
-        lpips_measures([network(tmp_path / "n.onnx", sign=-1.0)[0]])
+        lpips_measures([small_lpips(tmp_path / "n.onnx", sign=-1.0)[0]])
     graph = SmallGraph()
     image = graph.input("image")
     for index in range(10):
