@@ -78,7 +78,9 @@ def axes_verdict(votes: np.ndarray, *, fewest: int = 100, majority: float = 0.8)
     for_others = told & (votes[:, 1] > majority * total)
     for_these = told & (votes[:, 0] > majority * total)
     if for_others.any():
-        other = int(np.argmax(np.where(for_others, votes[:, 1], -1)))
+        # Of those that serve about as well, the one that mirrors least: what cannot be told is not accused.
+        best = for_others & (votes[:, 1] >= 0.9 * votes[for_others, 1].max())
+        other = int(np.argmin(np.where(best, (OTHER_SIGNS < 0).sum(axis=-1), 4)))
         share = f"{votes[other, 1]:,} of the {total[other]:,} pixels that can tell"
         return f"doubtful: mirrored by {written_axes(OTHER_SIGNS[other])} {share} would face the camera, as they must"
     if for_these.all():

@@ -45,7 +45,7 @@ def test_a_corridor_confirms_its_axes():
 def test_a_corridor_names_the_mirroring_that_it_was_written_with(signs):
     votes = sum(facing_votes(noisy(corridor(), 10, seed) * np.float32(signs), K) for seed in range(4))
     verdict = axes_verdict(votes)
-    assert verdict.startswith("doubtful")
+    assert verdict.startswith(f"doubtful: mirrored by {written_axes(np.float32(signs))} ")
     against, in_favour = votes[OTHER_SIGNS.tolist().index([float(s) for s in signs])]
     assert in_favour > 20 * against, "these signs undo it"
 
