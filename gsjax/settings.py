@@ -125,7 +125,7 @@ class Settings:
     downscale: float | None = None  # photos are so many times smaller; None: see `longest_side` and `cpu_pixels`
     images: str | None = None  # folder of the photos, within the data set or absolute; None: looked for
     hold_out: str = "auto"  # every N-th photo, "none", a file of names, or "auto" (`gsjax.io.splits`)
-    normals: str | None = None  # folder of normal maps; None: the smoothed depth normals of the first phases
+    normals: str | None = None  # folder of maps (`gsjax.io.normal_folders.find`); None: smoothed normals of own depth
     normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: found by comparing with the rendered depth
     background: Literal["white", "black", "random"] = "black"
     masks: Literal["valid", "matte"] = "valid"

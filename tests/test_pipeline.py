@@ -9,6 +9,7 @@ import numpy as np
 import pycolmap
 import pytest
 from jax.experimental.compilation_cache import compilation_cache
+from small_graphs import small_lpips
 from tqdm import tqdm
 
 from gsjax import cli, config, pipeline
@@ -231,8 +232,9 @@ def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, scene, tm
     mesh = read_mesh(tmp_path / "mesh.ply")
     assert len(mesh.faces) == report["faces"] > 100
     # Fewer than thirty steps on photos of forty pixels: near the surface, not on it.
-    figures = pipeline.evaluate(run, mesh=tmp_path / "mesh.ply")
+    figures = pipeline.evaluate(run, mesh=tmp_path / "mesh.ply", lpips=[small_lpips(tmp_path / "vgg.onnx")[0]])
     json.dumps(figures)
+    assert 0 < figures["lpips_vgg"] != figures["lpips_vgg_3dgs"] > 0
     assert figures["floor"]["chamfer"] < 5e-4 < figures["chamfer"] < 0.2
     assert figures["distances"] == "point to surface"
     assert 5 < figures["normal_error_deg"] < 90
@@ -242,6 +244,7 @@ def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, scene, tm
 
 def test_the_true_mesh_is_its_own_floor(run, scene):
     figures = pipeline.evaluate(run, mesh=scene / "gt_mesh.ply")
+    assert figures["lpips_vgg_3dgs"] is None and "lpips_vgg" not in figures, "without weights"
     floor = figures["floor"]
     assert floor == {name: figures[name] for name in floor}
     assert max(floor["accuracy"], floor["completeness"], floor["chamfer"]) < 5e-4

@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from gsjax.cli.parsers import add_command
+from gsjax.cli.parsers import add_command, given
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -14,24 +14,28 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         _run,
         summary="score a run on its held-out views",
         description="""
-            Prints PSNR and SSIM over the held-out views; where the data set has true depth, normals or
-            a true surface, also the errors against them: of a mesh from point to surface, and the true mesh's
-            own as floor. Pixel masks of the data set are respected.
+            Prints PSNR, SSIM and, with weights of yours, LPIPS over the held-out views; where the data
+            set has true depth, normals or a true surface, also the errors against them: of a mesh from
+            point to surface, and the true mesh's own as floor. Pixel masks of the data set are respected.
         """,
         example="gsjax eval runs/garden --json garden.json",
     )
     parser.add_argument("run_folder", metavar="RUN", help="folder that `gsjax train` made")
     parser.add_argument("--json", metavar="FILE", help="also write the figures here")
     parser.add_argument("--mesh", metavar="FILE", help="score this mesh against the true surface as well")
+    parser.add_argument("--lpips", metavar="FILE", action="append", help="weights of LPIPS as an ONNX file, see"
+        " docs/normals.md; may be repeated (default: LPIPS is not scored)")  # fmt: skip
 
 
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
     from gsjax.io import runs
 
-    figures = pipeline.evaluate(arguments.run_folder, mesh=arguments.mesh)
+    figures = pipeline.evaluate(arguments.run_folder, mesh=arguments.mesh, **given(arguments, "lpips"))
     if arguments.json:
         runs.write_json(arguments.json, figures)
     if not figures["views"]:
         print(f"{arguments.run_folder}: no held-out views, pictures are not scored", file=sys.stderr)
+    elif not arguments.lpips:
+        print("LPIPS is not scored: --lpips FILE names its weights", file=sys.stderr)
     print(tables.record(figures))

@@ -43,8 +43,9 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         " rescale the cameras (default: images/, or the largest of images_2, images_4, images_8)")  # fmt: skip
     add("--hold-out", metavar="N|none|FILE", help="photos for scoring only: every N-th, none, or those that a text"
         " file names, one a line (default: the data set's own split, else 8)")  # fmt: skip
-    add("--normals", metavar="DIR", help="folder of normal maps (.npy or .png, named as the photos); without it the"
-        " first phase's own smoothed depth normals serve")  # fmt: skip
+    add("--normals", metavar="DIR", nargs="?", const="auto", help="folder of normal maps (.npy, .npz or .png, named as"
+        " the photos), or the name of one in SCENE, as in --normals moge2; without a value, the one that `gsjax"
+        " normals` made there; without the option the first phase's own smoothed depth normals serve")  # fmt: skip
     add("--normal-axes", metavar="SIGNS", help="what brings the maps' axes to ours (x right, y down, z forward): three"
         " signs, as in --normal-axes=+x-y-z, or opencv, opengl, dsine, pytorch3d (default: found by"
         " comparing)")  # fmt: skip

@@ -74,6 +74,23 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
         raise unwritable(path, error) from error
 
 
+@contextmanager
+def folder_if_used(path: str | Path) -> Iterator[Path]:
+    """A folder that is made for the block, and taken away again, with parents made for it, where nothing came into it.
+
+    Raises:
+        InputError: It cannot be created, or a file has its name.
+    """
+    path = Path(path)
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
+    try:
+        yield make_folder(path)
+    finally:
+        for folder in made:
+            with suppress(OSError):  # Not empty, or never made.
+                folder.rmdir()
+
+
 def sweep(folder: str | Path) -> None:
     """Removes, in a folder and those under it, the temporary files of writers that were killed."""
     for path in Path(folder).rglob(".*"):

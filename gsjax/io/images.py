@@ -107,6 +107,13 @@ def resize(array: np.ndarray, width: int, height: int) -> np.ndarray:
     return cv2.resize(array, (width, height), interpolation=cv2.INTER_AREA)
 
 
+def resampled(image: np.ndarray, width: int, height: int) -> np.ndarray:
+    """`image` (`[H, W]` or `[H, W, C]`, uint8 or float32) at any size: averaged where it shrinks, else bilinear."""
+    if width <= image.shape[1] and height <= image.shape[0]:
+        return resize(image, width, height)
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
 def filter_straight(
     colors: np.ndarray, alpha: np.ndarray | None, warp: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray | None]:

@@ -9,7 +9,7 @@ from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
-PACKAGES = ("gsjax", "jax", "jaxlib", "optax", "numpy", "scipy", "pycolmap", "open3d", "trimesh")
+PACKAGES = ("gsjax", "jax", "jaxlib", "optax", "numpy", "scipy", "pycolmap", "open3d", "trimesh", "onnxruntime")
 
 
 def machine() -> dict[str, str | int | None]:

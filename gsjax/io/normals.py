@@ -1,7 +1,7 @@
 """Normal maps from a folder: the monocular prior, as any network may have written it."""
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path, PurePosixPath
 
@@ -10,6 +10,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.arrays import headers, read_arrays
 from gsjax.io.images import cv2, image_size, same_shape
+from gsjax.io.normal_folders import is_recorded
 from gsjax.io.photos import listed, scaled_size
 from gsjax.scene import Frame, Origin
 
@@ -22,12 +23,13 @@ def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, C
     """Readers of the frames' normal maps, each brought to its frame: one map at a time is in memory.
 
     A map has its frame's name with the suffix `.npy`, `.npz` (the array `cam`, or the only one) or `.png` (8 or 16
-    bit, n = 2v - 1), in the same subfolder or in `directory` itself. Arrays are [H, W, 3] or [3, H, W]. Axes are the
-    camera's: x right, y down, z forward.
+    bit, n = 2v - 1), in place of the photo's or after it, in the same subfolder or in `directory` itself. Arrays are
+    [H, W, 3] or [3, H, W]. Axes are the camera's: x right, y down, z forward.
 
     A map of a distorted photo is undistorted with it, a map of the undistorted frame is taken as it is. The size tells
     which: that of the photo or of the frame, or of either reduced by a whole factor, or else of one's shape
-    (`gsjax.io.images.same_shape`) and not of the other's. Where both have one size, the map is the photo's.
+    (`gsjax.io.images.same_shape`) and not of the other's. Where both have one size, the map is the photo's. Maps that
+    `gsjax normals` made are always of the undistorted frame (`gsjax.io.normal_folders`).
 
     Args:
         directory: Folder of the maps.
@@ -47,16 +49,42 @@ def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, C
     missing = [frame.name for frame in frames if frame.name not in files]
     if missing:
         raise InputError(f"{directory}: {listed('normal map', missing)}")
-    return {frame.name: _reader(files[frame.name], frame) for frame in frames}
+    undistorted = is_recorded(directory)
+    return {frame.name: _reader(files[frame.name], frame, undistorted) for frame in frames}
+
+
+def map_places(frames: Sequence[Frame]) -> dict[str, PurePosixPath]:
+    """Each frame's name as a path without a suffix, within a folder; with it where two frames differ by theirs alone.
+
+    Parts that would lead out of the folder are left out.
+    """
+    inside = {frame.name: _inside(frame.name) for frame in frames}
+    shared = Counter(path.with_suffix("") for path in inside.values())
+    return {name: path if shared[path.with_suffix("")] > 1 else path.with_suffix("") for name, path in inside.items()}
+
+
+def resized(unit: np.ndarray, width: int, height: int) -> np.ndarray:
+    """A map `[h, w, 3]` of unit vectors at another size: unit again, and zero where the nearest vector is."""
+    unit = _shrunk(unit, width, height)
+    if unit.shape[:2] == (height, width):
+        return unit
+    mixed = cv2.resize(unit, (width, height), interpolation=cv2.INTER_LINEAR)
+    return _known(mixed, cv2.resize(unit, (width, height), interpolation=cv2.INTER_NEAREST))
+
+
+def _inside(name: str) -> PurePosixPath:
+    path = PurePosixPath(name)
+    return PurePosixPath(*[part for part in path.parts if part not in (path.anchor, "..")])
 
 
 def _files(directory: Path, frames: tuple[Frame, ...]) -> dict[str, Path]:
-    """Each frame's map: under its whole name, or under its bare stem where no other frame shares that."""
+    """Each frame's map: under its name, or under its bare stem where no other frame shares that."""
     paths = {frame.name: PurePosixPath(frame.name) for frame in frames}
     shared = Counter(path.stem for path in paths.values())
     files = {}
     for name, path in paths.items():
-        places = [path.with_suffix("")] + [PurePosixPath(path.stem)] * (shared[path.stem] == 1)
+        inside = _inside(name)
+        places = [inside, inside.with_suffix("")] + [PurePosixPath(path.stem)] * (shared[path.stem] == 1)
         candidates = [directory / f"{place}{suffix}" for place in places for suffix in _SUFFIXES]
         found = next((c for c in candidates if c.is_file()), None)
         if found is not None:
@@ -64,11 +92,11 @@ def _files(directory: Path, frames: tuple[Frame, ...]) -> dict[str, Path]:
     return files
 
 
-def _reader(file: Path, frame: Frame) -> Callable[[], np.ndarray]:
-    size = _size(file)
-    if frame.origin is not None and _shows_photo(file, size, frame, frame.origin):
-        return partial(_read_undistorted, file, frame, frame.origin)
-    if frame.origin is None and abs(size[0] * frame.height / (size[1] * frame.width) - 1) > _ASPECT_TOLERANCE:
+def _reader(file: Path, frame: Frame, undistorted: bool) -> Callable[[], np.ndarray]:
+    size, origin = _size(file), None if undistorted else frame.origin
+    if origin is not None and _shows_photo(file, size, frame, origin):
+        return partial(_read_undistorted, file, frame, origin)
+    if origin is None and abs(size[0] * frame.height / (size[1] * frame.width) - 1) > _ASPECT_TOLERANCE:
         raise InputError(f"{file}: normal map is {size[0]}x{size[1]}, its frame {frame.width}x{frame.height}")
     return partial(_read_resized, file, frame)
 
@@ -104,12 +132,7 @@ def _shows_photo(file: Path, size: tuple[int, int], frame: Frame, origin: Origin
 
 def _read_resized(file: Path, frame: Frame) -> np.ndarray:
     """A map of what the frame shows, at the frame's size."""
-    unit = _shrunk(_unit(_read(file)), frame.width, frame.height)
-    if unit.shape[:2] == (frame.height, frame.width):
-        return unit
-    mixed = cv2.resize(unit, (frame.width, frame.height), interpolation=cv2.INTER_LINEAR)
-    nearest = cv2.resize(unit, (frame.width, frame.height), interpolation=cv2.INTER_NEAREST)
-    return _known(mixed, nearest)
+    return resized(_unit(_read(file)), frame.width, frame.height)
 
 
 def _read_undistorted(file: Path, frame: Frame, origin: Origin) -> np.ndarray:

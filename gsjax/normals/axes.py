@@ -1,5 +1,6 @@
 """Foreign normal maps brought to our axes: x right, y down, z forward in the camera, towards it."""
 
+import itertools
 import re
 from collections.abc import Iterable
 
@@ -11,7 +12,7 @@ NAMED_AXES = {"opencv": "+x+y+z", "opengl": "+x-y-z", "dsine": "-x-y-z", "pytorc
 """What networks and programs are known to write, as signs that bring it to our axes: opencv Omnidata, Metric3D and
 MoGe's arrays; opengl Marigold and MoGe's pictures; dsine DSINE, StableNormal and Lotus."""
 
-# The ways to mirror axes, up to the sign of the whole, which an unsigned cosine cannot tell.
+# The ways to mirror axes, up to the sign of the whole.
 SIGN_PATTERNS = np.array([[1, 1, 1], [-1, 1, 1], [1, -1, 1], [1, 1, -1]], np.float32)
 
 
@@ -34,13 +35,68 @@ def written_axes(signs: np.ndarray) -> str:
     return "".join(f"{'+' if s > 0 else '-'}{axis}" for s, axis in zip(signs, "xyz", strict=True))
 
 
+# Every other way to turn the axes of a map, the whole negation last.
+OTHER_SIGNS = np.array(list(itertools.product([1, -1], repeat=3))[1:], np.float32)
+DECISIVE = 0.1  # |n . ray| of unit vectors, from which on a pixel says on which side its surface is seen.
+STRIDE = 4  # Every so many pixels of a map are asked, in both directions.
+
+
+def facing_votes(normals: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """What a map alone says for its axes: a surface that is seen faces the camera.
+
+    A pixel whose normal faces the camera as it is, and would not with other signs, speaks against those signs; one the
+    other way round speaks for them; most say nothing. Against a mirrored x only surfaces to the left and right of the
+    camera speak, against a mirrored y such above and below.
+
+    Args:
+        normals: `[H, W, 3]` unit, zero where there is none.
+        K: `[3, 3]` pixels, centres at +0.5.
+
+    Returns:
+        `[7, 2]` counts for each of `OTHER_SIGNS`: pixels against it, pixels for it.
+    """
+    y, x = np.mgrid[0 : normals.shape[0] : STRIDE, 0 : normals.shape[1] : STRIDE] + 0.5
+    rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], axis=-1)
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    products = (normals[::STRIDE, ::STRIDE] * rays).reshape(-1, 3)
+    as_it_is, otherwise = products.sum(axis=-1)[:, None], products @ OTHER_SIGNS.T
+    against = (as_it_is < -DECISIVE) & (otherwise > DECISIVE)
+    in_favour = (as_it_is > DECISIVE) & (otherwise < -DECISIVE)
+    return np.stack([against.sum(axis=0), in_favour.sum(axis=0)], axis=-1)
+
+
+def axes_verdict(votes: np.ndarray, *, fewest: int = 100, majority: float = 0.8) -> str:
+    """`facing_votes` of all maps as half a sentence about axes that are in question.
+
+    Args:
+        votes: `[7, 2]` counts.
+        fewest: Pixels that it takes to tell.
+        majority: Share of them that it takes.
+    """
+    total = votes.sum(axis=-1)
+    told = total >= fewest
+    for_others = told & (votes[:, 1] > majority * total)
+    for_these = told & (votes[:, 0] > majority * total)
+    if for_others.any():
+        # Of those that serve about as well, the one that mirrors least: what cannot be told is not accused.
+        best = for_others & (votes[:, 1] >= 0.9 * votes[for_others, 1].max())
+        other = int(np.argmin(np.where(best, (OTHER_SIGNS < 0).sum(axis=-1), 4)))
+        share = f"{votes[other, 1]:,} of the {total[other]:,} pixels that can tell"
+        return f"doubtful: mirrored by {written_axes(OTHER_SIGNS[other])} {share} would face the camera, as they must"
+    if for_these.all():
+        return "confirmed: any other mirroring would turn surfaces away from the camera"
+    rest = ", ".join(written_axes(signs) for signs in OTHER_SIGNS[~for_these])
+    return f"not contradicted; these views cannot tell them from a mirroring by {rest}"
+
+
 def detect_axes(
     maps: Iterable[np.ndarray], references: Iterable[np.ndarray], *, pixels_per_map: int = 4000, seed: int = 0
 ) -> tuple[np.ndarray, float, float]:
     """Which axes of foreign normal maps point the other way: the mirroring that agrees best with reference normals.
 
     Maps are taken one at a time, a random sample of each is kept. They must show surfaces that face left or right: all
-    else looks the same whichever way x points.
+    else looks the same whichever way x points. So up to a third of the sample each is kept for surfaces that face
+    sideways, up or down, and the camera; few walls at the side count as much as a floor that fills the view.
 
     Args:
         maps: `[H, W, 3]` each, any sign convention, zero where there is no normal.
@@ -50,7 +106,7 @@ def detect_axes(
 
     Returns:
         `[3]` signs (+1 or -1) for `apply_axes`, with the sign of the whole such that maps face the camera; the mean
-        |cos| that they reach, 0..1; and by how much the next best mirroring falls short of it. A score under 0.5 or
+        cosine that they reach, 0..1; and by how much the next best mirroring falls short of it. A score under 0.5 or
         a margin under 0.02 is doubtful; without a pixel to compare both are 0.
     """
     rng = np.random.default_rng(seed)
@@ -58,10 +114,11 @@ def detect_axes(
     products = np.concatenate([a * b for a, b in pairs])
     if not len(products):
         return SIGN_PATTERNS[0], 0.0, 0.0
-    cosines = products @ SIGN_PATTERNS.T
-    scores = np.abs(cosines).mean(axis=0)
+    # Signs before the mean: where walls, floor and camera are upright, all mirrorings have the same |cos| everywhere.
+    means = (products @ SIGN_PATTERNS.T).mean(axis=0)
+    scores = np.abs(means)
     best = int(scores.argmax())
-    facing = 1.0 if cosines[:, best].mean() >= 0 else -1.0
+    facing = 1.0 if means[best] >= 0 else -1.0
     runner_up = np.delete(scores, best).max()
     return np.float32(facing) * SIGN_PATTERNS[best], float(scores[best]), float(scores[best] - runner_up)
 
@@ -74,9 +131,14 @@ def apply_axes(normals: np.ndarray, signs: np.ndarray) -> np.ndarray:
 def _unit_pairs(
     normals: np.ndarray, reference: np.ndarray, count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`[P, 3]` float64 unit normals of both at no more than `count` of the pixels where both have one."""
+    """`[P, 3]` float64 unit normals of both at no more than `count` of the pixels where both have one.
+
+    No more than a third of them are where the reference's largest component is the same one.
+    """
     both = np.flatnonzero(np.any(normals, axis=-1) & np.any(reference, axis=-1))
-    chosen = rng.choice(both, min(count, len(both)), replace=False)
+    largest = np.abs(reference.reshape(-1, 3)[both]).argmax(axis=-1)
+    kinds = [both[largest == axis] for axis in range(3)]
+    chosen = np.concatenate([rng.choice(kind, min(count // 3, len(kind)), replace=False) for kind in kinds])
     pairs = [m.reshape(-1, 3)[chosen].astype(np.float64) for m in (normals, reference)]
     lengths = [np.linalg.norm(p, axis=-1, keepdims=True) for p in pairs]
     long = (lengths[0][:, 0] > 0.5) & (lengths[1][:, 0] > 0.5)

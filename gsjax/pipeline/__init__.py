@@ -2,6 +2,7 @@
 
 from gsjax.pipeline.evaluate import evaluate
 from gsjax.pipeline.mesh import mesh
+from gsjax.pipeline.normals import normals
 from gsjax.pipeline.pictures import render
 from gsjax.pipeline.refine import refine
 from gsjax.pipeline.scan import scan
@@ -9,4 +10,4 @@ from gsjax.pipeline.texture import texture, turntable
 from gsjax.pipeline.train import train
 from gsjax.pipeline.undistort import undistort
 
-__all__ = ["evaluate", "mesh", "refine", "render", "scan", "texture", "train", "turntable", "undistort"]
+__all__ = ["evaluate", "mesh", "normals", "refine", "render", "scan", "texture", "train", "turntable", "undistort"]

@@ -1,6 +1,8 @@
 """Scores of a run: held-out images, and geometry wherever there is truth beside the images."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -17,34 +19,39 @@ from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.export import read_mesh
 from gsjax.normals.from_depth import depth_normals
 from gsjax.pipeline.mesh import mesh as extract
+from gsjax.pipeline.perceptual import STANDARD, Measure, lpips_measures
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera, open_result, scene_of_run
 from gsjax.scene import Frame, Truth
 from rasterizer import DepthMode
 
+NO_MEASURES: Mapping[str, Measure] = MappingProxyType({})
 SKY, GROUND = 0, 255  # Labels of the truth; everything between is an object.
 
 
-def evaluate(run: str | Path, *, mesh: str | Path | None = None) -> dict[str, Any]:
+def evaluate(run: str | Path, *, mesh: str | Path | None = None, lpips: Sequence[str | Path] = ()) -> dict[str, Any]:
     """Score a finished run on its held-out views and, where its data set brings truth, its geometry.
 
     Args:
         run: Run folder.
         mesh: Mesh to score against the true surface. None: `RUN/mesh.ply`, extracted now if it is absent.
+        lpips: Files of weights, see `gsjax.pipeline.perceptual.lpips_measures`.
 
     Returns:
-        `psnr` and `ssim` (None without held-out views), `views`, `gaussians`, `train_seconds`, `steps`; with true
+        `psnr`, `ssim` and what the files of weights allow, at least `lpips_vgg_3dgs` (None without held-out views or
+        without weights), `views`, `gaussians`, `train_seconds`, `steps`; with true
         normals `normal_error_deg` and `normal_error_median_deg` of the rendered depth over object pixels and
         `normal_error_all_deg` over all surface pixels; with true depth `depth_error` (mean absolute, object pixels,
         scene units), both in held-out views; with true surface points what `score_mesh` returns.
 
     Raises:
-        InputError: The run, its data set or the mesh cannot be read.
+        InputError: The run, its data set, the mesh or the weights cannot be read.
     """
-    run = Path(run)
+    run, measures = Path(run), lpips_measures(lpips)
     result = open_result(run)
     manifest, settings = runs.read_json(run / "manifest.json"), runs.read_json(run / "config.json")
     scene = scene_of_run(run)
-    figures = score_images(result.gaussians, scene.held_out_frames, settings["background"])
+    figures = score_images(result.gaussians, scene.held_out_frames, settings["background"], measures)
+    figures.setdefault(STANDARD, None)
     figures |= {
         "gaussians": result.gaussians.num_gaussians,
         "train_seconds": manifest.get("train_seconds"),
@@ -88,12 +95,17 @@ def score_mesh(mesh: Mesh, seen_points: np.ndarray, seen_normals: np.ndarray, tr
     return found | {"distances": "point to surface", "floor": floor}
 
 
-def score_images(gaussians: Gaussians, frames: tuple[Frame, ...], background: str) -> dict[str, Any]:
-    """Mean PSNR and SSIM over frames, as 3DGS defines them (float renders, every pixel that is valid); None of none."""
+def score_images(
+    gaussians: Gaussians, frames: tuple[Frame, ...], background: str, measures: Mapping[str, Measure] = NO_MEASURES
+) -> dict[str, Any]:
+    """Mean PSNR and SSIM over frames, as 3DGS defines them (float renders, every pixel that is valid); None of none.
+
+    Further `measures` see pictures in 0..1, both black where a pixel is not valid.
+    """
     if not frames:
-        return {"psnr": None, "ssim": None, "views": 0}
+        return {"psnr": None, "ssim": None, "views": 0, **dict.fromkeys(measures)}
     color = BACKGROUNDS[background]
-    scores = []
+    scores, others = [], []
     for frame, picture in zip(
         frames, gallery.pictures(gaussians, [frame_camera(f) for f in frames], color), strict=True
     ):
@@ -104,8 +116,11 @@ def score_images(gaussians: Gaussians, frames: tuple[Frame, ...], background: st
             target = target * coverage + (1 - coverage) * color
         valid = np.ones(target.shape[:2], bool) if valid is None else valid > 127
         scores.append(_scores(jnp.asarray(picture.colors), jnp.asarray(target), jnp.asarray(valid)))
+        pair = [np.clip(colors, 0, 1) * valid[..., None] for colors in (np.asarray(picture.colors), target)]
+        others.append([measure(*pair) for measure in measures.values()])
     psnr, ssim = np.asarray(scores, np.float64).mean(0)
-    return {"psnr": float(psnr), "ssim": float(ssim), "views": len(scores)}
+    means = dict(zip(measures, np.mean(others, axis=0).tolist(), strict=True))
+    return {"psnr": float(psnr), "ssim": float(ssim), "views": len(scores), **means}
 
 
 @jax.jit

@@ -1,9 +1,8 @@
 """Where the normals of a run come from: a folder of maps, or the run's own smoothed depth."""
 
 import sys
-from collections import Counter
 from collections.abc import Iterator, Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TypeVar
 
 import jax.numpy as jnp
@@ -14,7 +13,8 @@ from gsjax import gallery
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io.images import read_image, write_image
-from gsjax.io.normals import normal_maps
+from gsjax.io.normal_folders import maker
+from gsjax.io.normals import map_places, normal_maps
 from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera
@@ -49,7 +49,8 @@ class RunPrior:
         Args:
             run: The run's folder, which need not exist yet.
             folder: Of foreign normal maps; None: the Gaussians' own.
-            axes: Those of the foreign maps, see `axis_signs`; None: found by comparing with the Gaussians.
+            axes: Those of the foreign maps, see `axis_signs`; None: those that they were written with where `gsjax
+                normals` made them, else found by comparing with the Gaussians.
             frames: Whose normals will be asked for.
             depth_mode: What the Gaussians' depth is, see `gsjax.render.view`.
 
@@ -61,6 +62,7 @@ class RunPrior:
         if folder is None and axes is not None:
             raise InputError(f"--normal-axes {axes}: there are no maps whose axes these are, --normals DIR names them")
         self.depth_mode: DepthMode = depth_mode
+        self.network = None if folder is None else maker(folder)
         self.given = None if folder is None else normal_maps(folder, frames)
 
     def __call__(self, gaussians: Gaussians, frames: tuple[Frame, ...]) -> list[np.ndarray]:
@@ -88,20 +90,27 @@ class RunPrior:
             yield apply_axes(self.given[frame.name](), signs)
 
     def _detected(self, gaussians: Gaussians, frames: Sequence[Frame]) -> np.ndarray:
-        """Signs of the axes, those of the convention where the views cannot tell; one line says which."""
+        """Signs of the axes: those of the convention where the views cannot tell, or a network's record set them.
+
+        One line says which, and what the comparison says of them.
+        """
         assert self.given is not None
         maps = (self.given[frame.name]() for frame in frames)
         references = (
             np.asarray(depth_normals(depth, camera)) for depth, _, camera in self._rendered(gaussians, frames)
         )
         signs, score, margin = detect_axes(maps, references)
-        measured = f"mean |cos| {score:.3f} against the rendered depth, next best {margin:.3f} lower"
+        measured = f"mean cosine {score:.3f} against the rendered depth, next best {margin:.3f} lower"
         clear = score >= CLEAR_SCORE and margin >= CLEAR_MARGIN
-        if clear:
-            line = f"axes read as {written_axes(signs)} ({measured})"
+        guess, ours = written_axes(signs), np.ones(3, np.float32)
+        if clear and self.network is None:
+            line = f"axes read as {guess} ({measured})"
+        elif clear and np.array_equal(signs, ours):
+            line = f"axes confirmed as in {self.network}'s record ({measured})"
         else:
-            guess, signs = written_axes(signs), np.ones(3, np.float32)
-            line = f"axes taken as {written_axes(signs)}: {guess} is doubtful ({measured}); --normal-axes sets them"
+            own, fault = self.network is None, "fits better" if clear else "is doubtful"
+            taken = f"taken as {written_axes(ours)}" if own else f"kept as in {self.network}'s record"
+            line, signs = f"axes {taken}: {guess} {fault} ({measured}); --normal-axes sets them", ours
         tqdm.write(f"normals: {line}", file=sys.stderr)
         return signs
 
@@ -137,10 +146,7 @@ def read_map(file: Path, frame: Frame) -> np.ndarray:
 
 
 def _files(folder: Path, frames: Sequence[Frame]) -> dict[str, Path]:
-    """Each frame's map: the frame's name with the suffix .png, added to it where two frames differ by theirs alone."""
-    stems = {frame.name: PurePosixPath(frame.name).with_suffix("") for frame in frames}
-    shared = Counter(stems.values())
-    return {name: folder / f"{stem if shared[stem] == 1 else name}.png" for name, stem in stems.items()}
+    return {name: folder / f"{place}.png" for name, place in map_places(frames).items()}
 
 
 def _spread(items: Sequence[T], count: int) -> list[T]:

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from gsjax import config
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
-from gsjax.io import runs
+from gsjax.io import normal_folders, runs
 from gsjax.io.ply import write_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.pipeline.evaluate import score_images
@@ -47,6 +47,8 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
     Raises:
         InputError: The data set, the normals or the run folder cannot be used.
     """
+    if settings.normals is not None:
+        settings = replace(settings, normals=normal_folders.find(scene, settings.normals))
     loaded, settings = _sized(scene, settings)
     frames = loaded.train_frames
     if not frames:

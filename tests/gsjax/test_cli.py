@@ -17,7 +17,7 @@ from gsjax.errors import InputError
 from gsjax.settings import PRESETS, Phase, Settings
 
 COMMANDS = (
-    "demo", "scan", "sfm", "train", "mesh", "refine", "texture", "eval", "render", "turntable", "undistort"
+    "demo", "scan", "sfm", "normals", "train", "mesh", "refine", "texture", "eval", "render", "turntable", "undistort"
 )  # fmt: skip
 
 
@@ -55,7 +55,7 @@ def library(monkeypatch):
 
         return function
 
-    names = ("train", "mesh", "evaluate", "render", "undistort")
+    names = ("train", "mesh", "normals", "evaluate", "render", "undistort")
     install("gsjax.pipeline", **{name: recorded(name, {"psnr": 29.5, "views": 7}) for name in names})
     left_out = {"a.jpg": "blurred", "b.jpg": "dark", "c.jpg": "dark"}
     install("gsjax.io.sfm", reconstruct=recorded("sfm", SfmReport(45, left_out)))
@@ -186,6 +186,30 @@ def test_eval_says_that_there_are_no_views_to_score(library, capsys, monkeypatch
     printed = capsys.readouterr()
     assert printed.out == "psnr     -\nviews    0\nchamfer  0.1\n"
     assert printed.err == "run: no held-out views, pictures are not scored\n"
+
+
+def test_eval_says_where_weights_of_lpips_are_missing(library, capsys):
+    assert cli.main(["eval", "run"]) == 0
+    assert capsys.readouterr().err == "LPIPS is not scored: --lpips FILE names its weights\n"
+    assert cli.main(["eval", "run", "--lpips", "vgg.onnx", "--lpips", "alex.onnx"]) == 0
+    assert library[-1] == ("evaluate", ("run",), {"mesh": None, "lpips": ["vgg.onnx", "alex.onnx"]})
+    assert capsys.readouterr().err == ""
+
+
+def test_normals_are_a_folder_a_name_or_whatever_the_scene_holds(library):
+    for given, meant in ((["maps"], "maps"), (["moge2"], "moge2"), ([], "auto")):
+        assert train_settings(library, "--out", "r", "--normals", *given)[0].normals == meant
+    assert train_settings(library, "--out", "r")[0].normals is None
+
+
+def test_normals_hands_over_only_what_was_given(library, capsys):
+    basic = ["normals", "scene", "--network", "moge2", "--weights", "m.onnx"]
+    assert cli.main(basic) == 0
+    assert cli.main([*basic, "--out", "o", "--downscale", "2", "--images", "images_4"]) == 0
+    assert library == [
+        ("normals", ("scene", "moge2", "m.onnx", None), {}),
+        ("normals", ("scene", "moge2", "m.onnx", "o"), {"downscale": 2, "images": "images_4"}),
+    ]
 
 
 def test_the_other_commands_reach_their_functions(library, capsys):

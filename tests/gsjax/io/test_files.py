@@ -104,3 +104,17 @@ def test_what_a_killed_writer_left_is_swept_away_and_nothing_else(tmp_path):
     files.sweep(tmp_path)
     assert os.listdir(target.parent) == []
     assert sorted(os.listdir(tmp_path)) == [".hidden-file", "a", "step-0123abcd.npz"]
+
+
+def test_a_folder_that_stays_empty_goes_with_the_parents_made_for_it(tmp_path):
+    (tmp_path / "mine").mkdir()
+    for target in ("mine", "mine/a/b", "new/b"):
+        with pytest.raises(ValueError, match="early"), files.folder_if_used(tmp_path / target) as folder:
+            assert folder.is_dir()
+            raise ValueError("early")
+    assert os.listdir(tmp_path) == ["mine"] and os.listdir(tmp_path / "mine") == []
+    with files.folder_if_used(tmp_path / "new/b") as folder:
+        (folder / "x").write_text("x")
+    assert (tmp_path / "new/b/x").exists()
+    with pytest.raises(InputError, match="cannot write .*x/b: Not a directory"), files.folder_if_used(folder / "x/b"):
+        pass

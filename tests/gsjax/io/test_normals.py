@@ -1,10 +1,13 @@
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pycolmap
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.io.normals import normal_maps
+from gsjax.io import normal_folders
+from gsjax.io.normals import map_places, normal_maps, resized
 from gsjax.io.scenes import load_scene
 from gsjax.scene import Pixels, frame_of
 
@@ -257,6 +260,45 @@ def test_distorted_maps_whose_size_does_not_tell_what_they_show_are_refused(dist
         read(np.zeros((*size[::-1], 3), np.float32))
     with pytest.raises(InputError, match="100x100, neither its photo's, 160x120, nor its undistorted frame's"):
         read(np.zeros((100, 100, 3), np.float32))
+
+
+@pytest.mark.parametrize("size", [(24, 16), (12, 8), (7, 5)])
+def test_resized_maps_are_unit_and_zero_where_the_nearest_is(size):
+    normals = smooth_normals()
+    normals[:, :6] = 0
+    resized_map = resized(normals, *size)
+    known = resized_map.any(axis=-1)
+    assert resized_map.shape == (*size[::-1], 3)
+    np.testing.assert_allclose(np.linalg.norm(resized_map[known], axis=-1), 1, atol=1e-6)
+    assert not known[:, : size[0] // 2].any() and known[:, (size[0] + 1) // 2 :].all()
+
+
+def test_places_of_maps_stay_in_their_folder_and_apart():
+    names = ("../photos/a.png", "left/b.jpg", "left/b.png", "/c.v2.jpg", "a.b")
+    places = {name: str(place) for name, place in map_places(frames(*names)).items()}
+    assert places == {
+        "../photos/a.png": "photos/a",
+        "left/b.jpg": "left/b.jpg",
+        "left/b.png": "left/b.png",
+        "/c.v2.jpg": "c.v2",
+        "a.b": "a",
+    }
+
+
+def test_maps_are_found_where_they_were_placed(tmp_path):
+    views = frames("../photos/a.png", "left/b.jpg", "left/b.png")
+    manifest = normal_folders.begin(tmp_path, {"network": "n"})
+    for index, (name, place) in enumerate(map_places(views).items()):
+        normals = np.roll(smooth_normals(), index, axis=1)
+        normal_folders.add(tmp_path, manifest, name, Path(f"{place}.npz"), normals, {})
+    for index, frame in enumerate(views):
+        # One at a time: whatever the others are called, each finds its own.
+        loaded = load_normals(tmp_path, (frame,))[frame.name]
+        np.testing.assert_allclose(loaded, np.roll(smooth_normals(), index, axis=1), atol=1e-3)
+        assert degrees(loaded, np.roll(smooth_normals(), index, axis=1)).max() < 0.03, "half precision"
+    (tmp_path / "normals.json").write_text('{"maps": {}}')
+    with pytest.raises(InputError, match="normals.json: does not say what made the maps"):
+        normal_folders.maker(tmp_path)
 
 
 def test_headers_are_read_at_once_and_maps_one_by_one(tmp_path):

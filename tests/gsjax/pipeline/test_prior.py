@@ -6,6 +6,7 @@ import pytest
 from small_scenes import angles, camera_at, plane
 
 from gsjax.errors import InputError
+from gsjax.io import normal_folders
 from gsjax.io.normals import normal_maps
 from gsjax.pipeline import prior
 from gsjax.pipeline.prior import RunPrior, read_map, write_map
@@ -120,6 +121,25 @@ def test_where_views_cannot_tell_the_convention_stays_and_a_line_says_so(foreign
     maps = RunPrior(tmp_path / "run", foreign((0, 0, -1), (1, 1, -1)), None, FRAMES)(wall, FRAMES)
     np.testing.assert_array_equal(np.stack(maps)[..., 2], 127)
     assert "axes taken as +x+y+z: -x-y-z is doubtful" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("signs", "line"),
+    [
+        ((1, 1, 1), "axes confirmed as in moge2's record (mean cosine "),
+        ((1, -1, -1), "axes kept as in moge2's record: +x-y-z fits better (mean cosine "),
+    ],
+)
+def test_axes_of_a_network_stay_and_the_comparison_confirms_or_doubts_them(tilted, tmp_path, capsys, signs, line):
+    folder = tmp_path / "scene/normals_moge2"
+    folder.mkdir(parents=True)
+    manifest = normal_folders.begin(folder, {"network": "moge2"})
+    for frame in FRAMES:
+        normals = np.tile(np.float32(NORMAL) * np.float32(signs), (32, 40, 1))
+        normal_folders.add(folder, manifest, frame.name, Path(frame.name).with_suffix(".npz"), normals, {})
+    maps = RunPrior(tmp_path / "run", str(folder), None, FRAMES)(tilted, FRAMES)
+    assert angles(np.stack(maps), NORMAL * signs).max() < 0.4
+    assert line in capsys.readouterr().err
 
 
 def test_axes_that_are_set_are_taken_and_nothing_is_rendered(foreign, tmp_path, capsys):

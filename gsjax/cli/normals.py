@@ -1,0 +1,39 @@
+"""`gsjax normals`: normal maps of the photos, from a network."""
+
+import argparse
+
+from gsjax.cli.parsers import add_command, given
+
+
+def add_to(commands: argparse._SubParsersAction) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands,
+        "normals",
+        _run,
+        summary="normal maps of the photos, from a network that you have as an ONNX file",
+        description="""
+            Runs a monocular network on every photo as training sees it (undistorted) and writes a map
+            a photo into DIR, for `gsjax train SCENE --normals NETWORK`. What the same weights have made
+            before is kept, so a stopped run goes on. No weights come with gsjax: docs/normals.md says
+            where each network's are, under which licence, and how a record describes another network.
+        """,
+        example="gsjax normals scenes/garden --network moge2 --weights moge-2-vitb-normal.onnx",
+    )
+    add = parser.add_argument
+    add("scene", metavar="SCENE", help="folder of the data set")
+    add("--network", metavar="NAME", required=True, help="moge2, metric3d, omnidata, dsine, or a JSON file that"
+        " describes another one")  # fmt: skip
+    add("--weights", metavar="FILE", required=True, help="the network as an ONNX file")
+    add("--out", metavar="DIR", help="folder of the maps (default: SCENE/normals_NETWORK)")
+    add("--downscale", type=float, metavar="K", help="make the maps K times smaller than the photos (default: to 1600"
+        " pixels)")  # fmt: skip
+    add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute (default: looked for)")
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from gsjax import pipeline, tables
+
+    options = given(arguments, "downscale", "images")
+    report = pipeline.normals(arguments.scene, arguments.network, arguments.weights, arguments.out, **options)
+    print(tables.record(report))

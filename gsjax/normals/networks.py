@@ -1,0 +1,213 @@
+"""Networks that see normals in a single photo: what each is fed and what it gives back, as data."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from gsjax.normals.axes import apply_axes, axis_signs
+
+
+@dataclass(frozen=True)
+class Size:
+    """The input that a photo is brought to. Sides that a graph has fixed come before any rule."""
+
+    rule: Literal["fixed", "multiple", "tokens"]
+    fit: Literal["pad", "stretch"] = "pad"  # keep the photo's shape, centred, and fill the rest; or fill all with it
+    border: Literal["reflect"] | tuple[int, int, int] = (
+        0,
+        0,
+        0,
+    )  # what fills the rest: the photo mirrored, or RGB 0..255
+    sides: tuple[int, int] | None = None  # fixed: height and width, pixels
+    multiple: int = 1  # multiple, tokens: each side is a multiple of it, pixels
+    longest: int | None = None  # multiple: the photo's longer side becomes that, pixels; None: it stays as it is
+    tokens: int | None = None  # tokens: about so many squares of side `multiple` in all
+
+    def __post_init__(self):
+        """Check that the rule has what it needs."""
+        needed = {"fixed": "sides", "tokens": "tokens"}.get(self.rule)
+        if needed and getattr(self, needed) is None:
+            raise ValueError(f"the rule {self.rule} needs {needed}")
+        numbers = {"multiple": self.multiple, "longest": self.longest, "tokens": self.tokens}
+        numbers |= {"sides": min(self.sides or (1,))}
+        for name, number in numbers.items():
+            if number is not None and number < 1:
+                raise ValueError(f"{name}={number} is below 1")
+
+
+@dataclass(frozen=True)
+class Output:
+    """Where a graph's output is found: by name, and by place where all names of the graph are foreign to the record."""
+
+    names: tuple[str, ...] = ()
+    place: int | None = None  # counted from 0, or from -1 backwards; None: by name only
+
+
+@dataclass(frozen=True)
+class Confidence:
+    """An output that tells where the normals hold; pixels that it rejects are left empty."""
+
+    names: tuple[str, ...]
+    kind: Literal["probability", "kappa"]  # of a pixel being valid; or a concentration, see `expected_error_degrees`
+    bound: float  # probability: it must be above; kappa: the expected error must be below, degrees
+    place: int | None = None  # as in `Output`
+
+
+@dataclass(frozen=True)
+class Network:
+    """One network's contract: photo in, normals out. Where a record is silent, the defaults below hold."""
+
+    licence: str  # one line, shown at every run
+    size: Size
+    normals: Output
+    axes: str  # of its normals: three signs such as +x-y-z, or a name of `gsjax.normals.axes.NAMED_AXES`
+    range: Literal["signed", "unit"]  # components in -1..1; or in 0..1 and decoded as 2v - 1
+    white: float = 1.0  # what a white pixel is before `mean` and `std`: 1 or 255
+    mean: tuple[float, float, float] = (0.0, 0.0, 0.0)  # RGB, subtracted
+    std: tuple[float, float, float] = (1.0, 1.0, 1.0)  # RGB, divided by
+    layout: Literal["NCHW", "NHWC"] = "NCHW"  # of the photo, where the graph's own shape does not tell
+    picture: str | None = None  # the input for the photo; None, or none of that name: the first of a picture's shape
+    extra: Mapping[str, Literal["tokens", "intrinsics"]] = field(default_factory=dict)  # further inputs, if it has them
+    pixel_center: float = 0.5  # intrinsics: where the first pixel's centre is in the K that it wants, 0.5 or 0
+    confidence: Confidence | None = None
+
+    def __post_init__(self):
+        """Check values that types cannot."""
+        axis_signs(self.axes)
+        if min(self.std) <= 0 or self.white <= 0:
+            raise ValueError(f"white={self.white} and std={self.std} must be positive")
+
+
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+RESEARCH_ONLY = "weights for research, not for commercial use"
+
+NETWORKS: dict[str, Network] = {
+    "moge2": Network(
+        licence="MoGe-2: MIT, its DINOv2 part Apache-2.0",
+        size=Size("tokens", fit="stretch", multiple=14, tokens=1800),
+        normals=Output(("normal",), 1),
+        axes="opencv",
+        range="signed",
+        picture="image",
+        extra={"num_tokens": "tokens"},
+        confidence=Confidence(("mask",), "probability", 0.5, 2),
+    ),
+    "metric3d": Network(
+        licence="Metric3D v2: code BSD-2-Clause, ONNX files tagged CC0; its authors ask commercial users to write",
+        size=Size("multiple", multiple=28, longest=1064, border=(124, 116, 104)),
+        normals=Output(("predicted_normal",), 1),
+        axes="opencv",
+        range="signed",
+        white=255.0,
+        picture="pixel_values",
+        confidence=Confidence(("normal_confidence",), "kappa", 45.0, 2),
+    ),
+    "omnidata": Network(
+        licence=f"Omnidata v2: {RESEARCH_ONLY}",
+        size=Size("fixed", sides=(384, 384), border="reflect"),
+        normals=Output((), 0),
+        axes="opencv",
+        range="unit",
+    ),
+    "dsine": Network(
+        licence=f"DSINE: Imperial College London, {RESEARCH_ONLY}, no redistribution",
+        size=Size("multiple", multiple=32),
+        normals=Output(("normal",), -1),
+        axes="dsine",
+        range="signed",
+        mean=IMAGENET_MEAN,
+        std=IMAGENET_STD,
+        extra={"intrins": "intrinsics"},
+        pixel_center=0.0,
+    ),
+}
+"""The networks that are known by name; any other has a record of its own."""
+
+
+class Placement(NamedTuple):
+    """Where a photo lies in a network's input, pixels."""
+
+    canvas: tuple[int, int]  # height and width of the input
+    top: int
+    left: int
+    height: int  # of the photo there
+    width: int
+
+
+def placement(size: Size, width: int, height: int, fixed: tuple[int | None, int | None] = (None, None)) -> Placement:
+    """Where a photo of `width` x `height` pixels goes; `fixed` are the height and width that a graph insists on."""
+    scale = 1.0 if size.longest is None else size.longest / max(width, height)
+    wanted = _canvas(size, width, height, scale)
+    canvas = (fixed[0] or wanted[0], fixed[1] or wanted[1])
+    if size.fit == "stretch":
+        return Placement(canvas, 0, 0, *canvas)
+    if size.rule != "multiple" or canvas != wanted:
+        scale = min(canvas[0] / height, canvas[1] / width)
+    inner = [min(max(1, round(scale * side)), most) for side, most in zip((height, width), canvas, strict=True)]
+    return Placement(canvas, (canvas[0] - inner[0]) // 2, (canvas[1] - inner[1]) // 2, *inner)
+
+
+def _canvas(size: Size, width: int, height: int, scale: float) -> tuple[int, int]:
+    if size.rule == "fixed":
+        assert size.sides is not None
+        return size.sides
+    if size.rule == "tokens":
+        assert size.tokens is not None
+        counts = [math.sqrt(size.tokens * share) for share in (height / width, width / height)]
+        return _multiples(counts, size.multiple, round)
+    # Padding needs room for the whole photo; a stretched one takes the nearest size.
+    counts = [max(1, round(scale * side)) / size.multiple for side in (height, width)]
+    return _multiples(counts, size.multiple, math.ceil if size.fit == "pad" else round)
+
+
+def _multiples(counts, multiple, whole) -> tuple[int, int]:
+    rows, columns = (multiple * max(1, whole(count)) for count in counts)
+    return rows, columns
+
+
+def token_count(size: Size, canvas: tuple[int, int]) -> int:
+    """Tokens of an input: its squares, so that the network's own grid is the one it was resized for."""
+    return max(1, round(canvas[0] * canvas[1] / size.multiple**2))
+
+
+def input_intrinsics(K: np.ndarray, width: int, height: int, place: Placement, pixel_center: float) -> np.ndarray:
+    """`[3, 3]` float32 K of the input, from the photo's `[3, 3]` K in pixels with centres at +0.5."""
+    scale = np.array([place.width / width, place.height / height, 1.0])
+    moved = K.astype(np.float64) * scale[:, None]
+    moved[:2, 2] += np.array([place.left, place.top]) + (pixel_center - 0.5)
+    return moved.astype(np.float32)
+
+
+def normalised(network: Network, picture: np.ndarray) -> np.ndarray:
+    """`[H, W, 3]` uint8 as the `[H, W, 3]` float32 that the network wants."""
+    mean, std = np.float32(network.mean), np.float32(network.std)
+    return (picture.astype(np.float32) * np.float32(network.white / 255) - mean) / std
+
+
+def decoded(network: Network, raw: np.ndarray) -> np.ndarray:
+    """The network's `[H, W, 3]` float32 as unit normals in our axes (x right, y down, z forward); a zero stays one."""
+    directions = 2 * np.clip(raw, 0, 1) - 1 if network.range == "unit" else raw
+    length = np.linalg.norm(directions, axis=-1, keepdims=True)
+    unit = np.where(length > 1e-6, directions / np.where(length > 1e-6, length, 1), 0)
+    return apply_axes(unit.astype(np.float32), axis_signs(network.axes))
+
+
+def reliable(confidence: Confidence, values: np.ndarray) -> np.ndarray:
+    """Bool of the values' shape: where the network stands by its normals."""
+    if confidence.kind == "probability":
+        return values > confidence.bound
+    return expected_error_degrees(values) < confidence.bound
+
+
+def expected_error_degrees(kappa: np.ndarray) -> np.ndarray:
+    """Mean angle between true and estimated normal at a concentration `kappa` >= 0: 90 degrees at 0.
+
+    That of the angular von Mises-Fisher distribution (Bae, Budvytis and Cipolla 2021):
+    `2 k / (k^2 + 1) + pi e^(-k pi) / (1 + e^(-k pi))`.
+    """
+    kappa = np.maximum(kappa.astype(np.float64), 0)
+    rest = np.exp(-np.pi * kappa)
+    return np.degrees(2 * kappa / (kappa**2 + 1) + np.pi * rest / (1 + rest))

@@ -1,0 +1,140 @@
+"""Normal maps for a data set's photos, from a network that the user has as an ONNX file."""
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from gsjax import config
+from gsjax.errors import InputError
+from gsjax.io import normal_folders, runs
+from gsjax.io.files import folder_if_used
+from gsjax.io.normals import map_places
+from gsjax.io.scenes import load_scene
+from gsjax.normals.axes import axes_verdict, facing_votes
+from gsjax.normals.networks import NETWORKS, Network
+from gsjax.pipeline.estimator import Estimator
+from gsjax.pipeline.sizes import chosen_downscale
+from gsjax.scene import Frame
+from gsjax.settings import Settings
+
+
+def normals(
+    scene: str | Path,
+    network: str | Path,
+    weights: str | Path,
+    out: str | Path | None = None,
+    *,
+    downscale: float | None = None,
+    images: str | None = None,
+) -> dict[str, Any]:
+    """Estimate a normal map for every photo; those that the same model made before are kept.
+
+    The network sees the frames as training does, undistorted, one at a time. Maps have the frames' size.
+
+    Args:
+        scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
+        network: A name of `gsjax.normals.networks.NETWORKS`, or a JSON file with a record of one's own.
+        weights: The network as an ONNX file.
+        out: Folder of the maps, see `gsjax.io.normal_folders`. None: `normals_NETWORK` in the data set, where NETWORK
+            is the name, or the file's without its suffix.
+        downscale: Frames are this many times smaller, at least 1. None: their longer side becomes 1,600 pixels where
+            it is longer, as in training.
+        images: Folder of the photos, absolute or in `scene`. None: looked for.
+
+    Returns:
+        `maps`, and `made`: how many there are, and how many of them are new; `known`: mean share of pixels that have a
+        normal; `axes`: what the maps themselves say for the record's axes; `provider`: what the network ran on, as
+        onnxruntime calls it; `seconds_per_map` (None where nothing was new); `licence`; `folder`.
+
+    Raises:
+        InputError: The data set, the record, the weights or the folder cannot be used. Maps that were whole by then
+            stay, and the next run goes on with the rest.
+    """
+    name, record = read_network(network)
+    estimator = Estimator(record, weights)
+    frames, downscale = _frames(scene, downscale, images)
+    folder = Path(scene) / f"{normal_folders.PREFIX}{name}" if out is None else Path(out)
+    made_by = {
+        "network": name,
+        "sha256": estimator.graph.sha256,
+        "record": config.to_dict(record),
+        "downscale": downscale,
+        "images": images,
+    }
+    with folder_if_used(folder):
+        manifest = normal_folders.begin(folder, made_by)
+        missing = _missing(folder, manifest, frames)
+        began = time.perf_counter()
+        places = map_places(frames)
+        for frame in tqdm(missing, desc=f"{name} on {estimator.graph.device}", unit="photo", leave=bool(missing)):
+            found = estimator(frame)
+            file = Path(f"{places[frame.name]}.npz")
+            normal_folders.add(folder, manifest, frame.name, file, found, _about(frame, found))
+        seconds = time.perf_counter() - began
+    maps = [manifest["maps"][frame.name] for frame in frames]
+    return {
+        "maps": len(maps),
+        "made": len(missing),
+        "known": float(np.mean([one["known"] for one in maps])),
+        "axes": axes_verdict(np.sum([one["votes"] for one in maps], axis=0)),
+        "provider": estimator.graph.provider,
+        "seconds_per_map": seconds / len(missing) if missing else None,
+        "licence": record.licence,
+        "folder": str(folder),
+    }
+
+
+def read_network(network: str | Path) -> tuple[str, Network]:
+    """A network's name and record.
+
+    Raises:
+        InputError: It is neither a known name nor a file, or the file is no such record; names the key.
+    """
+    if str(network) in NETWORKS:
+        return str(network), NETWORKS[str(network)]
+    file = Path(network)
+    if not file.is_file():
+        known = ", ".join(NETWORKS)
+        raise InputError(f"--network {network}: neither a known network ({known}) nor a file that describes one")
+    data = runs.read_json(file)
+    if not isinstance(data, Mapping):
+        raise InputError(f"{file}: holds no table of keys that describes a network")
+    return file.stem, config.parse(Network, data, where=str(file))
+
+
+def _frames(scene: str | Path, downscale: float | None, images: str | None) -> tuple[tuple[Frame, ...], float]:
+    """The frames at the size of their maps, and how many times smaller than the photos that is."""
+    taken = load_scene(scene, images=images).frames
+    # Not asking jax for its device: a GPU's memory is the network's here.
+    factor = chosen_downscale(Settings(downscale=downscale), taken, on_cpu=False)
+    return (taken if factor == 1 else load_scene(scene, downscale=factor, images=images).frames), factor
+
+
+def _missing(folder: Path, manifest: Mapping[str, Any], frames: tuple[Frame, ...]) -> list[Frame]:
+    """The frames without a whole map of theirs."""
+    missing = []
+    for frame in frames:
+        done = manifest["maps"].get(frame.name)
+        if done is None or not (folder / done["file"]).is_file():
+            missing.append(frame)
+        elif done["camera"] != _camera(frame):
+            raise InputError(
+                f"{folder}: the camera of {frame.name} has changed since its map was made; choose another folder "
+                "with --out"
+            )
+    return missing
+
+
+def _about(frame: Frame, found: np.ndarray) -> dict[str, Any]:
+    """What the manifest holds of a map."""
+    known = round(float(np.any(found, axis=-1).mean()), 4)
+    return {"camera": _camera(frame), "known": known, "votes": facing_votes(found, frame.K).tolist()}
+
+
+def _camera(frame: Frame) -> list[float]:
+    """What of a frame decides its map, besides the photo: its size and intrinsics."""
+    return [frame.width, frame.height, *(round(float(k), 4) for k in frame.K.reshape(-1))]

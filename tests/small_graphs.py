@@ -1,0 +1,97 @@
+"""ONNX graphs of a few hundred bytes whose outputs have a closed form."""
+
+from pathlib import Path
+
+import numpy as np
+from onnx import TensorProto, helper, numpy_helper
+
+from gsjax.pipeline.perceptual import CHANNELS
+
+IR, OPSET = 8, 17  # What onnx itself would write is newer than onnxruntime loads.
+TYPES = {np.float16: TensorProto.FLOAT16, np.float32: TensorProto.FLOAT, np.int64: TensorProto.INT64}
+ANY = ("b", 3, "h", "w")
+
+
+class SmallGraph:
+    """Collects nodes; every method gives the name of what it adds."""
+
+    def __init__(self, dtype=np.float32):
+        self.dtype, self.nodes, self.constants, self.inputs, self.outputs = dtype, [], [], [], []
+
+    def input(self, name, shape=ANY, dtype=None):
+        self.inputs.append(helper.make_tensor_value_info(name, TYPES[dtype or self.dtype], shape))
+        return name
+
+    def constant(self, values, dtype=None):
+        name = f"constant{len(self.constants)}"
+        self.constants.append(numpy_helper.from_array(np.asarray(values, dtype or self.dtype), name))
+        return name
+
+    def add(self, operator, *inputs, **attributes):
+        name = f"value{len(self.nodes)}"
+        self.nodes.append(helper.make_node(operator, list(inputs), [name], **attributes))
+        return name
+
+    def affine(self, value, gain=1.0, bias=0.0):
+        """`gain * value + bias`, numbers or one a channel of NCHW."""
+        gain, bias = (np.reshape(x, (1, -1, 1, 1)) for x in (gain, bias))
+        return self.add("Add", self.add("Mul", value, self.constant(gain)), self.constant(bias))
+
+    def channel(self, value, index):
+        """`[B, H, W]` of NCHW."""
+        return self.add("Gather", value, self.constant(index, np.int64), axis=1)
+
+    def transposed(self, value, order):
+        return self.add("Transpose", value, perm=order)
+
+    def output(self, value, name, dtype=None):
+        self.nodes.append(helper.make_node("Identity", [value], [name]))
+        self.outputs.append(helper.make_tensor_value_info(name, TYPES[dtype or self.dtype], None))
+
+    def save(self, file) -> Path:
+        graph = helper.make_graph(self.nodes, "small", self.inputs, self.outputs, self.constants)
+        model = helper.make_model(graph, ir_version=IR, opset_imports=[helper.make_opsetid("", OPSET)])
+        Path(file).parent.mkdir(parents=True, exist_ok=True)
+        Path(file).write_bytes(model.SerializeToString())
+        return Path(file)
+
+
+NHWC, NCHW = [0, 2, 3, 1], [0, 3, 1, 2]
+
+
+def color_network(file, *, name="normal", picture="image", shape=ANY, white=1.0, gain=2.0, bias=-1.0, dtype=np.float32):
+    """Normals are the photo's colours, as pictures of normals have them: `gain * colour / white + bias`."""
+    graph = SmallGraph(dtype)
+    value = graph.input(picture, shape)
+    value = graph.transposed(value, NCHW) if shape[1] != 3 else value
+    graph.output(graph.affine(value, np.divide(gain, white), bias), name)
+    return graph.save(file)
+
+
+STRIDES = (1, 2, 4, 8, 16)
+
+
+def small_lpips(file, kind="vgg", seed=0, sign=1.0):
+    """Layers of 1x1 convolutions of the picture, coarser and coarser, with a network's numbers of channels.
+
+    Returns:
+        The file; a function from a picture [H, W, 3] to the layers' features; the linear weights.
+    """
+    rng, graph = np.random.default_rng(seed), SmallGraph()
+    image = graph.input("image", (1, 3, "h", "w"))
+    layers, weights = [], []
+    for index, (channels, stride) in enumerate(zip(CHANNELS[kind], STRIDES, strict=True)):
+        kernel, bias = rng.normal(size=(channels, 3)), rng.normal(size=channels)
+        kernel, bias = kernel.astype(np.float32), bias.astype(np.float32)
+        value = graph.add("Conv", image, graph.constant(kernel[:, :, None, None]), graph.constant(bias),
+                          strides=[stride, stride])  # fmt: skip
+        graph.output(graph.add("Relu", value), f"layer{index}")
+        layers.append((kernel, bias, stride))
+        weights.append(rng.uniform(size=channels).astype(np.float32) / channels)
+    for index, weight in enumerate(weights):
+        graph.output(graph.constant(sign * weight[None, :, None, None]), f"linear{index}")
+
+    def features(picture):
+        return [np.maximum(np.einsum("oc,hwc->ohw", k, picture[::s, ::s]) + b[:, None, None], 0) for k, b, s in layers]
+
+    return graph.save(file), features, weights
