@@ -5,7 +5,21 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 
-from gsjax.cli import demo, environment, evaluate, mesh, refine, render, scan, sfm, texture, train, turntable, undistort
+from gsjax.cli import (
+    demo,
+    diagnose,
+    environment,
+    evaluate,
+    mesh,
+    refine,
+    render,
+    scan,
+    sfm,
+    texture,
+    train,
+    turntable,
+    undistort,
+)
 from gsjax.errors import InputError
 
 DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
@@ -18,6 +32,7 @@ DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
                                     |---eval---> figures
                                     `--render--> pictures
 
+  scene --diagnose--> which effects its photos call for
   scene --undistort--> scene of pinhole photos, for networks and other programs
 """
 
@@ -65,7 +80,7 @@ def parser() -> argparse.ArgumentParser:
     """The parser of all commands; `arguments.run(arguments)` runs the one that was given."""
     top = _Parser(prog="gsjax", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
-    for command in (demo, scan, sfm, train, mesh, refine, texture, evaluate, render, turntable, undistort):
+    for command in (demo, scan, sfm, diagnose, train, mesh, refine, texture, evaluate, render, turntable, undistort):
         command.add_to(commands)
     return top
 
