@@ -2,11 +2,16 @@
 
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
+import optax
+from jax import Array
 
 from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.gains import Fit, Table, fit, held_out_ratio, table
+from gsjax.effects.model import LIMIT, Effect
 from gsjax.effects.observations import Observations
+from gsjax.views import Batch
 
 THRESHOLD = 0.05  # EV, of the exposure's or the white balance's standard deviation: 0.26 dB of PSNR at 30 dB
 HELD_OUT = 0.95  # Gains must lower the error of points that they were not fitted to at least to this share,
@@ -69,6 +74,28 @@ def judge(seen: Observations, gains: Gains | None) -> Evidence:
     if any(differ) and not on:
         note += "; photos differ, but not by one gain each"
     return Evidence(bool(on), spread, "EV", gains.noise, THRESHOLD, COST, note)
+
+
+def simulated(initial: np.ndarray, rate: optax.Schedule) -> Effect:
+    """Every photo multiplies the display-coded channels by its own factors, whose logarithms have mean zero.
+
+    A factor of light is a factor of display-coded values to the power 1 / 2.2, up to toe and clipping. The mean is
+    taken off the numbers as they are used, so the scene is that of the mean photo whatever an optimiser does.
+
+    Args:
+        initial: `[V, 3]` logarithms.
+        rate: See `Effect`.
+    """
+
+    def apply(numbers: Array, colors: Array, batch: Batch) -> Array:
+        return colors * jnp.exp(log_gains(numbers)[batch.photo])[None, None]
+
+    return Effect(np.asarray(initial, np.float32), rate, apply)
+
+
+def log_gains(numbers: Array) -> Array:
+    """`[V, 3]` logarithms of the photos' factors, of the numbers that are optimised."""
+    return jnp.clip(numbers - jnp.mean(numbers, axis=0, keepdims=True), -LIMIT, LIMIT)
 
 
 def _agreement(seen: Observations, data: Table) -> tuple[float, float]:

@@ -52,15 +52,16 @@ class Observations:
     @property
     def radii2(self) -> np.ndarray:
         """`[O]` squared distance from the principal point, 1 at half the diagonal of the frame."""
-        return np.concatenate(
-            [
-                np.empty(0),
-                *(
-                    ((self.pixels[self.photo == index] - f.K[:2, 2]) ** 2).sum(-1) * 4 / (f.width**2 + f.height**2)
-                    for index, f in enumerate(self.frames)
-                ),
-            ]
-        )
+        halves = np.array([(frame.width**2 + frame.height**2) / 4 for frame in self.frames])
+        centers = np.array([frame.K[:2, 2] for frame in self.frames])
+        return np.square(self.pixels - centers[self.photo]).sum(-1) / halves[self.photo]
+
+    @property
+    def tangents2(self) -> np.ndarray:
+        """`[O]` squared tangent of the angle to the optical axis."""
+        focals = np.array([np.diag(frame.K)[:2] for frame in self.frames])
+        centers = np.array([frame.K[:2, 2] for frame in self.frames])
+        return np.square((self.pixels - centers[self.photo]) / focals[self.photo]).sum(-1)
 
 
 def observe(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Frame]] = iter) -> Observations:

@@ -1,6 +1,8 @@
 """Scores of a run: held-out images, and geometry wherever there is truth beside the images."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -8,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsjax import gallery
+from gsjax.effects.appearance import Appearance, fitted
 from gsjax.gaussians import Gaussians
 from gsjax.io import runs
 from gsjax.measures import geometry
@@ -16,6 +19,7 @@ from gsjax.mesh import Mesh
 from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.export import read_mesh
 from gsjax.normals.from_depth import depth_normals
+from gsjax.pipeline.effects import read_appearances
 from gsjax.pipeline.mesh import mesh as extract
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera, open_result, scene_of_run
 from gsjax.scene import Frame, Truth
@@ -32,7 +36,7 @@ def evaluate(run: str | Path, *, mesh: str | Path | None = None) -> dict[str, An
         mesh: Mesh to score against the true surface. None: `RUN/mesh.ply`, extracted now if it is absent.
 
     Returns:
-        `psnr` and `ssim` (None without held-out views), `views`, `gaussians`, `train_seconds`, `steps`; with true
+        What `score_images` tells of the held-out views, `gaussians`, `train_seconds`, `steps`; with true
         normals `normal_error_deg` and `normal_error_median_deg` of the rendered depth over object pixels and
         `normal_error_all_deg` over all surface pixels; with true depth `depth_error` (mean absolute, object pixels,
         scene units), both in held-out views; with true surface points what `score_mesh` returns.
@@ -44,7 +48,8 @@ def evaluate(run: str | Path, *, mesh: str | Path | None = None) -> dict[str, An
     result = open_result(run)
     manifest, settings = runs.read_json(run / "manifest.json"), runs.read_json(run / "config.json")
     scene = scene_of_run(run)
-    figures = score_images(result.gaussians, scene.held_out_frames, settings["background"])
+    looks = read_appearances(run)
+    figures = score_images(result.gaussians, scene.held_out_frames, settings["background"], looks)
     figures |= {
         "gaussians": result.gaussians.num_gaussians,
         "train_seconds": manifest.get("train_seconds"),
@@ -88,10 +93,29 @@ def score_mesh(mesh: Mesh, seen_points: np.ndarray, seen_normals: np.ndarray, tr
     return found | {"distances": "point to surface", "floor": floor}
 
 
-def score_images(gaussians: Gaussians, frames: tuple[Frame, ...], background: str) -> dict[str, Any]:
-    """Mean PSNR and SSIM over frames, as 3DGS defines them (float renders, every pixel that is valid); None of none."""
+def score_images(
+    gaussians: Gaussians,
+    frames: tuple[Frame, ...],
+    background: str,
+    looks: Mapping[str, Appearance] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """Mean PSNR and SSIM over frames, as 3DGS defines them (float renders, every pixel that is valid); None of none.
+
+    Args:
+        gaussians: The scene.
+        frames: Photos that it was not trained on.
+        background: Colour behind it.
+        looks: What the photos' cameras did to the light, where training took that in.
+
+    Returns:
+        `psnr`, `ssim`: of the render as it is, the mean photo of the scene; `views`. With `looks` also
+        `psnr_track_gains`, `ssim_track_gains`: after the fall-off that was learned and the gains that the photo's
+        tracks tell; and `psnr_fitted`, `ssim_fitted`: of the render as it is, after the affine map of its colours that
+        fits the photo best, which sees the answer.
+    """
+    names = ("psnr", "ssim", *(("psnr_track_gains", "ssim_track_gains", "psnr_fitted", "ssim_fitted") if looks else ()))
     if not frames:
-        return {"psnr": None, "ssim": None, "views": 0}
+        return {**dict.fromkeys(names), "views": 0}
     color = BACKGROUNDS[background]
     scores = []
     for frame, picture in zip(
@@ -103,9 +127,13 @@ def score_images(gaussians: Gaussians, frames: tuple[Frame, ...], background: st
             coverage = matte[..., None].astype(np.float32) / 255
             target = target * coverage + (1 - coverage) * color
         valid = np.ones(target.shape[:2], bool) if valid is None else valid > 127
-        scores.append(_scores(jnp.asarray(picture.colors), jnp.asarray(target), jnp.asarray(valid)))
-    psnr, ssim = np.asarray(scores, np.float64).mean(0)
-    return {"psnr": float(psnr), "ssim": float(ssim), "views": len(scores)}
+        ways = [picture.colors]
+        if looks:
+            behind = 0 if matte is None else (1 - picture.alphas)[..., None] * color
+            taken = (picture.colors - behind) * looks[frame.name].factor(frame) + behind
+            ways += [np.clip(taken, 0, 1), np.clip(fitted(picture.colors, target, valid), 0, 1)]
+        scores.append([each for way in ways for each in _scores(*map(jnp.asarray, (way, target, valid)))])
+    return {**dict(zip(names, np.asarray(scores, np.float64).mean(0).tolist(), strict=True)), "views": len(scores)}
 
 
 @jax.jit
