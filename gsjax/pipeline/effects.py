@@ -1,14 +1,14 @@
 """Which effects a run simulates, and what it tells of each photo afterwards."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gsjax.effects.appearance import Appearance, Start, appearances, simulations, start
-from gsjax.effects.model import NO_EFFECTS, Effects, EffectState, learning_rate
+from gsjax.effects.model import Effects, EffectState, learning_rate
 from gsjax.io import runs
 from gsjax.pipeline.diagnose import diagnosed
 from gsjax.scene import Scene
@@ -21,7 +21,7 @@ FILE = "effects.json"
 class Joined:
     """The effects of a run."""
 
-    effects: Effects = NO_EFFECTS
+    effects: Effects = field(default_factory=dict)
     begun: Start | None = None  # None: of no effects
     evidence: dict[str, Any] | None = None  # for the manifest; None: nobody looked
 
