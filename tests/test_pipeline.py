@@ -156,6 +156,10 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     assert gains.shape == (7, 3)
     np.testing.assert_allclose(gains.mean(0), 0, atol=1e-6)
 
+    three = pipeline.evaluate(run, three_ways=True)
+    assert scores <= three.keys()
+    assert three["psnr"] == pytest.approx(runs.read_json(run / "manifest.json")["psnr"], abs=1e-3)
+
     pipeline.train(scene, auto, config.parse(Settings, {**SETTINGS, "effects": "auto"}))
     assert runs.read_json(auto / "manifest.json")["effects"]["simulated"] == []
     assert (auto / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()

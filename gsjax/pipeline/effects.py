@@ -9,6 +9,7 @@ import numpy as np
 
 from gsjax.effects.appearance import Appearance, Start, appearances, simulations, start
 from gsjax.effects.model import Effects, EffectState, learning_rate
+from gsjax.effects.observations import observe
 from gsjax.io import runs
 from gsjax.pipeline.diagnose import diagnosed
 from gsjax.scene import Scene
@@ -55,6 +56,19 @@ def joined(settings: Settings, scene: Scene) -> Joined:
     )
     begun = start(found.seen, chosen)
     return Joined(simulations(begun, chosen, rate), begun, evidence)
+
+
+def appearances_of_tracks(scene: Scene) -> dict[str, Appearance]:
+    """Gains of all photos as their tracks tell them, no fall-off: to score a scene that took nothing in.
+
+    Raises:
+        InputError: A photo or the tracks cannot be read.
+    """
+    begun = start(observe(scene), ("exposure",))
+    return {
+        name: Appearance(tuple(gains.tolist()), (0.0, 0.0))
+        for name, gains in zip(begun.names, begun.log_gains, strict=True)
+    }
 
 
 def write_appearances(run: Path, looks: dict[str, Appearance]) -> None:

@@ -19,7 +19,7 @@ from gsjax.mesh import Mesh
 from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.export import read_mesh
 from gsjax.normals.from_depth import depth_normals
-from gsjax.pipeline.effects import read_appearances
+from gsjax.pipeline.effects import appearances_of_tracks, read_appearances
 from gsjax.pipeline.mesh import mesh as extract
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera, open_result, scene_of_run
 from gsjax.scene import Frame, Truth
@@ -28,12 +28,13 @@ from rasterizer import DepthMode
 SKY, GROUND = 0, 255  # Labels of the truth; everything between is an object.
 
 
-def evaluate(run: str | Path, *, mesh: str | Path | None = None) -> dict[str, Any]:
+def evaluate(run: str | Path, *, mesh: str | Path | None = None, three_ways: bool = False) -> dict[str, Any]:
     """Score a finished run on its held-out views and, where its data set brings truth, its geometry.
 
     Args:
         run: Run folder.
         mesh: Mesh to score against the true surface. None: `RUN/mesh.ply`, extracted now if it is absent.
+        three_ways: Score pictures in the three ways of `score_images` even if the run simulated no effects.
 
     Returns:
         What `score_images` tells of the held-out views, `gaussians`, `train_seconds`, `steps`; with true
@@ -48,7 +49,7 @@ def evaluate(run: str | Path, *, mesh: str | Path | None = None) -> dict[str, An
     result = open_result(run)
     manifest, settings = runs.read_json(run / "manifest.json"), runs.read_json(run / "config.json")
     scene = scene_of_run(run)
-    looks = read_appearances(run)
+    looks = read_appearances(run) or (appearances_of_tracks(scene) if three_ways else {})
     figures = score_images(result.gaussians, scene.held_out_frames, settings["background"], looks)
     figures |= {
         "gaussians": result.gaussians.num_gaussians,

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from photographed_wall import gains, radii2, relit, wall
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 from tqdm import tqdm
@@ -18,7 +19,6 @@ from gsjax.io import analytic_scene
 from gsjax.io.images import read_image
 from gsjax.io.scenes import load_scene
 from gsjax.scene import Origin, Pixels, with_pixels
-from tests.gsjax.effects.photographed_wall import gains, radii2, relit, wall
 
 EFFECTS = ["exposure", "vignetting", "sh_degree", "background", "poses", "transients", "mip", "blur", "distortion"]
 FIELDS = ["on", "evidence", "unit", "noise", "threshold", "cost", "note"]

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import step_without_effects
 from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
@@ -17,7 +18,6 @@ from gsjax.training.optimizers import make_optimizer
 from gsjax.training.rules import RULES
 from gsjax.training.state import initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
-from tests.gsjax.training import step_without_effects
 
 CAMERAS = [
     camera_at(eye, (0.0, 0.0, 4.0), size=(32, 32)) for eye in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.3), (0.0, -1.0, 0.0))
