@@ -7,7 +7,7 @@ from gsjax.effects.observations import Observations
 
 THRESHOLD = 0.25  # of the photos
 OPEN = 0.05  # of a photo's pixels
-COST = "a constant colour: nothing; by direction: 75 numbers, one product a pixel"
+COST = "a constant colour: nothing; by direction: 900 bytes, one product a pixel"
 _ONE_COLOR = 0.02  # standard deviation over the photos
 
 

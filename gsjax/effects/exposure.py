@@ -16,7 +16,7 @@ from gsjax.views import Batch
 THRESHOLD = 0.05  # EV, of the exposure's or the white balance's standard deviation: 0.26 dB of PSNR at 30 dB
 HELD_OUT = 0.95  # Gains must lower the error of points that they were not fitted to at least to this share,
 SPATIAL = 0.6  # and both halves of the scene must give the same ones: a correlation.
-COST = "3 numbers and their two moments a photo; one product a pixel"
+COST = "36 bytes a photo, moments included; one product a pixel"
 _FEWEST = 20  # observations of a photo in each half of the scene, to be compared
 
 

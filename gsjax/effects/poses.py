@@ -11,7 +11,7 @@ THRESHOLD = 0.3  # pixels
 SIGNIFICANT = 3  # standard errors
 SHARE = 0.2  # of the photos must want to move
 FEWEST = 8  # observations of a photo
-COST = "6 numbers and their two moments a photo; gradients of the cameras"
+COST = "72 bytes a photo, moments included; gradients of the cameras"
 _ROUNDS, _OUTLIER = 5, 1.5  # of reweighting; standard deviations that count in full (Huber)
 
 

@@ -9,7 +9,7 @@ from gsjax.effects.observations import Observations
 THRESHOLD = 0.5  # of the variance within tracks; Lambertian patches give 0.3, since their foreshortening changes too
 LAMBERTIAN = 0.3
 LONGEST, SHORTEST = 24, 6  # observations of a point that are looked at; fewer cannot hold a slope
-COST = "3 ((L + 1)^2 - 1) numbers and their moments a Gaussian"
+COST = "36 ((L + 1)^2 - 1) bytes a Gaussian, moments included"
 _RIDGE = 1e-3
 
 

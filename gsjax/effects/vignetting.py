@@ -16,7 +16,7 @@ from gsjax.views import Batch
 THRESHOLD = 0.1  # EV at the corner
 SIGNIFICANT = 5  # standard errors
 _GROUPS = 20  # of radii in a picture
-COST = "2 numbers and their two moments each a camera; one product a pixel"
+COST = "24 bytes a camera, moments included; one product a pixel"
 
 
 def corner(seen: Observations, gains: Gains) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from gsjax import config
 from gsjax.effects.appearance import Appearance
-from gsjax.effects.model import Effects
+from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import runs
@@ -73,7 +73,7 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
     if taken_in.evidence:
         runs.update_manifest(run, effects=taken_in.evidence)
     optimizer = optimizers.make_optimizer(settings.rates, size, settings.rates.decay_steps or total_steps(settings))
-    state, capacity, seconds = beginning(run, partial(_initial, loaded, settings, optimizer, taken_in.effects))
+    state, capacity, seconds = beginning(run, partial(_initial, loaded, settings, optimizer, effects=taken_in.effects))
     with TrainingJournal(run, settings, loaded, int(state.step), seconds) as journal:
         state = fit(
             settings,
@@ -100,7 +100,12 @@ def _sized(scene: str | Path, settings: Settings) -> tuple[Scene, Settings]:
 
 
 def _initial(
-    scene: Scene, settings: Settings, optimizer: optax.GradientTransformation, effects: Effects, rows: int | None
+    scene: Scene,
+    settings: Settings,
+    optimizer: optax.GradientTransformation,
+    rows: int | None,
+    *,
+    effects: Effects = NO_EFFECTS,
 ) -> TrainState:
     """Step 0 in a buffer of so many rows; None: of those that the points take."""
     first = initialize.from_points(
