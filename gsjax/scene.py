@@ -84,6 +84,16 @@ class Truth:
 
 
 @dataclass(frozen=True)
+class Tracks:
+    """Which photo saw which point, and where: the O observations that structure from motion matched."""
+
+    names: tuple[str, ...]  # of photos
+    photo: np.ndarray  # [O] int32 index into `names`
+    point: np.ndarray  # [O] int32 index into the scene's points
+    rays: np.ndarray  # [O, 2] float32 x/z and y/z of the keypoint in its photo's camera axes, without lens distortion
+
+
+@dataclass(frozen=True)
 class Scene:
     """A loaded data set: frames sorted by name, a sparse point cloud, and the truth if there is one."""
 
@@ -93,6 +103,7 @@ class Scene:
     points: np.ndarray  # [P, 3] float32 world
     point_colors: np.ndarray  # [P, 3] uint8
     truth: Truth | None = None
+    tracks: Callable[[], Tracks] | None = None  # reads them; None: nobody matched these points in these photos
 
     @property
     def train_frames(self) -> tuple[Frame, ...]:

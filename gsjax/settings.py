@@ -112,6 +112,23 @@ class Logging:
         _check_lowest(self, metrics_every=1, evaluate_every=0, checkpoint_every=1)
 
 
+SIMULATED = ("exposure", "vignetting")  # effects that training can take in
+AUTO, NONE = "auto", "none"
+
+
+def named_effects(effects: str) -> tuple[str, ...]:
+    """The effects that a setting names, in their order; of "auto" and "none" none.
+
+    Raises:
+        ValueError: One of them is unknown.
+    """
+    names = () if effects in (AUTO, NONE) else tuple(name.strip() for name in effects.split(","))
+    for name in names:
+        if name not in SIMULATED:
+            raise ValueError(f"effects={effects}: {name!r} is none of auto, none, {', '.join(SIMULATED)}")
+    return tuple(name for name in SIMULATED if name in names)
+
+
 VANILLA = Phase("vanilla", 7000, density_control=True)
 ENTROPY = Phase("entropy", 2000, Weights(entropy=0.1), cull_below=0.5)
 SURFACE = Phase("surface", 6000, Weights(sdf_normal=0.2))
@@ -131,6 +148,7 @@ class Settings:
     masks: Literal["valid", "matte"] = "valid"
     depth_mode: Literal["plane", "center"] = "plane"  # a splat's depth, see `gsjax.render.view`
     pixel_filter: Literal["classic", "mip"] = "classic"  # see `gsjax.render.PIXEL_FILTERS`; files of Gaussians tell it
+    effects: str = NONE  # "none"; "auto", those that the photos show; or names, as in "exposure,vignetting"
     vanilla: bool = False  # plain 3DGS for the same number of steps: no entropy, no cull, no normals
     phases: tuple[Phase, ...] = (VANILLA, ENTROPY, SURFACE)
     max_gaussians: int = 1_000_000
@@ -146,6 +164,7 @@ class Settings:
     def __post_init__(self):
         """Check ranges."""
         _check_lowest(self, max_gaussians=1, sh_every=1, longest_side=1)
+        named_effects(self.effects)
         if self.downscale is not None and not 1 <= self.downscale < math.inf:
             raise ValueError(f"downscale={self.downscale} is not a number of at least 1")
         if self.cpu_pixels is not None and self.cpu_pixels < 1:

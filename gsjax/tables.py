@@ -1,6 +1,6 @@
 """Plain-text tables of results, aligned for a terminal."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 FLOOR = "true mesh (floor)"
@@ -9,17 +9,18 @@ FLOOR = "true mesh (floor)"
 
 def record(values: Mapping[str, Any]) -> str:
     """Two columns, name and value; nested mappings get dotted names."""
-    return _aligned([[name, _shown(value)] for name, value in _flat(values)], right=())
+    return aligned([[name, _shown(value)] for name, value in _flat(values)])
 
 
 def compare(variants: Mapping[str, Mapping[str, Any]]) -> str:
     """One row per variant, one column per quantity that any of them has."""
     names = list(dict.fromkeys(name for values in variants.values() for name in values))
     rows = [[variant, *(_shown(values.get(name)) for name in names)] for variant, values in variants.items()]
-    return _aligned([["", *names], *rows], right=range(1, len(names) + 1))
+    return aligned([["", *names], *rows], right=range(1, len(names) + 1))
 
 
-def _aligned(rows: list[list[str]], right: Any) -> str:
+def aligned(rows: list[list[str]], right: Collection[int] = ()) -> str:
+    """Rows of cells in columns; those numbered in `right` end at one edge."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
 
     def line(row: list[str]) -> str:

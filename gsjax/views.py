@@ -30,6 +30,7 @@ class Target:
     valid: Array | None  # [H, W] bool; None: all of the photo
     matte: Array | None  # [H, W] uint8
     normals: Array | None = None  # [H, W, 3] int8, camera frame, times `NORMAL_UNIT`; zero where there is none
+    photo: Array | None = None  # [] int32, which of the run's photos it is, where an effect has numbers for each
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,7 @@ class Batch:
     valid: Array  # [H, W] bool
     matte: Array | None  # [H, W] 0..1
     normals: Array | None  # [H, W, 3] camera frame, zero where there is none
+    photo: Array | None = None  # [] int32, see `Target`
 
 
 def views_of(frames: Sequence[Frame], *, scale: int = 1) -> Views:
@@ -100,6 +102,11 @@ def with_normals(views: Views, maps: Sequence[np.ndarray]) -> Views:
     width, height = views.size
     pairs = zip(views.targets, maps, strict=True)
     return Views(tuple(replace(target, normals=_padded(normals, width, height)) for target, normals in pairs))
+
+
+def numbered(views: Views) -> Views:
+    """The same views, each told which of them it is."""
+    return Views(tuple(replace(target, photo=np.int32(index)) for index, target in enumerate(views.targets)))
 
 
 def feed(views: Views, *, room: int) -> Callable[[int, int], Target]:
@@ -152,7 +159,7 @@ def batch(target: Target, background: Array) -> Batch:
     if target.valid is not None:
         valid &= target.valid
     normals = None if target.normals is None else target.normals.astype(jnp.float32) / NORMAL_UNIT
-    return Batch(Camera(target.viewmat, target.K, width, height), image, valid, matte, normals)
+    return Batch(Camera(target.viewmat, target.K, width, height), image, valid, matte, normals, target.photo)
 
 
 def _target(frame: Frame, scale: int, width: int, height: int) -> Target:

@@ -21,14 +21,17 @@ class Layer:
 
 
 CORE_PACKAGES = ("jax", "numpy", "optax", "scipy")
-CORE = ("vocabulary", "measures", "normals", "analytic", "training", "binding")
+CORE = ("vocabulary", "measures", "normals", "analytic", "effects", "training", "binding")
 LAYERS = {
     "rasterizer": Layer(("rasterizer",), (), ("jax", "numpy")),
     "vocabulary": Layer(("gsjax",), ("rasterizer",), CORE_PACKAGES),
     "measures": Layer(("gsjax.measures",), ("vocabulary",), CORE_PACKAGES),
     "normals": Layer(("gsjax.normals",), ("vocabulary",), CORE_PACKAGES),
     "analytic": Layer(("gsjax.analytic",), ("vocabulary", "measures"), CORE_PACKAGES),
-    "training": Layer(("gsjax.training",), ("rasterizer", "vocabulary", "measures", "normals"), CORE_PACKAGES),
+    "training": Layer(
+        ("gsjax.training",), ("rasterizer", "vocabulary", "measures", "normals", "effects"), CORE_PACKAGES
+    ),
+    "effects": Layer(("gsjax.effects",), ("vocabulary",), CORE_PACKAGES),
     "binding": Layer(("gsjax.binding",), ("vocabulary", "training"), CORE_PACKAGES),
     "io": Layer(
         ("gsjax.io",),

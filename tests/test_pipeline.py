@@ -15,6 +15,7 @@ from tqdm import tqdm
 from gsjax import cli, config, pipeline
 from gsjax.errors import InputError
 from gsjax.io import analytic_scene, runs
+from gsjax.io.checkpoints import load_arrays
 from gsjax.io.images import image_size, read_image, read_mask, write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.meshing.export import read_mesh
@@ -118,6 +119,54 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, mon
         for one in (folder, run)
     ]
     assert without_time[0] == without_time[1]
+
+
+def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scene, tmp_path, monkeypatch):
+    """Its photos are clean: `auto` takes nothing in and ends with the bits of a run that was not asked."""
+    settings = config.parse(Settings, {**SETTINGS, "effects": "exposure,vignetting"})
+    whole, stopped, auto = (tmp_path / name for name in ("whole", "stopped", "auto"))
+    summary = pipeline.train(scene, whole, settings)
+    note = pipeline.train.__globals__["TrainingJournal"].note
+
+    def killed(journal, progress):
+        note(journal, progress)
+        if progress.step == 23:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(pipeline.train.__globals__["TrainingJournal"], "note", killed)
+        with pytest.raises(KeyboardInterrupt):
+            pipeline.train(scene, stopped, settings)
+    pipeline.train(scene, stopped, settings, resume=True)
+    for file in ("gaussians.ply", "effects.json"):
+        assert (stopped / file).read_bytes() == (whole / file).read_bytes()
+
+    manifest = runs.read_json(whole / "manifest.json")
+    assert manifest["effects"]["simulated"] == ["exposure", "vignetting"]
+    assert manifest["effects"]["evidence"]["exposure"]["threshold"] == 0.05
+    scores = {f"{name}{way}" for name in ("psnr", "ssim") for way in ("", "_track_gains", "_fitted")}
+    assert scores <= summary.keys()
+    assert summary["psnr_fitted"] > summary["psnr"]
+    evaluated = pipeline.evaluate(whole)
+    assert {name: evaluated[name] for name in scores} == pytest.approx(
+        {name: summary[name] for name in scores}, abs=1e-3
+    )
+    photos = runs.read_json(whole / "effects.json")["photos"]
+    held_out = {record["name"] for record in runs.read_json(whole / "cameras.json") if record["held_out"]}
+    gains = np.array([photo["log_gains"] for name, photo in photos.items() if name not in held_out])
+    assert gains.shape == (7, 3)
+    np.testing.assert_allclose(gains.mean(0), 0, atol=1e-6)
+
+    three = pipeline.evaluate(run, three_ways=True)
+    assert scores <= three.keys()
+    assert three["psnr"] == pytest.approx(runs.read_json(run / "manifest.json")["psnr"], abs=1e-3)
+
+    pipeline.train(scene, auto, config.parse(Settings, {**SETTINGS, "effects": "auto"}))
+    assert runs.read_json(auto / "manifest.json")["effects"]["simulated"] == []
+    assert (auto / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+    assert not (auto / "effects.json").exists()
+    stored = [set(load_arrays(runs.latest_checkpoint(folder)[1])) for folder in (run, auto, whole)]
+    assert stored[0] == stored[1] == {name for name in stored[2] if "effects" not in name} < stored[2]
 
 
 def test_a_benchmark_folder_with_reduced_photos_only_trains_and_scores_the_same(run, scene, tmp_path):

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 from gsjax.cli import (
     demo,
+    diagnose,
     environment,
     evaluate,
     mesh,
@@ -32,6 +33,7 @@ DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
                                     |---eval---> figures
                                     `--render--> pictures
 
+  scene --diagnose--> which effects its photos call for
   scene --normals--> a normal map a photo, from a network, for training
   scene --undistort--> scene of pinhole photos, for other programs
 """
@@ -80,7 +82,8 @@ def parser() -> argparse.ArgumentParser:
     """The parser of all commands; `arguments.run(arguments)` runs the one that was given."""
     top = _Parser(prog="gsjax", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
-    for command in (demo, scan, sfm, normals, train, mesh, refine, texture, evaluate, render, turntable, undistort):
+    beside_training = diagnose, normals, undistort
+    for command in (demo, scan, sfm, train, mesh, refine, texture, evaluate, render, turntable, *beside_training):
         command.add_to(commands)
     return top
 

@@ -22,6 +22,12 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("run_folder", metavar="RUN", help="folder that `gsjax train` made")
     parser.add_argument("--json", metavar="FILE", help="also write the figures here")
+    parser.add_argument(
+        "--three-ways",
+        action="store_true",
+        help="also score pictures with the gains that tracks tell, and after a fitted colour transform, as runs with"
+        " effects are scored",
+    )
     parser.add_argument("--mesh", metavar="FILE", help="score this mesh against the true surface as well")
     parser.add_argument("--lpips", metavar="FILE", action="append", help="weights of LPIPS as an ONNX file, see"
         " docs/normals.md; may be repeated (default: LPIPS is not scored)")  # fmt: skip
@@ -31,7 +37,9 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
     from gsjax.io import runs
 
-    figures = pipeline.evaluate(arguments.run_folder, mesh=arguments.mesh, **given(arguments, "lpips"))
+    figures = pipeline.evaluate(
+        arguments.run_folder, mesh=arguments.mesh, three_ways=arguments.three_ways, **given(arguments, "lpips")
+    )
     if arguments.json:
         runs.write_json(arguments.json, figures)
     if not figures["views"]:

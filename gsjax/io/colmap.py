@@ -7,6 +7,7 @@ cameras of zeros. So the record lengths are walked first.
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from gsjax.io.image_folders import found_files
 from gsjax.io.lenses import Lens, check_lens, is_float32
 from gsjax.io.packages import require
 from gsjax.io.photos import Capture, Photo
+from gsjax.scene import Tracks
 
 MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", ".")
 PARTS = ("cameras", "images", "points3D")
@@ -48,7 +50,39 @@ def read_capture(root: Path, model: Path) -> Capture:
     broken = ~is_float32(points).all(axis=1)
     if broken.any():
         raise InputError(f"{model}: {broken.sum()} of {len(points)} points of the COLMAP model are not finite")
-    return Capture("colmap", _photos(reconstruction, root, model), points.astype(np.float32), colors)
+    photos = _photos(reconstruction, root, model)
+    return Capture("colmap", photos, points.astype(np.float32), colors, partial(read_tracks, model))
+
+
+def read_tracks(model: Path) -> Tracks:
+    """The observations of a COLMAP model, photos sorted by name, points in the order of `read_capture`.
+
+    Keypoints whose lens model gives no ray are left out.
+
+    Raises:
+        InputError: As `read_capture`.
+    """
+    reconstruction = _read_model(model)
+    rows = {point: row for row, point in enumerate(sorted(reconstruction.point3D_ids()))}
+    photos = sorted((image for image in reconstruction.images.values() if image.has_pose), key=lambda i: i.name)
+    parts = [_observations(image, rows) for image in photos]
+    points, rays = ([part[side] for part in parts] for side in (0, 1))
+    return Tracks(
+        names=tuple(image.name for image in photos),
+        photo=np.repeat(np.arange(len(photos), dtype=np.int32), [len(part) for part in points]),
+        point=np.concatenate([np.empty(0, np.int32), *points]),
+        rays=np.concatenate([np.empty((0, 2), np.float32), *rays]),
+    )
+
+
+def _observations(image, rows: dict[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """`[O]` rows of the points that a photo saw, and `[O, 2]` rays to them."""
+    seen = image.get_observation_points2D()
+    points = np.array([rows[keypoint.point3D_id] for keypoint in seen], np.int32)
+    pixels = np.array([keypoint.xy for keypoint in seen], np.float64).reshape(-1, 2)
+    rays = np.asarray(image.camera.cam_from_img(pixels), np.float64)[:, :2] if len(seen) else pixels
+    usable = is_float32(rays).all(axis=1)
+    return points[usable], rays[usable].astype(np.float32)
 
 
 def _read_model(model: Path):

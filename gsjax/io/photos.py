@@ -1,5 +1,6 @@
 """Posed photos as a data set lists them, and the frames made of them: masked, undistorted, downscaled."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +19,7 @@ from gsjax.io.images import (
     upright_size,
 )
 from gsjax.io.lenses import Lens, PinholeView, pinhole_views, resized
-from gsjax.scene import Frame, Origin, Pixels
+from gsjax.scene import Frame, Origin, Pixels, Tracks
 
 MASK_USES = ("valid", "matte")
 
@@ -43,6 +44,7 @@ class Capture:
     photos: tuple[Photo, ...]
     points: np.ndarray  # [P, 3] float32 world
     point_colors: np.ndarray  # [P, 3] uint8
+    tracks: Callable[[], Tracks] | None = None  # reads them, see `gsjax.scene.Tracks`
 
 
 def frames_of(photo: Photo, downscale: float, folder_masks: str) -> list[Frame]:

@@ -6,6 +6,7 @@
     checkpoints/       step_0001234.npz, the last two
     gaussians.ply      the result, for viewers
     cameras.json       the views it was trained on and scored on
+    effects.json       what each photo made of the light, where a run simulates that
     masks/             0007.png of every training view with pixels that must not be used: 0 there, else 255
 
 `create` starts one, `reopen` continues one; every write is whole or not at all.
@@ -27,7 +28,8 @@ from gsjax.io import checkpoints
 from gsjax.io.files import atomic_path, make_folder, sweep, unwritable
 from gsjax.io.machine import machine, versions
 
-EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic"}  # What runs did before they could choose.
+EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic", "effects": "none"}
+"""What runs did before they could choose."""
 KEPT_CHECKPOINTS = 2  # The newest and, should it turn out damaged, the one before.
 
 

@@ -52,7 +52,8 @@ def load_scene(
     photos = _with_folder_masks(photos, root / "masks")
     frames = [frame for photo in photos for frame in frames_of(photo, downscale, folder_masks)]
     frames = tuple(sorted(frames, key=lambda frame: frame.name))
-    return Scene(root, capture.source, frames, capture.points, capture.point_colors, load_truth(root, frames))
+    truth = load_truth(root, frames)
+    return Scene(root, capture.source, frames, capture.points, capture.point_colors, truth, capture.tracks)
 
 
 def is_data_set(root: str | Path) -> bool:

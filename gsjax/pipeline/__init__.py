@@ -1,5 +1,6 @@
 """The whole road as plain functions: what the command line and notebooks call."""
 
+from gsjax.pipeline.diagnose import diagnose
 from gsjax.pipeline.evaluate import evaluate
 from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.normals import normals
@@ -10,4 +11,16 @@ from gsjax.pipeline.texture import texture, turntable
 from gsjax.pipeline.train import train
 from gsjax.pipeline.undistort import undistort
 
-__all__ = ["evaluate", "mesh", "normals", "refine", "render", "scan", "texture", "train", "turntable", "undistort"]
+__all__ = [
+    "diagnose",
+    "evaluate",
+    "mesh",
+    "normals",
+    "refine",
+    "render",
+    "scan",
+    "texture",
+    "train",
+    "turntable",
+    "undistort",
+]

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsjax import gallery
+from gsjax.effects.appearance import Appearance, fitted
 from gsjax.gaussians import Gaussians
 from gsjax.io import runs
 from gsjax.measures import geometry
@@ -18,27 +19,34 @@ from gsjax.mesh import Mesh
 from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.export import read_mesh
 from gsjax.normals.from_depth import depth_normals
+from gsjax.pipeline.effects import appearances_of_tracks, read_appearances
 from gsjax.pipeline.mesh import mesh as extract
 from gsjax.pipeline.perceptual import STANDARD, Measure, lpips_measures
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera, open_result, scene_of_run
 from gsjax.scene import Frame, Truth
 from rasterizer import DepthMode
 
-NO_MEASURES: Mapping[str, Measure] = MappingProxyType({})
 SKY, GROUND = 0, 255  # Labels of the truth; everything between is an object.
 
 
-def evaluate(run: str | Path, *, mesh: str | Path | None = None, lpips: Sequence[str | Path] = ()) -> dict[str, Any]:
+def evaluate(
+    run: str | Path,
+    *,
+    mesh: str | Path | None = None,
+    lpips: Sequence[str | Path] = (),
+    three_ways: bool = False,
+) -> dict[str, Any]:
     """Score a finished run on its held-out views and, where its data set brings truth, its geometry.
 
     Args:
         run: Run folder.
         mesh: Mesh to score against the true surface. None: `RUN/mesh.ply`, extracted now if it is absent.
         lpips: Files of weights, see `gsjax.pipeline.perceptual.lpips_measures`.
+        three_ways: Score pictures in the three ways of `score_images` even if the run simulated no effects.
 
     Returns:
-        `psnr`, `ssim` and what the files of weights allow, at least `lpips_vgg_3dgs` (None without held-out views or
-        without weights), `views`, `gaussians`, `train_seconds`, `steps`; with true
+        What `score_images` tells of the held-out views and what the files of weights allow, at least `lpips_vgg_3dgs`
+        (None without held-out views or without weights), `gaussians`, `train_seconds`, `steps`; with true
         normals `normal_error_deg` and `normal_error_median_deg` of the rendered depth over object pixels and
         `normal_error_all_deg` over all surface pixels; with true depth `depth_error` (mean absolute, object pixels,
         scene units), both in held-out views; with true surface points what `score_mesh` returns.
@@ -50,7 +58,8 @@ def evaluate(run: str | Path, *, mesh: str | Path | None = None, lpips: Sequence
     result = open_result(run)
     manifest, settings = runs.read_json(run / "manifest.json"), runs.read_json(run / "config.json")
     scene = scene_of_run(run)
-    figures = score_images(result.gaussians, scene.held_out_frames, settings["background"], measures)
+    looks = read_appearances(run) or (appearances_of_tracks(scene) if three_ways else {})
+    figures = score_images(result.gaussians, scene.held_out_frames, settings["background"], measures, looks)
     figures.setdefault(STANDARD, None)
     figures |= {
         "gaussians": result.gaussians.num_gaussians,
@@ -96,16 +105,32 @@ def score_mesh(mesh: Mesh, seen_points: np.ndarray, seen_normals: np.ndarray, tr
 
 
 def score_images(
-    gaussians: Gaussians, frames: tuple[Frame, ...], background: str, measures: Mapping[str, Measure] = NO_MEASURES
+    gaussians: Gaussians,
+    frames: tuple[Frame, ...],
+    background: str,
+    measures: Mapping[str, Measure] = MappingProxyType({}),
+    looks: Mapping[str, Appearance] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Mean PSNR and SSIM over frames, as 3DGS defines them (float renders, every pixel that is valid); None of none.
 
-    Further `measures` see pictures in 0..1, both black where a pixel is not valid.
+    Args:
+        gaussians: The scene.
+        frames: Photos that it was not trained on.
+        background: Colour behind it.
+        measures: Further ones by name. They see pictures in 0..1, both black where a pixel is not valid.
+        looks: What the photos' cameras did to the light, where training took that in.
+
+    Returns:
+        `psnr`, `ssim` and `measures`: of the render as it is, the mean photo of the scene; `views`. With `looks` also
+        `psnr_track_gains`, `ssim_track_gains`: after the fall-off that was learned and the gains that the photo's
+        tracks tell; and `psnr_fitted`, `ssim_fitted`: of the render as it is, after the affine map of its colours that
+        fits the photo best, which sees the answer.
     """
+    names = ("psnr", "ssim", *(("psnr_track_gains", "ssim_track_gains", "psnr_fitted", "ssim_fitted") if looks else ()))
     if not frames:
-        return {"psnr": None, "ssim": None, "views": 0, **dict.fromkeys(measures)}
+        return {**dict.fromkeys((*names, *measures)), "views": 0}
     color = BACKGROUNDS[background]
-    scores, others = [], []
+    scores = []
     for frame, picture in zip(
         frames, gallery.pictures(gaussians, [frame_camera(f) for f in frames], color), strict=True
     ):
@@ -115,12 +140,18 @@ def score_images(
             coverage = matte[..., None].astype(np.float32) / 255
             target = target * coverage + (1 - coverage) * color
         valid = np.ones(target.shape[:2], bool) if valid is None else valid > 127
-        scores.append(_scores(jnp.asarray(picture.colors), jnp.asarray(target), jnp.asarray(valid)))
-        pair = [np.clip(colors, 0, 1) * valid[..., None] for colors in (np.asarray(picture.colors), target)]
-        others.append([measure(*pair) for measure in measures.values()])
-    psnr, ssim = np.asarray(scores, np.float64).mean(0)
-    means = dict(zip(measures, np.mean(others, axis=0).tolist(), strict=True))
-    return {"psnr": float(psnr), "ssim": float(ssim), "views": len(scores), **means}
+        ways = [picture.colors]
+        if looks:
+            behind = 0 if matte is None else (1 - picture.alphas)[..., None] * color
+            taken = (picture.colors - behind) * looks[frame.name].factor(frame) + behind
+            ways += [np.clip(taken, 0, 1), np.clip(fitted(picture.colors, target, valid), 0, 1)]
+        pair = [np.clip(colors, 0, 1) * valid[..., None] for colors in (picture.colors, target)]
+        scores.append(
+            [each for way in ways for each in _scores(*map(jnp.asarray, (way, target, valid)))]
+            + [measure(*pair) for measure in measures.values()]
+        )
+    means = np.asarray(scores, np.float64).mean(0).tolist()
+    return {**dict(zip((*names, *measures), means, strict=True)), "views": len(scores)}
 
 
 @jax.jit

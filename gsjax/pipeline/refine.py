@@ -13,12 +13,14 @@ from gsjax.binding import refining
 from gsjax.binding.bound import BoundGaussians, bind, to_gaussians, to_mesh
 from gsjax.binding.mesh_terms import mesh_graph
 from gsjax.binding.refining import Refinement, RefineProgress
+from gsjax.effects.appearance import Appearance, relit
 from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.io.ply import write_gaussians
 from gsjax.mesh import Mesh
 from gsjax.meshing.cleaning import clean
 from gsjax.meshing.export import read_mesh, write_mesh
+from gsjax.pipeline.effects import read_appearances, write_appearances
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.result import scene_of_run, write_views
@@ -61,7 +63,9 @@ def refine(
     coarse, taken_out = prepared(read_mesh(source), settings.faces)
     # Held-out photos are read when they are scored, one by one.
     scene = replace(scene, frames=tuple(frame if frame.held_out else in_memory(frame) for frame in scene.frames))
-    frames = scene.train_frames
+    # The Gaussians and the mesh are those of the mean photo: what each camera did is taken off its photo.
+    looks = read_appearances(run)
+    frames = tuple(relit(frame, looks[frame.name]) if looks else frame for frame in scene.train_frames)
     data, size = views_of(frames), extent(frames)
     bound = bind(
         coarse,
@@ -94,7 +98,7 @@ def refine(
             capacity=capacity,
         )
         summary = {"steps": settings.steps, "train_seconds": round(journal.seconds, 1), "taken_out": taken_out}
-        return _finish(folder, scene, trained["background"], state.gaussians, summary)
+        return _finish(folder, scene, trained["background"], looks, state.gaussians, summary)
 
 
 def prepared(given: Mesh, most_faces: int) -> tuple[Mesh, dict[str, int]]:
@@ -126,15 +130,21 @@ def prepared(given: Mesh, most_faces: int) -> tuple[Mesh, dict[str, int]]:
 
 
 def _finish(
-    folder: Path, scene: Scene, background: str, bound: BoundGaussians, summary: dict[str, Any]
+    folder: Path,
+    scene: Scene,
+    background: str,
+    looks: dict[str, Appearance],
+    bound: BoundGaussians,
+    summary: dict[str, Any],
 ) -> dict[str, Any]:
     refined, gaussians = to_mesh(bound), to_gaussians(bound)
     write_mesh(folder / "mesh.ply", refined)
     write_mesh(folder / "mesh.glb", refined)
     write_gaussians(folder / "gaussians.ply", gaussians)
     write_views(folder, scene.frames)
+    write_appearances(folder, looks)
     summary = {
-        **score_images(gaussians, scene.held_out_frames, background),
+        **score_images(gaussians, scene.held_out_frames, background, looks),
         "vertices": refined.num_vertices,
         "faces": refined.num_faces,
         "gaussians": gaussians.num_gaussians,

@@ -12,11 +12,14 @@ import optax
 from tqdm import tqdm
 
 from gsjax import config
+from gsjax.effects.appearance import Appearance
+from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import normal_folders, runs
 from gsjax.io.ply import write_gaussians
 from gsjax.io.scenes import load_scene
+from gsjax.pipeline.effects import joined, write_appearances
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.pace import Pace, seconds_left, spoken
@@ -42,7 +45,8 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
 
     Returns:
-        `psnr` and `ssim` (None without held-out views), `views`, `gaussians`, `steps`, `train_seconds`.
+        `psnr` and `ssim` (None without held-out views; with effects also the two other ways of
+        `gsjax.pipeline.evaluate.score_images`), `views`, `gaussians`, `steps`, `train_seconds`.
 
     Raises:
         InputError: The data set, the normals or the run folder cannot be used.
@@ -62,16 +66,29 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
     frames = loaded.train_frames
     prior = RunPrior(Path(out), settings.normals, settings.normal_axes, frames, settings.depth_mode)
     prior = partial(prior, frames=frames)
+    taken_in = joined(settings, loaded)
     as_dict = config.to_dict(settings)
     run = (
         runs.reopen(out, as_dict, scene=scene) if resume else runs.create(out, as_dict, scene=scene, seed=settings.seed)
     )
 
+    if taken_in.evidence:
+        runs.update_manifest(run, effects=taken_in.evidence)
     optimizer = optimizers.make_optimizer(settings.rates, size, settings.rates.decay_steps or total_steps(settings))
-    state, capacity, seconds = beginning(run, partial(_initial, loaded, settings, optimizer))
+    state, capacity, seconds = beginning(run, partial(_initial, loaded, settings, optimizer, effects=taken_in.effects))
     with TrainingJournal(run, settings, loaded, int(state.step), seconds) as journal:
-        state = fit(settings, frames, size, state, optimizer, prior=prior, observe=journal.note, capacity=capacity)
-        return _finish(run, settings, loaded, state, journal.seconds)
+        state = fit(
+            settings,
+            frames,
+            size,
+            state,
+            optimizer,
+            prior=prior,
+            observe=journal.note,
+            capacity=capacity,
+            effects=taken_in.effects,
+        )
+        return _finish(run, settings, loaded, state, taken_in.appearances(state.effects), journal.seconds)
 
 
 def _sized(scene: str | Path, settings: Settings) -> tuple[Scene, Settings]:
@@ -84,7 +101,14 @@ def _sized(scene: str | Path, settings: Settings) -> tuple[Scene, Settings]:
     return loaded, settings
 
 
-def _initial(scene: Scene, settings: Settings, optimizer: optax.GradientTransformation, rows: int | None) -> TrainState:
+def _initial(
+    scene: Scene,
+    settings: Settings,
+    optimizer: optax.GradientTransformation,
+    rows: int | None,
+    *,
+    effects: Effects = NO_EFFECTS,
+) -> TrainState:
     """Step 0 in a buffer of so many rows; None: of those that the points take."""
     first = initialize.from_points(
         scene.points,
@@ -93,7 +117,7 @@ def _initial(scene: Scene, settings: Settings, optimizer: optax.GradientTransfor
         sh_degree=settings.sh_degree,
         pixel_filter=settings.pixel_filter,
     )
-    return initial_state(first, optimizer, RULES[settings.density.rule])
+    return initial_state(first, optimizer, RULES[settings.density.rule], effects)
 
 
 def living(gaussians: Gaussians) -> Gaussians:
@@ -101,12 +125,15 @@ def living(gaussians: Gaussians) -> Gaussians:
     return jax.tree.map(np.asarray, take(gaussians, np.asarray(density_control.is_alive(gaussians))))
 
 
-def _finish(run: Path, settings: Settings, scene: Scene, state: TrainState, seconds: float) -> dict[str, Any]:
+def _finish(
+    run: Path, settings: Settings, scene: Scene, state: TrainState, looks: dict[str, Appearance], seconds: float
+) -> dict[str, Any]:
     gaussians = living(state.gaussians)
     write_gaussians(run / "gaussians.ply", gaussians)
     write_views(run, scene.frames)
+    write_appearances(run, looks)
     # The buffer as it is: a program for this very number of Gaussians would serve once.
-    scores = score_images(state.gaussians, scene.held_out_frames, settings.background)
+    scores = score_images(state.gaussians, scene.held_out_frames, settings.background, looks)
     summary = {
         **scores,
         "gaussians": gaussians.num_gaussians,

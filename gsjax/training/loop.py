@@ -11,6 +11,7 @@ import optax
 from jax import Array
 
 from gsjax import views
+from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.scene import Frame
@@ -74,6 +75,7 @@ def fit(
     prior: NormalsPrior,
     observe: Callable[[Progress], None],
     capacity: int | None = None,
+    effects: Effects = NO_EFFECTS,
 ) -> TrainState:
     """Run all phases from `state.step` on.
 
@@ -86,6 +88,7 @@ def fit(
         prior: Gives normals to the first phase that needs them.
         observe: Called after every step.
         capacity: Pair buffer to continue with; None counts.
+        effects: Those that are simulated; the state must be made for them, their photos be `frames`.
 
     Returns:
         The final state.
@@ -100,7 +103,9 @@ def fit(
             data = views.views_of(frames, scale=phase.image_scale)
             if not NEEDS_NORMALS.isdisjoint(active_terms(phase.weights)):
                 data = views.with_normals(data, prior(state.gaussians))
-            state = _run_phase(settings, phase, (done, end), data, extent, state, optimizer, observe, capacity)
+            if effects:
+                data = views.numbered(data)
+            state = _run_phase(settings, phase, (done, end), data, extent, state, optimizer, observe, capacity, effects)
             done, capacity = end, None
         start = end
     return state
@@ -177,6 +182,7 @@ def _run_phase(
     optimizer: optax.GradientTransformation,
     observe: Callable[[Progress], None],
     capacity: int | None,
+    effects: Effects,
 ) -> TrainState:
     key = jax.random.key(settings.seed)
     # Photos without an alpha channel have nothing to compare alphas with.
@@ -192,6 +198,7 @@ def _run_phase(
             sh_every=settings.sh_every,
             rule=RULES[settings.density.rule] if phase.density_control else None,
             depth_mode=settings.depth_mode,
+            effects=effects,
         )
 
     def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:

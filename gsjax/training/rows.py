@@ -4,6 +4,7 @@ Every per-Gaussian array has rows for the Gaussians of today and some to come, a
 would run out of them. A buffer of the whole budget would give the same numbers, bit for bit, and be slower.
 """
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -11,7 +12,6 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
-from gsjax.gaussians import Gaussians
 from gsjax.settings import Density
 from gsjax.training import optimizers
 from gsjax.training.initialize import DEAD_LOGIT
@@ -39,17 +39,15 @@ def lengthened(state: TrainState, optimizer: optax.GradientTransformation, rows:
         return jnp.concatenate([array, jnp.zeros((extra, *array.shape[1:]), array.dtype)])
 
     gaussians = jax.tree.map(zeros_after, state.gaussians)
-    return TrainState(
-        Gaussians(
-            **{
-                **gaussians.__dict__,
-                "quats": gaussians.quats.at[-extra:, 0].set(1.0),
-                "logit_opacities": gaussians.logit_opacities.at[-extra:].set(DEAD_LOGIT),
-            }
+    return replace(
+        state,
+        gaussians=replace(
+            gaussians,
+            quats=gaussians.quats.at[-extra:, 0].set(1.0),
+            logit_opacities=gaussians.logit_opacities.at[-extra:].set(DEAD_LOGIT),
         ),
-        optimizers.map_moments(optimizer, zeros_after, state.opt_state),
-        jax.tree.map(zeros_after, state.statistics),
-        state.step,
+        opt_state=optimizers.map_moments(optimizer, zeros_after, state.opt_state),
+        statistics=jax.tree.map(zeros_after, state.statistics),
     )
 
 

@@ -1,6 +1,6 @@
 """All that changes while training, and the changes that are not optimiser steps: densify, reset, cull."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
+from gsjax.effects import model
+from gsjax.effects.model import NO_EFFECTS, Effects, EffectState
 from gsjax.gaussians import Gaussians
 from gsjax.settings import Density
 from gsjax.training import density_control, optimizers
@@ -24,10 +26,14 @@ class TrainState:
     opt_state: Any
     statistics: Any  # [N] sums of the rule of density control, see `gsjax.training.rules`
     step: Array  # [] int32 steps done
+    effects: EffectState | None = None  # of those that are simulated
 
 
 def initial_state(
-    gaussians: Gaussians, optimizer: optax.GradientTransformation, rule: Rule = RULES["adc"]
+    gaussians: Gaussians,
+    optimizer: optax.GradientTransformation,
+    rule: Rule = RULES["adc"],
+    effects: Effects = NO_EFFECTS,
 ) -> TrainState:
     """Step 0."""
     return TrainState(
@@ -35,6 +41,7 @@ def initial_state(
         optimizer.init(gaussians),  # pyright: ignore[reportArgumentType]
         rule.empty_statistics(gaussians.num_gaussians),
         jnp.zeros((), jnp.int32),
+        model.initial_state(effects),
     )
 
 
@@ -62,7 +69,8 @@ def densify(
         count=count,
     )
     opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, moved.source, moved.fresh)
-    return TrainState(gaussians, opt_state, rule.empty_statistics(gaussians.num_gaussians), state.step)
+    statistics = rule.empty_statistics(gaussians.num_gaussians)
+    return replace(state, gaussians=gaussians, opt_state=opt_state, statistics=statistics)
 
 
 @partial(jax.jit, static_argnames=("optimizer", "limit"), donate_argnums=0)
@@ -74,7 +82,7 @@ def reset_opacities(state: TrainState, *, optimizer: optax.GradientTransformatio
         optimizer, lambda m: jnp.zeros_like(m) if m.shape == (capacity,) else m, state.opt_state
     )
     gaussians = density_control.reset_opacities(state.gaussians, limit)
-    return TrainState(gaussians, opt_state, state.statistics, state.step)
+    return replace(state, gaussians=gaussians, opt_state=opt_state)
 
 
 @partial(jax.jit, static_argnames=("optimizer", "min_opacity"), donate_argnums=0)
@@ -83,7 +91,7 @@ def cull(state: TrainState, *, optimizer: optax.GradientTransformation, min_opac
     gaussians = density_control.cull(state.gaussians, min_opacity)
     rows = jnp.arange(gaussians.num_gaussians, dtype=jnp.int32)
     opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, rows, ~density_control.is_alive(gaussians))
-    return TrainState(gaussians, opt_state, state.statistics, state.step)
+    return replace(state, gaussians=gaussians, opt_state=opt_state)
 
 
 @jax.jit

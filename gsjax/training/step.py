@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,8 @@ from jax import Array
 
 import rasterizer
 from gsjax import render, views
+from gsjax.effects import model
+from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import masked_mean
 from gsjax.settings import Weights
@@ -29,6 +31,14 @@ class Metrics(NamedTuple):
     needed: Array  # pair capacity that the view needed
     overflowed: Array  # the capacity was too short: the state was left as it was
     terms: dict[str, Array]
+
+
+class _Free(NamedTuple):
+    """What the objective is differentiated to; what is None is not."""
+
+    gaussians: Gaussians
+    probe: Array | None  # of the rule of density control
+    numbers: dict[str, Any] | None  # of the effects
 
 
 TrainStep = Callable[[TrainState, Target, Array], tuple[TrainState, Metrics]]
@@ -58,6 +68,7 @@ def make_train_step(
     sh_every: int,
     rule: Rule | None,
     depth_mode: rasterizer.DepthMode = "plane",
+    effects: Effects = NO_EFFECTS,
 ) -> TrainStep:
     """The compiled step of one phase.
 
@@ -69,6 +80,7 @@ def make_train_step(
         sh_every: Steps between the bands of the SH ramp.
         rule: Of density control, whose statistics are gathered; None: none are.
         depth_mode: What a splat's depth is, see `gsjax.render.view`.
+        effects: Those that stand between the render and the photos; the state and the targets must be made for them.
 
     Returns:
         A `TrainStep`.
@@ -76,7 +88,8 @@ def make_train_step(
     terms = active_terms(weights)
     with_depth = not NEEDS_DEPTH.isdisjoint(terms)
 
-    def objective(gaussians: Gaussians, probe: Array | None, batch, color: Array, active_degree: Array):
+    def objective(free: _Free, batch, color: Array, active_degree: Array):
+        gaussians, probe, numbers = free
         view = render.view(
             gaussians,
             batch.camera,
@@ -87,6 +100,7 @@ def make_train_step(
             depth_mode=depth_mode,
             **({rule.probes: probe} if rule else {}),
         )
+        view = model.photographed(effects, numbers, view, batch, color)
         losses = {name: TERMS[name](gaussians, view, batch) for name in terms}
         total = sum(weight * losses[name] for name, weight in terms.items())
         if rule:
@@ -100,16 +114,19 @@ def make_train_step(
         batch = views.batch(target, color)
         active_degree = state.step // sh_every
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
-        gradient = jax.value_and_grad(objective, argnums=(0, 1) if rule else (0,), has_aux=True)
-        (total, (losses, mse, projection, pairs)), gradients = gradient(
-            state.gaussians, probe, batch, color, active_degree
+        free = _Free(state.gaussians, probe, None if state.effects is None else state.effects.numbers)
+        (total, (losses, mse, projection, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
+            free, batch, color, active_degree
         )
-        gaussians, opt_state = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients[0])
+        gaussians, opt_state = optimizers.apply_gradients(
+            optimizer, state.gaussians, state.opt_state, gradients.gaussians
+        )
         statistics = state.statistics
         if rule:
             seen = in_photo(projection, target.size)
-            statistics = rule.accumulate(statistics, gradients[1], seen, target.size)
-        proposed = TrainState(gaussians, opt_state, statistics, state.step + 1)
+            statistics = rule.accumulate(statistics, gradients.probe, seen, target.size)
+        looks = model.updated(effects, state.effects, gradients.numbers)
+        proposed = TrainState(gaussians, opt_state, statistics, state.step + 1, looks)
         # A full buffer means a wrong image: the state stays, the host makes room and repeats the step.
         state = jax.tree.map(lambda old, new: jnp.where(pairs.overflowed, old, new), state, proposed)
         return state, Metrics(total, -10 * jnp.log10(jnp.maximum(mse, 1e-10)), pairs.needed, pairs.overflowed, losses)

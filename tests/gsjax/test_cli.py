@@ -175,7 +175,7 @@ def test_mesh_hands_over_only_what_was_given(library, capsys):
 
 def test_eval_writes_json_and_prints_a_table(library, tmp_path, capsys):
     assert cli.main(["eval", "run", "--json", str(tmp_path / "a/e.json"), "--mesh", "m.ply"]) == 0
-    assert library == [("evaluate", ("run",), {"mesh": "m.ply"})]
+    assert library == [("evaluate", ("run",), {"mesh": "m.ply", "three_ways": False})]
     assert json.loads((tmp_path / "a/e.json").read_text()) == {"psnr": 29.5, "views": 7}
     assert capsys.readouterr().out == "psnr   29.5\nviews  7\n"
 

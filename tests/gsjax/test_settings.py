@@ -4,7 +4,7 @@ import pytest
 
 from gsjax.config import merge, parse, to_dict
 from gsjax.errors import InputError
-from gsjax.settings import PRESETS, Settings, total_steps
+from gsjax.settings import PRESETS, Settings, named_effects, total_steps
 
 
 def test_defaults_are_the_numbers_of_3dgs_and_of_the_paper():
@@ -65,3 +65,18 @@ def test_settings_are_hashable_and_frozen():
     assert len({parse(Settings, PRESETS["accurate"]), parse(Settings, PRESETS["paper_6k_15k"])}) == 1
     with pytest.raises(dataclasses.FrozenInstanceError):
         Settings().seed = 1
+
+
+@pytest.mark.parametrize(
+    ("given", "names"),
+    [("none", ()), ("auto", ()), ("vignetting, exposure", ("exposure", "vignetting")), ("exposure", ("exposure",))],
+)
+def test_effects_are_named_in_any_order(given, names):
+    assert named_effects(given) == names
+    assert Settings(effects=given).effects == given
+
+
+@pytest.mark.parametrize("given", ["sky", "exposure,", "Auto", "none,exposure"])
+def test_unknown_effects_are_refused(given):
+    with pytest.raises(ValueError, match="is none of auto, none, exposure, vignetting"):
+        Settings(effects=given)

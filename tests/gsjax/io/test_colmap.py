@@ -36,6 +36,28 @@ def test_real_models_reproject_as_their_readme_says(shared, folder, documented):
     assert mean_reprojection_error(scene, root / "sparse/0") == pytest.approx(documented, rel=0.03)
 
 
+@pytest.mark.parametrize("folder", ["fox", "kitchen"])
+def test_tracks_are_the_models_observations_without_distortion(shared, folder):
+    root = shared / "data" / folder
+    scene = load_scene(root)
+    tracks, model = scene.tracks(), pycolmap.Reconstruction(root / "sparse/0")
+    assert tracks.names == tuple(frame.name for frame in scene.frames)
+    assert len(tracks.point) == model.compute_num_observations()
+    viewmats = np.stack([frame.viewmat for frame in scene.frames])[tracks.photo]
+    local = np.einsum("oij,oj->oi", viewmats[:, :3, :3], scene.points[tracks.point]) + viewmats[:, :3, 3]
+    errors = np.linalg.norm(local[:, :2] / local[:, 2:] - tracks.rays, axis=1) * scene.frames[0].K[0, 0]
+    per_point = np.bincount(tracks.point, errors) / np.bincount(tracks.point)
+    # The model's own error is in distorted pixels; a wrong point or photo would be off by hundreds.
+    assert per_point.mean() == pytest.approx(model.compute_mean_reprojection_error(), rel=0.05)
+
+
+def test_a_model_without_keypoints_has_empty_tracks(colmap_scene):
+    tracks = load_scene(colmap_scene()).tracks()
+    assert len(tracks.names) == 10
+    assert tracks.photo.shape == tracks.point.shape == (0,)
+    assert tracks.rays.shape == (0, 2)
+
+
 def test_our_undistortion_shows_what_colmaps_own_shows(shared):
     ours = load_scene(shared / "data/fox").frames[3]
     theirs = load_scene(shared / "data/fox/undistorted").frames[3]

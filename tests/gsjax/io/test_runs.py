@@ -53,7 +53,7 @@ def test_a_run_is_reopened_on_its_own_data_set_with_its_own_settings_only(run, t
 
 
 def test_a_run_from_before_depth_could_be_chosen_keeps_the_depth_that_it_had(run, tmp_path):
-    assert runs.read_settings(run) == {**SETTINGS, "depth_mode": "center", "pixel_filter": "classic"}
+    assert runs.read_settings(run) == {**SETTINGS, "depth_mode": "center", "pixel_filter": "classic", "effects": "none"}
     assert runs.reopen(run, SETTINGS | {"depth_mode": "center"}, scene=tmp_path / "scene") == run
     with pytest.raises(InputError, match=r'was started with depth_mode = "center", not "plane"'):
         runs.reopen(run, SETTINGS | {"depth_mode": "plane"}, scene=tmp_path / "scene")

@@ -159,7 +159,7 @@ def entered(monkeypatch):
         scales.append(scale)
         return unreduced(frames)
 
-    def run_phase(settings, phase, steps, data, extent, state, optimizer, observe, capacity):
+    def run_phase(settings, phase, steps, data, extent, state, optimizer, observe, capacity, effects):
         phases.append((phase.name, scales[-1], steps, capacity))
         return state
 

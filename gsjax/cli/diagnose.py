@@ -1,0 +1,35 @@
+"""`gsjax diagnose`: which effects a data set calls for."""
+
+import argparse
+
+from gsjax.cli.parsers import add_command, given
+
+
+def add_to(commands: argparse._SubParsersAction) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands,
+        "diagnose",
+        _run,
+        summary="tell which effects of photography a data set calls for",
+        description="""
+            Looks at every photo once, and at the tracks of structure from motion where there are any:
+            exposure and white balance, vignetting, view-dependent colour, open sky, poses, transients,
+            sampling, blur, lens distortion. Prints for each the evidence with its noise, the threshold, the
+            decision, the cost, and why. Nothing is trained. What cannot be judged is off, and says so.
+        """,
+        example="gsjax diagnose scenes/garden --json garden.json",
+    )
+    add = parser.add_argument
+    add("scene", metavar="SCENE", help="folder of the data set")
+    add("--json", metavar="FILE", help="also write it here, and pictures of the evidence beside it (.png)")
+    add("--downscale", type=float, metavar="K", help="look at photos K times smaller (default: 1)")
+    add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute (default: looked for)")
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from gsjax import tables
+    from gsjax.pipeline.diagnose import diagnose, rows
+
+    record = diagnose(arguments.scene, **given(arguments, "json", "downscale", "images"))
+    print(tables.aligned(rows(record)))

@@ -1,0 +1,117 @@
+"""How each photo was taken, as far as tracks or training tell: where the effects start, and what became of them."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from gsjax.cameras import Camera
+from gsjax.effects import exposure, vignetting
+from gsjax.effects.gains import fit, table
+from gsjax.effects.model import Effects, EffectState
+from gsjax.effects.observations import Observations
+from gsjax.scene import Frame, with_pixels
+from gsjax.settings import SIMULATED
+
+
+class Appearance(NamedTuple):
+    """What one photo makes of light: display-coded values are multiplied by the exponential of this."""
+
+    log_gains: tuple[float, float, float]
+    falloff: tuple[float, float]  # see `gsjax.effects.vignetting.falloff`
+
+    def factor(self, frame: Frame) -> np.ndarray:
+        """`[H, W, 3]` float32 for the pixels of its frame."""
+        camera = Camera(jnp.asarray(frame.viewmat), jnp.asarray(frame.K), frame.width, frame.height)
+        falloff = np.asarray(vignetting.falloff(jnp.asarray(self.falloff, jnp.float32), camera))
+        return np.exp(falloff[..., None] + np.asarray(self.log_gains, np.float32))
+
+
+@dataclass(frozen=True)
+class Start:
+    """What tracks tell of V photos by C cameras, before any training."""
+
+    names: tuple[str, ...]  # of the photos
+    trained: np.ndarray  # [V] bool: not held out
+    log_gains: np.ndarray  # [V, 3] of display-coded values, mean zero over the photos that are trained on
+    camera: np.ndarray  # [V] int32, whose camera
+    falloff: np.ndarray  # [C, 2]
+
+
+def start(seen: Observations, chosen: Collection[str]) -> Start:
+    """Where the chosen effects start; zero where tracks tell nothing.
+
+    The same robust fit as the evidence, of display-coded values, since those are what training compares.
+    """
+    frames = seen.frames
+    trained = np.array([not frame.held_out for frame in frames])
+    log_gains, slope = np.zeros((len(frames), 3)), 0.0
+    data = table(np.log(seen.colors), seen.photo, seen.point, len(frames))
+    if len(data.photo):
+        found = fit(data)
+        if "vignetting" in chosen:
+            tangents2 = seen.tangents2
+            slope = min(vignetting.slope_on(tangents2, data, found)[0], 0.0)
+            found = fit(data._replace(values=data.values - slope * tangents2[data.rows][:, None]))
+        known = np.bincount(data.photo, minlength=len(frames)) > 0
+        if (known & trained).any():
+            log_gains = np.where(known[:, None], found.gains - found.gains[known & trained].mean(0), 0.0)
+    cameras = [(frame.width, frame.height, frame.K.tobytes()) for frame in frames]
+    distinct = list(dict.fromkeys(cameras))
+    falloff = np.tile(np.array([slope, 0.0]), (len(distinct), 1))
+    return Start(
+        tuple(frame.name for frame in frames),
+        trained,
+        log_gains.astype(np.float32),
+        np.array([distinct.index(camera) for camera in cameras], np.int32),
+        falloff.astype(np.float32),
+    )
+
+
+def simulations(begun: Start, chosen: Collection[str], rate: optax.Schedule) -> Effects:
+    """The chosen effects, over the photos that are trained on."""
+    effects = {
+        "exposure": lambda: exposure.simulated(begun.log_gains[begun.trained], rate),
+        "vignetting": lambda: vignetting.simulated(begun.falloff, begun.camera[begun.trained], rate),
+    }
+    return {name: effects[name]() for name in SIMULATED if name in chosen}
+
+
+def appearances(begun: Start, state: EffectState) -> dict[str, Appearance]:
+    """Of every photo, by name, after training: gains as learned, those of held-out photos as their tracks tell.
+
+    No pixel of a held-out photo has been used but its keypoints.
+    """
+    numbers: dict[str, Any] = state.numbers
+    gains = np.zeros_like(begun.log_gains)
+    if "exposure" in numbers:
+        gains = begun.log_gains.copy()
+        gains[begun.trained] = np.asarray(exposure.log_gains(jnp.asarray(numbers["exposure"])))
+    falloff = np.asarray(numbers.get("vignetting", np.zeros_like(begun.falloff)))
+    return {
+        name: Appearance(tuple(gains[index].tolist()), tuple(falloff[begun.camera[index]].tolist()))
+        for index, name in enumerate(begun.names)
+    }
+
+
+def fitted(colors: np.ndarray, image: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """`[H, W, 3]` colours after the affine map that brings them nearest to an image's over the valid pixels."""
+    ones = np.ones((*colors.shape[:2], 1))
+    basis = np.concatenate([colors, ones], axis=-1, dtype=np.float64)
+    if not valid.any():
+        return colors
+    weights = np.linalg.lstsq(basis[valid], image[valid].astype(np.float64), rcond=None)[0]
+    return (basis @ weights).astype(np.float32)
+
+
+def relit(frame: Frame, look: Appearance) -> Frame:
+    """The frame with its photo divided by what its camera did, in memory: as the mean photo would show it.
+
+    Pixels that this makes brighter than white are clipped, as the photo would have.
+    """
+    pixels = frame.pixels()
+    image = np.clip(np.rint(pixels.image / look.factor(frame)), 0, 255).astype(np.uint8)
+    return with_pixels(frame, pixels._replace(image=image))

@@ -1,0 +1,74 @@
+"""All effects looked for in one data set."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from gsjax.effects import (
+    background,
+    blur,
+    distortion,
+    exposure,
+    mip,
+    poses,
+    sh_degree,
+    transients,
+    vignetting,
+)
+from gsjax.effects.evidence import Evidence
+from gsjax.effects.observations import Observations, observe
+from gsjax.scene import Frame, Scene
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a scene says about every effect, and about every photo."""
+
+    effects: dict[str, Evidence]
+    seen: Observations
+    gains: exposure.Gains | None
+    steps: tuple[poses.Step | None, ...]  # a frame
+
+    def record(self) -> dict[str, Any]:
+        """Plain values for a file: `effects` by name, and `photos` with their gains in EV, sharpness and pose step."""
+        return {
+            "effects": {name: evidence.record() for name, evidence in self.effects.items()},
+            "photos": [
+                {
+                    "name": frame.name,
+                    "gains": None if self.gains is None else self.gains.fit.gains[index].tolist(),
+                    "sharpness": self.seen.facts[index].sharpness,
+                    "pose_step_px": None if (step := self.steps[index]) is None else step.shift,
+                }
+                for index, frame in enumerate(self.seen.frames)
+            ],
+        }
+
+
+def diagnose(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Frame]] = iter) -> Diagnosis:
+    """Look for every effect.
+
+    Args:
+        scene: A loaded data set; every photo is read once, and tracks where it has any.
+        progress: Wraps the frames, for a bar.
+
+    Returns:
+        A `Diagnosis`.
+
+    Raises:
+        InputError: A photo or the tracks cannot be read.
+    """
+    seen = observe(scene, progress=progress)
+    gains, steps = exposure.estimate(seen), poses.steps(seen)
+    effects = {
+        "exposure": exposure.judge(seen, gains),
+        "vignetting": vignetting.judge(seen, gains),
+        "sh_degree": sh_degree.judge(seen, gains),
+        "background": background.judge(seen),
+        "poses": poses.judge(seen, steps),
+        "transients": transients.judge(gains),
+        "mip": mip.judge(seen),
+        "blur": blur.judge(seen),
+        "distortion": distortion.judge(seen),
+    }
+    return Diagnosis(effects, seen, gains, steps)

@@ -1,0 +1,25 @@
+"""What a scene says about one effect: a statistic, how far it can be trusted, and what follows."""
+
+from typing import NamedTuple
+
+
+class Evidence(NamedTuple):
+    """The report line of an effect."""
+
+    on: bool  # the scene calls for it
+    value: float | None  # larger speaks more for the effect; None: the scene has no means to judge
+    unit: str
+    noise: float | None  # what `value` may be off by, or what it is where the effect is absent
+    threshold: float  # `on` needs a larger value
+    cost: str  # of simulating it: work a step, bytes
+    note: str
+
+    def record(self) -> dict[str, bool | float | str | None]:
+        """Plain values for a file; the statistic is called evidence there."""
+        values = self._asdict()
+        return {("evidence" if name == "value" else name): value for name, value in values.items()}
+
+
+def unknown(unit: str, threshold: float, cost: str, why: str) -> Evidence:
+    """No means to judge: off."""
+    return Evidence(False, None, unit, None, threshold, cost, f"cannot be judged: {why}")

@@ -1,0 +1,93 @@
+"""Photo and point effects of the colours along tracks: a linear table with holes, fitted robustly.
+
+log colour = point + gain(photo) + noise. Of two photos that see one point, whatever the point's colour, the difference
+is theirs. The points are eliminated, so a fit is one dense system of the size of the photos (after Park et al., CVPR
+2016, who fit sparse correspondences in log space).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+ROUNDS = 10  # of reweighting
+OUTLIER = 1.5  # standard deviations beyond which a residual counts linearly (Huber)
+SHORTEST_TRACK = 3
+_PULL = 1e-3  # observations of gain zero that every photo has besides its own: decides where nothing else does
+
+
+class Table(NamedTuple):
+    """N logarithms of colours, by photo and by point."""
+
+    values: np.ndarray  # [N, C]
+    photo: np.ndarray  # [N] 0..V-1
+    point: np.ndarray  # [N] 0..P-1, every point at least `SHORTEST_TRACK` times
+    num_photos: int
+    origins: np.ndarray  # [P] what the points were called before
+    rows: np.ndarray  # [N] which rows these were before
+
+    def only(self, chosen: np.ndarray) -> "Table":
+        """The rows of `chosen` `[N]` bool, points with too few of them left out."""
+        return table(self.values[chosen], self.photo[chosen], self.point[chosen], self.num_photos)
+
+
+class Fit(NamedTuple):
+    """What a robust fit gives."""
+
+    gains: np.ndarray  # [V, C], mean zero over the photos that have any observation; zero of the others
+    residuals: np.ndarray  # [N, C]
+    weights: np.ndarray  # [N] 0..1
+    sigma: float  # of the residuals, robust
+
+
+def table(values: np.ndarray, photo: np.ndarray, point: np.ndarray, num_photos: int) -> Table:
+    """A `Table` of the finite rows, of the points that have enough of them."""
+    rows = np.flatnonzero(np.isfinite(values).all(-1))
+    _, inverse, counts = np.unique(point[rows], return_inverse=True, return_counts=True)
+    rows = rows[counts[inverse] >= SHORTEST_TRACK]
+    origins, point = np.unique(point[rows], return_inverse=True)
+    return Table(values[rows], photo[rows], point, num_photos, origins, rows)
+
+
+def fit(data: Table) -> Fit:
+    """Gains by iteratively reweighted least squares."""
+    weights = np.ones(len(data.photo))
+    residuals, gains, sigma = data.values, np.zeros((data.num_photos, data.values.shape[1])), 0.0
+    for _ in range(ROUNDS if len(data.photo) else 0):
+        gains, residuals = project(data.values, data, weights)
+        size = np.sqrt(np.mean(np.square(residuals), axis=1))
+        sigma = 1.4826 * float(np.median(size))
+        weights = np.minimum(1.0, OUTLIER * sigma / np.maximum(size, 1e-12))
+    seen = np.bincount(data.photo, minlength=data.num_photos) > 0
+    if seen.any():
+        gains = np.where(seen[:, None], gains - gains[seen].mean(0), 0.0)
+    return Fit(gains, residuals, weights, sigma)
+
+
+def project(values: np.ndarray, data: Table, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Photo effects `[V, C]` of weighted least squares of any `[N, C]` values, and what both effects leave `[N, C]`."""
+    shape = (int(data.point.max()) + 1, data.num_photos)
+    seen = sparse.csr_matrix((weights, (data.point, data.photo)), shape)
+    per_point = np.maximum(np.asarray(seen.sum(1)).ravel(), 1e-12)
+
+    def point_sums(columns: np.ndarray) -> np.ndarray:
+        return np.stack([np.bincount(data.point, weights * column, shape[0]) for column in columns.T], -1)
+
+    photo_sums = np.stack([np.bincount(data.photo, weights * column, shape[1]) for column in values.T], -1)
+    shares = sparse.diags(1 / per_point) @ seen
+    system = np.diag(np.asarray(seen.sum(0)).ravel() + _PULL) - (seen.T @ shares).toarray()
+    photos = np.linalg.solve(system, photo_sums - shares.T @ point_sums(values))
+    left = values - photos[data.photo]
+    points = point_sums(left) / per_point[:, None]
+    return photos, left - points[data.point]
+
+
+def held_out_ratio(data: Table, gains: np.ndarray) -> float:
+    """How well the other photos of a track predict its colour in one: median error with gains over that without."""
+
+    def error(values: np.ndarray) -> float:
+        count = np.bincount(data.point)[data.point][:, None]
+        mean = np.stack([np.bincount(data.point, column) for column in values.T], -1)[data.point] / count
+        return float(np.median(np.sqrt(np.square((values - mean) * count / (count - 1)).mean(1))))
+
+    return error(data.values - gains[data.photo]) / max(error(data.values), 1e-12)

@@ -1,0 +1,122 @@
+"""What training joins where a scene calls for an effect: its numbers, their rate, and what it does to a picture.
+
+A step without effects never hears of this: no argument, no state, no operation.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+from jax.typing import ArrayLike
+
+from gsjax.render import View
+from gsjax.views import Batch
+
+RATE, FINAL = 2e-3, 1e-2  # Adam's learning rate, and the share of it that is left at the end (PPISP)
+HOLD = 300  # steps before an effect may move, and after opacities were reset: colours settle first
+WARM_UP = 500  # steps to the full rate
+LIMIT = 3.0  # of the logarithm of what light is multiplied by: 20 times, on display-coded values
+SHORT = 0.1  # of a run: what both are at most
+
+
+class Effect(NamedTuple):
+    """One effect of photography. Frozen for a run; what changes is in an `EffectState`."""
+
+    initial: Any  # pytree of float32: its numbers at step 0
+    rate: optax.Schedule  # steps done -> Adam's learning rate; zero holds the numbers still
+    apply: Callable[[Any, Array, Batch], Array]  # (numbers, `[H, W, 3]` light that the camera meets, view) -> photo
+
+
+Effects = Mapping[str, Effect]
+"""Those that a run simulates, by name."""
+
+NO_EFFECTS: Effects = MappingProxyType({})
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class EffectState:
+    """The numbers of all effects, and of their optimisers."""
+
+    numbers: dict[str, Any]
+    moments: dict[str, Any]
+
+
+def initial_state(effects: Effects) -> EffectState | None:
+    """Step 0; None of none, so that nothing of it is stored or compiled."""
+    if not effects:
+        return None
+    numbers = {name: jax.tree.map(jnp.asarray, effect.initial) for name, effect in effects.items()}
+    return EffectState(numbers, {name: _adam(effects[name]).init(value) for name, value in numbers.items()})
+
+
+def photographed(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch, background: Array) -> View:
+    """What the camera makes of a view.
+
+    Where photos have mattes, the background is laid under them by us, after any camera: it stays as it is.
+
+    Args:
+        effects: The effects.
+        numbers: Theirs; None of none.
+        view: What is rendered.
+        batch: The view; its `photo` says whose numbers are meant.
+        background: `[3]` colour under the view.
+
+    Returns:
+        The view with other colours.
+    """
+    if numbers is None:
+        return view
+    behind = jnp.zeros_like(view.colors)
+    if batch.matte is not None:
+        behind = (1 - view.alphas)[..., None] * background[None, None]
+    colors = view.colors - behind
+    for name, effect in effects.items():
+        colors = effect.apply(numbers[name], colors, batch)
+    return view._replace(colors=colors + behind)
+
+
+def updated(effects: Effects, state: EffectState | None, gradients: dict[str, Any] | None) -> EffectState | None:
+    """One Adam step of every effect."""
+    if state is None or gradients is None:
+        return None
+    numbers, moments = {}, {}
+    # optax mixes int32 counts with floats, which strict promotion forbids.
+    with jax.numpy_dtype_promotion("standard"):
+        for name, effect in effects.items():
+            updates, moments[name] = _adam(effect).update(gradients[name], state.moments[name])
+            numbers[name] = optax.apply_updates(state.numbers[name], updates)
+    return EffectState(numbers, moments)
+
+
+def learning_rate(steps: int, *, reset_every: int = 0, resets_stop: int = 0) -> optax.Schedule:
+    """The schedule of a run: zero, a linear warm-up, then log-linear to `FINAL`; zero again after every reset.
+
+    A reset of the opacities darkens every render at once, which gains would answer within a few steps.
+
+    Args:
+        steps: Of the run.
+        reset_every: Steps between resets of the opacities; 0: there are none.
+        resets_stop: The last of them.
+    """
+    hold, warm_up = (min(most, max(1, round(SHORT * steps))) for most in (HOLD, WARM_UP))
+
+    def rate(step: ArrayLike) -> Array:
+        done = jnp.asarray(step, jnp.float32)
+        ramp = jnp.clip((done - hold) / warm_up, 0.0, 1.0)
+        value = RATE * ramp * FINAL ** (done / steps)
+        if not reset_every:
+            return value
+        settling = (done >= reset_every) & (done < resets_stop + hold) & (jnp.mod(done, reset_every) < hold)
+        return jnp.where(settling, 0.0, value)
+
+    return rate
+
+
+def _adam(effect: Effect) -> optax.GradientTransformation:
+    return optax.adam(effect.rate, eps=1e-15)

@@ -1,0 +1,204 @@
+"""What the detectors look at: keypoints of the tracks with their colours, and a few numbers of every photo.
+
+Photos are read one by one and forgotten. Colours come from a slightly blurred photo, so that a keypoint that is off by
+part of a pixel does not matter.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from gsjax.errors import InputError
+from gsjax.scene import Frame, Scene
+
+BLUR = 0.7  # pixels, standard deviation: wider windows mix what lies behind an edge into it, more so in small photos
+DARKEST, BRIGHTEST = 12, 243  # Beyond, a pixel is clipped or nearly so, and tells no ratio:
+CLIPPED = 0.02  # most of a window that such pixels may make up
+SKY_BRIGHT, SKY_SMOOTH = 0.5, 0.02  # Of a pixel that may be sky: its luminance, and how far its neighbours differ.
+SKY_CLEAR = 0.1  # of the width: nothing was matched nearer to it
+MOST_POINTS = 3000  # whose colours are looked at, and
+POINTS_PER_PHOTO = 40  # where there are many photos
+GRID = 48  # places along a photo's longer side where sky is looked for
+
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+class PhotoFacts(NamedTuple):
+    """What is kept of one photo."""
+
+    sharpness: float  # of the luminance over valid pixels, see `_sharpness`
+    sky_share: float  # of the valid places in the grid
+    sky_color: np.ndarray  # [3] mean of them, 0..1
+    has_matte: bool
+    lost_share: float  # of the photo's pixels, by undistortion
+
+
+@dataclass(frozen=True)
+class Observations:
+    """O observations of tracks with a usable colour, in V photos."""
+
+    frames: tuple[Frame, ...]
+    facts: tuple[PhotoFacts, ...]  # a frame
+    points: np.ndarray  # [P, 3] float64 world
+    photo: np.ndarray  # [O] index of the frame
+    point: np.ndarray  # [O] index of the point
+    pixels: np.ndarray  # [O, 2] float64 keypoint in the frame
+    colors: np.ndarray  # [O, 3] float64 display-coded, 0..1; NaN where a channel is clipped or masked
+    tracked: bool  # whether any point was matched in any photo
+
+    @property
+    def radii2(self) -> np.ndarray:
+        """`[O]` squared distance from the principal point, 1 at half the diagonal of the frame."""
+        halves = np.array([(frame.width**2 + frame.height**2) / 4 for frame in self.frames])
+        centers = np.array([frame.K[:2, 2] for frame in self.frames])
+        return np.square(self.pixels - centers[self.photo]).sum(-1) / halves[self.photo]
+
+    @property
+    def tangents2(self) -> np.ndarray:
+        """`[O]` squared tangent of the angle to the optical axis."""
+        focals = np.array([np.diag(frame.K)[:2] for frame in self.frames])
+        centers = np.array([frame.K[:2, 2] for frame in self.frames])
+        return np.square((self.pixels - centers[self.photo]) / focals[self.photo]).sum(-1)
+
+
+def observe(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Frame]] = iter) -> Observations:
+    """Look at every photo once.
+
+    Args:
+        scene: A loaded data set.
+        progress: Wraps the frames, for a bar.
+
+    Returns:
+        `Observations`, ordered by photo.
+
+    Raises:
+        InputError: A photo cannot be read.
+    """
+    by_name = _tracks_by_name(scene)
+    chosen = _chosen(len(scene.points), max(MOST_POINTS, POINTS_PER_PHOTO * len(scene.frames)))
+    losses: dict[tuple, float] = {}
+    facts, parts = [], []
+    for index, frame in enumerate(progress(scene.frames)):
+        points, rays = by_name.get(frame.name, (np.empty(0, np.int64), np.empty((0, 2))))
+        pixels = rays * frame.K[[0, 1], [0, 1]] + frame.K[:2, 2]
+        inside = ((pixels >= 0) & (pixels < [frame.width, frame.height])).all(-1)
+        kept = inside & chosen[points]
+        colors, found = _look(frame, pixels[inside], pixels[kept], _lost(frame, losses))
+        facts.append(found)
+        parts.append((np.full(len(colors), index), points[kept], pixels[kept], colors))
+    photo, point, pixels, colors = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    return Observations(
+        scene.frames, tuple(facts), scene.points.astype(np.float64), photo, point, pixels, colors, bool(len(photo))
+    )
+
+
+def _tracks_by_name(scene: Scene) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    if scene.tracks is None:
+        return {}
+    tracks = scene.tracks()
+    if len(tracks.point) and tracks.point.max() >= len(scene.points):
+        raise InputError(f"{scene.root}: its tracks name points that it does not have")
+    rows = [np.flatnonzero(tracks.photo == index) for index in range(len(tracks.names))]
+    return {
+        name: (tracks.point[row].astype(np.int64), tracks.rays[row].astype(np.float64))
+        for name, row in zip(tracks.names, rows, strict=True)
+        if len(row)
+    }
+
+
+def _chosen(count: int, most: int) -> np.ndarray:
+    """`[P]` bool: which points stand for all, drawn at random."""
+    chosen = np.zeros(count, bool)
+    chosen[np.random.default_rng(0).permutation(count)[:most]] = True
+    return chosen
+
+
+def _look(frame: Frame, keypoints: np.ndarray, looked_at: np.ndarray, lost: float) -> tuple[np.ndarray, PhotoFacts]:
+    image, matte, valid = frame.pixels()
+    usable = np.ones(image.shape[:2], bool) if valid is None else valid > 127
+    if matte is not None:
+        usable = usable & (matte > 254)
+    luminance = image.astype(np.float32) @ _LUMINANCE.astype(np.float32)
+    share, color = _sky(image, luminance, usable, keypoints)
+    facts = PhotoFacts(_sharpness(luminance, usable), share, color, matte is not None, lost)
+    return _blurred_at(image, usable, looked_at), facts
+
+
+def _blurred_at(image: np.ndarray, usable: np.ndarray, keypoints: np.ndarray) -> np.ndarray:
+    """`[O, 3]` colours 0..1 under a Gaussian window at the keypoints; NaN where it meets what cannot be used."""
+    if not len(keypoints):
+        return np.empty((0, 3))
+    reach = int(np.ceil(2 * BLUR))
+    offsets = np.arange(-reach, reach + 1)
+    x, y = np.floor(keypoints).astype(int).T
+    columns = np.clip(x[:, None] + offsets, 0, image.shape[1] - 1)
+    rows = np.clip(y[:, None] + offsets, 0, image.shape[0] - 1)
+    window = np.exp(-0.5 * (offsets / BLUR) ** 2)
+    window /= window.sum()
+
+    def blurred(pixels: np.ndarray) -> np.ndarray:
+        return np.einsum("oyx...,y,x->o...", pixels[rows[:, :, None], columns[:, None, :]], window, window)
+
+    clipped = (image < DARKEST) | (image > BRIGHTEST)
+    unusable = blurred((clipped.any(-1) | ~usable).astype(np.float64)) > CLIPPED
+    colors = blurred(image) / 255.0
+    fine = ~unusable & ((colors > DARKEST / 255) & (colors < BRIGHTEST / 255)).all(-1)
+    return np.where(fine[:, None], colors, np.nan)
+
+
+def _sharpness(luminance: np.ndarray, usable: np.ndarray) -> float:
+    """Variance of the Laplacian over the mean squared slope: what a photo shows matters little, its blur much.
+
+    The variance alone, the customary measure, halves where half as many edges are in view.
+    """
+    if min(luminance.shape) < 3:
+        return 0.0
+    middle = luminance[1:-1, 1:-1]
+    left, right = luminance[1:-1, :-2], luminance[1:-1, 2:]
+    up, down = luminance[:-2, 1:-1], luminance[2:, 1:-1]
+    inner: np.ndarray = np.asarray(ndimage.binary_erosion(usable))[1:-1, 1:-1]
+    if not inner.any():
+        return 0.0
+    laplacian: np.ndarray = left + right + up + down - 4 * middle
+    slopes: np.ndarray = np.square(right - left) + np.square(down - up)
+    return float(laplacian[inner].var(dtype=np.float64) / max(slopes[inner].mean(dtype=np.float64), 1e-6))
+
+
+def _sky(
+    image: np.ndarray, luminance: np.ndarray, usable: np.ndarray, keypoints: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Share of a grid of places that is bright, smooth and far from all that was matched, and its mean colour."""
+    height, width = luminance.shape
+    step = max(1, round(max(height, width) / GRID))
+    rows, columns = np.arange(step // 2, height, step), np.arange(step // 2, width, step)
+    grid = np.ix_(rows, columns)
+    reach = np.array([-2, 0, 2])
+    near_rows, near_columns = (
+        np.clip(at[:, None] + reach, 0, side - 1) for at, side in ((rows, height), (columns, width))
+    )
+    around = luminance[near_rows[:, None, :, None], near_columns[None, :, None, :]]  # [rows, columns, 3, 3]
+    sky = usable[grid] & (luminance[grid] > 255 * SKY_BRIGHT) & (np.ptp(around, axis=(2, 3)) < 255 * SKY_SMOOTH)
+    free = np.ones((height // step + 2, width // step + 2), bool)
+    if len(keypoints):
+        x, y = (keypoints / step).astype(int).T
+        free[y, x] = False
+        distance = np.asarray(ndimage.distance_transform_edt(free))[: len(rows), : len(columns)]
+        sky &= distance * step > SKY_CLEAR * width
+    color = image[grid][sky].mean(0) / 255.0 if sky.any() else np.zeros(3)
+    return float(sky.sum() / max(usable[grid].sum(), 1)), color
+
+
+def _lost(frame: Frame, known: dict[tuple, float]) -> float:
+    """Share of the photo's pixels that its undistorted frame does not show: 1 less the area that the frame covers."""
+    if frame.origin is None:
+        return 0.0
+    key = (frame.origin.photo, frame.origin.undistorted, frame.K.tobytes())
+    if key not in known:
+        shares = frame.origin.positions().astype(np.float64)
+        (x_down, y_down), (x_right, y_right) = (np.moveaxis(g, -1, 0) for g in np.gradient(shares, axis=(0, 1)))
+        shown = (shares >= 0).all(-1)
+        known[key] = float(1 - np.abs(x_right * y_down - x_down * y_right)[shown].sum())
+    return max(known[key], 0.0)

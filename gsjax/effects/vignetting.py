@@ -1,0 +1,87 @@
+"""Vignetting: photos that are darker towards their corners."""
+
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax import Array
+
+from gsjax.cameras import Camera
+from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects.exposure import Gains
+from gsjax.effects.gains import Fit, Table, project
+from gsjax.effects.model import LIMIT, Effect
+from gsjax.effects.observations import Observations
+from gsjax.views import Batch
+
+THRESHOLD = 0.1  # EV at the corner
+SIGNIFICANT = 5  # standard errors
+_GROUPS = 20  # of radii in a picture
+COST = "24 bytes a camera, moments included; one product a pixel"
+
+
+def corner(seen: Observations, gains: Gains) -> tuple[float, float]:
+    """Light at half a diagonal from the principal point against the middle's, EV, and its standard error."""
+    return slope_on(seen.radii2, gains.data, gains.fit)
+
+
+def slope_on(radii2: np.ndarray, data: Table, found: Fit) -> tuple[float, float]:
+    """Slope of the logarithms on squared radii `[O]`, and its standard error.
+
+    What photos and points explain is taken out of both first: what counts is one point nearer to the middle in one
+    photo than in another. Observations of a photo count as one in the error, since what the model leaves of it is
+    shared.
+    """
+    weights = found.weights
+    across = project(radii2[data.rows][:, None], data, weights)[1][:, 0]
+    light = found.residuals.mean(1)
+    leverage = max(float(weights @ np.square(across)), 1e-12)
+    slope = float(weights @ (across * light)) / leverage
+    scores = np.bincount(data.photo, weights * across * (light - slope * across), data.num_photos)
+    return slope, float(np.sqrt(np.square(scores).sum()) / leverage)
+
+
+def profile(seen: Observations, gains: Gains) -> tuple[np.ndarray, np.ndarray, float]:
+    """For a picture: squared radii `[B]`, the light there against the middle's `[B]` in EV, and the corner's."""
+    data, weights = gains.data, gains.fit.weights
+    radii = seen.radii2[data.rows]
+    across = project(radii[:, None], data, weights)[1][:, 0]
+    slope, _ = corner(seen, gains)
+    light = gains.fit.residuals.mean(1) + slope * (radii - across)
+    groups = np.array_split(np.argsort(radii), min(_GROUPS, len(radii)))
+    means = [(radii[rows].mean(), light[rows].mean()) for rows in groups]
+    return *np.array(means).T, slope  # pyright: ignore[reportReturnType]
+
+
+def judge(seen: Observations, gains: Gains | None) -> Evidence:
+    """On where the fall-off shows, and is sure."""
+    if gains is None:
+        return unknown("EV", THRESHOLD, COST, "needs points that three photos see")
+    slope, error = corner(seen, gains)
+    on = -slope > max(THRESHOLD, SIGNIFICANT * error)
+    note = f"how much darker a corner is than the middle; needs {SIGNIFICANT} standard errors, has"
+    note += f" {-slope / max(error, 1e-6):.0f}"
+    return Evidence(bool(on), -slope, "EV", error, THRESHOLD, COST, note)
+
+
+def simulated(initial: np.ndarray, camera: np.ndarray, rate: optax.Schedule) -> Effect:
+    """Every camera's light falls off by a polynomial of the squared tangent of the angle to its axis.
+
+    Args:
+        initial: `[C, 2]` coefficients of the logarithm: of the tangent squared and to the fourth.
+        camera: `[V]` whose camera took which photo, 0..C-1.
+        rate: See `Effect`.
+    """
+    whose = np.asarray(camera, np.int32)
+
+    def apply(numbers: Array, colors: Array, batch: Batch) -> Array:
+        return colors * jnp.exp(falloff(numbers[jnp.asarray(whose)[batch.photo]], batch.camera))[..., None]
+
+    return Effect(np.asarray(initial, np.float32), rate, apply)
+
+
+def falloff(numbers: Array, camera: Camera) -> Array:
+    """`[H, W]` logarithm of what is left of the light, of `[2]` coefficients; zero on the optical axis."""
+    x = (jnp.arange(camera.width, dtype=jnp.float32) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
+    y = (jnp.arange(camera.height, dtype=jnp.float32) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
+    tangent2 = jnp.square(y)[:, None] + jnp.square(x)[None, :]
+    return jnp.clip(numbers[0] * tangent2 + numbers[1] * jnp.square(tangent2), -LIMIT, LIMIT)

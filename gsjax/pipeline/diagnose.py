@@ -1,0 +1,105 @@
+"""Which effects a data set calls for: the table, a file of it, and pictures of the evidence."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from gsjax.effects import vignetting
+from gsjax.effects.diagnosis import Diagnosis
+from gsjax.effects.diagnosis import diagnose as look
+from gsjax.errors import InputError
+from gsjax.io import runs
+from gsjax.io.files import atomic_path
+from gsjax.io.scenes import load_scene
+from gsjax.scene import Scene
+
+CHANNELS = ("red", "green", "blue")
+
+
+def diagnose(
+    scene: str | Path, *, json: str | Path | None = None, downscale: float = 1.0, images: str | None = None
+) -> dict[str, Any]:
+    """Look at photos and tracks for what training may have to simulate; nothing is trained.
+
+    Args:
+        scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
+        json: File for what is returned; pictures of it go beside it, with the suffix .png. None: nothing is written.
+        downscale: Look at photos so many times smaller.
+        images: Folder of the photos, absolute or in `scene`. None: looked for.
+
+    Returns:
+        `effects`: by name `on`, `evidence` (None: no means to judge), `unit`, `noise`, `threshold`, `cost`, `note`;
+        `photos`: `name`, `gains` (EV in red, green, blue against the mean photo, or None), `sharpness`,
+        `pose_step_px` (or None).
+
+    Raises:
+        InputError: The data set cannot be used, or a file not be written.
+    """
+    if json is not None and Path(json).suffix != ".json":
+        raise InputError(f"--json {json}: the name of the file must end in .json, its pictures will end in .png")
+    found = diagnosed(load_scene(scene, downscale=downscale, images=images))
+    if json is not None:
+        runs.write_json(json, found.record())
+        draw(found, Path(json).with_suffix(".png"))
+    return found.record()
+
+
+def diagnosed(scene: Scene) -> Diagnosis:
+    """The diagnosis of a loaded data set, a bar meanwhile."""
+    return look(scene, progress=lambda frames: tqdm(list(frames), desc="diagnose", unit="photo", leave=False))
+
+
+def rows(record: dict[str, Any]) -> list[list[str]]:
+    """The table of a diagnosis, its heads first."""
+    heads = ["effect", "decision", "evidence", "threshold", "cost", "note"]
+    return [heads, *([name, *_cells(effect)] for name, effect in record["effects"].items())]
+
+
+def draw(found: Diagnosis, path: Path) -> Path:
+    """Gains of every photo, fall-off towards the corner, sky share and sharpness of every photo, as one picture.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(13, 7.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    gains, corner, sky, sharpness = figure.subplots(2, 2).flat
+    photos = np.arange(len(found.seen.frames))
+    if found.gains is None:
+        for axes in (gains, corner):
+            axes.text(0.5, 0.5, "no tracks", ha="center", transform=axes.transAxes)
+    else:
+        for channel, color in enumerate(CHANNELS):
+            gains.plot(photos, found.gains.fit.gains[:, channel], ".-", color=color, linewidth=0.8, label=color)
+        gains.legend()
+        radii2, light, slope = vignetting.profile(found.seen, found.gains)
+        corner.plot(np.sqrt(radii2), light, "k.")
+        at = np.linspace(0, 1, 50)
+        corner.plot(at, slope * at**2, "k", linewidth=0.8)
+    sky.bar(photos, [100 * facts.sky_share for facts in found.seen.facts])
+    sharp = np.array([facts.sharpness for facts in found.seen.facts])
+    sharpness.bar(photos, sharp / max(float(np.median(sharp)), 1e-12))
+    sharpness.axhline(1 - found.effects["blur"].threshold, color="red", linewidth=0.8)
+    titles = {
+        gains: ("gains of every photo", "photo", "EV"),
+        corner: ("fall-off", "distance from the principal point, half diagonals", "EV"),
+        sky: ("bright, smooth and unmatched", "photo", "% of its pixels"),
+        sharpness: ("sharpness of every photo", "photo", "of the median"),
+    }
+    for axes, (title, x, y) in titles.items():
+        axes.set(title=title, xlabel=x, ylabel=y)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=110)
+    return path
+
+
+def _cells(effect: dict[str, Any]) -> list[str]:
+    noise = "" if effect["noise"] is None else f" +-{effect['noise']:.2g}"
+    evidence = "-" if effect["evidence"] is None else f"{effect['evidence']:.2f}{noise} {effect['unit']}"
+    decision = "on" if effect["on"] else "off"
+    return [decision, evidence, f"{effect['threshold']:g}", effect["cost"], effect["note"]]

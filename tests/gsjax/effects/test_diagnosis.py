@@ -1,0 +1,267 @@
+"""Every detector on a wall painted in closed form, on the built-in scene and on real photos."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from photographed_wall import gains, radii2, relit, wall
+from scipy import ndimage
+from scipy.spatial.transform import Rotation
+from tqdm import tqdm
+
+from gsjax import cli
+from gsjax.effects.diagnosis import diagnose
+from gsjax.effects.exposure import estimate
+from gsjax.effects.gains import fit, table
+from gsjax.effects.observations import observe
+from gsjax.io import analytic_scene
+from gsjax.io.images import read_image
+from gsjax.io.scenes import load_scene
+from gsjax.scene import Origin, Pixels, with_pixels
+
+EFFECTS = ["exposure", "vignetting", "sh_degree", "background", "poses", "transients", "mip", "blur", "distortion"]
+FIELDS = ["on", "evidence", "unit", "noise", "threshold", "cost", "note"]
+
+
+def decisions(scene) -> set[str]:
+    return {name for name, evidence in diagnose(scene).effects.items() if evidence.on}
+
+
+def repainted(scene, change):
+    """The scene with the pixels of every photo replaced by `change(index, pixels)`."""
+    frames = (with_pixels(f, change(index, f.pixels())) for index, f in enumerate(scene.frames))
+    return replace(scene, frames=tuple(frames))
+
+
+def middle(frame) -> float:
+    """The column that shows the middle of the wall."""
+    return frame.K[0, 2] + frame.viewmat[0, 3] * frame.K[0, 0] / frame.viewmat[2, 3]
+
+
+def test_a_clean_scene_calls_for_nothing():
+    record = diagnose(wall()).record()
+    assert list(record["effects"]) == EFFECTS
+    assert all(list(effect) == FIELDS for effect in record["effects"].values())
+    assert [name for name, effect in record["effects"].items() if effect["on"]] == []
+    assert list(record["photos"][0]) == ["name", "gains", "sharpness", "pose_step_px"]
+    assert record["effects"]["exposure"]["evidence"] < 0.01
+
+
+@pytest.mark.parametrize(("exposure", "balance"), [(0.1, 0.0), (0.3, 0.1), (0.0, 0.15)])
+def test_gains_are_found_as_they_were_injected(exposure, balance):
+    scene = wall()
+    true = gains(scene, exposure, balance)
+    found = diagnose(relit(scene, lambda index, *_: true[index]))
+    assert found.effects["exposure"].on
+    assert not found.effects["vignetting"].on
+    np.testing.assert_allclose(found.gains.fit.gains, true, atol=0.02)
+    assert found.effects["exposure"].value == pytest.approx(true.mean(1).std(), abs=0.01)
+
+
+def test_lamps_over_halves_of_a_scene_are_no_exposure():
+    """What brightens each half by its own factor is not one number a photo."""
+    scene = wall()
+    left, right = gains(scene, 0.5, seed=1), gains(scene, 0.5, seed=5)
+
+    def lamps(index, frame, x, y):
+        return np.where((x < middle(frame))[..., None], left[index], right[index])
+
+    found = diagnose(relit(scene, lamps)).effects["exposure"]
+    assert found.value > found.threshold
+    assert not found.on
+
+
+def test_the_fall_off_is_found_beside_gains():
+    scene = wall()
+    true = gains(scene, 0.3)
+    dark = relit(scene, lambda index, frame, x, y: true[index] - 0.5 * radii2(frame, x, y))
+    found = diagnose(dark)
+    assert found.effects["vignetting"].on
+    assert found.effects["vignetting"].value == pytest.approx(0.5, abs=0.04)
+    assert found.effects["exposure"].on
+    bright = relit(scene, lambda index, frame, x, y: 0.5 * radii2(frame, x, y))
+    assert not diagnose(bright).effects["vignetting"].on  # No lens does that.
+
+
+def test_the_robust_fit_is_the_least_squares_one_without_outliers():
+    rng = np.random.default_rng(0)
+    photo, point = (part.ravel() for part in np.meshgrid(np.arange(5), np.arange(30)))
+    kept = rng.random(len(photo)) < 0.8
+    photo, point = photo[kept], point[kept]
+    true = rng.normal(size=(5, 3))
+    values = true[photo] + rng.normal(size=(30, 3))[point]
+    found = fit(table(values, photo, point, 5))
+    np.testing.assert_allclose(found.gains, true - true.mean(0), atol=1e-4)
+    values[::9] += 5.0
+    np.testing.assert_allclose(fit(table(values, photo, point, 5)).gains, true - true.mean(0), atol=0.02)
+
+
+def test_colours_that_turn_with_the_direction_want_harmonics():
+    scene = wall(24)
+
+    def sheen(index, frame, x, y):
+        slope = 1.5 * (x - frame.K[0, 2]) / frame.K[0, 0]
+        return np.where(x < middle(frame), slope, -slope)[..., None]
+
+    assert diagnose(scene).effects["sh_degree"].value < 0.4
+    assert diagnose(relit(scene, sheen)).effects["sh_degree"].on
+
+
+def test_an_open_sky_is_seen_and_mattes_answer_it():
+    scene = wall()
+    tracks = scene.tracks()
+    low = tracks.rays[:, 1] > 0
+    lower = replace(tracks, photo=tracks.photo[low], point=tracks.point[low], rays=tracks.rays[low])
+
+    def sky(index, pixels):
+        image = pixels.image.copy()
+        image[:24] = (200, 220, 250)
+        return Pixels(image)
+
+    outdoors = replace(repainted(scene, sky), tracks=lambda: lower)
+    found = diagnose(outdoors).effects["background"]
+    assert found.on
+    assert "0.78, 0.86, 0.98, the same in all photos" in found.note
+    matted = repainted(
+        outdoors, lambda index, pixels: pixels._replace(matte=np.full(pixels.image.shape[:2], 255, np.uint8))
+    )
+    assert not diagnose(matted).effects["background"].on
+
+
+def test_wrong_poses_show_against_the_tracks():
+    scene = wall()
+    rng = np.random.default_rng(2)
+
+    def turned(frame, degrees):
+        turn = np.eye(4)
+        turn[:3, :3] = Rotation.from_rotvec(np.radians(degrees) * rng.normal(size=3)).as_matrix()
+        return replace(frame, viewmat=(turn @ frame.viewmat).astype(np.float32))
+
+    off = replace(scene, frames=tuple(turned(frame, 0.5) for frame in scene.frames))
+    found = diagnose(off)
+    assert found.effects["poses"].on
+    # Half a degree about x and y moves a picture by 0.5 deg * focal length; the median of a Rayleigh is 1.18 of it.
+    assert np.median([step.shift for step in found.steps]) == pytest.approx(1.18 * np.radians(0.5) * 80, rel=0.5)
+    assert diagnose(scene).effects["poses"].value < 0.01
+
+
+def test_a_blurred_photo_is_named():
+    scene = wall()
+    noise = np.random.default_rng(0).integers(-20, 20, (72, 96, 1))
+
+    def painted(index, pixels):
+        image = np.clip(pixels.image + noise, 0, 255).astype(np.float64)
+        image = ndimage.gaussian_filter(image, (1, 1, 0)) if index == 4 else image
+        return Pixels(image.astype(np.uint8))
+
+    found = diagnose(repainted(scene, painted)).effects["blur"]
+    assert found.on
+    assert found.note.startswith("blurred: 04.png;")
+
+
+def test_the_span_of_sampling_is_the_ratio_of_distances():
+    scene = wall(distances=(2.0, 5.0))
+    found = diagnose(scene).effects["mip"]
+    assert found.on
+    assert found.value == pytest.approx(2.5, rel=1e-6)
+
+
+def test_pixels_lost_to_undistortion_are_counted():
+    scene = wall()
+    across, down = np.meshgrid((np.arange(96) + 0.5) / 96, (np.arange(72) + 0.5) / 72)
+    middle = 0.1 + 0.8 * np.stack([across, down], -1).astype(np.float32)  # A frame that shows the middle 0.8 x 0.8.
+    origin = Origin((120, 90), (96, 72), lambda: middle)
+    cut = replace(scene, frames=tuple(replace(frame, origin=origin) for frame in scene.frames))
+    found = diagnose(cut).effects["distortion"]
+    assert found.on
+    assert found.value == pytest.approx(0.36, abs=1e-4)
+
+
+def test_what_cannot_be_judged_says_so():
+    found = diagnose(replace(wall(), tracks=None)).effects
+    unknown = {"exposure", "vignetting", "sh_degree", "background", "poses", "transients", "mip"}
+    assert {name for name, evidence in found.items() if evidence.value is None} == unknown
+    assert not any(found[name].on for name in unknown)
+    assert all("cannot be judged" in found[name].note for name in unknown)
+
+
+def flat(value):
+    return lambda index, pixels: Pixels(np.full_like(pixels.image, value))
+
+
+HARD = {
+    "all photos black": lambda scene: repainted(scene, flat(0)),
+    "all photos saturated": lambda scene: repainted(scene, flat(255)),
+    "all of one colour": lambda scene: repainted(scene, flat(128)),
+    "one photo black": lambda scene: repainted(scene, lambda i, p: flat(0)(i, p) if i == 3 else p),
+    "one photo": lambda scene: replace(scene, frames=scene.frames[:1]),
+    "nothing valid": lambda scene: repainted(
+        scene, lambda i, p: p._replace(valid=np.zeros(p.image.shape[:2], np.uint8))
+    ),
+    "no observation": lambda scene: replace(scene, tracks=lambda: replace(scene.tracks(), names=("other.png",) * 12)),
+}
+
+
+@pytest.mark.parametrize("name", HARD)
+def test_hard_cases_give_finite_numbers_and_no_alarm(name):
+    found = diagnose(HARD[name](wall()))
+    assert json.dumps(found.record(), allow_nan=False)
+    # One that differs from all others is blurred; all white and smooth is what a sky looks like.
+    assert {effect for effect, evidence in found.effects.items() if evidence.on} <= {"blur", "background"}
+
+
+def test_points_seen_once_or_twice_say_nothing():
+    scene = wall()
+    tracks = scene.tracks()
+    _, first, counts = np.unique(tracks.point, return_index=True, return_counts=True)
+    once = replace(tracks, photo=tracks.photo[first], point=tracks.point[first], rays=tracks.rays[first])
+    assert counts.max() > 2
+    seen = observe(replace(scene, tracks=lambda: once))
+    assert estimate(seen) is None
+    assert diagnose(replace(scene, tracks=lambda: once)).effects["exposure"].value is None
+
+
+@pytest.fixture(scope="module")
+def built_in(tmp_path_factory):
+    def silent(**options):
+        return tqdm(disable=True, **options)
+
+    folder = tmp_path_factory.mktemp("data") / "scene"
+    return analytic_scene.write(folder, num_views=16, size=(96, 96), progress=silent)
+
+
+@pytest.mark.parametrize(("exposure", "corner"), [(0.0, 0.0), (0.3, 0.0), (0.3, -0.5)])
+def test_the_built_in_scene_gives_back_what_was_injected(built_in, exposure, corner):
+    scene = load_scene(built_in)
+    true = gains(scene, exposure, exposure / 3)
+    found = diagnose(relit(scene, lambda index, frame, x, y: true[index] + corner * radii2(frame, x, y)))
+    assert found.effects["exposure"].on == (exposure > 0)
+    assert found.effects["vignetting"].on == (corner < 0)
+    error = found.gains.fit.gains - true
+    # Photos of 96 pixels: 0.03 EV come of edges that the window mixes and of the noise of the points.
+    assert np.sqrt(np.square(error - error.mean(0)).mean()) < 0.06
+
+
+@pytest.mark.parametrize(
+    ("name", "exposure", "vignetting"),
+    [("fox", 0.32, False), ("kitchen", 0.33, True), ("fern", 0.03, False), ("bunny_plane", 0.01, False)],
+)
+def test_real_photos_fall_into_their_two_groups(shared, name, exposure, vignetting):
+    found = diagnose(load_scene(shared / "data" / name)).effects
+    assert found["exposure"].value == pytest.approx(exposure, abs=0.05)
+    assert found["exposure"].on == (exposure > 0.1)
+    assert found["vignetting"].on == vignetting
+
+
+def test_the_command_prints_the_table_and_writes_file_and_pictures(built_in, tmp_path, capsys):
+    target = tmp_path / "out" / "found.json"
+    assert cli.main(["diagnose", str(built_in), "--json", str(target)]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in printed] == ["effect", *EFFECTS]
+    written = json.loads(target.read_text())
+    assert list(written["effects"]) == EFFECTS
+    assert len(written["photos"]) == 16
+    assert read_image(target.with_suffix(".png"))[0].std() > 10
+    assert cli.main(["diagnose", str(built_in), "--json", str(tmp_path / "found.png")]) == 2
+    assert "must end in .json" in capsys.readouterr().err

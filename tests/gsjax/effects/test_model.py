@@ -1,0 +1,104 @@
+"""What effects do to a picture, in closed form, and how fast they may learn."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scenes import camera_at
+from tolerances import assert_close
+
+from gsjax.effects import exposure, vignetting
+from gsjax.effects.appearance import Appearance, fitted, relit
+from gsjax.effects.model import FINAL, HOLD, LIMIT, RATE, WARM_UP, learning_rate, photographed
+from gsjax.render import View
+from gsjax.scene import Pixels, frame_of
+from gsjax.views import Batch
+
+CAMERA = camera_at(size=(32, 24))
+GAINS = np.array([[0.2, -0.1, 0.0], [0.1, 0.3, -0.4]], np.float32)
+RATE_OF_A_RUN = learning_rate(3000)
+EFFECTS = {
+    "exposure": exposure.simulated(GAINS, RATE_OF_A_RUN),
+    "vignetting": vignetting.simulated([[-0.5, 0.1]], np.zeros(2), RATE_OF_A_RUN),
+}
+NUMBERS = {name: jnp.asarray(effect.initial) for name, effect in EFFECTS.items()}
+
+
+def batch(photo=1, matte=None):
+    valid = jnp.ones((24, 32), bool)
+    return Batch(CAMERA, jnp.zeros((24, 32, 3), jnp.float32), valid, matte, None, jnp.int32(photo))
+
+
+def view(seed=0):
+    rng = np.random.default_rng(seed)
+    colors, alphas = rng.random((24, 32, 3)), rng.random((24, 32))
+    return View(jnp.asarray(colors, jnp.float32), jnp.asarray(alphas, jnp.float32), None, None)
+
+
+def test_a_photo_is_the_light_times_its_gains_and_the_fall_off():
+    seen, black = view(), jnp.zeros(3, jnp.float32)
+    shown = photographed(EFFECTS, NUMBERS, seen, batch(), black).colors
+    K = np.asarray(CAMERA.K)
+    x, y = np.meshgrid(np.arange(32) + 0.5, np.arange(24) + 0.5)
+    tangent2 = ((x - K[0, 2]) / K[0, 0]) ** 2 + ((y - K[1, 2]) / K[1, 1]) ** 2
+    factor = np.exp((-0.5 * tangent2 + 0.1 * tangent2**2)[..., None] + (GAINS - GAINS.mean(0))[1])
+    assert_close(shown, np.asarray(seen.colors) * factor)
+    look = Appearance(tuple((GAINS - GAINS.mean(0))[1].tolist()), (-0.5, 0.1))
+    frame = frame_of("0.png", np.asarray(CAMERA.viewmat), K, Pixels(np.full((24, 32, 3), 100, np.uint8)))
+    assert_close(look.factor(frame), factor.astype(np.float32))
+    assert_close(relit(frame, look).pixels().image, np.clip(np.rint(100 / factor), 0, 255).astype(np.uint8))
+
+
+def test_a_background_that_mattes_put_there_was_in_front_of_no_camera():
+    white = jnp.ones(3, jnp.float32)
+    seen = view()._replace(colors=jnp.ones((24, 32, 3), jnp.float32), alphas=jnp.zeros((24, 32), jnp.float32))
+    matte = jnp.zeros((24, 32), jnp.float32)
+    assert_close(photographed(EFFECTS, NUMBERS, seen, batch(matte=matte), white).colors, seen.colors)
+    assert not np.allclose(photographed(EFFECTS, NUMBERS, seen, batch(), white).colors, seen.colors)
+
+
+def brightness(numbers):
+    return jnp.sum(photographed(EFFECTS, numbers, view(), batch(), jnp.zeros(3, jnp.float32)).colors)
+
+
+def test_what_all_photos_share_is_no_gain():
+    moved = {**NUMBERS, "exposure": NUMBERS["exposure"] + 0.7}
+    assert_close(brightness(moved), brightness(NUMBERS))
+    slopes = jax.grad(brightness)(NUMBERS)["exposure"]
+    assert_close(slopes.sum(0), np.zeros(3, np.float32), atol=1e-3, rtol=0, why="sums of 768 pixels cancel")
+    assert np.abs(slopes).max() > 10
+
+
+@pytest.mark.parametrize("size", [1e2, 1e10, 1e30])
+def test_numbers_beyond_their_bounds_give_finite_values_and_gradients(size):
+    numbers = jax.tree.map(lambda leaf: leaf * jnp.float32(size), NUMBERS)
+    shown = photographed(EFFECTS, numbers, view(), batch(), jnp.zeros(3, jnp.float32)).colors
+    assert np.isfinite(shown).all()
+    assert np.max(shown) <= np.exp(2 * LIMIT)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(jax.grad(brightness)(numbers)))
+
+
+def test_one_photo_has_no_gain():
+    """Its mean is its own: the gauge leaves nothing to learn."""
+    assert_close(exposure.log_gains(jnp.asarray(GAINS[:1])), np.zeros((1, 3), np.float32))
+
+
+def test_rates_wait_warm_up_fall_and_pause_after_resets():
+    rate = RATE_OF_A_RUN
+    assert rate(0) == rate(HOLD) == 0
+    assert_close(rate(HOLD + 150), np.float32(RATE * 0.5 * FINAL ** ((HOLD + 150) / 3000)))
+    assert_close(rate(3000), np.float32(RATE * FINAL))
+    resetting = learning_rate(15000, reset_every=3000, resets_stop=9000)
+    paused = [step for step in range(1000, 15000, 100) if resetting(step) == 0]
+    assert paused == [3000, 3100, 3200, 6000, 6100, 6200, 9000, 9100, 9200]
+    assert WARM_UP > 0
+    assert learning_rate(30)(3) == 0 < learning_rate(30)(4)
+
+
+def test_the_fitted_colours_are_the_affine_map_where_there_is_one():
+    rng = np.random.default_rng(0)
+    colors, map_ = rng.random((8, 9, 3)).astype(np.float32), rng.random((3, 3))
+    image = (colors @ map_ + [0.1, 0.2, 0.3]).astype(np.float32)
+    valid = rng.random((8, 9)) < 0.5
+    assert_close(fitted(colors, np.where(valid[..., None], image, 9).astype(np.float32), valid), image)
+    assert_close(fitted(colors, image, np.zeros((8, 9), bool)), colors)

@@ -1,0 +1,57 @@
+"""The compiled step of a program that never heard of effects: what one without effects must still be."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from gsjax import render, views
+from gsjax.numerics import masked_mean
+from gsjax.training import optimizers
+from gsjax.training.losses import NEEDS_DEPTH, TERMS
+from gsjax.training.state import TrainState
+from gsjax.training.step import Metrics, active_terms, in_photo
+
+
+def make_train_step(optimizer, weights, *, capacity, background, sh_every, rule, depth_mode="plane"):
+    terms = active_terms(weights)
+    with_depth = not NEEDS_DEPTH.isdisjoint(terms)
+
+    def objective(gaussians, probe, batch, color, active_degree):
+        view = render.view(
+            gaussians,
+            batch.camera,
+            capacity=capacity,
+            background=color,
+            active_degree=active_degree,
+            with_depth=with_depth,
+            depth_mode=depth_mode,
+            **({rule.probes: probe} if rule else {}),
+        )
+        losses = {name: TERMS[name](gaussians, view, batch) for name in terms}
+        total = sum(weight * losses[name] for name, weight in terms.items())
+        if rule:
+            total += rule.probed(view, batch)
+        mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
+        return total, (losses, mse, view.splats.projection, view.splats.pairs)
+
+    @partial(jax.jit, donate_argnums=0)
+    def train_step(state, target, key):
+        color = background(jax.random.fold_in(key, state.step))
+        batch = views.batch(target, color)
+        active_degree = state.step // sh_every
+        probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
+        gradient = jax.value_and_grad(objective, argnums=(0, 1) if rule else (0,), has_aux=True)
+        (total, (losses, mse, projection, pairs)), gradients = gradient(
+            state.gaussians, probe, batch, color, active_degree
+        )
+        gaussians, opt_state = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients[0])
+        statistics = state.statistics
+        if rule:
+            seen = in_photo(projection, target.size)
+            statistics = rule.accumulate(statistics, gradients[1], seen, target.size)
+        proposed = TrainState(gaussians, opt_state, statistics, state.step + 1)
+        state = jax.tree.map(lambda old, new: jnp.where(pairs.overflowed, old, new), state, proposed)
+        return state, Metrics(total, -10 * jnp.log10(jnp.maximum(mse, 1e-10)), pairs.needed, pairs.overflowed, losses)
+
+    return train_step
