@@ -192,7 +192,8 @@ def test_eval_says_where_weights_of_lpips_are_missing(library, capsys):
     assert cli.main(["eval", "run"]) == 0
     assert capsys.readouterr().err == "LPIPS is not scored: --lpips FILE names its weights\n"
     assert cli.main(["eval", "run", "--lpips", "vgg.onnx", "--lpips", "alex.onnx"]) == 0
-    assert library[-1] == ("evaluate", ("run",), {"mesh": None, "lpips": ["vgg.onnx", "alex.onnx"]})
+    asked = {"mesh": None, "three_ways": False, "lpips": ["vgg.onnx", "alex.onnx"]}
+    assert library[-1] == ("evaluate", ("run",), asked)
     assert capsys.readouterr().err == ""
 
 

@@ -1,4 +1,6 @@
 import math
+import subprocess
+import sys
 
 import pytest
 
@@ -21,3 +23,16 @@ def test_what_is_missing_is_one_line_with_the_cure(tmp_path, monkeypatch, fault)
     assert "\n" not in str(error.value)
     with pytest.raises(InputError, match=r"No module named 'not_there'.*pip install not_there"):
         require("not_there", "pip install not_there")
+
+
+def test_a_package_leaves_the_end_that_was_asked_for_to_us():
+    """pycolmap's log takes SIGTERM for itself; in a process of its own, for it does so once."""
+    program = """
+import signal, sys
+signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))
+from gsjax.io.packages import require
+require("pycolmap", "pip install pycolmap")
+signal.raise_signal(signal.SIGTERM)
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (7, "")
