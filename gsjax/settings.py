@@ -230,17 +230,18 @@ PAPER_13K_7K = {
 
 DEMO: dict[str, Any] = {
     "background": "white",
+    "pixel_filter": "mip",  # its pixels are means over their area, unsharpened
     "max_gaussians": 12_000,
     "sh_degree": 2,
     "sh_every": 400,
     "phases": [
         {"name": "vanilla", "steps": 1000, "density_control": True},
-        {"name": "surface", "steps": 1000, "weights": {"sdf_normal": 0.05, "pixel_normal": 0.1}},
+        {"name": "surface", "steps": 1000, "weights": {"sdf_normal": 0.1, "pixel_normal": 0.4, "thickness": 0.02}},
     ],
-    "density": {"rule": "error", "start": 200, "stop": 900, "reset_every": 0},
+    "density": {"rule": "error", "start": 200, "stop": 900, "replace": 0.05, "reset_every": 0},
     "logging": {"metrics_every": 50, "evaluate_every": 0, "checkpoint_every": 1000},
 }
-"""The built-in scene at 192x192 pixels (`gsjax.demo`)."""
+"""The built-in scene at 192x192 pixels with its true normals (`gsjax.demo`); weights: docs/experiments.md."""
 
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": FAST,

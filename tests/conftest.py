@@ -3,12 +3,14 @@
 import gc
 import os
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 
 os.environ["JAX_PLATFORMS"] = "cpu"
 # Tests compile much and run little: XLA's older emitters halve the first and treble the second. `XLA_FLAGS= make test`
-# tests the programs that users run.
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+# tests the programs that users run. An XLA that does not know a flag ends the process, so only where it was seen to.
+if version("jaxlib").startswith("0.10."):
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 
 import jax
 import pytest
