@@ -27,6 +27,7 @@ class Weights:
     pixel_normal: float = 0.0  # the SDF gradient at every pixel's surface point against the normals
     axis_normal: float = 0.0  # composited smallest axes against the normals (DN-Splatter's reading)
     thickness: float = 0.0  # mean smallest standard deviation of the visible Gaussians, pixels at their depth
+    coverage: float = 0.0  # mean 1 - alpha where the normal maps show a surface
     alpha: float = 0.1  # mean |alpha - matte|; only where the photos have an alpha channel
 
 
@@ -44,7 +45,8 @@ class Phase:
     def __post_init__(self):
         """Check ranges."""
         _check_lowest(self, steps=0, image_scale=1)
-        if self.image_scale > 1 and (self.weights.sdf_normal or self.weights.pixel_normal or self.weights.axis_normal):
+        w = self.weights
+        if self.image_scale > 1 and (w.sdf_normal or w.pixel_normal or w.axis_normal or w.coverage):
             raise ValueError(
                 f"image_scale={self.image_scale} with a normal term: normal maps serve full-size photos only"
             )

@@ -53,6 +53,16 @@ def thickness(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     return masked_mean(scales(gaussians).min(-1) * per_unit, visible)
 
 
+def coverage(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+    """Mean 1 - alpha over the valid pixels that have a normal: where a surface is, no light comes from behind it.
+
+    Without it a place whose colour is that of the background is a hole as cheaply as a surface.
+    """
+    del gaussians
+    is_surface = jnp.any(batch.normals != 0, axis=-1)  # pyright: ignore[reportArgumentType]
+    return masked_mean(1 - view.alphas, batch.valid & is_surface)
+
+
 def _normal(estimator: sdf.Estimator):
     def term(gaussians: Gaussians, view: View, batch: Batch) -> Array:
         covered = batch.valid & (jax.lax.stop_gradient(view.alphas) > MIN_COVERAGE)
@@ -71,9 +81,10 @@ TERMS = {
     "entropy": entropy,
     "alpha": alpha,
     "thickness": thickness,
+    "coverage": coverage,
     "sdf_normal": sdf_normal,
     "pixel_normal": pixel_normal,
     "axis_normal": axis_normal,
 }
-NEEDS_NORMALS = frozenset({"sdf_normal", "pixel_normal", "axis_normal"})
+NEEDS_NORMALS = frozenset({"coverage", "sdf_normal", "pixel_normal", "axis_normal"})
 NEEDS_DEPTH = frozenset({"sdf_normal", "pixel_normal"})

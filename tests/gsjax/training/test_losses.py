@@ -55,6 +55,20 @@ def test_dssim_is_one_minus_ssim_and_differentiable(x64):
     check_grads(lambda c: losses.dssim(None, view_of(c), batch_of()), (jnp.asarray(IMAGE),), order=1, modes=["rev"])
 
 
+def test_coverage_is_the_light_that_falls_through_where_there_is_a_normal(x64):
+    normals = RNG.normal(size=(12, 14, 3)) * (RNG.random((12, 14, 1)) > 0.4)
+    surface = VALID & np.any(normals, -1)
+    batch = replace(batch_of(), normals=jnp.asarray(normals))
+    value, gradient = jax.value_and_grad(lambda a: losses.coverage(None, view_of(IMAGE, a), batch))(jnp.asarray(ALPHAS))
+    assert_close(value, 1 - ALPHAS[surface].mean())
+    assert_close(gradient, np.where(surface, -1 / surface.sum(), 0))
+    nowhere = replace(batch, normals=jnp.zeros((12, 14, 3)))
+    value, gradient = jax.value_and_grad(lambda a: losses.coverage(None, view_of(IMAGE, a), nowhere))(
+        jnp.asarray(ALPHAS)
+    )
+    assert value == 0 and not np.any(gradient)
+
+
 def test_thickness_is_the_smallest_deviation_in_pixels_and_moves_nothing(x64):
     rng = np.random.default_rng(1)
     log_scales, depths, visible = rng.normal(-2, 1, (9, 3)), rng.uniform(1, 5, 9), np.arange(9) % 4 != 0

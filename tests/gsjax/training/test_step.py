@@ -275,7 +275,9 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     normals[..., 2] = -views.NORMAL_UNIT
     normals[0, 0] = 0  # a hole
     data = views.with_normals(setup.data, [normals] * 3)
-    weights = Weights(alpha=0.1, entropy=0.1, sdf_normal=0.2, pixel_normal=0.1, axis_normal=0.1, thickness=0.1)
+    weights = Weights(
+        alpha=0.1, entropy=0.1, sdf_normal=0.2, pixel_normal=0.1, axis_normal=0.1, thickness=0.1, coverage=0.1
+    )
     step = make_train_step(
         setup.optimizer,
         weights,
