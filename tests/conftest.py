@@ -91,6 +91,14 @@ def pytest_sessionfinish(session):
         Path(target).write_text(ERRORS.page())
 
 
+LONGEST = ("test_pipeline.py", "test_any_order.py", "test_outputs.py", "test_edge_cases.py", "test_diagnosis.py")
+
+
+def pytest_collection_modifyitems(items):
+    """The longest files first: at the end no worker waits for the other."""
+    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
+
+
 SHARED = Path(__file__).resolve().parents[1] / "../shared"
 
 

@@ -59,7 +59,9 @@ def evaluate(
     manifest, settings = runs.read_json(run / "manifest.json"), runs.read_json(run / "config.json")
     scene = scene_of_run(run)
     looks = read_appearances(run) or (appearances_of_tracks(scene) if three_ways else {})
-    figures = score_images(result.gaussians, scene.held_out_frames, settings["background"], measures, looks)
+    figures = score_images(
+        result.gaussians, scene.held_out_frames, settings["background"], measures=measures, looks=looks
+    )
     figures.setdefault(STANDARD, None)
     figures |= {
         "gaussians": result.gaussians.num_gaussians,
@@ -108,6 +110,7 @@ def score_images(
     gaussians: Gaussians,
     frames: tuple[Frame, ...],
     background: str,
+    *,
     measures: Mapping[str, Measure] = MappingProxyType({}),
     looks: Mapping[str, Appearance] = MappingProxyType({}),
 ) -> dict[str, Any]:

@@ -144,7 +144,7 @@ def _finish(
     write_views(folder, scene.frames)
     write_appearances(folder, looks)
     summary = {
-        **score_images(gaussians, scene.held_out_frames, background, looks),
+        **score_images(gaussians, scene.held_out_frames, background, looks=looks),
         "vertices": refined.num_vertices,
         "faces": refined.num_faces,
         "gaussians": gaussians.num_gaussians,

@@ -133,7 +133,7 @@ def _finish(
     write_views(run, scene.frames)
     write_appearances(run, looks)
     # The buffer as it is: a program for this very number of Gaussians would serve once.
-    scores = score_images(state.gaussians, scene.held_out_frames, settings.background, looks)
+    scores = score_images(state.gaussians, scene.held_out_frames, settings.background, looks=looks)
     summary = {
         **scores,
         "gaussians": gaussians.num_gaussians,
