@@ -1,6 +1,7 @@
 """A data set to Gaussians, in a run folder that can be stopped and continued at any moment."""
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,7 +36,14 @@ from gsjax.training.rules import RULES
 from gsjax.training.state import TrainState, count_alive, initial_state
 
 
-def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: bool = False) -> dict[str, Any]:
+def train(
+    scene: str | Path,
+    out: str | Path,
+    settings: Settings,
+    *,
+    resume: bool = False,
+    observe: Callable[[Progress], None] = lambda _: None,
+) -> dict[str, Any]:
     """Train Gaussians on a data set.
 
     Args:
@@ -43,6 +51,7 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
         out: Run folder, see `gsjax.io.runs`; absent or empty unless `resume`.
         settings: The run.
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
+        observe: Told after every step, before its checkpoint is written.
 
     Returns:
         `psnr` and `ssim` (None without held-out views; with effects also the two other ways of
@@ -77,6 +86,11 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
     optimizer = optimizers.make_optimizer(settings.rates, size, settings.rates.decay_steps or total_steps(settings))
     state, capacity, seconds = beginning(run, partial(_initial, loaded, settings, optimizer, effects=taken_in.effects))
     with TrainingJournal(run, settings, loaded, int(state.step), seconds) as journal:
+
+        def told(progress: Progress) -> None:
+            observe(progress)
+            journal.note(progress)
+
         state = fit(
             settings,
             frames,
@@ -84,7 +98,7 @@ def train(scene: str | Path, out: str | Path, settings: Settings, *, resume: boo
             state,
             optimizer,
             prior=prior,
-            observe=journal.note,
+            observe=told,
             capacity=capacity,
             effects=taken_in.effects,
         )

@@ -1,0 +1,1 @@
+"""The paper's protocol as data, and its tables."""

@@ -1,0 +1,204 @@
+"""The paper's three tables, with what was measured below what was published, as Markdown, LaTeX and CSV."""
+
+import csv
+import io
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from paper.measured import Average, Measured, Value, average
+from paper.published import METRICS, PUBLISHED, notes_of, source
+from paper.scenes import BLENDING, INDOOR, OUTDOOR, TANKS, parts
+
+TABLES = {
+    "Mip-NeRF 360": (INDOOR, OUTDOOR),
+    "Tanks & Temples": (TANKS,),
+    "Deep Blending": (BLENDING,),
+}
+DASH = "-"
+DECIMALS = {"psnr": 2, "ssim": 3, "lpips": 3}
+HEADINGS = {"psnr": "PSNR", "ssim": "SSIM", "lpips": "LPIPS"}
+_ESCAPES = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"} | {
+    c: "\\" + c for c in "&%$#_{}"
+}
+
+
+class Row(NamedTuple):
+    """One line of a table."""
+
+    method: str
+    values: dict[str, Value | None]  # by metric
+    scenes: str
+    seeds: str
+    source: str
+    notes: tuple[str, ...] = ()
+
+
+class Block(NamedTuple):
+    """Rows under one heading: the published and measured averages of a part, or the measured figures of a scene."""
+
+    title: str
+    rows: list[Row]
+
+
+class Table(NamedTuple):
+    """One table of the paper."""
+
+    title: str
+    averages: list[Block]
+    scenes: list[Block]
+
+
+def tables(measured: Sequence[Measured], methods: Sequence[str], remarks: dict[str, str] | None = None) -> list[Table]:
+    """The three tables.
+
+    Args:
+        measured: All scores there are.
+        methods: Names of the measured rows; one without scores has dashes.
+        remarks: What there is to say about a scene's runs, by the scene's name.
+    """
+    remarks = remarks or {}
+    return [
+        Table(
+            title,
+            [Block(part, _published(part) + _averages(measured, methods, parts()[part], remarks)) for part in own],
+            [
+                Block(scene, _averages(measured, methods, [scene], remarks))
+                for part in own
+                for scene in parts()[part]
+            ],
+        )
+        for title, own in TABLES.items()
+    ]  # fmt: skip
+
+
+def _published(part: str) -> list[Row]:
+    count = str(len(parts()[part]))
+    return [
+        Row(
+            method,
+            {metric: Value(number, None) for metric, number in zip(METRICS, numbers, strict=True)},
+            count,
+            DASH,
+            source(part, method),
+            tuple(notes_of(part, method)),
+        )
+        for method, numbers in PUBLISHED[part].items()
+    ]
+
+
+def _averages(
+    measured: Sequence[Measured], methods: Sequence[str], scenes: Sequence[str], remarks: dict[str, str]
+) -> list[Row]:
+    return [_measured_row(method, average(measured, method, scenes), scenes, remarks) for method in methods]
+
+
+def _measured_row(method: str, found: Average, scenes: Sequence[str], remarks: dict[str, str]) -> Row:
+    named = f" ({', '.join(found.scenes)})" if 0 < len(found.scenes) < len(scenes) else ""
+    over = str(len(scenes)) if len(found.scenes) == len(scenes) else f"{len(found.scenes)} of {len(scenes)}{named}"
+    fewest, most = found.seeds
+    seeds = DASH if not most else str(most) if fewest == most else f"{fewest} to {most}"
+    said = tuple(remarks[scene] for scene in found.scenes if scene in remarks)
+    return Row(method, found.values, over, seeds, "measured" if found.scenes else DASH, said)
+
+
+def shown(value: Value | None, metric: str, between: str = " ± ") -> str:
+    """A mean with its spread where it has one; a dash for None."""
+    if value is None:
+        return DASH
+    digits = DECIMALS[metric]
+    spread = "" if value.spread is None else f"{between}{value.spread:.{digits}f}"
+    return f"{value.mean:.{digits}f}{spread}"
+
+
+class _Notes:
+    """Numbers notes in the order in which they are met; the same text keeps its number."""
+
+    def __init__(self):
+        self.texts: list[str] = []
+
+    def marks(self, row: Row) -> str:
+        for text in row.notes:
+            if text not in self.texts:
+                self.texts.append(text)
+        return ",".join(str(self.texts.index(text) + 1) for text in row.notes)
+
+
+COLUMNS = ("Method", *HEADINGS.values(), "Scenes", "Seeds", "Source")
+
+
+def markdown(made: Sequence[Table]) -> str:
+    """All tables, each with its notes below."""
+    return "\n".join(_markdown_table(table) for table in made)
+
+
+def _markdown_table(table: Table) -> str:
+    notes, lines = _Notes(), [f"## {table.title}", ""]
+    for block in [*table.averages, *table.scenes]:
+        lines += [f"### {block.title}", "", _piped(COLUMNS), _piped(["---"] * len(COLUMNS))]
+        for row in block.rows:
+            marks = notes.marks(row)
+            method = row.method + (f" [{marks}]" if marks else "")
+            cells = [shown(row.values[metric], metric) for metric in METRICS]
+            lines.append(_piped([method, *cells, row.scenes, row.seeds, row.source]))
+        lines.append("")
+    lines += [f"[{number}] {text}  " for number, text in enumerate(notes.texts, 1)]
+    return "\n".join([*lines, ""])
+
+
+def _piped(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
+
+
+def latex(made: Sequence[Table]) -> str:
+    """All tables as `table` environments that need no package."""
+    return "\n".join(_latex_table(table) for table in made)
+
+
+def _latex_table(table: Table) -> str:
+    notes = _Notes()
+    lines = [r"\begin{table}\centering", rf"\caption{{{escaped(table.title)}}}", r"\begin{tabular}{|l|ccc|l|l|l|}"]
+    for block in [*table.averages, *table.scenes]:
+        headings = (escaped(block.title), r"PSNR $\uparrow$", r"SSIM $\uparrow$", r"LPIPS $\downarrow$", *COLUMNS[4:])
+        lines += [r"\hline", _ampersands((rf"\textbf{{{headings[0]}}}", *headings[1:])) + r" \hline"]
+        for row in block.rows:
+            marks = notes.marks(row)
+            method = escaped(row.method) + (f"$^{{{marks}}}$" if marks else "")
+            cells = [_latex_dash(shown(row.values[metric], metric, r" $\pm$ ")) for metric in METRICS]
+            rest = (_latex_dash(escaped(text)) for text in (row.scenes, row.seeds, row.source))
+            lines.append(_ampersands((method, *cells, *rest)))
+    lines += [r"\hline", r"\end{tabular}"]
+    lines += [rf"\par\footnotesize $^{{{number}}}$ {escaped(text)}" for number, text in enumerate(notes.texts, 1)]
+    return "\n".join([*lines, r"\end{table}", ""])
+
+
+def _ampersands(cells: Sequence[str]) -> str:
+    return " & ".join(cells) + r" \\"
+
+
+def _latex_dash(cell: str) -> str:
+    return "--" if cell == DASH else cell
+
+
+def escaped(text: str) -> str:
+    """Plain text for LaTeX."""
+    return "".join(_ESCAPES.get(character, character) for character in text)
+
+
+def comma_separated(made: Sequence[Table]) -> str:
+    """One line a row; means and spreads in columns of their own, a dash where there is none."""
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    figures = [name for metric in METRICS for name in (metric, f"{metric}_spread")]
+    writer.writerow(["table", "over", "method", *figures, "scenes", "seeds", "source", "notes"])
+    for table in made:
+        for block in [*table.averages, *table.scenes]:
+            for row in block.rows:
+                pairs = ((row.values[metric] or Value(None, None), DECIMALS[metric]) for metric in METRICS)
+                numbers = [_number(x, digits) for value, digits in pairs for x in value]
+                rest = [row.scenes, row.seeds, row.source, " ".join(row.notes)]
+                writer.writerow([table.title, block.title, row.method, *numbers, *rest])
+    return file.getvalue()
+
+
+def _number(value: float | None, digits: int) -> str:
+    return DASH if value is None else f"{value:.{digits + 2}f}"

@@ -1,0 +1,115 @@
+"""The scenes and schedules of the paper, and where published data sets have them."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from gsjax import config
+from gsjax.errors import InputError
+from gsjax.settings import PRESETS, Settings
+
+INDOOR, OUTDOOR = "Mip-NeRF 360, indoor", "Mip-NeRF 360, outdoor"
+TANKS, BLENDING = "Tanks & Temples", "Deep Blending"
+
+
+class PaperScene(NamedTuple):
+    """One scene: in which part of which table it counts, and which of its published photos are looked at."""
+
+    part: str
+    images: str
+
+
+# The folders that 3DGS and SuGaR read: half size indoors, a quarter outdoors, the others as they come.
+SCENES: dict[str, PaperScene] = {
+    "room": PaperScene(INDOOR, "images_2"),
+    "counter": PaperScene(INDOOR, "images_2"),
+    "kitchen": PaperScene(INDOOR, "images_2"),
+    "bonsai": PaperScene(INDOOR, "images_2"),
+    "bicycle": PaperScene(OUTDOOR, "images_4"),
+    "garden": PaperScene(OUTDOOR, "images_4"),
+    "stump": PaperScene(OUTDOOR, "images_4"),
+    "truck": PaperScene(TANKS, "images"),
+    "train": PaperScene(TANKS, "images"),
+    "drjohnson": PaperScene(BLENDING, "images"),
+    "playroom": PaperScene(BLENDING, "images"),
+}
+NESTS = ("", "360_v2", "tandt", "db", "tandt_db/tandt", "tandt_db/db")
+"""Where under a root the archives' scenes may lie: of Mip-NeRF 360, and of 3DGS's `tandt_db`."""
+
+SHARED: dict[str, Any] = {
+    "downscale": 1,  # the published files are of the size that is scored
+    "hold_out": "8",
+    # No cap that is meant to bind: 3DGS's rule has none. Buffers hold what is alive and double as it grows, so a high
+    # number costs nothing; growth ends with the 7,000 vanilla steps. 16 million rows are 11 GB of state and moments.
+    "max_gaussians": 16_000_000,
+}
+
+
+class Schedule(NamedTuple):
+    """A budget of the paper: a preset of the training, and one of the refinement (None: there is none)."""
+
+    preset: str
+    refinement: str | None
+    differences: Mapping[str, Any] = {}
+
+
+SCHEDULES: dict[str, Schedule] = {
+    "vanilla": Schedule("paper_6k_15k", None, {"vanilla": True}),
+    "paper_6k_15k": Schedule("paper_6k_15k", "long"),
+    "paper_13k_7k": Schedule("paper_13k_7k", "medium"),
+}
+"""`vanilla` is no row of the paper: the 15,000 training steps as plain 3DGS, for meshes and scores without R."""
+DEFAULT_SCHEDULES = ("paper_6k_15k", "paper_13k_7k")
+
+
+def parts() -> dict[str, tuple[str, ...]]:
+    """The scenes of every part of the tables, in the paper's order."""
+    return {part: tuple(n for n, s in SCENES.items() if s.part == part) for part in (INDOOR, OUTDOOR, TANKS, BLENDING)}
+
+
+def settings_of(scene: str, schedule: str, seed: int, assignments: Sequence[str] = ()) -> Settings:
+    """The training of one run: the schedule's preset, what all share, the scene's photos, `key=value` assignments.
+
+    Raises:
+        InputError: An assignment's key is unknown, or its value wrong.
+    """
+    chosen = SCHEDULES[schedule]
+    own = {"images": SCENES[scene].images, "seed": seed}
+    merged = config.merge(PRESETS[chosen.preset], SHARED, chosen.differences, own)
+    whole = config.to_dict(config.parse(Settings, merged, where=scene))
+    return config.parse(Settings, config.override(whole, assignments), where="--set")
+
+
+def discover(root: str | Path) -> tuple[dict[str, Path], list[str]]:
+    """The paper's scenes under a root.
+
+    Returns:
+        Folders by name, in the paper's order; and a line for every folder that has a scene's name but cannot be it.
+
+    Raises:
+        InputError: There is no such root, none of the scenes is there, or one of them lies twice.
+    """
+    from gsjax.io.scenes import is_data_set
+
+    root = Path(root)
+    if not root.is_dir():
+        raise InputError(f"{root}: no such folder")
+    found: dict[str, Path] = {}
+    faults: list[str] = []
+    for name, scene in SCENES.items():
+        for folder in (root / nest / name for nest in NESTS):
+            if not folder.is_dir():
+                continue
+            if not is_data_set(folder):
+                faults.append(f"{folder}: is no data set, left out")
+            elif not (folder / scene.images).is_dir():
+                faults.append(f"{folder}: has no {scene.images}/, which the paper's tables are of; left out")
+            elif name in found:
+                raise InputError(f"{root}: {name} lies there twice, as {found[name]} and as {folder}")
+            else:
+                found[name] = folder
+    if not found:
+        nests = ", ".join(nest for nest in NESTS if nest)
+        reason = f"; {faults[0]}" if faults else ""
+        raise InputError(f"{root}: holds none of {', '.join(SCENES)}, neither itself nor in {nests}{reason}")
+    return found, faults

@@ -1,0 +1,59 @@
+"""The contact sheet of a run: photo and render, normals before and after the phase with R and of the prior, meshes."""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from gsjax import gallery
+from gsjax.cameras import Camera
+from gsjax.gaussians import Gaussians
+from gsjax.io.normals import map_places
+from gsjax.io.ply import read_gaussians
+from gsjax.meshing import headlight, read_mesh, render_mesh
+from gsjax.normals.from_depth import depth_normals
+from gsjax.pipeline.panels import draw_panels
+from gsjax.pipeline.pictures import normal_picture, to_bytes
+from gsjax.pipeline.prior import read_map
+from gsjax.pipeline.result import Result, open_result, scene_of_run
+
+
+def draw_sheet(out: Path) -> list[str]:
+    """Draws OUT/sheet.png of a run whose mesh is there, and tells the titles of its panels.
+
+    The view is the first that was trained on: held-out views have no prior. What the run does not have (its prior, the
+    mesh of a `vanilla` run of the same seed beside it) has no panel.
+    """
+    run = out / "run"
+    result, frames = open_result(run), scene_of_run(run).frames
+    index = next(i for i, held_out in enumerate(result.held_out) if not held_out)
+    camera, frame = result.cameras[index], frames[index]
+    assert frame.name == result.names[index], "a run keeps the order of its data set"
+    after = _drawn(result, result.gaussians, camera)
+    panels = {f"photo, {frame.name}": frame.pixels().image, "render": to_bytes(after.colors)}
+    if (out / "before.ply").exists():
+        before = _drawn(result, read_gaussians(out / "before.ply"), camera)
+        panels["normals before R"] = _normals(before, camera)
+    panels["normals after R"] = _normals(after, camera)
+    maps = map_places([f for f in frames if not f.held_out])
+    prior = run / "normals" / f"{maps[frame.name]}.png"
+    if prior.exists():
+        panels["normals of the prior"] = normal_picture(read_map(prior, frame).astype(np.float32) / 127)
+    panels["mesh with R"] = _mesh(run / "mesh.ply", camera)
+    plain = out.with_name(f"vanilla_{out.name.rpartition('_')[2]}") / "run" / "mesh.ply"
+    if plain.exists():
+        panels["mesh without R"] = _mesh(plain, camera)
+    draw_panels(panels, out / "sheet.png", columns=min(4, len(panels)))
+    return list(panels)
+
+
+def _drawn(result: Result, gaussians: Gaussians, camera: Camera) -> gallery.Picture:
+    return next(gallery.pictures(gaussians, [camera], result.background, result.depth_mode))
+
+
+def _normals(picture: gallery.Picture, camera: Camera) -> np.ndarray:
+    return normal_picture(np.asarray(depth_normals(jnp.asarray(picture.depth), camera)))
+
+
+def _mesh(file: Path, camera: Camera) -> np.ndarray:
+    return render_mesh(read_mesh(file), camera.viewmat, camera.K, camera.width, camera.height, shading=headlight)

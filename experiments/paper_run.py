@@ -1,0 +1,185 @@
+"""One run of the paper's protocol on one scene: train, score, mesh, refine, score, draw. Goes on where it stopped."""
+
+import argparse
+import shutil
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from paper.measured import LPIPS
+from paper.scenes import SCENES, SCHEDULES, settings_of
+
+from gsjax import config, tables
+from gsjax.cli import guarded
+from gsjax.errors import InputError
+from gsjax.settings import Settings
+
+SCORES = ("psnr", "ssim", LPIPS, "gaussians", "views")
+
+
+def asked(scene: str, schedule: str, seed: int, assignments: Sequence[str], refinement: Sequence[str]) -> dict:
+    """What a run is to do, as plain data: `settings` of the training and of the `refinement`, None without one.
+
+    Raises:
+        InputError: An assignment is wrong.
+    """
+    from gsjax.binding.refining import PRESETS, Refinement
+
+    preset, refined = SCHEDULES[schedule].refinement, None
+    if preset:
+        whole = config.to_dict(config.parse(Refinement, {**PRESETS[preset], "seed": seed}))
+        refined = config.to_dict(config.parse(Refinement, config.override(whole, refinement), where="--refine"))
+    return {"settings": config.to_dict(settings_of(scene, schedule, seed, assignments)), "refinement": refined}
+
+
+def begun(folder: Path, wishes: Mapping[str, Any], lpips: Sequence[str] = ()) -> dict[str, Any]:
+    """The result so far of a run; scores that lack what new weights of LPIPS can tell are taken out.
+
+    Raises:
+        InputError: It was begun with other wishes.
+    """
+    from gsjax.io import runs
+
+    file = folder / "result.json"
+    if not file.exists():
+        return {"asked": dict(wishes)}
+    result = runs.read_json(file)
+    if result["asked"] != wishes:
+        raise InputError(f"{folder}: was begun with other settings; choose another folder with --out")
+    if lpips and result.get("lpips") != list(lpips):
+        result = {key: value for key, value in result.items() if key not in ("coarse", "refined")}
+    return result
+
+
+def is_finished(result: Mapping[str, Any]) -> bool:
+    """Whether there is nothing left to do."""
+    return all(stage in result for stage in _stage_names(result["asked"]))
+
+
+def run(
+    scene: str,
+    data: Path,
+    out: Path,
+    *,
+    schedule: str,
+    seed: int,
+    assignments: Sequence[str] = (),
+    refinement: Sequence[str] = (),
+    lpips: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Every stage that is not done yet; OUT/result.json is written after each.
+
+    Args:
+        scene: A name of `SCENES`.
+        data: Its folder.
+        out: Folder of the run: `run/`, `run/mesh.ply`, `refined/`, `before.ply` (the Gaussians as the phase with R
+            found them), `sheet.png`, `result.json`.
+        schedule: A name of `SCHEDULES`.
+        seed: Of training and refinement.
+        assignments: key=value of the training.
+        refinement: key=value of the refinement.
+        lpips: Files of weights.
+
+    Raises:
+        InputError: A stage cannot be done, or `out` was begun with other settings.
+    """
+    from gsjax.io import runs
+    from gsjax.io.machine import machine, versions
+
+    wishes = asked(scene, schedule, seed, assignments, refinement)
+    result = begun(out, wishes, lpips)
+    stages = _stages(data, out, wishes, lpips)
+    for name in _stage_names(wishes):
+        if name not in result:
+            print(f"== {scene}, {schedule}, seed {seed}: {name}", flush=True)
+            result[name] = stages[name]()
+            result |= {"lpips": list(lpips), "machine": machine(), "versions": versions()}
+            runs.write_json(out / "result.json", result)
+    return result
+
+
+def _stage_names(wishes: Mapping[str, Any]) -> tuple[str, ...]:
+    before = ("train", "coarse", "mesh")
+    return (*before, "sheet", "refine", "refined") if wishes["refinement"] else before
+
+
+def _stages(data: Path, out: Path, wishes: Mapping[str, Any], lpips: Sequence[str]) -> dict[str, Callable[[], Any]]:
+    from paper.sheet import draw_sheet
+
+    from gsjax import pipeline
+    from gsjax.binding.refining import Refinement
+
+    trained, refined = out / "run", out / "refined"
+    return {
+        "train": lambda: _train(data, trained, config.parse(Settings, wishes["settings"])),
+        "coarse": lambda: _scores(trained, lpips),
+        "mesh": lambda: pipeline.mesh(trained, trained / "mesh.ply"),
+        "sheet": lambda: draw_sheet(out),
+        "refine": lambda: pipeline.refine(
+            trained, refined, config.parse(Refinement, wishes["refinement"]), resume=_goes_on(refined)
+        ),
+        "refined": lambda: _scores(refined, lpips),
+    }
+
+
+def _train(data: Path, folder: Path, settings: Settings) -> dict[str, Any]:
+    from gsjax import pipeline
+    from gsjax.io import runs
+
+    keep = partial(_keep_before, folder.parent / "before.ply", settings)
+    summary = pipeline.train(data, folder, settings, resume=_goes_on(folder), observe=keep)
+    most = max((record["gaussians"] for record in runs.read_metrics(folder) if "gaussians" in record), default=0)
+    cap = {"most_gaussians": most, "max_gaussians": settings.max_gaussians, "cap_bound": most >= settings.max_gaussians}
+    if cap["cap_bound"]:
+        print(f"paper_run: {folder}: growth was held at max_gaussians={settings.max_gaussians:,}", file=sys.stderr)
+    return {**summary, **cap, "normals": runs.read_json(folder / "config.json")["normals"]}
+
+
+def _keep_before(file: Path, settings: Settings, progress: Any) -> None:
+    """Writes the Gaussians at the end of the phase before the first that looks at normals."""
+    from gsjax.io.ply import write_gaussians
+    from gsjax.pipeline.train import living
+
+    if not progress.phase_done or settings.vanilla:
+        return
+    first = next((i for i, phase in enumerate(settings.phases) if phase.weights.sdf_normal), 0)
+    if first and progress.step == sum(phase.steps for phase in settings.phases[:first]):
+        write_gaussians(file, living(progress.state.gaussians))
+
+
+def _goes_on(folder: Path) -> bool:
+    """Whether a run folder can be continued; one that was stopped before it had a manifest makes room for another."""
+    if folder.exists() and not (folder / "manifest.json").exists():
+        shutil.rmtree(folder)
+    return folder.exists()
+
+
+def _scores(folder: Path, lpips: Sequence[str]) -> dict[str, Any]:
+    from gsjax import pipeline
+
+    figures = pipeline.evaluate(folder, lpips=lpips)
+    return {key: figures.get(key) for key in SCORES}
+
+
+def main() -> None:
+    """Reads the arguments and prints the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add = parser.add_argument
+    add("scene", choices=SCENES, metavar="SCENE", help=f"one of {', '.join(SCENES)}")
+    add("data", type=Path, metavar="DATA", help="its folder")
+    add("out", type=Path, metavar="OUT", help="folder of the run")
+    add("--schedule", choices=SCHEDULES, default="paper_6k_15k", help="default: paper_6k_15k")
+    add("--seed", type=int, default=0, metavar="N", help="seed of all random numbers (default: 0)")
+    add("--set", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the training by their dotted keys")
+    add("--refine", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the refinement")
+    add("--lpips", action="append", default=[], metavar="FILE", help="weights of LPIPS, as for `gsjax eval`")
+    a = parser.parse_args()
+    result = run(a.scene, a.data, a.out, schedule=a.schedule, seed=a.seed, assignments=a.set, refinement=a.refine,
+                 lpips=a.lpips)  # fmt: skip
+    print(tables.record({kind: result[kind] for kind in ("coarse", "refined") if kind in result}))
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))
