@@ -1,0 +1,312 @@
+"""The paper's protocol: its scenes are found, its runs survive, its tables tell values, spreads, dashes and doubts."""
+
+import csv
+import importlib
+import io
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from gsjax.errors import InputError
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
+
+
+@pytest.fixture
+def paper(monkeypatch):
+    """Imports a module of `experiments/` by its name."""
+    monkeypatch.syspath_prepend(str(EXPERIMENTS))
+    yield importlib.import_module
+    for name in [n for n in sys.modules if n.split(".")[0] in ("paper", "paper_run", "reproduce")]:
+        sys.modules.pop(name)
+
+
+def place(root: Path, scene: str, images: str) -> Path:
+    """A folder that looks like a published scene; no file of it can be read."""
+    folder = root / scene
+    for part in ("sparse/0", images):
+        (folder / part).mkdir(parents=True)
+    for file in ("cameras", "images", "points3D"):
+        (folder / "sparse/0" / f"{file}.bin").touch()
+    return folder
+
+
+# The data
+
+
+def test_published_figures_are_those_that_the_paper_prints(paper, shared):
+    published = paper("paper.published")
+    tex = shared / "paper" / "paper.tex"
+    if not tex.is_file():
+        pytest.skip("needs the paper's source beside the data sets")
+    line = re.compile(r"^(.+?)\s*(?:\\cite\{\w+\})?\s*&\s*([\d.]+)\s*&\s*([\d.]+)\s*&\s*([\d.]+)\s*\\\\", re.MULTILINE)
+    blocks = re.findall(r"\\begin\{tabular\}\{\|c\|ccc\|\}(.*?)\\end\{tabular\}", tex.read_text(), re.DOTALL)
+    named = {"Mip-NeRF360": "Mip-NeRF 360", "Baked-SDF": "BakedSDF", "Mobile-NeRF": "MobileNeRF", "Ours": "The paper",
+             "Ours (7K refinement)": "The paper (7K refinement)"}  # fmt: skip
+    printed = [
+        {named.get(name.strip(), name.strip()): tuple(map(float, numbers)) for name, *numbers in line.findall(block)}
+        for block in blocks
+    ]
+    assert printed == list(published.PUBLISHED.values())
+
+
+def test_every_note_is_about_a_row_that_there_is(paper):
+    published = paper("paper.published")
+    for note in published.NOTES:
+        parts = [note.part] if note.part else published.PUBLISHED
+        assert any(note.method in published.PUBLISHED[part] for part in parts), note
+
+
+@pytest.mark.parametrize(("schedule", "steps", "refined"), [("paper_6k_15k", 15_000, 15_000),
+                                                            ("paper_13k_7k", 22_000, 7_000)])  # fmt: skip
+def test_schedules_are_the_papers(paper, schedule, steps, refined):
+    asked = paper("paper_run").asked("garden", schedule, 2, ["phases.0.steps=7000"], [])
+    settings = asked["settings"]
+    assert sum(phase["steps"] for phase in settings["phases"]) == steps
+    assert asked["refinement"]["steps"] == refined and asked["refinement"]["seed"] == settings["seed"] == 2
+    assert (settings["images"], settings["hold_out"], settings["downscale"]) == ("images_4", "8", 1)
+    assert settings["max_gaussians"] >= 10_000_000, "a cap that 3DGS does not have must not bind"
+
+
+def test_a_vanilla_run_has_no_refinement(paper):
+    asked = paper("paper_run").asked("truck", "vanilla", 0, [], [])
+    assert asked["refinement"] is None and asked["settings"]["vanilla"] is True
+
+
+# What lies under a root
+
+
+def test_scenes_are_found_in_the_root_and_in_the_archives_folders(paper, tmp_path):
+    places = {"garden": "360_v2", "room": "", "train": "tandt", "playroom": "db", "truck": "tandt_db/tandt"}
+    images = {"garden": "images_4", "room": "images_2"}
+    laid = {name: place(tmp_path / nest, name, images.get(name, "images")) for name, nest in places.items()}
+    place(tmp_path, "flowers", "images_4")  # not of the paper
+    found, faults = paper("paper.scenes").discover(tmp_path)
+    assert found == laid and not faults
+    assert list(found) == ["room", "garden", "truck", "train", "playroom"], "the paper's order"
+
+
+def test_a_scene_that_cannot_be_scored_as_published_is_left_out_with_a_line(paper, tmp_path):
+    place(tmp_path, "room", "images_2")
+    place(tmp_path, "garden", "images")
+    (tmp_path / "stump").mkdir()
+    found, faults = paper("paper.scenes").discover(tmp_path)
+    assert list(found) == ["room"]
+    garden, stump = sorted(faults)
+    assert "has no images_4/" in garden and "is no data set" in stump
+
+
+def test_a_root_without_scenes_and_a_scene_twice_are_errors(paper, tmp_path):
+    discover = paper("paper.scenes").discover
+    with pytest.raises(InputError, match="holds none of room, counter"):
+        discover(tmp_path)
+    with pytest.raises(InputError, match="no such folder"):
+        discover(tmp_path / "absent")
+    place(tmp_path, "room", "images_2")
+    place(tmp_path / "360_v2", "room", "images_2")
+    with pytest.raises(InputError, match="room lies there twice"):
+        discover(tmp_path)
+
+
+# Runs
+
+
+@pytest.fixture
+def study(paper, tmp_path):
+    """`reproduce` over two scenes, with a stand-in for the process that writes what it is told to."""
+    for name in ("room", "kitchen"):
+        place(tmp_path / "data", name, "images_2")
+    module, paper_run = paper("reproduce"), paper("paper_run")
+
+    class Study:
+        out, started = tmp_path / "out", []
+        codes: dict = {}  # by scene; absent: 0
+
+        def start(self, job, options):
+            self.started.append((job.scene, job.schedule, job.seed))
+            code = self.codes.get(job.scene, 0)
+            wishes = paper_run.asked(job.scene, job.schedule, job.seed, options.assignments, options.refinement)
+            result = {"asked": wishes, "lpips": list(options.lpips), "train": {"normals": None}}
+            done = ("train", "coarse") if code else paper_run._stage_names(wishes)
+            scores = {"psnr": 30.0 + job.seed, "ssim": 0.9, "lpips_vgg_3dgs": None, "gaussians": 7}
+            result |= {name: scores for name in done if name != "train"}
+            if code != 137:  # that one was killed before anything was written
+                job.out.mkdir(parents=True)
+                (job.out / "result.json").write_text(json.dumps(result))
+            return code
+
+        def run(self, *assignments, lpips=(), seeds=1, schedules=("paper_6k_15k",)):
+            self.started = []
+            options = module.Options(assignments, (), lpips)
+            return module.reproduce(
+                tmp_path / "data", self.out, schedules=schedules, seeds=seeds, options=options, start=self.start
+            )
+
+    return Study()
+
+
+def test_a_failed_run_is_one_line_and_a_dash_and_the_others_go_on(study, capsys):
+    study.codes = {"room": 137}
+    failed = study.run()
+    assert [job.scene for job in failed] == ["room"]
+    assert [scene for scene, _, _ in study.started] == ["room", "kitchen"]
+    lines = [line for line in capsys.readouterr().err.splitlines() if "failed" in line]
+    assert lines == ["reproduce: room, paper_6k_15k, seed 0: failed (exit code 137)"]
+    table = (study.out / "tables.md").read_text()
+    room = table[table.index("### room") :]
+    assert room.splitlines()[4] == "| gsjax paper_6k_15k, Gaussians | - | - | - | 0 of 1 | - | - |"
+    assert "| 1 of 4 (kitchen) | 1 | measured |" in table
+
+
+def test_finished_runs_are_not_done_again_and_more_may_be_asked(study):
+    study.run()
+    study.run()
+    assert study.started == []
+    study.run(seeds=2)
+    assert study.started == [("room", "paper_6k_15k", 1), ("kitchen", "paper_6k_15k", 1)]
+    study.run(schedules=("vanilla",))
+    assert study.started == [("room", "vanilla", 0), ("kitchen", "vanilla", 0)]
+    table = (study.out / "tables.md").read_text()
+    assert "30.50 ± 0.71" in table and "gsjax vanilla, Gaussians" in table and "vanilla, refined" not in table
+
+
+def test_a_stopped_run_goes_on_and_keeps_the_scores_that_it_has(study):
+    study.codes = {"kitchen": 1}
+    study.run()
+    table = (study.out / "tables.md").read_text()
+    kitchen = table[table.index("### kitchen") :].splitlines()
+    assert kitchen[4].startswith("| gsjax paper_6k_15k, Gaussians [")
+    assert "| 30.00 | 0.900 | - | 1 | 1 | measured |" in kitchen[4]
+    assert "| - | - | - | 0 of 1 |" in kitchen[5]
+    with pytest.raises(FileExistsError):  # of the stand-in: the folder is there, the run is started all the same
+        study.run()
+    assert study.started == [("kitchen", "paper_6k_15k", 0)]
+
+
+def test_other_settings_in_the_same_folder_are_an_error_before_any_run(study):
+    study.run()
+    with pytest.raises(InputError, match="was begun with other settings"):
+        study.run("sh_degree=1", seeds=2)
+    with pytest.raises(InputError, match="max_gausians"):
+        study.run("max_gausians=3")
+    assert study.started == []
+
+
+def test_weights_given_later_ask_for_the_scores_anew_and_for_nothing_else(paper, study):
+    study.run()
+    folder = study.out / "room" / "paper_6k_15k_0"
+    wishes = paper("paper_run").asked("room", "paper_6k_15k", 0, [], [])
+    before, with_weights = (paper("paper_run").begun(folder, wishes, files) for files in ([], ["vgg.onnx"]))
+    assert before.keys() - with_weights.keys() == {"coarse", "refined"}
+
+
+def test_the_process_of_a_run_is_told_all_and_its_end_is_seen(paper, monkeypatch, tmp_path):
+    reproduce = paper("reproduce")
+    job = reproduce.Job("room", tmp_path, tmp_path / "out", "paper_13k_7k", 3)
+    script = tmp_path / "paper_run.py"
+    script.write_text("import json, sys; json.dump(sys.argv[1:], open(sys.argv[3] + '.json', 'w')); sys.exit(5)")
+    monkeypatch.setattr(reproduce, "__file__", str(tmp_path / "reproduce.py"))
+    assert reproduce.in_own_process(job, reproduce.Options(["a=1", "b=2"], ["steps=3"], ["vgg.onnx"])) == 5
+    told = ["room", str(tmp_path), str(job.out), "--schedule", "paper_13k_7k", "--seed", "3"]
+    told += ["--set", "a=1", "b=2", "--refine", "steps=3", "--lpips", "vgg.onnx"]
+    assert json.loads((tmp_path / "out.json").read_text()) == told
+
+
+def test_a_folder_without_a_manifest_makes_room(paper, tmp_path):
+    goes_on = paper("paper_run")._goes_on
+    assert goes_on(tmp_path / "absent") is False
+    (tmp_path / "torn" / "checkpoints").mkdir(parents=True)
+    assert goes_on(tmp_path / "torn") is False and not (tmp_path / "torn").exists()
+    (tmp_path / "begun").mkdir()
+    (tmp_path / "begun" / "manifest.json").touch()
+    assert goes_on(tmp_path / "begun") is True
+
+
+# Tables
+
+METHOD = "gsjax paper_6k_15k, refined"
+
+
+@pytest.fixture
+def made(paper):
+    """Tables of hand-made scores: two seeds of truck and train, one run of kitchen, nothing of Deep Blending."""
+    Measured, report = paper("paper.measured").Measured, paper("paper.report")
+    scores = {("truck", 0): (24.0, 0.86), ("truck", 1): (25.0, 0.88), ("train", 0): (20.0, 0.74),
+              ("train", 1): (22.0, 0.76), ("kitchen", 0): (30.125, 0.9)}  # fmt: skip
+    measured = [Measured(scene, METHOD, seed, *pair, None, 9) for (scene, seed), pair in scores.items()]
+    return report.tables(measured, [METHOD], {"truck": "truck: growth was held at 5% & 3_000 Gaussians."})
+
+
+def rows_of(paper, made):
+    text = paper("paper.report").comma_separated(made)
+    return {(row["over"], row["method"]): row for row in csv.DictReader(io.StringIO(text))}
+
+
+def test_averages_are_over_seeds_then_scenes_and_the_spread_over_seeds(paper, made):
+    row = rows_of(paper, made)["Tanks & Temples", METHOD]
+    assert float(row["psnr"]) == pytest.approx((24.5 + 21) / 2)
+    assert float(row["psnr_spread"]) == pytest.approx(1.5 / 2**0.5, abs=1e-4)  # seeds: 22.0 and 23.5
+    assert (row["lpips"], row["lpips_spread"], row["scenes"], row["seeds"]) == ("-", "-", "2", "2")
+
+
+def test_fewer_scenes_than_published_are_named_and_absent_ones_are_dashes(paper, made):
+    rows = rows_of(paper, made)
+    indoor, outdoor = rows["Mip-NeRF 360, indoor", METHOD], rows["Mip-NeRF 360, outdoor", METHOD]
+    assert (indoor["scenes"], indoor["psnr_spread"], indoor["seeds"]) == ("1 of 4 (kitchen)", "-", "1")
+    assert (outdoor["scenes"], outdoor["psnr"], outdoor["source"]) == ("0 of 3", "-", "-")
+    assert rows["playroom", METHOD]["ssim"] == "-"
+    assert "0.000" not in paper("paper.report").markdown(made), "never a zero where there is nothing"
+
+
+def test_an_average_with_a_figure_missing_in_one_scene_is_a_dash(paper):
+    module = paper("paper.measured")
+    rows = [
+        module.Measured(scene, METHOD, 0, 20.0, 0.8, lpips, 9) for scene, lpips in [("truck", 0.2), ("train", None)]
+    ]
+    found = module.average(rows, METHOD, ["truck", "train"])
+    assert found.values["lpips"] is None and found.values["psnr"].mean == 20
+
+
+def test_a_seed_that_one_scene_lacks_counts_for_the_mean_and_not_for_the_spread(paper):
+    module = paper("paper.measured")
+    numbers = [("truck", 0, 20.0), ("truck", 1, 22.0), ("train", 0, 24.0)]
+    rows = [module.Measured(scene, METHOD, seed, psnr, 0.8, None, 9) for scene, seed, psnr in numbers]
+    found = module.average(rows, METHOD, ["truck", "train"])
+    assert found.values["psnr"] == module.Value(22.5, None) and found.seeds == (1, 2)
+
+
+def test_published_rows_carry_source_and_doubts(paper, made):
+    rows = rows_of(paper, made)
+    row = rows["Mip-NeRF 360, indoor", "The paper"]
+    assert float(row["lpips"]) == 0.117 and "0.117 is doubtful" in row["notes"]
+    assert rows["Deep Blending", "SuGaR"]["source"] == "tab:deepblend of the paper, which quotes SuGaR's"
+    assert rows["Tanks & Temples", "SuGaR"]["notes"] == ""
+    text = paper("paper.report").markdown(made)
+    assert "| The paper [1,2]" not in text, "notes are numbered in the order of the table"
+    mark = re.search(r"\| The paper \[(\d+),(\d+)\] \| 29.87 \| 0.921 \| 0.117 \| 4 \|", text)
+    assert mark and f"[{mark[1]}] The LPIPS of 0.117 is doubtful" in text
+
+
+def test_latex_escapes_and_says_plus_minus(paper, made):
+    text = paper("paper.report").latex(made)
+    assert r"\caption{Tanks \& Temples}" in text
+    assert r"gsjax paper\_6k\_15k, refined$^{" in text
+    assert r"truck: growth was held at 5\% \& 3\_000 Gaussians." in text
+    assert r"22.75 $\pm$ 1.06" in text
+    assert text.count(r"\begin{tabular}") == text.count(r"\end{tabular}") == 3
+    for line in text.splitlines():
+        if " & " in line and line.endswith((r"\\", r"\hline")):
+            assert len(re.findall(r"(?<!\\)&", line)) == 6, line
+
+
+def test_a_cap_that_bound_and_own_normals_are_told(paper):
+    bound = {"train": {"cap_bound": True, "max_gaussians": 2000, "normals": "maps"}}
+    own = {"train": {"cap_bound": False, "normals": None}}
+    said = paper("reproduce").remarks(
+        [("room", "paper_6k_15k", 1, bound), ("truck", "paper_6k_15k", 0, own), ("train", "vanilla", 0, own)]
+    )
+    assert said["room"] == "room: paper_6k_15k, seed 1: growth was held at 2,000 Gaussians."
+    assert "own smoothed normals" in said["truck"] and "train" not in said
