@@ -46,8 +46,11 @@ def begun(folder: Path, wishes: Mapping[str, Any], lpips: Sequence[str] = ()) ->
     if not file.exists():
         return {"asked": dict(wishes)}
     result = runs.read_json(file)
-    if result["asked"] != wishes:
-        raise InputError(f"{folder}: was begun with other settings; choose another folder with --out")
+    for part, wanted in wishes.items():
+        before = result["asked"][part] or {}
+        for key, value in (wanted or {}).items():
+            if before.get(key) != value:
+                raise InputError(f"{folder}: was begun with another {part}.{key}; choose another folder with --out")
     if lpips and result.get("lpips") != list(lpips):
         result = {key: value for key, value in result.items() if key not in ("coarse", "refined")}
     return result

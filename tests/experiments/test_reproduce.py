@@ -6,11 +6,15 @@ import io
 import json
 import re
 import sys
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from gsjax.errors import InputError
+from gsjax.scene import Frame, Pixels, frame_of
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 
@@ -188,7 +192,7 @@ def test_a_stopped_run_goes_on_and_keeps_the_scores_that_it_has(study):
 
 def test_other_settings_in_the_same_folder_are_an_error_before_any_run(study):
     study.run()
-    with pytest.raises(InputError, match="was begun with other settings"):
+    with pytest.raises(InputError, match=r"was begun with another settings\.sh_degree"):
         study.run("sh_degree=1", seeds=2)
     with pytest.raises(InputError, match="max_gausians"):
         study.run("max_gausians=3")
@@ -223,6 +227,69 @@ def test_a_folder_without_a_manifest_makes_room(paper, tmp_path):
     (tmp_path / "begun").mkdir()
     (tmp_path / "begun" / "manifest.json").touch()
     assert goes_on(tmp_path / "begun") is True
+
+
+def test_stages_are_done_once_and_go_on_after_the_one_that_failed(paper, monkeypatch, tmp_path):
+    paper_run, done, broken = paper("paper_run"), [], ["mesh"]
+
+    def stage(name):
+        if name in broken:
+            raise InputError("nothing to mesh")
+        done.append(name)
+        return {"psnr": 30.0}
+
+    names = ("train", "coarse", "mesh", "sheet", "refine", "refined")
+    monkeypatch.setattr(paper_run, "_stages", lambda *_: {name: partial(stage, name) for name in names})
+    once = partial(paper_run.run, "room", tmp_path, tmp_path / "out", schedule="paper_6k_15k", seed=0)
+    with pytest.raises(InputError, match="nothing to mesh"):
+        once()
+    kept = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert kept["coarse"] == {"psnr": 30.0} and "mesh" not in kept and not paper_run.is_finished(kept)
+    broken.clear()
+    assert paper_run.is_finished(once()) and done == list(names)
+    once(lpips=["vgg.onnx"])
+    assert done[len(names) :] == ["coarse", "refined"]
+
+
+@pytest.mark.parametrize(("step", "is_end", "kept"), [(9000, True, True), (7000, True, False), (8999, False, False)])
+def test_the_gaussians_are_kept_as_the_phase_with_normals_finds_them(paper, monkeypatch, tmp_path, step, is_end, kept):
+    train = importlib.import_module("gsjax.pipeline.train")
+    monkeypatch.setattr(train, "living", lambda gaussians: gaussians)
+    monkeypatch.setattr("gsjax.io.ply.write_gaussians", lambda file, gaussians: file.write_text(gaussians))
+    settings = paper("paper.scenes").settings_of("room", "paper_6k_15k", 0)
+    progress = SimpleNamespace(step=step, phase_done=is_end, state=SimpleNamespace(gaussians="these"))
+    paper("paper_run")._keep_before(tmp_path / "before.ply", settings, progress)
+    assert (tmp_path / "before.ply").exists() == kept
+
+
+def _frame(name: str) -> Frame:
+    pixels = Pixels(np.zeros((2, 3, 3), np.uint8))
+    return frame_of(name, np.eye(4), np.eye(3), pixels, held_out=name == "a.png")
+
+
+@pytest.mark.parametrize("has_all", [True, False])
+def test_a_sheet_shows_what_the_run_has(paper, monkeypatch, tmp_path, has_all):
+    sheet, drawn = paper("paper.sheet"), {}
+    picture, frames = np.zeros((2, 3, 3), np.uint8), [_frame(f"{n}.png") for n in "ab"]
+    result = SimpleNamespace(held_out=(True, False), names=("a.png", "b.png"), cameras=("A", "B"), gaussians=0)
+    monkeypatch.setattr(sheet, "open_result", lambda run: result)
+    monkeypatch.setattr(sheet, "scene_of_run", lambda run: SimpleNamespace(frames=frames))
+    monkeypatch.setattr(sheet, "_drawn", lambda result, gaussians, camera: SimpleNamespace(colors=picture))
+    monkeypatch.setattr(sheet, "_normals", lambda drawn, camera: picture)
+    monkeypatch.setattr(sheet, "_mesh", lambda file, camera: f"{file.relative_to(tmp_path)} from {camera}")
+    monkeypatch.setattr(sheet, "read_map", lambda file, frame: picture)
+    monkeypatch.setattr(sheet, "read_gaussians", lambda file: 0)
+    monkeypatch.setattr(sheet, "draw_panels", lambda panels, path, columns: drawn.update(panels))
+    out = tmp_path / "paper_6k_15k_3"
+    if has_all:
+        for file in (out / "before.ply", out / "run/normals/b.png", tmp_path / "vanilla_3/run/mesh.ply"):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.touch()
+    own = ["normals before R", "normals of the prior", "mesh without R"] if has_all else []
+    always = {"photo, b.png", "render", "normals after R", "mesh with R"}
+    assert set(sheet.draw_sheet(out)) == set(drawn) == always | set(own)
+    assert drawn["mesh with R"] == "paper_6k_15k_3/run/mesh.ply from B", "the view is one that was trained on"
+    assert not has_all or drawn["mesh without R"] == "vanilla_3/run/mesh.ply from B"
 
 
 # Tables
