@@ -193,12 +193,11 @@ def comma_separated(made: Sequence[Table]) -> str:
     for table in made:
         for block in [*table.averages, *table.scenes]:
             for row in block.rows:
-                pairs = ((row.values[metric] or Value(None, None), DECIMALS[metric]) for metric in METRICS)
-                numbers = [_number(x, digits) for value, digits in pairs for x in value]
+                numbers = [_number(x) for metric in METRICS for x in (row.values[metric] or (None, None))]
                 rest = [row.scenes, row.seeds, row.source, " ".join(row.notes)]
                 writer.writerow([table.title, block.title, row.method, *numbers, *rest])
     return file.getvalue()
 
 
-def _number(value: float | None, digits: int) -> str:
-    return DASH if value is None else f"{value:.{digits + 2}f}"
+def _number(value: float | None) -> str:
+    return DASH if value is None else f"{value:.6g}"
