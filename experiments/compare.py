@@ -17,8 +17,10 @@ FIGURES = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "depth_er
            "normal_consistency", "gaussians", "train_seconds")  # fmt: skip
 
 
-def run(study: str, scene: str, out: str, seeds: int = 1) -> dict[str, dict[str, Any]]:
-    """Mean figures of every variant over the seeds, and the true mesh's own; `OUT/study.json` also has each seed's.
+def run(study: str, scene: str, out: str, seeds: int = 1) -> dict[str, list[dict[str, Any]]]:
+    """Figures of every variant, a row a seed, and the true mesh's own; also written to `OUT/study.json`.
+
+    A run that is done (`OUT/VARIANT_SEED/study.json`) is not done again, one that was stopped goes on.
 
     Args:
         study: Name of a file in `studies/`: its `BASE` names a config, its `VARIANTS` hold differences from that.
@@ -36,13 +38,14 @@ def run(study: str, scene: str, out: str, seeds: int = 1) -> dict[str, dict[str,
         for variant, difference in described["variants"].items():
             settings = config.merge(base, _placed(difference, scene), {"seed": seed})
             folder = Path(out) / f"{variant}_{seed}"
-            figures, floor = _figures(scene, folder, settings)
+            done = folder / "study.json"
+            if not done.exists():
+                runs.write_json(done, _figures(scene, folder, settings))
+            figures, floor = runs.read_json(done)
             every.setdefault(variant, []).append(figures)
-    means = {
-        variant: {key: float(np.mean([r[key] for r in rows])) for key in rows[0]} for variant, rows in every.items()
-    }
-    runs.write_json(Path(out) / "study.json", {"means": means, "seeds": every, "floor": floor})
-    return means | ({tables.FLOOR: floor} if floor else {})
+    every |= {tables.FLOOR: [floor]} if floor else {}
+    runs.write_json(Path(out) / "study.json", every)
+    return every
 
 
 def _figures(scene: str, folder: Path, settings: dict) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -51,7 +54,7 @@ def _figures(scene: str, folder: Path, settings: dict) -> tuple[dict[str, Any], 
     from gsjax.io import runs
 
     print(f"== {folder.name}", flush=True)
-    pipeline.train(scene, folder, config.parse(Settings, settings, where=folder.name))
+    pipeline.train(scene, folder, config.parse(Settings, settings, where=folder.name), resume=folder.exists())
     figures = pipeline.evaluate(folder)
     last = runs.read_metrics(folder)[-20:]
     aligned = [1 - record["terms"]["sdf_normal"] for record in last if "sdf_normal" in record["terms"]]
@@ -74,7 +77,8 @@ def main() -> None:
     parser.add_argument("--out", required=True, metavar="DIR", help="empty folder for the runs")
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="runs of every variant (default: 1)")
     arguments = parser.parse_args()
-    print(tables.compare(run(arguments.study, arguments.scene, arguments.out, arguments.seeds)))
+    every = run(arguments.study, arguments.scene, arguments.out, arguments.seeds)
+    print(tables.compare({variant: tables.spread(rows) for variant, rows in every.items()}))
 
 
 if __name__ == "__main__":

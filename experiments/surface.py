@@ -1,7 +1,8 @@
 """Photos to a mesh in three ways on one scene, over seeds: vanilla, surface, and surface then refined.
 
 Every stage runs in a process of its own, so that its seconds (loading and compilation included) and its peak memory are
-its own. Prints a table of figures and one of stages; writes OUT/surface.json and OUT/surface.png.
+its own. Prints a table of figures and one of stages; writes OUT/surface.json and OUT/surface.png. Called again it
+goes on after the stages that are done (OUT/stages.json).
 """
 
 import argparse
@@ -40,14 +41,20 @@ def run(name: str, scene: str, out: str, *, seeds: int = 3, refinement: Sequence
 
     figures: dict[str, list[dict]] = {way: [] for way in WAYS}
     stages: dict[str, list[dict]] = {}
+    ledger = Path(out) / "stages.json"
+    done = runs.read_json(ledger) if ledger.exists() else {}
     for seed in range(seeds):
         folders = {way: Path(out) / f"{way}_{seed}" for way in WAYS}
 
         def staged(label: str, stage: Callable, *arguments: Any, seed: int = seed) -> Any:
-            print(f"== seed {seed}: {label}", flush=True)
-            result, cost = _alone(stage, *arguments)
-            stages.setdefault(label, []).append(cost)
-            return result
+            title = f"seed {seed}: {label}"
+            if title not in done:
+                print(f"== {title}", flush=True)
+                result, cost = _alone(stage, *arguments)
+                done[title] = {"result": result, "cost": cost}
+                runs.write_json(ledger, done)
+            stages.setdefault(label, []).append(done[title]["cost"])
+            return done[title]["result"]
 
         for way in ("vanilla", "surface"):
             staged(f"train {way}", _train, name, scene, folders[way], seed, way == "vanilla")
@@ -81,7 +88,8 @@ def _train(name: str, scene: str, folder: Path, seed: int, vanilla: bool) -> Non
 
     normals = Path(scene) / "normals"
     given = [f"normals={normals}"] if normals.is_dir() else []
-    pipeline.train(scene, folder, load_settings(name, [f"seed={seed}", f"vanilla={str(vanilla).lower()}", *given]))
+    settings = load_settings(name, [f"seed={seed}", f"vanilla={str(vanilla).lower()}", *given])
+    pipeline.train(scene, folder, settings, resume=folder.exists())
 
 
 def _mesh(folder: Path) -> None:
@@ -95,7 +103,7 @@ def _refine(folder: Path, out: Path, seed: int, assignments: Sequence[str]) -> N
     from gsjax.binding.refining import PRESETS, Refinement
 
     whole = config.to_dict(config.parse(Refinement, {**PRESETS["fast"], "seed": seed}))
-    pipeline.refine(folder, out, config.parse(Refinement, config.override(whole, assignments)))
+    pipeline.refine(folder, out, config.parse(Refinement, config.override(whole, assignments)), resume=out.exists())
 
 
 def _texture(folder: Path) -> None:
@@ -135,12 +143,6 @@ def _picture(scene: str, folders: Sequence[Path], out: Path) -> None:
     write_image(out, np.concatenate(columns, axis=1))
 
 
-def summary(rows: Sequence[dict[str, Any]]) -> dict[str, str]:
-    """Mean and, in brackets, least and most of every figure over the seeds."""
-    found = {key: np.array([row[key] for row in rows], float) for key in rows[0]}
-    return {key: f"{v.mean():.4g} [{v.min():.4g} {v.max():.4g}]" for key, v in found.items()}
-
-
 def main() -> None:
     """Reads the arguments and prints the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -152,7 +154,7 @@ def main() -> None:
     arguments = parser.parse_args()
     report = run(arguments.config, arguments.scene, arguments.out, seeds=arguments.seeds, refinement=arguments.refine)
     for part in ("figures", "stages"):
-        print(tables.compare({label: summary(rows) for label, rows in report[part].items() if rows}))
+        print(tables.compare({label: tables.spread(rows) for label, rows in report[part].items() if rows}))
 
 
 if __name__ == "__main__":

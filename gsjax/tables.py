@@ -1,7 +1,9 @@
 """Plain-text tables of results, aligned for a terminal."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 FLOOR = "true mesh (floor)"
 """The row below which no distance to the truth can fall: what the true mesh itself scores."""
@@ -17,6 +19,12 @@ def compare(variants: Mapping[str, Mapping[str, Any]]) -> str:
     names = list(dict.fromkeys(name for values in variants.values() for name in values))
     rows = [[variant, *(_shown(values.get(name)) for name in names)] for variant, values in variants.items()]
     return aligned([["", *names], *rows], right=range(1, len(names) + 1))
+
+
+def spread(rows: Sequence[Mapping[str, float]]) -> dict[str, str]:
+    """Mean and, in brackets, least and most of every quantity over rows that all have it: one row a seed."""
+    found = {name: np.array([row[name] for row in rows], float) for name in rows[0]}
+    return {name: f"{v.mean():.4g} [{v.min():.4g} {v.max():.4g}]" for name, v in found.items()}
 
 
 def aligned(rows: list[list[str]], right: Collection[int] = ()) -> str:

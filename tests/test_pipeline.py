@@ -308,6 +308,27 @@ def test_the_true_mesh_is_its_own_floor(run, scene):
     assert floor["fscore"] == 1.0 and floor["outward_share"] > 0.999
 
 
+def test_a_run_is_scored_at_other_sizes_of_its_photos(run):
+    figures = pipeline.evaluate(run, mesh=Path(scene_of_run(run).root) / "gt_mesh.ply", zooms=[1, 0.5])
+    assert figures["psnr_zoom_1"] == figures["psnr"] and figures["ssim_zoom_1"] == figures["ssim"]
+    assert 5 < figures["psnr_zoom_0.5"] != figures["psnr"]
+    whole, half = scene_of_run(run), scene_of_run(run, zoom=0.5)
+    for frame, smaller in zip(whole.frames, half.frames, strict=True):
+        assert (frame.name, frame.held_out) == (smaller.name, smaller.held_out)
+        np.testing.assert_allclose(smaller.K[:2], frame.K[:2] / 2, rtol=1e-6)
+        boxes = frame.pixels().image.astype(float).reshape(20, 2, 24, 2, 3).mean((1, 3))
+        np.testing.assert_allclose(smaller.pixels().image, boxes, atol=0.51)
+
+
+@pytest.mark.parametrize(
+    ("zoom", "fault"), [(2, "on photos as they are; there are none 2 times larger"), (0, "must be a number above 0")]
+)
+def test_a_zoom_that_photos_do_not_allow_is_one_line(run, zoom, fault, capsys):
+    assert cli.main(["eval", str(run), "--zoom", str(zoom)]) == 2
+    message = capsys.readouterr().err
+    assert fault in message and message.count("\n") == 1
+
+
 def test_pictures_have_the_size_of_their_views(run, tmp_path):
     pipeline.render(run, tmp_path / "held_out", which="held_out")
     files = sorted((tmp_path / "held_out").iterdir())

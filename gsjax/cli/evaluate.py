@@ -28,6 +28,14 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         help="also score pictures with the gains that tracks tell, and after a fitted colour transform, as runs with"
         " effects are scored",
     )
+    parser.add_argument(
+        "--zoom",
+        metavar="FACTOR",
+        type=float,
+        nargs="+",
+        default=[],
+        help="also score pictures at so many times the size of training, such as 0.5 2",
+    )
     parser.add_argument("--mesh", metavar="FILE", help="score this mesh against the true surface as well")
     parser.add_argument("--lpips", metavar="FILE", action="append", help="weights of LPIPS as an ONNX file, see"
         " docs/normals.md; may be repeated (default: LPIPS is not scored)")  # fmt: skip
@@ -38,7 +46,11 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax.io import runs
 
     figures = pipeline.evaluate(
-        arguments.run_folder, mesh=arguments.mesh, three_ways=arguments.three_ways, **given(arguments, "lpips")
+        arguments.run_folder,
+        mesh=arguments.mesh,
+        three_ways=arguments.three_ways,
+        zooms=arguments.zoom,
+        **given(arguments, "lpips"),
     )
     if arguments.json:
         runs.write_json(arguments.json, figures)

@@ -35,6 +35,7 @@ def evaluate(
     mesh: str | Path | None = None,
     lpips: Sequence[str | Path] = (),
     three_ways: bool = False,
+    zooms: Sequence[float] = (),
 ) -> dict[str, Any]:
     """Score a finished run on its held-out views and, where its data set brings truth, its geometry.
 
@@ -43,10 +44,12 @@ def evaluate(
         mesh: Mesh to score against the true surface. None: `RUN/mesh.ply`, extracted now if it is absent.
         lpips: Files of weights, see `gsjax.pipeline.perceptual.lpips_measures`.
         three_ways: Score pictures in the three ways of `score_images` even if the run simulated no effects.
+        zooms: Score pictures at so many times the size of training as well: at 0.5 against photos of half the size.
 
     Returns:
         What `score_images` tells of the held-out views and what the files of weights allow, at least `lpips_vgg_3dgs`
-        (None without held-out views or without weights), `gaussians`, `train_seconds`, `steps`; with true
+        (None without held-out views or without weights), `gaussians`, `train_seconds`, `steps`; for every zoom
+        `psnr_zoom_0.5` and `ssim_zoom_0.5` (with that number); with true
         normals `normal_error_deg` and `normal_error_median_deg` of the rendered depth over object pixels and
         `normal_error_all_deg` over all surface pixels; with true depth `depth_error` (mean absolute, object pixels,
         scene units), both in held-out views; with true surface points what `score_mesh` returns.
@@ -63,6 +66,10 @@ def evaluate(
         result.gaussians, scene.held_out_frames, settings["background"], measures=measures, looks=looks
     )
     figures.setdefault(STANDARD, None)
+    for zoom in zooms:
+        zoomed = scene_of_run(run, zoom=zoom).held_out_frames
+        scores = score_images(result.gaussians, zoomed, settings["background"])
+        figures |= {f"{name}_zoom_{zoom:g}": scores[name] for name in ("psnr", "ssim")}
     figures |= {
         "gaussians": result.gaussians.num_gaussians,
         "train_seconds": manifest.get("train_seconds"),

@@ -143,17 +143,27 @@ def training_pictures(
     return cameras, gallery.masked(pictures, (result.valid[index]() for index in chosen))
 
 
-def scene_of_run(run: Path) -> Scene:
+def scene_of_run(run: Path, *, zoom: float = 1.0) -> Scene:
     """The data set of a finished run, loaded as it was trained on: with its split, whatever became of the list of it.
 
+    Args:
+        run: Run folder.
+        zoom: Photos are so many times larger than in training.
+
     Raises:
-        InputError: It is no run folder, or its data set cannot be used any more.
+        InputError: It is no run folder, its data set cannot be used any more, or its photos are too small for `zoom`.
     """
     manifest, settings = runs.read_json(run / "manifest.json"), runs.read_json(run / "config.json")
+    if not zoom > 0:
+        raise InputError(f"zoom must be a number above 0, not {zoom}")
+    downscale = settings["downscale"] / zoom
+    if downscale < 1:
+        reduced = f"reduced by {settings['downscale']:g}" if settings["downscale"] > 1 else "as they are"
+        raise InputError(f"{run}: was trained on photos {reduced}; there are none {zoom:g} times larger")
     held_out = {record["name"] for record in runs.read_json(run / "cameras.json") if record["held_out"]}
     scene = load_scene(
         manifest["scene"],
-        downscale=settings["downscale"],
+        downscale=downscale,
         folder_masks=settings["masks"],
         images=settings.get("images"),  # Absent from folders of runs that could not choose.
         hold_out=NONE,

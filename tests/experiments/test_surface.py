@@ -31,6 +31,21 @@ def test_a_stage_that_fails_fails_the_study(surface):
         surface._alone(divmod, 1, 0)
 
 
-def test_figures_are_shown_with_least_and_most(surface):
-    rows = [{"fscore": 0.5, "psnr": 30.0}, {"fscore": 0.7, "psnr": 33.0}, {"fscore": 0.6, "psnr": 30.0}]
-    assert surface.summary(rows) == {"fscore": "0.6 [0.5 0.7]", "psnr": "31 [30 33]"}
+def test_a_study_that_was_stopped_goes_on_after_the_stages_that_are_done(surface, tmp_path, monkeypatch):
+    told = []
+
+    def alone(stage, *arguments):
+        told.append(stage.__name__)
+        if len(told) == 12:
+            raise KeyboardInterrupt
+        scored = ({"psnr": float(len(told))}, {"chamfer": 1e-4})
+        return (scored if stage.__name__ == "_score" else None), {"seconds": 1.0, "peak_gib": 0.5}
+
+    monkeypatch.setattr(surface, "_alone", alone)
+    with pytest.raises(KeyboardInterrupt):
+        surface.run("demo", "scene", str(tmp_path), seeds=2)
+    report = surface.run("demo", "scene", str(tmp_path), seeds=2)
+    assert told[11] == told[12], "the stage that was cut is done again, and no other"
+    assert len(told) == 2 * 9 + 1 + 1
+    assert [row["psnr"] for row in report["figures"]["vanilla"]] == [7.0, 17.0]
+    assert len(report["stages"]["refine"]) == 2

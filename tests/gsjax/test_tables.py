@@ -18,3 +18,8 @@ def test_variants_are_rows_and_gaps_are_shown():
         "vanilla     29         10        -",
         "surface  30.25          -    1e-05",
     ]
+
+
+def test_rows_of_several_seeds_are_shown_with_least_and_most():
+    rows = [{"fscore": 0.5, "psnr": 30.0}, {"fscore": 0.7, "psnr": 33.0}, {"fscore": 0.6, "psnr": 30.0}]
+    assert tables.spread(rows) == {"fscore": "0.6 [0.5 0.7]", "psnr": "31 [30 33]"}
