@@ -17,8 +17,10 @@ import math
 import os
 import re
 import shlex
+import shutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -77,6 +79,20 @@ def reopen(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path) -
         raise InputError(f"{run}: was started with {key} = {before}, not {now}; a resumed run keeps its settings")
     sweep(run)
     return run
+
+
+@contextmanager
+def begun(run: Path) -> Iterator[None]:
+    """While a run goes on: its folder goes away if bad input ends it before anything came of it.
+
+    Who tries again with other settings would be told otherwise that the folder is taken.
+    """
+    try:
+        yield
+    except InputError:
+        if not read_metrics(run) and latest_checkpoint(run) is None:
+            shutil.rmtree(run)
+        raise
 
 
 def update_manifest(run: str | Path, **changes: Any) -> None:

@@ -86,7 +86,7 @@ def refine(
     )
     optimizer = refining.make_optimizer(settings, size, coarse.num_vertices)
     state, capacity, seconds = beginning(folder, lambda rows: refining.initial_state(bound, optimizer))
-    with _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
+    with runs.begun(folder), _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
         state = refining.refine(
             settings,
             mesh_graph(np.asarray(state.gaussians.faces)),

@@ -85,7 +85,7 @@ def train(
         runs.update_manifest(run, effects=taken_in.evidence)
     optimizer = optimizers.make_optimizer(settings.rates, size, settings.rates.decay_steps or total_steps(settings))
     state, capacity, seconds = beginning(run, partial(_initial, loaded, settings, optimizer, effects=taken_in.effects))
-    with TrainingJournal(run, settings, loaded, int(state.step), seconds) as journal:
+    with runs.begun(run), TrainingJournal(run, settings, loaded, int(state.step), seconds) as journal:
 
         def told(progress: Progress) -> None:
             observe(progress)

@@ -25,7 +25,8 @@ def test_both_modes_to_second_order(x64):
     weights = jnp.asarray(np.random.default_rng(0).normal(size=(1, 5, 6, 3)))
     functional = jax.jit(lambda arrays: jnp.sum(weights * image_of(scene, **arrays) ** 2))
     arrays = {name: getattr(scene, name) for name in FIELDS}
-    check_grads(functional, (arrays,), order=2, modes=("fwd", "rev"), rtol=1e-4, atol=1e-4)
+    for each in (functional, jax.jit(jax.grad(functional))):
+        check_grads(each, (arrays,), order=1, modes=("fwd", "rev"), rtol=1e-4, atol=1e-4)
 
 
 def test_a_hessian_is_symmetric_and_gives_the_products(x64):

@@ -61,6 +61,23 @@ def test_a_run_from_before_depth_could_be_chosen_keeps_the_depth_that_it_had(run
     assert runs.read_settings(run)["depth_mode"] == "plane"
 
 
+@pytest.mark.parametrize("left", ["nothing", "metrics", "checkpoint"])
+def test_a_run_of_which_nothing_came_leaves_its_place_free(run, left):
+    with pytest.raises(InputError, match="no room"), runs.begun(run):
+        if left == "metrics":
+            runs.append_metrics(run, {"step": 5})
+        if left == "checkpoint":
+            runs.save_checkpoint(run, 7, {"step": np.int32(7)})
+        raise InputError("the device has no room")
+    assert run.exists() == (left != "nothing")
+
+
+def test_a_run_that_is_interrupted_stays(run):
+    with pytest.raises(KeyboardInterrupt), runs.begun(run):
+        raise KeyboardInterrupt
+    assert (run / "manifest.json").exists()
+
+
 def test_the_newest_two_checkpoints_stay(run):
     assert runs.latest_checkpoint(run) is None
     for step in (5, 90, 1234567):
