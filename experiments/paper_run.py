@@ -118,7 +118,7 @@ def _stages(data: Path, out: Path, wishes: Mapping[str, Any], lpips: Sequence[st
     return {
         "train": lambda: _train(data, trained, config.parse(Settings, wishes["settings"])),
         "coarse": lambda: _scores(trained, lpips),
-        "mesh": lambda: pipeline.mesh(trained, trained / "mesh.ply"),
+        "mesh": lambda: pipeline.mesh(trained, trained / "mesh.ply", settled=False),  # The paper does not.
         "sheet": lambda: draw_sheet(out),
         "refine": lambda: pipeline.refine(
             trained, refined, config.parse(Refinement, wishes["refinement"]), resume=_goes_on(refined)

@@ -288,6 +288,7 @@ def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, scene, tm
     report = pipeline.mesh(run, tmp_path / "mesh.ply", level=0.1, points=5000)
     mesh = read_mesh(tmp_path / "mesh.ply")
     assert len(mesh.faces) == report["faces"] > 100
+    assert report["settled"]["after"] < report["settled"]["before"] and report["settled"]["seen_share"] > 0.5
     # Fewer than thirty steps on photos of forty pixels: near the surface, not on it.
     figures = pipeline.evaluate(run, mesh=tmp_path / "mesh.ply", lpips=[small_lpips(tmp_path / "vgg.onnx")[0]])
     json.dumps(figures)
@@ -297,6 +298,17 @@ def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, scene, tm
     assert 5 < figures["normal_error_deg"] < 90
     assert figures["psnr"] == pytest.approx(runs.read_json(run / "manifest.json")["psnr"], abs=1e-3)
     assert 0 < figures["ssim"] < 1
+
+
+def test_a_mesh_whose_photos_have_gone_is_made_as_the_gaussians_have_it(run, tmp_path, capsys):
+    moved = shutil.copytree(run, tmp_path / "run")
+    runs.write_json(moved / "manifest.json", {**runs.read_json(run / "manifest.json"), "scene": str(tmp_path / "gone")})
+    options = {"level": 0.1, "points": 5000}
+    report = pipeline.mesh(moved, tmp_path / "mesh.ply", **options)
+    assert report["settled"] is None
+    assert f"mesh: did not settle on its photos: {tmp_path / 'gone'}: no such folder" in capsys.readouterr().err
+    assert pipeline.mesh(run, tmp_path / "asked.ply", settled=False, **options) == report
+    assert (tmp_path / "asked.ply").read_bytes() == (tmp_path / "mesh.ply").read_bytes()
 
 
 def test_the_true_mesh_is_its_own_floor(run, scene):

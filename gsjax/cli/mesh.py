@@ -16,8 +16,9 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         summary="extract a mesh from a run or from any 3DGS .ply",
         description="""
             Finds points of the surface along the cameras' rays, reconstructs a mesh from them (Poisson),
-            trims what no point supports and colours the vertices. A .ply alone has no cameras: give
-            --scene, or some are placed around (or, in a room, within) the Gaussians.
+            trims what no point supports and colours the vertices. Where the training photos are at hand,
+            the vertices then settle where these agree. A .ply alone has no cameras: give --scene, or some
+            are placed around (or, in a room, within) the Gaussians.
         """,
         example="gsjax mesh runs/garden --out garden.glb",
     )
@@ -38,6 +39,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         help="reconstruct what lies in this box and not in --bounds too, at its own resolution")  # fmt: skip
     add("--foreground-only", action="store_const", const=True, help="no background, whatever there is")
     add("--faces", type=int, metavar="N", help="most triangles, of the foreground and of the background each")
+    add("--unsettled", action="store_true", help="leave the surface where the Gaussians have it; opens no photo")
     add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a .ply is given")
 
 
@@ -48,4 +50,4 @@ def _run(arguments: argparse.Namespace) -> None:
         arguments, "method", "depth", "trim_quantile", "cell", "level", "points", "bounds", "background_bounds",
         "foreground_only", "faces", "scene",
     )  # fmt: skip
-    print(tables.record(pipeline.mesh(arguments.source, arguments.out, **options)))
+    print(tables.record(pipeline.mesh(arguments.source, arguments.out, settled=not arguments.unsettled, **options)))

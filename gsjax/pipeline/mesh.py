@@ -1,5 +1,7 @@
 """Gaussians to a mesh file."""
 
+import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,6 +12,7 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
+from gsjax.io.scenes import load_scene
 from gsjax.meshing import boxes, level_set, trimming
 from gsjax.meshing.boxes import Box
 from gsjax.meshing.export import supported_suffix, write_mesh
@@ -17,8 +20,10 @@ from gsjax.meshing.extract import extract_mesh
 from gsjax.meshing.marching_cubes import marching_cubes
 from gsjax.meshing.methods import Method, centers_poisson, level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
+from gsjax.meshing.settling import settle
 from gsjax.meshing.tsdf import tsdf
-from gsjax.pipeline.result import Result, open_result, training_pictures
+from gsjax.pipeline.result import Result, open_result, scene_of_run, training_pictures
+from gsjax.scene import Frame
 
 METHODS = ("poisson", "tsdf", "centers", "marching-cubes")
 
@@ -38,10 +43,12 @@ def mesh(
     foreground_only: bool = False,
     faces: int = 1_000_000,
     scene: str | Path | None = None,
+    settled: bool = True,
 ) -> dict[str, Any]:
     """Extract the mesh of a run, or of any 3DGS .ply.
 
-    The surface is looked at, and its colours are taken, only where the photos are not masked.
+    The surface is looked at, and its colours are taken, only where the photos are not masked. Where the training photos
+    are at hand it then settles on them (`gsjax.meshing.settling`).
 
     Args:
         source: Run folder or .ply.
@@ -59,9 +66,11 @@ def mesh(
         foreground_only: No background is reconstructed.
         faces: Most triangles of the foreground, and of the background.
         scene: Data set whose cameras to use with a .ply. None: cameras around the Gaussians, or within them.
+        settled: Whether vertices move to where the photos agree.
 
     Returns:
-        A report of plain numbers: `vertices`, `faces` and what `extract_mesh` says.
+        A report of plain numbers: `vertices`, `faces`, what `extract_mesh` says, and `settled`: what `settle` says, or
+        None where it was not done.
 
     Raises:
         InputError: Nothing to mesh, or a file cannot be read or written.
@@ -79,8 +88,24 @@ def mesh(
         regions=regions,
         max_faces=faces,
     )
+    photos = _photos(Path(source), scene) if settled else ()
+    if photos:
+        surface, report["settled"] = settle(surface, photos)
     write_mesh(out, surface)
-    return {"vertices": len(surface.vertices), "faces": len(surface.faces), **report}
+    return {"vertices": len(surface.vertices), "faces": len(surface.faces), "settled": None, **report}
+
+
+def _photos(source: Path, scene: str | Path | None) -> Sequence[Frame]:
+    """The training photos of a run or of `scene`; none, and one line, where a run's have gone."""
+    if scene is not None:
+        return load_scene(scene).train_frames
+    if not source.is_dir():
+        return ()
+    try:
+        return scene_of_run(source).train_frames
+    except InputError as error:
+        print(f"mesh: did not settle on its photos: {error}", file=sys.stderr)
+        return ()
 
 
 def without_view_dependence(gaussians: Gaussians) -> Gaussians:

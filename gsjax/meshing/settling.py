@@ -1,0 +1,225 @@
+"""A mesh settles on its photos: every vertex moves along its normal to where the photos that see it agree best.
+
+Gaussians are blended in the order of their centres, so that what they paint seems to lie above them: the best fit lies
+too deep, and a mesh made from it as well (docs/surface.md). The photos have no such bias. Plane sweeping does the same
+for depth maps (Collins 1996); here the mesh gives visibility, normals and neighbours.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sparse
+from scipy.sparse.linalg import cg
+from tqdm import tqdm
+
+from gsjax.mesh import Mesh, vertex_normals
+from gsjax.meshing.rays import Cast, ray_caster
+from gsjax.meshing.topology import edge_table
+from gsjax.scene import Frame
+
+LEAST_VIEWS = 3  # Two photos agree somewhere by chance.
+MOST_VIEWS = 100  # More tell little that is new; spread over the capture.
+STEEPEST = 0.3  # Cosine between normal and ray under which a photo shows a vertex too slanted.
+BORDER = 2.0  # Pixels from a photo's edge within which nothing is read.
+GRAY = 1 / 255  # A disagreement that changes by less than its square over a step is no evidence.
+
+
+@dataclass(frozen=True)
+class Settling:
+    """How far is looked, and how stiff the surface is. Lengths are pixels as the photos see the vertex."""
+
+    rounds: int = 3
+    step: float = 0.25  # between two offsets that are tried
+    reach: int = 6  # steps to either side in the first round, half of the last in the next, at least 3
+    blurs: int = 2  # times that a vertex' evidence is mixed with its neighbours'
+    stiffness: float = 10.0  # of the differences between neighbours, in median evidence
+
+    def __post_init__(self):
+        """Check ranges."""
+        for name, low in {"rounds": 0, "reach": 3, "blurs": 0}.items():
+            if getattr(self, name) < low:
+                raise ValueError(f"{name}={getattr(self, name)} is below {low}")
+        if not (self.step > 0 and self.stiffness > 0):
+            raise ValueError(f"step={self.step} and stiffness={self.stiffness} must be above 0")
+
+
+def settle(mesh: Mesh, frames: Sequence[Frame], options: Settling | None = None) -> tuple[Mesh, dict[str, float]]:
+    """Move the vertices along their normals to where the photos agree.
+
+    A vertex that fewer than three photos see, or that has no texture, follows its neighbours. Photos may be lighter or
+    darker than each other by a gain a channel. Masked pixels tell nothing.
+
+    Args:
+        mesh: Whose faces look outwards. Near the surface: within `reach` steps, 1.5 pixels.
+        frames: Photos with their cameras; read one by one, once and once more a round.
+        options: None: the defaults.
+
+    Returns:
+        The mesh with moved vertices, and `seen_share` (of the vertices, in three photos and more), `moved_px` (of
+        these, root mean square), and the photos' root mean square disagreement over them, `before` and `after`, 0..255.
+
+    Raises:
+        InputError: A photo cannot be read, or Open3D not be loaded.
+    """
+    options = options or Settling()
+    chosen = np.unique(np.linspace(0, len(frames) - 1, min(MOST_VIEWS, len(frames))).astype(int))
+    frames = [frames[index] for index in chosen]
+    mixing, stiffness = _neighbours(mesh)
+    with tqdm(total=(options.rounds + 2) * len(frames), desc="settle", unit="view", delay=3.0) as bar:
+        survey = _survey(mesh, frames, np.zeros((1, mesh.num_vertices)), None, bar)
+        seen, before, moved = survey.views >= LEAST_VIEWS, survey.variance[0], np.zeros(mesh.num_vertices)
+        settled, reach = mesh, options.reach
+        for _ in range(options.rounds if seen.any() else 0):
+            steps = options.step * np.arange(-reach, reach + 1)
+            survey = _survey(settled, frames, steps[:, None] * survey.pixel, survey.mean, bar)
+            way = _agreed(survey, steps, mixing, stiffness, options)
+            offsets = (way * survey.pixel)[:, None] * vertex_normals(settled)
+            settled = replace(settled, vertices=(settled.vertices + offsets).astype(np.float32))
+            moved, reach = moved + way, max(reach // 2, 3)
+        after = _survey(settled, frames, np.zeros((1, mesh.num_vertices)), survey.mean, bar).variance[0]
+    return settled, {
+        "seen_share": float(seen.mean()),
+        "moved_px": _root_mean_square(moved[seen]),
+        "before": 255 * _root_mean_square(np.sqrt(before[seen])),
+        "after": 255 * _root_mean_square(np.sqrt(after[seen])),
+    }
+
+
+class _Survey(NamedTuple):
+    """What the photos say of V vertices at H offsets."""
+
+    variance: np.ndarray  # [H, V] of the colours, mean over channels; 0 where too few photos see the vertex
+    mean: np.ndarray  # [V, 3] colour at offset 0
+    pixel: np.ndarray  # [V] scene units that a pixel covers at the vertex, mean over the photos
+    views: np.ndarray  # [V] photos that see it
+
+
+def _survey(mesh: Mesh, frames: Sequence[Frame], offsets: np.ndarray, mean: np.ndarray | None, bar: tqdm) -> _Survey:
+    """Look at every vertex at `offsets` `[H, V]` along its normal, in every photo that sees it.
+
+    Args:
+        mesh: The surface.
+        frames: The photos.
+        offsets: Scene units.
+        mean: `[V, 3]` colours that the photos' gains are fitted to; None: photos as they are.
+        bar: Told of every photo.
+    """
+    normals, cast = vertex_normals(mesh), ray_caster(mesh)
+    vertices = mesh.vertices.astype(np.float64)
+    edges = np.linalg.norm(vertices[mesh.faces[:, 0]] - vertices[mesh.faces[:, 1]], axis=1)
+    thick = float(np.median(edges)) if len(edges) else 0.0
+    middle = int(np.abs(offsets).max(axis=1).argmin())
+    count, size = len(offsets), len(vertices)
+    # Differences to what the colours are about: their squares leave float32 digits to subtract.
+    about = np.full((size, 3), 0.5, np.float32) if mean is None else mean
+    weight, pixel, views = np.zeros(size), np.zeros(size), np.zeros(size, np.int32)
+    total, squares = np.zeros((count, size, 3), np.float32), np.zeros((count, size), np.float32)
+    for frame in frames:
+        bar.update()
+        ids, cosine, distance = _visible(vertices, normals, frame, cast, thick)
+        image, _, valid = frame.pixels()
+        if valid is not None and len(ids):
+            x, y = _projected(vertices[ids], frame)
+            usable = valid[y.astype(int), x.astype(int)] > 127
+            ids, cosine, distance = ids[usable], cosine[usable], distance[usable]
+        if not len(ids):
+            continue
+        points = vertices[ids] + offsets[:, ids, None] * normals[ids]
+        colors = _read(image, *_projected(points, frame)).astype(np.float32) / 255
+        if mean is not None:
+            colors *= _gains(colors[middle], mean[ids], cosine)
+        colors -= about[ids]
+        share = cosine.astype(np.float32)
+        total[:, ids] += share[:, None] * colors
+        squares[:, ids] += share * np.sum(colors * colors, axis=-1)
+        weight[ids] += cosine
+        pixel[ids] += cosine * distance / np.sqrt(frame.K[0, 0] * frame.K[1, 1])
+        views[ids] += 1
+    safe = np.where(weight > 0, weight, 1)
+    average = total / safe[:, None]
+    variance = np.where(views >= LEAST_VIEWS, (squares / safe - np.sum(average * average, axis=-1)) / 3, 0)
+    return _Survey(np.maximum(variance, 0), about + average[middle], pixel / safe, views)
+
+
+def _visible(
+    vertices: np.ndarray, normals: np.ndarray, frame: Frame, cast: Cast, thick: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ids of the vertices that a photo sees, the cosines between normal and ray there, and their distances."""
+    rotation, translation = frame.viewmat[:3, :3].astype(np.float64), frame.viewmat[:3, 3].astype(np.float64)
+    towards = -rotation.T @ translation - vertices
+    distance = np.linalg.norm(towards, axis=1)
+    towards = towards / np.where(distance > 0, distance, 1)[:, None]
+    cosine = np.sum(towards * normals, axis=1)
+    ids = np.nonzero((cosine > STEEPEST) & (vertices @ rotation[2] + translation[2] > 0))[0]
+    x, y = _projected(vertices[ids], frame)
+    inside = (x > BORDER) & (x < frame.width - BORDER) & (y > BORDER) & (y < frame.height - BORDER)
+    ids = ids[inside]
+    # From a little above the surface, so that the ray does not meet the triangles around its vertex.
+    hits = cast(vertices[ids] + thick * towards[ids], towards[ids])
+    ids = ids[hits.distances > distance[ids] - 2 * thick]
+    return ids, cosine[ids], distance[ids]
+
+
+def _projected(points: np.ndarray, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels x and y, with centres at +0.5, of `[..., 3]` points in front of a camera."""
+    x, y, z = np.moveaxis(points @ frame.viewmat[:3, :3].T.astype(np.float64) + frame.viewmat[:3, 3], -1, 0)
+    K = frame.K.astype(np.float64)
+    z = np.maximum(z, 1e-9)
+    return K[0, 0] * x / z + K[0, 1] * y / z + K[0, 2], K[1, 1] * y / z + K[1, 2]
+
+
+def _read(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """`[..., C]` float32 bilinear values of an image `[H, W, C]`; the border's beyond it."""
+    height, width = image.shape[:2]
+    x, y = np.clip(x - 0.5, 0, width - 1), np.clip(y - 0.5, 0, height - 1)
+    left, top = np.minimum(x.astype(np.int32), max(width - 2, 0)), np.minimum(y.astype(np.int32), max(height - 2, 0))
+    right, below = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
+    a, b = (x - left)[..., None].astype(np.float32), (y - top)[..., None].astype(np.float32)
+    upper = image[top, left] * (1 - a) + image[top, right] * a
+    return upper * (1 - b) + (image[below, left] * (1 - a) + image[below, right] * a) * b
+
+
+def _gains(colors: np.ndarray, mean: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """`[3]` factors that bring a photo's colours `[n, 3]` closest to the mean photo's."""
+    w = weight[:, None]
+    power = np.sum(w * colors * colors, axis=0)
+    return (np.sum(w * colors * mean, axis=0) / np.where(power > 0, power, 1) + (power == 0)).astype(np.float32)
+
+
+def _neighbours(mesh: Mesh) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    """The matrix that mixes a vertex half and half with the mean of its neighbours, and the graph's Laplacian."""
+    count = mesh.num_vertices
+    ends = edge_table(mesh.faces).pairs
+    both = np.concatenate([ends, ends[:, ::-1]])
+    adjacent = sparse.csr_matrix((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(count, count))
+    degree = np.asarray(adjacent.sum(axis=1)).ravel()
+    mean = sparse.diags(1 / np.maximum(degree, 1)) @ adjacent
+    mixing = 0.5 * (sparse.identity(count) + mean) + 0.5 * sparse.diags((degree == 0).astype(float))
+    return sparse.csr_matrix(mixing), sparse.csr_matrix(sparse.diags(degree) - adjacent)
+
+
+def _agreed(
+    survey: _Survey, steps: np.ndarray, mixing: sparse.csr_matrix, stiffness: sparse.csr_matrix, options: Settling
+) -> np.ndarray:
+    """`[V]` pixels to move: at the least disagreement where there is evidence, smooth between."""
+    curves = survey.variance.T
+    for _ in range(options.blurs):
+        curves = mixing @ curves
+    lowest, rows = curves.argmin(axis=1), np.arange(len(curves))
+    inner = np.clip(lowest, 1, len(steps) - 2)
+    before, at, after = (curves[rows, inner + k] for k in (-1, 0, 1))
+    bend = np.maximum(before - 2 * at + after, 0)
+    # The least point of the parabola through the three.
+    wanted = steps[inner] + options.step * np.clip(0.5 * (before - after) / np.maximum(bend, GRAY**4), -1, 1)
+    told = (survey.views >= LEAST_VIEWS) & (lowest == inner)
+    typical = max(float(np.median(bend[told])) if told.any() else 0.0, GRAY**2)
+    evidence = np.where(told, np.minimum(bend / typical, 4), 0)
+    system = sparse.diags(evidence + 1e-6) + options.stiffness * stiffness
+    way, _ = cg(system, evidence * wanted, rtol=1e-4, maxiter=300)
+    return way
+
+
+def _root_mean_square(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else 0.0

@@ -1,0 +1,137 @@
+"""A mesh settles on photos of a plane whose colours are a formula: what its vertices must come to is known exactly."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from gsjax.images import sample_bilinear
+from gsjax.mesh import Mesh
+from gsjax.meshing import settling
+from gsjax.meshing.settling import Settling, settle
+from gsjax.scene import Frame, Pixels, frame_of, with_pixels
+
+SIZE, FOCAL = (124, 100), 75.0
+PIXEL = 3 / FOCAL  # Scene units, from three units away.
+EYES = [(x, y, -3.0) for x in (-1.0, 0.0, 1.0) for y in (-0.8, 0.8)]
+
+
+def texture(x, y):
+    """Colours of the plane z = 0, waves of five pixels and more."""
+    waves = [np.sin(24 * x + 3 * y) * np.cos(17 * y), np.cos(21 * y - 6 * x), np.sin(12 * x) * np.sin(26 * y)]
+    return 0.5 + 0.35 * np.stack(waves, axis=-1)
+
+
+def photo(eye, colors=texture, gain=1.0) -> Frame:
+    """What a camera at `eye` that looks along +z sees of the plane z = 0."""
+    width, height = SIZE
+    K = np.array([[FOCAL, 0, width / 2], [0, FOCAL, height / 2], [0, 0, 1]], np.float32)
+    viewmat = np.eye(4, dtype=np.float32)
+    viewmat[:3, 3] = -np.asarray(eye)
+    x, y = np.meshgrid((np.arange(width) + 0.5 - K[0, 2]) / FOCAL, (np.arange(height) + 0.5 - K[1, 2]) / FOCAL)
+    image = np.clip(gain * colors(eye[0] - eye[2] * x, eye[1] - eye[2] * y), 0, 1)
+    return frame_of(str(eye), viewmat, K, Pixels(np.round(255 * image).astype(np.uint8)))
+
+
+def sheet(z, side=25) -> Mesh:
+    """A square of 1.6 units at a height, which faces -z, where the cameras are."""
+    x, y = np.meshgrid(np.linspace(-0.8, 0.8, side), np.linspace(-0.8, 0.8, side))
+    vertices = np.stack([x, y, np.broadcast_to(z, x.shape)], axis=-1).reshape(-1, 3).astype(np.float32)
+    first = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
+    faces = np.concatenate([np.stack([first, first + side, first + 1], -1),
+                            np.stack([first + 1, first + side, first + side + 1], -1)])  # fmt: skip
+    return Mesh(vertices, faces.astype(np.int32), np.zeros((len(vertices), 3), np.uint8))
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return [photo(eye) for eye in EYES]
+
+
+@pytest.mark.parametrize("offset", [-1.0, 0.6])
+def test_a_sheet_beside_the_plane_comes_to_lie_in_it(frames, offset):
+    settled, report = settle(sheet(offset * PIXEL), frames)
+    away = np.abs(settled.vertices[:, 2]) / PIXEL
+    # From 0.6 and 1 pixel. Photos are rounded to 8 bits and read bilinearly: a twentieth of a pixel stays.
+    assert np.median(away) < 0.05 and np.quantile(away, 0.95) < 0.15
+    np.testing.assert_allclose(settled.vertices[:, :2], sheet(0).vertices[:, :2], atol=1e-4)
+    assert report["seen_share"] == 1.0
+    assert report["moved_px"] == pytest.approx(abs(offset), abs=0.1)
+    assert report["after"] < 0.5 * report["before"]
+
+
+def test_a_bump_is_levelled(frames):
+    x = np.linspace(-1, 1, 25)
+    bump = 0.8 * PIXEL * np.exp(-4 * (x[:, None] ** 2 + x**2))
+    settled, _ = settle(sheet(bump), frames)
+    assert np.abs(settled.vertices[:, 2]).max() < 0.25 * PIXEL  # Of 0.8; measured 0.21: it is stiff.
+
+
+def test_photos_may_be_lighter_and_darker(frames):
+    darker = [photo(eye, gain=gain) for eye, gain in zip(EYES, (1.0, 0.6, 0.8, 1.1, 0.9, 0.7), strict=True)]
+    expected, _ = settle(sheet(0.6 * PIXEL), frames)
+    found, report = settle(sheet(0.6 * PIXEL), darker)
+    assert report["after"] < 0.3 < 10 < report["before"]  # Of 255: what rounding to 8 bits leaves.
+    np.testing.assert_allclose(found.vertices, expected.vertices, atol=0.1 * PIXEL)
+
+
+def test_where_photos_say_nothing_a_sheet_stays():
+    plain = [photo(eye, lambda x, y: np.full((*x.shape, 3), 0.4)) for eye in EYES]
+    settled, report = settle(sheet(0.6 * PIXEL), plain)
+    np.testing.assert_allclose(settled.vertices, sheet(0.6 * PIXEL).vertices, atol=1e-6)
+    assert report["before"] < 0.01
+
+
+def test_what_has_no_texture_follows_what_has(frames):
+    def half(x, y):
+        return np.where(x[..., None] > 0, texture(x, y), 0.5)
+
+    settled, _ = settle(sheet(0.6 * PIXEL), [photo(eye, half) for eye in EYES])
+    plain = settled.vertices[:, 0] < -0.2
+    assert np.abs(settled.vertices[plain, 2]).max() < 0.3 * PIXEL
+
+
+def test_masked_pixels_and_hidden_sheets_tell_nothing(frames):
+    masked = [with_pixels(f, f.pixels()._replace(valid=np.zeros(SIZE[::-1], np.uint8))) for f in frames]
+    still, report = settle(sheet(0.6 * PIXEL), masked)
+    np.testing.assert_array_equal(still.vertices, sheet(0.6 * PIXEL).vertices)
+    assert report == {"seen_share": 0.0, "moved_px": 0.0, "before": 0.0, "after": 0.0}
+
+    front, back = sheet(0.0), sheet(0.5)
+    both = Mesh(
+        np.concatenate([front.vertices, back.vertices]),
+        np.concatenate([front.faces, back.faces + front.num_vertices]),
+        np.concatenate([front.colors, back.colors]),
+    )
+    settled, report = settle(both, frames)
+    hidden = np.abs(back.vertices[:, :2]).max(axis=1) < 0.4  # From every camera the front is before these.
+    np.testing.assert_array_equal(settled.vertices[front.num_vertices :][hidden], back.vertices[hidden])
+    assert 0.5 <= report["seen_share"] < 0.8
+
+
+def test_two_photos_are_no_evidence(frames):
+    mesh = sheet(0.6 * PIXEL)
+    settled, report = settle(mesh, frames[:2])
+    np.testing.assert_array_equal(settled.vertices, mesh.vertices)
+    assert report["seen_share"] == 0
+
+
+def test_images_are_read_as_the_library_reads_maps():
+    rng = np.random.default_rng(0)
+    image = rng.uniform(size=(7, 9, 2)).astype(np.float32)
+    positions = rng.uniform((-2, -2), (11, 9), (200, 2)).astype(np.float32)
+    read = settling._read(image, *positions.T)
+    for channel in range(2):
+        expected = jax.vmap(sample_bilinear, in_axes=(None, 0))(
+            jnp.asarray(image[..., channel]), jnp.asarray(positions)
+        )
+        np.testing.assert_allclose(read[:, channel], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "fault"),
+    [({"rounds": -1}, "rounds=-1 is below 0"), ({"step": 0.0}, "step=0.0"), ({"reach": 1}, "reach=1")],
+)
+def test_wrong_settings_are_named(wrong, fault):
+    with pytest.raises(ValueError, match=fault):
+        Settling(**wrong)
