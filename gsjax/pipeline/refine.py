@@ -97,8 +97,8 @@ def refine(
         if result is None:
             return refining.initial_state(Hybrid(bound), optimizer)
         # A checkpoint fills whatever rows it finds: their number is all that matters.
-        rest = _kept(result, coarse, data) if rows is None else np.arange(rows - bound.num_gaussians)
-        return refining.initial_state(with_free(bound, take(result.gaussians, rest)), optimizer)
+        chosen = _kept(result, coarse, data) if rows is None else slice(rows - bound.num_gaussians)
+        return refining.initial_state(with_free(bound, take(result.gaussians, chosen)), optimizer)
 
     state, capacity, seconds = beginning(folder, initial)
     with _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
