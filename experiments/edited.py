@@ -7,13 +7,15 @@ REFINED is a folder that `gsjax refine` made from a scene whose z axis points up
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from gsjax import gallery
-from gsjax.binding.bound import BoundGaussians, to_gaussians, to_mesh
+from gsjax.binding.bound import to_mesh
 from gsjax.binding.editing import rebound, with_vertices
+from gsjax.binding.hybrid import Hybrid, all_gaussians
 from gsjax.cameras import Camera
 from gsjax.cli import guarded
 from gsjax.io.images import write_image
@@ -31,7 +33,8 @@ def draw(run: str, out: str, *, view: int) -> None:
     """Writes four panels in a row: mesh and Gaussians as refined, mesh and Gaussians twisted."""
     result, mesh = open_result(run), read_mesh(Path(run) / "mesh.ply")
     refined = rebound(mesh, result.gaussians)
-    panels = [*_panels(refined, result, view), *_panels(with_vertices(refined, twisted(mesh.vertices)), result, view)]
+    edited = replace(refined, bound=with_vertices(refined.bound, twisted(mesh.vertices)))
+    panels = [*_panels(refined, result, view), *_panels(edited, result, view)]
     gap = np.full((panels[0].shape[0], GAP, 3), 255, np.uint8)
     write_image(Path(out), np.concatenate([part for panel in panels for part in (panel, gap)][:-1], axis=1))
 
@@ -49,10 +52,12 @@ def enlarged(camera: Camera) -> Camera:
     return Camera(camera.viewmat, K, ENLARGED * camera.width, ENLARGED * camera.height)
 
 
-def _panels(bound: BoundGaussians, result: Result, view: int) -> list[np.ndarray]:
+def _panels(hybrid: Hybrid, result: Result, view: int) -> list[np.ndarray]:
     camera = enlarged(result.cameras[view])
-    picture = next(gallery.pictures(to_gaussians(bound), [camera], result.background))
-    surface = render_mesh(to_mesh(bound), camera.viewmat, camera.K, camera.width, camera.height, shading=headlight)
+    picture = next(gallery.pictures(all_gaussians(hybrid), [camera], result.background))
+    surface = render_mesh(
+        to_mesh(hybrid.bound), camera.viewmat, camera.K, camera.width, camera.height, shading=headlight
+    )
     return [surface, to_bytes(picture.colors)]
 
 

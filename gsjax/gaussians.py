@@ -51,6 +51,12 @@ def opacities(gaussians: Gaussians) -> Array:
     return jax.nn.sigmoid(gaussians.logit_opacities)
 
 
+def covariances(gaussians: Gaussians) -> Array:
+    """`[N, 3, 3]` R S S^T R^T, world, scene units squared."""
+    columns = rotation_matrices(gaussians.quats) * scales(gaussians)[:, None, :]
+    return jnp.sum(columns[:, :, None, :] * columns[:, None, :, :], axis=-1)
+
+
 def sh_coefficients(gaussians: Gaussians) -> Array:
     """`[N, (L+1)^2, 3]` coefficients of all degrees."""
     return jnp.concatenate([gaussians.sh_dc, gaussians.sh_rest], axis=1)
@@ -61,8 +67,8 @@ def rgb_to_sh(rgb: Array) -> Array:
     return (rgb - 0.5) / SH_C0
 
 
-def take(gaussians: Gaussians, index: Array | np.ndarray) -> Gaussians:
-    """The rows that `index` (integers or a boolean mask) names."""
+def take(gaussians: Gaussians, index: Array | np.ndarray | slice) -> Gaussians:
+    """The rows that `index` (integers, a boolean mask or a slice) names."""
     return jax.tree.map(lambda x: x[index], gaussians)
 
 

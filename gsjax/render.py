@@ -162,13 +162,14 @@ def owners(splats: Splats) -> Array:
 def colors(scene: Drawable, camera: Camera, active_degree: Array | int | None = None) -> Array:
     """`[N, 3]` colour of every Gaussian seen from the camera, at least 0 (3DGS: max(0, SH + 0.5)).
 
-    `active_degree` may be traced: bands above it are multiplied by zero, so a ramp never recompiles.
+    `active_degree`, one for all or `[N]`, may be traced: bands above it are multiplied by zero, so a ramp never
+    recompiles.
     """
     coefficients = scene.sh
     if active_degree is not None:
         band = jnp.floor(jnp.sqrt(jnp.arange(coefficients.shape[1], dtype=jnp.float32)))
-        shown = band <= jnp.asarray(active_degree, jnp.float32)
-        coefficients = coefficients * shown.astype(coefficients.dtype)[None, :, None]
+        shown = band[None] <= jnp.asarray(active_degree, jnp.float32).reshape(-1, 1)
+        coefficients = coefficients * shown.astype(coefficients.dtype)[..., None]
     degree = round(coefficients.shape[1] ** 0.5) - 1
     directions = scene.means - cameras.center(camera)[None]
     return jnp.maximum(rasterizer.spherical_harmonics(degree, directions, coefficients) + 0.5, 0)
@@ -193,7 +194,7 @@ def view(
         camera: The view.
         capacity: See `splat`.
         background: `[3]` colour under the image.
-        active_degree: Highest SH degree used; may be traced. None: all.
+        active_degree: Highest SH degree used, one for all or `[N]`; may be traced. None: all.
         with_depth: Whether depth is composited too. Static; not in the program otherwise.
         depth_mode: What a splat's depth is: "plane" where the Gaussian is densest along each pixel's ray, "center" that
             of its mean. Static.

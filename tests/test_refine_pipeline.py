@@ -3,19 +3,21 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_scenes import camera_at
+from small_scenes import camera_at, plane
 
 from gsjax import cli, config, pipeline
+from gsjax.binding import refining
 from gsjax.binding.refining import PRESETS, Refinement
 from gsjax.errors import InputError
 from gsjax.io import photos, runs
 from gsjax.io.images import read_image, write_image
-from gsjax.io.ply import read_gaussians
+from gsjax.io.ply import read_gaussians, write_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.export import read_mesh, write_mesh
@@ -25,6 +27,7 @@ from gsjax.settings import Settings
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 SETTINGS = Refinement(steps=4, per_triangle=3, sh_degree=1, thickness=1e-3)
+BOUND = 54  # three on each of 18 triangles
 
 
 def sheet(depth=4.0) -> Mesh:
@@ -39,7 +42,7 @@ def sheet(depth=4.0) -> Mesh:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """A data set of nine photos of noise, and a run folder that names it, with a mesh."""
+    """A data set of nine photos of noise, and a run folder that names it, with a mesh and Gaussians beyond it too."""
     root = tmp_path_factory.mktemp("refine")
     scene, run = root / "scene", root / "run"
     rng, frames = np.random.default_rng(2), []
@@ -52,6 +55,7 @@ def place(tmp_path_factory):
     (scene / "transforms.json").write_text(json.dumps({"fl_x": 30.0, "frames": frames}))
     runs.create(run, config.to_dict(Settings(downscale=1, background="white")), scene=scene, seed=0)
     write_mesh(run / "mesh.ply", sheet())
+    write_gaussians(run / "gaussians.ply", plane((0, 0, -1), per_side=9, spacing=0.4, radius=0.3))
     write_views(run, load_scene(scene, downscale=1).frames)
     return SimpleNamespace(root=root, run=run, scene=scene)
 
@@ -69,7 +73,8 @@ def refined(place):
 def test_the_folder_holds_mesh_gaussians_and_report_and_is_a_run(place, refined):
     report = runs.read_json(refined.out / "report.json")
     assert report == refined.report
-    assert (report["faces"], report["vertices"], report["gaussians"], report["steps"]) == (18, 16, 54, 4)
+    assert (report["faces"], report["vertices"], report["bound"], report["steps"]) == (18, 16, BOUND, 4)
+    assert report["gaussians"] == BOUND + report["free"] == read_gaussians(refined.out / "gaussians.ply").num_gaussians
     assert report["taken_out"] == {"degenerate": 0, "duplicate": 0, "non_manifold": 0, "decimated": 0}
     mesh, coarse = read_mesh(refined.out / "mesh.ply"), read_mesh(place.run / "mesh.ply")
     np.testing.assert_array_equal(mesh.faces, coarse.faces)
@@ -106,9 +111,34 @@ def test_the_parts_of_a_mesh_stay_and_what_goes_is_said(capsys):
 def test_the_gaussians_in_the_file_lie_on_the_mesh_in_the_file(refined):
     mesh, gaussians = read_mesh(refined.out / "mesh.ply"), read_gaussians(refined.out / "gaussians.ply")
     corner, normals = mesh.vertices[mesh.faces[:, 0]].astype(np.float64), face_normals(mesh)
-    offsets = gaussians.means.reshape(18, 3, 3) - corner[:, None]
+    offsets = gaussians.means[:BOUND].reshape(18, 3, 3) - corner[:, None]
     np.testing.assert_allclose(np.einsum("fnk,fk->fn", offsets, normals), 0, atol=1e-6)
-    assert np.all(np.argmin(gaussians.log_scales, axis=1) == 0)
+    assert np.all(np.argmin(gaussians.log_scales[:BOUND], axis=1) == 0)
+
+
+def test_gaussians_of_the_run_stay_where_there_is_no_mesh(place, refined):
+    """The mesh ends at 1 along x and y, the run's Gaussians, 0.4 apart, at 1.6."""
+    given, written = read_gaussians(place.run / "gaussians.ply"), read_gaussians(refined.out / "gaussians.ply")
+    free = written.means[BOUND:]
+    apart = np.linalg.norm(free[:, None] - given.means, axis=-1)
+    stayed, reach = apart.argmin(axis=1), np.abs(given.means[:, :2]).max(axis=1)
+    assert 1e-6 < apart.min(axis=1).max() < 0.01, "trained for four steps"
+    assert refined.report["free"] == len(free) == len(set(stayed))
+    assert set(np.flatnonzero(reach > 1.5)) <= set(stayed) and reach[stayed].min() > 0.7
+    assert written.pixel_filter == "mip" and written.sh_rest.shape[1] == 3
+
+
+def test_without_free_gaussians_those_of_the_run_need_not_be_there(place, tmp_path, monkeypatch):
+    run = tmp_path / "run"
+    shutil.copytree(place.run, run)
+    (run / "gaussians.ply").unlink()
+    with pytest.raises(InputError, match="holds no gaussians.ply"):
+        pipeline.refine(run, tmp_path / "out", SETTINGS)
+    assert not (tmp_path / "out").exists()
+    monkeypatch.setattr(refining, "refine", lambda settings, graph, data, state, *rest, **more: state)
+    monkeypatch.setitem(pipeline.refine.__globals__, "_finish", lambda *arguments: arguments[4])
+    hybrid = pipeline.refine(run, tmp_path / "out", replace(SETTINGS, keep_free=False))
+    assert hybrid.free is None and hybrid.num_gaussians == BOUND
 
 
 def test_the_editing_example_of_the_docs_moves_the_gaussians_with_the_mesh(refined, tmp_path, monkeypatch):
@@ -125,7 +155,9 @@ def test_the_editing_example_of_the_docs_moves_the_gaussians_with_the_mesh(refin
     corners = after.vertices[after.faces].astype(np.float64)
     places = np.array([[2, 1, 1], [1, 2, 1], [1, 1, 2]]) / 4
     gaussians = read_gaussians(Path("edited.ply"))
-    np.testing.assert_allclose(gaussians.means.reshape(18, 3, 3), places @ corners, atol=1e-5)
+    np.testing.assert_allclose(gaussians.means[:BOUND].reshape(18, 3, 3), places @ corners, atol=1e-5)
+    free = read_gaussians(refined.out / "gaussians.ply").means[BOUND:]
+    np.testing.assert_array_equal(gaussians.means[BOUND:], free)
 
 
 def test_a_stopped_refinement_goes_on_to_the_same_bytes(place, refined, tmp_path):
@@ -166,12 +198,24 @@ def test_the_command_hands_over_its_settings(monkeypatch, capsys):
     calls = []
     monkeypatch.setattr(pipeline, "refine", lambda *args, **kwargs: calls.append((args, kwargs)) or {"psnr": 30.0})
     assert cli.main(["refine", "run", "--out", "o"]) == 0
-    options = ["--preset", "short", "--faces", "500", "--per-triangle", "6", "--mesh", "m.obj", "--resume"]
+    options = [
+        "--preset",
+        "short",
+        "--faces",
+        "500",
+        "--per-triangle",
+        "6",
+        "--mesh",
+        "m.obj",
+        "--resume",
+        "--bound-only",
+    ]
     assert cli.main(["refine", "run", "--out", "o", *options, "--set", "weights.laplacian=2", "opacity=0.5"]) == 0
     (first, keywords), (second, more) = calls
     assert first == ("run", "o", config.parse(Refinement, PRESETS["fast"]))
     assert keywords == {"mesh": None, "resume": False}
     assert (second[2].steps, second[2].faces, second[2].per_triangle) == (2000, 500, 6)
+    assert first[2].keep_free and not second[2].keep_free
     assert (second[2].weights.laplacian, second[2].opacity) == (2.0, 0.5)
     assert more == {"mesh": "m.obj", "resume": True}
     assert "psnr  30" in capsys.readouterr().out

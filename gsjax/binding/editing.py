@@ -6,15 +6,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsjax.binding.bound import COLLAPSED, LAYOUTS, BoundGaussians, axes, bind, means, unit_turns
+from gsjax.binding.hybrid import Hybrid, with_free
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians, rotation_matrices
+from gsjax.gaussians import Gaussians, rotation_matrices, take
 from gsjax.mesh import Mesh
 
 MOST_APART = 1e-4  # Of the mesh's size: a Gaussian farther than this from its place on the mesh is another's.
 
 
-def rebound(mesh: Mesh, gaussians: Gaussians) -> BoundGaussians:
-    """The bound Gaussians of which `gsjax.bound.to_mesh` and `to_gaussians` made this mesh and these Gaussians.
+def rebound(mesh: Mesh, gaussians: Gaussians) -> Hybrid:
+    """The scene of which `gsjax.binding.bound.to_mesh` and `gsjax.binding.hybrid.all_gaussians` made these.
+
+    The bound ones stand first and are all equally thick, to the bit; from the first that is not, they are free.
 
     Args:
         mesh: With its vertices and faces in the order in which they were written.
@@ -26,9 +29,11 @@ def rebound(mesh: Mesh, gaussians: Gaussians) -> BoundGaussians:
     Raises:
         InputError: The Gaussians are not those of the mesh.
     """
-    count, faces = gaussians.num_gaussians, mesh.num_faces
+    is_free = gaussians.log_scales[:, 0] != gaussians.log_scales[:1, 0]
+    count, faces = int(np.argmax(np.append(is_free, True))), mesh.num_faces
     if not faces or count % faces or count // faces not in LAYOUTS:
         raise InputError(f"{count} Gaussians are not 1, 3, 4 or 6 to each of {faces} triangles")
+    gaussians, free = take(gaussians, slice(count)), take(gaussians, slice(count, None))
     thickness = float(np.exp(gaussians.log_scales[0, 0]))
     plain = bind(
         mesh, per_triangle=count // faces, thickness=thickness, sh_degree=0, pixel_filter=gaussians.pixel_filter
@@ -38,7 +43,7 @@ def rebound(mesh: Mesh, gaussians: Gaussians) -> BoundGaussians:
     if apart > MOST_APART * size:
         raise InputError(f"the Gaussians are not those of the mesh: one is {apart:.3g} units from its place there")
     frames, first = axes(plain), rotation_matrices(jnp.asarray(gaussians.quats))[:, :, 1]
-    return replace(
+    bound = replace(
         plain,
         log_scales=jnp.asarray(gaussians.log_scales[:, 1:]),
         rotations=jnp.stack([jnp.sum(first * frames[:, :, axis], axis=-1) for axis in (1, 2)], axis=-1),
@@ -46,6 +51,7 @@ def rebound(mesh: Mesh, gaussians: Gaussians) -> BoundGaussians:
         sh_dc=jnp.asarray(gaussians.sh_dc),
         sh_rest=jnp.asarray(gaussians.sh_rest),
     )
+    return with_free(bound, free)
 
 
 def with_vertices(bound: BoundGaussians, vertices: np.ndarray) -> BoundGaussians:

@@ -1,5 +1,6 @@
 """Refinement: a mesh's vertices and the Gaussians bound to it, trained together on the photos (SuGaR, section 4.2).
 
+Free Gaussians, where there are any, are trained beside them as before, but neither multiply nor vanish.
 Defaults are SuGaR's at full scale; a shorter run moves its SH ramp and its decay in proportion.
 """
 
@@ -15,10 +16,12 @@ from jax import Array
 
 from gsjax import render, views
 from gsjax.binding import mesh_terms
-from gsjax.binding.bound import LAYOUTS, BoundGaussians
+from gsjax.binding.bound import LAYOUTS
+from gsjax.binding.hybrid import Hybrid
 from gsjax.binding.mesh_terms import MeshGraph
 from gsjax.gaussians import PixelFilter
 from gsjax.numerics import masked_mean
+from gsjax.settings import Rates
 from gsjax.training import losses, optimizers
 from gsjax.training.capacity import chosen_capacity
 from gsjax.training.loop import advance
@@ -48,6 +51,7 @@ class RefinementRates:
     opacities: float = 0.05
     scales: float = 0.005
     rotations: float = 0.001
+    free: Rates = Rates()  # of free Gaussians; their `decay_steps` are by default those of the refinement
 
     def __post_init__(self):
         """Check ranges."""
@@ -66,6 +70,7 @@ class Refinement:
     opacity: float = 0.9  # of every Gaussian at the start
     thickness: float = 1e-6  # of the extent: standard deviation along the normal
     pixel_filter: PixelFilter = "mip"  # see `gsjax.render.PIXEL_FILTERS`
+    keep_free: bool = True  # the run's Gaussians stay where there is no mesh, see `gsjax.binding.beyond`
     seed: int = 0
     weights: RefinementWeights = RefinementWeights()
     rates: RefinementRates = RefinementRates()
@@ -97,7 +102,7 @@ PRESETS: dict[str, dict[str, Any]] = {
 class RefineState:
     """All that changes while refining."""
 
-    gaussians: BoundGaussians
+    gaussians: Hybrid
     opt_state: Any
     step: Array  # [] int32 steps done
 
@@ -122,7 +127,7 @@ def refine(
     observe: Callable[[RefineProgress], None],
     capacity: int | None = None,
 ) -> RefineState:
-    """Train all parameters of bound Gaussians on photos, from `state.step` on.
+    """Train all parameters of Gaussians and mesh on photos, from `state.step` on.
 
     Args:
         settings: The run.
@@ -155,14 +160,14 @@ def refine(
     return advance(compiled, after, state, data, steps, seed=settings.seed, capacity=capacity)
 
 
-def initial_state(bound: BoundGaussians, optimizer: optax.GradientTransformation) -> RefineState:
+def initial_state(gaussians: Hybrid, optimizer: optax.GradientTransformation) -> RefineState:
     """Step 0."""
-    return RefineState(bound, optimizer.init(free(bound)), jnp.zeros((), jnp.int32))
+    return RefineState(gaussians, optimizer.init(with_faces(gaussians, None)), jnp.zeros((), jnp.int32))
 
 
-def free(bound: BoundGaussians) -> BoundGaussians:
-    """What is trained: everything but the faces."""
-    return replace(bound, faces=None)
+def with_faces(gaussians: Hybrid, faces: Array | None) -> Hybrid:
+    """The same Gaussians on these faces; what is trained is everything else, on None."""
+    return replace(gaussians, bound=replace(gaussians.bound, faces=faces))
 
 
 def make_refine_step(
@@ -179,10 +184,11 @@ def make_refine_step(
     """
     terms = active_terms(weights)
 
-    def objective(parameters: BoundGaussians, faces: Array, graph: MeshGraph, batch, color: Array, degree: Array):
-        bound = replace(parameters, faces=faces)
-        view = render.view(bound, batch.camera, capacity=capacity, background=color, active_degree=degree)
-        values = {name: _term(name, bound, graph, view, batch) for name in terms}
+    def objective(parameters: Hybrid, faces: Array, graph: MeshGraph, batch, color: Array, degree: Array):
+        gaussians = with_faces(parameters, faces)
+        degrees = active_degrees(gaussians, degree)
+        view = render.view(gaussians, batch.camera, capacity=capacity, background=color, active_degree=degrees)
+        values = {name: _term(name, gaussians, graph, view, batch) for name in terms}
         total = sum(weight * values[name] for name, weight in terms.items())
         mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
         return total, (values, mse, view.splats.pairs)
@@ -191,20 +197,28 @@ def make_refine_step(
     def refine_step(graph: MeshGraph, state: RefineState, target: Target, key: Array):
         color = background(jax.random.fold_in(key, state.step))
         batch = views.batch(target, color)
-        parameters, faces = free(state.gaussians), state.gaussians.faces
+        parameters, faces = with_faces(state.gaussians, None), state.gaussians.bound.faces
         (total, (values, mse, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
             parameters, faces, graph, batch, color, state.step // sh_every
         )
         parameters, opt_state = optimizers.apply_gradients(optimizer, parameters, state.opt_state, gradients)
-        proposed = RefineState(replace(parameters, faces=faces), opt_state, state.step + 1)
+        proposed = RefineState(with_faces(parameters, faces), opt_state, state.step + 1)
         state = jax.tree.map(lambda old, new: jnp.where(pairs.overflowed, old, new), state, proposed)
         return state, Metrics(total, -10 * jnp.log10(jnp.maximum(mse, 1e-10)), pairs.needed, pairs.overflowed, values)
 
     return refine_step
 
 
+def active_degrees(gaussians: Hybrid, degree: Array) -> Array:
+    """The SH degrees of a step, `[]` or one a Gaussian: the ramp is for those that begin, free ones show all theirs."""
+    if gaussians.free is None:
+        return degree
+    full = jnp.full(gaussians.num_free, gaussians.free.sh_degree, degree.dtype)
+    return jnp.concatenate([jnp.broadcast_to(degree, gaussians.bound.num_gaussians), full])
+
+
 def make_optimizer(settings: Refinement, extent: float, num_vertices: int) -> optax.GradientTransformation:
-    """Adam (0.9, 0.999, eps 1e-15) per field; the vertices' rate falls log-linearly (SuGaR)."""
+    """Adam (0.9, 0.999, eps 1e-15) per field; the vertices' rate falls log-linearly (SuGaR), as that of free means."""
     rates = settings.rates
     unit = 10 * extent / num_vertices**0.5
     schedule = optax.exponential_decay(
@@ -222,12 +236,32 @@ def make_optimizer(settings: Refinement, extent: float, num_vertices: int) -> op
         "sh_rest": rates.sh_rest,
     }
     transforms = {name: optax.adam(rate, eps=1e-15) for name, rate in chosen.items()}
-    return optax.partition(transforms, lambda parameters: replace(parameters, **{name: name for name in chosen}))
+    bound = optax.partition(transforms, lambda parameters: replace(parameters, **{name: name for name in chosen}))
+    free = optimizers.make_optimizer(rates.free, extent, rates.free.decay_steps or settings.steps)
+    return _side_by_side(bound, free)
 
 
-def _term(name: str, bound: BoundGaussians, graph: MeshGraph, view: render.View, batch: losses.Batch) -> Array:
+def _side_by_side(
+    bound: optax.GradientTransformation, free: optax.GradientTransformation
+) -> optax.GradientTransformation:
+    """Each kind of Gaussians by a transformation of its own; what is not there has no state."""
+
+    def init(parameters: Hybrid) -> tuple[Any, Any]:
+        return bound.init(parameters.bound), None if parameters.free is None else free.init(parameters.free)
+
+    def update(updates: Hybrid, state: tuple[Any, Any], parameters: Hybrid) -> tuple[Hybrid, tuple[Any, Any]]:
+        of_bound, bound_state = bound.update(updates.bound, state[0], parameters.bound)
+        if parameters.free is None:
+            return Hybrid(of_bound), (bound_state, None)
+        of_free, free_state = free.update(updates.free, state[1], parameters.free)
+        return Hybrid(of_bound, of_free), (bound_state, free_state)
+
+    return optax.GradientTransformation(init, update)
+
+
+def _term(name: str, gaussians: Hybrid, graph: MeshGraph, view: render.View, batch: losses.Batch) -> Array:
     if name == "normal_consistency":
-        return mesh_terms.normal_consistency(bound.vertices, bound.faces, graph)
+        return mesh_terms.normal_consistency(gaussians.bound.vertices, gaussians.bound.faces, graph)
     if name == "laplacian":
-        return mesh_terms.laplacian(bound.vertices, graph)
-    return losses.TERMS[name](bound, view, batch)
+        return mesh_terms.laplacian(gaussians.bound.vertices, graph)
+    return losses.TERMS[name](gaussians, view, batch)

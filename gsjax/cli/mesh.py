@@ -39,7 +39,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         help="reconstruct what lies in this box and not in --bounds too, at its own resolution")  # fmt: skip
     add("--foreground-only", action="store_const", const=True, help="no background, whatever there is")
     add("--faces", type=int, metavar="N", help="most triangles, of the foreground and of the background each")
-    add("--unsettled", action="store_true", help="leave the surface where the Gaussians have it; opens no photo")
+    add("--unsettled", dest="settled", action="store_const", const=False,
+        help="leave the surface where the Gaussians have it; opens no photo")  # fmt: skip
     add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a .ply is given")
 
 
@@ -48,6 +49,6 @@ def _run(arguments: argparse.Namespace) -> None:
 
     options = given(
         arguments, "method", "depth", "trim_quantile", "cell", "level", "points", "bounds", "background_bounds",
-        "foreground_only", "faces", "scene",
+        "foreground_only", "faces", "scene", "settled",
     )  # fmt: skip
-    print(tables.record(pipeline.mesh(arguments.source, arguments.out, settled=not arguments.unsettled, **options)))
+    print(tables.record(pipeline.mesh(arguments.source, arguments.out, **options)))

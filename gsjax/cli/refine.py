@@ -16,8 +16,9 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         summary="refine a mesh with Gaussians bound to it",
         description="""
             Puts flat Gaussians on the triangles of a mesh and trains them and its vertices together on
-            the photos of RUN. Writes OUT/mesh.ply and OUT/mesh.glb, OUT/gaussians.ply and
-            OUT/report.json. OUT is a run folder: `gsjax eval OUT` and `gsjax render OUT` take it.
+            the photos of RUN. Gaussians of RUN stay, free, where there is no mesh. Writes OUT/mesh.ply
+            and OUT/mesh.glb, OUT/gaussians.ply and OUT/report.json. OUT is a run folder: `gsjax eval OUT`
+            and `gsjax render OUT` take it.
         """,
         example="gsjax refine runs/garden --mesh garden.ply --out runs/garden_refined",
     )
@@ -30,6 +31,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--steps", type=int, metavar="N", help="training steps, instead of the preset's")
     add("--faces", type=int, metavar="N", help="decimate the mesh to at most so many triangles first")
     add("--per-triangle", type=int, choices=(1, 3, 4, 6), help="Gaussians a triangle (default: 1)")
+    add("--bound-only", dest="keep_free", action="store_const", const=False,
+        help="drop all Gaussians of RUN: nothing shows then where there is no mesh")  # fmt: skip
     add("--seed", type=int, metavar="N", help="seed of the order of the photos (default: 0)")
     add("--resume", action="store_true", help="continue OUT from its last checkpoint, given the same options")
     add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
@@ -40,7 +43,7 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax import config, pipeline, tables
     from gsjax.binding.refining import PRESETS, Refinement
 
-    options = given(arguments, "steps", "faces", "per_triangle", "seed")
+    options = given(arguments, "steps", "faces", "per_triangle", "keep_free", "seed")
     chosen = config.merge(PRESETS[arguments.preset or "fast"], options)
     whole = config.to_dict(config.parse(Refinement, chosen, where="settings"))
     assignments = [one for group in arguments.assignments for one in group]

@@ -1,4 +1,4 @@
-"""A mesh and Gaussians bound to it, trained together on a run's photos, in a run folder of their own."""
+"""A mesh, Gaussians bound to it and free ones beyond it, trained together on a run's photos, in a new run folder."""
 
 import sys
 from dataclasses import replace
@@ -7,27 +7,33 @@ from typing import Any
 
 import numpy as np
 from jax import Array
+from tqdm import tqdm
 
 from gsjax import config
 from gsjax.binding import refining
-from gsjax.binding.bound import BoundGaussians, bind, to_gaussians, to_mesh
+from gsjax.binding.beyond import beyond_mesh
+from gsjax.binding.bound import bind, to_mesh
+from gsjax.binding.hybrid import Hybrid, all_gaussians, with_free
 from gsjax.binding.mesh_terms import mesh_graph
-from gsjax.binding.refining import Refinement, RefineProgress
+from gsjax.binding.refining import Refinement, RefineProgress, RefineState
 from gsjax.effects.appearance import Appearance, relit
 from gsjax.errors import InputError
+from gsjax.gaussians import take
 from gsjax.io import runs
 from gsjax.io.ply import write_gaussians
 from gsjax.mesh import Mesh
 from gsjax.meshing.cleaning import clean
 from gsjax.meshing.export import read_mesh, write_mesh
+from gsjax.meshing.pictures import depth_of_mesh
+from gsjax.meshing.rays import ray_caster
 from gsjax.pipeline.effects import read_appearances, write_appearances
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
-from gsjax.pipeline.result import scene_of_run, write_views
+from gsjax.pipeline.result import QUIET, Result, open_result, scene_of_run, write_views
 from gsjax.scene import Scene, extent, in_memory
 from gsjax.training.capacity import largest_need
 from gsjax.training.step import BACKGROUNDS
-from gsjax.views import views_of
+from gsjax.views import Views, views_of
 
 LOGGED_EVERY, SAVED_EVERY = 50, 500  # steps
 
@@ -38,7 +44,8 @@ def refine(
     """Refine a mesh on the photos of the run that it came from.
 
     Args:
-        run: Run folder; its data set, background and masks are used, its Gaussians are not.
+        run: Run folder; its data set, background and masks are used, and with `settings.keep_free` those of its
+            Gaussians that show what the mesh does not.
         out: Folder for the result, absent or empty unless `resume`: `mesh.ply` and `mesh.glb` with vertex colours,
             `gaussians.ply` in the 3DGS layout, `report.json`, and what makes it a run folder that can be scored and
             rendered.
@@ -47,8 +54,8 @@ def refine(
         resume: Continue `out` from its last checkpoint; with the same settings and mesh.
 
     Returns:
-        The report: `psnr`, `ssim` and `views` of the held-out views, `vertices`, `faces`, `gaussians`, `steps`,
-        `train_seconds`, and `taken_out` of the mesh before it was refined.
+        The report: `psnr`, `ssim` and `views` of the held-out views, `vertices`, `faces`, `gaussians` (those `bound` to
+        the mesh and those `free`), `steps`, `train_seconds`, and `taken_out` of the mesh before it was refined.
 
     Raises:
         InputError: The run, its data set or the mesh cannot be read, no triangle is seen, or the folder is in use or
@@ -59,7 +66,7 @@ def refine(
     source = run / "mesh.ply" if mesh is None else Path(mesh)
     if mesh is None and not source.exists():
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
-    scene = scene_of_run(run)
+    scene, result = scene_of_run(run), open_result(run) if settings.keep_free else None
     coarse, taken_out = prepared(read_mesh(source), settings.faces)
     # Held-out photos are read when they are scored, one by one.
     scene = replace(scene, frames=tuple(frame if frame.held_out else in_memory(frame) for frame in scene.frames))
@@ -85,11 +92,19 @@ def refine(
         else runs.create(out, asked, scene=scene.root, seed=settings.seed)
     )
     optimizer = refining.make_optimizer(settings, size, coarse.num_vertices)
-    state, capacity, seconds = beginning(folder, lambda rows: refining.initial_state(bound, optimizer))
+
+    def initial(rows: int | None) -> RefineState:
+        if result is None:
+            return refining.initial_state(Hybrid(bound), optimizer)
+        # A checkpoint fills whatever rows it finds: their number is all that matters.
+        chosen = _kept(result, coarse, data) if rows is None else slice(rows - bound.num_gaussians)
+        return refining.initial_state(with_free(bound, take(result.gaussians, chosen)), optimizer)
+
+    state, capacity, seconds = beginning(folder, initial)
     with runs.begun(folder), _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
         state = refining.refine(
             settings,
-            mesh_graph(np.asarray(state.gaussians.faces)),
+            mesh_graph(np.asarray(state.gaussians.bound.faces)),
             data,
             state,
             optimizer,
@@ -129,15 +144,25 @@ def prepared(given: Mesh, most_faces: int) -> tuple[Mesh, dict[str, int]]:
     return mesh, taken_out
 
 
+def _kept(result: Result, mesh: Mesh, data: Views) -> np.ndarray:
+    """`[N]` bool: the Gaussians of a run that show what the mesh does not. One line says how many."""
+    cast = ray_caster(mesh)
+    targets = tqdm(data.targets, desc="free Gaussians", unit="view", delay=QUIET)
+    depths = (depth_of_mesh(mesh, target.viewmat, target.K, *data.size, cast=cast) for target in targets)
+    kept = beyond_mesh(result.gaussians, data, depths, depth_mode=result.depth_mode)
+    print(f"refine: {kept.sum():,} of {len(kept):,} Gaussians stay free, where there is no mesh", file=sys.stderr)
+    return kept
+
+
 def _finish(
     folder: Path,
     scene: Scene,
     background: str,
     looks: dict[str, Appearance],
-    bound: BoundGaussians,
+    hybrid: Hybrid,
     summary: dict[str, Any],
 ) -> dict[str, Any]:
-    refined, gaussians = to_mesh(bound), to_gaussians(bound)
+    refined, gaussians = to_mesh(hybrid.bound), all_gaussians(hybrid)
     write_mesh(folder / "mesh.ply", refined)
     write_mesh(folder / "mesh.glb", refined)
     write_gaussians(folder / "gaussians.ply", gaussians)
@@ -147,7 +172,9 @@ def _finish(
         **score_images(gaussians, scene.held_out_frames, background, looks=looks),
         "vertices": refined.num_vertices,
         "faces": refined.num_faces,
-        "gaussians": gaussians.num_gaussians,
+        "gaussians": hybrid.num_gaussians,
+        "bound": hybrid.bound.num_gaussians,
+        "free": hybrid.num_free,
         **summary,
     }
     runs.write_json(folder / "report.json", summary)

@@ -153,7 +153,9 @@ def test_a_triangle_that_collapses_in_an_edit_keeps_the_shape_of_its_gaussians()
 def test_mesh_and_gaussians_as_they_are_written_can_be_bound_again():
     before = replace(trained(crumpled()), pixel_filter="classic")
     mesh, gaussians = to_mesh(before), to_gaussians(before)
-    after = rebound(mesh, gaussians)
+    scene = rebound(mesh, gaussians)
+    assert scene.free is None
+    after = scene.bound
     assert after.thickness == pytest.approx(THICKNESS) and after.pixel_filter == "classic"
     assert_close(means(after), means(before))
     assert_close(covariances(after), covariances(before))

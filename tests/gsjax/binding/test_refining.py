@@ -1,22 +1,25 @@
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_scenes import camera_at
+from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
 from gsjax import config, gallery, views
 from gsjax.binding import refining
 from gsjax.binding.bound import bind, to_mesh
+from gsjax.binding.hybrid import Hybrid, with_free
 from gsjax.binding.mesh_terms import mesh_graph, normal_consistency
 from gsjax.binding.refining import PRESETS, Refinement, RefinementRates
 from gsjax.errors import InputError
 from gsjax.measures import geometry
 from gsjax.mesh import Mesh
 from gsjax.scene import Pixels, frame_of, with_pixels
+from gsjax.training.loop import view_order
 from gsjax.training.step import BACKGROUNDS
 
 EXTENT = 4.0
@@ -58,10 +61,10 @@ def scene():
     )
 
 
-def started(scene):
+def started(scene, free=None):
     bound = bind(scene.rough, per_triangle=1, thickness=SETTINGS.thickness * EXTENT, sh_degree=0)
     optimizer = refining.make_optimizer(SETTINGS, EXTENT, scene.rough.num_vertices)
-    return refining.initial_state(bound, optimizer), optimizer
+    return refining.initial_state(Hybrid(bound) if free is None else with_free(bound, free), optimizer), optimizer
 
 
 def refined(scene, *, capacity, state=None):
@@ -96,7 +99,7 @@ def distance(mesh: Mesh, truth: Mesh) -> float:
 
 
 def test_refinement_brings_the_mesh_to_the_truth(scene, whole):
-    mesh = to_mesh(whole.final.gaussians)
+    mesh = to_mesh(whole.final.gaussians.bound)
     before, after = distance(scene.rough, scene.truth), distance(mesh, scene.truth)
     off = [np.abs(m.vertices - scene.truth.vertices)[:, 2].mean() for m in (scene.rough, mesh)]
     assert after < 0.6 * before
@@ -107,7 +110,7 @@ def test_refinement_brings_the_mesh_to_the_truth(scene, whole):
 
 
 def test_every_parameter_is_trained_and_nothing_else(scene, whole):
-    before, after = started(scene)[0].gaussians, whole.final.gaussians
+    before, after = started(scene)[0].gaussians.bound, whole.final.gaussians.bound
     for name in ("vertices", "log_scales", "rotations", "logit_opacities", "sh_dc"):
         assert float(jnp.abs(getattr(after, name) - getattr(before, name)).max()) > 1e-4, name
     np.testing.assert_array_equal(after.faces, before.faces)
@@ -134,17 +137,81 @@ def test_a_refinement_that_was_stopped_goes_on_to_the_same_bits(scene, whole):
     jax.tree.map(np.testing.assert_array_equal, again.final, whole.final)
 
 
-def test_the_rate_of_the_vertices_is_in_proportion_to_the_mesh():
-    optimizer = refining.make_optimizer(Refinement(steps=500), 2.0, 400)
+@pytest.fixture(scope="module")
+def beside(scene):
+    """A state with eight free Gaussians at given places, and the compiled step."""
+    free = cloud(8, sh_degree=0, seed=3)
+
+    def state(means):
+        fresh = started(scene, replace(free, means=jnp.asarray(means, jnp.float32)))[0]
+        return jax.tree.map(jnp.array, fresh)  # The step takes its buffers.
+
+    weights = replace(SETTINGS.weights, alpha=0.0)
+    options = {"capacity": 16384, "background": BACKGROUNDS["black"], "sh_every": 10}
+    step = refining.make_refine_step(started(scene)[1], weights, **options)
+    return SimpleNamespace(state=state, means=np.asarray(free.means), step=partial(step, scene.graph))
+
+
+@pytest.fixture(scope="module")
+def some_steps(scene, beside):
+    """States before and after twelve steps, and the metrics. The last two of the free Gaussians are in no view."""
+    state = beside.state(np.r_[beside.means[:6], [[0, -9, 0], [0, -9, 0]]])
+    states, metrics = [jax.tree.map(np.array, state)], []
+    for index in range(12):
+        state, told = beside.step(state, scene.data.targets[index % 6], jax.random.key(0))
+        states.append(jax.tree.map(np.array, state))
+        metrics.append(jax.tree.map(np.array, told))
+    assert not any(one.overflowed for one in metrics)
+    return SimpleNamespace(states=states, metrics=metrics)
+
+
+def test_free_gaussians_are_trained_beside_the_mesh(some_steps):
+    before, after = (some_steps.states[i].gaussians for i in (0, -1))
+    first, last = (np.mean([one.loss for one in part]) for part in (some_steps.metrics[:6], some_steps.metrics[6:]))
+    assert last < first
+    for name in ("means", "quats", "log_scales", "logit_opacities", "sh_dc"):
+        moved = np.abs(getattr(after.free, name) - getattr(before.free, name)).reshape(8, -1).max(axis=1)
+        assert np.all(moved[:6] > 1e-6) and not np.any(moved[6:]), name
+    assert np.abs(after.bound.vertices - before.bound.vertices).max() > 1e-4
+    np.testing.assert_array_equal(after.bound.faces, before.bound.faces)
+
+
+def test_free_gaussians_that_no_view_sees_leave_the_rest_as_it_is(scene, beside, whole):
+    seed = SETTINGS.seed
+    target = scene.data.targets[view_order(seed, 0, 6)]
+    state, metrics = beside.step(beside.state(beside.means - [0, 0, 40]), target, jax.random.key(seed))
+    alone = whole.progress[0]
+    assert_close(metrics.loss, alone.metrics.loss)
+    assert_close(
+        state.gaussians.bound, alone.state.gaussians.bound, rtol=1e-4, atol=1e-5,
+        why="Adam divides by gradients that XLA sums in another order",
+    )  # fmt: skip
+
+
+def test_the_ramp_of_the_harmonics_is_for_those_that_begin(scene):
+    gaussians = started(scene, cloud(3, sh_degree=0))[0].gaussians
+    gaussians = replace(gaussians, free=replace(gaussians.free, sh_rest=jnp.zeros((3, 15, 3), jnp.float32)))
+    degrees = refining.active_degrees(gaussians, jnp.int32(1))
+    np.testing.assert_array_equal(degrees, [1] * gaussians.bound.num_gaussians + [3] * 3)
+    assert refining.active_degrees(Hybrid(gaussians.bound), jnp.int32(1)).shape == ()
+
+
+def test_the_rates_are_those_of_the_mesh_and_of_training():
     mesh = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8))
-    bound = refining.free(bind(mesh, per_triangle=1, thickness=1e-3))
-    ones = jax.tree.map(jnp.ones_like, bound)
+    gaussians = with_free(bind(mesh, per_triangle=1, thickness=1e-3), cloud(2, sh_degree=3))
+    optimizer = refining.make_optimizer(Refinement(steps=500), 2.0, 400)
+    parameters = refining.with_faces(gaussians, None)
+    ones = jax.tree.map(jnp.ones_like, parameters)
     with jax.numpy_dtype_promotion("standard"):
-        updates, state = optimizer.update(ones, optimizer.init(bound), bound)
-    # Adam's first step is the rate itself: 1.6e-4 times 10 extent / sqrt(V).
-    assert_close(updates.vertices, np.full((3, 3), -Refinement().rates.vertices * 10 * 2.0 / 20))
-    assert_close(updates.rotations, np.full((1, 2), -1e-3))
-    assert_close(updates.log_scales, np.full((1, 2), -5e-3))
+        updates, _ = optimizer.update(ones, optimizer.init(parameters), parameters)
+    # Adam's first step is the rate itself; for the vertices 1.6e-4 times 10 extent / sqrt(V).
+    assert_close(updates.bound.vertices, np.full((3, 3), -Refinement().rates.vertices * 10 * 2.0 / 20))
+    assert_close(updates.bound.rotations, np.full((1, 2), -1e-3))
+    assert_close(updates.bound.log_scales, np.full((1, 2), -5e-3))
+    rates = {"means": 2.0 * 1.6e-4, "quats": 1e-3, "log_scales": 5e-3, "logit_opacities": 0.05, "sh_dc": 2.5e-3}
+    for name, rate in {**rates, "sh_rest": 1.25e-4}.items():
+        found = getattr(updates.free, name)
+        assert_close(found, np.full(found.shape, -rate))
 
 
 def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):

@@ -1,0 +1,67 @@
+"""Gaussians bound to a mesh and free ones beyond it, drawn and trained as one scene."""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gsjax.binding.bound import BoundGaussians, to_gaussians
+from gsjax.gaussians import Gaussians, covariances
+from gsjax.render import Drawable, drawable
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Hybrid:
+    """G bound and M free Gaussians; wherever both stand in one array or file, the bound ones come first.
+
+    Both have the same pixel filter and degree of harmonics: `with_free` sees to it.
+    """
+
+    bound: BoundGaussians
+    free: Gaussians | None = None  # None: there are none, and nothing of them is in a program
+
+    @property
+    def num_gaussians(self) -> int:
+        """G + M."""
+        return self.bound.num_gaussians + self.num_free
+
+    @property
+    def num_free(self) -> int:
+        """M."""
+        return 0 if self.free is None else self.free.num_gaussians
+
+
+def with_free(bound: BoundGaussians, free: Gaussians) -> Hybrid:
+    """Bound and free Gaussians as one scene, on the device.
+
+    Args:
+        bound: Those of the mesh.
+        free: Any number of others. They take on the pixel filter and the degree of harmonics of `bound`: bands beyond
+            it are cut, missing ones are zero.
+    """
+    if not free.num_gaussians:
+        return Hybrid(bound)
+    bands = bound.sh_rest.shape[1]
+    rest = np.asarray(free.sh_rest)[:, :bands]
+    rest = np.pad(rest, ((0, 0), (0, bands - rest.shape[1]), (0, 0)))
+    alike = replace(free, sh_rest=rest, pixel_filter=bound.pixel_filter)
+    return Hybrid(bound, jax.tree.map(jnp.asarray, alike))
+
+
+@drawable.register
+def _(hybrid: Hybrid) -> Drawable:
+    bound = drawable(hybrid.bound)
+    if hybrid.free is None:
+        return bound
+    free = replace(drawable(hybrid.free), quats=None, scales=None, covars=covariances(hybrid.free))
+    return jax.tree.map(lambda *both: jnp.concatenate(both), bound, free)
+
+
+def all_gaussians(hybrid: Hybrid) -> Gaussians:
+    """The same Gaussians without their mesh, numpy, see `gsjax.binding.bound.to_gaussians`; then the free ones."""
+    bound = to_gaussians(hybrid.bound)
+    if hybrid.free is None:
+        return bound
+    return jax.tree.map(lambda *both: np.concatenate(both), bound, hybrid.free)

@@ -1,0 +1,113 @@
+"""Which Gaussians stay free: a wall, of which the mesh has the left half only."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scenes import camera_at, discs, plane
+
+from gsjax import cameras, render, views
+from gsjax.binding.beyond import SAME_SURFACE, beyond_mesh
+from gsjax.scene import Pixels, frame_of
+
+CAMERAS = [camera_at((x, 0.2, 0.0), (0.0, 0.0, 4.0), size=(40, 32), focal=30.0) for x in (-0.4, 0.5)]
+WALL = plane((0, 0, -1), per_side=13, spacing=0.4)  # x and y in -2.4..2.4, at z = 4
+OTHERS = {
+    "hovers before the mesh": [-1.0, 0.1, 3.9],
+    "lies behind the mesh": [-1.0, -0.6, 4.1],
+    "hides behind the mesh": [-0.9, 0.6, 5.5],
+    "stands before the mesh": [-0.8, 0.0, 2.5],
+    "stands before the rest": [0.9, 0.3, 2.5],
+    "is behind the cameras": [0.0, 0.0, -2.0],
+}
+STAYING = {"stands before the mesh", "stands before the rest"}
+
+
+def wall_depth(camera) -> np.ndarray:
+    """`[H, W]` camera z of the plane z = 4 in the world, seen through every pixel's centre."""
+    rays = np.asarray(cameras.pixel_rays(camera), np.float64) @ np.asarray(cameras.rotation(camera), np.float64)
+    return (4.0 - np.asarray(cameras.center(camera), np.float64)[2]) / rays[..., 2]
+
+
+def mesh_depth(camera) -> np.ndarray:
+    """The same where x < 0, and 0 elsewhere: what is seen of a mesh that ends there."""
+    depth = wall_depth(camera)
+    rays = np.asarray(cameras.pixel_rays(camera), np.float64) @ np.asarray(cameras.rotation(camera), np.float64)
+    x = rays[..., 0] * depth + np.asarray(cameras.center(camera), np.float64)[0]
+    return np.where(x < 0, depth, 0).astype(np.float32)
+
+
+def masked_by(valid):
+    """Both views, of which this much may be used."""
+    pixels = Pixels(np.zeros((32, 40, 3), np.uint8), valid=valid)
+    return views.views_of([frame_of("", np.asarray(c.viewmat), np.asarray(c.K), pixels) for c in CAMERAS])
+
+
+@pytest.fixture(scope="module")
+def scene():
+    others = discs(np.array(list(OTHERS.values())), (0, 0, -1.0), 0.25, opacity=0.9)
+    return jax.tree.map(lambda *both: jnp.concatenate(both), WALL, others)
+
+
+@pytest.fixture(scope="module")
+def data():
+    return masked_by(np.full((32, 40), 255, np.uint8))
+
+
+@pytest.fixture(scope="module")
+def whole(scene, data):
+    return beyond_mesh(scene, data, map(mesh_depth, CAMERAS))
+
+
+def test_what_the_mesh_shows_goes_and_what_it_lacks_stays(whole):
+    wall, x = whole[: WALL.num_gaussians], np.asarray(WALL.means)[:, 0]
+    in_sight = np.abs(np.asarray(WALL.means)[:, 1]) < 1.7
+    assert np.all(wall[in_sight & (x > 0.1)]), "the rim and all beyond it"
+    assert not np.any(wall[x < -0.1])
+    assert {name for name, stays in zip(OTHERS, whole[len(wall) :], strict=True) if stays} == STAYING
+
+
+def test_the_choice_is_that_of_the_blending_weights(scene, data, whole):
+    """Against the weights themselves: a channel a Gaussian, and numpy."""
+    shown = jax.jit(
+        lambda camera: render.view(
+            scene,
+            camera,
+            capacity=8192,
+            background=jnp.zeros(3, jnp.float32),
+            with_depth=True,
+            extra=jnp.eye(scene.num_gaussians, dtype=jnp.float32),
+        )
+    )
+    light, beyond = np.zeros(scene.num_gaussians), np.zeros(scene.num_gaussians)
+    for camera in CAMERAS:
+        view = shown(camera)
+        weights, mesh = np.asarray(view.extra, np.float64), mesh_depth(camera)
+        off = (mesh > 0) & (np.abs(np.asarray(view.depth) - mesh) > SAME_SURFACE * mesh)
+        own = np.asarray(scene.means, np.float64) @ np.asarray(camera.viewmat)[2, :3] + np.asarray(camera.viewmat)[2, 3]
+        light += weights.sum(axis=(0, 1))
+        beyond += weights[mesh == 0].sum(axis=0)
+        for one in np.flatnonzero(weights[off].sum(axis=0)):
+            around = np.average(mesh[off], weights=weights[off][:, one])
+            if abs(own[one] - around) > SAME_SURFACE * around:
+                beyond[one] += weights[off][:, one].sum()
+    clear = np.abs(beyond - 0.5 * light) > 1e-3 * light
+    assert clear.sum() > 150
+    np.testing.assert_array_equal(whole[clear], (beyond > 0.5 * light)[clear])
+    assert not np.any(whole[light == 0]) and np.any(light == 0)
+
+
+def test_all_go_or_all_that_are_seen_stay(scene, data, whole):
+    opaque = replace(scene, logit_opacities=scene.logit_opacities.at[-6:].set(-30.0))  # The wall alone.
+    assert not np.any(beyond_mesh(opaque, data, map(wall_depth, CAMERAS)))
+    without = beyond_mesh(scene, data, [np.zeros((32, 40), np.float32)] * 2)
+    assert np.all(without[whole]) and not without[-1] and without[: WALL.num_gaussians].mean() > 0.8
+
+
+def test_masked_pixels_say_nothing(scene, data):
+    left = np.broadcast_to(np.where(np.arange(40) < 24, 255, 0).astype(np.uint8), (32, 40))
+    stays = beyond_mesh(scene, masked_by(left), map(mesh_depth, CAMERAS))
+    assert not np.any(stays[: WALL.num_gaussians][np.asarray(WALL.means)[:, 0] > 1.9]), "behind the masks in both"
+    assert stays[WALL.num_gaussians + list(OTHERS).index("stands before the mesh")]

@@ -1,0 +1,135 @@
+"""Bound and free Gaussians as one scene: drawn, written, read again, edited."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from small_scenes import camera_at, cloud
+from tolerances import assert_close
+
+from gsjax import render
+from gsjax.binding.bound import bind, means, to_gaussians, to_mesh
+from gsjax.binding.editing import rebound, with_vertices
+from gsjax.binding.hybrid import all_gaussians, with_free
+from gsjax.errors import InputError
+from gsjax.gaussians import covariances, take
+from gsjax.mesh import Mesh
+
+CAMERA = camera_at(size=(24, 24))
+WEIGHTS = np.random.default_rng(5).uniform(size=(24, 24, 3)).astype(np.float32)
+
+
+def tetrahedron(depth=4.0):
+    corners = np.array([[0, 0, -1.0], [1, 0, 0.6], [-0.6, 0.9, 0.5], [-0.5, -0.9, 0.6]]) + [0, 0, depth]
+    faces = np.array([[0, 2, 1], [0, 3, 2], [0, 1, 3], [1, 2, 3]])
+    return Mesh(corners.astype(np.float32), faces.astype(np.int32), np.full((4, 3), 90, np.uint8))
+
+
+def bound_at(depth=4.0, per_triangle=3):
+    return bind(tetrahedron(depth), per_triangle=per_triangle, thickness=0.004, sh_degree=1, opacity=0.8)
+
+
+def on_a_triangle():
+    """Three free Gaussians, the first with mean and axes of a bound one: drawn at the very same depth."""
+    free = replace(cloud(3, seed=3), pixel_filter="mip")
+    twin = take(to_gaussians(bound_at()), slice(1))
+    twin = replace(twin, log_scales=twin.log_scales + np.float32(0.2))
+    return jax.tree.map(lambda one, all_: jnp.asarray(all_).at[:1].set(one), twin, free)
+
+
+FREE = {
+    "some": cloud(3, seed=1),
+    "exactly on a triangle": on_a_triangle(),
+    "turned by nothing": replace(cloud(3, seed=2), quats=jnp.zeros((3, 4), jnp.float32)),
+}
+
+
+@jax.jit
+def drawn(gaussians, faces=None):
+    """The picture, and the gradient of its weighted sum to everything but the faces of bound Gaussians."""
+
+    def brightness(parameters):
+        whole = parameters
+        if faces is not None:
+            whole = replace(parameters, bound=replace(parameters.bound, faces=faces))
+        colors = render.view(whole, CAMERA, capacity=4096, background=jnp.zeros(3, jnp.float32)).colors
+        return jnp.sum(colors * WEIGHTS), colors
+
+    gradient, colors = jax.grad(brightness, has_aux=True)(gaussians)
+    return colors, gradient
+
+
+@pytest.mark.parametrize("free", FREE.values(), ids=FREE)
+def test_a_scene_looks_and_pulls_like_the_same_gaussians_without_a_mesh(free):
+    hybrid = with_free(bound_at(), free)
+    plain = jax.tree.map(jnp.asarray, all_gaussians(hybrid))
+    assert (hybrid.num_gaussians, hybrid.num_free, plain.num_gaussians) == (15, 3, 15)
+    colors, pulls = drawn(replace(hybrid, bound=replace(hybrid.bound, faces=None)), hybrid.bound.faces)
+    expected_colors, expected = drawn(plain)
+    assert_close(colors, expected_colors)
+    for name in ("means", "log_scales", "quats", "logit_opacities", "sh_dc", "sh_rest"):
+        assert_close(getattr(pulls.free, name), getattr(expected, name)[12:], kind="gradient")
+    assert np.all(np.abs(pulls.free.means).max(axis=1) > 1e-3), "each of the free ones is seen"
+    for name in ("logit_opacities", "sh_dc", "sh_rest"):
+        assert_close(getattr(pulls.bound, name), getattr(expected, name)[:12], kind="gradient")
+
+
+def test_covariances_have_the_scales_for_axes():
+    free = FREE["some"]
+    variances, axes = np.linalg.eigh(np.asarray(covariances(free), np.float64))
+    order = np.argsort(free.log_scales, axis=1)
+    assert_close(np.sqrt(variances).astype(np.float32), np.sort(np.exp(free.log_scales), axis=1))
+    x, y, z, w = np.moveaxis(np.asarray(free.quats)[:, [1, 2, 3, 0]], 1, 0)
+    columns = Rotation.from_quat(np.stack([x, y, z, w], -1)).as_matrix()
+    for one in range(3):
+        np.testing.assert_allclose(np.abs(np.diag(axes[one].T @ columns[one][:, order[one]])), 1, atol=1e-4)
+
+
+def test_every_gaussian_may_have_an_sh_degree_of_its_own():
+    scene, degrees = render.drawable(FREE["some"]), jnp.array([0, 1, 0], jnp.int32)
+    flat, full = (render.colors(scene, CAMERA, jnp.int32(degree)) for degree in (0, 1))
+    assert float(jnp.abs(flat - full).min(axis=1).max()) > 1e-3
+    np.testing.assert_array_equal(render.colors(scene, CAMERA, degrees), jnp.where(degrees[:, None] > 0, full, flat))
+
+
+def test_without_free_gaussians_nothing_of_them_is_in_the_program():
+    bound = bound_at()
+    nobody = with_free(bound, take(FREE["some"], slice(0)))
+    assert nobody.free is None and nobody.num_gaussians == bound.num_gaussians
+
+    def program(gaussians):
+        return str(jax.make_jaxpr(lambda g: render.view(g, CAMERA, capacity=4096, background=jnp.zeros(3)))(gaussians))
+
+    assert program(nobody) == program(bound) != program(with_free(bound, FREE["some"]))
+    jax.tree.map(np.testing.assert_array_equal, all_gaussians(nobody), to_gaussians(bound))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3])
+def test_free_gaussians_take_on_the_harmonics_and_the_filter_of_the_bound_ones(degree):
+    given = cloud(3, sh_degree=degree)
+    free = with_free(bound_at(), given).free
+    assert free.pixel_filter == "mip" and given.pixel_filter == "classic"
+    kept = min(free.sh_rest.shape[1], given.sh_rest.shape[1])
+    assert free.sh_rest.shape == (3, 3, 3)
+    np.testing.assert_array_equal(free.sh_rest[:, :kept], given.sh_rest[:, :kept])
+    assert not np.any(free.sh_rest[:, kept:])
+
+
+@pytest.mark.parametrize("per_triangle", [1, 3])
+def test_mesh_and_gaussians_as_they_are_written_are_the_scene_again_and_can_be_edited(per_triangle):
+    before = with_free(bound_at(per_triangle=per_triangle), on_a_triangle())
+    mesh = to_mesh(before.bound)
+    after = rebound(mesh, all_gaussians(before))
+    assert (after.bound.per_triangle, after.num_free) == (per_triangle, 3)
+    jax.tree.map(np.testing.assert_array_equal, after.free, before.free)
+    assert_close(means(after.bound), means(before.bound))
+    moved = replace(after, bound=with_vertices(after.bound, mesh.vertices + [1.0, 0, 0]))
+    written = all_gaussians(moved)
+    bound_rows = after.bound.num_gaussians
+    assert_close(written.means[:bound_rows], np.asarray(means(before.bound)) + [1.0, 0, 0])
+    np.testing.assert_array_equal(written.means[bound_rows:], before.free.means)
+    with pytest.raises(InputError, match="Gaussians are not 1, 3, 4 or 6 to each of 4 triangles"):
+        rebound(mesh, take(all_gaussians(before), slice(1, None)))
