@@ -24,6 +24,7 @@ from rasterizer import DepthMode
 NEAREST = 8  # views that a neighbour is drawn from (PGSR),
 WIDEST = 30.0  # degrees between their axes (PGSR),
 APART = (0.003, 0.5)  # of the camera extent: least and most distance. PGSR's .01 and 1.5 units, without a unit.
+ROUNDING = 1e-3  # pixels: that near to its start, it is there
 HOME = 1.0  # pixels from where it started that a pixel may land to count; beyond, something stands in between (PGSR)
 
 
@@ -32,7 +33,7 @@ def multi_view(gaussians: Gaussians, view: View, batch: Batch) -> Array:
 
     It goes to its rendered depth, into the neighbour, to the depth that is rendered there, and back. Only pixels count
     that come home within `HOME`: the others met something else on the way. The weight exp(-e) carries no gradient
-    (PGSR). e itself is differentiable to both depths; a pixel that comes home exactly has no gradient.
+    (PGSR). e itself is differentiable to both depths; within `ROUNDING` of home it is zero, without a gradient.
     """
     del gaussians
     assert view.depth is not None and view.neighbor is not None, "the term compares two rendered depths"
@@ -53,7 +54,7 @@ def _there_and_back(pixel: Array, here: Array, camera: Camera, neighbor: Neighbo
     there = _point(seen_at, sample_bilinear(neighbor.depth, seen_at), neighbor.camera)
     again, in_front_again = _in_front(jnp.sum(turn * (there - shift)[:, None], 0))
     squared = jnp.sum(jnp.square(cameras.project(again, camera) - pixel))
-    moved = squared > 1e-12  # A root has no slope at zero.
+    moved = squared > ROUNDING**2  # A root has no slope at zero.
     off = jnp.where(moved, jnp.sqrt(jnp.where(moved, squared, 1)), 0)
     return off, in_front & reads_within(neighbor.depth > 0, seen_at) & in_front_again
 
