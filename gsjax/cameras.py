@@ -47,8 +47,8 @@ def project(point_cam: Array, camera: Camera) -> Array:
 
 def pixel_rays(camera: Camera) -> Array:
     """`[H, W, 3]` camera-frame ray through every pixel centre, with z = 1: times depth it is the point."""
-    x = (jnp.arange(camera.width, dtype=jnp.float32) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
-    y = (jnp.arange(camera.height, dtype=jnp.float32) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
+    x = (jnp.arange(camera.width, dtype=camera.K.dtype) + 0.5 - camera.K[0, 2]) / camera.K[0, 0]
+    y = (jnp.arange(camera.height, dtype=camera.K.dtype) + 0.5 - camera.K[1, 2]) / camera.K[1, 1]
     x, y = jnp.meshgrid(x, y)
     return jnp.stack([x, y, jnp.ones_like(x)], axis=-1)
 

@@ -20,3 +20,16 @@ def sample_bilinear(image: Array, pixel: Array) -> Array:
     top = image[y, x] * (1 - fraction[0]) + image[y, right] * fraction[0]
     bottom = image[below, x] * (1 - fraction[0]) + image[below, right] * fraction[0]
     return top * (1 - fraction[1]) + bottom * fraction[1]
+
+
+def reads_within(mask: Array, pixel: Array) -> Array:
+    """`[]` bool: a pixel position (x, y) lies between four pixel centres of the image, all of them in `mask` `[H, W]`.
+
+    Where it does, `sample_bilinear` blends no value from outside the mask and has the slope of its patch.
+    """
+    height, width = mask.shape
+    x, y = pixel - 0.5
+    inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+    column, row = (jnp.where(inside, at, 0).astype(jnp.int32) for at in (x, y))
+    right, below = jnp.minimum(column + 1, width - 1), jnp.minimum(row + 1, height - 1)
+    return inside & mask[row, column] & mask[row, right] & mask[below, column] & mask[below, right]

@@ -66,6 +66,14 @@ class Splats:
     grid: rasterizer.TileGrid = field(metadata={"static": True})
 
 
+class Neighbor(NamedTuple):
+    """What another camera sees of the same scene, as far as a term compares it with a view."""
+
+    camera: Camera
+    depth: Array  # [H, W] as in `View`
+    pairs: rasterizer.TilePairs
+
+
 class View(NamedTuple):
     """What one view shows. `depth` is None where it was not asked for."""
 
@@ -74,6 +82,7 @@ class View(NamedTuple):
     depth: Array | None  # [H, W] expected camera z: composited depth / alpha, 0 where alpha is under `MIN_COVERAGE`
     splats: Splats
     extra: Array | None = None  # [H, W, D] what `extra` composites to, on zero
+    neighbor: Neighbor | None = None  # only in a step whose loss has a term between two views
 
 
 MIN_COVERAGE = 0.5  # A pixel covered less has no surface whose depth would mean anything (method: A10, A11).

@@ -28,6 +28,9 @@ class Weights:
     axis_normal: float = 0.0  # composited smallest axes against the normals (DN-Splatter's reading)
     thickness: float = 0.0  # mean smallest standard deviation of the visible Gaussians, pixels at their depth
     coverage: float = 0.0  # mean 1 - alpha where the normal maps show a surface
+    distortion: float = 0.0  # squared distance of a ray's splats from each other, in depths of its surface (2DGS)
+    depth_normal: float = 0.0  # smallest axes, composited, against the normals of the rendered depth (2DGS)
+    multi_view: float = 0.0  # reprojection error between the rendered depths of two views, pixels (PGSR)
     alpha: float = 0.1  # mean |alpha - matte|; only where the photos have an alpha channel
 
 

@@ -31,6 +31,7 @@ class Target:
     matte: Array | None  # [H, W] uint8
     normals: Array | None = None  # [H, W, 3] int8, camera frame, times `NORMAL_UNIT`; zero where there is none
     photo: Array | None = None  # [] int32, which of the run's photos it is, where an effect has numbers for each
+    neighbors: Camera | None = None  # of M views, stacked, where a term compares two views
 
 
 @dataclass(frozen=True)

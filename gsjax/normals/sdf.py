@@ -13,7 +13,7 @@ from jax import Array
 from gsjax import cameras, render
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, rotation_matrices
-from gsjax.images import sample_bilinear
+from gsjax.images import reads_within, sample_bilinear
 from gsjax.numerics import masked_mean, safe_normalize
 from gsjax.render import View
 
@@ -109,11 +109,7 @@ def misalignment(directions: Array, normals: Array, valid: Array) -> Array:
 
 def _reads_depth(point: Array, covered: Array, camera: Camera) -> Array:
     """`[]` bool: a world point projects between four pixel centres of the image, all of them `covered` `[H, W]`."""
-    x, y = cameras.project(cameras.world_to_camera(point, camera), camera) - 0.5
-    inside = (x >= 0) & (x <= camera.width - 1) & (y >= 0) & (y <= camera.height - 1)
-    column, row = (jnp.where(inside, at, 0).astype(jnp.int32) for at in (x, y))
-    right, below = jnp.minimum(column + 1, camera.width - 1), jnp.minimum(row + 1, camera.height - 1)
-    return inside & covered[row, column] & covered[row, right] & covered[below, column] & covered[below, right]
+    return reads_within(covered, cameras.project(cameras.world_to_camera(point, camera), camera))
 
 
 def _in_front(camera: Camera) -> Array:

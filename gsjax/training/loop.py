@@ -18,7 +18,8 @@ from gsjax.scene import Frame
 from gsjax.settings import Phase, Settings, Weights
 from gsjax.training import density_control, rows
 from gsjax.training.capacity import chosen_capacity, rounded_capacity
-from gsjax.training.losses import NEEDS_NORMALS
+from gsjax.training.losses import NEEDS_NEIGHBOR, NEEDS_NORMALS
+from gsjax.training.multi_view import with_neighbors
 from gsjax.training.rules import RULES
 from gsjax.training.state import TrainState, cull, densify, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, active_terms, make_train_step
@@ -103,6 +104,8 @@ def fit(
             data = views.views_of(frames, scale=phase.image_scale)
             if not NEEDS_NORMALS.isdisjoint(active_terms(phase.weights)):
                 data = views.with_normals(data, prior(state.gaussians))
+            if not NEEDS_NEIGHBOR.isdisjoint(active_terms(phase.weights)):
+                data = with_neighbors(data, extent)
             if effects:
                 data = views.numbered(data)
             state = _run_phase(settings, phase, (done, end), data, extent, state, optimizer, observe, capacity, effects)

@@ -12,6 +12,8 @@ from gsjax.measures.images import ssim
 from gsjax.normals import sdf
 from gsjax.numerics import masked_mean
 from gsjax.render import MIN_COVERAGE, View
+from gsjax.training.multi_view import multi_view
+from gsjax.training.surface_terms import depth_normal, distortion
 from gsjax.views import Batch
 
 
@@ -82,9 +84,13 @@ TERMS = {
     "alpha": alpha,
     "thickness": thickness,
     "coverage": coverage,
+    "distortion": distortion,
+    "depth_normal": depth_normal,
+    "multi_view": multi_view,
     "sdf_normal": sdf_normal,
     "pixel_normal": pixel_normal,
     "axis_normal": axis_normal,
 }
 NEEDS_NORMALS = frozenset({"coverage", "sdf_normal", "pixel_normal", "axis_normal"})
-NEEDS_DEPTH = frozenset({"sdf_normal", "pixel_normal"})
+NEEDS_DEPTH = frozenset({"sdf_normal", "pixel_normal", "distortion", "depth_normal", "multi_view"})
+NEEDS_NEIGHBOR = frozenset({"multi_view"})

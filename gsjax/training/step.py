@@ -11,13 +11,14 @@ from jax import Array
 
 import rasterizer
 from gsjax import render, views
+from gsjax.cameras import Camera
 from gsjax.effects import model
 from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import masked_mean
 from gsjax.settings import Weights
-from gsjax.training import optimizers
-from gsjax.training.losses import NEEDS_DEPTH, TERMS
+from gsjax.training import multi_view, optimizers
+from gsjax.training.losses import NEEDS_DEPTH, NEEDS_NEIGHBOR, TERMS
 from gsjax.training.rules import Rule
 from gsjax.training.state import TrainState
 from gsjax.views import Target
@@ -28,7 +29,7 @@ class Metrics(NamedTuple):
 
     loss: Array
     psnr: Array  # of the view that was trained on, before the update
-    needed: Array  # pair capacity that the view needed
+    needed: Array  # pair capacity that the view needed, or its neighbour where that is more
     overflowed: Array  # the capacity was too short: the state was left as it was
     terms: dict[str, Array]
 
@@ -87,8 +88,9 @@ def make_train_step(
     """
     terms = active_terms(weights)
     with_depth = not NEEDS_DEPTH.isdisjoint(terms)
+    with_neighbor = not NEEDS_NEIGHBOR.isdisjoint(terms)
 
-    def objective(free: _Free, batch, color: Array, active_degree: Array):
+    def objective(free: _Free, batch, color: Array, active_degree: Array, beside: Camera | None):
         gaussians, probe, numbers = free
         view = render.view(
             gaussians,
@@ -101,12 +103,16 @@ def make_train_step(
             **({rule.probes: probe} if rule else {}),
         )
         view = model.photographed(effects, numbers, view, batch, color)
+        pairs = view.splats.pairs
+        if beside is not None:
+            neighbor = multi_view.rendered(gaussians, beside, capacity, depth_mode)
+            view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
         losses = {name: TERMS[name](gaussians, view, batch) for name in terms}
         total = sum(weight * losses[name] for name, weight in terms.items())
         if rule:
             total += rule.probed(view, batch)
         mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
-        return total, (losses, mse, view.splats.projection, view.splats.pairs)
+        return total, (losses, mse, view.splats.projection, pairs)
 
     @partial(jax.jit, donate_argnums=0)
     def train_step(state: TrainState, target: Target, key: Array):
@@ -114,9 +120,12 @@ def make_train_step(
         batch = views.batch(target, color)
         active_degree = state.step // sh_every
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
+        beside = None
+        if with_neighbor:
+            beside = multi_view.drawn(target.neighbors, jax.random.fold_in(jax.random.fold_in(key, state.step), 1))
         free = _Free(state.gaussians, probe, None if state.effects is None else state.effects.numbers)
         (total, (losses, mse, projection, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
-            free, batch, color, active_degree
+            free, batch, color, active_degree, beside
         )
         gaussians, opt_state = optimizers.apply_gradients(
             optimizer, state.gaussians, state.opt_state, gradients.gaussians
@@ -132,6 +141,13 @@ def make_train_step(
         return state, Metrics(total, -10 * jnp.log10(jnp.maximum(mse, 1e-10)), pairs.needed, pairs.overflowed, losses)
 
     return train_step
+
+
+def _of_both(pairs: rasterizer.TilePairs, others: rasterizer.TilePairs) -> rasterizer.TilePairs:
+    """The lists of one view with the need of the longer lists of two."""
+    return pairs._replace(
+        needed=jnp.maximum(pairs.needed, others.needed), overflowed=pairs.overflowed | others.overflowed
+    )
 
 
 def in_photo(projection: rasterizer.Projection, size: Array) -> Array:

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from gsjax import pipeline, tables
+from gsjax import config, pipeline, tables
 from gsjax.io import runs
+from gsjax.settings import Settings
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
+STUDIES = sorted(path.stem for path in (EXPERIMENTS / "studies").glob("*.py"))
 
 
 @pytest.fixture
@@ -34,3 +36,16 @@ def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_pa
         assert found == [[0.004, 0.004], [0.006, 0.006], [0.002, 0.002]] + [[1e-4]] * with_mesh
         assert (tables.FLOOR in rows) == with_mesh
         assert json.loads((tmp_path / "study.json").read_text()) == rows
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, monkeypatch, tmp_path, study):
+    seen = {}
+    monkeypatch.setattr(pipeline, "train", lambda _, folder, settings, resume: seen.setdefault(folder.name, settings))
+    monkeypatch.setattr(pipeline, "evaluate", lambda _: {"psnr": 30.0})
+    monkeypatch.setattr(runs, "read_metrics", lambda _: [])
+    compare.run(study, "scene", str(tmp_path))
+    variants = compare.load_config(study, folder=compare.STUDIES)["variants"]
+    assert set(seen) == {f"{variant}_0" for variant in variants}
+    assert all(isinstance(settings, Settings) for settings in seen.values())
+    assert len({str(config.to_dict(settings)) for settings in seen.values()}) == len(variants)

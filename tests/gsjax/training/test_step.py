@@ -16,6 +16,7 @@ from gsjax.settings import Density, Rates, Weights
 from gsjax.training import density_control
 from gsjax.training.capacity import chosen_capacity, largest_need
 from gsjax.training.initialize import DEAD_LOGIT
+from gsjax.training.multi_view import with_neighbors
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.rules import RULES
 from gsjax.training.state import count_alive, cull, densify, initial_state, reset_opacities
@@ -274,14 +275,13 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     normals = np.zeros((*SIZE[::-1], 3), np.int8)
     normals[..., 2] = -views.NORMAL_UNIT
     normals[0, 0] = 0  # a hole
-    data = views.with_normals(setup.data, [normals] * 3)
-    weights = Weights(
-        alpha=0.1, entropy=0.1, sdf_normal=0.2, pixel_normal=0.1, axis_normal=0.1, thickness=0.1, coverage=0.1
-    )
+    data = with_neighbors(views.with_normals(setup.data, [normals] * 3), 4.0)
+    weights = Weights(**dict.fromkeys(Weights().__dict__, 0.1))
+    capacity = int(1.1 * largest_need(start(setup).gaussians, data))
     step = make_train_step(
         setup.optimizer,
         weights,
-        capacity=PAIRS,
+        capacity=capacity,
         background=BACKGROUNDS["white"],
         sh_every=SH_EVERY,
         rule=None,
@@ -294,3 +294,10 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     assert step._cache_size() == 1
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state))
     assert not np.any(state.statistics.views)
+    # A neighbour that looks closer, and needs more room than any view.
+    neighbors = data.targets[0].neighbors
+    closer = replace(neighbors, K=neighbors.K * np.float32([[3, 1, 1], [1, 3, 1], [1, 1, 1]]))
+    before = copied(state)
+    after, metrics = step(state, replace(data.targets[0], neighbors=closer), KEY)
+    assert metrics.overflowed and int(metrics.needed) > capacity
+    assert_identical(after, before)
