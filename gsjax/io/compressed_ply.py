@@ -73,7 +73,9 @@ def write_compressed_ply(path: str | Path, gaussians: Gaussians) -> int:
     colors = packed[2] << 8 | opacity_bytes(logits)
     harmonics = np.clip(np.floor((rest / (2 * _MOST_REST) + 0.5) * 256), 0, 255).astype(np.uint8)
     with atomic_path(path) as temporary, temporary.open("wb") as file:
-        file.write("\n".join(_header(*harmonics.shape, filter_comments(gaussians.pixel_filter))).encode())
+        file.write(
+            "\n".join(_header(len(harmonics), harmonics.shape[1], filter_comments(gaussians.pixel_filter))).encode()
+        )
         file.write(np.concatenate(bounds, axis=1).astype("<f4").tobytes())
         file.write(np.stack([packed[0], rotations, packed[1], colors], axis=1).astype("<u4").tobytes())
         file.write(harmonics.tobytes())
@@ -95,11 +97,13 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
     path = Path(path)
     elements, header = read_elements(path)
     chunks, vertices = elements.get("chunk"), elements.get("vertex")
-    needed = {name for names in (_MEANS, _SCALES) for name in (*_bounds(names)[0], *_bounds(names)[1])}
-    if chunks is None or vertices is None or not needed <= set(chunks.dtype.names or ()):
+    if chunks is None or vertices is None:
         raise InputError(f"{path}: not a compressed PLY of Gaussians")
-    if not set(_PACKED) <= set(vertices.dtype.names or ()):
+    bounds = {name for names in (_MEANS, _SCALES) for end in _bounds(names) for name in end}
+    if not bounds <= set(chunks.dtype.names or ()) or not set(_PACKED) <= set(vertices.dtype.names or ()):
         raise InputError(f"{path}: not a compressed PLY of Gaussians")
+    if not np.isfinite(stacked(chunks, list(chunks.dtype.names or ()))).all():
+        raise InputError(f"{path}: bounds of a chunk are not finite")
     count = len(vertices)
     harmonics = elements.get("sh", np.empty(count, []))
     if len(chunks) != -(-count // _CHUNK) or len(harmonics) != count:
@@ -107,17 +111,21 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
             f"{path}: {count} Gaussians do not go with {len(chunks)} chunks and {len(harmonics)} harmonics"
         )
 
-    def unpacked(column: int, names: tuple[str, ...], bits: tuple[int, ...]) -> np.ndarray:
-        return _unpack_between(vertices[_PACKED[column]] >> (8 if bits == _OF_COLORS else 0), chunks, names, bits)
+    def unpacked(codes: np.ndarray, names: tuple[str, ...], bits: tuple[int, ...]) -> np.ndarray:
+        low, high = (stacked(chunks, end).astype(np.float64) for end in _bounds(names))
+        units, chunk = _unpack(codes, bits), np.arange(count) // _CHUNK
+        return low[chunk] * (1 - units) + high[chunk] * units
 
     largest, three = vertices["packed_rotation"] >> 30, _unpack(vertices["packed_rotation"], _OF_ROTATIONS)
-    colors = unpacked(3, _COLORS, _OF_COLORS)
+    colors = vertices["packed_color"] >> 8
+    with_bounds = _bounds(_COLORS)[0][0] in (chunks.dtype.names or ())
+    colors = unpacked(colors, _COLORS, _OF_COLORS) if with_bounds else _unpack(colors, _OF_COLORS)
     rest = stacked(harmonics, rest_names(path, harmonics.dtype.names or ()))
     inside = (rest > 0) & (rest < 255)
     read = Gaussians(
-        means=unpacked(0, _MEANS, _IN_SPACE),
+        means=unpacked(vertices["packed_position"], _MEANS, _IN_SPACE),
         quats=of_smallest_three(largest, (three - 0.5) / np.sqrt(0.5)),
-        log_scales=unpacked(2, _SCALES, _IN_SPACE),
+        log_scales=unpacked(vertices["packed_scale"], _SCALES, _IN_SPACE),
         logit_opacities=logits_of_bytes(vertices["packed_color"] & 255),
         sh_dc=((colors - 0.5) / SH_C0)[:, None],
         sh_rest=from_rest_columns((np.where(inside, (rest + 0.5) / 256, rest / 255) - 0.5) * 2 * _MOST_REST),
@@ -157,12 +165,6 @@ def _pack_between(values: np.ndarray, bits: tuple[int, ...]) -> tuple[np.ndarray
     span = high - low
     units = (filled - low[:, None]) / np.where(span > 0, span, 1)[:, None]
     return np.concatenate([low, high], axis=1), _pack(units.reshape(-1, 3)[: len(values)], bits)
-
-
-def _unpack_between(codes: np.ndarray, chunks: np.ndarray, names: tuple[str, ...], bits: tuple[int, ...]) -> np.ndarray:
-    low, high = (stacked(chunks, end).astype(np.float64) for end in _bounds(names))
-    units, chunk = _unpack(codes, bits), np.arange(len(codes)) // _CHUNK
-    return low[chunk] * (1 - units) + high[chunk] * units
 
 
 def _pack(units: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
