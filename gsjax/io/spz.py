@@ -66,13 +66,13 @@ def write_spz(path: str | Path, gaussians: Gaussians) -> int:
             cannot be written.
     """
     check_packable(path, gaussians)
-    turned = half_turned(gaussians)
+    turned = half_turned(jax.tree.map(lambda values: np.asarray(values, np.float64), gaussians))
     farthest = float(np.abs(turned.means).max(initial=2.0**-23))
     bits = min(23, math.floor(math.log2(_MOST_FIXED / farthest)))
     if bits < 0:
         raise InputError(f"cannot write {path}: a mean lies at {farthest:.3g}, SPZ reaches {_MOST_FIXED}")
     steps = np.where(np.arange(turned.sh_rest.shape[1]) < 3, *_REST_STEPS)[:, None]
-    fixed = np.rint(turned.means.astype(np.float64, "C") * 2**bits).astype("<i4")
+    fixed = np.rint(np.ascontiguousarray(turned.means) * 2**bits).astype("<i4")
     numbers = {
         "colors": turned.sh_dc[:, 0] / _DC_STEP + 127.5,
         "scales": (turned.log_scales + 10) * 16,

@@ -51,7 +51,8 @@ def convert(
     gaussians = reading.read(source)
     wanted = np.ones(gaussians.num_gaussians, bool)
     if crop is not None:
-        wanted &= np.all((gaussians.means >= crop[:3]) & (gaussians.means <= crop[3:]), axis=1)
+        means, (low, high) = np.asarray(gaussians.means), np.reshape(np.asarray(crop, np.float64), (2, 3))
+        wanted &= np.all((means >= low) & (means <= high), axis=1)
     if min_opacity is not None:
         wanted &= expit(np.asarray(gaussians.logit_opacities, np.float64)) >= min_opacity
     if not wanted.any() and len(wanted):

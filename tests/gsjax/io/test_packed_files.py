@@ -274,6 +274,17 @@ def test_what_no_file_can_hold_is_refused_by_name(tmp_path, name):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("name", READ_WRITE)
+def test_the_largest_floats_are_clipped_without_a_warning(tmp_path, name):
+    read, write = READ_WRITE[name]
+    largest = np.finfo(np.float32).max
+    gaussians = some_gaussians(4, 1)
+    for field in ("quats", "log_scales", "sh_rest", "sh_dc"):
+        getattr(gaussians, field)[:] *= largest / np.abs(getattr(gaussians, field)).max()
+    assert write(tmp_path / name, gaussians) == 4
+    assert all(np.isfinite(getattr(read(tmp_path / name), field)).all() for field in FIELDS)
+
+
 def test_a_mean_beyond_spz_is_refused(tmp_path):
     gaussians = some_gaussians(3, 0)
     gaussians.means[1, 2] = -9e6
