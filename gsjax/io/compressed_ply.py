@@ -71,7 +71,7 @@ def write_compressed_ply(path: str | Path, gaussians: Gaussians) -> int:
     )
     rotations = largest.astype(np.uint32) << 30 | _pack(three * np.sqrt(0.5) + 0.5, _OF_ROTATIONS)
     colors = packed[2] << 8 | opacity_bytes(logits)
-    harmonics = np.clip(np.floor((rest / (2 * _MOST_REST) + 0.5) * 256), 0, 255).astype(np.uint8)
+    harmonics = np.clip(np.floor((rest.astype(np.float64) / (2 * _MOST_REST) + 0.5) * 256), 0, 255).astype(np.uint8)
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         file.write(
             "\n".join(_header(len(harmonics), harmonics.shape[1], filter_comments(gaussians.pixel_filter))).encode()
