@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Callable
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -49,10 +50,10 @@ try {
 
 
 class Handler(SimpleHTTPRequestHandler):
-    """Serves the page, three.js and the mesh; takes pictures and errors."""
+    """Serves the page and files; takes pictures and errors."""
 
-    def __init__(self, *arguments, page: str, three: Path, mesh: Path, received: Queue, **keywords):
-        self.page, self.three, self.mesh, self.received = page, three, mesh, received
+    def __init__(self, *arguments, page: str, locate: Callable[[str], Path], received: Queue, **keywords):
+        self.page, self.locate, self.received = page, locate, received
         super().__init__(*arguments, **keywords)
 
     def do_GET(self):
@@ -71,8 +72,8 @@ class Handler(SimpleHTTPRequestHandler):
         self.end_headers()
 
     def translate_path(self, path: str) -> str:
-        """The mesh, or a file of three.js."""
-        return str(self.mesh if path == "/mesh.glb" else self.three / path.removeprefix("/three/"))
+        """Where the page's files lie."""
+        return str(self.locate(path.partition("?")[0]))
 
     def log_message(self, *_):
         """Says nothing."""
@@ -82,8 +83,21 @@ def screenshots(mesh: Path, three: Path, sides: list[list[float]], up: list[floa
     """PNG bytes from every side; exits with the browser's error where there is one."""
     page = PAGE.replace("SIDES", json.dumps(sides)).replace("UP", json.dumps(up))
     page = page.replace("ZOOM", str(zoom)).replace("SIZE", str(size))
+    return open_page(
+        page, lambda path: mesh if path == "/mesh.glb" else three / path.removeprefix("/three/"), len(sides)
+    )
+
+
+def open_page(page: str, locate: Callable[[str], Path], count: int) -> list[bytes]:
+    """PNG bytes of the `count` pictures that a page sends; exits with the browser's error where there is one.
+
+    Args:
+        page: The HTML, which PUTs each picture under a name of its own, or the text of an error under "error".
+        locate: Tells from a path that the page asks for which file to serve.
+        count: How many pictures to wait for.
+    """
     received = Queue()
-    handler = partial(Handler, page=page, three=three, mesh=mesh, received=received)
+    handler = partial(Handler, page=page, locate=locate, received=received)
     browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if browser is None:
         sys.exit("there is no Chromium: apt-get install chromium")
@@ -94,7 +108,7 @@ def screenshots(mesh: Path, three: Path, sides: list[list[float]], up: list[floa
         process = subprocess.Popen([browser, *options, address], stderr=subprocess.DEVNULL)
         try:
             pictures = []
-            while len(pictures) < len(sides):
+            while len(pictures) < count:
                 name, body = received.get(timeout=180)
                 if name == "error":
                     sys.exit(f"the browser says: {body.decode()}")

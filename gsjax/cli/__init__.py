@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from gsjax.cli import (
+    convert,
     demo,
     diagnose,
     environment,
@@ -36,6 +37,7 @@ DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
   scene --diagnose--> which effects its photos call for
   scene --normals--> a normal map a photo, from a network, for training
   scene --undistort--> scene of pinhole photos, for other programs
+  run or file of Gaussians --convert--> .ply, .compressed.ply or .spz
 """
 
 
@@ -82,7 +84,7 @@ def parser() -> argparse.ArgumentParser:
     """The parser of all commands; `arguments.run(arguments)` runs the one that was given."""
     top = _Parser(prog="gsjax", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
-    beside_training = diagnose, normals, undistort
+    beside_training = diagnose, normals, undistort, convert
     for command in (demo, scan, sfm, train, mesh, refine, texture, evaluate, render, turntable, *beside_training):
         command.add_to(commands)
     return top

@@ -1,5 +1,6 @@
 """The whole road as plain functions: what the command line and notebooks call."""
 
+from gsjax.pipeline.convert import convert
 from gsjax.pipeline.diagnose import diagnose
 from gsjax.pipeline.evaluate import evaluate
 from gsjax.pipeline.mesh import mesh
@@ -12,6 +13,7 @@ from gsjax.pipeline.train import train
 from gsjax.pipeline.undistort import undistort
 
 __all__ = [
+    "convert",
     "diagnose",
     "evaluate",
     "mesh",

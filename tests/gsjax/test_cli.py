@@ -17,7 +17,8 @@ from gsjax.errors import InputError
 from gsjax.settings import PRESETS, Phase, Settings
 
 COMMANDS = (
-    "demo", "scan", "sfm", "normals", "train", "mesh", "refine", "texture", "eval", "render", "turntable", "undistort"
+    "demo", "scan", "sfm", "normals", "train", "mesh", "refine", "texture", "eval", "render", "turntable", "undistort",
+    "convert",
 )  # fmt: skip
 
 

@@ -144,10 +144,20 @@ def test_rows_that_are_not_finite_are_counted(tmp_path):
     gaussians = some_gaussians(9)
     gaussians.means[2, 1] = np.nan
     gaussians.sh_rest[2, 1, 0] = np.inf
-    gaussians.logit_opacities[5] = np.inf
+    gaussians.logit_opacities[5] = np.nan
     write_gaussians(tmp_path / "g.ply", gaussians)
     with pytest.raises(InputError, match=r"g.ply: 2 of 9 Gaussians hold values that are not finite"):
         read_gaussians(tmp_path / "g.ply")
+
+
+def test_opacities_of_0_and_1_get_logits_that_are_numbers(tmp_path):
+    gaussians = some_gaussians(4)
+    gaussians.logit_opacities[:3] = np.inf, -np.inf, 300
+    write_gaussians(tmp_path / "g.ply", gaussians)
+    logits = read_gaussians(tmp_path / "g.ply").logit_opacities
+    np.testing.assert_array_equal(logits[2:], gaussians.logit_opacities[2:])
+    assert np.isfinite(logits).all()
+    np.testing.assert_array_equal(1 / (1 + np.exp(-logits[:2])), np.float32([1, np.exp(np.float32(-88))]))
 
 
 def test_what_is_no_ply_or_cannot_be_written_is_named(tmp_path):
@@ -158,6 +168,12 @@ def test_what_is_no_ply_or_cannot_be_written_is_named(tmp_path):
         read_gaussians(tmp_path / "none.ply")
     with pytest.raises(InputError, match="cannot write"):
         write_gaussians(tmp_path / "g.ply/h.ply", some_gaussians())
+
+
+def test_compressed_gaussians_under_the_plain_suffix_are_told(tmp_path):
+    write_table(tmp_path / "g.ply", ["packed_position", "x"], [[1, 2]])
+    with pytest.raises(InputError, match=r"g.ply: holds compressed Gaussians; name it g.compressed.ply"):
+        read_gaussians(tmp_path / "g.ply")
 
 
 def test_points_without_colours_are_grey_and_broken_ones_are_left_out(tmp_path):

@@ -1,0 +1,192 @@
+"""The compressed PLY of PlayCanvas: 16 bytes a Gaussian, within the bounds of chunks of 256, and a byte a harmonic.
+
+The layout is that of splat-transform (https://github.com/playcanvas/splat-transform, version 3.2.0): positions and logs
+of scales in 11, 10 and 11 bits between their chunk's bounds; rotations as the index of the largest of (w, x, y, z) in 2
+bits and the others in 10 each; colours in 8 bits between their chunk's bounds, opacities in 8 bits between 0 and 1;
+harmonics in 8 bits between -4 and 4. A pixel filter is told as in a plain PLY.
+"""
+
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from gsjax.errors import InputError
+from gsjax.gaussians import SH_C0, Gaussians
+from gsjax.io.files import atomic_path
+from gsjax.io.packing import (
+    check_packable,
+    logits_of_bytes,
+    of_smallest_three,
+    opacity_bytes,
+    smallest_three,
+    unit_quats,
+)
+from gsjax.io.ply_elements import (
+    filter_comments,
+    from_rest_columns,
+    read_elements,
+    rest_columns,
+    rest_names,
+    stacked,
+    told_filter,
+)
+
+_CHUNK = 256
+_MEANS, _SCALES, _COLORS = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
+_PACKED = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
+_IN_SPACE, _OF_ROTATIONS, _OF_COLORS = (11, 10, 11), (10, 10, 10), (8, 8, 8)  # bits
+_MOST_LOG_SCALE = 20.0  # One Gaussian without thickness must not take the precision of its chunk.
+_MOST_REST = 4.0
+
+
+def write_compressed_ply(path: str | Path, gaussians: Gaussians) -> int:
+    """Writes Gaussians in the order of a space-filling curve, so that chunks, and the steps in them, are small.
+
+    Returns:
+        How many Gaussians hold values that the format cannot reach: logs of scales beyond 20, harmonics beyond 4.
+
+    Raises:
+        InputError: Values are not finite, harmonics are of degree 4, or the target cannot be written.
+    """
+    check_packable(path, gaussians)
+    order = _morton_order(np.asarray(gaussians.means, np.float64))
+    means, quats, log_scales, logits, dc, rest = (
+        np.asarray(values)[order]
+        for values in (
+            gaussians.means,
+            gaussians.quats,
+            gaussians.log_scales,
+            gaussians.logit_opacities,
+            gaussians.sh_dc,
+            rest_columns(gaussians.sh_rest),
+        )
+    )
+    largest, three = smallest_three(unit_quats(quats))
+    bounds, packed = zip(
+        _pack_between(means, _IN_SPACE),
+        _pack_between(np.clip(log_scales, -_MOST_LOG_SCALE, _MOST_LOG_SCALE), _IN_SPACE),
+        _pack_between(dc[:, 0].astype(np.float64) * SH_C0 + 0.5, _OF_COLORS),
+        strict=True,
+    )
+    rotations = largest.astype(np.uint32) << 30 | _pack(three * np.sqrt(0.5) + 0.5, _OF_ROTATIONS)
+    colors = packed[2] << 8 | opacity_bytes(logits)
+    harmonics = np.clip(np.floor((rest.astype(np.float64) / (2 * _MOST_REST) + 0.5) * 256), 0, 255).astype(np.uint8)
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        file.write(
+            "\n".join(_header(len(harmonics), harmonics.shape[1], filter_comments(gaussians.pixel_filter))).encode()
+        )
+        file.write(np.concatenate(bounds, axis=1).astype("<f4").tobytes())
+        file.write(np.stack([packed[0], rotations, packed[1], colors], axis=1).astype("<u4").tobytes())
+        file.write(harmonics.tobytes())
+    beyond = (np.abs(log_scales) > _MOST_LOG_SCALE).any(axis=1) | (np.abs(rest) > _MOST_REST).any(axis=1)
+    return int(beyond.sum())
+
+
+def read_compressed_ply(path: str | Path) -> Gaussians:
+    """Reads a compressed PLY, of older writers too: without bounds of colours these are between 0 and 1.
+
+    Opacities of 0 and 255 get finite logits, a quarter of a step within 0 and 1.
+
+    Returns:
+        Gaussians of numpy float32 arrays.
+
+    Raises:
+        InputError: The file is no compressed PLY, is truncated, or holds bounds that are not finite.
+    """
+    path = Path(path)
+    elements, header = read_elements(path)
+    chunks, vertices = elements.get("chunk"), elements.get("vertex")
+    if chunks is None or vertices is None:
+        raise InputError(f"{path}: not a compressed PLY of Gaussians")
+    bounds = {name for names in (_MEANS, _SCALES) for end in _bounds(names) for name in end}
+    if not bounds <= set(chunks.dtype.names or ()) or not set(_PACKED) <= set(vertices.dtype.names or ()):
+        raise InputError(f"{path}: not a compressed PLY of Gaussians")
+    if not np.isfinite(stacked(chunks, list(chunks.dtype.names or ()))).all():
+        raise InputError(f"{path}: bounds of a chunk are not finite")
+    count = len(vertices)
+    harmonics = elements.get("sh", np.empty(count, []))
+    if len(chunks) != -(-count // _CHUNK) or len(harmonics) != count:
+        raise InputError(
+            f"{path}: {count} Gaussians do not go with {len(chunks)} chunks and {len(harmonics)} harmonics"
+        )
+
+    def unpacked(codes: np.ndarray, names: tuple[str, ...], bits: tuple[int, ...]) -> np.ndarray:
+        low, high = (stacked(chunks, end).astype(np.float64) for end in _bounds(names))
+        units, chunk = _unpack(codes, bits), np.arange(count) // _CHUNK
+        return low[chunk] * (1 - units) + high[chunk] * units
+
+    largest, three = vertices["packed_rotation"] >> 30, _unpack(vertices["packed_rotation"], _OF_ROTATIONS)
+    colors = vertices["packed_color"] >> 8
+    with_bounds = _bounds(_COLORS)[0][0] in (chunks.dtype.names or ())
+    colors = unpacked(colors, _COLORS, _OF_COLORS) if with_bounds else _unpack(colors, _OF_COLORS)
+    rest = stacked(harmonics, rest_names(path, harmonics.dtype.names or ()))
+    inside = (rest > 0) & (rest < 255)
+    read = Gaussians(
+        means=unpacked(vertices["packed_position"], _MEANS, _IN_SPACE),
+        quats=of_smallest_three(largest, (three - 0.5) / np.sqrt(0.5)),
+        log_scales=unpacked(vertices["packed_scale"], _SCALES, _IN_SPACE),
+        logit_opacities=logits_of_bytes(vertices["packed_color"] & 255),
+        sh_dc=((colors - 0.5) / SH_C0)[:, None],
+        sh_rest=from_rest_columns((np.where(inside, (rest + 0.5) / 256, rest / 255) - 0.5) * 2 * _MOST_REST),
+        pixel_filter=told_filter(header),
+    )
+    return jax.tree.map(lambda values: values.astype(np.float32), read)
+
+
+def _header(count: int, width: int, comments: list[str]) -> list[str]:
+    bounds = [name for names in (_MEANS, _SCALES, _COLORS) for end in _bounds(names) for name in end]
+    return [
+        "ply",
+        "format binary_little_endian 1.0",
+        *comments,
+        f"element chunk {-(-count // _CHUNK)}",
+        *(f"property float {name}" for name in bounds),
+        f"element vertex {count}",
+        *(f"property uint {name}" for name in _PACKED),
+        *([f"element sh {count}"] if width else []),
+        *(f"property uchar f_rest_{i}" for i in range(width)),
+        "end_header",
+        "",
+    ]
+
+
+def _bounds(names: tuple[str, ...]) -> tuple[list[str], list[str]]:
+    return [f"min_{name}" for name in names], [f"max_{name}" for name in names]
+
+
+def _pack_between(values: np.ndarray, bits: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds `[C, 6]` (least, then most) of the chunks of `[N, 3]` values, and the values packed between them `[N]`."""
+    chunks = -(-len(values) // _CHUNK)
+    index = np.minimum(np.arange(chunks * _CHUNK), len(values) - 1)  # The last chunk is filled up with the last.
+    filled = values[index].reshape(chunks, _CHUNK, 3)
+    # Float32 as the file has them, so that the steps are those that are read.
+    low, high = (end.astype(np.float32).astype(np.float64) for end in (filled.min(axis=1), filled.max(axis=1)))
+    span = high - low
+    units = (filled - low[:, None]) / np.where(span > 0, span, 1)[:, None]
+    return np.concatenate([low, high], axis=1), _pack(units.reshape(-1, 3)[: len(values)], bits)
+
+
+def _pack(units: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
+    """`[N]` uint32 of `[N, K]` numbers in 0..1, the first in the highest bits."""
+    packed = np.zeros(len(units), np.uint32)
+    for column, width in zip(units.T, bits, strict=True):
+        packed = packed << width | np.rint(np.clip(column, 0, 1) * (2**width - 1)).astype(np.uint32)
+    return packed
+
+
+def _unpack(packed: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
+    """`[N, K]` float64 of what `_pack` gives; higher bits than `bits` are not looked at."""
+    shifts = [sum(bits[place + 1 :]) for place in range(len(bits))]
+    return np.stack([(packed >> s & 2**b - 1) / (2**b - 1) for s, b in zip(shifts, bits, strict=True)], axis=-1)
+
+
+def _morton_order(means: np.ndarray) -> np.ndarray:
+    """`[N]` indices that sort positions along a Z-order curve."""
+    low, span = means.min(axis=0, initial=np.inf), np.ptp(means, axis=0) if len(means) else np.ones(3)
+    cells = ((means - low) / np.where(span > 0, span, 1) * (2**21 - 1)).astype(np.uint64)
+    codes = np.zeros(len(means), np.uint64)
+    for bit in range(21):
+        for axis in range(3):
+            codes |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    return np.argsort(codes, kind="stable")

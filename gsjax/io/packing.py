@@ -1,0 +1,71 @@
+"""What the compressed files of Gaussians share: opacities in 8 bits, rotations by the three smallest components."""
+
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+from scipy.special import expit, logit
+
+from gsjax.errors import InputError
+from gsjax.gaussians import Gaussians
+
+MOST_DEGREE = 3  # Of the harmonics that viewers read from compressed files.
+
+
+def check_packable(path: str | Path, gaussians: Gaussians) -> None:
+    """Whether a compressed file can hold what the Gaussians hold. Infinite logits of opacities are 0 and 1.
+
+    Raises:
+        InputError: A field, by name, holds values that are not finite, or the harmonics are of too high a degree.
+    """
+    for field in fields(gaussians):
+        values = getattr(gaussians, field.name)
+        if isinstance(values, str):
+            continue
+        fine = ~np.isnan(values) if field.name == "logit_opacities" else np.isfinite(values)
+        broken = ~fine.all(axis=tuple(range(1, fine.ndim)))
+        if broken.any():
+            raise InputError(f"cannot write {path}: {field.name} of {broken.sum()} of {len(fine)} Gaussians not finite")
+    if gaussians.sh_degree > MOST_DEGREE:
+        raise InputError(
+            f"cannot write {path}: it holds harmonics up to degree {MOST_DEGREE}, not {gaussians.sh_degree}; "
+            f"--sh-degree {MOST_DEGREE} leaves out the rest"
+        )
+
+
+def opacity_bytes(logits: np.ndarray) -> np.ndarray:
+    """The nearest of 256 opacities, uint8, of logits of any size."""
+    return np.rint(255 * expit(np.asarray(logits, np.float64))).astype(np.uint8)
+
+
+def logits_of_bytes(opacities: np.ndarray) -> np.ndarray:
+    """Finite logits of 256 opacities: 0 and 255 are a quarter of a step within 0 and 1, and become themselves again."""
+    return logit(np.clip(opacities.astype(np.float64), 0.25, 254.75) / 255)
+
+
+def unit_quats(quats: np.ndarray) -> np.ndarray:
+    """`[N, 4]` float64 quaternions of length 1; the identity where they are zero, as the renderer has it."""
+    quats = np.asarray(quats, np.float64)
+    length = np.linalg.norm(quats, axis=1, keepdims=True)
+    is_zero = length < 1e-12
+    return np.where(is_zero, [1.0, 0.0, 0.0, 0.0], quats / np.where(is_zero, 1, length))
+
+
+def smallest_three(quats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`[N]` which component of each unit quaternion `[N, 4]` is the largest, and `[N, 3]` the others in order.
+
+    The sign is the one that makes the largest positive, so the others, at most sqrt(1/2) each, tell the rotation.
+    """
+    largest = np.argmax(np.abs(quats), axis=1)
+    others = np.arange(4) != largest[:, None]
+    signs = np.where(quats[~others] < 0, -1, 1)[:, None]
+    return largest, signs * quats[others].reshape(-1, 3)
+
+
+def of_smallest_three(largest: np.ndarray, three: np.ndarray) -> np.ndarray:
+    """`[N, 4]` quaternions of what `smallest_three` gives."""
+    others = np.arange(4) != largest[:, None]
+    quats = np.empty((len(largest), 4))
+    quats[others] = three.ravel()
+    quats[~others] = np.sqrt(np.maximum(0, 1 - np.sum(three * three, axis=1)))
+    return quats

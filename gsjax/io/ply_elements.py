@@ -1,0 +1,126 @@
+"""PLY files as tables of numbers, and the words that PLY files of Gaussians share."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from gsjax.errors import InputError
+from gsjax.gaussians import PixelFilter
+
+_TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
+    "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
+    "float32": "f4", "float64": "f8",
+}  # fmt: skip
+# As Brush and splat-transform tell it, and as Postshot does.
+_FILTER_COMMENT = re.compile(r"^comment\s+(?:SplatRenderMode:\s*(\w+)|antialiased\s+(\d))\s*$", re.I | re.M)
+_REST_COUNTS = [3 * ((degree + 1) ** 2 - 1) for degree in range(5)]
+
+
+def read_elements(path: Path) -> tuple[dict[str, np.ndarray], str]:
+    """The rows of every element as structured arrays, by name; and the header. Ascii or binary.
+
+    Elements with lists (faces), and those after them, are left out.
+
+    Raises:
+        InputError: The file cannot be read, is no PLY, has no element without lists, or is truncated.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    end = data.find(b"end_header")
+    start = data.find(b"\n", end) + 1
+    if not data.startswith(b"ply") or end < 0 or start == 0:
+        raise InputError(f"{path}: not a PLY file")
+    header = data[:end].decode("ascii", "replace")
+    form, elements = _parse_header(path, header)
+    read = _ascii_rows if form == "ascii" else _binary_rows
+    order = ">" if form == "binary_big_endian" else "<"
+    rows = {}
+    for name, count, fields in elements:
+        rows[name], start = read(path, name, data, start, count, np.dtype(fields).newbyteorder(order))
+    return rows, header
+
+
+def rest_columns(sh_rest: np.ndarray) -> np.ndarray:
+    """`[N, 3K]` columns `f_rest_*` of `[N, K, 3]` coefficients: channel by channel."""
+    count, bands, _ = sh_rest.shape
+    return np.asarray(sh_rest).transpose(0, 2, 1).reshape(count, 3 * bands)
+
+
+def rest_names(path: Path, names: tuple[str, ...]) -> list[str]:
+    """The columns `f_rest_*` in their order.
+
+    Raises:
+        InputError: They are of no degree.
+    """
+    count = sum(name.startswith("f_rest_") for name in names)
+    if count not in _REST_COUNTS:
+        raise InputError(f"{path}: has {count} columns f_rest_*, degrees 0-4 have one of {_REST_COUNTS}")
+    return [f"f_rest_{i}" for i in range(count)]
+
+
+def from_rest_columns(columns: np.ndarray) -> np.ndarray:
+    """`[N, K, 3]` coefficients of `[N, 3K]` columns `f_rest_*`."""
+    count, width = columns.shape
+    return np.ascontiguousarray(columns.reshape(count, 3, width // 3).transpose(0, 2, 1))
+
+
+def stacked(rows: np.ndarray, names: list[str]) -> np.ndarray:
+    """`[N, K]` float32 of K columns, in the order of `names`."""
+    return np.ascontiguousarray(np.array([rows[name] for name in names], np.float32).reshape(len(names), len(rows)).T)
+
+
+def filter_comments(pixel_filter: PixelFilter) -> list[str]:
+    """The lines of the header that tell a pixel filter; the classic one is what a file without them means."""
+    return ["comment SplatRenderMode: mip"] if pixel_filter == "mip" else []
+
+
+def told_filter(header: str) -> PixelFilter:
+    """What the comments say, the last of them where they disagree."""
+    told = ["".join(either).lower() for either in _FILTER_COMMENT.findall(header)]
+    return "mip" if told and told[-1] in ("mip", "1") else "classic"
+
+
+def _parse_header(path: Path, header: str) -> tuple[str, list[tuple[str, int, list]]]:
+    """The form of the body; name, count and fields of the elements up to the first with a list."""
+    form, elements = "", []
+    try:
+        for words in (line.split() for line in header.splitlines()):
+            if words[:1] == ["format"]:
+                form = words[1]
+            elif words[:1] == ["element"]:
+                elements.append((words[1], int(words[2]), []))
+            elif words[:2] == ["property", "list"]:
+                del elements[-1]
+                break
+            elif words[:1] == ["property"]:
+                elements[-1][2].append((words[2], _TYPES[words[1]]))
+        if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
+            raise ValueError(f"format {form!r}")
+        if not elements or any(count < 0 or not fields for _, count, fields in elements):
+            raise ValueError("no element of plain numbers comes first")
+    except (IndexError, KeyError, ValueError) as error:
+        raise InputError(f"{path}: PLY header not understood ({error})") from error
+    return form, elements
+
+
+def _binary_rows(path: Path, name: str, data: bytes, start: int, count: int, dtype: np.dtype) -> tuple[np.ndarray, int]:
+    needed, left = count * dtype.itemsize, max(0, len(data) - start)
+    if left < needed:
+        raise InputError(f"{path}: truncated, {count} rows of {name!r} need {needed} bytes, {left} left")
+    return np.frombuffer(data, dtype, count, start), start + needed
+
+
+def _ascii_rows(path: Path, name: str, data: bytes, start: int, count: int, dtype: np.dtype) -> tuple[np.ndarray, int]:
+    lines = []
+    while len(lines) < count and start < len(data):
+        end = data.find(b"\n", start)
+        line, start = (data[start:], len(data)) if end < 0 else (data[start:end], end + 1)
+        lines += [line] if line.strip() else []
+    try:
+        return np.array([tuple(map(float, line.split())) for line in lines], dtype).reshape(count), start
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{path}: truncated or damaged, {count} ascii rows of {name!r} were promised") from error

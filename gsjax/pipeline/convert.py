@@ -1,0 +1,75 @@
+"""A file of Gaussians to a file of another format, whole or in part."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import expit
+
+from gsjax.errors import InputError
+from gsjax.gaussians import Gaussians, take
+from gsjax.io.gaussian_files import format_of
+
+
+def convert(
+    source: str | Path,
+    out: str | Path,
+    *,
+    sh_degree: int | None = None,
+    crop: Sequence[float] | None = None,
+    min_opacity: float | None = None,
+) -> dict[str, Any]:
+    """Read Gaussians, keep what is wanted, write them; both formats as the suffixes tell.
+
+    Args:
+        source: .ply, .compressed.ply or .spz; a run folder stands for its gaussians.ply.
+        out: Likewise, but for the folder.
+        sh_degree: Harmonics above this degree, 0-4, are left out. None: all are kept.
+        crop: `(x0, y0, z0, x1, y1, z1)`: only Gaussians whose means lie in this box of the world, scene units, its
+            sides included. The world is that of a PLY, whatever the file. None: all of them.
+        min_opacity: Only Gaussians at least so opaque, 0-1. None: all of them.
+
+    Returns:
+        `gaussians`: how many were written. `left_out`: how many were not wanted. `clipped`: how many of those written
+        hold values that the format cannot reach. `sh_degree`, `pixel_filter`, `bytes`: of the file.
+
+    Raises:
+        InputError: A file cannot be read or written, its suffix is not known, an option is out of range, or
+            no Gaussian is wanted.
+    """
+    source, out = Path(source), Path(out)
+    source = source / "gaussians.ply" if source.is_dir() else source
+    reading, writing = format_of(source), format_of(out)
+    if sh_degree is not None and not 0 <= sh_degree <= 4:
+        raise InputError(f"--sh-degree {sh_degree} is not between 0 and 4")
+    if crop is not None and not all(low <= high for low, high in zip(crop[:3], crop[3:], strict=True)):
+        raise InputError(f"--crop {' '.join(f'{side:g}' for side in crop)}: a lower side is above its upper one")
+    if min_opacity is not None and not 0 <= min_opacity <= 1:
+        raise InputError(f"--min-opacity {min_opacity:g} is not between 0 and 1")
+    gaussians = reading.read(source)
+    wanted = np.ones(gaussians.num_gaussians, bool)
+    if crop is not None:
+        means, (low, high) = np.asarray(gaussians.means), np.reshape(np.asarray(crop, np.float64), (2, 3))
+        wanted &= np.all((means >= low) & (means <= high), axis=1)
+    if min_opacity is not None:
+        wanted &= expit(np.asarray(gaussians.logit_opacities, np.float64)) >= min_opacity
+    if not wanted.any() and len(wanted):
+        raise InputError(f"{source}: none of its {len(wanted)} Gaussians is wanted by --crop and --min-opacity")
+    kept = take(gaussians, wanted)
+    if sh_degree is not None:
+        kept = _of_degree(kept, sh_degree)
+    clipped = writing.write(out, kept)
+    return {
+        "gaussians": kept.num_gaussians,
+        "left_out": gaussians.num_gaussians - kept.num_gaussians,
+        "clipped": clipped,
+        "sh_degree": kept.sh_degree,
+        "pixel_filter": kept.pixel_filter,
+        "bytes": out.stat().st_size,
+    }
+
+
+def _of_degree(gaussians: Gaussians, degree: int) -> Gaussians:
+    return replace(gaussians, sh_rest=gaussians.sh_rest[:, : (degree + 1) ** 2 - 1])

@@ -1,0 +1,346 @@
+"""Compressed files of Gaussians: within their steps of what was written, and bytes made by hand from the documents."""
+
+import gzip
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import expit
+from tolerances import assert_close
+
+from gsjax.errors import InputError
+from gsjax.gaussians import SH_C0, Gaussians
+from gsjax.io.compressed_ply import read_compressed_ply, write_compressed_ply
+from gsjax.io.spz import read_spz, write_spz
+
+READ_WRITE = {
+    "g.spz": (read_spz, write_spz),
+    "g.compressed.ply": (read_compressed_ply, write_compressed_ply),
+}
+FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest")
+ROUNDING = 4e-7  # Of float32 results, relative to the numbers that they are made of.
+
+
+def some_gaussians(count, degree, seed=0, extent=1.0, offset=0.0):
+    """Gaussians with the hard values among them; `log_scales[:, 0]` numbers them in steps of 0.01."""
+    rng = np.random.default_rng(seed)
+    rest = (degree + 1) ** 2 - 1
+    quats = rng.normal(size=(count, 4)) * 10 ** rng.uniform(-8, 8, (count, 1))
+    quats[::7] = 0  # the identity
+    quats[1::7] = [[-3, 3, 3, -3]]  # no component larger than the others
+    logits = rng.normal(size=count) * 5
+    logits[::5], logits[1::5], logits[2::5] = np.inf, -np.inf, 300
+    log_scales = rng.normal(size=(count, 3)) * 8
+    log_scales[:, 0] = number_scales(count)
+    values = (
+        rng.uniform(-1, 1, (count, 3)) * extent + offset,
+        quats,
+        log_scales,
+        logits,
+        rng.normal(size=(count, 1, 3)) * 2,
+        rng.normal(size=(count, rest, 3)) * 2,
+    )
+    return Gaussians(*(value.astype(np.float32) for value in values))
+
+
+def number_scales(count):
+    return -6 + 0.01 * np.arange(count)
+
+
+def turns_apart(quats, others):
+    """Largest difference of a component of unit quaternions, of either sign."""
+    norm = np.linalg.norm(quats, axis=1, keepdims=True)
+    unit = np.where(norm > 0, quats / np.where(norm > 0, norm, 1), [1, 0, 0, 0])
+    signs = np.where(np.sum(unit * others, axis=1, keepdims=True) < 0, -1, 1)
+    return np.abs(unit - signs * others).max(initial=0)
+
+
+clouds = st.builds(
+    some_gaussians,
+    count=st.sampled_from([0, 1, 2, 255, 256, 257, 600]),
+    degree=st.integers(0, 3),
+    seed=st.integers(0, 2**32 - 1),
+    extent=st.sampled_from([0.0, 1e-6, 1.0, 3e3, 1e6]),
+    offset=st.sampled_from([0.0, -5e3, 4e6]),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(gaussians=clouds)
+def test_spz_keeps_everything_to_its_steps(tmp_path_factory, gaussians):
+    path = tmp_path_factory.mktemp("spz") / "g.spz"
+    clipped = write_spz(path, gaussians)
+    read = read_spz(path)
+    for field in FIELDS:
+        assert getattr(read, field).shape == getattr(gaussians, field).shape
+        assert getattr(read, field).dtype == np.float32 and np.isfinite(getattr(read, field)).all(), field
+    bits = gzip.decompress(path.read_bytes())[13]
+    farthest = np.abs(gaussians.means.astype(np.float64)).max(initial=0)
+    assert bits == 23 or farthest * 2 ** (bits + 1) > 2**23 - 1  # no finer step would reach the farthest
+    assert np.abs(read.means - gaussians.means.astype(np.float64)).max(initial=0) <= 2.0**-bits / 2
+    step = np.sqrt(0.5) / 511
+    assert turns_apart(gaussians.quats, read.quats) <= 3.1 * step / 2  # the largest follows from the other three
+    reach = {"log_scales": (-10, 95 / 16), "sh_dc": (-127.5 / 38.25, 127.5 / 38.25), "sh_rest": (-1, 127 / 128)}
+    rest_steps = np.where(np.arange(gaussians.sh_rest.shape[1]) < 3, 1 / 16, 1 / 8)[:, None]
+    steps = {"log_scales": 1 / 16, "sh_dc": 1 / 38.25, "sh_rest": rest_steps}
+    for field, (low, high) in reach.items():
+        wanted = np.clip(getattr(gaussians, field).astype(np.float64), low, high)
+        assert (np.abs(getattr(read, field) - wanted) <= steps[field] / 2 + 10 * ROUNDING).all(), field
+    assert np.abs(expit(read.logit_opacities) - expit(gaussians.logit_opacities)).max(initial=0) <= 0.5 / 255 + 1e-6
+    outside = {field: beyond(gaussians, field, *reach[field]) for field in reach}
+    far_outside = {field: beyond(gaussians, field, *reach[field], by=steps[field]) for field in reach}
+    assert np.any([*far_outside.values()], axis=0).sum() <= clipped <= np.any([*outside.values()], axis=0).sum()
+
+
+def beyond(gaussians, field, low, high, by=0.0):
+    """`[N]` which of the Gaussians have a value that is out of reach."""
+    values = getattr(gaussians, field).astype(np.float64)
+    return ((values < low - by) | (values > high + by)).any(axis=tuple(range(1, values.ndim)))
+
+
+@settings(max_examples=60, deadline=None)
+@given(gaussians=clouds)
+def test_a_compressed_ply_keeps_everything_to_the_steps_of_its_chunks(tmp_path_factory, gaussians):
+    path = tmp_path_factory.mktemp("ply") / "g.compressed.ply"
+    clipped = write_compressed_ply(path, gaussians)
+    read = read_compressed_ply(path)
+    count = len(gaussians.means)
+    number = np.rint((read.log_scales[:, 0] + 6) / 0.01).astype(int)
+    assert sorted(number) == list(range(count))
+    wanted = {field: getattr(gaussians, field)[number].astype(np.float64) for field in FIELDS}
+    chunk = np.arange(count) // 256
+    wanted["log_scales"] = np.clip(wanted["log_scales"], -20, 20)
+    for field, levels in (("means", (2047, 1023, 2047)), ("log_scales", (2047, 1023, 2047)), ("sh_dc", (255,) * 3)):
+        found, values = getattr(read, field).reshape(-1, 3), wanted[field].reshape(-1, 3)
+        for index in range(-(-count // 256)):
+            own = values[chunk == index]
+            bound = np.ptp(own, axis=0) / levels / 2 + ROUNDING * np.abs(own).max() + 10 * ROUNDING
+            assert (np.abs(found[chunk == index] - own) <= bound).all(), field
+    assert turns_apart(wanted["quats"], read.quats) <= 3.1 * np.sqrt(2) / 1023 / 2
+    assert np.abs(expit(read.logit_opacities) - expit(wanted["logit_opacities"])).max(initial=0) <= 0.5 / 255 + 1e-6
+    assert (np.abs(read.sh_rest - np.clip(wanted["sh_rest"], -4, 4)) <= 1 / 32).all()
+    beyond = (np.abs(gaussians.log_scales) > 20).any(1) | (np.abs(gaussians.sh_rest) > 4).any((1, 2))
+    assert clipped == beyond.sum()
+    for field in FIELDS:
+        assert getattr(read, field).dtype == np.float32 and np.isfinite(getattr(read, field)).all(), field
+
+
+def test_chunks_of_a_compressed_ply_are_neighbours(tmp_path):
+    """Two crowds in turns and far apart: each is as exact as if it were alone."""
+    gaussians = some_gaussians(512, 0)
+    gaussians.means[::2] += 1000
+    write_compressed_ply(tmp_path / "g.compressed.ply", gaussians)
+    read = read_compressed_ply(tmp_path / "g.compressed.ply")
+    number = np.rint((read.log_scales[:, 0] + 6) / 0.01).astype(int)
+    assert np.abs(read.means - gaussians.means[number]).max() < 2 / 1023 / 2 + 1e-4
+
+
+@pytest.mark.parametrize("name", READ_WRITE)
+@pytest.mark.parametrize("pixel_filter", ["classic", "mip"])
+def test_the_pixel_filter_and_what_was_packed_once_stay(tmp_path, name, pixel_filter):
+    read, write = READ_WRITE[name]
+    write(tmp_path / name, replace(some_gaussians(300, 2), pixel_filter=pixel_filter))
+    once = read(tmp_path / name)
+    assert once.pixel_filter == pixel_filter
+    assert write(tmp_path / f"again.{name}", once) == 0
+    again = read(tmp_path / f"again.{name}")
+    if name.endswith("spz"):
+        assert (tmp_path / name).read_bytes()[10:] == (tmp_path / f"again.{name}").read_bytes()[10:]
+    assert_close(np.sort(again.logit_opacities), np.sort(once.logit_opacities))
+
+
+# One Gaussian at (1.5, -0.25, 3) in the axes of a PLY, and its bytes by the document of the format.
+MEAN, SCALES = [1.5, -0.25, 3.0], [-10.0, -2.0, 5.0]
+DC_BYTES = [0, 128, 255]
+REST = np.arange(-4, 5).reshape(3, 3) / 16  # degree 1: y, z, x; of red, green, blue
+
+
+def by_hand(version, rotation):
+    fixed = b"".join(round(value * 16).to_bytes(3, "little", signed=True) for value in (1.5, 0.25, -3.0))
+    rest = REST * [[-1], [-1], [1]]  # y and z point the other way
+    arrays = [
+        fixed,
+        bytes([51]),
+        bytes(DC_BYTES),
+        bytes([0, 128, 240]),
+        rotation,
+        bytes((128 + 128 * rest).astype(int).ravel().tolist()),
+    ]
+    return struct.pack("<IIIBBBB", 0x5053474E, version, 1, 1, 4, 1, 0), arrays
+
+
+# (x, y, z, w) = (0.5, 0, 0, sqrt(3/4)): z is second and y first of those that a half turn about x turns round.
+HALF = round(0.5 / np.sqrt(0.5) * 511)
+ROTATIONS = {2: bytes([191, 128, 127]), 3: (3 << 30 | HALF << 20).to_bytes(4, "little")}
+
+
+def assert_by_hand(read, tolerance):
+    assert_close(read.means, np.float32([MEAN]))
+    assert_close(read.log_scales, np.float32([SCALES]))
+    assert_close(expit(read.logit_opacities), np.float32([0.2]))
+    assert_close(read.sh_dc[0, 0] * 0.15 + 0.5, np.float32(DC_BYTES) / 255)
+    assert_close(read.sh_rest[0], np.float32(REST))
+    assert np.abs(read.quats - [[np.sqrt(0.75), 0.5, 0, 0]]).max() < tolerance
+    assert read.pixel_filter == "mip"
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_spz_by_hand(tmp_path, version):
+    header, arrays = by_hand(version, ROTATIONS[version])
+    extension = struct.pack("<II", 0xADBE0002, 4) + bytes(4)  # one that does not matter here
+    header = header[:14] + bytes([3]) + header[15:]
+    (tmp_path / "g.spz").write_bytes(gzip.compress(header + b"".join(arrays) + extension))
+    assert_by_hand(read_spz(tmp_path / "g.spz"), 1e-3 if version == 3 else 8e-3)
+
+
+def version_4(header, arrays, extensions=b""):
+    zstandard = pytest.importorskip("zstandard", reason="SPZ of version 4 needs zstandard")
+    packed = [zstandard.ZstdCompressor().compress(array) for array in arrays if array]
+    sizes = [
+        struct.pack("<QQ", len(small), len(large)) for small, large in zip(packed, filter(None, arrays), strict=True)
+    ]
+    flags = bytes([header[14] | (2 if extensions else 0), len(packed)])
+    head = header[:14] + flags + struct.pack("<I12x", 32 + len(extensions))
+    return head + extensions + b"".join(sizes) + b"".join(packed)
+
+
+def test_spz_of_version_4_by_hand(tmp_path):
+    header, arrays = by_hand(4, ROTATIONS[3])
+    whole = version_4(header, arrays, extensions=struct.pack("<II", 0xADBE0002, 4) + bytes(4))
+    (tmp_path / "g.spz").write_bytes(whole)
+    assert_by_hand(read_spz(tmp_path / "g.spz"), 1e-3)
+    for length in range(len(whole)):
+        (tmp_path / "g.spz").write_bytes(whole[:length])
+        with pytest.raises(InputError, match=r"g\.spz: (truncated|not an SPZ)"):
+            read_spz(tmp_path / "g.spz")
+    axes = version_4(header, arrays, extensions=struct.pack("<IIB", 0xADBE0003, 1, 6))
+    (tmp_path / "g.spz").write_bytes(axes)
+    with pytest.raises(InputError, match=r"g\.spz: tells axes of its own"):
+        read_spz(tmp_path / "g.spz")
+
+
+def test_the_bytes_of_spz_are_those_by_hand(tmp_path):
+    """0.2 is 51 of 255; the mean's bits are as many as fit: 21."""
+    header, arrays = by_hand(3, ROTATIONS[3])
+    arrays[0] = b"".join(round(value * 2**21).to_bytes(3, "little", signed=True) for value in (1.5, 0.25, -3.0))
+    (tmp_path / "hand.spz").write_bytes(gzip.compress(header[:13] + bytes([21]) + header[14:] + b"".join(arrays)))
+    write_spz(tmp_path / "g.spz", read_spz(tmp_path / "hand.spz"))
+    assert gzip.decompress((tmp_path / "g.spz").read_bytes()) == gzip.decompress((tmp_path / "hand.spz").read_bytes())
+
+
+@pytest.mark.parametrize("with_colors", [False, True])
+def test_a_compressed_ply_by_hand(tmp_path, with_colors):
+    """Two Gaussians at the corners of their chunk, colours between 0 and 1 where the chunk tells no bounds of them."""
+    ends = np.float32([[0, 1, 2], [4, 5, 6], [-3, -3, -3], [-1, -2, -3]] + with_colors * [[0, 0, 0], [1, 0.5, 2]])
+    names = [f"{end}_{axis}" for end in ("min", "max") for axis in "xyz"]
+    names += [f"{end}_scale_{axis}" for end in ("min", "max") for axis in "xyz"]
+    names += [f"{end}_{axis}" for end in ("min", "max") for axis in "rgb"] * with_colors
+    half = round((0.5 * np.sqrt(0.5) + 0.5) * 1023)
+    rows = [
+        [0, 1 << 30 | 512 << 20 | 512 << 10 | 512, 2**32 - 1, 0xFF00FF33],
+        [2**32 - 1, half << 20 | 512 << 10 | 512, 0, 0x00FF0033],
+    ]
+    packed = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
+    lines = ["ply", "format binary_little_endian 1.0", "element chunk 1", *(f"property float {n}" for n in names)]
+    lines += ["element vertex 2", *(f"property uint {n}" for n in packed)]
+    lines += ["element sh 2", *(f"property uchar f_rest_{i}" for i in range(9)), "end_header", ""]
+    rest = np.uint8([[0, 1, 127, 128, 129, 130, 131, 254, 255]] * 2)
+    body = ends.tobytes() + np.array(rows, "<u4").tobytes() + rest.tobytes()
+    (tmp_path / "g.compressed.ply").write_bytes("\n".join(lines).encode() + body)
+    read = read_compressed_ply(tmp_path / "g.compressed.ply")
+    assert_close(read.means, np.float32([[0, 1, 2], [4, 5, 6]]))
+    assert_close(read.log_scales, np.float32([[-1, -2, -3], [-3, -3, -3]]))
+    assert_close(expit(read.logit_opacities), np.float32([0.2, 0.2]))
+    high = ends[5] if with_colors else np.ones(3)
+    assert_close(read.sh_dc[:, 0] * np.float32(SH_C0) + 0.5, np.float32([[1, 0, 1], [0, 1, 0]] * high))
+    assert np.abs(read.quats - [[0, 1, 0, 0], [np.sqrt(0.75), 0.5, 0, 0]]).max() < 1.5e-3
+    channel = [-4, -4 + 3 / 64, -1 / 64, 1 / 64, 3 / 64, 5 / 64, 7 / 64, 4 - 3 / 64, 4]
+    assert_close(read.sh_rest, np.float32([np.reshape(channel, (3, 3)).T] * 2))
+
+
+@pytest.mark.parametrize("name", READ_WRITE)
+def test_what_no_file_can_hold_is_refused_by_name(tmp_path, name):
+    _, write = READ_WRITE[name]
+    for field in FIELDS:
+        broken = some_gaussians(9, 1)
+        getattr(broken, field)[4, ...] = np.nan
+        with pytest.raises(InputError, match=rf"cannot write .*{name}: {field} of 1 of 9 Gaussians not finite"):
+            write(tmp_path / name, broken)
+    with pytest.raises(InputError, match=r"up to degree 3, not 4; --sh-degree 3 leaves out the rest"):
+        write(tmp_path / name, some_gaussians(9, 4))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", READ_WRITE)
+def test_huge_values_are_clipped_without_a_warning(tmp_path, name):
+    read, write = READ_WRITE[name]
+    gaussians = some_gaussians(4, 1)
+    for field in ("quats", "log_scales", "sh_rest", "sh_dc"):
+        getattr(gaussians, field)[:] *= np.float32(1e38) / np.abs(getattr(gaussians, field)).max()
+    assert write(tmp_path / name, gaussians) == 4
+    assert all(np.isfinite(getattr(read(tmp_path / name), field)).all() for field in FIELDS)
+
+
+def test_a_mean_beyond_spz_is_refused(tmp_path):
+    gaussians = some_gaussians(3, 0)
+    gaussians.means[1, 2] = -9e6
+    with pytest.raises(InputError, match=r"g.spz: a mean lies at 9e\+06, SPZ reaches 8388607"):
+        write_spz(tmp_path / "g.spz", gaussians)
+
+
+@pytest.mark.parametrize("name", READ_WRITE)
+def test_truncated_files_are_one_line(tmp_path, name):
+    read, write = READ_WRITE[name]
+    write(tmp_path / name, some_gaussians(300, 1))
+    whole = (tmp_path / name).read_bytes()
+    for share in (0, 0.001, 0.01, 0.2, 0.9, 0.999):
+        (tmp_path / name).write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(InputError, match=rf"{name}: (truncated|not an? |PLY header)") as error:
+            read(tmp_path / name)
+        assert "\n" not in str(error.value)
+
+
+def changed(place, value):
+    header, arrays = by_hand(3, ROTATIONS[3])
+    return gzip.compress(header[:place] + bytes([value]) + header[place + 1 :] + b"".join(arrays))
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"ply\nformat", "not an SPZ file"),
+        (gzip.compress(b"something else of some length"), "not an SPZ file"),
+        (gzip.compress(b"short"), "truncated, it ends within the header"),
+        (changed(4, 1), "SPZ of version 1, not one of 2, 3"),
+        (changed(4, 9), "SPZ of version 9, not one of 2, 3"),
+        (changed(12, 5), "harmonics of degree 5, above 4"),
+        (changed(8, 2), "truncated, 2 Gaussians need"),
+        (changed(8, 1)[:30] + b"xxxx" + changed(8, 1)[34:], r"truncated or damaged \("),
+    ],
+)
+def test_what_is_no_spz_is_named(tmp_path, data, message):
+    (tmp_path / "g.spz").write_bytes(data)
+    with pytest.raises(InputError, match=rf"g.spz: {message}"):
+        read_spz(tmp_path / "g.spz")
+
+
+def test_what_is_no_compressed_ply_is_named(tmp_path):
+    path = tmp_path / "g.compressed.ply"
+    write_compressed_ply(path, some_gaussians(3, 1))
+    whole = path.read_bytes()
+    for old, new, message in (
+        (b"element chunk 1", b"element chunk 0", "3 Gaussians do not go with 0 chunks and 3 harmonics"),
+        (b"min_scale_x", b"min_scale_w", "not a compressed PLY of Gaussians"),
+        (b"packed_color", b"packed_light", "not a compressed PLY of Gaussians"),
+        (b"f_rest_8", b"f_more_8", r"has 8 columns f_rest_\*"),
+    ):
+        path.write_bytes(whole.replace(old, new))
+        with pytest.raises(InputError, match=rf"g.compressed.ply: {message}"):
+            read_compressed_ply(path)
+    body = whole.index(b"end_header\n") + len(b"end_header\n")
+    path.write_bytes(whole[:body] + np.float32(np.nan).tobytes() + whole[body + 4 :])
+    with pytest.raises(InputError, match=r"g.compressed.ply: bounds of a chunk are not finite"):
+        read_compressed_ply(path)
