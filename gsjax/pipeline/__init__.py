@@ -1,23 +1,28 @@
 """The whole road as plain functions: what the command line and notebooks call."""
 
+from gsjax.pipeline.compare import compare
 from gsjax.pipeline.diagnose import diagnose
 from gsjax.pipeline.evaluate import evaluate
 from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.normals import normals
 from gsjax.pipeline.pictures import render
 from gsjax.pipeline.refine import refine
+from gsjax.pipeline.report import noted, report
 from gsjax.pipeline.scan import scan
 from gsjax.pipeline.texture import texture, turntable
 from gsjax.pipeline.train import train
 from gsjax.pipeline.undistort import undistort
 
 __all__ = [
+    "compare",
     "diagnose",
     "evaluate",
     "mesh",
     "normals",
+    "noted",
     "refine",
     "render",
+    "report",
     "scan",
     "texture",
     "train",

@@ -16,6 +16,7 @@ from gsjax.binding.refining import Refinement, RefineProgress
 from gsjax.effects.appearance import Appearance, relit
 from gsjax.errors import InputError
 from gsjax.io import runs
+from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.mesh import Mesh
 from gsjax.meshing.cleaning import clean
@@ -23,7 +24,9 @@ from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline.effects import read_appearances, write_appearances
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
+from gsjax.pipeline.report import report
 from gsjax.pipeline.result import scene_of_run, write_views
+from gsjax.pipeline.shown_views import keeper
 from gsjax.scene import Scene, extent, in_memory
 from gsjax.training.capacity import largest_need
 from gsjax.training.step import BACKGROUNDS
@@ -40,8 +43,8 @@ def refine(
     Args:
         run: Run folder; its data set, background and masks are used, its Gaussians are not.
         out: Folder for the result, absent or empty unless `resume`: `mesh.ply` and `mesh.glb` with vertex colours,
-            `gaussians.ply` in the 3DGS layout, `report.json`, and what makes it a run folder that can be scored and
-            rendered.
+            `gaussians.ply` in the 3DGS layout, `report.json`, `report.html`, and what makes it a run folder that can be
+            scored and rendered.
         settings: The refinement.
         mesh: Any mesh in the data set's coordinates; all its parts are kept. None: `RUN/mesh.ply`.
         resume: Continue `out` from its last checkpoint; with the same settings and mesh.
@@ -144,14 +147,15 @@ def _finish(
     write_views(folder, scene.frames)
     write_appearances(folder, looks)
     summary = {
-        **score_images(gaussians, scene.held_out_frames, background, looks=looks),
+        **score_images(gaussians, scene.held_out_frames, background, looks=looks, observe=keeper(folder)),
         "vertices": refined.num_vertices,
         "faces": refined.num_faces,
         "gaussians": gaussians.num_gaussians,
         **summary,
     }
     runs.write_json(folder / "report.json", summary)
-    runs.update_manifest(folder, status="done", **summary)
+    runs.update_manifest(folder, status="done", peak_gib=round(peak_memory() / 2**30, 2), **summary)
+    report(folder)
     return summary
 
 
