@@ -105,8 +105,5 @@ def _member(run: RunFacts) -> tuple[str, ...]:
 def _short_names(folders: Sequence[Path]) -> list[str]:
     """The shortest ends of the paths that are all different."""
     parts = [folder.resolve().parts for folder in folders]
-    for length in range(1, max(map(len, parts)) + 1):
-        names = ["/".join(each[-length:]) for each in parts]
-        if len(set(names)) == len(names):
-            break
-    return names
+    ends = (["/".join(each[-length:]) for each in parts] for length in range(1, max(map(len, parts)) + 1))
+    return next(names for names in ends if len(set(names)) == len(names))

@@ -225,6 +225,8 @@ def _normals(run: RunFacts) -> tuple[str, str]:
 
 
 def _effects(run: RunFacts) -> tuple[str, str]:
+    if run.is_refinement and run.settings["effects"] != "none":
+        return run.settings["effects"], "taken off the photos as training found them"
     if "effects" not in run.manifest:
         return "none", "not asked for: --effects auto looks for them"
     chosen = ", ".join(run.manifest["effects"]["simulated"]) or "none"
