@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from gsjax import tables
@@ -82,13 +83,14 @@ def differences(pools: Mapping[str, Sequence[RunFacts]]) -> dict[str, list[str]]
 
 
 def scores(pools: Mapping[str, Sequence[RunFacts]]) -> dict[str, list[str]]:
-    """Quantity -> in each pool its value, or the mean with least and most over seeds; a dash where a run lacks it."""
+    """Quantity -> in each pool its value, of seeds that differ the mean, least, most; a dash where a run lacks it."""
 
     def told(pool: Sequence[RunFacts], name: str) -> str:
-        rows = [{name: run.manifest.get(name)} for run in pool]
-        if any(row[name] is None for row in rows):
+        values = [run.manifest.get(name) for run in pool]
+        if None in values:
             return "-"
-        return tables.spread(rows)[name] if len(rows) > 1 else tables.shown(rows[0][name])
+        mean, least, most = (tables.shown(of(values)) for of in (fmean, min, max))
+        return mean if least == most else f"{mean} [{least} {most}]"
 
     table: dict[str, Any] = {name: [told(pool, name) for pool in pools.values()] for name in MEASURED}
     return {name: row for name, row in table.items() if set(row) != {"-"}}

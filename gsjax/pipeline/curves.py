@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-WIDTH, HEIGHT = 420, 230  # of a chart, SVG units
+WIDTH, HEIGHT = 432, 236  # of a chart, SVG units
 LEFT, RIGHT, TOP, BOTTOM = 50, 410, 12, 200  # of what the axes enclose
 TICKS = 5  # most, along either axis
 
