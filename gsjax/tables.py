@@ -11,13 +11,13 @@ FLOOR = "true mesh (floor)"
 
 def record(values: Mapping[str, Any]) -> str:
     """Two columns, name and value; nested mappings get dotted names."""
-    return aligned([[name, _shown(value)] for name, value in _flat(values)])
+    return aligned([[name, shown(value)] for name, value in flat(values)])
 
 
 def compare(variants: Mapping[str, Mapping[str, Any]]) -> str:
     """One row per variant, one column per quantity that any of them has."""
     names = list(dict.fromkeys(name for values in variants.values() for name in values))
-    rows = [[variant, *(_shown(values.get(name)) for name in names)] for variant, values in variants.items()]
+    rows = [[variant, *(shown(values.get(name)) for name in names)] for variant, values in variants.items()]
     return aligned([["", *names], *rows], right=range(1, len(names) + 1))
 
 
@@ -38,14 +38,16 @@ def aligned(rows: list[list[str]], right: Collection[int] = ()) -> str:
     return "\n".join(map(line, rows))
 
 
-def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+def flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    """Pairs of name and value; nested mappings get dotted names."""
     pairs = []
     for name, value in values.items():
-        pairs += _flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else [(f"{prefix}{name}", value)]
+        pairs += flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else [(f"{prefix}{name}", value)]
     return pairs
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """A value as tables show it: four digits, thousands apart, a dash for None."""
     if value is None:
         return "-"
     if isinstance(value, bool | str):

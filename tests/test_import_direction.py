@@ -46,7 +46,7 @@ LAYERS = {
     "runs": Layer(
         ("gsjax.pipeline",),
         ("rasterizer", *CORE, "io", "meshing"),
-        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib"),
+        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "jinja2"),
     ),
     "cli": Layer(("gsjax.cli", "gsjax.__main__"), (*CORE, "io", "meshing", "runs"), ()),
     "experiments": Layer(

@@ -100,6 +100,22 @@ def test_a_run_folder_holds_what_was_asked_and_what_came_of_it(run, scene):
     assert compiled.count("train_step") == 3, "one program a phase"
     gaussians = read_gaussians(run / "gaussians.ply")
     assert gaussians.num_gaussians == manifest["gaussians"] <= SETTINGS["max_gaussians"]
+    assert manifest["photos"] == "9 photos at 48x40, 30 steps"
+
+
+def test_a_report_is_left_and_a_run_that_kept_no_pictures_is_rendered_for_it(run, scene, tmp_path):
+    kept = {file.name: read_image(file)[0].astype(float) for file in (run / "pictures").iterdir()}
+    assert sorted(kept) == [
+        f"{view}_{kind}.jpg" for view in ("0000", "0008") for kind in ("normals", "photo", "render")
+    ]
+    photo, _ = read_image(scene / "images/000.png")
+    assert np.abs(kept["0000_photo.jpg"] - photo).mean() < 3
+    assert (run / "report.html").read_text().count("data:image/jpeg") == 6
+
+    shutil.copytree(run, tmp_path / "run", ignore=shutil.ignore_patterns("pictures"))
+    pipeline.report(tmp_path / "run")
+    for name, image in kept.items():
+        assert np.abs(read_image(tmp_path / "run/pictures" / name)[0] - image).mean() < 1, name
 
 
 @pytest.mark.parametrize("stopped_at", [10, 23])

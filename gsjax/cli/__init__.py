@@ -6,6 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from gsjax.cli import (
+    compare,
     convert,
     demo,
     diagnose,
@@ -15,6 +16,7 @@ from gsjax.cli import (
     normals,
     refine,
     render,
+    report,
     scan,
     sfm,
     texture,
@@ -32,7 +34,8 @@ DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
                                     |                 |---texture--> mesh.glb with a texture
                                     |                 `--turntable--> pictures around it
                                     |---eval---> figures
-                                    `--render--> pictures
+                                    |--render--> pictures
+                                    `--report--> one page that shows it; --compare--> several runs on one
 
   scene --diagnose--> which effects its photos call for
   scene --normals--> a normal map a photo, from a network, for training
@@ -85,7 +88,21 @@ def parser() -> argparse.ArgumentParser:
     top = _Parser(prog="gsjax", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
     beside_training = diagnose, normals, undistort, convert
-    for command in (demo, scan, sfm, train, mesh, refine, texture, evaluate, render, turntable, *beside_training):
+    for command in (
+        demo,
+        scan,
+        sfm,
+        train,
+        mesh,
+        refine,
+        texture,
+        evaluate,
+        render,
+        report,
+        compare,
+        turntable,
+        *beside_training,
+    ):
         command.add_to(commands)
     return top
 

@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from functools import partial
 
 from gsjax.cli.parsers import add_command, given
 
@@ -45,13 +46,15 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
     from gsjax.io import runs
 
-    figures = pipeline.evaluate(
+    score = partial(
+        pipeline.evaluate,
         arguments.run_folder,
         mesh=arguments.mesh,
         three_ways=arguments.three_ways,
         zooms=arguments.zoom,
         **given(arguments, "lpips"),
     )
+    figures = pipeline.noted(arguments.run_folder, "eval", score)
     if arguments.json:
         runs.write_json(arguments.json, figures)
     if not figures["views"]:

@@ -51,4 +51,7 @@ def _run(arguments: argparse.Namespace) -> None:
         arguments, "method", "depth", "trim_quantile", "cell", "level", "points", "bounds", "background_bounds",
         "foreground_only", "faces", "scene", "settled",
     )  # fmt: skip
-    print(tables.record(pipeline.mesh(arguments.source, arguments.out, **options)))
+    figures = pipeline.noted(
+        arguments.source, "mesh", lambda: pipeline.mesh(arguments.source, arguments.out, **options)
+    )
+    print(tables.record(figures))

@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,13 @@ def write_image(path: str | Path, image: np.ndarray) -> None:
     """
     with atomic_path(path) as temporary:
         Image.fromarray(np.ascontiguousarray(image)).save(temporary, quality=95)
+
+
+def jpeg(image: np.ndarray) -> bytes:
+    """`[H, W, 3]` uint8 pixels as a JPEG for the screen, at 85."""
+    stream = BytesIO()
+    Image.fromarray(np.ascontiguousarray(image)).save(stream, "JPEG", quality=85)
+    return stream.getvalue()
 
 
 def image_size(path: Path) -> tuple[int, int]:

@@ -3,6 +3,8 @@
     config.json        the parsed settings
     manifest.json      scene, command, versions, machine, seed, dates, status, the list of files
     metrics.jsonl      one line per logged step
+    pictures/          a few held-out views, as the report shows them
+    report.html        all of this to look at (`gsjax.pipeline.report`)
     checkpoints/       step_0001234.npz, the last two
     gaussians.ply      the result, for viewers
     cameras.json       the views it was trained on and scored on
@@ -134,10 +136,14 @@ def append_metrics(run: str | Path, record: Mapping[str, Any]) -> None:
 
 
 def read_metrics(run: str | Path) -> list[dict[str, Any]]:
-    """All whole lines of `metrics.jsonl`; a last line that a kill has torn is left out."""
+    """All whole lines of `metrics.jsonl`; a last line that a kill has torn is left out.
+
+    Raises:
+        InputError: Another line is no record.
+    """
     path = Path(run) / "metrics.jsonl"
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True) if path.exists() else []
-    return [json.loads(line) for line in lines if line.endswith("\n")]
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True) if path.exists() else []
+    return [_record(line, f"{path}, line {i}") for i, line in enumerate(lines, 1) if line.endswith("\n")]
 
 
 def truncate_metrics(run: str | Path, step: int) -> None:
@@ -179,6 +185,16 @@ def read_json(path: str | Path) -> Any:
         raise InputError(f"{path}: {error.strerror}") from error
     except ValueError as error:
         raise InputError(f"{path}: is no JSON ({str(error).splitlines()[0]})") from error
+
+
+def _record(line: str, where: str) -> dict[str, Any]:
+    try:
+        record = json.loads(line)
+    except ValueError as error:
+        raise InputError(f"{where}: is no JSON ({str(error).splitlines()[0]})") from error
+    if not isinstance(record, dict) or not isinstance(record.get("step"), int):
+        raise InputError(f"{where}: is no record of a step")
+    return record
 
 
 def _checkpoints(run: str | Path) -> list[tuple[int, Path]]:

@@ -1,5 +1,6 @@
 """The whole road as plain functions: what the command line and notebooks call."""
 
+from gsjax.pipeline.compare import compare
 from gsjax.pipeline.convert import convert
 from gsjax.pipeline.diagnose import diagnose
 from gsjax.pipeline.evaluate import evaluate
@@ -7,19 +8,23 @@ from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.normals import normals
 from gsjax.pipeline.pictures import render
 from gsjax.pipeline.refine import refine
+from gsjax.pipeline.report import noted, report
 from gsjax.pipeline.scan import scan
 from gsjax.pipeline.texture import texture, turntable
 from gsjax.pipeline.train import train
 from gsjax.pipeline.undistort import undistort
 
 __all__ = [
+    "compare",
     "convert",
     "diagnose",
     "evaluate",
     "mesh",
     "normals",
+    "noted",
     "refine",
     "render",
+    "report",
     "scan",
     "texture",
     "train",

@@ -1,6 +1,6 @@
 """Scores of a run: held-out images, and geometry wherever there is truth beside the images."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 
 from gsjax import gallery
 from gsjax.effects.appearance import Appearance, fitted
+from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.io import runs
 from gsjax.measures import geometry
@@ -120,6 +121,8 @@ def score_images(
     *,
     measures: Mapping[str, Measure] = MappingProxyType({}),
     looks: Mapping[str, Appearance] = MappingProxyType({}),
+    depth_mode: DepthMode = "plane",
+    observe: Callable[[Frame, np.ndarray, Picture], None] = lambda *_: None,
 ) -> dict[str, Any]:
     """Mean PSNR and SSIM over frames, as 3DGS defines them (float renders, every pixel that is valid); None of none.
 
@@ -129,6 +132,8 @@ def score_images(
         background: Colour behind it.
         measures: Further ones by name. They see pictures in 0..1, both black where a pixel is not valid.
         looks: What the photos' cameras did to the light, where training took that in.
+        depth_mode: Of the pictures' depth, which no score looks at.
+        observe: Told of every frame, of the photo `[H, W, 3]` that it is compared with, and of its picture.
 
     Returns:
         `psnr`, `ssim` and `measures`: of the render as it is, the mean photo of the scene; `views`. With `looks` also
@@ -142,13 +147,14 @@ def score_images(
     color = BACKGROUNDS[background]
     scores = []
     for frame, picture in zip(
-        frames, gallery.pictures(gaussians, [frame_camera(f) for f in frames], color), strict=True
+        frames, gallery.pictures(gaussians, [frame_camera(f) for f in frames], color, depth_mode), strict=True
     ):
         image, matte, valid = frame.pixels()
         target = image.astype(np.float32) / 255
         if matte is not None:
             coverage = matte[..., None].astype(np.float32) / 255
             target = target * coverage + (1 - coverage) * color
+        observe(frame, target, picture)
         valid = np.ones(target.shape[:2], bool) if valid is None else valid > 127
         ways = [picture.colors]
         if looks:

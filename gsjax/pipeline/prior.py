@@ -1,7 +1,7 @@
 """Where the normals of a run come from: a folder of maps, or the run's own smoothed depth."""
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -43,6 +43,8 @@ class RunPrior:
         axes: str | None,
         frames: tuple[Frame, ...],
         depth_mode: DepthMode = "plane",
+        *,
+        tell: Callable[[str], None] = lambda line: tqdm.write(f"normals: {line}", file=sys.stderr),
     ):
         """Check what was given.
 
@@ -53,6 +55,7 @@ class RunPrior:
                 normals` made them, else found by comparing with the Gaussians.
             frames: Whose normals will be asked for.
             depth_mode: What the Gaussians' depth is, see `gsjax.render.view`.
+            tell: Told in one line which axes foreign maps have, and how that was found.
 
         Raises:
             InputError: A map is missing, or the axes are none.
@@ -62,6 +65,7 @@ class RunPrior:
         if folder is None and axes is not None:
             raise InputError(f"--normal-axes {axes}: there are no maps whose axes these are, --normals DIR names them")
         self.depth_mode: DepthMode = depth_mode
+        self.tell = tell
         self.network = None if folder is None else maker(folder)
         self.given = None if folder is None else normal_maps(folder, frames)
 
@@ -111,7 +115,7 @@ class RunPrior:
             own, fault = self.network is None, "fits better" if clear else "is doubtful"
             taken = f"taken as {written_axes(ours)}" if own else f"kept as in {self.network}'s record"
             line, signs = f"axes {taken}: {guess} {fault} ({measured}); --normal-axes sets them", ours
-        tqdm.write(f"normals: {line}", file=sys.stderr)
+        self.tell(line)
         return signs
 
     def _own(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:

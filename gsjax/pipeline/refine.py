@@ -20,6 +20,7 @@ from gsjax.effects.appearance import Appearance, relit
 from gsjax.errors import InputError
 from gsjax.gaussians import take
 from gsjax.io import runs
+from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.mesh import Mesh
 from gsjax.meshing.cleaning import clean
@@ -29,7 +30,9 @@ from gsjax.meshing.rays import ray_caster
 from gsjax.pipeline.effects import read_appearances, write_appearances
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
+from gsjax.pipeline.report import report
 from gsjax.pipeline.result import QUIET, Result, open_result, scene_of_run, write_views
+from gsjax.pipeline.shown_views import keeper
 from gsjax.scene import Scene, extent, in_memory
 from gsjax.training.capacity import largest_need
 from gsjax.training.step import BACKGROUNDS
@@ -47,8 +50,8 @@ def refine(
         run: Run folder; its data set, background and masks are used, and with `settings.keep_free` those of its
             Gaussians that show what the mesh does not.
         out: Folder for the result, absent or empty unless `resume`: `mesh.ply` and `mesh.glb` with vertex colours,
-            `gaussians.ply` in the 3DGS layout, `report.json`, and what makes it a run folder that can be scored and
-            rendered.
+            `gaussians.ply` in the 3DGS layout, `report.json`, `report.html`, and what makes it a run folder that can be
+            scored and rendered.
         settings: The refinement.
         mesh: Any mesh in the data set's coordinates; all its parts are kept. None: `RUN/mesh.ply`.
         resume: Continue `out` from its last checkpoint; with the same settings and mesh.
@@ -169,7 +172,7 @@ def _finish(
     write_views(folder, scene.frames)
     write_appearances(folder, looks)
     summary = {
-        **score_images(gaussians, scene.held_out_frames, background, looks=looks),
+        **score_images(gaussians, scene.held_out_frames, background, looks=looks, observe=keeper(folder)),
         "vertices": refined.num_vertices,
         "faces": refined.num_faces,
         "gaussians": hybrid.num_gaussians,
@@ -178,7 +181,8 @@ def _finish(
         **summary,
     }
     runs.write_json(folder / "report.json", summary)
-    runs.update_manifest(folder, status="done", **summary)
+    runs.update_manifest(folder, status="done", peak_gib=round(peak_memory() / 2**30, 2), **summary)
+    report(folder)
     return summary
 
 

@@ -24,6 +24,7 @@ from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.panels import draw_panels
 from gsjax.pipeline.pictures import normal_picture, to_bytes
 from gsjax.pipeline.refine import refine
+from gsjax.pipeline.report import report as write_report
 from gsjax.pipeline.result import open_result
 from gsjax.pipeline.texture import texture
 from gsjax.pipeline.train import train
@@ -52,7 +53,7 @@ def scan(
     Args:
         source: Folder of photos, a video, or a data set that `train` reads (then nothing is reconstructed first).
         out: Folder for everything: `scene/` (sfm), `run/` with `run/mesh.ply` (train, mesh), `refined/` (refine),
-            `mesh.glb` (texture), `overview.png`, `report.json`.
+            `mesh.glb` (texture), `overview.png`, `report.json`, `report.html`.
         settings: Of the training.
         refinement: Of the mesh.
         frames: Of a video, how many to take. None: as `gsjax.io.sfm.reconstruct` has it.
@@ -96,6 +97,7 @@ def scan(
         "versions": versions(),
     }
     runs.write_json(out / "report.json", report)
+    write_report(out)
     return report
 
 

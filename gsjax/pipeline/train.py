@@ -18,6 +18,7 @@ from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import normal_folders, runs
+from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.pipeline.effects import joined, write_appearances
@@ -25,7 +26,9 @@ from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.pace import Pace, seconds_left, spoken
 from gsjax.pipeline.prior import RunPrior
+from gsjax.pipeline.report import report
 from gsjax.pipeline.result import write_views
+from gsjax.pipeline.shown_views import keeper
 from gsjax.pipeline.sizes import chosen_downscale, size_line
 from gsjax.scene import Scene, extent, in_memory
 from gsjax.settings import Settings, total_steps
@@ -62,7 +65,7 @@ def train(
     """
     if settings.normals is not None:
         settings = replace(settings, normals=normal_folders.find(scene, settings.normals))
-    loaded, settings = _sized(scene, settings)
+    loaded, settings, photos_line = _sized(scene, settings)
     frames = loaded.train_frames
     if not frames:
         raise InputError(f"{scene}: all {len(loaded.frames)} photos are held out, none is left to train on")
@@ -73,7 +76,9 @@ def train(
     photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
     loaded = replace(loaded, frames=tuple(map(in_memory, photos)))
     frames = loaded.train_frames
-    prior = RunPrior(Path(out), settings.normals, settings.normal_axes, frames, settings.depth_mode)
+    prior = RunPrior(
+        Path(out), settings.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
+    )
     prior = partial(prior, frames=frames)
     taken_in = joined(settings, loaded)
     as_dict = config.to_dict(settings)
@@ -81,6 +86,7 @@ def train(
         runs.reopen(out, as_dict, scene=scene) if resume else runs.create(out, as_dict, scene=scene, seed=settings.seed)
     )
 
+    runs.update_manifest(run, photos=photos_line)
     if taken_in.evidence:
         runs.update_manifest(run, effects=taken_in.evidence)
     optimizer = optimizers.make_optimizer(settings.rates, size, settings.rates.decay_steps or total_steps(settings))
@@ -105,14 +111,21 @@ def train(
         return _finish(run, settings, loaded, state, taken_in.appearances(state.effects), journal.seconds)
 
 
-def _sized(scene: str | Path, settings: Settings) -> tuple[Scene, Settings]:
-    """The data set at the size that the run looks at, which the settings then name; one line says it."""
+def _sized(scene: str | Path, settings: Settings) -> tuple[Scene, Settings, str]:
+    """The data set at the size that the run looks at, which the settings then name; and the line that says it."""
     opened = partial(load_scene, scene, folder_masks=settings.masks, images=settings.images, hold_out=settings.hold_out)
     taken = opened()
     settings = replace(settings, downscale=chosen_downscale(settings, taken.frames))
     loaded = taken if settings.downscale == 1 else opened(downscale=settings.downscale)
-    print(f"train: {size_line(settings, taken.frames, loaded.frames)}", file=sys.stderr)
-    return loaded, settings
+    line = size_line(settings, taken.frames, loaded.frames)
+    print(f"train: {line}", file=sys.stderr)
+    return loaded, settings, line
+
+
+def _tell_normals(run: str | Path, line: str) -> None:
+    """What became of the normal maps, on the screen and in the manifest."""
+    tqdm.write(f"normals: {line}", file=sys.stderr)
+    runs.update_manifest(run, normals=line)
 
 
 def _initial(
@@ -147,14 +160,22 @@ def _finish(
     write_views(run, scene.frames)
     write_appearances(run, looks)
     # The buffer as it is: a program for this very number of Gaussians would serve once.
-    scores = score_images(state.gaussians, scene.held_out_frames, settings.background, looks=looks)
+    scores = score_images(
+        state.gaussians,
+        scene.held_out_frames,
+        settings.background,
+        looks=looks,
+        depth_mode=settings.depth_mode,
+        observe=keeper(run),
+    )
     summary = {
         **scores,
         "gaussians": gaussians.num_gaussians,
         "steps": int(state.step),
         "train_seconds": round(seconds, 1),
     }
-    runs.update_manifest(run, status="done", **summary)
+    runs.update_manifest(run, status="done", peak_gib=round(peak_memory() / 2**30, 2), **summary)
+    report(run)
     return summary
 
 
@@ -186,7 +207,9 @@ class TrainingJournal(Journal):
             self.save(progress.step, progress.state, 0 if progress.phase_done else progress.capacity)
 
     def _held_out_psnr(self, state: TrainState) -> float:
-        return score_images(state.gaussians, self.scene.held_out_frames, self.settings.background)["psnr"]
+        settings = self.settings
+        frames = self.scene.held_out_frames
+        return score_images(state.gaussians, frames, settings.background, depth_mode=settings.depth_mode)["psnr"]
 
     def _tell_pace(self, progress: Progress) -> None:
         """How long the rest will take, once a phase."""

@@ -17,8 +17,8 @@ from gsjax.errors import InputError
 from gsjax.settings import PRESETS, Phase, Settings
 
 COMMANDS = (
-    "demo", "scan", "sfm", "normals", "train", "mesh", "refine", "texture", "eval", "render", "turntable", "undistort",
-    "convert",
+    "demo", "scan", "sfm", "normals", "train", "mesh", "refine", "texture", "eval", "render", "report", "compare",
+    "turntable", "undistort", "convert",
 )  # fmt: skip
 
 
@@ -56,8 +56,9 @@ def library(monkeypatch):
 
         return function
 
-    names = ("train", "mesh", "normals", "evaluate", "render", "undistort")
-    install("gsjax.pipeline", **{name: recorded(name, {"psnr": 29.5, "views": 7}) for name in names})
+    names = ("train", "mesh", "normals", "evaluate", "render", "undistort", "report", "compare")
+    functions = {name: recorded(name, {"psnr": 29.5, "views": 7}) for name in names}
+    install("gsjax.pipeline", **functions, noted=lambda run, stage, work: work())
     left_out = {"a.jpg": "blurred", "b.jpg": "dark", "c.jpg": "dark"}
     install("gsjax.io.sfm", reconstruct=recorded("sfm", SfmReport(45, left_out)))
     report = {"vanilla": {"psnr": 30.0, "chamfer": 0.004}, "surface": {"psnr": 31.0}, "floor": {"chamfer": 1e-4}}
@@ -221,6 +222,8 @@ def test_the_other_commands_reach_their_functions(library, capsys):
     assert cli.main(["undistort", "scene", "--out", "o"]) == 0
     assert cli.main(["undistort", "scene", "--out", "o", "--downscale", "2", "--images", "images_4"]) == 0
     assert cli.main(["sfm", "clip.mp4", "--out", "scene", "--frames", "30"]) == 0
+    assert cli.main(["report", "run"]) == 0
+    assert cli.main(["compare", "run", "other", "--out", "o.html"]) == 0
     assert cli.main(["demo"]) == 0
     assert library == [
         ("render", ("run", "o"), {"which": "all"}),
@@ -229,6 +232,8 @@ def test_the_other_commands_reach_their_functions(library, capsys):
         ("undistort", ("scene", "o"), {}),
         ("undistort", ("scene", "o"), {"downscale": 2, "images": "images_4"}),
         ("sfm", ("clip.mp4", "scene"), {"frames": 30}),
+        ("report", ("run",), {}),
+        ("compare", (["run", "other"], "o.html"), {}),
         ("demo", ("runs/demo",), {}),
     ]
     printed = capsys.readouterr()

@@ -56,6 +56,7 @@ def stages(monkeypatch):
     monkeypatch.setattr(scanning, "refine", stage("refine", run_folder))
     monkeypatch.setattr(scanning, "texture", stage("texture", product))
     monkeypatch.setattr(scanning, "_overview", lambda out: out / "overview.png")
+    monkeypatch.setattr(scanning, "write_report", lambda out: (out / "report.html").write_text("whole"))
     return calls, broken
 
 
@@ -82,6 +83,7 @@ def test_every_stage_leaves_its_work_where_its_command_would(stages, photos, tmp
     ]
     assert calls[0][-1] == {"frames": 30}
     assert runs.read_json(out / "report.json") == runs._plain(report)
+    assert (out / "report.html").exists()
     rows = table(report)
     assert list(rows) == ["sfm", "train", "mesh", "refine", "texture"]
     assert rows["sfm"]["registered"] == 7 and rows["mesh"]["faces"] == 12

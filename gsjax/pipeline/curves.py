@@ -1,0 +1,102 @@
+"""Curves of a run as the numbers of an SVG: where lines, ticks and marks lie in a picture of fixed size."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+WIDTH, HEIGHT = 432, 236  # of a chart, SVG units
+LEFT, RIGHT, TOP, BOTTOM = 50, 410, 12, 200  # of what the axes enclose
+TICKS = 5  # most, along either axis
+
+
+class Curve(NamedTuple):
+    """One line: P points, and the range that it is the mean of where runs are pooled."""
+
+    label: str
+    x: np.ndarray  # [P]
+    y: np.ndarray  # [P]
+    low: np.ndarray | None = None  # [P] least of the runs
+    high: np.ndarray | None = None  # [P] most of the runs
+    color: int = 0  # index into the colours of the page
+    faint: bool = False  # drawn thin, behind what counts
+
+
+class Line(NamedTuple):
+    """A curve in the picture."""
+
+    label: str
+    points: str  # "x,y x,y ...", as a polyline has it
+    band: str  # the same of the range's outline; empty without one
+    color: int
+    faint: bool
+
+
+class Chart(NamedTuple):
+    """What a template draws: every position in SVG units, y down."""
+
+    title: str
+    unit: str  # of the x axis
+    lines: list[Line]
+    x_ticks: list[tuple[float, str]]
+    y_ticks: list[tuple[float, str]]
+    marks: list[tuple[float, str]]  # upright lines with a name: where a phase ends
+
+
+def chart(title: str, unit: str, curves: Sequence[Curve], marks: Sequence[tuple[float, str]] = ()) -> Chart | None:
+    """Places curves between axes: x from 0 to the last point, y from tick to tick around all of them.
+
+    Args:
+        title: What is drawn.
+        unit: Of the x axis.
+        curves: Lines; those of fewer than two points are left out.
+        marks: Values of x, and their names.
+
+    Returns:
+        The chart, or None where there is no line to draw.
+    """
+    curves = [curve for curve in curves if len(curve.x) > 1]
+    if not curves:
+        return None
+    values = np.concatenate([each for c in curves for each in (c.y, c.low, c.high) if each is not None])
+    x_ticks = _ticks(0.0, max(float(c.x.max()) for c in curves))
+    y_ticks = _ticks(float(values.min()), float(values.max()))
+    end, (bottom, top) = max(float(c.x.max()) for c in curves), (y_ticks[0], y_ticks[-1])
+
+    def across(x: np.ndarray) -> np.ndarray:
+        return LEFT + (RIGHT - LEFT) * np.asarray(x, float) / end
+
+    def up(y: np.ndarray) -> np.ndarray:
+        return BOTTOM - (BOTTOM - TOP) * (np.asarray(y, float) - bottom) / (top - bottom)
+
+    def line(curve: Curve) -> Line:
+        band = ""
+        if curve.low is not None and curve.high is not None:
+            outline = np.concatenate([curve.x, curve.x[::-1]]), np.concatenate([curve.low, curve.high[::-1]])
+            band = _points(across(outline[0]), up(outline[1]))
+        return Line(curve.label, _points(across(curve.x), up(curve.y)), band, curve.color, curve.faint)
+
+    return Chart(
+        title,
+        unit,
+        [line(curve) for curve in curves],
+        [(round(float(across(x)), 2), f"{x:,g}") for x in x_ticks if x <= end],
+        [(round(float(up(y)), 2), f"{y:,.10g}") for y in y_ticks],
+        [(round(float(across(x)), 2), name) for x, name in marks if 0 < x < end],
+    )
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Round numbers from below `low` to above `high`."""
+    from matplotlib.ticker import MaxNLocator
+
+    if low == high:  # A line that does not move still has room around it.
+        low, high = low - max(abs(low), 1) / 2, high + max(abs(high), 1) / 2
+    ticks = MaxNLocator(TICKS, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+    digits = 1 - math.floor(math.log10(ticks[1] - ticks[0]))
+    return [round(float(tick), max(digits, 0)) + 0.0 for tick in ticks]
+
+
+def _points(x: np.ndarray, y: np.ndarray) -> str:
+    return " ".join(f"{a:.2f},{b:.2f}" for a, b in zip(x, y, strict=True))
