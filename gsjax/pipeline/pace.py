@@ -4,10 +4,10 @@ import time
 
 from gsjax.settings import Phase, Settings
 from gsjax.training.loop import planned_phases
-from gsjax.training.losses import NEEDS_NORMALS
+from gsjax.training.losses import NEEDS_DEPTH, NEEDS_NORMALS
 from gsjax.training.step import active_terms
 
-NORMALS_COST = 2.0  # A step with a normal term takes so many times as long (docs/experiments.md).
+SURFACE_COST = 2.0  # A step with a term of the surface takes so many times as long (docs/experiments.md).
 FIXED_COST = 0.35  # Of a step at full size, what does not shrink with the photos: the Gaussians' own part.
 UNTIMED, TIMED = 3, 15  # Steps of a phase: the first ones compile, the next ones are timed.
 
@@ -33,8 +33,8 @@ class Pace:
 
 def relative_cost(phase: Phase) -> float:
     """A step of a phase in units of a photometric step at full size."""
-    normals = not NEEDS_NORMALS.isdisjoint(active_terms(phase.weights))
-    return (FIXED_COST + (1 - FIXED_COST) / phase.image_scale**2) * (NORMALS_COST if normals else 1.0)
+    surface = not (NEEDS_NORMALS | NEEDS_DEPTH).isdisjoint(active_terms(phase.weights))
+    return (FIXED_COST + (1 - FIXED_COST) / phase.image_scale**2) * (SURFACE_COST if surface else 1.0)
 
 
 def seconds_left(settings: Settings, step: int, phase: Phase, seconds_per_step: float) -> float:

@@ -182,8 +182,10 @@ def test_free_gaussians_that_no_view_sees_leave_the_rest_as_it_is(scene, beside,
     state, metrics = beside.step(beside.state(beside.means - [0, 0, 40]), target, jax.random.key(seed))
     alone = whole.progress[0]
     assert_close(metrics.loss, alone.metrics.loss)
+    # A round disc does not change when it turns: its gradient is rounding, of which Adam makes a whole step.
+    turned = replace(state.gaussians.bound, rotations=alone.state.gaussians.bound.rotations)
     assert_close(
-        state.gaussians.bound, alone.state.gaussians.bound, rtol=1e-4, atol=1e-5,
+        turned, alone.state.gaussians.bound, rtol=1e-4, atol=1e-5,
         why="Adam divides by gradients that XLA sums in another order",
     )  # fmt: skip
 

@@ -36,7 +36,8 @@ def value_and_gradients(here, there, neighbor, valid=ALL):
     return _value_and_gradients(here, there, neighbor, valid)
 
 
-@jax.jit
+# Without LLVM's optimisations, as the session asks for, XLA's older emitters get one row of this gradient wrong.
+@partial(jax.jit, compiler_options={"xla_backend_optimization_level": 3})
 def _value_and_gradients(here, there, neighbor, valid):
 
     def term(here, there):
