@@ -37,7 +37,8 @@ class Desk:
         """Nobody is there yet."""
         self._clock = clock
         self._visitors: dict[Hashable, _Visitor] = {}
-        self._changed, self._closed, self._woken = threading.Condition(), False, False
+        self._changed = threading.Condition()
+        self._closed = self._woken = self._idle = False
 
     def __len__(self) -> int:
         """How many browsers are there."""
@@ -98,13 +99,20 @@ class Desk:
                 if left is not None and left <= 0:
                     return None
                 waits = [seconds for seconds in (left, rests_in) if seconds is not None]
+                self._idle = rests_in is None
                 self._changed.wait(min(waits, default=None))
+                self._idle = False
         return None
 
     @property
     def is_closed(self) -> bool:
         """Whether `close` was called."""
         return self._closed
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether all pictures are drawn: somebody waits for orders, and none is to come without a move."""
+        return self._idle
 
     def _next(self, now: float) -> tuple[Order | None, float | None]:
         """The order that is due, or after how many seconds the next camera rests."""

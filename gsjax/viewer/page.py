@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from threading import Event
-from typing import Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 import rich
@@ -22,6 +22,7 @@ from gsjax.viewer.pictures import Pictures
 from gsjax.viewer.scenery import MESH_COLORS, MESH_OFF, MESH_SHAPE, Scenery
 from gsjax.viewer.subject import Subject
 
+SHOW, SIDE, MESH, CAMERAS = "Show", "Longest side", "Mesh", "Cameras"
 BY_BROWSER = "colour, drawn by the browser"
 LONGEST, COARSER = ("480", "960", "1920"), 3  # Sides of full pictures; coarse ones are so much smaller.
 PATIENCE = 0.5  # Seconds between two looks for news.
@@ -61,6 +62,7 @@ class Page:
         self._pictures, self._gaussians = Pictures(subject), subject.gaussians
         self._chores: deque[Callable[[], None]] = deque()
         self._closing = Event()
+        self.switches: dict[str, Any] = {}  # by their labels, once it is served: each has a `value`
 
     def __enter__(self) -> Self:
         """Serve.
@@ -132,20 +134,25 @@ class Page:
         if has_gaussians:
             self._status = gui.add_markdown("The first picture of a kind and size takes longest.")
             first = kinds[0] if self._news is None else BY_BROWSER
-            self._kind = gui.add_dropdown("Show", (*kinds[:1], BY_BROWSER, *kinds[1:]), initial_value=first)
-            self._longest = gui.add_dropdown("Longest side", LONGEST, initial_value="960")
-            for switch in (self._kind, self._longest):
+            shown = (*kinds[:1], BY_BROWSER, *kinds[1:])
+            self.switches |= {
+                SHOW: gui.add_dropdown(SHOW, shown, initial_value=first),
+                SIDE: gui.add_dropdown(SIDE, LONGEST, initial_value="960"),
+            }
+            for switch in self.switches.values():
                 switch.on_update(lambda _: self.desk.again())
             self.server.on_client_connect(self._come)
             self.server.on_client_disconnect(self._leave)
         if subject.mesh is not None:
             choices = (MESH_OFF, MESH_COLORS, MESH_SHAPE)
-            mesh = gui.add_dropdown("Mesh", choices, initial_value=MESH_OFF if has_gaussians else MESH_COLORS)
+            mesh = gui.add_dropdown(MESH, choices, initial_value=MESH_OFF if has_gaussians else MESH_COLORS)
             mesh.on_update(lambda _: self._soon(lambda: self._scenery.show_mesh(mesh.value)))
             self._soon(lambda: self._scenery.show_mesh(mesh.value))
+            self.switches[MESH] = mesh
         if subject.cameras:
-            cameras = gui.add_checkbox("Cameras", initial_value=False)
+            cameras = gui.add_checkbox(CAMERAS, initial_value=False)
             cameras.on_update(lambda _: self._soon(lambda: self._scenery.show_cameras(cameras.value)))
+            self.switches[CAMERAS] = cameras
 
     async def _come(self, client: viser.ClientHandle) -> None:
         """A browser is there: what it looks at is noted from now on."""
@@ -169,19 +176,19 @@ class Page:
         client = self.server.get_clients().get(order.who)
         if client is None or self._gaussians is None:
             return
-        if self._kind.value == BY_BROWSER:
+        if self.switches[SHOW].value == BY_BROWSER:
             self._scenery.show_splats(self._gaussians)
             if order.is_full:
                 _send(client, to_bytes(np.tile(self.subject.background, (2, 2, 1))), "png")
             return
         self._scenery.hide_splats()
-        longest = int(self._longest.value) // (1 if order.is_full else COARSER)
+        longest = int(self.switches[SIDE].value) // (1 if order.is_full else COARSER)
         camera = camera_of(order.camera, picture_size(order.camera, longest))
         if camera is None:
             return
         started = time.perf_counter()
         try:
-            picture, line = self._pictures.draw(self._kind.value, self._gaussians, camera)
+            picture, line = self._pictures.draw(self.switches[SHOW].value, self._gaussians, camera)
         except InputError as error:
             self._status.content = str(error)
             return
