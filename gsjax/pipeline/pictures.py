@@ -23,7 +23,7 @@ def render(run: str | Path, out: str | Path, *, which: Literal["all", "held_out"
     """Write NAME_color.png, NAME_depth.png and NAME_normal.png for each chosen view.
 
     Args:
-        run: Run folder.
+        run: Run folder, or a file of Gaussians.
         out: Folder for the pictures.
         which: Every view of the run, the held-out ones, or a circle around the scene.
 

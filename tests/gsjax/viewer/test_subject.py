@@ -29,7 +29,9 @@ TETRAHEDRON = Mesh(
 @pytest.fixture
 def run(tmp_path):
     image = np.zeros((20, 24, 3), np.uint8)
-    frames = [frame_of(f"{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image)) for k, c in enumerate(CAMERAS)]
+    frames = [
+        frame_of(f"{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image)) for k, c in enumerate(CAMERAS)
+    ]
     folder = tmp_path / "run"
     runs.write_json(folder / "config.json", {"background": "white"})
     write_gaussians(folder / "gaussians.ply", cloud(30))
