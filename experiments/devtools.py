@@ -11,12 +11,11 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
-from PIL import Image
 from websockets.sync.client import connect
 
 PATIENCE = 180.0  # seconds
@@ -58,7 +57,7 @@ class Tab:
     def screenshot(self) -> np.ndarray:
         """`[H, W, 3]` uint8."""
         png = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
-        return np.asarray(Image.open(BytesIO(png)).convert("RGB"))
+        return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
 
     def press(self, x: float, y: float, to: tuple[float, float] | None = None) -> None:
         """A click at a place in pixels of the page, or a drag from there."""

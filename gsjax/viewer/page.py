@@ -59,7 +59,7 @@ class Page:
         self.subject, self.desk = subject, Desk()
         self._host, self._port = host, port
         self._news, self._share = news, share
-        self._pictures, self._gaussians = Pictures(subject), subject.gaussians
+        self._pictures, self._gaussians, self._line = Pictures(subject), subject.gaussians, ""
         self._chores: deque[Callable[[], None]] = deque()
         self._closing = Event()
         self.switches: dict[str, Any] = {}  # by their labels, once it is served: each has a `value`
@@ -100,14 +100,14 @@ class Page:
             self.server.stop()
 
     def work(self) -> None:
-        """Answers the page until it is closed: pictures first, then what else there is to do."""
+        """Answers the page until it is closed: a picture and a bit of what else there is to do, in turn."""
         began, spent = time.monotonic(), 0.0
         while not self.desk.is_closed:
             order = self.desk.take(0 if self._chores else None if self._news is None else PATIENCE)
             started = time.monotonic()
             if order is not None:
                 self._answer(order)
-            elif self._chores:
+            if self._chores:
                 self._chores.popleft()()
             self._look_for_news()
             now = time.monotonic()
@@ -179,6 +179,7 @@ class Page:
         if self.switches[SHOW].value == BY_BROWSER:
             self._scenery.show_splats(self._gaussians)
             if order.is_full:
+                self._status.content = self._line
                 _send(client, to_bytes(np.tile(self.subject.background, (2, 2, 1))), "png")
             return
         self._scenery.hide_splats()
@@ -194,14 +195,14 @@ class Page:
             return
         if order.is_full:
             told = f"{camera.width}x{camera.height} in {1e3 * (time.perf_counter() - started):.0f} ms"
-            self._status.content = f"{told}, {line}" if line else told
+            self._status.content = ", ".join(filter(None, (told, line, self._line)))
         _send(client, picture, "png" if order.is_full else "jpeg")
 
     def _look_for_news(self) -> None:
         """Newer Gaussians, where they are made and somebody looks."""
         news = self._news() if self._news is not None and len(self.desk) else None
         if news is not None:
-            self._gaussians, self._status.content = news
+            self._gaussians, self._line = news
             self.desk.again()
 
 

@@ -125,7 +125,8 @@ def _of_mesh(path: Path) -> Subject:
     middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-12)
     up, K = np.array([0.0, 0.0, 1.0]), np.array([[600.0, 0, 400], [0, 600.0, 300], [0, 0, 1]], np.float32)
     eye = middle + radius * np.array([2.2, 1.2, 1.0])
-    return Subject(path.name, **_seen_from([Camera(look_at(eye, middle, up), K, 800, 600)], middle), mesh=path)
+    seen_from = _seen_from([Camera(look_at(eye, middle, up), K, 800, 600)], middle)
+    return Subject(path.name, **{**seen_from, "up": up}, mesh=path)
 
 
 def _seen_from(cameras: list[Camera], middle: np.ndarray) -> dict:
