@@ -1,5 +1,6 @@
 """The page itself: its server and switches, and the loop that answers it."""
 
+import errno
 import socket
 import time
 import warnings
@@ -218,7 +219,8 @@ def check_port(host: str, port: int) -> None:
     except socket.gaierror as error:
         raise InputError(f"--host {host}: {error.strerror}") from error
     except OSError as error:
-        raise InputError(f"--port {port} on {host}: {error.strerror}; choose another with --port") from error
+        way_out = "; choose another with --port" if error.errno == errno.EADDRINUSE else ""
+        raise InputError(f"--port {port} on {host}: {error.strerror}{way_out}") from error
 
 
 def _told(camera: viser.CameraHandle) -> PageCamera:
