@@ -48,16 +48,21 @@ LAYERS = {
         ("rasterizer", *CORE, "io", "meshing"),
         ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "jinja2"),
     ),
-    "cli": Layer(("gsjax.cli", "gsjax.__main__"), (*CORE, "io", "meshing", "runs"), ()),
+    "viewer": Layer(
+        ("gsjax.viewer",),
+        ("rasterizer", *CORE, "io", "meshing", "runs"),
+        ("jax", "numpy", "scipy", "viser", "rich"),
+    ),
+    "cli": Layer(("gsjax.cli", "gsjax.__main__"), (*CORE, "io", "meshing", "runs", "viewer"), ()),
     "experiments": Layer(
         ("experiments",),
-        ("rasterizer", *CORE, "io", "meshing", "runs", "cli"),
+        ("rasterizer", *CORE, "io", "meshing", "runs", "viewer", "cli"),
         # Among them a peer to time ours against, and scripts that lie next to the one that imports them.
-        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "gsplat", "torch")
-        + ("train", "workloads", "paper", "paper_run", "browser_check"),
+        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "websockets", "gsplat", "torch")
+        + ("train", "workloads", "paper", "paper_run", "browser_check", "devtools"),
     ),
 }
-HEAVY = {"open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "xatlas", "matplotlib", "PIL"}
+HEAVY = {"open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "xatlas", "matplotlib", "PIL", "viser"}
 
 
 def layer_of(module: str) -> str | None:

@@ -23,6 +23,7 @@ from gsjax.cli import (
     train,
     turntable,
     undistort,
+    view,
 )
 from gsjax.errors import InputError
 
@@ -35,7 +36,8 @@ DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
                                     |                 `--turntable--> pictures around it
                                     |---eval---> figures
                                     |--render--> pictures
-                                    `--report--> one page that shows it; --compare--> several runs on one
+                                    |--report--> one page that shows it; --compare--> several runs on one
+                                    `--view----> a page to walk through it; of files and meshes too
 
   scene --diagnose--> which effects its photos call for
   scene --normals--> a normal map a photo, from a network, for training
@@ -101,6 +103,7 @@ def parser() -> argparse.ArgumentParser:
         report,
         compare,
         turntable,
+        view,
         *beside_training,
     ):
         command.add_to(commands)

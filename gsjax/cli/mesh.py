@@ -13,17 +13,17 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         commands,
         "mesh",
         _run,
-        summary="extract a mesh from a run or from any 3DGS .ply",
+        summary="extract a mesh from a run or from any file of Gaussians",
         description="""
             Finds points of the surface along the cameras' rays, reconstructs a mesh from them (Poisson),
             trims what no point supports and colours the vertices. Where the training photos are at hand,
-            the vertices then settle where these agree. A .ply alone has no cameras: give --scene, or some
+            the vertices then settle where these agree. A file alone has no cameras: give --scene, or some
             are placed around (or, in a room, within) the Gaussians.
         """,
         example="gsjax mesh runs/garden --out garden.glb",
     )
     add = parser.add_argument
-    add("source", metavar="RUN_OR_PLY", help="folder that `gsjax train` made, or a .ply of Gaussians")
+    add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
     add("--out", metavar="FILE", required=True, help="the mesh; .ply, .obj or .glb by its suffix")
     add("--method", choices=("poisson", "tsdf", "centers", "marching-cubes"),
         help="poisson (default): points of the level set; tsdf: fusion of depth, open where nothing was seen; "
@@ -41,7 +41,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--faces", type=int, metavar="N", help="most triangles, of the foreground and of the background each")
     add("--unsettled", dest="settled", action="store_const", const=False,
         help="leave the surface where the Gaussians have it; opens no photo")  # fmt: skip
-    add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a .ply is given")
+    add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a file is given")
 
 
 def _run(arguments: argparse.Namespace) -> None:

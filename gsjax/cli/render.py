@@ -14,10 +14,13 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         summary="render colour, depth and normals of a run",
         description="""
             Writes PNG pictures of every view of the run, of its held-out views, or from a circle around it.
+            A file of Gaussians (.ply, .compressed.ply, .spz) is seen from cameras placed around it.
         """,
         example="gsjax render runs/garden --out pictures --turntable",
     )
-    parser.add_argument("run_folder", metavar="RUN", help="folder that `gsjax train` made")
+    parser.add_argument(
+        "run_folder", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians"
+    )
     parser.add_argument("--out", metavar="DIR", required=True, help="folder for the pictures")
     which = parser.add_mutually_exclusive_group()
     for flag, text in (("held-out", "only the views kept for scoring"), ("turntable", "a circle around the scene")):

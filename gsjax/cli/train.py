@@ -2,11 +2,14 @@
 
 import argparse
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gsjax import config
 from gsjax.cli.parsers import add_command, given
+from gsjax.cli.view import add_address
+from gsjax.errors import InputError
 from gsjax.settings import PRESETS, Settings
 
 OPTIONS = (
@@ -58,12 +61,24 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
         help="any setting by its dotted key, as RUN/config.json shows them; may be repeated")  # fmt: skip
     add("--resume", action="store_true", help="continue RUN from its last checkpoint with its own settings")
+    add("--view", action="store_true", help="show the training on a page in the browser, as `gsjax view` does")
+    add_address(parser)
 
 
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
 
-    summary = pipeline.train(arguments.scene, arguments.out, settings(arguments), resume=arguments.resume)
+    address, plan = given(arguments, "port", "host"), settings(arguments)
+    if address and not arguments.view:
+        raise InputError(f"--{next(iter(address))} goes with --view")
+    train = partial(pipeline.train, arguments.scene, arguments.out, plan, resume=arguments.resume)
+    if arguments.view:
+        from gsjax import viewer
+
+        with viewer.watch(arguments.scene, plan, **address) as observe:
+            summary = train(observe=observe)
+    else:
+        summary = train()
     print(tables.record(summary))
 
 

@@ -101,6 +101,20 @@ def read_textured(path: str | Path) -> TexturedMesh | None:
     return TexturedMesh(Mesh(vertices, faces, _vertex_colors(surface)), atlas, picture)
 
 
+def glb_bytes(path: str | Path) -> bytes:
+    """The file as a GLB, with its texture or its vertex colours: as it is where it is one.
+
+    Args:
+        path: A .ply, .obj or .glb file.
+
+    Raises:
+        InputError: As of `read_mesh`.
+    """
+    path = Path(path)
+    surface = _loaded(path)
+    return path.read_bytes() if path.suffix.lower() == ".glb" else surface.export(file_type="glb")
+
+
 def supported_suffix(path: Path) -> str:
     """The path's suffix in lower case; InputError names the supported ones where it is none of them."""
     suffix = path.suffix.lower()

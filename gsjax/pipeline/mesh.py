@@ -45,7 +45,7 @@ def mesh(
     scene: str | Path | None = None,
     settled: bool = True,
 ) -> dict[str, Any]:
-    """Extract the mesh of a run, or of any 3DGS .ply.
+    """Extract the mesh of a run, or of any file of Gaussians.
 
     The surface is looked at, and its colours are taken, only where the photos are not masked. Where the training photos
     are at hand it then settles on them (`gsjax.meshing.settling`).
@@ -65,7 +65,7 @@ def mesh(
         background_bounds: The same of a background around `bounds`.
         foreground_only: No background is reconstructed.
         faces: Most triangles of the foreground, and of the background.
-        scene: Data set whose cameras to use with a .ply. None: cameras around the Gaussians, or within them.
+        scene: Data set whose cameras to use with a file. None: cameras around the Gaussians, or within them.
         settled: Whether vertices move to where the photos agree.
 
     Returns:

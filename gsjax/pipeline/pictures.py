@@ -23,7 +23,7 @@ def render(run: str | Path, out: str | Path, *, which: Literal["all", "held_out"
     """Write NAME_color.png, NAME_depth.png and NAME_normal.png for each chosen view.
 
     Args:
-        run: Run folder.
+        run: Run folder, or a file of Gaussians.
         out: Folder for the pictures.
         which: Every view of the run, the held-out ones, or a circle around the scene.
 
@@ -78,7 +78,7 @@ def normal_picture(normals: np.ndarray) -> np.ndarray:
 
 def turntable(result: Result) -> list[Camera]:
     """A circle of cameras at the mean height and distance of the run's own, around the middle of the opaque part."""
-    middle = _middle(result.gaussians)
+    middle = opaque_middle(result.gaussians)
     views = np.stack([np.asarray(c.viewmat) for c in result.cameras])
     centers = -np.einsum("vji,vj->vi", views[:, :3, :3], views[:, :3, 3])
     up = -views[:, 1, :3].mean(0)
@@ -102,7 +102,8 @@ def turntable(result: Result) -> list[Camera]:
     ]
 
 
-def _middle(gaussians: Gaussians) -> np.ndarray:
+def opaque_middle(gaussians: Gaussians) -> np.ndarray:
+    """`[3]` median of the opaque Gaussians' means, or of all where none is; world."""
     opaque = np.asarray(opacities(gaussians)) > 0.5
     means = np.asarray(gaussians.means)
     return np.median(means[opaque] if opaque.any() else means, axis=0)

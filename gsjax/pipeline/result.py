@@ -1,4 +1,4 @@
-"""What a finished run, or a bare 3DGS file, offers to the later stages: Gaussians, cameras, and where photos count."""
+"""What a finished run, or a file of Gaussians, offers to later stages: Gaussians, cameras, and where photos count."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -15,6 +15,7 @@ from gsjax.errors import InputError
 from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.io import runs
+from gsjax.io.gaussian_files import format_of
 from gsjax.io.images import read_mask, write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.io.scenes import load_scene
@@ -74,7 +75,9 @@ def write_views(run: Path, frames: tuple[Frame, ...]) -> None:
 
 
 def open_result(source: str | Path, *, scene: str | Path | None = None) -> Result:
-    """A run folder, or any 3DGS .ply with the cameras of `scene`, or with cameras placed around it.
+    """A run folder; or any file of Gaussians, with the cameras of `scene` or with cameras placed around it.
+
+    Files are those of `gsjax.io.gaussian_files`, by their suffixes.
 
     Raises:
         InputError: It is neither, or unfinished, or unreadable.
@@ -97,7 +100,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             background=BACKGROUNDS[settings["background"]],
             depth_mode=settings["depth_mode"],
         )
-    gaussians = read_gaussians(source)
+    gaussians = format_of(source).read(source)
     if scene is None:
         cameras = viewpoints.around(gaussians)
         return Result(

@@ -22,11 +22,11 @@ def texture(
     """Paint a mesh with what the Gaussians show in the training views, where the photos are not masked.
 
     Args:
-        source: Run folder, or a 3DGS .ply.
+        source: Run folder, or a file of Gaussians.
         mesh: .ply, .obj or .glb in the same coordinates.
         out: .glb, or .obj with .mtl and .png beside it.
         size: Side of the texture, texels.
-        scene: Data set whose cameras to use with a .ply. None: cameras around the Gaussians, or within them.
+        scene: Data set whose cameras to use with a file. None: cameras around the Gaussians, or within them.
 
     Returns:
         A report of plain numbers: `vertices`, `faces` and what `texture_mesh` says.

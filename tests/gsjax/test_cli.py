@@ -5,6 +5,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from types import ModuleType
 
@@ -18,7 +19,7 @@ from gsjax.settings import PRESETS, Phase, Settings
 
 COMMANDS = (
     "demo", "scan", "sfm", "normals", "train", "mesh", "refine", "texture", "eval", "render", "report", "compare",
-    "turntable", "undistort", "convert",
+    "turntable", "view", "undistort", "convert",
 )  # fmt: skip
 
 
@@ -63,6 +64,13 @@ def library(monkeypatch):
     install("gsjax.io.sfm", reconstruct=recorded("sfm", SfmReport(45, left_out)))
     report = {"vanilla": {"psnr": 30.0, "chamfer": 0.004}, "surface": {"psnr": 31.0}, "floor": {"chamfer": 1e-4}}
     install("gsjax.pipeline.demo", run=recorded("demo", report))
+
+    @contextmanager
+    def watch(*args, **kwargs):
+        calls.append(("watch", args, kwargs))
+        yield "told of every step"
+
+    install("gsjax.viewer", view=recorded("view", None), watch=watch)
     return calls
 
 
@@ -96,6 +104,7 @@ def test_the_example_in_the_help_parses(command, capsys):
         (["mesh", "run"], "gsjax mesh: error: the following arguments are required: --out (see gsjax mesh --help)"),
         (["train", "s", "--out", "r", "--seed", "x"], "argument --seed: invalid int value: 'x'"),
         (["train", "s", "--out", "r", "--preset", "slow"], "invalid choice: 'slow' (choose from"),
+        (["view", "r", "--port", "http"], "argument --port: invalid int value: 'http'"),
         (["render", "r", "--out", "o", "--held-out", "--turntable"], "not allowed with argument --held-out"),
     ],
 )
@@ -173,6 +182,25 @@ def test_mesh_hands_over_only_what_was_given(library, capsys):
         ("mesh", ("g.ply", "m.obj"), {"depth": 9, "scene": "s", "bounds": [-1, -1.5, 0, 1, 1, 2]}),
     ]
     assert "psnr   29.5\nviews  7\n" in capsys.readouterr().out
+
+
+def test_view_hands_over_only_what_was_given(library):
+    assert cli.main(["view", "run"]) == 0
+    assert cli.main(["view", "g.spz", "--mesh", "m.glb", "--port", "81", "--host", "0.0.0.0"]) == 0
+    assert library == [
+        ("view", ("run",), {}),
+        ("view", ("g.spz",), {"mesh": "m.glb", "port": 81, "host": "0.0.0.0"}),
+    ]
+
+
+def test_a_training_is_watched_where_it_is_asked_for(library, capsys):
+    assert cli.main(["train", "scene", "--out", "r", "--view", "--port", "81"]) == 0
+    (_, (scene, settings), address), (name, (*_, trained), keywords) = library
+    assert (scene, address, name) == ("scene", {"port": 81}, "train")
+    assert settings == trained and keywords == {"resume": False, "observe": "told of every step"}
+    assert cli.main(["train", "scene", "--out", "r", "--port", "81"]) == 2
+    assert capsys.readouterr().err == "gsjax: error: --port goes with --view\n"
+    assert len(library) == 2
 
 
 def test_eval_writes_json_and_prints_a_table(library, tmp_path, capsys):

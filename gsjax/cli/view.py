@@ -1,0 +1,39 @@
+"""`gsjax view`: a result in the browser."""
+
+import argparse
+
+from gsjax.cli.parsers import add_command, given
+
+
+def add_to(commands: argparse._SubParsersAction) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands,
+        "view",
+        _run,
+        summary="show a run, Gaussians or a mesh in the browser",
+        description="""
+            Serves a page until Ctrl-C: Gaussians as this program's rasterizer draws them, coarse while the
+            camera moves and full at rest, or as the browser does; colour, depth, normals, the error against
+            the nearest photo, the mesh, the cameras with their photos.
+        """,
+        example="gsjax view runs/garden",
+    )
+    add = parser.add_argument
+    add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians (.ply,"
+        " .compressed.ply, .spz) or of a mesh (.ply, .obj, .glb)")  # fmt: skip
+    add("--mesh", metavar="FILE", help="mesh to show over the Gaussians (default: RUN/mesh.ply, if there is one)")
+    add_address(parser)
+
+
+def add_address(parser: argparse.ArgumentParser) -> None:
+    """Where a page is served."""
+    parser.add_argument("--port", type=int, metavar="N", help="port of the page; 0: a free one (default: 8080)")
+    parser.add_argument("--host", metavar="ADDRESS", help="address to listen on, 0.0.0.0 for every one of this machine;"
+        " whoever reaches it sees the page (default: 127.0.0.1, this machine alone)")  # fmt: skip
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from gsjax import viewer
+
+    viewer.view(arguments.source, **given(arguments, "mesh", "port", "host"))

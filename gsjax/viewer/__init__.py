@@ -1,0 +1,5 @@
+"""A page in the browser that shows a result, or a training as it goes."""
+
+from gsjax.viewer.watch import view, watch
+
+__all__ = ["view", "watch"]

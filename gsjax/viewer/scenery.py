@@ -1,0 +1,103 @@
+"""What the browser draws by itself: splats, a mesh, the cameras with their photos."""
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import viser
+
+from gsjax.errors import InputError
+from gsjax.gaussians import Gaussians
+from gsjax.io.images import resize
+from gsjax.meshing.export import glb_bytes, read_mesh
+from gsjax.viewer.browser_splats import browser_splats
+from gsjax.viewer.page_camera import page_camera
+from gsjax.viewer.subject import Subject
+
+MESH_OFF, MESH_COLORS, MESH_SHAPE = "off", "colours", "shape"
+THUMBNAIL = 160  # Longest side of a photo in the scene, pixels.
+FRUSTUM = 0.04  # Length of a camera, in distances from the first camera to the middle.
+
+
+class Scenery:
+    """Things of a subject in the scene of a server, each handed to browsers when it is first asked for."""
+
+    def __init__(self, server: viser.ViserServer, subject: Subject, soon: Callable[[Callable[[], None]], None]):
+        """Nothing is there yet; long work is given to `soon`, bit by bit."""
+        self._scene, self._subject, self._soon = server.scene, subject, soon
+        self._splats_of: Gaussians | None = None
+
+    def show_splats(self, gaussians: Gaussians) -> None:
+        """Hands Gaussians to the browser, unless it has them."""
+        if self._splats_of is not gaussians:
+            self._scene.add_gaussian_splats("/splats", **browser_splats(gaussians)._asdict())
+            self._splats_of = gaussians
+        self._set_visible("/splats", True)
+
+    def hide_splats(self) -> None:
+        """What the rasterizer draws is behind them."""
+        self._set_visible("/splats", False)
+
+    def show_mesh(self, choice: str) -> None:
+        """The mesh in its colours, as a grey shape, or not at all."""
+        add = {MESH_COLORS: self._add_mesh_colors, MESH_SHAPE: self._add_mesh_shape}
+        if choice in add and self._scene.get_handle_by_name(f"/mesh/{choice}") is None:
+            add[choice]()
+        for name in add:
+            self._set_visible(f"/mesh/{name}", name == choice)
+
+    def show_cameras(self, shown: bool) -> None:
+        """All cameras; one by one when they are first asked for."""
+        if shown and self._scene.get_handle_by_name("/cameras") is None:
+            self._scene.add_frame("/cameras", show_axes=False)
+            for index, name in enumerate(self._subject.cameras):
+                self._soon(partial(self._add_camera, index, name))
+        self._set_visible("/cameras", shown)
+
+    def _add_mesh_colors(self) -> None:
+        if self._subject.mesh is not None:
+            self._scene.add_glb(f"/mesh/{MESH_COLORS}", glb_bytes(self._subject.mesh))
+
+    def _add_mesh_shape(self) -> None:
+        if self._subject.mesh is not None:
+            mesh = read_mesh(self._subject.mesh)
+            look = {"color": (200, 200, 200), "flat_shading": True, "side": "double"}
+            self._scene.add_mesh_simple(f"/mesh/{MESH_SHAPE}", mesh.vertices, mesh.faces, **look)
+
+    def _add_camera(self, index: int, name: str) -> None:
+        """A camera in the scene, with its photo where that can be read; a click on it looks from there."""
+        at = page_camera(self._subject.cameras[name])
+        frustum = self._scene.add_camera_frustum(
+            f"/cameras/{index:05d}",
+            at.fov,
+            at.width / at.height,
+            scale=FRUSTUM * self._subject.scale,
+            thickness=1.0,
+            thickness_units="screen",
+            color=(255, 160, 40),
+            image=self._thumbnail(name),
+            wxyz=at.wxyz,
+            position=at.position,
+        )
+
+        @frustum.on_click
+        def _(event: viser.SceneNodePointerEvent) -> None:
+            camera = event.client.camera
+            with event.client.atomic():
+                camera.position, camera.wxyz, camera.fov = at.position, at.wxyz, at.fov
+
+    def _thumbnail(self, name: str) -> np.ndarray | None:
+        frame = self._subject.photos.get(name)
+        if frame is None:
+            return None
+        try:
+            image = frame.pixels().image
+        except InputError:
+            return None
+        factor = max(1.0, max(frame.width, frame.height) / THUMBNAIL)
+        return resize(image, round(frame.width / factor), round(frame.height / factor))
+
+    def _set_visible(self, name: str, visible: bool) -> None:
+        node = self._scene.get_handle_by_name(name)
+        if node is not None and node.visible != visible:
+            node.visible = visible

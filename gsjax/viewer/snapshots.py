@@ -1,0 +1,41 @@
+"""Gaussians of a training that goes on, copied when somebody asks."""
+
+import time
+from collections.abc import Callable
+from threading import Event
+
+import jax
+import jax.numpy as jnp
+
+from gsjax.training.loop import Progress
+from gsjax.viewer.page import News
+
+EVERY = 5.0  # Seconds between two snapshots, at least.
+
+
+class Snapshots:
+    """Between the training, which tells of every step, and the page, which asks now and then.
+
+    A step that nobody asked about costs one look at a flag.
+    """
+
+    def __init__(self, steps: int, *, every: float = EVERY, clock: Callable[[], float] = time.monotonic):
+        """Of a training of so many steps."""
+        self._steps, self._every, self._clock = steps, every, clock
+        self._asked, self._taken, self._asked_at = Event(), None, -float("inf")
+
+    def observe(self, progress: Progress) -> None:
+        """What the training loop tells after every step, from its own thread."""
+        if self._asked.is_set():
+            self._asked.clear()
+            # The next step takes the buffers.
+            gaussians = jax.tree.map(jnp.copy, progress.state.gaussians)
+            self._taken = News(gaussians, f"{progress.phase.name}: step {progress.step:,} of {self._steps:,}")
+
+    def news(self) -> News | None:
+        """What was copied since the last call, if anything; asks for the next where it is time."""
+        news, self._taken = self._taken, None
+        if self._clock() - self._asked_at >= self._every and not self._asked.is_set():
+            self._asked_at = self._clock()
+            self._asked.set()
+        return news

@@ -1,0 +1,152 @@
+"""What is looked at: a run, a file of Gaussians, or a mesh, with the cameras and photos that belong to it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from gsjax.cameras import Camera, look_at
+from gsjax.errors import InputError
+from gsjax.gaussians import Gaussians
+from gsjax.io.gaussian_files import FORMATS
+from gsjax.meshing.export import WRITERS, read_mesh
+from gsjax.pipeline.pictures import opaque_middle
+from gsjax.pipeline.result import BACKGROUNDS, Result, frame_camera, open_result, scene_of_run
+from gsjax.scene import Frame, Scene
+from rasterizer import DepthMode
+
+HEADER_BYTES = 65536  # of a PLY, at most
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What a page shows."""
+
+    name: str
+    start: Camera  # where the page looks from at first
+    middle: np.ndarray  # [3] world: what it turns around
+    up: np.ndarray  # [3] unit, world
+    scale: float  # scene units: how far the start is from the middle
+    gaussians: Gaussians | None = None  # numpy; None where there are none, or not yet
+    cameras: Mapping[str, Camera] = field(default_factory=dict)  # by the names of their photos
+    photos: Mapping[str, Frame] = field(default_factory=dict)  # those that are at hand
+    mesh: Path | None = None
+    background: np.ndarray = field(default_factory=lambda: BACKGROUNDS["black"])  # [3]
+    depth_mode: DepthMode = "plane"
+
+
+def open_subject(
+    source: str | Path, *, mesh: str | Path | None = None, tell: Callable[[str], None] = lambda _: None
+) -> Subject:
+    """Reads what a person named.
+
+    Args:
+        source: A run folder; a file of Gaussians; or of a mesh. What a .ply holds, its header tells.
+        mesh: A mesh that is shown with Gaussians; None: `mesh.ply` of a run that has one.
+        tell: Given a line where the photos of a run are not at hand.
+
+    Raises:
+        InputError: It is none of these, or cannot be read.
+    """
+    source = Path(source)
+    if not source.exists():
+        raise InputError(f"{source}: no such file or folder")
+    if mesh is not None:
+        read_mesh(mesh)
+    if source.is_dir():
+        return _of_run(source, Path(mesh) if mesh else None, tell)
+    if _is_mesh(source):
+        if mesh is not None:
+            raise InputError(f"{source}: is a mesh itself; --mesh goes with Gaussians")
+        return _of_mesh(source)
+    if not source.name.lower().endswith(tuple(FORMATS)):
+        known = ", ".join(FORMATS), ", ".join(WRITERS)
+        raise InputError(f"{source}: is no run folder, and no file of Gaussians ({known[0]}) or of a mesh ({known[1]})")
+    result = _opened(source)
+    return Subject(
+        source.name,
+        **_seen_from(list(result.cameras), opaque_middle(result.gaussians)),
+        gaussians=result.gaussians,
+        mesh=Path(mesh) if mesh else None,
+        background=result.background,
+        depth_mode=result.depth_mode,
+    )
+
+
+def subject_of_scene(name: str, scene: Scene, background: str, depth_mode: DepthMode) -> Subject:
+    """A data set of which Gaussians are yet to come."""
+    cameras = {frame.name: frame_camera(frame) for frame in scene.frames}
+    middle = np.median(scene.points, axis=0) if len(scene.points) else np.zeros(3)
+    return Subject(
+        name,
+        **_seen_from(list(cameras.values()), middle),
+        cameras=cameras,
+        photos={frame.name: frame for frame in scene.frames},
+        background=BACKGROUNDS[background],
+        depth_mode=depth_mode,
+    )
+
+
+def _of_run(run: Path, mesh: Path | None, tell: Callable[[str], None]) -> Subject:
+    result = _opened(run)
+    own = run / "mesh.ply"
+    if mesh is None and own.exists():
+        read_mesh(own)
+        mesh = own
+    try:
+        photos = {frame.name: frame for frame in scene_of_run(run).frames}
+    except InputError as error:
+        tell(f"no photos: {error}")
+        photos = {}
+    return Subject(
+        run.resolve().name,
+        **_seen_from(list(result.cameras), opaque_middle(result.gaussians)),
+        gaussians=result.gaussians,
+        cameras=dict(zip(result.names, result.cameras, strict=True)),
+        photos=photos,
+        mesh=mesh,
+        background=result.background,
+        depth_mode=result.depth_mode,
+    )
+
+
+def _opened(source: Path) -> Result:
+    result = open_result(source)
+    if not result.gaussians.num_gaussians:
+        raise InputError(f"{source}: holds no Gaussians, there is nothing to show")
+    return result
+
+
+def _of_mesh(path: Path) -> Subject:
+    """A mesh that stands on z, from a side and from above."""
+    mesh = read_mesh(path)
+    low, high = np.quantile(mesh.vertices[np.unique(mesh.faces)].astype(np.float64), [0.01, 0.99], axis=0)
+    middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-12)
+    up, K = np.array([0.0, 0.0, 1.0]), np.array([[600.0, 0, 400], [0, 600.0, 300], [0, 0, 1]], np.float32)
+    eye = middle + radius * np.array([2.2, 1.2, 1.0])
+    seen_from = _seen_from([Camera(look_at(eye, middle, up), K, 800, 600)], middle)
+    return Subject(path.name, **{**seen_from, "up": up}, mesh=path)
+
+
+def _seen_from(cameras: list[Camera], middle: np.ndarray) -> dict:
+    """Where a page begins: at the first camera."""
+    views = np.stack([np.asarray(camera.viewmat, np.float64) for camera in cameras])
+    up = -views[:, 1, :3].mean(0)
+    length = np.linalg.norm(up)
+    eye = -views[0, :3, :3].T @ views[0, :3, 3]
+    return {
+        "start": cameras[0],
+        "middle": np.asarray(middle, np.float64),
+        "up": up / length if length > 1e-6 else -views[0, 1, :3],  # Cameras that lie in all directions have no up.
+        "scale": float(np.linalg.norm(eye - middle)) or 1.0,
+    }
+
+
+def _is_mesh(path: Path) -> bool:
+    """Whether a file's suffix, or a PLY's header, tells of triangles."""
+    if path.suffix.lower() != ".ply":
+        return path.suffix.lower() in WRITERS
+    with path.open("rb") as file:
+        header = file.read(HEADER_BYTES).partition(b"end_header")[0]
+    return b"element face" in header and b"f_dc_0" not in header and b"packed_position" not in header

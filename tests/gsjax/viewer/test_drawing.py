@@ -1,0 +1,101 @@
+"""Pictures of the page: those of the renderer, however many pairs a view needs."""
+
+import numpy as np
+import pytest
+from small_scenes import camera_at, cloud
+from tolerances import assert_close
+
+from gsjax import gallery
+from gsjax.cameras import Camera
+from gsjax.errors import InputError
+from gsjax.normals.from_depth import depth_normals
+from gsjax.pipeline.pictures import to_bytes
+from gsjax.scene import Pixels, frame_of
+from gsjax.viewer import drawing
+from gsjax.viewer.drawing import Drawer
+from gsjax.viewer.page_camera import camera_of, page_camera
+from gsjax.viewer.pictures import COLOR, DEPTH, ERROR, NORMALS, Pictures
+from gsjax.viewer.subject import Subject
+
+SCENE, BACKGROUND = cloud(30), np.array([0.1, 0.9, 0.4], np.float32)
+SIZE = 32, 24
+POSES = [((0.0, 0.0, 0.0), (0.0, 0.0, 4.0)), ((1.0, -0.4, 1.0), (0.0, 0.0, 4.0))]
+
+
+def camera(index):
+    """As a page tells it."""
+    return camera_of(page_camera(camera_at(*POSES[index], size=SIZE)), SIZE)
+
+
+@pytest.fixture(scope="module")
+def rendered():
+    """What `gsjax.render` shows from both."""
+    return list(gallery.pictures(SCENE, [camera(0), camera(1)], BACKGROUND))
+
+
+@pytest.fixture(scope="module")
+def drawer():
+    return Drawer(BACKGROUND)
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_a_known_pose_shows_the_renderers_picture_and_another_pose_another(drawer, rendered, index):
+    plain = drawer.draw(SCENE, camera(index))
+    whole = drawer.draw(SCENE, camera(index), with_surface=True)
+    assert plain.depth is None and plain.normals is None
+    assert_close(plain.colors, rendered[index].colors)
+    assert_close(whole.colors, rendered[index].colors)
+    assert_close(whole.depth, rendered[index].depth)
+    assert_close(whole.normals, np.asarray(depth_normals(whole.depth, camera(index))))
+    assert np.abs(plain.colors - rendered[1 - index].colors).max() > 0.1
+
+
+def test_a_view_that_needs_more_pairs_is_drawn_with_more(drawer, rendered, monkeypatch):
+    """The first view of the size is one of nothing; `cloud` then needs more than the least buffer."""
+    many = cloud(400)
+    away = camera_of(page_camera(camera_at((0.0, 0.0, 0.0), (0.0, 0.0, -4.0), size=SIZE)), SIZE)
+    fresh = Drawer(BACKGROUND)
+    empty = fresh.draw(many, away).colors
+    np.testing.assert_array_equal(empty, np.broadcast_to(BACKGROUND, empty.shape))
+    before = dict(fresh._capacities)
+    (expected,) = gallery.pictures(many, [camera(0)], BACKGROUND)
+    assert_close(fresh.draw(many, camera(0)).colors, expected.colors)
+    assert fresh._capacities[SIZE] > before[SIZE]
+
+
+def test_a_view_without_room_is_one_line(monkeypatch):
+    monkeypatch.setattr(drawing, "_needed", lambda *_: np.iinfo(np.int32).max)
+    with pytest.raises(InputError, match="there is no room for what this view shows at 32x24; step back"):
+        Drawer(BACKGROUND).draw(SCENE, camera(0))
+
+
+def subject(photo_colors):
+    at = camera_at(*POSES[0], size=SIZE)
+    frame = frame_of("a.png", np.asarray(at.viewmat), np.asarray(at.K), Pixels(photo_colors))
+    return Subject("s", at, np.zeros(3), np.array([0.0, -1, 0]), 4.0, cameras={"a.png": at}, photos={"a.png": frame},
+        background=BACKGROUND)  # fmt: skip
+
+
+def test_every_kind_is_the_picture_that_its_name_says():
+    at = camera_at(*POSES[0], size=SIZE)
+    (picture,) = gallery.pictures(SCENE, [at], BACKGROUND)
+    photo = to_bytes(picture.colors)
+    pictures = Pictures(subject(photo))
+    assert pictures.kinds == (COLOR, DEPTH, NORMALS, ERROR)
+    drawn = {kind: pictures.draw(kind, SCENE, at) for kind in pictures.kinds}
+    assert all(image.shape == (24, 32, 3) and image.dtype == np.uint8 for image, _ in drawn.values())
+    np.testing.assert_allclose(drawn[COLOR][0].astype(int), photo.astype(int), atol=1)
+    nothing = picture.depth == 0
+    assert nothing.any() and not nothing.all()
+    assert (drawn[DEPTH][0][nothing] == 0).all() and (drawn[DEPTH][0][~nothing] > 0).all()
+    assert (drawn[NORMALS][0][nothing] == 255).all()
+    assert drawn[ERROR][1] == "against a.png" and drawn[COLOR][1] == ""
+    # A photo that is the render itself, rounded to bytes: 3 * 255 * (0.5 / 255) / 0.5 = 3 at most.
+    assert drawn[ERROR][0][1:-1, 1:-1].max() <= 3
+    wrong = Pictures(subject(255 - photo)).draw(ERROR, SCENE, at)[0]
+    assert wrong[1:-1, 1:-1].max() == 255
+
+
+def test_without_photos_there_is_no_error_to_show():
+    bare = Subject("s", Camera(np.eye(4), np.eye(3), 2, 2), np.zeros(3), np.ones(3), 1.0)
+    assert Pictures(bare).kinds == (COLOR, DEPTH, NORMALS)

@@ -1,0 +1,153 @@
+"""The page without a browser: who asks is a stand-in that keeps what it is sent."""
+
+import socket
+import threading
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from small_scenes import camera_at, cloud
+
+from gsjax import cli
+from gsjax.errors import InputError
+from gsjax.viewer import page as pages
+from gsjax.viewer.page import BY_BROWSER, CAMERAS, SHOW, SIDE, News, Page, check_port
+from gsjax.viewer.page_camera import camera_of, page_camera, picture_size
+from gsjax.viewer.pictures import COLOR, DEPTH, Pictures
+from gsjax.viewer.subject import Subject
+
+SCENE = cloud(30)
+AT = camera_at((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), size=(32, 24))
+SUBJECT = Subject("cloud", AT, np.array([0, 0, 4.0]), np.array([0, -1.0, 0]), 4.0, gaussians=SCENE,
+    background=np.array([0.1, 0.9, 0.4], np.float32))  # fmt: skip
+
+
+class Visitor:
+    """What `Page` knows of a browser."""
+
+    def __init__(self):
+        self.received, self.scene = [], self
+
+    def set_background_image(self, image, format):
+        self.received.append((image, format))
+
+
+@contextmanager
+def served(monkeypatch, subject=SUBJECT, **options):
+    """A page, the browser that it thinks is there, and its loop in a thread."""
+    monkeypatch.setattr(pages, "LONGEST", ("32", "960"))
+    with Page(subject, host="127.0.0.1", port=0, **options) as page:
+        visitor = Visitor()
+        monkeypatch.setattr(page.server, "get_clients", lambda: {"me": visitor})
+        if SIDE in page.switches:
+            page.switches[SIDE].value = "32"
+        working = threading.Thread(target=page.work)
+        working.start()
+        try:
+            yield page, visitor
+        finally:
+            page.close()
+            working.join()
+
+
+def wait(true):
+    until = time.monotonic() + 60
+    while not true():
+        assert time.monotonic() < until
+        time.sleep(0.01)
+
+
+def test_a_browser_is_sent_what_its_camera_sees_coarse_then_whole_and_nothing_for_no_camera(monkeypatch):
+    told = page_camera(AT)
+    with served(monkeypatch) as (page, visitor):
+        page.desk.moved("me", told)
+        wait(lambda: len(visitor.received) == 2 and page.desk.is_idle)
+        page.desk.moved("me", told._replace(position=np.full(3, np.nan)))
+        wait(lambda: page.desk.is_idle)
+        page.desk.moved("gone", told)
+        wait(lambda: page.desk.is_idle)
+        assert page._status.content.startswith("32x32 in ")
+    (coarse, form), (whole, exact) = visitor.received
+    assert (form, exact) == ("jpeg", "png") and coarse.shape == (16, 16, 3)
+    size = picture_size(told, 32)
+    expected, _ = Pictures(SUBJECT).draw(COLOR, SCENE, camera_of(told, size))
+    np.testing.assert_array_equal(whole, expected)
+
+
+def test_the_switches_are_those_of_what_there_is(monkeypatch):
+    with served(monkeypatch) as (page, visitor):
+        assert list(page.switches) == [SHOW, SIDE]
+        assert list(page.switches[SHOW].options)[:3] == [COLOR, BY_BROWSER, DEPTH]
+        page.switches[SHOW].value = BY_BROWSER
+        page.desk.moved("me", page_camera(AT))
+        wait(lambda: visitor.received and page.desk.is_idle)
+        ((plain, _),) = visitor.received
+        np.testing.assert_array_equal(plain, np.broadcast_to([26, 230, 102], (2, 2, 3)))
+        assert page.server.scene.get_handle_by_name("/splats").visible
+
+
+def test_news_are_asked_for_only_while_somebody_looks_and_kept_to_their_share(monkeypatch):
+    asked = []
+
+    def news():
+        asked.append(time.monotonic())
+        return News(SCENE, "step 1 of 2") if len(asked) == 2 else None
+
+    monkeypatch.setattr(pages, "PATIENCE", 0.01)
+    waiting = Subject("scene", AT, np.zeros(3), np.array([0, -1.0, 0]), 4.0, cameras={"a.png": AT})
+    with served(monkeypatch, waiting, news=news, share=0.5) as (page, visitor):
+        assert list(page.switches) == [SHOW, SIDE, CAMERAS] and page.switches[SHOW].value == BY_BROWSER
+        time.sleep(0.1)
+        assert not asked
+        page.desk.moved("me", page_camera(AT))
+        wait(lambda: visitor.received)
+        assert page._status.content == "step 1 of 2"
+        page.switches[CAMERAS].value = True
+        wait(lambda: page.server.scene.get_handle_by_name("/cameras/00000") is not None)
+
+
+def test_work_takes_no_more_than_its_share(monkeypatch):
+    """An answer of 0.05 seconds at a tenth: the next is at least half a second after the loop began."""
+    answered = []
+
+    def answer(order):
+        answered.append(time.monotonic())
+        time.sleep(0.05)
+
+    with served(monkeypatch, share=0.1) as (page, _):
+        monkeypatch.setattr(page, "_answer", answer)
+        page.desk.moved("me", page_camera(AT))
+        wait(lambda: len(answered) == 2)
+    assert answered[1] - answered[0] >= 0.4
+
+
+def test_a_port_in_use_and_others_that_cannot_be_are_one_line(capsys, tmp_path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        line = f"--port {port} on 127.0.0.1: Address already in use; choose another with --port"
+        with pytest.raises(InputError) as raised:
+            check_port("127.0.0.1", port)
+        assert str(raised.value) == line
+        # Before anything is read or made.
+        assert cli.main(["view", str(tmp_path / "absent"), "--port", str(port)]) == 2
+        assert cli.main(["train", "absent", "--out", str(tmp_path / "run"), "--view", "--port", str(port)]) == 2
+        assert capsys.readouterr().err == 2 * f"gsjax: error: {line}\n"
+        assert not (tmp_path / "run").exists()
+    with pytest.raises(InputError, match="--port 65536 is not between 0 and 65535"):
+        check_port("127.0.0.1", 65536)
+    with pytest.raises(InputError, match="--host nowhere.invalid: "):
+        check_port("nowhere.invalid", 0)
+
+
+def test_the_server_is_there_for_this_machine_alone_and_then_gone(monkeypatch):
+    with served(monkeypatch) as (page, _):
+        port = page.server.get_port()
+        assert page.address == f"http://127.0.0.1:{port}"
+        with socket.create_connection(("127.0.0.1", port), timeout=10):
+            pass
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port), timeout=10)
+    check_port("127.0.0.1", port)

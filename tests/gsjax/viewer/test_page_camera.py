@@ -1,0 +1,100 @@
+"""The browser's camera and ours: one and the same view, whatever the page's shape."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from small_scenes import camera_at
+from tolerances import assert_close
+
+from gsjax.cameras import Camera, look_at
+from gsjax.viewer.page_camera import ASPECTS, BLOCK, FOVS, PageCamera, camera_of, page_camera, picture_size
+
+TURN = Rotation.from_rotvec([0.4, -1.1, 0.7])
+PAGE = PageCamera(np.array([0.3, -2.0, 1.5]), TURN.as_quat(scalar_first=True), 1.1, 1710, 903)
+
+
+def on_picture(camera, points):
+    """`[N, 2]` where points are seen, in shares of the picture's sides."""
+    seen = (points @ camera.viewmat[:3, :3].T + camera.viewmat[:3, 3]) @ camera.K.T
+    return seen[:, :2] / seen[:, 2:] / [camera.width, camera.height]
+
+
+def test_a_point_is_where_the_page_sees_it_whatever_the_size_of_the_picture():
+    rng = np.random.default_rng(0)
+    rays = rng.uniform([-0.8, -0.5, 1.0], [0.8, 0.5, 1.0], (20, 3)) * rng.uniform(0.5, 9.0, (20, 1))
+    half = np.tan(0.5 * PAGE.fov)
+    up_down = 0.5 + 0.5 * rays[:, 1] / rays[:, 2] / half
+    left_right = 0.5 + 0.5 * rays[:, 0] / rays[:, 2] / (half * PAGE.width / PAGE.height)
+    expected = np.stack([left_right, up_down], -1)
+    for size in ((960, 512), (320, 160), (64, 96)):
+        camera = camera_of(PAGE, size)
+        assert (camera.width, camera.height) == size
+        points = PAGE.position + rays @ TURN.as_matrix().T
+        np.testing.assert_allclose(on_picture(camera, points), expected, atol=2e-6)
+
+
+def test_there_and_back_is_the_same_camera():
+    camera = camera_at((0.4, -0.3, 0.2), (0.1, 0.1, 4.0), size=(48, 32))
+    K = np.array([[30.0, 0, 24], [0, 30, 16], [0, 0, 1]], np.float32)
+    centred = Camera(np.asarray(camera.viewmat), K, 48, 32)
+    back = camera_of(page_camera(centred), (48, 32))
+    assert_close((back.viewmat, back.K), (centred.viewmat, K))
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"position": np.array([0.0, np.nan, 0.0])},
+        {"position": np.array([np.inf, 0.0, 0.0])},
+        {"wxyz": np.zeros(4)},
+        {"wxyz": np.array([1.0, np.nan, 0.0, 0.0])},
+        {"fov": np.nan},
+    ],
+    ids=str,
+)
+def test_what_is_no_camera_is_none(broken):
+    assert camera_of(PAGE._replace(**broken), (64, 48)) is None
+
+
+@pytest.mark.parametrize(("fov", "shown"), [(0.0, FOVS[0]), (-1.0, FOVS[0]), (np.pi, FOVS[1]), (7.0, FOVS[1])])
+def test_a_field_of_view_that_no_pinhole_has_is_the_nearest_one(fov, shown):
+    camera = camera_of(PAGE._replace(fov=fov), (64, 48))
+    assert np.isfinite(camera.K).all() and (np.diag(camera.K) > 0).all()
+    np.testing.assert_allclose(2 * np.arctan(24 / camera.K[1, 1]), shown, rtol=1e-5)
+
+
+@pytest.mark.parametrize("toward", [[0, 0, 1.0], [0, 0, -1.0]])
+def test_looking_along_up_is_a_view_like_another(toward):
+    """A quaternion knows no up; and a camera of ours that looks so, by `look_at`, comes to the page and back."""
+    viewmat = look_at(np.array([1.0, 2, 3]), np.array([1.0, 2, 3]) + toward, np.array([0, 0, 1.0]))
+    K = np.array([[40.0, 0, 32], [0, 40, 24], [0, 0, 1]], np.float32)
+    back = camera_of(page_camera(Camera(viewmat, K, 64, 48)), (64, 48))
+    assert_close(back.viewmat[:3, :3] @ back.viewmat[:3, :3].T, np.eye(3))
+    assert_close(back.viewmat, viewmat)
+
+
+def test_a_quaternion_of_any_length_is_its_direction():
+    assert_close(camera_of(PAGE._replace(wxyz=7.5 * PAGE.wxyz), (64, 48)).viewmat, camera_of(PAGE, (64, 48)).viewmat)
+
+
+@pytest.mark.parametrize(
+    ("page", "size"),
+    [((1920, 1080), (960, 544)), ((1000, 1000), (960, 960)), ((400, 860), (480, 960)), ((9000, 100), (960, 416))],
+)
+def test_a_picture_has_the_nearest_of_a_few_shapes(page, size):
+    assert picture_size(PAGE._replace(width=page[0], height=page[1]), 960) == size
+
+
+def test_there_are_few_sizes_and_all_are_whole_tiles():
+    rng = np.random.default_rng(0)
+    pages = [PAGE._replace(width=w, height=h) for w, h in rng.integers(1, 4000, (300, 2))]
+    sizes = {picture_size(page, 320) for page in pages}
+    assert len(sizes) <= len(ASPECTS)
+    assert all(side % BLOCK == 0 and side >= BLOCK for size in sizes for side in size)
+
+
+def test_a_page_without_an_area_is_square_and_has_a_camera():
+    page = PAGE._replace(width=0, height=0)
+    assert picture_size(page, 320) == (320, 320)
+    K = camera_of(page, (320, 320)).K
+    assert K[0, 0] == K[1, 1] > 0

@@ -1,0 +1,69 @@
+"""What a training hands out: a copy, when asked, and not too often."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from small_scenes import cloud
+
+from gsjax.gaussians import opacities
+from gsjax.viewer.browser_splats import browser_splats
+from gsjax.viewer.snapshots import Snapshots
+
+
+def progress(step, gaussians):
+    return SimpleNamespace(step=step, phase=SimpleNamespace(name="coarse"), state=SimpleNamespace(gaussians=gaussians))
+
+
+@pytest.fixture
+def clock():
+    return SimpleNamespace(now=10.0)
+
+
+def test_nothing_is_copied_until_somebody_asks_and_then_once(clock):
+    snapshots, scene = Snapshots(1000, every=5.0, clock=lambda: clock.now), cloud(30)
+    snapshots.observe(progress(1, None))  # There would be nothing to copy.
+    assert snapshots.news() is None
+    snapshots.observe(progress(2, scene))
+    snapshots.observe(progress(3, None))
+    news = snapshots.news()
+    assert news.line == "coarse: step 2 of 1,000"
+    np.testing.assert_array_equal(news.gaussians.means, scene.means)
+    assert snapshots.news() is None
+
+
+def test_the_copy_outlives_the_buffers_that_the_next_step_takes(clock):
+    snapshots, scene = Snapshots(10, clock=lambda: clock.now), cloud(30)
+    expected = np.array(scene.means)
+    snapshots.news()
+    snapshots.observe(progress(1, scene))
+    for leaf in (scene.means, scene.quats, scene.log_scales, scene.logit_opacities, scene.sh_dc, scene.sh_rest):
+        leaf.delete()
+    np.testing.assert_array_equal(snapshots.news().gaussians.means, expected)
+
+
+def test_there_are_seconds_between_two_copies(clock):
+    snapshots, scene = Snapshots(10, every=5.0, clock=lambda: clock.now), cloud(30)
+    snapshots.news()
+    snapshots.observe(progress(1, scene))
+    assert snapshots.news() is not None
+    clock.now += 4.9
+    assert snapshots.news() is None
+    snapshots.observe(progress(2, None))
+    clock.now += 0.2
+    assert snapshots.news() is None
+    snapshots.observe(progress(3, scene))
+    assert snapshots.news().line == "coarse: step 3 of 10"
+
+
+def test_a_browser_gets_the_living_in_linear_numbers():
+    scene = cloud(30, capacity=48)
+    splats = browser_splats(scene)
+    assert [part.shape for part in splats] == [(30, 3), (30, 3, 3), (30, 3), (30, 1)]
+    np.testing.assert_array_equal(splats.centers, scene.means[:30])
+    np.testing.assert_allclose(splats.opacities[:, 0], opacities(scene)[:30], rtol=1e-6)
+    # The determinant of a covariance is the product of the squared scales, whichever way it is turned.
+    product = np.exp(2 * np.asarray(scene.log_scales[:30], np.float64).sum(1))
+    np.testing.assert_allclose(np.linalg.det(splats.covariances.astype(np.float64)), product, rtol=1e-3)
+    assert splats.rgbs.min() >= 0 and splats.rgbs.max() <= 1
+    np.testing.assert_allclose(splats.rgbs, np.clip(0.5 + 0.28209479 * scene.sh_dc[:30, 0], 0, 1), atol=1e-6)

@@ -1,0 +1,125 @@
+"""What can be looked at, and the one line for what cannot."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_scenes import camera_at, cloud
+
+from gsjax.errors import InputError
+from gsjax.io import runs
+from gsjax.io.compressed_ply import write_compressed_ply
+from gsjax.io.ply import write_gaussians
+from gsjax.io.spz import write_spz
+from gsjax.mesh import Mesh
+from gsjax.meshing.export import glb_bytes, read_mesh, write_mesh
+from gsjax.pipeline import viewpoints
+from gsjax.pipeline.result import write_views
+from gsjax.scene import Pixels, frame_of
+from gsjax.viewer.subject import open_subject
+
+CAMERAS = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0), size=(24, 20)) for x in (-0.5, 0.5)]
+TETRAHEDRON = Mesh(
+    np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32),
+    np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32),
+    np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [9, 9, 9]], np.uint8),
+)
+
+
+@pytest.fixture
+def run(tmp_path):
+    image = np.zeros((20, 24, 3), np.uint8)
+    frames = [
+        frame_of(f"{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image)) for k, c in enumerate(CAMERAS)
+    ]
+    folder = tmp_path / "run"
+    runs.write_json(folder / "config.json", {"background": "white"})
+    write_gaussians(folder / "gaussians.ply", cloud(30))
+    write_views(folder, tuple(frames))
+    return folder
+
+
+@pytest.fixture
+def placed(monkeypatch):
+    """Cameras around Gaussians without any, placed without the pictures that choosing takes."""
+    monkeypatch.setattr(viewpoints, "around", lambda gaussians: tuple(CAMERAS))
+
+
+def test_a_run_brings_its_cameras_and_its_mesh_and_says_why_there_are_no_photos(run):
+    told = []
+    subject = open_subject(run, tell=told.append)
+    assert told == [f"no photos: {run}/manifest.json: No such file or directory"]
+    assert list(subject.cameras) == ["0.jpg", "1.jpg"] and not subject.photos and subject.mesh is None
+    np.testing.assert_array_equal(subject.background, [1, 1, 1])
+    np.testing.assert_array_equal(subject.start.viewmat, CAMERAS[0].viewmat)
+    np.testing.assert_allclose(subject.up, [0, -1, 0], atol=1e-6)
+    assert 3 < subject.scale < 5 and np.linalg.norm(subject.middle - [0, 0, 4]) < 1
+    write_mesh(run / "mesh.ply", TETRAHEDRON)
+    assert open_subject(run).mesh == run / "mesh.ply"
+    write_mesh(run / "other.obj", TETRAHEDRON)
+    assert open_subject(run, mesh=run / "other.obj").mesh == run / "other.obj"
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [("a.ply", write_gaussians), ("a.compressed.ply", write_compressed_ply), ("A.SPZ", write_spz)],
+)
+def test_every_file_of_gaussians_is_shown_as_such(tmp_path, placed, name, write):
+    write(tmp_path / name, cloud(30))
+    subject = open_subject(tmp_path / name)
+    assert subject.gaussians.num_gaussians == 30 and subject.mesh is None
+    assert not subject.cameras, "those placed around it are not the scene's"
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])
+def test_a_mesh_alone_is_shown_as_a_mesh_from_where_it_is_seen_whole(tmp_path, suffix):
+    file = tmp_path / f"m{suffix}"
+    write_mesh(file, TETRAHEDRON)
+    subject = open_subject(file)
+    assert subject.gaussians is None and subject.mesh == file
+    seen = TETRAHEDRON.vertices @ subject.start.viewmat[:3, :3].T + subject.start.viewmat[:3, 3]
+    pixels = seen @ np.asarray(subject.start.K).T
+    pixels = pixels[:, :2] / pixels[:, 2:]
+    assert (seen[:, 2] > 0).all() and (pixels > 0).all() and (pixels < [800, 600]).all()
+    np.testing.assert_array_equal(subject.up, [0, 0, 1])
+    # What the browser gets holds the same triangles and colours.
+    (tmp_path / "back.glb").write_bytes(glb_bytes(file))
+    back = read_mesh(tmp_path / "back.glb")
+    np.testing.assert_array_equal(back.vertices[back.faces], TETRAHEDRON.vertices[TETRAHEDRON.faces])
+    np.testing.assert_array_equal(back.colors[back.faces], TETRAHEDRON.colors[TETRAHEDRON.faces])
+
+
+def test_cameras_in_all_directions_have_an_up_all_the_same(run):
+    records = runs.read_json(run / "cameras.json")
+    turned = np.diag([-1.0, -1.0, 1.0, 1.0]) @ np.asarray(records[0]["viewmat"])  # Upside down.
+    runs.write_json(run / "cameras.json", [records[0], {**records[0], "name": "b", "viewmat": turned}])
+    up = open_subject(run).up
+    np.testing.assert_allclose(up, -np.asarray(records[0]["viewmat"])[1, :3], atol=1e-6)
+
+
+def test_what_cannot_be_shown_is_one_line(tmp_path, run, placed):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "notes.txt").write_text("x")
+    (tmp_path / "broken.ply").write_text("no header")
+    (tmp_path / "points.ply").write_text("ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n1\n")
+    (tmp_path / "broken.spz").write_bytes(b"\0\1\2")
+    write_mesh(tmp_path / "m.ply", TETRAHEDRON)
+    none = replace(cloud(1), **{name: value[:0] for name, value in vars(cloud(1)).items() if name != "pixel_filter"})
+    write_gaussians(run / "gaussians.ply", none)
+    for name, message in {
+        "absent": "no such file or folder",
+        "empty": "holds no gaussians.ply; it is no run folder",
+        "run": "holds no Gaussians, there is nothing to show",
+        "notes.txt": "is no run folder, and no file of Gaussians (.compressed.ply, .ply, .spz) or of a mesh (.ply, "
+        ".obj, .glb)",
+        "broken.ply": "not a PLY file",
+        "points.ply": "not a PLY of Gaussians, it lacks",
+        "broken.spz": "",
+    }.items():
+        with pytest.raises(InputError) as raised:
+            open_subject(tmp_path / name)
+        assert str(raised.value).startswith(f"{tmp_path / name}: {message}") and "\n" not in str(raised.value)
+    with pytest.raises(InputError, match="m.ply: is a mesh itself; --mesh goes with Gaussians"):
+        open_subject(tmp_path / "m.ply", mesh=tmp_path / "m.ply")
+    with pytest.raises(InputError, match="absent.glb: no such mesh file"):
+        open_subject(run, mesh=tmp_path / "absent.glb")
