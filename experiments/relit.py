@@ -1,8 +1,10 @@
-"""A data set taken by another camera: exposure, white balance and fall-off of known size put into its photos.
+"""A data set taken by another camera: exposure, white balance, fall-off and wrong poses of known size put into it.
 
     python experiments/relit.py SCENE OUT --exposure 0.3 --balance 0.1 --corner -0.5
+    python experiments/relit.py SCENE OUT --turn 0.3 --shift 0.005
 
-OUT is SCENE with other pixels in `images/`, and `relit.json`, which tells what was put in, in EV.
+OUT is SCENE with other pixels in `images/` or other poses in `sparse/0/`, and `relit.json`, which tells what was put in:
+gains in EV, the true viewmats where poses are wrong.
 """
 
 import argparse
@@ -10,9 +12,11 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gsjax.effects.exposure import linear_light
 from gsjax.io import runs
+from gsjax.io.colmap_writer import write_poses
 from gsjax.io.files import atomic_folder
 from gsjax.io.images import write_image
 from gsjax.io.scenes import load_scene
@@ -20,9 +24,17 @@ from gsjax.scene import Frame
 
 
 def relight(
-    scene: str | Path, out: str | Path, *, exposure: float, balance: float, corner: float, seed: int = 0
+    scene: str | Path,
+    out: str | Path,
+    *,
+    exposure: float = 0.0,
+    balance: float = 0.0,
+    corner: float = 0.0,
+    turn: float = 0.0,
+    shift: float = 0.0,
+    seed: int = 0,
 ) -> Path:
-    """Write a copy of a data set whose photos were taken with gains of their own.
+    """Write a copy of a data set whose photos were taken with gains of their own, and not from where it says.
 
     Args:
         scene: Folder of a data set with PNGs in `images/` that fit its model, such as the built-in scene.
@@ -30,7 +42,9 @@ def relight(
         exposure: Standard deviation over the photos, EV.
         balance: The same for each channel by itself.
         corner: Light at half a diagonal from the principal point against the middle's, EV.
-        seed: Of the gains.
+        turn: Standard deviation of the poses' errors about each axis, degrees.
+        shift: The same of their places along each axis, shares of the median distance to the points.
+        seed: Of the gains and errors.
 
     Returns:
         `out`.
@@ -38,7 +52,8 @@ def relight(
     Raises:
         InputError: The data set cannot be used, or `out` not be written.
     """
-    frames = load_scene(scene).frames
+    loaded = load_scene(scene)
+    frames = loaded.frames
     rng = np.random.default_rng(seed)
     gains = exposure * rng.normal(size=(len(frames), 1)) + balance * rng.normal(size=(len(frames), 3))
     gains -= gains.mean(0)
@@ -47,6 +62,12 @@ def relight(
         for frame, gain in zip(frames, gains, strict=True):
             write_image(folder / "images" / frame.name, _retaken(frame, gain, corner))
         told = {"gains": {f.name: gain for f, gain in zip(frames, gains, strict=True)}, "corner": corner, "seed": seed}
+        if turn or shift:
+            depths = np.concatenate([loaded.points @ f.viewmat[2, :3] + f.viewmat[2, 3] for f in frames])
+            unit = float(np.median(depths[depths > 0]))
+            wrong = {f.name: _displaced(f.viewmat, np.radians(turn), shift * unit, rng) for f in frames}
+            write_poses(folder / "sparse/0", wrong)
+            told["viewmats"] = {f.name: f.viewmat for f in frames}
         runs.write_json(folder / "relit.json", told)
     return Path(out)
 
@@ -59,6 +80,14 @@ def _retaken(frame: Frame, gain: np.ndarray, corner: float) -> np.ndarray:
     return np.rint(255 * coded).astype(np.uint8)
 
 
+def _displaced(viewmat: np.ndarray, turn: float, shift: float, rng: np.random.Generator) -> np.ndarray:
+    """The same camera turned about its centre and put elsewhere, both at random: radians, scene units."""
+    error = np.eye(4)
+    error[:3, :3] = Rotation.from_rotvec(turn * rng.normal(size=3)).as_matrix()
+    error[:3, 3] = shift * rng.normal(size=3)
+    return error @ viewmat
+
+
 def main() -> None:
     """Run it."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -66,9 +95,11 @@ def main() -> None:
     parser.add_argument("out")
     for name in ("exposure", "balance", "corner"):
         parser.add_argument(f"--{name}", type=float, default=0.0, metavar="EV")
+    parser.add_argument("--turn", type=float, default=0.0, metavar="DEGREES")
+    parser.add_argument("--shift", type=float, default=0.0, metavar="SHARE")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    options = {name: getattr(arguments, name) for name in ("exposure", "balance", "corner", "seed")}
+    options = {name: getattr(arguments, name) for name in ("exposure", "balance", "corner", "turn", "shift", "seed")}
     relight(arguments.scene, arguments.out, **options)
 
 

@@ -20,6 +20,7 @@ from gsjax.io.ply import read_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import NONE
 from gsjax.pipeline import viewpoints
+from gsjax.pipeline.effects import read_photography, refined
 from gsjax.scene import Frame, Scene, valid_pixels
 from rasterizer import DepthMode
 
@@ -146,6 +147,8 @@ def training_pictures(
 def scene_of_run(run: Path, *, zoom: float = 1.0) -> Scene:
     """The data set of a finished run, loaded as it was trained on: with its split, whatever became of the list of it.
 
+    Cameras that training moved are where it left them.
+
     Args:
         run: Run folder.
         zoom: Photos are so many times larger than in training.
@@ -168,7 +171,8 @@ def scene_of_run(run: Path, *, zoom: float = 1.0) -> Scene:
         images=settings.get("images"),  # Absent from folders of runs that could not choose.
         hold_out=NONE,
     )
-    return replace(scene, frames=tuple(replace(frame, held_out=frame.name in held_out) for frame in scene.frames))
+    frames = tuple(replace(frame, held_out=frame.name in held_out) for frame in scene.frames)
+    return replace(scene, frames=refined(frames, read_photography(run).moves))
 
 
 def frame_camera(frame: Frame) -> Camera:
