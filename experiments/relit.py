@@ -3,8 +3,8 @@
     python experiments/relit.py SCENE OUT --exposure 0.3 --balance 0.1 --corner -0.5
     python experiments/relit.py SCENE OUT --turn 0.3 --shift 0.005
 
-OUT is SCENE with other pixels in `images/` or other poses in `sparse/0/`, and `relit.json`, which tells what was put in:
-gains in EV, the true viewmats where poses are wrong.
+OUT is SCENE with other pixels in `images/` or other poses in `sparse/0/`, and `relit.json`, which tells what was put
+in: gains in EV, the true viewmats where poses are wrong.
 """
 
 import argparse

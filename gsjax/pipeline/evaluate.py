@@ -11,7 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsjax import gallery
-from gsjax.effects.alignment import align
+from gsjax.cameras import Camera
+from gsjax.effects.alignment import Draw
+from gsjax.effects.alignment import align as aligned_camera
 from gsjax.effects.appearance import fitted
 from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
@@ -30,6 +32,8 @@ from gsjax.scene import Frame, Truth
 from rasterizer import DepthMode
 
 NOTHING = Photography()
+Aligner = Callable[[Camera, np.ndarray, np.ndarray, Draw], Camera]
+"""(camera as given, photo `[H, W, 3]` 0..1, `[H, W]` bool pixels that count, what draws) -> where it stood."""
 SKY, GROUND = 0, 255  # Labels of the truth; everything between is an object.
 
 
@@ -39,6 +43,7 @@ def evaluate(
     mesh: str | Path | None = None,
     lpips: Sequence[str | Path] = (),
     three_ways: bool = False,
+    aligned: bool = False,
     zooms: Sequence[float] = (),
 ) -> dict[str, Any]:
     """Score a finished run on its held-out views and, where its data set brings truth, its geometry.
@@ -48,6 +53,7 @@ def evaluate(
         mesh: Mesh to score against the true surface. None: `RUN/mesh.ply`, extracted now if it is absent.
         lpips: Files of weights, see `gsjax.pipeline.perceptual.lpips_measures`.
         three_ways: Score pictures in the three ways of `score_images` even if the run simulated no effects.
+        aligned: Score pictures from the poses that fit the photos best too, even if the run moved no cameras.
         zooms: Score pictures at so many times the size of training as well: at 0.5 against photos of half the size.
 
     Returns:
@@ -69,7 +75,12 @@ def evaluate(
     if three_ways and not found.looks:
         found = found._replace(looks=appearances_of_tracks(scene))
     figures = score_images(
-        result.gaussians, scene.held_out_frames, settings["background"], measures=measures, found=found
+        result.gaussians,
+        scene.held_out_frames,
+        settings["background"],
+        measures=measures,
+        found=found,
+        align=aligned_camera if aligned or found.moves else None,
     )
     figures.setdefault(STANDARD, None)
     for zoom in zooms:
@@ -126,6 +137,7 @@ def score_images(
     *,
     measures: Mapping[str, Measure] = MappingProxyType({}),
     found: Photography = NOTHING,
+    align: Aligner | None = None,
     depth_mode: DepthMode = "plane",
     observe: Callable[[Frame, np.ndarray, Picture], None] = lambda *_: None,
 ) -> dict[str, Any]:
@@ -136,7 +148,8 @@ def score_images(
         frames: Photos that it was not trained on.
         background: Colour behind it.
         measures: Further ones by name. They see pictures in 0..1, both black where a pixel is not valid.
-        found: What the photos' cameras did, where training took that in.
+        found: What the photos' cameras did to the light, where training took that in.
+        align: Finds the pose that a photo was taken from; None: given poses are all that is scored.
         depth_mode: Of the pictures' depth, which no score looks at.
         observe: Told of every frame, of the photo `[H, W, 3]` that it is compared with, and of its picture.
 
@@ -144,11 +157,11 @@ def score_images(
         `psnr`, `ssim` and `measures`: of the render as it is, the mean photo of the scene; `views`. With `found.looks`
         also `psnr_track_gains`, `ssim_track_gains`: after the fall-off that was learned and the gains that the photo's
         tracks tell; and `psnr_fitted`, `ssim_fitted`: of the render as it is, after the affine map of its colours that
-        fits the photo best, which sees the answer. With `found.moves` each of these also ends in `_aligned`: from the
-        pose that fits the photo best with the Gaussians as they are, which sees the answer too.
+        fits the photo best, which sees the answer. With `align` each of these also with `_aligned`: from the pose
+        that fits the photo best with the Gaussians as they are, which sees the answer too.
     """
     ways = ("", "_track_gains", "_fitted") if found.looks else ("",)
-    poses = ("", "_aligned") if found.moves else ("",)
+    poses = ("", "_aligned") if align else ("",)
     names = [f"{score}{way}{pose}" for pose in poses for way in ways for score in ("psnr", "ssim")]
     if not frames:
         return {**dict.fromkeys((*names, *measures)), "views": 0}
@@ -166,7 +179,7 @@ def score_images(
         valid = np.ones(target.shape[:2], bool) if valid is None else valid > 127
         taken = _as_taken(found, frame, None if matte is None else color)
         shown = [(picture, taken(picture))]
-        if found.moves:
+        if align:
             (fits,) = draw([align(frame_camera(frame), target, valid, partial(_taken, draw, taken))])
             shown.append((fits, taken(fits)))
         renders = [

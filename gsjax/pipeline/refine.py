@@ -16,6 +16,7 @@ from gsjax.binding.bound import bind, to_mesh
 from gsjax.binding.hybrid import Hybrid, all_gaussians, with_free
 from gsjax.binding.mesh_terms import mesh_graph
 from gsjax.binding.refining import Refinement, RefineProgress, RefineState
+from gsjax.effects.alignment import align
 from gsjax.effects.appearance import relit
 from gsjax.errors import InputError
 from gsjax.gaussians import take
@@ -172,7 +173,14 @@ def _finish(
     write_views(folder, scene.frames)
     write_photography(folder, found)
     summary = {
-        **score_images(gaussians, scene.held_out_frames, background, found=found, observe=keeper(folder)),
+        **score_images(
+            gaussians,
+            scene.held_out_frames,
+            background,
+            found=found,
+            align=align if found.moves else None,
+            observe=keeper(folder),
+        ),
         "vertices": refined.num_vertices,
         "faces": refined.num_faces,
         "gaussians": hybrid.num_gaussians,

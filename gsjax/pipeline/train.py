@@ -13,6 +13,7 @@ import optax
 from tqdm import tqdm
 
 from gsjax import config
+from gsjax.effects.alignment import align
 from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
@@ -170,6 +171,7 @@ def _finish(
         scene.held_out_frames,
         settings.background,
         found=found,
+        align=align if found.moves else None,
         depth_mode=settings.depth_mode,
         observe=keeper(run),
     )
