@@ -192,7 +192,7 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
         np.testing.assert_array_equal(frame.viewmat, np.float32(record["viewmat"]))
         np.testing.assert_array_equal(frame.K, np.float32(record["K"]))
         off = np.abs(given[frame.name] - record["viewmat"]).max()
-        assert off == 0 if frame.held_out else 1e-6 < off < 0.02, frame.name
+        assert off == 0 if frame.held_out else 1e-6 < off < 0.05, frame.name
 
     three = pipeline.evaluate(run, three_ways=True)
     assert scores <= three.keys() and not aligned & three.keys()
