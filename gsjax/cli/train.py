@@ -53,7 +53,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--masks", choices=("valid", "matte"), help="what the masks/ folder means: pixels to use, or the object's"
         " coverage over the background (default: valid)")  # fmt: skip
     add("--effects", metavar="auto|none|NAMES", help="what photography added to the scene, to be simulated: auto,"
-        " what the photos show (see `gsjax diagnose`); or names, as in exposure,vignetting,poses (default: none)")  # fmt: skip
+        " what the photos show (see `gsjax diagnose`); or names, as in exposure,poses (default: none)")  # fmt: skip
     add("--vanilla", action="store_const", const=True, help="plain 3DGS: leave the normal term out")
     add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
         help="any setting by its dotted key, as RUN/config.json shows them; may be repeated")  # fmt: skip
