@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import rasterizer
-from gsjax import render
+from gsjax import backdrop, render
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from rasterizer import DepthMode
@@ -27,7 +27,7 @@ class Picture(NamedTuple):
 def pictures(
     gaussians: Gaussians, cameras: Sequence[Camera], background: np.ndarray, depth_mode: DepthMode = "plane"
 ) -> Iterator[Picture]:
-    """Render every camera over `background` `[3]`; sizes may differ, each picture has its camera's.
+    """Render every camera over a background (see `gsjax.backdrop`); sizes may differ, each picture has its camera's.
 
     Depth is as `depth_mode` says, see `gsjax.render.view`.
     """
@@ -66,8 +66,7 @@ _needed = jax.jit(render.needed_capacity)
 def _shown(
     gaussians: Gaussians, camera: Camera, background: jax.Array, *, capacity: int, depth_mode: DepthMode
 ) -> tuple[jax.Array, ...]:
-    view = render.view(
-        gaussians, camera, capacity=capacity, background=background, with_depth=True, depth_mode=depth_mode
-    )
+    under = backdrop.behind(background, camera)
+    view = render.view(gaussians, camera, capacity=capacity, background=under, with_depth=True, depth_mode=depth_mode)
     assert view.depth is not None  # as asked for
     return jnp.clip(view.colors, 0, 1), view.depth, view.alphas, render.owners(view.splats)

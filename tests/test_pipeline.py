@@ -148,7 +148,7 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, mon
 
 def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scene, tmp_path, monkeypatch):
     """Its photos are clean: `auto` takes nothing in and ends with the bits of a run that was not asked."""
-    settings = config.parse(Settings, {**SETTINGS, "effects": "exposure,vignetting,poses"})
+    settings = config.parse(Settings, {**SETTINGS, "effects": "exposure,vignetting,poses,background"})
     whole, stopped, auto = (tmp_path / name for name in ("whole", "stopped", "auto"))
     summary = pipeline.train(scene, whole, settings)
     note = pipeline.train.__globals__["TrainingJournal"].note
@@ -163,11 +163,11 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
         with pytest.raises(KeyboardInterrupt):
             pipeline.train(scene, stopped, settings)
     pipeline.train(scene, stopped, settings, resume=True)
-    for file in ("gaussians.ply", "effects.json", "poses.json", "cameras.json"):
+    for file in ("gaussians.ply", "effects.json", "poses.json", "cameras.json", "background.json"):
         assert (stopped / file).read_bytes() == (whole / file).read_bytes()
 
     manifest = runs.read_json(whole / "manifest.json")
-    assert manifest["effects"]["simulated"] == ["exposure", "vignetting", "poses"]
+    assert manifest["effects"]["simulated"] == ["exposure", "vignetting", "poses", "background"]
     assert manifest["effects"]["evidence"]["exposure"]["threshold"] == 0.05
     scores = {f"{name}{way}" for name in ("psnr", "ssim") for way in ("", "_track_gains", "_fitted")}
     aligned = {f"{name}_aligned" for name in scores}
@@ -194,6 +194,7 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
         off = np.abs(given[frame.name] - record["viewmat"]).max()
         assert off == 0 if frame.held_out else 1e-6 < off < 0.05, frame.name
 
+    assert open_result(whole).background.shape == (1, 3), "the built-in scene stands before one white"
     three = pipeline.evaluate(run, three_ways=True)
     assert scores <= three.keys() and not aligned & three.keys()
     assert three["psnr"] == pytest.approx(runs.read_json(run / "manifest.json")["psnr"], abs=1e-3)
@@ -201,7 +202,7 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     pipeline.train(scene, auto, config.parse(Settings, {**SETTINGS, "effects": "auto"}))
     assert runs.read_json(auto / "manifest.json")["effects"]["simulated"] == []
     assert (auto / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
-    assert not (auto / "effects.json").exists() and not (auto / "poses.json").exists()
+    assert not any((auto / name).exists() for name in ("effects.json", "poses.json", "background.json"))
     stored = [set(load_arrays(runs.latest_checkpoint(folder)[1])) for folder in (run, auto, whole)]
     assert stored[0] == stored[1] == {name for name in stored[2] if "effects" not in name} < stored[2]
 

@@ -9,7 +9,7 @@ import numpy as np
 import optax
 
 from gsjax.cameras import Camera
-from gsjax.effects import exposure, poses, vignetting
+from gsjax.effects import background, exposure, poses, vignetting
 from gsjax.effects.gains import fit, table
 from gsjax.effects.model import Effects, EffectState
 from gsjax.effects.observations import Observations
@@ -41,6 +41,7 @@ class Start:
     falloff: np.ndarray  # [C, 2]
     centers: np.ndarray  # [V, 3] float64 of the cameras, world
     distance: float  # scene units: the median depth of the points in all photos
+    background: np.ndarray  # [(L + 1)^2, 3] SH coefficients of what is behind all
 
 
 def start(seen: Observations, chosen: Collection[str]) -> Start:
@@ -72,6 +73,7 @@ def start(seen: Observations, chosen: Collection[str]) -> Start:
         falloff.astype(np.float32),
         np.stack([-frame.viewmat[:3, :3].T.astype(np.float64) @ frame.viewmat[:3, 3] for frame in frames]),
         _median_depth(seen),
+        background.initial(seen),
     )
 
 
@@ -90,6 +92,7 @@ def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax
         "poses": lambda: poses.simulated(
             begun.centers[begun.trained], begun.distance, whose, count, rate(peak=poses.RATE, hold=poses.HOLD)
         ),
+        "background": lambda: background.simulated(begun.background, rate(peak=background.RATE, hold=0)),
     }
     return {name: effects[name]() for name in SIMULATED if name in chosen}
 

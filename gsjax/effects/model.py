@@ -34,6 +34,7 @@ class Effect(NamedTuple):
     initial: Any  # pytree of float32: its numbers at step 0
     rate: optax.Schedule  # steps done -> Adam's learning rate; zero holds the numbers still
     camera: Callable[[Any, Camera, Array], Camera] | None = None  # (numbers, as given, which photo) -> where it stood
+    behind: Callable[[Any, Camera], Array] | None = None  # (numbers, view) -> `[3]` or `[H, W, 3]` behind all Gaussians
     light: Callable[[Any, Array, Batch], Array] | None = None  # (numbers, `[H, W, 3]` that the camera meets, view) ->
     # photo
 
@@ -76,6 +77,16 @@ def aimed(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, phot
         if effect.camera is not None:
             camera = effect.camera(numbers[name], camera, photo)
     return camera
+
+
+def behind(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, color: Array) -> Array:
+    """`[3]` or `[H, W, 3]` light that comes from no Gaussian; the given `[3]` colour where no effect knows better."""
+    if numbers is None:
+        return color
+    for name, effect in effects.items():
+        if effect.behind is not None:
+            color = effect.behind(numbers[name], camera)
+    return color
 
 
 def photographed(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch, background: Array) -> View:

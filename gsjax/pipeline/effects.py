@@ -14,14 +14,16 @@ from gsjax.effects.appearance import Appearance, Start, appearances, moves, simu
 from gsjax.effects.model import Effects, EffectState, learning_rate
 from gsjax.effects.observations import observe
 from gsjax.effects.poses import Move
+from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.pipeline.diagnose import diagnosed
 from gsjax.scene import Frame, Scene
 from gsjax.settings import AUTO, NONE, SIMULATED, Settings, named_effects, total_steps
 
-FILE, POSES = "effects.json", "poses.json"
+FILE, POSES, BACKGROUND = "effects.json", "poses.json", "background.json"
 T = TypeVar("T", Appearance, Move)
 _SAID = "cameras.json has the cameras after these moves of those of the data set: radians, scene units, a factor"
+_BEHIND = "behind all Gaussians: max(0, SH(direction of the ray in the world) + 0.5), as Gaussians' colours are"
 
 
 class Photography(NamedTuple):
@@ -29,6 +31,7 @@ class Photography(NamedTuple):
 
     looks: Mapping[str, Appearance] = MappingProxyType({})
     moves: Mapping[str, Move] = MappingProxyType({})  # of its camera from where the data set has it
+    background: np.ndarray | None = None  # [(L + 1)^2, 3] SH coefficients of what is behind all, see `gsjax.backdrop`
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,12 @@ class Joined:
         """What the state says of the photos."""
         if state is None or self.begun is None:
             return Photography()
-        return Photography(appearances(self.begun, state), moves(self.begun, state))
+        background = state.numbers.get("background")
+        return Photography(
+            appearances(self.begun, state),
+            moves(self.begun, state),
+            None if background is None else np.asarray(background),
+        )
 
 
 def joined(settings: Settings, scene: Scene) -> Joined:
@@ -54,7 +62,7 @@ def joined(settings: Settings, scene: Scene) -> Joined:
         scene: Its data set, at the size that is trained on.
 
     Raises:
-        InputError: A photo or the tracks cannot be read.
+        InputError: A photo or the tracks cannot be read, or a background is asked for behind mattes.
     """
     if settings.effects == NONE:
         return Joined()
@@ -72,6 +80,11 @@ def joined(settings: Settings, scene: Scene) -> Joined:
         reset_every=density.reset_every,
         resets_stop=min(density.stop, total_steps(settings)),
     )
+    if "background" in chosen and any(facts.has_matte for facts in found.seen.facts):
+        raise InputError(
+            f"--effects {settings.effects}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
+            " leave background out"
+        )
     begun = start(found.seen, chosen)
     return Joined(simulations(begun, chosen, rate), begun, evidence)
 
@@ -95,7 +108,7 @@ def refined(frames: tuple[Frame, ...], moves: Mapping[str, Move]) -> tuple[Frame
 
 
 def write_photography(run: Path, found: Photography) -> None:
-    """`effects.json` and `poses.json`, where there is anything to say.
+    """`effects.json`, `poses.json` and `background.json`, where there is anything to say.
 
     Raises:
         InputError: A file cannot be written.
@@ -105,6 +118,8 @@ def write_photography(run: Path, found: Photography) -> None:
     if found.moves:
         photos = {name: move._asdict() for name, move in found.moves.items()}
         runs.write_json(run / POSES, {"about": _SAID, "photos": photos})
+    if found.background is not None:
+        runs.write_json(run / BACKGROUND, {"about": _BEHIND, "sh": found.background})
 
 
 def read_photography(run: Path) -> Photography:
@@ -113,7 +128,9 @@ def read_photography(run: Path) -> Photography:
     Raises:
         InputError: A file is damaged.
     """
-    return Photography(_read(run / FILE, Appearance), _read(run / POSES, Move))
+    file = run / BACKGROUND
+    background = np.asarray(runs.read_json(file)["sh"], np.float32) if file.exists() else None
+    return Photography(_read(run / FILE, Appearance), _read(run / POSES, Move), background)
 
 
 def moves_line(moves: Mapping[str, Move]) -> str:

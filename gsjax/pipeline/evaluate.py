@@ -146,9 +146,9 @@ def score_images(
     Args:
         gaussians: The scene.
         frames: Photos that it was not trained on.
-        background: Colour behind it.
+        background: Colour behind it, where `found` has none that was learned.
         measures: Further ones by name. They see pictures in 0..1, both black where a pixel is not valid.
-        found: What the photos' cameras did to the light, where training took that in.
+        found: What the photos' cameras did to the light, and what is behind all, where training took that in.
         align: Finds the pose that a photo was taken from; None: given poses are all that is scored.
         depth_mode: Of the pictures' depth, which no score looks at.
         observe: Told of every frame, of the photo `[H, W, 3]` that it is compared with, and of its picture.
@@ -165,7 +165,7 @@ def score_images(
     names = [f"{score}{way}{pose}" for pose in poses for way in ways for score in ("psnr", "ssim")]
     if not frames:
         return {**dict.fromkeys((*names, *measures)), "views": 0}
-    color = BACKGROUNDS[background]
+    color = BACKGROUNDS[background] if found.background is None else found.background
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     draw = partial(gallery.pictures, gaussians, background=color, depth_mode=depth_mode)
     scores = []

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from tqdm import tqdm
@@ -78,6 +79,7 @@ def refine(
     found = read_photography(run)
     frames = tuple(relit(f, found.looks[f.name]) if found.looks else f for f in scene.train_frames)
     data, size = views_of(frames), extent(frames)
+    behind = None if found.background is None else jnp.asarray(found.background)
     bound = bind(
         coarse,
         per_triangle=settings.per_triangle,
@@ -112,7 +114,7 @@ def refine(
             data,
             state,
             optimizer,
-            background=BACKGROUNDS[trained["background"]],
+            background=BACKGROUNDS[trained["background"]] if behind is None else lambda key: behind,
             observe=journal.note,
             capacity=capacity,
         )

@@ -42,7 +42,7 @@ class Result:
     valid: tuple[
         Callable[[], np.ndarray | None], ...
     ]  # reads [H, W] bool, where the photo may be used; None: all of it
-    background: np.ndarray  # [3]
+    background: np.ndarray  # [3], or as SH coefficients of the direction, see `gsjax.backdrop`
     depth_mode: DepthMode = "plane"  # how depth was read in training, see `gsjax.render.view`
 
 
@@ -86,7 +86,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             hint = "its training has not finished" if (source / "manifest.json").exists() else "it is no run folder"
             raise InputError(f"{source}: holds no gaussians.ply; {hint}")
         gaussians = read_gaussians(source / "gaussians.ply")
-        settings = runs.read_settings(source)
+        settings, learned = runs.read_settings(source), read_photography(source).background
         records = runs.read_json(source / "cameras.json")
         return Result(
             source,
@@ -95,7 +95,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             names=tuple(record["name"] for record in records),
             held_out=tuple(bool(record["held_out"]) for record in records),
             valid=tuple(partial(_read_mask, source, record) for record in records),
-            background=BACKGROUNDS[settings["background"]],
+            background=BACKGROUNDS[settings["background"]] if learned is None else learned,
             depth_mode=settings["depth_mode"],
         )
     gaussians = read_gaussians(source)
@@ -130,7 +130,7 @@ def training_pictures(
     Args:
         result: Whose training views.
         gaussians: Its own, or what was made of them.
-        background: `[3]` colour under the pictures.
+        background: Under the pictures, see `gsjax.backdrop`.
 
     Raises:
         InputError: There is no training view; or, as the pictures are drawn, a mask cannot be used.

@@ -215,8 +215,11 @@ class TrainingJournal(Journal):
 
     def _held_out_psnr(self, state: TrainState) -> float:
         settings = self.settings
-        frames = refined(self.scene.held_out_frames, self.taken_in.photography(state.effects).moves)
-        return score_images(state.gaussians, frames, settings.background, depth_mode=settings.depth_mode)["psnr"]
+        found = self.taken_in.photography(state.effects)
+        frames = refined(self.scene.held_out_frames, found.moves)
+        plain = Photography(background=found.background)
+        scores = score_images(state.gaussians, frames, settings.background, found=plain, depth_mode=settings.depth_mode)
+        return scores["psnr"]
 
     def _tell_pace(self, progress: Progress) -> None:
         """How long the rest will take, once a phase."""

@@ -98,7 +98,7 @@ def make_train_step(
             gaussians,
             batch.camera,
             capacity=capacity,
-            background=color,
+            background=model.behind(effects, numbers, batch.camera, color),
             active_degree=active_degree,
             with_depth=with_depth,
             depth_mode=depth_mode,

@@ -11,9 +11,9 @@ import step_without_effects
 from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
-from gsjax import views
+from gsjax import backdrop, gallery, views
 from gsjax.cameras import center
-from gsjax.effects import exposure, poses, vignetting
+from gsjax.effects import background, exposure, poses, vignetting
 from gsjax.effects.model import learning_rate
 from gsjax.effects.twists import gauge, moved
 from gsjax.settings import Rates, Weights
@@ -27,6 +27,9 @@ CAMERAS = [
 ]
 CENTERS = np.stack([center(camera) for camera in CAMERAS])
 PHOTOS = Weights(alpha=0.0)
+SKY = backdrop.constant(np.array([0.4, 0.6, 0.8]), 2)
+SKY[1] = [0.3, 0.2, -0.2]
+SKY[3] = [-0.2, 0.1, 0.1]
 KEY = jax.random.key(0)
 OPTIMIZER = make_optimizer(Rates(means=2e-3, means_final=2e-4), 1.0, 60)
 ADDRESS = re.compile(r"0x[0-9a-f]+")  # Of functions, in the text of a program.
@@ -81,6 +84,7 @@ def test_held_effects_leave_the_others_as_they_were(data):
         "exposure": exposure.simulated(np.zeros((3, 3)), rate),
         "vignetting": vignetting.simulated(np.zeros((1, 2)), np.zeros(3), rate),
         "poses": poses.simulated(CENTERS, 4.0, np.zeros(3), 1, rate),
+        "background": background.simulated(backdrop.constant(np.zeros(3), 4), rate),
     }
     step = make_train_step(OPTIMIZER, PHOTOS, **options("adc"), effects=effects)
     plain = make_train_step(OPTIMIZER, PHOTOS, **options("adc"))
@@ -90,23 +94,26 @@ def test_held_effects_leave_the_others_as_they_were(data):
         without, expected = plain(without, views.Target(**{**target.__dict__, "photo": None}), KEY)
     assert_close(reported.loss, expected.loss)
     assert_close(state.gaussians.sh_dc, without.gaussians.sh_dc, rtol=1e-4, atol=1e-6, why="other fusions, then Adam")
-    assert_close(state.effects.numbers, jax.tree.map(jnp.zeros_like, state.effects.numbers))
+    held = {name: effect.initial for name, effect in effects.items()}
+    assert_close(state.effects.numbers, jax.tree.map(jnp.asarray, held))
 
 
 @pytest.fixture(scope="module")
 def retaken(data):
-    """Photos taken by factors and by cameras that stood elsewhere, and the step that may learn both at once."""
+    """Photos taken by factors, by cameras that stood elsewhere, under a sky; and the step that may learn all."""
     gains = np.array([[-0.2, 0.0, 0.1], [0.1, 0.1, 0.0], [0.1, -0.1, -0.1]], np.float32)
     # Half a degree, and as much of the distance.
     twists = np.float32(np.radians(0.5) * np.random.default_rng(3).normal(size=(3, 6)))
     targets = []
-    for target, gain, camera, twist in zip(data.targets, gains, CAMERAS, twists, strict=True):
-        image = np.rint(np.clip(target.image * np.exp(gain), 0, 255)).astype(np.uint8)
+    pictures = gallery.pictures(cloud(200, seed=5), CAMERAS, SKY)
+    for target, picture, gain, camera, twist in zip(data.targets, pictures, gains, CAMERAS, twists, strict=True):
+        image = np.rint(np.clip(255 * picture.colors * np.exp(gain), 0, 255)).astype(np.uint8)
         wrong = moved(camera, jnp.asarray(-twist), 4.0)
         targets.append(replace(target, image=image, viewmat=wrong.viewmat))
     effects = {
         "exposure": exposure.simulated(np.zeros((3, 3)), lambda step: jnp.float32(0.01)),
         "poses": poses.simulated(CENTERS, 4.0, np.zeros(3), 1, lambda step: jnp.float32(1e-3) * 0.98**step),
+        "background": background.simulated(backdrop.constant(np.full(3, 0.5), 2), lambda step: jnp.float32(0.02)),
     }
     step = make_train_step(OPTIMIZER, Weights(dssim=0.0, alpha=0.0), **options("adc"), effects=effects)
     return targets, effects, step, gains
@@ -157,6 +164,14 @@ def test_cameras_go_where_their_photos_were_taken(learned, retaken):
     assert off(given) > 0.1  # pixels
     assert off(found) < 0.1 * off(given)
     assert np.abs(learned["poses"]["log_focals"]).max() < 0.01
+
+
+def test_the_sky_is_learned_where_it_is_open(learned, retaken):
+    """Gains that are a little off make up for a sky that is: as the mean photo has it."""
+    pictures = list(gallery.pictures(cloud(200, seed=5), CAMERAS, np.zeros(3)))
+    for camera, picture in zip(CAMERAS, pictures, strict=True):
+        sky, found = (np.asarray(backdrop.behind(jnp.asarray(each), camera)) for each in (SKY, learned["background"]))
+        assert np.abs((1 - picture.alphas)[..., None] * (found - sky)).mean() < 0.02
 
 
 def in_units(moves) -> np.ndarray:
