@@ -1,10 +1,11 @@
 """An effect put into the built-in scene, ignored and simulated: scores, cameras against the truth, and seconds.
 
-    python experiments/handled.py poses --out DIR [--strengths 0 0.1 0.3] [--views 24] [--size 96] [--steps 500]
+    python experiments/handled.py poses --out DIR --strengths 0 0.1 0.3 [--views 24] [--size 96] [--steps 500]
+    python experiments/handled.py background --out DIR --strengths 0 1
 
-A strength of 0 is the clean scene: what simulating the effect costs where it is absent. Poses: degrees about each axis,
-and as many radians of the median distance along each. `DIR/handled.md` is the table, `DIR/handled.json` its figures.
-Called again it does what is left.
+Poses: degrees about each axis, and as many radians of the median distance along each; 0 is the clean scene. Background:
+how far the white one goes to a sky's colours, and training is not told that it is white. `DIR/handled.md` is the table,
+`DIR/handled.json` its figures. Called again it does what is left.
 """
 
 import argparse
@@ -15,27 +16,29 @@ from typing import Any
 import numpy as np
 from relit import relight
 
-from gsjax import config, pipeline, tables
+from gsjax import config, gallery, pipeline, tables
 from gsjax.effects.diagnosis import diagnose
 from gsjax.io import analytic_scene, runs
 from gsjax.io.machine import machine
 from gsjax.io.scenes import load_scene
+from gsjax.pipeline.result import frame_camera, open_result, scene_of_run
 from gsjax.settings import Settings
 
 POINTS, SMALL = 300, 1e-4  # that stand for all; of a world's change, to first order
 PUT_IN: dict[str, Callable[[float], dict[str, float]]] = {
     "poses": lambda degrees: {"turn": degrees, "shift": float(np.radians(degrees))},
+    "background": lambda share: {"sky": share},
 }
 
 
-def settings(effects: str, steps: int, seed: int) -> Settings:
+def settings(effects: str, steps: int, seed: int, background: str) -> Settings:
     """A short run of the photometric loss."""
     return config.parse(
         Settings,
         {
             "seed": seed,
             "effects": effects,
-            "background": "white",
+            "background": background,
             "max_gaussians": 3000,
             "sh_degree": 1,
             "sh_every": max(steps // 3, 1),
@@ -46,15 +49,26 @@ def settings(effects: str, steps: int, seed: int) -> Settings:
     )
 
 
-def row(scene: Path, run: Path, effects: str, steps: int, seed: int) -> dict[str, Any]:
+def row(scene: Path, run: Path, chosen: Settings) -> dict[str, Any]:
     """Trains unless that was done, and scores."""
     if not (run / "evaluation.json").exists():
-        pipeline.train(scene, run, settings(effects, steps, seed), resume=(run / "config.json").exists())
+        pipeline.train(scene, run, chosen, resume=(run / "config.json").exists())
         figures = pipeline.evaluate(run, aligned=True)
-        runs.write_json(run / "evaluation.json", figures | camera_errors(scene, run))
+        runs.write_json(run / "evaluation.json", figures | camera_errors(scene, run) | haze(run))
     figures = runs.read_json(run / "evaluation.json")
-    names = ("psnr", "psnr_aligned", "cameras_px", "chamfer", "train_seconds")
+    names = ("psnr", "psnr_aligned", "cameras_px", "sky_alpha", "chamfer", "train_seconds")
     return {name: figures.get(name) for name in names}
+
+
+def haze(run: Path) -> dict[str, float]:
+    """Mean coverage by Gaussians of the held-out pixels that show no surface."""
+    result, scene = open_result(run), scene_of_run(run)
+    assert scene.truth is not None, "the built-in scene is known"
+    cameras = [frame_camera(frame) for frame in scene.held_out_frames]
+    pictures = gallery.pictures(result.gaussians, cameras, result.background)
+    labels = [scene.truth.labels[frame.name]() for frame in scene.held_out_frames]
+    covered = [picture.alphas[label == 0] for picture, label in zip(pictures, labels, strict=True)]
+    return {"sky_alpha": float(np.concatenate(covered).mean())}
 
 
 def camera_errors(scene: Path, run: Path) -> dict[str, float]:
@@ -113,7 +127,8 @@ def main() -> None:
             for seed in range(given.seeds):
                 run = given.out / f"run_{given.effect}_{strength:g}_{effects}_{seed}"
                 said = {"strength": strength, "on": evidence.on, "evidence": evidence.value, "effects": effects}
-                rows.append(said | {"seed": seed} | row(scene, run, effects, given.steps, seed))
+                chosen = settings(effects, given.steps, seed, "black" if given.effect == "background" else "white")
+                rows.append(said | {"seed": seed} | row(scene, run, chosen))
                 runs.write_json(given.out / "handled.json", {"rows": rows, "machine": machine()})
     heads = list(rows[0])
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]

@@ -83,14 +83,18 @@ def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax
     Args:
         begun: Where they start.
         chosen: Their names.
-        rate: The schedule of the run by `peak` and `hold`, see `gsjax.effects.model.learning_rate`.
+        rate: The schedule of the run by `peak`, `hold` and `share`, see `gsjax.effects.model.learning_rate`.
     """
     whose, count = begun.camera[begun.trained], len(begun.falloff)
     effects = {
         "exposure": lambda: exposure.simulated(begun.log_gains[begun.trained], rate()),
         "vignetting": lambda: vignetting.simulated(begun.falloff, whose, rate()),
         "poses": lambda: poses.simulated(
-            begun.centers[begun.trained], begun.distance, whose, count, rate(peak=poses.RATE, hold=poses.HOLD)
+            begun.centers[begun.trained],
+            begun.distance,
+            whose,
+            count,
+            rate(peak=poses.RATE, hold=poses.HOLD, share=poses.HOLD_SHARE),
         ),
         "background": lambda: background.simulated(begun.background, rate(peak=background.RATE, hold=0)),
     }

@@ -22,7 +22,7 @@ RATE, FINAL = 2e-3, 1e-2  # Adam's learning rate, and the share of it that is le
 HOLD = 300  # steps before an effect may move, and after opacities were reset: colours settle first
 WARM_UP = 500  # steps to the full rate
 LIMIT = 3.0  # of the logarithm of what light is multiplied by: 20 times, on display-coded values
-SHORT = 0.1  # of a run: what both are at most
+SHORT = 0.1  # of a run: what both are at most, unless an effect says otherwise
 
 
 class Effect(NamedTuple):
@@ -130,7 +130,13 @@ def updated(effects: Effects, state: EffectState | None, gradients: dict[str, An
 
 
 def learning_rate(
-    steps: int, *, reset_every: int = 0, resets_stop: int = 0, peak: float = RATE, hold: int = HOLD
+    steps: int,
+    *,
+    reset_every: int = 0,
+    resets_stop: int = 0,
+    peak: float = RATE,
+    hold: int = HOLD,
+    share: float = SHORT,
 ) -> optax.Schedule:
     """The schedule of a run: zero, a linear warm-up, then log-linear to `FINAL`; zero again after every reset.
 
@@ -141,9 +147,11 @@ def learning_rate(
         reset_every: Steps between resets of the opacities; 0: there are none.
         resets_stop: The last of them.
         peak: What the warm-up leads to.
-        hold: Steps that are waited, first and after every reset.
+        hold: Steps that are waited, first and after every reset,
+        share: of the run at most.
     """
-    hold, warm_up = (min(most, max(1, round(SHORT * steps))) for most in (hold, WARM_UP))
+    hold = min(hold, max(1, round(share * steps)))
+    warm_up = min(WARM_UP, max(1, round(SHORT * steps)))
 
     def rate(step: ArrayLike) -> Array:
         done = jnp.asarray(step, jnp.float32)

@@ -21,7 +21,8 @@ SIGNIFICANT = 3  # standard errors
 SHARE = 0.2  # of the photos must want to move
 FEWEST = 8  # observations of a photo
 COST = "72 bytes a photo, moments included; gradients of the cameras"
-RATE, HOLD = 1e-3, 500  # Adam's learning rate, of radians and of units; steps that it waits
+RATE = 1e-3  # Adam's learning rate, of radians and of units
+HOLD, HOLD_SHARE = 1000, 0.3  # steps that cameras wait for Gaussians to stand somewhere; of a run at most
 LIMIT = 0.3  # of the logarithm of a focal length against the given one
 _ROUNDS, _OUTLIER = 5, 1.5  # of reweighting; standard deviations that count in full (Huber)
 
