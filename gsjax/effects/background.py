@@ -2,10 +2,8 @@
 
 import numpy as np
 import optax
-from jax import Array
 
 from gsjax import backdrop
-from gsjax.cameras import Camera
 from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.model import Effect
 from gsjax.effects.observations import Observations
@@ -59,8 +57,4 @@ def simulated(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:
         coefficients: `[(L + 1)^2, 3]` to start with.
         rate: See `Effect`.
     """
-
-    def behind(numbers: Array, camera: Camera) -> Array:
-        return backdrop.behind(numbers, camera)
-
-    return Effect(np.asarray(coefficients, np.float32), rate, behind=behind)
+    return Effect(np.asarray(coefficients, np.float32), rate, behind=backdrop.behind)

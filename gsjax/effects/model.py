@@ -35,8 +35,7 @@ class Effect(NamedTuple):
     rate: optax.Schedule  # steps done -> Adam's learning rate; zero holds the numbers still
     camera: Callable[[Any, Camera, Array], Camera] | None = None  # (numbers, as given, which photo) -> where it stood
     behind: Callable[[Any, Camera], Array] | None = None  # (numbers, view) -> `[3]` or `[H, W, 3]` behind all Gaussians
-    light: Callable[[Any, Array, Batch], Array] | None = None  # (numbers, `[H, W, 3]` that the camera meets, view) ->
-    # photo
+    light: Callable[[Any, Array, Batch], Array] | None = None  # (numbers, `[H, W, 3]` before the lens, view) -> photo
 
 
 Effects = Mapping[str, Effect]
@@ -147,8 +146,8 @@ def learning_rate(
         reset_every: Steps between resets of the opacities; 0: there are none.
         resets_stop: The last of them.
         peak: What the warm-up leads to.
-        hold: Steps that are waited, first and after every reset,
-        share: of the run at most.
+        hold: Steps that are waited, first and after every reset.
+        share: Of the run, what `hold` is at most.
     """
     hold = min(hold, max(1, round(share * steps)))
     warm_up = min(WARM_UP, max(1, round(SHORT * steps)))

@@ -85,7 +85,8 @@ def evaluate(
     figures.setdefault(STANDARD, None)
     for zoom in zooms:
         zoomed = scene_of_run(run, zoom=zoom).held_out_frames
-        scores = score_images(result.gaussians, zoomed, settings["background"])
+        plain = Photography(background=found.background)
+        scores = score_images(result.gaussians, zoomed, settings["background"], found=plain)
         figures |= {f"{name}_zoom_{zoom:g}": scores[name] for name in ("psnr", "ssim")}
     figures |= {
         "gaussians": result.gaussians.num_gaussians,
@@ -178,15 +179,13 @@ def score_images(
         observe(frame, target, picture)
         valid = np.ones(target.shape[:2], bool) if valid is None else valid > 127
         taken = _as_taken(found, frame, None if matte is None else color)
-        shown = [(picture, taken(picture))]
+        shown = [picture]
         if align:
-            (fits,) = draw([align(frame_camera(frame), target, valid, partial(_taken, draw, taken))])
-            shown.append((fits, taken(fits)))
-        renders = [
-            colors
-            for plain, lit in shown
-            for colors in (plain.colors, lit.colors, np.clip(fitted(plain.colors, target, valid), 0, 1))[: len(ways)]
-        ]
+            shown += draw([align(frame_camera(frame), target, valid, partial(_taken, draw, taken))])
+        renders = [each.colors for each in shown]
+        if found.looks:
+            fits = (np.clip(fitted(each.colors, target, valid), 0, 1) for each in shown)
+            renders = [c for each, fit in zip(shown, fits, strict=True) for c in (each.colors, taken(each).colors, fit)]
         pair = [np.clip(colors, 0, 1) * valid[..., None] for colors in (picture.colors, target)]
         scores.append(
             [each for render in renders for each in _scores(*map(jnp.asarray, (render, target, valid)))]
@@ -196,7 +195,11 @@ def score_images(
     return {**dict(zip((*names, *measures), means, strict=True)), "views": len(scores)}
 
 
-def _taken(draw: Callable[..., Iterable[Picture]], taken: Callable[[Picture], Picture], cameras) -> list[Picture]:
+def _taken(
+    draw: Callable[[Sequence[Camera]], Iterable[Picture]],
+    taken: Callable[[Picture], Picture],
+    cameras: Sequence[Camera],
+) -> list[Picture]:
     return [taken(picture) for picture in draw(cameras)]
 
 
