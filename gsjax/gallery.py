@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import rasterizer
-from gsjax import render
+from gsjax import backdrop, render
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from rasterizer import DepthMode
@@ -32,7 +32,7 @@ def pictures(
     *,
     with_owners: bool = False,
 ) -> Iterator[Picture]:
-    """Render every camera over `background` `[3]`; sizes may differ, each picture has its camera's.
+    """Render every camera over a background (see `gsjax.backdrop`); sizes may differ, each picture has its camera's.
 
     Depth is as `depth_mode` says, see `gsjax.render.view`. Owners cost another pass over the pairs.
     """
@@ -77,9 +77,8 @@ def _shown(
     depth_mode: DepthMode,
     with_owners: bool,
 ) -> tuple[jax.Array, ...]:
-    view = render.view(
-        gaussians, camera, capacity=capacity, background=background, with_depth=True, depth_mode=depth_mode
-    )
+    under = backdrop.behind(background, camera)
+    view = render.view(gaussians, camera, capacity=capacity, background=under, with_depth=True, depth_mode=depth_mode)
     assert view.depth is not None  # as asked for
     shown = jnp.clip(view.colors, 0, 1), view.depth, view.alphas
     return (*shown, render.owners(view.splats)) if with_owners else shown

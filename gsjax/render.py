@@ -202,7 +202,7 @@ def view(
         gaussians: The scene, of any kind that `drawable` knows.
         camera: The view.
         capacity: See `splat`.
-        background: `[3]` colour under the image.
+        background: `[3]` colour under the image, or `[H, W, 3]`.
         active_degree: Highest SH degree used, one for all or `[N]`; may be traced. None: all.
         with_depth: Whether depth is composited too. Static; not in the program otherwise.
         depth_mode: What a splat's depth is: "plane" where the Gaussian is densest along each pixel's ray, "center" that
@@ -226,5 +226,6 @@ def view(
     if with_depth:
         composited = rasterizer.blended_depth(image[None, ..., before_depth:])[0, ..., 0]
         depth = safe_divide(composited, alphas, alphas > MIN_COVERAGE)
-    shown = image[..., :3] + (1 - alphas)[..., None] * background[None, None]
+    under = background if background.ndim == 3 else background[None, None]
+    shown = image[..., :3] + (1 - alphas)[..., None] * under
     return View(shown, alphas, depth, splats, None if extra is None else image[..., 3:before_depth])

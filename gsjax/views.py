@@ -32,6 +32,7 @@ class Target:
     normals: Array | None = None  # [H, W, 3] int8, camera frame, times `NORMAL_UNIT`; zero where there is none
     photo: Array | None = None  # [] int32, which of the run's photos it is, where an effect has numbers for each
     neighbors: Camera | None = None  # of M views, stacked, where a term compares two views
+    neighbor_photos: Array | None = None  # [M] int32 which photos those are, where `photo` is told
 
 
 @dataclass(frozen=True)

@@ -149,7 +149,7 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, mon
 
 def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scene, tmp_path, monkeypatch):
     """Its photos are clean: `auto` takes nothing in and ends with the bits of a run that was not asked."""
-    settings = config.parse(Settings, {**SETTINGS, "effects": "exposure,vignetting"})
+    settings = config.parse(Settings, {**SETTINGS, "effects": "exposure,vignetting,poses,background"})
     whole, stopped, auto = (tmp_path / name for name in ("whole", "stopped", "auto"))
     summary = pipeline.train(scene, whole, settings)
     note = pipeline.train.__globals__["TrainingJournal"].note
@@ -164,33 +164,46 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
         with pytest.raises(KeyboardInterrupt):
             pipeline.train(scene, stopped, settings)
     pipeline.train(scene, stopped, settings, resume=True)
-    for file in ("gaussians.ply", "effects.json"):
+    for file in ("gaussians.ply", "effects.json", "poses.json", "cameras.json", "background.json"):
         assert (stopped / file).read_bytes() == (whole / file).read_bytes()
 
     manifest = runs.read_json(whole / "manifest.json")
-    assert manifest["effects"]["simulated"] == ["exposure", "vignetting"]
+    assert manifest["effects"]["simulated"] == ["exposure", "vignetting", "poses", "background"]
     assert manifest["effects"]["evidence"]["exposure"]["threshold"] == 0.05
     scores = {f"{name}{way}" for name in ("psnr", "ssim") for way in ("", "_track_gains", "_fitted")}
-    assert scores <= summary.keys()
+    aligned = {f"{name}_aligned" for name in scores}
+    assert scores | aligned <= summary.keys()
     assert summary["psnr_fitted"] > summary["psnr"]
+    assert summary["psnr_track_gains_aligned"] >= summary["psnr_track_gains"]
+    assert manifest["cameras"].startswith("cameras turned by ")
     evaluated = pipeline.evaluate(whole)
     assert {name: evaluated[name] for name in scores} == pytest.approx(
         {name: summary[name] for name in scores}, abs=1e-3
     )
     photos = runs.read_json(whole / "effects.json")["photos"]
-    held_out = {record["name"] for record in runs.read_json(whole / "cameras.json") if record["held_out"]}
+    records = runs.read_json(whole / "cameras.json")
+    held_out = {record["name"] for record in records if record["held_out"]}
     gains = np.array([photo["log_gains"] for name, photo in photos.items() if name not in held_out])
     assert gains.shape == (7, 3)
     np.testing.assert_allclose(gains.mean(0), 0, atol=1e-6)
 
+    # Later stages see the cameras that training moved; those that are held out are where they were.
+    given = {record["name"]: np.array(record["viewmat"]) for record in runs.read_json(run / "cameras.json")}
+    for frame, record in zip(scene_of_run(whole).frames, records, strict=True):
+        np.testing.assert_array_equal(frame.viewmat, np.float32(record["viewmat"]))
+        np.testing.assert_array_equal(frame.K, np.float32(record["K"]))
+        off = np.abs(given[frame.name] - record["viewmat"]).max()
+        assert off == 0 if frame.held_out else 1e-6 < off < 0.05, frame.name
+
+    assert open_result(whole).background.shape == (1, 3), "the built-in scene stands before one white"
     three = pipeline.evaluate(run, three_ways=True)
-    assert scores <= three.keys()
+    assert scores <= three.keys() and not aligned & three.keys()
     assert three["psnr"] == pytest.approx(runs.read_json(run / "manifest.json")["psnr"], abs=1e-3)
 
     pipeline.train(scene, auto, config.parse(Settings, {**SETTINGS, "effects": "auto"}))
     assert runs.read_json(auto / "manifest.json")["effects"]["simulated"] == []
     assert (auto / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
-    assert not (auto / "effects.json").exists()
+    assert not any((auto / name).exists() for name in ("effects.json", "poses.json", "background.json"))
     stored = [set(load_arrays(runs.latest_checkpoint(folder)[1])) for folder in (run, auto, whole)]
     assert stored[0] == stored[1] == {name for name in stored[2] if "effects" not in name} < stored[2]
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
-from gsjax import render, views
+from gsjax import backdrop, render, views
 from gsjax.binding import mesh_terms
 from gsjax.binding.bound import LAYOUTS
 from gsjax.binding.hybrid import Hybrid
@@ -135,7 +135,7 @@ def refine(
         data: The photos.
         state: Where to start. Its buffers are taken.
         optimizer: The transformation that made the state.
-        background: Colour under the images.
+        background: Under the images; where photos have no mattes it may also be as `gsjax.backdrop` has it.
         observe: Called after every step.
         capacity: Pair buffer to continue with; None counts.
 
@@ -187,7 +187,8 @@ def make_refine_step(
     def objective(parameters: Hybrid, faces: Array, graph: MeshGraph, batch, color: Array, degree: Array):
         gaussians = with_faces(parameters, faces)
         degrees = active_degrees(gaussians, degree)
-        view = render.view(gaussians, batch.camera, capacity=capacity, background=color, active_degree=degrees)
+        under = backdrop.behind(color, batch.camera)
+        view = render.view(gaussians, batch.camera, capacity=capacity, background=under, active_degree=degrees)
         values = {name: _term(name, gaussians, graph, view, batch) for name in terms}
         total = sum(weight * values[name] for name, weight in terms.items())
         mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)

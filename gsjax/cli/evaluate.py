@@ -30,6 +30,11 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         " effects are scored",
     )
     parser.add_argument(
+        "--aligned",
+        action="store_true",
+        help="also score pictures from the poses that fit the photos best, as runs that move cameras are scored",
+    )
+    parser.add_argument(
         "--zoom",
         metavar="FACTOR",
         type=float,
@@ -51,6 +56,7 @@ def _run(arguments: argparse.Namespace) -> None:
         arguments.run_folder,
         mesh=arguments.mesh,
         three_ways=arguments.three_ways,
+        aligned=arguments.aligned,
         zooms=arguments.zoom,
         **given(arguments, "lpips"),
     )

@@ -55,8 +55,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--background", choices=("white", "black", "random"), help="colour behind the Gaussians (default: black)")
     add("--masks", choices=("valid", "matte"), help="what the masks/ folder means: pixels to use, or the object's"
         " coverage over the background (default: valid)")  # fmt: skip
-    add("--effects", metavar="auto|none|NAMES", help="what cameras did to the light, to be simulated: auto, what the"
-        " photos show (see `gsjax diagnose`); or names, as in exposure,vignetting (default: none)")  # fmt: skip
+    add("--effects", metavar="auto|none|NAMES", help="what photography added to the scene, to be simulated: auto,"
+        " what the photos show (see `gsjax diagnose`); or names, as in exposure,poses (default: none)")  # fmt: skip
     add("--vanilla", action="store_const", const=True, help="plain 3DGS: leave the normal term out")
     add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
         help="any setting by its dotted key, as RUN/config.json shows them; may be repeated")  # fmt: skip

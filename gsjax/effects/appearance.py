@@ -1,6 +1,6 @@
 """How each photo was taken, as far as tracks or training tell: where the effects start, and what became of them."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ import numpy as np
 import optax
 
 from gsjax.cameras import Camera
-from gsjax.effects import exposure, vignetting
+from gsjax.effects import background, exposure, poses, vignetting
 from gsjax.effects.gains import fit, table
 from gsjax.effects.model import Effects, EffectState
 from gsjax.effects.observations import Observations
@@ -39,6 +39,9 @@ class Start:
     log_gains: np.ndarray  # [V, 3] of display-coded values, mean zero over the photos that are trained on
     camera: np.ndarray  # [V] int32, whose camera
     falloff: np.ndarray  # [C, 2]
+    centers: np.ndarray  # [V, 3] float64 of the cameras, world
+    distance: float  # scene units: the median depth of the points in all photos
+    background: np.ndarray  # [(L + 1)^2, 3] SH coefficients of what is behind all
 
 
 def start(seen: Observations, chosen: Collection[str]) -> Start:
@@ -68,14 +71,32 @@ def start(seen: Observations, chosen: Collection[str]) -> Start:
         log_gains.astype(np.float32),
         np.array([distinct.index(camera) for camera in cameras], np.int32),
         falloff.astype(np.float32),
+        np.stack([-frame.viewmat[:3, :3].T.astype(np.float64) @ frame.viewmat[:3, 3] for frame in frames]),
+        _median_depth(seen),
+        background.initial(seen),
     )
 
 
-def simulations(begun: Start, chosen: Collection[str], rate: optax.Schedule) -> Effects:
-    """The chosen effects, over the photos that are trained on."""
+def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax.Schedule]) -> Effects:
+    """The chosen effects, over the photos that are trained on.
+
+    Args:
+        begun: Where they start.
+        chosen: Their names.
+        rate: The schedule of the run by `peak`, `hold` and `share`, see `gsjax.effects.model.learning_rate`.
+    """
+    whose, count = begun.camera[begun.trained], len(begun.falloff)
     effects = {
-        "exposure": lambda: exposure.simulated(begun.log_gains[begun.trained], rate),
-        "vignetting": lambda: vignetting.simulated(begun.falloff, begun.camera[begun.trained], rate),
+        "exposure": lambda: exposure.simulated(begun.log_gains[begun.trained], rate()),
+        "vignetting": lambda: vignetting.simulated(begun.falloff, whose, rate()),
+        "poses": lambda: poses.simulated(
+            begun.centers[begun.trained],
+            begun.distance,
+            whose,
+            count,
+            rate(peak=poses.RATE, hold=poses.HOLD, share=poses.HOLD_SHARE),
+        ),
+        "background": lambda: background.simulated(begun.background, rate(peak=background.RATE, hold=0)),
     }
     return {name: effects[name]() for name in SIMULATED if name in chosen}
 
@@ -83,9 +104,11 @@ def simulations(begun: Start, chosen: Collection[str], rate: optax.Schedule) -> 
 def appearances(begun: Start, state: EffectState) -> dict[str, Appearance]:
     """Of every photo, by name, after training: gains as learned, those of held-out photos as their tracks tell.
 
-    No pixel of a held-out photo has been used but its keypoints.
+    No pixel of a held-out photo has been used but its keypoints. Empty where nothing changes the light.
     """
     numbers: dict[str, Any] = state.numbers
+    if not {"exposure", "vignetting"} & numbers.keys():
+        return {}
     gains = np.zeros_like(begun.log_gains)
     if "exposure" in numbers:
         gains = begun.log_gains.copy()
@@ -95,6 +118,14 @@ def appearances(begun: Start, state: EffectState) -> dict[str, Appearance]:
         name: Appearance(tuple(gains[index].tolist()), tuple(falloff[begun.camera[index]].tolist()))
         for index, name in enumerate(begun.names)
     }
+
+
+def moves(begun: Start, state: EffectState) -> dict[str, poses.Move]:
+    """Of every photo's camera, by name, after training; empty where they stayed."""
+    if "poses" not in state.numbers:
+        return {}
+    found = poses.moves(state.numbers["poses"], begun.centers, begun.distance, begun.trained, begun.camera)
+    return dict(zip(begun.names, found, strict=True))
 
 
 def fitted(colors: np.ndarray, image: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -115,3 +146,13 @@ def relit(frame: Frame, look: Appearance) -> Frame:
     pixels = frame.pixels()
     image = np.clip(np.rint(pixels.image / look.factor(frame)), 0, 255).astype(np.uint8)
     return with_pixels(frame, pixels._replace(image=image))
+
+
+def _median_depth(seen: Observations) -> float:
+    """Of some points in front of the cameras; the spread of the cameras where there are none."""
+    points = seen.points[:: max(1, len(seen.points) // 1000)]
+    depths = np.concatenate([points @ frame.viewmat[2, :3] + frame.viewmat[2, 3] for frame in seen.frames])
+    if (depths > 0).any():
+        return float(np.median(depths[depths > 0]))
+    centers = np.stack([frame.viewmat[:3, 3] for frame in seen.frames])
+    return float(np.linalg.norm(centers - centers.mean(0), axis=1).max()) or 1.0

@@ -1,14 +1,19 @@
-"""Open sky or a bare backdrop: light that comes from no surface."""
+"""Open sky or a bare backdrop: light that comes from no surface, and so from no Gaussian."""
 
 import numpy as np
+import optax
 
+from gsjax import backdrop
 from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects.model import Effect
 from gsjax.effects.observations import Observations
 
 THRESHOLD = 0.25  # of the photos
 OPEN = 0.05  # of a photo's pixels
 COST = "a constant colour: nothing; by direction: 900 bytes, one product a pixel"
-_ONE_COLOR = 0.02  # standard deviation over the photos
+DEGREE = 4  # of the spherical harmonics of a sky
+RATE = 5e-3  # Adam's learning rate of the coefficients; they wait for nothing
+_ONE_COLOR = 0.02  # standard deviation over the photos, and within them
 
 
 def judge(seen: Observations) -> Evidence:
@@ -28,5 +33,28 @@ def judge(seen: Observations) -> Evidence:
         mean, spread = colors.mean(0), float(colors.std(0).max())
         shown = ", ".join(f"{channel:.2f}" for channel in mean)
         note += f"; colour {shown}, " + ("the same in all photos" if spread < _ONE_COLOR else f"+-{spread:.2f}")
-        note += "; a bright wall looks the same: reported"
+        note += "; a bright wall looks the same"
     return Evidence(value > THRESHOLD, value, "share of photos", noise, THRESHOLD, COST, note)
+
+
+def initial(seen: Observations) -> np.ndarray:
+    """`[(L + 1)^2, 3]` SH coefficients to start with: the mean colour of what looks like sky, else grey.
+
+    L is 0 where that has one colour, or where nothing looks like sky; else `DEGREE`.
+    """
+    is_open = [facts for facts in seen.facts if facts.sky_share > OPEN]
+    if not is_open:
+        return backdrop.constant(np.full(3, 0.5), 0)
+    colors = np.stack([facts.sky_color for facts in is_open])
+    spread = np.hypot(colors.std(0).max(), np.mean([facts.sky_spread for facts in is_open]))
+    return backdrop.constant(colors.mean(0), 0 if spread < _ONE_COLOR else DEGREE)
+
+
+def simulated(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:
+    """A colour by direction stands behind all Gaussians, see `gsjax.backdrop`. No surface is made of it.
+
+    Args:
+        coefficients: `[(L + 1)^2, 3]` to start with.
+        rate: See `Effect`.
+    """
+    return Effect(np.asarray(coefficients, np.float32), rate, behind=backdrop.behind)

@@ -87,10 +87,10 @@ def simulated(initial: np.ndarray, rate: optax.Schedule) -> Effect:
         rate: See `Effect`.
     """
 
-    def apply(numbers: Array, colors: Array, batch: Batch) -> Array:
+    def light(numbers: Array, colors: Array, batch: Batch) -> Array:
         return colors * jnp.exp(log_gains(numbers)[batch.photo])[None, None]
 
-    return Effect(np.asarray(initial, np.float32), rate, apply)
+    return Effect(np.asarray(initial, np.float32), rate, light=light)
 
 
 def log_gains(numbers: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What training joins where a scene calls for an effect: its numbers, their rate, and what it does to a picture.
+"""What training joins where a scene calls for an effect: its numbers, their rate, and where it stands in a picture.
 
 A step without effects never hears of this: no argument, no state, no operation.
 """
@@ -14,6 +14,7 @@ import optax
 from jax import Array
 from jax.typing import ArrayLike
 
+from gsjax.cameras import Camera
 from gsjax.render import View
 from gsjax.views import Batch
 
@@ -21,15 +22,20 @@ RATE, FINAL = 2e-3, 1e-2  # Adam's learning rate, and the share of it that is le
 HOLD = 300  # steps before an effect may move, and after opacities were reset: colours settle first
 WARM_UP = 500  # steps to the full rate
 LIMIT = 3.0  # of the logarithm of what light is multiplied by: 20 times, on display-coded values
-SHORT = 0.1  # of a run: what both are at most
+SHORT = 0.1  # of a run: what both are at most, unless an effect says otherwise
 
 
 class Effect(NamedTuple):
-    """One effect of photography. Frozen for a run; what changes is in an `EffectState`."""
+    """One effect of photography: of its numbers, what it changes on the way from the world to a photo.
+
+    Frozen for a run; what changes is in an `EffectState`. A function that is None is not in the compiled program.
+    """
 
     initial: Any  # pytree of float32: its numbers at step 0
     rate: optax.Schedule  # steps done -> Adam's learning rate; zero holds the numbers still
-    apply: Callable[[Any, Array, Batch], Array]  # (numbers, `[H, W, 3]` light that the camera meets, view) -> photo
+    camera: Callable[[Any, Camera, Array], Camera] | None = None  # (numbers, as given, which photo) -> where it stood
+    behind: Callable[[Any, Camera], Array] | None = None  # (numbers, view) -> `[3]` or `[H, W, 3]` behind all Gaussians
+    light: Callable[[Any, Array, Batch], Array] | None = None  # (numbers, `[H, W, 3]` before the lens, view) -> photo
 
 
 Effects = Mapping[str, Effect]
@@ -55,6 +61,33 @@ def initial_state(effects: Effects) -> EffectState | None:
     return EffectState(numbers, {name: _adam(effects[name]).init(value) for name, value in numbers.items()})
 
 
+def aimed(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, photo: Array | None) -> Camera:
+    """The camera of a photo as the effects have it; the given one where there are none.
+
+    Args:
+        effects: The effects.
+        numbers: Theirs; None of none.
+        camera: As the data set has it.
+        photo: `[]` int32 whose numbers are meant.
+    """
+    if numbers is None or photo is None:
+        return camera
+    for name, effect in effects.items():
+        if effect.camera is not None:
+            camera = effect.camera(numbers[name], camera, photo)
+    return camera
+
+
+def behind(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, color: Array) -> Array:
+    """`[3]` or `[H, W, 3]` light that comes from no Gaussian; the given `[3]` colour where no effect knows better."""
+    if numbers is None:
+        return color
+    for name, effect in effects.items():
+        if effect.behind is not None:
+            color = effect.behind(numbers[name], camera)
+    return color
+
+
 def photographed(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch, background: Array) -> View:
     """What the camera makes of a view.
 
@@ -77,7 +110,8 @@ def photographed(effects: Effects, numbers: dict[str, Any] | None, view: View, b
         behind = (1 - view.alphas)[..., None] * background[None, None]
     colors = view.colors - behind
     for name, effect in effects.items():
-        colors = effect.apply(numbers[name], colors, batch)
+        if effect.light is not None:
+            colors = effect.light(numbers[name], colors, batch)
     return view._replace(colors=colors + behind)
 
 
@@ -94,7 +128,15 @@ def updated(effects: Effects, state: EffectState | None, gradients: dict[str, An
     return EffectState(numbers, moments)
 
 
-def learning_rate(steps: int, *, reset_every: int = 0, resets_stop: int = 0) -> optax.Schedule:
+def learning_rate(
+    steps: int,
+    *,
+    reset_every: int = 0,
+    resets_stop: int = 0,
+    peak: float = RATE,
+    hold: int = HOLD,
+    share: float = SHORT,
+) -> optax.Schedule:
     """The schedule of a run: zero, a linear warm-up, then log-linear to `FINAL`; zero again after every reset.
 
     A reset of the opacities darkens every render at once, which gains would answer within a few steps.
@@ -103,13 +145,17 @@ def learning_rate(steps: int, *, reset_every: int = 0, resets_stop: int = 0) -> 
         steps: Of the run.
         reset_every: Steps between resets of the opacities; 0: there are none.
         resets_stop: The last of them.
+        peak: What the warm-up leads to.
+        hold: Steps that are waited, first and after every reset.
+        share: Of the run, what `hold` is at most.
     """
-    hold, warm_up = (min(most, max(1, round(SHORT * steps))) for most in (HOLD, WARM_UP))
+    hold = min(hold, max(1, round(share * steps)))
+    warm_up = min(WARM_UP, max(1, round(SHORT * steps)))
 
     def rate(step: ArrayLike) -> Array:
         done = jnp.asarray(step, jnp.float32)
         ramp = jnp.clip((done - hold) / warm_up, 0.0, 1.0)
-        value = RATE * ramp * FINAL ** (done / steps)
+        value = peak * ramp * FINAL ** (done / steps)
         if not reset_every:
             return value
         settling = (done >= reset_every) & (done < resets_stop + hold) & (jnp.mod(done, reset_every) < hold)

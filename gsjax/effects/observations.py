@@ -32,6 +32,7 @@ class PhotoFacts(NamedTuple):
     sharpness: float  # of the luminance over valid pixels, see `_sharpness`
     sky_share: float  # of the valid places in the grid
     sky_color: np.ndarray  # [3] mean of them, 0..1
+    sky_spread: float  # standard deviation of them, of the channel that has most
     has_matte: bool
     lost_share: float  # of the photo's pixels, by undistortion
 
@@ -122,8 +123,9 @@ def _look(frame: Frame, keypoints: np.ndarray, looked_at: np.ndarray, lost: floa
     if matte is not None:
         usable = usable & (matte > 254)
     luminance = image.astype(np.float32) @ _LUMINANCE.astype(np.float32)
-    share, color = _sky(image, luminance, usable, keypoints)
-    facts = PhotoFacts(_sharpness(luminance, usable), share, color, matte is not None, lost)
+    facts = PhotoFacts(
+        _sharpness(luminance, usable), *_sky(image, luminance, usable, keypoints), matte is not None, lost
+    )
     return _blurred_at(image, usable, looked_at), facts
 
 
@@ -169,8 +171,8 @@ def _sharpness(luminance: np.ndarray, usable: np.ndarray) -> float:
 
 def _sky(
     image: np.ndarray, luminance: np.ndarray, usable: np.ndarray, keypoints: np.ndarray
-) -> tuple[float, np.ndarray]:
-    """Share of a grid of places that is bright, smooth and far from all that was matched, and its mean colour."""
+) -> tuple[float, np.ndarray, float]:
+    """Share of a grid of places that is bright, smooth and far from all matches, its mean colour and spread."""
     height, width = luminance.shape
     step = max(1, round(max(height, width) / GRID))
     rows, columns = np.arange(step // 2, height, step), np.arange(step // 2, width, step)
@@ -187,8 +189,8 @@ def _sky(
         free[y, x] = False
         distance = np.asarray(ndimage.distance_transform_edt(free))[: len(rows), : len(columns)]
         sky &= distance * step > SKY_CLEAR * width
-    color = image[grid][sky].mean(0) / 255.0 if sky.any() else np.zeros(3)
-    return float(sky.sum() / max(usable[grid].sum(), 1)), color
+    colors = image[grid][sky] / 255.0 if sky.any() else np.zeros((1, 3))
+    return float(sky.sum() / max(usable[grid].sum(), 1)), colors.mean(0), float(colors.std(0).max())
 
 
 def _lost(frame: Frame, known: dict[tuple, float]) -> float:

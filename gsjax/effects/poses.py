@@ -1,17 +1,29 @@
-"""Poses that do not agree with the tracks."""
+"""Poses that do not agree with the tracks, and cameras that training moves to where their photos say they stood."""
 
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+import optax
+from jax import Array
 
+from gsjax.cameras import Camera
 from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects.model import Effect
 from gsjax.effects.observations import Observations
+from gsjax.effects.twists import gauge, moved
+from gsjax.scene import Frame
 
 THRESHOLD = 0.3  # pixels
 SIGNIFICANT = 3  # standard errors
 SHARE = 0.2  # of the photos must want to move
 FEWEST = 8  # observations of a photo
 COST = "72 bytes a photo, moments included; gradients of the cameras"
+RATE = 1e-3  # Adam's learning rate, of radians and of units
+HOLD, HOLD_SHARE = 1000, 0.3  # steps that cameras wait for Gaussians to stand somewhere; of a run at most
+LIMIT = 0.3  # of the logarithm of a focal length against the given one
 _ROUNDS, _OUTLIER = 5, 1.5  # of reweighting; standard deviations that count in full (Huber)
 
 
@@ -36,8 +48,88 @@ def judge(seen: Observations, found: tuple[Step | None, ...]) -> Evidence:
     sure = np.mean([step.shift > max(THRESHOLD, SIGNIFICANT * step.error) for step in known])
     noise = float(np.median([step.error for step in known]))
     note = f"the step that {100 * SHARE:.0f} % of the photos exceed, against their tracks"
-    note += "; poses and points that are wrong together do not show; reported"
+    note += "; poses and points that are wrong together do not show"
     return Evidence(bool(sure >= SHARE), value, "px", noise, THRESHOLD, COST, note)
+
+
+class Move(NamedTuple):
+    """What training made of one photo's camera."""
+
+    turn: tuple[float, float, float]  # about its centre: a rotation vector along the world's axes, radians
+    shift: tuple[float, float, float]  # of its centre, scene units
+    focal: float  # factor of both focal lengths
+
+    def refined(self, frame: Frame) -> Frame:
+        """The frame as taken by the camera so moved."""
+        given = Camera(jnp.asarray(frame.viewmat), jnp.asarray(frame.K), frame.width, frame.height)
+        camera = _moved_and_zoomed(given, jnp.asarray([*self.turn, *self.shift], jnp.float32), jnp.float32(self.focal))
+        return replace(frame, viewmat=np.asarray(camera.viewmat), K=np.asarray(camera.K))
+
+
+def simulated(centers: np.ndarray, unit: float, whose: np.ndarray, count: int, rate: optax.Schedule) -> Effect:
+    """Every photo's camera is moved by its own twist, and every camera's focal length by a factor; zero at the start.
+
+    What moves all cameras together with the world no photo can tell: it is taken off the twists as they are used
+    (`gauge`), so the scene stays where the data set has it whatever an optimiser does. A common factor of all focal
+    lengths shows in the photos, and stays.
+
+    Args:
+        centers: `[V, 3]` camera centres, world.
+        unit: Scene units of a shift of 1: about the distance to what is seen, so that turns and shifts move pixels
+            alike.
+        whose: `[V]` whose camera took which photo, 0..C-1.
+        count: C, of the cameras.
+        rate: See `Effect`.
+    """
+    fixed, whose = gauge(centers, unit), np.asarray(whose, np.int32)
+    initial = {"twists": np.zeros((len(centers), 6), np.float32), "log_focals": np.zeros(count, np.float32)}
+
+    def camera(numbers: Any, given: Camera, photo: Array) -> Camera:
+        focal = jnp.exp(log_focals(numbers)[jnp.asarray(whose)[photo]])
+        return zoomed(moved(given, twists(numbers, fixed)[photo], unit), focal)
+
+    return Effect(initial, rate, camera=camera)
+
+
+def twists(numbers: Any, fixed: np.ndarray) -> Array:
+    """`[V, 6]` of the numbers that are optimised, without their part in the orthonormal `fixed` `[6 V, G]`."""
+    free = numbers["twists"].reshape(-1)
+    common = jnp.matmul(free, fixed, precision=jax.lax.Precision.HIGHEST)
+    return (free - jnp.matmul(fixed, common, precision=jax.lax.Precision.HIGHEST)).reshape(-1, 6)
+
+
+def log_focals(numbers: Any) -> Array:
+    """`[C]` logarithms of the factors of the focal lengths."""
+    return jnp.clip(numbers["log_focals"], -LIMIT, LIMIT)
+
+
+def zoomed(camera: Camera, focal: Array) -> Camera:
+    """The camera with both focal lengths times `focal`."""
+    factors = jnp.stack([focal, focal, jnp.ones_like(focal)])
+    scaled = camera.K * jnp.where(jnp.eye(3, dtype=bool), factors[:, None], 1)
+    return Camera(camera.viewmat, scaled, camera.width, camera.height)
+
+
+@jax.jit
+def _moved_and_zoomed(given: Camera, twist: Array, focal: Array) -> Camera:
+    return zoomed(moved(given, twist, 1.0), focal)
+
+
+def moves(numbers: Any, centers: np.ndarray, unit: float, trained: np.ndarray, whose: np.ndarray) -> tuple[Move, ...]:
+    """Of all V photos after training. Those that are held out keep their pose, and share their camera's focal length.
+
+    Args:
+        numbers: As optimised, of the photos that are trained on.
+        centers: `[V, 3]` camera centres as given, world.
+        unit: As in `simulated`.
+        trained: `[V]` bool.
+        whose: `[V]` whose camera took which photo.
+    """
+    found = np.zeros((len(centers), 6))
+    found[trained] = np.asarray(twists(numbers, gauge(centers[trained], unit))) * np.repeat([1.0, unit], 3)
+    focals = np.exp(np.asarray(log_focals(numbers), np.float64))
+    rows = zip(found.tolist(), focals[whose].tolist(), strict=True)
+    return tuple(Move(tuple(twist[:3]), tuple(twist[3:]), focal) for twist, focal in rows)
 
 
 def _step(seen: Observations, index: int) -> Step | None:

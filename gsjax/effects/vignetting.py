@@ -73,10 +73,10 @@ def simulated(initial: np.ndarray, camera: np.ndarray, rate: optax.Schedule) -> 
     """
     whose = np.asarray(camera, np.int32)
 
-    def apply(numbers: Array, colors: Array, batch: Batch) -> Array:
+    def light(numbers: Array, colors: Array, batch: Batch) -> Array:
         return colors * jnp.exp(falloff(numbers[jnp.asarray(whose)[batch.photo]], batch.camera))[..., None]
 
-    return Effect(np.asarray(initial, np.float32), rate, apply)
+    return Effect(np.asarray(initial, np.float32), rate, light=light)
 
 
 def falloff(numbers: Array, camera: Camera) -> Array:

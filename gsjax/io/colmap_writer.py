@@ -1,6 +1,6 @@
 """Frames and points as a COLMAP model."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -40,3 +40,21 @@ def write_model(folder: Path, frames: Sequence[Frame], points: np.ndarray, color
         model.add_point3D(point, pycolmap.Track(), color)
     with quiet(pycolmap):
         model.write_binary(make_folder(folder))
+
+
+def write_poses(folder: Path, viewmats: Mapping[str, np.ndarray]) -> None:
+    """Gives images of a COLMAP model other poses; its points and their tracks stay.
+
+    Args:
+        folder: Of the model, replaced in place.
+        viewmats: `[4, 4]` world to camera, by the images' names; images that are not named keep theirs.
+    """
+    pycolmap = require("pycolmap", "pip install pycolmap")
+    with quiet(pycolmap):
+        model = pycolmap.Reconstruction(folder)
+        for image in model.images.values():
+            if image.name in viewmats:
+                pose = viewmats[image.name].astype(np.float64)
+                moved = pycolmap.Rigid3d(pycolmap.Rotation3d(pose[:3, :3]), pose[:3, 3])
+                image.frame.set_cam_from_world(image.camera_id, moved)
+        model.write_binary(folder)

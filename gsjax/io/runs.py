@@ -9,6 +9,8 @@
     gaussians.ply      the result, for viewers
     cameras.json       the views it was trained on and scored on
     effects.json       what each photo made of the light, where a run simulates that
+    poses.json         where cameras went from those of the data set, where a run moves them: cameras.json has the moved
+    background.json    what is behind all Gaussians, where a run learns that
     masks/             0007.png of every training view with pixels that must not be used: 0 there, else 255
 
 `create` starts one, `reopen` continues one; every write is whole or not at all.

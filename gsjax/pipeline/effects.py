@@ -1,21 +1,37 @@
-"""Which effects a run simulates, and what it tells of each photo afterwards."""
+"""Which effects a run simulates, and what it tells of each photo and its camera afterwards."""
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from gsjax.effects.appearance import Appearance, Start, appearances, simulations, start
+from gsjax.effects.appearance import Appearance, Start, appearances, moves, simulations, start
 from gsjax.effects.model import Effects, EffectState, learning_rate
 from gsjax.effects.observations import observe
+from gsjax.effects.poses import Move
+from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.pipeline.diagnose import diagnosed
-from gsjax.scene import Scene
+from gsjax.scene import Frame, Scene
 from gsjax.settings import AUTO, NONE, SIMULATED, Settings, named_effects, total_steps
 
-FILE = "effects.json"
+FILE, POSES, BACKGROUND = "effects.json", "poses.json", "background.json"
+T = TypeVar("T", Appearance, Move)
+_SAID = "cameras.json has the cameras after these moves of those of the data set: radians, scene units, a factor"
+_BEHIND = "behind all Gaussians: max(0, SH(direction of the ray in the world) + 0.5), as Gaussians' colours are"
+
+
+class Photography(NamedTuple):
+    """What a run found of how its photos were taken: of each by name. Empty: what it did not look for."""
+
+    looks: Mapping[str, Appearance] = MappingProxyType({})
+    moves: Mapping[str, Move] = MappingProxyType({})  # of its camera from where the data set has it
+    background: np.ndarray | None = None  # [(L + 1)^2, 3] SH coefficients of what is behind all, see `gsjax.backdrop`
 
 
 @dataclass(frozen=True)
@@ -26,9 +42,16 @@ class Joined:
     begun: Start | None = None  # None: of no effects
     evidence: dict[str, Any] | None = None  # for the manifest; None: nobody looked
 
-    def appearances(self, state: EffectState | None) -> dict[str, Appearance]:
-        """What every photo made of the light, by name; empty without effects."""
-        return {} if state is None or self.begun is None else appearances(self.begun, state)
+    def photography(self, state: EffectState | None) -> Photography:
+        """What the state says of the photos."""
+        if state is None or self.begun is None:
+            return Photography()
+        background = state.numbers.get("background")
+        return Photography(
+            appearances(self.begun, state),
+            moves(self.begun, state),
+            None if background is None else np.asarray(background),
+        )
 
 
 def joined(settings: Settings, scene: Scene) -> Joined:
@@ -39,7 +62,7 @@ def joined(settings: Settings, scene: Scene) -> Joined:
         scene: Its data set, at the size that is trained on.
 
     Raises:
-        InputError: A photo or the tracks cannot be read.
+        InputError: A photo or the tracks cannot be read, or a background is asked for behind mattes.
     """
     if settings.effects == NONE:
         return Joined()
@@ -51,9 +74,17 @@ def joined(settings: Settings, scene: Scene) -> Joined:
     if not chosen:
         return Joined(evidence=evidence)
     density = settings.density
-    rate = learning_rate(
-        total_steps(settings), reset_every=density.reset_every, resets_stop=min(density.stop, total_steps(settings))
+    rate = partial(
+        learning_rate,
+        total_steps(settings),
+        reset_every=density.reset_every,
+        resets_stop=min(density.stop, total_steps(settings)),
     )
+    if "background" in chosen and any(facts.has_matte for facts in found.seen.facts):
+        raise InputError(
+            f"--effects {settings.effects}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
+            " leave background out"
+        )
     begun = start(found.seen, chosen)
     return Joined(simulations(begun, chosen, rate), begun, evidence)
 
@@ -71,26 +102,55 @@ def appearances_of_tracks(scene: Scene) -> dict[str, Appearance]:
     }
 
 
-def write_appearances(run: Path, looks: dict[str, Appearance]) -> None:
-    """`effects.json`, where there are any.
+def refined(frames: tuple[Frame, ...], moves: Mapping[str, Move]) -> tuple[Frame, ...]:
+    """The frames with their cameras where training moved them; as they are without moves."""
+    return tuple(moves[frame.name].refined(frame) if frame.name in moves else frame for frame in frames)
+
+
+def write_photography(run: Path, found: Photography) -> None:
+    """`effects.json`, `poses.json` and `background.json`, where there is anything to say.
 
     Raises:
-        InputError: It cannot be written.
+        InputError: A file cannot be written.
     """
-    if looks:
-        runs.write_json(run / FILE, {"photos": {name: look._asdict() for name, look in looks.items()}})
+    if found.looks:
+        runs.write_json(run / FILE, {"photos": {name: look._asdict() for name, look in found.looks.items()}})
+    if found.moves:
+        photos = {name: move._asdict() for name, move in found.moves.items()}
+        runs.write_json(run / POSES, {"about": _SAID, "photos": photos})
+    if found.background is not None:
+        runs.write_json(run / BACKGROUND, {"about": _BEHIND, "sh": found.background})
 
 
-def read_appearances(run: Path) -> dict[str, Appearance]:
-    """What the photos of a run made of the light, by name; empty where it simulated nothing.
+def read_photography(run: Path) -> Photography:
+    """What a run found; nothing where it simulated nothing.
 
     Raises:
-        InputError: The file is damaged.
+        InputError: A file is damaged.
     """
-    if not (run / FILE).exists():
+    file = run / BACKGROUND
+    background = np.asarray(runs.read_json(file)["sh"], np.float32) if file.exists() else None
+    return Photography(_read(run / FILE, Appearance), _read(run / POSES, Move), background)
+
+
+def moves_line(moves: Mapping[str, Move]) -> str:
+    """How far cameras went, in words."""
+    turns, shifts = (np.linalg.norm([getattr(m, name) for m in moves.values()], axis=1) for name in ("turn", "shift"))
+    turns, shifts = (each[each > 0] if each.any() else each for each in (np.degrees(turns), shifts))  # not held out
+    focals = [move.focal for move in moves.values()]
+    return (
+        f"cameras turned by {np.median(turns):.3f} degrees and shifted by {np.median(shifts):.3g} scene units"
+        f" (medians), focal lengths x{min(focals):.4f} to x{max(focals):.4f}"
+    )
+
+
+def _read(file: Path, kind: type[T]) -> dict[str, T]:
+    """Records of every photo by name; none where the file is absent."""
+    if not file.exists():
         return {}
-    photos = runs.read_json(run / FILE)["photos"]
-    return {
-        name: Appearance(*(tuple(np.asarray(look[field], float).tolist()) for field in Appearance._fields))
-        for name, look in photos.items()
-    }
+    photos = runs.read_json(file)["photos"]
+    return {name: kind(*(_plain(record[field]) for field in kind._fields)) for name, record in photos.items()}  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _plain(value: Any) -> Any:
+    return tuple(map(float, value)) if isinstance(value, list) else float(value)

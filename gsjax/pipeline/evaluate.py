@@ -1,6 +1,7 @@
 """Scores of a run: held-out images, and geometry wherever there is truth beside the images."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -10,7 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsjax import gallery
-from gsjax.effects.appearance import Appearance, fitted
+from gsjax.cameras import Camera
+from gsjax.effects.alignment import Draw
+from gsjax.effects.alignment import align as aligned_camera
+from gsjax.effects.appearance import fitted
 from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.io import runs
@@ -20,13 +24,16 @@ from gsjax.mesh import Mesh
 from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.export import read_mesh
 from gsjax.normals.from_depth import depth_normals
-from gsjax.pipeline.effects import appearances_of_tracks, read_appearances
+from gsjax.pipeline.effects import Photography, appearances_of_tracks, read_photography
 from gsjax.pipeline.mesh import mesh as extract
 from gsjax.pipeline.perceptual import STANDARD, Measure, lpips_measures
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera, open_result, scene_of_run
 from gsjax.scene import Frame, Truth
 from rasterizer import DepthMode
 
+NOTHING = Photography()
+Aligner = Callable[[Camera, np.ndarray, np.ndarray, Draw], Camera]
+"""(camera as given, photo `[H, W, 3]` 0..1, `[H, W]` bool pixels that count, what draws) -> where it stood."""
 SKY, GROUND = 0, 255  # Labels of the truth; everything between is an object.
 
 
@@ -36,6 +43,7 @@ def evaluate(
     mesh: str | Path | None = None,
     lpips: Sequence[str | Path] = (),
     three_ways: bool = False,
+    aligned: bool = False,
     zooms: Sequence[float] = (),
 ) -> dict[str, Any]:
     """Score a finished run on its held-out views and, where its data set brings truth, its geometry.
@@ -45,6 +53,7 @@ def evaluate(
         mesh: Mesh to score against the true surface. None: `RUN/mesh.ply`, extracted now if it is absent.
         lpips: Files of weights, see `gsjax.pipeline.perceptual.lpips_measures`.
         three_ways: Score pictures in the three ways of `score_images` even if the run simulated no effects.
+        aligned: Score pictures from the poses that fit the photos best too, even if the run moved no cameras.
         zooms: Score pictures at so many times the size of training as well: at 0.5 against photos of half the size.
 
     Returns:
@@ -62,14 +71,22 @@ def evaluate(
     result = open_result(run)
     manifest, settings = runs.read_json(run / "manifest.json"), runs.read_json(run / "config.json")
     scene = scene_of_run(run)
-    looks = read_appearances(run) or (appearances_of_tracks(scene) if three_ways else {})
+    found = read_photography(run)
+    if three_ways and not found.looks:
+        found = found._replace(looks=appearances_of_tracks(scene))
     figures = score_images(
-        result.gaussians, scene.held_out_frames, settings["background"], measures=measures, looks=looks
+        result.gaussians,
+        scene.held_out_frames,
+        settings["background"],
+        measures=measures,
+        found=found,
+        align=aligned_camera if aligned or found.moves else None,
     )
     figures.setdefault(STANDARD, None)
     for zoom in zooms:
         zoomed = scene_of_run(run, zoom=zoom).held_out_frames
-        scores = score_images(result.gaussians, zoomed, settings["background"])
+        plain = Photography(background=found.background)
+        scores = score_images(result.gaussians, zoomed, settings["background"], found=plain)
         figures |= {f"{name}_zoom_{zoom:g}": scores[name] for name in ("psnr", "ssim")}
     figures |= {
         "gaussians": result.gaussians.num_gaussians,
@@ -120,7 +137,8 @@ def score_images(
     background: str,
     *,
     measures: Mapping[str, Measure] = MappingProxyType({}),
-    looks: Mapping[str, Appearance] = MappingProxyType({}),
+    found: Photography = NOTHING,
+    align: Aligner | None = None,
     depth_mode: DepthMode = "plane",
     observe: Callable[[Frame, np.ndarray, Picture], None] = lambda *_: None,
 ) -> dict[str, Any]:
@@ -129,26 +147,30 @@ def score_images(
     Args:
         gaussians: The scene.
         frames: Photos that it was not trained on.
-        background: Colour behind it.
+        background: Colour behind it, where `found` has none that was learned.
         measures: Further ones by name. They see pictures in 0..1, both black where a pixel is not valid.
-        looks: What the photos' cameras did to the light, where training took that in.
+        found: What the photos' cameras did to the light, and what is behind all, where training took that in.
+        align: Finds the pose that a photo was taken from; None: given poses are all that is scored.
         depth_mode: Of the pictures' depth, which no score looks at.
         observe: Told of every frame, of the photo `[H, W, 3]` that it is compared with, and of its picture.
 
     Returns:
-        `psnr`, `ssim` and `measures`: of the render as it is, the mean photo of the scene; `views`. With `looks` also
-        `psnr_track_gains`, `ssim_track_gains`: after the fall-off that was learned and the gains that the photo's
+        `psnr`, `ssim` and `measures`: of the render as it is, the mean photo of the scene; `views`. With `found.looks`
+        also `psnr_track_gains`, `ssim_track_gains`: after the fall-off that was learned and the gains that the photo's
         tracks tell; and `psnr_fitted`, `ssim_fitted`: of the render as it is, after the affine map of its colours that
-        fits the photo best, which sees the answer.
+        fits the photo best, which sees the answer. With `align` each of these also with `_aligned`: from the pose
+        that fits the photo best with the Gaussians as they are, which sees the answer too.
     """
-    names = ("psnr", "ssim", *(("psnr_track_gains", "ssim_track_gains", "psnr_fitted", "ssim_fitted") if looks else ()))
+    ways = ("", "_track_gains", "_fitted") if found.looks else ("",)
+    poses = ("", "_aligned") if align else ("",)
+    names = [f"{score}{way}{pose}" for pose in poses for way in ways for score in ("psnr", "ssim")]
     if not frames:
         return {**dict.fromkeys((*names, *measures)), "views": 0}
-    color = BACKGROUNDS[background]
+    color = BACKGROUNDS[background] if found.background is None else found.background
+    gaussians = jax.tree.map(jnp.asarray, gaussians)
+    draw = partial(gallery.pictures, gaussians, background=color, depth_mode=depth_mode)
     scores = []
-    for frame, picture in zip(
-        frames, gallery.pictures(gaussians, [frame_camera(f) for f in frames], color, depth_mode), strict=True
-    ):
+    for frame, picture in zip(frames, draw([frame_camera(f) for f in frames]), strict=True):
         image, matte, valid = frame.pixels()
         target = image.astype(np.float32) / 255
         if matte is not None:
@@ -156,18 +178,42 @@ def score_images(
             target = target * coverage + (1 - coverage) * color
         observe(frame, target, picture)
         valid = np.ones(target.shape[:2], bool) if valid is None else valid > 127
-        ways = [picture.colors]
-        if looks:
-            behind = 0 if matte is None else (1 - picture.alphas)[..., None] * color
-            taken = (picture.colors - behind) * looks[frame.name].factor(frame) + behind
-            ways += [np.clip(taken, 0, 1), np.clip(fitted(picture.colors, target, valid), 0, 1)]
+        taken = _as_taken(found, frame, None if matte is None else color)
+        shown = [picture]
+        if align:
+            shown += draw([align(frame_camera(frame), target, valid, partial(_taken, draw, taken))])
+        renders = [each.colors for each in shown]
+        if found.looks:
+            fits = (np.clip(fitted(each.colors, target, valid), 0, 1) for each in shown)
+            renders = [c for each, fit in zip(shown, fits, strict=True) for c in (each.colors, taken(each).colors, fit)]
         pair = [np.clip(colors, 0, 1) * valid[..., None] for colors in (picture.colors, target)]
         scores.append(
-            [each for way in ways for each in _scores(*map(jnp.asarray, (way, target, valid)))]
+            [each for render in renders for each in _scores(*map(jnp.asarray, (render, target, valid)))]
             + [measure(*pair) for measure in measures.values()]
         )
     means = np.asarray(scores, np.float64).mean(0).tolist()
     return {**dict(zip((*names, *measures), means, strict=True)), "views": len(scores)}
+
+
+def _taken(
+    draw: Callable[[Sequence[Camera]], Iterable[Picture]],
+    taken: Callable[[Picture], Picture],
+    cameras: Sequence[Camera],
+) -> list[Picture]:
+    return [taken(picture) for picture in draw(cameras)]
+
+
+def _as_taken(found: Photography, frame: Frame, under: np.ndarray | None) -> Callable[[Picture], Picture]:
+    """What a photo's camera makes of a picture; `under`: the colour that we put behind its matte."""
+    if not found.looks:
+        return lambda picture: picture
+    factor = found.looks[frame.name].factor(frame)
+
+    def taken(picture: Picture) -> Picture:
+        behind = 0 if under is None else (1 - picture.alphas)[..., None] * under
+        return picture._replace(colors=np.clip((picture.colors - behind) * factor + behind, 0, 1))
+
+    return taken
 
 
 @jax.jit

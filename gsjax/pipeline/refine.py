@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from tqdm import tqdm
@@ -16,7 +17,8 @@ from gsjax.binding.bound import bind, to_mesh
 from gsjax.binding.hybrid import Hybrid, all_gaussians, with_free
 from gsjax.binding.mesh_terms import mesh_graph
 from gsjax.binding.refining import Refinement, RefineProgress, RefineState
-from gsjax.effects.appearance import Appearance, relit
+from gsjax.effects.alignment import align
+from gsjax.effects.appearance import relit
 from gsjax.errors import InputError
 from gsjax.gaussians import take
 from gsjax.io import runs
@@ -27,7 +29,7 @@ from gsjax.meshing.cleaning import clean
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
-from gsjax.pipeline.effects import read_appearances, write_appearances
+from gsjax.pipeline.effects import Photography, read_photography, write_photography
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.report import report
@@ -74,9 +76,10 @@ def refine(
     # Held-out photos are read when they are scored, one by one.
     scene = replace(scene, frames=tuple(frame if frame.held_out else in_memory(frame) for frame in scene.frames))
     # The Gaussians and the mesh are those of the mean photo: what each camera did is taken off its photo.
-    looks = read_appearances(run)
-    frames = tuple(relit(frame, looks[frame.name]) if looks else frame for frame in scene.train_frames)
+    found = read_photography(run)
+    frames = tuple(relit(f, found.looks[f.name]) if found.looks else f for f in scene.train_frames)
     data, size = views_of(frames), extent(frames)
+    behind = None if found.background is None else jnp.asarray(found.background)
     bound = bind(
         coarse,
         per_triangle=settings.per_triangle,
@@ -111,12 +114,12 @@ def refine(
             data,
             state,
             optimizer,
-            background=BACKGROUNDS[trained["background"]],
+            background=BACKGROUNDS[trained["background"]] if behind is None else lambda key: behind,
             observe=journal.note,
             capacity=capacity,
         )
         summary = {"steps": settings.steps, "train_seconds": round(journal.seconds, 1), "taken_out": taken_out}
-        return _finish(folder, scene, trained["background"], looks, state.gaussians, summary)
+        return _finish(folder, scene, trained["background"], found, state.gaussians, summary)
 
 
 def prepared(given: Mesh, most_faces: int) -> tuple[Mesh, dict[str, int]]:
@@ -161,7 +164,7 @@ def _finish(
     folder: Path,
     scene: Scene,
     background: str,
-    looks: dict[str, Appearance],
+    found: Photography,
     hybrid: Hybrid,
     summary: dict[str, Any],
 ) -> dict[str, Any]:
@@ -170,9 +173,16 @@ def _finish(
     write_mesh(folder / "mesh.glb", refined)
     write_gaussians(folder / "gaussians.ply", gaussians)
     write_views(folder, scene.frames)
-    write_appearances(folder, looks)
+    write_photography(folder, found)
     summary = {
-        **score_images(gaussians, scene.held_out_frames, background, looks=looks, observe=keeper(folder)),
+        **score_images(
+            gaussians,
+            scene.held_out_frames,
+            background,
+            found=found,
+            align=align if found.moves else None,
+            observe=keeper(folder),
+        ),
         "vertices": refined.num_vertices,
         "faces": refined.num_faces,
         "gaussians": hybrid.num_gaussians,

@@ -15,6 +15,7 @@ from gsjax.io.files import atomic_path
 from gsjax.io.images import jpeg, read_image, resize
 from gsjax.io.machine import peak_memory, restart_peak_memory
 from gsjax.pipeline import curves, run_facts, shown_views
+from gsjax.pipeline.effects import Photography, read_photography
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.result import open_result, scene_of_run
 from gsjax.pipeline.run_facts import RunFacts, read_run
@@ -154,7 +155,8 @@ def _render(run: RunFacts, names: set[str]) -> None:
     result, scene = open_result(run.folder), scene_of_run(run.folder)
     frames = tuple(frame for frame in scene.held_out_frames if frame.name in names)
     background, keep = run.settings["background"], shown_views.keeper(run.folder)
-    score_images(result.gaussians, frames, background, depth_mode=result.depth_mode, observe=keep)
+    found = Photography(background=read_photography(run.folder).background)
+    score_images(result.gaussians, frames, background, found=found, depth_mode=result.depth_mode, observe=keep)
 
 
 def _overview(file: Path) -> bytes | None:

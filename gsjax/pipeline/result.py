@@ -21,6 +21,7 @@ from gsjax.io.ply import read_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import NONE
 from gsjax.pipeline import viewpoints
+from gsjax.pipeline.effects import read_photography, refined
 from gsjax.scene import Frame, Scene, valid_pixels
 from rasterizer import DepthMode
 
@@ -42,7 +43,7 @@ class Result:
     valid: tuple[
         Callable[[], np.ndarray | None], ...
     ]  # reads [H, W] bool, where the photo may be used; None: all of it
-    background: np.ndarray  # [3]
+    background: np.ndarray  # [3], or as SH coefficients of the direction, see `gsjax.backdrop`
     depth_mode: DepthMode = "plane"  # how depth was read in training, see `gsjax.render.view`
 
 
@@ -88,7 +89,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             hint = "its training has not finished" if (source / "manifest.json").exists() else "it is no run folder"
             raise InputError(f"{source}: holds no gaussians.ply; {hint}")
         gaussians = read_gaussians(source / "gaussians.ply")
-        settings = runs.read_settings(source)
+        settings, learned = runs.read_settings(source), read_photography(source).background
         records = runs.read_json(source / "cameras.json")
         return Result(
             source,
@@ -97,7 +98,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             names=tuple(record["name"] for record in records),
             held_out=tuple(bool(record["held_out"]) for record in records),
             valid=tuple(partial(_read_mask, source, record) for record in records),
-            background=BACKGROUNDS[settings["background"]],
+            background=BACKGROUNDS[settings["background"]] if learned is None else learned,
             depth_mode=settings["depth_mode"],
         )
     gaussians = format_of(source).read(source)
@@ -132,7 +133,7 @@ def training_pictures(
     Args:
         result: Whose training views.
         gaussians: Its own, or what was made of them.
-        background: `[3]` colour under the pictures.
+        background: Under the pictures, see `gsjax.backdrop`.
         with_owners: Whether the pictures tell who was hit, which the level set asks for.
 
     Raises:
@@ -149,6 +150,8 @@ def training_pictures(
 
 def scene_of_run(run: Path, *, zoom: float = 1.0) -> Scene:
     """The data set of a finished run, loaded as it was trained on: with its split, whatever became of the list of it.
+
+    Cameras that training moved are where it left them.
 
     Args:
         run: Run folder.
@@ -172,7 +175,8 @@ def scene_of_run(run: Path, *, zoom: float = 1.0) -> Scene:
         images=settings.get("images"),  # Absent from folders of runs that could not choose.
         hold_out=NONE,
     )
-    return replace(scene, frames=tuple(replace(frame, held_out=frame.name in held_out) for frame in scene.frames))
+    frames = tuple(replace(frame, held_out=frame.name in held_out) for frame in scene.frames)
+    return replace(scene, frames=refined(frames, read_photography(run).moves))
 
 
 def frame_camera(frame: Frame) -> Camera:

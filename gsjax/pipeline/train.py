@@ -13,7 +13,7 @@ import optax
 from tqdm import tqdm
 
 from gsjax import config
-from gsjax.effects.appearance import Appearance
+from gsjax.effects.alignment import align
 from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
@@ -21,7 +21,7 @@ from gsjax.io import normal_folders, runs
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.io.scenes import load_scene
-from gsjax.pipeline.effects import joined, write_appearances
+from gsjax.pipeline.effects import Joined, Photography, joined, moves_line, refined, write_photography
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.pace import Pace, seconds_left, spoken
@@ -57,7 +57,7 @@ def train(
         observe: Told after every step, before its checkpoint is written.
 
     Returns:
-        `psnr` and `ssim` (None without held-out views; with effects also the two other ways of
+        `psnr` and `ssim` (None without held-out views; with effects also the other ways of
         `gsjax.pipeline.evaluate.score_images`), `views`, `gaussians`, `steps`, `train_seconds`.
 
     Raises:
@@ -79,7 +79,6 @@ def train(
     prior = RunPrior(
         Path(out), settings.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
     )
-    prior = partial(prior, frames=frames)
     taken_in = joined(settings, loaded)
     as_dict = config.to_dict(settings)
     run = (
@@ -91,11 +90,14 @@ def train(
         runs.update_manifest(run, effects=taken_in.evidence)
     optimizer = optimizers.make_optimizer(settings.rates, size, settings.rates.decay_steps or total_steps(settings))
     state, capacity, seconds = beginning(run, partial(_initial, loaded, settings, optimizer, effects=taken_in.effects))
-    with runs.begun(run), TrainingJournal(run, settings, loaded, int(state.step), seconds) as journal:
+    with runs.begun(run), TrainingJournal(run, settings, loaded, int(state.step), seconds, taken_in) as journal:
 
         def told(progress: Progress) -> None:
             observe(progress)
             journal.note(progress)
+
+        def normals(state: TrainState) -> list[np.ndarray]:
+            return prior(state.gaussians, refined(frames, taken_in.photography(state.effects).moves))
 
         state = fit(
             settings,
@@ -103,12 +105,12 @@ def train(
             size,
             state,
             optimizer,
-            prior=prior,
+            prior=normals,
             observe=told,
             capacity=capacity,
             effects=taken_in.effects,
         )
-        return _finish(run, settings, loaded, state, taken_in.appearances(state.effects), journal.seconds)
+        return _finish(run, settings, loaded, state, taken_in.photography(state.effects), journal.seconds)
 
 
 def _sized(scene: str | Path, settings: Settings) -> tuple[Scene, Settings, str]:
@@ -153,18 +155,23 @@ def living(gaussians: Gaussians) -> Gaussians:
 
 
 def _finish(
-    run: Path, settings: Settings, scene: Scene, state: TrainState, looks: dict[str, Appearance], seconds: float
+    run: Path, settings: Settings, scene: Scene, state: TrainState, found: Photography, seconds: float
 ) -> dict[str, Any]:
+    scene = replace(scene, frames=refined(scene.frames, found.moves))
     gaussians = living(state.gaussians)
     write_gaussians(run / "gaussians.ply", gaussians)
     write_views(run, scene.frames)
-    write_appearances(run, looks)
+    write_photography(run, found)
+    if found.moves:
+        print(f"train: {(line := moves_line(found.moves))}", file=sys.stderr)
+        runs.update_manifest(run, cameras=line)
     # The buffer as it is: a program for this very number of Gaussians would serve once.
     scores = score_images(
         state.gaussians,
         scene.held_out_frames,
         settings.background,
-        looks=looks,
+        found=found,
+        align=align if found.moves else None,
         depth_mode=settings.depth_mode,
         observe=keeper(run),
     )
@@ -182,10 +189,10 @@ def _finish(
 class TrainingJournal(Journal):
     """Logs, scores and saves as the settings say."""
 
-    def __init__(self, run: Path, settings: Settings, scene: Scene, step: int, seconds: float):
+    def __init__(self, run: Path, settings: Settings, scene: Scene, step: int, seconds: float, taken_in: Joined):
         """Begin at `step`."""
         super().__init__(run, "train", total_steps(settings), step, seconds)
-        self.settings, self.scene = settings, scene
+        self.settings, self.scene, self.taken_in = settings, scene, taken_in
         self._pace = Pace()
         self.evaluate_every = settings.logging.evaluate_every if scene.held_out_frames else 0
 
@@ -208,8 +215,11 @@ class TrainingJournal(Journal):
 
     def _held_out_psnr(self, state: TrainState) -> float:
         settings = self.settings
-        frames = self.scene.held_out_frames
-        return score_images(state.gaussians, frames, settings.background, depth_mode=settings.depth_mode)["psnr"]
+        found = self.taken_in.photography(state.effects)
+        frames = refined(self.scene.held_out_frames, found.moves)
+        plain = Photography(background=found.background)
+        scores = score_images(state.gaussians, frames, settings.background, found=plain, depth_mode=settings.depth_mode)
+        return scores["psnr"]
 
     def _tell_pace(self, progress: Progress) -> None:
         """How long the rest will take, once a phase."""

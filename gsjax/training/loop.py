@@ -13,7 +13,6 @@ from jax import Array
 from gsjax import views
 from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians
 from gsjax.scene import Frame
 from gsjax.settings import Phase, Settings, Weights
 from gsjax.training import density_control, rows
@@ -26,8 +25,8 @@ from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, active_terms, m
 from gsjax.views import Target, Views
 
 S = TypeVar("S")  # A state of training.
-NormalsPrior = Callable[[Gaussians], Sequence[np.ndarray]]
-"""Gaussians so far -> an int8 normal map a frame, see `gsjax.views.Target`."""
+NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
+"""Training so far -> an int8 normal map a frame, see `gsjax.views.Target`."""
 
 GROWTH = 2.0  # How much longer the pair buffer is than needed while Gaussians multiply,
 STILL = 1.25  # and while they do not: a view that needs more costs another compilation.
@@ -102,12 +101,12 @@ def fit(
         end = start + phase.steps
         if done < end:
             data = views.views_of(frames, scale=phase.image_scale)
-            if not NEEDS_NORMALS.isdisjoint(active_terms(phase.weights)):
-                data = views.with_normals(data, prior(state.gaussians))
-            if not NEEDS_NEIGHBOR.isdisjoint(active_terms(phase.weights)):
-                data = with_neighbors(data, extent)
             if effects:
                 data = views.numbered(data)
+            if not NEEDS_NORMALS.isdisjoint(active_terms(phase.weights)):
+                data = views.with_normals(data, prior(state))
+            if not NEEDS_NEIGHBOR.isdisjoint(active_terms(phase.weights)):
+                data = with_neighbors(data, extent)
             state = _run_phase(settings, phase, (done, end), data, extent, state, optimizer, observe, capacity, effects)
             done, capacity = end, None
         start = end

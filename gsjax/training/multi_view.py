@@ -76,9 +76,9 @@ def rendered(gaussians: Gaussians, camera: Camera, capacity: int, depth_mode: De
     return Neighbor(camera, depth.expected(splats)[0], splats.pairs)
 
 
-def drawn(neighbors: Camera, key: Array) -> Camera:
-    """One of the stacked cameras, each as likely."""
-    index = jax.random.randint(key, (), 0, neighbors.viewmat.shape[0])
+def drawn(neighbors: tuple[Camera, Array | None], key: Array) -> tuple[Camera, Array | None]:
+    """One of the stacked cameras, each as likely, and which photo it took."""
+    index = jax.random.randint(key, (), 0, neighbors[0].viewmat.shape[0])
     return jax.tree.map(lambda stacked: stacked[index], neighbors)
 
 
@@ -89,11 +89,11 @@ def with_neighbors(views: Views, extent: float) -> Views:
         views: The photos.
         extent: Camera extent, scene units.
     """
-    every = [Camera(target.viewmat, target.K, *views.size) for target in views.targets]
-    chosen = nearest(np.stack([camera.viewmat for camera in every]), extent)
+    every = [(Camera(target.viewmat, target.K, *views.size), target.photo) for target in views.targets]
+    chosen = nearest(np.stack([camera.viewmat for camera, _ in every]), extent)
     stacked = [jax.tree.map(lambda *leaves: np.stack(leaves), *(every[index] for index in row)) for row in chosen]
-    pairs = zip(views.targets, stacked, strict=True)
-    return Views(tuple(replace(target, neighbors=neighbors) for target, neighbors in pairs))
+    rows = zip(views.targets, stacked, strict=True)
+    return Views(tuple(replace(t, neighbors=cameras, neighbor_photos=photos) for t, (cameras, photos) in rows))
 
 
 def nearest(viewmats: np.ndarray, extent: float) -> np.ndarray:

@@ -1,6 +1,7 @@
 """One compiled step per phase: render, lose, update, accumulate."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -90,13 +91,14 @@ def make_train_step(
     with_depth = not NEEDS_DEPTH.isdisjoint(terms)
     with_neighbor = not NEEDS_NEIGHBOR.isdisjoint(terms)
 
-    def objective(free: _Free, batch, color: Array, active_degree: Array, beside: Camera | None):
+    def objective(free: _Free, batch, color: Array, active_degree: Array, beside: tuple[Camera, Array | None] | None):
         gaussians, probe, numbers = free
+        batch = replace(batch, camera=model.aimed(effects, numbers, batch.camera, batch.photo))
         view = render.view(
             gaussians,
             batch.camera,
             capacity=capacity,
-            background=color,
+            background=model.behind(effects, numbers, batch.camera, color),
             active_degree=active_degree,
             with_depth=with_depth,
             depth_mode=depth_mode,
@@ -105,7 +107,7 @@ def make_train_step(
         view = model.photographed(effects, numbers, view, batch, color)
         pairs = view.splats.pairs
         if beside is not None:
-            neighbor = multi_view.rendered(gaussians, beside, capacity, depth_mode)
+            neighbor = multi_view.rendered(gaussians, model.aimed(effects, numbers, *beside), capacity, depth_mode)
             view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
         losses = {name: TERMS[name](gaussians, view, batch) for name in terms}
         total = sum(weight * losses[name] for name, weight in terms.items())
@@ -122,7 +124,8 @@ def make_train_step(
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
         beside = None
         if with_neighbor:
-            beside = multi_view.drawn(target.neighbors, jax.random.fold_in(jax.random.fold_in(key, state.step), 1))
+            neighbors = target.neighbors, target.neighbor_photos
+            beside = multi_view.drawn(neighbors, jax.random.fold_in(jax.random.fold_in(key, state.step), 1))
         free = _Free(state.gaussians, probe, None if state.effects is None else state.effects.numbers)
         (total, (losses, mse, projection, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
             free, batch, color, active_degree, beside

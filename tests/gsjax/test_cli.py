@@ -205,7 +205,7 @@ def test_a_training_is_watched_where_it_is_asked_for(library, capsys):
 
 def test_eval_writes_json_and_prints_a_table(library, tmp_path, capsys):
     assert cli.main(["eval", "run", "--json", str(tmp_path / "a/e.json"), "--mesh", "m.ply"]) == 0
-    assert library == [("evaluate", ("run",), {"mesh": "m.ply", "three_ways": False, "zooms": []})]
+    assert library == [("evaluate", ("run",), {"mesh": "m.ply", "three_ways": False, "aligned": False, "zooms": []})]
     assert json.loads((tmp_path / "a/e.json").read_text()) == {"psnr": 29.5, "views": 7}
     assert capsys.readouterr().out == "psnr   29.5\nviews  7\n"
 
@@ -222,7 +222,7 @@ def test_eval_says_where_weights_of_lpips_are_missing(library, capsys):
     assert cli.main(["eval", "run"]) == 0
     assert capsys.readouterr().err == "LPIPS is not scored: --lpips FILE names its weights\n"
     assert cli.main(["eval", "run", "--lpips", "vgg.onnx", "--lpips", "alex.onnx"]) == 0
-    asked = {"mesh": None, "three_ways": False, "zooms": [], "lpips": ["vgg.onnx", "alex.onnx"]}
+    asked = {"mesh": None, "three_ways": False, "aligned": False, "zooms": [], "lpips": ["vgg.onnx", "alex.onnx"]}
     assert library[-1] == ("evaluate", ("run",), asked)
     assert capsys.readouterr().err == ""
 

@@ -56,8 +56,8 @@ class Watch:
         self.states.append(jax.tree.map(np.array, progress.state))
         self.progress.append(progress._replace(state=None))
 
-    def prior(self, gaussians):
-        self.priors.append(jax.tree.map(np.array, gaussians))
+    def prior(self, state):
+        self.priors.append(jax.tree.map(np.array, state.gaussians))
         return [np.tile(np.int8([12, 25, -124]), (24, 32, 1))] * 3
 
 

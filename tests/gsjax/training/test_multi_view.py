@@ -163,7 +163,7 @@ def test_every_view_brings_the_cameras_of_its_neighbours():
             np.testing.assert_array_equal(getattr(target.neighbors, name), expected)
     keys = jax.random.split(jax.random.key(0), 64)
     neighbors = jax.tree.map(jnp.asarray, found.targets[0].neighbors)
-    seen = jax.vmap(partial(multi_view.drawn, neighbors))(keys).viewmat
+    seen = jax.vmap(partial(multi_view.drawn, (neighbors, None)))(keys)[0].viewmat
     assert len(np.unique(np.asarray(seen)[:, :3, 3], axis=0)) == len(set(rows[0]))
 
 

@@ -1,6 +1,7 @@
 """Effects in the compiled step: absent means absent, present means learned beside the Gaussians."""
 
 import re
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -10,9 +11,11 @@ import step_without_effects
 from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
-from gsjax import views
-from gsjax.effects import exposure, vignetting
+from gsjax import backdrop, gallery, views
+from gsjax.cameras import center
+from gsjax.effects import background, exposure, poses, vignetting
 from gsjax.effects.model import learning_rate
+from gsjax.effects.twists import gauge, moved
 from gsjax.settings import Rates, Weights
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.rules import RULES
@@ -22,7 +25,11 @@ from gsjax.training.step import BACKGROUNDS, make_train_step
 CAMERAS = [
     camera_at(eye, (0.0, 0.0, 4.0), size=(32, 32)) for eye in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.3), (0.0, -1.0, 0.0))
 ]
+CENTERS = np.stack([center(camera) for camera in CAMERAS])
 PHOTOS = Weights(alpha=0.0)
+SKY = backdrop.constant(np.array([0.4, 0.6, 0.8]), 2)
+SKY[1] = [0.3, 0.2, -0.2]
+SKY[3] = [-0.2, 0.1, 0.1]
 KEY = jax.random.key(0)
 OPTIMIZER = make_optimizer(Rates(means=2e-3, means_final=2e-4), 1.0, 60)
 ADDRESS = re.compile(r"0x[0-9a-f]+")  # Of functions, in the text of a program.
@@ -76,6 +83,8 @@ def test_held_effects_leave_the_others_as_they_were(data):
     effects = {
         "exposure": exposure.simulated(np.zeros((3, 3)), rate),
         "vignetting": vignetting.simulated(np.zeros((1, 2)), np.zeros(3), rate),
+        "poses": poses.simulated(CENTERS, 4.0, np.zeros(3), 1, rate),
+        "background": background.simulated(backdrop.constant(np.zeros(3), 4), rate),
     }
     step = make_train_step(OPTIMIZER, PHOTOS, **options("adc"), effects=effects)
     plain = make_train_step(OPTIMIZER, PHOTOS, **options("adc"))
@@ -86,38 +95,92 @@ def test_held_effects_leave_the_others_as_they_were(data):
     assert_close(reported.loss, expected.loss)
     # Adam divides the rounding of other fusions by a small gradient: 2.3e-6 measured, where steps move 7.5e-3.
     assert_close(state.gaussians.sh_dc, without.gaussians.sh_dc, rtol=1e-4, atol=1e-5, why="other fusions, then Adam")
-    assert_close(state.effects.numbers, jax.tree.map(jnp.zeros_like, state.effects.numbers))
+    held = {name: effect.initial for name, effect in effects.items()}
+    assert_close(state.effects.numbers, jax.tree.map(jnp.asarray, held))
 
 
 @pytest.fixture(scope="module")
-def darkened(data):
-    """Photos taken by factors, and the compiled step that may learn them at once."""
-    true = np.array([[-0.2, 0.0, 0.1], [0.1, 0.1, 0.0], [0.1, -0.1, -0.1]], np.float32)
+def retaken(data):
+    """Photos taken by factors, by cameras that stood elsewhere, under a sky; and the step that may learn all."""
+    gains = np.array([[-0.2, 0.0, 0.1], [0.1, 0.1, 0.0], [0.1, -0.1, -0.1]], np.float32)
+    # Half a degree, and as much of the distance.
+    twists = np.float32(np.radians(0.5) * np.random.default_rng(3).normal(size=(3, 6)))
     targets = []
-    for target, gains in zip(data.targets, true, strict=True):
-        image = np.rint(np.clip(target.image * np.exp(gains), 0, 255)).astype(np.uint8)
-        targets.append(views.Target(**{**target.__dict__, "image": image}))
-    effects = {"exposure": exposure.simulated(np.zeros((3, 3)), lambda step: jnp.float32(0.01))}
-    return (
-        true,
-        targets,
-        effects,
-        make_train_step(OPTIMIZER, Weights(dssim=0.0, alpha=0.0), **options("adc"), effects=effects),
-    )
+    pictures = gallery.pictures(cloud(200, seed=5), CAMERAS, SKY)
+    for target, picture, gain, camera, twist in zip(data.targets, pictures, gains, CAMERAS, twists, strict=True):
+        image = np.rint(np.clip(255 * picture.colors * np.exp(gain), 0, 255)).astype(np.uint8)
+        wrong = moved(camera, jnp.asarray(-twist), 4.0)
+        targets.append(replace(target, image=image, viewmat=wrong.viewmat))
+    effects = {
+        "exposure": exposure.simulated(np.zeros((3, 3)), lambda step: jnp.float32(0.01)),
+        "poses": poses.simulated(CENTERS, 4.0, np.zeros(3), 1, lambda step: jnp.float32(1e-3) * 0.98**step),
+        "background": background.simulated(backdrop.constant(np.full(3, 0.5), 2), lambda step: jnp.float32(0.02)),
+    }
+    step = make_train_step(OPTIMIZER, Weights(dssim=0.0, alpha=0.0), **options("adc"), effects=effects)
+    return targets, effects, step, gains
 
 
-def test_gains_are_learned_from_photos(darkened):
-    true, targets, effects, step = darkened
-    state = initial_state(cloud(200, seed=5), OPTIMIZER, RULES["adc"], effects)  # The true scene.
+@pytest.fixture(scope="module")
+def learned(retaken):
+    """The numbers of both after 120 steps from the true scene."""
+    targets, effects, step, _ = retaken
+    state = initial_state(cloud(200, seed=5), OPTIMIZER, RULES["adc"], effects)
     for index in range(120):
         state, _ = step(state, targets[index % 3], KEY)
-    found = np.asarray(exposure.log_gains(state.effects.numbers["exposure"]))
+    return state.effects.numbers
+
+
+def test_gains_are_learned_from_photos(learned, retaken):
+    true = retaken[3]
+    found = np.asarray(exposure.log_gains(learned["exposure"]))
     np.testing.assert_allclose(found.mean(0), 0, atol=1e-6)
     assert np.abs(found - true).max() < 0.05
 
 
-def test_an_overflowed_step_leaves_the_effects_as_they_were(darkened):
-    _, targets, effects, _ = darkened
+def corners(cameras) -> np.ndarray:
+    """Pixels of the corners of a box within the cloud, in every picture, one after the other."""
+    box = np.stack(np.meshgrid([-1, 1], [-1, 1], [3.5, 4.5]), -1).reshape(-1, 3)
+    local = [box @ np.asarray(c.viewmat)[:3, :3].T + np.asarray(c.viewmat)[:3, 3] for c in cameras]
+    shown = [each @ np.asarray(c.K).T for each, c in zip(local, cameras, strict=True)]
+    return np.concatenate([each[:, :2] / each[:, 2:] for each in shown]).ravel()
+
+
+def test_cameras_go_where_their_photos_were_taken(learned, retaken):
+    """Up to what moves all of them with the world: what the best such move leaves of the pixels that things are off."""
+    targets, effects, *_ = retaken
+    given = [replace(camera, viewmat=target.viewmat) for camera, target in zip(CAMERAS, targets, strict=True)]
+    moves = poses.moves(learned["poses"], CENTERS, 4.0, np.full(3, True), np.zeros(3, int))
+    np.testing.assert_allclose(gauge(CENTERS, 4.0).T @ in_units(moves), 0, atol=1e-6)
+    found = [moved(camera, jnp.asarray(in_units([move])), 4.0) for camera, move in zip(given, moves, strict=True)]
+    with_world = [
+        corners([moved(c, jnp.asarray(1e-3 * t), 4.0) for c, t in zip(CAMERAS, mode.reshape(3, 6), strict=True)])
+        for mode in gauge(CENTERS, 4.0).T
+    ]
+    slopes = (np.stack(with_world, -1) - corners(CAMERAS)[:, None]) / 1e-3
+
+    def off(cameras):
+        difference = corners(cameras) - corners(CAMERAS)
+        return np.abs(difference - slopes @ np.linalg.lstsq(slopes, difference, rcond=None)[0]).mean()
+
+    assert off(given) > 0.1  # pixels
+    assert off(found) < 0.1 * off(given)
+    assert np.abs(learned["poses"]["log_focals"]).max() < 0.01
+
+
+def test_the_sky_is_learned_where_it_is_open(learned, retaken):
+    """Gains that are a little off make up for a sky that is: as the mean photo has it."""
+    pictures = list(gallery.pictures(cloud(200, seed=5), CAMERAS, np.zeros(3)))
+    for camera, picture in zip(CAMERAS, pictures, strict=True):
+        sky, found = (np.asarray(backdrop.behind(jnp.asarray(each), camera)) for each in (SKY, learned["background"]))
+        assert np.abs((1 - picture.alphas)[..., None] * (found - sky)).mean() < 0.02
+
+
+def in_units(moves) -> np.ndarray:
+    return np.concatenate([[*move.turn, *np.asarray(move.shift) / 4.0] for move in moves]).astype(np.float32)
+
+
+def test_an_overflowed_step_leaves_the_effects_as_they_were(retaken):
+    targets, effects, *_ = retaken
     narrow = make_train_step(OPTIMIZER, PHOTOS, **{**options("adc"), "capacity": 8}, effects=effects)
     state = start(effects)
     before = jax.tree.map(np.asarray, state.effects)

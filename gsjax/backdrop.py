@@ -1,0 +1,33 @@
+"""What is behind all Gaussians: one colour, or one for every direction that is looked in."""
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+import rasterizer
+from gsjax.cameras import Camera, pixel_rays, rotation
+from gsjax.gaussians import SH_C0
+
+
+def behind(background: Array, camera: Camera) -> Array:
+    """`[3]` or `[H, W, 3]`: what a camera sees where nothing is in front, for the background of a render.
+
+    Args:
+        background: `[3]` colour; or `[(L + 1)^2, 3]` SH coefficients of a colour max(0, SH(direction) + 0.5) of the
+            direction of the ray in the world, L at most 4. Differentiable to both.
+        camera: The view.
+    """
+    if background.ndim == 1:
+        return background
+    degree = round(len(background) ** 0.5) - 1
+    if degree == 0:
+        return jnp.maximum(SH_C0 * background[0] + 0.5, 0)
+    directions = jnp.sum(pixel_rays(camera)[..., None] * rotation(camera)[None, None], axis=-2)
+    return jnp.maximum(rasterizer.spherical_harmonics(degree, directions, background[None, None]) + 0.5, 0)
+
+
+def constant(color: np.ndarray, degree: int) -> np.ndarray:
+    """`[(degree + 1)^2, 3]` float32 coefficients of one colour `[3]` in all directions."""
+    coefficients = np.zeros(((degree + 1) ** 2, 3), np.float32)
+    coefficients[0] = (color - 0.5) / SH_C0
+    return coefficients

@@ -1,0 +1,119 @@
+"""What is behind all Gaussians: colours by direction in closed form, their gradients, and where they start."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from photographed_wall import wall
+from small_scenes import camera_at
+from tolerances import assert_close
+
+from gsjax import backdrop
+from gsjax.cameras import Camera
+from gsjax.effects import background
+from gsjax.effects.observations import observe
+from gsjax.errors import InputError
+from gsjax.pipeline.effects import joined
+from gsjax.scene import with_pixels
+from gsjax.settings import Settings
+
+CAMERA = camera_at((0.4, -0.3, 0.2), (1.0, 0.5, 4.0), size=(8, 6), focal=7.0)
+C1 = 0.4886025119029199  # Of the harmonics of degree 1.
+
+
+def rays(camera):
+    """`[H, W, 3]` unit world directions of the pixels, numpy."""
+    viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    local = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1)
+    world = local @ viewmat[:3, :3]
+    return world / np.linalg.norm(world, axis=-1, keepdims=True)
+
+
+def test_a_sky_is_a_function_of_the_direction_in_the_world():
+    coefficients = backdrop.constant(np.array([0.2, 0.5, 0.9]), 4)
+    coefficients[1:4] = np.random.default_rng(0).normal(size=(3, 3)) * 0.1
+    x, y, z = np.moveaxis(rays(CAMERA), -1, 0)[..., None]
+    expected = np.array([0.2, 0.5, 0.9]) + C1 * (-y * coefficients[1] + z * coefficients[2] - x * coefficients[3])
+    found = backdrop.behind(jnp.asarray(coefficients), CAMERA)
+    assert_close(found, np.float32(expected), atol=1e-6, rtol=0, why="sums of single numbers")
+
+
+def test_one_colour_is_three_numbers():
+    assert_close(backdrop.behind(jnp.asarray(backdrop.constant(np.array([0.2, 0.5, 0.9]), 0)), CAMERA),
+                 np.float32([0.2, 0.5, 0.9]))  # fmt: skip
+    color = jnp.array([0.1, 0.2, 0.3])
+    assert backdrop.behind(color, CAMERA) is color
+
+
+def shown(coefficients, viewmat, alphas, camera):
+    """Over a picture that covers so much: what the loss sees of a sky."""
+    weights = jnp.asarray(np.random.default_rng(1).normal(size=(6, 8, 3)), coefficients.dtype)
+    under = backdrop.behind(coefficients, Camera(viewmat, camera.K, camera.width, camera.height))
+    return jnp.sum((1 - alphas)[..., None] * under * weights)
+
+
+def test_gradients_to_sky_and_camera_are_finite_differences(x64):
+    rng = np.random.default_rng(2)
+    viewmat, K = (jnp.asarray(np.asarray(m), jnp.float64) for m in (CAMERA.viewmat, CAMERA.K))
+    camera, alphas = Camera(viewmat, K, 8, 6), jnp.asarray(rng.random((6, 8)))
+    coefficients = jnp.asarray(0.1 * rng.normal(size=(25, 3)) + backdrop.constant(np.full(3, 0.5), 4))
+    value = jax.jit(lambda c, v: shown(c, v, alphas, camera))
+    slopes = jax.jit(jax.grad(lambda c, v: shown(c, v, alphas, camera), (0, 1)))(coefficients, viewmat)
+    for _ in range(4):
+        towards = (rng.normal(size=(25, 3)), np.r_[rng.normal(size=(3, 4)), np.zeros((1, 4))])
+        ends = [value(coefficients + s * towards[0], viewmat + s * towards[1]) for s in (1e-6, -1e-6)]
+        expected = sum(np.sum(np.asarray(slope) * way) for slope, way in zip(slopes, towards, strict=True))
+        np.testing.assert_allclose((ends[0] - ends[1]) / 2e-6, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("degree", [0, 4])
+def test_hard_cases_in_value_and_gradient(degree):
+    """Nothing open gives a sky no gradient at all; a photo of nothing but sky gives it one; black and beyond holds."""
+    coefficients = jnp.asarray(backdrop.constant(np.full(3, 0.5), degree))
+    value = jax.jit(jax.value_and_grad(lambda c, a: shown(c, CAMERA.viewmat, a, CAMERA)))
+    total, slopes = value(coefficients, jnp.ones((6, 8)))
+    assert total == 0 and not np.any(slopes)
+    _, slopes = value(coefficients, jnp.zeros((6, 8)))
+    assert np.isfinite(slopes).all() and np.abs(slopes[0]).max() > 0.01
+    for size in (-1e3, -1e30, 1e30):
+        total, slopes = value(coefficients * 0 + jnp.float32(size), jnp.full((6, 8), 0.5))
+        assert np.isfinite(total) and np.isfinite(slopes).all()
+    total, slopes = value(jnp.asarray(backdrop.constant(np.full(3, -1.0), degree)), jnp.zeros((6, 8)))
+    assert total == 0 and not np.any(slopes)  # Light is never less than none.
+
+
+def painted(sky):
+    """The wall's photos with the upper third repainted by `sky(rows, columns)`, nothing matched there."""
+    scene = wall()
+    tracks = scene.tracks()
+    low = tracks.rays[:, 1] > 0
+    lower = replace(tracks, photo=tracks.photo[low], point=tracks.point[low], rays=tracks.rays[low])
+
+    def outdoors(frame):
+        image = frame.pixels().image.copy()
+        image[:24] = sky(*np.mgrid[:24, :96])
+        return with_pixels(frame, frame.pixels()._replace(image=image))
+
+    return replace(scene, frames=tuple(map(outdoors, scene.frames)), tracks=lambda: lower)
+
+
+def test_a_sky_starts_as_the_photos_show_it():
+    flat = background.initial(observe(painted(lambda y, x: np.array([200, 220, 250]))))
+    assert flat.shape == (1, 3)
+    assert_close(backdrop.behind(jnp.asarray(flat), CAMERA), np.float32([200, 220, 250]) / 255, rtol=0, atol=5e-3,
+                 why="a place of the grid may hold an edge")  # fmt: skip
+    shaded = background.initial(observe(painted(lambda y, x: (200 + y[..., None]) * np.array([1.0, 1.0, 1.1]))))
+    assert shaded.shape == (25, 3)
+    np.testing.assert_array_equal(background.initial(observe(wall())), np.zeros((1, 3)))
+
+
+def test_behind_mattes_nothing_is_learned():
+    scene = wall()
+    matte = np.full((72, 96), 255, np.uint8)
+    cut_out = tuple(with_pixels(f, f.pixels()._replace(matte=matte)) for f in scene.frames)
+    with pytest.raises(InputError, match="have mattes"):
+        joined(Settings(effects="background"), replace(scene, frames=cut_out))
+    assert "background" in joined(Settings(effects="background"), scene).effects
