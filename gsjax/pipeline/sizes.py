@@ -2,11 +2,24 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import jax
 
-from gsjax.scene import Frame
+from gsjax.io.scenes import load_scene
+from gsjax.scene import Frame, Scene
 from gsjax.settings import Settings, total_steps
+
+
+def at_size(scene: str | Path, settings: Settings) -> tuple[Scene, Settings, str]:
+    """The data set at the size that the run looks at, which the settings then name; and the line that says it."""
+    opened = partial(load_scene, scene, folder_masks=settings.masks, images=settings.images, hold_out=settings.hold_out)
+    taken = opened()
+    settings = replace(settings, downscale=chosen_downscale(settings, taken.frames))
+    loaded = taken if settings.downscale == 1 else opened(downscale=settings.downscale)
+    return loaded, settings, size_line(settings, taken.frames, loaded.frames)
 
 
 def chosen_downscale(settings: Settings, frames: Sequence[Frame], *, on_cpu: bool | None = None) -> float:

@@ -16,12 +16,13 @@ from gsjax.effects import model
 from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import masked_mean
+from gsjax.render import Surroundings
 from gsjax.settings import Weights
 from gsjax.training import multi_view, optimizers
-from gsjax.training.losses import NEEDS_DEPTH, NEEDS_NEIGHBOR, TERMS
+from gsjax.training.losses import NEEDS_DEPTH, NEEDS_NEIGHBOR, NEEDS_SURROUNDINGS, TERMS
 from gsjax.training.rules import Rule
 from gsjax.training.state import TrainState
-from gsjax.views import Target
+from gsjax.views import Batch, Target
 
 
 class Metrics(NamedTuple):
@@ -70,6 +71,7 @@ def make_train_step(
     rule: Rule | None,
     depth_mode: rasterizer.DepthMode = "plane",
     effects: Effects = NO_EFFECTS,
+    extent: float = 1.0,
 ) -> TrainStep:
     """The compiled step of one phase.
 
@@ -82,6 +84,8 @@ def make_train_step(
         rule: Of density control, whose statistics are gathered; None: none are.
         depth_mode: What a splat's depth is, see `gsjax.render.view`.
         effects: Those that stand between the render and the photos; the state and the targets must be made for them.
+        extent: Camera extent, scene units: what a term on the density measures errors in. The state must hold the table
+            of the nearest that such a term reads.
 
     Returns:
         A `TrainStep`.
@@ -89,8 +93,16 @@ def make_train_step(
     terms = active_terms(weights)
     with_depth = not NEEDS_DEPTH.isdisjoint(terms)
     with_neighbor = not NEEDS_NEIGHBOR.isdisjoint(terms)
+    with_surroundings = not NEEDS_SURROUNDINGS.isdisjoint(terms)
 
-    def objective(free: _Free, batch, color: Array, active_degree: Array, beside: Camera | None):
+    def objective(
+        free: _Free,
+        batch: Batch,
+        color: Array,
+        active_degree: Array,
+        beside: Camera | None,
+        surroundings: Surroundings | None,
+    ):
         gaussians, probe, numbers = free
         view = render.view(
             gaussians,
@@ -107,6 +119,7 @@ def make_train_step(
         if beside is not None:
             neighbor = multi_view.rendered(gaussians, beside, capacity, depth_mode)
             view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
+        view = view._replace(surroundings=surroundings)
         losses = {name: TERMS[name](gaussians, view, batch) for name in terms}
         total = sum(weight * losses[name] for name, weight in terms.items())
         if rule:
@@ -123,9 +136,13 @@ def make_train_step(
         beside = None
         if with_neighbor:
             beside = multi_view.drawn(target.neighbors, jax.random.fold_in(jax.random.fold_in(key, state.step), 1))
+        surroundings = None
+        if with_surroundings:
+            drawing = jax.random.fold_in(jax.random.fold_in(key, state.step), 2)
+            surroundings = Surroundings(state.nearest, drawing, extent)
         free = _Free(state.gaussians, probe, None if state.effects is None else state.effects.numbers)
         (total, (losses, mse, projection, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
-            free, batch, color, active_degree, beside
+            free, batch, color, active_degree, beside, surroundings
         )
         gaussians, opt_state = optimizers.apply_gradients(
             optimizer, state.gaussians, state.opt_state, gradients.gaussians
@@ -135,7 +152,7 @@ def make_train_step(
             seen = in_photo(projection, target.size)
             statistics = rule.accumulate(statistics, gradients.probe, seen, target.size)
         looks = model.updated(effects, state.effects, gradients.numbers)
-        proposed = TrainState(gaussians, opt_state, statistics, state.step + 1, looks)
+        proposed = TrainState(gaussians, opt_state, statistics, state.step + 1, looks, state.nearest)
         # A full buffer means a wrong image: the state stays, the host makes room and repeats the step.
         state = jax.tree.map(lambda old, new: jnp.where(pairs.overflowed, old, new), state, proposed)
         return state, Metrics(total, -10 * jnp.log10(jnp.maximum(mse, 1e-10)), pairs.needed, pairs.overflowed, losses)

@@ -13,7 +13,7 @@ from gsjax import render, views
 from gsjax.gaussians import opacities
 from gsjax.measures.images import psnr
 from gsjax.settings import Density, Rates, Weights
-from gsjax.training import density_control
+from gsjax.training import density_control, surroundings
 from gsjax.training.capacity import chosen_capacity, largest_need
 from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.multi_view import with_neighbors
@@ -286,7 +286,7 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
         sh_every=SH_EVERY,
         rule=None,
     )
-    state = start(setup)
+    state = replace(start(setup), nearest=jnp.asarray(surroundings.found(start(setup).gaussians)))
     for index in range(4):
         state, metrics = step(state, data.targets[index % 3], KEY)
         assert set(metrics.terms) == set(weights.__dict__)
