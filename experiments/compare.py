@@ -12,7 +12,7 @@ import numpy as np
 from train import CONFIGS, load_config
 
 from gsjax import config, tables
-from gsjax.cli import guarded
+from gsjax.cli import guarded, parsers
 from gsjax.settings import Settings
 
 STUDIES = Path(__file__).parent / "studies"
@@ -58,12 +58,11 @@ def _figures(scene: str, folder: Path, described: dict, seconds: float | None) -
     """A variant's figures, and those of the true mesh where there is one."""
     from gsjax import pipeline
     from gsjax.io import runs
-    from gsjax.pipeline import budget
 
     print(f"== {folder.name}", flush=True)
     settings = config.parse(Settings, described, where=folder.name)
     if seconds is not None and not folder.exists():
-        settings, line = budget.fitted(scene, {folder.name: settings}, seconds)
+        settings, line = pipeline.budgeted(scene, {folder.name: settings}, seconds)
         print(f"budget: {line}", flush=True)
     elif seconds is not None:
         settings = config.parse(Settings, runs.read_settings(folder))
@@ -84,8 +83,6 @@ def _placed(value: Any, scene: str) -> Any:
 
 def main() -> None:
     """Reads the arguments and prints the table."""
-    from gsjax.pipeline.budget import parsed
-
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("study", metavar="STUDY", help="name of a file in studies/, without .py")
     parser.add_argument("--scene", required=True, help="folder of the data set")
@@ -93,7 +90,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="runs of every variant (default: 1)")
     parser.add_argument("--budget", metavar="TIME", help="of every run, as in 10m (default: the study's steps)")
     arguments = parser.parse_args()
-    seconds = None if arguments.budget is None else parsed(arguments.budget)
+    seconds = None if arguments.budget is None else parsers.seconds(arguments.budget)
     every = run(arguments.study, arguments.scene, arguments.out, arguments.seeds, seconds)
     print(tables.compare({variant: tables.spread(rows) for variant, rows in every.items()}))
 

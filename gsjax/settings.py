@@ -269,3 +269,5 @@ PRESETS: dict[str, dict[str, Any]] = {
     "paper_6k_15k": ACCURATE,
     "paper_13k_7k": PAPER_13K_7K,
 }
+LENGTHS = ("fast", "balanced", "accurate")
+"""Of the presets, what a budget of time chooses from, the shortest first."""

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from gsjax import config
-from gsjax.cli.parsers import add_command, given
-from gsjax.settings import PRESETS, Settings
+from gsjax.cli.parsers import add_command, given, seconds
+from gsjax.settings import LENGTHS, PRESETS, Settings
 
 OPTIONS = (
     "seed", "downscale", "images", "hold_out", "normals", "normal_axes", "background", "masks", "effects", "vanilla"
@@ -78,20 +78,20 @@ def settings(arguments: argparse.Namespace) -> Settings:
     Raises:
         InputError: An unknown key, or a value of the wrong type or range.
     """
+    from gsjax import pipeline
     from gsjax.io import runs
-    from gsjax.pipeline import budget
 
-    seconds = None if arguments.budget is None else budget.parsed(arguments.budget)
+    budget = None if arguments.budget is None else seconds(arguments.budget)
     started = Path(arguments.out) / "config.json"
     if arguments.resume and started.exists():
         base = config.merge(runs.read_settings(started.parent), PRESETS.get(arguments.preset, {}))
         return overridden(base, arguments, *OPTIONS)
-    if seconds is None:
+    if budget is None:
         return overridden(PRESETS[arguments.preset or "fast"], arguments, *OPTIONS)
     runs.require_free(arguments.out)
-    names = (arguments.preset,) if arguments.preset else budget.LENGTHS
+    names = (arguments.preset,) if arguments.preset else LENGTHS
     candidates = {name: overridden(PRESETS[name], arguments, *OPTIONS) for name in names}
-    choice = budget.fitted(arguments.scene, candidates, seconds)
+    choice = pipeline.budgeted(arguments.scene, candidates, budget)
     print(f"budget: {choice.line}", file=sys.stderr)
     return choice.settings
 

@@ -6,7 +6,6 @@ forgotten.
 
 import contextlib
 import math
-import re
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -21,15 +20,13 @@ from gsjax.gaussians import Gaussians
 from gsjax.pipeline.pace import FIXED_COST, relative_cost, spoken
 from gsjax.pipeline.sizes import at_size
 from gsjax.scene import Frame, Scene, extent, in_memory
-from gsjax.settings import Phase, Settings, total_steps
+from gsjax.settings import LENGTHS, Phase, Settings, total_steps
 from gsjax.training import initialize, loop, optimizers, surroundings
 from gsjax.training.loop import Progress, planned_phases
 from gsjax.training.rules import RULES
 from gsjax.training.state import initial_state
 from gsjax.views import NORMAL_UNIT
 
-UNITS = {"s": 1, "m": 60, "h": 3600}
-LENGTHS = ("fast", "balanced", "accurate")  # of the presets, the shortest first; the last is never lengthened
 RESERVED = 0.1  # of a budget, for what no step does: photos, normals, scores
 TRIED_SHARE = 0.1  # of a budget, for the steps that are tried of each phase
 WARM, TIMED = 2, 8  # steps of a phase: the first ones compile, the next ones are timed
@@ -55,20 +52,7 @@ class Choice(NamedTuple):
     line: str  # says what was chosen
 
 
-def parsed(budget: str) -> float:
-    """Seconds of a time such as `90s`, `10m` or `1.5h`.
-
-    Raises:
-        InputError: It is none, or nothing.
-    """
-    found = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)([smh])", budget.strip())
-    seconds = float(found[1]) * UNITS[found[2]] if found else 0.0
-    if not 0 < seconds < math.inf:
-        raise InputError(f"--budget {budget}: not a time, such as 90s, 10m or 1.5h")
-    return seconds
-
-
-def fitted(
+def budgeted(
     scene: str | Path,
     candidates: Mapping[str, Settings],
     seconds: float,

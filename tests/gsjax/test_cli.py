@@ -6,7 +6,7 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass, replace
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
@@ -121,15 +121,14 @@ def test_settings_come_from_the_preset_the_options_and_set(library):
 
 
 def test_a_budget_chooses_the_settings_once_and_a_resumed_run_keeps_them(library, tmp_path, monkeypatch, capsys):
-    from gsjax.pipeline import budget
-
     asked = []
 
-    def fitted(scene, candidates, seconds):
+    def budgeted(scene, candidates, seconds):
         asked.append((scene, list(candidates), seconds))
-        return budget.Choice(replace(next(iter(candidates.values())), sh_every=77), "10 min: fast, 0.5 times its steps")
+        settings = replace(next(iter(candidates.values())), sh_every=77)
+        return SimpleNamespace(settings=settings, line="10 min: fast, 0.5 times its steps")
 
-    monkeypatch.setattr(budget, "fitted", fitted)
+    monkeypatch.setattr(sys.modules["gsjax.pipeline"], "budgeted", budgeted, raising=False)
     run = str(tmp_path / "run")
     settings, _ = train_settings(library, "--out", run, "--budget", "10m", "--seed", "3")
     assert (settings.sh_every, settings.seed) == (77, 3)
@@ -144,7 +143,8 @@ def test_a_budget_chooses_the_settings_once_and_a_resumed_run_keeps_them(library
     assert "this folder is not empty" in capsys.readouterr().err and len(asked) == 2
     for text in ("10", "0s", "soon"):
         assert cli.main(["train", "scene", "--out", str(tmp_path / "other"), "--budget", text]) == 2
-        assert capsys.readouterr().err.splitlines() == [f"gsjax: --budget {text}: not a time, such as 90s, 10m or 1.5h"]
+        error = f"gsjax: error: --budget {text}: not a time, such as 90s, 10m or 1.5h"
+        assert capsys.readouterr().err.splitlines() == [error]
 
 
 def test_the_photos_and_their_split_are_chosen_on_the_command_line(library, tmp_path, monkeypatch):

@@ -7,21 +7,22 @@ import numpy as np
 import pytest
 from photographed_wall import wall
 
+from gsjax.cli import parsers
 from gsjax.config import parse
 from gsjax.errors import InputError
 from gsjax.pipeline import budget
 from gsjax.pipeline.budget import Trial
-from gsjax.settings import PRESETS, Density, Phase, Rates, Settings, total_steps
+from gsjax.settings import LENGTHS, PRESETS, Density, Phase, Rates, Settings, total_steps
 from gsjax.training.density_control import is_alive
 
-NAMED = {name: parse(Settings, PRESETS[name]) for name in budget.LENGTHS}
+NAMED = {name: parse(Settings, PRESETS[name]) for name in LENGTHS}
 
 
 @pytest.mark.parametrize(
     ("text", "seconds"), [("90s", 90), ("10m", 600), ("1h", 3600), ("1.5h", 5400), (".5m", 30), (" 2m ", 120)]
 )
 def test_a_time_is_a_number_and_its_unit(text, seconds):
-    assert budget.parsed(text) == seconds
+    assert parsers.seconds(text) == seconds
 
 
 @pytest.mark.parametrize(
@@ -29,7 +30,7 @@ def test_a_time_is_a_number_and_its_unit(text, seconds):
 )
 def test_anything_else_is_one_line(text):
     with pytest.raises(InputError, match="not a time, such as 90s, 10m or 1.5h") as caught:
-        budget.parsed(text)
+        parsers.seconds(text)
     assert "\n" not in str(caught.value)
 
 
@@ -73,7 +74,7 @@ class Machine:
         return Trial((self.paces[name],) * len(settings.phases), 6.0)
 
     def fitted(self, seconds, candidates=NAMED):
-        return budget.fitted("scene", candidates, seconds, clock=lambda: self.now)
+        return budget.budgeted("scene", candidates, seconds, clock=lambda: self.now)
 
 
 @pytest.mark.parametrize(
