@@ -54,7 +54,7 @@ LAYERS = {
         ("rasterizer", *CORE, "io", "meshing", "runs", "cli"),
         # Among them a peer to time ours against, and scripts that lie next to the one that imports them.
         ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "gsplat", "torch")
-        + ("train", "workloads", "paper", "paper_run", "browser_check"),
+        + ("train", "workloads", "paper", "paper_run", "browser_check", "knobs"),
     ),
 }
 HEAVY = {"open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "xatlas", "matplotlib", "PIL"}

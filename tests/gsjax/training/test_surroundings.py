@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_scenes import camera_at, cloud, photographed
+from photographed_wall import wall
+from small_scenes import cloud
 
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
 from gsjax.training import loop, surroundings
@@ -60,10 +61,11 @@ def fitted(state, monkeypatch):
     """The states after every step."""
     monkeypatch.setattr(surroundings, "EVERY", 5)
     monkeypatch.setattr(loop, "make_train_step", lambda *_, **__: shaken)
+    monkeypatch.setattr(loop, "chosen_capacity", lambda *_, **__: 4096)
     states = []
     loop.fit(
         Settings(phases=PHASES, max_gaussians=ROWS),
-        photographed(cloud(50, seed=5), [camera_at(), camera_at((1.0, 0.0, 0.0), (0.0, 0.0, 4.0))]),
+        wall(2).frames,
         1.0,
         state,
         OPTIMIZER,
