@@ -21,15 +21,20 @@ class Picture(NamedTuple):
     colors: np.ndarray  # [H, W, 3] float32, clipped to 0..1, over the background
     depth: np.ndarray  # [H, W] float32 expected camera z, 0 where nothing covers the pixel
     alphas: np.ndarray  # [H, W] float32
-    owners: np.ndarray  # [H, W] int32, the Gaussian that was hit: in which half of the pixel's light is gone; -1: none
+    owners: np.ndarray | None = None  # [H, W] int32, who was hit: in whom half of a pixel's light is gone; -1: none
 
 
 def pictures(
-    gaussians: Gaussians, cameras: Sequence[Camera], background: np.ndarray, depth_mode: DepthMode = "plane"
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    background: np.ndarray,
+    depth_mode: DepthMode = "plane",
+    *,
+    with_owners: bool = False,
 ) -> Iterator[Picture]:
     """Render every camera over `background` `[3]`; sizes may differ, each picture has its camera's.
 
-    Depth is as `depth_mode` says, see `gsjax.render.view`.
+    Depth is as `depth_mode` says, see `gsjax.render.view`. Owners cost another pass over the pairs.
     """
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     width, height = max(c.width for c in cameras), max(c.height for c in cameras)
@@ -37,14 +42,13 @@ def pictures(
     needed = max(int(_needed(gaussians, camera)) for camera in padded)
     capacity = rasterizer.capacity_bucket(needed)
     for camera, own in zip(padded, cameras, strict=True):
-        shown = _shown(
-            gaussians, camera, jnp.asarray(background, jnp.float32), capacity=capacity, depth_mode=depth_mode
-        )
+        color = jnp.asarray(background, jnp.float32)
+        shown = _shown(gaussians, camera, color, capacity=capacity, depth_mode=depth_mode, with_owners=with_owners)
         yield Picture(*(np.asarray(x)[: own.height, : own.width] for x in shown))
 
 
 def masked(pictures: Iterable[Picture], valid: Iterable[np.ndarray | None]) -> Iterator[Picture]:
-    """The same pictures with nothing in them, in colour, depth and coverage, where their photos say nothing.
+    """The same pictures with nothing in them, in colour, depth, coverage and owners, where their photos say nothing.
 
     Args:
         pictures: One a view; looked at one by one, as `valid` is.
@@ -56,18 +60,26 @@ def masked(pictures: Iterable[Picture], valid: Iterable[np.ndarray | None]) -> I
         else:
             colors = np.where(usable[..., None], picture.colors, 0)
             depth, alphas = np.where(usable, picture.depth, 0), np.where(usable, picture.alphas, 0)
-            yield Picture(colors, depth, alphas, np.where(usable, picture.owners, -1))
+            owners = None if picture.owners is None else np.where(usable, picture.owners, -1)
+            yield Picture(colors, depth, alphas, owners)
 
 
 _needed = jax.jit(render.needed_capacity)
 
 
-@partial(jax.jit, static_argnames=("capacity", "depth_mode"))
+@partial(jax.jit, static_argnames=("capacity", "depth_mode", "with_owners"))
 def _shown(
-    gaussians: Gaussians, camera: Camera, background: jax.Array, *, capacity: int, depth_mode: DepthMode
+    gaussians: Gaussians,
+    camera: Camera,
+    background: jax.Array,
+    *,
+    capacity: int,
+    depth_mode: DepthMode,
+    with_owners: bool,
 ) -> tuple[jax.Array, ...]:
     view = render.view(
         gaussians, camera, capacity=capacity, background=background, with_depth=True, depth_mode=depth_mode
     )
     assert view.depth is not None  # as asked for
-    return jnp.clip(view.colors, 0, 1), view.depth, view.alphas, render.owners(view.splats)
+    shown = jnp.clip(view.colors, 0, 1), view.depth, view.alphas
+    return (*shown, render.owners(view.splats)) if with_owners else shown

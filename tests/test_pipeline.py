@@ -19,6 +19,7 @@ from gsjax.io.checkpoints import load_arrays
 from gsjax.io.images import image_size, read_image, read_mask, write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.meshing.export import read_mesh
+from gsjax.pipeline import viewpoints
 from gsjax.pipeline.result import open_result, scene_of_run
 from gsjax.settings import Settings
 
@@ -369,7 +370,9 @@ def test_pictures_have_the_size_of_their_views(run, tmp_path):
     assert np.abs(photo.astype(float) - rendered).mean() < 60, "the same view, roughly"
 
 
-def test_a_bare_file_of_gaussians_is_meshed_from_cameras_around_it(run, tmp_path):
+def test_a_bare_file_of_gaussians_is_meshed_from_cameras_around_it(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(viewpoints, "SIZE", 64)
+    monkeypatch.setattr(viewpoints, "COUNT", 16)
     report = pipeline.mesh(run / "gaussians.ply", tmp_path / "mesh.glb", level=0.1, points=3000)
     assert report["faces"] > 0
     assert (tmp_path / "mesh.glb").exists()

@@ -35,7 +35,7 @@ def extract_mesh(
     Args:
         gaussians: The trained scene.
         cameras: One camera a view.
-        pictures: One rendered picture a camera, in order; a generator will do.
+        pictures: One rendered picture a camera, with owners, in order; a generator will do.
         method: How the surface is found. None: `level_set_poisson()`.
         regions: Where it is reconstructed, from the `[P, 3]` points at which it was seen. A region that is given is
             taken as it is.

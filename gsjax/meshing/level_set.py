@@ -102,8 +102,9 @@ def surface_points(
     Args:
         gaussians: The trained scene.
         cameras: One camera a view.
-        pictures: One rendered picture of these Gaussians a camera, in order; looked at one by one. Colours best come
-            from the degree-0 coefficients alone. Pixels that a Gaussian too faint to make density owns say nothing.
+        pictures: One rendered picture of these Gaussians a camera, with owners, in order; looked at one by one. Colours
+            best come from the degree-0 coefficients alone. Pixels that a Gaussian too faint to make density owns say
+            nothing.
         options: The numbers. None: `options_for` these cameras.
         seed: Of the random choice of pixels.
 
@@ -176,10 +177,10 @@ def world_points(camera: Camera, depth: np.ndarray, rows: np.ndarray, columns: n
 def check_sizes(index: int, camera: Camera, picture: Picture) -> None:
     """Raise ValueError where a picture is not as large as its camera's image."""
     size = (camera.height, camera.width)
-    colors, depth, alphas, owners = picture
-    if not depth.shape == alphas.shape == owners.shape == size or colors.shape != (*size, 3):
-        shapes = f"{depth.shape=}, {alphas.shape=}, {owners.shape=}, {colors.shape=}"
-        raise ValueError(f"view {index}: {shapes} do not fit camera {size}")
+    shapes = {name: part.shape for name, part in picture._asdict().items() if part is not None}
+    if any(shape[:2] != size for shape in shapes.values()):
+        told = ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+        raise ValueError(f"view {index}: {told} do not fit camera {size}")
 
 
 def to_bytes(colors: np.ndarray) -> np.ndarray:
@@ -213,6 +214,7 @@ def _rays_of_view(
 ) -> tuple[np.ndarray, ...]:
     """Arrays (hits, directions, colours, view ids, owners) of one view."""
     check_sizes(index, camera, picture)
+    assert picture.owners is not None, "a level set is looked for around the Gaussian that was hit"
     depth, owners = np.asarray(picture.depth), place[picture.owners]
     covered = (np.asarray(picture.alphas) > min_alpha) & (depth > 0) & np.isfinite(depth)
     rows, columns = np.nonzero(covered & (owners >= 0))

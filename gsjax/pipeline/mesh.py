@@ -79,7 +79,9 @@ def mesh(
     _check(level=level, points=points, depth=depth, trim_quantile=trim_quantile, cell=cell, faces=faces)
     regions = _regions(bounds, background_bounds, foreground_only)
     result = open_result(source, scene=scene)
-    cameras, pictures = training_pictures(result, without_view_dependence(result.gaussians), result.background)
+    cameras, pictures = training_pictures(
+        result, without_view_dependence(result.gaussians), result.background, with_owners=True
+    )
     surface, report = extract_mesh(
         result.gaussians,
         cameras,

@@ -122,7 +122,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
 
 
 def training_pictures(
-    result: Result, gaussians: Gaussians, background: np.ndarray
+    result: Result, gaussians: Gaussians, background: np.ndarray, *, with_owners: bool = False
 ) -> tuple[list[Camera], Iterator[Picture]]:
     """The cameras that a surface is looked at from, and what `gaussians` show there: nothing where photos are masked.
 
@@ -130,6 +130,7 @@ def training_pictures(
         result: Whose training views.
         gaussians: Its own, or what was made of them.
         background: `[3]` colour under the pictures.
+        with_owners: Whether the pictures tell who was hit, which the level set asks for.
 
     Raises:
         InputError: There is no training view; or, as the pictures are drawn, a mask cannot be used.
@@ -138,7 +139,7 @@ def training_pictures(
     if not chosen:
         raise InputError(f"{result.source}: has no training views to look from")
     cameras = [result.cameras[index] for index in chosen]
-    drawn = gallery.pictures(gaussians, cameras, background, result.depth_mode)
+    drawn = gallery.pictures(gaussians, cameras, background, result.depth_mode, with_owners=with_owners)
     pictures = tqdm(drawn, total=len(cameras), desc="views", unit="view", delay=QUIET)
     return cameras, gallery.masked(pictures, (result.valid[index]() for index in chosen))
 

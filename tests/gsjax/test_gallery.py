@@ -20,7 +20,7 @@ CAMERAS = [
 @pytest.fixture(scope="module")
 def shown():
     scene = cloud(30)
-    return scene, list(gallery.pictures(scene, CAMERAS, BACKGROUND))
+    return scene, list(gallery.pictures(scene, CAMERAS, BACKGROUND, with_owners=True))
 
 
 def reference(scene, camera, **options):

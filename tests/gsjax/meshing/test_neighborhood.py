@@ -46,7 +46,7 @@ def wall(small: int) -> Gaussians:
 @pytest.mark.parametrize("small", [0, 40, 200])
 def test_a_wall_crosses_whatever_lies_on_it(small):
     gaussians = wall(small)
-    pictures = list(gallery.pictures(gaussians, [WALL], np.zeros(3)))
+    pictures = list(gallery.pictures(gaussians, [WALL], np.zeros(3), with_owners=True))
     surface = level_set.surface_points(gaussians, [WALL], pictures, LevelSetOptions(num_points=4096, min_opacity=0.5))
     assert surface.rays == 64 * 64
     assert surface.crossing_share > 0.99

@@ -22,6 +22,7 @@ from gsjax.scene import Pixels, frame_of
 @pytest.fixture
 def file(ball, tmp_path, monkeypatch):
     monkeypatch.setattr(viewpoints, "SIZE", 64)
+    monkeypatch.setattr(viewpoints, "COUNT", 16)
     write_gaussians(tmp_path / "ball.ply", ball.gaussians)
     return tmp_path / "ball.ply"
 

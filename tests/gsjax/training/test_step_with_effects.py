@@ -84,7 +84,8 @@ def test_held_effects_leave_the_others_as_they_were(data):
         state, reported = step(state, target, KEY)
         without, expected = plain(without, views.Target(**{**target.__dict__, "photo": None}), KEY)
     assert_close(reported.loss, expected.loss)
-    assert_close(state.gaussians.sh_dc, without.gaussians.sh_dc, rtol=1e-4, atol=1e-6, why="other fusions, then Adam")
+    # Adam divides the rounding of other fusions by a small gradient: 2.3e-6 measured, where steps move 7.5e-3.
+    assert_close(state.gaussians.sh_dc, without.gaussians.sh_dc, rtol=1e-4, atol=1e-5, why="other fusions, then Adam")
     assert_close(state.effects.numbers, jax.tree.map(jnp.zeros_like, state.effects.numbers))
 
 
