@@ -129,7 +129,7 @@ def scaled(settings: Settings, factor: float) -> Settings:
 
 
 def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.perf_counter) -> Trial:
-    """Times the first steps of every phase, each for `most` seconds at the longest.
+    """Times the first steps of every kind of phase, at full size, each for `most` seconds at the longest.
 
     Args:
         scene: The data set, of the size that the run looks at.
@@ -140,15 +140,18 @@ def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.
     size = extent(scene.train_frames)
     spread = np.linspace(0, len(scene.train_frames) - 1, PHOTOS).astype(int)
     frames = tuple(in_memory(scene.train_frames[index]) for index in dict.fromkeys(spread.tolist()))
-    paces, overhead, known = [], 0.0, {}
-    for phase in planned_phases(settings):
-        kind = replace(phase, name="", steps=WARM + TIMED, cull_below=0.0)
-        if kind not in known:
-            moments = _moments(scene, frames, size, replace(settings, phases=(kind,), vanilla=False), most, clock)
-            known[kind] = float(np.median(np.diff(moments[WARM:])))
-            overhead += max(moments[WARM] - moments[0] - WARM * known[kind], 0.0)
-        paces.append(known[kind])
-    return Trial(tuple(paces), overhead)
+    compiling, known = {}, {}
+    phases = [replace(phase, name="", steps=WARM + TIMED, cull_below=0.0) for phase in planned_phases(settings)]
+    for phase in phases:
+        # What smaller photos save is known well enough to spare their program.
+        full = replace(phase, image_scale=1)
+        if full not in known:
+            moments = _moments(scene, frames, size, replace(settings, phases=(full,), vanilla=False), most, clock)
+            pace = float(np.median(np.diff(moments[WARM:])))
+            known[full] = pace, max(moments[WARM] - moments[0] - WARM * pace, 0.0)
+        pace, compiling[phase] = known[full]
+        known[phase] = pace * relative_cost(phase) / relative_cost(full), compiling[phase]
+    return Trial(tuple(known[phase][0] for phase in phases), sum(compiling.values()))
 
 
 class _EnoughError(Exception):

@@ -136,21 +136,22 @@ def test_a_trial_takes_the_median_of_a_few_steps_of_every_kind_of_phase(monkeypa
 
     def fit(settings, frames, size, state, optimizer, *, prior, observe):
         (phase,) = settings.phases
-        seen.append((phase, len(frames), int(is_alive(state.gaussians).sum()), state.gaussians.num_gaussians))
+        rows = int(is_alive(state.gaussians).sum()), state.gaussians.num_gaussians
+        seen.append(((phase.steps, len(frames)), rows))
         assert not any(settings.density.start < step < settings.density.stop for step in range(1, phase.steps + 1))
-        pace = 0.25 if phase.image_scale == 2 else 1.0
+        assert phase.image_scale == 1
+        pace = 1.0 if phase.density_control else 2.0
         for step in range(phase.steps):
             now[0] += 20.0 if step == 0 else 7.0 if step == 5 else pace  # compiles; is held up once
             observe(None)
 
     monkeypatch.setattr(budget.loop, "fit", fit)
     trial = budget.tried(photos, SETTINGS, most=1e9, clock=lambda: now[0])
-    assert trial.seconds_per_step == (0.25, 1.0, 1.0, 1.0)
-    # b and c are of one kind; of the first 2 steps one compiles.
-    assert trial.overhead == pytest.approx((20 - 0.25) + 2 * (20 - 1.0))
-    assert [(p.steps, frames, alive, rows) for p, frames, alive, rows in seen] == [
-        (10, 8, 150, 300), (10, 8, 150, 300), (10, 8, 300, 300)
-    ]  # fmt: skip
+    half = budget.relative_cost(SETTINGS.phases[0])  # of a step at full size: at half the size it is not tried
+    assert 0.25 < half < 1 and trial.seconds_per_step == (half, 1.0, 1.0, 2.0)
+    # a, b and d are programs of their own, b and c one; of the first 2 steps one compiles.
+    assert trial.overhead == pytest.approx(2 * (20 - 1.0) + (20 - 2.0))
+    assert seen == [((10, 8), (150, 300)), ((10, 8), (300, 300))]
 
 
 def test_slow_steps_are_tried_no_longer_than_asked(monkeypatch, photos):
@@ -163,7 +164,7 @@ def test_slow_steps_are_tried_no_longer_than_asked(monkeypatch, photos):
             observe(None)
 
     monkeypatch.setattr(budget.loop, "fit", fit)
-    trial = budget.tried(photos, replace(SETTINGS, phases=SETTINGS.phases[:1]), most=5.0, clock=lambda: now[0])
+    trial = budget.tried(photos, replace(SETTINGS, phases=SETTINGS.phases[1:2]), most=5.0, clock=lambda: now[0])
     assert steps == [4]  # two that may compile, two that are timed
     assert trial.seconds_per_step == (30.0,)
 
