@@ -17,6 +17,7 @@ from knobs.knob import Knob, Measured, Place
 from rasterizer import GSPLAT
 
 REPEATS = 5
+PAIRS = 1 << 20  # of splats and tiles, most
 
 
 def _measure(place: Place, options: dict[str, Any], round_: int) -> Measured:
@@ -30,7 +31,8 @@ def _measure(place: Place, options: dict[str, Any], round_: int) -> Measured:
             started = time.perf_counter()
             jax.block_until_ready(function(*arguments))
             seconds.append(time.perf_counter() - started)
-        (_, picture), gradient = jax.tree.map(np.asarray, outcome)
+        (_, (picture, overflowed)), gradient = jax.tree.map(np.asarray, outcome)
+    assert not overflowed, "PAIRS is too small for this picture"
     return Measured(float(np.median(seconds)), (picture, np.concatenate([leaf.ravel() for leaf in gradient])))
 
 
@@ -44,18 +46,18 @@ def _program(place: Place, options: tuple[tuple[str, Any], ...]) -> tuple[Callab
     viewmats, Ks = (jnp.asarray(np.asarray(matrix), kind)[None] for matrix in (camera.viewmat, camera.K))
     towards = jnp.asarray(np.random.default_rng(0).normal(size=(camera.height, camera.width, 3)), kind)
 
-    def picture(*arguments: jax.Array) -> tuple[jax.Array, jax.Array]:
-        colors, _, _ = rasterizer.rasterization(
+    def picture(*arguments: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+        colors, _, info = rasterizer.rasterization(
             *arguments,
             viewmats,
             Ks,
             camera.width,
             camera.height,
             sh_degree=gaussians.sh_degree,
-            capacity=1 << 20,
+            capacity=PAIRS,
             **given,
         )
-        return jnp.mean(colors[0] * towards), colors[0]
+        return jnp.mean(colors[0] * towards), (colors[0], info["overflowed"])
 
     return jax.jit(jax.value_and_grad(picture, argnums=tuple(range(5)), has_aux=True)), arguments
 
