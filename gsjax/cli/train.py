@@ -92,7 +92,7 @@ def settings(arguments: argparse.Namespace) -> Settings:
     names = (arguments.preset,) if arguments.preset else LENGTHS
     candidates = {name: overridden(PRESETS[name], arguments, *OPTIONS) for name in names}
     choice = pipeline.budgeted(arguments.scene, candidates, budget)
-    print(f"budget: {choice.line}", file=sys.stderr)
+    print(f"budget of {arguments.budget}: {choice.line}", file=sys.stderr)
     return choice.settings
 
 

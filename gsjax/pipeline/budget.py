@@ -17,9 +17,9 @@ from scipy.spatial import KDTree
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.pipeline.pace import FIXED_COST, relative_cost, spoken
-from gsjax.pipeline.sizes import at_size
-from gsjax.scene import Frame, Scene, extent, in_memory
+from gsjax.pipeline.pace import FIXED_COST, relative_cost
+from gsjax.pipeline.sizes import at_size, training_extent
+from gsjax.scene import Frame, Scene, in_memory
 from gsjax.settings import LENGTHS, Phase, Settings, total_steps
 from gsjax.training import initialize, loop, optimizers, surroundings
 from gsjax.training.loop import Progress, planned_phases
@@ -70,8 +70,11 @@ def budgeted(
         clock: Tells seconds.
 
     Raises:
-        InputError: The data set cannot be used, or the budget is too short for any run of it.
+        InputError: The data set cannot be used, a candidate has no steps, or the budget is too short for any.
     """
+    for name, settings in candidates.items():
+        if not total_steps(settings):
+            raise InputError(f"--budget: the phases of {name} have no steps to scale")
     started = clock()
     scenes = {name: at_size(scene, settings)[:2] for name, settings in candidates.items()}
     name = first = next(iter(scenes))
@@ -90,20 +93,19 @@ def budgeted(
         before = (1 - RESERVED) * seconds - left
         least = (before + _length(trial, sized) * FEWEST_STEPS / total_steps(sized)) / (1 - RESERVED)
         raise InputError(
-            f"--budget of {spoken(seconds)}: too short for this data set here, where even {FEWEST_STEPS} steps"
-            f" take {spoken(least)} with all that goes before"
+            f"--budget of {seconds:g} s: too short for this data set here, where even {FEWEST_STEPS} steps"
+            f" take {least:.0f} s with all that goes before"
         )
     chosen = scaled(sized, factor)
     paces = " + ".join(f"{phase.steps:,} at {1e3 * pace:.0f} ms" for phase, pace in zip(
         planned_phases(chosen), trial.seconds_per_step, strict=True))  # fmt: skip
-    return Choice(chosen, f"{spoken(seconds)}: {name}, {factor:.2g} times its steps: {paces}")
+    return Choice(chosen, f"{name}, {factor:.2g} times its steps: {paces}")
 
 
 def scaled(settings: Settings, factor: float) -> Settings:
     """The same run in `factor` times as many steps: phases, and all that is due at a step, in proportion.
 
-    Gaussians multiply as often as before in a longer run only if there is time: never more rarely than they did, and
-    in a shorter one not more often than every 20 steps.
+    Gaussians multiply after as many steps as before in a longer run, and after fewer in a shorter one, but 20 at least.
     """
 
     def times(steps: int, least: int = 1) -> int:
@@ -137,7 +139,7 @@ def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.
         most: Seconds; two steps are timed in any case.
         clock: Tells seconds.
     """
-    size = extent(scene.train_frames)
+    size = training_extent(scene)
     spread = np.linspace(0, len(scene.train_frames) - 1, PHOTOS).astype(int)
     frames = tuple(in_memory(scene.train_frames[index]) for index in dict.fromkeys(spread.tolist()))
     compiling, known = {}, {}

@@ -16,7 +16,6 @@ from tqdm import tqdm
 from gsjax import config
 from gsjax.effects.appearance import Appearance
 from gsjax.effects.model import NO_EFFECTS, Effects
-from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import normal_folders, runs
 from gsjax.io.machine import peak_memory
@@ -29,8 +28,8 @@ from gsjax.pipeline.prior import RunPrior
 from gsjax.pipeline.report import report
 from gsjax.pipeline.result import write_views
 from gsjax.pipeline.shown_views import keeper
-from gsjax.pipeline.sizes import at_size
-from gsjax.scene import Scene, extent, in_memory
+from gsjax.pipeline.sizes import at_size, training_extent
+from gsjax.scene import Scene, in_memory
 from gsjax.settings import Settings, total_steps
 from gsjax.training import density_control, initialize, optimizers, surroundings
 from gsjax.training.loop import Progress, fit, planned_phases
@@ -67,12 +66,7 @@ def train(
         settings = replace(settings, normals=normal_folders.find(scene, settings.normals))
     loaded, settings, photos_line = at_size(scene, settings)
     print(f"train: {photos_line}", file=sys.stderr)
-    frames = loaded.train_frames
-    if not frames:
-        raise InputError(f"{scene}: all {len(loaded.frames)} photos are held out, none is left to train on")
-    size = extent(frames)
-    if size <= 0:
-        raise InputError(f"{scene}: all {len(frames)} training cameras are at one place, nothing can be reconstructed")
+    size = training_extent(loaded)
     # Read once, and before the run begins: a damaged photo is found now.
     photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
     loaded = replace(loaded, frames=tuple(map(in_memory, photos)))

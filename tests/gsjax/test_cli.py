@@ -126,13 +126,13 @@ def test_a_budget_chooses_the_settings_once_and_a_resumed_run_keeps_them(library
     def budgeted(scene, candidates, seconds):
         asked.append((scene, list(candidates), seconds))
         settings = replace(next(iter(candidates.values())), sh_every=77)
-        return SimpleNamespace(settings=settings, line="10 min: fast, 0.5 times its steps")
+        return SimpleNamespace(settings=settings, line="fast, 0.5 times its steps")
 
     monkeypatch.setattr(sys.modules["gsjax.pipeline"], "budgeted", budgeted, raising=False)
     run = str(tmp_path / "run")
     settings, _ = train_settings(library, "--out", run, "--budget", "10m", "--seed", "3")
     assert (settings.sh_every, settings.seed) == (77, 3)
-    assert capsys.readouterr().err.splitlines() == ["budget: 10 min: fast, 0.5 times its steps"]
+    assert capsys.readouterr().err.splitlines() == ["budget of 10m: fast, 0.5 times its steps"]
     train_settings(library, "--out", run, "--budget", "1h", "--preset", "balanced")
     assert asked == [("scene", ["fast", "balanced", "accurate"], 600), ("scene", ["balanced"], 3600)]
 

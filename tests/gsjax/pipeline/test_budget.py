@@ -73,7 +73,7 @@ class Machine:
         self.now += 4.0
         return Trial((self.paces[name],) * len(settings.phases), 6.0)
 
-    def fitted(self, seconds, candidates=NAMED):
+    def budgeted(self, seconds, candidates=NAMED):
         return budget.budgeted("scene", candidates, seconds, clock=lambda: self.now)
 
 
@@ -83,7 +83,7 @@ class Machine:
 def test_the_preset_is_the_one_whose_own_length_is_nearest(monkeypatch, seconds, expected):
     # fast takes 300 s; by its photos of a quarter the pixels balanced is guessed at 40 times, accurate further off.
     machine = Machine(monkeypatch, fast=0.1, balanced=0.3, accurate=0.8)
-    choice = machine.fitted(seconds)
+    choice = machine.budgeted(seconds)
     assert [name for name, _ in machine.tried] == list(dict.fromkeys(["fast", expected]))
     assert all(most == 0.1 * seconds for _, most in machine.tried)
     took = machine.paces[expected] * total_steps(choice.settings)
@@ -92,13 +92,13 @@ def test_the_preset_is_the_one_whose_own_length_is_nearest(monkeypatch, seconds,
         assert choice.settings == replace(NAMED["accurate"], downscale=1.0)  # never longer than the paper's
     else:
         assert took == pytest.approx(left, rel=0.01)
-    assert choice.line.startswith(f"{budget.spoken(seconds)}: {expected}, ")
+    assert choice.line.startswith(f"{expected}, ")
     assert f"{1e3 * machine.paces[expected]:.0f} ms" in choice.line and "\n" not in choice.line
 
 
 def test_a_preset_that_is_named_is_only_scaled(monkeypatch):
     machine = Machine(monkeypatch, fast=0.1)
-    choice = machine.fitted(10_000, {"fast": NAMED["fast"]})
+    choice = machine.budgeted(10_000, {"fast": NAMED["fast"]})
     assert total_steps(choice.settings) == pytest.approx((9000 - 10) / 0.1, rel=0.01)
     assert choice.settings.max_gaussians == NAMED["fast"].max_gaussians
 
@@ -107,8 +107,13 @@ def test_a_preset_that_is_named_is_only_scaled(monkeypatch):
 def test_too_short_a_budget_is_one_line_that_names_the_least(monkeypatch, seconds):
     machine = Machine(monkeypatch, fast=0.1)
     with pytest.raises(InputError, match="too short for this data set here, where even 50 steps take 17 s") as caught:
-        machine.fitted(seconds, {"fast": NAMED["fast"]})
+        machine.budgeted(seconds, {"fast": NAMED["fast"]})
     assert "\n" not in str(caught.value)
+
+
+def test_phases_without_steps_cannot_be_scaled(monkeypatch):
+    with pytest.raises(InputError, match="the phases of fast have no steps to scale"):
+        Machine(monkeypatch).budgeted(100, {"fast": replace(NAMED["fast"], phases=(Phase("a", 0),))})
 
 
 # --- the trial
@@ -167,6 +172,14 @@ def test_slow_steps_are_tried_no_longer_than_asked(monkeypatch, photos):
     trial = budget.tried(photos, replace(SETTINGS, phases=SETTINGS.phases[1:2]), most=5.0, clock=lambda: now[0])
     assert steps == [4]  # two that may compile, two that are timed
     assert trial.seconds_per_step == (30.0,)
+
+
+def test_cameras_at_one_place_and_no_photos_are_one_line(photos):
+    held_out = replace(photos, frames=tuple(replace(frame, held_out=True) for frame in photos.frames))
+    with pytest.raises(InputError, match="wall: all 20 photos are held out"):
+        budget.tried(held_out, SETTINGS, most=1.0)
+    with pytest.raises(InputError, match="all 1 training cameras are at one place"):
+        budget.tried(replace(photos, frames=photos.frames[:1]), SETTINGS, most=1.0)
 
 
 def test_what_grows_freely_is_tried_at_ten_times_the_cloud(photos):
