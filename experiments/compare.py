@@ -1,4 +1,7 @@
-"""Trains the variants of a study on one scene, from the same start for the same steps, and prints one table."""
+"""Trains the variants of a study on one scene, from the same start for the same steps, and prints one table.
+
+With --budget for the same time instead: every variant's phases are scaled to what this machine does of them in it.
+"""
 
 import argparse
 import sys
@@ -9,15 +12,17 @@ import numpy as np
 from train import CONFIGS, load_config
 
 from gsjax import config, tables
-from gsjax.cli import guarded
+from gsjax.cli import guarded, parsers
 from gsjax.settings import Settings
 
 STUDIES = Path(__file__).parent / "studies"
-FIGURES = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "depth_error", "chamfer", "fscore",
-           "normal_consistency", "gaussians", "train_seconds")  # fmt: skip
+FIGURES = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "depth_error", "chamfer", "fscore_half",
+           "fscore", "normal_consistency", "gaussians", "steps", "train_seconds")  # fmt: skip
 
 
-def run(study: str, scene: str, out: str, seeds: int = 1) -> dict[str, list[dict[str, Any]]]:
+def run(
+    study: str, scene: str, out: str, seeds: int = 1, seconds: float | None = None
+) -> dict[str, list[dict[str, Any]]]:
     """Figures of every variant, a row a seed, and the true mesh's own; also written to `OUT/study.json`.
 
     A run that is done (`OUT/VARIANT_SEED/study.json`) is not done again, one that was stopped goes on.
@@ -27,6 +32,7 @@ def run(study: str, scene: str, out: str, seeds: int = 1) -> dict[str, list[dict
         scene: Data set; "{scene}" in a value of the study stands for it.
         out: Folder for the runs, OUT/VARIANT_SEED each.
         seeds: Runs of every variant, with seeds 0, 1, ...
+        seconds: That a run may take; None: its own steps.
     """
     from gsjax.io import runs
 
@@ -40,7 +46,7 @@ def run(study: str, scene: str, out: str, seeds: int = 1) -> dict[str, list[dict
             folder = Path(out) / f"{variant}_{seed}"
             done = folder / "study.json"
             if not done.exists():
-                runs.write_json(done, _figures(scene, folder, settings))
+                runs.write_json(done, _figures(scene, folder, settings, seconds))
             figures, floor = runs.read_json(done)
             every.setdefault(variant, []).append(figures)
     every |= {tables.FLOOR: [floor]} if floor else {}
@@ -48,13 +54,19 @@ def run(study: str, scene: str, out: str, seeds: int = 1) -> dict[str, list[dict
     return every
 
 
-def _figures(scene: str, folder: Path, settings: dict) -> tuple[dict[str, Any], dict[str, Any]]:
+def _figures(scene: str, folder: Path, described: dict, seconds: float | None) -> tuple[dict[str, Any], dict[str, Any]]:
     """A variant's figures, and those of the true mesh where there is one."""
     from gsjax import pipeline
     from gsjax.io import runs
 
     print(f"== {folder.name}", flush=True)
-    pipeline.train(scene, folder, config.parse(Settings, settings, where=folder.name), resume=folder.exists())
+    settings = config.parse(Settings, described, where=folder.name)
+    if seconds is not None and not folder.exists():
+        settings, line = pipeline.budgeted(scene, {folder.name: settings}, seconds)
+        print(f"budget: {line}", flush=True)
+    elif seconds is not None:
+        settings = config.parse(Settings, runs.read_settings(folder))
+    pipeline.train(scene, folder, settings, resume=folder.exists())
     figures = pipeline.evaluate(folder)
     last = runs.read_metrics(folder)[-20:]
     aligned = [1 - record["terms"]["sdf_normal"] for record in last if "sdf_normal" in record["terms"]]
@@ -76,8 +88,10 @@ def main() -> None:
     parser.add_argument("--scene", required=True, help="folder of the data set")
     parser.add_argument("--out", required=True, metavar="DIR", help="empty folder for the runs")
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="runs of every variant (default: 1)")
+    parser.add_argument("--budget", metavar="TIME", help="of every run, as in 10m (default: the study's steps)")
     arguments = parser.parse_args()
-    every = run(arguments.study, arguments.scene, arguments.out, arguments.seeds)
+    seconds = None if arguments.budget is None else parsers.seconds(arguments.budget)
+    every = run(arguments.study, arguments.scene, arguments.out, arguments.seeds, seconds)
     print(tables.compare({variant: tables.spread(rows) for variant, rows in every.items()}))
 
 

@@ -51,6 +51,12 @@ def opacities(gaussians: Gaussians) -> Array:
     return jax.nn.sigmoid(gaussians.logit_opacities)
 
 
+def smallest_axes(gaussians: Gaussians) -> Array:
+    """`[N, 3]` unit world directions of the smallest axes: up to their sign, the normals of discs."""
+    axis = jnp.argmin(gaussians.log_scales, axis=-1)
+    return jnp.take_along_axis(rotation_matrices(gaussians.quats), axis[:, None, None], axis=-1)[..., 0]
+
+
 def covariances(gaussians: Gaussians) -> Array:
     """`[N, 3, 3]` R S S^T R^T, world, scene units squared."""
     columns = rotation_matrices(gaussians.quats) * scales(gaussians)[:, None, :]

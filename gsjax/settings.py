@@ -26,12 +26,27 @@ class Weights:
     sdf_normal: float = 0.0  # lambda_r: composited SDF gradient against the normals (the paper's R)
     pixel_normal: float = 0.0  # the SDF gradient at every pixel's surface point against the normals
     axis_normal: float = 0.0  # composited smallest axes against the normals (DN-Splatter's reading)
+    sdf_central: float = 0.0  # as sdf_normal, with slopes of central differences
+    sdf_bicubic: float = 0.0  # as sdf_normal, with slopes of cubics
+    sdf_offset: float = 0.0  # as sdf_normal, one smallest deviation before the means
+    density_center: float = 0.0  # composited gradient of the density at the means against the normals
+    density_offset: float = 0.0  # the same one smallest deviation before the means
+    density_sample: float = 0.0  # the same at places drawn about the means
     thickness: float = 0.0  # mean smallest standard deviation of the visible Gaussians, pixels at their depth
     coverage: float = 0.0  # mean 1 - alpha where the normal maps show a surface
     distortion: float = 0.0  # squared distance of a ray's splats from each other, in depths of its surface (2DGS)
     depth_normal: float = 0.0  # smallest axes, composited, against the normals of the rendered depth (2DGS)
     multi_view: float = 0.0  # reprojection error between the rendered depths of two views, pixels (PGSR)
+    sugar_sdf: float = 0.0  # density against the distance to the rendered depth, and normals among neighbours (SuGaR)
+    sugar_density: float = 0.0  # density against that of a flat Gaussian, and normals among neighbours (SuGaR)
     alpha: float = 0.1  # mean |alpha - matte|; only where the photos have an alpha channel
+
+
+NORMAL_TERMS = frozenset(
+    {"coverage", "sdf_normal", "pixel_normal", "axis_normal", "sdf_central", "sdf_bicubic", "sdf_offset"}
+    | {"density_center", "density_offset", "density_sample"}
+)
+"""The terms that read normal maps."""
 
 
 @dataclass(frozen=True)
@@ -48,8 +63,7 @@ class Phase:
     def __post_init__(self):
         """Check ranges."""
         _check_lowest(self, steps=0, image_scale=1)
-        w = self.weights
-        if self.image_scale > 1 and (w.sdf_normal or w.pixel_normal or w.axis_normal or w.coverage):
+        if self.image_scale > 1 and any(getattr(self.weights, term) for term in NORMAL_TERMS):
             raise ValueError(
                 f"image_scale={self.image_scale} with a normal term: normal maps serve full-size photos only"
             )
@@ -255,3 +269,5 @@ PRESETS: dict[str, dict[str, Any]] = {
     "paper_6k_15k": ACCURATE,
     "paper_13k_7k": PAPER_13K_7K,
 }
+LENGTHS = ("fast", "balanced", "accurate")
+"""Of the presets, what a budget of time chooses from, the shortest first."""

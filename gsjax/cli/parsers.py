@@ -2,7 +2,13 @@
 
 import argparse
 import inspect
+import math
+import re
 from collections.abc import Callable
+
+from gsjax.errors import InputError
+
+UNITS = {"s": 1, "m": 60, "h": 3600}
 
 
 def add_command(
@@ -30,3 +36,16 @@ def add_command(
 def given(arguments: argparse.Namespace, *names: str) -> dict:
     """The named options that the user gave: the defaults of the others are the library's."""
     return {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
+
+
+def seconds(budget: str) -> float:
+    """Seconds of a time such as `90s`, `10m` or `1.5h`.
+
+    Raises:
+        InputError: It is none, or nothing.
+    """
+    found = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)([smh])", budget.strip())
+    number = float(found[1]) * UNITS[found[2]] if found else 0.0
+    if not 0 < number < math.inf:
+        raise InputError(f"--budget {budget}: not a time, such as 90s, 10m or 1.5h")
+    return number

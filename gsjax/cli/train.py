@@ -1,16 +1,17 @@
 """`gsjax train`: a data set to Gaussians."""
 
 import argparse
+import sys
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gsjax import config
-from gsjax.cli.parsers import add_command, given
+from gsjax.cli.parsers import add_command, given, seconds
 from gsjax.cli.view import add_address
 from gsjax.errors import InputError
-from gsjax.settings import PRESETS, Settings
+from gsjax.settings import LENGTHS, PRESETS, Settings
 
 OPTIONS = (
     "seed", "downscale", "images", "hold_out", "normals", "normal_axes", "background", "masks", "effects", "vanilla"
@@ -39,6 +40,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         choices=PRESETS,
         help="how long to train: minutes on a CPU, or the paper's budgets for a GPU (default: fast)",
     )
+    add("--budget", metavar="TIME", help="how long the run may take on this machine, as in 90s, 10m or 1.5h: picks the"
+        " preset, unless one is given, and scales its phases")  # fmt: skip
     add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
     add("--downscale", type=float, metavar="K", help="make the photos K times smaller (default: to 1600 pixels,"
         " and with fast on a CPU to what its minutes bear)")  # fmt: skip
@@ -85,17 +88,27 @@ def _run(arguments: argparse.Namespace) -> None:
 def settings(arguments: argparse.Namespace) -> Settings:
     """The run's settings: the preset (of a resumed run: what it was started with), the options, then `--set`.
 
+    With a budget of time, as many steps of that as the machine does in it.
+
     Raises:
         InputError: An unknown key, or a value of the wrong type or range.
     """
+    from gsjax import pipeline
     from gsjax.io import runs
 
+    budget = None if arguments.budget is None else seconds(arguments.budget)
     started = Path(arguments.out) / "config.json"
     if arguments.resume and started.exists():
         base = config.merge(runs.read_settings(started.parent), PRESETS.get(arguments.preset, {}))
-    else:
-        base = PRESETS[arguments.preset or "fast"]
-    return overridden(base, arguments, *OPTIONS)
+        return overridden(base, arguments, *OPTIONS)
+    if budget is None:
+        return overridden(PRESETS[arguments.preset or "fast"], arguments, *OPTIONS)
+    runs.require_free(arguments.out)
+    names = (arguments.preset,) if arguments.preset else LENGTHS
+    candidates = {name: overridden(PRESETS[name], arguments, *OPTIONS) for name in names}
+    choice = pipeline.budgeted(arguments.scene, candidates, budget)
+    print(f"budget of {arguments.budget}: {choice.line}", file=sys.stderr)
+    return choice.settings
 
 
 def overridden(base: Mapping[str, Any], arguments: argparse.Namespace, *names: str) -> Settings:

@@ -39,6 +39,12 @@ EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic", "e
 KEPT_CHECKPOINTS = 2  # The newest and, should it turn out damaged, the one before.
 
 
+def require_free(run: str | Path) -> None:
+    """Raises InputError where the folder of a new run holds something already."""
+    if Path(run).is_dir() and any(Path(run).iterdir()):
+        raise InputError(f"{run}: this folder is not empty; continue its run with --resume, or choose another")
+
+
 def create(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path, seed: int) -> Path:
     """Makes the folder of a new run, with its config and manifest.
 
@@ -52,8 +58,7 @@ def create(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path, s
         InputError: The folder holds something already, or cannot be written.
     """
     run = Path(run)
-    if run.is_dir() and any(run.iterdir()):
-        raise InputError(f"{run}: this folder is not empty; continue its run with --resume, or choose another")
+    require_free(run)
     make_folder(run / "checkpoints")
     write_json(run / "config.json", settings)
     manifest = {

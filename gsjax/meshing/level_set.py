@@ -14,12 +14,12 @@ import numpy as np
 from tqdm import tqdm
 
 from gsjax import cameras as cams
+from gsjax import density_field
 from gsjax import gaussians as gs
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
-from gsjax.meshing import density_field
 from gsjax.meshing.level_crossing import march_rays
 from gsjax.meshing.neighborhood import Neighborhood
 

@@ -9,15 +9,16 @@ import numpy as np
 from jax import Array
 from scipy.spatial import KDTree
 
+from gsjax import density_field
 from gsjax import gaussians as gs
 from gsjax.cameras import Camera
+from gsjax.density_field import Kernels
 from gsjax.errors import InputError
 from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.mesh import Mesh
-from gsjax.meshing import density_field, level_set
+from gsjax.meshing import level_set
 from gsjax.meshing.boxes import Box, Region
-from gsjax.meshing.density_field import Kernels
 from gsjax.meshing.libraries import load_open3d
 from gsjax.meshing.methods import Method, Sighting, base_colors, typical_scale
 

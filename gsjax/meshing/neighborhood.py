@@ -3,11 +3,11 @@
 import numpy as np
 from scipy.spatial import KDTree
 
+from gsjax import density_field
 from gsjax import gaussians as gs
 from gsjax.gaussians import Gaussians
-from gsjax.meshing import density_field
+from gsjax.nearest import nearest_table, with_first
 
-TREE_CHUNK = 262_144  # Queries of the nearest neighbours at once.
 LARGE_SHARE = 0.25  # Of the places for neighbours: those kept for what is large.
 CANDIDATES = 2  # Of each size, for each of those places.
 REACH = 3.0  # Standard deviations beyond which a Gaussian makes no density to speak of.
@@ -30,18 +30,7 @@ class Neighborhood:
     def of(self, hits: np.ndarray, owners: np.ndarray) -> np.ndarray:
         """`[R, k]` ids for rays that hit the Gaussians `owners` `[R]` at the points `hits` `[R, 3]`: owners first."""
         ids = self._table[np.asarray(self._tree.query(hits, 1, workers=-1)[1])]
-        return _first(ids, owners.astype(ids.dtype))
-
-
-def nearest_table(tree: KDTree, count: int) -> np.ndarray:
-    """`[N, k]` int32 ids of the nearest of every point of the tree, itself first; found in chunks."""
-    points = tree.data
-    count = min(count, len(points))
-    table = np.empty((len(points), count), np.int32)
-    for start in range(0, len(points), TREE_CHUNK):
-        part = slice(start, start + TREE_CHUNK)
-        table[part] = np.asarray(tree.query(points[part], count, workers=-1)[1]).reshape(-1, count)
-    return _first(table, np.arange(len(points), dtype=np.int32))
+        return with_first(ids, owners.astype(ids.dtype))
 
 
 def _with_large(gaussians: Gaussians, tree: KDTree, table: np.ndarray, large: int) -> np.ndarray:
@@ -81,14 +70,3 @@ def _with_large(gaussians: Gaussians, tree: KDTree, table: np.ndarray, large: in
 def _whitening(gaussians: Gaussians) -> np.ndarray:
     """`[N, 3, 3]` what takes an offset to units of each Gaussian's standard deviations."""
     return np.asarray(density_field.kernels(gaussians).whitening)
-
-
-def _first(table: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Every row with its `own` id in the first place, in exchange for another or, were it absent, for the last."""
-    table = table.copy()
-    is_own = table == own[:, None]
-    place = np.where(is_own.any(1), is_own.argmax(1), table.shape[1] - 1)
-    rows = np.arange(len(table))
-    table[rows, place] = table[:, 0]
-    table[:, 0] = own
-    return table

@@ -1,5 +1,6 @@
 """The whole road as plain functions: what the command line and notebooks call."""
 
+from gsjax.pipeline.budget import budgeted
 from gsjax.pipeline.compare import compare
 from gsjax.pipeline.convert import convert
 from gsjax.pipeline.diagnose import diagnose
@@ -15,6 +16,7 @@ from gsjax.pipeline.train import train
 from gsjax.pipeline.undistort import undistort
 
 __all__ = [
+    "budgeted",
     "compare",
     "convert",
     "diagnose",

@@ -11,6 +11,7 @@ from gsjax import tables
 from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.pipeline.curves import Chart, Curve, chart
+from gsjax.settings import NORMAL_TERMS
 
 AXES = {"steps": "step", "seconds": "seconds"}  # Name of an axis, and what a line of metrics calls it.
 CHARTS = {
@@ -19,8 +20,8 @@ CHARTS = {
     "Gaussians": {"Gaussians": "gaussians"},
 }
 CAME_OF_IT = ("registered", "points", "psnr", "ssim", "gaussians", "vertices", "faces", "seen_share")
-NORMAL_TERMS = ("sdf_normal", "pixel_normal", "axis_normal")
-LEFT_OUT_OF_VANILLA = (*NORMAL_TERMS, "entropy", "thickness", "coverage")
+ALIGNED = sorted(NORMAL_TERMS - {"coverage"})  # terms that turn something to the normals
+LEFT_OUT_OF_VANILLA = (*ALIGNED, "entropy", "thickness", "coverage")
 SPLITS = {"auto": "the data set's own split, else every 8th photo by name", "none": "asked for: all photos train"}
 
 Rows = list[tuple[str, ...]]
@@ -214,7 +215,7 @@ def state(run: RunFacts) -> str:
 
 
 def _normals(run: RunFacts) -> tuple[str, str]:
-    weights = [phase["weights"].get(term, 0) for phase in run.settings["phases"] for term in NORMAL_TERMS]
+    weights = [phase["weights"].get(term, 0) for phase in run.settings["phases"] for term in ALIGNED]
     if run.settings["vanilla"] or not any(weights) or run.is_refinement:
         return "none", "no term of the loss looks at them"
     if run.settings["normals"] is None:

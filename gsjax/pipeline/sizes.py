@@ -2,11 +2,42 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 import jax
 
-from gsjax.scene import Frame
+from gsjax.errors import InputError
+from gsjax.io.scenes import load_scene
+from gsjax.scene import Frame, Scene, extent
 from gsjax.settings import Settings, total_steps
+
+
+def at_size(scene: str | Path, settings: Settings) -> tuple[Scene, Settings, str]:
+    """The data set at the size that the run looks at, which the settings then name; and the line that says it."""
+    opened = partial(load_scene, scene, folder_masks=settings.masks, images=settings.images, hold_out=settings.hold_out)
+    taken = opened()
+    settings = replace(settings, downscale=chosen_downscale(settings, taken.frames))
+    loaded = taken if settings.downscale == 1 else opened(downscale=settings.downscale)
+    return loaded, settings, size_line(settings, taken.frames, loaded.frames)
+
+
+def training_extent(scene: Scene) -> float:
+    """The camera extent of the photos that training may see, scene units.
+
+    Raises:
+        InputError: There are none, or all of them were taken from one place.
+    """
+    frames = scene.train_frames
+    if not frames:
+        raise InputError(f"{scene.root}: all {len(scene.frames)} photos are held out, none is left to train on")
+    size = extent(frames)
+    if size <= 0:
+        raise InputError(
+            f"{scene.root}: all {len(frames)} training cameras are at one place, nothing can be reconstructed"
+        )
+    return size
 
 
 def chosen_downscale(settings: Settings, frames: Sequence[Frame], *, on_cpu: bool | None = None) -> float:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import optax
 from tqdm import tqdm
@@ -15,12 +16,10 @@ from tqdm import tqdm
 from gsjax import config
 from gsjax.effects.alignment import align
 from gsjax.effects.model import NO_EFFECTS, Effects
-from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import normal_folders, runs
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
-from gsjax.io.scenes import load_scene
 from gsjax.pipeline.effects import Joined, Photography, joined, moves_line, refined, write_photography
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
@@ -29,11 +28,11 @@ from gsjax.pipeline.prior import RunPrior
 from gsjax.pipeline.report import report
 from gsjax.pipeline.result import write_views
 from gsjax.pipeline.shown_views import keeper
-from gsjax.pipeline.sizes import chosen_downscale, size_line
-from gsjax.scene import Scene, extent, in_memory
+from gsjax.pipeline.sizes import at_size, training_extent
+from gsjax.scene import Scene, in_memory
 from gsjax.settings import Settings, total_steps
-from gsjax.training import density_control, initialize, optimizers
-from gsjax.training.loop import Progress, fit
+from gsjax.training import density_control, initialize, optimizers, surroundings
+from gsjax.training.loop import Progress, fit, planned_phases
 from gsjax.training.rows import bucket
 from gsjax.training.rules import RULES
 from gsjax.training.state import TrainState, count_alive, initial_state
@@ -65,13 +64,9 @@ def train(
     """
     if settings.normals is not None:
         settings = replace(settings, normals=normal_folders.find(scene, settings.normals))
-    loaded, settings, photos_line = _sized(scene, settings)
-    frames = loaded.train_frames
-    if not frames:
-        raise InputError(f"{scene}: all {len(loaded.frames)} photos are held out, none is left to train on")
-    size = extent(frames)
-    if size <= 0:
-        raise InputError(f"{scene}: all {len(frames)} training cameras are at one place, nothing can be reconstructed")
+    loaded, settings, photos_line = at_size(scene, settings)
+    print(f"train: {photos_line}", file=sys.stderr)
+    size = training_extent(loaded)
     # Read once, and before the run begins: a damaged photo is found now.
     photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
     loaded = replace(loaded, frames=tuple(map(in_memory, photos)))
@@ -113,17 +108,6 @@ def train(
         return _finish(run, settings, loaded, state, taken_in.photography(state.effects), journal.seconds)
 
 
-def _sized(scene: str | Path, settings: Settings) -> tuple[Scene, Settings, str]:
-    """The data set at the size that the run looks at, which the settings then name; and the line that says it."""
-    opened = partial(load_scene, scene, folder_masks=settings.masks, images=settings.images, hold_out=settings.hold_out)
-    taken = opened()
-    settings = replace(settings, downscale=chosen_downscale(settings, taken.frames))
-    loaded = taken if settings.downscale == 1 else opened(downscale=settings.downscale)
-    line = size_line(settings, taken.frames, loaded.frames)
-    print(f"train: {line}", file=sys.stderr)
-    return loaded, settings, line
-
-
 def _tell_normals(run: str | Path, line: str) -> None:
     """What became of the normal maps, on the screen and in the manifest."""
     tqdm.write(f"normals: {line}", file=sys.stderr)
@@ -146,7 +130,9 @@ def _initial(
         sh_degree=settings.sh_degree,
         pixel_filter=settings.pixel_filter,
     )
-    return initial_state(first, optimizer, RULES[settings.density.rule], effects)
+    sums_nearest = any(map(surroundings.needed, planned_phases(settings)))
+    nearest = jnp.asarray(surroundings.none_yet(first.num_gaussians)) if sums_nearest else None
+    return initial_state(first, optimizer, RULES[settings.density.rule], effects, nearest)
 
 
 def living(gaussians: Gaussians) -> Gaussians:

@@ -15,7 +15,7 @@ from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.errors import InputError
 from gsjax.scene import Frame
 from gsjax.settings import Phase, Settings, Weights
-from gsjax.training import density_control, rows
+from gsjax.training import density_control, rows, surroundings
 from gsjax.training.capacity import chosen_capacity, rounded_capacity
 from gsjax.training.losses import NEEDS_NEIGHBOR, NEEDS_NORMALS
 from gsjax.training.multi_view import with_neighbors
@@ -107,6 +107,8 @@ def fit(
                 data = views.with_normals(data, prior(state))
             if not NEEDS_NEIGHBOR.isdisjoint(active_terms(phase.weights)):
                 data = with_neighbors(data, extent)
+            if surroundings.needed(phase) and done == start:
+                state = surroundings.refreshed(state)
             state = _run_phase(settings, phase, (done, end), data, extent, state, optimizer, observe, capacity, effects)
             done, capacity = end, None
         start = end
@@ -201,6 +203,7 @@ def _run_phase(
             rule=RULES[settings.density.rule] if phase.density_control else None,
             depth_mode=settings.depth_mode,
             effects=effects,
+            extent=extent,
         )
 
     def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
@@ -209,6 +212,8 @@ def _run_phase(
             state = _control_density(settings, step, state, optimizer, extent, key)
         if done and phase.cull_below > 0:
             state = cull(state, optimizer=optimizer, min_opacity=phase.cull_below)
+        if surroundings.needed(phase) and not done and _moves_neighbors(settings, phase, step):
+            state = surroundings.refreshed(state)
         observe(Progress(step, phase, state, metrics, capacity, done))
         return state
 
@@ -223,6 +228,12 @@ def _run_phase(
         headroom=headroom,
         view_share=settings.view_share,
     )
+
+
+def _moves_neighbors(settings: Settings, phase: Phase, step: int) -> bool:
+    """Whether the nearest of each Gaussian are to be found again: other Gaussians, or the same for long enough."""
+    others = phase.density_control and density_control.densifies(settings.density, step)
+    return others or step % surroundings.EVERY == 0
 
 
 def _control_density(

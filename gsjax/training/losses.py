@@ -9,10 +9,12 @@ from jax import Array
 
 from gsjax.gaussians import Gaussians, scales
 from gsjax.measures.images import ssim
-from gsjax.normals import sdf
+from gsjax.normals import density, sdf
 from gsjax.numerics import masked_mean
 from gsjax.render import MIN_COVERAGE, View
+from gsjax.settings import NORMAL_TERMS
 from gsjax.training.multi_view import multi_view
+from gsjax.training.sugar import sugar_density, sugar_sdf
 from gsjax.training.surface_terms import depth_normal, distortion
 from gsjax.views import Batch
 
@@ -76,6 +78,12 @@ def _normal(estimator: sdf.Estimator):
 sdf_normal = _normal(sdf.sdf_gradient_map)
 pixel_normal = _normal(sdf.pixel_depth_map)
 axis_normal = _normal(sdf.smallest_axis_map)
+sdf_central = _normal(sdf.sdf_central_map)
+sdf_bicubic = _normal(sdf.sdf_bicubic_map)
+sdf_offset = _normal(sdf.sdf_offset_map)
+density_center = _normal(density.density_center_map)
+density_offset = _normal(density.density_offset_map)
+density_sample = _normal(density.density_sample_map)
 
 TERMS = {
     "l1": l1,
@@ -90,7 +98,19 @@ TERMS = {
     "sdf_normal": sdf_normal,
     "pixel_normal": pixel_normal,
     "axis_normal": axis_normal,
+    "sdf_central": sdf_central,
+    "sdf_bicubic": sdf_bicubic,
+    "sdf_offset": sdf_offset,
+    "density_center": density_center,
+    "density_offset": density_offset,
+    "density_sample": density_sample,
+    "sugar_sdf": sugar_sdf,
+    "sugar_density": sugar_density,
 }
-NEEDS_NORMALS = frozenset({"coverage", "sdf_normal", "pixel_normal", "axis_normal"})
-NEEDS_DEPTH = frozenset({"sdf_normal", "pixel_normal", "distortion", "depth_normal", "multi_view"})
+NEEDS_NORMALS = NORMAL_TERMS
+NEEDS_DEPTH = frozenset(
+    {"sdf_normal", "sdf_central", "sdf_bicubic", "sdf_offset", "pixel_normal"}
+    | {"distortion", "depth_normal", "multi_view", "sugar_sdf"}
+)
 NEEDS_NEIGHBOR = frozenset({"multi_view"})
+NEEDS_SURROUNDINGS = frozenset({"density_center", "density_offset", "density_sample", "sugar_sdf", "sugar_density"})

@@ -27,6 +27,7 @@ class TrainState:
     statistics: Any  # [N] sums of the rule of density control, see `gsjax.training.rules`
     step: Array  # [] int32 steps done
     effects: EffectState | None = None  # of those that are simulated
+    nearest: Array | None = None  # [N, K] int32 of the terms on the density, see `gsjax.training.surroundings`
 
 
 def initial_state(
@@ -34,6 +35,7 @@ def initial_state(
     optimizer: optax.GradientTransformation,
     rule: Rule = RULES["adc"],
     effects: Effects = NO_EFFECTS,
+    nearest: Array | None = None,
 ) -> TrainState:
     """Step 0."""
     return TrainState(
@@ -42,6 +44,7 @@ def initial_state(
         rule.empty_statistics(gaussians.num_gaussians),
         jnp.zeros((), jnp.int32),
         model.initial_state(effects),
+        nearest,
     )
 
 

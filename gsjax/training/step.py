@@ -17,12 +17,13 @@ from gsjax.effects import model
 from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import masked_mean
+from gsjax.render import Surroundings
 from gsjax.settings import Weights
 from gsjax.training import multi_view, optimizers
-from gsjax.training.losses import NEEDS_DEPTH, NEEDS_NEIGHBOR, TERMS
+from gsjax.training.losses import NEEDS_DEPTH, NEEDS_NEIGHBOR, NEEDS_SURROUNDINGS, TERMS
 from gsjax.training.rules import Rule
 from gsjax.training.state import TrainState
-from gsjax.views import Target
+from gsjax.views import Batch, Target
 
 
 class Metrics(NamedTuple):
@@ -71,6 +72,7 @@ def make_train_step(
     rule: Rule | None,
     depth_mode: rasterizer.DepthMode = "plane",
     effects: Effects = NO_EFFECTS,
+    extent: float = 1.0,
 ) -> TrainStep:
     """The compiled step of one phase.
 
@@ -83,6 +85,8 @@ def make_train_step(
         rule: Of density control, whose statistics are gathered; None: none are.
         depth_mode: What a splat's depth is, see `gsjax.render.view`.
         effects: Those that stand between the render and the photos; the state and the targets must be made for them.
+        extent: Camera extent, scene units: what a term on the density measures errors in. The state must hold the table
+            of the nearest that such a term reads.
 
     Returns:
         A `TrainStep`.
@@ -90,8 +94,16 @@ def make_train_step(
     terms = active_terms(weights)
     with_depth = not NEEDS_DEPTH.isdisjoint(terms)
     with_neighbor = not NEEDS_NEIGHBOR.isdisjoint(terms)
+    with_surroundings = not NEEDS_SURROUNDINGS.isdisjoint(terms)
 
-    def objective(free: _Free, batch, color: Array, active_degree: Array, beside: tuple[Camera, Array | None] | None):
+    def objective(
+        free: _Free,
+        batch: Batch,
+        color: Array,
+        active_degree: Array,
+        beside: tuple[Camera, Array | None] | None,
+        surroundings: Surroundings | None,
+    ):
         gaussians, probe, numbers = free
         batch = replace(batch, camera=model.aimed(effects, numbers, batch.camera, batch.photo))
         view = render.view(
@@ -109,6 +121,7 @@ def make_train_step(
         if beside is not None:
             neighbor = multi_view.rendered(gaussians, model.aimed(effects, numbers, *beside), capacity, depth_mode)
             view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
+        view = view._replace(surroundings=surroundings)
         losses = {name: TERMS[name](gaussians, view, batch) for name in terms}
         total = sum(weight * losses[name] for name, weight in terms.items())
         if rule:
@@ -126,9 +139,13 @@ def make_train_step(
         if with_neighbor:
             neighbors = target.neighbors, target.neighbor_photos
             beside = multi_view.drawn(neighbors, jax.random.fold_in(jax.random.fold_in(key, state.step), 1))
+        surroundings = None
+        if with_surroundings:
+            drawing = jax.random.fold_in(jax.random.fold_in(key, state.step), 2)
+            surroundings = Surroundings(state.nearest, drawing, extent)
         free = _Free(state.gaussians, probe, None if state.effects is None else state.effects.numbers)
         (total, (losses, mse, projection, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
-            free, batch, color, active_degree, beside
+            free, batch, color, active_degree, beside, surroundings
         )
         gaussians, opt_state = optimizers.apply_gradients(
             optimizer, state.gaussians, state.opt_state, gradients.gaussians
@@ -138,7 +155,7 @@ def make_train_step(
             seen = in_photo(projection, target.size)
             statistics = rule.accumulate(statistics, gradients.probe, seen, target.size)
         looks = model.updated(effects, state.effects, gradients.numbers)
-        proposed = TrainState(gaussians, opt_state, statistics, state.step + 1, looks)
+        proposed = TrainState(gaussians, opt_state, statistics, state.step + 1, looks, state.nearest)
         # A full buffer means a wrong image: the state stays, the host makes room and repeats the step.
         state = jax.tree.map(lambda old, new: jnp.where(pairs.overflowed, old, new), state, proposed)
         return state, Metrics(total, -10 * jnp.log10(jnp.maximum(mse, 1e-10)), pairs.needed, pairs.overflowed, losses)

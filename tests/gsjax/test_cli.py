@@ -7,7 +7,7 @@ import tempfile
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
@@ -15,6 +15,7 @@ import gsjax
 from gsjax import cli, config
 from gsjax.cli import environment
 from gsjax.errors import InputError
+from gsjax.io import runs
 from gsjax.settings import PRESETS, Phase, Settings
 
 COMMANDS = (
@@ -126,6 +127,33 @@ def test_settings_come_from_the_preset_the_options_and_set(library):
     options = ["--seed", "3", "--set", "seed=4", "phases.1.steps=9", "--set", "rates.quats=1"]
     settings, _ = train_settings(library, "--out", "r", *options)
     assert (settings.seed, settings.phases[1].steps, settings.rates.quats) == (4, 9, 1.0)
+
+
+def test_a_budget_chooses_the_settings_once_and_a_resumed_run_keeps_them(library, tmp_path, monkeypatch, capsys):
+    asked = []
+
+    def budgeted(scene, candidates, seconds):
+        asked.append((scene, list(candidates), seconds))
+        settings = replace(next(iter(candidates.values())), sh_every=77)
+        return SimpleNamespace(settings=settings, line="fast, 0.5 times its steps")
+
+    monkeypatch.setattr(sys.modules["gsjax.pipeline"], "budgeted", budgeted, raising=False)
+    run = str(tmp_path / "run")
+    settings, _ = train_settings(library, "--out", run, "--budget", "10m", "--seed", "3")
+    assert (settings.sh_every, settings.seed) == (77, 3)
+    assert capsys.readouterr().err.splitlines() == ["budget of 10m: fast, 0.5 times its steps"]
+    train_settings(library, "--out", run, "--budget", "1h", "--preset", "balanced")
+    assert asked == [("scene", ["fast", "balanced", "accurate"], 600), ("scene", ["balanced"], 3600)]
+
+    runs.create(run, config.to_dict(settings), scene="scene", seed=3)
+    assert train_settings(library, "--out", run, "--budget", "10m", "--resume")[0] == settings
+    assert len(asked) == 2
+    assert cli.main(["train", "scene", "--out", run, "--budget", "10m"]) == 2
+    assert "this folder is not empty" in capsys.readouterr().err and len(asked) == 2
+    for text in ("10", "0s", "soon"):
+        assert cli.main(["train", "scene", "--out", str(tmp_path / "other"), "--budget", text]) == 2
+        error = f"gsjax: error: --budget {text}: not a time, such as 90s, 10m or 1.5h"
+        assert capsys.readouterr().err.splitlines() == [error]
 
 
 def test_the_photos_and_their_split_are_chosen_on_the_command_line(library, tmp_path, monkeypatch):

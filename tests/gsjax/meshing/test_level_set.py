@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax import cameras
+from gsjax import cameras, density_field
 from gsjax import gaussians as gs
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.meshing import density_field, level_crossing, level_set
+from gsjax.meshing import level_crossing, level_set
 from gsjax.meshing.level_set import LevelSetOptions
 
 

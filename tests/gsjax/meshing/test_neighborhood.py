@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from gsjax import gallery
+from gsjax import gallery, nearest
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set, neighborhood
 from gsjax.meshing.level_set import LevelSetOptions
-from gsjax.meshing.neighborhood import Neighborhood, nearest_table
+from gsjax.meshing.neighborhood import Neighborhood
+from gsjax.nearest import nearest_table
 
 WALL = Camera(
     np.eye(4, dtype=np.float32) + np.float32([[0] * 4, [0] * 4, [0, 0, 0, 2], [0] * 4]),
@@ -95,7 +96,7 @@ def test_fewer_gaussians_than_neighbours():
 def test_neighbours_are_the_same_in_any_chunks(monkeypatch):
     points = np.random.default_rng(0).normal(size=(500, 3))
     whole = nearest_table(KDTree(points), 16)
-    monkeypatch.setattr(neighborhood, "TREE_CHUNK", 70)
+    monkeypatch.setattr(nearest, "TREE_CHUNK", 70)
     np.testing.assert_array_equal(nearest_table(KDTree(points), 16), whole)
     distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
     np.testing.assert_array_equal(whole, np.argsort(distances, axis=1)[:, :16])

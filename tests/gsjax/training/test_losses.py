@@ -149,4 +149,4 @@ def test_a_normal_term_counts_only_valid_covered_pixels_that_have_a_normal():
 
 def test_every_weight_has_its_term():
     assert set(losses.TERMS) == set(Weights().__dict__)
-    assert set(losses.TERMS) >= losses.NEEDS_NORMALS | losses.NEEDS_DEPTH
+    assert set(losses.TERMS) >= losses.NEEDS_NORMALS | losses.NEEDS_DEPTH | losses.NEEDS_SURROUNDINGS

@@ -13,7 +13,7 @@ from gsjax import render, views
 from gsjax.gaussians import opacities
 from gsjax.measures.images import psnr
 from gsjax.settings import Density, Rates, Weights
-from gsjax.training import density_control
+from gsjax.training import density_control, surroundings
 from gsjax.training.capacity import chosen_capacity, largest_need
 from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.multi_view import with_neighbors
@@ -276,7 +276,9 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     normals[..., 2] = -views.NORMAL_UNIT
     normals[0, 0] = 0  # a hole
     data = with_neighbors(views.with_normals(setup.data, [normals] * 3), 4.0)
-    weights = Weights(**dict.fromkeys(Weights().__dict__, 0.1))
+    # One of the readings of R that are composited stands for the others, each of which is another pass to compile.
+    others = {"axis_normal", "sdf_central", "sdf_bicubic", "sdf_offset", "density_center", "density_offset"}
+    weights = Weights(**{name: 0.0 if name in others else 0.1 for name in Weights().__dict__})
     capacity = int(1.1 * largest_need(start(setup).gaussians, data))
     step = make_train_step(
         setup.optimizer,
@@ -286,10 +288,10 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
         sh_every=SH_EVERY,
         rule=None,
     )
-    state = start(setup)
+    state = replace(start(setup), nearest=jnp.asarray(surroundings.found(start(setup).gaussians)))
     for index in range(4):
         state, metrics = step(state, data.targets[index % 3], KEY)
-        assert set(metrics.terms) == set(weights.__dict__)
+        assert set(metrics.terms) == set(active_terms(weights))
         assert all(0 < float(value) < 9 for value in metrics.terms.values()), metrics.terms  # one of them is in pixels
     assert step._cache_size() == 1
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state))

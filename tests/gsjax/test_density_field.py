@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from gsjax import density_field
 from gsjax.gaussians import Gaussians
-from gsjax.meshing import density_field
 
 
 def random_gaussians(count, seed=0, log_scale=-1.0, spread=0.5):

@@ -1,0 +1,169 @@
+"""What accuracy costs in time: every knob that trades one for the other, in one table and one picture.
+
+    python experiments/accuracy_vs_time.py --scene SCENE --out DIR [--knobs NAME ...] [--rounds N] [--share S]
+
+SCENE is a data set with true normals and a true surface, as the built-in one of `gsjax demo`. In every round every
+setting of a knob is run once, in turn; its time is given in times of the most accurate setting's in the same round, its
+error is the difference from that setting's outcome. The most accurate one is run twice a round: how far these two times
+lie apart is what the machine itself adds. Writes DIR/accuracy_vs_time.md and .png after every knob. Called again it
+goes on after the rounds that are done.
+"""
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsjax.cli import guarded
+from gsjax.errors import InputError
+
+AGAIN = "the same again"
+
+Rounds = list[dict[str, dict[str, Any]]]
+"""A round: label -> `seconds` and `errors` (by unit), the most accurate first, and `AGAIN`."""
+
+
+def run(scene: str, out: str, names: Sequence[str], rounds: int, share: float) -> dict[str, Rounds]:
+    """Measures the named knobs as far as that is not done yet, and returns all that is."""
+    from knobs import KNOBS
+    from knobs.knob import Place
+
+    from gsjax.io import runs
+
+    if unknown := [name for name in names if name not in KNOBS]:
+        raise InputError(f"--knobs: no knob {unknown[0]!r}; there are {', '.join(KNOBS)}")
+    place, ledger = Place(scene, out, share), Path(out) / "rounds.json"
+    done: dict[str, Rounds] = runs.read_json(ledger) if ledger.exists() else {}
+    for name in names:
+        while len(done.setdefault(name, [])) < rounds:
+            print(f"== {name}, round {len(done[name]) + 1} of {rounds}", flush=True)
+            done[name].append(one_round(KNOBS[name], place, len(done[name])))
+            runs.write_json(ledger, done)
+        write(Path(out), {knob: each for knob, each in done.items() if each})
+    return done
+
+
+def one_round(knob: Any, place: Any, index: int) -> dict[str, dict[str, Any]]:
+    """Every setting once and the most accurate twice, in an order that turns from round to round."""
+    first = next(iter(knob.values))
+    settings = {**knob.values, AGAIN: knob.values[first]}
+    labels = list(settings)
+    order = labels[index % len(labels) :] + labels[: index % len(labels)]
+    measured = {label: knob.measure(place, settings[label], index) for label in order}
+    best = measured[first].outcome
+    return {
+        label: {"seconds": measured[label].seconds, "errors": knob.errors(measured[label].outcome, best)}
+        for label in labels
+    }
+
+
+def ratios(rounds: Rounds, label: str) -> np.ndarray:
+    """`[rounds]` times of a setting in times of the most accurate one's."""
+    first = next(iter(rounds[0]))
+    return np.array([each[label]["seconds"] / each[first]["seconds"] for each in rounds])
+
+
+def errors(rounds: Rounds, label: str, unit: str) -> np.ndarray:
+    """`[rounds]` errors of a setting."""
+    return np.array([each[label]["errors"][unit] for each in rounds], float)
+
+
+def on_front(points: Sequence[tuple[float, float]]) -> list[bool]:
+    """Which of some (time, error) no other beats in one without losing in the other."""
+    return [
+        not any((t <= time and e <= error) and (t < time or e < error) for t, e in points) for time, error in points
+    ]
+
+
+def table(done: Mapping[str, Rounds]) -> str:
+    """One Markdown table: median and, in brackets, least and most over the rounds."""
+    from gsjax.io.machine import machine, versions
+
+    lines = ["| Knob | Setting | Time | Errors | Front |", "|---|---|---|---|---|"]
+    for name, rounds in done.items():
+        labels, units = list(rounds[0]), list(next(iter(rounds[0].values()))["errors"])
+        plain = [label for label in labels if label != AGAIN]
+        points = [(np.median(ratios(rounds, x)), np.median(errors(rounds, x, units[0]))) for x in plain]
+        front = dict(zip(plain, on_front(points), strict=True))
+        for label in labels:
+            every = "; ".join(f"{unit}: {_spread(errors(rounds, label, unit))}" for unit in units)
+            mark = "yes" if front.get(label) else ""
+            lines.append(f"| {name} | {label} | {_spread(ratios(rounds, label))} | {every} | {mark} |")
+    about = {**machine(), **versions()}
+    told = ", ".join(f"{key} {about[key]}" for key in ("cpu", "cores", "jax", "commit") if about.get(key))
+    most = max(len(rounds) for rounds in done.values())
+    return "\n".join([*lines, "", f"Up to {most} rounds; seconds as ratios within a round; {told}.", ""])
+
+
+def _spread(values: np.ndarray) -> str:
+    return f"{np.median(values):.3g} [{values.min():.3g} {values.max():.3g}]"
+
+
+def write(out: Path, done: Mapping[str, Rounds]) -> None:
+    """The table and the picture, replaced."""
+    from gsjax.io.files import atomic_path
+
+    with atomic_path(out / "accuracy_vs_time.md") as temporary:
+        temporary.write_text(table(done))
+    with atomic_path(out / "accuracy_vs_time.png") as temporary:
+        draw(temporary, done)
+
+
+def draw(file: Path, done: Mapping[str, Rounds]) -> None:
+    """A panel a knob: first error against time, with the spread of both; the front is joined by a line."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    columns = min(4, len(done))
+    rows = -(-len(done) // columns)
+    figure, panels = pyplot.subplots(rows, columns, figsize=(3.6 * columns, 3.1 * rows), squeeze=False)
+    for panel in panels.flat[len(done) :]:
+        panel.axis("off")
+    for panel, (name, rounds) in zip(panels.flat, done.items(), strict=False):
+        unit = next(iter(next(iter(rounds[0].values()))["errors"]))
+        labels = [label for label in rounds[0] if label != AGAIN]
+        times = np.array([ratios(rounds, label) for label in labels])
+        off = np.array([errors(rounds, label, unit) for label in labels])
+        x, y = np.median(times, 1), np.median(off, 1)
+        panel.axvspan(ratios(rounds, AGAIN).min(), ratios(rounds, AGAIN).max(), color="0.9", zorder=0)
+        panel.errorbar(x, y, xerr=_arms(times, x), yerr=_arms(off, y), fmt="o", color="0.35", ms=4, lw=0.8, capsize=2)
+        kept = [i for i, is_on in enumerate(on_front(list(zip(x, y, strict=True)))) if is_on]
+        kept.sort(key=lambda i: x[i])
+        panel.plot(x[kept], y[kept], "-", color="tab:red", lw=1.2, zorder=1)
+        for label, *place in zip(labels, x, y, strict=True):
+            panel.annotate(label, place, xytext=(4, 4), textcoords="offset points", fontsize=7)
+        panel.set_title(name, fontsize=9)
+        panel.set_xlabel("time, of the most accurate", fontsize=7)
+        panel.set_ylabel(unit, fontsize=7)
+        panel.tick_params(labelsize=7)
+        panel.margins(0.18)
+    figure.tight_layout()
+    figure.savefig(file, dpi=110, format="png")
+    pyplot.close(figure)
+
+
+def _arms(values: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    return np.stack([middle - values.min(1), values.max(1) - middle])
+
+
+def main() -> None:
+    """Reads the arguments, measures, and prints the table."""
+    from knobs import KNOBS
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", required=True, help="folder of the data set")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for runs, table and picture")
+    parser.add_argument("--knobs", nargs="+", default=list(KNOBS), metavar="NAME", help=f"of {', '.join(KNOBS)}")
+    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="of every knob (default: 3)")
+    parser.add_argument("--share", type=float, default=1.0, help="of the demo's steps, in every run (default: 1)")
+    arguments = parser.parse_args()
+    print(table(run(arguments.scene, arguments.out, arguments.knobs, arguments.rounds, arguments.share)))
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))

@@ -1,0 +1,74 @@
+"""What a knob is, and the place where knobs are turned."""
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from gsjax import config, pipeline
+from gsjax.pipeline.budget import scaled
+from gsjax.pipeline.result import Result, open_result
+from gsjax.settings import DEMO, Settings
+
+
+class Measured(NamedTuple):
+    """One setting, tried once."""
+
+    seconds: float
+    outcome: Any  # whatever the knob's `errors` compares
+
+
+@dataclass(frozen=True)
+class Knob:
+    """Settings of one thing, and how each is measured."""
+
+    values: Mapping[str, Any]  # by their labels, the most accurate first
+    measure: Callable[["Place", Any, int], Measured]  # (where, a value, the round)
+    errors: Callable[[Any, Any], dict[str, float]]  # (outcome, that of the most accurate) -> error by its unit
+
+
+class Place:
+    """A data set, a folder for runs, and a run that rendering and surface knobs start from."""
+
+    def __init__(self, scene: str | Path, out: str | Path, share: float):
+        """Trains nothing yet.
+
+        Args:
+            scene: Data set with true normals and a true surface.
+            out: Folder for the runs.
+            share: Of the demo's steps, in every run.
+        """
+        self.scene, self.out, self._share = Path(scene), Path(out), share
+
+    def settings(self, difference: Mapping[str, Any], seed: int) -> Settings:
+        """The demo's settings with a difference, in this place's share of the steps."""
+        given = {"normals": str(self.scene / "normals"), "seed": seed}
+        return scaled(config.parse(Settings, config.merge(config.merge(DEMO, given), difference)), self._share)
+
+    def fresh(self, name: str) -> Path:
+        """A folder of this place that does not exist yet."""
+        folder = self.out / "runs" / name
+        shutil.rmtree(folder, ignore_errors=True)
+        return folder
+
+    @cached_property
+    def run(self) -> Path:
+        """The run that others start from, trained once."""
+        folder = self.out / "base"
+        pipeline.train(self.scene, folder, self.settings({}, 0), resume=folder.exists())
+        return folder
+
+    @cached_property
+    def mesh(self) -> Path:
+        """Its mesh."""
+        file = self.run / "mesh.ply"
+        if not file.exists():
+            pipeline.mesh(self.run, file)
+        return file
+
+    @cached_property
+    def result(self) -> Result:
+        """Its Gaussians and cameras."""
+        return open_result(self.run)

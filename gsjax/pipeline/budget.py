@@ -1,0 +1,229 @@
+"""A run for a given time: which preset, and how many of its steps this machine does in it.
+
+The first steps of every phase are tried on a few of the photos, with as many Gaussians as the run is to have, and
+forgotten.
+"""
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from gsjax.errors import InputError
+from gsjax.gaussians import Gaussians
+from gsjax.pipeline.pace import FIXED_COST, relative_cost
+from gsjax.pipeline.sizes import at_size, training_extent
+from gsjax.scene import Frame, Scene, in_memory
+from gsjax.settings import LENGTHS, Phase, Settings, total_steps
+from gsjax.training import initialize, loop, optimizers, surroundings
+from gsjax.training.loop import Progress, planned_phases
+from gsjax.training.rules import RULES
+from gsjax.training.state import initial_state
+from gsjax.views import NORMAL_UNIT
+
+RESERVED = 0.1  # of a budget, for what no step does: photos, normals, scores
+TRIED_SHARE = 0.1  # of a budget, for the steps that are tried of each phase
+WARM, TIMED = 2, 8  # steps of a phase: the first ones compile, the next ones are timed
+PHOTOS = 8  # tried on
+GROWN = 10  # times the point cloud: Gaussians at the end where the rule of growth names no number
+HALF_GROWN = 0.5  # of these, over a phase in which they multiply
+FEWEST_STEPS = 50  # of a run
+
+Clock = Callable[[], float]
+
+
+class Trial(NamedTuple):
+    """What the phases of a run take on this machine."""
+
+    seconds_per_step: tuple[float, ...]
+    overhead: float  # seconds, of compiling all of them
+
+
+class Choice(NamedTuple):
+    """A run that fits a budget."""
+
+    settings: Settings
+    line: str  # says what was chosen
+
+
+def budgeted(
+    scene: str | Path,
+    candidates: Mapping[str, Settings],
+    seconds: float,
+    *,
+    clock: Clock = time.perf_counter,
+) -> Choice:
+    """The settings of a run that takes `seconds`, trying included.
+
+    Of several candidates the one is taken whose own length is nearest to the budget, by the ratio of the two.
+
+    Args:
+        scene: Folder of the data set.
+        candidates: Runs to choose from by their names, the shortest first.
+        seconds: The budget.
+        clock: Tells seconds.
+
+    Raises:
+        InputError: The data set cannot be used, a candidate has no steps, or the budget is too short for any.
+    """
+    for name, settings in candidates.items():
+        if not total_steps(settings):
+            raise InputError(f"--budget: the phases of {name} have no steps to scale")
+    started = clock()
+    scenes = {name: at_size(scene, settings)[:2] for name, settings in candidates.items()}
+    name = first = next(iter(scenes))
+    trial = tried(*scenes[first], most=TRIED_SHARE * seconds, clock=clock)
+    if len(scenes) > 1:
+        lengths = {other: _predicted(trial, scenes[first][1], settings) for other, (_, settings) in scenes.items()}
+        name = min(lengths, key=lambda other: abs(math.log(lengths[other] / seconds)))
+    loaded, sized = scenes[name]
+    if name != first:
+        trial = tried(loaded, sized, most=TRIED_SHARE * seconds, clock=clock)
+    left = (1 - RESERVED) * seconds - (clock() - started) - trial.overhead
+    factor = left / _length(trial, sized)
+    if name == LENGTHS[-1]:
+        factor = min(factor, 1.0)
+    if factor * total_steps(sized) < FEWEST_STEPS:
+        before = (1 - RESERVED) * seconds - left
+        least = (before + _length(trial, sized) * FEWEST_STEPS / total_steps(sized)) / (1 - RESERVED)
+        raise InputError(
+            f"--budget of {seconds:g} s: too short for this data set here, where even {FEWEST_STEPS} steps"
+            f" take {least:.0f} s with all that goes before"
+        )
+    chosen = scaled(sized, factor)
+    paces = " + ".join(f"{phase.steps:,} at {1e3 * pace:.0f} ms" for phase, pace in zip(
+        planned_phases(chosen), trial.seconds_per_step, strict=True))  # fmt: skip
+    return Choice(chosen, f"{name}, {factor:.2g} times its steps: {paces}")
+
+
+def scaled(settings: Settings, factor: float) -> Settings:
+    """The same run in `factor` times as many steps: phases, and all that is due at a step, in proportion.
+
+    Gaussians multiply after as many steps as before in a longer run, and after fewer in a shorter one, but 20 at least.
+    """
+
+    def times(steps: int, least: int = 1) -> int:
+        return max(least, round(factor * steps)) if steps else 0
+
+    density, rates = settings.density, settings.rates
+    every = density.every if factor >= 1 else times(density.every, min(density.every, 20))
+    large = density.prune_large_after
+    return replace(
+        settings,
+        phases=tuple(replace(phase, steps=times(phase.steps)) for phase in settings.phases),
+        sh_every=times(settings.sh_every),
+        rates=replace(rates, decay_steps=None if rates.decay_steps is None else times(rates.decay_steps)),
+        density=replace(
+            density,
+            start=times(density.start),
+            stop=times(density.stop),
+            every=every,
+            prune_large_after=None if large is None else times(large),
+            reset_every=times(density.reset_every),
+        ),
+    )
+
+
+def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.perf_counter) -> Trial:
+    """Times the first steps of every kind of phase, at full size, each for `most` seconds at the longest.
+
+    Args:
+        scene: The data set, of the size that the run looks at.
+        settings: The run.
+        most: Seconds; two steps are timed in any case.
+        clock: Tells seconds.
+    """
+    size = training_extent(scene)
+    spread = np.linspace(0, len(scene.train_frames) - 1, PHOTOS).astype(int)
+    frames = tuple(in_memory(scene.train_frames[index]) for index in dict.fromkeys(spread.tolist()))
+    compiling, known = {}, {}
+    phases = [replace(phase, name="", steps=WARM + TIMED, cull_below=0.0) for phase in planned_phases(settings)]
+    for phase in phases:
+        # What smaller photos save is known well enough to spare their program.
+        full = replace(phase, image_scale=1)
+        if full not in known:
+            moments = _moments(scene, frames, size, replace(settings, phases=(full,), vanilla=False), most, clock)
+            pace = float(np.median(np.diff(moments[WARM:])))
+            known[full] = pace, max(moments[WARM] - moments[0] - WARM * pace, 0.0)
+        pace, compiling[phase] = known[full]
+        known[phase] = pace * relative_cost(phase) / relative_cost(full), compiling[phase]
+    return Trial(tuple(known[phase][0] for phase in phases), sum(compiling.values()))
+
+
+class _EnoughError(Exception):
+    """Steps have been timed for long enough."""
+
+
+def _moments(
+    scene: Scene, frames: Sequence[Frame], size: float, settings: Settings, most: float, clock: Clock
+) -> list[float]:
+    """When the steps of the only phase ended, and before them when the first one began."""
+    (phase,) = settings.phases
+    # Nobody multiplies while the steps are timed; the statistics for it are gathered all the same.
+    still = replace(settings.density, start=phase.steps + 1, stop=phase.steps + 2, reset_every=0)
+    settings = replace(settings, density=still)
+    optimizer = optimizers.make_optimizer(settings.rates, size, phase.steps)
+    gaussians = _grown(scene, settings, phase)
+    nearest = surroundings.found(gaussians) if surroundings.needed(phase) else None
+    state = initial_state(gaussians, optimizer, RULES[settings.density.rule], nearest=nearest)
+    moments = [clock()]
+
+    def note(progress: Progress) -> None:
+        del progress
+        moments.append(clock())
+        if len(moments) > WARM + 2 and moments[-1] - moments[WARM] > most:
+            raise _EnoughError
+
+    def facing(_: object) -> list[np.ndarray]:
+        return [np.tile(np.int8([0, 0, -NORMAL_UNIT]), (frame.height, frame.width, 1)) for frame in frames]
+
+    with contextlib.suppress(_EnoughError):
+        loop.fit(settings, frames, size, state, optimizer, prior=facing, observe=note)
+    return moments
+
+
+def _grown(scene: Scene, settings: Settings, phase: Phase) -> Gaussians:
+    """As many Gaussians as the phase will have, about the points of the scene."""
+    points, colors = scene.points, scene.point_colors
+    most = settings.max_gaussians
+    count = most if settings.density.rule == "error" else min(most, GROWN * len(points))
+    alive = max(1, int(count * (HALF_GROWN if phase.density_control else 1.0)))
+    if alive > len(points):
+        rng = np.random.default_rng(0)
+        more = rng.integers(0, len(points), alive - len(points))
+        spacing = np.asarray(KDTree(points).query(points, min(4, len(points)))[0]).reshape(len(points), -1)[:, -1]
+        moved = points[more] + spacing[more, None] * rng.normal(size=(len(more), 3)) / 2
+        points, colors = np.concatenate([points, moved.astype(np.float32)]), np.concatenate([colors, colors[more]])
+    chosen = np.linspace(0, len(points) - 1, alive).astype(int)
+    return initialize.from_points(
+        points[chosen],
+        colors[chosen],
+        capacity=count,
+        sh_degree=settings.sh_degree,
+        opacity=0.5,
+        pixel_filter=settings.pixel_filter,
+    )
+
+
+def _length(trial: Trial, settings: Settings) -> float:
+    """Seconds of all steps."""
+    return sum(phase.steps * pace for phase, pace in zip(planned_phases(settings), trial.seconds_per_step, strict=True))
+
+
+def _predicted(trial: Trial, settings: Settings, other: Settings) -> float:
+    """Seconds of all steps of another run on the same photos, from those of one that was tried; both name a size."""
+    if other == settings:
+        return _length(trial, settings)
+    costs = [relative_cost(phase) for phase in planned_phases(settings)]
+    unit = float(np.median(np.divide(trial.seconds_per_step, costs)))
+    assert settings.downscale and other.downscale
+    pixels = (settings.downscale / other.downscale) ** 2
+    gaussians = other.max_gaussians / settings.max_gaussians
+    unit *= FIXED_COST * gaussians + (1 - FIXED_COST) * pixels
+    return unit * sum(phase.steps * relative_cost(phase) for phase in planned_phases(other))

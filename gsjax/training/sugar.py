@@ -1,0 +1,149 @@
+"""SuGaR's regularisers (Guedon and Lepetit, CVPR 2024), which the paper replaces: baselines with their constants.
+
+Points are drawn about the Gaussians of the view. At each, the density of the nearest Gaussians is compared with the one
+that a surface would make there, and the normal of the Gaussian that it was drawn from with those around it. They know
+no photo and no normal map. What differs from the authors' code stands in docs/deviations.md.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from gsjax import cameras, density_field
+from gsjax.cameras import Camera
+from gsjax.density_field import Kernels
+from gsjax.gaussians import Gaussians, rotation_matrices, scales, smallest_axes
+from gsjax.normals import sdf
+from gsjax.normals.places import SPREAD, facing, turned
+from gsjax.numerics import masked_mean, safe_normalize
+from gsjax.render import View
+from gsjax.views import Batch
+
+MOST_SAMPLES = 1_000_000  # points in a step; no more than there are Gaussians
+CLOSE = 2.0  # standard deviations towards the camera between a mean and the rendered depth, to be drawn from (sdf)
+FACTOR = 1 / 16  # of the density (sdf), so that its level 1 is beyond what 16 neighbours can make
+EXTENTS = 10.0  # an error of the distance counts in this part of the camera extent (sdf)
+FAINTEST = 1e-16  # density that still counts
+THINNEST = 1e-6  # standard deviation, scene units, and least sum of weights
+ON_LEVEL = 1e-6  # -2 log(density) under which a root has no slope to speak of
+
+
+class Sample(NamedTuple):
+    """A point drawn about one Gaussian, and what lies around it."""
+
+    point: Array  # [3] world
+    mean: Array  # [3] of its Gaussian
+    normal: Array  # [3] of its Gaussian: the smallest axis, of either sign
+    nearby: Kernels  # [K] its Gaussian's nearest, itself first
+    beta: Array  # [] mean of their smallest standard deviations
+
+
+Misfit = Callable[[Sample], tuple[Array, Array]]
+"""Sample -> `[]` how far the density is from a surface's there, and `[]` bool whether that counts."""
+
+
+def sugar_sdf(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+    """Mean of | f(x) - |D(pi(x)) - z(x)| | over a tenth of the extent, and of the normals' disagreement.
+
+    f = beta sqrt(-2 log d) is the distance that the density d stands for. Points are drawn from the Gaussians close to
+    the rendered depth, and count where they read one.
+
+    Differentiable to means, rotations, scales, opacities and the depth; not through who is drawn from.
+    """
+    assert view.depth is not None and view.surroundings is not None, "the term compares density with depth"
+    depth, camera, unit = view.depth, batch.camera, view.surroundings.extent / EXTENTS
+
+    def misfit(sample: Sample) -> tuple[Array, Array]:
+        reads = sdf.reads_depth(sample.point, depth > 0, camera)
+        point = jnp.where(reads, sample.point, jax.lax.stop_gradient(sample.mean))
+        to_depth = jnp.abs(sdf.depth_sdf(point, depth, camera))
+        return jnp.abs(_distance(FACTOR * density_field.density(point, sample.nearby), sample.beta) - to_depth), reads
+
+    value, disagreement = _means(misfit, gaussians, view, _close_to_depth(gaussians, view, depth, camera))
+    return value / unit + disagreement
+
+
+def sugar_density(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+    """Mean of | d(x) - exp(-((x - mu) . n)^2 / (2 beta^2)) |, and of the normals' disagreement.
+
+    The target is the density of a flat Gaussian at the distance of x from the plane of the one that it was drawn from:
+    it needs no depth. Points are drawn from all visible Gaussians.
+
+    Differentiable to means, rotations, scales and opacities; not through who is drawn from.
+    """
+    del batch
+
+    def misfit(sample: Sample) -> tuple[Array, Array]:
+        found = density_field.density(sample.point, sample.nearby)
+        found = found / jnp.maximum(jax.lax.stop_gradient(found), 1)  # 1 where it is more, and still with a slope
+        deviations = jnp.sum((sample.point - sample.mean) * sample.normal) / jnp.maximum(sample.beta, THINNEST)
+        deviations = jnp.clip(deviations, -density_field.MAX_DISTANCE, density_field.MAX_DISTANCE)
+        return jnp.abs(found - jnp.exp(-0.5 * deviations * deviations)), jnp.array(True)
+
+    value, disagreement = _means(misfit, gaussians, view, view.splats.projection.visible[0])
+    return value + disagreement
+
+
+def _means(misfit: Misfit, gaussians: Gaussians, view: View, among: Array) -> tuple[Array, Array]:
+    """`[]` mean misfit where it counts, `[]` mean disagreement of normals: over points drawn `among` `[N]`."""
+    assert view.surroundings is not None, "points are drawn with the step's key"
+    nearest, key, _ = view.surroundings
+    who, how = jax.random.split(key)
+    count = min(MOST_SAMPLES, gaussians.num_gaussians)
+    owners = chosen(who, among, count)
+    noise = jax.random.normal(how, (count, 3), gaussians.means.dtype)
+    axes, deviations, normals = rotation_matrices(gaussians.quats), scales(gaussians), smallest_axes(gaussians)
+    thickness, field = deviations.min(-1), density_field.kernels(gaussians)
+
+    def of_one(owner: Array, noise: Array) -> tuple[Array, Array, Array]:
+        ids = nearest[owner]
+        point = gaussians.means[owner] + SPREAD * turned(axes[owner], noise * deviations[owner])
+        nearby = density_field.around(field, ids)
+        sample = Sample(point, gaussians.means[owner], normals[owner], nearby, jnp.mean(thickness[ids]))
+        return *misfit(sample), _disagreement(sample, normals[ids], thickness[ids])
+
+    misfits, counts, disagreements = density_field.at_each(of_one, owners, noise)
+    any_drawn = jnp.any(among)
+    return masked_mean(misfits, counts & any_drawn), jnp.where(any_drawn, jnp.mean(disagreements), 0)
+
+
+def _disagreement(sample: Sample, normals: Array, thickness: Array) -> Array:
+    """`[]` squared distance of a normal from the mean of those around it, `[K, 3]` of Gaussians `[K]` thick.
+
+    The weights are those with which flat Gaussians make the density's gradient, and carry no gradient themselves.
+    """
+    normals = facing(normals, sample.normal[None])
+    held = jax.lax.stop_gradient
+    off_plane = held(jnp.abs(jnp.sum((sample.point[None] - sample.nearby.means) * normals, axis=-1)))
+    density = held(density_field.contributions(sample.point, sample.nearby))
+    weights = density * off_plane / held(jnp.maximum(thickness, THINNEST)) ** 2
+    weights = weights / jnp.maximum(jnp.sum(weights), THINNEST)
+    return jnp.sum(jnp.square(sample.normal - jnp.sum(weights[:, None] * normals, axis=0)))
+
+
+def _distance(density: Array, beta: Array) -> Array:
+    """`[]` distance from a plane at which a flat Gaussian `beta` thick has so much density; 0 from 1 on."""
+    level = -2 * jnp.log(jnp.clip(density, FAINTEST, 1))
+    is_off = level > ON_LEVEL
+    return beta * jnp.where(is_off, jnp.sqrt(jnp.where(is_off, level, 1)), 0)
+
+
+def _close_to_depth(gaussians: Gaussians, view: View, depth: Array, camera: Camera) -> Array:
+    """`[N]` bool: visible, and the rendered `depth` `[H, W]` is within `CLOSE` standard deviations of the mean."""
+    means = gaussians.means
+    reads = jax.vmap(sdf.reads_depth, in_axes=(0, None, None))(means, depth > 0, camera)
+    apart = jnp.abs(jax.vmap(sdf.depth_sdf, in_axes=(0, None, None))(means, depth, camera))
+    towards = safe_normalize(cameras.center(camera)[None] - means)
+    along = turned(jnp.swapaxes(rotation_matrices(gaussians.quats), 1, 2), towards)
+    deviation = jnp.sqrt(jnp.sum(jnp.square(scales(gaussians) * along), axis=-1))
+    return jax.lax.stop_gradient(view.splats.projection.visible[0] & reads & (apart < CLOSE * deviation))
+
+
+def chosen(key: Array, among: Array, count: int) -> Array:
+    """`[count]` int32 rows where `among` `[N]` holds, each as likely, with replacement; any, where it never does."""
+    ends = jnp.cumsum(among, dtype=jnp.int32)
+    draws = jax.random.randint(key, (count,), 0, jnp.maximum(ends[-1], 1), jnp.int32)
+    return jnp.minimum(jnp.searchsorted(ends, draws, side="right").astype(jnp.int32), len(among) - 1)

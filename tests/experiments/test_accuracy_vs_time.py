@@ -1,0 +1,84 @@
+"""Knobs on a clock of the test's own: ratios within a round, the front, what is done is not done again."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gsjax.errors import InputError
+from gsjax.io.images import read_image
+from gsjax.settings import Settings
+
+EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
+
+
+@pytest.fixture
+def script(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXPERIMENTS))
+    yield importlib.import_module("accuracy_vs_time")
+    for name in [name for name in sys.modules if name.partition(".")[0] in ("accuracy_vs_time", "knobs")]:
+        sys.modules.pop(name)
+
+
+@pytest.fixture
+def turned(script, monkeypatch):
+    """A knob of three settings, of errors 0, 1 and 2 in times that halve; every second round is 3 times slower."""
+    knobs, seen = importlib.import_module("knobs"), []
+
+    def measure(place, value, index):
+        seen.append((value, index))
+        slow = 3.0 if index % 2 else 1.0
+        return knobs.knob.Measured(slow * 8.0 / 2**value, value)
+
+    knob = knobs.Knob({"best": 0, "half": 1, "quarter": 2}, measure, lambda own, best: {"off": float(own - best)})
+    monkeypatch.setitem(knobs.KNOBS, "a knob", knob)
+    return seen
+
+
+def test_every_round_turns_every_setting_once_and_the_best_twice(script, turned, tmp_path):
+    done = script.run("scene", str(tmp_path), ["a knob"], 3, 1.0)["a knob"]
+    assert [list(each) for each in done] == [["best", "half", "quarter", script.AGAIN]] * 3
+    assert [value for value, index in turned if index == 0] == [0, 1, 2, 0]
+    assert [value for value, index in turned if index == 1] == [1, 2, 0, 0]  # the order turns
+    for label, ratio, off in (("best", 1, 0), ("half", 0.5, 1), ("quarter", 0.25, 2), (script.AGAIN, 1, 0)):
+        np.testing.assert_allclose(script.ratios(done, label), ratio)  # however slow the round was
+        np.testing.assert_allclose(script.errors(done, label, "off"), off)
+    text = (tmp_path / "accuracy_vs_time.md").read_text()
+    assert "| a knob | half | 0.5 [0.5 0.5] | off: 1 [1 1] | yes |" in text
+    assert f"| a knob | {script.AGAIN} | 1 [1 1] | off: 0 [0 0] |  |" in text
+    picture = read_image(tmp_path / "accuracy_vs_time.png")[0]
+    assert min(picture.shape[:2]) > 200 and picture.std() > 5
+
+
+def test_called_again_it_does_what_is_left(script, turned, tmp_path):
+    script.run("scene", str(tmp_path), ["a knob"], 2, 1.0)
+    before = len(turned)
+    script.run("scene", str(tmp_path), ["a knob"], 2, 1.0)
+    assert len(turned) == before
+    script.run("scene", str(tmp_path), ["a knob"], 3, 1.0)
+    assert [index for _, index in turned[before:]] == [2] * 4
+
+
+def test_the_front_is_what_nothing_beats(script):
+    assert script.on_front([(1.0, 0.0), (0.5, 1.0), (0.6, 1.5), (0.5, 2.0), (0.25, 2.0)]) == [
+        True, True, False, False, True
+    ]  # fmt: skip
+    assert script.on_front([(1.0, 0.0), (1.0, 0.0)]) == [True, True]
+
+
+def test_an_unknown_knob_is_one_line(script, tmp_path):
+    with pytest.raises(InputError, match="no knob 'alpha'; there are alpha cut, "):
+        script.run("scene", str(tmp_path), ["alpha"], 1, 1.0)
+
+
+def test_the_settings_of_training_are_settings(script):
+    from knobs import knob, training
+
+    place = knob.Place("scene", "out", 0.1)
+    for each in training.KNOBS.values():
+        seen = [place.settings(difference, 3) for difference in each.values.values()]
+        assert all(isinstance(settings, Settings) and settings.seed == 3 for settings in seen)
+        assert len(set(seen)) == len(seen)
+        assert max(phase.steps for settings in seen for phase in settings.phases) <= 200

@@ -1,0 +1,190 @@
+"""Budgets of time: what is read, what is scaled, what is chosen; on a clock of the test's own."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from photographed_wall import wall
+
+from gsjax.cli import parsers
+from gsjax.config import parse
+from gsjax.errors import InputError
+from gsjax.pipeline import budget
+from gsjax.pipeline.budget import Trial
+from gsjax.settings import LENGTHS, PRESETS, Density, Phase, Rates, Settings, total_steps
+from gsjax.training.density_control import is_alive
+
+NAMED = {name: parse(Settings, PRESETS[name]) for name in LENGTHS}
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("90s", 90), ("10m", 600), ("1h", 3600), ("1.5h", 5400), (".5m", 30), (" 2m ", 120)]
+)
+def test_a_time_is_a_number_and_its_unit(text, seconds):
+    assert parsers.seconds(text) == seconds
+
+
+@pytest.mark.parametrize(
+    "text", ["10", "m", "", "-3m", "0s", "ten minutes", "10 m", "1e9h", "10d", "nan", "9" * 400 + "h"]
+)
+def test_anything_else_is_one_line(text):
+    with pytest.raises(InputError, match="not a time, such as 90s, 10m or 1.5h") as caught:
+        parsers.seconds(text)
+    assert "\n" not in str(caught.value)
+
+
+def test_all_that_is_due_at_a_step_is_scaled_with_the_phases():
+    settings = Settings(
+        phases=(Phase("a", 1000), Phase("b", 0), Phase("c", 501)),
+        sh_every=700,
+        rates=Rates(decay_steps=3000),
+        density=Density(start=200, stop=900, every=100, prune_large_after=300, reset_every=400),
+    )
+    half = budget.scaled(settings, 0.5)
+    assert [phase.steps for phase in half.phases] == [500, 0, 250]
+    assert (half.sh_every, half.rates.decay_steps) == (350, 1500)
+    density = half.density
+    assert (density.start, density.stop, density.every) == (100, 450, 50)
+    assert (density.prune_large_after, density.reset_every) == (150, 200)
+    assert budget.scaled(settings, 1.0) == settings
+    assert budget.scaled(settings, 3.0).density.every == 100
+    tiny = budget.scaled(settings, 1e-4)
+    assert [phase.steps for phase in tiny.phases] == [1, 0, 1] and tiny.sh_every == 1 and tiny.density.every == 20
+    unset = budget.scaled(NAMED["fast"], 0.3)
+    assert unset.density.reset_every == 0 and unset.density.prune_large_after is None
+    assert unset.rates.decay_steps is None
+
+
+class Machine:
+    """A clock, a data set of photos of 1000x1000, and phases that take what a test says."""
+
+    def __init__(self, monkeypatch, **paces):
+        self.now, self.paces, self.tried = 0.0, paces, []
+        monkeypatch.setattr(budget, "at_size", self.at_size)
+        monkeypatch.setattr(budget, "tried", self.try_out)
+
+    def at_size(self, scene, settings):
+        return SimpleNamespace(), replace(settings, downscale=2.0 if settings.cpu_pixels else 1.0), ""
+
+    def try_out(self, scene, settings, *, most, clock):
+        name = next(name for name, each in NAMED.items() if each.phases == settings.phases)
+        self.tried.append((name, most))
+        self.now += 4.0
+        return Trial((self.paces[name],) * len(settings.phases), 6.0)
+
+    def budgeted(self, seconds, candidates=NAMED):
+        return budget.budgeted("scene", candidates, seconds, clock=lambda: self.now)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "expected"), [(60, "fast"), (300, "fast"), (3000, "balanced"), (1.2e4, "accurate"), (1e7, "accurate")]
+)
+def test_the_preset_is_the_one_whose_own_length_is_nearest(monkeypatch, seconds, expected):
+    # fast takes 300 s; by its photos of a quarter the pixels balanced is guessed at 40 times, accurate further off.
+    machine = Machine(monkeypatch, fast=0.1, balanced=0.3, accurate=0.8)
+    choice = machine.budgeted(seconds)
+    assert [name for name, _ in machine.tried] == list(dict.fromkeys(["fast", expected]))
+    assert all(most == 0.1 * seconds for _, most in machine.tried)
+    took = machine.paces[expected] * total_steps(choice.settings)
+    left = 0.9 * seconds - 4.0 * len(machine.tried) - 6.0
+    if seconds == 1e7:
+        assert choice.settings == replace(NAMED["accurate"], downscale=1.0)  # never longer than the paper's
+    else:
+        assert took == pytest.approx(left, rel=0.01)
+    assert choice.line.startswith(f"{expected}, ")
+    assert f"{1e3 * machine.paces[expected]:.0f} ms" in choice.line and "\n" not in choice.line
+
+
+def test_a_preset_that_is_named_is_only_scaled(monkeypatch):
+    machine = Machine(monkeypatch, fast=0.1)
+    choice = machine.budgeted(10_000, {"fast": NAMED["fast"]})
+    assert total_steps(choice.settings) == pytest.approx((9000 - 10) / 0.1, rel=0.01)
+    assert choice.settings.max_gaussians == NAMED["fast"].max_gaussians
+
+
+@pytest.mark.parametrize("seconds", [3, 10, 14])
+def test_too_short_a_budget_is_one_line_that_names_the_least(monkeypatch, seconds):
+    machine = Machine(monkeypatch, fast=0.1)
+    with pytest.raises(InputError, match="too short for this data set here, where even 50 steps take 17 s") as caught:
+        machine.budgeted(seconds, {"fast": NAMED["fast"]})
+    assert "\n" not in str(caught.value)
+
+
+def test_phases_without_steps_cannot_be_scaled(monkeypatch):
+    with pytest.raises(InputError, match="the phases of fast have no steps to scale"):
+        Machine(monkeypatch).budgeted(100, {"fast": replace(NAMED["fast"], phases=(Phase("a", 0),))})
+
+
+# --- the trial
+
+
+@pytest.fixture
+def photos():
+    return wall(20, num_points=40)
+
+
+SETTINGS = Settings(
+    phases=(
+        Phase("a", 700, image_scale=2, density_control=True),
+        Phase("b", 900, density_control=True),
+        Phase("c", 800, density_control=True, cull_below=0.5),
+        Phase("d", 30),
+    ),
+    max_gaussians=300,
+    density=Density(rule="error"),
+)
+
+
+def test_a_trial_takes_the_median_of_a_few_steps_of_every_kind_of_phase(monkeypatch, photos):
+    now, seen = [100.0], []
+
+    def fit(settings, frames, size, state, optimizer, *, prior, observe):
+        (phase,) = settings.phases
+        rows = int(is_alive(state.gaussians).sum()), state.gaussians.num_gaussians
+        seen.append(((phase.steps, len(frames)), rows))
+        assert not any(settings.density.start < step < settings.density.stop for step in range(1, phase.steps + 1))
+        assert phase.image_scale == 1
+        pace = 1.0 if phase.density_control else 2.0
+        for step in range(phase.steps):
+            now[0] += 20.0 if step == 0 else 7.0 if step == 5 else pace  # compiles; is held up once
+            observe(None)
+
+    monkeypatch.setattr(budget.loop, "fit", fit)
+    trial = budget.tried(photos, SETTINGS, most=1e9, clock=lambda: now[0])
+    half = budget.relative_cost(SETTINGS.phases[0])  # of a step at full size: at half the size it is not tried
+    assert 0.25 < half < 1 and trial.seconds_per_step == (half, 1.0, 1.0, 2.0)
+    # a, b and d are programs of their own, b and c one; of the first 2 steps one compiles.
+    assert trial.overhead == pytest.approx(2 * (20 - 1.0) + (20 - 2.0))
+    assert seen == [((10, 8), (150, 300)), ((10, 8), (300, 300))]
+
+
+def test_slow_steps_are_tried_no_longer_than_asked(monkeypatch, photos):
+    now, steps = [0.0], [0]
+
+    def fit(settings, frames, size, state, optimizer, *, prior, observe):
+        for _ in range(settings.phases[0].steps):
+            now[0] += 30.0
+            steps[0] += 1
+            observe(None)
+
+    monkeypatch.setattr(budget.loop, "fit", fit)
+    trial = budget.tried(photos, replace(SETTINGS, phases=SETTINGS.phases[1:2]), most=5.0, clock=lambda: now[0])
+    assert steps == [4]  # two that may compile, two that are timed
+    assert trial.seconds_per_step == (30.0,)
+
+
+def test_cameras_at_one_place_and_no_photos_are_one_line(photos):
+    held_out = replace(photos, frames=tuple(replace(frame, held_out=True) for frame in photos.frames))
+    with pytest.raises(InputError, match="wall: all 20 photos are held out"):
+        budget.tried(held_out, SETTINGS, most=1.0)
+    with pytest.raises(InputError, match="all 1 training cameras are at one place"):
+        budget.tried(replace(photos, frames=photos.frames[:1]), SETTINGS, most=1.0)
+
+
+def test_what_grows_freely_is_tried_at_ten_times_the_cloud(photos):
+    settings = replace(SETTINGS, density=Density(rule="adc"), max_gaussians=10_000)
+    gaussians = budget._grown(photos, settings, SETTINGS.phases[3])
+    assert int(is_alive(gaussians).sum()) == gaussians.num_gaussians == 400
+    spread = np.asarray(gaussians.means)
+    assert np.isfinite(spread).all() and len(np.unique(spread, axis=0)) == 400

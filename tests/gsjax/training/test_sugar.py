@@ -1,0 +1,240 @@
+"""SuGaR's terms: Gaussians alone have closed forms, a plane of them agrees with itself, and bad input stays finite."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.special import expit
+from small_scenes import camera_at, cloud, plane
+from tolerances import assert_close
+
+from gsjax.density_field import Kernels
+from gsjax.gaussians import rotation_matrices
+from gsjax.render import Surroundings, View
+from gsjax.training import sugar, surroundings
+from gsjax.training.sugar import Sample, sugar_density, sugar_sdf
+from gsjax.views import Batch
+
+COUNT, DISTANCE, EXTENT = 36, 4.0, 2.5
+CAMERA = camera_at(size=(40, 36), focal=36.0)
+KEY = jax.random.key(3)
+DEPTH = jnp.full((36, 40), DISTANCE, jnp.float32)
+ALL = jnp.ones(COUNT, bool)
+TERMS = (sugar_sdf, sugar_density)
+FIELDS = ("means", "quats", "log_scales", "logit_opacities")
+WALL = plane((0.0, 0.0, -1.0), per_side=6, spacing=0.25, radius=0.2, opacity=0.3)
+
+
+def both(gaussians, depth, visible, nearest):
+    splats = SimpleNamespace(projection=SimpleNamespace(visible=visible[None]))
+    view = View(None, depth, depth, splats, surroundings=Surroundings(nearest, KEY, EXTENT))
+    camera = jax.tree.map(lambda leaf: leaf.astype(depth.dtype), CAMERA)
+    return jnp.stack([term(gaussians, view, Batch(camera, None, None, None, None)) for term in TERMS])
+
+
+@jax.jit
+def weighted_and_gradient(weights, gaussians, depth, visible, nearest):
+    return jax.value_and_grad(lambda g, d: jnp.sum(weights * both(g, d, visible, nearest)), (0, 1))(gaussians, depth)
+
+
+def value_and_gradient(term, gaussians, depth=DEPTH, visible=ALL, nearest=None):
+    """Of one term; the other has no weight, so that one program serves both."""
+    nearest = jnp.asarray(surroundings.found(gaussians) if nearest is None else nearest)
+    weights = jnp.asarray([float(term is t) for t in TERMS], gaussians.means.dtype)
+    return weighted_and_gradient(weights, gaussians, depth, visible, nearest)
+
+
+def unit_facing(normals, towards):
+    return normals * np.where(np.sum(normals * towards, -1, keepdims=True) < 0, -1, 1)
+
+
+def expected_terms(gaussians, nearest):
+    """Both terms written out in float64, of Gaussians at a depth of `DISTANCE` that are all close to it."""
+    who, how = jax.random.split(KEY)
+    owners = np.asarray(sugar.chosen(who, ALL, COUNT))
+    noise = np.asarray(jax.random.normal(how, (COUNT, 3)), np.float64)
+    means, log_scales, logits = (
+        np.asarray(getattr(gaussians, name), np.float64) for name in ("means", "log_scales", "logit_opacities")
+    )
+    axes, deviations, alpha = (
+        np.asarray(rotation_matrices(gaussians.quats), np.float64),
+        np.exp(log_scales),
+        expit(logits),
+    )
+    normals = np.take_along_axis(axes, deviations.argmin(1)[:, None, None], 2)[..., 0]
+    points = means[owners] + 1.5 * np.einsum("nij,nj->ni", axes[owners], noise * deviations[owners])
+    pixels = points[:, :2] / points[:, 2:] * np.diag(CAMERA.K)[:2] + np.asarray(CAMERA.K)[:2, 2] - 0.5
+    reads = np.all((pixels >= 0) & (pixels <= [39, 35]), -1)
+
+    ids = nearest[owners]
+    counts = (ids != owners[:, None]) | (np.arange(ids.shape[1]) == 0)
+    offsets = points[:, None] - means[ids]
+    whitened = np.einsum("nkji,nkj->nki", axes[ids], offsets) / deviations[ids]
+    each = counts * alpha[ids] * np.exp(-0.5 * np.sum(whitened**2, -1))
+    density, beta = each.sum(1), deviations.min(1)[ids].mean(1)
+
+    field = beta * np.sqrt(-2 * np.log(np.maximum(density / 16, 1e-16)))
+    to_depth = np.abs(DISTANCE - points[:, 2])
+    off_plane = np.sum((points - means[owners]) * normals[owners], -1)
+    target = np.exp(-0.5 * (off_plane / beta) ** 2)
+
+    around = unit_facing(normals[ids], normals[owners][:, None])
+    weights = each * np.abs(np.sum(offsets * around, -1)) / deviations.min(1)[ids] ** 2
+    weights /= np.maximum(weights.sum(1, keepdims=True), 1e-6)
+    apart = np.sum((normals[owners] - np.einsum("nk,nki->ni", weights, around)) ** 2, -1).mean()
+    assert 20 < reads.sum() < COUNT or reads.all()
+    return np.array(
+        [
+            np.abs(field - to_depth)[reads].mean() / (EXTENT / 10) + apart,
+            np.abs(np.minimum(density, 1) - target).mean() + apart,
+        ]
+    )
+
+
+# --- the values
+
+
+FLIPPED = replace(WALL, quats=jnp.where(np.arange(COUNT)[:, None] % 2, WALL.quats, jnp.asarray([[0.0, 1.0, 0.0, 0.0]])))
+AT_DEPTH = replace(
+    cloud(COUNT, seed=2), means=cloud(COUNT, seed=2).means.at[:, 2].set(DISTANCE + jnp.linspace(-0.05, 0.05, COUNT))
+)
+
+
+@pytest.mark.parametrize("alone", [True, False])
+@pytest.mark.parametrize("gaussians", [AT_DEPTH, WALL, FLIPPED], ids=["a cloud", "a wall", "half of it upside down"])
+def test_the_terms_are_those_written_out_in_float64(gaussians, alone):
+    nearest = surroundings.none_yet(COUNT) if alone else surroundings.found(gaussians)
+    expected = expected_terms(gaussians, nearest)
+    for index, term in enumerate(TERMS):
+        found = value_and_gradient(term, gaussians, nearest=nearest)[0]
+        assert_close(found, expected[index], rtol=1e-4, atol=0, why="float32 over deviations of a hundredth of a unit")
+
+
+def test_a_tilted_disc_is_told():
+    tilt = jnp.zeros((COUNT, 4)).at[14].set(jnp.asarray([0.1, 0.0, 0.1, 0.0]))
+    value, _ = value_and_gradient(sugar_density, replace(FLIPPED, quats=FLIPPED.quats + tilt))
+    assert float(value) > float(value_and_gradient(sugar_density, FLIPPED)[0]) + 1e-3
+
+
+def test_disagreement_weighs_normals_as_the_densitys_gradient_does(x64):
+    rng = np.random.default_rng(0)
+    means, axes = rng.normal(size=(5, 3)), np.linalg.qr(rng.normal(size=(5, 3, 3)))[0]
+    deviations, alpha = rng.uniform(0.3, 1, (5, 3)), rng.uniform(0.2, 0.9, 5)
+    whitening = axes.swapaxes(1, 2) / deviations[:, :, None]
+    normals, thickness = np.take_along_axis(axes, deviations.argmin(1)[:, None, None], 2)[..., 0], deviations.min(1)
+    point = means[0] + 0.3 * rng.normal(size=3)
+    offsets = point - means
+    density = alpha * np.exp(-0.5 * np.sum(np.einsum("kij,kj->ki", whitening, offsets) ** 2, -1))
+    facing = normals * np.where(normals @ normals[0] < 0, -1, 1)[:, None]
+    weights = density * np.abs(np.sum(offsets * facing, -1)) / thickness**2
+    apart = normals[0] - weights @ facing / weights.sum()
+
+    @jax.jit
+    @jax.value_and_grad
+    def disagreement(normals):
+        nearby = Kernels(*map(jnp.asarray, (means, whitening, alpha)))
+        sample = Sample(jnp.asarray(point), None, normals[0], nearby, None)
+        return sugar._disagreement(sample, normals, jnp.asarray(thickness))
+
+    value, gradient = disagreement(jnp.asarray(normals))
+    assert_close(value, np.sum(apart**2))
+    to_mean = weights / weights.sum() * np.where(normals @ normals[0] < 0, -1, 1)
+    assert_close(gradient, 2 * apart * (np.eye(5)[0] - to_mean)[:, None])
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_gradients_equal_finite_differences(term, x64):
+    """Discs in parallel, whose normals agree: what the weights of the normals hold back is of second order there."""
+    rng = np.random.default_rng(1)
+    gaussians = jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), WALL)
+    first = {
+        "means": gaussians.means + rng.uniform(-0.02, 0.02, (COUNT, 3)),
+        "log_scales": gaussians.log_scales + rng.uniform(-0.1, 0.1, (COUNT, 3)),
+        "quats": gaussians.quats,
+        "logit_opacities": gaussians.logit_opacities,
+    }
+    nearest = surroundings.found(gaussians)
+    depth = DISTANCE + 0.01 * rng.normal(size=DEPTH.shape)
+    steps = {name: 1e-6 * rng.normal(size=leaf.shape) for name, leaf in first.items()}
+    depth_step = 1e-6 * rng.normal(size=depth.shape)
+
+    def moved(sign):
+        there = replace(gaussians, **{name: leaf + sign * steps[name] for name, leaf in first.items()})
+        return value_and_gradient(term, there, jnp.asarray(depth + sign * depth_step), nearest=nearest)
+
+    _, (to_gaussians, to_depth) = moved(0)
+    change = 0.5 * (float(moved(1)[0]) - float(moved(-1)[0]))
+    expected = sum(float(np.sum(getattr(to_gaussians, name) * step)) for name, step in steps.items())
+    expected += float(np.sum(to_depth * depth_step))
+    assert abs(expected) > 1e-8
+    assert change == pytest.approx(expected, rel=1e-4)
+
+
+# --- who is drawn from
+
+
+def test_rows_are_drawn_alike_among_those_that_may_be():
+    among = np.arange(50) % 7 == 3
+    found = np.bincount(sugar.chosen(KEY, jnp.asarray(among), 70_000), minlength=50)
+    assert not found[~among].any()
+    share = among.sum() / 70_000
+    np.testing.assert_allclose(found[among] * share, 1, atol=5 * np.sqrt(share))
+    assert set(np.asarray(sugar.chosen(KEY, jnp.zeros(5, bool), 9))) <= set(range(5))
+
+
+def test_the_distance_is_drawn_from_what_lies_at_the_depth():
+    behind = replace(WALL, means=WALL.means.at[::2, 2].add(1.0))  # 1.0 is a hundred of their deviations
+    opaque = replace(behind, logit_opacities=behind.logit_opacities.at[::2].add(5.0))
+    alone = surroundings.none_yet(COUNT)
+    values = [value_and_gradient(sugar_sdf, scene, nearest=alone) for scene in (behind, opaque)]
+    assert float(values[0][0]) == float(values[1][0]) > 0
+    assert not np.any(values[0][1][0].means[::2]) and np.any(values[0][1][0].means[1::2])
+    assert float(value_and_gradient(sugar_density, behind, nearest=alone)[0]) != float(
+        value_and_gradient(sugar_density, opaque, nearest=alone)[0]
+    )
+
+
+# --- hard cases
+
+OPAQUE = replace(WALL, logit_opacities=jnp.full(COUNT, 40, jnp.float32))
+HARD = {
+    "coincident and opaque": replace(OPAQUE, means=jnp.tile(jnp.asarray([[0.1, 0.1, DISTANCE]]), (COUNT, 1))),
+    "opacity 1": OPAQUE,
+    "opacity 0": replace(WALL, logit_opacities=jnp.full(COUNT, -200, jnp.float32)),
+    "needles": replace(WALL, log_scales=jnp.tile(jnp.asarray([[-18.0, 1.0, -18.0]]), (COUNT, 1))),
+    "collapsed": replace(WALL, log_scales=jnp.full((COUNT, 3), -90.0)),
+    "huge": replace(WALL, log_scales=jnp.full((COUNT, 3), 20.0)),
+    "balls": replace(WALL, log_scales=jnp.full((COUNT, 3), -2.0)),
+    "no rotation": replace(WALL, quats=jnp.zeros((COUNT, 4))),
+    "at the camera": replace(WALL, means=WALL.means * jnp.asarray([1.0, 1.0, 0.0])),
+    "behind": replace(WALL, means=-WALL.means),
+    "beside the image": replace(WALL, means=WALL.means + jnp.asarray([2.6, 0.0, 0.0])),
+}
+
+
+@pytest.mark.parametrize("term", TERMS)
+@pytest.mark.parametrize("name", HARD)
+def test_value_and_gradient_are_finite(term, name):
+    for nearest in (surroundings.found(HARD[name]), surroundings.none_yet(COUNT)):
+        value, gradient = value_and_gradient(term, HARD[name], nearest=nearest)
+        assert 0 <= float(value) < 1e12
+        assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
+
+
+@pytest.mark.parametrize(
+    ("term", "given"),
+    [
+        (sugar_sdf, {"visible": ~ALL}),
+        (sugar_density, {"visible": ~ALL}),
+        (sugar_sdf, {"depth": jnp.zeros_like(DEPTH)}),
+        (sugar_sdf, {"gaussians": HARD["behind"]}),
+    ],
+    ids=["sdf unseen", "density unseen", "no depth", "behind"],
+)
+def test_with_nobody_to_draw_from_there_is_neither_value_nor_gradient(term, given):
+    value, gradient = value_and_gradient(term, **{"gaussians": WALL, **given})
+    assert float(value) == 0
+    assert not any(np.any(leaf) for leaf in jax.tree.leaves(gradient))
