@@ -5,19 +5,26 @@ VENV ?= .venv
 PYTHON ?= $(firstword $(foreach name,python3 python3.13 python3.12 python3.11,$(shell \
 	$(name) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $(name))) python3)
 BIN := $(VENV)/bin
+IN_PARALLEL := --numprocesses auto --dist loadfile --no-loadscope-reorder
 OPEN3D_LIBRARIES := libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 libidn2-0
 
-.PHONY: demo test docs clean
+.PHONY: demo test check lint docs clean
 
 demo: $(VENV)/.installed
 	$(BIN)/gsjax demo --out runs/demo
 
-test: $(VENV)/.installed-test
+test: lint
+	$(BIN)/python -m pytest $(IN_PARALLEL)
+
+# What one runs while working: all but the files that compile much.
+check: lint
+	$(BIN)/python -m pytest $(IN_PARALLEL) --quick
+
+lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	@if $(BIN)/pyright --version >/dev/null 2>&1; then echo $(BIN)/pyright; $(BIN)/pyright --pythonpath $(BIN)/python; \
 	else echo "pyright cannot start on this machine: types are not checked"; fi
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 docs: $(VENV)/.installed-docs
 	$(BIN)/mkdocs build --strict

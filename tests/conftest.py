@@ -20,6 +20,7 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
 def pytest_addoption(parser):
+    parser.addoption("--quick", action="store_true", help="leave out the files that compile much")
     parser.addoption("--hard-cases", metavar="FILE", help="write the errors measured on the hard cases as a table")
 
 
@@ -92,12 +93,18 @@ def pytest_sessionfinish(session):
         Path(target).write_text(ERRORS.page())
 
 
-LONGEST = ("test_pipeline.py", "test_any_order.py", "test_outputs.py", "test_edge_cases.py", "test_diagnosis.py")
+LONGEST = Path(__file__).with_name("longest.txt").read_text().split()
+"""Files that took more than 4 seconds, the longest first; nearly all of it is compilation."""
 
 
-def pytest_collection_modifyitems(items):
-    """The longest files first: at the end no worker waits for the other."""
-    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
+def pytest_collection_modifyitems(config, items):
+    """The longest files first: at the end no worker waits for the other. Without them, where that is asked for."""
+    folder = Path(__file__).parent
+    turns = {folder / f"{name}.py": turn for turn, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: turns.get(item.path, len(turns)))
+    if config.getoption("--quick"):
+        config.hook.pytest_deselected(items=[item for item in items if item.path in turns])
+        items[:] = [item for item in items if item.path not in turns]
 
 
 SHARED = Path(__file__).resolve().parents[1] / "../shared"
