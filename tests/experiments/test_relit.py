@@ -2,17 +2,20 @@
 
 import importlib
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from photographed_wall import wall
+from scipy.spatial.transform import Rotation
 
 from gsjax.effects.exposure import linear_light
 from gsjax.io import runs
 from gsjax.io.colmap_writer import write_model
 from gsjax.io.images import write_image
 from gsjax.io.scenes import load_scene
+from gsjax.scene import Truth
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 
@@ -24,11 +27,16 @@ def relit(monkeypatch):
     sys.modules.pop("relit", None)
 
 
-def test_light_is_changed_by_what_the_file_tells(relit, tmp_path):
+@pytest.fixture
+def scene(tmp_path):
     scene = wall(4)
     write_model(tmp_path / "scene/sparse/0", scene.frames, scene.points, scene.point_colors)
     for frame in scene.frames:
         write_image(tmp_path / "scene/images" / frame.name, frame.pixels().image)
+    return scene
+
+
+def test_light_is_changed_by_what_the_file_tells(relit, scene, tmp_path):
     out = relit.relight(tmp_path / "scene", tmp_path / "out", exposure=0.3, balance=0.1, corner=-0.5)
     told = runs.read_json(out / "relit.json")
     np.testing.assert_allclose(np.mean(list(told["gains"].values()), axis=0), 0, atol=1e-12)
@@ -38,3 +46,31 @@ def test_light_is_changed_by_what_the_file_tells(relit, tmp_path):
         # A step of 1 / 255 at these tones is 0.03 EV.
         np.testing.assert_allclose(middle, told["gains"][before.name], atol=0.04)
         np.testing.assert_allclose(corner - middle, -0.5, atol=0.07)
+
+
+def test_poses_are_wrong_by_what_was_asked_and_the_file_tells_the_true_ones(relit, scene, tmp_path):
+    out = relit.relight(tmp_path / "scene", tmp_path / "out", turn=0.5, shift=0.01)
+    told = runs.read_json(out / "relit.json")["viewmats"]
+    errors = []
+    for before, after in zip(scene.frames, load_scene(out).frames, strict=True):
+        np.testing.assert_allclose(told[before.name], before.viewmat, atol=1e-6)
+        np.testing.assert_array_equal(after.pixels().image, before.pixels().image)
+        errors.append(after.viewmat.astype(np.float64) @ np.linalg.inv(before.viewmat.astype(np.float64)))
+    turns = Rotation.from_matrix(np.stack(errors)[:, :3, :3]).as_rotvec(degrees=True)
+    shifts = np.stack(errors)[:, :3, 3]
+    # Twelve draws of either; the wall is 3 units away.
+    assert np.sqrt(np.mean(turns**2)) == pytest.approx(0.5, rel=0.5)
+    assert np.sqrt(np.mean(shifts**2)) == pytest.approx(0.03, rel=0.5)
+
+
+def test_a_sky_is_put_where_the_truth_says_that_there_is_none_else(relit, scene):
+    frame = scene.frames[0]
+    labels = np.ones((72, 96), np.uint8)
+    labels[:20] = 0
+    true = replace(scene, truth=Truth(labels={frame.name: lambda: labels}))
+    found = relit._under_sky(true, frame, 1.0).pixels().image
+    np.testing.assert_array_equal(found[20:], frame.pixels().image[20:])
+    # The cameras look along z: the middle of the picture is the zenith of this world.
+    height = 0.5 + 0.5 / np.sqrt(1 + (((0.5 - 48) / 80) ** 2 + ((0.5 - 36) / 80) ** 2))
+    expected = 255 * ((1 - height) * relit.HORIZON + height * relit.ZENITH)
+    np.testing.assert_allclose(found[0, 0], expected, atol=0.51)
