@@ -102,7 +102,9 @@ def read_textured(path: str | Path) -> TexturedMesh | None:
 
 
 def glb_bytes(path: str | Path) -> bytes:
-    """The file as a GLB, with its texture or its vertex colours: as it is where it is one.
+    """The file as a GLB for a browser, with its texture or its vertex colours, and unlit: photos hold their light.
+
+    Its vertex colours are linear, as glTF has them. A file that is a GLB already is left as it is.
 
     Args:
         path: A .ply, .obj or .glb file.
@@ -112,7 +114,20 @@ def glb_bytes(path: str | Path) -> bytes:
     """
     path = Path(path)
     surface = _loaded(path)
-    return path.read_bytes() if path.suffix.lower() == ".glb" else surface.export(file_type="glb")
+    if path.suffix.lower() == ".glb":
+        return path.read_bytes()
+
+    if surface.visual.kind == "vertex":
+        encoded = np.asarray(surface.visual.vertex_colors[:, :3], np.float64) / 255
+        linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+        surface.visual.vertex_colors = np.rint(255 * linear).astype(np.uint8)
+
+    def unlit(tree: dict) -> None:
+        tree.setdefault("materials", [{}])[0]["extensions"] = {"KHR_materials_unlit": {}}
+        tree["extensionsUsed"] = [*tree.get("extensionsUsed", ()), "KHR_materials_unlit"]
+        tree["meshes"][0]["primitives"][0].setdefault("material", 0)
+
+    return surface.export(file_type="glb", tree_postprocessor=unlit)
 
 
 def supported_suffix(path: Path) -> str:

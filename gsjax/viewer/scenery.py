@@ -26,6 +26,14 @@ class Scenery:
         """Nothing is there yet; long work is given to `soon`, bit by bit."""
         self._scene, self._subject, self._soon = server.scene, subject, soon
         self._splats_of: Gaussians | None = None
+        # A sky and the first camera's own light: viser's light comes from a photo, and with shadows.
+        self._scene.configure_environment_map(None)
+        self._scene.configure_default_lights(enabled=False)
+        self._scene.add_light_hemisphere(
+            "/lights/sky", sky_color=(255, 255, 255), ground_color=(90, 90, 90), intensity=2.0
+        )
+        eye = page_camera(subject.start).position
+        self._scene.add_light_directional("/lights/start", position=eye - subject.middle, intensity=1.5)
 
     def show_splats(self, gaussians: Gaussians) -> None:
         """Hands Gaussians to the browser, unless it has them."""

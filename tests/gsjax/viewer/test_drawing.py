@@ -18,7 +18,7 @@ from gsjax.viewer.pictures import COLOR, DEPTH, ERROR, NORMALS, Pictures
 from gsjax.viewer.subject import Subject
 
 SCENE, BACKGROUND = cloud(30), np.array([0.1, 0.9, 0.4], np.float32)
-SIZE = 32, 24
+SIZE = 32, 32
 POSES = [((0.0, 0.0, 0.0), (0.0, 0.0, 4.0)), ((1.0, -0.4, 1.0), (0.0, 0.0, 4.0))]
 
 
@@ -50,22 +50,32 @@ def test_a_known_pose_shows_the_renderers_picture_and_another_pose_another(drawe
     assert np.abs(plain.colors - rendered[1 - index].colors).max() > 0.1
 
 
-def test_a_view_that_needs_more_pairs_is_drawn_with_more(drawer, rendered, monkeypatch):
-    """The first view of the size is one of nothing; `cloud` then needs more than the least buffer."""
-    many = cloud(400)
+def test_a_view_that_needs_more_pairs_is_drawn_again_with_more(rendered, monkeypatch):
+    """The first buffer is made for a view of nothing, and too short for this one."""
+    rooms, enough = [], drawing._room
+
+    def room(needed, size):
+        rooms.append(needed)
+        return enough(needed, size) if needed else 8
+
+    monkeypatch.setattr(drawing, "_needed", lambda *_: 0)
+    monkeypatch.setattr(drawing, "_room", room)
+    drawer = Drawer(BACKGROUND)
+    for _ in range(2):
+        assert_close(drawer.draw(SCENE, camera(0)).colors, rendered[0].colors)
+        assert rooms[0] == 0 and rooms[1] > 8 and len(rooms) == 2, "the second time it is known"
+
+
+def test_a_view_of_nothing_is_the_background(drawer):
     away = camera_of(page_camera(camera_at((0.0, 0.0, 0.0), (0.0, 0.0, -4.0), size=SIZE)), SIZE)
-    fresh = Drawer(BACKGROUND)
-    empty = fresh.draw(many, away).colors
-    np.testing.assert_array_equal(empty, np.broadcast_to(BACKGROUND, empty.shape))
-    before = dict(fresh._capacities)
-    (expected,) = gallery.pictures(many, [camera(0)], BACKGROUND)
-    assert_close(fresh.draw(many, camera(0)).colors, expected.colors)
-    assert fresh._capacities[SIZE] > before[SIZE]
+    shown = drawer.draw(SCENE, away, with_surface=True)
+    np.testing.assert_array_equal(shown.colors, np.broadcast_to(BACKGROUND, (32, 32, 3)))
+    assert not shown.depth.any() and not shown.normals.any()
 
 
 def test_a_view_without_room_is_one_line(monkeypatch):
     monkeypatch.setattr(drawing, "_needed", lambda *_: np.iinfo(np.int32).max)
-    with pytest.raises(InputError, match="there is no room for what this view shows at 32x24; step back"):
+    with pytest.raises(InputError, match="there is no room for what this view shows at 32x32; step back"):
         Drawer(BACKGROUND).draw(SCENE, camera(0))
 
 
@@ -83,7 +93,7 @@ def test_every_kind_is_the_picture_that_its_name_says():
     pictures = Pictures(subject(photo))
     assert pictures.kinds == (COLOR, DEPTH, NORMALS, ERROR)
     drawn = {kind: pictures.draw(kind, SCENE, at) for kind in pictures.kinds}
-    assert all(image.shape == (24, 32, 3) and image.dtype == np.uint8 for image, _ in drawn.values())
+    assert all(image.shape == (32, 32, 3) and image.dtype == np.uint8 for image, _ in drawn.values())
     np.testing.assert_allclose(drawn[COLOR][0].astype(int), photo.astype(int), atol=1)
     nothing = picture.depth == 0
     assert nothing.any() and not nothing.all()

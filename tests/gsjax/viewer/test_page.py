@@ -18,7 +18,7 @@ from gsjax.viewer.pictures import COLOR, DEPTH, Pictures
 from gsjax.viewer.subject import Subject
 
 SCENE = cloud(30)
-AT = camera_at((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), size=(32, 24))
+AT = camera_at((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), size=(32, 32))
 SUBJECT = Subject("cloud", AT, np.array([0, 0, 4.0]), np.array([0, -1.0, 0]), 4.0, gaussians=SCENE,
     background=np.array([0.1, 0.9, 0.4], np.float32))  # fmt: skip
 
@@ -52,7 +52,7 @@ def served(monkeypatch, subject=SUBJECT, **options):
 
 
 def wait(true):
-    until = time.monotonic() + 60
+    until = time.monotonic() + 600  # Of which compilation on a busy machine takes most.
     while not true():
         assert time.monotonic() < until
         time.sleep(0.01)
