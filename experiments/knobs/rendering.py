@@ -1,8 +1,7 @@
-"""Thresholds, tiles and digits of the rasterizer: one picture of the base run, forward and backward."""
+"""Thresholds and tiles of the rasterizer: one picture of the base run, forward and backward."""
 
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -23,28 +22,24 @@ PAIRS = 1 << 20  # of splats and tiles, most
 def _measure(place: Place, options: dict[str, Any], round_: int) -> Measured:
     """Median seconds of the picture and its gradient, and both."""
     del round_
-    options = dict(options)
-    with jax.enable_x64(True) if options.get("float64") else nullcontext():
-        function, arguments = _program(place, tuple(sorted(options.items())))
-        outcome, seconds = jax.block_until_ready(function(*arguments)), []
-        for _ in range(REPEATS):
-            started = time.perf_counter()
-            jax.block_until_ready(function(*arguments))
-            seconds.append(time.perf_counter() - started)
-        (_, (picture, overflowed)), gradient = jax.tree.map(np.asarray, outcome)
+    function, arguments = _program(place, tuple(sorted(options.items())))
+    outcome, seconds = jax.block_until_ready(function(*arguments)), []
+    for _ in range(REPEATS):
+        started = time.perf_counter()
+        jax.block_until_ready(function(*arguments))
+        seconds.append(time.perf_counter() - started)
+    (_, (picture, overflowed)), gradient = jax.tree.map(np.asarray, outcome)
     assert not overflowed, "PAIRS is too small for this picture"
     return Measured(float(np.median(seconds)), (picture, np.concatenate([leaf.ravel() for leaf in gradient])))
 
 
 @cache
 def _program(place: Place, options: tuple[tuple[str, Any], ...]) -> tuple[Callable, tuple]:
-    given = dict(options)
-    kind = jnp.float64 if given.pop("float64", False) else jnp.float32
     gaussians, camera = place.result.gaussians, place.result.cameras[0]
     fields = gaussians.means, gaussians.quats, scales(gaussians), opacities(gaussians), sh_coefficients(gaussians)
-    arguments = tuple(jnp.asarray(np.asarray(field), kind) for field in fields)
-    viewmats, Ks = (jnp.asarray(np.asarray(matrix), kind)[None] for matrix in (camera.viewmat, camera.K))
-    towards = jnp.asarray(np.random.default_rng(0).normal(size=(camera.height, camera.width, 3)), kind)
+    arguments = tuple(jnp.asarray(np.asarray(field), jnp.float32) for field in fields)
+    viewmats, Ks = (jnp.asarray(np.asarray(matrix), jnp.float32)[None] for matrix in (camera.viewmat, camera.K))
+    towards = jnp.asarray(np.random.default_rng(0).normal(size=(camera.height, camera.width, 3)), jnp.float32)
 
     def picture(*arguments: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
         colors, _, info = rasterizer.rasterization(
@@ -55,7 +50,7 @@ def _program(place: Place, options: tuple[tuple[str, Any], ...]) -> tuple[Callab
             camera.height,
             sh_degree=gaussians.sh_degree,
             capacity=PAIRS,
-            **given,
+            **dict(options),
         )
         return jnp.mean(colors[0] * towards), (colors[0], info["overflowed"])
 
@@ -72,10 +67,6 @@ def _errors(outcome: Any, best: Any) -> dict[str, float]:
     }
 
 
-def _knob(**values: dict[str, Any]) -> Knob:
-    return Knob(values, _measure, _errors)
-
-
 def _rules(name: str, *values: float) -> Knob:
     return Knob({f"{value:.3g}": {"rules": replace(GSPLAT, **{name: value})} for value in values}, _measure, _errors)
 
@@ -86,5 +77,4 @@ KNOBS: dict[str, Knob] = {
     "transmittance stop": _rules("transmittance_min", 1e-7, 1e-4, 1e-3, 1e-2, 1e-1),
     "extents, deviations": _rules("extent_sigmas", 6.0, 3.33, 3.0, 2.5, 2.0),
     "tile size": Knob({str(side): {"tile_size": side} for side in (8, 4, 16, 32)}, _measure, _errors),
-    "digits": _knob(float64={"float64": True}, float32={}),
 }
