@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import rasterizer
-from gsjax import render
+from gsjax import backdrop, render
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
@@ -33,7 +33,7 @@ class Drawer:
     """
 
     def __init__(self, background: np.ndarray, depth_mode: DepthMode = "plane"):
-        """Draw over the colour `background` `[3]`, with depth as `gsjax.render.view` has it."""
+        """Draw over a `background` as `gsjax.backdrop` has it, with depth as `gsjax.render.view` has it."""
         self._background, self._depth_mode = jnp.asarray(background, jnp.float32), depth_mode
         self._capacities: dict[tuple[int, int], int] = {}
 
@@ -87,7 +87,14 @@ def _too_much(size: tuple[int, int]) -> InputError:
     return InputError(f"there is no room for what this view shows at {size[0]}x{size[1]}; step back or draw it smaller")
 
 
-_needed = jax.jit(render.needed_capacity)
+def bare(background: np.ndarray, camera: Camera) -> np.ndarray:
+    """`[H, W, 3]` float32 0..1: what a camera sees where there are no Gaussians."""
+    camera = Camera(jnp.asarray(camera.viewmat), jnp.asarray(camera.K), camera.width, camera.height)
+    seen = _behind(jnp.asarray(background, jnp.float32), camera)
+    return np.broadcast_to(np.clip(np.asarray(seen), 0, 1), (camera.height, camera.width, 3))
+
+
+_needed, _behind = jax.jit(render.needed_capacity), jax.jit(backdrop.behind)
 
 
 @partial(jax.jit, static_argnames=("capacity", "with_surface", "depth_mode"))
@@ -100,8 +107,9 @@ def _drawn(
     with_surface: bool,
     depth_mode: DepthMode,
 ) -> tuple[Drawing, jax.Array]:
+    under = backdrop.behind(background, camera)
     view = render.view(
-        gaussians, camera, capacity=capacity, background=background, with_depth=with_surface, depth_mode=depth_mode
+        gaussians, camera, capacity=capacity, background=under, with_depth=with_surface, depth_mode=depth_mode
     )
     normals = depth_normals(view.depth, camera) if view.depth is not None else None
     return Drawing(jnp.clip(view.colors, 0, 1), view.depth, normals), view.splats.pairs.needed

@@ -18,6 +18,7 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.pipeline.pictures import to_bytes
 from gsjax.viewer.desk import Desk, Order
+from gsjax.viewer.drawing import bare
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera, picture_size
 from gsjax.viewer.pictures import Pictures
 from gsjax.viewer.scenery import MESH_COLORS, MESH_OFF, MESH_SHAPE, Scenery
@@ -26,6 +27,7 @@ from gsjax.viewer.subject import Subject
 SHOW, SIDE, MESH, CAMERAS = "Show", "Longest side", "Mesh", "Cameras"
 BY_BROWSER = "colour, drawn by the browser"
 LONGEST, COARSER = ("480", "960", "1920"), 3  # Sides of full pictures; coarse ones are so much smaller.
+BEHIND_SIDE = 64  # Longest side of the picture of what is behind the browser's own splats: a colour, or a smooth sky.
 PATIENCE = 0.5  # Seconds between two looks for news.
 
 
@@ -179,9 +181,10 @@ class Page:
             return
         if self.switches[SHOW].value == BY_BROWSER:
             self._scenery.show_splats(self._gaussians)
-            if order.is_full:
+            behind = camera_of(order.camera, picture_size(order.camera, BEHIND_SIDE))
+            if order.is_full and behind is not None:
                 self._status.content = self._line
-                _send(client, to_bytes(np.tile(self.subject.background, (2, 2, 1))), "png")
+                _send(client, to_bytes(bare(self.subject.background, behind)), "png")
             return
         self._scenery.hide_splats()
         longest = int(self.switches[SIDE].value) // (1 if order.is_full else COARSER)

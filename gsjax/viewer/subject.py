@@ -32,7 +32,7 @@ class Subject:
     cameras: Mapping[str, Camera] = field(default_factory=dict)  # by the names of their photos
     photos: Mapping[str, Frame] = field(default_factory=dict)  # those that are at hand
     mesh: Path | None = None
-    background: np.ndarray = field(default_factory=lambda: BACKGROUNDS["black"])  # [3]
+    background: np.ndarray = field(default_factory=lambda: BACKGROUNDS["black"])  # [3] or SH, see `gsjax.backdrop`
     depth_mode: DepthMode = "plane"
 
 

@@ -1,18 +1,19 @@
 """Pictures of the page: those of the renderer, however many pairs a view needs."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
-from gsjax import gallery
+from gsjax import backdrop, gallery
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.normals.from_depth import depth_normals
 from gsjax.pipeline.pictures import to_bytes
 from gsjax.scene import Pixels, frame_of
 from gsjax.viewer import drawing
-from gsjax.viewer.drawing import Drawer
+from gsjax.viewer.drawing import Drawer, bare
 from gsjax.viewer.page_camera import camera_of, page_camera
 from gsjax.viewer.pictures import COLOR, DEPTH, ERROR, NORMALS, Pictures
 from gsjax.viewer.subject import Subject
@@ -48,6 +49,16 @@ def test_a_known_pose_shows_the_renderers_picture_and_another_pose_another(drawe
     assert_close(whole.depth, rendered[index].depth)
     assert_close(whole.normals, np.asarray(depth_normals(whole.depth, camera(index))))
     assert np.abs(plain.colors - rendered[1 - index].colors).max() > 0.1
+
+
+def test_a_sky_stands_behind_the_gaussians_and_where_there_are_none(drawer):
+    sky = np.random.default_rng(0).normal(0, 0.3, (4, 3)).astype(np.float32)
+    seen = np.clip(np.asarray(backdrop.behind(jnp.asarray(sky), camera(0))), 0, 1)
+    assert seen.std(axis=(0, 1)).max() > 0.02
+    assert_close(bare(sky, camera(0)), seen)
+    np.testing.assert_array_equal(bare(BACKGROUND, camera(0)), np.broadcast_to(BACKGROUND, seen.shape))
+    (expected,) = gallery.pictures(SCENE, [camera(0)], sky)
+    assert_close(Drawer(sky).draw(SCENE, camera(0)).colors, expected.colors)
 
 
 def test_a_view_that_needs_more_pairs_is_drawn_again_with_more(rendered, monkeypatch):
