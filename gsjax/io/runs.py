@@ -23,7 +23,7 @@ import re
 import shlex
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -74,14 +74,27 @@ def create(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path, s
     return run
 
 
-def reopen(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path) -> Path:
+def reopen(
+    run: str | Path,
+    settings: Mapping[str, Any],
+    *,
+    scene: str | Path,
+    completed: Callable[[dict[str, Any]], Mapping[str, Any]] = dict,
+) -> Path:
     """Opens the folder of a run to continue it on the data set and with the settings it was started with.
+
+    Args:
+        run: The folder.
+        settings: Those asked for now, as `create` takes them.
+        scene: The data set.
+        completed: What `config.json` holds -> the same with what its version did not know yet, where that defaults to
+            what was done then.
 
     Raises:
         InputError: It is no run folder, or the data set or a setting differs; the message names the first that does.
     """
     run = Path(run)
-    started, before = read_settings(run), read_json(run / "manifest.json")["scene"]
+    started, before = completed(read_settings(run)), read_json(run / "manifest.json")["scene"]
     if before != str(Path(scene).resolve()):
         raise InputError(f"{run}: was started on {before}, not on {scene}; a resumed run keeps its data set")
     for key, (before, now) in _differences(started, _plain({**EARLIER, **settings})).items():

@@ -77,7 +77,9 @@ def train(
     taken_in = joined(settings, loaded)
     as_dict = config.to_dict(settings)
     run = (
-        runs.reopen(out, as_dict, scene=scene) if resume else runs.create(out, as_dict, scene=scene, seed=settings.seed)
+        runs.reopen(out, as_dict, scene=scene, completed=_completed)
+        if resume
+        else runs.create(out, as_dict, scene=scene, seed=settings.seed)
     )
 
     runs.update_manifest(run, photos=photos_line)
@@ -106,6 +108,11 @@ def train(
             effects=taken_in.effects,
         )
         return _finish(run, settings, loaded, state, taken_in.photography(state.effects), journal.seconds)
+
+
+def _completed(started: dict[str, Any]) -> dict[str, Any]:
+    """Settings of a run that was started before all of today's were there."""
+    return config.to_dict(config.parse(Settings, started, where="config.json"))
 
 
 def _tell_normals(run: str | Path, line: str) -> None:

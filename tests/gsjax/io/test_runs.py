@@ -52,6 +52,21 @@ def test_a_run_is_reopened_on_its_own_data_set_with_its_own_settings_only(run, t
         runs.reopen(run, SETTINGS, scene=tmp_path / "other")
 
 
+def test_what_the_version_of_a_run_did_not_know_is_completed_before_it_is_compared(run, tmp_path):
+    asked = SETTINGS | {"train": {**SETTINGS["train"], "later": 0.0}}
+
+    def completed(started):
+        return started | {"train": {"later": 0.0, **started["train"]}}
+
+    with pytest.raises(InputError, match=r"was started with train\.later = null, not 0\.0"):
+        runs.reopen(run, asked, scene=tmp_path / "scene")
+    assert runs.reopen(run, asked, scene=tmp_path / "scene", completed=completed) == run
+    with pytest.raises(InputError, match=r"was started with train\.later = 0\.0, not 1\.0"):
+        runs.reopen(
+            run, asked | {"train": {**asked["train"], "later": 1.0}}, scene=tmp_path / "scene", completed=completed
+        )
+
+
 def test_a_run_from_before_depth_could_be_chosen_keeps_the_depth_that_it_had(run, tmp_path):
     assert runs.read_settings(run) == {**SETTINGS, "depth_mode": "center", "pixel_filter": "classic", "effects": "none"}
     assert runs.reopen(run, SETTINGS | {"depth_mode": "center"}, scene=tmp_path / "scene") == run
