@@ -320,6 +320,8 @@ def changed(place, value):
         (changed(8, 2), "truncated, 2 Gaussians need"),
         (changed(8, 1)[:30] + b"xxxx" + changed(8, 1)[34:], r"truncated or damaged \("),
     ],
+    # Compressed bytes tell the time; workers that began in two seconds would not agree on the tests.
+    ids=lambda value: "" if isinstance(value, bytes) else value,
 )
 def test_what_is_no_spz_is_named(tmp_path, data, message):
     (tmp_path / "g.spz").write_bytes(data)
