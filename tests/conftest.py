@@ -95,13 +95,14 @@ def pytest_sessionfinish(session):
 
 LONGEST = Path(__file__).with_name("longest.txt").read_text().split()
 """Files that took more than 4 seconds, the longest first; nearly all of it is compilation."""
+FIRST = 6  # of them, begin a session; the others keep to the files whose programs they share
 
 
 def pytest_collection_modifyitems(config, items):
-    """The longest files first: at the end no worker waits for the other. Without them, where that is asked for."""
+    """The longest few files first: at the end no worker waits for the other. Without the long ones, where asked for."""
     folder = Path(__file__).parent
     turns = {folder / f"{name}.py": turn for turn, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: turns.get(item.path, len(turns)))
+    items.sort(key=lambda item: min(turns.get(item.path, FIRST), FIRST))
     if config.getoption("--quick"):
         config.hook.pytest_deselected(items=[item for item in items if item.path in turns])
         items[:] = [item for item in items if item.path not in turns]

@@ -7,6 +7,7 @@ from gsjax import backdrop
 from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.model import Effect
 from gsjax.effects.observations import Observations
+from gsjax.gaussians import SH_C0
 
 THRESHOLD = 0.25  # of the photos
 OPEN = 0.05  # of a photo's pixels
@@ -48,6 +49,12 @@ def initial(seen: Observations) -> np.ndarray:
     colors = np.stack([facts.sky_color for facts in is_open])
     spread = np.hypot(colors.std(0).max(), np.mean([facts.sky_spread for facts in is_open]))
     return backdrop.constant(colors.mean(0), 0 if spread < _ONE_COLOR else DEGREE)
+
+
+def is_one(seen: Observations, color: float) -> bool:
+    """Whether all that looks like sky is of one grey, 0..1, in all photos: laid under the renders, it is enough."""
+    coefficients = initial(seen)
+    return len(coefficients) == 1 and bool(np.abs(SH_C0 * coefficients[0] + 0.5 - color).max() < _ONE_COLOR)
 
 
 def simulated(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from gsjax.effects import background
 from gsjax.effects.appearance import Appearance, Start, appearances, moves, simulations, start
 from gsjax.effects.model import Effects, EffectState, learning_rate
 from gsjax.effects.observations import observe
@@ -21,6 +22,7 @@ from gsjax.scene import Frame, Scene
 from gsjax.settings import AUTO, NONE, SIMULATED, Settings, named_effects, total_steps
 
 FILE, POSES, BACKGROUND = "effects.json", "poses.json", "background.json"
+_PLAIN = {"black": 0.0, "white": 1.0}  # what `Settings.background` lays under the renders
 T = TypeVar("T", Appearance, Move)
 _SAID = "cameras.json has the cameras after these moves of those of the data set: radians, scene units, a factor"
 _BEHIND = "behind all Gaussians: max(0, SH(direction of the ray in the world) + 0.5), as Gaussians' colours are"
@@ -46,11 +48,11 @@ class Joined:
         """What the state says of the photos."""
         if state is None or self.begun is None:
             return Photography()
-        background = state.numbers.get("background")
+        behind = state.numbers.get("background")
         return Photography(
             appearances(self.begun, state),
             moves(self.begun, state),
-            None if background is None else np.asarray(background),
+            None if behind is None else np.asarray(behind),
         )
 
 
@@ -68,7 +70,12 @@ def joined(settings: Settings, scene: Scene) -> Joined:
         return Joined()
     found = diagnosed(scene)
     named = named_effects(settings.effects)
-    chosen = [name for name in SIMULATED if name in named or (settings.effects == AUTO and found.effects[name].on)]
+    wanted = set(named)
+    if settings.effects == AUTO:
+        wanted = {name for name in SIMULATED if found.effects[name].on}
+        if settings.background in _PLAIN and background.is_one(found.seen, _PLAIN[settings.background]):
+            wanted.discard("background")
+    chosen = [name for name in SIMULATED if name in wanted]
     print(f"train: effects: {', '.join(chosen) or 'none that the photos show'}", file=sys.stderr)
     evidence = {"simulated": chosen, "evidence": found.record()["effects"]}
     if not chosen:
