@@ -20,6 +20,7 @@ _CONTRAST = 0.012  # low: small and blurred photos have few strong corners
 _MOST_READERS = 4  # threads that hold a photo's pyramid, about 400 MB at 1600 pixels
 _LARGEST_ANGLE = 0.7  # radians between descriptors that match
 _LARGEST_RATIO = 0.8  # of that angle to the one of the second best
+_ALIKE = 1 - 2e-6  # cosine from which float32 does not tell two descriptors apart; how it errs differs by processor
 _MOST_OFF = 4.0  # pixels from where the geometry of two photos puts a feature
 _BLOCK = 1024  # features at a time against all of another photo: the table of products stays small
 
@@ -166,9 +167,9 @@ def _nearest(a: np.ndarray, b: np.ndarray, region: Region | None) -> np.ndarray:
             cosines[region.of(block).too_far()] = -1
         rows = np.arange(len(cosines))
         best = cosines.argmax(axis=1)
-        first = np.arccos(np.clip(cosines[rows, best], -1, 1))
+        first = np.arccos(np.clip(cosines[rows, best], -1, _ALIKE))
         cosines[rows, best] = -1
-        second = np.arccos(np.clip(cosines.max(axis=1), -1, 1))
+        second = np.arccos(np.clip(cosines.max(axis=1), -1, _ALIKE))
         is_clear = (first < _LARGEST_ANGLE) & (first < _LARGEST_RATIO * second)
         nearest[block] = np.where(is_clear, best, -1)
     return nearest
