@@ -1,14 +1,28 @@
 """Scenes of a few Gaussians whose depth and normals have a closed form."""
 
+from pathlib import Path
+
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
+from tqdm import tqdm
 
 from gsjax import gallery
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, rgb_to_sh
+from gsjax.io import analytic_scene
 from gsjax.scene import Frame, Pixels, frame_of
 from gsjax.training.initialize import DEAD_LOGIT
+
+
+def built_in(folder: Path, num_views: int, size: tuple[int, int]) -> Path:
+    """The built-in scene, written with a quarter of the samples of the truth, which take longer than small photos."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(analytic_scene, "TRUTH_SAMPLES", (6_000, 4_000))
+        return analytic_scene.write(
+            folder, num_views=num_views, size=size, progress=lambda **options: tqdm(disable=True, **options)
+        )
 
 
 def camera_at(eye=(0.0, 0.0, 0.0), target=(0.0, 0.0, 1.0), *, size=(32, 24), focal=30.0) -> Camera:

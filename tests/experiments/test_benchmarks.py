@@ -7,7 +7,8 @@ BENCHMARKS = Path(__file__).resolve().parents[2] / "experiments/benchmarks"
 
 
 def run(script, *arguments, folder):
-    environment = {**os.environ, "JAX_PLATFORMS": "cpu", "XDG_CACHE_HOME": str(folder)}
+    as_users = {"XLA_FLAGS": "", "XDG_CACHE_HOME": str(folder)}
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu", **as_users}
     command = [sys.executable, str(BENCHMARKS / script), *arguments]
     return subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment)
 

@@ -7,6 +7,12 @@ from scipy.spatial.transform import Rotation
 from gsjax import density_field
 from gsjax.gaussians import Gaussians
 
+# Compiled whole: op by op every shape would compile a dozen programs.
+kernels, density, density_gradient = map(
+    jax.jit, (density_field.kernels, density_field.density, density_field.density_gradient)
+)
+value_and_gradients = jax.jit(jax.value_and_grad(lambda p, gaussians: density(p, kernels(gaussians)), argnums=(0, 1)))
+
 
 def random_gaussians(count, seed=0, log_scale=-1.0, spread=0.5):
     rng = np.random.default_rng(seed)
@@ -52,17 +58,17 @@ def density_in_numpy(point, gaussians):
 def test_density_is_the_papers_sum():
     gaussians = random_gaussians(16)
     points = np.random.default_rng(1).normal(size=(20, 3)).astype(np.float32)
-    field = density_field.kernels(gaussians)
-    found = jax.vmap(density_field.density, (0, None))(jnp.asarray(points), field)
+    field = kernels(gaussians)
+    found = jax.vmap(density, (0, None))(jnp.asarray(points), field)
     expected = [density_in_numpy(p.astype(np.float64), gaussians) for p in points]
     np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-7)
 
 
 def test_gradient_is_the_derivative():
-    field = density_field.kernels(random_gaussians(16))
+    field = kernels(random_gaussians(16))
     points = jnp.asarray(np.random.default_rng(2).normal(size=(50, 3)), jnp.float32)
-    closed = jax.vmap(density_field.density_gradient, (0, None))(points, field)
-    derived = jax.vmap(jax.grad(density_field.density), (0, None))(points, field)
+    closed = jax.vmap(density_gradient, (0, None))(points, field)
+    derived = jax.vmap(jax.grad(density), (0, None))(points, field)
     assert float(jnp.abs(derived).max()) > 0.1
     np.testing.assert_allclose(closed, derived, rtol=1e-4, atol=1e-6)
 
@@ -75,14 +81,14 @@ def test_gradient_by_finite_differences_of_the_numpy_sum():
         / (2 * step)
         for axis in np.eye(3)
     ]
-    found = density_field.density_gradient(jnp.asarray(point, jnp.float32), density_field.kernels(gaussians))
+    found = density_gradient(jnp.asarray(point, jnp.float32), kernels(gaussians))
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
 
 
 def test_density_at_the_centre_is_the_opacity_and_points_inwards_beside_it():
-    field = density_field.kernels(one_gaussian(np.log([0.1, 0.2, 0.3]), opacity=0.7))
-    assert float(density_field.density(jnp.zeros(3, jnp.float32), field)) == pytest.approx(0.7, rel=1e-6)
-    gradient = density_field.density_gradient(jnp.array([0.05, 0.0, 0.0], jnp.float32), field)
+    field = kernels(one_gaussian(np.log([0.1, 0.2, 0.3]), opacity=0.7))
+    assert float(density(jnp.zeros(3, jnp.float32), field)) == pytest.approx(0.7, rel=1e-6)
+    gradient = density_gradient(jnp.array([0.05, 0.0, 0.0], jnp.float32), field)
     # Closed form: -alpha x / s^2 exp(-x^2 / 2 s^2).
     np.testing.assert_allclose(gradient, [-0.7 * 0.05 / 0.01 * np.exp(-0.125), 0, 0], rtol=1e-5, atol=1e-7)
 
@@ -94,13 +100,10 @@ def test_density_at_the_centre_is_the_opacity_and_points_inwards_beside_it():
 )
 @pytest.mark.parametrize("point", [(0.0, 0.0, 0.0), (1e-7, 0.0, 0.0), (0.3, 0.2, 0.1), (1e6, -1e6, 1e6)])
 def test_extreme_gaussians_give_finite_values_and_gradients(log_scales, point):
-    def at(p, gaussians):
-        return density_field.density(p, density_field.kernels(gaussians))
-
     gaussians, p = one_gaussian(log_scales), jnp.asarray(point, jnp.float32)
-    value, (by_point, by_gaussian) = jax.value_and_grad(at, argnums=(0, 1))(p, gaussians)
+    value, (by_point, by_gaussian) = value_and_gradients(p, gaussians)
     assert 0 <= float(value) <= 0.8 + 1e-6
-    closed = density_field.density_gradient(p, density_field.kernels(gaussians))
+    closed = density_gradient(p, kernels(gaussians))
     for leaf in [closed, by_point, *jax.tree.leaves(by_gaussian)]:
         assert bool(jnp.all(jnp.isfinite(leaf)))
     np.testing.assert_allclose(closed, by_point, rtol=1e-4, atol=1e-6)
@@ -108,23 +111,21 @@ def test_extreme_gaussians_give_finite_values_and_gradients(log_scales, point):
 
 def test_a_collapsed_gaussian_counts_as_one_of_the_smallest_scale():
     near = jnp.array([5e-9, 0.0, 0.0], jnp.float32)
-    collapsed = density_field.density(near, density_field.kernels(one_gaussian((-60.0, -60.0, -60.0))))
-    smallest = density_field.density(near, density_field.kernels(one_gaussian(np.log([1e-8] * 3))))
+    collapsed = density(near, kernels(one_gaussian((-60.0, -60.0, -60.0))))
+    smallest = density(near, kernels(one_gaussian(np.log([1e-8] * 3))))
     assert float(collapsed) == pytest.approx(0.8 * np.exp(-0.125), rel=1e-4)
     assert float(collapsed) == pytest.approx(float(smallest), rel=1e-5)
 
 
 def test_take_picks_neighbours():
-    field = density_field.kernels(random_gaussians(8))
+    field = kernels(random_gaussians(8))
     point = jnp.zeros(3, jnp.float32)
-    parts = [
-        density_field.density(point, density_field.take(field, jnp.array(ids))) for ids in ([0, 5], [1, 2, 3, 4, 6, 7])
-    ]
-    assert float(sum(parts)) == pytest.approx(float(density_field.density(point, field)), rel=1e-5)
+    parts = [density(point, density_field.take(field, jnp.array(ids))) for ids in ([0, 5], [1, 2, 3, 4, 6, 7])]
+    assert float(sum(parts)) == pytest.approx(float(density(point, field)), rel=1e-5)
 
 
 def test_profile_along_a_ray_is_the_density_there():
-    field = density_field.kernels(random_gaussians(16))
+    field = kernels(random_gaussians(16))
     rng = np.random.default_rng(4)
     for _ in range(5):
         origin = jnp.asarray(rng.normal(size=3), jnp.float32)
@@ -134,12 +135,12 @@ def test_profile_along_a_ray_is_the_density_there():
         profile = density_field.along_ray(origin, direction, field)
         found = jax.vmap(density_field.profile_density, (0, None))(distances, profile)
         points = origin[None, :] + distances[:, None] * direction[None, :]
-        expected = jax.vmap(density_field.density, (0, None))(points, field)
+        expected = jax.vmap(density, (0, None))(points, field)
         np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
 
 
 def test_profile_of_one_gaussian_in_closed_form():
-    field = density_field.kernels(one_gaussian(np.log([1.0, 1.0, 0.1]), opacity=0.7, mean=(0.0, 0.0, 2.0)))
+    field = kernels(one_gaussian(np.log([1.0, 1.0, 0.1]), opacity=0.7, mean=(0.0, 0.0, 2.0)))
     direction = jnp.asarray([0.6, 0.0, 0.8], jnp.float32)
     profile = density_field.along_ray(jnp.zeros(3, jnp.float32), direction, field)
     # Minimise (0.6 t)^2 + ((0.8 t - 2) / 0.1)^2.
@@ -156,7 +157,7 @@ def test_profile_of_one_gaussian_in_closed_form():
 
 @pytest.mark.parametrize("log_scales", [(-60.0, -60.0, -60.0), (90.0, 90.0, 90.0), (88.0, -40.0, 0.0)])
 def test_profiles_of_extreme_gaussians_are_finite(log_scales):
-    field = density_field.kernels(one_gaussian(log_scales))
+    field = kernels(one_gaussian(log_scales))
     direction = jnp.asarray([0.6, 0.0, 0.8], jnp.float32)
     profile = density_field.along_ray(jnp.asarray([0.3, 0.2, 0.1], jnp.float32), direction, field)
     spread = density_field.deviation_along(direction, density_field.take(field, 0))

@@ -133,6 +133,7 @@ def test_normals_are_the_smallest_axes_facing_the_camera():
 def test_normals_against_finite_differences(x64):
     scene = in_float64(SCENE)
 
+    @jax.jit
     def total(quats):
         normals = rasterizer.camera_normals(scene.means, quats, scene.scales, scene.viewmats, jnp.ones((2, 40), bool))
         return jnp.sum(normals * jnp.asarray(np.random.default_rng(1).normal(size=(2, 40, 3))))

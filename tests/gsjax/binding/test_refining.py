@@ -205,7 +205,7 @@ def test_the_rates_are_those_of_the_mesh_and_of_training():
     parameters = refining.with_faces(gaussians, None)
     ones = jax.tree.map(jnp.ones_like, parameters)
     with jax.numpy_dtype_promotion("standard"):
-        updates, _ = optimizer.update(ones, optimizer.init(parameters), parameters)
+        updates, _ = jax.jit(optimizer.update)(ones, jax.jit(optimizer.init)(parameters), parameters)
     # Adam's first step is the rate itself; for the vertices 1.6e-4 times 10 extent / sqrt(V).
     assert_close(updates.bound.vertices, np.full((3, 3), -Refinement().rates.vertices * 10 * 2.0 / 20))
     assert_close(updates.bound.rotations, np.full((1, 2), -1e-3))

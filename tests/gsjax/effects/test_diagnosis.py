@@ -8,14 +8,13 @@ import pytest
 from photographed_wall import gains, radii2, relit, wall
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
-from tqdm import tqdm
+from small_scenes import built_in
 
 from gsjax import cli
 from gsjax.effects.diagnosis import diagnose
 from gsjax.effects.exposure import estimate
 from gsjax.effects.gains import fit, table
 from gsjax.effects.observations import observe
-from gsjax.io import analytic_scene
 from gsjax.io.images import read_image
 from gsjax.io.scenes import load_scene
 from gsjax.scene import Origin, Pixels, with_pixels
@@ -223,17 +222,13 @@ def test_points_seen_once_or_twice_say_nothing():
 
 
 @pytest.fixture(scope="module")
-def built_in(tmp_path_factory):
-    def silent(**options):
-        return tqdm(disable=True, **options)
-
-    folder = tmp_path_factory.mktemp("data") / "scene"
-    return analytic_scene.write(folder, num_views=16, size=(96, 96), progress=silent)
+def scene_folder(tmp_path_factory):
+    return built_in(tmp_path_factory.mktemp("data") / "scene", num_views=12, size=(96, 96))
 
 
 @pytest.mark.parametrize(("exposure", "corner"), [(0.0, 0.0), (0.3, 0.0), (0.3, -0.5)])
-def test_the_built_in_scene_gives_back_what_was_injected(built_in, exposure, corner):
-    scene = load_scene(built_in)
+def test_the_built_in_scene_gives_back_what_was_injected(scene_folder, exposure, corner):
+    scene = load_scene(scene_folder)
     true = gains(scene, exposure, exposure / 3)
     found = diagnose(relit(scene, lambda index, frame, x, y: true[index] + corner * radii2(frame, x, y)))
     assert found.effects["exposure"].on == (exposure > 0)
@@ -254,14 +249,14 @@ def test_real_photos_fall_into_their_two_groups(shared, name, exposure, vignetti
     assert found["vignetting"].on == vignetting
 
 
-def test_the_command_prints_the_table_and_writes_file_and_pictures(built_in, tmp_path, capsys):
+def test_the_command_prints_the_table_and_writes_file_and_pictures(scene_folder, tmp_path, capsys):
     target = tmp_path / "out" / "found.json"
-    assert cli.main(["diagnose", str(built_in), "--json", str(target)]) == 0
+    assert cli.main(["diagnose", str(scene_folder), "--json", str(target)]) == 0
     printed = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in printed] == ["effect", *EFFECTS]
     written = json.loads(target.read_text())
     assert list(written["effects"]) == EFFECTS
-    assert len(written["photos"]) == 16
+    assert len(written["photos"]) == 12
     assert read_image(target.with_suffix(".png"))[0].std() > 10
-    assert cli.main(["diagnose", str(built_in), "--json", str(tmp_path / "found.png")]) == 2
+    assert cli.main(["diagnose", str(scene_folder), "--json", str(tmp_path / "found.png")]) == 2
     assert "must end in .json" in capsys.readouterr().err

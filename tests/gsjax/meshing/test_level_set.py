@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +16,7 @@ from gsjax.meshing.level_set import LevelSetOptions
 
 
 def one_gaussian(scales, opacity):
-    return density_field.kernels(
+    return jax.jit(density_field.kernels)(
         Gaussians(
             means=jnp.zeros((1, 3), jnp.float32),
             quats=jnp.asarray([[1, 0, 0, 0]], jnp.float32),
@@ -29,9 +30,10 @@ def one_gaussian(scales, opacity):
 
 def march(field, hit, direction, level=0.3):
     direction = np.asarray(direction, np.float32) / np.linalg.norm(direction)
-    return level_crossing.march_ray(
-        field, jnp.asarray(hit, jnp.float32), jnp.asarray(direction), level=level, samples=21, sigma_range=3.0
-    )
+    return march_ray(field, jnp.asarray(hit, jnp.float32), jnp.asarray(direction), level=level)
+
+
+march_ray = jax.jit(partial(level_crossing.march_ray, samples=21, sigma_range=3.0))
 
 
 @pytest.mark.parametrize("level", [0.1, 0.3, 0.5])

@@ -95,6 +95,7 @@ def test_the_gradient_is_finite_at_holes_and_right_elsewhere():
         depth[rng.random(depth.shape) < 0.1] = 0
         weights = rng.standard_normal((36, 48, 3))
 
+        @jax.jit
         def total(depth):
             return jnp.sum(weights * depth_normals(depth, camera))
 

@@ -58,8 +58,11 @@ def in_world(points_cam):
 
 def gradients(points_cam, depth):
     """Gradients of the estimate at `[P, 3]` camera-frame points, world frame."""
-    of_one = jax.vmap(jax.grad(sdf.depth_sdf), (0, None, None))
-    return np.asarray(of_one(in_world(points_cam), jnp.asarray(depth, jnp.float32), CAMERA), np.float64)
+    return np.asarray(gradients_of_all(in_world(points_cam), jnp.asarray(depth, jnp.float32), CAMERA), np.float64)
+
+
+gradients_of_all = jax.jit(jax.vmap(jax.grad(sdf.depth_sdf), (0, None, None)))
+value_and_gradients = jax.jit(jax.value_and_grad(sdf.depth_sdf, argnums=(0, 1, 2)))
 
 
 @jax.jit
@@ -99,7 +102,7 @@ def test_the_estimate_is_the_distance_along_z_positive_in_front(distance):
     normal = unit((0.3, 0.2, -1.0))
     depth = plane_depth(normal)
     point = in_world(RAYS[13, 20] * (depth[13, 20] - distance))
-    value = sdf.depth_sdf(point, jnp.asarray(depth, jnp.float32), CAMERA)
+    value, _ = value_and_gradients(point, jnp.asarray(depth, jnp.float32), CAMERA)
     assert float(value) == pytest.approx(distance, abs=2e-5)
 
 
@@ -110,7 +113,7 @@ def test_the_estimate_is_the_distance_along_z_positive_in_front(distance):
 )
 def test_off_screen_and_behind_the_estimate_is_finite(in_camera):
     depth = jnp.asarray(plane_depth(unit((0.3, 0.2, -1.0))), jnp.float32)
-    everything = jax.value_and_grad(sdf.depth_sdf, argnums=(0, 1, 2))(in_world(np.array(in_camera)), depth, CAMERA)
+    everything = value_and_gradients(in_world(np.array(in_camera)), depth, CAMERA)
     for leaf in jax.tree.leaves(everything):
         assert bool(jnp.isfinite(leaf).all())
 
