@@ -24,6 +24,7 @@ def test_a_stage_runs_in_a_process_of_its_own_and_is_measured(surface):
     assert total == 25 * 2**20
     assert 0.2 < cost["peak_gib"] < 2
     assert 0 < cost["seconds"] < 60
+    assert 0 < cost["cpu_seconds"] < 60
 
 
 def test_a_stage_that_fails_fails_the_study(surface):
