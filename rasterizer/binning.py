@@ -58,7 +58,7 @@ def _tile_boxes(projection: Projection, grid: TileGrid) -> tuple[Array, Array]:
 def _total(count: Array) -> Array:
     """`[]` int32 sum, or the largest int32 where the sum does not fit: a sum that wrapped round would look small."""
     fits = jnp.sum(count.astype(jnp.float32)) < 2.0**31 * 0.99
-    return jnp.where(fits, jnp.sum(count), np.iinfo(np.int32).max)
+    return jnp.where(fits, jnp.sum(count, dtype=jnp.int32), np.iinfo(np.int32).max)
 
 
 def count_pairs(projection: Projection, grid: TileGrid) -> Array:
@@ -161,7 +161,7 @@ def bin_splats(
     order = _depth_order(jax.lax.stop_gradient(projection.depths).reshape(-1), visible)
     low, size = (x[order] for x in _tile_boxes(projection, grid))
     count = size[:, 0] * size[:, 1]
-    start, needed = jnp.cumsum(count) - count, _total(count)
+    start, needed = jnp.cumsum(count, dtype=jnp.int32) - count, _total(count)
 
     # Slot -> rank in depth order: a mark where each non-empty splat starts, then a running count.
     num_splats = count.shape[0]
@@ -172,7 +172,7 @@ def bin_splats(
         jnp.arange(num_splats, dtype=jnp.int32), mode="drop"
     )
     slot = jnp.arange(capacity, dtype=jnp.int32)
-    rank = compact[jnp.maximum(jnp.cumsum(mark) - 1, 0)]
+    rank = compact[jnp.maximum(jnp.cumsum(mark, dtype=jnp.int32) - 1, 0)]
 
     # Everything a pair needs in two gathers: integers, then floats.
     camera = order // (num_splats // grid.num_cameras)
