@@ -59,10 +59,11 @@ class Phase:
     image_scale: int = 1  # photos this many times smaller in each direction
     density_control: bool = False  # clone, split, prune, reset
     cull_below: float = 0.0  # at the end, Gaussians of lower opacity are removed
+    surface_every: int = 1  # one of so many steps has the terms of the surface, the others are cheaper without
 
     def __post_init__(self):
         """Check ranges."""
-        _check_lowest(self, steps=0, image_scale=1)
+        _check_lowest(self, steps=0, image_scale=1, surface_every=1)
         if self.image_scale > 1 and any(getattr(self.weights, term) for term in NORMAL_TERMS):
             raise ValueError(
                 f"image_scale={self.image_scale} with a normal term: normal maps serve full-size photos only"

@@ -7,6 +7,7 @@ from gsjax.io import runs
 from gsjax.pipeline.evaluate import score_surface
 from gsjax.pipeline.result import open_result, scene_of_run
 from gsjax.settings import DEMO
+from gsjax.training.losses import SURFACE_TERMS
 from knobs.knob import Knob, Measured, Place
 
 _VANILLA, _SURFACE = DEMO["phases"]
@@ -50,6 +51,12 @@ def _coarse(share: float) -> dict[str, Any]:
     return {"phases": [coarse, {**_VANILLA, "steps": _VANILLA["steps"] - steps}, _SURFACE]}
 
 
+def _rarer(count: int) -> dict[str, Any]:
+    """R in one of so many steps, and as many times as strong."""
+    weights = {name: count * w if name in SURFACE_TERMS else w for name, w in _SURFACE["weights"].items()}
+    return _phases({}, {"surface_every": count, "weights": weights})
+
+
 def _slope(name: str) -> dict[str, Any]:
     return _phases({}, {"weights": {name: 0.2}})
 
@@ -65,6 +72,7 @@ KNOBS: dict[str, Knob] = {
     "steps at half size": _knob({f"{share:.0%}": _coarse(share) for share in (0.0, 0.25, 0.5, 0.75)}),
     "vanilla steps": _knob(_steps("vanilla", 2, 1, 0.5, 0.25)),
     "surface steps": _knob(_steps("surface", 2, 1, 0.5, 0.25)),
+    "R": _knob({label: _rarer(count) for label, count in (("every step", 1), ("every 2nd", 2), ("every 4th", 4))}),
     "slope of R": _knob({name: _slope(name) for name in ("sdf_bicubic", "sdf_central", "sdf_normal")}),
     "depth of a splat": _knob({mode: {"depth_mode": mode} for mode in ("plane", "center")}),
 }

@@ -4,7 +4,7 @@ import time
 
 from gsjax.settings import Phase, Settings
 from gsjax.training.loop import planned_phases
-from gsjax.training.losses import NEEDS_DEPTH, NEEDS_NORMALS, NEEDS_SURROUNDINGS
+from gsjax.training.losses import SURFACE_TERMS
 from gsjax.training.step import active_terms
 
 SURFACE_COST = 2.0  # A step with a term of the surface takes so many times as long (docs/experiments.md).
@@ -32,9 +32,10 @@ class Pace:
 
 
 def relative_cost(phase: Phase) -> float:
-    """A step of a phase in units of a photometric step at full size."""
-    surface = not (NEEDS_NORMALS | NEEDS_DEPTH | NEEDS_SURROUNDINGS).isdisjoint(active_terms(phase.weights))
-    return (FIXED_COST + (1 - FIXED_COST) / phase.image_scale**2) * (SURFACE_COST if surface else 1.0)
+    """A step of a phase, on average, in units of a photometric step at full size."""
+    surface = not SURFACE_TERMS.isdisjoint(active_terms(phase.weights))
+    dearer = 1 + (SURFACE_COST - 1) / phase.surface_every if surface else 1.0
+    return (FIXED_COST + (1 - FIXED_COST) / phase.image_scale**2) * dearer
 
 
 def seconds_left(settings: Settings, step: int, phase: Phase, seconds_per_step: float) -> float:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -17,7 +18,7 @@ from gsjax.scene import Frame
 from gsjax.settings import Phase, Settings, Weights
 from gsjax.training import density_control, rows, surroundings
 from gsjax.training.capacity import chosen_capacity, rounded_capacity
-from gsjax.training.losses import NEEDS_NEIGHBOR, NEEDS_NORMALS
+from gsjax.training.losses import NEEDS_NEIGHBOR, NEEDS_NORMALS, SURFACE_TERMS
 from gsjax.training.multi_view import with_neighbors
 from gsjax.training.rules import RULES
 from gsjax.training.state import TrainState, cull, densify, reset_opacities
@@ -194,9 +195,9 @@ def _run_phase(
     headroom = GROWTH if phase.density_control else STILL
 
     def compiled(capacity: int) -> TrainStep:
-        return make_train_step(
+        make = partial(
+            make_train_step,
             optimizer,
-            weights,
             capacity=capacity,
             background=BACKGROUNDS[settings.background],
             sh_every=settings.sh_every,
@@ -205,6 +206,10 @@ def _run_phase(
             effects=effects,
             extent=extent,
         )
+        if phase.surface_every == 1:
+            return make(weights)
+        image_alone = replace(weights, **dict.fromkeys(SURFACE_TERMS, 0.0))
+        return _every(phase.surface_every, make(weights), make(image_alone))
 
     def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
         done = step == steps[1]
@@ -228,6 +233,16 @@ def _run_phase(
         headroom=headroom,
         view_share=settings.view_share,
     )
+
+
+def _every(count: int, due: TrainStep, between: TrainStep) -> TrainStep:
+    """The last of every `count` steps is `due`, counted from the run's beginning; the others are `between`."""
+
+    def train_step(state: TrainState, target: Target, key: Array):
+        step = due if (int(state.step) + 1) % count == 0 else between
+        return step(state, target, key)
+
+    return train_step
 
 
 def _moves_neighbors(settings: Settings, phase: Phase, step: int) -> bool:

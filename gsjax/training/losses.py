@@ -114,3 +114,5 @@ NEEDS_DEPTH = frozenset(
 )
 NEEDS_NEIGHBOR = frozenset({"multi_view"})
 NEEDS_SURROUNDINGS = frozenset({"density_center", "density_offset", "density_sample", "sugar_sdf", "sugar_density"})
+SURFACE_TERMS = NEEDS_NORMALS | NEEDS_DEPTH | NEEDS_NEIGHBOR | NEEDS_SURROUNDINGS
+"""Those that need more than the image of a view, and make a step dearer."""

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,8 @@ def test_what_is_left_scales_with_the_pixels_and_the_terms_of_each_phase():
     assert seconds_left(settings, 100, PHASES[1], 0.5) == pytest.approx(0.5 * (200 + 2 * 50))
     assert seconds_left(settings, 250, PHASES[1], 0.5) == pytest.approx(0.5 * (50 + 2 * 50))
     assert seconds_left(settings, 300, PHASES[2], 1.0) == pytest.approx(50)
+    rarely = replace(settings, phases=(*PHASES[:2], replace(PHASES[2], surface_every=4)))
+    assert seconds_left(rarely, 250, PHASES[1], 0.5) == pytest.approx(0.5 * (50 + 1.25 * 50))
     quarter = pace.FIXED_COST + (1 - pace.FIXED_COST) / 4
     assert seconds_left(settings, 20, PHASES[0], quarter) == pytest.approx(80 * quarter + 200 + 2 * 50)
 

@@ -195,6 +195,27 @@ def test_a_run_continued_from_a_copy_in_a_starved_buffer_ends_with_the_same_bits
     assert_identical(resumed.final, whole.final)
 
 
+@pytest.mark.parametrize("begun", [0, 3])
+def test_terms_of_the_surface_may_come_every_third_step_and_the_others_always(frames, monkeypatch, begun):
+    taken = []
+
+    def make_train_step(optimizer, weights, **_):
+        def step(state, target, key):
+            taken.append((int(state.step), set(active_terms(weights))))
+            return replace(state, step=state.step + 1), SimpleNamespace(overflowed=False)
+
+        return step
+
+    monkeypatch.setattr(loop, "make_train_step", make_train_step)
+    weights = replace(PLAIN, entropy=0.1, sdf_normal=0.2, distortion=0.3)
+    settings = replace(SETTINGS, phases=(Phase("surface", 7, weights, surface_every=3),))
+    fitted(frames, settings, state=replace(start(), step=np.int32(begun)), capacity=64)
+    always = {"l1", "alpha", "entropy"}
+    rarely = always | {"sdf_normal", "distortion"}
+    every = [always, always, rarely, always, always, rarely, always]
+    assert taken == list(enumerate(every))[begun:]
+
+
 def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkeypatch):
     trained_with = []
 
