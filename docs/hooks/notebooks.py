@@ -1,0 +1,56 @@
+"""Runs the notebooks while the site is built, and shows each as a page with its pictures.
+
+A notebook is a Python file of cells (jupytext's percent format) in docs/notebooks. A cell that raises ends the build.
+"""
+
+import tempfile
+from pathlib import Path
+
+import jupytext
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File, Files
+from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError
+from nbconvert import MarkdownExporter
+from nbformat import NotebookNode, writes
+
+FOLDER = "notebooks"
+PATIENCE = 600  # Seconds that one cell may take.
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Adds what becomes of every notebook: the page, its pictures, and the notebook itself for those who want it."""
+    for source in sorted(Path(config.docs_dir, FOLDER).glob("*.py")):
+        notebook = jupytext.read(source)
+        notebook.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
+        plain = writes(notebook)
+        page, pictures = as_markdown(executed(notebook, source), source.stem)
+        for name, content in {f"{source.stem}.ipynb": plain, f"{source.stem}.md": page, **pictures}.items():
+            files.append(File.generated(config, f"{FOLDER}/{name}", content=content))
+    return files
+
+
+def executed(notebook: NotebookNode, source: Path) -> NotebookNode:
+    """The notebook with its outputs, run by this very Python in a folder of its own.
+
+    Raises:
+        PluginError: A cell raised.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        client = NotebookClient(notebook, timeout=PATIENCE, resources={"metadata": {"path": folder}})
+        try:
+            client.execute()
+        except CellExecutionError as error:
+            raise PluginError(f"{source}: {error}") from error
+    for cell in notebook.cells:
+        if cell.cell_type == "code":  # Progress bars are no part of a page.
+            cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
+    return notebook
+
+
+def as_markdown(notebook: NotebookNode, name: str) -> tuple[str, dict[str, bytes]]:
+    """The page, with a link to the notebook, and its pictures by their paths beside it."""
+    text, resources = MarkdownExporter().from_notebook_node(notebook, {"output_files_dir": f"{name}_files"})
+    title, rest = text.lstrip().split("\n", 1)
+    return f"{title}\n\n[Download as a notebook]({name}.ipynb)\n\n{rest}", resources["outputs"]
