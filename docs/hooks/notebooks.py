@@ -3,7 +3,9 @@
 A notebook is a Python file of cells (jupytext's percent format) in docs/notebooks. A cell that raises ends the build.
 """
 
+import os
 import tempfile
+from importlib.metadata import version
 from pathlib import Path
 
 import jupytext
@@ -17,6 +19,7 @@ from nbformat import NotebookNode, writes
 
 FOLDER = "notebooks"
 PATIENCE = 600  # Seconds that one cell may take.
+RUN_LONG = {"photos_to_mesh", "accuracy_vs_time"}  # Longer than they compile; the others as tests (tests/conftest.py).
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -40,13 +43,21 @@ def executed(notebook: NotebookNode, source: Path) -> NotebookNode:
     with tempfile.TemporaryDirectory() as folder:
         client = NotebookClient(notebook, timeout=PATIENCE, resources={"metadata": {"path": folder}})
         try:
-            client.execute()
+            client.execute(env=environment(source.stem))
         except CellExecutionError as error:
             raise PluginError(f"{source}: {error}") from error
     for cell in notebook.cells:
         if cell.cell_type == "code":  # Progress bars are no part of a page.
             cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
     return notebook
+
+
+def environment(name: str) -> dict[str, str]:
+    """Of the process that runs a notebook: most compile much and run little, and are spared XLA's optimisations."""
+    spared = {}
+    if name not in RUN_LONG and version("jaxlib").startswith("0.10."):  # An unknown flag would end the process.
+        spared = {"XLA_FLAGS": "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"}
+    return spared | os.environ
 
 
 def as_markdown(notebook: NotebookNode, name: str) -> tuple[str, dict[str, bytes]]:

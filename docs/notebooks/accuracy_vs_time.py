@@ -1,9 +1,9 @@
 # %% [markdown]
 # # Accuracy against time
 #
-# What does a faster setting cost in accuracy? Seconds of one run say little on a machine that does other things as well. So
-# the settings are run in turn, times are compared only within a round, and one setting runs twice to show what the
-# machine itself adds.
+# What does a faster setting cost in accuracy? Seconds of one run say little on a machine that does other things as
+# well. So the settings are run in turn, times are compared only within a round, and one setting runs twice to show what
+# the machine itself adds.
 
 # %%
 import time
@@ -91,8 +91,8 @@ def measured(steps, scale):
 # %% [markdown]
 # ## Rounds
 #
-# One that does not count, in which everything is compiled; then three, each beginning with another setting, so that a slow
-# minute of the machine does not always meet the same one.
+# One that does not count, in which everything is compiled; then three, each beginning with another setting, so that a
+# slow minute of the machine does not always meet the same one.
 
 # %%
 ROUNDS = 3
@@ -127,8 +127,8 @@ assert lost[AGAIN] == 0
 # %% [markdown]
 # ## The picture
 #
-# To the left is faster, down is more accurate. Grey: how far two runs of the same thing lie apart here. A difference within it
-# is none.
+# To the left is faster, down is more accurate. Grey: how far two runs of the same thing lie apart here. A difference
+# within it is none.
 
 # %%
 spread = times[AGAIN]
@@ -149,5 +149,5 @@ assert 0.3 < np.median(times["50 steps"]) < 0.8
 assert np.median(times["100 steps, half size"]) < 1
 
 # %% [markdown]
-# Every knob of the library is measured in this way by `experiments/accuracy_vs_time.py`, on the built-in scene with its true
-# normals and surface; results are among the [Experiments](../experiments.md).
+# Every knob of the library is measured in this way by `experiments/accuracy_vs_time.py`, on the built-in scene with its
+# true normals and surface; results are among the [Experiments](../experiments.md).

@@ -21,8 +21,8 @@ from rasterizer import rasterization
 #     from gsplat import rasterization
 #     colors, alphas, info = rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, height)
 #
-# and the call is the same. Scales and opacities are linear, quaternions are (w, x, y, z) of any length, cameras are world to
-# camera with x right, y down, z forward.
+# and the call is the same. Scales and opacities are linear, quaternions are (w, x, y, z) of any length, cameras are
+# world to camera with x right, y down, z forward.
 
 # %%
 COUNT, WIDTH, HEIGHT = 400, 96, 72
@@ -78,9 +78,9 @@ np.testing.assert_allclose(staged, colors, atol=2e-3)
 # %% [markdown]
 # ## Gradients
 #
-# There is no `.backward()`: `jax.grad` makes a function into the function of its gradients, to any array that goes in, the
-# cameras too. Here the first camera is moved, and the gradient checked by finite differences. They agree to some percent: a
-# splat ends where its alpha passes 1/255, and a difference sees that edge move, a gradient does not.
+# There is no `.backward()`: `jax.grad` makes a function into the function of its gradients, to any array that goes in,
+# the cameras too. Here the first camera is moved, and the gradient checked by finite differences. They agree to some
+# percent: a splat ends where its alpha passes 1/255, and a difference sees that edge move, a gradient does not.
 
 # %%
 weights = array(rng.normal(size=(HEIGHT, WIDTH, 3)))
@@ -140,8 +140,8 @@ np.testing.assert_allclose(many[0], colors, atol=1e-5)
 #
 # AbsGS splits a Gaussian by the sum over pixels of *absolute* gradients to its 2D mean: the plain sum is small where
 # pixels pull in opposite directions. gsplat has a flag for it; here it is a probe of a few lines. Zeros are added to
-# `means2d`, the loss is differentiated to them piece by piece of the picture, and absolute values are added up. The smaller
-# the pieces, the closer it is; here they are blocks of 16 pixels.
+# `means2d`, the loss is differentiated to them piece by piece of the picture, and absolute values are added up. The
+# smaller the pieces, the closer it is; here they are blocks of 16 pixels.
 
 
 # %%

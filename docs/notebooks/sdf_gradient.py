@@ -2,8 +2,8 @@
 # # The gradient of a signed distance, and the regulariser
 #
 # A rendered depth map implies a surface, and with it a signed distance. Its gradient is the surface's normal. The paper
-# takes it with automatic differentiation, composites it like a colour and aligns it with given normals. Here that is done
-# step by step on a plane, where everything is known.
+# takes it with automatic differentiation, composites it like a colour and aligns it with given normals. Here that is
+# done step by step on a plane, where everything is known.
 
 # %%
 import jax
@@ -20,8 +20,8 @@ from gsjax.normals import sdf
 # %% [markdown]
 # ## A camera and a plane
 #
-# The camera stands at the origin and looks along z, so that world and camera axes are the same: x right, y down. The plane
-# goes through the point (0, 0, 4); its unit normal faces the camera.
+# The camera stands at the origin and looks along z, so that world and camera axes are the same: x right, y down. The
+# plane goes through the point (0, 0, 4); its unit normal faces the camera.
 
 # %%
 WIDTH, HEIGHT, FOCAL = 48, 40, 44.0
@@ -52,6 +52,7 @@ pyplot.show()
 # ## The estimate of the signed distance
 #
 # The paper's f(p) = D(pi(p)) - z(p): the depth that the map D has where p is seen, minus the depth of p.
+
 
 # %%
 def signed_distance(point):
@@ -86,8 +87,8 @@ print("gradient / length:", np.round(np.asarray(gradient / length), 3), " normal
 np.testing.assert_allclose(gradient / length, normal, atol=1e-2)
 
 # %% [markdown]
-# The length is not 1 but 1 / abs(n . r): f is measured along the ray, and a slanted surface is nearer than that. It tells the
-# viewing angle and nothing about trust, so only the direction is used.
+# The length is not 1 but 1 / abs(n . r): f is measured along the ray, and a slanted surface is nearer than that. It
+# tells the viewing angle and nothing about trust, so only the direction is used.
 
 # %%
 np.testing.assert_allclose(length, 1 / abs(jnp.sum(normal * rays[20, 30])), rtol=2e-2)
@@ -143,8 +144,8 @@ def plane_of_gaussians(degrees):
 # %% [markdown]
 # ## From the Gaussians to a map of directions
 #
-# The paper's order: render the depth; take the gradient of f at the mean of every visible Gaussian; make it unit, turn it
-# into the view; let the rasterizer blend it like a colour. `sdf_gradient_map` does the last three.
+# The paper's order: render the depth; take the gradient of f at the mean of every visible Gaussian; make it unit, turn
+# it into the view; let the rasterizer blend it like a colour. `sdf_gradient_map` does the last three.
 
 # %%
 CAPACITY = 8192  # of the lists of splats a tile: inside jit it is a number, and what overflows says so
@@ -173,8 +174,8 @@ for degrees in (0, 20, 35):
 # %% [markdown]
 # ## The regulariser
 #
-# R compares the map with given normals, pixel by pixel, by 1 - abs(cos): 0 where they are parallel or opposite, so a normal
-# network that flips its sign does no harm. Against constant normals it is known in closed form.
+# R compares the map with given normals, pixel by pixel, by 1 - abs(cos): 0 where they are parallel or opposite, so a
+# normal network that flips its sign does no harm. Against constant normals it is known in closed form.
 
 # %%
 shown, covered, _ = directions(plane_of_gaussians(0))
@@ -198,9 +199,9 @@ pyplot.show()
 # %% [markdown]
 # ## Descend
 #
-# A frontal plane of Gaussians, and normals that say: tilted by 20 degrees. Nothing but R is minimised, over the places and
-# rotations of the Gaussians. Beside it the sign that the paper prints: its loss *adds* the sum of abs(cos), which is least
-# where surface and normals are at right angles.
+# A frontal plane of Gaussians, and normals that say: tilted by 20 degrees. Nothing but R is minimised, over the places
+# and rotations of the Gaussians. Beside it the sign that the paper prints: its loss *adds* the sum of abs(cos), which
+# is least where surface and normals are at right angles.
 
 # %%
 wanted = jnp.broadcast_to(tilted(20), (HEIGHT, WIDTH, 3))
@@ -249,6 +250,6 @@ assert ours[-1] < 0.3 * ours[0]
 assert as_printed[-1] > as_printed[0]
 
 # %% [markdown]
-# In training the photos hold the surface as well, and R has a small weight. Which reading of the text was chosen where it
-# leaves a choice, and what the others do, is in [Deviations](../deviations.md) and
-# [the paper, line by line](../paper_map.md).
+# In training the photos hold the surface as well, and R has a small weight. Which reading of the text was chosen where
+# it leaves a choice, and what the others do, is in [Deviations](../deviations.md) and [the paper, line by
+# line](../paper_map.md).

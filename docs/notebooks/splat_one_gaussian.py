@@ -45,6 +45,7 @@ gaussian = {
 # %% [markdown]
 # ## Its picture
 
+
 # %%
 def picture(gaussian):
     colors, _, _ = rasterizer.rasterization(**gaussian, viewmats=viewmats, Ks=Ks, width=WIDTH, height=HEIGHT)
@@ -77,6 +78,7 @@ np.testing.assert_allclose(shown, alpha[..., None] * np.asarray(orange), atol=1e
 # Move the Gaussian by dx: every pixel changes. The dense backend differentiates in any mode, so `jax.jvp` gives the
 # change of all pixels at once.
 
+
 # %%
 def moved(dx):
     means = gaussian["means"] + jnp.stack([dx, 0.0, 0.0])[None]
@@ -104,6 +106,7 @@ np.testing.assert_allclose(change, alpha * (x / variance_x) * FOCAL / DEPTH, ato
 #
 # The fast backend has reverse mode, which is what `jax.grad` wants: one number, and its derivative to everything.
 
+
 # %%
 def brightness(gaussian):
     return jnp.sum(picture(gaussian))
@@ -113,8 +116,8 @@ gradient = jax.grad(brightness)(gaussian)
 print({name: np.round(np.asarray(value), 2).tolist() for name, value in gradient.items()})
 
 # %% [markdown]
-# The picture is proportional to opacity and to colour. So opacity times its derivative is the brightness, and so is
-# the sum over the colour's channels.
+# The picture is proportional to opacity and to colour. So opacity times its derivative is the brightness, and so is the
+# sum over the colour's channels.
 
 # %%
 total = float(brightness(gaussian))
@@ -125,8 +128,9 @@ np.testing.assert_allclose(float(jnp.sum(orange * gradient["colors"])), total, r
 # %% [markdown]
 # ## Descend
 #
-# A Gaussian in the wrong place and of the wrong shape goes to where the picture is: steps against the gradient, a little
-# different for lengths and for places.
+# A Gaussian in the wrong place and of the wrong shape goes to where the picture is: steps against the gradient, a
+# little different for lengths and for places.
+
 
 # %%
 @jax.jit
