@@ -66,7 +66,7 @@ optimizer = optimizers.make_optimizer(Rates(), size, 100)
 def program(capacity):
     """The compiled step, the same one in every run: otherwise each would be compiled anew."""
     return make_train_step(
-        optimizer, Weights(), capacity=capacity, background=BACKGROUNDS["white"], sh_every=1000, rule=None
+        optimizer, Weights(alpha=0.0), capacity=capacity, background=BACKGROUNDS["white"], sh_every=1000, rule=None
     )
 
 
