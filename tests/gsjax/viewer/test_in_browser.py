@@ -1,5 +1,6 @@
 """The page in a real browser, headless; without one on the machine this file skips."""
 
+import importlib
 import sys
 import threading
 import time
@@ -16,9 +17,7 @@ from gsjax.viewer.page import SIDE, Page
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera
 from gsjax.viewer.subject import Subject
 
-sys.path.append(str(Path(__file__).parents[3] / "experiments"))
-devtools = pytest.importorskip("devtools")
-
+EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"
 SIZE = 720, 480  # Of the page, and of its full picture: no pixel is resampled.
 FREE = slice(180, 475), slice(5, 715)  # Rows and columns that no panel covers.
 CLOSE, FAR = 40.0, 25.0  # dB: the same picture, but for PNG's rounding; another one.
@@ -27,6 +26,16 @@ FIRST = camera_at((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), size=SIZE, focal=500.0)
 SECOND = camera_at((1.2, -0.5, 0.4), (0.0, 0.0, 4.0), size=SIZE, focal=500.0)
 SUBJECT = Subject("cloud", FIRST, np.array([0, 0, 4.0]), np.array([0, -1.0, 0]), 4.0, gaussians=cloud(30),
     background=np.array([0.1, 0.9, 0.4], np.float32))  # fmt: skip
+
+
+@pytest.fixture
+def browser(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXPERIMENTS))
+    devtools = importlib.import_module("devtools")
+    if devtools.program() is None:
+        pytest.skip("there is no Chromium on this machine")
+    yield devtools.browser
+    sys.modules.pop("devtools", None)
 
 
 def wait(true):
@@ -55,10 +64,7 @@ def looked(client, tab, at: PageCamera, picture):
     return shot
 
 
-@pytest.mark.skipif(devtools.program() is None, reason="there is no Chromium on this machine")
-def test_a_known_pose_shows_the_known_picture_a_moved_camera_another_and_who_leaves_is_forgotten(
-    monkeypatch,
-):
+def test_a_known_pose_shows_the_known_picture_a_moved_camera_another_and_who_leaves_is_forgotten(browser, monkeypatch):
     monkeypatch.setattr(pages, "LONGEST", (str(max(SIZE)), "960"))
     poses = [page_camera(camera) for camera in (FIRST, SECOND)]
     cameras = [camera_of(at._replace(width=SIZE[0], height=SIZE[1]), SIZE) for at in poses]
@@ -69,7 +75,7 @@ def test_a_known_pose_shows_the_known_picture_a_moved_camera_another_and_who_lea
         working = threading.Thread(target=page.work)
         working.start()
         try:
-            with devtools.browser(*SIZE) as tab:
+            with browser(*SIZE) as tab:
                 tab.call("Page.enable")
                 tab.call("Page.navigate", url=page.address)
                 wait(lambda: len(page.desk) and page.desk.is_idle)
