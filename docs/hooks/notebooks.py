@@ -54,9 +54,9 @@ def executed(notebook: NotebookNode, source: Path) -> NotebookNode:
 
 def environment(name: str) -> dict[str, str]:
     """Of the process that runs a notebook: most compile much and run little, and are spared XLA's optimisations."""
-    spared = {}
+    spared = {"OPEN3D_DISABLE_WEB_VISUALIZER": "true"}  # It would serve a page.
     if name not in RUN_LONG and version("jaxlib").startswith("0.10."):  # An unknown flag would end the process.
-        spared = {"XLA_FLAGS": "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"}
+        spared["XLA_FLAGS"] = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
     return spared | os.environ
 
 

@@ -141,9 +141,9 @@ def ratios(gaussians):
 
 
 figure, (left, right) = pyplot.subplots(1, 2, figsize=(11, 3.5))
-bins = np.linspace(1, 4, 40)
+bins = np.linspace(1, 2, 40)
 for name, gaussians, psnr in (("plain", plain, psnr_plain), ("with the term", rounder, psnr_rounder)):
-    left.hist(np.clip(ratios(gaussians), 1, 4), bins, histtype="step", label=name)
+    left.hist(np.clip(ratios(gaussians), 1, 2), bins, histtype="step", label=name)
     right.plot(np.convolve(psnr, np.ones(8) / 8, "valid"), label=name)
 left.axvline(LONGEST, color="black", linestyle=":")
 left.set_yscale("log")

@@ -42,20 +42,23 @@ print(f"{scene.source}: {len(scene.train_frames)} photos to train on, {len(scene
 print(f"{len(scene.points):,} points")
 
 # %% [markdown]
-# **3. Settings** are data: those of the demo, with few steps and one phase instead of two, in which the points that it
-# starts from stay as many as they are. Its loss has the photos and normal maps; here these are the true ones.
+# **3. Settings** are data: those of the demo, with few steps and Gaussians, and one phase instead of two. Its loss has
+# the photos and normal maps; here these are the true ones.
 
 # %%
 shorter = {
     "normals": str(folder / "normals"),
-    "sh_degree": 0,
+    "max_gaussians": 3000,
+    "sh_degree": 1,
     "phases": [
         {
             "name": "surface",
             "steps": 200,
+            "density_control": True,
             "weights": {"sdf_normal": 0.1, "pixel_normal": 0.4, "thickness": 0.02},
         }
     ],
+    "density": {**DEMO["density"], "start": 50, "stop": 150, "every": 25},
     "logging": {"evaluate_every": 0, "metrics_every": 10},
 }
 settings = config.parse(Settings, config.merge(DEMO, shorter))
