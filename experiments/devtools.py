@@ -72,14 +72,18 @@ class Tab:
         self.call("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, **at)
 
 
+def program() -> str | None:
+    """The browser on this machine, if there is one."""
+    return next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+
+
 @contextmanager
 def browser(width: int, height: int, *, lowest_priority: bool = False) -> Iterator[Tab]:
     """A browser with one empty tab of this size; it ends with the block. Exits where there is none."""
-    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if program is None:
+    if program() is None:
         sys.exit("there is no Chromium: apt-get install chromium")
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        command = [program, "--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--hide-scrollbars",
+        command = [program(), "--headless=new", "--no-sandbox", "--enable-unsafe-swiftshader", "--hide-scrollbars",
             f"--user-data-dir={profile}", f"--window-size={width},{height}", "--remote-debugging-port=0",
             "--remote-allow-origins=*", "about:blank"]  # fmt: skip
         command = ["nice", "-n", "19", *command] if lowest_priority else command

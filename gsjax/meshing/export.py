@@ -15,11 +15,13 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.files import atomic_path
 from gsjax.mesh import Mesh
+from gsjax.meshing import glb
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.libraries import load_trimesh
 
 # Of trimesh's writers, and what keeps them from rounding float32 coordinates.
-WRITERS = {".ply": {"encoding": "binary"}, ".obj": {"digits": 9}, ".glb": {}}
+WRITERS = {".ply": {"encoding": "binary"}, ".obj": {"digits": 9}}
+SUFFIXES = (*WRITERS, ".glb")
 MATERIAL = """newmtl surface
 Ka 0 0 0
 Kd 1 1 1
@@ -33,19 +35,16 @@ def write_mesh(path: str | Path, mesh: Mesh) -> None:
     """Writes a mesh, whole or not at all.
 
     Args:
-        path: Its suffix says the format: .ply, .obj or .glb. Colours are stored as they are, 8-bit sRGB.
+        path: Its suffix says the format: .ply, .obj or .glb.
         mesh: What to write.
 
     Raises:
         InputError: Unknown suffix, or the file cannot be written.
     """
     path = Path(path)
-    options = WRITERS[supported_suffix(path)]
-    trimesh = load_trimesh()
-    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False)
+    suffix = supported_suffix(path)
     with atomic_path(path) as temporary:
-        content = surface.export(file_type=supported_suffix(path)[1:], **options)
-        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
+        temporary.write_bytes(glb.encoded(mesh) if suffix == ".glb" else _encoded(mesh, suffix))
 
 
 def write_textured(path: str | Path, textured: TexturedMesh) -> None:
@@ -104,7 +103,7 @@ def read_textured(path: str | Path) -> TexturedMesh | None:
 def glb_bytes(path: str | Path) -> bytes:
     """The file as a GLB for a browser, with its texture or its vertex colours, and unlit: photos hold their light.
 
-    Its vertex colours are linear, as glTF has them. A file that is a GLB already is left as it is.
+    A file that is a GLB already is left as it is.
 
     Args:
         path: A .ply, .obj or .glb file.
@@ -117,25 +116,23 @@ def glb_bytes(path: str | Path) -> bytes:
     if path.suffix.lower() == ".glb":
         return path.read_bytes()
 
-    if surface.visual.kind == "vertex":
-        encoded = np.asarray(surface.visual.vertex_colors[:, :3], np.float64) / 255
-        linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
-        surface.visual.vertex_colors = np.rint(255 * linear).astype(np.uint8)
-
-    def unlit(tree: dict) -> None:
-        tree.setdefault("materials", [{}])[0]["extensions"] = {"KHR_materials_unlit": {}}
-        tree["extensionsUsed"] = [*tree.get("extensionsUsed", ()), "KHR_materials_unlit"]
-        tree["meshes"][0]["primitives"][0].setdefault("material", 0)
-
-    return surface.export(file_type="glb", tree_postprocessor=unlit)
+    if _picture(surface) is None:
+        return glb.encoded(Mesh(*_triangles(surface), _vertex_colors(surface)), unlit=True)
+    return surface.export(file_type="glb", tree_postprocessor=glb.mark_unlit)
 
 
 def supported_suffix(path: Path) -> str:
     """The path's suffix in lower case; InputError names the supported ones where it is none of them."""
     suffix = path.suffix.lower()
-    if suffix not in WRITERS:
-        raise InputError(f"{path}: mesh files end in {', '.join(WRITERS)}")
+    if suffix not in SUFFIXES:
+        raise InputError(f"{path}: mesh files end in {', '.join(SUFFIXES)}")
     return suffix
+
+
+def _encoded(mesh: Mesh, suffix: str) -> bytes:
+    surface = load_trimesh().Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False)
+    content = surface.export(file_type=suffix[1:], **WRITERS[suffix])
+    return content.encode() if isinstance(content, str) else content
 
 
 def _write_textured_obj(path: Path, textured: TexturedMesh) -> None:
@@ -163,13 +160,8 @@ def _write_textured_glb(path: Path, textured: TexturedMesh) -> None:
     )
     visual = trimesh.visual.TextureVisuals(uv=atlas.uvs * [1.0, -1.0] + [0.0, 1.0], material=material)
     surface = trimesh.Trimesh(mesh.vertices[atlas.vertices], atlas.faces, visual=visual, process=False)
-
-    def unlit(tree: dict) -> None:
-        tree["materials"][0]["extensions"] = {"KHR_materials_unlit": {}}
-        tree["extensionsUsed"] = [*tree.get("extensionsUsed", ()), "KHR_materials_unlit"]
-
     with atomic_path(path) as temporary:
-        temporary.write_bytes(surface.export(file_type="glb", include_normals=False, tree_postprocessor=unlit))
+        temporary.write_bytes(surface.export(file_type="glb", include_normals=False, tree_postprocessor=glb.mark_unlit))
 
 
 def _image(pixels: np.ndarray):
@@ -190,6 +182,8 @@ def _loaded(path: Path):
         has_places = path.suffix.lower() == ".obj" and b"\nvt " in path.read_bytes()
         surface = trimesh.load(path, force="mesh", process=False, maintain_order=not has_places)
         _triangles(surface)
+        if path.suffix.lower() == ".glb" and surface.visual.kind == "vertex":
+            surface.visual.vertex_colors = _glb_colors(path, surface)
     except Exception as error:  # Readers raise whatever the broken bytes lead to.
         raise InputError(f"{path}: not readable as a mesh ({type(error).__name__}: {error})".splitlines()[0]) from error
     if not len(surface.faces):
@@ -211,6 +205,12 @@ def _vertex_colors(surface) -> np.ndarray:
         columns, rows = np.floor(_uvs(surface) % 1 * picture.shape[1::-1]).astype(np.int64).T
         return picture[rows, columns]
     return np.full((len(surface.vertices), 3), 128, np.uint8)
+
+
+def _glb_colors(path: Path, surface) -> np.ndarray:
+    """`[V, 3]` uint8 sRGB; of several primitives to the 8 bits of light that trimesh keeps."""
+    colors = glb.vertex_colors(path.read_bytes())
+    return glb.srgb_bytes(surface.visual.vertex_colors[:, :3] / 255) if colors is None else colors
 
 
 def _uvs(surface) -> np.ndarray:

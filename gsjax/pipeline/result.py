@@ -103,6 +103,8 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
         )
     gaussians = format_of(source).read(source)
     if scene is None:
+        if not gaussians.num_gaussians:
+            raise InputError(f"{source}: holds no Gaussians, there is nothing to look at")
         cameras = viewpoints.around(gaussians)
         return Result(
             source,

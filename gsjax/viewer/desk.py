@@ -57,11 +57,12 @@ class Desk:
             self._visitors.pop(who, None)
             self._changed.notify()
 
-    def again(self) -> None:
-        """What is shown changed: everyone gets new pictures."""
+    def again(self, *, only_full: bool = False) -> None:
+        """What is shown changed: everyone gets new pictures, or only the full one, once their camera rests."""
         with self._changed:
             for visitor in self._visitors.values():
-                visitor.wants_coarse = visitor.wants_full = True
+                visitor.wants_full = True
+                visitor.wants_coarse |= not only_full
             self._changed.notify()
 
     def wake(self) -> None:

@@ -32,17 +32,20 @@ class Drawer:
     A view that needs more is drawn again with more; no picture is ever made of a buffer that was too short.
     """
 
-    def __init__(self, background: np.ndarray, depth_mode: DepthMode = "plane"):
-        """Draw over a `background` as `gsjax.backdrop` has it, with depth as `gsjax.render.view` has it."""
-        self._background, self._depth_mode = jnp.asarray(background, jnp.float32), depth_mode
+    def __init__(self, depth_mode: DepthMode = "plane"):
+        """Draw with depth as `gsjax.render.view` has it."""
+        self._depth_mode: DepthMode = depth_mode
         self._capacities: dict[tuple[int, int], int] = {}
 
-    def draw(self, gaussians: Gaussians, camera: Camera, *, with_surface: bool = False) -> Drawing:
+    def draw(
+        self, gaussians: Gaussians, camera: Camera, background: np.ndarray, *, with_surface: bool = False
+    ) -> Drawing:
         """Draw one view.
 
         Args:
             gaussians: jax or numpy; another number of them is another program.
             camera: The view; its size chooses the program.
+            background: As `gsjax.backdrop` has it; one of another shape is another program.
             with_surface: Whether depth and normals are drawn too: another program.
 
         Returns:
@@ -59,7 +62,7 @@ class Drawer:
                 shown, needed = _drawn(
                     gaussians,
                     camera,
-                    self._background,
+                    jnp.asarray(background, jnp.float32),
                     capacity=capacity,
                     with_surface=with_surface,
                     depth_mode=self._depth_mode,

@@ -36,6 +36,7 @@ class News(NamedTuple):
 
     gaussians: Gaussians
     line: str
+    background: np.ndarray | None = None  # where it is learned, see `gsjax.backdrop`; None: the subject's
 
 
 class Page:
@@ -63,6 +64,7 @@ class Page:
         self._host, self._port = host, port
         self._news, self._share = news, share
         self._pictures, self._gaussians, self._line = Pictures(subject), subject.gaussians, ""
+        self._background = subject.background
         self._chores: deque[Callable[[], None]] = deque()
         self._closing = Event()
         self.switches: dict[str, Any] = {}  # by their labels, once it is served: each has a `value`
@@ -184,7 +186,7 @@ class Page:
             behind = camera_of(order.camera, picture_size(order.camera, BEHIND_SIDE))
             if order.is_full and behind is not None:
                 self._status.content = self._line
-                _send(client, to_bytes(bare(self.subject.background, behind)), "png")
+                _send(client, to_bytes(bare(self._background, behind)), "png")
             return
         self._scenery.hide_splats()
         longest = int(self.switches[SIDE].value) // (1 if order.is_full else COARSER)
@@ -193,7 +195,8 @@ class Page:
             return
         started = time.perf_counter()
         try:
-            picture, line = self._pictures.draw(self.switches[SHOW].value, self._gaussians, camera)
+            kind = self.switches[SHOW].value
+            picture, line = self._pictures.draw(kind, self._gaussians, camera, self._background)
         except InputError as error:
             self._status.content = str(error)
             return
@@ -206,8 +209,9 @@ class Page:
         """Newer Gaussians, where they are made and somebody looks."""
         news = self._news() if self._news is not None and len(self.desk) else None
         if news is not None:
-            self._gaussians, self._line = news
-            self.desk.again()
+            self._gaussians, self._line = news.gaussians, news.line
+            self._background = self.subject.background if news.background is None else news.background
+            self.desk.again(only_full=True)
 
 
 def check_port(host: str, port: int) -> None:

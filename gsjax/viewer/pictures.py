@@ -21,7 +21,7 @@ class Pictures:
     def __init__(self, subject: Subject):
         """With the background, the depth and the photos of a subject."""
         self._background = subject.background
-        self._drawer = Drawer(subject.background, subject.depth_mode)
+        self._drawer = Drawer(subject.depth_mode)
         self._photos = {name: frame for name, frame in subject.photos.items() if name in subject.cameras}
         self._cameras = [subject.cameras[name] for name in self._photos]
         # Photos do not change, and reading one takes longer than drawing.
@@ -32,13 +32,16 @@ class Pictures:
         """What can be drawn: without photos, no error."""
         return (COLOR, DEPTH, NORMALS, ERROR) if self._photos else (COLOR, DEPTH, NORMALS)
 
-    def draw(self, kind: str, gaussians: Gaussians, camera: Camera) -> tuple[np.ndarray, str]:
+    def draw(
+        self, kind: str, gaussians: Gaussians, camera: Camera, background: np.ndarray | None = None
+    ) -> tuple[np.ndarray, str]:
         """Draw one.
 
         Args:
             kind: One of `kinds`.
             gaussians: What to look at.
             camera: From where.
+            background: As `gsjax.backdrop` has it; None: the subject's.
 
         Returns:
             `[H, W, 3]` uint8, and a line about it, or "".
@@ -46,7 +49,8 @@ class Pictures:
         Raises:
             InputError: The view does not fit the device, or the photo cannot be read.
         """
-        drawing = self._drawer.draw(gaussians, camera, with_surface=kind != COLOR)
+        background = self._background if background is None else background
+        drawing = self._drawer.draw(gaussians, camera, background, with_surface=kind != COLOR)
         if kind == COLOR or drawing.depth is None or drawing.normals is None:
             return to_bytes(drawing.colors), ""
         if kind == DEPTH:

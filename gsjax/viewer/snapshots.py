@@ -6,6 +6,7 @@ from threading import Event
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from gsjax.training.loop import Progress
 from gsjax.viewer.page import News
@@ -30,7 +31,13 @@ class Snapshots:
             self._asked.clear()
             # The next step takes the buffers.
             gaussians = jax.tree.map(jnp.copy, progress.state.gaussians)
-            self._taken = News(gaussians, f"{progress.phase.name}: step {progress.step:,} of {self._steps:,}")
+            effects = progress.state.effects
+            background = None if effects is None else effects.numbers.get("background")
+            self._taken = News(
+                gaussians,
+                f"{progress.phase.name}: step {progress.step:,} of {self._steps:,}",
+                None if background is None else np.array(background),
+            )
 
     def news(self) -> News | None:
         """What was copied since the last call, if anything; asks for the next where it is time."""

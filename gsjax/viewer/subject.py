@@ -10,7 +10,7 @@ from gsjax.cameras import Camera, look_at
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io.gaussian_files import FORMATS
-from gsjax.meshing.export import WRITERS, read_mesh
+from gsjax.meshing.export import SUFFIXES, read_mesh
 from gsjax.pipeline.pictures import opaque_middle
 from gsjax.pipeline.result import BACKGROUNDS, Result, frame_camera, open_result, scene_of_run
 from gsjax.scene import Frame, Scene
@@ -61,7 +61,7 @@ def open_subject(
             raise InputError(f"{source}: is a mesh itself; --mesh goes with Gaussians")
         return _of_mesh(source)
     if not source.name.lower().endswith(tuple(FORMATS)):
-        known = ", ".join(FORMATS), ", ".join(WRITERS)
+        known = ", ".join(FORMATS), ", ".join(SUFFIXES)
         raise InputError(f"{source}: is no run folder, and no file of Gaussians ({known[0]}) or of a mesh ({known[1]})")
     result = _opened(source)
     return Subject(
@@ -146,7 +146,7 @@ def _seen_from(cameras: list[Camera], middle: np.ndarray) -> dict:
 def _is_mesh(path: Path) -> bool:
     """Whether a file's suffix, or a PLY's header, tells of triangles."""
     if path.suffix.lower() != ".ply":
-        return path.suffix.lower() in WRITERS
+        return path.suffix.lower() in SUFFIXES
     with path.open("rb") as file:
         header = file.read(HEADER_BYTES).partition(b"end_header")[0]
     return b"element face" in header and b"f_dc_0" not in header and b"packed_position" not in header

@@ -70,6 +70,17 @@ def test_coarse_pictures_come_first_and_who_waits_longest_is_served_first(desk, 
     assert taken(desk) == [Order("second", B, True)]
 
 
+def test_what_changes_by_itself_asks_for_full_pictures_only(desk, clock):
+    desk.moved("me", A)
+    clock.now += 2 * REST
+    taken(desk)
+    desk.again(only_full=True)
+    assert taken(desk) == [Order("me", A, True)]
+    desk.moved("me", B)
+    desk.again(only_full=True)
+    assert taken(desk) == [Order("me", B, False)], "the camera moves"
+
+
 def test_of_a_browser_that_left_nothing_is_kept(desk, clock):
     desk.moved("me", A)
     assert len(desk) == 1

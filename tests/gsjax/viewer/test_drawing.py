@@ -36,13 +36,13 @@ def rendered():
 
 @pytest.fixture(scope="module")
 def drawer():
-    return Drawer(BACKGROUND)
+    return Drawer()
 
 
 @pytest.mark.parametrize("index", [0, 1])
 def test_a_known_pose_shows_the_renderers_picture_and_another_pose_another(drawer, rendered, index):
-    plain = drawer.draw(SCENE, camera(index))
-    whole = drawer.draw(SCENE, camera(index), with_surface=True)
+    plain = drawer.draw(SCENE, camera(index), BACKGROUND)
+    whole = drawer.draw(SCENE, camera(index), BACKGROUND, with_surface=True)
     assert plain.depth is None and plain.normals is None
     assert_close(plain.colors, rendered[index].colors)
     assert_close(whole.colors, rendered[index].colors)
@@ -58,7 +58,7 @@ def test_a_sky_stands_behind_the_gaussians_and_where_there_are_none(drawer):
     assert_close(bare(sky, camera(0)), seen)
     np.testing.assert_array_equal(bare(BACKGROUND, camera(0)), np.broadcast_to(BACKGROUND, seen.shape))
     (expected,) = gallery.pictures(SCENE, [camera(0)], sky)
-    assert_close(Drawer(sky).draw(SCENE, camera(0)).colors, expected.colors)
+    assert_close(Drawer().draw(SCENE, camera(0), sky).colors, expected.colors)
 
 
 def test_a_view_that_needs_more_pairs_is_drawn_again_with_more(rendered, monkeypatch):
@@ -71,15 +71,15 @@ def test_a_view_that_needs_more_pairs_is_drawn_again_with_more(rendered, monkeyp
 
     monkeypatch.setattr(drawing, "_needed", lambda *_: 0)
     monkeypatch.setattr(drawing, "_room", room)
-    drawer = Drawer(BACKGROUND)
+    drawer = Drawer()
     for _ in range(2):
-        assert_close(drawer.draw(SCENE, camera(0)).colors, rendered[0].colors)
+        assert_close(drawer.draw(SCENE, camera(0), BACKGROUND).colors, rendered[0].colors)
         assert rooms[0] == 0 and rooms[1] > 8 and len(rooms) == 2, "the second time it is known"
 
 
 def test_a_view_of_nothing_is_the_background(drawer):
     away = camera_of(page_camera(camera_at((0.0, 0.0, 0.0), (0.0, 0.0, -4.0), size=SIZE)), SIZE)
-    shown = drawer.draw(SCENE, away, with_surface=True)
+    shown = drawer.draw(SCENE, away, BACKGROUND, with_surface=True)
     np.testing.assert_array_equal(shown.colors, np.broadcast_to(BACKGROUND, (32, 32, 3)))
     assert not shown.depth.any() and not shown.normals.any()
 
@@ -87,7 +87,7 @@ def test_a_view_of_nothing_is_the_background(drawer):
 def test_a_view_without_room_is_one_line(monkeypatch):
     monkeypatch.setattr(drawing, "_needed", lambda *_: np.iinfo(np.int32).max)
     with pytest.raises(InputError, match="there is no room for what this view shows at 32x32; step back"):
-        Drawer(BACKGROUND).draw(SCENE, camera(0))
+        Drawer().draw(SCENE, camera(0), BACKGROUND)
 
 
 def subject(photo_colors):

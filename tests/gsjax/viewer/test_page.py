@@ -3,15 +3,17 @@
 import socket
 import threading
 import time
+import warnings
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from small_scenes import camera_at, cloud
 
-from gsjax import cli
+from gsjax import backdrop, cli
 from gsjax.errors import InputError
 from gsjax.viewer import page as pages
+from gsjax.viewer.desk import Desk
 from gsjax.viewer.page import BY_BROWSER, CAMERAS, SHOW, SIDE, News, Page, check_port
 from gsjax.viewer.page_camera import camera_of, page_camera, picture_size
 from gsjax.viewer.pictures import COLOR, DEPTH, Pictures
@@ -105,6 +107,50 @@ def test_news_are_asked_for_only_while_somebody_looks_and_kept_to_their_share(mo
         assert page._status.content == "step 1 of 2"
         page.switches[CAMERAS].value = True
         wait(lambda: page.server.scene.get_handle_by_name("/cameras/00000") is not None)
+
+
+def test_news_bring_the_background_that_is_learned_and_only_the_full_picture(monkeypatch):
+    """One colour in all directions, as coefficients: what the browser draws its splats over."""
+    behind = np.array([0.2, 0.4, 0.8], np.float32)
+    news = [News(SCENE, "step 1 of 2", backdrop.constant(behind, 0))]
+    monkeypatch.setattr(pages, "PATIENCE", 0.01)
+    monkeypatch.setattr(Desk, "again", lambda desk, *, only_full=False: asked.append(only_full))
+    asked, begun = [], threading.Event()
+    with served(monkeypatch, news=lambda: news.pop() if news and begun.is_set() else None) as (page, visitor):
+        page.desk.moved("me", page_camera(AT))
+        wait(lambda: visitor.received)
+        asked.clear()
+        begun.set()
+        wait(lambda: asked)
+        page.desk.moved("me", page_camera(AT))
+        wait(lambda: len(visitor.received) == 2)
+    (before, _), (after, _) = visitor.received
+    np.testing.assert_array_equal(before, np.broadcast_to(pages.to_bytes(SUBJECT.background), before.shape))
+    np.testing.assert_array_equal(after, np.broadcast_to(pages.to_bytes(behind), after.shape))
+    assert asked == [True]
+
+
+def test_a_browser_that_leaves_while_it_is_drawn_for_disturbs_nobody(monkeypatch):
+    """viser warns of what is sent to a closed connection, and warnings are errors here: the loop would end."""
+
+    def closed(image, format):
+        warnings.warn("Queued a message on a closed connection", RuntimeWarning, stacklevel=1)
+
+    with served(monkeypatch) as (page, visitor):
+        clients, draw = {"me": visitor, "other": Visitor()}, page._pictures.draw
+
+        def drawn(*what):
+            clients.pop("me", None)
+            page.desk.left("me")
+            return draw(*what)
+
+        monkeypatch.setattr(page.server, "get_clients", lambda: clients)
+        monkeypatch.setattr(visitor, "set_background_image", closed)
+        monkeypatch.setattr(page._pictures, "draw", drawn)
+        page.desk.moved("me", page_camera(AT))
+        wait(lambda: not len(page.desk) and page.desk.is_idle)
+        page.desk.moved("other", page_camera(AT))
+        wait(lambda: len(clients["other"].received) == 2)
 
 
 def test_work_takes_no_more_than_its_share(monkeypatch):

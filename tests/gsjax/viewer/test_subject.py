@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from small_scenes import camera_at, cloud
 
+from gsjax import cli
 from gsjax.errors import InputError
+from gsjax.gaussians import Gaussians
 from gsjax.io import runs
 from gsjax.io.compressed_ply import write_compressed_ply
 from gsjax.io.ply import write_gaussians
@@ -88,18 +90,18 @@ def test_a_mesh_alone_is_shown_as_a_mesh_from_where_it_is_seen_whole(tmp_path, s
     back = read_mesh(tmp_path / "back.glb")
     np.testing.assert_array_equal(back.vertices[back.faces], TETRAHEDRON.vertices[TETRAHEDRON.faces])
     colors = colors_of(glb_bytes(file))
-    # 188 of sRGB is half the light; a .glb is as it was.
-    expected = np.where(TETRAHEDRON.colors == 188, 188 if suffix == ".glb" else 128, TETRAHEDRON.colors)
-    np.testing.assert_allclose(colors[back.faces, :3], expected[TETRAHEDRON.faces], atol=1)
+    # 188 of sRGB is half the light.
+    expected = np.where(TETRAHEDRON.colors == 188, 0.5, TETRAHEDRON.colors / 255)
+    np.testing.assert_allclose(colors[back.faces, :3], expected[TETRAHEDRON.faces], atol=4e-3)
 
 
 def colors_of(glb):
-    """`[V, 4]` uint8 as the file has them: a JSON chunk, then what it tells of."""
+    """`[V, 4]` 0..1 as the file has them: a JSON chunk, then what it tells of."""
     length = int.from_bytes(glb[12:16], "little")
     tree = json.loads(glb[20 : 20 + length])
     accessor = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
     start = 28 + length + tree["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
-    return np.frombuffer(glb, np.uint8, 4 * accessor["count"], start).reshape(-1, 4)
+    return np.frombuffer(glb, "<u2", 4 * accessor["count"], start).reshape(-1, 4) / 65535
 
 
 def test_cameras_in_all_directions_have_an_up_all_the_same(run):
@@ -108,6 +110,14 @@ def test_cameras_in_all_directions_have_an_up_all_the_same(run):
     runs.write_json(run / "cameras.json", [records[0], {**records[0], "name": "b", "viewmat": turned}])
     up = open_subject(run).up
     np.testing.assert_allclose(up, -np.asarray(records[0]["viewmat"])[1, :3], atol=1e-6)
+
+
+def test_a_file_without_gaussians_is_one_line_and_exit_code_2(tmp_path, capsys):
+    fields = {name: value if name == "pixel_filter" else value[:0] for name, value in vars(cloud(1)).items()}
+    write_gaussians(tmp_path / "none.ply", Gaussians(**fields))
+    assert cli.main(["view", str(tmp_path / "none.ply"), "--port", "0"]) == 2
+    line = f"gsjax: error: {tmp_path / 'none.ply'}: holds no Gaussians, there is nothing to look at\n"
+    assert capsys.readouterr().err == line
 
 
 def test_what_cannot_be_shown_is_one_line(tmp_path, run, placed):

@@ -1,0 +1,67 @@
+"""Runs the notebooks while the site is built, and shows each as a page with its pictures.
+
+A notebook is a Python file of cells (jupytext's percent format) in docs/notebooks. A cell that raises ends the build.
+"""
+
+import os
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+
+import jupytext
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File, Files
+from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError
+from nbconvert import MarkdownExporter
+from nbformat import NotebookNode, writes
+
+FOLDER = "notebooks"
+PATIENCE = 600  # Seconds that one cell may take.
+RUN_LONG = {"photos_to_mesh", "accuracy_vs_time"}  # Longer than they compile; the others as tests (tests/conftest.py).
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Adds what becomes of every notebook: the page, its pictures, and the notebook itself for those who want it."""
+    for source in sorted(Path(config.docs_dir, FOLDER).glob("*.py")):
+        notebook = jupytext.read(source)
+        notebook.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
+        plain = writes(notebook)
+        page, pictures = as_markdown(executed(notebook, source), source.stem)
+        for name, content in {f"{source.stem}.ipynb": plain, f"{source.stem}.md": page, **pictures}.items():
+            files.append(File.generated(config, f"{FOLDER}/{name}", content=content))
+    return files
+
+
+def executed(notebook: NotebookNode, source: Path) -> NotebookNode:
+    """The notebook with its outputs, run by this very Python in a folder of its own.
+
+    Raises:
+        PluginError: A cell raised.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        client = NotebookClient(notebook, timeout=PATIENCE, resources={"metadata": {"path": folder}})
+        try:
+            client.execute(env=environment(source.stem))
+        except CellExecutionError as error:
+            raise PluginError(f"{source}: {error}") from error
+    for cell in notebook.cells:
+        if cell.cell_type == "code":  # Progress bars are no part of a page.
+            cell.outputs = [output for output in cell.outputs if output.get("name") != "stderr"]
+    return notebook
+
+
+def environment(name: str) -> dict[str, str]:
+    """Of the process that runs a notebook: most compile much and run little, and are spared XLA's optimisations."""
+    spared = {"OPEN3D_DISABLE_WEB_VISUALIZER": "true"}  # It would serve a page.
+    if name not in RUN_LONG and version("jaxlib").startswith("0.10."):  # An unknown flag would end the process.
+        spared["XLA_FLAGS"] = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+    return spared | os.environ
+
+
+def as_markdown(notebook: NotebookNode, name: str) -> tuple[str, dict[str, bytes]]:
+    """The page, with a link to the notebook, and its pictures by their paths beside it."""
+    text, resources = MarkdownExporter().from_notebook_node(notebook, {"output_files_dir": f"{name}_files"})
+    title, rest = text.lstrip().split("\n", 1)
+    return f"{title}\n\n[Download as a notebook]({name}.ipynb)\n\n{rest}", resources["outputs"]

@@ -1,0 +1,177 @@
+# %% [markdown]
+# # Coming from gsplat
+#
+# The front door has gsplat's argument names and order, so a script changes its import and drops torch. Four things are
+# different in JAX, and each gets a cell: gradients, compilation, batches and `absgrad`.
+
+# %%
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib import pyplot
+
+import rasterizer
+from rasterizer import rasterization
+
+# %% [markdown]
+# ## A script, changed
+#
+# In torch it was
+#
+#     from gsplat import rasterization
+#     colors, alphas, info = rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, height)
+#
+# and the call is the same. Scales and opacities are linear, quaternions are (w, x, y, z) of any length, cameras are
+# world to camera with x right, y down, z forward.
+
+# %%
+COUNT, WIDTH, HEIGHT = 400, 96, 72
+rng = np.random.default_rng(0)
+
+
+def array(values):
+    return jnp.asarray(values, jnp.float32)
+
+
+means = array(rng.uniform([-2, -1.5, 3], [2, 1.5, 5], (COUNT, 3)))
+quats = array(rng.normal(size=(COUNT, 4)))
+scales = array(np.exp(rng.normal(-2.3, 0.4, (COUNT, 3))))
+opacities = array(rng.uniform(0.2, 1, COUNT))
+rgb = array(rng.uniform(size=(COUNT, 3)))
+viewmats = jnp.stack([jnp.eye(4), jnp.eye(4).at[0, 3].set(0.5)])
+Ks = jnp.tile(array([[80, 0, WIDTH / 2], [0, 80, HEIGHT / 2], [0, 0, 1]]), (2, 1, 1))
+
+colors, alphas, info = rasterization(means, quats, scales, opacities, rgb, viewmats, Ks, WIDTH, HEIGHT)
+print("colors", colors.shape, "alphas", alphas.shape, "info:", ", ".join(info))
+
+figure, panels = pyplot.subplots(1, 2, figsize=(9, 3.4))
+for panel, image in zip(panels, colors, strict=True):
+    panel.imshow(jnp.clip(image, 0, 1))
+pyplot.show()
+
+# %% [markdown]
+# ## The stages
+#
+# gsplat's stages are here under their names. Put together they give the same picture.
+
+# %%
+radii, means2d, depths, conics, _ = rasterizer.fully_fused_projection(
+    means, None, quats, scales, viewmats, Ks, WIDTH, HEIGHT, eps2d=0.3
+)
+tile_size = 16
+tiles = -(-WIDTH // tile_size), -(-HEIGHT // tile_size)
+_, isect_ids, flatten_ids = rasterizer.isect_tiles(means2d, radii, depths, tile_size, *tiles)
+offsets = rasterizer.isect_offset_encode(isect_ids, 2, *tiles)
+staged, _ = rasterizer.rasterize_to_pixels(
+    means2d,
+    conics,
+    jnp.tile(rgb, (2, 1, 1)),
+    jnp.tile(opacities, (2, 1)),
+    WIDTH,
+    HEIGHT,
+    tile_size,
+    offsets,
+    flatten_ids,
+)
+np.testing.assert_allclose(staged, colors, atol=2e-3)
+
+# %% [markdown]
+# ## Gradients
+#
+# There is no `.backward()`: `jax.grad` makes a function into the function of its gradients, to any array that goes in,
+# the cameras too. Here the first camera is moved, and the gradient checked by finite differences. They agree to some
+# percent: a splat ends where its alpha passes 1/255, and a difference sees that edge move, a gradient does not.
+
+# %%
+weights = array(rng.normal(size=(HEIGHT, WIDTH, 3)))
+
+
+def loss(shift):
+    moved = viewmats.at[0, :3, 3].add(shift)
+    return jnp.sum(weights * rasterization(means, quats, scales, opacities, rgb, moved, Ks, WIDTH, HEIGHT)[0][0])
+
+
+gradient = jax.grad(loss)(jnp.zeros(3))
+steps = 3e-3 * jnp.eye(3)
+differences = [(loss(step) - loss(-step)) / 6e-3 for step in steps]
+print("gradient:", np.round(np.asarray(gradient), 2), " differences:", np.round(np.asarray(differences), 2))
+np.testing.assert_allclose(gradient, differences, rtol=0.1, atol=1.0)
+
+# %% [markdown]
+# ## Compilation
+#
+# Inside `jax.jit` all sizes are fixed before a number is known, the list of (tile, Gaussian) pairs too. So it gets a
+# `capacity`, and `info` says whether it was enough. A picture that overflowed must not be used.
+
+
+# %%
+@jax.jit
+def drawn(means):
+    colors, _, info = rasterization(
+        means, quats, scales, opacities, rgb, viewmats, Ks, WIDTH, HEIGHT, capacity=rasterizer.capacity_bucket(8000)
+    )
+    return colors, info["needed"], info["overflowed"]
+
+
+compiled, needed, overflowed = drawn(means)
+print(f"{int(needed):,} pairs were needed")
+assert not overflowed
+np.testing.assert_allclose(compiled, colors, atol=1e-5)
+
+# %% [markdown]
+# ## Batches
+#
+# There is one scene a call. Many are `jax.vmap`: here three, with the Gaussians moved a little further each time.
+
+# %%
+shifts = array([[0.0, 0, 0], [0.3, 0, 0], [0.6, 0, 0]])
+
+
+def shifted(shift):
+    return rasterization(means + shift, quats, scales, opacities, rgb, viewmats, Ks, WIDTH, HEIGHT)[0]
+
+
+many = jax.vmap(shifted)(shifts)
+print("many:", many.shape)
+np.testing.assert_allclose(many[0], colors, atol=1e-5)
+
+# %% [markdown]
+# ## absgrad
+#
+# AbsGS splits a Gaussian by the sum over pixels of *absolute* gradients to its 2D mean: the plain sum is small where
+# pixels pull in opposite directions. gsplat has a flag for it; here it is a probe of a few lines. Zeros are added to
+# `means2d`, the loss is differentiated to them piece by piece of the picture, and absolute values are added up. The
+# smaller the pieces, the closer it is; here they are blocks of 16 pixels.
+
+
+# %%
+def loss_of_blocks(probe):
+    """Loss of the first picture in each block of pixels, a flat array."""
+    lists = offsets_of_first, flatten_ids_of_first
+    image, _ = rasterizer.rasterize_to_pixels(
+        means2d[:1] + probe, conics[:1], rgb[None], opacities[None], WIDTH, HEIGHT, tile_size, *lists
+    )
+    padded = jnp.pad(weights * image[0], ((0, -HEIGHT % 16), (0, -WIDTH % 16), (0, 0)))
+    return padded.reshape(-(-HEIGHT // 16), 16, -(-WIDTH // 16), 16, 3).sum((1, 3, 4)).ravel()
+
+
+_, ids_of_first, flatten_ids_of_first = rasterizer.isect_tiles(means2d[:1], radii[:1], depths[:1], tile_size, *tiles)
+offsets_of_first = rasterizer.isect_offset_encode(ids_of_first, 1, *tiles)
+
+zeros = jnp.zeros_like(means2d[:1])
+values, pull = jax.vjp(loss_of_blocks, zeros)
+by_block = jax.lax.map(lambda block: pull(block)[0][0], jnp.eye(len(values)))  # [blocks, N, 2]
+
+plain, absolute = jnp.abs(by_block.sum(0)), jnp.abs(by_block).sum(0)
+(whole,) = pull(jnp.ones(len(values)))
+np.testing.assert_allclose(by_block.sum(0), whole[0], rtol=1e-3, atol=1e-2)
+assert jnp.all(absolute >= plain - 1e-4), "what cancels is missing from the plain sum"
+
+pyplot.plot(jnp.linalg.norm(plain, axis=-1), jnp.linalg.norm(absolute, axis=-1), ".", markersize=3)
+pyplot.axline((0, 0), slope=1, color="black", linestyle=":")
+pyplot.xlabel("length of the gradient to the 2D mean")
+pyplot.ylabel("with absolute values")
+pyplot.show()
+
+# %% [markdown]
+# What else differs, argument by argument, and how close the numbers are: [Coming from gsplat](../gsplat.md).

@@ -1,0 +1,77 @@
+"""Vertex colours of GLB files. glTF has them linear: 16 bits keep all 256 values of sRGB apart, 8 would not."""
+
+import json
+
+import numpy as np
+
+from gsjax.mesh import Mesh
+from gsjax.meshing.libraries import load_trimesh
+
+OWN = "_color"  # What trimesh takes along untouched; it would write colours of its own in 8 bits.
+COMPONENTS = {5121: np.dtype("u1"), 5123: np.dtype("<u2"), 5126: np.dtype("<f4")}
+CHANNELS = {"VEC3": 3, "VEC4": 4}
+
+
+def encoded(mesh: Mesh, *, unlit: bool = False) -> bytes:
+    """A mesh as a GLB, its colours linear.
+
+    Args:
+        mesh: What to write.
+        unlit: Whether viewers are told to show the colours as they are: photos hold their light.
+    """
+    linear = np.ones((mesh.num_vertices, 4))
+    linear[:, :3] = to_linear(mesh.colors / 255)
+    attributes = {OWN: np.rint(65535 * linear).astype(np.uint16)}
+    surface = load_trimesh().Trimesh(mesh.vertices, mesh.faces, vertex_attributes=attributes, process=False)
+
+    def completed(tree: dict) -> None:
+        primitive = tree["meshes"][0]["primitives"][0]
+        primitive["attributes"]["COLOR_0"] = primitive["attributes"].pop(OWN)
+        tree["accessors"][primitive["attributes"]["COLOR_0"]]["normalized"] = True
+        if unlit:
+            mark_unlit(tree)
+
+    return surface.export(file_type="glb", tree_postprocessor=completed)
+
+
+def mark_unlit(tree: dict) -> None:
+    """Adds KHR_materials_unlit to the material of a glTF tree with one mesh, and a material where there is none."""
+    tree.setdefault("materials", [{}])[0]["extensions"] = {"KHR_materials_unlit": {}}
+    tree["extensionsUsed"] = [*tree.get("extensionsUsed", ()), "KHR_materials_unlit"]
+    tree["meshes"][0]["primitives"][0].setdefault("material", 0)
+
+
+def vertex_colors(content: bytes) -> np.ndarray | None:
+    """`[V, 3]` uint8 sRGB of a GLB that is one primitive with vertex colours; None where it is not."""
+    length = int.from_bytes(content[12:16], "little")
+    tree = json.loads(content[20 : 20 + length])
+    primitives = [primitive for mesh in tree["meshes"] for primitive in mesh["primitives"]]
+    if len(primitives) != 1 or "COLOR_0" not in primitives[0]["attributes"]:
+        return None
+    accessor = tree["accessors"][primitives[0]["attributes"]["COLOR_0"]]
+    if "bufferView" not in accessor or "sparse" in accessor:
+        return None
+    view, kind = tree["bufferViews"][accessor["bufferView"]], COMPONENTS[accessor["componentType"]]
+    channels = CHANNELS[accessor["type"]]
+    stored = np.ndarray(
+        (accessor["count"], channels),
+        kind,
+        content,
+        28 + length + view.get("byteOffset", 0) + accessor.get("byteOffset", 0),  # Behind two headers of chunks.
+        (view.get("byteStride", channels * kind.itemsize), kind.itemsize),
+    )
+    largest = 1 if kind.kind == "f" else np.iinfo(kind).max
+    return srgb_bytes(stored[:, :3] / largest)
+
+
+def to_linear(encoded: np.ndarray) -> np.ndarray:
+    """Light of sRGB values, both 0..1 (IEC 61966-2-1)."""
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
+
+
+def srgb_bytes(linear: np.ndarray) -> np.ndarray:
+    """The uint8 sRGB values of light, 0..1; what is beyond is cut off."""
+    linear = np.clip(linear, 0, 1)
+    return np.rint(255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)).astype(
+        np.uint8
+    )

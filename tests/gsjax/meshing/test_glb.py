@@ -1,0 +1,90 @@
+"""Vertex colours of GLB files against glTF's definition: COLOR_0 is linear."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+
+from gsjax.mesh import Mesh
+from gsjax.meshing import glb, read_mesh, write_mesh
+
+
+def every_value():
+    """A strip of triangles whose vertices have all 256 values, of each channel its own."""
+    vertices = np.stack([np.arange(256) // 2, np.arange(256) % 2, np.zeros(256)], -1).astype(np.float32)
+    faces = np.stack([np.arange(254), np.arange(1, 255), np.arange(2, 256)], -1).astype(np.int32)
+    levels = np.arange(256, dtype=np.uint8)
+    return Mesh(vertices, faces, np.stack([levels, levels[::-1], np.roll(levels, 40)], -1))
+
+
+def light(colors):
+    """Of uint8 sRGB, one value after the other (IEC 61966-2-1)."""
+    return np.array([v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4 for v in np.ravel(colors) / 255])
+
+
+def parts(content):
+    """The JSON of a GLB and its binary chunk."""
+    length = struct.unpack("<I", content[12:16])[0]
+    return json.loads(content[20 : 20 + length]), content[28 + length :]
+
+
+def repacked(tree, binary):
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + binary
+    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+
+
+@pytest.mark.parametrize("unlit", [False, True])
+def test_the_file_holds_light_in_normalized_16_bits(unlit):
+    mesh = every_value()
+    tree, binary = parts(glb.encoded(mesh, unlit=unlit))
+    (primitive,) = tree["meshes"][0]["primitives"]
+    accessor = tree["accessors"][primitive["attributes"]["COLOR_0"]]
+    assert (accessor["componentType"], accessor["normalized"], accessor["type"]) == (5123, True, "VEC4")
+    assert all(name.isupper() for name in primitive["attributes"]), "nothing but what glTF names"
+    start = tree["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    stored = np.frombuffer(binary, "<u2", 4 * 256, start).reshape(256, 4) / 65535
+    np.testing.assert_allclose(stored[:, :3].ravel(), light(mesh.colors), atol=0.5 / 65535 + 1e-12)
+    np.testing.assert_array_equal(stored[:, 3], 1)
+    assert ("KHR_materials_unlit" in tree.get("extensionsUsed", ())) == unlit
+
+
+def test_every_value_comes_back_as_it_was(tmp_path):
+    mesh = every_value()
+    write_mesh(tmp_path / "m.glb", mesh)
+    found = read_mesh(tmp_path / "m.glb")
+    np.testing.assert_array_equal(found.colors, mesh.colors)
+    np.testing.assert_array_equal(found.vertices, mesh.vertices)
+
+
+@pytest.mark.parametrize(("component", "kind", "unit", "atol"), [(5126, "<f4", 1.0, 0), (5121, "u1", 255, 6)])
+def test_files_of_others_hold_light_too_in_floats_or_in_8_bits(tmp_path, component, kind, unit, atol):
+    """8 bits of light are few where it is dark: sRGB 12 and 13 are one of them."""
+    mesh = every_value()
+    tree, binary = parts(glb.encoded(mesh))
+    values = unit * light(mesh.colors).reshape(-1, 3)
+    stored = np.ones((256, 4), kind)
+    stored[:, :3] = values if component == 5126 else np.rint(values)
+    accessor = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
+    accessor |= {"componentType": component, "bufferView": len(tree["bufferViews"])}
+    del accessor["min"], accessor["max"]
+    tree["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": stored.nbytes})
+    binary += stored.tobytes()
+    tree["buffers"][0]["byteLength"] = len(binary)
+    (tmp_path / "m.glb").write_bytes(repacked(tree, binary))
+    np.testing.assert_allclose(read_mesh(tmp_path / "m.glb").colors.astype(int), mesh.colors, atol=atol)
+
+
+def test_several_meshes_in_one_file_keep_their_colours(tmp_path):
+    import trimesh
+
+    mesh = every_value()
+    one = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=np.full((256, 4), 55, np.uint8), process=False)
+    two = one.copy()
+    two.apply_translation([0, 0, 5])
+    trimesh.Scene([one, two]).export(tmp_path / "two.glb")
+    found = read_mesh(tmp_path / "two.glb")
+    assert len(found.faces) == 2 * len(mesh.faces)
+    np.testing.assert_array_equal(found.colors, round(255 * (1.055 * (55 / 255) ** (1 / 2.4) - 0.055)))
