@@ -5,6 +5,7 @@ A notebook is a Python file of cells (jupytext's percent format) in docs/noteboo
 
 import os
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import version
 from pathlib import Path
 
@@ -24,14 +25,25 @@ RUN_LONG = {"photos_to_mesh", "accuracy_vs_time"}  # Longer than they compile; t
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Adds what becomes of every notebook: the page, its pictures, and the notebook itself for those who want it."""
-    for source in sorted(Path(config.docs_dir, FOLDER).glob("*.py")):
-        notebook = jupytext.read(source)
-        notebook.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
-        plain = writes(notebook)
-        page, pictures = as_markdown(executed(notebook, source), source.stem)
-        for name, content in {f"{source.stem}.ipynb": plain, f"{source.stem}.md": page, **pictures}.items():
-            files.append(File.generated(config, f"{FOLDER}/{name}", content=content))
+    sources = sorted(Path(config.docs_dir, FOLDER).glob("*.py"))
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # Each runs in a process of its own.
+        for made in pool.map(outcome, sources):
+            for name, content in made.items():
+                files.append(File.generated(config, f"{FOLDER}/{name}", content=content))
     return files
+
+
+def outcome(source: Path) -> dict[str, str | bytes]:
+    """What becomes of one notebook, by file names.
+
+    Raises:
+        PluginError: A cell raised.
+    """
+    notebook = jupytext.read(source)
+    notebook.metadata["kernelspec"] = {"name": "python3", "display_name": "Python 3", "language": "python"}
+    plain = writes(notebook)
+    page, pictures = as_markdown(executed(notebook, source), source.stem)
+    return {f"{source.stem}.ipynb": plain, f"{source.stem}.md": page, **pictures}
 
 
 def executed(notebook: NotebookNode, source: Path) -> NotebookNode:
