@@ -13,7 +13,7 @@ from gsjax.training.state import TrainState
 from gsjax.training.step import Metrics, active_terms, in_photo
 
 
-def make_train_step(optimizer, weights, *, capacity, background, sh_every, rule, depth_mode="plane"):
+def make_train_step(optimizer, weights, *, capacity, background, sh_every, rule, depth_mode="plane", extent=1.0):
     terms = active_terms(weights)
     with_depth = not NEEDS_DEPTH.isdisjoint(terms)
 
@@ -49,7 +49,8 @@ def make_train_step(optimizer, weights, *, capacity, background, sh_every, rule,
         statistics = state.statistics
         if rule:
             seen = in_photo(projection, target.size)
-            statistics = rule.accumulate(statistics, gradients[1], seen, target.size)
+            distances = jnp.where(seen, projection.depths[0], 0) / extent
+            statistics = rule.accumulate(statistics, gradients[1], seen, distances, target.size)
         proposed = TrainState(gaussians, opt_state, statistics, state.step + 1)
         state = jax.tree.map(lambda old, new: jnp.where(pairs.overflowed, old, new), state, proposed)
         return state, Metrics(total, -10 * jnp.log10(jnp.maximum(mse, 1e-10)), pairs.needed, pairs.overflowed, losses)

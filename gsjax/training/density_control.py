@@ -70,8 +70,11 @@ def empty_statistics(capacity: int) -> GrowthStatistics:
     return GrowthStatistics(jnp.zeros(capacity, jnp.float32), jnp.zeros(capacity, jnp.float32))
 
 
-def accumulate(statistics: GrowthStatistics, means2d_gradient: Array, visible: Array, size: Array) -> GrowthStatistics:
+def accumulate(
+    statistics: GrowthStatistics, means2d_gradient: Array, visible: Array, distances: Array, size: Array
+) -> GrowthStatistics:
     """Add one view: `means2d_gradient` `[N, 2]` in 1 / pixels becomes NDC units (times half the photo's `[2]` size)."""
+    del distances
     ndc = means2d_gradient * (0.5 * size.astype(jnp.float32))[None]
     norm = jnp.sqrt(jnp.sum(ndc * ndc, -1))
     return GrowthStatistics(

@@ -29,7 +29,7 @@ OVERLAP = np.exp(-((APART / SHORTER) ** 2)) / np.sqrt(2)  # Integral of the halv
 class ErrorStatistics:
     """What decides who splits and who goes, summed over the views since the last densification."""
 
-    error: Array  # [N] pixels: blending weight times mean absolute difference to the photo
+    error: Array  # [N] pixels, see `accumulate`: blending weight times mean absolute difference to the photo
     weight: Array  # [N] pixels: blending weight
     views: Array  # [N] times it showed
 
@@ -47,9 +47,16 @@ def probed(view: View, batch: Batch) -> Array:
     return jnp.sum(jax.lax.stop_gradient(seen) * view.extra)
 
 
-def accumulate(statistics: ErrorStatistics, shares: Array, visible: Array, size: Array) -> ErrorStatistics:
-    """Add one view: the `[N, 2]` gradient of `probed`."""
+def accumulate(
+    statistics: ErrorStatistics, shares: Array, visible: Array, distances: Array, size: Array
+) -> ErrorStatistics:
+    """Add one view: the `[N, 2]` gradient of `probed`, less of what is nearer than a camera extent.
+
+    There the pixels of one photo are so many that whatever floats before it would outbid all that others see as well:
+    they count by the area that they cover in the scene (as gradients do in Pixel-GS, Zhang et al. 2024).
+    """
     del size
+    shares = shares * jnp.square(jnp.minimum(distances, 1))[:, None]
     return ErrorStatistics(
         statistics.error + shares[:, 0],
         statistics.weight + shares[:, 1],

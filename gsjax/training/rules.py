@@ -20,7 +20,8 @@ class Rule(NamedTuple):
     probes: str  # the argument of `gsjax.render.view` that the probe is
     probed: Callable[[View, Batch], Array | float]  # what is added to the loss for the probe's sake: zero
     empty_statistics: Callable[[int], Any]  # rows -> sums of nothing
-    accumulate: Callable[[Any, Array, Array, Array], Any]  # (sums, gradient, `[N]` visible, `[2]` size of the photo)
+    # (sums, gradient, `[N]` visible, `[N]` depths in camera extents, `[2]` size of the photo) -> sums
+    accumulate: Callable[[Any, Array, Array, Array, Array], Any]
     wanted: Callable[..., Array]  # how many there shall be, see `density_control.wanted`
     densify: Callable[..., tuple[Gaussians, density_control.Moves]]  # see `density_control.densify`
 

@@ -85,8 +85,8 @@ def make_train_step(
         rule: Of density control, whose statistics are gathered; None: none are.
         depth_mode: What a splat's depth is, see `gsjax.render.view`.
         effects: Those that stand between the render and the photos; the state and the targets must be made for them.
-        extent: Camera extent, scene units: what a term on the density measures errors in. The state must hold the table
-            of the nearest that such a term reads.
+        extent: Camera extent, scene units: what a term on the density measures errors in, and a rule distances. The
+            state must hold the table of the nearest that such a term reads.
 
     Returns:
         A `TrainStep`.
@@ -153,7 +153,8 @@ def make_train_step(
         statistics = state.statistics
         if rule:
             seen = in_photo(projection, target.size)
-            statistics = rule.accumulate(statistics, gradients.probe, seen, target.size)
+            distances = jnp.where(seen, projection.depths[0], 0) / extent
+            statistics = rule.accumulate(statistics, gradients.probe, seen, distances, target.size)
         looks = model.updated(effects, state.effects, gradients.numbers)
         proposed = TrainState(gaussians, opt_state, statistics, state.step + 1, looks, state.nearest)
         # A full buffer means a wrong image: the state stays, the host makes room and repeats the step.

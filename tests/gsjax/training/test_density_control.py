@@ -242,7 +242,11 @@ def test_accumulated_gradients_are_norms_in_ndc_units_of_the_visible():
     statistics = control.empty_statistics(CAPACITY)
     for _ in range(2):
         statistics = control.accumulate(
-            statistics, jnp.asarray(gradient, jnp.float32), jnp.asarray(visible), jnp.array([40, 30], jnp.int32)
+            statistics,
+            jnp.asarray(gradient, jnp.float32),
+            jnp.asarray(visible),
+            jnp.ones(CAPACITY, jnp.float32),
+            jnp.array([40, 30], jnp.int32),
         )
     expected = np.where(visible, np.linalg.norm(gradient * [20, 15], axis=1), 0)
     assert_close(statistics.gradient, 2 * expected)

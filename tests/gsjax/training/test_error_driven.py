@@ -10,7 +10,7 @@ from tolerances import assert_close
 
 import rasterizer
 from gsjax import views
-from gsjax.cameras import Camera
+from gsjax.cameras import Camera, world_to_camera
 from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales, sh_coefficients
 from gsjax.settings import Density, Rates, Weights
 from gsjax.training import error_driven
@@ -186,6 +186,8 @@ def test_the_budget_is_full_on_time_by_equal_factors():
 
 # --- what is seen
 
+EXTENT = 4.2  # Of the cameras: half of the cloud is nearer.
+
 
 @pytest.fixture(scope="module")
 def setup():
@@ -195,7 +197,13 @@ def setup():
 
     def step(rule):
         return make_train_step(
-            optimizer, Weights(alpha=0.0), capacity=4096, background=BACKGROUNDS["black"], sh_every=10, rule=rule
+            optimizer,
+            Weights(alpha=0.0),
+            capacity=4096,
+            background=BACKGROUNDS["black"],
+            sh_every=10,
+            rule=rule,
+            extent=EXTENT,
         )
 
     def start():
@@ -235,6 +243,9 @@ def test_the_error_and_the_weight_of_a_gaussian_are_sums_over_the_pixels(setup):
         rendered, inside = np.asarray(rendered), np.asarray(batch.valid)
         error = np.abs(rendered[..., :3] - np.asarray(batch.image, np.float64)).mean(-1)[inside]
         weights = rendered[..., 3:][inside]
+    depths = np.asarray(jax.vmap(world_to_camera, (0, None))(setup.start().gaussians.means, batch.camera))[:, 2]
+    assert 0.3 < np.mean(depths[:ALIVE] < EXTENT) < 0.7
+    weights = weights * np.minimum(depths / EXTENT, 1) ** 2
     assert inside.sum() == 24 * 20
     assert_close(state.statistics.weight, weights.sum(0), rtol=1e-4, atol=1e-4, why="sums of 480 pixels")
     assert_close(state.statistics.error, weights.T @ error, rtol=1e-4, atol=1e-4, why="sums of 480 pixels")
