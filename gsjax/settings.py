@@ -256,7 +256,7 @@ DEMO: dict[str, Any] = {
     "sh_every": 400,
     "phases": [
         {"name": "vanilla", "steps": 1000, "density_control": True},
-        {"name": "surface", "steps": 900, "weights": {"sdf_normal": 0.1, "pixel_normal": 0.4, "thickness": 0.02}},
+        {"name": "surface", "steps": 850, "weights": {"sdf_normal": 0.1, "pixel_normal": 0.4, "thickness": 0.02}},
     ],
     "density": {"rule": "error", "start": 200, "stop": 900, "replace": 0.05, "reset_every": 0},
     "logging": {"metrics_every": 50, "evaluate_every": 0, "checkpoint_every": 1000},
