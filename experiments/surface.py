@@ -23,7 +23,8 @@ from gsjax.io.machine import peak_memory
 
 WAYS = ("vanilla", "surface", "refined")
 FIGURES = ("chamfer", "fscore", "fscore_half", "normal_consistency", "outward_share", "psnr", "ssim",
-           "normal_error_deg", "normal_error_all_deg")  # fmt: skip
+           "normal_error_deg", "normal_error_all_deg", "mesh_normal_error_deg",
+           "mesh_normal_error_all_deg")  # fmt: skip
 PICTURE_SIZE = 480
 
 

@@ -26,7 +26,7 @@ from gsjax.pipeline.result import write_views
 from gsjax.settings import Settings
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-SETTINGS = Refinement(steps=4, per_triangle=3, sh_degree=1, thickness=1e-3)
+SETTINGS = Refinement(steps=4, per_triangle=3, sh_degree=1, thickness=1e-3, settle_at=0.75)
 BOUND = 54  # three on each of 18 triangles
 
 
@@ -78,7 +78,9 @@ def test_the_folder_holds_mesh_gaussians_and_report_and_is_a_run(place, refined)
     assert report["taken_out"] == {"degenerate": 0, "duplicate": 0, "non_manifold": 0, "decimated": 0}
     mesh, coarse = read_mesh(refined.out / "mesh.ply"), read_mesh(place.run / "mesh.ply")
     np.testing.assert_array_equal(mesh.faces, coarse.faces)
-    assert 1e-4 < np.abs(mesh.vertices - coarse.vertices).max() < 0.1
+    assert 1e-4 < np.abs(mesh.vertices - coarse.vertices).max() < 0.3
+    # Photos of noise agree nowhere, but better in some places than in others.
+    assert report["settled"]["moved_px"] > 0 and report["settled"]["after"] < report["settled"]["before"]
     np.testing.assert_allclose(read_mesh(refined.out / "mesh.glb").vertices, mesh.vertices, atol=1e-6)
     manifest = runs.read_json(refined.out / "manifest.json")
     assert manifest["status"] == "done" and manifest["scene"] == str(place.scene)
@@ -209,6 +211,7 @@ def test_the_command_hands_over_its_settings(monkeypatch, capsys):
         "m.obj",
         "--resume",
         "--bound-only",
+        "--unsettled",
     ]
     assert cli.main(["refine", "run", "--out", "o", *options, "--set", "weights.laplacian=2", "opacity=0.5"]) == 0
     (first, keywords), (second, more) = calls
@@ -216,6 +219,7 @@ def test_the_command_hands_over_its_settings(monkeypatch, capsys):
     assert keywords == {"mesh": None, "resume": False}
     assert (second[2].steps, second[2].faces, second[2].per_triangle) == (2000, 500, 6)
     assert first[2].keep_free and not second[2].keep_free
+    assert (first[2].settle_at, second[2].settle_at) == (0.8, 1.0)
     assert (second[2].weights.laplacian, second[2].opacity) == (2.0, 0.5)
     assert more == {"mesh": "m.obj", "resume": True}
     assert "psnr  30" in capsys.readouterr().out

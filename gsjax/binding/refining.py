@@ -1,9 +1,12 @@
 """Refinement: a mesh's vertices and the Gaussians bound to it, trained together on the photos (SuGaR, section 4.2).
 
+Towards the end the mesh may be moved once from outside (`refine`, `settled`); then its Gaussians follow it.
+
 Free Gaussians, where there are any, are trained beside them as before, but neither multiply nor vanish.
 Defaults are SuGaR's at full scale; a shorter run moves its SH ramp and its decay in proportion.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +19,7 @@ from jax import Array
 
 from gsjax import backdrop, render, views
 from gsjax.binding import mesh_terms
-from gsjax.binding.bound import LAYOUTS
+from gsjax.binding.bound import LAYOUTS, BoundGaussians
 from gsjax.binding.hybrid import Hybrid
 from gsjax.binding.mesh_terms import MeshGraph
 from gsjax.gaussians import PixelFilter
@@ -71,6 +74,7 @@ class Refinement:
     thickness: float = 1e-6  # of the extent: standard deviation along the normal
     pixel_filter: PixelFilter = "mip"  # see `gsjax.render.PIXEL_FILTERS`
     keep_free: bool = True  # the run's Gaussians stay where there is no mesh, see `gsjax.binding.beyond`
+    settle_at: float = 0.8  # share of the steps after which the mesh settles on its photos and stays there; 1: never
     seed: int = 0
     weights: RefinementWeights = RefinementWeights()
     rates: RefinementRates = RefinementRates()
@@ -86,6 +90,13 @@ class Refinement:
             raise ValueError(f"sh_degree={self.sh_degree} is not 0 to 4")
         if not 0 < self.opacity < 1 or not self.thickness > 0:
             raise ValueError(f"opacity={self.opacity} is not in 0..1 or thickness={self.thickness} is not above 0")
+        if not 0 < self.settle_at <= 1:
+            raise ValueError(f"settle_at={self.settle_at} is not above 0 and at most 1")
+
+    @property
+    def moving_steps(self) -> int:
+        """Steps in which the vertices are trained; the Gaussians are in the rest too."""
+        return math.ceil(self.settle_at * self.steps)
 
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -125,6 +136,7 @@ def refine(
     *,
     background: Background,
     observe: Callable[[RefineProgress], None],
+    settled: Callable[[BoundGaussians], BoundGaussians] = lambda bound: bound,
     capacity: int | None = None,
 ) -> RefineState:
     """Train all parameters of Gaussians and mesh on photos, from `state.step` on.
@@ -137,6 +149,8 @@ def refine(
         optimizer: The transformation that made the state.
         background: Under the images; where photos have no mattes it may also be as `gsjax.backdrop` has it.
         observe: Called after every step.
+        settled: Moves the vertices once, after `settings.moving_steps`, if there are more; the rest of the steps is for
+            the Gaussians on them.
         capacity: Pair buffer to continue with; None counts.
 
     Returns:
@@ -152,6 +166,8 @@ def refine(
         return partial(step, graph)
 
     def after(step: int, state: RefineState, metrics: Metrics, capacity: int) -> RefineState:
+        if step == settings.moving_steps < settings.steps:
+            state = replace(state, gaussians=replace(state.gaussians, bound=settled(state.gaussians.bound)))
         observe(RefineProgress(step, state, metrics, capacity))
         return state
 
@@ -219,15 +235,19 @@ def active_degrees(gaussians: Hybrid, degree: Array) -> Array:
 
 
 def make_optimizer(settings: Refinement, extent: float, num_vertices: int) -> optax.GradientTransformation:
-    """Adam (0.9, 0.999, eps 1e-15) per field; the vertices' rate falls log-linearly (SuGaR), as that of free means."""
+    """Adam (0.9, 0.999, eps 1e-15) per field; the vertices' rate falls log-linearly (SuGaR), as that of free means.
+
+    After `settings.moving_steps` it is 0.
+    """
     rates = settings.rates
     unit = 10 * extent / num_vertices**0.5
-    schedule = optax.exponential_decay(
+    falling = optax.exponential_decay(
         rates.vertices * unit,
         2 * settings.steps,
         rates.vertices_final / rates.vertices,
         end_value=rates.vertices_final * unit,
     )
+    schedule = optax.join_schedules([falling, optax.constant_schedule(0.0)], [settings.moving_steps])
     chosen = {
         "vertices": schedule,
         "log_scales": rates.scales,

@@ -33,6 +33,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--per-triangle", type=int, choices=(1, 3, 4, 6), help="Gaussians a triangle (default: 1)")
     add("--bound-only", dest="keep_free", action="store_const", const=False,
         help="drop all Gaussians of RUN: nothing shows then where there is no mesh")  # fmt: skip
+    add("--unsettled", dest="settle_at", action="store_const", const=1.0,
+        help="the mesh ends where the Gaussians' training has it; it does not settle on the photos")  # fmt: skip
     add("--seed", type=int, metavar="N", help="seed of the order of the photos (default: 0)")
     add("--resume", action="store_true", help="continue OUT from its last checkpoint, given the same options")
     add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
@@ -43,7 +45,7 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax import config, pipeline, tables
     from gsjax.binding.refining import PRESETS, Refinement
 
-    options = given(arguments, "steps", "faces", "per_triangle", "keep_free", "seed")
+    options = given(arguments, "steps", "faces", "per_triangle", "keep_free", "settle_at", "seed")
     chosen = config.merge(PRESETS[arguments.preset or "fast"], options)
     whole = config.to_dict(config.parse(Refinement, chosen, where="settings"))
     assignments = [one for group in arguments.assignments for one in group]

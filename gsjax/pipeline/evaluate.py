@@ -23,6 +23,8 @@ from gsjax.measures.images import psnr, ssim
 from gsjax.mesh import Mesh
 from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.export import read_mesh
+from gsjax.meshing.pictures import depth_of_mesh
+from gsjax.meshing.rays import ray_caster
 from gsjax.normals.from_depth import depth_normals
 from gsjax.pipeline.effects import Photography, appearances_of_tracks, read_photography
 from gsjax.pipeline.mesh import mesh as extract
@@ -62,7 +64,8 @@ def evaluate(
         `psnr_zoom_0.5` and `ssim_zoom_0.5` (with that number); with true
         normals `normal_error_deg` and `normal_error_median_deg` of the rendered depth over object pixels and
         `normal_error_all_deg` over all surface pixels; with true depth `depth_error` (mean absolute, object pixels,
-        scene units), both in held-out views; with true surface points what `score_mesh` returns.
+        scene units), both in held-out views; with true surface points what `score_mesh` returns, and the same errors of
+        the mesh's own depth as `mesh_normal_error_deg` and so on, in `floor` those of the true mesh.
 
     Raises:
         InputError: The run, its data set, the mesh or the weights cannot be read.
@@ -101,7 +104,11 @@ def evaluate(
         file = Path(mesh) if mesh is not None else run / "mesh.ply"
         if mesh is None and not file.exists():
             extract(run, file)
-        figures |= score_mesh(read_mesh(file), truth.points, truth.point_normals, truth.mesh)
+        scored = read_mesh(file)
+        figures |= score_mesh(scored, truth.points, truth.point_normals, truth.mesh)
+        figures |= score_mesh_views(scored, scene.held_out_frames, truth)
+        if truth.mesh is not None:
+            figures["floor"] |= score_mesh_views(read_mesh(truth.mesh), scene.held_out_frames, truth)
     return figures
 
 
@@ -225,29 +232,42 @@ def score_surface(
     gaussians: Gaussians, frames: tuple[Frame, ...], truth: Truth, depth_mode: DepthMode = "plane"
 ) -> dict[str, Any]:
     """Errors of the rendered depth and of its normals against true maps, pooled over the pixels of all frames."""
-    frames = tuple(f for f in frames if f.name in truth.normals or f.name in truth.depths)
-    if not frames:
-        return {}
+    frames = _with_maps(frames, truth)
     cameras = [frame_camera(f) for f in frames]
-    rendered, true, objects, depth_errors = [], [], [], []
-    for frame, camera, picture in zip(
-        frames, cameras, gallery.pictures(gaussians, cameras, BACKGROUNDS["black"], depth_mode), strict=True
-    ):
-        is_object = np.ones(picture.depth.shape, bool)
+    pictures = gallery.pictures(gaussians, cameras, BACKGROUNDS["black"], depth_mode)
+    return _score_depths((picture.depth for picture in pictures), frames, truth)
+
+
+def score_mesh_views(mesh: Mesh, frames: tuple[Frame, ...], truth: Truth) -> dict[str, Any]:
+    """The same of the depth at which rays meet a mesh, names with "mesh_" before them."""
+    frames, cast = _with_maps(frames, truth), ray_caster(mesh)
+    depths = (depth_of_mesh(mesh, f.viewmat, f.K, f.width, f.height, cast=cast) for f in frames)
+    return {f"mesh_{name}": value for name, value in _score_depths(depths, frames, truth).items()}
+
+
+def _with_maps(frames: tuple[Frame, ...], truth: Truth) -> tuple[Frame, ...]:
+    return tuple(f for f in frames if f.name in truth.normals or f.name in truth.depths)
+
+
+def _score_depths(depths: Iterable[np.ndarray], frames: tuple[Frame, ...], truth: Truth) -> dict[str, Any]:
+    """Errors of depth maps `[H, W]`, one a frame, and of their normals against true maps, where there are any."""
+    found, true, objects, depth_errors = [], [], [], []
+    for frame, depth in zip(frames, depths, strict=True):
+        is_object = np.ones(depth.shape, bool)
         if frame.name in truth.labels:
             labels = truth.labels[frame.name]()
             is_object = (labels != SKY) & (labels != GROUND)
         if frame.name in truth.normals:
-            rendered.append(np.asarray(depth_normals(jnp.asarray(picture.depth), camera)).reshape(-1, 3))
+            found.append(np.asarray(depth_normals(jnp.asarray(depth), frame_camera(frame))).reshape(-1, 3))
             true.append(truth.normals[frame.name]().reshape(-1, 3))
             objects.append(is_object.reshape(-1))
         if frame.name in truth.depths:
-            depth = truth.depths[frame.name]()
-            both = is_object & (depth > 0) & (picture.depth > 0)
-            depth_errors.append(np.abs(depth - picture.depth)[both])
+            known = truth.depths[frame.name]()
+            both = is_object & (known > 0) & (depth > 0)
+            depth_errors.append(np.abs(known - depth)[both])
     figures: dict[str, Any] = {}
-    if rendered:
-        maps, known, mask = np.concatenate(rendered), np.concatenate(true), np.concatenate(objects)
+    if found:
+        maps, known, mask = np.concatenate(found), np.concatenate(true), np.concatenate(objects)
         on_objects = geometry.normal_error_degrees(maps, known, mask)
         anywhere = geometry.normal_error_degrees(maps, known, np.ones_like(mask))
         figures |= {

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from gsjax import config
 from gsjax.binding import refining
 from gsjax.binding.beyond import beyond_mesh
-from gsjax.binding.bound import bind, to_mesh
+from gsjax.binding.bound import BoundGaussians, bind, to_mesh
 from gsjax.binding.hybrid import Hybrid, all_gaussians, with_free
 from gsjax.binding.mesh_terms import mesh_graph
 from gsjax.binding.refining import Refinement, RefineProgress, RefineState
@@ -29,6 +29,7 @@ from gsjax.meshing.cleaning import clean
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
+from gsjax.meshing.settling import settle
 from gsjax.pipeline.effects import Photography, read_photography, write_photography
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
@@ -60,7 +61,9 @@ def refine(
 
     Returns:
         The report: `psnr`, `ssim` and `views` of the held-out views, `vertices`, `faces`, `gaussians` (those `bound` to
-        the mesh and those `free`), `steps`, `train_seconds`, and `taken_out` of the mesh before it was refined.
+        the mesh and those `free`), `steps`, `train_seconds`, `taken_out` of the mesh before it was refined, and
+        `settled`, what `gsjax.meshing.settling.settle` tells (None where `settings` ask for none, and after a resume
+        beyond it).
 
     Raises:
         InputError: The run, its data set or the mesh cannot be read, no triangle is seen, or the folder is in use or
@@ -106,6 +109,13 @@ def refine(
         chosen = _kept(result, coarse, data) if rows is None else slice(rows - bound.num_gaussians)
         return refining.initial_state(with_free(bound, take(result.gaussians, chosen)), optimizer)
 
+    told: dict[str, float] = {}
+
+    def settled(bound: BoundGaussians) -> BoundGaussians:
+        mesh, found = settle(to_mesh(bound), frames)
+        told.update(found)
+        return replace(bound, vertices=jnp.asarray(mesh.vertices))
+
     state, capacity, seconds = beginning(folder, initial)
     with runs.begun(folder), _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
         state = refining.refine(
@@ -116,9 +126,11 @@ def refine(
             optimizer,
             background=BACKGROUNDS[trained["background"]] if behind is None else lambda key: behind,
             observe=journal.note,
+            settled=settled,
             capacity=capacity,
         )
         summary = {"steps": settings.steps, "train_seconds": round(journal.seconds, 1), "taken_out": taken_out}
+        summary["settled"] = told or None
         return _finish(folder, scene, trained["background"], found, state.gaussians, summary)
 
 

@@ -24,6 +24,7 @@ from gsjax.training.step import BACKGROUNDS
 
 EXTENT = 4.0
 SETTINGS = Refinement(steps=200, sh_degree=0, thickness=2e-3, seed=1, rates=RefinementRates(vertices=1e-3))
+RAISED = np.array([0, 0, 1e-3], np.float32)
 EYES = [(0.0, -1.5, 0.0), (1.6, 0.8, 0.5), (-1.6, 0.8, 0.5), (1.2, -1.0, 1.5), (-1.2, -1.0, 1.5), (0.1, 1.7, 0.3)]
 
 
@@ -68,10 +69,14 @@ def started(scene, free=None):
 
 
 def refined(scene, *, capacity, state=None):
-    progress = []
+    progress, settled = [], []
 
     def observe(one):
         progress.append(one._replace(state=jax.tree.map(np.array, one.state)))
+
+    def raised(bound):
+        settled.append(bound)
+        return replace(bound, vertices=bound.vertices + RAISED)
 
     fresh, optimizer = started(scene)
     state = fresh if state is None else jax.tree.map(jnp.asarray, state)
@@ -83,9 +88,10 @@ def refined(scene, *, capacity, state=None):
         optimizer,
         background=BACKGROUNDS["black"],
         observe=observe,
+        settled=raised,
         capacity=capacity,
     )
-    return SimpleNamespace(final=jax.tree.map(np.asarray, final), progress=progress)
+    return SimpleNamespace(final=jax.tree.map(np.asarray, final), progress=progress, settled=settled)
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +123,19 @@ def test_every_parameter_is_trained_and_nothing_else(scene, whole):
     assert after.thickness == before.thickness
 
 
+def test_the_mesh_is_moved_once_and_then_its_gaussians_alone_are_trained(whole):
+    bounds = [p.state.gaussians.bound for p in whole.progress]
+    moving = SETTINGS.moving_steps
+    assert (len(bounds), moving, len(whole.settled)) == (200, 160, 1)
+    before, after, last = bounds[moving - 2], bounds[moving - 1], bounds[-1]
+    np.testing.assert_array_equal(last.vertices, after.vertices)
+    assert_close(
+        np.median(after.vertices - before.vertices, axis=0), RAISED, atol=2e-4, why="one more step at a falling rate"
+    )
+    for name in ("log_scales", "rotations", "logit_opacities", "sh_dc"):
+        assert np.abs(getattr(last, name) - getattr(after, name)).max() > 1e-4, name
+
+
 def test_the_loss_is_the_weighted_sum_of_its_terms(whole):
     first = whole.progress[0].metrics
     assert set(first.terms) == {"l1", "dssim", "normal_consistency"}  # no mattes, no alpha term; no Laplacian
@@ -132,6 +151,7 @@ def test_the_terms_over_the_mesh_are_those_of_the_coarse_mesh_at_the_first_step(
 def test_a_refinement_that_was_stopped_goes_on_to_the_same_bits(scene, whole):
     stopped = whole.progress[194]
     again = refined(scene, state=stopped.state, capacity=stopped.capacity)
+    assert not again.settled
     assert stopped.capacity > 64
     assert [p.step for p in again.progress] == list(range(196, 201))
     jax.tree.map(np.testing.assert_array_equal, again.final, whole.final)
@@ -255,6 +275,8 @@ def test_every_preset_parses(preset):
         ({"sh_degree": 5}, "sh_degree=5 is not 0 to 4"),
         ({"opacity": 1.0}, "opacity=1.0"),
         ({"thickness": 0.0}, "thickness=0.0"),
+        ({"settle_at": 0.0}, "settle_at=0.0 is not above 0 and at most 1"),
+        ({"settle_at": 1.2}, "settle_at=1.2 is not above 0 and at most 1"),
         ({"rates": {"vertices": 0.0}}, "rates: vertices_final=1.6e-06 is not between 0 and vertices=0.0"),
     ],
 )
