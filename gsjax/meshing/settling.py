@@ -49,11 +49,12 @@ def settle(mesh: Mesh, frames: Sequence[Frame], options: Settling | None = None)
     """Move the vertices along their normals to where the photos agree.
 
     A vertex that fewer than three photos see, or that has no texture, follows its neighbours. Photos may be lighter or
-    darker than each other by a gain a channel. Masked pixels tell nothing.
+    darker than each other by a gain a channel. Masked pixels tell nothing, nor do those outside a matte.
 
     Args:
         mesh: Whose faces look outwards. Near the surface: within `reach` steps, 1.5 pixels.
-        frames: Photos with their cameras; read one by one, once and once more a round.
+        frames: Photos with their cameras; read one by one, once and once more a round. Beyond its matte a photo shows
+            something else, or nothing.
         options: None: the defaults.
 
     Returns:
@@ -119,10 +120,12 @@ def _survey(mesh: Mesh, frames: Sequence[Frame], offsets: np.ndarray, mean: np.n
     for frame in frames:
         bar.update()
         ids, cosine, distance = _visible(vertices, normals, frame, cast, thick)
-        image, _, valid = frame.pixels()
-        if valid is not None and len(ids):
+        image, *masks = frame.pixels()
+        for mask in masks:
+            if mask is None or not len(ids):
+                continue
             x, y = _projected(vertices[ids], frame)
-            usable = valid[y.astype(int), x.astype(int)] > 127
+            usable = mask[y.astype(int), x.astype(int)] > 127
             ids, cosine, distance = ids[usable], cosine[usable], distance[usable]
         if not len(ids):
             continue

@@ -91,8 +91,9 @@ def test_what_has_no_texture_follows_what_has(frames):
     assert np.abs(settled.vertices[plain, 2]).max() < 0.3 * PIXEL
 
 
-def test_masked_pixels_and_hidden_sheets_tell_nothing(frames):
-    masked = [with_pixels(f, f.pixels()._replace(valid=np.zeros(SIZE[::-1], np.uint8))) for f in frames]
+@pytest.mark.parametrize("kind", ["valid", "matte"])
+def test_masked_pixels_and_hidden_sheets_tell_nothing(frames, kind):
+    masked = [with_pixels(f, f.pixels()._replace(**{kind: np.zeros(SIZE[::-1], np.uint8)})) for f in frames]
     still, report = settle(sheet(0.6 * PIXEL), masked)
     np.testing.assert_array_equal(still.vertices, sheet(0.6 * PIXEL).vertices)
     assert report == {"seen_share": 0.0, "moved_px": 0.0, "before": 0.0, "after": 0.0}
