@@ -82,9 +82,12 @@ class Rates:
     opacities: float = 0.05
     scales: float = 0.005
     quats: float = 0.001
+    final_share: float = 1.0  # of all rates but the means', reached log-linearly in the last third of `decay_steps`
 
     def __post_init__(self):
         """Check ranges."""
+        if not 0 < self.final_share <= 1:
+            raise ValueError(f"final_share={self.final_share} is not above 0 and at most 1")
         if not 0 < self.means_final <= self.means:
             raise ValueError(f"means_final={self.means_final} is not between 0 and means={self.means}")
 
@@ -212,13 +215,14 @@ _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05}
 FAST = {
     "max_gaussians": 36_000,
     "cpu_pixels": 300_000,
-    "sh_every": 500,
+    "sh_every": 150,
     "phases": [
-        _phase("coarse", 500, image_scale=2, density_control=True),
-        _phase("vanilla", 1500, density_control=True),
+        _phase("coarse", 300, image_scale=2, density_control=True),
+        _phase("vanilla", 1700, density_control=True),
         _phase("surface", 1000, weights=_SURFACE_TERMS),
     ],
-    "density": {"rule": "error", "start": 200, "stop": 1500, "reset_every": 0},
+    "rates": {"means": 3.2e-4, "sh_dc": 0.005, "sh_rest": 0.001, "scales": 0.01, "quats": 0.003, "final_share": 0.2},
+    "density": {"rule": "error", "start": 50, "stop": 900, "every": 50, "full_by": 0.6, "reset_every": 0},
     "logging": {"evaluate_every": 250, "checkpoint_every": 250},
 }
 BALANCED = {

@@ -24,10 +24,12 @@ def labels(gaussians: Any) -> Gaussians:
 def make_optimizer(rates: Rates, extent: float, decay_steps: int) -> optax.GradientTransformation:
     """Adam (0.9, 0.999, eps 1e-15) per field; the rate of the means falls log-linearly to `rates.means_final`.
 
+    The other rates stay, or fall to `rates.final_share` of themselves in the last third.
+
     Args:
         rates: Per field; those of the means are times `extent`.
         extent: Camera extent, scene units.
-        decay_steps: Optimiser steps over which the means' rate falls.
+        decay_steps: Optimiser steps over which rates fall.
 
     Returns:
         An optax transformation over `Gaussians`.
@@ -36,17 +38,25 @@ def make_optimizer(rates: Rates, extent: float, decay_steps: int) -> optax.Gradi
         rates.means * extent, max(decay_steps, 1), rates.means_final / rates.means, end_value=rates.means_final * extent
     )
 
+    def falling(rate: float):
+        if rates.final_share == 1:
+            return rate
+        last = max(decay_steps // 3, 1)
+        begin = max(decay_steps - last, 0)
+        end_value = rate * rates.final_share
+        return optax.exponential_decay(rate, last, rates.final_share, transition_begin=begin, end_value=end_value)
+
     def adam(rate):
         return optax.adam(rate, eps=1e-15)
 
     return optax.partition(
         {
             "means": adam(schedule),
-            "quats": adam(rates.quats),
-            "scales": adam(rates.scales),
-            "opacities": adam(rates.opacities),
-            "sh_dc": adam(rates.sh_dc),
-            "sh_rest": adam(rates.sh_rest),
+            "quats": adam(falling(rates.quats)),
+            "scales": adam(falling(rates.scales)),
+            "opacities": adam(falling(rates.opacities)),
+            "sh_dc": adam(falling(rates.sh_dc)),
+            "sh_rest": adam(falling(rates.sh_rest)),
         },
         labels,
     )

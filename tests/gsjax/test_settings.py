@@ -45,6 +45,7 @@ def test_the_papers_budgets():
         ({"phases": [{"name": "a", "steps": 1, "image_scale": 0}]}, "image_scale=0 is below 1"),
         ({"phases": [{"name": "a", "steps": 1, "image_scale": 2, "weights": {"axis_normal": 0.1}}]}, "normal term"),
         ({"rates": {"means": 0.0}}, r"rates: means_final=1.6e-06 is not between 0 and means=0.0"),
+        ({"rates": {"final_share": 0.0}}, "final_share=0.0 is not above 0 and at most 1"),
         ({"rates": {"means_final": 0.0}}, "means_final=0.0 is not between 0"),
         ({"density": {"every": 0}}, "density: every=0 is below 1"),
         ({"density": {"reset_every": -1}}, "reset_every=-1 is below 0"),

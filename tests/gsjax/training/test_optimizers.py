@@ -59,6 +59,20 @@ def test_the_means_rate_falls_log_linearly_and_then_stays(optimizer):
     np.testing.assert_allclose(moved.mean((1, 2)), expected, rtol=0.02, atol=2e-7)
 
 
+def test_the_other_rates_fall_in_the_last_third_where_they_are_asked_to():
+    optimizer = make_optimizer(Rates(final_share=0.1), EXTENT, 9)
+    scene, state = SCENE, optimizer.init(SCENE)
+    step = jax.jit(lambda scene, state: apply_gradients(optimizer, scene, state, SIGNS))
+    moved = []
+    for _ in range(12):
+        before = scene
+        scene, state = step(scene, state)
+        moved.append([np.abs(getattr(scene, name) - getattr(before, name)).mean() for name in ("log_scales", "sh_dc")])
+    share = 0.1 ** (np.clip(np.arange(12) - 6, 0, 3) / 3)
+    # Under a constant gradient Adam's corrected step stays the rate itself.
+    np.testing.assert_allclose(moved, share[:, None] * [RATES.scales, RATES.sh_dc], rtol=0.02)
+
+
 def test_a_gradient_of_zero_moves_nothing(optimizer):
     scene, _, _ = stepped(optimizer, jax.tree.map(jnp.zeros_like, SCENE), 2)
     assert_close(scene, SCENE, rtol=0, atol=0, why="not one bit")
