@@ -135,8 +135,10 @@ def draw(file: Path, done: Mapping[str, Rounds]) -> None:
         kept = [i for i, is_on in enumerate(on_front(list(zip(x, y, strict=True)))) if is_on]
         kept.sort(key=lambda i: x[i])
         panel.plot(x[kept], y[kept], "-", color="tab:red", lw=1.2, zorder=1)
-        for label, *place in zip(labels, x, y, strict=True):
-            panel.annotate(label, place, xytext=(4, 4), textcoords="offset points", fontsize=7)
+        for turn, i in enumerate(np.lexsort((y, x))):
+            # Above and below in turn: neighbours along the axis of time do not write over each other.
+            beside = {"xytext": (4, 4)} if turn % 2 == 0 else {"xytext": (4, -4), "va": "top"}
+            panel.annotate(labels[i], (x[i], y[i]), textcoords="offset points", fontsize=7, **beside)
         panel.set_title(name, fontsize=9)
         panel.set_xlabel("time, of the most accurate", fontsize=7)
         panel.set_ylabel(unit, fontsize=7)

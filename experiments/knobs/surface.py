@@ -1,10 +1,17 @@
-"""Numbers of mesh and refinement, from the base run."""
+"""Numbers of mesh, refinement and texture, from the base run."""
 
 import time
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from gsjax import config, pipeline
 from gsjax.binding.refining import PRESETS, Refinement
+from gsjax.meshing.export import read_textured
+from gsjax.meshing.pictures import depth_of_mesh, render_mesh, texture_colors
+from gsjax.meshing.rays import ray_caster
+from gsjax.pipeline.result import scene_of_run
 from knobs.knob import Knob, Measured, Place
 
 
@@ -26,6 +33,27 @@ def _refined(place: Place, options: dict[str, Any], round_: int) -> Measured:
     return Measured(seconds, pipeline.evaluate(folder, mesh=folder / "mesh.ply"))
 
 
+def _textured(place: Place, size: int, round_: int) -> Measured:
+    file, mesh = place.fresh(f"texture_{round_}") / "textured.glb", place.mesh
+    file.parent.mkdir(parents=True)
+    started = time.perf_counter()
+    pipeline.texture(place.run, mesh, file, size=size)
+    return Measured(time.perf_counter() - started, {"psnr": _shown(place, file)})
+
+
+def _shown(place: Place, file: Path) -> float:
+    """PSNR of a textured mesh against the held-out photos, over the pixels that it covers."""
+    textured, squares = read_textured(file), []
+    assert textured is not None, "it was given a texture"
+    cast, shading = ray_caster(textured.mesh), texture_colors(textured)
+    for frame in scene_of_run(place.run).held_out_frames:
+        view = frame.viewmat, frame.K, frame.width, frame.height
+        covered = depth_of_mesh(textured.mesh, *view, cast=cast) > 0
+        shown = render_mesh(textured.mesh, *view, shading=shading, cast=cast)
+        squares.append(np.square((shown[covered].astype(float) - frame.pixels().image[covered]) / 255))
+    return float(-10 * np.log10(np.concatenate(squares).mean()))
+
+
 def _surface_errors(outcome: dict[str, Any], best: dict[str, Any]) -> dict[str, float]:
     return {
         "Chamfer, % more": 100 * (outcome["chamfer"] / best["chamfer"] - 1),
@@ -35,6 +63,10 @@ def _surface_errors(outcome: dict[str, Any], best: dict[str, Any]) -> dict[str, 
 
 def _refined_errors(outcome: dict[str, Any], best: dict[str, Any]) -> dict[str, float]:
     return {"PSNR lost, dB": best["psnr"] - outcome["psnr"], **_surface_errors(outcome, best)}
+
+
+def _texture_errors(outcome: dict[str, Any], best: dict[str, Any]) -> dict[str, float]:
+    return {"PSNR lost, dB": best["psnr"] - outcome["psnr"]}
 
 
 KNOBS: dict[str, Knob] = {
@@ -49,4 +81,6 @@ KNOBS: dict[str, Knob] = {
     "refinement triangles": Knob(
         {f"{faces:,}": {"faces": faces} for faces in (30_000, 15_000, 8_000, 4_000)}, _refined, _refined_errors
     ),
+    "refined mesh": Knob({"settled": {}, "unsettled": {"settle_at": 1.0}}, _refined, _refined_errors),
+    "texture": Knob({f"{size:,} px": size for size in (4096, 2048, 1024, 512)}, _textured, _texture_errors),
 }
