@@ -32,11 +32,12 @@ class ErrorStatistics:
     error: Array  # [N] pixels, see `accumulate`: blending weight times mean absolute difference to the photo
     weight: Array  # [N] pixels: blending weight
     views: Array  # [N] times it showed
+    depths: Array  # [N] camera extents: depths in the views where it showed
 
 
 def empty_statistics(capacity: int) -> ErrorStatistics:
     """Zero sums."""
-    return ErrorStatistics(*(jnp.zeros(capacity, jnp.float32) for _ in range(3)))
+    return ErrorStatistics(*(jnp.zeros(capacity, jnp.float32) for _ in range(4)))
 
 
 def probed(view: View, batch: Batch) -> Array:
@@ -61,6 +62,7 @@ def accumulate(
         statistics.error + shares[:, 0],
         statistics.weight + shares[:, 1],
         statistics.views + visible.astype(jnp.float32),
+        statistics.depths + jnp.where(visible, distances, 0),
     )
 
 
@@ -106,7 +108,9 @@ def densify(
     """
     del key
     rows = gaussians.num_gaussians
-    too_large = scales(gaussians).max(-1) > density.max_share * extent
+    # From afar what is as large as cameras stand apart may be small.
+    away = jnp.maximum(statistics.depths / jnp.maximum(statistics.views, 1), 1)
+    too_large = scales(gaussians).max(-1) > density.max_share * extent * away
     stays = is_alive(gaussians) & (opacities(gaussians) >= density.min_opacity)
     stays &= ~(jnp.asarray(prune_large) & too_large)
     staying = jnp.sum(stays, dtype=jnp.int32)

@@ -36,9 +36,9 @@ def scene(alive=ALIVE, *, opacity=None) -> Gaussians:
     return replace(cloud(alive, capacity=ROWS), logit_opacities=jnp.asarray(odds, jnp.float32))
 
 
-def statistics(error, weight, views=3.0) -> ErrorStatistics:
+def statistics(error, weight, views=3.0, depths=0.0) -> ErrorStatistics:
     return ErrorStatistics(
-        *(jnp.asarray(np.broadcast_to(np.asarray(x, np.float32), ROWS)) for x in (error, weight, views))
+        *(jnp.asarray(np.broadcast_to(np.asarray(x, np.float32), ROWS)) for x in (error, weight, views, depths))
     )
 
 
@@ -141,6 +141,16 @@ def test_size_prunes_only_when_asked():
     large = replace(large, log_scales=large.log_scales.at[4, 1].set(np.log(5.1)))
     assert alive(densified(large, statistics(0.0, 1.0))[0])[4]
     assert not alive(densified(large, statistics(0.0, 1.0), ROWS, True)[0])[4]
+
+
+def test_what_is_far_away_may_be_as_much_larger():
+    large = scene()
+    twice = 2 * DENSITY.max_share * EXTENT
+    large = replace(large, log_scales=large.log_scales.at[4:8, 1].set(np.log(twice)))
+    depths = 3.0 * np.where(RISING == 4, 1.9, np.where(RISING == 5, 2.1, np.where(RISING == 6, 0.5, 0.0)))
+    views = np.where(RISING == 7, 0.0, 3.0)
+    after = densified(large, statistics(0.0, 1.0, views, depths), ROWS, True)[0]
+    assert alive(after)[4:8].tolist() == [False, True, False, False]  # the last was in no view
 
 
 @pytest.mark.parametrize("count", [0, 1, ROWS])
@@ -249,6 +259,8 @@ def test_the_error_and_the_weight_of_a_gaussian_are_sums_over_the_pixels(setup):
     assert inside.sum() == 24 * 20
     assert_close(state.statistics.weight, weights.sum(0), rtol=1e-4, atol=1e-4, why="sums of 480 pixels")
     assert_close(state.statistics.error, weights.T @ error, rtol=1e-4, atol=1e-4, why="sums of 480 pixels")
+    shown = np.asarray(state.statistics.views) > 0
+    assert_close(state.statistics.depths[:ALIVE], (np.where(shown[:ALIVE], depths[:ALIVE], 0) / EXTENT), kind="value")
 
 
 def test_watching_changes_nothing_else(setup):
