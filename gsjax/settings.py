@@ -175,6 +175,7 @@ class Settings:
     vanilla: bool = False  # plain 3DGS for the same number of steps: no entropy, no cull, no normals
     phases: tuple[Phase, ...] = (VANILLA, ENTROPY, SURFACE)
     max_gaussians: int = 1_000_000
+    far_points: int = 0  # that training starts with beside the cloud's, all around; none where photos have mattes
     sh_degree: int = 3
     sh_every: int = 1000  # steps between the bands of the ramp
     rates: Rates = Rates()
@@ -186,7 +187,7 @@ class Settings:
 
     def __post_init__(self):
         """Check ranges."""
-        _check_lowest(self, max_gaussians=1, sh_every=1, longest_side=1)
+        _check_lowest(self, max_gaussians=1, far_points=0, sh_every=1, longest_side=1)
         named_effects(self.effects)
         if self.downscale is not None and not 1 <= self.downscale < math.inf:
             raise ValueError(f"downscale={self.downscale} is not a number of at least 1")
@@ -214,6 +215,7 @@ def _phase(name: str, steps: int, **more: Any) -> dict:
 _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05}
 FAST = {
     "max_gaussians": 36_000,
+    "far_points": 1_800,
     "cpu_pixels": 300_000,
     "sh_every": 150,
     "phases": [
@@ -227,6 +229,7 @@ FAST = {
 }
 BALANCED = {
     "max_gaussians": 120_000,
+    "far_points": 1_800,
     "sh_every": 700,
     "phases": [
         _phase("coarse", 1000, image_scale=2, density_control=True),

@@ -37,6 +37,8 @@ from gsjax.training.rows import bucket
 from gsjax.training.rules import RULES
 from gsjax.training.state import TrainState, count_alive, initial_state
 
+FAR_SHARE = 10  # Of the budget no more than one in so many is far around the cloud at the start.
+
 
 def train(
     scene: str | Path,
@@ -121,6 +123,19 @@ def _tell_normals(run: str | Path, line: str) -> None:
     runs.update_manifest(run, normals=line)
 
 
+def _starting_points(scene: Scene, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
+    """The cloud and its colours, with grey points far around it where photos show what is there."""
+    frames, count = scene.train_frames, min(settings.far_points, settings.max_gaussians // FAR_SHARE)
+    if not count or any(frame.pixels().matte is not None for frame in frames):
+        return scene.points, scene.point_colors
+    far = initialize.far_points(scene.points, frames, count)
+    # Of a cloud larger than the budget some stay out: the far ones must not be among them.
+    room = min(settings.max_gaussians - len(far), len(scene.points))
+    kept = np.linspace(0, len(scene.points) - 1, room).astype(int)
+    grey = np.full((len(far), 3), 128, np.uint8)
+    return np.concatenate([scene.points[kept], far]), np.concatenate([scene.point_colors[kept], grey])
+
+
 def _initial(
     scene: Scene,
     settings: Settings,
@@ -130,10 +145,11 @@ def _initial(
     effects: Effects = NO_EFFECTS,
 ) -> TrainState:
     """Step 0 in a buffer of so many rows; None: of those that the points take."""
+    points, colors = _starting_points(scene, settings)
     first = initialize.from_points(
-        scene.points,
-        scene.point_colors,
-        capacity=rows or bucket(len(scene.points), settings.max_gaussians),
+        points,
+        colors,
+        capacity=rows or bucket(len(points), settings.max_gaussians),
         sh_degree=settings.sh_degree,
         pixel_filter=settings.pixel_filter,
     )

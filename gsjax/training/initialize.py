@@ -1,13 +1,53 @@
 """The Gaussians that training starts from."""
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import KDTree
 
 from gsjax.gaussians import Gaussians, PixelFilter, rgb_to_sh
+from gsjax.scene import Frame
 
 DEAD_LOGIT = -30.0
 """Log-odds of a free row of the buffer: under every alpha cut, so never drawn and without gradient."""
+
+SHELLS = (1.5, 3.0, 6.0)
+"""Radii of the spheres of far points, in that of the smallest one that holds all cameras and most of the cloud."""
+
+
+def far_points(points: np.ndarray, frames: Sequence[Frame], count: int) -> np.ndarray:
+    """Points on three spheres around cameras and cloud, where a photo looks at them: something for backgrounds to be.
+
+    What lies far behind a subject is seldom matched. Gaussians that stand in front of it, before the cameras on the
+    other side, are then made to show it, and those cameras look through them as through fog.
+
+    Args:
+        points: `[P, 3]` the cloud, world.
+        frames: The photos that are trained on.
+        count: Points on all spheres together; those that no photo sees are left out.
+
+    Returns:
+        `[Q, 3]` float32, Q at most `count`.
+    """
+    eyes = np.stack([-frame.viewmat[:3, :3].T @ frame.viewmat[:3, 3] for frame in frames])
+    middle = np.median(points, axis=0)
+    cloud, cameras = (np.linalg.norm(each - middle, axis=1) for each in (points, eyes))
+    radius = max(float(np.quantile(cloud, 0.9)), float(cameras.max()))
+    # A Fibonacci lattice: even, without poles.
+    turn = np.arange(count // len(SHELLS)) + 0.5
+    height, around = 1 - 2 * turn / max(len(turn), 1), np.pi * (1 + 5**0.5) * turn
+    ring = np.sqrt(1 - height**2)
+    directions = np.stack([ring * np.cos(around), ring * np.sin(around), height], axis=-1)
+    far = np.concatenate([middle + shell * radius * directions for shell in SHELLS])
+    return far[np.any([_shows(frame, far) for frame in frames], axis=0)].astype(np.float32)
+
+
+def _shows(frame: Frame, points: np.ndarray) -> np.ndarray:
+    """`[P]` bool: which points project into the photo."""
+    u, v, z = ((points @ frame.viewmat[:3, :3].T + frame.viewmat[:3, 3]) @ frame.K.T).T
+    ahead = np.where(z > 0, z, np.inf)
+    return (z > 0) & (u >= 0) & (u < frame.width * ahead) & (v >= 0) & (v < frame.height * ahead)
 
 
 def from_points(

@@ -5,12 +5,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from small_scenes import camera_at
 from tolerances import assert_close
 
 from gsjax.gaussians import SH_C0, opacities, scales
-from gsjax.scene import Scene
+from gsjax.scene import Pixels, Scene, frame_of
 from gsjax.settings import Settings
-from gsjax.training.initialize import DEAD_LOGIT, from_points
+from gsjax.training.initialize import DEAD_LOGIT, SHELLS, far_points, from_points
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.rows import with_room_to_densify
 
@@ -74,3 +75,50 @@ def test_a_run_starts_with_the_pixel_filter_of_its_settings_and_growing_keeps_it
     state = training._initial(scene, settings, optimizer, None)
     assert state.gaussians.pixel_filter == pixel_filter
     assert with_room_to_densify(state, optimizer, settings.density, 40).gaussians.pixel_filter == pixel_filter
+
+
+def looking(*eyes, matte=None):
+    """Photos from these places towards the middle of the cloud."""
+    frames = []
+    for index, eye in enumerate(eyes):
+        camera = camera_at(eye, np.median(POINTS, axis=0))
+        shown = Pixels(np.zeros((camera.height, camera.width, 3), np.uint8), matte)
+        frames.append(frame_of(f"{index}.png", np.asarray(camera.viewmat), np.asarray(camera.K), shown))
+    return tuple(frames)
+
+
+def test_far_points_lie_beyond_cameras_and_cloud_where_a_photo_looks():
+    frames = looking((9.0, 0.5, 0.0), (0.0, 1.0, -7.0))
+    middle = np.median(POINTS, axis=0)
+    far = far_points(POINTS, frames, 900)
+    away = np.linalg.norm(far - middle, axis=1) / np.linalg.norm(np.array([9.0, 0.5, 0.0]) - middle)
+    np.testing.assert_allclose(np.unique(np.round(away, 3)), SHELLS, rtol=2e-3)
+    inside = np.zeros(len(far), bool)
+    for frame in frames:
+        x, y, z = (far @ frame.viewmat[:3, :3].T + frame.viewmat[:3, 3]).T
+        u, v = frame.K[0, 0] * x / z + frame.K[0, 2], frame.K[1, 1] * y / z + frame.K[1, 2]
+        inside |= (z > 0) & (u >= 0) & (u <= frame.width) & (v >= 0) & (v <= frame.height)
+    assert inside.all()
+    # Even on a sphere: as many as the photo's pyramid has of all directions.
+    share = 4 * np.arctan(16 * 12 / np.sqrt((30**2 + 16**2) * (33**2 + 12**2))) / (4 * np.pi)
+    seen_from_one = far_points(POINTS, frames[:1], 90_000)
+    farthest = np.linalg.norm(seen_from_one - middle, axis=1) > 5 * np.linalg.norm(np.array([9.0, 0.5, 0.0]) - middle)
+    assert farthest.sum() / 30_000 == pytest.approx(share, rel=0.4)  # from a sixth of the radius off the middle
+
+
+@pytest.mark.parametrize("count", [0, 2, 3])
+def test_a_few_far_points_or_none_are_no_trouble(count):
+    far = far_points(POINTS[:1], looking((2.0, 0.0, 0.0)), count)
+    assert far.shape[1:] == (3,) and len(far) <= count and np.isfinite(far).all()
+
+
+@pytest.mark.parametrize("matte", [None, np.full((24, 32), 255, np.uint8)])
+def test_training_starts_with_far_points_within_its_budget_unless_photos_have_mattes(matte):
+    frames = looking((9.0, 0.5, 0.0), (0.0, 1.0, -7.0), matte=matte)
+    scene = Scene(Path("s"), "colmap", frames, POINTS.astype(np.float32), COLORS)
+    for budget in (1000, 60, 12):
+        points, colors = training._starting_points(scene, Settings(max_gaussians=budget, far_points=900))
+        far = 0 if matte is not None else len(far_points(POINTS, frames, budget // 10))
+        assert len(points) == len(colors) == far + (min(20, budget - far) if far else 20)
+    points, _ = training._starting_points(scene, Settings(max_gaussians=1000))
+    np.testing.assert_array_equal(points, scene.points)
