@@ -118,7 +118,7 @@ def test_training_starts_with_far_points_within_its_budget_unless_photos_have_ma
     scene = Scene(Path("s"), "colmap", frames, POINTS.astype(np.float32), COLORS)
     for budget in (1000, 60, 12):
         points, colors = training._starting_points(scene, Settings(max_gaussians=budget, far_points=900))
-        far = 0 if matte is not None else len(far_points(POINTS, frames, budget // 10))
-        assert len(points) == len(colors) == far + (min(20, budget - far) if far else 20)
+        far = len(far_points(POINTS, frames, budget // 10))
+        assert len(points) == len(colors) == (far + min(20, budget - far) if matte is None else 20)
     points, _ = training._starting_points(scene, Settings(max_gaussians=1000))
     np.testing.assert_array_equal(points, scene.points)
