@@ -175,7 +175,7 @@ class Settings:
     vanilla: bool = False  # plain 3DGS for the same number of steps: no entropy, no cull, no normals
     phases: tuple[Phase, ...] = (VANILLA, ENTROPY, SURFACE)
     max_gaussians: int = 1_000_000
-    far_points: int = 0  # that training starts with beside the cloud's, all around; none where photos have mattes
+    far_points: int = 0  # around the cloud that training starts with too; none over white or where photos have mattes
     sh_degree: int = 3
     sh_every: int = 1000  # steps between the bands of the ramp
     rates: Rates = Rates()

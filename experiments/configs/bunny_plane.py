@@ -4,7 +4,6 @@ CONFIG: dict = {
     "background": "white",
     "pixel_filter": "mip",
     "max_gaussians": 20_000,
-    "far_points": 0,
     "sh_degree": 2,
     "phases": [
         {"name": "coarse", "steps": 400, "image_scale": 2, "density_control": True},

@@ -124,9 +124,10 @@ def _tell_normals(run: str | Path, line: str) -> None:
 
 
 def _starting_points(scene: Scene, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
-    """The cloud and its colours, with grey points far around it where photos show what is there."""
+    """The cloud and its colours, with grey points far around it unless what is behind all is laid there by us."""
     frames, count = scene.train_frames, min(settings.far_points, settings.max_gaussians // FAR_SHARE)
-    if not count or any(frame.pixels().matte is not None for frame in frames):
+    laid = settings.background == "white" or any(frame.pixels().matte is not None for frame in frames)
+    if not count or laid:
         return scene.points, scene.point_colors
     far = initialize.far_points(scene.points, frames, count)
     # Of a cloud larger than the budget some stay out: the far ones must not be among them.

@@ -120,5 +120,6 @@ def test_training_starts_with_far_points_within_its_budget_unless_photos_have_ma
         points, colors = training._starting_points(scene, Settings(max_gaussians=budget, far_points=900))
         far = len(far_points(POINTS, frames, budget // 10))
         assert len(points) == len(colors) == (far + min(20, budget - far) if matte is None else 20)
-    points, _ = training._starting_points(scene, Settings(max_gaussians=1000))
-    np.testing.assert_array_equal(points, scene.points)
+    for without in (Settings(max_gaussians=1000), Settings(far_points=900, background="white")):
+        points, _ = training._starting_points(scene, without)
+        np.testing.assert_array_equal(points, scene.points)
