@@ -217,13 +217,13 @@ FAST = {
     "max_gaussians": 36_000,
     "far_points": 1_800,
     "cpu_pixels": 300_000,
-    "sh_every": 150,
+    "sh_every": 300,
     "phases": [
         _phase("coarse", 300, image_scale=2, density_control=True),
         _phase("vanilla", 1700, density_control=True),
         _phase("surface", 1000, weights=_SURFACE_TERMS),
     ],
-    "rates": {"means": 3.2e-4, "sh_dc": 0.005, "sh_rest": 0.001, "scales": 0.01, "quats": 0.003, "final_share": 0.2},
+    "rates": {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "quats": 0.003, "final_share": 0.2},
     "density": {"rule": "error", "start": 50, "stop": 900, "every": 50, "full_by": 0.6, "reset_every": 0},
     "logging": {"evaluate_every": 250, "checkpoint_every": 250},
 }
