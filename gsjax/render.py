@@ -121,7 +121,7 @@ def splat(
 
 def needed_capacity(gaussians: Any, camera: Camera) -> Array:
     """`[]` int32 length of the pair buffer that this view needs."""
-    return rasterizer.count_pairs(_project(drawable(gaussians), camera), _grid(camera))
+    return rasterizer.count_pairs(_project(drawable(gaussians), camera), tile_grid(camera))
 
 
 def _splat(
@@ -144,7 +144,7 @@ def projected(scene: Drawable, camera: Camera, depth_mode: DepthMode) -> tuple[r
 
 def binned(projection: rasterizer.Projection, opacities: Array, camera: Camera, capacity: int) -> Splats:
     """The splats of one view (see `projected`) with their lists; `capacity` as in `splat`."""
-    grid = _grid(camera)
+    grid = tile_grid(camera)
     return Splats(
         projection,
         opacities,
@@ -169,7 +169,8 @@ def _project(scene: Drawable, camera: Camera, depth_mode: DepthMode = "center") 
     )
 
 
-def _grid(camera: Camera) -> rasterizer.TileGrid:
+def tile_grid(camera: Camera) -> rasterizer.TileGrid:
+    """The tiles of a view."""
     return rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.default_tile_size())
 
 

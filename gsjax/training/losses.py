@@ -113,8 +113,7 @@ NEEDS_DEPTH = frozenset(
     | {"distortion", "depth_normal", "multi_view", "sugar_sdf"}
 )
 NEEDS_GAUSSIANS = frozenset(
-    {"entropy", "thickness", "axis_normal", "depth_normal"}
-    | {"sdf_normal", "sdf_central", "sdf_bicubic", "sdf_offset"}
+    {"entropy", "thickness", "axis_normal", "depth_normal"} | {"sdf_normal", "sdf_central", "sdf_bicubic", "sdf_offset"}
 )
 """Beside the view, the Gaussians that show in it: where they lie and how they are shaped, not their colours."""
 NEEDS_NEIGHBOR = frozenset({"multi_view"})

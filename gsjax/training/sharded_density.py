@@ -72,9 +72,7 @@ def reset_opacities(
 
 
 @partial(jax.jit, static_argnames=("mesh", "optimizer", "min_opacity"), donate_argnums=0)
-def cull(
-    sharded: TrainState, *, mesh: Mesh, optimizer: optax.GradientTransformation, min_opacity: float
-) -> TrainState:
+def cull(sharded: TrainState, *, mesh: Mesh, optimizer: optax.GradientTransformation, min_opacity: float) -> TrainState:
     """`gsjax.training.state.cull` of a state by rows."""
     return on_shards(partial(state.cull, optimizer=optimizer, min_opacity=min_opacity), mesh, sharded)
 

@@ -1,8 +1,8 @@
 """Gaussians by rows over several devices: where each row lies, and how arrays come there and back.
 
-Rows are dealt like cards: row i of a run on one device is row i // D of device i mod D. So every device has its share of
-the living and the free, of near and far, whatever the order in which Gaussians were made, and a row has the same number
-on any count of devices. Arrays of a state are rows, or scalars that every device has.
+Rows are dealt like cards: row i of a run on one device is row i // D of device i mod D. So every device has its share
+of the living and the free, of near and far, whatever the order in which Gaussians were made, and a row has the same
+number on any count of devices. Arrays of a state are rows, or scalars that every device has.
 """
 
 from collections.abc import Callable, Sequence
@@ -43,7 +43,7 @@ def dealt(state: T, mesh: Mesh) -> T:
     def placed(leaf: Array) -> Array:
         whole = np.asarray(leaf)
         if whole.ndim:
-            by_turn = whole.reshape(-1, mesh.size, *whole.shape[1:])
+            by_turn = whole.reshape(len(whole) // mesh.size, mesh.size, *whole.shape[1:])
             whole = np.ascontiguousarray(by_turn.swapaxes(0, 1)).reshape(whole.shape)
         sharding = NamedSharding(mesh, BY_ROWS if whole.ndim else EVERYWHERE)
         return jax.make_array_from_callback(whole.shape, sharding, lambda index: whole[index])
@@ -58,7 +58,7 @@ def gathered(state: T, mesh: Mesh) -> T:
         rows = np.asarray(leaf if leaf.is_fully_addressable else multihost_utils.process_allgather(leaf, tiled=True))
         if not rows.ndim:
             return rows
-        by_device = rows.reshape(mesh.size, -1, *rows.shape[1:])
+        by_device = rows.reshape(mesh.size, len(rows) // mesh.size, *rows.shape[1:])
         return np.ascontiguousarray(by_device.swapaxes(0, 1)).reshape(rows.shape)
 
     return jax.tree.map(whole, state)
@@ -69,7 +69,7 @@ def all_rows(own: T) -> T:
 
     def joined(leaf: Array) -> Array:
         by_device = jax.lax.all_gather(leaf, AXIS)
-        return jnp.swapaxes(by_device, 0, 1).reshape(-1, *leaf.shape[1:])
+        return jnp.swapaxes(by_device, 0, 1).reshape(leaf.shape[0] * len(by_device), *leaf.shape[1:])
 
     return jax.tree.map(joined, own)
 
@@ -77,7 +77,7 @@ def all_rows(own: T) -> T:
 def own_rows(everyone: T) -> T:
     """Inside `jax.shard_map`: a device's own of `all_rows`."""
     place, count = jax.lax.axis_index(AXIS), jax.lax.axis_size(AXIS)
-    return jax.tree.map(lambda leaf: leaf.reshape(-1, count, *leaf.shape[1:])[:, place], everyone)
+    return jax.tree.map(lambda leaf: leaf.reshape(leaf.shape[0] // count, count, *leaf.shape[1:])[:, place], everyone)
 
 
 def fetched(own: T, source: Array) -> T:
