@@ -71,8 +71,8 @@ def _stacked_views(
     by_device = NamedSharding(mesh, BY_ROWS)
 
     def placed(*photos: np.ndarray) -> Array:
-        shape = (views_per_step, *np.shape(photos[0]))
-        return jax.make_array_from_callback(shape, by_device, lambda index: np.stack(photos[index[0]]))
+        stacked = np.stack(photos)
+        return jax.make_array_from_callback(stacked.shape, by_device, lambda index: stacked[index])
 
     def stacked(step: int) -> Target:
         places = range(step * views_per_step, (step + 1) * views_per_step)

@@ -114,9 +114,8 @@ def make_sharded_step(
         needed = splats.pairs.needed, jnp.max(packed.needed)
         return total, (_Seen(total, losses, in_decibels(mse), *needed), packed)
 
-    def counted(statistics: Any, shares: Array, packed: rasterizer.Packed, sizes: Array):
+    def counted(rule: Rule, statistics: Any, shares: Array, packed: rasterizer.Packed, sizes: Array):
         """The statistics after all devices' views, one after the other: `shares` `[D, K, 2]` gradients to the probe."""
-        assert rule is not None
 
         def one_view(statistics, of_view):
             shares, rows, ids, size = of_view
@@ -124,11 +123,11 @@ def make_sharded_step(
             seen = in_photo(projection, size)
             distances = jnp.where(seen, projection.depths[0], 0) / extent
             count = jax.tree.leaves(statistics)[0].shape[0]
-            by_row = [
-                jnp.zeros((count, *slots.shape[1:]), slots.dtype).at[ids].set(slots, mode="drop")
-                for slots in (shares, seen, distances)
-            ]
-            return rule.accumulate(statistics, *by_row, size), None
+
+            def by_row(slots: Array) -> Array:
+                return jnp.zeros((count, *slots.shape[1:]), slots.dtype).at[ids].set(slots, mode="drop")
+
+            return rule.accumulate(statistics, by_row(shares), by_row(seen), by_row(distances), size), None
 
         return jax.lax.scan(one_view, statistics, (shares, packed.rows, packed.ids, sizes))[0]
 
@@ -143,7 +142,7 @@ def make_sharded_step(
                 (state.gaussians, probe), target, color, active_degree
             )
             if rule:
-                statistics = counted(statistics, shares, packed, jax.lax.all_gather(target.size, AXIS))
+                statistics = counted(rule, statistics, shares, packed, jax.lax.all_gather(target.size, AXIS))
             return (jax.tree.map(jnp.add, gradients, gradient), statistics), seen
 
         start = jax.tree.map(jnp.zeros_like, state.gaussians), state.statistics

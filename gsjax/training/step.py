@@ -162,7 +162,7 @@ def make_train_step(
 
 def weighed(
     terms: dict[str, float], rule: Rule | None, gaussians: Gaussians, view: View, batch: Batch
-) -> tuple[Array, dict[str, Array], Array]:
+) -> tuple[Any, dict[str, Array], Array]:
     """The weighted sum of the terms, with what a rule adds for its probe; each of them; the mean squared error."""
     losses = {name: TERMS[name](gaussians, view, batch) for name in terms}
     total = sum(weight * losses[name] for name, weight in terms.items())
