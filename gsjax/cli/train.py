@@ -96,14 +96,15 @@ def _train(arguments: argparse.Namespace, address: dict[str, Any]) -> None:
     from gsjax import pipeline, tables
 
     devices = _devices(arguments)
+    if arguments.budget and (devices != 1 or (arguments.views_per_step or 1) > 1):
+        raise InputError(f"--budget {arguments.budget}: needs one device and --views-per-step 1")
     if devices != 1:
-        for name in ("view", "budget"):
-            if getattr(arguments, name):
-                raise InputError(f"--{name}: needs one device")
+        if arguments.view:
+            raise InputError("--view: needs one device")
         if arguments.views_per_step is None and not arguments.resume:
             arguments.views_per_step = pipeline.count_devices(devices)
-    plan = settings(arguments)
-    train = partial(pipeline.train, arguments.scene, arguments.out, plan, resume=arguments.resume, devices=devices)
+    plan, spread = settings(arguments), {"devices": devices} if devices != 1 else {}
+    train = partial(pipeline.train, arguments.scene, arguments.out, plan, resume=arguments.resume, **spread)
     if arguments.view:
         from gsjax import viewer
 

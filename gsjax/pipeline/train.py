@@ -100,7 +100,12 @@ def _train(
     )
     taken_in = joined(settings, loaded)
     as_dict, settings = config.to_dict(settings), in_larger_steps(settings)
-    optimizer = optimizers.make_optimizer(settings.rates, size, settings.rates.decay_steps or total_steps(settings))
+    optimizer = optimizers.make_optimizer(
+        settings.rates,
+        size,
+        settings.rates.decay_steps or total_steps(settings),
+        views_per_step=settings.views_per_step,
+    )
     spread = hardware(devices, settings, optimizer)
     if taken_in.effects and (devices != 1 or settings.views_per_step > 1):
         raise InputError(f"--effects {settings.effects}: effects need one device and --views-per-step 1")
