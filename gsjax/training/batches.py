@@ -3,7 +3,10 @@
 import math
 from dataclasses import replace
 
-from gsjax.settings import Rates, Settings
+from gsjax.settings import Settings
+
+FIELDS = "means", "means_final", "sh_dc", "sh_rest", "opacities", "scales", "quats"
+"""Of the rates, those that are rates."""
 
 
 def in_larger_steps(settings: Settings) -> Settings:
@@ -11,7 +14,8 @@ def in_larger_steps(settings: Settings) -> Settings:
 
     Everything that is counted in steps comes after as many photos as before. The rates grow with the square root of
     the views: Adam divides by the gradient's size, and a mean over V views is nearer to the true one by that root
-    (Zhao et al., On Scaling Up 3D Gaussian Splatting Training; measured in docs/several_devices.md).
+    (Zhao et al., On Scaling Up 3D Gaussian Splatting Training). What its moments remember is the optimiser's matter
+    (`gsjax.training.optimizers.make_optimizer`).
     """
     views = settings.views_per_step
     if views == 1:
@@ -20,13 +24,17 @@ def in_larger_steps(settings: Settings) -> Settings:
     def fewer(steps: int) -> int:
         return math.ceil(steps / views)
 
-    density, logging = settings.density, settings.logging
-    large_after = density.prune_large_after
+    density, logging, rates = settings.density, settings.logging, settings.rates
+    large_after, decay_steps = density.prune_large_after, rates.decay_steps
     return replace(
         settings,
         phases=tuple(replace(phase, steps=fewer(phase.steps)) for phase in settings.phases),
         sh_every=fewer(settings.sh_every),
-        rates=_scaled(settings.rates, math.sqrt(views), views),
+        rates=replace(
+            rates,
+            **{name: math.sqrt(views) * getattr(rates, name) for name in FIELDS},
+            decay_steps=None if decay_steps is None else fewer(decay_steps),
+        ),
         density=replace(
             density,
             start=fewer(density.start),
@@ -42,8 +50,3 @@ def in_larger_steps(settings: Settings) -> Settings:
             checkpoint_every=fewer(logging.checkpoint_every),
         ),
     )
-
-
-def _scaled(rates: Rates, factor: float, views: int) -> Rates:
-    by_field = {name: factor * rate for name, rate in rates.__dict__.items() if name != "decay_steps"}
-    return Rates(**by_field, decay_steps=None if rates.decay_steps is None else math.ceil(rates.decay_steps / views))
