@@ -18,6 +18,8 @@ from gsjax.io.machine import machine, versions
 
 COUNTS = (1, 2, 4, 8)
 COLUMNS = 9 + 3  # what travels of a splat: `rasterizer.pack`, and its colour
+GAUSSIAN = 4 * 59  # bytes of its parameters at degree 3
+HBM, LINKS = 3.35e12, {"NVLink": 450e9, "network": 50e9}  # bytes a second of an H100 SXM; 400 Gbit/s a device
 BYTES = {"f32": 4, "s32": 4, "u32": 4, "u8": 1, "pred": 1}
 COLLECTIVES = ("all-to-all", "all-gather", "all-reduce", "collective-permute")
 
@@ -39,6 +41,24 @@ class Load(NamedTuple):
 def exchanged(load: Load, devices: int) -> int:
     """Bytes that a device sends in a step, by the model: its splats of the others' views, there and back."""
     return 2 * 4 * COLUMNS * load.splat_capacity(devices) * (devices - 1)
+
+
+def estimate(load: Load, devices: int, link: float) -> dict[str, float]:
+    """Milliseconds of a step on H100s by the model; not measured. Binning and blending of the own view come on top.
+
+    A device projects N / D Gaussians into D views and reads each with its harmonics there, reads it again and adds to
+    its gradient on the way back; then Adam reads four arrays of its rows and writes three.
+
+    Args:
+        load: The step.
+        devices: D.
+        link: Bytes a second that a device sends, to all others together.
+    """
+    projection = 4 * GAUSSIAN * load.rows / HBM
+    adam = 7 * GAUSSIAN * load.rows / devices / HBM
+    exchange = exchanged(load, devices) / link
+    return {"projection_ms": 1e3 * projection, "adam_ms": 1e3 * adam, "exchange_ms": 1e3 * exchange,
+            "all_ms": 1e3 * (projection + adam + exchange)}  # fmt: skip
 
 
 def compiled(load: Load, devices: int) -> dict[str, Any]:
@@ -133,6 +153,7 @@ def main() -> None:
     parser.add_argument("--share", type=float, default=0.3, help="visible in a view (default: 0.3)")
     parser.add_argument("--size", type=int, nargs=2, default=(640, 480), metavar=("W", "H"), help="of a view, pixels")
     parser.add_argument("--pairs", type=int, default=1 << 20, help="(tile, splat) pairs of a view (default: 2^20)")
+    parser.add_argument("--estimate-rows", type=int, default=10_000_000, help="Gaussians of the estimate")
     parser.add_argument("--inside", type=int, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     load = Load(arguments.rows, arguments.share, *arguments.size, arguments.pairs)
@@ -148,6 +169,10 @@ def main() -> None:
         counted = json.loads(done.stdout.splitlines()[-1])
         rows[f"{count} devices"] = {"model_mb": 1e-6 * exchanged(load, count), **counted}
     print(tables.compare(rows))
+    for link, speed in LINKS.items():
+        print(f"computed, H100 over {link}, {arguments.estimate_rows:,} Gaussians, without binning and blending:")
+        large = load._replace(rows=arguments.estimate_rows)
+        print(tables.compare({f"{count} devices": estimate(large, count, speed) for count in (1, 2, 4, 8, 16, 32, 64)}))
     print(tables.record({**load._asdict(), **machine(), **versions()}))
 
 

@@ -2,9 +2,9 @@
 
 Every device sees position, shape, opacity and statistics of all Gaussians for as long as a densification takes, some 60
 bytes each, and comes by the rule's own code to the same decision as one device would, thresholds and ranks and random
-numbers included. Then it keeps its own rows: of colours and moments, which are nine tenths of a Gaussian, only those of
-newborns travel. Births take the free rows in the order of their numbers, and numbers are dealt to the devices in turn:
-so the counts stay as even as deaths are.
+numbers included. Then it keeps its own rows. Moments stay where they are, since newborns have none; the colours' shards
+go round the devices once, and each takes what its newborns inherit. Births take the free rows in the order of their
+numbers, and numbers are dealt to the devices in turn: so the counts stay as even as deaths are.
 """
 
 from dataclasses import replace
