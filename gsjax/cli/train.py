@@ -83,36 +83,37 @@ def _run(arguments: argparse.Namespace) -> None:
         raise InputError(f"--{next(iter(address))} goes with --view")
     if places and arguments.coordinator is None:
         raise InputError(f"--{next(iter(places))} goes with --coordinator")
+    from gsjax import tables
+
     if arguments.coordinator is None:
-        _train(arguments, address)
+        print(tables.record(_train(arguments, address)))
         return
     from gsjax.pipeline import processes
 
     with processes.joined(arguments.coordinator, **places):
-        _train(arguments, address)
+        summary = _train(arguments, address)
+        if processes.is_first():
+            print(tables.record(summary))
 
 
-def _train(arguments: argparse.Namespace, address: dict[str, Any]) -> None:
-    from gsjax import pipeline, tables
+def _train(arguments: argparse.Namespace, address: dict[str, Any]) -> dict[str, Any]:
+    from gsjax import pipeline
 
     devices = _devices(arguments)
-    if arguments.budget and (devices != 1 or (arguments.views_per_step or 1) > 1):
-        raise InputError(f"--budget {arguments.budget}: needs one device and --views-per-step 1")
-    if devices != 1:
-        if arguments.view:
-            raise InputError("--view: needs one device")
-        if arguments.views_per_step is None and not arguments.resume:
-            arguments.views_per_step = pipeline.count_devices(devices)
+    if devices != 1 or (arguments.views_per_step or 1) > 1:
+        for name in ("budget", "view"):
+            if getattr(arguments, name):
+                raise InputError(f"--{name}: needs one device and --views-per-step 1")
+    if devices != 1 and arguments.views_per_step is None and not arguments.resume:
+        arguments.views_per_step = pipeline.count_devices(devices)
     plan, spread = settings(arguments), {"devices": devices} if devices != 1 else {}
     train = partial(pipeline.train, arguments.scene, arguments.out, plan, resume=arguments.resume, **spread)
-    if arguments.view:
-        from gsjax import viewer
+    if not arguments.view:
+        return train()
+    from gsjax import viewer
 
-        with viewer.watch(arguments.scene, plan, **address) as observe:
-            summary = train(observe=observe)
-    else:
-        summary = train()
-    print(tables.record(summary))
+    with viewer.watch(arguments.scene, plan, **address) as observe:
+        return train(observe=observe)
 
 
 def _devices(arguments: argparse.Namespace) -> int | Literal["all"]:
