@@ -17,6 +17,9 @@ from gsjax.errors import InputError
 T = TypeVar("T")
 LOST = re.compile(r"Gloo|NCCL|heartbeat|coordination|UNAVAILABLE", re.IGNORECASE)
 """What the runtime says when another process is gone."""
+PATIENCE = (
+    600  # seconds without a sign of life; jax then ends the process, so what exchanges with it is to find out first
+)
 
 
 @contextmanager
@@ -33,7 +36,8 @@ def joined(coordinator: str, processes: int | None = None, process: int | None =
     """
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     try:
-        jax.distributed.initialize(None if coordinator == "auto" else coordinator, processes, process)
+        address = None if coordinator == "auto" else coordinator
+        jax.distributed.initialize(address, processes, process, heartbeat_timeout_seconds=PATIENCE)
     except (ValueError, RuntimeError) as error:
         raise InputError(f"--coordinator {coordinator}: {str(error).splitlines()[0]}") from error
     try:
