@@ -26,6 +26,7 @@ class Hardware:
     placement: Placement
     deal: Callable[[TrainState], TrainState]  # a whole state -> the state as it lies there
     whole: Callable[[TrainState], TrainState]  # and back
+    is_one: bool  # one device with a view a step
 
 
 def count_devices(devices: Devices) -> int:
@@ -57,7 +58,7 @@ def hardware(devices: Devices, settings: Settings, optimizer: optax.GradientTran
     """
     views, count = settings.views_per_step, count_devices(devices)
     if count == views == 1:
-        return Hardware(one_device(), lambda state: state, lambda state: state)
+        return Hardware(one_device(), lambda state: state, lambda state: state, is_one=True)
     if views % count:
         raise InputError(f"--views-per-step {views}: is no multiple of {count} devices")
     _refuse_far_terms(settings)
@@ -67,7 +68,7 @@ def hardware(devices: Devices, settings: Settings, optimizer: optax.GradientTran
         total = -(-state.gaussians.num_gaussians // count) * count
         return sharding.dealt(rows.lengthened(state, optimizer, total), mesh)
 
-    return Hardware(several.placement(mesh, views), deal, partial(sharding.gathered, mesh=mesh))
+    return Hardware(several.placement(mesh, views), deal, partial(sharding.gathered, mesh=mesh), is_one=False)
 
 
 def _refuse_far_terms(settings: Settings) -> None:

@@ -107,7 +107,7 @@ def _train(
         views_per_step=settings.views_per_step,
     )
     spread = hardware(devices, settings, optimizer)
-    if taken_in.effects and (devices != 1 or settings.views_per_step > 1):
+    if taken_in.effects and not spread.is_one:
         raise InputError(f"--effects {settings.effects}: effects need one device and --views-per-step 1")
     run = (
         runs.reopen(out, as_dict, scene=scene, completed=_completed)
@@ -141,7 +141,8 @@ def _train(
             optimizer,
             prior=normals,
             observe=told,
-            capacity=capacity,
+            # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.
+            capacity=capacity if spread.is_one else None,
             effects=taken_in.effects,
             placement=spread.placement,
         )
