@@ -20,8 +20,14 @@ FIGURES = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "mesh_nor
            "chamfer", "fscore_half", "fscore", "normal_consistency", "gaussians", "steps", "train_seconds")  # fmt: skip
 
 
+def run_names(study: str, seeds: int) -> list[str]:
+    """VARIANT_SEED of every run of a study, seed by seed."""
+    variants = load_config(study, folder=STUDIES)["variants"]
+    return [f"{variant}_{seed}" for seed in range(seeds) for variant in variants]
+
+
 def run(
-    study: str, scene: str, out: str, seeds: int = 1, seconds: float | None = None
+    study: str, scene: str, out: str, seeds: int = 1, seconds: float | None = None, only: str | None = None
 ) -> dict[str, list[dict[str, Any]]]:
     """Figures of every variant, a row a seed, and the true mesh's own; also written to `OUT/study.json`.
 
@@ -33,6 +39,7 @@ def run(
         out: Folder for the runs, OUT/VARIANT_SEED each.
         seeds: Runs of every variant, with seeds 0, 1, ...
         seconds: That a run may take; None: its own steps.
+        only: The one run that is done, VARIANT_SEED; then `OUT/study.json` is left to who does them all.
     """
     from gsjax.io import runs
 
@@ -44,13 +51,16 @@ def run(
         for variant, difference in described["variants"].items():
             settings = config.merge(base, _placed(difference, scene), {"seed": seed})
             folder = Path(out) / f"{variant}_{seed}"
+            if only not in (None, folder.name):
+                continue
             done = folder / "study.json"
             if not done.exists():
                 runs.write_json(done, _figures(scene, folder, settings, seconds))
             figures, floor = runs.read_json(done)
             every.setdefault(variant, []).append(figures)
     every |= {tables.FLOOR: [floor]} if floor else {}
-    runs.write_json(Path(out) / "study.json", every)
+    if only is None:
+        runs.write_json(Path(out) / "study.json", every)
     return every
 
 
@@ -81,17 +91,23 @@ def _placed(value: Any, scene: str) -> Any:
     return value.replace("{scene}", scene) if isinstance(value, str) else value
 
 
-def main() -> None:
-    """Reads the arguments and prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What a study is told, alone or in a sweep."""
     parser.add_argument("study", metavar="STUDY", help="name of a file in studies/, without .py")
     parser.add_argument("--scene", required=True, help="folder of the data set")
     parser.add_argument("--out", required=True, metavar="DIR", help="empty folder for the runs")
     parser.add_argument("--seeds", type=int, default=1, metavar="N", help="runs of every variant (default: 1)")
     parser.add_argument("--budget", metavar="TIME", help="of every run, as in 10m (default: the study's steps)")
+
+
+def main() -> None:
+    """Reads the arguments and prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_arguments(parser)
+    parser.add_argument("--only", metavar="VARIANT_SEED", help="one run of them (default: all)")
     arguments = parser.parse_args()
     seconds = None if arguments.budget is None else parsers.seconds(arguments.budget)
-    every = run(arguments.study, arguments.scene, arguments.out, arguments.seeds, seconds)
+    every = run(arguments.study, arguments.scene, arguments.out, arguments.seeds, seconds, arguments.only)
     print(tables.compare({variant: tables.spread(rows) for variant, rows in every.items()}))
 
 

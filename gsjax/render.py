@@ -121,21 +121,36 @@ def splat(
 
 def needed_capacity(gaussians: Any, camera: Camera) -> Array:
     """`[]` int32 length of the pair buffer that this view needs."""
-    return rasterizer.count_pairs(_project(drawable(gaussians), camera), _grid(camera))
+    return rasterizer.count_pairs(_project(drawable(gaussians), camera), tile_grid(camera))
 
 
 def _splat(
     scene: Drawable, camera: Camera, capacity: int, means2d_probe: Array | None, depth_mode: DepthMode
 ) -> Splats:
-    grid = _grid(camera)
-    projection = _project(scene, camera, depth_mode)
+    projection, opacities = projected(scene, camera, depth_mode)
     if means2d_probe is not None:
         projection = projection._replace(means2d=projection.means2d + means2d_probe[None])
+    return binned(projection, opacities, camera, capacity)
+
+
+def projected(scene: Drawable, camera: Camera, depth_mode: DepthMode) -> tuple[rasterizer.Projection, Array]:
+    """The splats of one view, and `[N]` their opacities as its pixels see them."""
+    projection = _project(scene, camera, depth_mode)
     opacities = scene.opacities
     if projection.compensations is not None:
         opacities = opacities * projection.compensations[0]
-    pairs = rasterizer.bin_splats(projection, opacities, grid, capacity, rasterizer.GSPLAT)
-    return Splats(projection, opacities, pairs, grid)
+    return projection, opacities
+
+
+def binned(projection: rasterizer.Projection, opacities: Array, camera: Camera, capacity: int) -> Splats:
+    """The splats of one view (see `projected`) with their lists; `capacity` as in `splat`."""
+    grid = tile_grid(camera)
+    return Splats(
+        projection,
+        opacities,
+        rasterizer.bin_splats(projection, opacities, grid, capacity, rasterizer.GSPLAT),
+        grid,
+    )
 
 
 def _project(scene: Drawable, camera: Camera, depth_mode: DepthMode = "center") -> rasterizer.Projection:
@@ -154,7 +169,8 @@ def _project(scene: Drawable, camera: Camera, depth_mode: DepthMode = "center") 
     )
 
 
-def _grid(camera: Camera) -> rasterizer.TileGrid:
+def tile_grid(camera: Camera) -> rasterizer.TileGrid:
+    """The tiles of a view."""
     return rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.default_tile_size())
 
 
@@ -224,17 +240,24 @@ def view(
     """
     scene = drawable(gaussians)
     splats = _splat(scene, camera, capacity, means2d_probe, depth_mode if with_depth else "center")
-    channels, depth = colors(scene, camera, active_degree), None
+    return shown(splats, colors(scene, camera, active_degree), background, with_depth=with_depth, extra=extra)
+
+
+def shown(
+    splats: Splats, colors: Array, background: Array, *, with_depth: bool = False, extra: Array | None = None
+) -> View:
+    """What splats of `[N, 3]` colours show; the rest as in `view`."""
+    channels, depth = colors, None
     if extra is not None:
         channels = jnp.concatenate([channels, extra], -1)
     before_depth = channels.shape[1]
     if with_depth:
-        depths = rasterizer.depth_channels(splats.projection, camera.width, camera.height)
+        depths = rasterizer.depth_channels(splats.projection, splats.grid.width, splats.grid.height)
         channels = jnp.concatenate([channels, depths[0]], -1)
     image, alphas = features(splats, channels)
     if with_depth:
         composited = rasterizer.blended_depth(image[None, ..., before_depth:])[0, ..., 0]
         depth = safe_divide(composited, alphas, alphas > MIN_COVERAGE)
     under = background if background.ndim == 3 else background[None, None]
-    shown = image[..., :3] + (1 - alphas)[..., None] * under
-    return View(shown, alphas, depth, splats, None if extra is None else image[..., 3:before_depth])
+    over = image[..., :3] + (1 - alphas)[..., None] * under
+    return View(over, alphas, depth, splats, None if extra is None else image[..., 3:before_depth])

@@ -174,6 +174,7 @@ class Settings:
     effects: str = NONE  # "none"; "auto", those that the photos show; or names, as in "exposure,vignetting"
     vanilla: bool = False  # plain 3DGS for the same number of steps: no entropy, no cull, no normals
     phases: tuple[Phase, ...] = (VANILLA, ENTROPY, SURFACE)
+    views_per_step: int = 1  # photos whose mean loss a step descends; what counts in steps here counts in photos then
     max_gaussians: int = 1_000_000
     far_points: int = 0  # around the cloud that training starts with too; none over white or where photos have mattes
     sh_degree: int = 3
@@ -187,7 +188,7 @@ class Settings:
 
     def __post_init__(self):
         """Check ranges."""
-        _check_lowest(self, max_gaussians=1, far_points=0, sh_every=1, longest_side=1)
+        _check_lowest(self, views_per_step=1, max_gaussians=1, far_points=0, sh_every=1, longest_side=1)
         named_effects(self.effects)
         if self.downscale is not None and not 1 <= self.downscale < math.inf:
             raise ValueError(f"downscale={self.downscale} is not a number of at least 1")

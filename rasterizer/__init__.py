@@ -5,6 +5,7 @@ from rasterizer.binning import TileGrid, TilePairs, bin_splats, count_pairs
 from rasterizer.capacity import capacity_bucket
 from rasterizer.covariances import quat_scale_to_covar_preci
 from rasterizer.engines import blend, default_tile_size
+from rasterizer.exchange import Packed, exchange, pack, unpack
 from rasterizer.features import blended_depth, depth_channels
 from rasterizer.harmonics import spherical_harmonics
 from rasterizer.normals import camera_normals
@@ -24,6 +25,7 @@ __all__ = [
     "GSPLAT_1_5",
     "INRIA",
     "DepthMode",
+    "Packed",
     "Projection",
     "Rules",
     "TileGrid",
@@ -36,14 +38,17 @@ __all__ = [
     "count_pairs",
     "default_tile_size",
     "depth_channels",
+    "exchange",
     "fully_fused_projection",
     "isect_offset_encode",
     "isect_tiles",
+    "pack",
     "proj",
     "project",
     "quat_scale_to_covar_preci",
     "rasterization",
     "rasterize_to_pixels",
     "spherical_harmonics",
+    "unpack",
     "world_to_cam",
 ]

@@ -59,7 +59,7 @@ LAYERS = {
         ("rasterizer", *CORE, "io", "meshing", "runs", "viewer", "cli"),
         # Among them a peer to time ours against, and scripts that lie next to the one that imports them.
         ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "websockets", "gsplat", "torch")
-        + ("train", "workloads", "paper", "paper_run", "browser_check", "devtools", "relit", "knobs"),
+        + ("train", "workloads", "paper", "paper_run", "browser_check", "devtools", "relit", "knobs", "compare"),
     ),
 }
 HEAVY = {"open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "xatlas", "matplotlib", "PIL", "viser"}

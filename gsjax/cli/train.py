@@ -5,7 +5,7 @@ import sys
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from gsjax import config
 from gsjax.cli.parsers import add_command, given, seconds
@@ -14,7 +14,8 @@ from gsjax.errors import InputError
 from gsjax.settings import LENGTHS, PRESETS, Settings
 
 OPTIONS = (
-    "seed", "downscale", "images", "hold_out", "normals", "normal_axes", "background", "masks", "effects", "vanilla"
+    "seed", "downscale", "images", "hold_out", "normals", "normal_axes", "background", "masks", "effects", "vanilla",
+    "views_per_step",
 )  # fmt: skip
 
 
@@ -61,6 +62,14 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--effects", metavar="auto|none|NAMES", help="what photography added to the scene, to be simulated: auto,"
         " what the photos show (see `gsjax diagnose`); or names, as in exposure,poses (default: none)")  # fmt: skip
     add("--vanilla", action="store_const", const=True, help="plain 3DGS: leave the normal term out")
+    add("--devices", metavar="N|all", help="spread the Gaussians over so many devices, each with a view of its own"
+        " in every step (default: 1; across machines: all)")  # fmt: skip
+    add("--views-per-step", type=int, metavar="V", help="photos that a step takes, a multiple of the devices: fewer and"
+        " longer steps, as many photos seen (default: as many as devices)")  # fmt: skip
+    add("--coordinator", metavar="HOST:PORT|auto", help="train with other processes, all started with this command:"
+        " where the first of them listens; auto reads it from the cluster's environment")  # fmt: skip
+    add("--processes", type=int, metavar="P", help="how many processes there are, with --coordinator HOST:PORT")
+    add("--process", type=int, metavar="I", help="which of them this is, from 0; the first alone writes RUN")
     add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
         help="any setting by its dotted key, as RUN/config.json shows them; may be repeated")  # fmt: skip
     add("--resume", action="store_true", help="continue RUN from its last checkpoint with its own settings")
@@ -69,20 +78,51 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import pipeline, tables
-
-    address, plan = given(arguments, "port", "host"), settings(arguments)
+    address, places = given(arguments, "port", "host"), given(arguments, "processes", "process")
     if address and not arguments.view:
         raise InputError(f"--{next(iter(address))} goes with --view")
-    train = partial(pipeline.train, arguments.scene, arguments.out, plan, resume=arguments.resume)
-    if arguments.view:
-        from gsjax import viewer
+    if places and arguments.coordinator is None:
+        raise InputError(f"--{next(iter(places))} goes with --coordinator")
+    from gsjax import tables
 
-        with viewer.watch(arguments.scene, plan, **address) as observe:
-            summary = train(observe=observe)
-    else:
-        summary = train()
-    print(tables.record(summary))
+    if arguments.coordinator is None:
+        print(tables.record(_train(arguments, address)))
+        return
+    from gsjax.pipeline import processes
+
+    with processes.joined(arguments.coordinator, **places):
+        summary = _train(arguments, address)
+        if processes.is_first():
+            print(tables.record(summary))
+
+
+def _train(arguments: argparse.Namespace, address: dict[str, Any]) -> dict[str, Any]:
+    from gsjax import pipeline
+
+    devices = _devices(arguments)
+    if devices != 1 or (arguments.views_per_step or 1) > 1:
+        for name in ("budget", "view"):
+            if getattr(arguments, name):
+                raise InputError(f"--{name}: needs one device and --views-per-step 1")
+    if devices != 1 and arguments.views_per_step is None and not arguments.resume:
+        arguments.views_per_step = pipeline.count_devices(devices)
+    plan, spread = settings(arguments), {"devices": devices} if devices != 1 else {}
+    train = partial(pipeline.train, arguments.scene, arguments.out, plan, resume=arguments.resume, **spread)
+    if not arguments.view:
+        return train()
+    from gsjax import viewer
+
+    with viewer.watch(arguments.scene, plan, **address) as observe:
+        return train(observe=observe)
+
+
+def _devices(arguments: argparse.Namespace) -> int | Literal["all"]:
+    named = arguments.devices or ("1" if arguments.coordinator is None else "all")
+    if named == "all":
+        return "all"
+    if not named.isdecimal() or int(named) < 1:
+        raise InputError(f"--devices {named}: not a number of devices, nor all")
+    return int(named)
 
 
 def settings(arguments: argparse.Namespace) -> Settings:

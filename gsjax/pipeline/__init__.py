@@ -5,6 +5,7 @@ from gsjax.pipeline.compare import compare
 from gsjax.pipeline.convert import convert
 from gsjax.pipeline.diagnose import diagnose
 from gsjax.pipeline.evaluate import evaluate
+from gsjax.pipeline.hardware import count_devices
 from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.normals import normals
 from gsjax.pipeline.pictures import render
@@ -19,6 +20,7 @@ __all__ = [
     "budgeted",
     "compare",
     "convert",
+    "count_devices",
     "diagnose",
     "evaluate",
     "mesh",

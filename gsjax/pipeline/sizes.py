@@ -12,6 +12,7 @@ from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.scene import Frame, Scene, extent
 from gsjax.settings import Settings, total_steps
+from gsjax.training.batches import in_larger_steps
 
 
 def at_size(scene: str | Path, settings: Settings) -> tuple[Scene, Settings, str]:
@@ -66,4 +67,4 @@ def size_line(settings: Settings, taken: Sequence[Frame], used: Sequence[Frame])
     line = f"{len(used)} photos at {reduced.width}x{reduced.height}"
     if (largest.width, largest.height) != (reduced.width, reduced.height):
         line += f" (taken at {largest.width}x{largest.height}; --downscale 1 keeps that)"
-    return f"{line}, {total_steps(settings):,} steps"
+    return f"{line}, {total_steps(in_larger_steps(settings)):,} steps"

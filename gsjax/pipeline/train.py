@@ -16,15 +16,18 @@ from tqdm import tqdm
 from gsjax import config
 from gsjax.effects.alignment import align
 from gsjax.effects.model import NO_EFFECTS, Effects
+from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import normal_folders, runs
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.pipeline.effects import Joined, Photography, joined, moves_line, refined, write_photography
 from gsjax.pipeline.evaluate import score_images
+from gsjax.pipeline.hardware import Devices, hardware
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.pace import Pace, seconds_left, spoken
 from gsjax.pipeline.prior import RunPrior
+from gsjax.pipeline.processes import from_first, is_first, own_folder
 from gsjax.pipeline.report import report
 from gsjax.pipeline.result import write_views
 from gsjax.pipeline.shown_views import keeper
@@ -32,6 +35,7 @@ from gsjax.pipeline.sizes import at_size, training_extent
 from gsjax.scene import Scene, in_memory
 from gsjax.settings import Settings, total_steps
 from gsjax.training import density_control, initialize, optimizers, surroundings
+from gsjax.training.batches import in_larger_steps
 from gsjax.training.loop import Progress, fit, planned_phases
 from gsjax.training.rows import bucket
 from gsjax.training.rules import RULES
@@ -47,8 +51,11 @@ def train(
     *,
     resume: bool = False,
     observe: Callable[[Progress], None] = lambda _: None,
+    devices: Devices = 1,
 ) -> dict[str, Any]:
     """Train Gaussians on a data set.
+
+    Several processes that were joined (`gsjax.pipeline.processes`) call it alike; the first alone writes.
 
     Args:
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
@@ -56,14 +63,29 @@ def train(
         settings: The run.
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
         observe: Told after every step, before its checkpoint is written.
+        devices: How many the Gaussians are spread over, or "all". More than one, or several views a step, know no
+            effects and no terms that compare views or read densities.
 
     Returns:
         `psnr` and `ssim` (None without held-out views; with effects also the other ways of
         `gsjax.pipeline.evaluate.score_images`), `views`, `gaussians`, `steps`, `train_seconds`.
 
     Raises:
-        InputError: The data set, the normals or the run folder cannot be used.
+        InputError: The data set, the normals, the run folder or the devices cannot be used.
     """
+    with own_folder(out) as folder:
+        return _train(scene, folder, settings, resume=resume and is_first(), observe=observe, devices=devices)
+
+
+def _train(
+    scene: str | Path,
+    out: Path,
+    settings: Settings,
+    *,
+    resume: bool,
+    observe: Callable[[Progress], None],
+    devices: Devices,
+) -> dict[str, Any]:
     if settings.normals is not None:
         settings = replace(settings, normals=normal_folders.find(scene, settings.normals))
     loaded, settings, photos_line = at_size(scene, settings)
@@ -74,10 +96,19 @@ def train(
     loaded = replace(loaded, frames=tuple(map(in_memory, photos)))
     frames = loaded.train_frames
     prior = RunPrior(
-        Path(out), settings.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
+        out, settings.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
     )
     taken_in = joined(settings, loaded)
-    as_dict = config.to_dict(settings)
+    as_dict, settings = config.to_dict(settings), in_larger_steps(settings)
+    optimizer = optimizers.make_optimizer(
+        settings.rates,
+        size,
+        settings.rates.decay_steps or total_steps(settings),
+        views_per_step=settings.views_per_step,
+    )
+    spread = hardware(devices, settings, optimizer)
+    if taken_in.effects and not spread.is_one:
+        raise InputError(f"--effects {settings.effects}: effects need one device and --views-per-step 1")
     run = (
         runs.reopen(out, as_dict, scene=scene, completed=_completed)
         if resume
@@ -87,16 +118,20 @@ def train(
     runs.update_manifest(run, photos=photos_line)
     if taken_in.evidence:
         runs.update_manifest(run, effects=taken_in.evidence)
-    optimizer = optimizers.make_optimizer(settings.rates, size, settings.rates.decay_steps or total_steps(settings))
-    state, capacity, seconds = beginning(run, partial(_initial, loaded, settings, optimizer, effects=taken_in.effects))
-    with runs.begun(run), TrainingJournal(run, settings, loaded, int(state.step), seconds, taken_in) as journal:
+    initial = partial(_initial, loaded, settings, optimizer, effects=taken_in.effects)
+    state, capacity, seconds = beginning(run, initial)
+    state = spread.deal(_of_first(state, initial))
+    whole = spread.whole
+    with runs.begun(run), TrainingJournal(run, settings, loaded, int(state.step), seconds, taken_in, whole) as journal:
 
         def told(progress: Progress) -> None:
             observe(progress)
             journal.note(progress)
 
         def normals(state: TrainState) -> list[np.ndarray]:
-            return prior(state.gaussians, refined(frames, taken_in.photography(state.effects).moves))
+            state = whole(state)
+            maps = prior(state.gaussians, refined(frames, taken_in.photography(state.effects).moves))
+            return [from_first(each) for each in maps]
 
         state = fit(
             settings,
@@ -106,10 +141,21 @@ def train(
             optimizer,
             prior=normals,
             observe=told,
-            capacity=capacity,
+            # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.
+            capacity=capacity if spread.is_one else None,
             effects=taken_in.effects,
+            placement=spread.placement,
         )
+        state = whole(state)
         return _finish(run, settings, loaded, state, taken_in.photography(state.effects), journal.seconds)
+
+
+def _of_first(state: TrainState, initial: Callable[[int], TrainState]) -> TrainState:
+    """The state that the first process goes on from, which only it has read."""
+    rows = int(from_first(np.int64(state.gaussians.num_gaussians)))
+    if not is_first() and rows != state.gaussians.num_gaussians:
+        state = initial(rows)
+    return from_first(state)
 
 
 def _completed(started: dict[str, Any]) -> dict[str, Any]:
@@ -199,11 +245,20 @@ def _finish(
 class TrainingJournal(Journal):
     """Logs, scores and saves as the settings say."""
 
-    def __init__(self, run: Path, settings: Settings, scene: Scene, step: int, seconds: float, taken_in: Joined):
-        """Begin at `step`."""
+    def __init__(
+        self,
+        run: Path,
+        settings: Settings,
+        scene: Scene,
+        step: int,
+        seconds: float,
+        taken_in: Joined,
+        whole: Callable[[TrainState], TrainState] = lambda state: state,
+    ):
+        """Begin at `step`; `whole` brings a state to one device."""
         super().__init__(run, "train", total_steps(settings), step, seconds)
         self.settings, self.scene, self.taken_in = settings, scene, taken_in
-        self._pace = Pace()
+        self._pace, self._whole = Pace(), whole
         self.evaluate_every = settings.logging.evaluate_every if scene.held_out_frames else 0
 
     def note(self, progress: Progress) -> None:
@@ -217,11 +272,11 @@ class TrainingJournal(Journal):
             count = int(count_alive(progress.state.gaussians))
             more: dict[str, Any] = {"phase": progress.phase.name, "gaussians": count}
             if scored:
-                more["held_out_psnr"] = self._held_out_psnr(progress.state)
+                more["held_out_psnr"] = self._held_out_psnr(self._whole(progress.state))
             self.log(progress.step, progress.metrics, f", {count:,} Gaussians", **more)
         if progress.step % every.checkpoint_every == 0 or last:
             # The last step of a phase leaves the buffer's capacity to the next phase.
-            self.save(progress.step, progress.state, 0 if progress.phase_done else progress.capacity)
+            self.save(progress.step, self._whole(progress.state), 0 if progress.phase_done else progress.capacity)
 
     def _held_out_psnr(self, state: TrainState) -> float:
         settings = self.settings

@@ -33,6 +33,22 @@ GROWTH = 2.0  # How much longer the pair buffer is than needed while Gaussians m
 STILL = 1.25  # and while they do not: a view that needs more costs another compilation.
 
 
+Feed = Callable[[Views, int, float], Callable[[int], Target]]
+"""(photos, seed of their order, share of the device's memory) -> steps done -> what the next step compares with."""
+
+
+class Placement(NamedTuple):
+    """The devices that a run lies on: the functions that know where its Gaussians are. See `one_device`."""
+
+    feed: Feed
+    make_step: Callable[..., TrainStep]  # as `make_train_step`
+    chosen_capacity: Callable[..., int]
+    with_room_to_densify: Callable[..., TrainState]
+    densify: Callable[..., TrainState]
+    reset_opacities: Callable[..., TrainState]
+    cull: Callable[..., TrainState]
+
+
 class Progress(NamedTuple):
     """What the loop tells after every step."""
 
@@ -66,6 +82,18 @@ def view_order(seed: int, step: int, num_views: int) -> int:
     return int(np.random.default_rng((seed, epoch)).permutation(num_views)[position])
 
 
+def one_view(data: Views, seed: int, view_share: float) -> Callable[[int], Target]:
+    """A `Feed` of one device: the view of each step in `view_order`, the next one on its way meanwhile."""
+    view = views.feed(data, room=views.device_room(view_share))
+    return lambda step: view(*(view_order(seed, at, data.num_views) for at in (step, step + 1)))
+
+
+def one_device() -> Placement:
+    """All on one device, a view a step."""
+    room = rows.with_room_to_densify
+    return Placement(one_view, make_train_step, chosen_capacity, room, densify, reset_opacities, cull)
+
+
 def fit(
     settings: Settings,
     frames: Sequence[Frame],
@@ -77,6 +105,7 @@ def fit(
     observe: Callable[[Progress], None],
     capacity: int | None = None,
     effects: Effects = NO_EFFECTS,
+    placement: Placement | None = None,
 ) -> TrainState:
     """Run all phases from `state.step` on.
 
@@ -90,6 +119,7 @@ def fit(
         observe: Called after every step.
         capacity: Pair buffer to continue with; None counts.
         effects: Those that are simulated; the state must be made for them, their photos be `frames`.
+        placement: Where the state lies; None: on one device.
 
     Returns:
         The final state.
@@ -97,7 +127,7 @@ def fit(
     Raises:
         InputError: The device has no room for so many Gaussians at this size.
     """
-    done, start = int(state.step), 0
+    done, start, placement = int(state.step), 0, placement or one_device()
     for phase in planned_phases(settings):
         end = start + phase.steps
         if done < end:
@@ -110,7 +140,8 @@ def fit(
                 data = with_neighbors(data, extent)
             if surroundings.needed(phase) and done == start:
                 state = surroundings.refreshed(state)
-            state = _run_phase(settings, phase, (done, end), data, extent, state, optimizer, observe, capacity, effects)
+            beginning = (done, end), data, extent, state, optimizer, observe, capacity, effects, placement
+            state = _run_phase(settings, phase, *beginning)
             done, capacity = end, None
         start = end
     return state
@@ -127,8 +158,9 @@ def advance(
     capacity: int,
     headroom: float = STILL,
     view_share: float = 0.5,
+    feed: Feed = one_view,
 ) -> S:
-    """Take the steps of one program, each with a view of `view_order`, and make room where a view needs it.
+    """Take the steps of one program, each with its view, and make room where a view needs it.
 
     Args:
         compiled: Pair capacity -> step. A step that overflows leaves the state as it was, and is repeated.
@@ -140,6 +172,7 @@ def advance(
         capacity: Pair buffer to start with.
         headroom: How much longer than needed the buffer is made where it was too short.
         view_share: Of the device's memory, for photos; beyond it they are streamed.
+        feed: What a step compares with.
 
     Returns:
         The state after the last step.
@@ -147,13 +180,12 @@ def advance(
     Raises:
         InputError: The device has no room.
     """
-    key, view = jax.random.key(seed), views.feed(data, room=views.device_room(view_share))
+    key, target = jax.random.key(seed), feed(data, seed, view_share)
     train_step = compiled(capacity)
     step, end = steps
     while step < end:
-        index, following = (view_order(seed, at, data.num_views) for at in (step, step + 1))
         try:
-            state, metrics = train_step(state, view(index, following), key)
+            state, metrics = train_step(state, target(step), key)
             overflowed = bool(metrics.overflowed)
         except jax.errors.JaxRuntimeError as error:
             raise _no_room(error, data, capacity) from error
@@ -188,6 +220,7 @@ def _run_phase(
     observe: Callable[[Progress], None],
     capacity: int | None,
     effects: Effects,
+    placement: Placement,
 ) -> TrainState:
     key = jax.random.key(settings.seed)
     # Photos without an alpha channel have nothing to compare alphas with.
@@ -196,7 +229,7 @@ def _run_phase(
 
     def compiled(capacity: int) -> TrainStep:
         make = partial(
-            make_train_step,
+            placement.make_step,
             optimizer,
             capacity=capacity,
             background=BACKGROUNDS[settings.background],
@@ -214,9 +247,9 @@ def _run_phase(
     def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
         done = step == steps[1]
         if phase.density_control:
-            state = _control_density(settings, step, state, optimizer, extent, key)
+            state = _control_density(settings, step, state, optimizer, extent, key, placement)
         if done and phase.cull_below > 0:
-            state = cull(state, optimizer=optimizer, min_opacity=phase.cull_below)
+            state = placement.cull(state, optimizer=optimizer, min_opacity=phase.cull_below)
         if surroundings.needed(phase) and not done and _moves_neighbors(settings, phase, step):
             state = surroundings.refreshed(state)
         observe(Progress(step, phase, state, metrics, capacity, done))
@@ -229,9 +262,10 @@ def _run_phase(
         data,
         steps,
         seed=settings.seed,
-        capacity=capacity or chosen_capacity(state.gaussians, data, headroom=headroom),
+        capacity=capacity or placement.chosen_capacity(state.gaussians, data, headroom=headroom),
         headroom=headroom,
         view_share=settings.view_share,
+        feed=placement.feed,
     )
 
 
@@ -252,13 +286,19 @@ def _moves_neighbors(settings: Settings, phase: Phase, step: int) -> bool:
 
 
 def _control_density(
-    settings: Settings, step: int, state: TrainState, optimizer: optax.GradientTransformation, extent: float, key: Array
+    settings: Settings,
+    step: int,
+    state: TrainState,
+    optimizer: optax.GradientTransformation,
+    extent: float,
+    key: Array,
+    placement: Placement,
 ) -> TrainState:
     density = settings.density
     if density_control.densifies(density, step):
         large = jnp.asarray(density_control.prunes_large(density, step))
-        state = rows.with_room_to_densify(state, optimizer, density, settings.max_gaussians)
-        state = densify(
+        state = placement.with_room_to_densify(state, optimizer, density, settings.max_gaussians)
+        state = placement.densify(
             state,
             key,
             jnp.float32(extent),
@@ -268,5 +308,5 @@ def _control_density(
             budget=settings.max_gaussians,
         )
     if density_control.resets_opacities(density, step, settings.background):
-        state = reset_opacities(state, optimizer=optimizer, limit=density.reset_opacity)
+        state = placement.reset_opacities(state, optimizer=optimizer, limit=density.reset_opacity)
     return state

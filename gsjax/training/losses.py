@@ -112,6 +112,10 @@ NEEDS_DEPTH = frozenset(
     {"sdf_normal", "sdf_central", "sdf_bicubic", "sdf_offset", "pixel_normal"}
     | {"distortion", "depth_normal", "multi_view", "sugar_sdf"}
 )
+NEEDS_GAUSSIANS = frozenset(
+    {"entropy", "thickness", "axis_normal", "depth_normal"} | {"sdf_normal", "sdf_central", "sdf_bicubic", "sdf_offset"}
+)
+"""Beside the view, the Gaussians that show in it: where they lie and how they are shaped, not their colours."""
 NEEDS_NEIGHBOR = frozenset({"multi_view"})
 NEEDS_SURROUNDINGS = frozenset({"density_center", "density_offset", "density_sample", "sugar_sdf", "sugar_density"})
 SURFACE_TERMS = NEEDS_NORMALS | NEEDS_DEPTH | NEEDS_NEIGHBOR | NEEDS_SURROUNDINGS

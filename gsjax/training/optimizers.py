@@ -21,7 +21,9 @@ def labels(gaussians: Any) -> Gaussians:
     return replace(LABELS, pixel_filter=getattr(gaussians, "pixel_filter", LABELS.pixel_filter))
 
 
-def make_optimizer(rates: Rates, extent: float, decay_steps: int) -> optax.GradientTransformation:
+def make_optimizer(
+    rates: Rates, extent: float, decay_steps: int, *, views_per_step: int = 1
+) -> optax.GradientTransformation:
     """Adam (0.9, 0.999, eps 1e-15) per field; the rate of the means falls log-linearly to `rates.means_final`.
 
     The other rates stay, or fall to `rates.final_share` of themselves in the last third.
@@ -30,6 +32,7 @@ def make_optimizer(rates: Rates, extent: float, decay_steps: int) -> optax.Gradi
         rates: Per field; those of the means are times `extent`.
         extent: Camera extent, scene units.
         decay_steps: Optimiser steps over which rates fall.
+        views_per_step: Photos that a step takes: moments forget as much a photo, whatever that is.
 
     Returns:
         An optax transformation over `Gaussians`.
@@ -47,7 +50,7 @@ def make_optimizer(rates: Rates, extent: float, decay_steps: int) -> optax.Gradi
         return optax.exponential_decay(rate, last, rates.final_share, transition_begin=begin, end_value=end_value)
 
     def adam(rate):
-        return optax.adam(rate, eps=1e-15)
+        return optax.adam(rate, 0.9**views_per_step, 0.999**views_per_step, eps=1e-15)
 
     return optax.partition(
         {

@@ -4,6 +4,7 @@ Every per-Gaussian array has rows for the Gaussians of today and some to come, a
 would run out of them. A buffer of the whole budget would give the same numbers, bit for bit, and be slower.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -59,12 +60,20 @@ def _wanted(state: TrainState, *, density: Density, budget: int) -> Array:
     return wanted(state.gaussians, state.statistics, density, step=state.step, budget=budget)
 
 
+Lengthen = Callable[[TrainState, optax.GradientTransformation, int], TrainState]
+
+
 def with_room_to_densify(
-    state: TrainState, optimizer: optax.GradientTransformation, density: Density, most: int
+    state: TrainState,
+    optimizer: optax.GradientTransformation,
+    density: Density,
+    most: int,
+    *,
+    lengthen: Lengthen = lengthened,
 ) -> TrainState:
     """The state in buffers that hold what the next densification makes of it, as far as `most` allows."""
     rows = state.gaussians.num_gaussians
     if rows >= most:
         return state
     wanted = int(_wanted(state, density=density, budget=most))
-    return state if wanted <= rows else lengthened(state, optimizer, bucket(wanted, most))
+    return state if wanted <= rows else lengthen(state, optimizer, bucket(wanted, most))

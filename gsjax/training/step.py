@@ -17,7 +17,7 @@ from gsjax.effects import model
 from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import masked_mean
-from gsjax.render import Surroundings
+from gsjax.render import Surroundings, View
 from gsjax.settings import Weights
 from gsjax.training import multi_view, optimizers
 from gsjax.training.losses import NEEDS_DEPTH, NEEDS_NEIGHBOR, NEEDS_SURROUNDINGS, TERMS
@@ -122,11 +122,7 @@ def make_train_step(
             neighbor = multi_view.rendered(gaussians, model.aimed(effects, numbers, *beside), capacity, depth_mode)
             view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
         view = view._replace(surroundings=surroundings)
-        losses = {name: TERMS[name](gaussians, view, batch) for name in terms}
-        total = sum(weight * losses[name] for name, weight in terms.items())
-        if rule:
-            total += rule.probed(view, batch)
-        mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
+        total, losses, mse = weighed(terms, rule, gaussians, view, batch)
         return total, (losses, mse, view.splats.projection, pairs)
 
     @partial(jax.jit, donate_argnums=0)
@@ -159,9 +155,26 @@ def make_train_step(
         proposed = TrainState(gaussians, opt_state, statistics, state.step + 1, looks, state.nearest)
         # A full buffer means a wrong image: the state stays, the host makes room and repeats the step.
         state = jax.tree.map(lambda old, new: jnp.where(pairs.overflowed, old, new), state, proposed)
-        return state, Metrics(total, -10 * jnp.log10(jnp.maximum(mse, 1e-10)), pairs.needed, pairs.overflowed, losses)
+        return state, Metrics(total, in_decibels(mse), pairs.needed, pairs.overflowed, losses)
 
     return train_step
+
+
+def weighed(
+    terms: dict[str, float], rule: Rule | None, gaussians: Gaussians, view: View, batch: Batch
+) -> tuple[Any, dict[str, Array], Array]:
+    """The weighted sum of the terms, with what a rule adds for its probe; each of them; the mean squared error."""
+    losses = {name: TERMS[name](gaussians, view, batch) for name in terms}
+    total = sum(weight * losses[name] for name, weight in terms.items())
+    if rule:
+        total += rule.probed(view, batch)
+    mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
+    return total, losses, mse
+
+
+def in_decibels(mse: Array) -> Array:
+    """PSNR of a mean squared error of colours in 0..1."""
+    return -10 * jnp.log10(jnp.maximum(mse, 1e-10))
 
 
 def _of_both(pairs: rasterizer.TilePairs, others: rasterizer.TilePairs) -> rasterizer.TilePairs:

@@ -106,6 +106,9 @@ def test_the_example_in_the_help_parses(command, capsys):
         (["train", "s", "--out", "r", "--seed", "x"], "argument --seed: invalid int value: 'x'"),
         (["train", "s", "--out", "r", "--preset", "slow"], "invalid choice: 'slow' (choose from"),
         (["view", "r", "--port", "http"], "argument --port: invalid int value: 'http'"),
+        (["train", "s", "--out", "r", "--devices", "few"], "--devices few: not a number of devices, nor all"),
+        (["train", "s", "--out", "r", "--process", "1"], "--process goes with --coordinator"),
+        (["train", "s", "--out", "r", "--devices", "2", "--budget", "9m"], "--budget: needs one device and"),
         (["render", "r", "--out", "o", "--held-out", "--turntable"], "not allowed with argument --held-out"),
     ],
 )

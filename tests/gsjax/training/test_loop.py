@@ -144,7 +144,7 @@ def test_size_prunes_without_resets_and_white_photos_reset_once_more_at_the_star
     for chosen in (density, replace(density, reset_every=0)):
         for step in range(1, 9):
             settings = replace(SETTINGS, density=chosen, background="white")
-            loop._control_density(settings, step, step, OPTIMIZER, EXTENT, jax.random.key(0))
+            loop._control_density(settings, step, step, OPTIMIZER, EXTENT, jax.random.key(0), loop.one_device())
         calls.append("end")
     with_resets = ["reset", (4, False), "reset", (6, True), (8, True), "end"]  # at 2, 4, 5, 6 and 8
     assert calls == [*with_resets, (4, True), (6, True), (8, True), "end"]
@@ -159,7 +159,7 @@ def entered(monkeypatch):
         scales.append(scale)
         return unreduced(frames)
 
-    def run_phase(settings, phase, steps, data, extent, state, optimizer, observe, capacity, effects):
+    def run_phase(settings, phase, steps, data, extent, state, optimizer, observe, capacity, effects, on):
         phases.append((phase.name, scales[-1], steps, capacity))
         return state
 

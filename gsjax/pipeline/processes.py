@@ -1,0 +1,72 @@
+"""Several machines as one: processes that join, and what the first of them tells the others."""
+
+import atexit
+import os
+import re
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr
+from pathlib import Path
+from typing import TypeVar
+
+import jax
+from jax.experimental import multihost_utils
+
+from gsjax.errors import InputError
+
+T = TypeVar("T")
+LOST = re.compile(r"Gloo|NCCL|heartbeat|coordination|UNAVAILABLE", re.IGNORECASE)
+"""What the runtime says when another process is gone."""
+PATIENCE = (
+    600  # seconds without a sign of life; jax then ends the process, so what exchanges with it is to find out first
+)
+
+
+@contextmanager
+def joined(coordinator: str, processes: int | None = None, process: int | None = None) -> Iterator[None]:
+    """While this process is one of several that train one run: all are started alike, each with its own number.
+
+    Args:
+        coordinator: HOST:PORT of the first process, or "auto" for what the cluster's environment says.
+        processes: How many there are; None: as the environment says.
+        process: Which one this is, from 0; None: as the environment says.
+
+    Raises:
+        InputError: They do not come together, or one was lost. The caller is to end: there is no going on.
+    """
+    jax.config.update("jax_cpu_collectives_implementation", "gloo")
+    try:
+        address = None if coordinator == "auto" else coordinator
+        jax.distributed.initialize(address, processes, process, heartbeat_timeout_seconds=PATIENCE)
+    except (ValueError, RuntimeError) as error:
+        raise InputError(f"--coordinator {coordinator}: {str(error).splitlines()[0]}") from error
+    try:
+        yield
+    except InputError:
+        atexit.register(os._exit, 2)  # Before jax's own farewell, which waits for those who are gone.
+        raise
+    except (ValueError, jax.errors.JaxRuntimeError) as error:
+        if not LOST.search(str(error)):
+            raise
+        atexit.register(os._exit, 2)
+        raise InputError("another process of this run was lost; --resume goes on from the last checkpoint") from error
+
+
+def is_first() -> bool:
+    """Whether this process is the one that writes; the only one is."""
+    return jax.process_index() == 0
+
+
+def from_first(tree: T) -> T:
+    """What the first process has; all have arrays of the same shapes."""
+    return tree if jax.process_count() == 1 else multihost_utils.broadcast_one_to_all(tree)
+
+
+@contextmanager
+def own_folder(run: str | Path) -> Iterator[Path]:
+    """The run folder for the first process. The others work in silence and in a folder that goes away."""
+    if is_first():
+        yield Path(run)
+        return
+    with tempfile.TemporaryDirectory() as scratch, open(os.devnull, "w") as silence, redirect_stderr(silence):
+        yield Path(scratch) / "run"
