@@ -233,6 +233,8 @@ def score_surface(
 ) -> dict[str, Any]:
     """Errors of the rendered depth and of its normals against true maps, pooled over the pixels of all frames."""
     frames = _with_maps(frames, truth)
+    if not frames:
+        return {}
     cameras = [frame_camera(f) for f in frames]
     pictures = gallery.pictures(gaussians, cameras, BACKGROUNDS["black"], depth_mode)
     return _score_depths((picture.depth for picture in pictures), frames, truth)
@@ -240,7 +242,7 @@ def score_surface(
 
 def score_mesh_views(mesh: Mesh, frames: tuple[Frame, ...], truth: Truth) -> dict[str, Any]:
     """The same of the depth at which rays meet a mesh, names with "mesh_" before them."""
-    frames, cast = _with_maps(frames, truth), ray_caster(mesh)
+    cast, frames = ray_caster(mesh), _with_maps(frames, truth)
     depths = (depth_of_mesh(mesh, f.viewmat, f.K, f.width, f.height, cast=cast) for f in frames)
     return {f"mesh_{name}": value for name, value in _score_depths(depths, frames, truth).items()}
 

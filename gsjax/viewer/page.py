@@ -185,7 +185,7 @@ class Page:
             self._scenery.show_splats(self._gaussians)
             behind = camera_of(order.camera, picture_size(order.camera, BEHIND_SIDE))
             if order.is_full and behind is not None:
-                self._status.content = self._line
+                self._say(self._line)
                 _send(client, to_bytes(bare(self._background, behind)), "png")
             return
         self._scenery.hide_splats()
@@ -198,12 +198,16 @@ class Page:
             kind = self.switches[SHOW].value
             picture, line = self._pictures.draw(kind, self._gaussians, camera, self._background)
         except InputError as error:
-            self._status.content = str(error)
+            self._say(str(error))
             return
         if order.is_full:
             told = f"{camera.width}x{camera.height} in {1e3 * (time.perf_counter() - started):.0f} ms"
-            self._status.content = ", ".join(filter(None, (told, line, self._line)))
+            self._say(", ".join(filter(None, (told, line, self._line))))
         _send(client, picture, "png" if order.is_full else "jpeg")
+
+    def _say(self, line: str) -> None:
+        with _whoever_is_left():
+            self._status.content = line
 
     def _look_for_news(self) -> None:
         """Newer Gaussians, where they are made and somebody looks."""
@@ -235,10 +239,17 @@ def _told(camera: viser.CameraHandle) -> PageCamera:
 
 
 def _send(client: viser.ClientHandle, picture: np.ndarray, form: Literal["png", "jpeg"]) -> None:
-    """Behind everything else on a page; one that has been left meanwhile does not matter."""
+    """Behind everything else on a page."""
+    with _whoever_is_left():
+        client.scene.set_background_image(picture, format=form)
+
+
+@contextmanager
+def _whoever_is_left() -> Iterator[None]:
+    """A page that was left meanwhile, or a server that was stopped, does not matter."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")
-        client.scene.set_background_image(picture, format=form)
+        yield
 
 
 @contextmanager

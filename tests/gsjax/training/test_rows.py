@@ -34,7 +34,8 @@ def trained(capacity, rule="adc"):
     moved, opt_state = apply_gradients(OPTIMIZER, gaussians, state.opt_state, gradients)
     rising = jnp.asarray(alive * np.arange(capacity) / ALIVE, jnp.float32)
     kinds = {"adc": GrowthStatistics, "error": partial(ErrorStatistics, 2 * rising)}
-    statistics = kinds[rule](rising, jnp.asarray(alive))
+    more = {"adc": (), "error": (3 * rising,)}
+    statistics = kinds[rule](rising, jnp.asarray(alive), *more[rule])
     return replace(state, gaussians=moved, opt_state=opt_state, statistics=statistics)
 
 
