@@ -30,7 +30,7 @@ def asked(scene: str, schedule: str, seed: int, assignments: Sequence[str], refi
     preset, refined = SCHEDULES[schedule].refinement, None
     if preset:
         # The published rows are of Gaussians on the mesh alone.
-        chosen = {**PRESETS[preset], "seed": seed, "keep_free": False, "settle_at": 1.0}
+        chosen = {**PRESETS[preset], "seed": seed, "keep_free": False}
         whole = config.to_dict(config.parse(Refinement, chosen))
         refined = config.to_dict(config.parse(Refinement, config.override(whole, refinement), where="--refine"))
     return {"settings": config.to_dict(settings_of(scene, schedule, seed, assignments)), "refinement": refined}

@@ -211,7 +211,7 @@ def test_the_command_hands_over_its_settings(monkeypatch, capsys):
         "m.obj",
         "--resume",
         "--bound-only",
-        "--unsettled",
+        "--settle",
     ]
     assert cli.main(["refine", "run", "--out", "o", *options, "--set", "weights.laplacian=2", "opacity=0.5"]) == 0
     (first, keywords), (second, more) = calls
@@ -219,7 +219,7 @@ def test_the_command_hands_over_its_settings(monkeypatch, capsys):
     assert keywords == {"mesh": None, "resume": False}
     assert (second[2].steps, second[2].faces, second[2].per_triangle) == (2000, 500, 6)
     assert first[2].keep_free and not second[2].keep_free
-    assert (first[2].settle_at, second[2].settle_at) == (0.8, 1.0)
+    assert (first[2].settle_at, second[2].settle_at) == (1.0, 0.8)
     assert (second[2].weights.laplacian, second[2].opacity) == (2.0, 0.5)
     assert more == {"mesh": "m.obj", "resume": True}
     assert "psnr  30" in capsys.readouterr().out

@@ -81,6 +81,6 @@ KNOBS: dict[str, Knob] = {
     "refinement triangles": Knob(
         {f"{faces:,}": {"faces": faces} for faces in (30_000, 15_000, 8_000, 4_000)}, _refined, _refined_errors
     ),
-    "refined mesh": Knob({"settled": {}, "unsettled": {"settle_at": 1.0}}, _refined, _refined_errors),
+    "refined mesh": Knob({"settled": {"settle_at": 0.8}, "unsettled": {}}, _refined, _refined_errors),
     "texture": Knob({f"{size:,} px": size for size in (4096, 2048, 1024, 512)}, _textured, _texture_errors),
 }

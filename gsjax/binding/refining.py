@@ -74,7 +74,7 @@ class Refinement:
     thickness: float = 1e-6  # of the extent: standard deviation along the normal
     pixel_filter: PixelFilter = "mip"  # see `gsjax.render.PIXEL_FILTERS`
     keep_free: bool = True  # the run's Gaussians stay where there is no mesh, see `gsjax.binding.beyond`
-    settle_at: float = 0.8  # share of the steps after which the mesh settles on its photos and stays there; 1: never
+    settle_at: float = 1.0  # share of the steps after which the mesh settles on its photos and stays there; 1: never
     seed: int = 0
     weights: RefinementWeights = RefinementWeights()
     rates: RefinementRates = RefinementRates()

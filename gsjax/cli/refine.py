@@ -5,6 +5,7 @@ import argparse
 from gsjax.cli.parsers import add_command, given
 
 PRESETS = ("fast", "short", "medium", "long")
+SETTLE_AT = 0.8  # Of the steps; the rest is for the Gaussians on the settled mesh.
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -33,8 +34,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--per-triangle", type=int, choices=(1, 3, 4, 6), help="Gaussians a triangle (default: 1)")
     add("--bound-only", dest="keep_free", action="store_const", const=False,
         help="drop all Gaussians of RUN: nothing shows then where there is no mesh")  # fmt: skip
-    add("--unsettled", dest="settle_at", action="store_const", const=1.0,
-        help="the mesh ends where the Gaussians' training has it; it does not settle on the photos")  # fmt: skip
+    add("--settle", dest="settle_at", action="store_const", const=SETTLE_AT,
+        help="towards the end the mesh settles on the photos and stays: a truer mesh, poorer pictures")  # fmt: skip
     add("--seed", type=int, metavar="N", help="seed of the order of the photos (default: 0)")
     add("--resume", action="store_true", help="continue OUT from its last checkpoint, given the same options")
     add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
