@@ -172,8 +172,7 @@ def _tell_normals(run: str | Path, line: str) -> None:
 def _starting_points(scene: Scene, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
     """The cloud and its colours, with grey points far around it unless what is behind all is laid there by us."""
     frames, count = scene.train_frames, min(settings.far_points, settings.max_gaussians // FAR_SHARE)
-    laid = settings.background == "white" or any(frame.pixels().matte is not None for frame in frames)
-    if not count or laid:
+    if not count or settings.background == "white" or any(frame.pixels().matte is not None for frame in frames):
         return scene.points, scene.point_colors
     far = initialize.far_points(scene.points, frames, count)
     # Of a cloud larger than the budget some stay out: the far ones must not be among them.
