@@ -72,6 +72,8 @@ class Neighbor(NamedTuple):
     camera: Camera
     depth: Array  # [H, W] as in `View`
     pairs: rasterizer.TilePairs
+    image: Array | None = None  # [H, W, 3] its photo, 0..1, over the background
+    valid: Array | None = None  # [H, W] bool, of the photo
 
 
 class Surroundings(NamedTuple):

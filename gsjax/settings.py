@@ -37,6 +37,7 @@ class Weights:
     distortion: float = 0.0  # squared distance of a ray's splats from each other, in depths of its surface (2DGS)
     depth_normal: float = 0.0  # smallest axes, composited, against the normals of the rendered depth (2DGS)
     multi_view: float = 0.0  # reprojection error between the rendered depths of two views, pixels (PGSR)
+    photometric: float = 0.0  # 1 - correlation of two photos in windows, seen through the rendered depth (PGSR)
     sugar_sdf: float = 0.0  # density against the distance to the rendered depth, and normals among neighbours (SuGaR)
     sugar_density: float = 0.0  # density against that of a flat Gaussian, and normals among neighbours (SuGaR)
     alpha: float = 0.1  # mean |alpha - matte|; only where the photos have an alpha channel

@@ -31,8 +31,7 @@ class Target:
     matte: Array | None  # [H, W] uint8
     normals: Array | None = None  # [H, W, 3] int8, camera frame, times `NORMAL_UNIT`; zero where there is none
     photo: Array | None = None  # [] int32, which of the run's photos it is, where an effect has numbers for each
-    neighbors: Camera | None = None  # of M views, stacked, where a term compares two views
-    neighbor_photos: Array | None = None  # [M] int32 which photos those are, where `photo` is told
+    beside: "Target | None" = None  # another view of the same step, where a term compares two
 
 
 @dataclass(frozen=True)
@@ -40,6 +39,7 @@ class Views:
     """V photos in host memory, alike in size and in what they hold: one compiled step serves every one."""
 
     targets: tuple[Target, ...]
+    neighbors: np.ndarray | None = None  # [V, M] which views may stand beside each, where a term compares two
 
     @property
     def num_views(self) -> int:
@@ -103,33 +103,38 @@ def with_normals(views: Views, maps: Sequence[np.ndarray]) -> Views:
     """The same views with int8 normal maps `[H, W, 3]` (see `Target`), each of its photo's size."""
     width, height = views.size
     pairs = zip(views.targets, maps, strict=True)
-    return Views(tuple(replace(target, normals=_padded(normals, width, height)) for target, normals in pairs))
+    targets = (replace(target, normals=_padded(normals, width, height)) for target, normals in pairs)
+    return replace(views, targets=tuple(targets))
 
 
 def numbered(views: Views) -> Views:
     """The same views, each told which of them it is."""
-    return Views(tuple(replace(target, photo=np.int32(index)) for index, target in enumerate(views.targets)))
+    targets = (replace(target, photo=np.int32(index)) for index, target in enumerate(views.targets))
+    return replace(views, targets=tuple(targets))
 
 
-def feed(views: Views, *, room: int) -> Callable[[int, int], Target]:
-    """How targets reach the device: all at once where they fit, else each in its turn, the next one meanwhile.
+def feed(views: Views, *, room: int) -> Callable[[Sequence[int], Sequence[int]], list[Target]]:
+    """How targets reach the device: all at once where they fit, else each in its turn, the next ones meanwhile.
 
     Args:
         views: The photos.
         room: Bytes of the device's memory that photos may take, see `device_room`.
 
     Returns:
-        (index, the index that will be asked for next) -> the target on the device; the same bits either way.
+        (indices, those that will be asked for next) -> the targets on the device; the same bits either way.
     """
     if views.num_bytes <= room:
         resident = jax.device_put(views.targets)
-        return lambda index, following: resident[index]
-    ahead: dict[int, Target] = {}
+        return lambda wanted, following: [resident[index] for index in wanted]
+    there: dict[int, Target] = {}
 
-    def streamed(index: int, following: int) -> Target:
-        here = ahead.pop(index) if index in ahead else jax.device_put(views.targets[index])
-        ahead.clear()
-        ahead[following] = here if following == index else jax.device_put(views.targets[following])
+    def streamed(wanted: Sequence[int], following: Sequence[int]) -> list[Target]:
+        for index in (*wanted, *following):
+            if index not in there:
+                there[index] = jax.device_put(views.targets[index])
+        here = [there[index] for index in wanted]
+        for index in set(there) - set(following):
+            del there[index]
         return here
 
     return streamed

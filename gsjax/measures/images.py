@@ -59,7 +59,7 @@ def ssim_map(image: Array, target: Array) -> Array:
     x, y = (a.reshape(a.shape[0], -1) for a in (image, target))
     channels = image.shape[2]
     # The two variances enter only as their sum, so four blurs do for the usual five.
-    moments: list[Array] = [_blur(m, channels) for m in (x, y, x * x + y * y, x * y)]
+    moments: list[Array] = [window_means(m, channels) for m in (x, y, x * x + y * y, x * y)]
     mean_x, mean_y, mean_squares, mean_product = moments
     product, squares = mean_x * mean_y, mean_x * mean_x + mean_y * mean_y
     luminance = (2 * product + _C1) / (squares + _C1)
@@ -68,8 +68,8 @@ def ssim_map(image: Array, target: Array) -> Array:
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(1,))
-def _blur(rows: Array, channels: int) -> Array:
-    """`[H, W C]` blurred by the window, channel by channel, zeros beyond the border.
+def window_means(rows: Array, channels: int) -> Array:
+    """Means `[H, W C]` in the window about every pixel, channel by channel, zeros beyond the border.
 
     The operator is symmetric, hence its own transpose. Said so in `defvjp`, the backward pass is as fast as the
     forward; the transpose that autodiff derives (a sum of padded slices) is five times slower.
@@ -77,9 +77,9 @@ def _blur(rows: Array, channels: int) -> Array:
     return _weighted_shifts(_weighted_shifts(rows, 1, channels), 0, 1)
 
 
-_blur.defvjp(
-    lambda rows, channels: (_blur(rows, channels), None),
-    lambda channels, _, cotangent: (_blur(cotangent, channels),),
+window_means.defvjp(
+    lambda rows, channels: (window_means(rows, channels), None),
+    lambda channels, _, cotangent: (window_means(cotangent, channels),),
 )
 
 

@@ -19,7 +19,7 @@ from gsjax.settings import Phase, Settings, Weights
 from gsjax.training import density_control, rows, surroundings
 from gsjax.training.capacity import chosen_capacity, rounded_capacity
 from gsjax.training.losses import NEEDS_NEIGHBOR, NEEDS_NORMALS, SURFACE_TERMS
-from gsjax.training.multi_view import with_neighbors
+from gsjax.training.multi_view import drawn_beside, with_neighbors
 from gsjax.training.rules import RULES
 from gsjax.training.state import TrainState, cull, densify, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, active_terms, make_train_step
@@ -83,9 +83,21 @@ def view_order(seed: int, step: int, num_views: int) -> int:
 
 
 def one_view(data: Views, seed: int, view_share: float) -> Callable[[int], Target]:
-    """A `Feed` of one device: the view of each step in `view_order`, the next one on its way meanwhile."""
-    view = views.feed(data, room=views.device_room(view_share))
-    return lambda step: view(*(view_order(seed, at, data.num_views) for at in (step, step + 1)))
+    """A `Feed` of one device: the view of each step in `view_order`, the next one on its way meanwhile.
+
+    Where the views have neighbours, one of them stands beside each.
+    """
+    fed = views.feed(data, room=views.device_room(view_share))
+
+    def of_step(step: int) -> list[int]:
+        view = view_order(seed, step, data.num_views)
+        return [view] if data.neighbors is None else [view, drawn_beside(data.neighbors[view], seed, step)]
+
+    def target(step: int) -> Target:
+        here, *beside = fed(of_step(step), of_step(step + 1))
+        return replace(here, beside=beside[0]) if beside else here
+
+    return target
 
 
 def one_device() -> Placement:

@@ -13,7 +13,7 @@ from gsjax.normals import density, sdf
 from gsjax.numerics import masked_mean
 from gsjax.render import MIN_COVERAGE, View
 from gsjax.settings import NORMAL_TERMS
-from gsjax.training.multi_view import multi_view
+from gsjax.training.multi_view import multi_view, photometric
 from gsjax.training.sugar import sugar_density, sugar_sdf
 from gsjax.training.surface_terms import depth_normal, distortion
 from gsjax.views import Batch
@@ -95,6 +95,7 @@ TERMS = {
     "distortion": distortion,
     "depth_normal": depth_normal,
     "multi_view": multi_view,
+    "photometric": photometric,
     "sdf_normal": sdf_normal,
     "pixel_normal": pixel_normal,
     "axis_normal": axis_normal,
@@ -110,13 +111,13 @@ TERMS = {
 NEEDS_NORMALS = NORMAL_TERMS
 NEEDS_DEPTH = frozenset(
     {"sdf_normal", "sdf_central", "sdf_bicubic", "sdf_offset", "pixel_normal"}
-    | {"distortion", "depth_normal", "multi_view", "sugar_sdf"}
+    | {"distortion", "depth_normal", "multi_view", "photometric", "sugar_sdf"}
 )
 NEEDS_GAUSSIANS = frozenset(
     {"entropy", "thickness", "axis_normal", "depth_normal"} | {"sdf_normal", "sdf_central", "sdf_bicubic", "sdf_offset"}
 )
 """Beside the view, the Gaussians that show in it: where they lie and how they are shaped, not their colours."""
-NEEDS_NEIGHBOR = frozenset({"multi_view"})
+NEEDS_NEIGHBOR = frozenset({"multi_view", "photometric"})
 NEEDS_SURROUNDINGS = frozenset({"density_center", "density_offset", "density_sample", "sugar_sdf", "sugar_density"})
 SURFACE_TERMS = NEEDS_NORMALS | NEEDS_DEPTH | NEEDS_NEIGHBOR | NEEDS_SURROUNDINGS
 """Those that need more than the image of a view, and make a step dearer."""

@@ -12,7 +12,6 @@ from jax import Array
 
 import rasterizer
 from gsjax import render, views
-from gsjax.cameras import Camera
 from gsjax.effects import model
 from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
@@ -101,7 +100,7 @@ def make_train_step(
         batch: Batch,
         color: Array,
         active_degree: Array,
-        beside: tuple[Camera, Array | None] | None,
+        beside: Batch | None,
         surroundings: Surroundings | None,
     ):
         gaussians, probe, numbers = free
@@ -119,7 +118,8 @@ def make_train_step(
         view = model.photographed(effects, numbers, view, batch, color)
         pairs = view.splats.pairs
         if beside is not None:
-            neighbor = multi_view.rendered(gaussians, model.aimed(effects, numbers, *beside), capacity, depth_mode)
+            beside = replace(beside, camera=model.aimed(effects, numbers, beside.camera, beside.photo))
+            neighbor = multi_view.rendered(gaussians, beside, capacity, depth_mode)
             view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
         view = view._replace(surroundings=surroundings)
         total, losses, mse = weighed(terms, rule, gaussians, view, batch)
@@ -131,10 +131,7 @@ def make_train_step(
         batch = views.batch(target, color)
         active_degree = state.step // sh_every
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
-        beside = None
-        if with_neighbor:
-            neighbors = target.neighbors, target.neighbor_photos
-            beside = multi_view.drawn(neighbors, jax.random.fold_in(jax.random.fold_in(key, state.step), 1))
+        beside = views.batch(target.beside, color) if with_neighbor and target.beside else None
         surroundings = None
         if with_surroundings:
             drawing = jax.random.fold_in(jax.random.fold_in(key, state.step), 2)

@@ -14,7 +14,7 @@ from gsjax.viewer.snapshots import Snapshots
 from gsjax.viewer.subject import open_subject, subject_of_scene
 
 HOST, PORT = "127.0.0.1", 8080
-SHARE = 0.04  # Of a training's time, what its page may take.
+SHARE = 0.03  # Of a training's time, what its page may take.
 
 
 def view(source: str | Path, *, mesh: str | Path | None = None, host: str = HOST, port: int = PORT) -> None:

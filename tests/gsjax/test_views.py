@@ -133,7 +133,7 @@ def test_targets_reach_the_device_with_the_same_bits_in_any_order(room):
     data = views.views_of(tuple(frame(6, 4, matte=RNG.integers(0, 256, (4, 6), dtype=np.uint8)) for _ in range(4)))
     view, order = views.feed(data, room=room), [2, 0, 0, 3, 1, 2]
     for index, following in zip(order, [*order[1:], 1], strict=True):
-        fed = view(index, following)
+        (fed,) = view([index], [following])
         assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(fed))
         jax.tree.map(np.testing.assert_array_equal, fed, data.targets[index])
 
@@ -149,7 +149,7 @@ def test_what_does_not_fit_is_sent_one_view_ahead_and_not_kept(monkeypatch):
     monkeypatch.setattr(jax, "device_put", noted)
     view = views.feed(data, room=data.num_bytes - 1)
     for index, following in ((0, 1), (1, 2), (2, 2), (2, 0)):
-        view(index, following)
+        view([index], [following])
     assert sent == [0, 1, 2, 0], "each once, before it is asked for; the same view twice in a row is sent once"
 
 

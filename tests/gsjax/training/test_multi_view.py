@@ -99,7 +99,9 @@ def test_there_and_back_has_the_gradient_of_finite_differences(x64):
     depth = jnp.asarray(3.9 + 0.02 * columns - 0.03 * rows + 0.1 * np.sin(columns))
 
     def off(at, depth):
-        distance, returns = multi_view._there_and_back(jnp.array([17.5, 12.5]), at, here, Neighbor(there, depth, None))
+        _, distance, returns = multi_view._there_and_back(
+            jnp.array([17.5, 12.5]), at, here, Neighbor(there, depth, None)
+        )
         return jnp.where(returns, distance, jnp.nan)
 
     assert float(off(4.1, depth)) > 0.1
@@ -123,6 +125,112 @@ AWAY = Camera(jnp.diag(jnp.array([-1, 1, -1, 1], jnp.float32)), CAMERA.K, WIDTH,
 )
 def test_where_nothing_can_be_compared_there_is_neither_value_nor_gradient(here, there, neighbor, valid):
     value, gradients = value_and_gradients(here, there, neighbor, valid)
+    assert float(value) == 0
+    assert all(not np.any(gradient) for gradient in gradients)
+
+
+# --- what photos show
+
+ASIDE = 0.8  # of the neighbour's camera, along x
+AT = 4.0  # the wall
+
+
+def painted(shift):
+    """A photo of the wall by a camera so many pixels to the right."""
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    waves = np.sin(0.9 * (columns + shift)) + np.cos(0.7 * rows + 0.3 * (columns + shift))
+    return jnp.asarray(np.repeat((0.5 + 0.2 * waves)[..., None], 3, -1), jnp.float32)
+
+
+PHOTO, BESIDE = painted(0), painted(FOCAL * ASIDE / AT)
+
+
+# As above.
+@partial(jax.jit, compiler_options={"xla_backend_optimization_level": 3})
+def _alike(here, there, neighbor, valid, photo, others):
+    def term(here, there):
+        view = View(None, None, here, None, neighbor=Neighbor(neighbor, there, None, others, ALL))
+        return multi_view.photometric(None, view, Batch(CAMERA, photo, valid, None, None))
+
+    return jax.value_and_grad(term, (0, 1))(here, there)
+
+
+def alike(depth, *, neighbor=None, valid=ALL, photo=PHOTO, others=BESIDE):
+    """The term and its gradients to both depth maps, which agree."""
+    return _alike(flat(depth), flat(depth), neighbor or beside(CAMERA, ASIDE), valid, photo, others)
+
+
+def test_two_photos_of_a_wall_are_alike_at_its_depth_and_pull_towards_it():
+    value, (to_here, to_there) = alike(AT)
+    assert float(value) < 5e-3  # the photo beside is read between pixels
+    for depth in (0.94 * AT, 1.06 * AT):  # a third of a pixel
+        off, (to_here, to_there) = alike(depth)
+        assert float(off) > 4 * float(value)
+        assert np.sign(np.sum(to_here)) == np.sign(depth - AT)
+        assert not np.any(to_there)
+
+
+def test_gain_and_offset_of_a_photo_do_not_matter():
+    expected = alike(1.03 * AT)
+    assert_close(
+        alike(1.03 * AT, others=0.6 * BESIDE + 0.1), expected, rtol=2e-3, atol=2e-6, why="variances of float32"
+    )
+
+
+def test_correlation_is_that_of_windows_in_float64(x64):
+    rng = np.random.default_rng(0)
+    a, b = rng.uniform(size=(2, HEIGHT, WIDTH))
+    mask = rng.uniform(size=(HEIGHT, WIDTH)) < 0.8
+    found = jax.jit(multi_view.correlation)(jnp.asarray(a), jnp.asarray(b), jnp.asarray(mask))
+    offsets = np.arange(-5, 6)
+    window = np.exp(-0.5 * (offsets / 1.5) ** 2)
+    for y, x in ((0, 0), (5, 7), (12, 16), (HEIGHT - 1, 3)):
+        rows, columns = np.clip(y + offsets, -1, HEIGHT), np.clip(x + offsets, -1, WIDTH)
+        inside = ((rows >= 0) & (rows < HEIGHT))[:, None] & (columns >= 0) & (columns < WIDTH)
+        at = np.ix_(rows % HEIGHT, columns % WIDTH)
+        weights = np.outer(window, window) * inside * mask[at]
+        weights /= weights.sum()
+        apart = [image[at] - (weights * image[at]).sum() for image in (a, b)]
+        squares = [(weights * each**2).sum() for each in apart]
+        assert_close(found[y, x], (weights * apart[0] * apart[1]).sum() / np.sqrt(np.prod(squares)))
+
+
+def test_photometric_has_the_gradient_of_finite_differences(x64):
+    exact = partial(jax.tree.map, lambda x: jnp.asarray(x, jnp.float64) if x.dtype == jnp.float32 else x)
+    # A little higher too: where rows land on rows, those at the border flicker between read and not read.
+    lifted = replace(beside(CAMERA, ASIDE), viewmat=beside(CAMERA, ASIDE).viewmat.at[1, 3].add(0.03))
+    photo, others, camera, neighbor = exact((PHOTO, BESIDE, CAMERA, lifted))
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    shape = jnp.asarray(0.01 * np.sin(0.5 * columns + 0.3 * rows))
+
+    def term(depth):
+        around = Neighbor(neighbor, jnp.full((HEIGHT, WIDTH), 1.031 * AT), None, others, ALL)
+        view = View(None, None, depth + shape, None, neighbor=around)
+        seen_at, off, kept = multi_view._journeys(view, Batch(camera, photo, ALL, None, None))
+        read = jax.vmap(jax.vmap(partial(multi_view.sample_bilinear, jnp.mean(others, -1))))(seen_at)
+        unlike = 1 - multi_view.correlation(jnp.mean(photo, -1), read, kept)
+        return jnp.sum(jnp.where(kept, unlike, 0))
+
+    check_grads(jax.jit(term), (jnp.array(1.0307 * AT),), order=1, modes=["rev"], eps=1e-6)
+
+
+GREY = jnp.full((HEIGHT, WIDTH, 3), 0.5, jnp.float32)
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        {"photo": GREY},
+        {"others": GREY},
+        {"photo": 0 * GREY, "others": 0 * GREY},
+        {"valid": ~ALL},
+        {"neighbor": beside(CAMERA, 90.0)},
+        {"others": 1 - BESIDE},
+    ],
+    ids=["plain photo", "plain neighbour", "black photos", "masked", "out of its sight", "another thing"],
+)
+def test_photos_that_tell_nothing_ask_for_nothing(case):
+    value, gradients = alike(1.03 * AT, **case)
     assert float(value) == 0
     assert all(not np.any(gradient) for gradient in gradients)
 
@@ -152,19 +260,16 @@ def test_neighbours_look_the_same_way_and_stand_apart():
     assert [set(row) for row in near.tolist()] == [{1}, {0, 2}, {1}]  # 21 degrees are 1.46 apart: over half of 2
 
 
-def test_every_view_brings_the_cameras_of_its_neighbours():
-    data = views.views_of(PHOTOS)
-    found = multi_view.with_neighbors(data, 8.0)
+def test_every_step_has_a_neighbour_of_its_view_beside_it():
+    data = views.numbered(multi_view.with_neighbors(views.views_of(PHOTOS), 8.0))
     rows = multi_view.nearest(np.stack([target.viewmat for target in data.targets]), 8.0)
-    for target, row in zip(found.targets, rows, strict=True):
-        assert (target.neighbors.width, target.neighbors.height) == data.size
-        for name in ("viewmat", "K"):
-            expected = np.stack([getattr(data.targets[index], name) for index in row])
-            np.testing.assert_array_equal(getattr(target.neighbors, name), expected)
-    keys = jax.random.split(jax.random.key(0), 64)
-    neighbors = jax.tree.map(jnp.asarray, found.targets[0].neighbors)
-    seen = jax.vmap(partial(multi_view.drawn, (neighbors, None)))(keys)[0].viewmat
-    assert len(np.unique(np.asarray(seen)[:, :3, 3], axis=0)) == len(set(rows[0]))
+    target, beside = loop.one_view(data, 0, 0.5), [set() for _ in PHOTOS]
+    for step in range(90):
+        here = target(step)
+        assert int(here.photo) == loop.view_order(0, step, len(PHOTOS))
+        np.testing.assert_array_equal(here.beside.viewmat, data.targets[int(here.beside.photo)].viewmat)
+        beside[int(here.photo)].add(int(here.beside.photo))
+    assert beside == [set(row.tolist()) for row in rows]
 
 
 def test_views_bring_neighbours_in_the_phases_of_the_term_alone(monkeypatch):
@@ -172,7 +277,7 @@ def test_views_bring_neighbours_in_the_phases_of_the_term_alone(monkeypatch):
     neighbors = {}
 
     def noted(settings, phase, steps, data, extent, state, *rest):
-        neighbors[phase.name] = data.targets[0].neighbors
+        neighbors[phase.name] = data.neighbors
         return state
 
     monkeypatch.setattr(loop, "_run_phase", noted)
@@ -181,4 +286,4 @@ def test_views_bring_neighbours_in_the_phases_of_the_term_alone(monkeypatch):
         Settings(phases=phases), PHOTOS, 4.0, initial_state(cloud(9), optimizer), optimizer,
         prior=lambda gaussians: pytest.fail("the term asks for no normals"), observe=lambda progress: None,
     )  # fmt: skip
-    assert neighbors["plain"] is None and neighbors["surface"].viewmat.shape == (multi_view.NEAREST, 4, 4)
+    assert neighbors["plain"] is None and neighbors["surface"].shape == (len(PHOTOS), multi_view.NEAREST)

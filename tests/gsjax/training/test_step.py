@@ -16,7 +16,6 @@ from gsjax.settings import Density, Rates, Weights
 from gsjax.training import density_control, surroundings
 from gsjax.training.capacity import chosen_capacity, largest_need
 from gsjax.training.initialize import DEAD_LOGIT
-from gsjax.training.multi_view import with_neighbors
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.rules import RULES
 from gsjax.training.state import count_alive, cull, densify, initial_state, reset_opacities
@@ -275,7 +274,7 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     normals = np.zeros((*SIZE[::-1], 3), np.int8)
     normals[..., 2] = -views.NORMAL_UNIT
     normals[0, 0] = 0  # a hole
-    data = with_neighbors(views.with_normals(setup.data, [normals] * 3), 4.0)
+    data = views.with_normals(setup.data, [normals] * 3)
     # One of the readings of R that are composited stands for the others, each of which is another pass to compile.
     others = {"axis_normal", "sdf_central", "sdf_bicubic", "sdf_offset", "density_center", "density_offset"}
     weights = Weights(**{name: 0.0 if name in others else 0.1 for name in Weights().__dict__})
@@ -290,16 +289,15 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     )
     state = replace(start(setup), nearest=jnp.asarray(surroundings.found(start(setup).gaussians)))
     for index in range(4):
-        state, metrics = step(state, data.targets[index % 3], KEY)
+        state, metrics = step(state, replace(data.targets[index % 3], beside=data.targets[(index + 1) % 3]), KEY)
         assert set(metrics.terms) == set(active_terms(weights))
         assert all(0 < float(value) < 9 for value in metrics.terms.values()), metrics.terms  # one of them is in pixels
     assert step._cache_size() == 1
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state))
     assert not np.any(state.statistics.views)
     # A neighbour that looks closer, and needs more room than any view.
-    neighbors = data.targets[0].neighbors
-    closer = replace(neighbors, K=neighbors.K * np.float32([[3, 1, 1], [1, 3, 1], [1, 1, 1]]))
+    closer = replace(data.targets[1], K=data.targets[1].K * np.float32([[3, 1, 1], [1, 3, 1], [1, 1, 1]]))
     before = copied(state)
-    after, metrics = step(state, replace(data.targets[0], neighbors=closer), KEY)
+    after, metrics = step(state, replace(data.targets[0], beside=closer), KEY)
     assert metrics.overflowed and int(metrics.needed) > capacity
     assert_identical(after, before)
