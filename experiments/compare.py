@@ -5,6 +5,7 @@ With --budget for the same time instead: every variant's phases are scaled to wh
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,8 @@ def run(
     A run that is done (`OUT/VARIANT_SEED/study.json`) is not done again, one that was stopped goes on.
 
     Args:
-        study: Name of a file in `studies/`: its `BASE` names a config, its `VARIANTS` hold differences from that.
+        study: Name of a file in `studies/`: its `base` names a config, its `variants` hold differences from that, and
+            at its `zooms`, if it has any, pictures are scored too (`gsjax.pipeline.evaluate`).
         scene: Data set; "{scene}" in a value of the study stands for it.
         out: Folder for the runs, OUT/VARIANT_SEED each.
         seeds: Runs of every variant, with seeds 0, 1, ...
@@ -55,7 +57,7 @@ def run(
                 continue
             done = folder / "study.json"
             if not done.exists():
-                runs.write_json(done, _figures(scene, folder, settings, seconds))
+                runs.write_json(done, _figures(scene, folder, settings, seconds, described.get("zooms", ())))
             figures, floor = runs.read_json(done)
             every.setdefault(variant, []).append(figures)
     every |= {tables.FLOOR: [floor]} if floor else {}
@@ -64,7 +66,9 @@ def run(
     return every
 
 
-def _figures(scene: str, folder: Path, described: dict, seconds: float | None) -> tuple[dict[str, Any], dict[str, Any]]:
+def _figures(
+    scene: str, folder: Path, described: dict, seconds: float | None, zooms: Sequence[float]
+) -> tuple[dict[str, Any], dict[str, Any]]:
     """A variant's figures, and those of the true mesh where there is one."""
     from gsjax import pipeline
     from gsjax.io import runs
@@ -77,10 +81,11 @@ def _figures(scene: str, folder: Path, described: dict, seconds: float | None) -
     elif seconds is not None:
         settings = config.parse(Settings, runs.read_settings(folder))
     pipeline.train(scene, folder, settings, resume=folder.exists())
-    figures = pipeline.evaluate(folder)
+    figures = pipeline.evaluate(folder, zooms=zooms)
     last = runs.read_metrics(folder)[-20:]
     aligned = [1 - record["terms"]["sdf_normal"] for record in last if "sdf_normal" in record["terms"]]
-    scores, floor = ({key: f[key] for key in FIGURES if key in f} for f in (figures, figures.get("floor", {})))
+    wanted = [*FIGURES, *(f"psnr_zoom_{zoom:g}" for zoom in zooms)]
+    scores, floor = ({key: f[key] for key in wanted if key in f} for f in (figures, figures.get("floor", {})))
     return scores | ({"mean_cos": np.mean(aligned)} if aligned else {}), floor
 
 

@@ -28,7 +28,8 @@ def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_pa
     chamfers = iter([0.004, 0.006, 0.002] * 2)
     floor = {"floor": {"chamfer": 1e-4, "threshold": 0.03}} if with_mesh else {}
     monkeypatch.setattr(pipeline, "train", lambda *_, resume: None)
-    monkeypatch.setattr(pipeline, "evaluate", lambda _: {"psnr": 30.0, "chamfer": next(chamfers), "views": 2, **floor})
+    figures = {"psnr": 30.0, "views": 2, **floor}
+    monkeypatch.setattr(pipeline, "evaluate", lambda _, zooms: figures | {"chamfer": next(chamfers)})
     monkeypatch.setattr(runs, "read_metrics", lambda _: [])
     for _ in range(2):  # The second time from what the first has left.
         rows = compare.run("surface", "scene", str(tmp_path), seeds=2)
@@ -42,7 +43,7 @@ def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_pa
 def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, monkeypatch, tmp_path, study):
     seen = {}
     monkeypatch.setattr(pipeline, "train", lambda _, folder, settings, resume: seen.setdefault(folder.name, settings))
-    monkeypatch.setattr(pipeline, "evaluate", lambda _: {"psnr": 30.0})
+    monkeypatch.setattr(pipeline, "evaluate", lambda _, zooms: {"psnr": 30.0})
     monkeypatch.setattr(runs, "read_metrics", lambda _: [])
     compare.run(study, "scene", str(tmp_path))
     variants = compare.load_config(study, folder=compare.STUDIES)["variants"]
