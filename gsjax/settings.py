@@ -216,6 +216,7 @@ def _phase(name: str, steps: int, **more: Any) -> dict:
 # phase costs more than it brings (docs/deviations.md, experiments/studies/surface.py).
 _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05}
 FAST = {
+    "pixel_filter": "mip",  # right at other sizes and distances than the photos' too (docs/deviations.md)
     "max_gaussians": 36_000,
     "far_points": 1_800,
     "cpu_pixels": 300_000,
@@ -230,6 +231,7 @@ FAST = {
     "logging": {"evaluate_every": 250, "checkpoint_every": 250},
 }
 BALANCED = {
+    "pixel_filter": "mip",
     "max_gaussians": 120_000,
     "far_points": 1_800,
     "sh_every": 700,
