@@ -8,7 +8,6 @@ from gsjax.settings import Rates
 
 CONFIG: dict = {
     "background": "white",
-    "pixel_filter": "mip",
     "max_gaussians": 20_000,
     "sh_degree": 2,
     "sh_every": 500,

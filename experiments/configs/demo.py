@@ -1,5 +1,8 @@
-"""The built-in scene at the demo's size (`gsjax.demo`)."""
+"""The built-in scene as `gsjax demo` trains it, whatever `base` is."""
 
-from gsjax.settings import DEMO
+from gsjax.config import parse, to_dict
+from gsjax.settings import DEMO, PRESETS, Settings
 
-CONFIG: dict = DEMO
+CONFIG: dict = {
+    key: value for key, value in to_dict(parse(Settings, DEMO)).items() if PRESETS["fast"].get(key) != value
+}

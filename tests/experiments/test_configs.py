@@ -8,7 +8,7 @@ import pytest
 import gsjax
 from gsjax import config
 from gsjax.errors import InputError
-from gsjax.settings import PRESETS, Settings
+from gsjax.settings import DEMO, PRESETS, Settings
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 CONFIGS = sorted(path.stem for path in (EXPERIMENTS / "configs").glob("*.py"))
@@ -38,6 +38,10 @@ def test_every_config_parses_and_differs_from_base_in_what_it_says(script, name)
 
 def test_the_base_is_the_fast_preset(script):
     assert script["load_settings"]("base") == config.parse(Settings, PRESETS["fast"])
+
+
+def test_the_demo_is_what_the_command_trains(script):
+    assert script["load_settings"]("demo") == config.parse(Settings, DEMO)
 
 
 def test_assignments_come_last(script):
