@@ -41,6 +41,7 @@ class RefinementWeights:
     alpha: float = 0.1  # mean |alpha - matte|; only where the photos have an alpha channel
     normal_consistency: float = 0.1  # mean 1 - cos between neighbouring triangles
     laplacian: float = 0.0  # mean squared distance of a vertex from its neighbours' mean, in mean squared edges
+    distortion: float = 0.0  # squared distance of a ray's splats from each other, in depths of its surface (2DGS)
 
 
 @dataclass(frozen=True)
@@ -199,12 +200,20 @@ def make_refine_step(
     A view that needs more pairs than `capacity` leaves the state untouched and says so.
     """
     terms = active_terms(weights)
+    with_depth = not losses.NEEDS_DEPTH.isdisjoint(terms)
 
     def objective(parameters: Hybrid, faces: Array, graph: MeshGraph, batch, color: Array, degree: Array):
         gaussians = with_faces(parameters, faces)
         degrees = active_degrees(gaussians, degree)
         under = backdrop.behind(color, batch.camera)
-        view = render.view(gaussians, batch.camera, capacity=capacity, background=under, active_degree=degrees)
+        view = render.view(
+            gaussians,
+            batch.camera,
+            capacity=capacity,
+            background=under,
+            active_degree=degrees,
+            with_depth=with_depth,
+        )
         values = {name: _term(name, gaussians, graph, view, batch) for name in terms}
         total = sum(weight * values[name] for name, weight in terms.items())
         mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
