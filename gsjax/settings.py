@@ -222,8 +222,8 @@ FAST = {
     "cpu_pixels": 300_000,
     "sh_every": 300,
     "phases": [
-        _phase("coarse", 300, image_scale=2, density_control=True),
-        _phase("vanilla", 1700, density_control=True),
+        _phase("coarse", 600, image_scale=2, density_control=True),
+        _phase("vanilla", 1400, density_control=True),
         _phase("surface", 1000, weights=_SURFACE_TERMS),
     ],
     "rates": {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "quats": 0.003, "final_share": 0.2},
