@@ -1,10 +1,9 @@
 """The regularisers of other mesh makers, beside the normal term and without it.
 
-Weights are those of their authors, whose photometric loss is ours (0.8 L1 + 0.2 D-SSIM). `depth_normal` 0.05 (2DGS) and
-`multi_view` 0.03 and
-`photometric` 0.15 (PGSR) are means as theirs are. 2DGS's distortion has 1000 (single objects) in device coordinates of
-near 0.2; ours counts in depths of the surface, so the same pull is 1000 (0.2 / z)^2 = 40 / z^2, z the distance of the
-object in 2DGS's unit: somewhat under 3 there (its meshes are fused to a depth of 3), hence 5.
+Weights are those of their authors, whose loss of the image is ours (0.8 L1 + 0.2 D-SSIM). `depth_normal` 0.05 (2DGS),
+`multi_view` 0.03 and `photometric` 0.15 (PGSR) are means as theirs are. 2DGS's distortion has 1000 (single objects) in
+device coordinates of near 0.2; ours counts in depths of the surface, so the same pull is 1000 (0.2 / z)^2 = 40 / z^2, z
+the distance of the object in 2DGS's unit: somewhat under 3 there (its meshes are fused to a depth of 3), hence 5.
 """
 
 from gsjax.settings import DEMO
