@@ -135,7 +135,7 @@ class Logging:
         _check_lowest(self, metrics_every=1, evaluate_every=0, checkpoint_every=1)
 
 
-SIMULATED = ("exposure", "vignetting", "poses", "background")  # effects that training can take in
+SIMULATED = ("exposure", "vignetting", "poses", "background", "transients")  # effects that training can take in
 AUTO, NONE = "auto", "none"
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import optax
 
 from gsjax.cameras import Camera
-from gsjax.effects import background, exposure, poses, vignetting
+from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.effects.gains import fit, table
 from gsjax.effects.model import Effects, EffectState
 from gsjax.effects.observations import Observations
@@ -97,6 +97,7 @@ def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax
             rate(peak=poses.RATE, hold=poses.HOLD, share=poses.HOLD_SHARE),
         ),
         "background": lambda: background.simulated(begun.background, rate(peak=background.RATE, hold=0)),
+        "transients": lambda: transients.simulated(rate(peak=transients.RATE, final=1.0)),
     }
     return {name: effects[name]() for name in SIMULATED if name in chosen}
 

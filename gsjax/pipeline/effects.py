@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -12,6 +12,7 @@ import numpy as np
 
 from gsjax.effects import background
 from gsjax.effects.appearance import Appearance, Start, appearances, moves, simulations, start
+from gsjax.effects.evidence import Evidence
 from gsjax.effects.model import Effects, EffectState, learning_rate
 from gsjax.effects.observations import observe
 from gsjax.effects.poses import Move
@@ -69,12 +70,11 @@ def joined(settings: Settings, scene: Scene) -> Joined:
     if settings.effects == NONE:
         return Joined()
     found = diagnosed(scene)
-    named = named_effects(settings.effects)
-    wanted = set(named)
+    if settings.background in _PLAIN and background.is_one(found.seen, _PLAIN[settings.background]):
+        found = replace(found, effects=found.effects | {"background": _laid(found.effects["background"], settings)})
+    wanted = set(named_effects(settings.effects))
     if settings.effects == AUTO:
         wanted = {name for name in SIMULATED if found.effects[name].on}
-        if settings.background in _PLAIN and background.is_one(found.seen, _PLAIN[settings.background]):
-            wanted.discard("background")
     chosen = [name for name in SIMULATED if name in wanted]
     print(f"train: effects: {', '.join(chosen) or 'none that the photos show'}", file=sys.stderr)
     evidence = {"simulated": chosen, "evidence": found.record()["effects"]}
@@ -94,6 +94,12 @@ def joined(settings: Settings, scene: Scene) -> Joined:
         )
     begun = start(found.seen, chosen)
     return Joined(simulations(begun, chosen, rate), begun, evidence)
+
+
+def _laid(evidence: Evidence, settings: Settings) -> Evidence:
+    """The evidence of a sky of the one colour that the run lays under its renders anyway: nothing is left to simulate."""
+    note = f"off: --background {settings.background} lays that colour there; {evidence.note}"
+    return evidence._replace(on=False, note=note) if evidence.on else evidence
 
 
 def appearances_of_tracks(scene: Scene) -> dict[str, Appearance]:
