@@ -136,6 +136,7 @@ class Logging:
 
 
 SIMULATED = ("exposure", "vignetting", "poses", "background", "transients")  # effects that training can take in
+EFFECTS = (*SIMULATED, "sh_degree")  # those, and what a run tries before it goes on with less
 AUTO, NONE = "auto", "none"
 
 
@@ -147,9 +148,9 @@ def named_effects(effects: str) -> tuple[str, ...]:
     """
     names = () if effects in (AUTO, NONE) else tuple(name.strip() for name in effects.split(","))
     for name in names:
-        if name not in SIMULATED:
-            raise ValueError(f"effects={effects}: {name!r} is none of auto, none, {', '.join(SIMULATED)}")
-    return tuple(name for name in SIMULATED if name in names)
+        if name not in EFFECTS:
+            raise ValueError(f"effects={effects}: {name!r} is none of auto, none, {', '.join(EFFECTS)}")
+    return tuple(name for name in EFFECTS if name in names)
 
 
 VANILLA = Phase("vanilla", 7000, density_control=True)

@@ -97,7 +97,7 @@ def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax
             rate(peak=poses.RATE, hold=poses.HOLD, share=poses.HOLD_SHARE),
         ),
         "background": lambda: background.simulated(begun.background, rate(peak=background.RATE, hold=0)),
-        "transients": lambda: transients.simulated(rate(peak=transients.RATE, final=1.0)),
+        "transients": lambda: transients.simulated(rate(peak=transients.RATE, hold=0, final=1.0)),
     }
     return {name: effects[name]() for name in SIMULATED if name in chosen}
 

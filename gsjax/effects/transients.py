@@ -5,6 +5,8 @@ RobustNeRF, Sabour et al. 2023, and SpotLessSplats for Gaussians). Nothing is le
 the residuals of all photos: one that shows nothing foreign keeps nearly all of its pixels.
 """
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +17,7 @@ from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.exposure import Gains
 from gsjax.effects.model import Effect
 from gsjax.numerics import masked_mean
+from gsjax.settings import Density
 from gsjax.views import Batch
 
 THRESHOLD = 0.25  # of the observations
@@ -24,6 +27,7 @@ COST = "a mask a step; one number learned"
 QUANTILE = 0.8  # of the residuals of all photos
 REACH = 3.0  # times it: edges that are a little off are no strangers
 WINDOW = 5  # pixels across, of which most must agree
+LATER = 0.5  # of the time of growth, in which nothing grows yet
 RATE = 0.02  # Adam's learning rate of the logarithm: from 1 to a twentieth in 150 steps
 
 
@@ -47,6 +51,14 @@ def simulated(rate: optax.Schedule) -> Effect:
         rate: See `Effect`; of the quantile's logarithm.
     """
     return Effect(np.float32(0), rate, trusts=trusts)
+
+
+def patient(density: Density) -> Density:
+    """Growth that waits until masks stand (RobustSplat, Fu et al. 2025).
+
+    What grew before to show a stranger, close before the one camera that saw it, no other photo would take away again.
+    """
+    return replace(density, start=density.start + round(LATER * max(density.stop - density.start, 0)))
 
 
 def trusts(log_quantile: Array, colors: Array, batch: Batch) -> tuple[Array, Array]:

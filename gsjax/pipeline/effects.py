@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from gsjax.effects import background
+from gsjax.effects import background, transients
 from gsjax.effects.appearance import Appearance, Start, appearances, moves, simulations, start
 from gsjax.effects.evidence import Evidence
 from gsjax.effects.model import Effects, EffectState, learning_rate
@@ -44,6 +44,13 @@ class Joined:
     effects: Effects = field(default_factory=dict)
     begun: Start | None = None  # None: of no effects
     evidence: dict[str, Any] | None = None  # for the manifest; None: nobody looked
+    tries_degrees: bool = False  # whether the run cuts its harmonics to those that photos do not miss
+
+    def paced(self, settings: Settings) -> Settings:
+        """The settings as these effects need them."""
+        if "transients" not in self.effects:
+            return settings
+        return replace(settings, density=transients.patient(settings.density))
 
     def photography(self, state: EffectState | None) -> Photography:
         """What the state says of the photos."""
@@ -78,8 +85,14 @@ def joined(settings: Settings, scene: Scene) -> Joined:
     chosen = [name for name in SIMULATED if name in wanted]
     print(f"train: effects: {', '.join(chosen) or 'none that the photos show'}", file=sys.stderr)
     evidence = {"simulated": chosen, "evidence": found.record()["effects"]}
+    tries_degrees = "sh_degree" in wanted and settings.sh_degree > 0
+    if tries_degrees and grown(settings) is None:
+        raise InputError(
+            f"--effects {settings.effects}: no phase comes after those of density control, to go on with fewer"
+            " harmonics; leave sh_degree out"
+        )
     if not chosen:
-        return Joined(evidence=evidence)
+        return Joined(evidence=evidence, tries_degrees=tries_degrees)
     density = settings.density
     rate = partial(
         learning_rate,
@@ -93,7 +106,13 @@ def joined(settings: Settings, scene: Scene) -> Joined:
             " leave background out"
         )
     begun = start(found.seen, chosen)
-    return Joined(simulations(begun, chosen, rate), begun, evidence)
+    return Joined(simulations(begun, chosen, rate), begun, evidence, tries_degrees)
+
+
+def grown(settings: Settings) -> int | None:
+    """How many phases have run when no Gaussians multiply any more; None where none comes then."""
+    last = max((index for index, phase in enumerate(settings.phases, 1) if phase.density_control), default=0)
+    return last if last < len(settings.phases) else None
 
 
 def _laid(evidence: Evidence, settings: Settings) -> Evidence:
