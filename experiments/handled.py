@@ -2,11 +2,11 @@
 
     python experiments/handled.py --out DIR [--effects NAME ...] [--views 32] [--size 112] [--steps 600] [--seeds N]
 
-Every effect and strength is one row: what `train --effects auto` decides, how far off the parameters that it learns are,
-and PSNR and Chamfer distance of a run that ignores it and of one that simulates it. In the row of strength 0 the latter
-is forced on. PSNR is that of the held-out photos as they were before anything was put in, from where they were truly
-taken: both runs are asked for the same pictures. `DIR/handled.md` is the table, `DIR/handled.json` its figures. Called
-again it does what is left.
+Every effect and strength is one row: what `train --effects auto` decides, how far off the parameters that it learns
+are, and PSNR and Chamfer distance of a run that ignores it and of one that simulates it. In the row of strength 0 the
+latter is forced on. PSNR is that of the held-out photos as they were before anything was put in, from where they were
+truly taken: both runs are asked for the same pictures. `DIR/handled.md` is the table, `DIR/handled.json` its figures.
+Called again it does what is left.
 """
 
 import argparse
@@ -188,7 +188,7 @@ def scored(truth: Truth, background: str, *, aligned: bool) -> dict[str, Any]:
     file = truth.run / f"scored{'_aligned' if aligned else ''}.json"
     if not file.exists():
         result, found = open_result(truth.run), read_photography(truth.run)
-        photos = truth.scene if "sky" in truth.told else truth.clean
+        photos = truth.scene if truth.told.get("sky") else truth.clean
         true = {frame.name: frame.viewmat for frame in truth.clean.frames}
         frames = [replace(frame, viewmat=true[frame.name]) for frame in photos.held_out_frames]
         scores = score_images(

@@ -94,8 +94,8 @@ def behind(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, col
 def photographed(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch, background: Array) -> View:
     """What the camera makes of a view.
 
-    Where photos have mattes, the background is laid under them by us, after any camera: it stays as it is. A white pixel
-    says only that there was no less light: what effects make brighter than white there is white.
+    Where photos have mattes, the background is laid under them by us, after any camera: it stays as it is. A white
+    pixel says only that there was no less light: what effects make brighter than white there is white.
 
     Args:
         effects: The effects.
@@ -123,9 +123,7 @@ def photographed(effects: Effects, numbers: dict[str, Any] | None, view: View, b
     return view._replace(colors=colors)
 
 
-def trusted(
-    effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch
-) -> tuple[Batch, Array | None]:
+def trusted(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch) -> tuple[Batch, Array | None]:
     """The view with those pixels left out that an effect does not trust, and what it adds to the loss; None of none."""
     added = None
     for name, effect in effects.items() if numbers is not None else ():

@@ -116,7 +116,7 @@ def grown(settings: Settings) -> int | None:
 
 
 def _laid(evidence: Evidence, settings: Settings) -> Evidence:
-    """The evidence of a sky of the one colour that the run lays under its renders anyway: nothing is left to simulate."""
+    """The evidence of a sky whose one colour the run lays under its renders anyway: nothing is left to simulate."""
     note = f"off: --background {settings.background} lays that colour there; {evidence.note}"
     return evidence._replace(on=False, note=note) if evidence.on else evidence
 
