@@ -144,7 +144,7 @@ CASES = {
         (0.1, 0.3, 0.5), lambda degrees: {"turn": degrees, "shift": float(np.radians(degrees))}, of_cameras, "px"
     ),
     "background": Case((0.5, 1.0), lambda share: {"sky": share}, of_sky, "/255"),
-    "transients": Case((0.1, 0.3), lambda share: {"pasted": share}, of_masks, "of pixels"),
+    "transients": Case((0.3, 0.6), lambda share: {"pasted": share}, of_masks, "of pixels"),
 }
 """Strengths: EV over the photos (a third of it in every channel); EV at a corner; degrees about each axis, and as many
 radians of the distance along it; how far what is behind goes from white to a sky; share of the photos with squares."""

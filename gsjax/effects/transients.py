@@ -25,9 +25,9 @@ FLOOR = 0.14  # what still scenes reach by sheen, shadows and wrong matches
 OUTLIER = 4  # standard deviations
 COST = "a mask a step; one number learned"
 QUANTILE = 0.8  # of the residuals of all photos
-REACH = 3.0  # times it: edges that are a little off are no strangers
+REACH = 5.0  # times it: edges that are a little off are no strangers
 WINDOW = 5  # pixels across, of which most must agree
-LATER = 0.5  # of the time of growth, in which nothing grows yet
+LATER = 0.0  # of the time of growth, in which nothing grows yet
 RATE = 0.02  # Adam's learning rate of the logarithm: from 1 to a twentieth in 150 steps
 
 
