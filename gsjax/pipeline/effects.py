@@ -12,6 +12,7 @@ import numpy as np
 
 from gsjax.effects import background, transients
 from gsjax.effects.appearance import Appearance, Start, appearances, moves, simulations, start
+from gsjax.effects.diagnosis import Diagnosis
 from gsjax.effects.evidence import Evidence
 from gsjax.effects.model import Effects, EffectState, learning_rate
 from gsjax.effects.observations import observe
@@ -19,6 +20,7 @@ from gsjax.effects.poses import Move
 from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.pipeline.diagnose import diagnosed
+from gsjax.pipeline.trials import WORTH, Trial, is_near
 from gsjax.scene import Frame, Scene
 from gsjax.settings import AUTO, NONE, SIMULATED, Settings, named_effects, total_steps
 
@@ -64,12 +66,13 @@ class Joined:
         )
 
 
-def joined(settings: Settings, scene: Scene) -> Joined:
+def joined(settings: Settings, scene: Scene, trial: Trial | None = None) -> Joined:
     """The effects that the settings name or, of "auto", that the photos show; one line says which.
 
     Args:
         settings: The run.
         scene: Its data set, at the size that is trained on.
+        trial: Decides, of "auto", where evidence is near its threshold. None: the threshold does.
 
     Raises:
         InputError: A photo or the tracks cannot be read, or a background is asked for behind mattes.
@@ -81,6 +84,7 @@ def joined(settings: Settings, scene: Scene) -> Joined:
         found = replace(found, effects=found.effects | {"background": _laid(found.effects["background"], settings)})
     wanted = set(named_effects(settings.effects))
     if settings.effects == AUTO:
+        found = found if trial is None else replace(found, effects=found.effects | _tried(found, trial))
         wanted = {name for name in SIMULATED if found.effects[name].on}
     chosen = [name for name in SIMULATED if name in wanted]
     print(f"train: effects: {', '.join(chosen) or 'none that the photos show'}", file=sys.stderr)
@@ -113,6 +117,19 @@ def grown(settings: Settings) -> int | None:
     """How many phases have run when no Gaussians multiply any more; None where none comes then."""
     last = max((index for index, phase in enumerate(settings.phases, 1) if phase.density_control), default=0)
     return last if last < len(settings.phases) else None
+
+
+def _tried(found: Diagnosis, trial: Trial) -> dict[str, Evidence]:
+    """The evidence of effects that are near their threshold, decided by what a trial of each brings."""
+    near = [name for name in SIMULATED if is_near(name, found.effects[name])]
+    on = [name for name in SIMULATED if found.effects[name].on and name not in near]
+    gains = trial(found.seen, on, near) if near else {}
+    told = {name: f"near its threshold, a trial of it brings {gain:+.2f} dB" for name, gain in gains.items()}
+    return {
+        name: each._replace(on=gains[name] >= WORTH, note=f"{told[name]} (needs {WORTH}); {each.note}")
+        for name, each in found.effects.items()
+        if name in gains
+    }
 
 
 def _laid(evidence: Evidence, settings: Settings) -> Evidence:

@@ -33,6 +33,7 @@ from gsjax.pipeline.report import report
 from gsjax.pipeline.result import write_views
 from gsjax.pipeline.shown_views import keeper
 from gsjax.pipeline.sizes import at_size, training_extent
+from gsjax.pipeline.trials import gains
 from gsjax.scene import Scene, in_memory
 from gsjax.settings import Settings, total_steps
 from gsjax.training import density_control, initialize, optimizers, surroundings
@@ -99,7 +100,7 @@ def _train(
     prior = RunPrior(
         out, settings.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
     )
-    taken_in = joined(settings, loaded)
+    taken_in = joined(settings, loaded, partial(gains, settings, frames, size, partial(_trial_start, loaded, settings)))
     as_dict, settings = config.to_dict(settings), in_larger_steps(taken_in.paced(settings))
     optimizer = optimizers.make_optimizer(
         settings.rates,
@@ -206,6 +207,12 @@ def _initial(
     sums_nearest = any(map(surroundings.needed, planned_phases(settings)))
     nearest = jnp.asarray(surroundings.none_yet(first.num_gaussians)) if sums_nearest else None
     return initial_state(first, optimizer, RULES[settings.density.rule], effects, nearest)
+
+
+def _trial_start(
+    scene: Scene, settings: Settings, optimizer: optax.GradientTransformation, effects: Effects
+) -> TrainState:
+    return _initial(scene, settings, optimizer, None, effects=effects)
 
 
 def living(gaussians: Gaussians) -> Gaussians:
