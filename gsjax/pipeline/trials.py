@@ -61,20 +61,21 @@ def gains(
     shown, kept = trial.by_block(trial.small_views(frames))
     steps = max(1, min(STEPS, round(SHARE * total_steps(settings))))
 
-    def went_on(state: TrainState, effects: Effects) -> tuple[TrainState, float]:
+    def steps_with(effects: Effects) -> Callable[[TrainState], tuple[TrainState, float]]:
         make = trial.maker(settings, Weights(), optimizer, shown, effects=effects, sh_every=settings.sh_every)
-        return trial.tried(make, state, shown, kept, steps, seed=settings.seed)
+        return lambda state: trial.tried(make, state, shown, kept, steps, seed=settings.seed)
 
     def chosen(names: Sequence[str]) -> Effects:
         return simulations(start(seen, names), names, lambda peak=RATE, **_: optax.constant_schedule(peak))
 
     without = chosen(on)
-    state, _ = went_on(initial(optimizer, without), without)
-    _, least = went_on(state, without)
+    go_on = steps_with(without)
+    state, _ = go_on(initial(optimizer, without))
+    _, least = go_on(state)
     found = {}
     for name in near:
         effects = chosen((*on, name))
-        found[name] = went_on(replace(state, effects=_joined(state.effects, effects)), effects)[1] - least
+        found[name] = steps_with(effects)(replace(state, effects=_joined(state.effects, effects)))[1] - least
     return found
 
 

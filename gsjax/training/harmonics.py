@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from gsjax import views
 from gsjax.effects.model import Effects
 from gsjax.scene import Frame
 from gsjax.settings import Phase, Rates, Settings, total_steps
@@ -14,8 +15,9 @@ from gsjax.training import optimizers, trial
 from gsjax.training.state import TrainState
 
 MARGIN = 0.1  # dB: so much less than the best is as good
-STEPS = 150  # of a trial, of each degree
+STEPS = 100  # of a trial, of each degree
 SHARE = 0.05  # of the run, at most
+HURRY = 4.0  # times the rate of the constant band: enough for so few steps
 _STILL = 1e-12  # a rate that moves nothing
 
 
@@ -41,7 +43,8 @@ def degrees_tried(
     """
     optimizer = optimizers.make_optimizer(_of_colors(settings.rates), extent, 1)
     steps = max(1, min(STEPS, round(SHARE * total_steps(settings))))
-    shown, kept = trial.by_photo(trial.small_views(frames))
+    # At full size: at half of it splats are blurred otherwise, which colours by direction would learn to make up for.
+    shown, kept = trial.by_photo(views.numbered(views.views_of(frames, scale=phase.image_scale)))
     anew = replace(state.gaussians, sh_rest=jnp.zeros_like(state.gaussians.sh_rest))
     begun = replace(state, gaussians=anew, opt_state=optimizer.init(anew), nearest=None)
     # One program for all: its ramp opens a band every so many steps, and each degree starts where its own are open.
@@ -60,9 +63,9 @@ def smallest(found: dict[int, float]) -> int:
 
 
 def _of_colors(rates: Rates) -> Rates:
-    """Those of the constant band for all bands, and of all else what moves nothing."""
+    """Those of the constant band, in a hurry, for all bands; and of all else what moves nothing."""
     still = dict.fromkeys(("means", "means_final"), _STILL) | dict.fromkeys(("opacities", "scales", "quats"), 0.0)
-    return replace(rates, **still, sh_rest=rates.sh_dc, final_share=1.0)
+    return replace(rates, **still, sh_dc=HURRY * rates.sh_dc, sh_rest=HURRY * rates.sh_dc, final_share=1.0)
 
 
 def cut(state: TrainState, optimizer: optax.GradientTransformation, degree: int) -> TrainState:

@@ -30,7 +30,7 @@ def tried(
     """So many steps from a state, and how well they predict what they were not shown.
 
     Args:
-        make: Pair capacity -> the step of the trial.
+        make: Pair capacity -> the step of the trial, see `maker`.
         state: Where to start; it is left as it is.
         shown: What is trained on.
         kept: What is scored, before a step could learn from it. Sizes as in `shown`: one program serves both.
@@ -40,16 +40,14 @@ def tried(
     Returns:
         The state after the steps, and the mean PSNR of `kept` with all effects that the steps have, decibels.
     """
-    compiled, capacity, reported = cache(make), chosen_capacity(state.gaussians, shown), []
-    end = advance(
-        compiled, lambda step, state, *_: state, _copied(state), shown, (0, steps), seed=seed, capacity=capacity
-    )
+    capacity, reported = chosen_capacity(state.gaussians, shown), []
+    end = advance(make, lambda step, state, *_: state, _copied(state), shown, (0, steps), seed=seed, capacity=capacity)
 
     def report(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
         reported.append(float(metrics.psnr))
         return _copied(end)
 
-    advance(compiled, report, _copied(end), kept, (0, kept.num_views), seed=seed, capacity=capacity)
+    advance(make, report, _copied(end), kept, (0, kept.num_views), seed=seed, capacity=capacity)
     return end, float(np.mean(reported))
 
 
@@ -62,17 +60,11 @@ def maker(
     effects: Effects,
     sh_every: int,
 ) -> Callable[[int], TrainStep]:
-    """Pair capacity -> a step of the image alone: no term of the surface, no density control."""
+    """Pair capacity -> a step of the image alone: no term of the surface, no density control. Compiled once for all."""
     image = Weights(l1=weights.l1, dssim=weights.dssim, alpha=weights.alpha if data.has_mattes else 0.0)
-    return lambda capacity: make_train_step(
-        optimizer,
-        image,
-        capacity=capacity,
-        background=BACKGROUNDS[settings.background],
-        sh_every=sh_every,
-        rule=None,
-        depth_mode=settings.depth_mode,
-        effects=effects,
+    options = {"background": BACKGROUNDS[settings.background], "sh_every": sh_every, "depth_mode": settings.depth_mode}
+    return cache(
+        lambda capacity: make_train_step(optimizer, image, capacity=capacity, rule=None, effects=effects, **options)
     )
 
 

@@ -16,7 +16,7 @@ from gsjax.pipeline.train import _trial_start
 from gsjax.pipeline.trials import NEAR, gains, is_near
 from gsjax.settings import Phase, Settings
 
-SETTINGS = Settings(background="white", phases=(Phase("vanilla", 2000),), sh_degree=1, effects="auto")
+SETTINGS = Settings(background="white", phases=(Phase("vanilla", 800),), sh_degree=1, effects="auto")
 
 
 def evidence(value):
@@ -35,7 +35,7 @@ def test_only_what_is_near_is_tried():
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    return load_scene(built_in(tmp_path_factory.mktemp("data") / "scene", num_views=10, size=(64, 64)))
+    return load_scene(built_in(tmp_path_factory.mktemp("data") / "scene", num_views=8, size=(32, 32)))
 
 
 def test_a_trial_finds_what_is_there_and_nothing_where_nothing_is(scene):
@@ -52,9 +52,9 @@ def test_a_trial_finds_what_is_there_and_nothing_where_nothing_is(scene):
 
 @pytest.mark.parametrize(("gain", "on"), [(0.09, False), (0.11, True)])
 def test_a_trial_has_the_last_word_and_the_evidence_tells_of_it(gain, on):
-    """Six hundredths of a stop: over the threshold, but near it."""
+    """A fifteenth of a stop: over the threshold, but near it."""
     scene = wall()
-    true = drawn_gains(scene, 0.06)
+    true = drawn_gains(scene, 0.1)
     photos = relit(scene, lambda index, *_: true[index])
     asked = []
 
