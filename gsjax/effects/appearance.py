@@ -11,7 +11,7 @@ import optax
 from gsjax.cameras import Camera
 from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.effects.gains import fit, table
-from gsjax.effects.model import Effects, EffectState
+from gsjax.effects.model import RATE, Effects, EffectState
 from gsjax.effects.observations import Observations
 from gsjax.scene import Frame, with_pixels
 from gsjax.settings import SIMULATED
@@ -42,6 +42,11 @@ class Start:
     centers: np.ndarray  # [V, 3] float64 of the cameras, world
     distance: float  # scene units: the median depth of the points in all photos
     background: np.ndarray  # [(L + 1)^2, 3] SH coefficients of what is behind all
+
+    @property
+    def pace_of_gains(self) -> float:
+        """Their learning rate: less where tracks told them: what a young scene cannot show yet moves them."""
+        return exposure.RATE_KNOWN if np.any(self.log_gains) else RATE
 
 
 def start(seen: Observations, chosen: Collection[str]) -> Start:
@@ -87,7 +92,7 @@ def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax
     """
     whose, count = begun.camera[begun.trained], len(begun.falloff)
     effects = {
-        "exposure": lambda: exposure.simulated(begun.log_gains[begun.trained], rate()),
+        "exposure": lambda: exposure.simulated(begun.log_gains[begun.trained], rate(peak=begun.pace_of_gains)),
         "vignetting": lambda: vignetting.simulated(begun.falloff, whose, rate()),
         "poses": lambda: poses.simulated(
             begun.centers[begun.trained],

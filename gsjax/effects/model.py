@@ -107,20 +107,19 @@ def photographed(effects: Effects, numbers: dict[str, Any] | None, view: View, b
     Returns:
         The view with other colours.
     """
-    if numbers is None:
+    if numbers is None or all(effect.light is None for effect in effects.values()):
         return view
     behind = jnp.zeros_like(view.colors)
     if batch.matte is not None:
         behind = (1 - view.alphas)[..., None] * background[None, None]
-    colors, lit = view.colors - behind, [name for name, effect in effects.items() if effect.light is not None]
-    for name in lit:
-        colors = effects[name].light(numbers[name], colors, batch)  # pyright: ignore[reportOptionalCall]
+    colors = view.colors - behind
+    for name, effect in effects.items():
+        if effect.light is not None:
+            colors = effect.light(numbers[name], colors, batch)
     colors = colors + behind
-    if lit:
-        # What was brighter than white before any effect stays as wrong as it is without effects.
-        most = jnp.maximum(view.colors, 1)
-        colors = jnp.where((batch.image > SATURATED) & (colors > most), most, colors)
-    return view._replace(colors=colors)
+    # What was brighter than white before any effect stays as wrong as it is without effects.
+    most = jnp.maximum(view.colors, 1)
+    return view._replace(colors=jnp.where((batch.image > SATURATED) & (colors > most), most, colors))
 
 
 def trusted(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch) -> tuple[Batch, Array | None]:

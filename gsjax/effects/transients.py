@@ -13,9 +13,10 @@ import numpy as np
 import optax
 from jax import Array
 
-from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.exposure import Gains
 from gsjax.effects.model import Effect
+from gsjax.effects.observations import Observations
 from gsjax.numerics import masked_mean
 from gsjax.settings import Density
 from gsjax.views import Batch
@@ -23,7 +24,7 @@ from gsjax.views import Batch
 THRESHOLD = 0.25  # of the observations
 FLOOR = 0.14  # what still scenes reach by sheen, shadows and wrong matches
 OUTLIER = 4  # standard deviations
-COST = "a mask a step; one number learned"
+PASSES = 20  # two windows of 25 a pixel, no way back
 QUANTILE = 0.8  # of the residuals of all photos
 REACH = 5.0  # times it: edges that are a little off are no strangers
 WINDOW = 5  # pixels across, of which most must agree
@@ -31,14 +32,15 @@ LATER = 0.0  # of the time of growth, in which nothing grows yet
 RATE = 0.02  # Adam's learning rate of the logarithm: from 1 to a twentieth in 150 steps
 
 
-def judge(gains: Gains | None) -> Evidence:
+def judge(seen: Observations, gains: Gains | None) -> Evidence:
     """On only where it is plain: tracks are what matched, so what came and went is rarely in them."""
+    cost = photo_cost(seen.frames, PASSES, 1, "a mask a step")
     if gains is None or not len(gains.fit.residuals):
-        return unknown("share of observations", THRESHOLD, COST, "needs points that three photos see")
+        return unknown("share of observations", THRESHOLD, cost, "needs points that three photos see")
     size = np.sqrt(np.square(gains.fit.residuals).mean(1))
     value = float((size > OUTLIER * gains.fit.sigma).mean())
     note = "colours off by 4 sigma after gains; sheen and shadows count too: give masks where something moved"
-    return Evidence(value > THRESHOLD, value, "share of observations", FLOOR, THRESHOLD, COST, note)
+    return Evidence(value > THRESHOLD, value, "share of observations", FLOOR, THRESHOLD, cost, note)
 
 
 def simulated(rate: optax.Schedule) -> Effect:

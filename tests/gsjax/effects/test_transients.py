@@ -9,8 +9,8 @@ from small_scenes import camera_at
 from tolerances import assert_close
 
 from gsjax.effects import transients
-from gsjax.effects.model import trusted, updated
 from gsjax.effects.model import initial_state as effects_state
+from gsjax.effects.model import trusted, updated
 from gsjax.render import View
 from gsjax.settings import Density
 from gsjax.views import Batch

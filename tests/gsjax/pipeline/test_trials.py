@@ -7,7 +7,7 @@ from photographed_wall import gains as drawn_gains
 from photographed_wall import relit, wall
 from small_scenes import built_in
 
-from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects.evidence import Cost, Evidence, unknown
 from gsjax.effects.observations import observe
 from gsjax.io.scenes import load_scene
 from gsjax.pipeline.effects import joined
@@ -20,7 +20,7 @@ SETTINGS = Settings(background="white", phases=(Phase("vanilla", 800),), sh_degr
 
 
 def evidence(value):
-    return Evidence(False, value, "EV", 0.01, 0.05, "", "")
+    return Evidence(False, value, "EV", 0.01, 0.05, Cost(), "")
 
 
 def test_only_what_is_near_is_tried():
@@ -29,7 +29,7 @@ def test_only_what_is_near_is_tried():
     assert is_near("poses", evidence(1.01 * 0.05 / NEAR))
     assert not is_near("exposure", evidence(1.01 * NEAR * 0.05))
     assert not is_near("exposure", evidence(-0.05))
-    assert not is_near("exposure", unknown("EV", 0.05, "", "why"))
+    assert not is_near("exposure", unknown("EV", 0.05, Cost(), "why"))
     assert not is_near("transients", evidence(0.05)), "masks choose what they are scored on"
 
 
