@@ -46,7 +46,7 @@ def judge(seen: Observations, gains: Gains | None) -> Evidence:
     if share is None:
         return unknown("share of variance", THRESHOLD, COST, f"needs points that {SHORTEST} photos see")
     note = "colours change with direction" if share > THRESHOLD else "no more than patches of a matt surface do"
-    note += "; reported: training keeps its degree, held-out views decide on it"
+    note += "; --effects sh_degree lets photos that are kept from the colours choose it"
     return Evidence(share > THRESHOLD, share, "share of variance", LAMBERTIAN, THRESHOLD, COST, note)
 
 
