@@ -80,11 +80,14 @@ def joined(settings: Settings, scene: Scene, trial: Trial | None = None) -> Join
     if settings.effects == NONE:
         return Joined()
     found = diagnosed(scene)
-    if settings.background in _PLAIN and background.is_one(found.seen, _PLAIN[settings.background]):
+    is_laid = settings.background in _PLAIN and background.is_one(found.seen, _PLAIN[settings.background])
+    if is_laid:
         found = replace(found, effects=found.effects | {"background": _laid(found.effects["background"], settings)})
     wanted = set(named_effects(settings.effects))
     if settings.effects == AUTO:
-        found = found if trial is None else replace(found, effects=found.effects | _tried(found, trial))
+        if trial is not None:
+            near = [n for n in SIMULATED if is_near(n, found.effects[n]) and not (is_laid and n == "background")]
+            found = replace(found, effects=found.effects | _tried(found, near, trial))
         wanted = {name for name in SIMULATED if found.effects[name].on}
         by_direction = found.effects["sh_degree"]
         if by_direction.value is not None and not by_direction.on and grown(settings) is not None:
@@ -122,9 +125,8 @@ def grown(settings: Settings) -> int | None:
     return last if last < len(settings.phases) else None
 
 
-def _tried(found: Diagnosis, trial: Trial) -> dict[str, Evidence]:
+def _tried(found: Diagnosis, near: list[str], trial: Trial) -> dict[str, Evidence]:
     """The evidence of effects that are near their threshold, decided by what a trial of each brings."""
-    near = [name for name in SIMULATED if is_near(name, found.effects[name])]
     on = [name for name in SIMULATED if found.effects[name].on and name not in near]
     gains = trial(found.seen, on, near) if near else {}
     told = {name: f"near its threshold, a trial of it brings {gain:+.2f} dB" for name, gain in gains.items()}
