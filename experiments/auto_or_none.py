@@ -1,10 +1,10 @@
 """Real photos with `--effects none` and with `auto`: scores in all three ways, degrees of the harmonics, seconds.
 
-    python experiments/auto_or_none.py SCENE ... --out DIR [--width 150] [--steps 1500] [--effects none auto] [--seeds N]
+    python experiments/auto_or_none.py SCENE ... --out DIR [--width 150] [--steps 1500] [--effects none auto]
 
-Photos are brought to about that width. Steps are those of a short run of the photometric loss: a fifth at half the size,
-then all of it with density control to the last fifth, which goes on without. `DIR/auto_or_none.md` is the table,
-`DIR/auto_or_none.json` its figures. Called again it does what is left.
+Photos are brought to about that width. Steps are those of a short run of the photometric loss: a fifth at half the
+size, then at all of it, with density control to the last fifth, which goes on without. `DIR/auto_or_none.md` is the
+table, `DIR/auto_or_none.json` its figures. Called again it does what is left.
 """
 
 import argparse

@@ -13,6 +13,7 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,6 +32,9 @@ from gsjax.meshing.export import read_mesh
 from gsjax.pipeline.effects import Photography, joined, read_photography, refined
 from gsjax.pipeline.evaluate import score_images, score_mesh
 from gsjax.pipeline.result import frame_camera, open_result
+from gsjax.pipeline.sizes import training_extent
+from gsjax.pipeline.train import trial_start
+from gsjax.pipeline.trials import gains
 from gsjax.scene import Scene
 from gsjax.settings import Settings
 
@@ -220,7 +224,9 @@ def row(out: Path, clean: Path, effect: str, strength: float, given: argparse.Na
     background = "black" if effect == "background" and strength else "white"
     chosen = [settings(e, given.steps, given.gaussians, seed, background) for e in ("auto", "none", effect)]
     before, after = load_scene(clean), load_scene(scene)
-    joined_by_auto = joined(chosen[0], after).evidence
+    size = training_extent(after)
+    trial = partial(gains, chosen[0], after.train_frames, size, partial(trial_start, after, chosen[0]))
+    joined_by_auto = joined(chosen[0], after, trial).evidence
     assert joined_by_auto is not None, "auto looks"
     evidence = joined_by_auto["evidence"][effect]
     said = {(True, True): "hit", (True, False): "miss", (False, True): "false alarm", (False, False): "right"}

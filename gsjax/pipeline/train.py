@@ -100,7 +100,7 @@ def _train(
     prior = RunPrior(
         out, settings.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
     )
-    taken_in = joined(settings, loaded, partial(gains, settings, frames, size, partial(_trial_start, loaded, settings)))
+    taken_in = joined(settings, loaded, partial(gains, settings, frames, size, partial(trial_start, loaded, settings)))
     as_dict, settings = config.to_dict(settings), in_larger_steps(taken_in.paced(settings))
     optimizer = optimizers.make_optimizer(
         settings.rates,
@@ -209,9 +209,10 @@ def _initial(
     return initial_state(first, optimizer, RULES[settings.density.rule], effects, nearest)
 
 
-def _trial_start(
+def trial_start(
     scene: Scene, settings: Settings, optimizer: optax.GradientTransformation, effects: Effects
 ) -> TrainState:
+    """Step 0 of a trial, see `gsjax.pipeline.trials.gains`."""
     return _initial(scene, settings, optimizer, None, effects=effects)
 
 

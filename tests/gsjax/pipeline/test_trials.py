@@ -13,7 +13,7 @@ from gsjax.effects.observations import observe
 from gsjax.io.scenes import load_scene
 from gsjax.pipeline.effects import joined
 from gsjax.pipeline.sizes import training_extent
-from gsjax.pipeline.train import _trial_start
+from gsjax.pipeline.train import trial_start
 from gsjax.pipeline.trials import NEAR, gains, is_near
 from gsjax.settings import Phase, Settings
 
@@ -44,7 +44,7 @@ def test_a_trial_finds_what_is_there_and_nothing_where_nothing_is(scene):
     found = {}
     for name, each in (("clean", scene), ("relit", relit(scene, lambda index, *_: true[index]))):
         few = replace(each, points=each.points[::4], point_colors=each.point_colors[::4])
-        initial = partial(_trial_start, few, SETTINGS)
+        initial = partial(trial_start, few, SETTINGS)
         found[name] = gains(
             SETTINGS, each.train_frames, training_extent(each), initial, observe(each), (), ("exposure",)
         )["exposure"]
