@@ -1,6 +1,6 @@
 """Real photos with `--effects none` and with `auto`: scores in all three ways, degrees of the harmonics, seconds.
 
-    python experiments/auto_or_none.py SCENE ... --out DIR [--width 150] [--steps 1500] [--effects none auto]
+    python experiments/auto_or_none.py SCENE ... --out DIR [--width 150] [--steps 1000] [--effects none auto]
 
 Photos are brought to about that width. Steps are those of a short run of the photometric loss: a fifth at half the
 size, then at all of it, with density control to the last fifth, which goes on without. `DIR/auto_or_none.md` is the
@@ -52,13 +52,13 @@ def row(scene: Path, effects: str, given: argparse.Namespace, seed: int) -> dict
         frames, times = load_scene(scene).frames, []
         downscale = max(1.0, round(max(frame.width for frame in frames) / given.width, 2))
         chosen = settings(effects, downscale, given, seed, frames[0].pixels().matte is not None)
-        started = time.perf_counter()
+        started = time.process_time()
         pipeline.train(
             scene,
             run,
             chosen,
             resume=(run / "config.json").exists(),
-            observe=lambda progress: times.append(time.perf_counter()),
+            observe=lambda progress: times.append(time.process_time()),
         )
         figures = pipeline.evaluate(run, three_ways=load_scene(scene).tracks is not None)
         manifest = runs.read_json(run / "manifest.json")
@@ -93,8 +93,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--effects", nargs="+", default=["none", "auto"])
     parser.add_argument("--width", type=int, default=150)
-    parser.add_argument("--steps", type=int, default=1500)
-    parser.add_argument("--gaussians", type=int, default=12_000)
+    parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--gaussians", type=int, default=8000)
     parser.add_argument("--seeds", type=int, default=1)
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)

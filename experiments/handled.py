@@ -173,7 +173,7 @@ def settings(effects: str, steps: int, gaussians: int, seed: int, background: st
 
 
 def trained(scene: Path, run: Path, chosen: Settings) -> float:
-    """Trains unless that was done; median seconds of a step."""
+    """Trains unless that was done; median processor seconds of a step."""
     if not (run / "timed.json").exists():
         times = []
         pipeline.train(
@@ -181,7 +181,7 @@ def trained(scene: Path, run: Path, chosen: Settings) -> float:
             run,
             chosen,
             resume=(run / "config.json").exists(),
-            observe=lambda progress: times.append(time.perf_counter()),
+            observe=lambda progress: times.append(time.process_time()),
         )
         runs.write_json(run / "timed.json", {"seconds_per_step": float(np.median(np.diff(times)[FIRST:]))})
     return runs.read_json(run / "timed.json")["seconds_per_step"]
