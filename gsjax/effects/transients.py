@@ -26,9 +26,9 @@ FLOOR = 0.14  # what still scenes reach by sheen, shadows and wrong matches
 OUTLIER = 4  # standard deviations
 PASSES = 20  # two windows of 25 a pixel, no way back
 QUANTILE = 0.8  # of the residuals of all photos
-REACH = 5.0  # times it: edges that are a little off are no strangers
+REACH = 4.0  # times it: edges that are a little off are no strangers
 WINDOW = 5  # pixels across, of which most must agree
-LATER = 0.0  # of the time of growth, in which nothing grows yet
+LATER = 0.5  # of the time of growth, by which it is put off
 RATE = 0.02  # Adam's learning rate of the logarithm: from 1 to a twentieth in 150 steps
 
 
@@ -55,12 +55,18 @@ def simulated(rate: optax.Schedule) -> Effect:
     return Effect(np.float32(0), rate, trusts=trusts)
 
 
-def patient(density: Density) -> Density:
-    """Growth that waits until masks stand (RobustSplat, Fu et al. 2025).
+def patient(density: Density, steps: int) -> Density:
+    """Growth that waits until masks stand, and ends as much later (RobustSplat, Fu et al. 2025).
 
     What grew before to show a stranger, close before the one camera that saw it, no other photo would take away again.
+
+    Args:
+        density: As without masks.
+        steps: Of the phases in which Gaussians may multiply: what growth must end in.
     """
-    return replace(density, start=density.start + round(LATER * max(density.stop - density.start, 0)))
+    wait = round(LATER * max(min(density.stop, steps) - density.start, 0))
+    stop = max(density.stop, min(density.stop + wait, steps))
+    return replace(density, start=density.start + wait, stop=stop)
 
 
 def trusts(log_quantile: Array, colors: Array, batch: Batch) -> tuple[Array, Array]:

@@ -52,7 +52,8 @@ class Joined:
         """The settings as these effects need them."""
         if "transients" not in self.effects:
             return settings
-        return replace(settings, density=transients.patient(settings.density))
+        growing = sum(phase.steps for phase in settings.phases if phase.density_control)
+        return replace(settings, density=transients.patient(settings.density, growing))
 
     def photography(self, state: EffectState | None) -> Photography:
         """What the state says of the photos."""

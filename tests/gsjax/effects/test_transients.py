@@ -1,5 +1,7 @@
 """Masks of what stood in one photo only: in closed form, at their bounds, and the quantile that they follow."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -106,5 +108,8 @@ def test_hard_cases_in_value_and_gradient(number, photo, is_valid):
 
 
 def test_growth_waits_for_the_masks():
-    assert transients.patient(Density(start=100, stop=500)).start == 300
-    assert transients.patient(Density(start=500, stop=400)).start == 500
+    growth = Density(start=100, stop=500)
+    assert transients.patient(growth, 1000) == replace(growth, start=300, stop=700)
+    assert transients.patient(growth, 600) == replace(growth, start=300, stop=600)
+    assert transients.patient(Density(start=500, stop=15000), 7000) == Density(start=3750, stop=15000)
+    assert transients.patient(Density(start=500, stop=400), 1000) == Density(start=500, stop=400)
