@@ -41,6 +41,7 @@ class Start:
     falloff: np.ndarray  # [C, 2]
     centers: np.ndarray  # [V, 3] float64 of the cameras, world
     distance: float  # scene units: the median depth of the points in all photos
+    twists: np.ndarray  # [V, 6] turns (radians) and shifts (scene units) that tracks ask of the cameras
     background: np.ndarray  # [(L + 1)^2, 3] SH coefficients of what is behind all
 
     @property
@@ -78,6 +79,7 @@ def start(seen: Observations, chosen: Collection[str]) -> Start:
         falloff.astype(np.float32),
         np.stack([-frame.viewmat[:3, :3].T.astype(np.float64) @ frame.viewmat[:3, 3] for frame in frames]),
         _median_depth(seen),
+        poses.told_by_tracks(seen) if "poses" in chosen else np.zeros((len(frames), 6)),
         background.initial(seen),
     )
 
@@ -100,6 +102,7 @@ def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax
             whose,
             count,
             rate(peak=poses.RATE, hold=poses.HOLD, share=poses.HOLD_SHARE),
+            begun.twists[begun.trained],
         ),
         "background": lambda: background.simulated(begun.background, rate(peak=background.RATE, hold=0)),
         "transients": lambda: transients.simulated(rate(peak=transients.RATE, hold=0, final=1.0)),
