@@ -90,9 +90,6 @@ def joined(settings: Settings, scene: Scene, trial: Trial | None = None) -> Join
             near = [n for n in SIMULATED if is_near(n, found.effects[n]) and not (is_laid and n == "background")]
             found = replace(found, effects=found.effects | _tried(found, near, trial))
         wanted = {name for name in SIMULATED if found.effects[name].on}
-        by_direction = found.effects["sh_degree"]
-        if by_direction.value is not None and not by_direction.on and grown(settings) is not None:
-            wanted.add("sh_degree")
     chosen = [name for name in SIMULATED if name in wanted]
     print(f"train: effects: {', '.join(chosen) or 'none that the photos show'}", file=sys.stderr)
     evidence = {"simulated": chosen, "evidence": found.record()["effects"]}
