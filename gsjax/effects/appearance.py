@@ -11,7 +11,7 @@ import optax
 from gsjax.cameras import Camera
 from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.effects.gains import fit, table
-from gsjax.effects.model import RATE, Effects, EffectState
+from gsjax.effects.model import Effects, EffectState
 from gsjax.effects.observations import Observations
 from gsjax.scene import Frame, with_pixels
 from gsjax.settings import SIMULATED
@@ -43,11 +43,7 @@ class Start:
     distance: float  # scene units: the median depth of the points in all photos
     twists: np.ndarray  # [V, 6] turns (radians) and shifts (scene units) that tracks ask of the cameras
     background: np.ndarray  # [(L + 1)^2, 3] SH coefficients of what is behind all
-
-    @property
-    def pace_of_gains(self) -> float:
-        """Their learning rate: less where tracks told them: what a young scene cannot show yet moves them."""
-        return exposure.RATE_KNOWN if np.any(self.log_gains) else RATE
+    tracked: bool  # whether tracks told any of this
 
 
 def start(seen: Observations, chosen: Collection[str]) -> Start:
@@ -81,6 +77,7 @@ def start(seen: Observations, chosen: Collection[str]) -> Start:
         _median_depth(seen),
         poses.told_by_tracks(seen) if "poses" in chosen else np.zeros((len(frames), 6)),
         background.initial(seen),
+        seen.tracked,
     )
 
 
@@ -93,15 +90,17 @@ def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax
         rate: The schedule of the run by `peak`, `hold` and `share`, see `gsjax.effects.model.learning_rate`.
     """
     whose, count = begun.camera[begun.trained], len(begun.falloff)
+    # What tracks have told is near: less of what a young scene cannot show yet is then laid to it.
+    gains, cameras = (each.RATE_KNOWN if begun.tracked else each.RATE for each in (exposure, poses))
     effects = {
-        "exposure": lambda: exposure.simulated(begun.log_gains[begun.trained], rate(peak=begun.pace_of_gains)),
+        "exposure": lambda: exposure.simulated(begun.log_gains[begun.trained], rate(peak=gains)),
         "vignetting": lambda: vignetting.simulated(begun.falloff, whose, rate()),
         "poses": lambda: poses.simulated(
             begun.centers[begun.trained],
             begun.distance,
             whose,
             count,
-            rate(peak=poses.RATE, hold=poses.HOLD, share=poses.HOLD_SHARE),
+            rate(peak=cameras, hold=poses.HOLD, share=poses.HOLD_SHARE),
             begun.twists[begun.trained],
         ),
         "background": lambda: background.simulated(begun.background, rate(peak=background.RATE, hold=0)),

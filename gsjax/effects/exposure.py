@@ -7,6 +7,7 @@ import numpy as np
 import optax
 from jax import Array
 
+from gsjax.effects import model
 from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.gains import Fit, Table, fit, held_out_ratio, table
 from gsjax.effects.model import LIMIT, Effect
@@ -16,7 +17,7 @@ from gsjax.views import Batch
 THRESHOLD = 0.05  # EV, of the exposure's or the white balance's standard deviation: 0.26 dB of PSNR at 30 dB
 HELD_OUT = 0.95  # Gains must lower the error of points that they were not fitted to at least to this share,
 SPATIAL = 0.6  # and both halves of the scene must give the same ones: a correlation.
-RATE_KNOWN = 5e-4  # Adam's learning rate of gains that tracks have told
+RATE, RATE_KNOWN = model.RATE, 5e-4  # Adam's learning rate of gains; of those that tracks have told
 PASSES = 6  # two products, a choice, and back
 _FEWEST = 20  # observations of a photo in each half of the scene, to be compared
 
