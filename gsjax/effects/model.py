@@ -125,7 +125,9 @@ def photographed(effects: Effects, numbers: dict[str, Any] | None, view: View, b
 def trusted(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch) -> tuple[Batch, Array | None]:
     """The view with those pixels left out that an effect does not trust, and what it adds to the loss; None of none."""
     added = None
-    for name, effect in effects.items() if numbers is not None else ():
+    if numbers is None:
+        return batch, added
+    for name, effect in effects.items():
         if effect.trusts is not None:
             shown, own = effect.trusts(numbers[name], view.colors, batch)
             batch, added = replace(batch, valid=batch.valid & shown), own if added is None else added + own
