@@ -136,7 +136,8 @@ class Logging:
         _check_lowest(self, metrics_every=1, evaluate_every=0, checkpoint_every=1)
 
 
-SIMULATED = ("exposure", "vignetting", "poses", "background")  # effects that training can take in
+SIMULATED = ("exposure", "vignetting", "poses", "background", "transients")  # effects that training can take in
+EFFECTS = (*SIMULATED, "sh_degree")  # those, and what a run tries before it goes on with less
 AUTO, NONE = "auto", "none"
 
 
@@ -148,9 +149,9 @@ def named_effects(effects: str) -> tuple[str, ...]:
     """
     names = () if effects in (AUTO, NONE) else tuple(name.strip() for name in effects.split(","))
     for name in names:
-        if name not in SIMULATED:
-            raise ValueError(f"effects={effects}: {name!r} is none of auto, none, {', '.join(SIMULATED)}")
-    return tuple(name for name in SIMULATED if name in names)
+        if name not in EFFECTS:
+            raise ValueError(f"effects={effects}: {name!r} is none of auto, none, {', '.join(EFFECTS)}")
+    return tuple(name for name in EFFECTS if name in names)
 
 
 VANILLA = Phase("vanilla", 7000, density_control=True)

@@ -22,6 +22,7 @@ from gsjax.meshing.export import read_mesh
 from gsjax.pipeline import viewpoints
 from gsjax.pipeline.result import open_result, scene_of_run
 from gsjax.settings import Settings
+from gsjax.training import harmonics
 
 SETTINGS = {
     "background": "white",
@@ -207,6 +208,45 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     assert not any((auto / name).exists() for name in ("effects.json", "poses.json", "background.json"))
     stored = [set(load_arrays(runs.latest_checkpoint(folder)[1])) for folder in (run, auto, whole)]
     assert stored[0] == stored[1] == {name for name in stored[2] if "effects" not in name} < stored[2]
+
+
+def test_a_run_goes_on_with_fewer_harmonics_and_they_are_nowhere(run, scene, tmp_path, monkeypatch):
+    """Stopped before they are tried, and after: both end with the bits of the run that was not stopped."""
+    settings = config.parse(Settings, {**SETTINGS, "effects": "sh_degree"})
+    with monkeypatch.context() as patched:
+        patched.setattr(harmonics, "smallest", max)  # Where all are needed, that they were tried leaves no trace.
+        pipeline.train(scene, tmp_path / "all", settings)
+    assert (tmp_path / "all/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+    monkeypatch.setattr(harmonics, "smallest", min)
+    whole = tmp_path / "whole"
+    pipeline.train(scene, whole, settings)
+    found = runs.read_json(whole / "manifest.json")["harmonics"]
+    assert found["degree"] == 0
+    assert list(found["psnr"]) == ["0", "1"] and all(psnr > 5 for psnr in found["psnr"].values())
+    note = pipeline.train.__globals__["TrainingJournal"].note
+    for stop in (13, 16):  # Checkpoints are of steps 7 and 14, harmonics are tried after 12.
+        stopped = tmp_path / str(stop)
+
+        def killed(journal, progress, stop=stop):
+            note(journal, progress)
+            if progress.step == stop:
+                raise KeyboardInterrupt
+
+        with monkeypatch.context() as patched:
+            patched.setattr(pipeline.train.__globals__["TrainingJournal"], "note", killed)
+            with pytest.raises(KeyboardInterrupt):
+                pipeline.train(scene, stopped, settings)
+        pipeline.train(scene, stopped, settings, resume=True)
+        assert (stopped / "gaussians.ply").read_bytes() == (whole / "gaussians.ply").read_bytes()
+    assert read_gaussians(whole / "gaussians.ply").sh_degree == 0
+    arrays = load_arrays(runs.latest_checkpoint(whole)[1])
+    rests = [array for name, array in arrays.items() if name.endswith("sh_rest")]
+    assert len(rests) == 3 and not any(array.size for array in rests), "Gaussians and two moments"
+    assert b"f_rest" not in (whole / "gaussians.ply").read_bytes()[:2000]
+    assert b"f_rest" in (run / "gaussians.ply").read_bytes()[:2000]
+    growing = {**SETTINGS, "phases": SETTINGS["phases"][:1], "effects": "sh_degree"}
+    with pytest.raises(InputError, match="no phase comes after those of density control"):
+        pipeline.train(scene, tmp_path / "growing", config.parse(Settings, growing))
 
 
 def test_a_benchmark_folder_with_reduced_photos_only_trains_and_scores_the_same(run, scene, tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 import optax
 
 from gsjax.cameras import Camera
-from gsjax.effects import background, exposure, poses, vignetting
+from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.effects.gains import fit, table
 from gsjax.effects.model import Effects, EffectState
 from gsjax.effects.observations import Observations
@@ -41,7 +41,9 @@ class Start:
     falloff: np.ndarray  # [C, 2]
     centers: np.ndarray  # [V, 3] float64 of the cameras, world
     distance: float  # scene units: the median depth of the points in all photos
+    twists: np.ndarray  # [V, 6] turns (radians) and shifts (scene units) that tracks ask of the cameras
     background: np.ndarray  # [(L + 1)^2, 3] SH coefficients of what is behind all
+    tracked: bool  # whether tracks told any of this
 
 
 def start(seen: Observations, chosen: Collection[str]) -> Start:
@@ -73,7 +75,9 @@ def start(seen: Observations, chosen: Collection[str]) -> Start:
         falloff.astype(np.float32),
         np.stack([-frame.viewmat[:3, :3].T.astype(np.float64) @ frame.viewmat[:3, 3] for frame in frames]),
         _median_depth(seen),
+        poses.told_by_tracks(seen) if "poses" in chosen else np.zeros((len(frames), 6)),
         background.initial(seen),
+        seen.tracked,
     )
 
 
@@ -86,17 +90,21 @@ def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax
         rate: The schedule of the run by `peak`, `hold` and `share`, see `gsjax.effects.model.learning_rate`.
     """
     whose, count = begun.camera[begun.trained], len(begun.falloff)
+    # What tracks have told is near: less of what a young scene cannot show yet is then laid to it.
+    gains, cameras = (each.RATE_KNOWN if begun.tracked else each.RATE for each in (exposure, poses))
     effects = {
-        "exposure": lambda: exposure.simulated(begun.log_gains[begun.trained], rate()),
+        "exposure": lambda: exposure.simulated(begun.log_gains[begun.trained], rate(peak=gains)),
         "vignetting": lambda: vignetting.simulated(begun.falloff, whose, rate()),
         "poses": lambda: poses.simulated(
             begun.centers[begun.trained],
             begun.distance,
             whose,
             count,
-            rate(peak=poses.RATE, hold=poses.HOLD, share=poses.HOLD_SHARE),
+            rate(peak=cameras, hold=poses.HOLD, share=poses.HOLD_SHARE),
+            begun.twists[begun.trained],
         ),
         "background": lambda: background.simulated(begun.background, rate(peak=background.RATE, hold=0)),
+        "transients": lambda: transients.simulated(rate(peak=transients.RATE, hold=0, final=1.0)),
     }
     return {name: effects[name]() for name in SIMULATED if name in chosen}
 

@@ -4,14 +4,14 @@ import numpy as np
 import optax
 
 from gsjax import backdrop
-from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.model import Effect
 from gsjax.effects.observations import Observations
 from gsjax.gaussians import SH_C0
 
 THRESHOLD = 0.25  # of the photos
 OPEN = 0.05  # of a photo's pixels
-COST = "a constant colour: nothing; by direction: 900 bytes, one product a pixel"
+PASSES = 50  # 25 harmonics a pixel, and back
 DEGREE = 4  # of the spherical harmonics of a sky
 RATE = 5e-3  # Adam's learning rate of the coefficients; they wait for nothing
 _ONE_COLOR = 0.02  # standard deviation over the photos, and within them
@@ -19,11 +19,12 @@ _ONE_COLOR = 0.02  # standard deviation over the photos, and within them
 
 def judge(seen: Observations) -> Evidence:
     """On where many photos show much that is bright and smooth, and where nothing was matched."""
+    cost = photo_cost(seen.frames, PASSES, 3 * (DEGREE + 1) ** 2, "of a sky by direction; one colour costs nothing")
     if any(facts.has_matte for facts in seen.facts):
         note = "mattes tell the object from what is behind it: --background random serves"
-        return Evidence(False, 0.0, "share of photos", 0.0, THRESHOLD, COST, note)
+        return Evidence(False, 0.0, "share of photos", 0.0, THRESHOLD, cost, note)
     if not seen.tracked:
-        return unknown("share of photos", THRESHOLD, COST, "without tracks a sky is no different from a wall")
+        return unknown("share of photos", THRESHOLD, cost, "without tracks a sky is no different from a wall")
     shares = np.array([facts.sky_share for facts in seen.facts])
     is_open = shares > OPEN
     value = float(is_open.mean())
@@ -35,7 +36,7 @@ def judge(seen: Observations) -> Evidence:
         shown = ", ".join(f"{channel:.2f}" for channel in mean)
         note += f"; colour {shown}, " + ("the same in all photos" if spread < _ONE_COLOR else f"+-{spread:.2f}")
         note += "; a bright wall looks the same"
-    return Evidence(value > THRESHOLD, value, "share of photos", noise, THRESHOLD, COST, note)
+    return Evidence(value > THRESHOLD, value, "share of photos", noise, THRESHOLD, cost, note)
 
 
 def initial(seen: Observations) -> np.ndarray:

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from gsjax.effects.evidence import Evidence
+from gsjax.effects.evidence import Cost, Evidence
 from gsjax.effects.observations import Observations
 
 THRESHOLD = 0.5  # of the median sharpness, lost
 DROP = 0.7
-COST = "nothing: photos would be left out, not simulated"
+COST = Cost(note="nothing: photos would be left out, not simulated")
 _SHOWN = 5
 
 

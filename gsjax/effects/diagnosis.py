@@ -15,7 +15,7 @@ from gsjax.effects import (
     transients,
     vignetting,
 )
-from gsjax.effects.evidence import Evidence
+from gsjax.effects.evidence import Evidence, pace
 from gsjax.effects.observations import Observations, observe
 from gsjax.scene import Frame, Scene
 
@@ -30,9 +30,13 @@ class Diagnosis:
     steps: tuple[poses.Step | None, ...]  # a frame
 
     def record(self) -> dict[str, Any]:
-        """Plain values for a file: `effects` by name, and `photos` with their gains in EV, sharpness and pose step."""
+        """Plain values for a file: `effects` by name, and `photos` with their gains in EV, sharpness and pose step.
+
+        Milliseconds of the costs are counts of values, at the pace at which this machine multiplies arrays.
+        """
+        seconds = pace()
         return {
-            "effects": {name: evidence.record() for name, evidence in self.effects.items()},
+            "effects": {name: evidence.record(seconds) for name, evidence in self.effects.items()},
             "photos": [
                 {
                     "name": frame.name,
@@ -66,7 +70,7 @@ def diagnose(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fra
         "sh_degree": sh_degree.judge(seen, gains),
         "background": background.judge(seen),
         "poses": poses.judge(seen, steps),
-        "transients": transients.judge(gains),
+        "transients": transients.judge(seen, gains),
         "mip": mip.judge(seen),
         "blur": blur.judge(seen),
         "distortion": distortion.judge(seen),

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from gsjax.effects.evidence import Evidence
+from gsjax.effects.evidence import Cost, Evidence
 from gsjax.effects.observations import Observations
 
 THRESHOLD = 0.03  # of a photo's pixels
 WARN, WIDE = 0.10, 100.0  # of a photo's pixels; degrees across the diagonal
-COST = "nothing: photos are undistorted as they are read"
+COST = Cost(note="nothing: photos are undistorted as they are read")
 
 
 def judge(seen: Observations) -> Evidence:

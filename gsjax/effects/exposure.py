@@ -7,7 +7,8 @@ import numpy as np
 import optax
 from jax import Array
 
-from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects import model
+from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.gains import Fit, Table, fit, held_out_ratio, table
 from gsjax.effects.model import LIMIT, Effect
 from gsjax.effects.observations import Observations
@@ -16,7 +17,8 @@ from gsjax.views import Batch
 THRESHOLD = 0.05  # EV, of the exposure's or the white balance's standard deviation: 0.26 dB of PSNR at 30 dB
 HELD_OUT = 0.95  # Gains must lower the error of points that they were not fitted to at least to this share,
 SPATIAL = 0.6  # and both halves of the scene must give the same ones: a correlation.
-COST = "36 bytes a photo, moments included; one product a pixel"
+RATE, RATE_KNOWN = model.RATE, 5e-4  # Adam's learning rate of gains; of those that tracks have told
+PASSES = 6  # two products, a choice, and back
 _FEWEST = 20  # observations of a photo in each half of the scene, to be compared
 
 
@@ -56,9 +58,10 @@ def estimate(seen: Observations) -> Gains | None:
 
 def judge(seen: Observations, gains: Gains | None) -> Evidence:
     """On where photos differ by more than noise, alike all over the scene, and gains predict unseen points."""
+    cost = photo_cost(seen.frames, PASSES, 3 * len(seen.frames), "three numbers a photo")
     if gains is None:
         why = "no point is seen in three photos" if seen.tracked else "no tracks beside these photos"
-        return unknown("EV", THRESHOLD, COST, why)
+        return unknown("EV", THRESHOLD, cost, why)
     known = np.bincount(gains.data.photo, minlength=len(seen.frames)) > 0
     values = gains.fit.gains[known]
     spread = float(values.mean(1).std())
@@ -73,7 +76,7 @@ def judge(seen: Observations, gains: Gains | None) -> Evidence:
     )
     if any(differ) and not on:
         note += "; photos differ, but not by one gain each"
-    return Evidence(bool(on), spread, "EV", gains.noise, THRESHOLD, COST, note)
+    return Evidence(bool(on), spread, "EV", gains.noise, THRESHOLD, cost, note)
 
 
 def simulated(initial: np.ndarray, rate: optax.Schedule) -> Effect:

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects.evidence import Evidence, gaussian_cost, unknown
 from gsjax.effects.observations import Observations
 
 THRESHOLD = 2.0  # an octave
 SHARE = 0.1  # of the points must see that much
-COST = "no numbers; one determinant a splat"
+COST = gaussian_cost(12, 0, "two determinants a splat, and back")
 
 
 def judge(seen: Observations) -> Evidence:

@@ -4,7 +4,7 @@ A step without effects never hears of this: no argument, no state, no operation.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -22,6 +22,7 @@ RATE, FINAL = 2e-3, 1e-2  # Adam's learning rate, and the share of it that is le
 HOLD = 300  # steps before an effect may move, and after opacities were reset: colours settle first
 WARM_UP = 500  # steps to the full rate
 LIMIT = 3.0  # of the logarithm of what light is multiplied by: 20 times, on display-coded values
+SATURATED = 0.99  # display-coded: a photo that is so bright tells no more than that there was no less light
 SHORT = 0.1  # of a run: what both are at most, unless an effect says otherwise
 
 
@@ -36,6 +37,8 @@ class Effect(NamedTuple):
     camera: Callable[[Any, Camera, Array], Camera] | None = None  # (numbers, as given, which photo) -> where it stood
     behind: Callable[[Any, Camera], Array] | None = None  # (numbers, view) -> `[3]` or `[H, W, 3]` behind all Gaussians
     light: Callable[[Any, Array, Batch], Array] | None = None  # (numbers, `[H, W, 3]` before the lens, view) -> photo
+    # (numbers, photo as rendered, view) -> `[H, W]` bool pixels that show the scene, `[]` what is added to the loss
+    trusts: Callable[[Any, Array, Batch], tuple[Array, Array]] | None = None
 
 
 Effects = Mapping[str, Effect]
@@ -91,7 +94,8 @@ def behind(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, col
 def photographed(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch, background: Array) -> View:
     """What the camera makes of a view.
 
-    Where photos have mattes, the background is laid under them by us, after any camera: it stays as it is.
+    Where photos have mattes, the background is laid under them by us, after any camera: it stays as it is. A white
+    pixel says only that there was no less light: what effects make brighter than white there is white.
 
     Args:
         effects: The effects.
@@ -103,7 +107,7 @@ def photographed(effects: Effects, numbers: dict[str, Any] | None, view: View, b
     Returns:
         The view with other colours.
     """
-    if numbers is None:
+    if numbers is None or all(effect.light is None for effect in effects.values()):
         return view
     behind = jnp.zeros_like(view.colors)
     if batch.matte is not None:
@@ -112,7 +116,22 @@ def photographed(effects: Effects, numbers: dict[str, Any] | None, view: View, b
     for name, effect in effects.items():
         if effect.light is not None:
             colors = effect.light(numbers[name], colors, batch)
-    return view._replace(colors=colors + behind)
+    colors = colors + behind
+    # What was brighter than white before any effect stays as wrong as it is without effects.
+    most = jnp.maximum(view.colors, 1)
+    return view._replace(colors=jnp.where((batch.image > SATURATED) & (colors > most), most, colors))
+
+
+def trusted(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch) -> tuple[Batch, Array | None]:
+    """The view with those pixels left out that an effect does not trust, and what it adds to the loss; None of none."""
+    added = None
+    if numbers is None:
+        return batch, added
+    for name, effect in effects.items():
+        if effect.trusts is not None:
+            shown, own = effect.trusts(numbers[name], view.colors, batch)
+            batch, added = replace(batch, valid=batch.valid & shown), own if added is None else added + own
+    return batch, added
 
 
 def updated(effects: Effects, state: EffectState | None, gradients: dict[str, Any] | None) -> EffectState | None:
@@ -136,8 +155,9 @@ def learning_rate(
     peak: float = RATE,
     hold: int = HOLD,
     share: float = SHORT,
+    final: float = FINAL,
 ) -> optax.Schedule:
-    """The schedule of a run: zero, a linear warm-up, then log-linear to `FINAL`; zero again after every reset.
+    """The schedule of a run: zero, a linear warm-up, then log-linear to a share; zero again after every reset.
 
     A reset of the opacities darkens every render at once, which gains would answer within a few steps.
 
@@ -148,6 +168,7 @@ def learning_rate(
         peak: What the warm-up leads to.
         hold: Steps that are waited, first and after every reset.
         share: Of the run, what `hold` is at most.
+        final: Of the peak, what is left at the end.
     """
     hold = min(hold, max(1, round(share * steps)))
     warm_up = min(WARM_UP, max(1, round(SHORT * steps)))
@@ -155,7 +176,7 @@ def learning_rate(
     def rate(step: ArrayLike) -> Array:
         done = jnp.asarray(step, jnp.float32)
         ramp = jnp.clip((done - hold) / warm_up, 0.0, 1.0)
-        value = peak * ramp * FINAL ** (done / steps)
+        value = peak * ramp * final ** (done / steps)
         if not reset_every:
             return value
         settling = (done >= reset_every) & (done < resets_stop + hold) & (jnp.mod(done, reset_every) < hold)

@@ -10,7 +10,7 @@ import optax
 from jax import Array
 
 from gsjax.cameras import Camera
-from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects.evidence import Evidence, gaussian_cost, unknown
 from gsjax.effects.model import Effect
 from gsjax.effects.observations import Observations
 from gsjax.effects.twists import gauge, moved
@@ -20,8 +20,8 @@ THRESHOLD = 0.3  # pixels
 SIGNIFICANT = 3  # standard errors
 SHARE = 0.2  # of the photos must want to move
 FEWEST = 8  # observations of a photo
-COST = "72 bytes a photo, moments included; gradients of the cameras"
-RATE = 1e-3  # Adam's learning rate, of radians and of units
+PASSES = 42  # of a Gaussian: its gradient to the camera's 12 and 9 numbers, and their sums
+RATE, RATE_KNOWN = 1e-3, 2.5e-4  # Adam's learning rate, of radians and of units; where tracks have told the start
 HOLD, HOLD_SHARE = 1000, 0.3  # steps that cameras wait for Gaussians to stand somewhere; of a run at most
 LIMIT = 0.3  # of the logarithm of a focal length against the given one
 _ROUNDS, _OUTLIER = 5, 1.5  # of reweighting; standard deviations that count in full (Huber)
@@ -32,6 +32,13 @@ class Step(NamedTuple):
 
     shift: float  # median shift of its points in the picture, pixels
     error: float  # standard error of that
+    turn: np.ndarray  # [3] of the camera about its centre, along the world's axes, radians
+    move: np.ndarray  # [3] of its centre, scene units
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether it is more than its own error."""
+        return self.shift > SIGNIFICANT * self.error
 
 
 def steps(seen: Observations) -> tuple[Step | None, ...]:
@@ -41,15 +48,17 @@ def steps(seen: Observations) -> tuple[Step | None, ...]:
 
 def judge(seen: Observations, found: tuple[Step | None, ...]) -> Evidence:
     """On where a fifth of the photos would move their points by more than a third of a pixel, and are sure of it."""
+    cost = gaussian_cost(PASSES, 0, "six numbers a photo; gradients of the cameras")
+    cost = cost._replace(bytes=12 * 6 * len(seen.frames))
     known = [step for step in found if step is not None]
     if not known:
-        return unknown("px", THRESHOLD, COST, "needs keypoints matched in the photos")
+        return unknown("px", THRESHOLD, cost, "needs keypoints matched in the photos")
     value = float(np.quantile([step.shift for step in known], 1 - SHARE))
-    sure = np.mean([step.shift > max(THRESHOLD, SIGNIFICANT * step.error) for step in known])
+    sure = np.mean([step.is_sure and step.shift > THRESHOLD for step in known])
     noise = float(np.median([step.error for step in known]))
     note = f"the step that {100 * SHARE:.0f} % of the photos exceed, against their tracks"
     note += "; poses and points that are wrong together do not show"
-    return Evidence(bool(sure >= SHARE), value, "px", noise, THRESHOLD, COST, note)
+    return Evidence(bool(sure >= SHARE), value, "px", noise, THRESHOLD, cost, note)
 
 
 class Move(NamedTuple):
@@ -66,8 +75,24 @@ class Move(NamedTuple):
         return replace(frame, viewmat=np.asarray(camera.viewmat), K=np.asarray(camera.K))
 
 
-def simulated(centers: np.ndarray, unit: float, whose: np.ndarray, count: int, rate: optax.Schedule) -> Effect:
-    """Every photo's camera is moved by its own twist, and every camera's focal length by a factor; zero at the start.
+def told_by_tracks(seen: Observations) -> np.ndarray:
+    """`[V, 6]` turns (radians) and shifts (scene units) that tracks ask of the photos' cameras; zero where not sure."""
+    found = np.zeros((len(seen.frames), 6))
+    for index, step in enumerate(steps(seen)):
+        if step is not None and step.is_sure:
+            found[index] = *step.turn, *step.move
+    return found
+
+
+def simulated(
+    centers: np.ndarray,
+    unit: float,
+    whose: np.ndarray,
+    count: int,
+    rate: optax.Schedule,
+    initial: np.ndarray | None = None,
+) -> Effect:
+    """Every photo's camera is moved by its own twist, and every camera's focal length by a factor of 1 at the start.
 
     What moves all cameras together with the world no photo can tell: it is taken off the twists as they are used
     (`gauge`), so the scene stays where the data set has it whatever an optimiser does. A common factor of all focal
@@ -80,15 +105,17 @@ def simulated(centers: np.ndarray, unit: float, whose: np.ndarray, count: int, r
         whose: `[V]` whose camera took which photo, 0..C-1.
         count: C, of the cameras.
         rate: See `Effect`.
+        initial: `[V, 6]` turns, radians, and shifts, scene units, to start with. None: none.
     """
     fixed, whose = gauge(centers, unit), np.asarray(whose, np.int32)
-    initial = {"twists": np.zeros((len(centers), 6), np.float32), "log_focals": np.zeros(count, np.float32)}
+    told = np.zeros((len(centers), 6)) if initial is None else initial / np.repeat([1.0, unit], 3)
+    begun = {"twists": told.astype(np.float32), "log_focals": np.zeros(count, np.float32)}
 
     def camera(numbers: Any, given: Camera, photo: Array) -> Camera:
         focal = jnp.exp(log_focals(numbers)[jnp.asarray(whose)[photo]])
         return zoomed(moved(given, twists(numbers, fixed)[photo], unit), focal)
 
-    return Effect(initial, rate, camera=camera)
+    return Effect(begun, rate, camera=camera)
 
 
 def twists(numbers: Any, fixed: np.ndarray) -> Array:
@@ -168,5 +195,7 @@ def _step(seen: Observations, index: int) -> Step | None:
         sigma = float(np.median(left)) / 1.1774  # of one coordinate, were both normal
         weights = np.minimum(1.0, _OUTLIER * sigma / np.maximum(left, 1e-12))
     shift = float(np.median(np.linalg.norm(slopes @ twist, axis=1)))
+    # Points that turn before a camera are a camera that turns the other way.
+    turn, move = -viewmat[:3, :3].T @ twist[:3], -depth * viewmat[:3, :3].T @ twist[3:]
     variances = np.einsum("mca,ab,mcb->m", slopes, inverse, slopes) * sigma**2
-    return Step(shift, float(np.sqrt(np.median(variances))))
+    return Step(shift, float(np.sqrt(np.median(variances))), turn, move)

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects.evidence import Evidence, gaussian_cost, unknown
 from gsjax.effects.exposure import Gains
 from gsjax.effects.observations import Observations
 
 THRESHOLD = 0.5  # of the variance within tracks; Lambertian patches give 0.3, since their foreshortening changes too
 LAMBERTIAN = 0.3
 LONGEST, SHORTEST = 24, 6  # observations of a point that are looked at; fewer cannot hold a slope
-COST = "36 ((L + 1)^2 - 1) bytes a Gaussian, moments included"
+COST = gaussian_cost(6 * 45, 45, "what degree 3 has beyond degree 0")
 _RIDGE = 1e-3
 
 
@@ -46,7 +46,7 @@ def judge(seen: Observations, gains: Gains | None) -> Evidence:
     if share is None:
         return unknown("share of variance", THRESHOLD, COST, f"needs points that {SHORTEST} photos see")
     note = "colours change with direction" if share > THRESHOLD else "no more than patches of a matt surface do"
-    note += "; reported: training keeps its degree, held-out views decide on it"
+    note += "; --effects sh_degree lets photos that are kept from the colours choose it"
     return Evidence(share > THRESHOLD, share, "share of variance", LAMBERTIAN, THRESHOLD, COST, note)
 
 

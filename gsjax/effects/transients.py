@@ -1,21 +1,92 @@
-"""What stood in some photos only."""
+"""What stood in some photos only: evidence for it, and masks of the pixels that no other photo agrees with.
 
+A pixel shows the scene where the render, in most of the pixels about it, is not off by far more than usual (after
+RobustNeRF, Sabour et al. 2023, and SpotLessSplats for Gaussians). Nothing is learned but what is usual, a quantile of
+the residuals of all photos: one that shows nothing foreign keeps nearly all of its pixels.
+"""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
 import numpy as np
+import optax
+from jax import Array
 
-from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.exposure import Gains
+from gsjax.effects.model import Effect
+from gsjax.effects.observations import Observations
+from gsjax.numerics import masked_mean
+from gsjax.settings import Density
+from gsjax.views import Batch
 
 THRESHOLD = 0.25  # of the observations
 FLOOR = 0.14  # what still scenes reach by sheen, shadows and wrong matches
 OUTLIER = 4  # standard deviations
-COST = "a mask a photo; nothing learned"
+PASSES = 20  # two windows of 25 a pixel, no way back
+QUANTILE = 0.8  # of the residuals of all photos
+REACH = 4.0  # times it: edges that are a little off are no strangers
+WINDOW = 5  # pixels across, of which most must agree
+LATER = 0.5  # of the time of growth, by which it is put off
+RATE = 0.02  # Adam's learning rate of the logarithm: from 1 to a twentieth in 150 steps
 
 
-def judge(gains: Gains | None) -> Evidence:
+def judge(seen: Observations, gains: Gains | None) -> Evidence:
     """On only where it is plain: tracks are what matched, so what came and went is rarely in them."""
+    cost = photo_cost(seen.frames, PASSES, 1, "a mask a step")
     if gains is None or not len(gains.fit.residuals):
-        return unknown("share of observations", THRESHOLD, COST, "needs points that three photos see")
+        return unknown("share of observations", THRESHOLD, cost, "needs points that three photos see")
     size = np.sqrt(np.square(gains.fit.residuals).mean(1))
     value = float((size > OUTLIER * gains.fit.sigma).mean())
     note = "colours off by 4 sigma after gains; sheen and shadows count too: give masks where something moved"
-    return Evidence(value > THRESHOLD, value, "share of observations", FLOOR, THRESHOLD, COST, note)
+    return Evidence(value > THRESHOLD, value, "share of observations", FLOOR, THRESHOLD, cost, note)
+
+
+def simulated(rate: optax.Schedule) -> Effect:
+    """Pixels that are far off are left out of the loss, and out of what new Gaussians are made for.
+
+    The logarithm of the quantile starts at 0, a difference of 1, which no pixel exceeds, and sinks to where it belongs:
+    masks set in as the scene takes shape.
+
+    Args:
+        rate: See `Effect`; of the quantile's logarithm.
+    """
+    return Effect(np.float32(0), rate, trusts=trusts)
+
+
+def patient(density: Density, steps: int) -> Density:
+    """Growth that waits until masks stand, and ends as much later (RobustSplat, Fu et al. 2025).
+
+    What grew before to show a stranger, close before the one camera that saw it, no other photo would take away again.
+
+    Args:
+        density: As without masks.
+        steps: Of the phases in which Gaussians may multiply: what growth must end in.
+    """
+    wait = round(LATER * max(min(density.stop, steps) - density.start, 0))
+    stop = max(density.stop, min(density.stop + wait, steps))
+    return replace(density, start=density.start + wait, stop=stop)
+
+
+def trusts(log_quantile: Array, colors: Array, batch: Batch) -> tuple[Array, Array]:
+    """Which pixels show the scene `[H, W]` bool, and zero, whose gradient leads the quantile to its place."""
+    off = residuals(colors, batch.image)
+    slope = masked_mean(jnp.where(off > jnp.exp(log_quantile), -QUANTILE, 1 - QUANTILE), batch.valid)
+    still = jax.lax.stop_gradient(log_quantile)
+    return trusted(still, colors, batch.image), jax.lax.stop_gradient(slope) * (log_quantile - still)
+
+
+def trusted(log_quantile: Array, colors: Array, image: Array) -> Array:
+    """`[H, W]` bool: most pixels of the window about it are near enough to the photo."""
+    near = residuals(colors, image) <= REACH * jnp.exp(log_quantile)
+    votes, voters = (
+        jax.lax.reduce_window(each, np.float32(0), jax.lax.add, (WINDOW, WINDOW), (1, 1), "SAME")
+        for each in (near.astype(jnp.float32), jnp.ones(near.shape, jnp.float32))
+    )
+    return 2 * votes > voters
+
+
+def residuals(colors: Array, image: Array) -> Array:
+    """`[H, W]` mean absolute difference of the channels; no gradient."""
+    return jax.lax.stop_gradient(jnp.mean(jnp.abs(jnp.clip(colors, 0, 1) - image), axis=-1))

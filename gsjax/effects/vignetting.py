@@ -6,7 +6,7 @@ import optax
 from jax import Array
 
 from gsjax.cameras import Camera
-from gsjax.effects.evidence import Evidence, unknown
+from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.exposure import Gains
 from gsjax.effects.gains import Fit, Table, project
 from gsjax.effects.model import LIMIT, Effect
@@ -16,7 +16,7 @@ from gsjax.views import Batch
 THRESHOLD = 0.1  # EV at the corner
 SIGNIFICANT = 5  # standard errors
 _GROUPS = 20  # of radii in a picture
-COST = "24 bytes a camera, moments included; one product a pixel"
+PASSES = 10  # a polynomial and an exponential a pixel, two products, a choice, and back
 
 
 def corner(seen: Observations, gains: Gains) -> tuple[float, float]:
@@ -54,13 +54,15 @@ def profile(seen: Observations, gains: Gains) -> tuple[np.ndarray, np.ndarray, f
 
 def judge(seen: Observations, gains: Gains | None) -> Evidence:
     """On where the fall-off shows, and is sure."""
+    cameras = len({frame.K.tobytes() for frame in seen.frames})
+    cost = photo_cost(seen.frames, PASSES, 2 * cameras, "two numbers a camera")
     if gains is None:
-        return unknown("EV", THRESHOLD, COST, "needs points that three photos see")
+        return unknown("EV", THRESHOLD, cost, "needs points that three photos see")
     slope, error = corner(seen, gains)
     on = -slope > max(THRESHOLD, SIGNIFICANT * error)
     note = f"how much darker a corner is than the middle; needs {SIGNIFICANT} standard errors, has"
     note += f" {-slope / max(error, 1e-6):.0f}"
-    return Evidence(bool(on), -slope, "EV", error, THRESHOLD, COST, note)
+    return Evidence(bool(on), -slope, "EV", error, THRESHOLD, cost, note)
 
 
 def simulated(initial: np.ndarray, camera: np.ndarray, rate: optax.Schedule) -> Effect:

@@ -30,7 +30,8 @@ def diagnose(
         images: Folder of the photos, absolute or in `scene`. None: looked for.
 
     Returns:
-        `effects`: by name `on`, `evidence` (None: no means to judge), `unit`, `noise`, `threshold`, `cost`, `note`;
+        `effects`: by name `on`, `evidence` (None: no means to judge), `unit`, `noise`, `threshold`, `cost` (`ms` a step
+        and `bytes`, both counted, and a `note`), `note`;
         `photos`: `name`, `gains` (EV in red, green, blue against the mean photo, or None), `sharpness`,
         `pose_step_px` (or None).
 
@@ -102,4 +103,5 @@ def _cells(effect: dict[str, Any]) -> list[str]:
     noise = "" if effect["noise"] is None else f" +-{effect['noise']:.2g}"
     evidence = "-" if effect["evidence"] is None else f"{effect['evidence']:.2f}{noise} {effect['unit']}"
     decision = "on" if effect["on"] else "off"
-    return [decision, evidence, f"{effect['threshold']:g}", effect["cost"], effect["note"]]
+    cost = f"{effect['cost']['ms']:.2g} ms, {effect['cost']['bytes'] / 1000:,.1f} kB"
+    return [decision, evidence, f"{effect['threshold']:g}", cost, effect["note"]]

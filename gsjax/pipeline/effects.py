@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -10,14 +10,17 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from gsjax.effects import background
+from gsjax.effects import background, transients
 from gsjax.effects.appearance import Appearance, Start, appearances, moves, simulations, start
+from gsjax.effects.diagnosis import Diagnosis
+from gsjax.effects.evidence import Evidence
 from gsjax.effects.model import Effects, EffectState, learning_rate
 from gsjax.effects.observations import observe
 from gsjax.effects.poses import Move
 from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.pipeline.diagnose import diagnosed
+from gsjax.pipeline.trials import WORTH, Trial, is_near
 from gsjax.scene import Frame, Scene
 from gsjax.settings import AUTO, NONE, SIMULATED, Settings, named_effects, total_steps
 
@@ -43,6 +46,14 @@ class Joined:
     effects: Effects = field(default_factory=dict)
     begun: Start | None = None  # None: of no effects
     evidence: dict[str, Any] | None = None  # for the manifest; None: nobody looked
+    tries_degrees: bool = False  # whether the run cuts its harmonics to those that photos do not miss
+
+    def paced(self, settings: Settings) -> Settings:
+        """The settings as these effects need them."""
+        if "transients" not in self.effects:
+            return settings
+        growing = sum(phase.steps for phase in settings.phases if phase.density_control)
+        return replace(settings, density=transients.patient(settings.density, growing))
 
     def photography(self, state: EffectState | None) -> Photography:
         """What the state says of the photos."""
@@ -56,12 +67,13 @@ class Joined:
         )
 
 
-def joined(settings: Settings, scene: Scene) -> Joined:
+def joined(settings: Settings, scene: Scene, trial: Trial | None = None) -> Joined:
     """The effects that the settings name or, of "auto", that the photos show; one line says which.
 
     Args:
         settings: The run.
         scene: Its data set, at the size that is trained on.
+        trial: Decides, of "auto", where evidence is near its threshold. None: the threshold does.
 
     Raises:
         InputError: A photo or the tracks cannot be read, or a background is asked for behind mattes.
@@ -69,17 +81,26 @@ def joined(settings: Settings, scene: Scene) -> Joined:
     if settings.effects == NONE:
         return Joined()
     found = diagnosed(scene)
-    named = named_effects(settings.effects)
-    wanted = set(named)
+    is_laid = settings.background in _PLAIN and background.is_one(found.seen, _PLAIN[settings.background])
+    if is_laid:
+        found = replace(found, effects=found.effects | {"background": _laid(found.effects["background"], settings)})
+    wanted = set(named_effects(settings.effects))
     if settings.effects == AUTO:
+        if trial is not None:
+            near = [n for n in SIMULATED if is_near(n, found.effects[n]) and not (is_laid and n == "background")]
+            found = replace(found, effects=found.effects | _tried(found, near, trial))
         wanted = {name for name in SIMULATED if found.effects[name].on}
-        if settings.background in _PLAIN and background.is_one(found.seen, _PLAIN[settings.background]):
-            wanted.discard("background")
     chosen = [name for name in SIMULATED if name in wanted]
     print(f"train: effects: {', '.join(chosen) or 'none that the photos show'}", file=sys.stderr)
     evidence = {"simulated": chosen, "evidence": found.record()["effects"]}
+    tries_degrees = "sh_degree" in wanted and settings.sh_degree > 0
+    if tries_degrees and grown(settings) is None:
+        raise InputError(
+            f"--effects {settings.effects}: no phase comes after those of density control, to go on with fewer"
+            " harmonics; leave sh_degree out"
+        )
     if not chosen:
-        return Joined(evidence=evidence)
+        return Joined(evidence=evidence, tries_degrees=tries_degrees)
     density = settings.density
     rate = partial(
         learning_rate,
@@ -93,7 +114,31 @@ def joined(settings: Settings, scene: Scene) -> Joined:
             " leave background out"
         )
     begun = start(found.seen, chosen)
-    return Joined(simulations(begun, chosen, rate), begun, evidence)
+    return Joined(simulations(begun, chosen, rate), begun, evidence, tries_degrees)
+
+
+def grown(settings: Settings) -> int | None:
+    """How many phases have run when no Gaussians multiply any more; None where none comes then."""
+    last = max((index for index, phase in enumerate(settings.phases, 1) if phase.density_control), default=0)
+    return last if last < len(settings.phases) else None
+
+
+def _tried(found: Diagnosis, near: list[str], trial: Trial) -> dict[str, Evidence]:
+    """The evidence of effects that are near their threshold, decided by what a trial of each brings."""
+    on = [name for name in SIMULATED if found.effects[name].on and name not in near]
+    gains = trial(found.seen, on, near) if near else {}
+    told = {name: f"near its threshold, a trial of it brings {gain:+.2f} dB" for name, gain in gains.items()}
+    return {
+        name: each._replace(on=gains[name] >= WORTH, note=f"{told[name]} (needs {WORTH}); {each.note}")
+        for name, each in found.effects.items()
+        if name in gains
+    }
+
+
+def _laid(evidence: Evidence, settings: Settings) -> Evidence:
+    """The evidence of a sky whose one colour the run lays under its renders anyway: nothing is left to simulate."""
+    note = f"off: --background {settings.background} lays that colour there; {evidence.note}"
+    return evidence._replace(on=False, note=note) if evidence.on else evidence
 
 
 def appearances_of_tracks(scene: Scene) -> dict[str, Appearance]:

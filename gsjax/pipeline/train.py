@@ -24,6 +24,7 @@ from gsjax.io.ply import write_gaussians
 from gsjax.pipeline.effects import Joined, Photography, joined, moves_line, refined, write_photography
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.hardware import Devices, hardware
+from gsjax.pipeline.harmonics import stored_degree, with_needed_harmonics
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.pace import Pace, seconds_left, spoken
 from gsjax.pipeline.prior import RunPrior
@@ -32,6 +33,7 @@ from gsjax.pipeline.report import report
 from gsjax.pipeline.result import write_views
 from gsjax.pipeline.shown_views import keeper
 from gsjax.pipeline.sizes import at_size, training_extent
+from gsjax.pipeline.trials import gains
 from gsjax.scene import Scene, in_memory
 from gsjax.settings import Settings, total_steps
 from gsjax.training import density_control, initialize, optimizers, surroundings
@@ -98,8 +100,8 @@ def _train(
     prior = RunPrior(
         out, settings.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
     )
-    taken_in = joined(settings, loaded)
-    as_dict, settings = config.to_dict(settings), in_larger_steps(settings)
+    taken_in = joined(settings, loaded, partial(gains, settings, frames, size, partial(trial_start, loaded, settings)))
+    as_dict, settings = config.to_dict(settings), in_larger_steps(taken_in.paced(settings))
     optimizer = optimizers.make_optimizer(
         settings.rates,
         size,
@@ -107,7 +109,7 @@ def _train(
         views_per_step=settings.views_per_step,
     )
     spread = hardware(devices, settings, optimizer)
-    if taken_in.effects and not spread.is_one:
+    if (taken_in.effects or taken_in.tries_degrees) and not spread.is_one:
         raise InputError(f"--effects {settings.effects}: effects need one device and --views-per-step 1")
     run = (
         runs.reopen(out, as_dict, scene=scene, completed=_completed)
@@ -118,7 +120,8 @@ def _train(
     runs.update_manifest(run, photos=photos_line)
     if taken_in.evidence:
         runs.update_manifest(run, effects=taken_in.evidence)
-    initial = partial(_initial, loaded, settings, optimizer, effects=taken_in.effects)
+    first = replace(settings, sh_degree=stored_degree(run, settings)) if resume else settings
+    initial = partial(_initial, loaded, first, optimizer, effects=taken_in.effects)
     state, capacity, seconds = beginning(run, initial)
     state = spread.deal(_of_first(state, initial))
     whole = spread.whole
@@ -133,12 +136,11 @@ def _train(
             maps = prior(state.gaussians, refined(frames, taken_in.photography(state.effects).moves))
             return [from_first(each) for each in maps]
 
-        state = fit(
-            settings,
-            frames,
-            size,
-            state,
-            optimizer,
+        fitted = partial(
+            fit,
+            frames=frames,
+            extent=size,
+            optimizer=optimizer,
             prior=normals,
             observe=told,
             # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.
@@ -146,6 +148,9 @@ def _train(
             effects=taken_in.effects,
             placement=spread.placement,
         )
+        if taken_in.tries_degrees:
+            state = with_needed_harmonics(run, settings, frames, size, state, optimizer, taken_in.effects, fitted)
+        state = fitted(settings, state=state)
         state = whole(state)
         return _finish(run, settings, loaded, state, taken_in.photography(state.effects), journal.seconds)
 
@@ -202,6 +207,13 @@ def _initial(
     sums_nearest = any(map(surroundings.needed, planned_phases(settings)))
     nearest = jnp.asarray(surroundings.none_yet(first.num_gaussians)) if sums_nearest else None
     return initial_state(first, optimizer, RULES[settings.density.rule], effects, nearest)
+
+
+def trial_start(
+    scene: Scene, settings: Settings, optimizer: optax.GradientTransformation, effects: Effects
+) -> TrainState:
+    """Step 0 of a trial, see `gsjax.pipeline.trials.gains`."""
+    return _initial(scene, settings, optimizer, None, effects=effects)
 
 
 def living(gaussians: Gaussians) -> Gaussians:

@@ -116,6 +116,7 @@ def make_train_step(
             **({rule.probes: probe} if rule else {}),
         )
         view = model.photographed(effects, numbers, view, batch, color)
+        batch, added = model.trusted(effects, numbers, view, batch)
         pairs = view.splats.pairs
         if beside is not None:
             beside = replace(beside, camera=model.aimed(effects, numbers, beside.camera, beside.photo))
@@ -123,6 +124,7 @@ def make_train_step(
             view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
         view = view._replace(surroundings=surroundings)
         total, losses, mse = weighed(terms, rule, gaussians, view, batch)
+        total = total if added is None else total + added
         return total, (losses, mse, view.splats.projection, pairs)
 
     @partial(jax.jit, donate_argnums=0)

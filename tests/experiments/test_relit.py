@@ -56,11 +56,26 @@ def test_poses_are_wrong_by_what_was_asked_and_the_file_tells_the_true_ones(reli
         np.testing.assert_allclose(told[before.name], before.viewmat, atol=1e-6)
         np.testing.assert_array_equal(after.pixels().image, before.pixels().image)
         errors.append(after.viewmat.astype(np.float64) @ np.linalg.inv(before.viewmat.astype(np.float64)))
+    frames = [(b, a) for b, a in zip(scene.frames, load_scene(out).frames, strict=True) if not a.held_out]
+    moves = [np.linalg.inv(a.viewmat)[:3, 3] - np.linalg.inv(b.viewmat)[:3, 3] for b, a in frames]
+    np.testing.assert_allclose(np.mean(moves, axis=0), 0, atol=1e-4)  # The world as a whole stays where it is.
     turns = Rotation.from_matrix(np.stack(errors)[:, :3, :3]).as_rotvec(degrees=True)
     shifts = np.stack(errors)[:, :3, 3]
     # Twelve draws of either; the wall is 3 units away.
     assert np.sqrt(np.mean(turns**2)) == pytest.approx(0.5, rel=0.5)
     assert np.sqrt(np.mean(shifts**2)) == pytest.approx(0.03, rel=0.5)
+
+
+def test_squares_are_pasted_into_some_photos(relit, scene, tmp_path):
+    out = relit.relight(tmp_path / "scene", tmp_path / "out", pasted=0.5)
+    changed = []
+    for before, after in zip(scene.frames, load_scene(out).frames, strict=True):
+        other = (after.pixels().image != before.pixels().image).any(-1)
+        changed.append(other.mean())
+        if other.any():
+            assert len(np.unique(after.pixels().image[other], axis=0)) <= relit.SQUARES
+    assert sorted(share > 0 for share in changed) == [False, False, True, True]
+    assert 0.05 < max(changed) <= relit.SQUARES * relit.SIDE**2 * 1.05
 
 
 def test_a_sky_is_put_where_the_truth_says_that_there_is_none_else(relit, scene):

@@ -110,6 +110,18 @@ def test_a_sky_starts_as_the_photos_show_it():
     np.testing.assert_array_equal(background.initial(observe(wall())), np.zeros((1, 3)))
 
 
+def test_a_sky_of_the_colour_that_a_run_lays_anyway_is_off():
+    white = painted(lambda y, x: np.array([255, 255, 255]))
+    auto = Settings(effects="auto", background="white")
+    laid = joined(auto, white)
+    assert "background" not in laid.effects
+    told = laid.evidence["evidence"]["background"]
+    assert not told["on"] and told["evidence"] == 1.0
+    assert told["note"].startswith("off: --background white lays that colour there; ")
+    over_black = joined(replace(auto, background="black"), white)
+    assert "background" in over_black.effects and over_black.evidence["evidence"]["background"]["on"]
+
+
 def test_behind_mattes_nothing_is_learned():
     scene = wall()
     matte = np.full((72, 96), 255, np.uint8)

@@ -57,6 +57,29 @@ def test_a_background_that_mattes_put_there_was_in_front_of_no_camera():
     assert not np.allclose(photographed(EFFECTS, NUMBERS, seen, batch(), white).colors, seen.colors)
 
 
+def test_a_white_pixel_bounds_the_light_from_below_only():
+    """Photo 1 is darker by a factor in red, brighter in green: e^-0.05, e^0.2, e^-0.2."""
+    gains = {"exposure": EFFECTS["exposure"]}
+    colors = np.full((24, 32, 3), 0.9, np.float32)
+    colors[0, 0] = 1.3  # already wrong without effects
+    seen = view()._replace(colors=jnp.asarray(colors))
+    photo = np.ones((24, 32, 3), np.float32)
+    photo[12:] = 0.9
+    white = batch()
+    white = Batch(white.camera, jnp.asarray(photo), white.valid, None, None, white.photo)
+
+    def shown(numbers):
+        return photographed(gains, {"exposure": numbers}, seen, white, jnp.zeros(3, jnp.float32)).colors
+
+    factor = np.exp((GAINS - GAINS.mean(0))[1])
+    expected = colors * factor
+    expected[:12, :, 1] = 1.0
+    expected[0, 0, 1] = 1.3
+    assert_close(shown(NUMBERS["exposure"]), expected)
+    slopes = jax.grad(lambda numbers: jnp.sum(shown(numbers)[:12]))(NUMBERS["exposure"])
+    assert np.abs(slopes[:, [0, 2]]).min() > 1 and not np.any(slopes[:, 1])
+
+
 def brightness(numbers):
     return jnp.sum(photographed(EFFECTS, numbers, view(), batch(), jnp.zeros(3, jnp.float32)).colors)
 

@@ -1,0 +1,115 @@
+"""Masks of what stood in one photo only: in closed form, at their bounds, and the quantile that they follow."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from small_scenes import camera_at
+from tolerances import assert_close
+
+from gsjax.effects import transients
+from gsjax.effects.model import initial_state as effects_state
+from gsjax.effects.model import trusted, updated
+from gsjax.render import View
+from gsjax.settings import Density
+from gsjax.views import Batch
+
+CAMERA = camera_at(size=(32, 24))
+RATE = optax.constant_schedule(transients.RATE)
+EFFECTS = {"transients": transients.simulated(RATE)}
+
+
+def batch(image, valid=None):
+    valid = np.ones((24, 32), bool) if valid is None else valid
+    return Batch(CAMERA, jnp.asarray(image, jnp.float32), jnp.asarray(valid), None, None, jnp.int32(0))
+
+
+def view(colors):
+    return View(jnp.asarray(colors, jnp.float32), jnp.ones((24, 32), jnp.float32), None, None)
+
+
+def grey(value=0.5):
+    return np.full((24, 32, 3), value, np.float32)
+
+
+def test_a_square_is_left_out_and_single_pixels_stay():
+    photo = grey()
+    photo[6:14, 8:18] = 0.9
+    photo[20, 3], photo[0, 0], photo[23, 31] = 0.0, 1.0, 1.0
+    shown = np.asarray(transients.trusted(np.float32(np.log(0.05)), jnp.asarray(grey()), jnp.asarray(photo)))
+    square = np.zeros((24, 32), bool)
+    square[6:14, 8:18] = True
+    # Its four corners, of whose windows it fills 9 of 25, are kept; what is beside it never goes.
+    assert not shown[7:13, 9:17].any()
+    assert shown[~square].all()
+    assert (~shown).sum() == square.sum() - 4 * 3
+    assert transients.trusted(np.float32(np.log(0.2)), jnp.asarray(grey()), jnp.asarray(photo)).all()
+
+
+def test_at_the_start_everything_is_trusted():
+    shown = transients.trusted(EFFECTS["transients"].initial, jnp.asarray(grey(0.0)), jnp.asarray(grey(1.0)))
+    assert shown.all()
+
+
+def test_the_gradient_leads_to_the_quantile_and_the_value_is_zero():
+    rng = np.random.default_rng(0)
+    photo = grey() + rng.uniform(0, 0.3, (24, 32, 1)).astype(np.float32)
+    valid = rng.random((24, 32)) < 0.7
+    off = np.abs(photo - 0.5).mean(-1)[valid]
+
+    def added(number):
+        return trusted(EFFECTS, {"transients": number}, view(grey()), batch(photo, valid))[1]
+
+    for quantile in (0.05, 0.2, 0.29):
+        value, slope = jax.value_and_grad(added)(jnp.float32(np.log(quantile)))
+        above = np.mean(off > quantile)
+        assert value == 0
+        expected = np.float32((1 - transients.QUANTILE) * (1 - above) - transients.QUANTILE * above)
+        assert_close(slope, expected, kind="value", rtol=1e-4, atol=0, why="a sum of 500 numbers")
+
+    state = effects_state(EFFECTS)
+    for _ in range(300):
+        gradients = {"transients": jax.grad(added)(state.numbers["transients"])}
+        state = updated(EFFECTS, state, gradients)
+    found = np.exp(state.numbers["transients"])
+    assert found == pytest.approx(np.quantile(off, transients.QUANTILE), rel=0.1)
+
+
+def test_masks_of_the_user_come_first():
+    photo = grey()
+    photo[6:14, 8:18] = 0.9
+    valid = np.ones((24, 32), bool)
+    valid[:, 20:] = False
+    left, _ = trusted(EFFECTS, {"transients": jnp.float32(np.log(0.05))}, view(grey()), batch(photo, valid))
+    assert not left.valid[:, 20:].any()
+    assert not left.valid[8:12, 10:16].any()
+    assert left.valid[:5, :20].all()
+
+
+@pytest.mark.parametrize("number", [-1e30, -80.0, 0.0, 80.0, 1e30])
+@pytest.mark.parametrize("photo", [0.0, 1.0])
+@pytest.mark.parametrize("is_valid", [True, False])
+def test_hard_cases_in_value_and_gradient(number, photo, is_valid):
+    """Black and saturated photos, photos without a valid pixel, renders far beyond white, a quantile at either end."""
+    colors = grey(0.5)
+    colors[0, 0] = [1e30, -1e30, 0.5]
+    seen = batch(grey(photo), np.full((24, 32), is_valid))
+
+    def added(number, colors):
+        return trusted(EFFECTS, {"transients": number}, view(colors), seen)[1]
+
+    value, slopes = jax.value_and_grad(added, (0, 1))(jnp.float32(number), jnp.asarray(colors))
+    assert value == 0
+    assert np.isfinite(slopes[0]) and not np.any(slopes[1])
+    assert (slopes[0] != 0) == is_valid
+
+
+def test_growth_waits_for_the_masks():
+    growth = Density(start=100, stop=500)
+    assert transients.patient(growth, 1000) == replace(growth, start=300, stop=700)
+    assert transients.patient(growth, 600) == replace(growth, start=300, stop=600)
+    assert transients.patient(Density(start=500, stop=15000), 7000) == Density(start=3750, stop=15000)
+    assert transients.patient(Density(start=500, stop=400), 1000) == Density(start=500, stop=400)
