@@ -71,9 +71,9 @@ def correlation(a: Array, b: Array, mask: Array) -> Array:
     """
     counted = mask.astype(a.dtype)
     a, b = (jnp.where(mask, image, 0) for image in (a, b))
-    share, mean_a, mean_b, aa, bb, ab = (window_means(each, 1) for each in (counted, a, b, a * a, b * b, a * b))
-    filled = share > FILLED
-    mean_a, mean_b, aa, bb, ab = (safe_divide(each, share, filled) for each in (mean_a, mean_b, aa, bb, ab))
+    sums: list[Array] = [window_means(each, 1) for each in (counted, a, b, a * a, b * b, a * b)]
+    share, *sums = sums
+    mean_a, mean_b, aa, bb, ab = (safe_divide(each, share, share > FILLED) for each in sums)
     of_a, of_b = aa - mean_a * mean_a, bb - mean_b * mean_b
     tells = (of_a > NOISE**2) & (of_b > NOISE**2)
     return jnp.where(tells, (ab - mean_a * mean_b) * jax.lax.rsqrt(jnp.where(tells, of_a * of_b, 1)), 0)
