@@ -211,7 +211,7 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
 
 
 def test_a_run_goes_on_with_fewer_harmonics_and_they_are_nowhere(run, scene, tmp_path, monkeypatch):
-    """Stopped before they are tried, and after: both end with the bits of the run that was not stopped."""
+    """Stopped where they are tried again, and where not: it ends with the bits of the run that was not stopped."""
     settings = config.parse(Settings, {**SETTINGS, "effects": "sh_degree"})
     with monkeypatch.context() as patched:
         patched.setattr(harmonics, "smallest", max)  # Where all are needed, that they were tried leaves no trace.
@@ -224,8 +224,8 @@ def test_a_run_goes_on_with_fewer_harmonics_and_they_are_nowhere(run, scene, tmp
     assert found["degree"] == 0
     assert list(found["psnr"]) == ["0", "1"] and all(psnr > 5 for psnr in found["psnr"].values())
     note = pipeline.train.__globals__["TrainingJournal"].note
+    stopped = tmp_path / "stopped"
     for stop in (13, 16):  # Checkpoints are of steps 7 and 14, harmonics are tried after 12.
-        stopped = tmp_path / str(stop)
 
         def killed(journal, progress, stop=stop):
             note(journal, progress)
@@ -235,9 +235,9 @@ def test_a_run_goes_on_with_fewer_harmonics_and_they_are_nowhere(run, scene, tmp
         with monkeypatch.context() as patched:
             patched.setattr(pipeline.train.__globals__["TrainingJournal"], "note", killed)
             with pytest.raises(KeyboardInterrupt):
-                pipeline.train(scene, stopped, settings)
-        pipeline.train(scene, stopped, settings, resume=True)
-        assert (stopped / "gaussians.ply").read_bytes() == (whole / "gaussians.ply").read_bytes()
+                pipeline.train(scene, stopped, settings, resume=stopped.exists())
+    pipeline.train(scene, stopped, settings, resume=True)
+    assert (stopped / "gaussians.ply").read_bytes() == (whole / "gaussians.ply").read_bytes()
     assert read_gaussians(whole / "gaussians.ply").sh_degree == 0
     arrays = load_arrays(runs.latest_checkpoint(whole)[1])
     rests = [array for name, array in arrays.items() if name.endswith("sh_rest")]

@@ -8,6 +8,7 @@ import pytest
 import gsjax
 import rasterizer
 from gsjax import cli, config
+from gsjax.binding.refining import Refinement
 from gsjax.settings import PRESETS, Settings
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -35,9 +36,10 @@ def test_commands_and_settings_on_the_pages_are_right(page):
     text = page.read_text()
     for command in re.findall(r"^    gsjax (.*?)(?:  #.*)?$", text, re.MULTILINE):
         assert cli.parser().parse_args(command.split()).run
+    kind, preset = (Refinement, {}) if page.name == "refinement.md" else (Settings, PRESETS["fast"])
     for assignment in re.findall(r"--set (\w+(?:\.\w+)+=[\w.]+)", text):
-        whole = config.to_dict(config.parse(Settings, PRESETS["fast"]))
-        config.parse(Settings, config.override(whole, [assignment]))
+        whole = config.to_dict(config.parse(kind, preset))
+        config.parse(kind, config.override(whole, [assignment]))
 
 
 def test_what_the_map_of_the_paper_points_to_exists():

@@ -1,6 +1,6 @@
 """How each photo was taken, as far as tracks or training tell: where the effects start, and what became of them."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -79,6 +79,16 @@ def start(seen: Observations, chosen: Collection[str]) -> Start:
         background.initial(seen),
         seen.tracked,
     )
+
+
+def light_range(begun: Start, frames: Sequence[Frame], chosen: Collection[str]) -> tuple[np.ndarray, np.ndarray]:
+    """`[V, 3]` what each photo multiplies display-coded light by, at most and at least, as the chosen effects start."""
+    gains = begun.log_gains if "exposure" in chosen else np.zeros_like(begun.log_gains)
+    sizes = np.array([(frame.width, frame.height) for frame in frames])
+    centers, focals = (np.array([get(frame.K) for frame in frames]) for get in (lambda K: K[:2, 2], np.diagonal))
+    tangents2 = np.square(np.maximum(centers, sizes - centers) / focals[:, :2]).sum(-1)
+    corners = np.stack([tangents2, np.square(tangents2)], -1) * begun.falloff[begun.camera]
+    return np.exp(gains), np.exp(gains + corners.sum(-1, keepdims=True))
 
 
 def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax.Schedule]) -> Effects:

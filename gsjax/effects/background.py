@@ -7,7 +7,6 @@ from gsjax import backdrop
 from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.model import Effect
 from gsjax.effects.observations import Observations
-from gsjax.gaussians import SH_C0
 
 THRESHOLD = 0.25  # of the photos
 OPEN = 0.05  # of a photo's pixels
@@ -52,10 +51,23 @@ def initial(seen: Observations) -> np.ndarray:
     return backdrop.constant(colors.mean(0), 0 if spread < _ONE_COLOR else DEGREE)
 
 
-def is_one(seen: Observations, color: float) -> bool:
-    """Whether all that looks like sky is of one grey, 0..1, in all photos: laid under the renders, it is enough."""
-    coefficients = initial(seen)
-    return len(coefficients) == 1 and bool(np.abs(SH_C0 * coefficients[0] + 0.5 - color).max() < _ONE_COLOR)
+def is_one(seen: Observations, color: float, most: np.ndarray, least: np.ndarray) -> bool:
+    """Whether what looks like sky may all be of one grey, as the cameras show it: laid under renders, it is enough.
+
+    Args:
+        seen: The photos.
+        color: The grey, 0..1.
+        most: `[V, 3]` what a photo multiplies display-coded light by where it is brightest; 1 where nothing is known.
+        least: The same where it is darkest.
+    """
+    is_open = np.array([facts.sky_share > OPEN for facts in seen.facts])
+    if not is_open.any():
+        return False
+    skies = np.stack([facts.sky_color for facts in seen.facts])[is_open]
+    spread = np.array([facts.sky_spread for facts in seen.facts])[is_open].mean()
+    lightest, darkest = (np.minimum(1.0, color * factor[is_open]) for factor in (most, least))
+    is_between = (skies < lightest + _ONE_COLOR) & (skies > darkest - _ONE_COLOR)
+    return bool(is_between.all() and spread < _ONE_COLOR + (lightest - darkest).mean())
 
 
 def simulated(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:

@@ -1,7 +1,7 @@
 """Which effects a run simulates, and what it tells of each photo and its camera afterwards."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from gsjax.effects import background, transients
-from gsjax.effects.appearance import Appearance, Start, appearances, moves, simulations, start
+from gsjax.effects.appearance import Appearance, Start, appearances, light_range, moves, simulations, start
 from gsjax.effects.diagnosis import Diagnosis
 from gsjax.effects.evidence import Evidence
 from gsjax.effects.model import Effects, EffectState, learning_rate
@@ -81,13 +81,15 @@ def joined(settings: Settings, scene: Scene, trial: Trial | None = None) -> Join
     if settings.effects == NONE:
         return Joined()
     found = diagnosed(scene)
-    is_laid = settings.background in _PLAIN and background.is_one(found.seen, _PLAIN[settings.background])
-    if is_laid:
-        found = replace(found, effects=found.effects | {"background": _laid(found.effects["background"], settings)})
     wanted = set(named_effects(settings.effects))
-    if settings.effects == AUTO:
+    is_auto = settings.effects == AUTO
+    near = [name for name in SIMULATED if is_auto and is_near(name, found.effects[name])]
+    is_on = [name for name in SIMULATED if found.effects[name].on] if is_auto else [*wanted]
+    if _is_laid(found, settings, {*is_on, *near}):
+        found = replace(found, effects=found.effects | {"background": _laid(found.effects["background"], settings)})
+        near = [name for name in near if name != "background"]
+    if is_auto:
         if trial is not None:
-            near = [n for n in SIMULATED if is_near(n, found.effects[n]) and not (is_laid and n == "background")]
             found = replace(found, effects=found.effects | _tried(found, near, trial))
         wanted = {name for name in SIMULATED if found.effects[name].on}
     chosen = [name for name in SIMULATED if name in wanted]
@@ -133,6 +135,14 @@ def _tried(found: Diagnosis, near: list[str], trial: Trial) -> dict[str, Evidenc
         for name, each in found.effects.items()
         if name in gains
     }
+
+
+def _is_laid(found: Diagnosis, settings: Settings, light: Collection[str]) -> bool:
+    """Whether what looks like sky is the colour that the run lays under its renders, seen through effects on light."""
+    if settings.background not in _PLAIN:
+        return False
+    reached = light_range(start(found.seen, light), found.seen.frames, light)
+    return background.is_one(found.seen, _PLAIN[settings.background], *reached)
 
 
 def _laid(evidence: Evidence, settings: Settings) -> Evidence:

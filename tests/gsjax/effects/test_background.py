@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from photographed_wall import wall
+from photographed_wall import gains, radii2, relit, wall
 from small_scenes import camera_at
 from tolerances import assert_close
 
@@ -120,6 +120,26 @@ def test_a_sky_of_the_colour_that_a_run_lays_anyway_is_off():
     assert told["note"].startswith("off: --background white lays that colour there; ")
     over_black = joined(replace(auto, background="black"), white)
     assert "background" in over_black.effects and over_black.evidence["evidence"]["background"]["on"]
+
+
+@pytest.mark.parametrize("effect", ["exposure", "vignetting"])
+def test_what_cameras_do_to_a_laid_colour_makes_no_sky_of_it(effect):
+    auto = Settings(effects="auto", background="white")
+    if effect == "exposure":
+        stops = gains(wall(), 0.3)
+
+        def changed(index, frame, x, y):
+            return stops[index]
+    else:
+
+        def changed(index, frame, x, y):
+            return -0.6 * radii2(frame, x, y)
+
+    for shade, is_sky in ((255, False), (200, True)):
+        scene = relit(painted(lambda y, x, shade=shade: np.full(3, shade)), changed)
+        taken_in = joined(auto, scene)
+        assert effect in taken_in.effects
+        assert ("background" in taken_in.effects) == is_sky
 
 
 def test_behind_mattes_nothing_is_learned():
