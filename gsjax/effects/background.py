@@ -66,8 +66,9 @@ def is_one(seen: Observations, color: float, most: np.ndarray, least: np.ndarray
     skies = np.stack([facts.sky_color for facts in seen.facts])[is_open]
     spread = np.array([facts.sky_spread for facts in seen.facts])[is_open].mean()
     lightest, darkest = (np.minimum(1.0, color * factor[is_open]) for factor in (most, least))
-    is_between = (skies < lightest + _ONE_COLOR) & (skies > darkest - _ONE_COLOR)
-    return bool(is_between.all() and spread < _ONE_COLOR + (lightest - darkest).mean())
+    beyond = np.maximum(np.maximum(skies - lightest, darkest - skies), 0)
+    off = np.hypot(np.sqrt(np.square(beyond).mean(0)).max(), max(spread - (lightest - darkest).mean(), 0))
+    return bool(off < _ONE_COLOR)
 
 
 def simulated(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:
