@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from handled import timed
 
 from gsjax import config, pipeline, tables
 from gsjax.io import runs
@@ -49,17 +50,11 @@ def row(scene: Path, effects: str, given: argparse.Namespace, seed: int) -> dict
     """Trains unless that was done, and scores."""
     run = given.out / f"{scene.name}_{effects.replace(',', '_')}_{seed}"
     if not (run / "scored.json").exists():
-        frames, times = load_scene(scene).frames, []
+        frames = load_scene(scene).frames
         downscale = max(1.0, round(max(frame.width for frame in frames) / given.width, 2))
         chosen = settings(effects, downscale, given, seed, frames[0].pixels().matte is not None)
         started = time.process_time()
-        pipeline.train(
-            scene,
-            run,
-            chosen,
-            resume=(run / "config.json").exists(),
-            observe=lambda progress: times.append(time.process_time()),
-        )
+        times = timed(scene, run, chosen)
         figures = pipeline.evaluate(run, three_ways=load_scene(scene).tracks is not None)
         manifest = runs.read_json(run / "manifest.json")
         kept = {name: figures.get(name) for name in (*SCORES, "gaussians")}

@@ -172,17 +172,23 @@ def settings(effects: str, steps: int, gaussians: int, seed: int, background: st
     )
 
 
+def timed(scene: Path, run: Path, chosen: Settings) -> list[float]:
+    """Trains, or goes on; the processor's time after every step, seconds."""
+    times: list[float] = []
+    pipeline.train(
+        scene,
+        run,
+        chosen,
+        resume=(run / "config.json").exists(),
+        observe=lambda progress: times.append(time.process_time()),
+    )
+    return times
+
+
 def trained(scene: Path, run: Path, chosen: Settings) -> float:
     """Trains unless that was done; median processor seconds of a step."""
     if not (run / "timed.json").exists():
-        times = []
-        pipeline.train(
-            scene,
-            run,
-            chosen,
-            resume=(run / "config.json").exists(),
-            observe=lambda progress: times.append(time.process_time()),
-        )
+        times = timed(scene, run, chosen)
         runs.write_json(run / "timed.json", {"seconds_per_step": float(np.median(np.diff(times)[FIRST:]))})
     return runs.read_json(run / "timed.json")["seconds_per_step"]
 
