@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+SCRIPTS = [path.stem for path in (ROOT / "experiments").rglob("*") if path.suffix == ".py" or path.is_dir()]
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,8 @@ LAYERS = {
     "experiments": Layer(
         ("experiments",),
         ("rasterizer", *CORE, "io", "meshing", "runs", "viewer", "cli"),
-        # Among them a peer to time ours against, and scripts that lie next to the one that imports them.
-        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "websockets", "gsplat", "torch")
-        + ("train", "workloads", "paper", "paper_run", "browser_check", "devtools", "relit", "knobs", "compare"),
+        # Among them a peer to time ours against, and the scripts themselves: one imports another by its bare name.
+        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "websockets", "gsplat", "torch", *SCRIPTS),
     ),
 }
 HEAVY = {"open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "xatlas", "matplotlib", "PIL", "viser"}
