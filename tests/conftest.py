@@ -80,7 +80,7 @@ def pytest_configure(config):
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:  # Set by now in the workers, which inherit it.
         config.stash[PROGRAMS] = tempfile.TemporaryDirectory(prefix="gsjax-tests-")
         os.environ["JAX_COMPILATION_CACHE_DIR"] = config.stash[PROGRAMS].name
-        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.5"
+        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
 
 
 def pytest_unconfigure(config):

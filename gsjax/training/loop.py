@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import NamedTuple, TypeVar
+from functools import lru_cache, partial
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -100,10 +100,21 @@ def one_view(data: Views, seed: int, view_share: float) -> Callable[[int], Targe
     return target
 
 
+_kept = lru_cache(maxsize=32)(make_train_step)
+
+
+def kept_step(optimizer: optax.GradientTransformation, weights: Weights, *, effects: Effects, **how: Any) -> TrainStep:
+    """`make_train_step`, the same for the same arguments: the next run of these settings finds its programs compiled.
+
+    Effects bring numbers of their run, so that steps with them are made anew.
+    """
+    return make_train_step(optimizer, weights, effects=effects, **how) if effects else _kept(optimizer, weights, **how)
+
+
 def one_device() -> Placement:
     """All on one device, a view a step."""
     room = rows.with_room_to_densify
-    return Placement(one_view, make_train_step, chosen_capacity, room, densify, reset_opacities, cull)
+    return Placement(one_view, kept_step, chosen_capacity, room, densify, reset_opacities, cull)
 
 
 def fit(

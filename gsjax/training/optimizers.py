@@ -1,6 +1,7 @@
 """One Adam per field of the Gaussians, with the learning rates of 3DGS."""
 
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import jax
@@ -21,6 +22,7 @@ def labels(gaussians: Any) -> Gaussians:
     return replace(LABELS, pixel_filter=getattr(gaussians, "pixel_filter", LABELS.pixel_filter))
 
 
+@lru_cache(maxsize=16)  # Programs are kept by it: the same rates shall be the same key.
 def make_optimizer(
     rates: Rates, extent: float, decay_steps: int, *, views_per_step: int = 1
 ) -> optax.GradientTransformation:

@@ -4,10 +4,12 @@ from types import SimpleNamespace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 from small_scenes import camera_at, cloud, photographed
 
 from gsjax import views
+from gsjax.effects.model import NO_EFFECTS, Effect
 from gsjax.errors import InputError
 from gsjax.gaussians import opacities
 from gsjax.scene import with_pixels
@@ -17,7 +19,7 @@ from gsjax.training.loop import fit, planned_phases, view_order
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.rules import RULES
 from gsjax.training.state import count_alive, initial_state
-from gsjax.training.step import active_terms
+from gsjax.training.step import BACKGROUNDS, active_terms
 
 PLAIN = Weights(dssim=0.0)
 EXTENT, ALIVE, CAPACITY = 1.0, 30, 48
@@ -268,3 +270,14 @@ def test_error_driven_densification_fills_the_budget_and_resumes_to_the_same_bit
         assert moved.any() == (int(after.step) == 4), "a full budget goes on moving"
     resumed = fitted(frames, settings, run.states[2], capacity=run.progress[2].capacity)
     assert_identical(resumed.final, run.final)
+
+
+def test_the_next_run_of_the_same_settings_finds_its_programs():
+    """Other numbers anywhere are another program; effects hold numbers of their run."""
+    how = {"capacity": 128, "background": BACKGROUNDS["white"], "sh_every": 4, "rule": RULES["error"], "extent": EXTENT}
+    step = loop.kept_step(OPTIMIZER, PLAIN, effects=NO_EFFECTS, **how)
+    assert loop.kept_step(make_optimizer(Rates(), EXTENT, 11), Weights(dssim=0.0), effects={}, **how) is step
+    for other in ({"capacity": 256}, {"extent": 2.0}, {"rule": None}, {"sh_every": 5}):
+        assert loop.kept_step(OPTIMIZER, PLAIN, effects=NO_EFFECTS, **{**how, **other}) is not step
+    assert loop.kept_step(make_optimizer(Rates(means=1.0), EXTENT, 11), PLAIN, effects=NO_EFFECTS, **how) is not step
+    assert loop.kept_step(OPTIMIZER, PLAIN, effects={"none": Effect((), optax.constant_schedule(0))}, **how) is not step
