@@ -1,5 +1,6 @@
 """Scenes of a few Gaussians whose depth and normals have a closed form."""
 
+from functools import partial
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -9,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from gsjax import gallery
+from gsjax.analytic import solids
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, rgb_to_sh
 from gsjax.io import analytic_scene
@@ -17,9 +19,10 @@ from gsjax.training.initialize import DEAD_LOGIT
 
 
 def built_in(folder: Path, num_views: int, size: tuple[int, int]) -> Path:
-    """The built-in scene, written with a quarter of the samples of the truth, which take longer than small photos."""
+    """The built-in scene, written with fewer samples of its truth and of every pixel: most of the time goes there."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(analytic_scene, "TRUTH_SAMPLES", (6_000, 4_000))
+        patched.setattr(solids, "trace", partial(solids.trace, samples=2))
         return analytic_scene.write(
             folder, num_views=num_views, size=size, progress=lambda **options: tqdm(disable=True, **options)
         )
