@@ -1,15 +1,19 @@
 """Trains the variants of a study on one scene, from the same start for the same steps, and prints one table.
 
-With --budget for the same time instead: every variant's phases are scaled to what this machine does of them in it.
+First phases that variants have in common are trained once, in OUT/beginnings, and their seconds counted for each. With
+--budget for the same time instead: every variant's phases are scaled to what this machine does of them in it.
 """
 
 import argparse
+import hashlib
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from beginnings import beginning
 from train import CONFIGS, load_config
 
 from gsjax import config, tables
@@ -50,14 +54,22 @@ def run(
     every: dict[str, list[dict[str, Any]]] = {}
     floor: dict[str, Any] = {}
     for seed in range(seeds):
-        for variant, difference in described["variants"].items():
-            settings = config.merge(base, _placed(difference, scene), {"seed": seed})
+        asked = {
+            variant: config.parse(Settings, config.merge(base, _placed(change, scene), {"seed": seed}), where=variant)
+            for variant, change in described["variants"].items()
+        }
+        for variant, settings in asked.items():
             folder = Path(out) / f"{variant}_{seed}"
             if only not in (None, folder.name):
                 continue
             done = folder / "study.json"
             if not done.exists():
-                runs.write_json(done, _figures(scene, folder, settings, seconds, described.get("zooms", ())))
+                print(f"== {folder.name}", flush=True)
+                others = [other for name, other in asked.items() if name != variant]
+                alone = only is not None or seconds is not None or folder.exists()
+                earlier = None if alone else _common(scene, Path(out) / "beginnings", beginning(settings, others))
+                _trained(scene, folder, settings, seconds, earlier)
+                runs.write_json(done, _figures(folder, described.get("zooms", ())))
             figures, floor = runs.read_json(done)
             every.setdefault(variant, []).append(figures)
     every |= {tables.FLOOR: [floor]} if floor else {}
@@ -66,21 +78,37 @@ def run(
     return every
 
 
-def _figures(
-    scene: str, folder: Path, described: dict, seconds: float | None, zooms: Sequence[float]
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A variant's figures, and those of the true mesh where there is one."""
+def _common(scene: str, folder: Path, settings: Settings | None) -> Path | None:
+    """Where the run that others begin with lies, trained to its end; None of None."""
     from gsjax import pipeline
     from gsjax.io import runs
 
-    print(f"== {folder.name}", flush=True)
-    settings = config.parse(Settings, described, where=folder.name)
+    if settings is None:
+        return None
+    name = hashlib.sha256(json.dumps(config.to_dict(settings), sort_keys=True).encode()).hexdigest()[:12]
+    run = folder / name
+    if not (run / "manifest.json").exists() or runs.read_json(run / "manifest.json")["status"] != "done":
+        pipeline.train(scene, run, settings, resume=run.exists())
+    return run
+
+
+def _trained(scene: str, folder: Path, settings: Settings, seconds: float | None, earlier: Path | None) -> None:
+    from gsjax import pipeline
+    from gsjax.io import runs
+
     if seconds is not None and not folder.exists():
         settings, line = pipeline.budgeted(scene, {folder.name: settings}, seconds)
         print(f"budget: {line}", flush=True)
     elif seconds is not None:
         settings = config.parse(Settings, runs.read_settings(folder))
-    pipeline.train(scene, folder, settings, resume=folder.exists())
+    pipeline.train(scene, folder, settings, resume=folder.exists(), earlier=earlier)
+
+
+def _figures(folder: Path, zooms: Sequence[float]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """A variant's figures, and those of the true mesh where there is one."""
+    from gsjax import pipeline
+    from gsjax.io import runs
+
     figures = pipeline.evaluate(folder, zooms=zooms)
     last = runs.read_metrics(folder)[-20:]
     aligned = [1 - record["terms"]["sdf_normal"] for record in last if "sdf_normal" in record["terms"]]

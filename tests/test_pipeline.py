@@ -144,6 +144,19 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, mon
     assert without_time[0] == without_time[1]
 
 
+def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_path):
+    begun, whole = tmp_path / "begun", tmp_path / "whole"
+    first = {**SETTINGS, "phases": SETTINGS["phases"][:1], "rates": {"decay_steps": 30}}
+    pipeline.train(scene, begun, config.parse(Settings, first))
+    pipeline.train(scene, whole, config.parse(Settings, SETTINGS), earlier=begun)
+    assert (whole / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+    assert [record["step"] for record in runs.read_metrics(whole)] == [5, 10, 12, 15, 20, 25, 30]
+    shutil.rmtree(begun / "checkpoints")
+    with pytest.raises(InputError, match="begun: has no checkpoint to begin from"):
+        pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), earlier=begun)
+    assert not (tmp_path / "none").exists()
+
+
 def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scene, tmp_path, monkeypatch):
     """Its photos are clean: `auto` takes nothing in and ends with the bits of a run that was not asked."""
     short = {"phases": [{"name": "vanilla", "steps": 16, "density_control": True}]}

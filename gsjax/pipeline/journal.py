@@ -1,5 +1,6 @@
 """What long work leaves behind while it goes, and where it goes on from: a bar with an ETA, metrics, checkpoints."""
 
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -71,14 +72,18 @@ class Beginning(NamedTuple):
     seconds: float  # spent so far
 
 
-def beginning(run: Path, initial: Callable[[int | None], Any]) -> Beginning:
+def beginning(run: Path, initial: Callable[[int | None], Any], earlier: Path | None = None) -> Beginning:
     """The newest checkpoint of a run folder, or the initial state; metrics of later steps are taken back.
 
     Args:
         run: The folder.
         initial: The state at step 0, in buffers of so many rows (None: as many as it takes).
+        earlier: A run folder with a checkpoint, where a run that has none of its own begins.
     """
     found = runs.latest_checkpoint(run)
+    if found is None and earlier is not None:
+        found = runs.latest_checkpoint(earlier)
+        shutil.copyfile(earlier / "metrics.jsonl", run / "metrics.jsonl")
     if found is None:
         start = Beginning(initial(None), None, 0.0)
     else:

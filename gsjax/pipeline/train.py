@@ -52,6 +52,7 @@ def train(
     settings: Settings,
     *,
     resume: bool = False,
+    earlier: str | Path | None = None,
     observe: Callable[[Progress], None] = lambda _: None,
     devices: Devices = 1,
 ) -> dict[str, Any]:
@@ -64,6 +65,8 @@ def train(
         out: Run folder, see `gsjax.io.runs`; absent or empty unless `resume`.
         settings: The run.
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
+        earlier: Another run folder, of the same settings as far as it went, where this run begins: what several have in
+            common is then trained once. None: at the first step.
         observe: Told after every step, before its checkpoint is written.
         devices: How many the Gaussians are spread over, or "all". More than one, or several views a step, know no
             effects and no terms that compare views or read densities.
@@ -75,8 +78,12 @@ def train(
     Raises:
         InputError: The data set, the normals, the run folder or the devices cannot be used.
     """
+    earlier = None if earlier is None else Path(earlier)
+    if earlier is not None and runs.latest_checkpoint(earlier) is None:
+        raise InputError(f"{earlier}: has no checkpoint to begin from")
     with own_folder(out) as folder:
-        return _train(scene, folder, settings, resume=resume and is_first(), observe=observe, devices=devices)
+        resume = resume and is_first()
+        return _train(scene, folder, settings, resume=resume, earlier=earlier, observe=observe, devices=devices)
 
 
 def _train(
@@ -85,6 +92,7 @@ def _train(
     settings: Settings,
     *,
     resume: bool,
+    earlier: Path | None,
     observe: Callable[[Progress], None],
     devices: Devices,
 ) -> dict[str, Any]:
@@ -122,7 +130,7 @@ def _train(
         runs.update_manifest(run, effects=taken_in.evidence)
     first = replace(settings, sh_degree=stored_degree(run, settings)) if resume else settings
     initial = partial(_initial, loaded, first, optimizer, effects=taken_in.effects)
-    state, capacity, seconds = beginning(run, initial)
+    state, capacity, seconds = beginning(run, initial, earlier)
     state = spread.deal(_of_first(state, initial))
     whole = spread.whole
     with runs.begun(run), TrainingJournal(run, settings, loaded, int(state.step), seconds, taken_in, whole) as journal:

@@ -3,15 +3,17 @@
 import importlib
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from gsjax import config, pipeline, tables
 from gsjax.io import runs
-from gsjax.settings import Settings
+from gsjax.settings import Phase, Rates, Settings, Weights
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
+SDF, SUGAR, FIXED = Weights(sdf_normal=0.2), Weights(sugar_density=0.2), Rates(decay_steps=60)
 STUDIES = sorted(path.stem for path in (EXPERIMENTS / "studies").glob("*.py"))
 
 
@@ -27,7 +29,8 @@ def compare(monkeypatch):
 def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_path, with_mesh):
     chamfers = iter([0.004, 0.006, 0.002] * 2)
     floor = {"floor": {"chamfer": 1e-4, "threshold": 0.03}} if with_mesh else {}
-    monkeypatch.setattr(pipeline, "train", lambda *_, resume: None)
+    monkeypatch.setattr(pipeline, "train", lambda *_, **__: None)
+    monkeypatch.setattr(compare, "_common", lambda *_: None)
     figures = {"psnr": 30.0, "views": 2, **floor}
     monkeypatch.setattr(pipeline, "evaluate", lambda _, zooms: figures | {"chamfer": next(chamfers)})
     monkeypatch.setattr(runs, "read_metrics", lambda _: [])
@@ -42,7 +45,8 @@ def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_pa
 @pytest.mark.parametrize("study", STUDIES)
 def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, monkeypatch, tmp_path, study):
     seen = {}
-    monkeypatch.setattr(pipeline, "train", lambda _, folder, settings, resume: seen.setdefault(folder.name, settings))
+    monkeypatch.setattr(pipeline, "train", lambda _, folder, settings, **__: seen.setdefault(folder.name, settings))
+    monkeypatch.setattr(compare, "_common", lambda *_: None)
     monkeypatch.setattr(pipeline, "evaluate", lambda _, zooms: {"psnr": 30.0})
     monkeypatch.setattr(runs, "read_metrics", lambda _: [])
     compare.run(study, "scene", str(tmp_path))
@@ -50,3 +54,33 @@ def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, mon
     assert set(seen) == {f"{variant}_0" for variant in variants}
     assert all(isinstance(settings, Settings) for settings in seen.values())
     assert len({str(config.to_dict(settings)) for settings in seen.values()}) == len(variants)
+
+
+def phases(*named):
+    described = {"coarse": Phase("coarse", 10), "more": Phase("more", 20), "sdf": Phase("sdf", 30, SDF)}
+    return tuple(described[name] for name in named)
+
+
+COARSE = Settings(phases=phases("coarse", "more", "sdf"), normals="omnidata")
+SHORT = replace(COARSE, phases=phases("coarse", "sdf"))
+
+
+@pytest.mark.parametrize(
+    ("settings", "others", "shared"),
+    [
+        (COARSE, [SHORT], None),  # Another length: rates fall otherwise.
+        (COARSE, [replace(COARSE, normals=None)], ("coarse", "more")),
+        (COARSE, [replace(COARSE, phases=phases("more", "coarse", "sdf"))], None),
+        (COARSE, [replace(COARSE, seed=1)], None),
+        (COARSE, [replace(COARSE, vanilla=True)], ("coarse", "more")),
+        (replace(COARSE, vanilla=True), [COARSE], ("coarse", "more")),
+        (replace(COARSE, rates=FIXED), [replace(SHORT, rates=FIXED)], ("coarse",)),
+        (COARSE, [replace(COARSE, phases=(*phases("coarse", "more"), Phase("sugar", 30, SUGAR)))], None),
+        (COARSE, [], None),
+    ],
+)
+def test_what_runs_begin_with_is_shared_as_far_as_they_are_the_same(compare, settings, others, shared):
+    begun = compare.beginning(settings, others)
+    assert (None if begun is None else tuple(phase.name for phase in begun.phases)) == shared
+    if begun is not None:
+        assert (begun.normals, begun.vanilla, begun.rates.decay_steps) == (None, False, 60)

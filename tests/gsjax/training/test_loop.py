@@ -208,7 +208,7 @@ def test_terms_of_the_surface_may_come_every_third_step_and_the_others_always(fr
 
         return step
 
-    monkeypatch.setattr(loop, "make_train_step", make_train_step)
+    monkeypatch.setattr(loop, "kept_step", make_train_step)
     weights = replace(PLAIN, entropy=0.1, sdf_normal=0.2, distortion=0.3)
     settings = replace(SETTINGS, phases=(Phase("surface", 7, weights, surface_every=3),))
     fitted(frames, settings, state=replace(start(), step=np.int32(begun)), capacity=64)
@@ -225,7 +225,7 @@ def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkey
         trained_with.append((weights, depth_mode))
         return lambda state, target, key: (state, SimpleNamespace(overflowed=False))
 
-    monkeypatch.setattr(loop, "make_train_step", make_train_step)
+    monkeypatch.setattr(loop, "kept_step", make_train_step)
     settings = replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),), depth_mode="center")
     for photos in (frames, tuple(with_pixels(f, f.pixels()._replace(matte=None)) for f in frames)):
         fitted(photos, settings, capacity=64)
@@ -250,7 +250,7 @@ def test_a_device_without_room_is_one_line_and_any_other_failure_stays_one(frame
 
         return step
 
-    monkeypatch.setattr(loop, "make_train_step", make_train_step)
+    monkeypatch.setattr(loop, "kept_step", make_train_step)
     with pytest.raises(raised, match=line) as error:
         fitted(frames, replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),)), capacity=64)
     assert "\n" not in str(error.value)

@@ -60,7 +60,7 @@ def shaken(state, target, key):
 def fitted(state, monkeypatch):
     """The states after every step."""
     monkeypatch.setattr(surroundings, "EVERY", 5)
-    monkeypatch.setattr(loop, "make_train_step", lambda *_, **__: shaken)
+    monkeypatch.setattr(loop, "kept_step", lambda *_, **__: shaken)
     monkeypatch.setattr(loop, "chosen_capacity", lambda *_, **__: 4096)
     states = []
     loop.fit(
