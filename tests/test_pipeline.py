@@ -117,21 +117,25 @@ def test_a_report_is_left_and_a_run_that_kept_no_pictures_is_rendered_for_it(run
         assert np.abs(read_image(tmp_path / "run/pictures" / name)[0] - image).mean() < 1, name
 
 
-@pytest.mark.parametrize("stopped_at", [10, 23])
-def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, monkeypatch, stopped_at):
-    settings = config.parse(Settings, SETTINGS)
-    note = pipeline.train.__globals__["TrainingJournal"].note
+def train_until_killed(step, scene, folder, settings):
+    journals = pipeline.train.__globals__["TrainingJournal"]
+    note = journals.note
 
     def killed(journal, progress):
         note(journal, progress)
-        if progress.step == stopped_at:
+        if progress.step == step:
             raise KeyboardInterrupt
 
+    with pytest.MonkeyPatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(journals, "note", killed)
+        pipeline.train(scene, folder, settings, resume=folder.exists())
+
+
+@pytest.mark.parametrize("stopped_at", [10, 23])
+def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, stopped_at):
+    settings = config.parse(Settings, SETTINGS)
     folder = tmp_path / "run"
-    with monkeypatch.context() as patched:
-        patched.setattr(pipeline.train.__globals__["TrainingJournal"], "note", killed)
-        with pytest.raises(KeyboardInterrupt):
-            pipeline.train(scene, folder, settings)
+    train_until_killed(stopped_at, scene, folder, settings)
     pipeline.train(scene, folder, settings, resume=True)
 
     assert (folder / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
@@ -163,17 +167,7 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     settings = config.parse(Settings, {**SETTINGS, **short, "effects": "exposure,vignetting,poses,background"})
     whole, stopped, auto = (tmp_path / name for name in ("whole", "stopped", "auto"))
     summary = pipeline.train(scene, whole, settings)
-    note = pipeline.train.__globals__["TrainingJournal"].note
-
-    def killed(journal, progress):
-        note(journal, progress)
-        if progress.step == 9:
-            raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched:
-        patched.setattr(pipeline.train.__globals__["TrainingJournal"], "note", killed)
-        with pytest.raises(KeyboardInterrupt):
-            pipeline.train(scene, stopped, settings)
+    train_until_killed(9, scene, stopped, settings)
     with monkeypatch.context() as patched:
         patched.setitem(
             pipeline.train.__globals__, "score_images", lambda *_, **__: {"psnr": 0}
@@ -236,19 +230,9 @@ def test_a_run_goes_on_with_fewer_harmonics_and_they_are_nowhere(run, scene, tmp
     found = runs.read_json(whole / "manifest.json")["harmonics"]
     assert found["degree"] == 0
     assert list(found["psnr"]) == ["0", "1"] and all(psnr > 5 for psnr in found["psnr"].values())
-    note = pipeline.train.__globals__["TrainingJournal"].note
     stopped = tmp_path / "stopped"
     for stop in (13, 16):  # Checkpoints are of steps 7 and 14, harmonics are tried after 12.
-
-        def killed(journal, progress, stop=stop):
-            note(journal, progress)
-            if progress.step == stop:
-                raise KeyboardInterrupt
-
-        with monkeypatch.context() as patched:
-            patched.setattr(pipeline.train.__globals__["TrainingJournal"], "note", killed)
-            with pytest.raises(KeyboardInterrupt):
-                pipeline.train(scene, stopped, settings, resume=stopped.exists())
+        train_until_killed(stop, scene, stopped, settings)
     pipeline.train(scene, stopped, settings, resume=True)
     assert (stopped / "gaussians.ply").read_bytes() == (whole / "gaussians.ply").read_bytes()
     assert read_gaussians(whole / "gaussians.ply").sh_degree == 0

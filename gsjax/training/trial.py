@@ -14,9 +14,9 @@ from gsjax.effects.model import Effects
 from gsjax.scene import Frame
 from gsjax.settings import Settings, Weights
 from gsjax.training.capacity import chosen_capacity
-from gsjax.training.loop import advance
+from gsjax.training.loop import advance, kept_step
 from gsjax.training.state import TrainState
-from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
+from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep
 from gsjax.views import Target, Views
 
 SCALE = 2  # of the photos: trials look at smaller ones
@@ -63,9 +63,7 @@ def maker(
     """Pair capacity -> a step of the image alone: no term of the surface, no density control. Compiled once for all."""
     image = Weights(l1=weights.l1, dssim=weights.dssim, alpha=weights.alpha if data.has_mattes else 0.0)
     options = {"background": BACKGROUNDS[settings.background], "sh_every": sh_every, "depth_mode": settings.depth_mode}
-    return cache(
-        lambda capacity: make_train_step(optimizer, image, capacity=capacity, rule=None, effects=effects, **options)
-    )
+    return cache(lambda capacity: kept_step(optimizer, image, capacity=capacity, rule=None, effects=effects, **options))
 
 
 def small_views(frames: Sequence[Frame]) -> Views:

@@ -7,8 +7,7 @@ BENCHMARKS = Path(__file__).resolve().parents[2] / "experiments/benchmarks"
 
 
 def run(script, *arguments, folder):
-    as_users = {"XLA_FLAGS": "", "XDG_CACHE_HOME": str(folder)}
-    environment = {**os.environ, "JAX_PLATFORMS": "cpu", **as_users}
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu", "XDG_CACHE_HOME": str(folder)}
     command = [sys.executable, str(BENCHMARKS / script), *arguments]
     return subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment)
 
