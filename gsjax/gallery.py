@@ -12,14 +12,14 @@ import rasterizer
 from gsjax import backdrop, render
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
-from rasterizer import DepthMode
+from gsjax.render import DepthReading
 
 
 class Picture(NamedTuple):
     """One rendered view, numpy."""
 
     colors: np.ndarray  # [H, W, 3] float32, clipped to 0..1, over the background
-    depth: np.ndarray  # [H, W] float32 expected camera z, 0 where nothing covers the pixel
+    depth: np.ndarray  # [H, W] float32 camera z, 0 where little covers the pixel
     alphas: np.ndarray  # [H, W] float32
     owners: np.ndarray | None = None  # [H, W] int32, who was hit: in whom half of a pixel's light is gone; -1: none
 
@@ -28,7 +28,7 @@ def pictures(
     gaussians: Gaussians,
     cameras: Sequence[Camera],
     background: np.ndarray,
-    depth_mode: DepthMode = "plane",
+    depth_mode: DepthReading = "plane",
     *,
     with_owners: bool = False,
 ) -> Iterator[Picture]:
@@ -74,7 +74,7 @@ def _shown(
     background: jax.Array,
     *,
     capacity: int,
-    depth_mode: DepthMode,
+    depth_mode: DepthReading,
     with_owners: bool,
 ) -> tuple[jax.Array, ...]:
     under = backdrop.behind(background, camera)

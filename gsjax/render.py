@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from functools import singledispatch
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,9 @@ from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, PixelFilter, opacities, scales, sh_coefficients
 from gsjax.numerics import safe_divide
 from rasterizer import DepthMode
+
+DepthReading = Literal["center", "plane", "median"]
+"""What a pixel's depth is: the mean of its splats', each as `rasterizer.DepthMode` has it, or that of one's plane."""
 
 PIXEL_FILTERS: dict[PixelFilter, dict[str, Any]] = {
     "classic": {"eps2d": 0.3},
@@ -89,7 +92,7 @@ class View(NamedTuple):
 
     colors: Array  # [H, W, 3] over the background, not clamped
     alphas: Array  # [H, W] coverage
-    depth: Array | None  # [H, W] expected camera z: composited depth / alpha, 0 where alpha is under `MIN_COVERAGE`
+    depth: Array | None  # [H, W] camera z, of all splats or the median; 0 where alpha is under `MIN_COVERAGE`
     splats: Splats
     extra: Array | None = None  # [H, W, D] what `extra` composites to, on zero
     neighbor: Neighbor | None = None  # only in a step whose loss has a term between two views
@@ -219,7 +222,7 @@ def view(
     background: Array,
     active_degree: Array | int | None = None,
     with_depth: bool = False,
-    depth_mode: DepthMode = "plane",
+    depth_mode: DepthReading = "plane",
     means2d_probe: Array | None = None,
     extra: Array | None = None,
 ) -> View:
@@ -233,7 +236,9 @@ def view(
         active_degree: Highest SH degree used, one for all or `[N]`; may be traced. None: all.
         with_depth: Whether depth is composited too. Static; not in the program otherwise.
         depth_mode: What a splat's depth is: "plane" where the Gaussian is densest along each pixel's ray, "center" that
-            of its mean. Static.
+            of its mean; depth is the mean over the splats. "median": the plane's depth of the one in which the light
+            falls to half, for discs on a mesh, which let through light of its far side; costs a second pass, and its
+            gradient reaches that splat alone. Static.
         means2d_probe: See `splat`.
         extra: `[N, D]` further channels, composited on zero.
 
@@ -241,8 +246,17 @@ def view(
         `View`.
     """
     scene = drawable(gaussians)
-    splats = _splat(scene, camera, capacity, means2d_probe, depth_mode if with_depth else "center")
-    return shown(splats, colors(scene, camera, active_degree), background, with_depth=with_depth, extra=extra)
+    of_each = "plane" if depth_mode == "median" else depth_mode
+    splats = _splat(scene, camera, capacity, means2d_probe, of_each if with_depth else "center")
+    is_mean = depth_mode != "median"
+    found_colors = colors(scene, camera, active_degree)
+    found = shown(splats, found_colors, background, with_depth=with_depth and is_mean, extra=extra)
+    return found if is_mean or not with_depth else found._replace(depth=_median_depth(splats, found.alphas))
+
+
+def _median_depth(splats: Splats, alphas: Array) -> Array:
+    median = rasterizer.median_depth(splats.projection, owners(splats)[None])[0, ..., 0]
+    return jnp.where(alphas > MIN_COVERAGE, median, 0)
 
 
 def shown(

@@ -6,7 +6,7 @@ from rasterizer.capacity import capacity_bucket
 from rasterizer.covariances import quat_scale_to_covar_preci
 from rasterizer.engines import blend, default_tile_size
 from rasterizer.exchange import Packed, exchange, pack, unpack
-from rasterizer.features import blended_depth, depth_channels
+from rasterizer.features import blended_depth, depth_channels, median_depth
 from rasterizer.harmonics import spherical_harmonics
 from rasterizer.normals import camera_normals
 from rasterizer.projection import DepthMode, Projection, project
@@ -42,6 +42,7 @@ __all__ = [
     "fully_fused_projection",
     "isect_offset_encode",
     "isect_tiles",
+    "median_depth",
     "pack",
     "proj",
     "project",

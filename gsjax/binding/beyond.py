@@ -10,7 +10,7 @@ from jax import Array
 
 from gsjax import render, views
 from gsjax.gaussians import Gaussians
-from gsjax.render import DepthMode
+from gsjax.render import DepthReading
 from gsjax.training.capacity import chosen_capacity
 from gsjax.views import Target, Views
 
@@ -18,7 +18,7 @@ SAME_SURFACE = 0.05  # Share of its depth by which the mesh may lie before or be
 
 
 def beyond_mesh(
-    gaussians: Gaussians, data: Views, mesh_depths: Iterable[np.ndarray], *, depth_mode: DepthMode = "plane"
+    gaussians: Gaussians, data: Views, mesh_depths: Iterable[np.ndarray], *, depth_mode: DepthReading = "plane"
 ) -> np.ndarray:
     """Gaussians that shine mostly where there is no mesh.
 
@@ -47,7 +47,9 @@ def beyond_mesh(
 
 
 @partial(jax.jit, static_argnames=("capacity", "depth_mode"))
-def _light(gaussians: Gaussians, target: Target, mesh_depth: Array, *, capacity: int, depth_mode: DepthMode) -> Array:
+def _light(
+    gaussians: Gaussians, target: Target, mesh_depth: Array, *, capacity: int, depth_mode: DepthReading
+) -> Array:
     """`[N, 2]` light in one view: that for which the mesh does not account, and all."""
     black = jnp.zeros(3, jnp.float32)
     batch = views.batch(target, black)

@@ -30,8 +30,8 @@ from gsjax.pipeline.effects import Photography, appearances_of_tracks, read_phot
 from gsjax.pipeline.mesh import mesh as extract
 from gsjax.pipeline.perceptual import STANDARD, Measure, lpips_measures
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera, open_result, scene_of_run
+from gsjax.render import DepthReading
 from gsjax.scene import Frame, Truth
-from rasterizer import DepthMode
 
 NOTHING = Photography()
 Aligner = Callable[[Camera, np.ndarray, np.ndarray, Draw], Camera]
@@ -146,7 +146,7 @@ def score_images(
     measures: Mapping[str, Measure] = MappingProxyType({}),
     found: Photography = NOTHING,
     align: Aligner | None = None,
-    depth_mode: DepthMode = "plane",
+    depth_mode: DepthReading = "plane",
     observe: Callable[[Frame, np.ndarray, Picture], None] = lambda *_: None,
 ) -> dict[str, Any]:
     """Mean PSNR and SSIM over frames, as 3DGS defines them (float renders, every pixel that is valid); None of none.
@@ -229,7 +229,7 @@ def _scores(image: jax.Array, target: jax.Array, valid: jax.Array) -> tuple[jax.
 
 
 def score_surface(
-    gaussians: Gaussians, frames: tuple[Frame, ...], truth: Truth, depth_mode: DepthMode = "plane"
+    gaussians: Gaussians, frames: tuple[Frame, ...], truth: Truth, depth_mode: DepthReading = "plane"
 ) -> dict[str, Any]:
     """Errors of the rendered depth and of its normals against true maps, pooled over the pixels of all frames."""
     frames = _with_maps(frames, truth)

@@ -18,8 +18,8 @@ from gsjax.io.normals import map_places, normal_maps
 from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
 from gsjax.pipeline.result import BACKGROUNDS, frame_camera
+from gsjax.render import DepthReading
 from gsjax.scene import Frame
-from rasterizer import DepthMode
 
 CLEAR_SCORE, CLEAR_MARGIN = 0.5, 0.02  # Below either, the axes of foreign maps are doubtful (method: A8).
 VIEWS_FOR_AXES = 50  # as many as are compared with their maps, 4,000 pixels each
@@ -42,7 +42,7 @@ class RunPrior:
         folder: str | None,
         axes: str | None,
         frames: tuple[Frame, ...],
-        depth_mode: DepthMode = "plane",
+        depth_mode: DepthReading = "plane",
         *,
         tell: Callable[[str], None] = lambda line: tqdm.write(f"normals: {line}", file=sys.stderr),
     ):
@@ -64,7 +64,7 @@ class RunPrior:
         self.signs = None if axes is None else axis_signs(axes)
         if folder is None and axes is not None:
             raise InputError(f"--normal-axes {axes}: there are no maps whose axes these are, --normals DIR names them")
-        self.depth_mode: DepthMode = depth_mode
+        self.depth_mode: DepthReading = depth_mode
         self.tell = tell
         self.network = None if folder is None else maker(folder)
         self.given = None if folder is None else normal_maps(folder, frames)

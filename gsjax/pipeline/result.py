@@ -22,8 +22,8 @@ from gsjax.io.scenes import load_scene
 from gsjax.io.splits import NONE
 from gsjax.pipeline import viewpoints
 from gsjax.pipeline.effects import read_photography, refined
+from gsjax.render import DepthReading
 from gsjax.scene import Frame, Scene, valid_pixels
-from rasterizer import DepthMode
 
 BACKGROUNDS = {"white": np.ones(3, np.float32), "black": np.zeros(3, np.float32), "random": np.zeros(3, np.float32)}
 """Colour that pictures and scores are made over; a run trained on random ones is scored over black."""
@@ -44,7 +44,8 @@ class Result:
         Callable[[], np.ndarray | None], ...
     ]  # reads [H, W] bool, where the photo may be used; None: all of it
     background: np.ndarray  # [3], or as SH coefficients of the direction, see `gsjax.backdrop`
-    depth_mode: DepthMode = "plane"  # how depth was read in training, see `gsjax.render.view`
+    # As depth was read in training, see `gsjax.render.view`; of the discs of a refined mesh the median.
+    depth_mode: DepthReading = "plane"
 
 
 def write_views(run: Path, frames: tuple[Frame, ...]) -> None:
@@ -99,7 +100,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             held_out=tuple(bool(record["held_out"]) for record in records),
             valid=tuple(partial(_read_mask, source, record) for record in records),
             background=BACKGROUNDS[settings["background"]] if learned is None else learned,
-            depth_mode=settings["depth_mode"],
+            depth_mode="median" if "refinement" in settings else settings["depth_mode"],
         )
     gaussians = format_of(source).read(source)
     if scene is None:

@@ -13,7 +13,7 @@ from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.normals.from_depth import depth_normals
-from rasterizer import DepthMode
+from gsjax.render import DepthReading
 
 HEADROOM = 1.5  # How much longer the pair buffer is than this view needs: the next one needs more.
 
@@ -32,9 +32,9 @@ class Drawer:
     A view that needs more is drawn again with more; no picture is ever made of a buffer that was too short.
     """
 
-    def __init__(self, depth_mode: DepthMode = "plane"):
+    def __init__(self, depth_mode: DepthReading = "plane"):
         """Draw with depth as `gsjax.render.view` has it."""
-        self._depth_mode: DepthMode = depth_mode
+        self._depth_mode: DepthReading = depth_mode
         self._capacities: dict[tuple[int, int], int] = {}
 
     def draw(
@@ -108,7 +108,7 @@ def _drawn(
     *,
     capacity: int,
     with_surface: bool,
-    depth_mode: DepthMode,
+    depth_mode: DepthReading,
 ) -> tuple[Drawing, jax.Array]:
     under = backdrop.behind(background, camera)
     view = render.view(

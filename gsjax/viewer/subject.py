@@ -13,8 +13,8 @@ from gsjax.io.gaussian_files import FORMATS
 from gsjax.meshing.export import SUFFIXES, read_mesh
 from gsjax.pipeline.pictures import opaque_middle
 from gsjax.pipeline.result import BACKGROUNDS, Result, frame_camera, open_result, scene_of_run
+from gsjax.render import DepthReading
 from gsjax.scene import Frame, Scene
-from rasterizer import DepthMode
 
 HEADER_BYTES = 65536  # of a PLY, at most
 
@@ -33,7 +33,7 @@ class Subject:
     photos: Mapping[str, Frame] = field(default_factory=dict)  # those that are at hand
     mesh: Path | None = None
     background: np.ndarray = field(default_factory=lambda: BACKGROUNDS["black"])  # [3] or SH, see `gsjax.backdrop`
-    depth_mode: DepthMode = "plane"
+    depth_mode: DepthReading = "plane"
 
 
 def open_subject(
@@ -74,7 +74,7 @@ def open_subject(
     )
 
 
-def subject_of_scene(name: str, scene: Scene, background: str, depth_mode: DepthMode) -> Subject:
+def subject_of_scene(name: str, scene: Scene, background: str, depth_mode: DepthReading) -> Subject:
     """A data set of which Gaussians are yet to come."""
     cameras = {frame.name: frame_camera(frame) for frame in scene.frames}
     middle = np.median(scene.points, axis=0) if len(scene.points) else np.zeros(3)

@@ -72,6 +72,36 @@ def test_the_centres_depth_is_there_to_compare_with():
     assert float(jnp.abs(of_center - shown(SCENE).depth).max()) > 0.01
 
 
+def test_the_median_depth_is_the_references_and_so_is_its_gradient():
+    def weighed(depth):
+        return jnp.sum(jnp.where(depth > 0, depth, 0) * jnp.linspace(0.5, 1.5, depth.size).reshape(depth.shape))
+
+    def of_reference(gaussians):
+        _, alphas, info = rasterizer.rasterization(
+            *(gaussians.means, gaussians.quats, scales(gaussians), opacities(gaussians), sh_coefficients(gaussians)),
+            *(CAMERA.viewmat[None], CAMERA.K[None], CAMERA.width, CAMERA.height),
+            sh_degree=2,
+            backend="reference",
+            depth_mode="plane",
+            return_median_depth=True,
+        )
+        depth = jnp.where(alphas[0] > render.MIN_COVERAGE, info["median_depths"][0], 0)[..., 0]
+        return weighed(depth), depth
+
+    def of_view(gaussians):
+        depth = shown(gaussians, depth_mode="median").depth
+        return weighed(depth), depth
+
+    (_, found), gradient = jax.jit(jax.value_and_grad(of_view, has_aux=True))(SCENE)
+    (_, depth), expected = jax.jit(jax.value_and_grad(of_reference, has_aux=True))(SCENE)
+    assert_close(found, depth)
+    assert float(jnp.abs(found - shown(SCENE).depth).max()) > 0.01
+    for name in ("means", "quats", "log_scales"):
+        assert_close(getattr(gradient, name), getattr(expected, name))
+        assert float(jnp.abs(getattr(expected, name)).max()) > 0
+    assert not jnp.any(gradient.logit_opacities), "which splat it is does not change"
+
+
 def test_the_gradient_of_depth_turns_and_stretches_splats():
     # One disc fills the image: its alpha does not change to first order where only its plane turns.
     disc = plane((0.3, 0.2, -1.0), per_side=2, spacing=1.0, radius=6.0)
