@@ -22,7 +22,7 @@ from gsjax.io.scenes import load_scene
 from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline.refine import prepared
-from gsjax.pipeline.result import write_views
+from gsjax.pipeline.result import open_result, write_views
 from gsjax.settings import Settings
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -87,6 +87,7 @@ def test_the_folder_holds_mesh_gaussians_and_report_and_is_a_run(place, refined)
     assert {"mesh.ply", "mesh.glb", "gaussians.ply", "cameras.json", "report.json"} <= set(manifest["files"])
     scores = pipeline.evaluate(refined.out)
     assert scores["views"] == 2 and scores["psnr"] == pytest.approx(report["psnr"], abs=1e-3)
+    assert (open_result(place.run).depth_mode, open_result(refined.out).depth_mode) == ("plane", "median")
 
 
 def test_every_photo_is_read_once_and_those_held_out_last(refined):

@@ -34,7 +34,7 @@ from gsjax.pipeline.effects import Photography, read_photography, write_photogra
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.report import report
-from gsjax.pipeline.result import QUIET, Result, open_result, scene_of_run, write_views
+from gsjax.pipeline.result import DEPTH_OF_DISCS, QUIET, Result, open_result, scene_of_run, write_views
 from gsjax.pipeline.shown_views import keeper
 from gsjax.scene import Scene, extent, in_memory
 from gsjax.training.capacity import largest_need
@@ -193,6 +193,7 @@ def _finish(
             background,
             found=found,
             align=align if found.moves else None,
+            depth_mode=DEPTH_OF_DISCS,
             observe=keeper(folder),
         ),
         "vertices": refined.num_vertices,

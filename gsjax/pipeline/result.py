@@ -28,6 +28,7 @@ from gsjax.scene import Frame, Scene, valid_pixels
 BACKGROUNDS = {"white": np.ones(3, np.float32), "black": np.zeros(3, np.float32), "random": np.zeros(3, np.float32)}
 """Colour that pictures and scores are made over; a run trained on random ones is scored over black."""
 
+DEPTH_OF_DISCS: DepthReading = "median"  # The far side of a mesh shows through its discs, and is in any mean.
 QUIET = 3.0  # Seconds of drawing that need no bar.
 
 
@@ -44,8 +45,7 @@ class Result:
         Callable[[], np.ndarray | None], ...
     ]  # reads [H, W] bool, where the photo may be used; None: all of it
     background: np.ndarray  # [3], or as SH coefficients of the direction, see `gsjax.backdrop`
-    # As depth was read in training, see `gsjax.render.view`; of the discs of a refined mesh the median.
-    depth_mode: DepthReading = "plane"
+    depth_mode: DepthReading = "plane"  # as depth was read in training, or `DEPTH_OF_DISCS`, see `gsjax.render.view`
 
 
 def write_views(run: Path, frames: tuple[Frame, ...]) -> None:
@@ -100,7 +100,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             held_out=tuple(bool(record["held_out"]) for record in records),
             valid=tuple(partial(_read_mask, source, record) for record in records),
             background=BACKGROUNDS[settings["background"]] if learned is None else learned,
-            depth_mode="median" if "refinement" in settings else settings["depth_mode"],
+            depth_mode=DEPTH_OF_DISCS if "refinement" in settings else settings["depth_mode"],
         )
     gaussians = format_of(source).read(source)
     if scene is None:
