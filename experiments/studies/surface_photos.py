@@ -1,6 +1,6 @@
 """What the surface phase of real photos is trained on: own smoothed normals, or that photos agree with each other.
 
-Small photos and few Gaussians. Without truth, held-out photos and pictures of the normals are what there is to judge by.
+Small photos and few Gaussians. Without truth there are held-out photos and pictures of the normals to judge by.
 """
 
 _VANILLA = [
