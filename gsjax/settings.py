@@ -214,8 +214,9 @@ def _phase(name: str, steps: int, **more: Any) -> dict:
 
 
 # On short schedules the SDF gradient at every pixel's own surface point helps the one at the means, and an entropy
-# phase costs more than it brings (docs/deviations.md, experiments/studies/surface.py).
-_SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05}
+# phase costs more than it brings. What photos say of each other makes flat what normals of one's own leave rough
+# (docs/deviations.md, experiments/studies/surface.py, surface_photos.py).
+_SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}
 FAST = {
     "pixel_filter": "mip",  # right at other sizes and distances than the photos' too (docs/deviations.md)
     "max_gaussians": 36_000,
@@ -225,7 +226,7 @@ FAST = {
     "phases": [
         _phase("coarse", 600, image_scale=2, density_control=True),
         _phase("vanilla", 1400, density_control=True),
-        _phase("surface", 1000, weights=_SURFACE_TERMS),
+        _phase("surface", 600, weights=_SURFACE_TERMS),
     ],
     "rates": {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "quats": 0.003, "final_share": 0.2},
     "density": {"rule": "error", "start": 50, "stop": 900, "every": 50, "full_by": 0.6, "reset_every": 0},
@@ -239,7 +240,7 @@ BALANCED = {
     "phases": [
         _phase("coarse", 1000, image_scale=2, density_control=True),
         _phase("vanilla", 5000, density_control=True),
-        _phase("surface", 3000, weights=_SURFACE_TERMS),
+        _phase("surface", 2000, weights=_SURFACE_TERMS),
     ],
     "density": {"rule": "error", "stop": 4500, "reset_every": 0},
 }

@@ -1,7 +1,8 @@
 """The devices of a run: chosen, checked, and how a state gets there and back."""
 
+import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -69,6 +70,19 @@ def hardware(devices: Devices, settings: Settings, optimizer: optax.GradientTran
         return sharding.dealt(rows.lengthened(state, optimizer, total), mesh)
 
     return Hardware(several.placement(mesh, views), deal, partial(sharding.gathered, mesh=mesh), is_one=False)
+
+
+def without_neighbors(settings: Settings) -> Settings:
+    """The settings without terms that compare a view with the next one, which a step of several views has no room for.
+
+    One line says what went. Presets have such terms and shall run on any number of devices.
+    """
+    far = sorted(NEEDS_NEIGHBOR & {term for phase in planned_phases(settings) for term in active_terms(phase.weights)})
+    if settings.views_per_step == 1 or not far:
+        return settings
+    print(f"train: {', '.join(far)} need one photo a step and are left out", file=sys.stderr)
+    phases = (replace(p, weights=replace(p.weights, **dict.fromkeys(far, 0.0))) for p in settings.phases)
+    return replace(settings, phases=tuple(phases))
 
 
 def _refuse_far_terms(settings: Settings) -> None:

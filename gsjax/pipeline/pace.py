@@ -4,10 +4,11 @@ import time
 
 from gsjax.settings import Phase, Settings
 from gsjax.training.loop import planned_phases
-from gsjax.training.losses import SURFACE_TERMS
+from gsjax.training.losses import NEEDS_NEIGHBOR, SURFACE_TERMS
 from gsjax.training.step import active_terms
 
-SURFACE_COST = 2.0  # A step with a term of the surface takes so many times as long (docs/experiments.md).
+# What makes a step longer, in units of one of the image alone (docs/deviations.md, "Terms of other mesh makers"):
+SURFACE_COST, NEIGHBOR_COST = 1.0, 1.5  # a term of the surface, a second view beside the first
 FIXED_COST = 0.35  # Of a step at full size, what does not shrink with the photos: the Gaussians' own part.
 UNTIMED, TIMED = 3, 15  # Steps of a phase: the first ones compile, the next ones are timed.
 
@@ -33,9 +34,9 @@ class Pace:
 
 def relative_cost(phase: Phase) -> float:
     """A step of a phase, on average, in units of a photometric step at full size."""
-    surface = not SURFACE_TERMS.isdisjoint(active_terms(phase.weights))
-    dearer = 1 + (SURFACE_COST - 1) / phase.surface_every if surface else 1.0
-    return (FIXED_COST + (1 - FIXED_COST) / phase.image_scale**2) * dearer
+    terms = active_terms(phase.weights).keys()
+    dearer = SURFACE_COST * bool(terms & SURFACE_TERMS) + NEIGHBOR_COST * bool(terms & NEEDS_NEIGHBOR)
+    return (FIXED_COST + (1 - FIXED_COST) / phase.image_scale**2) * (1 + dearer / phase.surface_every)
 
 
 def seconds_left(settings: Settings, step: int, phase: Phase, seconds_per_step: float) -> float:

@@ -23,7 +23,7 @@ from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.pipeline.effects import Joined, Photography, joined, moves_line, refined, write_photography
 from gsjax.pipeline.evaluate import score_images
-from gsjax.pipeline.hardware import Devices, hardware
+from gsjax.pipeline.hardware import Devices, hardware, without_neighbors
 from gsjax.pipeline.harmonics import stored_degree, with_needed_harmonics
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.pace import Pace, seconds_left, spoken
@@ -109,7 +109,7 @@ def _train(
         out, settings.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
     )
     taken_in = joined(settings, loaded, partial(gains, settings, frames, size, partial(trial_start, loaded, settings)))
-    as_dict, settings = config.to_dict(settings), in_larger_steps(taken_in.paced(settings))
+    as_dict, settings = config.to_dict(settings), without_neighbors(in_larger_steps(taken_in.paced(settings)))
     optimizer = optimizers.make_optimizer(
         settings.rates,
         size,

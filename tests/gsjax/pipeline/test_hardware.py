@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import pytest
 
+from gsjax.config import parse
 from gsjax.errors import InputError
-from gsjax.pipeline.hardware import count_devices, hardware
-from gsjax.settings import Phase, Rates, Settings, Weights
+from gsjax.pipeline.hardware import count_devices, hardware, without_neighbors
+from gsjax.settings import PRESETS, Phase, Rates, Settings, Weights
 from gsjax.training.loop import one_device
 from gsjax.training.optimizers import make_optimizer
+from gsjax.training.step import active_terms
 
 OPTIMIZER = make_optimizer(Rates(), 1.0, 10)
 SETTINGS = Settings(phases=(Phase("vanilla", 10), Phase("surface", 10, Weights(multi_view=0.1))))
@@ -21,6 +23,19 @@ def test_one_device_with_a_view_a_step_is_the_program_that_knows_of_no_others():
 def test_more_devices_than_there_are_is_one_line_that_helps():
     with pytest.raises(InputError, match="--devices 3: there are 1; on a CPU, XLA_FLAGS=.*count=3 makes so many"):
         count_devices(3)
+
+
+def test_terms_of_a_second_view_are_left_out_where_a_step_has_several_and_one_line_says_so(capsys):
+    """Presets have them, and run on any number of devices."""
+    fast = parse(Settings, PRESETS["fast"])
+    assert without_neighbors(fast) is fast
+    assert without_neighbors(replace(fast, views_per_step=4, vanilla=True)).phases == fast.phases
+    assert not capsys.readouterr().err
+    alone = without_neighbors(replace(fast, views_per_step=4))
+    left = [{"l1", "dssim", "alpha"}, {"l1", "dssim", "alpha"}, {"l1", "dssim", "alpha", "sdf_normal", "pixel_normal"}]
+    assert [set(active_terms(phase.weights)) for phase in alone.phases] == left
+    assert capsys.readouterr().err == "train: multi_view, photometric need one photo a step and are left out\n"
+    hardware(1, alone, OPTIMIZER)
 
 
 def test_a_term_that_looks_further_than_one_view_is_refused_by_name():
