@@ -10,7 +10,7 @@ from gsjax.effects.observations import Observations
 
 THRESHOLD = 0.25  # of the photos
 OPEN = 0.05  # of a photo's pixels
-PASSES = 50  # 25 harmonics a pixel, and back
+PASSES = 80  # 25 harmonics a pixel, and back
 DEGREE = 4  # of the spherical harmonics of a sky
 RATE = 5e-3  # Adam's learning rate of the coefficients; they wait for nothing
 _ONE_COLOR = 0.02  # standard deviation over the photos, and within them

@@ -10,6 +10,7 @@ from gsjax.scene import Frame
 
 GAUSSIANS = 100_000  # that a cost by the Gaussian is told for
 _TIMED, _TIMES = 1_000_000, 5  # values, and how often they are gone over
+_DEARER = 20  # A pass in a compiled step takes so many times as long (docs/effects.md, experiments/benchmarks).
 
 
 class Cost(NamedTuple):
@@ -58,11 +59,11 @@ def gaussian_cost(passes: float, numbers: int, note: str) -> Cost:
 
 
 def pace() -> float:
-    """Seconds that going over one value takes here: two arrays multiplied, the least of a few times."""
+    """Seconds that going over one value takes a step here, from two arrays multiplied, the least of a few times."""
     array, seconds = np.ones(_TIMED, np.float32), []
     out = np.empty_like(array)
     for _ in range(_TIMES):
         started = time.perf_counter()
         np.multiply(array, array, out=out)
         seconds.append(time.perf_counter() - started)
-    return min(seconds) / _TIMED
+    return _DEARER * min(seconds) / _TIMED

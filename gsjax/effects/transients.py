@@ -24,7 +24,7 @@ from gsjax.views import Batch
 THRESHOLD = 0.25  # of the observations
 FLOOR = 0.14  # what still scenes reach by sheen, shadows and wrong matches
 OUTLIER = 4  # standard deviations
-PASSES = 20  # two windows of 25 a pixel, no way back
+PASSES = 5  # two windows of 25 a pixel of one channel, no way back
 QUANTILE = 0.8  # of the residuals of all photos
 REACH = 4.0  # times it: edges that are a little off are no strangers
 WINDOW = 5  # pixels across, of which most must agree
