@@ -17,7 +17,7 @@ def judge(seen: Observations) -> Evidence:
         return unknown("x", THRESHOLD, COST, "no point is matched in two photos")
     value = float(np.quantile(spans, 1 - SHARE))
     note = f"coarsest over finest sampling of a point, exceeded by {100 * SHARE:.0f} % of them"
-    note += "; --set pixel_filter=mip" if value > THRESHOLD else ""
+    note += "; pixel_filter=mip serves, which fast and balanced have" if value > THRESHOLD else ""
     return Evidence(value > THRESHOLD, value, "x", 1.0, THRESHOLD, COST, note)
 
 
