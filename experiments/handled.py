@@ -41,6 +41,7 @@ from gsjax.settings import Settings
 POINTS, SMALL = 300, 1e-4  # that stand for all; of a world's change, to first order
 STOPS = 2.2 / np.log(2)  # of light, in a natural logarithm of display-coded values
 FIRST = 20  # steps that are not timed: they compile
+NAMES = "ignored", "simulated"
 
 
 class Truth(NamedTuple):
@@ -243,7 +244,7 @@ def row(out: Path, clean: Path, effect: str, strength: float, given: argparse.Na
         "decision": said[strength > 0, effect in joined_by_auto["simulated"]],
         "seed": seed,
     }
-    for name, effects in (("ignored", chosen[1]), ("simulated", chosen[2])):
+    for name, effects in zip(NAMES, chosen[1:], strict=True):
         run = out / f"run_{scene.name}_{effects.effects}_{background}_{seed}"
         seconds, truth = trained(scene, run, effects), Truth(before, after, told, run)
         scores = scored(truth, background, aligned=effect == "poses") | {"error": case.error(truth)}
@@ -253,21 +254,26 @@ def row(out: Path, clean: Path, effect: str, strength: float, given: argparse.Na
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Markdown, a row an effect, strength and seed."""
+    """Markdown, a row an effect and strength: means over the seeds, of several also the least and the most PSNR."""
     keys = ("psnr", "psnr_aligned", "chamfer", "error", "ms a step")
     heads = ["effect", "put in", "evidence", "decision", *(f"{k}: ignored, simulated" for k in keys)]
     lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
-    for each in rows:
-        pairs = [
-            "-"
-            if each[f"{key}, simulated"] is None
-            else ", ".join(tables.shown(each[f"{key}, {name}"]) for name in ("ignored", "simulated"))
-            for key in keys
-        ]
-        first = [f"`{each['effect']}`", f"{each['strength']:g}", tables.shown(each["evidence"]), each["decision"]]
-        pairs[3] += f" {CASES[each['effect']].unit}"
-        lines.append("| " + " | ".join([*first, *pairs]) + " |")
+    for effect, strength in dict.fromkeys((row["effect"], row["strength"]) for row in rows):
+        seeds = [row for row in rows if (row["effect"], row["strength"]) == (effect, strength)]
+        pairs = [", ".join(_pooled([row[f"{k}, {name}"] for row in seeds], k) for name in NAMES) for k in keys]
+        pairs[3] += f" {CASES[effect].unit}"
+        said = ", ".join(dict.fromkeys(row["decision"] for row in seeds))
+        evidence = tables.shown(float(np.mean([row["evidence"] for row in seeds])))
+        lines.append("| " + " | ".join([f"`{effect}`", f"{strength:g}", evidence, said, *pairs]) + " |")
     return "\n".join(lines) + "\n"
+
+
+def _pooled(values: list[float | None], key: str) -> str:
+    found = [value for value in values if value is not None]
+    if not found:
+        return "-"
+    mean = tables.shown(float(np.mean(found)))
+    return f"{mean} ({min(found):.2f}-{max(found):.2f})" if key == "psnr" and len(found) > 1 else mean
 
 
 def main() -> None:
