@@ -11,12 +11,14 @@ os.environ["JAX_PLATFORMS"] = "cpu"
 # for the first and are slower at the second. `XLA_FLAGS= make test` tests the programs that users run. An XLA that does
 # not know a flag ends the process, so only where it was seen to.
 if version("jaxlib").startswith("0.10."):
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
+    quick = "cpu_use_fusion_emitters=false", "backend_optimization_level=0", "llvm_disable_expensive_passes=true"
+    os.environ.setdefault("XLA_FLAGS", " ".join(f"--xla_{flag}" for flag in quick))
 
 import jax
 import pytest
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+gc.set_threshold(200_000, 20, 20)  # Tracing makes many small objects, and every collection looks at all that is kept.
 
 
 def pytest_addoption(parser):
