@@ -18,7 +18,6 @@ import jax
 import pytest
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
-gc.set_threshold(200_000, 20, 20)  # Tracing makes many small objects, and every collection looks at all that is kept.
 
 
 def pytest_addoption(parser):
