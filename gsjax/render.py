@@ -246,12 +246,15 @@ def view(
         `View`.
     """
     scene = drawable(gaussians)
-    of_each = "plane" if depth_mode == "median" else depth_mode
-    splats = _splat(scene, camera, capacity, means2d_probe, of_each if with_depth else "center")
-    is_mean = depth_mode != "median"
-    found_colors = colors(scene, camera, active_degree)
-    found = shown(splats, found_colors, background, with_depth=with_depth and is_mean, extra=extra)
-    return found if is_mean or not with_depth else found._replace(depth=_median_depth(splats, found.alphas))
+    is_median = depth_mode == "median"
+    splats = _splat(scene, camera, capacity, means2d_probe, _of_each(depth_mode) if with_depth else "center")
+    with_mean = with_depth and not is_median
+    found = shown(splats, colors(scene, camera, active_degree), background, with_depth=with_mean, extra=extra)
+    return found._replace(depth=_median_depth(splats, found.alphas)) if with_depth and is_median else found
+
+
+def _of_each(reading: DepthReading) -> DepthMode:
+    return "plane" if reading == "median" else reading
 
 
 def _median_depth(splats: Splats, alphas: Array) -> Array:

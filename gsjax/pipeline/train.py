@@ -69,7 +69,7 @@ def train(
             common is then trained once. None: at the first step.
         observe: Told after every step, before its checkpoint is written.
         devices: How many the Gaussians are spread over, or "all". More than one, or several views a step, know no
-            effects and no terms that compare views or read densities.
+            effects and no terms that read densities; those that compare views are left out, with a line.
 
     Returns:
         `psnr` and `ssim` (None without held-out views; with effects also the other ways of

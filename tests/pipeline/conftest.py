@@ -1,0 +1,54 @@
+"""One short run for all files here: a process trains it once."""
+
+from pathlib import Path
+
+import jax
+import pytest
+from jax.experimental.compilation_cache import compilation_cache
+from small_scenes import built_in
+from trained_run import MASK, SETTINGS
+
+from gsjax import config, pipeline
+from gsjax.io import runs
+from gsjax.io.images import write_image
+from gsjax.settings import Settings
+
+
+@pytest.fixture(scope="module", autouse=True)
+def programs(tmp_path_factory):
+    """The same few programs run again and again here: each is compiled once."""
+    options = {
+        "jax_compilation_cache_dir": str(tmp_path_factory.mktemp("programs")),
+        "jax_persistent_cache_min_compile_time_secs": 0.0,
+    }
+    before = {name: getattr(jax.config, name) for name in options}
+    for chosen in (options, before):
+        compilation_cache.reset_cache()
+        for name, value in chosen.items():
+            jax.config.update(name, value)
+        if chosen is options:
+            yield
+
+
+@pytest.fixture(scope="session")
+def scene(tmp_path_factory) -> Path:
+    folder = built_in(tmp_path_factory.mktemp("data") / "scene", num_views=9, size=(48, 40))
+    write_image(folder / "masks/003.png", MASK)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def run(scene, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "whole"
+    told = []
+
+    def observe(progress):
+        newest = runs.latest_checkpoint(folder)
+        assert newest is None or newest[0] < progress.step, "told before the checkpoint is written"
+        told.append(progress.step)
+
+    summary = pipeline.train(scene, folder, config.parse(Settings, SETTINGS), observe=observe)
+    assert told == list(range(1, 31))
+    assert summary["steps"] == 30
+    assert summary["views"] == 2
+    return folder

@@ -1,0 +1,110 @@
+"""What is made of a finished run: meshed, scored and drawn."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_graphs import small_lpips
+
+from gsjax import cli, pipeline
+from gsjax.errors import InputError
+from gsjax.io import runs
+from gsjax.io.images import image_size, read_image
+from gsjax.meshing.export import read_mesh
+from gsjax.pipeline import viewpoints
+from gsjax.pipeline.result import open_result, scene_of_run
+
+
+def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, scene, tmp_path):
+    report = pipeline.mesh(run, tmp_path / "mesh.ply", level=0.1, points=5000)
+    mesh = read_mesh(tmp_path / "mesh.ply")
+    assert len(mesh.faces) == report["faces"] > 100
+    assert report["settled"]["after"] < report["settled"]["before"] and report["settled"]["seen_share"] > 0.5
+    # Fewer than thirty steps on photos of forty pixels: near the surface, not on it.
+    figures = pipeline.evaluate(run, mesh=tmp_path / "mesh.ply", lpips=[small_lpips(tmp_path / "vgg.onnx")[0]])
+    json.dumps(figures)
+    assert 0 < figures["lpips_vgg"] != figures["lpips_vgg_3dgs"] > 0
+    assert figures["floor"]["chamfer"] < 5e-4 < figures["chamfer"] < 0.2
+    assert figures["distances"] == "point to surface"
+    assert 5 < figures["normal_error_deg"] < 90
+    assert figures["psnr"] == pytest.approx(runs.read_json(run / "manifest.json")["psnr"], abs=1e-3)
+    assert 0 < figures["ssim"] < 1
+
+
+def test_a_mesh_whose_photos_have_gone_is_made_as_the_gaussians_have_it(run, tmp_path, capsys):
+    moved = shutil.copytree(run, tmp_path / "run")
+    runs.write_json(moved / "manifest.json", {**runs.read_json(run / "manifest.json"), "scene": str(tmp_path / "gone")})
+    options = {"level": 0.1, "points": 5000}
+    report = pipeline.mesh(moved, tmp_path / "mesh.ply", **options)
+    assert report["settled"] is None
+    assert f"mesh: did not settle on its photos: {tmp_path / 'gone'}: no such folder" in capsys.readouterr().err
+    assert pipeline.mesh(run, tmp_path / "asked.ply", settled=False, **options) == report
+    assert (tmp_path / "asked.ply").read_bytes() == (tmp_path / "mesh.ply").read_bytes()
+
+
+def test_the_true_mesh_is_its_own_floor(run, scene):
+    figures = pipeline.evaluate(run, mesh=scene / "gt_mesh.ply")
+    assert figures["lpips_vgg_3dgs"] is None and "lpips_vgg" not in figures, "without weights"
+    floor = figures["floor"]
+    assert floor == {name: figures[name] for name in floor}
+    assert max(floor["accuracy"], floor["completeness"], floor["chamfer"]) < 5e-4
+    assert floor["fscore"] == 1.0 and floor["outward_share"] > 0.999
+    # Differences of depth over two pixels see the truth's own curves and edges.
+    assert floor["mesh_normal_error_median_deg"] < 8 and floor["mesh_depth_error"] < 5e-3
+    assert floor["mesh_normal_error_deg"] < 0.5 * figures["normal_error_deg"]
+
+
+def test_a_run_is_scored_at_other_sizes_of_its_photos(run):
+    figures = pipeline.evaluate(run, mesh=Path(scene_of_run(run).root) / "gt_mesh.ply", zooms=[1, 0.5])
+    assert figures["psnr_zoom_1"] == figures["psnr"] and figures["ssim_zoom_1"] == figures["ssim"]
+    assert 5 < figures["psnr_zoom_0.5"] != figures["psnr"]
+    whole, half = scene_of_run(run), scene_of_run(run, zoom=0.5)
+    for frame, smaller in zip(whole.frames, half.frames, strict=True):
+        assert (frame.name, frame.held_out) == (smaller.name, smaller.held_out)
+        np.testing.assert_allclose(smaller.K[:2], frame.K[:2] / 2, rtol=1e-6)
+        boxes = frame.pixels().image.astype(float).reshape(20, 2, 24, 2, 3).mean((1, 3))
+        np.testing.assert_allclose(smaller.pixels().image, boxes, atol=0.51)
+
+
+@pytest.mark.parametrize(
+    ("zoom", "fault"), [(2, "on photos as they are; there are none 2 times larger"), (0, "must be a number above 0")]
+)
+def test_a_zoom_that_photos_do_not_allow_is_one_line(run, zoom, fault, capsys):
+    assert cli.main(["eval", str(run), "--zoom", str(zoom)]) == 2
+    message = capsys.readouterr().err
+    assert fault in message and message.count("\n") == 1
+
+
+def test_pictures_have_the_size_of_their_views(run, tmp_path):
+    pipeline.render(run, tmp_path / "held_out", which="held_out")
+    files = sorted((tmp_path / "held_out").iterdir())
+    assert [f.name for f in files[:3]] == ["000_color.png", "000_depth.png", "000_normal.png"]
+    assert len(files) == 6
+    assert all(image_size(f) == (48, 40) for f in files)
+    photo, _ = read_image(Path(runs.read_json(run / "manifest.json")["scene"]) / "images/000.png")
+    rendered, _ = read_image(files[0])
+    assert np.abs(photo.astype(float) - rendered).mean() < 60, "the same view, roughly"
+
+
+def test_a_bare_file_of_gaussians_is_meshed_from_cameras_around_it(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(viewpoints, "SIZE", 64)
+    monkeypatch.setattr(viewpoints, "COUNT", 16)
+    report = pipeline.mesh(run / "gaussians.ply", tmp_path / "mesh.glb", level=0.1, points=3000)
+    assert report["faces"] > 0
+    assert (tmp_path / "mesh.glb").exists()
+
+
+def test_a_folder_without_gaussians_is_no_run(tmp_path):
+    with pytest.raises(InputError, match="holds no gaussians.ply; it is no run folder"):
+        pipeline.mesh(tmp_path, tmp_path / "mesh.ply")
+
+
+def test_gaussians_are_meshed_from_a_scenes_cameras_without_its_pixels(run, scene, tmp_path):
+    shutil.copytree(scene / "sparse", tmp_path / "scene/sparse")
+    (tmp_path / "scene/images").mkdir()
+    for photo in (scene / "images").iterdir():
+        (tmp_path / "scene/images" / photo.name).write_bytes(photo.read_bytes()[:100])  # the header, and no more
+    result = open_result(run / "gaussians.ply", scene=tmp_path / "scene")
+    assert result.names == open_result(run).names and result.held_out == open_result(run).held_out

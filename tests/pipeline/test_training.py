@@ -1,0 +1,181 @@
+"""The whole road on a small scene: trained, stopped and continued, refused."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from trained_run import MASK, SETTINGS, train_until_killed
+
+from gsjax import cli, config, pipeline
+from gsjax.errors import InputError
+from gsjax.io import runs
+from gsjax.io.images import read_image, read_mask, write_image
+from gsjax.io.ply import read_gaussians
+from gsjax.pipeline.result import scene_of_run
+from gsjax.settings import Settings
+
+
+def test_a_run_folder_holds_what_was_asked_and_what_came_of_it(run, scene):
+    manifest = runs.read_json(run / "manifest.json")
+    assert manifest["status"] == "done"
+    assert Path(manifest["scene"]) == scene.resolve()
+    assert {"config.json", "metrics.jsonl", "gaussians.ply", "cameras.json", "normals/001.png"} <= set(
+        manifest["files"]
+    )
+    masks = [record["mask"] for record in runs.read_json(run / "cameras.json")]
+    assert [path for path in masks if path] == [masks[3]] == ["masks/0003.png"]
+    np.testing.assert_array_equal(read_mask(run / masks[3]), MASK)
+    steps = [record["step"] for record in runs.read_metrics(run)]
+    assert steps == [5, 10, 15, 20, 25, 30]
+    assert runs.read_metrics(run)[2]["held_out_psnr"] > 5
+    compiled = [one["program"] for record in runs.read_metrics(run) for one in record.get("compiled", [])]
+    assert compiled.count("train_step") == 3, "one program a phase"
+    gaussians = read_gaussians(run / "gaussians.ply")
+    assert gaussians.num_gaussians == manifest["gaussians"] <= SETTINGS["max_gaussians"]
+    assert manifest["photos"] == "9 photos at 48x40, 30 steps"
+
+
+def test_a_report_is_left_and_a_run_that_kept_no_pictures_is_rendered_for_it(run, scene, tmp_path):
+    kept = {file.name: read_image(file)[0].astype(float) for file in (run / "pictures").iterdir()}
+    assert sorted(kept) == [
+        f"{view}_{kind}.jpg" for view in ("0000", "0008") for kind in ("normals", "photo", "render")
+    ]
+    photo, other = (read_image(scene / "images" / name)[0] for name in ("000.png", "008.png"))
+    # JPEG leaves 5 of 255 in a picture of 48 pixels; the other view is far from that.
+    assert np.abs(kept["0000_photo.jpg"] - photo).mean() < 8 < np.abs(kept["0000_photo.jpg"] - other).mean() / 3
+    assert (run / "report.html").read_text().count("data:image/jpeg") == 6
+
+    shutil.copytree(run, tmp_path / "run", ignore=shutil.ignore_patterns("pictures"))
+    pipeline.report(tmp_path / "run")
+    for name, image in kept.items():
+        assert np.abs(read_image(tmp_path / "run/pictures" / name)[0] - image).mean() < 1, name
+
+
+@pytest.mark.parametrize("stopped_at", [10, 23])
+def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, stopped_at):
+    settings = config.parse(Settings, SETTINGS)
+    folder = tmp_path / "run"
+    train_until_killed(stopped_at, scene, folder, settings)
+    pipeline.train(scene, folder, settings, resume=True)
+
+    assert (folder / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+    for file in (run / "normals").iterdir():
+        assert (folder / "normals" / file.name).read_bytes() == file.read_bytes()
+    without_time = [
+        [{k: v for k, v in record.items() if k not in ("seconds", "compiled")} for record in runs.read_metrics(one)]
+        for one in (folder, run)
+    ]
+    assert without_time[0] == without_time[1]
+
+
+def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_path):
+    begun, whole = tmp_path / "begun", tmp_path / "whole"
+    first = {**SETTINGS, "phases": SETTINGS["phases"][:1], "rates": {"decay_steps": 30}}
+    pipeline.train(scene, begun, config.parse(Settings, first))
+    pipeline.train(scene, whole, config.parse(Settings, SETTINGS), earlier=begun)
+    assert (whole / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+    assert [record["step"] for record in runs.read_metrics(whole)] == [5, 10, 12, 15, 20, 25, 30]
+    shutil.rmtree(begun / "checkpoints")
+    with pytest.raises(InputError, match="begun: has no checkpoint to begin from"):
+        pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), earlier=begun)
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_benchmark_folder_with_reduced_photos_only_trains_and_scores_the_same(run, scene, tmp_path):
+    """The model at four times the size, its names those of the full photos: the same cameras, so the same bits."""
+    model = pycolmap.Reconstruction(scene / "sparse/0")
+    camera = model.cameras[1]
+    camera.width, camera.height, camera.params = 4 * camera.width, 4 * camera.height, 4 * np.asarray(camera.params)
+    for image in model.images.values():
+        image.name = image.name.replace(".png", ".JPG")
+    (tmp_path / "scene/sparse/0").mkdir(parents=True)
+    model.write_binary(tmp_path / "scene/sparse/0")
+    shutil.copytree(scene / "images", tmp_path / "scene/images_4")
+    shutil.copytree(scene / "masks", tmp_path / "scene/masks")
+
+    summary = pipeline.train(tmp_path / "scene", tmp_path / "run", config.parse(Settings, SETTINGS))
+
+    assert (tmp_path / "run/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+    assert summary["psnr"] == runs.read_json(run / "manifest.json")["psnr"]
+    assert pipeline.evaluate(tmp_path / "run")["psnr"] == pytest.approx(summary["psnr"], abs=1e-3)
+    with pytest.raises(InputError, match=r"run: was started on .*/scene, not on .*; a resumed run keeps its data set"):
+        pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS), resume=True)
+
+
+def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scene, tmp_path):
+    """On the photos that the other runs train on: their programs, compiled once."""
+    model = pycolmap.Reconstruction(scene / "sparse/0")
+    for image in [image for image in model.images.values() if image.name in ("000.png", "008.png")]:
+        model.deregister_frame(image.frame_id)
+    (tmp_path / "scene/sparse/0").mkdir(parents=True)
+    model.write_binary(tmp_path / "scene/sparse/0")
+    shutil.copy(scene / "gt_points.npz", tmp_path / "scene")
+    settings = config.parse(Settings, {**SETTINGS, "hold_out": "none", "images": str(scene / "images")})
+
+    summary = pipeline.train(tmp_path / "scene", tmp_path / "run", settings)
+
+    assert (summary["psnr"], summary["ssim"], summary["views"], summary["steps"]) == (None, None, 0, 30)
+    cameras = runs.read_json(tmp_path / "run/cameras.json")
+    assert len(cameras) == 7 and not any(camera["held_out"] for camera in cameras)
+    assert not any("held_out_psnr" in record for record in runs.read_metrics(tmp_path / "run"))
+    figures = pipeline.evaluate(tmp_path / "run", mesh=scene / "gt_mesh.ply")
+    assert (figures["psnr"], figures["views"]) == (None, 0)
+    assert figures["chamfer"] < 0.02, "the true mesh"
+    assert figures["distances"] == "point to point" and "floor" not in figures, (
+        "its triangles are not beside the points"
+    )
+    with pytest.raises(InputError, match="run: has no held-out views to render"):
+        pipeline.render(tmp_path / "run", tmp_path / "pictures", which="held_out")
+
+
+def test_a_run_is_scored_on_its_own_split_whatever_became_of_the_list(run, scene, tmp_path):
+    shutil.copytree(run, tmp_path / "run")
+    config_file = tmp_path / "run/config.json"
+    runs.write_json(config_file, {**runs.read_json(config_file), "hold_out": str(tmp_path / "gone.txt")})
+    held_out = [record["name"] for record in runs.read_json(run / "cameras.json") if record["held_out"]]
+    assert [frame.name for frame in scene_of_run(tmp_path / "run").held_out_frames] == held_out != []
+
+
+@pytest.mark.parametrize("fault", ["hold-out", "mask", "normals", "images"])
+def test_data_that_do_not_fit_are_one_line_and_leave_no_run(scene, tmp_path, capsys, fault):
+    options = {"hold-out": ["--hold-out", str(tmp_path / "list.txt")], "normals": ["--normals", str(tmp_path / "maps")]}
+    shutil.copytree(scene, tmp_path / "scene", ignore=shutil.ignore_patterns("depth", "normals", "gt_*"))
+    (tmp_path / "list.txt").write_text("004.jpg")
+    for folder, names in (("maps", [f"{i:03d}.png" for i in range(9)]), ("scene/masks", ["004.png"])):
+        for name in names if fault != "hold-out" else []:
+            write_image(tmp_path / folder / name, np.full((40, 40, 3), 9, np.uint8))
+    if fault == "images":
+        shutil.move(tmp_path / "maps/004.png", tmp_path / "scene/images/004.png")
+    if fault != "mask":
+        shutil.rmtree(tmp_path / "scene/masks", ignore_errors=True)
+    told = {
+        "hold-out": "list.txt, line 1: there is no photo 004.jpg; the nearest name is 004.png",
+        "mask": "masks/004.png: mask is 40x40 but its image 48x40",
+        "normals": "maps/001.png: normal map is 40x40, its frame 48x40",
+        "images": "images/004.png: image is 40x40 but its camera says 48x40",
+    }
+    assert cli.main(["train", str(tmp_path / "scene"), "--out", str(tmp_path / "run"), *options.get(fault, [])]) == 2
+    *progress, error = capsys.readouterr().err.splitlines()
+    assert error.startswith("gsjax: error: ") and error.endswith(told[fault])
+    assert not any("Error" in line for line in progress)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_checkpoint_that_finds_no_room_ends_the_run_in_one_line(scene, tmp_path, monkeypatch):
+    def full(path, tree):
+        raise InputError(f"cannot write {path}: No space left on device")
+
+    monkeypatch.setattr(runs.checkpoints, "save", full)
+    with pytest.raises(InputError, match="step_0000007.npz: No space left on device"):
+        pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS))
+    assert len(runs.read_metrics(tmp_path / "run")) == 1, "what was logged before stays"
+
+
+def test_vanilla_is_the_same_run_without_its_terms(scene, tmp_path):
+    folder = tmp_path / "run"
+    pipeline.train(scene, folder, config.parse(Settings, {**SETTINGS, "vanilla": True}))
+    terms = [set(record["terms"]) for record in runs.read_metrics(folder)]
+    assert terms == [{"l1", "dssim"}] * 6
+    assert not (folder / "normals").exists()

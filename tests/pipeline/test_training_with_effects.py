@@ -1,0 +1,99 @@
+"""The same with effects: what is told of them, and that nothing of them is left where there are none."""
+
+import numpy as np
+import pytest
+from trained_run import SETTINGS, train_until_killed
+
+from gsjax import config, pipeline
+from gsjax.errors import InputError
+from gsjax.io import runs
+from gsjax.io.checkpoints import load_arrays
+from gsjax.io.ply import read_gaussians
+from gsjax.pipeline.result import open_result, scene_of_run
+from gsjax.settings import Settings
+from gsjax.training import harmonics
+
+
+def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scene, tmp_path, monkeypatch):
+    """Its photos are clean: `auto` takes nothing in and ends with the bits of a run that was not asked."""
+    short = {"phases": [{"name": "vanilla", "steps": 16, "density_control": True}]}
+    settings = config.parse(Settings, {**SETTINGS, **short, "effects": "exposure,vignetting,poses,background"})
+    whole, stopped, auto = (tmp_path / name for name in ("whole", "stopped", "auto"))
+    summary = pipeline.train(scene, whole, settings)
+    train_until_killed(9, scene, stopped, settings)
+    with monkeypatch.context() as patched:
+        patched.setitem(
+            pipeline.train.__globals__, "score_images", lambda *_, **__: {"psnr": 0}
+        )  # The other is scored.
+        pipeline.train(scene, stopped, settings, resume=True)
+    for file in ("gaussians.ply", "effects.json", "poses.json", "cameras.json", "background.json"):
+        assert (stopped / file).read_bytes() == (whole / file).read_bytes()
+
+    manifest = runs.read_json(whole / "manifest.json")
+    assert manifest["effects"]["simulated"] == ["exposure", "vignetting", "poses", "background"]
+    assert manifest["effects"]["evidence"]["exposure"]["threshold"] == 0.05
+    scores = {f"{name}{way}" for name in ("psnr", "ssim") for way in ("", "_track_gains", "_fitted")}
+    aligned = {f"{name}_aligned" for name in scores}
+    assert scores | aligned <= summary.keys()
+    assert summary["psnr_fitted"] > summary["psnr"]
+    assert summary["psnr_track_gains_aligned"] >= summary["psnr_track_gains"]
+    assert manifest["cameras"].startswith("cameras turned by ")
+    evaluated = pipeline.evaluate(whole)
+    assert {name: evaluated[name] for name in scores} == pytest.approx(
+        {name: summary[name] for name in scores}, abs=1e-3
+    )
+    photos = runs.read_json(whole / "effects.json")["photos"]
+    records = runs.read_json(whole / "cameras.json")
+    held_out = {record["name"] for record in records if record["held_out"]}
+    gains = np.array([photo["log_gains"] for name, photo in photos.items() if name not in held_out])
+    assert gains.shape == (7, 3)
+    np.testing.assert_allclose(gains.mean(0), 0, atol=1e-6)
+
+    # Later stages see the cameras that training moved; those that are held out are where they were.
+    given = {record["name"]: np.array(record["viewmat"]) for record in runs.read_json(run / "cameras.json")}
+    for frame, record in zip(scene_of_run(whole).frames, records, strict=True):
+        np.testing.assert_array_equal(frame.viewmat, np.float32(record["viewmat"]))
+        np.testing.assert_array_equal(frame.K, np.float32(record["K"]))
+        off = np.abs(given[frame.name] - record["viewmat"]).max()
+        assert off == 0 if frame.held_out else 1e-6 < off < 0.05, frame.name
+
+    assert open_result(whole).background.shape == (1, 3), "the built-in scene stands before one white"
+    three = pipeline.evaluate(run, three_ways=True)
+    assert scores <= three.keys() and not aligned & three.keys()
+    assert three["psnr"] == pytest.approx(runs.read_json(run / "manifest.json")["psnr"], abs=1e-3)
+
+    pipeline.train(scene, auto, config.parse(Settings, {**SETTINGS, "effects": "auto"}))
+    assert runs.read_json(auto / "manifest.json")["effects"]["simulated"] == []
+    assert (auto / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+    assert not any((auto / name).exists() for name in ("effects.json", "poses.json", "background.json"))
+    stored = [set(load_arrays(runs.latest_checkpoint(folder)[1])) for folder in (run, auto, whole)]
+    assert stored[0] == stored[1] == {name for name in stored[2] if "effects" not in name} < stored[2]
+
+
+def test_a_run_goes_on_with_fewer_harmonics_and_they_are_nowhere(run, scene, tmp_path, monkeypatch):
+    """Stopped where they are tried again, and where not: it ends with the bits of the run that was not stopped."""
+    settings = config.parse(Settings, {**SETTINGS, "effects": "sh_degree"})
+    with monkeypatch.context() as patched:
+        patched.setattr(harmonics, "smallest", max)  # Where all are needed, that they were tried leaves no trace.
+        pipeline.train(scene, tmp_path / "all", settings)
+    assert (tmp_path / "all/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+    monkeypatch.setattr(harmonics, "smallest", min)
+    whole = tmp_path / "whole"
+    pipeline.train(scene, whole, settings)
+    found = runs.read_json(whole / "manifest.json")["harmonics"]
+    assert found["degree"] == 0
+    assert list(found["psnr"]) == ["0", "1"] and all(psnr > 5 for psnr in found["psnr"].values())
+    stopped = tmp_path / "stopped"
+    for stop in (13, 16):  # Checkpoints are of steps 7 and 14, harmonics are tried after 12.
+        train_until_killed(stop, scene, stopped, settings)
+    pipeline.train(scene, stopped, settings, resume=True)
+    assert (stopped / "gaussians.ply").read_bytes() == (whole / "gaussians.ply").read_bytes()
+    assert read_gaussians(whole / "gaussians.ply").sh_degree == 0
+    arrays = load_arrays(runs.latest_checkpoint(whole)[1])
+    rests = [array for name, array in arrays.items() if name.endswith("sh_rest")]
+    assert len(rests) == 3 and not any(array.size for array in rests), "Gaussians and two moments"
+    assert b"f_rest" not in (whole / "gaussians.ply").read_bytes()[:2000]
+    assert b"f_rest" in (run / "gaussians.ply").read_bytes()[:2000]
+    growing = {**SETTINGS, "phases": SETTINGS["phases"][:1], "effects": "sh_degree"}
+    with pytest.raises(InputError, match="no phase comes after those of density control"):
+        pipeline.train(scene, tmp_path / "growing", config.parse(Settings, growing))
