@@ -4,7 +4,6 @@ from pathlib import Path
 
 import jax
 import pytest
-from jax.experimental.compilation_cache import compilation_cache
 from small_scenes import built_in
 from trained_run import MASK, SETTINGS
 
@@ -15,19 +14,12 @@ from gsjax.settings import Settings
 
 
 @pytest.fixture(scope="module", autouse=True)
-def programs(tmp_path_factory):
-    """The same few programs run again and again here: each is compiled once."""
-    options = {
-        "jax_compilation_cache_dir": str(tmp_path_factory.mktemp("programs")),
-        "jax_persistent_cache_min_compile_time_secs": 0.0,
-    }
-    before = {name: getattr(jax.config, name) for name in options}
-    for chosen in (options, before):
-        compilation_cache.reset_cache()
-        for name, value in chosen.items():
-            jax.config.update(name, value)
-        if chosen is options:
-            yield
+def _every_program_is_kept():
+    """The same few programs run again and again here, in both workers: the session's store takes the smallest too."""
+    least = jax.config.jax_persistent_cache_min_compile_time_secs
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    yield
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", least)
 
 
 @pytest.fixture(scope="session")
