@@ -106,7 +106,7 @@ class Density:
     full_by: float = 0.9  # error: where between `start` and `stop` the budget is full, reached geometrically
     replace: float = 0.1  # error: share that moves in each densification, from the least seen to the worst
     min_opacity: float = 0.005
-    max_share: float = 0.1  # of the extent: larger ones are pruned, after `prune_large_after` steps; error: or of depth
+    max_share: float = 0.1  # of the extent: larger ones are pruned after `prune_large_after`; error: the near ones
     prune_large_after: int | None = None  # None: after the first reset; a fifth of `stop` where there is none
     reset_every: int = 3000  # and, over a white background, at `start`; 0: never
     reset_opacity: float = 0.01

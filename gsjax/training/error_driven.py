@@ -108,9 +108,9 @@ def densify(
     """
     del key
     rows = gaussians.num_gaussians
-    # From afar what is as large as cameras stand apart may be small.
+    # What floats before the cameras must be small; what is far behind may be few, and then each is large.
     away = jnp.maximum(statistics.depths / jnp.maximum(statistics.views, 1), 1)
-    too_large = scales(gaussians).max(-1) > density.max_share * extent * away
+    too_large = scales(gaussians).max(-1) > density.max_share * extent * jnp.square(away)
     stays = is_alive(gaussians) & (opacities(gaussians) >= density.min_opacity)
     stays &= ~(jnp.asarray(prune_large) & too_large)
     staying = jnp.sum(stays, dtype=jnp.int32)

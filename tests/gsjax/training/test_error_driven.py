@@ -12,11 +12,12 @@ import rasterizer
 from gsjax import views
 from gsjax.cameras import Camera, world_to_camera
 from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales, sh_coefficients
+from gsjax.scene import Pixels, extent, frame_of
 from gsjax.settings import Density, Rates, Weights
 from gsjax.training import error_driven
 from gsjax.training.density_control import densifies, is_alive
 from gsjax.training.error_driven import ErrorStatistics
-from gsjax.training.initialize import DEAD_LOGIT
+from gsjax.training.initialize import DEAD_LOGIT, far_points, from_points
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.rules import RULES
 from gsjax.training.state import initial_state
@@ -143,14 +144,36 @@ def test_size_prunes_only_when_asked():
     assert not alive(densified(large, statistics(0.0, 1.0), ROWS, True)[0])[4]
 
 
-def test_what_is_far_away_may_be_as_much_larger():
+def test_what_is_far_away_may_be_larger_by_the_square_of_its_depth():
     large = scene()
-    twice = 2 * DENSITY.max_share * EXTENT
-    large = replace(large, log_scales=large.log_scales.at[4:8, 1].set(np.log(twice)))
+    four_times = 4 * DENSITY.max_share * EXTENT
+    large = replace(large, log_scales=large.log_scales.at[4:8, 1].set(np.log(four_times)))
     depths = 3.0 * np.where(RISING == 4, 1.9, np.where(RISING == 5, 2.1, np.where(RISING == 6, 0.5, 0.0)))
     views = np.where(RISING == 7, 0.0, 3.0)
     after = densified(large, statistics(0.0, 1.0, views, depths), ROWS, True)[0]
     assert alive(after)[4:8].tolist() == [False, True, False, False]  # the last was in no view
+
+
+@pytest.mark.parametrize("count", [900, 1_200, 1_800])
+def test_size_spares_the_far_points_of_small_budgets_too(count):
+    ring = [(4 * np.cos(turn), 0.5, 4 * np.sin(turn)) for turn in np.linspace(0, 2 * np.pi, 12, endpoint=False)]
+    cameras = [camera_at(eye, (0.0, 0.0, 0.0)) for eye in ring]
+    pixels = Pixels(np.zeros((24, 32, 3), np.uint8))
+    frames = tuple(frame_of(f"{i}.png", np.asarray(c.viewmat), np.asarray(c.K), pixels) for i, c in enumerate(cameras))
+    subject = np.random.default_rng(0).normal(size=(600, 3))
+    points = np.concatenate([subject, far_points(subject, frames, count)])
+    start = from_points(points, np.full(points.shape, 0.5), capacity=len(points), sh_degree=0)
+    in_axes = np.stack([jax.vmap(world_to_camera, (0, None))(start.means, camera) for camera in cameras])
+    focal, middle = np.asarray(cameras[0].K)[0, 0], np.asarray(cameras[0].K)[:2, 2]
+    shown = (in_axes[..., 2] > 0) & np.all(np.abs(in_axes[..., :2]) * focal < middle * in_axes[..., 2:], -1)
+    rows, size = jnp.zeros(len(points)), extent(frames)
+    views, depths = (jnp.asarray(x.sum(0), jnp.float32) for x in (shown, shown * in_axes[..., 2] / size))
+    sums = ErrorStatistics(rows, rows + 1, views, depths)
+    how = {"density": Density(rule="error", replace=0.0), "extent": size, "prune_large": True}
+    after, _ = error_driven.densify(start, sums, KEY, **how, count=jnp.int32(len(points)))
+    seen = shown.any(0)[600:]
+    assert seen.mean() > 0.9
+    assert alive(after)[600:][seen].all()
 
 
 @pytest.mark.parametrize("count", [0, 1, ROWS])
