@@ -1,4 +1,4 @@
-"""What the regulariser brings beside those that it replaces or competes with; all else is shared.
+"""What the regulariser brings beside those that it replaces or competes with; all else is shared, the time too.
 
 Every variant is the demo's plain phase, then a surface phase whose loss has one regulariser more. Weights are those of
 the authors, whose photometric loss is ours (0.8 L1 + 0.2 D-SSIM): 0.2 for SuGaR's pair of terms in either mode, 0.05
@@ -6,34 +6,43 @@ for 2DGS's depth-normal consistency; 0.2, the paper's, for all that align someth
 among them. SuGaR and 2DGS see no normals. `ours, demo` is the demo's mix (docs/deviations.md says why there is one).
 
 SuGaR and the paper have an entropy phase and a cull before, which short runs do not bear; no variant has them.
+
+Each surface phase has as many steps as take the time of the demo's, by what a step costs on the built-in scene
+(`benchmarks/steps.py baselines RUN`, AMD EPYC): what else a machine does decides nothing. Rates fall as over the demo.
 """
 
-from gsjax.settings import DEMO
+from gsjax.settings import DEMO, NORMAL_TERMS
 
 _VANILLA, _SURFACE = DEMO["phases"]
-_NORMALS = {"normals": "{scene}/normals"}
+_TIME = 2.23 * _SURFACE["steps"]  # of the demo's surface phase, in plain steps
+_TERMS = {  # what a step costs, in plain ones, and the weights
+    "vanilla": (1.00, {}),
+    "SuGaR, sdf": (4.23, {"sugar_sdf": 0.2}),
+    "SuGaR, density": (3.01, {"sugar_density": 0.2}),
+    "2DGS, depth_normal": (2.10, {"depth_normal": 0.05}),
+    "DN-Splatter, axis_normal": (1.78, {"axis_normal": 0.2}),
+    "ours, sdf_normal": (2.10, {"sdf_normal": 0.2}),
+    "ours, sdf_central": (2.16, {"sdf_central": 0.2}),
+    "ours, sdf_bicubic": (2.17, {"sdf_bicubic": 0.2}),
+    "ours, sdf_offset": (2.19, {"sdf_offset": 0.2}),
+    "ours, density_center": (3.61, {"density_center": 0.2}),
+    "ours, density_offset": (3.61, {"density_offset": 0.2}),
+    "ours, density_sample": (3.63, {"density_sample": 0.2}),
+    "ours, pixel_normal": (1.36, {"pixel_normal": 0.2}),
+    "ours, demo": (2.23, _SURFACE["weights"]),
+}
 
 
-def _with(**weights: float) -> dict:
-    return {"phases": [_VANILLA, {**_SURFACE, "weights": weights}]}
+def _variant(cost: float, weights: dict[str, float]) -> dict:
+    surface = {**_SURFACE, "steps": round(_TIME / cost), "weights": weights}
+    normals = {} if NORMAL_TERMS.isdisjoint(weights) else {"normals": "{scene}/normals"}
+    return {"phases": [_VANILLA, surface], **normals}
 
 
 CONFIG: dict = {
     "base": "demo",
     "variants": {
-        "vanilla": {"vanilla": True},
-        "SuGaR, sdf": _with(sugar_sdf=0.2),
-        "SuGaR, density": _with(sugar_density=0.2),
-        "2DGS, depth_normal": _with(depth_normal=0.05),
-        "DN-Splatter, axis_normal": _with(axis_normal=0.2) | _NORMALS,
-        "ours, sdf_normal": _with(sdf_normal=0.2) | _NORMALS,
-        "ours, sdf_central": _with(sdf_central=0.2) | _NORMALS,
-        "ours, sdf_bicubic": _with(sdf_bicubic=0.2) | _NORMALS,
-        "ours, sdf_offset": _with(sdf_offset=0.2) | _NORMALS,
-        "ours, density_center": _with(density_center=0.2) | _NORMALS,
-        "ours, density_offset": _with(density_offset=0.2) | _NORMALS,
-        "ours, density_sample": _with(density_sample=0.2) | _NORMALS,
-        "ours, pixel_normal": _with(pixel_normal=0.2) | _NORMALS,
-        "ours, demo": _with(**_SURFACE["weights"]) | _NORMALS,
+        name: _variant(*described) | {"rates": {"decay_steps": _VANILLA["steps"] + _SURFACE["steps"]}}
+        for name, described in _TERMS.items()
     },
 }
