@@ -5,11 +5,13 @@ from dataclasses import replace
 from typing import Any
 
 from gsjax import config
-from gsjax.settings import Phase, Settings, total_steps
+from gsjax.settings import Phase, Settings, Weights, total_steps
 from gsjax.training.loop import planned_phases
 from gsjax.training.losses import NEEDS_NORMALS
 from gsjax.training.step import active_terms
 from gsjax.training.surroundings import needed
+
+READS_TABLE = Phase("nothing", 0, Weights(sugar_sdf=1.0))  # no steps: a state with a table of neighbours all the same
 
 
 def beginning(settings: Settings, others: Sequence[Settings]) -> Settings | None:
@@ -24,7 +26,8 @@ def beginning(settings: Settings, others: Sequence[Settings]) -> Settings | None
         return None
     steps = settings.rates.decay_steps or total_steps(settings)
     rates = replace(settings.rates, decay_steps=steps)
-    return replace(settings, vanilla=False, normals=None, phases=phases[:count], rates=rates)
+    more = (READS_TABLE,) if any(map(needed, phases)) else ()
+    return replace(settings, vanilla=False, normals=None, phases=(*phases[:count], *more), rates=rates)
 
 
 def _parted(settings: Settings) -> tuple[dict[str, Any], tuple[Phase, ...]]:

@@ -63,6 +63,10 @@ def phases(*named):
 
 COARSE = Settings(phases=phases("coarse", "more", "sdf"), normals="omnidata")
 SHORT = replace(COARSE, phases=phases("coarse", "sdf"))
+SUGARED, OTHERWISE = (
+    replace(COARSE, phases=(*phases("coarse", "more"), Phase("sugar", 30, weights)))
+    for weights in (SUGAR, Weights(sugar_sdf=0.2))
+)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +79,8 @@ SHORT = replace(COARSE, phases=phases("coarse", "sdf"))
         (COARSE, [replace(COARSE, vanilla=True)], ("coarse", "more")),
         (replace(COARSE, vanilla=True), [COARSE], ("coarse", "more")),
         (replace(COARSE, rates=FIXED), [replace(SHORT, rates=FIXED)], ("coarse",)),
-        (COARSE, [replace(COARSE, phases=(*phases("coarse", "more"), Phase("sugar", 30, SUGAR)))], None),
+        (COARSE, [SUGARED], None),
+        (SUGARED, [OTHERWISE], ("coarse", "more", "nothing")),  # with the table that both read
         (COARSE, [], None),
     ],
 )
