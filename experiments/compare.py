@@ -22,7 +22,8 @@ from gsjax.settings import Settings
 
 STUDIES = Path(__file__).parent / "studies"
 FIGURES = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "mesh_normal_error_deg", "depth_error",
-           "chamfer", "fscore_half", "fscore", "normal_consistency", "gaussians", "steps", "train_seconds")  # fmt: skip
+           "chamfer", "fscore_quarter", "fscore_half", "fscore", "normal_consistency", "gaussians", "steps",
+           "train_seconds")  # fmt: skip
 
 
 def run_names(study: str, seeds: int) -> list[str]:

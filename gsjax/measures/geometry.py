@@ -94,8 +94,9 @@ def compare_to_truth(
 
     Returns:
         `chamfer` (mean of the next two), `accuracy`, `completeness`, `precision`, `recall` and `fscore` at the
-        threshold, `fscore_half` and `fscore_double` at half and at twice of it, `normal_consistency`, `outward_share`
-        (of the mesh's samples, those whose normal agrees in sign with the nearest true one) and `threshold`.
+        threshold, `fscore_quarter`, `fscore_half` and `fscore_double` at so much of it, `normal_consistency`,
+        `outward_share` (of the mesh's samples, those whose normal agrees in sign with the nearest true one) and
+        `threshold`.
 
     Raises:
         InputError: No surface of the mesh lies in the box.
@@ -225,6 +226,7 @@ def _scores(
         "precision": precision,
         "recall": recall,
         "fscore": score,
+        "fscore_quarter": _within(to_truth, to_mesh, threshold / 4)[2],
         "fscore_half": _within(to_truth, to_mesh, threshold / 2)[2],
         "fscore_double": _within(to_truth, to_mesh, threshold * 2)[2],
         "normal_consistency": float((np.abs(ours).mean() + np.abs(theirs).mean()) / 2),

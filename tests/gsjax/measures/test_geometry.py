@@ -141,7 +141,7 @@ def seen_of_box(count=5_000):
 def test_the_true_surface_scores_zero_however_few_its_points():
     found = geometry.compare_to_surface(box(), box(), *seen_of_box(500), closest_on_mesh, samples=5_000)
     assert found["chamfer"] < 1e-7
-    assert found["fscore"] == found["fscore_half"] == found["fscore_double"] == 1.0
+    assert {found[f"fscore{share}"] for share in ("", "_quarter", "_half", "_double")} == {1.0}
     # On an edge either of its two triangles may be nearest; both have the same samples, of one face each.
     assert found["normal_consistency"] == pytest.approx(1.0, abs=1e-6)
     assert found["outward_share"] == 1.0
@@ -157,6 +157,7 @@ def test_from_point_to_surface_a_grown_box_is_off_by_what_it_grew():
     x = np.maximum(np.abs(np.linspace(-0.55, 0.55, 1101)) - 0.5, 0)
     assert found["accuracy"] == pytest.approx(np.sqrt(x[:, None] ** 2 + x**2 + 0.05**2).mean(), rel=5e-3)
     assert (found["recall"], found["fscore_double"]) == (1.0, 1.0)
+    assert (found["fscore_quarter"], found["fscore_half"]) == (0.0, 0.0)  # nothing is within 0.03
     assert found["normal_consistency"] > 0.9  # Of a sample outside an edge, either side of the box is nearest.
 
 
