@@ -1,9 +1,5 @@
 """Knobs on a clock of the test's own: ratios within a round, the front, what is done is not done again."""
 
-import importlib
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,21 +7,16 @@ from gsjax.errors import InputError
 from gsjax.io.images import read_image
 from gsjax.settings import Settings
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
+
+@pytest.fixture
+def script(scripts):
+    return scripts("accuracy_vs_time")
 
 
 @pytest.fixture
-def script(monkeypatch):
-    monkeypatch.syspath_prepend(str(EXPERIMENTS))
-    yield importlib.import_module("accuracy_vs_time")
-    for name in [name for name in sys.modules if name.partition(".")[0] in ("accuracy_vs_time", "knobs")]:
-        sys.modules.pop(name)
-
-
-@pytest.fixture
-def turned(script, monkeypatch):
+def turned(script, scripts, monkeypatch):
     """A knob of three settings, of errors 0, 1 and 2 in times that halve; every second round is 3 times slower."""
-    knobs, seen = importlib.import_module("knobs"), []
+    knobs, seen = scripts("knobs"), []
 
     def measure(place, value, index):
         seen.append((value, index))

@@ -1,8 +1,6 @@
 """The rows of a study: every variant's, a row a seed, and below them what the true mesh itself scores."""
 
-import importlib
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,11 +16,8 @@ STUDIES = sorted(path.stem for path in (EXPERIMENTS / "studies").glob("*.py"))
 
 
 @pytest.fixture
-def compare(monkeypatch):
-    monkeypatch.syspath_prepend(str(EXPERIMENTS))
-    yield importlib.import_module("compare")
-    for name in ("compare", "train"):
-        sys.modules.pop(name, None)
+def compare(scripts):
+    return scripts("compare")
 
 
 @pytest.mark.parametrize("with_mesh", [True, False])

@@ -1,23 +1,15 @@
 """The study of the middle of a scene knows which pixels show it."""
 
-import importlib
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from gsjax.cameras import look_at
 from gsjax.scene import Pixels, frame_of
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
-
 
 @pytest.fixture
-def study(monkeypatch):
-    monkeypatch.syspath_prepend(str(EXPERIMENTS))
-    yield importlib.import_module("inside")
-    sys.modules.pop("inside", None)
+def study(scripts):
+    return scripts("inside")
 
 
 def test_a_pixel_is_inside_where_its_surface_point_is_near_the_middle(study):

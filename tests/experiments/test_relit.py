@@ -1,9 +1,6 @@
 """Data sets that another camera took: what was put into the photos is what the file says."""
 
-import importlib
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,14 +14,10 @@ from gsjax.io.images import write_image
 from gsjax.io.scenes import load_scene
 from gsjax.scene import Truth
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
-
 
 @pytest.fixture
-def relit(monkeypatch):
-    monkeypatch.syspath_prepend(str(EXPERIMENTS))
-    yield importlib.import_module("relit")
-    sys.modules.pop("relit", None)
+def relit(scripts):
+    return scripts("relit")
 
 
 @pytest.fixture

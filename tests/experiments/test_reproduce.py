@@ -5,7 +5,6 @@ import importlib
 import io
 import json
 import re
-import sys
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,17 +14,6 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.scene import Frame, Pixels, frame_of
-
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
-
-
-@pytest.fixture
-def paper(monkeypatch):
-    """Imports a module of `experiments/` by its name."""
-    monkeypatch.syspath_prepend(str(EXPERIMENTS))
-    yield importlib.import_module
-    for name in [n for n in sys.modules if n.split(".")[0] in ("paper", "paper_run", "reproduce")]:
-        sys.modules.pop(name)
 
 
 def place(root: Path, scene: str, images: str) -> Path:
@@ -41,8 +29,8 @@ def place(root: Path, scene: str, images: str) -> Path:
 # The data
 
 
-def test_published_figures_are_those_that_the_paper_prints(paper, shared):
-    published = paper("paper.published")
+def test_published_figures_are_those_that_the_paper_prints(scripts, shared):
+    published = scripts("paper.published")
     tex = shared / "paper" / "paper.tex"
     if not tex.is_file():
         pytest.skip("needs the paper's source beside the data sets")
@@ -57,8 +45,8 @@ def test_published_figures_are_those_that_the_paper_prints(paper, shared):
     assert printed == list(published.PUBLISHED.values())
 
 
-def test_every_note_is_about_a_row_that_there_is(paper):
-    published = paper("paper.published")
+def test_every_note_is_about_a_row_that_there_is(scripts):
+    published = scripts("paper.published")
     for note in published.NOTES:
         parts = [note.part] if note.part else published.PUBLISHED
         assert any(note.method in published.PUBLISHED[part] for part in parts), note
@@ -66,8 +54,8 @@ def test_every_note_is_about_a_row_that_there_is(paper):
 
 @pytest.mark.parametrize(("schedule", "steps", "refined"), [("paper_6k_15k", 15_000, 15_000),
                                                             ("paper_13k_7k", 22_000, 7_000)])  # fmt: skip
-def test_schedules_are_the_papers(paper, schedule, steps, refined):
-    asked = paper("paper_run").asked("garden", schedule, 2, ["phases.0.steps=7000"], [])
+def test_schedules_are_the_papers(scripts, schedule, steps, refined):
+    asked = scripts("paper_run").asked("garden", schedule, 2, ["phases.0.steps=7000"], [])
     settings = asked["settings"]
     assert sum(phase["steps"] for phase in settings["phases"]) == steps
     assert asked["refinement"]["steps"] == refined and asked["refinement"]["seed"] == settings["seed"] == 2
@@ -75,36 +63,36 @@ def test_schedules_are_the_papers(paper, schedule, steps, refined):
     assert settings["max_gaussians"] >= 10_000_000, "a cap that 3DGS does not have must not bind"
 
 
-def test_a_vanilla_run_has_no_refinement(paper):
-    asked = paper("paper_run").asked("truck", "vanilla", 0, [], [])
+def test_a_vanilla_run_has_no_refinement(scripts):
+    asked = scripts("paper_run").asked("truck", "vanilla", 0, [], [])
     assert asked["refinement"] is None and asked["settings"]["vanilla"] is True
 
 
 # What lies under a root
 
 
-def test_scenes_are_found_in_the_root_and_in_the_archives_folders(paper, tmp_path):
+def test_scenes_are_found_in_the_root_and_in_the_archives_folders(scripts, tmp_path):
     places = {"garden": "360_v2", "room": "", "train": "tandt", "playroom": "db", "truck": "tandt_db/tandt"}
     images = {"garden": "images_4", "room": "images_2"}
     laid = {name: place(tmp_path / nest, name, images.get(name, "images")) for name, nest in places.items()}
     place(tmp_path, "flowers", "images_4")  # not of the paper
-    found, faults = paper("paper.scenes").discover(tmp_path)
+    found, faults = scripts("paper.scenes").discover(tmp_path)
     assert found == laid and not faults
     assert list(found) == ["room", "garden", "truck", "train", "playroom"], "the paper's order"
 
 
-def test_a_scene_that_cannot_be_scored_as_published_is_left_out_with_a_line(paper, tmp_path):
+def test_a_scene_that_cannot_be_scored_as_published_is_left_out_with_a_line(scripts, tmp_path):
     place(tmp_path, "room", "images_2")
     place(tmp_path, "garden", "images")
     (tmp_path / "stump").mkdir()
-    found, faults = paper("paper.scenes").discover(tmp_path)
+    found, faults = scripts("paper.scenes").discover(tmp_path)
     assert list(found) == ["room"]
     garden, stump = sorted(faults)
     assert "has no images_4/" in garden and "is no data set" in stump
 
 
-def test_a_root_without_scenes_and_a_scene_twice_are_errors(paper, tmp_path):
-    discover = paper("paper.scenes").discover
+def test_a_root_without_scenes_and_a_scene_twice_are_errors(scripts, tmp_path):
+    discover = scripts("paper.scenes").discover
     with pytest.raises(InputError, match="holds none of room, counter"):
         discover(tmp_path)
     with pytest.raises(InputError, match="no such folder"):
@@ -119,11 +107,11 @@ def test_a_root_without_scenes_and_a_scene_twice_are_errors(paper, tmp_path):
 
 
 @pytest.fixture
-def study(paper, tmp_path):
+def study(scripts, tmp_path):
     """`reproduce` over two scenes, with a stand-in for the process that writes what it is told to."""
     for name in ("room", "kitchen"):
         place(tmp_path / "data", name, "images_2")
-    module, paper_run = paper("reproduce"), paper("paper_run")
+    module, paper_run = scripts("reproduce"), scripts("paper_run")
 
     class Study:
         out, started = tmp_path / "out", []
@@ -199,16 +187,16 @@ def test_other_settings_in_the_same_folder_are_an_error_before_any_run(study):
     assert study.started == []
 
 
-def test_weights_given_later_ask_for_the_scores_anew_and_for_nothing_else(paper, study):
+def test_weights_given_later_ask_for_the_scores_anew_and_for_nothing_else(scripts, study):
     study.run()
     folder = study.out / "room" / "paper_6k_15k_0"
-    wishes = paper("paper_run").asked("room", "paper_6k_15k", 0, [], [])
-    before, with_weights = (paper("paper_run").begun(folder, wishes, files) for files in ([], ["vgg.onnx"]))
+    wishes = scripts("paper_run").asked("room", "paper_6k_15k", 0, [], [])
+    before, with_weights = (scripts("paper_run").begun(folder, wishes, files) for files in ([], ["vgg.onnx"]))
     assert before.keys() - with_weights.keys() == {"coarse", "refined"}
 
 
-def test_the_process_of_a_run_is_told_all_and_its_end_is_seen(paper, monkeypatch, tmp_path):
-    reproduce = paper("reproduce")
+def test_the_process_of_a_run_is_told_all_and_its_end_is_seen(scripts, monkeypatch, tmp_path):
+    reproduce = scripts("reproduce")
     job = reproduce.Job("room", tmp_path, tmp_path / "out", "paper_13k_7k", 3)
     script = tmp_path / "paper_run.py"
     script.write_text("import json, sys; json.dump(sys.argv[1:], open(sys.argv[3] + '.json', 'w')); sys.exit(5)")
@@ -219,8 +207,8 @@ def test_the_process_of_a_run_is_told_all_and_its_end_is_seen(paper, monkeypatch
     assert json.loads((tmp_path / "out.json").read_text()) == told
 
 
-def test_a_folder_without_a_manifest_makes_room(paper, tmp_path):
-    goes_on = paper("paper_run")._goes_on
+def test_a_folder_without_a_manifest_makes_room(scripts, tmp_path):
+    goes_on = scripts("paper_run")._goes_on
     assert goes_on(tmp_path / "absent") is False
     (tmp_path / "torn" / "checkpoints").mkdir(parents=True)
     assert goes_on(tmp_path / "torn") is False and not (tmp_path / "torn").exists()
@@ -229,8 +217,8 @@ def test_a_folder_without_a_manifest_makes_room(paper, tmp_path):
     assert goes_on(tmp_path / "begun") is True
 
 
-def test_stages_are_done_once_and_go_on_after_the_one_that_failed(paper, monkeypatch, tmp_path):
-    paper_run, done, broken = paper("paper_run"), [], ["mesh"]
+def test_stages_are_done_once_and_go_on_after_the_one_that_failed(scripts, monkeypatch, tmp_path):
+    paper_run, done, broken = scripts("paper_run"), [], ["mesh"]
 
     def stage(name):
         if name in broken:
@@ -252,13 +240,13 @@ def test_stages_are_done_once_and_go_on_after_the_one_that_failed(paper, monkeyp
 
 
 @pytest.mark.parametrize(("step", "is_end", "kept"), [(9000, True, True), (7000, True, False), (8999, False, False)])
-def test_the_gaussians_are_kept_as_the_phase_with_normals_finds_them(paper, monkeypatch, tmp_path, step, is_end, kept):
+def test_the_gaussians_are_kept_as_the_phase_with_normals_has_them(scripts, monkeypatch, tmp_path, step, is_end, kept):
     train = importlib.import_module("gsjax.pipeline.train")
     monkeypatch.setattr(train, "living", lambda gaussians: gaussians)
     monkeypatch.setattr("gsjax.io.ply.write_gaussians", lambda file, gaussians: file.write_text(gaussians))
-    settings = paper("paper.scenes").settings_of("room", "paper_6k_15k", 0)
+    settings = scripts("paper.scenes").settings_of("room", "paper_6k_15k", 0)
     progress = SimpleNamespace(step=step, phase_done=is_end, state=SimpleNamespace(gaussians="these"))
-    paper("paper_run")._keep_before(tmp_path / "before.ply", settings, progress)
+    scripts("paper_run")._keep_before(tmp_path / "before.ply", settings, progress)
     assert (tmp_path / "before.ply").exists() == kept
 
 
@@ -268,8 +256,8 @@ def _frame(name: str) -> Frame:
 
 
 @pytest.mark.parametrize("has_all", [True, False])
-def test_a_sheet_shows_what_the_run_has(paper, monkeypatch, tmp_path, has_all):
-    sheet, drawn = paper("paper.sheet"), {}
+def test_a_sheet_shows_what_the_run_has(scripts, monkeypatch, tmp_path, has_all):
+    sheet, drawn = scripts("paper.sheet"), {}
     picture, frames = np.zeros((2, 3, 3), np.uint8), [_frame(f"{n}.png") for n in "ab"]
     result = SimpleNamespace(held_out=(True, False), names=("a.png", "b.png"), cameras=("A", "B"), gaussians=0)
     monkeypatch.setattr(sheet, "open_result", lambda run: result)
@@ -298,38 +286,38 @@ METHOD = "gsjax paper_6k_15k, refined"
 
 
 @pytest.fixture
-def made(paper):
+def made(scripts):
     """Tables of hand-made scores: two seeds of truck and train, one run of kitchen, nothing of Deep Blending."""
-    Measured, report = paper("paper.measured").Measured, paper("paper.report")
+    Measured, report = scripts("paper.measured").Measured, scripts("paper.report")
     scores = {("truck", 0): (24.0, 0.86), ("truck", 1): (25.0, 0.88), ("train", 0): (20.0, 0.74),
               ("train", 1): (22.0, 0.76), ("kitchen", 0): (30.125, 0.9)}  # fmt: skip
     measured = [Measured(scene, METHOD, seed, *pair, None, 9) for (scene, seed), pair in scores.items()]
     return report.tables(measured, [METHOD], {"truck": "truck: growth was held at 5% & 3_000 Gaussians."})
 
 
-def rows_of(paper, made):
-    text = paper("paper.report").comma_separated(made)
+def rows_of(scripts, made):
+    text = scripts("paper.report").comma_separated(made)
     return {(row["over"], row["method"]): row for row in csv.DictReader(io.StringIO(text))}
 
 
-def test_averages_are_over_seeds_then_scenes_and_the_spread_over_seeds(paper, made):
-    row = rows_of(paper, made)["Tanks & Temples", METHOD]
+def test_averages_are_over_seeds_then_scenes_and_the_spread_over_seeds(scripts, made):
+    row = rows_of(scripts, made)["Tanks & Temples", METHOD]
     assert float(row["psnr"]) == pytest.approx((24.5 + 21) / 2)
     assert float(row["psnr_spread"]) == pytest.approx(1.5 / 2**0.5, abs=1e-4)  # seeds: 22.0 and 23.5
     assert (row["lpips"], row["lpips_spread"], row["scenes"], row["seeds"]) == ("-", "-", "2", "2")
 
 
-def test_fewer_scenes_than_published_are_named_and_absent_ones_are_dashes(paper, made):
-    rows = rows_of(paper, made)
+def test_fewer_scenes_than_published_are_named_and_absent_ones_are_dashes(scripts, made):
+    rows = rows_of(scripts, made)
     indoor, outdoor = rows["Mip-NeRF 360, indoor", METHOD], rows["Mip-NeRF 360, outdoor", METHOD]
     assert (indoor["scenes"], indoor["psnr_spread"], indoor["seeds"]) == ("1 of 4 (kitchen)", "-", "1")
     assert (outdoor["scenes"], outdoor["psnr"], outdoor["source"]) == ("0 of 3", "-", "-")
     assert rows["playroom", METHOD]["ssim"] == "-"
-    assert "0.000" not in paper("paper.report").markdown(made), "never a zero where there is nothing"
+    assert "0.000" not in scripts("paper.report").markdown(made), "never a zero where there is nothing"
 
 
-def test_an_average_with_a_figure_missing_in_one_scene_is_a_dash(paper):
-    module = paper("paper.measured")
+def test_an_average_with_a_figure_missing_in_one_scene_is_a_dash(scripts):
+    module = scripts("paper.measured")
     rows = [
         module.Measured(scene, METHOD, 0, 20.0, 0.8, lpips, 9) for scene, lpips in [("truck", 0.2), ("train", None)]
     ]
@@ -337,28 +325,28 @@ def test_an_average_with_a_figure_missing_in_one_scene_is_a_dash(paper):
     assert found.values["lpips"] is None and found.values["psnr"].mean == 20
 
 
-def test_a_seed_that_one_scene_lacks_counts_for_the_mean_and_not_for_the_spread(paper):
-    module = paper("paper.measured")
+def test_a_seed_that_one_scene_lacks_counts_for_the_mean_and_not_for_the_spread(scripts):
+    module = scripts("paper.measured")
     numbers = [("truck", 0, 20.0), ("truck", 1, 22.0), ("train", 0, 24.0)]
     rows = [module.Measured(scene, METHOD, seed, psnr, 0.8, None, 9) for scene, seed, psnr in numbers]
     found = module.average(rows, METHOD, ["truck", "train"])
     assert found.values["psnr"] == module.Value(22.5, None) and found.seeds == (1, 2)
 
 
-def test_published_rows_carry_source_and_doubts(paper, made):
-    rows = rows_of(paper, made)
+def test_published_rows_carry_source_and_doubts(scripts, made):
+    rows = rows_of(scripts, made)
     row = rows["Mip-NeRF 360, indoor", "The paper"]
     assert float(row["lpips"]) == 0.117 and "0.117 is doubtful" in row["notes"]
     assert rows["Deep Blending", "SuGaR"]["source"] == "tab:deepblend of the paper, which quotes SuGaR's"
     assert rows["Tanks & Temples", "SuGaR"]["notes"] == ""
-    text = paper("paper.report").markdown(made)
+    text = scripts("paper.report").markdown(made)
     assert "| The paper [1,2]" not in text, "notes are numbered in the order of the table"
     mark = re.search(r"\| The paper \[(\d+),(\d+)\] \| 29.87 \| 0.921 \| 0.117 \| 4 \|", text)
     assert mark and f"[{mark[1]}] The LPIPS of 0.117 is doubtful" in text
 
 
-def test_latex_escapes_and_says_plus_minus(paper, made):
-    text = paper("paper.report").latex(made)
+def test_latex_escapes_and_says_plus_minus(scripts, made):
+    text = scripts("paper.report").latex(made)
     assert r"\caption{Tanks \& Temples}" in text
     assert r"gsjax paper\_6k\_15k, refined$^{" in text
     assert r"truck: growth was held at 5\% \& 3\_000 Gaussians." in text
@@ -369,10 +357,10 @@ def test_latex_escapes_and_says_plus_minus(paper, made):
             assert len(re.findall(r"(?<!\\)&", line)) == 6, line
 
 
-def test_a_cap_that_bound_and_own_normals_are_told(paper):
+def test_a_cap_that_bound_and_own_normals_are_told(scripts):
     bound = {"train": {"cap_bound": True, "max_gaussians": 2000, "normals": "maps"}}
     own = {"train": {"cap_bound": False, "normals": None}}
-    said = paper("reproduce").remarks(
+    said = scripts("reproduce").remarks(
         [("room", "paper_6k_15k", 1, bound), ("truck", "paper_6k_15k", 0, own), ("train", "vanilla", 0, own)]
     )
     assert said["room"] == "room: paper_6k_15k, seed 1: growth was held at 2,000 Gaussians."

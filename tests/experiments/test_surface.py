@@ -1,21 +1,12 @@
 """The study of three ways to a mesh: its stages are measured alone, its tables tell mean and spread."""
 
-import importlib
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
-
 
 @pytest.fixture
-def surface(monkeypatch):
-    monkeypatch.syspath_prepend(str(EXPERIMENTS))
-    yield importlib.import_module("surface")
-    for name in ("surface", "train"):
-        sys.modules.pop(name, None)
+def surface(scripts):
+    return scripts("surface")
 
 
 def test_a_stage_runs_in_a_process_of_its_own_and_is_measured(surface):

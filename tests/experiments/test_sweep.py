@@ -1,22 +1,15 @@
 """The runs of a study over devices: each once, one at a time a device, and again only what is left."""
 
-import importlib
-import sys
-from pathlib import Path
 from threading import Barrier, Lock
 
 import pytest
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 NAMES = ["a_0", "b_0", "a_1", "b_1"]
 
 
 @pytest.fixture
-def sweep(monkeypatch):
-    monkeypatch.syspath_prepend(str(EXPERIMENTS))
-    yield importlib.import_module("sweep")
-    for name in ("sweep", "compare", "train"):
-        sys.modules.pop(name, None)
+def sweep(scripts):
+    return scripts("sweep")
 
 
 def finish(out, name):

@@ -1,7 +1,5 @@
 """Maps that are wrong by what their names say, smoothly, and alike from run to run."""
 
-import importlib
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +12,10 @@ from gsjax.io.images import write_image
 from gsjax.io.normals import normal_maps
 from gsjax.io.scenes import load_scene
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
-
 
 @pytest.fixture
-def script(monkeypatch):
-    monkeypatch.syspath_prepend(str(EXPERIMENTS))
-    yield importlib.import_module("wrong_normals")
-    sys.modules.pop("wrong_normals", None)
+def script(scripts):
+    return scripts("wrong_normals")
 
 
 @pytest.fixture
