@@ -35,3 +35,8 @@ def test_without_a_gpu_the_gpu_scripts_say_so_in_one_line(tmp_path):
         done = run(script, folder=tmp_path)
         assert done.returncode == 2
         assert message in done.stderr and len(done.stderr.splitlines()) == 1
+
+
+def test_a_peer_that_is_not_there_is_one_line(tmp_path):
+    done = run("beside.py", "peer.py", folder=tmp_path)
+    assert (done.returncode, done.stderr.splitlines()) == (2, ["gsjax: error: peer.py: no Python file"])
