@@ -9,6 +9,8 @@ import pytest
 from gsjax import config, pipeline, tables
 from gsjax.io import runs
 from gsjax.settings import Phase, Rates, Settings, Weights
+from gsjax.training.loop import planned_phases
+from gsjax.training.surroundings import needed
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 SDF, SUGAR, FIXED = Weights(sdf_normal=0.2), Weights(sugar_density=0.2), Rates(decay_steps=60)
@@ -84,3 +86,5 @@ def test_what_runs_begin_with_is_shared_as_far_as_they_are_the_same(compare, set
     assert (None if begun is None else tuple(phase.name for phase in begun.phases)) == shared
     if begun is not None:
         assert (begun.normals, begun.vanilla, begun.rates.decay_steps) == (None, False, 60)
+        # What decides whether a state holds the table of neighbours: both must, or the run could not begin there.
+        assert any(map(needed, planned_phases(begun))) == any(map(needed, planned_phases(settings)))
