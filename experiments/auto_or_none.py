@@ -1,4 +1,4 @@
-"""Real photos with `--effects none` and with `auto`: scores in all three ways, degrees of the harmonics, seconds.
+"""Real photos with `--effects none` and with `auto`: scores in all four ways, degrees of the harmonics, seconds.
 
     python experiments/auto_or_none.py SCENE ... --out DIR [--width 150] [--steps 1000] [--effects none auto]
 
@@ -21,7 +21,7 @@ from gsjax.io.machine import machine
 from gsjax.io.scenes import load_scene
 from gsjax.settings import FAST, Settings
 
-SCORES = [f"{score}{way}" for score in ("psnr", "ssim") for way in ("", "_track_gains", "_fitted")]
+SCORES = [f"{score}{way}" for score in ("psnr", "ssim") for way in ("", "_near_gains", "_track_gains", "_fitted")]
 FIRST = 20  # steps that are not timed
 
 

@@ -218,6 +218,7 @@ def _phase(name: str, steps: int, **more: Any) -> dict:
 # (docs/deviations.md, experiments/studies/surface.py, surface_photos.py).
 _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}
 FAST = {
+    "effects": AUTO,
     "pixel_filter": "mip",  # right at other sizes and distances than the photos' too (docs/deviations.md)
     "max_gaussians": 36_000,
     "far_points": 1_800,
@@ -233,6 +234,7 @@ FAST = {
     "logging": {"evaluate_every": 250, "checkpoint_every": 250},
 }
 BALANCED = {
+    "effects": AUTO,
     "pixel_filter": "mip",
     "max_gaussians": 120_000,
     "far_points": 1_800,

@@ -1,5 +1,8 @@
-"""What all experiments share: the settings that the others are differences from."""
+"""What all experiments share: the settings that the others are differences from.
 
-from gsjax.settings import PRESETS
+No effects: they are compared by the score of the render as it is.
+"""
 
-CONFIG: dict = PRESETS["fast"]
+from gsjax.settings import NONE, PRESETS
+
+CONFIG: dict = {**PRESETS["fast"], "effects": NONE}

@@ -1,8 +1,7 @@
 """The built-in scene as `gsjax demo` trains it, whatever `base` is."""
 
 from gsjax.config import parse, to_dict
-from gsjax.settings import DEMO, PRESETS, Settings
+from gsjax.settings import DEMO, NONE, PRESETS, Settings
 
-CONFIG: dict = {
-    key: value for key, value in to_dict(parse(Settings, DEMO)).items() if PRESETS["fast"].get(key) != value
-}
+_BASE = {**PRESETS["fast"], "effects": NONE}
+CONFIG: dict = {key: value for key, value in to_dict(parse(Settings, DEMO)).items() if _BASE.get(key) != value}

@@ -17,6 +17,7 @@ _MAPS = {
 }
 _TERMS = {  # what a step costs, in plain ones, and the weights
     "ours": (2.10, {"sdf_normal": 0.2}),
+    "ours, pixels": (1.36, {"pixel_normal": 0.2}),
     "ours, demo": (2.23, _SURFACE["weights"]),
     "DN-Splatter": (1.78, {"axis_normal": 0.2}),
 }

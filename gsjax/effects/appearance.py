@@ -1,6 +1,6 @@
 """How each photo was taken, as far as tracks or training tell: where the effects start, and what became of them."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,6 +15,9 @@ from gsjax.effects.model import Effects, EffectState
 from gsjax.effects.observations import Observations
 from gsjax.scene import Frame, with_pixels
 from gsjax.settings import SIMULATED
+
+NEAR_PHOTOS = 3  # that say how one between them is exposed
+SAME_PLACE = 1e-6  # squared distance, see `as_near_photos`, below which a photo stands where another does
 
 
 class Appearance(NamedTuple):
@@ -73,7 +76,7 @@ def start(seen: Observations, chosen: Collection[str]) -> Start:
         log_gains.astype(np.float32),
         np.array([distinct.index(camera) for camera in cameras], np.int32),
         falloff.astype(np.float32),
-        np.stack([-frame.viewmat[:3, :3].T.astype(np.float64) @ frame.viewmat[:3, 3] for frame in frames]),
+        np.stack([_stands(frame)[:3] for frame in frames]),
         _median_depth(seen),
         poses.told_by_tracks(seen) if "poses" in chosen else np.zeros((len(frames), 6)),
         background.initial(seen),
@@ -136,6 +139,40 @@ def appearances(begun: Start, state: EffectState) -> dict[str, Appearance]:
         name: Appearance(tuple(gains[index].tolist()), tuple(falloff[begun.camera[index]].tolist()))
         for index, name in enumerate(begun.names)
     }
+
+
+def as_near_photos(frames: Sequence[Frame], looks: Mapping[str, Appearance]) -> dict[str, Appearance]:
+    """Of every held-out photo, by name: its own fall-off, and gains as photos have that were taken near it.
+
+    A camera exposes for what it sees, so what was taken from near by, looking the same way, is exposed alike. Means of
+    the nearest training photos' gains, by inverse squares of the distance: of the cameras (in mean distances from
+    their middle) and of the ends of their optical axes. No pixel of a held-out photo is used, nor a keypoint.
+
+    Args:
+        frames: All photos, with at least one that is trained on if one is held out.
+        looks: Of all of them.
+    """
+    stood = {frame.name: _stands(frame) for frame in frames}
+    trained = [frame.name for frame in frames if not frame.held_out]
+    places = np.stack([stood[name] for name in trained]) if trained else np.zeros((0, 6))
+    spread = float(np.linalg.norm(places[:, :3] - places[:, :3].mean(0), axis=1).mean()) or 1.0
+    scale = np.array([spread] * 3 + [1.0] * 3)
+    gains = np.array([looks[name].log_gains for name in trained])
+    found = {}
+    for frame in frames:
+        if frame.held_out:
+            apart2 = np.square((places - stood[frame.name]) / scale).sum(-1)
+            nearest = np.argsort(apart2)[:NEAR_PHOTOS]
+            weights = 1 / (apart2[nearest] + SAME_PLACE)
+            mean = weights @ gains[nearest] / weights.sum()
+            found[frame.name] = looks[frame.name]._replace(log_gains=tuple(mean.tolist()))
+    return found
+
+
+def _stands(frame: Frame) -> np.ndarray:
+    """`[6]` centre and optical axis of a camera, world, float64."""
+    viewmat = frame.viewmat.astype(np.float64)
+    return np.concatenate([-viewmat[:3, :3].T @ viewmat[:3, 3], viewmat[2, :3]])
 
 
 def moves(begun: Start, state: EffectState) -> dict[str, poses.Move]:

@@ -1,7 +1,7 @@
 """Which effects a run simulates, and what it tells of each photo and its camera afterwards."""
 
 import sys
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -11,7 +11,16 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from gsjax.effects import background, transients
-from gsjax.effects.appearance import Appearance, Start, appearances, light_range, moves, simulations, start
+from gsjax.effects.appearance import (
+    Appearance,
+    Start,
+    appearances,
+    as_near_photos,
+    light_range,
+    moves,
+    simulations,
+    start,
+)
 from gsjax.effects.diagnosis import Diagnosis
 from gsjax.effects.evidence import Evidence
 from gsjax.effects.model import Effects, EffectState, learning_rate
@@ -37,6 +46,11 @@ class Photography(NamedTuple):
     looks: Mapping[str, Appearance] = MappingProxyType({})
     moves: Mapping[str, Move] = MappingProxyType({})  # of its camera from where the data set has it
     background: np.ndarray | None = None  # [(L + 1)^2, 3] SH coefficients of what is behind all, see `gsjax.backdrop`
+    near: Mapping[str, Appearance] = MappingProxyType({})  # held-out photos, exposed as those taken near them
+
+    def with_near(self, frames: Sequence[Frame]) -> "Photography":
+        """The same and, where there are looks, what the other photos tell of those held out."""
+        return self._replace(near=as_near_photos(frames, self.looks)) if self.looks else self
 
 
 @dataclass(frozen=True)

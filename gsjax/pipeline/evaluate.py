@@ -14,7 +14,7 @@ from gsjax import gallery
 from gsjax.cameras import Camera
 from gsjax.effects.alignment import Draw
 from gsjax.effects.alignment import align as aligned_camera
-from gsjax.effects.appearance import fitted
+from gsjax.effects.appearance import Appearance, fitted
 from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.io import runs
@@ -82,7 +82,7 @@ def evaluate(
         scene.held_out_frames,
         settings["background"],
         measures=measures,
-        found=found,
+        found=found.with_near(scene.frames),
         align=aligned_camera if aligned or found.moves else None,
     )
     figures.setdefault(STANDARD, None)
@@ -162,13 +162,15 @@ def score_images(
         observe: Told of every frame, of the photo `[H, W, 3]` that it is compared with, and of its picture.
 
     Returns:
-        `psnr`, `ssim` and `measures`: of the render as it is, the mean photo of the scene; `views`. With `found.looks`
-        also `psnr_track_gains`, `ssim_track_gains`: after the fall-off that was learned and the gains that the photo's
-        tracks tell; and `psnr_fitted`, `ssim_fitted`: of the render as it is, after the affine map of its colours that
-        fits the photo best, which sees the answer. With `align` each of these also with `_aligned`: from the pose
-        that fits the photo best with the Gaussians as they are, which sees the answer too.
+        `psnr`, `ssim` and `measures`: of the render as it is, the mean photo of the scene; `views`. With `found.near`
+        also `psnr_near_gains`, `ssim_near_gains`: after the fall-off that was learned and the gains of the photos taken
+        near this one, of which nothing is used. With `found.looks` also `psnr_track_gains`, `ssim_track_gains`: with
+        the gains that its own tracks tell; and `psnr_fitted`, `ssim_fitted`: of the render as it is, after the affine
+        map of its colours that fits the photo best, which sees the answer. With `align` each of these also with
+        `_aligned`: from the pose that fits the photo best with the Gaussians as they are, which sees the answer too.
     """
-    ways = ("", "_track_gains", "_fitted") if found.looks else ("",)
+    lights = {"_near_gains": found.near, "_track_gains": found.looks}
+    ways = ("", *(way for way, looks in lights.items() if looks), *(("_fitted",) if found.looks else ()))
     poses = ("", "_aligned") if align else ("",)
     names = [f"{score}{way}{pose}" for pose in poses for way in ways for score in ("psnr", "ssim")]
     if not frames:
@@ -185,14 +187,16 @@ def score_images(
             target = target * coverage + (1 - coverage) * color
         observe(frame, target, picture)
         valid = np.ones(target.shape[:2], bool) if valid is None else valid > 127
-        taken = _as_taken(found, frame, None if matte is None else color)
+        lit = {way: _as_taken(looks, frame, None if matte is None else color) for way, looks in lights.items()}
         shown = [picture]
         if align:
-            shown += draw([align(frame_camera(frame), target, valid, partial(_taken, draw, taken))])
-        renders = [each.colors for each in shown]
-        if found.looks:
-            fits = (np.clip(fitted(each.colors, target, valid), 0, 1) for each in shown)
-            renders = [c for each, fit in zip(shown, fits, strict=True) for c in (each.colors, taken(each).colors, fit)]
+            shown += draw([align(frame_camera(frame), target, valid, partial(_taken, draw, lit["_track_gains"]))])
+        renders = []
+        for each in shown:
+            of_way = {"": each.colors, **{way: taken(each).colors for way, taken in lit.items() if way in ways}}
+            if found.looks:
+                of_way["_fitted"] = np.clip(fitted(each.colors, target, valid), 0, 1)
+            renders += [of_way[way] for way in ways]
         pair = [np.clip(colors, 0, 1) * valid[..., None] for colors in (picture.colors, target)]
         scores.append(
             [each for render in renders for each in _scores(*map(jnp.asarray, (render, target, valid)))]
@@ -210,11 +214,11 @@ def _taken(
     return [taken(picture) for picture in draw(cameras)]
 
 
-def _as_taken(found: Photography, frame: Frame, under: np.ndarray | None) -> Callable[[Picture], Picture]:
+def _as_taken(looks: Mapping[str, Appearance], frame: Frame, under: np.ndarray | None) -> Callable[[Picture], Picture]:
     """What a photo's camera makes of a picture; `under`: the colour that we put behind its matte."""
-    if not found.looks:
+    if frame.name not in looks:
         return lambda picture: picture
-    factor = found.looks[frame.name].factor(frame)
+    factor = looks[frame.name].factor(frame)
 
     def taken(picture: Picture) -> Picture:
         behind = 0 if under is None else (1 - picture.alphas)[..., None] * under

@@ -10,7 +10,7 @@ import jax
 import optax
 
 from gsjax.errors import InputError
-from gsjax.settings import Settings
+from gsjax.settings import AUTO, NONE, Settings
 from gsjax.training import rows, several, sharding
 from gsjax.training.loop import Placement, one_device, planned_phases
 from gsjax.training.losses import NEEDS_NEIGHBOR, NEEDS_SURROUNDINGS
@@ -83,6 +83,14 @@ def without_neighbors(settings: Settings) -> Settings:
     print(f"train: {', '.join(far)} need one photo a step and are left out", file=sys.stderr)
     phases = (replace(p, weights=replace(p.weights, **dict.fromkeys(far, 0.0))) for p in settings.phases)
     return replace(settings, phases=tuple(phases))
+
+
+def without_looking(settings: Settings, devices: Devices) -> Settings:
+    """The settings, "auto" turned to no effects where a step has several views, which knows none; a line says so."""
+    if settings.effects != AUTO or settings.views_per_step == count_devices(devices) == 1:
+        return settings
+    print("train: effects need one device and one photo a step: nobody looks for any", file=sys.stderr)
+    return replace(settings, effects=NONE)
 
 
 def _refuse_far_terms(settings: Settings) -> None:

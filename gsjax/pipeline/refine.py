@@ -191,7 +191,7 @@ def _finish(
             gaussians,
             scene.held_out_frames,
             background,
-            found=found,
+            found=found.with_near(scene.frames),
             align=align if found.moves else None,
             depth_mode=DEPTH_OF_DISCS,
             observe=keeper(folder),

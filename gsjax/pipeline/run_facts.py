@@ -16,7 +16,11 @@ from gsjax.settings import NORMAL_TERMS
 AXES = {"steps": "step", "seconds": "seconds"}  # Name of an axis, and what a line of metrics calls it.
 CHARTS = {
     "Loss": {"loss": "loss"},
-    "PSNR, dB": {"training view": "psnr", "held-out views": "held_out_psnr"},
+    "PSNR, dB": {
+        "training view": "psnr",
+        "held-out views": "held_out_psnr",
+        "held-out views, exposed as photos near them": "held_out_psnr_near_gains",
+    },
     "Gaussians": {"Gaussians": "gaussians"},
 }
 CAME_OF_IT = ("registered", "points", "psnr", "ssim", "gaussians", "vertices", "faces", "seen_share")
@@ -61,8 +65,8 @@ def read_run(folder: Path) -> RunFacts:
     views = runs.read_json(folder / "cameras.json") if (folder / "cameras.json").exists() else []
     history = runs.read_metrics(folder)
     if manifest.get("psnr") is not None:
-        last = {"step": manifest["steps"], "seconds": manifest["train_seconds"], "held_out_psnr": manifest["psnr"]}
-        history.append(last)
+        scores = {f"held_out_{name}": manifest[name] for name in ("psnr", "psnr_near_gains") if name in manifest}
+        history.append({"step": manifest["steps"], "seconds": manifest["train_seconds"], **scores})
     return RunFacts(folder, manifest, settings, views, history)
 
 
@@ -229,7 +233,7 @@ def _effects(run: RunFacts) -> tuple[str, str]:
     if run.is_refinement and run.settings["effects"] != "none":
         return run.settings["effects"], "taken off the photos as training found them"
     if "effects" not in run.manifest:
-        return "none", "not asked for: --effects auto looks for them"
+        return "none", "nobody looked: --effects auto does"
     chosen = ", ".join(run.manifest["effects"]["simulated"]) or "none"
     asked = run.settings["effects"]
     return chosen, "what the photos show, see below" if asked == "auto" else f"asked for: --effects {asked}"

@@ -23,7 +23,7 @@ from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.pipeline.effects import Joined, Photography, joined, moves_line, refined, write_photography
 from gsjax.pipeline.evaluate import score_images
-from gsjax.pipeline.hardware import Devices, hardware, without_neighbors
+from gsjax.pipeline.hardware import Devices, hardware, without_looking, without_neighbors
 from gsjax.pipeline.harmonics import stored_degree, with_needed_harmonics
 from gsjax.pipeline.journal import Journal, beginning
 from gsjax.pipeline.pace import Pace, seconds_left, spoken
@@ -69,7 +69,8 @@ def train(
             common is then trained once. None: at the first step.
         observe: Told after every step, before its checkpoint is written.
         devices: How many the Gaussians are spread over, or "all". More than one, or several views a step, know no
-            effects and no terms that read densities; those that compare views are left out, with a line.
+            effects ("auto" looks for none) and no terms that read densities; those that compare views are left out. A
+            line says both.
 
     Returns:
         `psnr` and `ssim` (None without held-out views; with effects also the other ways of
@@ -108,7 +109,8 @@ def _train(
     prior = RunPrior(
         out, settings.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
     )
-    taken_in = joined(settings, loaded, partial(gains, settings, frames, size, partial(trial_start, loaded, settings)))
+    trial = partial(gains, settings, frames, size, partial(trial_start, loaded, settings))
+    taken_in = joined(without_looking(settings, devices), loaded, trial)
     as_dict, settings = config.to_dict(settings), without_neighbors(in_larger_steps(taken_in.paced(settings)))
     optimizer = optimizers.make_optimizer(
         settings.rates,
@@ -245,7 +247,7 @@ def _finish(
         state.gaussians,
         scene.held_out_frames,
         settings.background,
-        found=found,
+        found=found.with_near(scene.frames),
         align=align if found.moves else None,
         depth_mode=settings.depth_mode,
         observe=keeper(run),
@@ -291,19 +293,19 @@ class TrainingJournal(Journal):
             count = int(count_alive(progress.state.gaussians))
             more: dict[str, Any] = {"phase": progress.phase.name, "gaussians": count}
             if scored:
-                more["held_out_psnr"] = self._held_out_psnr(self._whole(progress.state))
+                more |= self._held_out(self._whole(progress.state))
             self.log(progress.step, progress.metrics, f", {count:,} Gaussians", **more)
         if progress.step % every.checkpoint_every == 0 or last:
             # The last step of a phase leaves the buffer's capacity to the next phase.
             self.save(progress.step, self._whole(progress.state), 0 if progress.phase_done else progress.capacity)
 
-    def _held_out_psnr(self, state: TrainState) -> float:
-        settings = self.settings
-        found = self.taken_in.photography(state.effects)
+    def _held_out(self, state: TrainState) -> dict[str, float]:
+        """PSNR of the views that are held out, of the render as it is and, with effects on light, as photos near it."""
+        settings, found = self.settings, self.taken_in.photography(state.effects)
         frames = refined(self.scene.held_out_frames, found.moves)
-        plain = Photography(background=found.background)
-        scores = score_images(state.gaussians, frames, settings.background, found=plain, depth_mode=settings.depth_mode)
-        return scores["psnr"]
+        found = found.with_near(self.scene.frames)._replace(looks={})  # the other ways are told at the end
+        scores = score_images(state.gaussians, frames, settings.background, found=found, depth_mode=settings.depth_mode)
+        return {f"held_out_{name}": score for name, score in scores.items() if name.startswith("psnr")}
 
     def _tell_pace(self, progress: Progress) -> None:
         """How long the rest will take, once a phase."""

@@ -33,6 +33,12 @@ def test_the_papers_budgets():
     assert total_steps(parse(Settings, PRESETS["fast"])) < total_steps(parse(Settings, PRESETS["balanced"])) < 15000
 
 
+def test_presets_of_ours_look_for_effects_and_the_papers_have_none():
+    looking = {name for name in PRESETS if parse(Settings, PRESETS[name]).effects == "auto"}
+    assert looking == {"fast", "balanced"}
+    assert {parse(Settings, PRESETS[name]).effects for name in PRESETS.keys() - looking} == {"none"}
+
+
 @pytest.mark.parametrize(
     ("difference", "message"),
     [

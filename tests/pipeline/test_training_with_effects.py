@@ -32,7 +32,7 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     manifest = runs.read_json(whole / "manifest.json")
     assert manifest["effects"]["simulated"] == ["exposure", "vignetting", "poses", "background"]
     assert manifest["effects"]["evidence"]["exposure"]["threshold"] == 0.05
-    scores = {f"{name}{way}" for name in ("psnr", "ssim") for way in ("", "_track_gains", "_fitted")}
+    scores = {f"{name}{way}" for name in ("psnr", "ssim") for way in ("", "_near_gains", "_track_gains", "_fitted")}
     aligned = {f"{name}_aligned" for name in scores}
     assert scores | aligned <= summary.keys()
     assert summary["psnr_fitted"] > summary["psnr"]

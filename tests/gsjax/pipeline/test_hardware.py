@@ -6,7 +6,7 @@ import pytest
 
 from gsjax.config import parse
 from gsjax.errors import InputError
-from gsjax.pipeline.hardware import count_devices, hardware, without_neighbors
+from gsjax.pipeline.hardware import count_devices, hardware, without_looking, without_neighbors
 from gsjax.settings import PRESETS, Phase, Rates, Settings, Weights
 from gsjax.training.loop import one_device
 from gsjax.training.optimizers import make_optimizer
@@ -42,3 +42,15 @@ def test_a_term_that_looks_further_than_one_view_is_refused_by_name():
     with pytest.raises(InputError, match="phase surface: multi_view needs one device"):
         hardware(1, replace(SETTINGS, views_per_step=2), OPTIMIZER)
     hardware(1, replace(SETTINGS, views_per_step=2, vanilla=True), OPTIMIZER)
+
+
+def test_nobody_looks_for_effects_where_a_step_has_several_views_and_one_line_says_so(capsys):
+    """Presets look for them, and run on any number of devices; who names effects is told that it cannot be."""
+    fast = parse(Settings, PRESETS["fast"])
+    assert fast.effects == "auto"
+    assert without_looking(fast, 1) is fast
+    named = replace(fast, effects="exposure", views_per_step=2)
+    assert without_looking(named, 1) is named
+    assert not capsys.readouterr().err
+    assert without_looking(replace(fast, views_per_step=2), 1) == replace(fast, views_per_step=2, effects="none")
+    assert capsys.readouterr().err == "train: effects need one device and one photo a step: nobody looks for any\n"

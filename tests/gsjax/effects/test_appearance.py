@@ -1,0 +1,77 @@
+"""What photos near a held-out one tell of its exposure."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gsjax.cameras import look_at
+from gsjax.effects.appearance import NEAR_PHOTOS, Appearance, as_near_photos
+from gsjax.scene import Pixels, frame_of
+
+ROUND = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+HELD_OUT = range(0, 24, 5)
+PIXELS = Pixels(np.zeros((4, 6, 3), np.uint8))
+
+
+def frame_from(eye, name, *, held_out=False):
+    viewmat = look_at(np.asarray(eye, float), np.zeros(3), up=np.array([0.0, 0.0, 1.0]))
+    return frame_of(name, viewmat, np.eye(3, dtype=np.float32), PIXELS, held_out=held_out)
+
+
+def ring():
+    """Cameras all round, exposed for what they look at: brighter on one side."""
+    eyes = np.stack([3 * np.cos(ROUND), 3 * np.sin(ROUND), np.ones_like(ROUND)], -1)
+    frames = [frame_from(eye, f"{i:02}", held_out=i in HELD_OUT) for i, eye in enumerate(eyes)]
+    gains = 0.3 * np.cos(ROUND)[:, None] * np.array([1.0, 0.8, -0.5])
+    return frames, {f.name: Appearance(tuple(g.tolist()), (-0.1, 0.02)) for f, g in zip(frames, gains, strict=True)}
+
+
+def test_gains_that_follow_the_cameras_are_told_by_their_neighbours():
+    frames, looks = ring()
+    found = as_near_photos(frames, looks)
+    assert list(found) == [f"{i:02}" for i in HELD_OUT]
+    off = [np.abs(np.subtract(look.log_gains, looks[name].log_gains)).max() for name, look in found.items()]
+    assert max(off) < 0.03 < 0.1 < np.mean([np.abs(looks[name].log_gains).max() for name in found])
+    assert {look.falloff for look in found.values()} == {(-0.1, 0.02)}
+
+
+def test_nothing_of_a_held_out_photo_is_used():
+    frames, looks = ring()
+    other = {f.name: looks[f.name]._replace(log_gains=(9.0, 9.0, 9.0)) if f.held_out else looks[f.name] for f in frames}
+    assert as_near_photos(frames, looks) == as_near_photos(frames, other)
+
+
+def test_a_photo_from_where_another_was_taken_has_its_gains():
+    frames, looks = ring()
+    beside = replace(frames[7], name="beside", held_out=True)
+    found = as_near_photos([*frames, beside], looks | {"beside": Appearance((0.0,) * 3, (0.0, 0.0))})
+    np.testing.assert_allclose(found["beside"].log_gains, looks["07"].log_gains, atol=1e-4)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_the_unit_of_the_scene_does_not_matter(scale):
+    frames, looks = ring()
+    grown = []
+    for frame in frames:
+        viewmat = frame.viewmat.copy()
+        viewmat[:3, 3] *= scale
+        grown.append(replace(frame, viewmat=viewmat))
+    found, expected = as_near_photos(grown, looks), as_near_photos(frames, looks)
+    for name, look in expected.items():
+        np.testing.assert_allclose(found[name].log_gains, look.log_gains, atol=1e-5)
+
+
+@pytest.mark.parametrize("count", [1, 2, NEAR_PHOTOS])
+def test_few_photos_and_photos_that_all_stand_in_one_place(count):
+    """What is nearest of fewer than three is all of them; without a spread distances are those of the axes."""
+    place = frame_from((0, -3, 0), "held", held_out=True)
+    frames = [replace(place, name=f"{i}", held_out=False) for i in range(count)]
+    looks = {f"{i}": Appearance((0.1 * i, 0.0, -0.1 * i), (0.0, 0.0)) for i in range(count)}
+    found = as_near_photos([*frames, place], looks | {"held": Appearance((5.0,) * 3, (0.0, 0.0))})
+    np.testing.assert_allclose(found["held"].log_gains, np.mean([look.log_gains for look in looks.values()], 0))
+
+
+def test_no_photo_held_out_is_nothing_told():
+    frames, looks = ring()
+    assert as_near_photos([replace(frame, held_out=False) for frame in frames], looks) == {}
