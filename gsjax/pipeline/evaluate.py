@@ -54,7 +54,7 @@ def evaluate(
         run: Run folder.
         mesh: Mesh to score against the true surface. None: `RUN/mesh.ply`, extracted now if it is absent.
         lpips: Files of weights, see `gsjax.pipeline.perceptual.lpips_measures`.
-        three_ways: Score pictures in the three ways of `score_images` even if the run simulated no effects.
+        three_ways: Score pictures in all ways of `score_images` even if the run simulated no effects.
         aligned: Score pictures from the poses that fit the photos best too, even if the run moved no cameras.
         zooms: Score pictures at so many times the size of training as well: at 0.5 against photos of half the size.
 

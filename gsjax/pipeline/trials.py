@@ -2,8 +2,10 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import optax
+from tqdm import tqdm
 
 from gsjax.effects.appearance import simulations, start
 from gsjax.effects.evidence import Evidence
@@ -61,21 +63,25 @@ def gains(
     shown, kept = trial.by_block(trial.small_views(frames))
     steps = max(1, min(STEPS, round(SHARE * total_steps(settings))))
 
+    every = (2 + len(near)) * (steps + kept.num_views)
+    bar = tqdm(total=every, desc=f"trying {', '.join(near)}", unit="step", leave=False)
+
     def steps_with(effects: Effects) -> Callable[[TrainState], tuple[TrainState, float]]:
         make = trial.maker(settings, Weights(), optimizer, shown, effects=effects, sh_every=settings.sh_every)
-        return lambda state: trial.tried(make, state, shown, kept, steps, seed=settings.seed)
+        return partial(trial.tried, make, shown=shown, kept=kept, steps=steps, seed=settings.seed, observe=bar.update)
 
     def chosen(names: Sequence[str]) -> Effects:
         return simulations(start(seen, names), names, lambda peak=RATE, **_: optax.constant_schedule(peak))
 
     without = chosen(on)
     go_on = steps_with(without)
-    state, _ = go_on(initial(optimizer, without))
-    _, least = go_on(state)
-    found = {}
-    for name in near:
-        effects = chosen((*on, name))
-        found[name] = steps_with(effects)(replace(state, effects=_joined(state.effects, effects)))[1] - least
+    with bar:
+        state, _ = go_on(initial(optimizer, without))
+        _, least = go_on(state)
+        found = {}
+        for name in near:
+            effects = chosen((*on, name))
+            found[name] = steps_with(effects)(replace(state, effects=_joined(state.effects, effects)))[1] - least
     return found
 
 

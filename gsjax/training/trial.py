@@ -25,7 +25,14 @@ BLOCKS = 16  # blocks across the longer side of a photo
 
 
 def tried(
-    make: Callable[[int], TrainStep], state: TrainState, shown: Views, kept: Views, steps: int, *, seed: int
+    make: Callable[[int], TrainStep],
+    state: TrainState,
+    shown: Views,
+    kept: Views,
+    steps: int,
+    *,
+    seed: int,
+    observe: Callable[[], object] = lambda: None,
 ) -> tuple[TrainState, float]:
     """So many steps from a state, and how well they predict what they were not shown.
 
@@ -36,14 +43,21 @@ def tried(
         kept: What is scored, before a step could learn from it. Sizes as in `shown`: one program serves both.
         steps: Their number.
         seed: Of the order of views.
+        observe: Told after every step, and after every view that is scored.
 
     Returns:
         The state after the steps, and the mean PSNR of `kept` with all effects that the steps have, decibels.
     """
     capacity, reported = chosen_capacity(state.gaussians, shown), []
-    end = advance(make, lambda step, state, *_: state, _copied(state), shown, (0, steps), seed=seed, capacity=capacity)
+
+    def go_on(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
+        observe()
+        return state
+
+    end = advance(make, go_on, _copied(state), shown, (0, steps), seed=seed, capacity=capacity)
 
     def report(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
+        observe()
         reported.append(float(metrics.psnr))
         return _copied(end)
 
