@@ -30,7 +30,7 @@ from gsjax.measures.images import psnr, ssim
 
 COUNT = 1500
 SPACING = float(np.sqrt(4 * np.pi / COUNT))  # of the discs, radii
-NEAREST = 64  # splats that a pixel puts in its own order
+TILE, NEAREST = 8, 192  # pixels; splats that the pixels of a tile put in their own orders
 BETWEEN = 0.2  # radians that cameras are turned by to score
 MIP, CLASSIC = {"eps2d": 0.1, "rasterize_mode": "antialiased"}, {"eps2d": 0.3}
 
@@ -75,22 +75,44 @@ def by_pixel(splats: Splats, viewmat: Array, *, filtered: dict[str, Any]) -> Dra
     seen = rasterizer.project(*shape, *cameras, depth_mode="plane", **filtered)
     if seen.compensations is not None:
         opacities = opacities * seen.compensations[0]
-    x, y = jnp.meshgrid(jnp.arange(SIZE) + 0.5, jnp.arange(SIZE) + 0.5)
-    apart = jnp.stack([x, y], -1).reshape(-1, 1, 2) - seen.means2d[0]
-    xx, xy, yy = seen.conics[0].T
+    at = jnp.arange(SIZE, dtype=jnp.float32) + 0.5
+    x, y = (_tiles(axis) for axis in jnp.meshgrid(at, at))
+    means = jax.lax.stop_gradient(jnp.where(seen.visible[0] & (opacities > 1 / 255), seen.means2d[0].T, jnp.inf))
+    # Every tile's nearest splats: all that reach into it.
+    far2 = jnp.square(x.mean(1)[:, None] - means[0]) + jnp.square(y.mean(1)[:, None] - means[1])
+    _, near = jax.lax.top_k(-far2, NEAREST)
+    near = jnp.where(jnp.isfinite(jnp.take_along_axis(far2, near, 1)), near, COUNT)
+
+    def of_near(values: Array) -> Array:
+        return jnp.take(values, near, axis=0, mode="fill", fill_value=0)[:, None]
+
+    apart = jnp.stack([x, y], -1)[:, :, None] - of_near(seen.means2d[0])
+    xx, xy, yy = jnp.moveaxis(of_near(seen.conics[0]), -1, 0)
     sigma = 0.5 * (xx * apart[..., 0] ** 2 + yy * apart[..., 1] ** 2) + xy * apart[..., 0] * apart[..., 1]
-    alphas = jnp.minimum(opacities * jnp.exp(-sigma), 0.999)
-    alphas = jnp.where(seen.visible[0] & (alphas > 1 / 255), alphas, 0)
-    depths = seen.depths[0] + jnp.sum(apart * seen.slopes[0], -1)
-    nearness = jax.lax.stop_gradient(jnp.where(alphas > 0, -depths, -jnp.inf))
-    _, order = jax.lax.top_k(nearness, NEAREST)
-    alphas, depths = (jnp.take_along_axis(values, order, 1) for values in (alphas, depths))
-    left = jnp.cumprod(1 - alphas, 1)
-    weights = alphas * jnp.concatenate([jnp.ones_like(left[:, :1]), left[:, :-1]], 1)
-    light = jnp.einsum("pn,pnc->pc", weights, splats.colors[order])
-    total = jnp.sum(weights, 1)
-    depth = jnp.sum(weights * depths, 1) / jnp.maximum(total, 1e-6)
-    return Drawn(light.reshape(SIZE, SIZE, 3), total.reshape(SIZE, SIZE), depth.reshape(SIZE, SIZE))
+    alphas = jnp.minimum(of_near(opacities) * jnp.exp(-sigma), 0.999)
+    alphas = jnp.where(alphas > 1 / 255, alphas, 0)
+    depths = of_near(seen.depths[0]) + jnp.sum(apart * of_near(seen.slopes[0]), -1)
+    order = jnp.argsort(jax.lax.stop_gradient(jnp.where(alphas > 0, depths, jnp.inf)), axis=2)
+    colors = jnp.broadcast_to(of_near(splats.colors), (*alphas.shape, 3))
+    alphas, depths = (jnp.take_along_axis(values, order, 2) for values in (alphas, depths))
+    colors = jnp.take_along_axis(colors, order[..., None], 2)
+    left = jnp.cumprod(1 - alphas, 2)
+    weights = alphas * jnp.concatenate([jnp.ones_like(left[..., :1]), left[..., :-1]], 2)
+    total = jnp.sum(weights, 2)
+    depth = jnp.sum(weights * depths, 2) / jnp.maximum(total, 1e-6)
+    return Drawn(_image(jnp.sum(weights[..., None] * colors, 2)), _image(total), _image(depth))
+
+
+def _tiles(image: Array) -> Array:
+    """`[tiles, pixels]` of `[H, W]`."""
+    side = SIZE // TILE
+    return image.reshape(side, TILE, side, TILE).swapaxes(1, 2).reshape(side**2, TILE**2)
+
+
+def _image(tiles: Array) -> Array:
+    """`[H, W, ...]` from `[tiles, pixels, ...]`."""
+    side = SIZE // TILE
+    return tiles.reshape(side, side, TILE, TILE, *tiles.shape[2:]).swapaxes(1, 2).reshape(SIZE, SIZE, *tiles.shape[2:])
 
 
 def solid(draw: Callable[[Splats, Array], Drawn]) -> Callable[[Splats, Array], Drawn]:
