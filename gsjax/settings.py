@@ -137,7 +137,7 @@ class Logging:
 
 
 SIMULATED = ("exposure", "vignetting", "poses", "background", "transients")  # effects that training can take in
-EFFECTS = (*SIMULATED, "sh_degree")  # those, and what a run tries before it goes on with less
+EFFECTS = (*SIMULATED, "sh_degree", "blur")  # those, and what makes a run go on with less: of harmonics, of photos
 AUTO, NONE = "auto", "none"
 
 

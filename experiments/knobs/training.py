@@ -6,7 +6,7 @@ from gsjax import pipeline
 from gsjax.io import runs
 from gsjax.pipeline.evaluate import score_surface
 from gsjax.pipeline.result import open_result, scene_of_run
-from gsjax.settings import DEMO, EFFECTS
+from gsjax.settings import DEMO, SIMULATED
 from gsjax.training.losses import SURFACE_TERMS
 from knobs.knob import Knob, Measured, Place
 
@@ -74,6 +74,6 @@ KNOBS: dict[str, Knob] = {
     "surface steps": _knob(_steps("surface", 2, 1, 0.5, 0.25)),
     "R": _knob({label: _rarer(count) for label, count in (("every step", 1), ("every 2nd", 2), ("every 4th", 4))}),
     "slope of R": _knob({name: _slope(name) for name in ("sdf_bicubic", "sdf_central", "sdf_normal")}),
-    **{f"effect: {name}": _knob({"simulated": {"effects": name}, "absent": {}}) for name in EFFECTS},
+    **{f"effect: {name}": _knob({"simulated": {"effects": name}, "absent": {}}) for name in (*SIMULATED, "sh_degree")},
     "depth of a splat": _knob({mode: {"depth_mode": mode} for mode in ("plane", "center")}),
 }

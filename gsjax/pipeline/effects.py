@@ -28,7 +28,7 @@ from gsjax.effects.observations import observe
 from gsjax.effects.poses import Move
 from gsjax.errors import InputError
 from gsjax.io import runs
-from gsjax.pipeline.diagnose import diagnosed
+from gsjax.pipeline.diagnose import Looked, looked_at
 from gsjax.pipeline.trials import WORTH, Trial, is_near
 from gsjax.scene import Frame, Scene
 from gsjax.settings import AUTO, NONE, SIMULATED, Settings, named_effects, total_steps
@@ -81,20 +81,23 @@ class Joined:
         )
 
 
-def joined(settings: Settings, scene: Scene, trial: Trial | None = None) -> Joined:
+def joined(settings: Settings, scene: Scene, trial: Trial | None = None, looked: Looked | None = None) -> Joined:
     """The effects that the settings name or, of "auto", that the photos show; one line says which.
 
     Args:
         settings: The run.
         scene: Its data set, at the size that is trained on.
         trial: Decides, of "auto", where evidence is near its threshold. None: the threshold does.
+        looked: What `looked_at` found, if it was asked.
 
     Raises:
         InputError: A photo or the tracks cannot be read, or a background is asked for behind mattes.
     """
     if settings.effects == NONE:
         return Joined()
-    found = diagnosed(scene)
+    looked = looked or looked_at(settings, scene)
+    scene, found = looked.scene, looked.found
+    assert found is not None, "somebody looked"
     wanted = set(named_effects(settings.effects))
     is_auto = settings.effects == AUTO
     near = [name for name in SIMULATED if is_auto and is_near(name, found.effects[name])]
@@ -108,7 +111,7 @@ def joined(settings: Settings, scene: Scene, trial: Trial | None = None) -> Join
         wanted = {name for name in SIMULATED if found.effects[name].on}
     chosen = [name for name in SIMULATED if name in wanted]
     print(f"train: effects: {', '.join(chosen) or 'none that the photos show'}", file=sys.stderr)
-    evidence = {"simulated": chosen, "evidence": found.record()["effects"]}
+    evidence = {"simulated": chosen, "left_out": list(looked.left_out), "evidence": found.record()["effects"]}
     tries_degrees = "sh_degree" in wanted and settings.sh_degree > 0
     if tries_degrees and grown(settings) is None:
         raise InputError(

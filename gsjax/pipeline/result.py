@@ -154,7 +154,7 @@ def training_pictures(
 def scene_of_run(run: Path, *, zoom: float = 1.0) -> Scene:
     """The data set of a finished run, loaded as it was trained on: with its split, whatever became of the list of it.
 
-    Cameras that training moved are where it left them.
+    Cameras that training moved are where it left them; photos that it left out are left out.
 
     Args:
         run: Run folder.
@@ -170,7 +170,7 @@ def scene_of_run(run: Path, *, zoom: float = 1.0) -> Scene:
     if downscale < 1:
         reduced = f"reduced by {settings['downscale']:g}" if settings["downscale"] > 1 else "as they are"
         raise InputError(f"{run}: was trained on photos {reduced}; there are none {zoom:g} times larger")
-    held_out = {record["name"] for record in runs.read_json(run / "cameras.json") if record["held_out"]}
+    held_out = {record["name"]: record["held_out"] for record in runs.read_json(run / "cameras.json")}
     scene = load_scene(
         manifest["scene"],
         downscale=downscale,
@@ -178,7 +178,7 @@ def scene_of_run(run: Path, *, zoom: float = 1.0) -> Scene:
         images=settings.get("images"),  # Absent from folders of runs that could not choose.
         hold_out=NONE,
     )
-    frames = tuple(replace(frame, held_out=frame.name in held_out) for frame in scene.frames)
+    frames = tuple(replace(f, held_out=held_out[f.name]) for f in scene.frames if f.name in held_out)
     return replace(scene, frames=refined(frames, read_photography(run).moves))
 
 

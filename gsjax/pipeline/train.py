@@ -21,6 +21,7 @@ from gsjax.gaussians import Gaussians, take
 from gsjax.io import normal_folders, runs
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
+from gsjax.pipeline.diagnose import looked_at
 from gsjax.pipeline.effects import Joined, Photography, joined, moves_line, refined, write_photography
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.hardware import Devices, hardware, without_looking, without_neighbors
@@ -101,16 +102,18 @@ def _train(
         settings = replace(settings, normals=normal_folders.find(scene, settings.normals))
     loaded, settings, photos_line = at_size(scene, settings)
     print(f"train: {photos_line}", file=sys.stderr)
-    size = training_extent(loaded)
     # Read once, and before the run begins: a damaged photo is found now.
     photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
     loaded = replace(loaded, frames=tuple(map(in_memory, photos)))
-    frames = loaded.train_frames
+    asked = without_looking(settings, devices)
+    looked = looked_at(asked, loaded)
+    loaded, frames = looked.scene, looked.scene.train_frames
+    size = training_extent(loaded)
     prior = RunPrior(
         out, settings.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
     )
     trial = partial(gains, settings, frames, size, partial(trial_start, loaded, settings))
-    taken_in = joined(without_looking(settings, devices), loaded, trial)
+    taken_in = joined(asked, loaded, trial, looked)
     as_dict, settings = config.to_dict(settings), without_neighbors(in_larger_steps(taken_in.paced(settings)))
     optimizer = optimizers.make_optimizer(
         settings.rates,

@@ -1,13 +1,17 @@
 """The same with effects: what is told of them, and that nothing of them is left where there are none."""
 
+import shutil
+
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 from trained_run import SETTINGS, train_until_killed
 
 from gsjax import config, pipeline
 from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.io.checkpoints import load_arrays
+from gsjax.io.images import read_image, write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.pipeline.result import open_result, scene_of_run
 from gsjax.settings import Settings
@@ -97,3 +101,23 @@ def test_a_run_goes_on_with_fewer_harmonics_and_they_are_nowhere(run, scene, tmp
     growing = {**SETTINGS, "phases": SETTINGS["phases"][:1], "effects": "sh_degree"}
     with pytest.raises(InputError, match="no phase comes after those of density control"):
         pipeline.train(scene, tmp_path / "growing", config.parse(Settings, growing))
+
+
+def test_a_photo_too_blurred_to_learn_from_is_in_no_stage(scene, tmp_path, capsys):
+    """Named or with `auto`; the run's folder and those that read it know nothing of it, and the line says why."""
+    shutil.copytree(scene, tmp_path / "scene")
+    name = "007.png"  # what it shows others see too
+    photo, _ = read_image(tmp_path / "scene/images" / name)
+    soft = gaussian_filter(photo.astype(np.float64), (2, 2, 0)).astype(np.uint8)
+    write_image(tmp_path / "scene/images" / name, soft)
+    short = {"phases": [{"name": "vanilla", "steps": 2}]}
+    run, whole = tmp_path / "run", tmp_path / "whole"
+    pipeline.train(tmp_path / "scene", run, config.parse(Settings, {**SETTINGS, **short, "effects": "blur"}))
+    assert f"train: too blurred, left out: {name}\n" in capsys.readouterr().err
+    pipeline.train(tmp_path / "scene", whole, config.parse(Settings, {**SETTINGS, **short, "effects": "exposure"}))
+    assert runs.read_json(run / "manifest.json")["effects"]["left_out"] == [name]
+    assert runs.read_json(whole / "manifest.json")["effects"]["left_out"] == []
+    names = [[record["name"] for record in runs.read_json(folder / "cameras.json")] for folder in (run, whole)]
+    assert set(names[1]) - set(names[0]) == {name}
+    assert [frame.name for frame in scene_of_run(run).frames] == names[0]
+    assert [frame.name for frame in scene_of_run(whole).frames] == names[1]

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from photographed_wall import gains, radii2, relit, wall
-from scipy import ndimage
 from scipy.spatial.transform import Rotation
 from small_scenes import built_in
 
@@ -150,20 +149,6 @@ def test_wrong_poses_show_against_the_tracks():
         found = Move(tuple(twist[:3]), tuple(twist[3:]), 1.0).refined(frame).viewmat
         assert np.abs(found - true.viewmat).max() < 0.05 * np.abs(frame.viewmat - true.viewmat).max()
     assert np.abs(told_by_tracks(observe(scene))).max() < 1e-5  # rounding of the keypoints
-
-
-def test_a_blurred_photo_is_named():
-    scene = wall()
-    noise = np.random.default_rng(0).integers(-20, 20, (72, 96, 1))
-
-    def painted(index, pixels):
-        image = np.clip(pixels.image + noise, 0, 255).astype(np.float64)
-        image = ndimage.gaussian_filter(image, (1, 1, 0)) if index == 4 else image
-        return Pixels(image.astype(np.uint8))
-
-    found = diagnose(repainted(scene, painted)).effects["blur"]
-    assert found.on
-    assert found.note.startswith("blurred: 04.png;")
 
 
 def test_the_span_of_sampling_is_the_ratio_of_distances():

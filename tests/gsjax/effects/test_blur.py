@@ -1,0 +1,66 @@
+"""Blurred photos of a painted wall: named, and left out of training where others see what they see."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from photographed_wall import wall
+from scipy import ndimage
+
+from gsjax.effects.blur import judge, left_out
+from gsjax.effects.observations import observe
+from gsjax.scene import with_pixels
+
+
+def blurred(*indices):
+    """The wall with fine grain in all photos, and some of them blurred."""
+    scene, noise = wall(), np.random.default_rng(0).integers(-20, 20, (72, 96, 1))
+    frames = []
+    for index, frame in enumerate(scene.frames):
+        image = np.clip(frame.pixels().image + noise, 0, 255).astype(np.float64)
+        image = ndimage.gaussian_filter(image, (1, 1, 0)) if index in indices else image
+        frames.append(with_pixels(frame, frame.pixels()._replace(image=image.astype(np.uint8))))
+    return replace(scene, frames=tuple(frames))
+
+
+def with_tracks(scene, kept):
+    """The scene with those of its observations alone that are kept: `kept(photo, point)`."""
+    tracks = scene.tracks()
+    there = kept(tracks.photo, tracks.point)
+    fewer = replace(tracks, photo=tracks.photo[there], point=tracks.point[there], rays=tracks.rays[there])
+    return replace(scene, tracks=lambda: fewer)
+
+
+def test_a_blurred_photo_is_named():
+    found = judge(observe(blurred(4)))
+    assert found.on
+    assert found.note == "blurred: 04.png; 1 by more than 70 %, training leaves 1 out"
+    assert not judge(observe(blurred())).on
+
+
+def test_photos_are_left_out_where_others_see_what_they_see():
+    scene = blurred(4, 7)
+    assert left_out(observe(scene)) == ("04.png", "07.png")
+    assert left_out(observe(blurred())) == ()
+    held = [replace(frame, held_out=frame.name == "07.png") for frame in scene.frames]
+    assert left_out(observe(replace(scene, frames=tuple(held)))) == ("04.png",), "held-out photos are not trained on"
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.05, ("04.png",)), (0.2, ())])
+def test_a_photo_stays_where_nobody_else_sees_so_much_of_it(share, expected):
+    alone = with_tracks(blurred(4), lambda photo, point: (photo == 4) | (point % 100 >= 100 * share))
+    assert left_out(observe(alone)) == expected
+
+
+def test_blurred_photos_do_not_vouch_for_each_other_and_one_sharp_one_is_too_few():
+    scene = blurred(4, 7)
+    tracks = scene.tracks()
+    shared = np.flatnonzero(np.bincount(tracks.point, minlength=400) == 12)  # seen by all photos
+    for witnesses, expected in (((), ()), ((0,), ()), ((0, 1), ("04.png", "07.png"))):
+        chosen = (4, 7, *witnesses)
+        seen = with_tracks(scene, lambda photo, point, c=chosen: np.isin(photo, c) & np.isin(point, shared))
+        assert left_out(observe(seen)) == expected
+
+
+def test_without_tracks_nobody_knows_and_no_photo_is_left_out():
+    assert left_out(observe(with_tracks(blurred(4), lambda photo, _: photo < 0))) == ()
