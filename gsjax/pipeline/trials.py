@@ -17,11 +17,13 @@ from gsjax.settings import Settings, Weights, total_steps
 from gsjax.training import trial
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import TrainState
+from gsjax.views import Views
 
 NEAR = 1.5  # times the threshold, or that part of it
 TRIED = ("exposure", "vignetting", "poses", "background")  # masks choose what they are scored on: no trial tells them
 WORTH = 0.1  # dB on what was kept from the trial
-STEPS, SHARE = 200, 0.05  # before and after the ways part, each; of the run, at most
+STEPS, SHARE = 60, 0.05  # before and after the ways part, each; of the run, at most
+SCORED = 16  # photos whose kept blocks are scored, spread evenly
 
 Trial = Callable[[Observations, Sequence[str], Sequence[str]], dict[str, float]]
 """(photos, effects that are on, effects to be tried) -> decibels that each of the latter brings."""
@@ -61,6 +63,7 @@ def gains(
     """
     optimizer = make_optimizer(settings.rates, extent, total_steps(settings))
     shown, kept = trial.by_block(trial.small_views(frames))
+    kept = Views(kept.targets[:: -(-kept.num_views // SCORED)])
     steps = max(1, min(STEPS, round(SHARE * total_steps(settings))))
 
     every = (2 + len(near)) * (steps + kept.num_views)
