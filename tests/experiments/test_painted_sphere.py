@@ -1,5 +1,7 @@
 """The sphere that causes of wrong depth are measured on, and the order that every pixel finds by itself."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -72,12 +74,12 @@ def test_layers_that_do_not_cross_are_drawn_as_the_library_draws_them(study, sph
     rng = np.random.default_rng(0)
     means = np.stack([*rng.uniform(-0.5, 0.5, (2, 30)), rng.permutation(np.linspace(-0.6, 0.6, 30))], -1)
     splats = splats_of(study, means, np.tile([0.0, 0.0, 1.0], (30, 1)), rng.uniform(size=(30, 3)))
-    ways = [lambda s, draw=draw: draw(s, viewmat, filtered=study.MIP) for draw in (study.in_tiles, study.by_pixel)]
+    ways = [jax.jit(partial(draw, viewmat=viewmat, filtered=study.MIP)) for draw in (study.in_tiles, study.by_pixel)]
     for ours, theirs in zip(*(way(splats) for way in ways), strict=True):
         seen = np.asarray(ways[0](splats).alphas) > 0.01
         np.testing.assert_allclose(np.asarray(ours)[seen], np.asarray(theirs)[seen], **CLOSE)
     weights = jnp.float32(rng.normal(size=(sphere.SIZE, sphere.SIZE, 3)))
-    slopes = [jax.grad(lambda s, way=way: jnp.sum(way(s).colors * weights))(splats) for way in ways]
+    slopes = [jax.jit(jax.grad(lambda s, way=way: jnp.sum(way(s).colors * weights)))(splats) for way in ways]
     for name, ours, theirs in zip(splats._fields, *slopes, strict=True):
         scale = np.abs(ours).max()
         np.testing.assert_allclose(
