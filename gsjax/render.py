@@ -1,6 +1,6 @@
 """Gaussians and a camera to images: one projection and one binning, then as many channels as are asked for."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import singledispatch
 from typing import Any, Literal, NamedTuple
 
@@ -15,8 +15,13 @@ from gsjax.gaussians import Gaussians, PixelFilter, opacities, scales, sh_coeffi
 from gsjax.numerics import safe_divide
 from rasterizer import DepthMode
 
-DepthReading = Literal["center", "plane", "median"]
-"""What a pixel's depth is: the mean of its splats', each as `rasterizer.DepthMode` has it, or that of one's plane."""
+DepthReading = Literal["center", "plane", "front", "median"]
+"""What a pixel's depth is: the mean of its splats', each as `rasterizer.DepthMode` has it; the mean of the planes of
+those in front, see `FRONT`; or that of one's plane."""
+
+FRONT = replace(rasterizer.GSPLAT, stop_after=0.2)
+"""Up to the splat that leaves a fifth of the light: what shines through the first layers from far behind is a few
+hundredths of the light, but not of its depth."""
 
 PIXEL_FILTERS: dict[PixelFilter, dict[str, Any]] = {
     "classic": {"eps2d": 0.3},
@@ -179,10 +184,11 @@ def tile_grid(camera: Camera) -> rasterizer.TileGrid:
     return rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.default_tile_size())
 
 
-def features(splats: Splats, values: Array) -> tuple[Array, Array]:
+def features(splats: Splats, values: Array, rules: rasterizer.Rules = rasterizer.GSPLAT) -> tuple[Array, Array]:
     """`[H, W, D]` per-Gaussian `values` `[N, D]` composited on zero, and `[H, W]` alphas."""
     values = jnp.where(splats.projection.visible[0, :, None], values, 0)
-    image, left, _ = rasterizer.blend(splats.projection, splats.opacities, values[None], splats.pairs, splats.grid)
+    to_blend = splats.projection, splats.opacities, values[None], splats.pairs, splats.grid
+    image, left, _ = rasterizer.blend(*to_blend, rules)
     return image[0], 1 - left[0, ..., 0]
 
 
@@ -236,7 +242,8 @@ def view(
         active_degree: Highest SH degree used, one for all or `[N]`; may be traced. None: all.
         with_depth: Whether depth is composited too. Static; not in the program otherwise.
         depth_mode: What a splat's depth is: "plane" where the Gaussian is densest along each pixel's ray, "center" that
-            of its mean; depth is the mean over the splats. "median": the plane's depth of the one in which the light
+            of its mean; depth is the mean over the splats. "front": the mean of the planes of those in front, `FRONT`;
+            costs a second pass. "median": the plane's depth of the one in which the light
             falls to half, for discs on a mesh, which let through light of its far side; costs a second pass, and its
             gradient reaches that splat alone. Static.
         means2d_probe: See `splat`.
@@ -245,38 +252,50 @@ def view(
     Returns:
         `View`.
     """
-    scene = drawable(gaussians)
-    is_median = depth_mode == "median"
-    splats = _splat(scene, camera, capacity, means2d_probe, _of_each(depth_mode) if with_depth else "center")
-    with_mean = with_depth and not is_median
-    found = shown(splats, colors(scene, camera, active_degree), background, with_depth=with_mean, extra=extra)
-    return found._replace(depth=_median_depth(splats, found.alphas)) if with_depth and is_median else found
+    scene, reading = drawable(gaussians), depth_mode if with_depth else None
+    splats = _splat(scene, camera, capacity, means2d_probe, of_each(reading))
+    return shown(splats, colors(scene, camera, active_degree), background, reading=reading, extra=extra)
 
 
-def _of_each(reading: DepthReading) -> DepthMode:
-    return "plane" if reading == "median" else reading
-
-
-def _median_depth(splats: Splats, alphas: Array) -> Array:
-    median = rasterizer.median_depth(splats.projection, owners(splats)[None])[0, ..., 0]
-    return jnp.where(alphas > MIN_COVERAGE, median, 0)
+def of_each(reading: DepthReading | None) -> DepthMode:
+    """What depth splats are projected with to be read so; None: depth is not read."""
+    return "center" if reading in (None, "center") else "plane"
 
 
 def shown(
-    splats: Splats, colors: Array, background: Array, *, with_depth: bool = False, extra: Array | None = None
+    splats: Splats, colors: Array, background: Array, *, reading: DepthReading | None = None, extra: Array | None = None
 ) -> View:
-    """What splats of `[N, 3]` colours show; the rest as in `view`."""
+    """What splats of `[N, 3]` colours show, and their depth if it is read; the rest as in `view`."""
     channels, depth = colors, None
     if extra is not None:
         channels = jnp.concatenate([channels, extra], -1)
     before_depth = channels.shape[1]
-    if with_depth:
-        depths = rasterizer.depth_channels(splats.projection, splats.grid.width, splats.grid.height)
-        channels = jnp.concatenate([channels, depths[0]], -1)
+    if reading in ("center", "plane"):
+        channels = jnp.concatenate([channels, _depths(splats)], -1)
     image, alphas = features(splats, channels)
-    if with_depth:
-        composited = rasterizer.blended_depth(image[None, ..., before_depth:])[0, ..., 0]
-        depth = safe_divide(composited, alphas, alphas > MIN_COVERAGE)
+    if reading in ("center", "plane"):
+        depth = _mean_depth(image[..., before_depth:], alphas)
+    elif reading == "front":
+        depth = front_depth(splats)
+    elif reading == "median":
+        depth = jnp.where(alphas > MIN_COVERAGE, _median_depth(splats), 0)
     under = background if background.ndim == 3 else background[None, None]
     over = image[..., :3] + (1 - alphas)[..., None] * under
     return View(over, alphas, depth, splats, None if extra is None else image[..., 3:before_depth])
+
+
+def front_depth(splats: Splats) -> Array:
+    """`[H, W]` mean depth of the splats in front, see `FRONT`; 0 where next to nothing is. A pass of its own."""
+    return _mean_depth(*features(splats, _depths(splats), FRONT))
+
+
+def _depths(splats: Splats) -> Array:
+    return rasterizer.depth_channels(splats.projection, splats.grid.width, splats.grid.height)[0]
+
+
+def _mean_depth(composited: Array, alphas: Array) -> Array:
+    return safe_divide(rasterizer.blended_depth(composited[None])[0, ..., 0], alphas, alphas > MIN_COVERAGE)
+
+
+def _median_depth(splats: Splats) -> Array:
+    return rasterizer.median_depth(splats.projection, owners(splats)[None])[0, ..., 0]

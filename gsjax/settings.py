@@ -171,7 +171,7 @@ class Settings:
     normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: found by comparing with the rendered depth
     background: Literal["white", "black", "random"] = "black"
     masks: Literal["valid", "matte"] = "valid"
-    depth_mode: Literal["plane", "center"] = "plane"  # a splat's depth, see `gsjax.render.view`
+    depth_mode: Literal["plane", "front", "center"] = "plane"  # how depth is read, see `gsjax.render.view`
     pixel_filter: Literal["classic", "mip"] = "classic"  # see `gsjax.render.PIXEL_FILTERS`; files of Gaussians tell it
     effects: str = NONE  # "none"; "auto", those that the photos show; or names, as in "exposure,vignetting"
     vanilla: bool = False  # plain 3DGS for the same number of steps: no entropy, no cull, no normals

@@ -34,7 +34,8 @@ def blend_splat(signed_t: Array, alpha: Array, rules: Rules) -> tuple[Array, Arr
     """
     left = signed_t * (1 - alpha)
     live = left > rules.transmittance_min
-    return jnp.where(live, signed_t - left, 0), jnp.where(live, left, -jnp.abs(signed_t))
+    ahead = jnp.where(left > rules.stop_after, left, -left) if rules.stop_after else left
+    return jnp.where(live, signed_t - left, 0), jnp.where(live, ahead, -jnp.abs(signed_t))
 
 
 def unblend_splat(

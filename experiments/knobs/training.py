@@ -75,5 +75,5 @@ KNOBS: dict[str, Knob] = {
     "R": _knob({label: _rarer(count) for label, count in (("every step", 1), ("every 2nd", 2), ("every 4th", 4))}),
     "slope of R": _knob({name: _slope(name) for name in ("sdf_bicubic", "sdf_central", "sdf_normal")}),
     **{f"effect: {name}": _knob({"simulated": {"effects": name}, "absent": {}}) for name in (*SIMULATED, "sh_degree")},
-    "depth of a splat": _knob({mode: {"depth_mode": mode} for mode in ("plane", "center")}),
+    "depth of a splat": _knob({mode: {"depth_mode": mode} for mode in ("plane", "front", "center")}),
 }

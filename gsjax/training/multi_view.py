@@ -18,9 +18,8 @@ from gsjax.gaussians import Gaussians
 from gsjax.images import reads_within, sample_bilinear
 from gsjax.measures.images import window_means
 from gsjax.numerics import masked_mean, safe_divide
-from gsjax.render import Neighbor, View
+from gsjax.render import DepthReading, Neighbor, View
 from gsjax.views import Batch, Views
-from rasterizer import DepthMode
 
 NEAREST = 8  # views that a neighbour is drawn from (PGSR),
 WIDEST = 30.0  # degrees between their axes (PGSR),
@@ -117,10 +116,11 @@ def _in_front(point: Array) -> tuple[Array, Array]:
     return jnp.where(in_front, point, jnp.array([0, 0, 1], point.dtype)), in_front
 
 
-def rendered(gaussians: Gaussians, beside: Batch, capacity: int, depth_mode: DepthMode) -> Neighbor:
+def rendered(gaussians: Gaussians, beside: Batch, capacity: int, depth_mode: DepthReading) -> Neighbor:
     """What the terms need of the second view."""
-    splats = render.splat(gaussians, beside.camera, capacity, depth_mode=depth_mode)
-    return Neighbor(beside.camera, depth.expected(splats)[0], splats.pairs, beside.image, beside.valid)
+    splats = render.splat(gaussians, beside.camera, capacity, depth_mode=render.of_each(depth_mode))
+    found = render.front_depth(splats) if depth_mode == "front" else depth.expected(splats)[0]
+    return Neighbor(beside.camera, found, splats.pairs, beside.image, beside.valid)
 
 
 def drawn_beside(neighbors: np.ndarray, seed: int, step: int) -> int:

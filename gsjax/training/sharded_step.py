@@ -60,7 +60,7 @@ def make_sharded_step(
     background: Background,
     sh_every: int,
     rule: Rule | None,
-    depth_mode: rasterizer.DepthMode = "plane",
+    depth_mode: render.DepthReading = "plane",
     extent: float = 1.0,
 ) -> ShardedStep:
     """The compiled step of one phase over V views, a multiple of the D devices: the mean of the V losses is descended.
@@ -85,7 +85,8 @@ def make_sharded_step(
     """
     terms = active_terms(weights)
     with_depth = not NEEDS_DEPTH.isdisjoint(terms)
-    splat_depth = depth_mode if with_depth else "center"
+    reading = depth_mode if with_depth else None
+    splat_depth = render.of_each(reading)
     with_shapes = not NEEDS_GAUSSIANS.isdisjoint(terms)
     unpack = partial(rasterizer.unpack, with_slopes=splat_depth == "plane")
 
@@ -108,7 +109,7 @@ def make_sharded_step(
         projection, opacities, features = unpack(rasterizer.exchange(rows, AXIS))
         splats = render.binned(projection, opacities, batch.camera, capacity)
         extra = features[:, -2:] if rule and rule.probes == "extra" else None
-        view = render.shown(splats, features[:, :3], color, with_depth=with_depth, extra=extra)
+        view = render.shown(splats, features[:, :3], color, reading=reading, extra=extra)
         shown = _shaped(features[:, 3:14]) if with_shapes else gaussians
         total, losses, mse = weighed(terms, rule, shown, view, batch)
         needed = splats.pairs.needed, jnp.max(packed.needed)

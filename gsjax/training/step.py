@@ -69,7 +69,7 @@ def make_train_step(
     background: Background,
     sh_every: int,
     rule: Rule | None,
-    depth_mode: rasterizer.DepthMode = "plane",
+    depth_mode: render.DepthReading = "plane",
     effects: Effects = NO_EFFECTS,
     extent: float = 1.0,
 ) -> TrainStep:

@@ -102,6 +102,47 @@ def test_the_median_depth_is_the_references_and_so_is_its_gradient():
     assert not jnp.any(gradient.logit_opacities), "which splat it is does not change"
 
 
+def test_the_depth_in_front_is_the_references_and_so_is_its_gradient():
+    def weighed(depth):
+        return jnp.sum(jnp.where(depth > 0, depth, 0) * jnp.linspace(0.5, 1.5, depth.size).reshape(depth.shape))
+
+    def of_reference(gaussians):
+        depth, alphas, _ = rasterizer.rasterization(
+            *(gaussians.means, gaussians.quats, scales(gaussians), opacities(gaussians), None),
+            *(CAMERA.viewmat[None], CAMERA.K[None], CAMERA.width, CAMERA.height),
+            render_mode="ED",
+            backend="reference",
+            depth_mode="plane",
+            rules=render.FRONT,
+        )
+        found = jnp.where(alphas[0] > render.MIN_COVERAGE, depth[0], 0)[..., 0]
+        return weighed(found), found
+
+    def of_view(gaussians):
+        depth = shown(gaussians, depth_mode="front").depth
+        return weighed(depth), depth
+
+    (_, found), gradient = jax.jit(jax.value_and_grad(of_view, has_aux=True))(SCENE)
+    (_, depth), expected = jax.jit(jax.value_and_grad(of_reference, has_aux=True))(SCENE)
+    assert_close(found, depth)
+    assert float(jnp.abs(found - shown(SCENE).depth).max()) > 0.01
+    for name in ("means", "quats", "log_scales", "logit_opacities"):
+        assert_close(getattr(gradient, name), getattr(expected, name))
+        assert float(jnp.abs(getattr(expected, name)).max()) > 0
+
+
+def test_what_shines_through_from_behind_is_not_in_the_depth_in_front():
+    """A plane at 2 that lets a hundredth of the light through, and one far behind it."""
+    near, far = (plane((0.0, 0.0, -1.0), per_side=2, spacing=0.5, radius=6.0, distance=z) for z in (2.0, 20.0))
+    near = replace(near, logit_opacities=jnp.full_like(near.logit_opacities, jax.scipy.special.logit(0.7)))
+    both = jax.tree.map(lambda *rows: jnp.concatenate(rows), near, far)
+    camera = camera_at()
+    middle = slice(8, 16), slice(10, 22)
+    of = {mode: np.asarray(shown(both, 0, camera=camera, depth_mode=mode).depth)[middle] for mode in ("plane", "front")}
+    assert of["plane"].min() > 2.1
+    assert np.abs(of["front"] - 2).max() < 0.02
+
+
 def test_the_gradient_of_depth_turns_and_stretches_splats():
     # One disc fills the image: its alpha does not change to first order where only its plane turns.
     disc = plane((0.3, 0.2, -1.0), per_side=2, spacing=1.0, radius=6.0)

@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import cloud, evaluate, relative_errors, render, stacks
+from scenes import GAUSSIAN_FIELDS, cloud, evaluate, relative_errors, render, single, stacks
 from tolerances import assert_close
 
-from rasterizer import INRIA, spherical_harmonics
+from rasterizer import GSPLAT, INRIA, Rules, spherical_harmonics
 
 # name -> (scene, options): each is two programs to compile, so that few cases cover much.
 CASES = {
@@ -18,6 +18,7 @@ CASES = {
     "RGB+D, degree 1, two cameras": (cloud(cameras=2, sh_degree=1), {"sh_degree": 1, "render_mode": "RGB+D"}),
     "RGB+ED, degree 4, 7 channels": (cloud(channels=7, sh_degree=4), {"sh_degree": 4, "render_mode": "RGB+ED"}),
     "RGB+ED of planes, two cameras": (cloud(cameras=2), {"render_mode": "RGB+ED", "depth_mode": "plane"}),
+    "ED of planes in front": (stacks(), {"render_mode": "ED", "depth_mode": "plane", "rules": Rules(stop_after=0.2)}),
     "ED, one pixel": (cloud(20, size=(1, 1), channels=1), {"render_mode": "ED"}),
     "degree 0, one Gaussian, 1 channel": (cloud(1, size=(9, 7), sh_degree=0, channels=1), {"sh_degree": 0}),
 }
@@ -42,6 +43,20 @@ def test_tiles_equal_the_reference(name):
     # Measured up to 3e-6, and 3e-5 where two gradients of a field nearly cancel.
     for field, error in relative_errors(gradient, expected_gradient).items():
         assert error < 1e-4, (field, error)
+
+
+@pytest.mark.parametrize("backend", ["xla", "reference"])
+@pytest.mark.parametrize(("stop_after", "layers"), [(0.0, 4), (0.1, 3), (0.2, 2), (0.39, 2), (0.41, 1), (0.9, 1)])
+def test_a_pixel_is_done_with_the_layer_that_leaves_so_little(backend, stop_after, layers):
+    """Of four layers of alpha 0.6, each leaves 0.4 of the light; what stops a pixel counts whole."""
+    one = single(scale=(400.0, 400.0, 0.1), opacity=0.6)
+    rows = {name: jnp.repeat(getattr(one, name), 4, 0) for name in GAUSSIAN_FIELDS}
+    scene = replace(
+        one,
+        **rows | {"means": rows["means"] + 0.1 * jnp.arange(4, dtype=jnp.float32)[:, None] * jnp.array([0, 0, 1.0])},
+    )
+    _, alphas, *_ = evaluate(scene, backend, rules=replace(GSPLAT, stop_after=stop_after))
+    assert_close(alphas, jnp.full_like(alphas, 1 - 0.4**layers), rtol=0, atol=1e-5, why="wide splats fall off a little")
 
 
 @pytest.mark.parametrize("backend", ["xla", "reference"])
