@@ -1,6 +1,6 @@
 """Gaussians and a camera to images: one projection and one binning, then as many channels as are asked for."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import singledispatch
 from typing import Any, Literal, NamedTuple
 
@@ -19,9 +19,9 @@ DepthReading = Literal["center", "plane", "front", "median"]
 """What a pixel's depth is: the mean of its splats', each as `rasterizer.DepthMode` has it; the mean of the planes of
 those in front, see `FRONT`; or that of one's plane."""
 
-FRONT = replace(rasterizer.GSPLAT, stop_after=0.2)
-"""Up to the splat that leaves a fifth of the light: what shines through the first layers from far behind is a few
-hundredths of the light, but not of its depth."""
+FRONT = rasterizer.Front(channels=4, stop_after=0.2)
+"""Planes and what they cover, up to the splat that leaves a fifth of the light: what shines through the first layers
+from far behind is a few hundredths of the light, but not of its depth."""
 
 PIXEL_FILTERS: dict[PixelFilter, dict[str, Any]] = {
     "classic": {"eps2d": 0.3},
@@ -184,11 +184,11 @@ def tile_grid(camera: Camera) -> rasterizer.TileGrid:
     return rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.default_tile_size())
 
 
-def features(splats: Splats, values: Array, rules: rasterizer.Rules = rasterizer.GSPLAT) -> tuple[Array, Array]:
+def features(splats: Splats, values: Array, front: rasterizer.Front | None = None) -> tuple[Array, Array]:
     """`[H, W, D]` per-Gaussian `values` `[N, D]` composited on zero, and `[H, W]` alphas."""
     values = jnp.where(splats.projection.visible[0, :, None], values, 0)
     to_blend = splats.projection, splats.opacities, values[None], splats.pairs, splats.grid
-    image, left, _ = rasterizer.blend(*to_blend, rules)
+    image, left, _ = rasterizer.blend(*to_blend, front=front)
     return image[0], 1 - left[0, ..., 0]
 
 
@@ -242,8 +242,8 @@ def view(
         active_degree: Highest SH degree used, one for all or `[N]`; may be traced. None: all.
         with_depth: Whether depth is composited too. Static; not in the program otherwise.
         depth_mode: What a splat's depth is: "plane" where the Gaussian is densest along each pixel's ray, "center" that
-            of its mean; depth is the mean over the splats. "front": the mean of the planes of those in front, `FRONT`;
-            costs a second pass. "median": the plane's depth of the one in which the light
+            of its mean; depth is the mean over the splats. "front": the mean of the planes of those in front, see
+            `FRONT`. "median": the plane's depth of the one in which the light
             falls to half, for discs on a mesh, which let through light of its far side; costs a second pass, and its
             gradient reaches that splat alone. Static.
         means2d_probe: See `splat`.
@@ -272,11 +272,13 @@ def shown(
     before_depth = channels.shape[1]
     if reading in ("center", "plane"):
         channels = jnp.concatenate([channels, _depths(splats)], -1)
-    image, alphas = features(splats, channels)
+    elif reading == "front":
+        channels = jnp.concatenate([channels, _in_front(splats)], -1)
+    image, alphas = features(splats, channels, FRONT if reading == "front" else None)
     if reading in ("center", "plane"):
         depth = _mean_depth(image[..., before_depth:], alphas)
     elif reading == "front":
-        depth = front_depth(splats)
+        depth = _mean_depth(image[..., before_depth:-1], image[..., -1])
     elif reading == "median":
         depth = jnp.where(alphas > MIN_COVERAGE, _median_depth(splats), 0)
     under = background if background.ndim == 3 else background[None, None]
@@ -286,7 +288,13 @@ def shown(
 
 def front_depth(splats: Splats) -> Array:
     """`[H, W]` mean depth of the splats in front, see `FRONT`; 0 where next to nothing is. A pass of its own."""
-    return _mean_depth(*features(splats, _depths(splats), FRONT))
+    image, _ = features(splats, _in_front(splats), FRONT)
+    return _mean_depth(image[..., :-1], image[..., -1])
+
+
+def _in_front(splats: Splats) -> Array:
+    depths = _depths(splats)
+    return jnp.concatenate([depths, jnp.ones_like(depths[:, :1])], -1)
 
 
 def _depths(splats: Splats) -> Array:

@@ -3,6 +3,7 @@
 from rasterizer.api import rasterization
 from rasterizer.binning import TileGrid, TilePairs, bin_splats, count_pairs
 from rasterizer.capacity import capacity_bucket
+from rasterizer.compositing import Front
 from rasterizer.covariances import quat_scale_to_covar_preci
 from rasterizer.engines import blend, default_tile_size
 from rasterizer.exchange import Packed, exchange, pack, unpack
@@ -25,6 +26,7 @@ __all__ = [
     "GSPLAT_1_5",
     "INRIA",
     "DepthMode",
+    "Front",
     "Packed",
     "Projection",
     "Rules",

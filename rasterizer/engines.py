@@ -8,7 +8,7 @@ from jax import Array
 
 from rasterizer import _pallas, _xla
 from rasterizer.binning import TileGrid, TilePairs
-from rasterizer.compositing import Engine, Static, composite
+from rasterizer.compositing import Engine, Front, Static, composite
 from rasterizer.projection import Projection
 from rasterizer.rules import GSPLAT, Rules
 
@@ -47,6 +47,7 @@ def blend(
     *,
     backend: Backend = "auto",
     with_median: bool = False,
+    front: Front | None = None,
 ) -> tuple[Array, Array, Array | None]:
     """Blend any channels over lists that are already there: one binning serves several passes.
 
@@ -59,6 +60,7 @@ def blend(
         rules: Thresholds. Static.
         backend: A tile backend. Static.
         with_median: Whether the median splats are wanted. Static.
+        front: How many of the last channels end with the first layers, and where. Static.
 
     Returns:
         `[C, H, W, D]` features blended on nothing, `[C, H, W, 1]` transmittance left, and `[C, H, W]` int32 the splat
@@ -75,7 +77,13 @@ def blend(
         shape = (grid.num_cameras, grid.height, grid.width)
         median = jnp.full(shape, -1, jnp.int32) if with_median else None
         return jnp.zeros((*shape, channels), features.dtype), jnp.ones((*shape, 1), features.dtype), median
-    static = Static(grid, rules, _engine(backend), with_median)
+    if front and channels > CHANNEL_CHUNK:
+        others = features[..., : channels - front.channels], features[..., channels - front.channels :]
+        how = {"backend": backend, "with_median": with_median}
+        image, left, median = blend(projection, opacities, others[0], pairs, grid, rules, **how)
+        ended, *_ = blend(projection, opacities, others[1], pairs, grid, rules, backend=backend, front=front)
+        return jnp.concatenate([image, ended], -1), left, median
+    static = Static(grid, rules, _engine(backend), with_median, front)
     splats = (
         projection.means2d.reshape(-1, 2),
         projection.conics.reshape(-1, 3),

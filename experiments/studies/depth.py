@@ -1,4 +1,4 @@
-"""What depth is in the surface phase and in the scores: of splats' centres, of their planes, of those planes in front."""
+"""What depth is in the surface phase and in the scores: that of centres, of planes, or of the planes in front."""
 
 CONFIG: dict = {
     "base": "demo",

@@ -113,7 +113,7 @@ def test_the_depth_in_front_is_the_references_and_so_is_its_gradient():
             render_mode="ED",
             backend="reference",
             depth_mode="plane",
-            rules=render.FRONT,
+            rules=replace(rasterizer.GSPLAT, stop_after=render.FRONT.stop_after),
         )
         found = jnp.where(alphas[0] > render.MIN_COVERAGE, depth[0], 0)[..., 0]
         return weighed(found), found

@@ -9,7 +9,7 @@ import pytest
 from scenes import GAUSSIAN_FIELDS, cloud, evaluate, relative_errors, render, single, stacks
 from tolerances import assert_close
 
-from rasterizer import GSPLAT, INRIA, Rules, spherical_harmonics
+from rasterizer import GSPLAT, INRIA, Front, Rules, TileGrid, bin_splats, blend, project, spherical_harmonics
 
 # name -> (scene, options): each is two programs to compile, so that few cases cover much.
 CASES = {
@@ -122,3 +122,41 @@ def test_the_tiles_refuse_forward_mode():
     scene = cloud()
     with pytest.raises(TypeError, match="forward-mode"):
         jax.jvp(lambda c: render(replace(scene, colors=c))[0], (scene.colors,), (scene.colors,))
+
+
+@pytest.mark.parametrize("backend", ["xla", "pallas"])
+@pytest.mark.parametrize("channels", [5, 17])
+def test_channels_in_front_are_those_of_a_pass_that_stops(backend, channels):
+    """And the others, the light left and the median are those of one that goes on; 17 take more than one pass."""
+    scene = stacks()
+    grid = TileGrid(1, scene.width, scene.height, 16)
+    shape = scene.means, scene.quats, scene.scales, scene.opacities
+    projection = project(*shape, scene.viewmats, scene.Ks, scene.width, scene.height)
+    pairs = bin_splats(projection, scene.opacities, grid, 2048, GSPLAT)
+    rng = np.random.default_rng(3)
+    features = jnp.asarray(rng.normal(size=(1, len(scene.means), channels)), jnp.float32)
+    weights = jnp.asarray(rng.normal(size=(1, scene.height, scene.width, channels)), jnp.float32)
+
+    def blended(numbers, **options):
+        means2d, conics, opacities, features = numbers
+        splats = projection._replace(means2d=means2d, conics=conics)
+        return blend(splats, opacities, features, pairs, grid, **{"backend": backend, **options})
+
+    def in_one(numbers):
+        image, left, median = blended(numbers, front=Front(2, 0.2), with_median=True)
+        return jnp.sum(image * weights) + jnp.sum(left), (image, left, median)
+
+    def in_two(numbers):
+        image, left, median = blended(numbers, backend="xla", with_median=True)
+        ended, *_ = blended(numbers, backend="xla", rules=replace(GSPLAT, stop_after=0.2))
+        image = jnp.concatenate([image[..., :-2], ended[..., -2:]], -1)
+        return jnp.sum(image * weights) + jnp.sum(left), (image, left, median)
+
+    numbers = projection.means2d, projection.conics, scene.opacities, features
+    (_, found), slopes = jax.value_and_grad(in_one, has_aux=True)(numbers)
+    (_, expected), right = jax.value_and_grad(in_two, has_aux=True)(numbers)
+    assert_close(found[:2], expected[:2])
+    np.testing.assert_array_equal(found[2], expected[2])
+    assert float(jnp.abs(found[0] - blended(numbers)[0]).max()) > 0.1, "something shines through"
+    for name, a, b in zip(("means2d", "conics", "opacities", "features"), slopes, right, strict=True):
+        assert np.linalg.norm(a - b) < 1e-4 * np.linalg.norm(b), name

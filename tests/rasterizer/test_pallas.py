@@ -9,7 +9,7 @@ import pytest
 from scenes import cloud, evaluate, relative_errors, stacks
 from tolerances import assert_close
 
-from rasterizer import GSPLAT, INRIA, TileGrid, _pallas, engines
+from rasterizer import GSPLAT, INRIA, Front, TileGrid, _pallas, engines
 from rasterizer.compositing import Static, composite
 
 CASES = {
@@ -67,7 +67,8 @@ def lowered_for_cuda(program, *arguments):
 @pytest.mark.parametrize("tile_size, channels", [(8, 1), (16, 3), (32, 16)])
 def test_both_kernels_lower_for_cuda(tile_size, channels):
     grid = TileGrid(1, 100, 60, tile_size)
-    static = Static(grid, GSPLAT, _pallas.engine(interpret=False), with_median=channels == 3)
+    front = Front(4, 0.2) if channels == 16 else None
+    static = Static(grid, GSPLAT, _pallas.engine(interpret=False), with_median=channels == 3, front=front)
 
     def loss(splats, lists):
         image, left, _ = composite(static, *splats, *lists)
