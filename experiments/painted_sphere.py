@@ -60,27 +60,27 @@ def rays(viewmat: np.ndarray, fine: int = 1) -> tuple[np.ndarray, np.ndarray]:
 
 
 def depth(viewmat: np.ndarray, fine: int = 1) -> np.ndarray:
-    """`[SIZE fine, SIZE fine]` true depth, NaN where there is no sphere."""
+    """`[SIZE fine, SIZE fine]` true depth, 0 where there is no sphere."""
     center, ray = rays(viewmat, fine)
     along, squared = ray @ center, np.sum(ray**2, -1)
     left = along**2 - squared * (center @ center - 1)
-    return (-along - np.sqrt(np.where(left > 0, left, np.nan))) / squared
+    return np.where(left > 0, (-along - np.sqrt(left.clip(0))) / squared, 0)
 
 
 def photo(viewmat: np.ndarray) -> np.ndarray:
     """`[SIZE, SIZE, 3]` means of the light over the pixels."""
     center, ray = rays(viewmat, RAYS)
-    points = center + depth(viewmat, RAYS)[..., None] * ray
-    light = np.where(np.isnan(points), 0, paint(np.nan_to_num(points)))
+    at = depth(viewmat, RAYS)[..., None]
+    light = np.where(at > 0, paint(center + at * ray), 0)
     return light.reshape(SIZE, RAYS, SIZE, RAYS, 3).mean((1, 3))
 
 
 def inside(viewmat: np.ndarray) -> np.ndarray:
     """`[SIZE, SIZE]` bool: pixels that see the sphere, and not too steeply."""
     center, ray = rays(viewmat)
-    normals = center + np.nan_to_num(depth(viewmat))[..., None] * ray
-    facing = -np.sum(normals * ray, -1) / np.linalg.norm(ray, axis=-1)
-    return ~np.isnan(depth(viewmat)) & (facing > np.cos(np.radians(STEEPEST)))
+    at = depth(viewmat)
+    facing = -np.sum((center + at[..., None] * ray) * ray, -1) / np.linalg.norm(ray, axis=-1)
+    return (at > 0) & (facing > np.cos(np.radians(STEEPEST)))
 
 
 def offset(draw: Callable[[Array], Drawn], views: np.ndarray) -> float:
