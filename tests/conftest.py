@@ -140,7 +140,7 @@ MOST_MAPPINGS = 50_000  # Linux allows a process 65,530; a compiled program take
 def _room_for_programs():
     """Forgets compiled programs before the system refuses more memory mappings, which XLA does not survive.
 
-    And after every file the functions that nobody holds: of 4,096 programs that jax keeps, theirs would crowd out others.
+    And after every file the functions that nobody holds: jax keeps 4,096 programs, and theirs would crowd out others.
     """
     yield
     gc.collect()
