@@ -12,22 +12,22 @@ class Rules:
         alpha_min: A splat is skipped at a pixel where its alpha is below this.
         transmittance_min: A splat that would bring a pixel's transmittance to or under this is not blended, and
             nothing behind it is.
-        stop_after: A pixel is done with the splat that brings its transmittance to or under this: that splat counts
-            whole, nothing behind it does. 0: only `transmittance_min` stops it.
         extent_sigmas: A splat's extent along each image axis, at most, in standard deviations.
         opacity_extent: Whether a faint splat's extent shrinks to where its alpha passes `alpha_min`.
         straight_through: Whether the gradient passes the alpha clamp as if it were not there.
         compensation_min: The least factor by which antialiasing dims a splat.
+        stop_after: A pixel is done with the splat that brings its transmittance to or under this: that splat counts
+            whole, nothing behind it does. 0: only `transmittance_min` stops it.
     """
 
     alpha_max: float = 0.99
     alpha_min: float = 1.0 / 255.0
     transmittance_min: float = 1e-4
-    stop_after: float = 0.0
     extent_sigmas: float = 3.33
     opacity_extent: bool = True
     straight_through: bool = False
     compensation_min: float = 0.005
+    stop_after: float = 0.0
 
 
 GSPLAT = Rules()

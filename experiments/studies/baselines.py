@@ -14,9 +14,7 @@ Each surface phase has as many steps as take the time of the demo's, by what a s
 
 from gsjax.settings import DEMO, NORMAL_TERMS
 
-_VANILLA, _SURFACE = DEMO["phases"]
-_TIME = 2.23 * _SURFACE["steps"]  # of the demo's surface phase, in plain steps
-_TERMS = {  # what a step costs, in plain ones, and the weights
+TERMS = {  # what a step costs, in plain ones, and the weights
     "vanilla": (1.00, {}),
     "SuGaR, sdf": (4.23, {"sugar_sdf": 0.2}),
     "SuGaR, density": (3.01, {"sugar_density": 0.2}),
@@ -31,20 +29,26 @@ _TERMS = {  # what a step costs, in plain ones, and the weights
     "ours, density_sample": (3.63, {"density_sample": 0.2}),
     "ours, pixel_normal": (1.36, {"pixel_normal": 0.2}),
     "ours, pixel_normal 0.1": (1.36, {"pixel_normal": 0.1}),
-    "ours, demo": (2.23, _SURFACE["weights"]),
+    "ours, demo": (2.23, DEMO["phases"][-1]["weights"]),
 }
 
 
-def _variant(cost: float, weights: dict[str, float]) -> dict:
-    surface = {**_SURFACE, "steps": round(_TIME / cost), "weights": weights}
-    normals = {} if NORMAL_TERMS.isdisjoint(weights) else {"normals": "{scene}/normals"}
-    return {"phases": [_VANILLA, surface], **normals}
+def at_equal_time(phases: list[dict], terms: dict[str, tuple[float, dict[str, float]]]) -> dict[str, dict]:
+    """Variants by name: the phases, the last of each term as long as takes the time of the mix, `ours, demo`.
+
+    Args:
+        phases: Of the mix.
+        terms: What a step of the last phase costs, and its weights.
+    """
+    *first, last = phases
+    time = terms["ours, demo"][0] * last["steps"]
+    shared = {"rates": {"decay_steps": sum(phase["steps"] for phase in phases)}}
+    return {
+        name: {"phases": [*first, {**last, "steps": round(time / cost), "weights": weights}]}
+        | ({} if NORMAL_TERMS.isdisjoint(weights) else {"normals": "{scene}/normals"})
+        | shared
+        for name, (cost, weights) in terms.items()
+    }
 
 
-CONFIG: dict = {
-    "base": "demo",
-    "variants": {
-        name: _variant(*described) | {"rates": {"decay_steps": _VANILLA["steps"] + _SURFACE["steps"]}}
-        for name, described in _TERMS.items()
-    },
-}
+CONFIG: dict = {"base": "demo", "variants": at_equal_time(DEMO["phases"], TERMS)}

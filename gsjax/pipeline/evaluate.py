@@ -216,7 +216,7 @@ def _taken(
 
 def _as_taken(looks: Mapping[str, Appearance], frame: Frame, under: np.ndarray | None) -> Callable[[Picture], Picture]:
     """What a photo's camera makes of a picture; `under`: the colour that we put behind its matte."""
-    if frame.name not in looks:
+    if not looks:
         return lambda picture: picture
     factor = looks[frame.name].factor(frame)
 

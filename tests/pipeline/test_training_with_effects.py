@@ -13,6 +13,8 @@ from gsjax.io import runs
 from gsjax.io.checkpoints import load_arrays
 from gsjax.io.images import read_image, write_image
 from gsjax.io.ply import read_gaussians
+from gsjax.pipeline.effects import read_photography
+from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.result import open_result, scene_of_run
 from gsjax.settings import Settings
 from gsjax.training import harmonics
@@ -46,6 +48,16 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     assert {name: evaluated[name] for name in scores} == pytest.approx(
         {name: summary[name] for name in scores}, abs=1e-3
     )
+    # With the looks of its own tracks in place of its neighbours', a photo has the score of those.
+    found, frames = read_photography(whole), scene_of_run(whole).held_out_frames
+    gaussians = open_result(whole).gaussians
+    same = score_images(gaussians, frames, "white", found=found._replace(near=found.looks))
+    assert same["psnr_near_gains"] == same["psnr_track_gains"] == pytest.approx(summary["psnr_track_gains"], abs=1e-3)
+    near = found.with_near(scene_of_run(whole).frames)
+    assert score_images(gaussians, frames, "white", found=near)["psnr_near_gains"] == pytest.approx(
+        summary["psnr_near_gains"], abs=1e-3
+    )
+    assert summary["psnr_near_gains"] != summary["psnr_track_gains"]
     photos = runs.read_json(whole / "effects.json")["photos"]
     records = runs.read_json(whole / "cameras.json")
     held_out = {record["name"] for record in records if record["held_out"]}
@@ -104,7 +116,7 @@ def test_a_run_goes_on_with_fewer_harmonics_and_they_are_nowhere(run, scene, tmp
 
 
 def test_a_photo_too_blurred_to_learn_from_is_in_no_stage(scene, tmp_path, capsys):
-    """Named or with `auto`; the run's folder and those that read it know nothing of it, and the line says why."""
+    """The run's folder and those that read it know nothing of it, and the line says why."""
     shutil.copytree(scene, tmp_path / "scene")
     name = "007.png"  # what it shows others see too
     photo, _ = read_image(tmp_path / "scene/images" / name)

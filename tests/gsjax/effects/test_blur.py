@@ -9,7 +9,9 @@ from scipy import ndimage
 
 from gsjax.effects.blur import judge, left_out
 from gsjax.effects.observations import observe
+from gsjax.pipeline.diagnose import looked_at
 from gsjax.scene import with_pixels
+from gsjax.settings import Settings
 
 
 def blurred(*indices):
@@ -64,3 +66,22 @@ def test_blurred_photos_do_not_vouch_for_each_other_and_one_sharp_one_is_too_few
 
 def test_without_tracks_nobody_knows_and_no_photo_is_left_out():
     assert left_out(observe(with_tracks(blurred(4), lambda photo, _: photo < 0))) == ()
+
+
+@pytest.mark.parametrize(("effects", "expected"), [("auto", ("04.png",)), ("poses,blur", ("04.png",)), ("poses", ())])
+def test_who_asks_for_it_gets_a_scene_without_and_a_diagnosis_of_that_scene(effects, expected, capsys):
+    scene = blurred(4)
+    looked = looked_at(Settings(effects=effects), scene)
+    assert looked.left_out == expected
+    names = tuple(frame.name for frame in scene.frames if frame.name not in expected)
+    assert tuple(frame.name for frame in looked.scene.frames) == names
+    assert tuple(frame.name for frame in looked.found.seen.frames) == names
+    assert looked.found.effects["blur"].note.startswith("blurred: 04.png"), "told of the whole scene"
+    assert ("left out: 04.png\n" in capsys.readouterr().err) == bool(expected)
+
+
+def test_nobody_looks_where_nothing_is_asked():
+    scene = blurred(4)
+    looked = looked_at(Settings(effects="none"), scene)
+    assert looked.scene is scene
+    assert looked.found is None
