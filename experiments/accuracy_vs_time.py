@@ -1,12 +1,13 @@
 """What accuracy costs in time: every knob that trades one for the other, in one table and one picture.
 
-    python experiments/accuracy_vs_time.py --scene SCENE --out DIR [--knobs NAME ...] [--rounds N] [--share S]
+    python experiments/accuracy_vs_time.py --scene SCENE --out DIR [--config NAME] [--knobs NAME ...]
+        [--rounds N] [--share S]
 
-SCENE is a data set with true normals and a true surface, as the built-in one of `gsjax demo`. In every round every
-setting of a knob is run once, in turn; its time is given in times of the most accurate setting's in the same round, its
-error is the difference from that setting's outcome. The most accurate one is run twice a round: how far these two times
-lie apart is what the machine itself adds. Writes DIR/accuracy_vs_time.md and .png after every knob. Called again it
-goes on after the rounds that are done.
+SCENE is a data set, such as the built-in one of `gsjax demo`; what needs a true surface is left out where it has none.
+In every round every setting of a knob is run once, in turn; its time is given in times of the most accurate setting's
+in the same round, its error is the difference from that setting's outcome. The most accurate one is run twice a round:
+how far these two times lie apart is what the machine itself adds. Writes DIR/accuracy_vs_time.md and .png after every
+knob. Called again it goes on after the rounds that are done.
 """
 
 import argparse
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from train import load_settings
 
 from gsjax.cli import guarded
 from gsjax.errors import InputError
@@ -26,21 +28,29 @@ Rounds = list[dict[str, dict[str, Any]]]
 """A round: label -> `seconds` and `errors` (by unit), the most accurate first, and `AGAIN`."""
 
 
-def run(scene: str, out: str, names: Sequence[str], rounds: int, share: float) -> dict[str, Rounds]:
-    """Measures the named knobs as far as that is not done yet, and returns all that is."""
-    from knobs import KNOBS
+def run(
+    scene: str, out: str, names: Sequence[str], rounds: int, share: float, config: str = "demo"
+) -> dict[str, Rounds]:
+    """Measures the named knobs, of none all, as far as that is not done yet, and returns all that is."""
+    from knobs import knobs_of
     from knobs.knob import Place
 
+    from gsjax.config import to_dict
     from gsjax.io import runs
 
-    if unknown := [name for name in names if name not in KNOBS]:
-        raise InputError(f"--knobs: no knob {unknown[0]!r}; there are {', '.join(KNOBS)}")
-    place, ledger = Place(scene, out, share), Path(out) / "rounds.json"
+    whole = to_dict(load_settings(config))
+    knobs = knobs_of(whole)
+    if unknown := [name for name in names if name not in knobs]:
+        raise InputError(f"--knobs: no knob {unknown[0]!r}; there are {', '.join(knobs)}")
+    place, ledger = Place(scene, out, whole, share), Path(out) / "rounds.json"
     done: dict[str, Rounds] = runs.read_json(ledger) if ledger.exists() else {}
-    for name in names:
+    for name in names or knobs:
+        if knobs[name].needs_truth and not place.has_truth:
+            print(f"== {name}: left out, {scene} has no true surface", flush=True)
+            continue
         while len(done.setdefault(name, [])) < rounds:
             print(f"== {name}, round {len(done[name]) + 1} of {rounds}", flush=True)
-            done[name].append(one_round(KNOBS[name], place, len(done[name])))
+            done[name].append(one_round(knobs[name], place, len(done[name])))
             runs.write_json(ledger, done)
         write(Path(out), {knob: each for knob, each in done.items() if each})
     return done
@@ -155,16 +165,16 @@ def _arms(values: np.ndarray, middle: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     """Reads the arguments, measures, and prints the table."""
-    from knobs import KNOBS
-
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", required=True, help="folder of the data set")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for runs, table and picture")
-    parser.add_argument("--knobs", nargs="+", default=list(KNOBS), metavar="NAME", help=f"of {', '.join(KNOBS)}")
+    parser.add_argument("--config", default="demo", metavar="NAME", help="of configs/, to turn from (default: demo)")
+    parser.add_argument("--knobs", nargs="+", default=[], metavar="NAME", help="those to turn (default: all)")
     parser.add_argument("--rounds", type=int, default=3, metavar="N", help="of every knob (default: 3)")
-    parser.add_argument("--share", type=float, default=1.0, help="of the demo's steps, in every run (default: 1)")
+    parser.add_argument("--share", type=float, default=1.0, help="of the config's steps, in every run (default: 1)")
     arguments = parser.parse_args()
-    print(table(run(arguments.scene, arguments.out, arguments.knobs, arguments.rounds, arguments.share)))
+    asked = arguments.knobs, arguments.rounds, arguments.share, arguments.config
+    print(table(run(arguments.scene, arguments.out, *asked)))
 
 
 if __name__ == "__main__":

@@ -7,10 +7,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gsjax import config, pipeline
+from gsjax import pipeline
+from gsjax.config import merge, parse
+from gsjax.io.scenes import load_scene
 from gsjax.pipeline.budget import scaled
 from gsjax.pipeline.result import Result, open_result
-from gsjax.settings import DEMO, Settings
+from gsjax.settings import Settings
 
 
 class Measured(NamedTuple):
@@ -27,25 +29,33 @@ class Knob:
     values: Mapping[str, Any]  # by their labels, the most accurate first
     measure: Callable[["Place", Any, int], Measured]  # (where, a value, the round)
     errors: Callable[[Any, Any], dict[str, float]]  # (outcome, that of the most accurate) -> error by its unit
+    needs_truth: bool = False  # whether its errors are distances from a true surface
 
 
 class Place:
     """A data set, a folder for runs, and a run that rendering and surface knobs start from."""
 
-    def __init__(self, scene: str | Path, out: str | Path, share: float):
+    def __init__(self, scene: str | Path, out: str | Path, config: Mapping[str, Any], share: float):
         """Trains nothing yet.
 
         Args:
-            scene: Data set with true normals and a true surface.
+            scene: Data set; its `normals` are used where it has them.
             out: Folder for the runs.
-            share: Of the demo's steps, in every run.
+            config: A whole one, which knobs are differences from.
+            share: Of its steps, in every run.
         """
-        self.scene, self.out, self._share = Path(scene), Path(out), share
+        self.scene, self.out, self.config, self._share = Path(scene), Path(out), config, share
+
+    @cached_property
+    def has_truth(self) -> bool:
+        """Whether the data set has a true surface."""
+        return load_scene(self.scene).truth is not None
 
     def settings(self, difference: Mapping[str, Any], seed: int) -> Settings:
-        """The demo's settings with a difference, in this place's share of the steps."""
-        given = {"normals": str(self.scene / "normals"), "seed": seed}
-        return scaled(config.parse(Settings, config.merge(config.merge(DEMO, given), difference)), self._share)
+        """The config's settings with a difference, in this place's share of the steps."""
+        normals = self.scene / "normals"
+        given = {"seed": seed} | ({"normals": str(normals)} if normals.is_dir() else {})
+        return scaled(parse(Settings, merge(self.config, given, difference)), self._share)
 
     def fresh(self, name: str) -> Path:
         """A folder of this place that does not exist yet."""

@@ -69,18 +69,18 @@ def _texture_errors(outcome: dict[str, Any], best: dict[str, Any]) -> dict[str, 
     return {"PSNR lost, dB": best["psnr"] - outcome["psnr"]}
 
 
+_OF_MESHES = _meshed, _surface_errors, True
+_OF_REFINED = _refined, _refined_errors, True
 KNOBS: dict[str, Knob] = {
     "surface points": Knob(
-        {f"{count:,}": {"points": count} for count in (400_000, 200_000, 100_000, 50_000)}, _meshed, _surface_errors
+        {f"{count:,}": {"points": count} for count in (400_000, 200_000, 100_000, 50_000)}, *_OF_MESHES
     ),
-    "Poisson depth": Knob({str(depth): {"depth": depth} for depth in (9, 8, 7, 6)}, _meshed, _surface_errors),
-    "settling": Knob({"settled": {}, "unsettled": {"settled": False}}, _meshed, _surface_errors),
-    "refinement steps": Knob(
-        {f"{steps:,}": {"steps": steps} for steps in (1000, 500, 250, 100)}, _refined, _refined_errors
-    ),
+    "Poisson depth": Knob({str(depth): {"depth": depth} for depth in (9, 8, 7, 6)}, *_OF_MESHES),
+    "settling": Knob({"settled": {}, "unsettled": {"settled": False}}, *_OF_MESHES),
+    "refinement steps": Knob({f"{steps:,}": {"steps": steps} for steps in (1000, 500, 250, 100)}, *_OF_REFINED),
     "refinement triangles": Knob(
-        {f"{faces:,}": {"faces": faces} for faces in (30_000, 15_000, 8_000, 4_000)}, _refined, _refined_errors
+        {f"{faces:,}": {"faces": faces} for faces in (30_000, 15_000, 8_000, 4_000)}, *_OF_REFINED
     ),
-    "refined mesh": Knob({"settled": {"settle_at": 0.8}, "unsettled": {}}, _refined, _refined_errors),
+    "refined mesh": Knob({"settled": {"settle_at": 0.8}, "unsettled": {}}, *_OF_REFINED),
     "texture": Knob({f"{size:,} px": size for size in (4096, 2048, 1024, 512)}, _textured, _texture_errors),
 }

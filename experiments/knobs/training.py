@@ -1,16 +1,57 @@
 """Settings of training: a run each, scored on held-out views."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from gsjax import pipeline
 from gsjax.io import runs
 from gsjax.pipeline.evaluate import score_surface
 from gsjax.pipeline.result import open_result, scene_of_run
-from gsjax.settings import DEMO, SIMULATED
+from gsjax.settings import SIMULATED
 from gsjax.training.losses import SURFACE_TERMS
 from knobs.knob import Knob, Measured, Place
 
-_VANILLA, _SURFACE = DEMO["phases"]
+_STEPS = (2, 1, 0.5, 0.25)  # times a config's
+
+
+def knobs_of(config: Mapping[str, Any]) -> dict[str, Knob]:
+    """The knobs of training: differences from a whole config whose last phase is the surface's."""
+    *plain, surface = config["phases"]
+    vanilla, steps, most = plain[-1], sum(phase["steps"] for phase in plain), config["max_gaussians"]
+
+    def with_plain(factor: float) -> dict[str, Any]:
+        return {"phases": [*({**phase, "steps": round(factor * phase["steps"])} for phase in plain), surface]}
+
+    def with_surface(**difference: Any) -> dict[str, Any]:
+        return {"phases": [*plain, {**surface, **difference}]}
+
+    def coarse(share: float) -> dict[str, Any]:
+        """A share of the plain steps at half the size of the photos."""
+        small = round(share * steps)
+        first = {**vanilla, "name": "coarse", "steps": small, "image_scale": 2}
+        return {"phases": [first, {**vanilla, "steps": steps - small}, surface]}
+
+    def rarer(count: int) -> dict[str, Any]:
+        """R in one of so many steps, and as many times as strong."""
+        weights = {name: count * w if name in SURFACE_TERMS else w for name, w in surface["weights"].items()}
+        return with_surface(surface_every=count, weights=weights)
+
+    values: dict[str, dict[str, dict[str, Any]]] = {
+        "Gaussians": {f"{round(f * most):,}": {"max_gaussians": round(f * most)} for f in (2, 1, 0.5, 0.25, 0.125)},
+        "harmonics": {f"degree {degree}": {"sh_degree": degree} for degree in (3, 2, 1, 0)},
+        "rule of growth": {rule: {"density": {"rule": rule}} for rule in ("error", "adc")},
+        "steps at half size": {f"{share:.0%}": coarse(share) for share in (0.0, 0.25, 0.5, 0.75)},
+        "plain steps": {f"x {factor:g}": with_plain(factor) for factor in _STEPS},
+        "surface steps": {f"x {factor:g}": with_surface(steps=round(factor * surface["steps"])) for factor in _STEPS},
+        "R": {label: rarer(count) for label, count in (("every step", 1), ("every 2nd", 2), ("every 4th", 4))},
+        "slope of R": {
+            name: with_surface(weights={name: 0.2})
+            for name in ("sdf_bicubic", "sdf_central", "sdf_normal", "pixel_normal")
+        },
+        "depth of a splat": {mode: {"depth_mode": mode} for mode in ("front", "plane", "center")},
+        **{f"effect: {name}": {"simulated": {"effects": name}, "absent": {}} for name in (*SIMULATED, "sh_degree")},
+    }
+    return {name: Knob(each, _measure, _errors) for name, each in values.items()}
 
 
 def _measure(place: Place, difference: dict[str, Any], round_: int) -> Measured:
@@ -19,61 +60,15 @@ def _measure(place: Place, difference: dict[str, Any], round_: int) -> Measured:
     figures = pipeline.train(place.scene, folder, place.settings(difference, round_))
     compiled = sum(each["seconds"] for record in runs.read_metrics(folder) for each in record.get("compiled", ()))
     result, scene = open_result(folder), scene_of_run(folder)
-    assert scene.truth is not None, "the normals are compared with true ones"
-    surface = score_surface(result.gaussians, scene.held_out_frames, scene.truth)
-    scores = {"psnr": figures["psnr"], "normals": surface["normal_error_all_deg"]}
+    scores = {"psnr": figures["psnr"]}
+    if scene.truth is not None:
+        surface = score_surface(result.gaussians, scene.held_out_frames, scene.truth, result.depth_mode)
+        scores["normals"] = surface["normal_error_all_deg"]
     return Measured(figures["train_seconds"] - compiled, scores)
 
 
 def _errors(outcome: dict[str, float], best: dict[str, float]) -> dict[str, float]:
-    return {
-        "PSNR lost, dB": best["psnr"] - outcome["psnr"],
-        "normals, degrees more": outcome["normals"] - best["normals"],
-    }
-
-
-def _phases(vanilla: dict[str, Any], surface: dict[str, Any]) -> dict[str, Any]:
-    return {"phases": [{**_VANILLA, **vanilla}, {**_SURFACE, **surface}]}
-
-
-def _steps(phase: str, *factors: float) -> dict[str, dict[str, Any]]:
-    """The steps of one phase, times some factors."""
-    first, second = _VANILLA["steps"], _SURFACE["steps"]
-    if phase == "vanilla":
-        return {f"x {factor:g}": _phases({"steps": round(factor * first)}, {}) for factor in factors}
-    return {f"x {factor:g}": _phases({}, {"steps": round(factor * second)}) for factor in factors}
-
-
-def _coarse(share: float) -> dict[str, Any]:
-    """A share of the first phase at half the size of the photos."""
-    steps = round(share * _VANILLA["steps"])
-    coarse = {**_VANILLA, "name": "coarse", "steps": steps, "image_scale": 2}
-    return {"phases": [coarse, {**_VANILLA, "steps": _VANILLA["steps"] - steps}, _SURFACE]}
-
-
-def _rarer(count: int) -> dict[str, Any]:
-    """R in one of so many steps, and as many times as strong."""
-    weights = {name: count * w if name in SURFACE_TERMS else w for name, w in _SURFACE["weights"].items()}
-    return _phases({}, {"surface_every": count, "weights": weights})
-
-
-def _slope(name: str) -> dict[str, Any]:
-    return _phases({}, {"weights": {name: 0.2}})
-
-
-def _knob(values: dict[str, dict[str, Any]]) -> Knob:
-    return Knob(values, _measure, _errors)
-
-
-KNOBS: dict[str, Knob] = {
-    "Gaussians": _knob({f"{count:,}": {"max_gaussians": count} for count in (24_000, 12_000, 6_000, 3_000, 1_500)}),
-    "harmonics": _knob({f"degree {degree}": {"sh_degree": degree} for degree in (3, 2, 1, 0)}),
-    "rule of growth": _knob({rule: {"density": {"rule": rule}} for rule in ("error", "adc")}),
-    "steps at half size": _knob({f"{share:.0%}": _coarse(share) for share in (0.0, 0.25, 0.5, 0.75)}),
-    "vanilla steps": _knob(_steps("vanilla", 2, 1, 0.5, 0.25)),
-    "surface steps": _knob(_steps("surface", 2, 1, 0.5, 0.25)),
-    "R": _knob({label: _rarer(count) for label, count in (("every step", 1), ("every 2nd", 2), ("every 4th", 4))}),
-    "slope of R": _knob({name: _slope(name) for name in ("sdf_bicubic", "sdf_central", "sdf_normal")}),
-    **{f"effect: {name}": _knob({"simulated": {"effects": name}, "absent": {}}) for name in (*SIMULATED, "sh_degree")},
-    "depth of a splat": _knob({mode: {"depth_mode": mode} for mode in ("plane", "front", "center")}),
-}
+    found = {"PSNR lost, dB": best["psnr"] - outcome["psnr"]}
+    if "normals" in outcome:
+        found["normals, degrees more"] = outcome["normals"] - best["normals"]
+    return found

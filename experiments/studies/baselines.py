@@ -36,13 +36,15 @@ TERMS = {  # what a step costs, in plain ones, and the weights
 def at_equal_time(phases: list[dict], terms: dict[str, tuple[float, dict[str, float]]]) -> dict[str, dict]:
     """Variants by name: the phases, the last of each term as long as takes the time of the mix, `ours, demo`.
 
+    Depth is the mean of all splats' in each of them, as in the paper.
+
     Args:
         phases: Of the mix.
         terms: What a step of the last phase costs, and its weights.
     """
     *first, last = phases
     time = terms["ours, demo"][0] * last["steps"]
-    shared = {"rates": {"decay_steps": sum(phase["steps"] for phase in phases)}}
+    shared = {"rates": {"decay_steps": sum(phase["steps"] for phase in phases)}, "depth_mode": "plane"}
     return {
         name: {"phases": [*first, {**last, "steps": round(time / cost), "weights": weights}]}
         | ({} if NORMAL_TERMS.isdisjoint(weights) else {"normals": "{scene}/normals"})

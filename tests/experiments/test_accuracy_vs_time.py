@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from gsjax.config import to_dict
 from gsjax.errors import InputError
 from gsjax.io.images import read_image
-from gsjax.settings import Settings
+from gsjax.settings import Settings, total_steps
 
 
 @pytest.fixture
@@ -24,7 +25,7 @@ def turned(script, scripts, monkeypatch):
         return knobs.knob.Measured(slow * 8.0 / 2**value, value)
 
     knob = knobs.Knob({"best": 0, "half": 1, "quarter": 2}, measure, lambda own, best: {"off": float(own - best)})
-    monkeypatch.setitem(knobs.KNOBS, "a knob", knob)
+    monkeypatch.setattr(knobs, "knobs_of", lambda config: {"alpha cut": knob, "a knob": knob})
     return seen
 
 
@@ -64,12 +65,17 @@ def test_an_unknown_knob_is_one_line(script, tmp_path):
         script.run("scene", str(tmp_path), ["alpha"], 1, 1.0)
 
 
-def test_the_settings_of_training_are_settings(script):
+@pytest.mark.parametrize("config", ["demo", "bunny_plane", "fox"])
+def test_the_settings_of_training_are_settings(script, config):
     from knobs import knob, training
+    from train import load_settings
 
-    place = knob.Place("scene", "out", 0.1)
-    for each in training.KNOBS.values():
+    whole = to_dict(load_settings(config))
+    place = knob.Place("scene", "out", whole, 0.1)
+    for each in training.knobs_of(whole).values():
         seen = [place.settings(difference, 3) for difference in each.values.values()]
         assert all(isinstance(settings, Settings) and settings.seed == 3 for settings in seen)
         assert len(set(seen)) == len(seen)
-        assert max(phase.steps for settings in seen for phase in settings.phases) <= 200
+        steps = 0.1 * max(phase["steps"] for phase in whole["phases"])
+        assert max(phase.steps for settings in seen for phase in settings.phases) <= 2 * steps
+        assert min(abs(total_steps(settings) - 0.1 * sum(p["steps"] for p in whole["phases"])) for settings in seen) < 3

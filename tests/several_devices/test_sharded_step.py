@@ -60,6 +60,7 @@ def options(rule):
         "background": BACKGROUNDS["random"],
         "sh_every": 2,
         "rule": RULES[rule],
+        "depth_mode": "front",
         "extent": 2.0,
     }
 
