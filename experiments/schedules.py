@@ -1,0 +1,101 @@
+"""The paper's two budgets in small: are steps better spent on R or on the refinement?
+
+    python experiments/schedules.py --scene SCENE --out DIR [--share 0.1] [--seeds N]
+
+SCENE is a data set with a true surface; its `normals` are used where it has them. Both budgets are run with all their
+steps times the share, training, mesh and refinement, and scored before and after the refinement. Called again it goes
+on after the runs that are done.
+"""
+
+import argparse
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+from paper.scenes import SCHEDULES
+
+from gsjax import tables
+from gsjax.cli import guarded
+
+BUDGETS = ("paper_6k_15k", "paper_13k_7k")
+FIGURES = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "chamfer", "fscore", "normal_consistency")
+REFINED: dict[str, Any] = {
+    "keep_free": False,  # the paper's Gaussians are on the mesh alone
+    "faces": 30_000,
+    "rates": {"vertices": 1.5e-3},  # few steps, large ones: docs/refinement.md
+}
+
+
+def run(
+    scene: str, out: str, *, share: float, seeds: int = 1, most: int = 12_000, background: str = "white"
+) -> dict[str, list[dict[str, Any]]]:
+    """By budget and stage, a row a seed.
+
+    Args:
+        scene: Data set with a true surface.
+        out: Folder for the runs, OUT/BUDGET_SEED each.
+        share: Of all steps.
+        seeds: Runs of either budget, with seeds 0, 1, ...
+        most: Gaussians.
+        background: Under the photos.
+    """
+    from gsjax.io import runs
+
+    rows: dict[str, list[dict[str, Any]]] = {}
+    for seed in range(seeds):
+        for budget in BUDGETS:
+            folder = Path(out) / f"{budget}_{seed}"
+            done = folder / "schedule.json"
+            if not done.exists():
+                print(f"== {folder.name}", flush=True)
+                shutil.rmtree(folder, ignore_errors=True)
+                given = {"seed": seed, "max_gaussians": most, "background": background}
+                runs.write_json(done, _measured(Path(scene), folder, budget, share, given))
+            for stage, figures in runs.read_json(done).items():
+                rows.setdefault(f"{budget}, {stage}", []).append(figures)
+    return rows
+
+
+def _measured(scene: Path, folder: Path, budget: str, share: float, given: dict[str, Any]) -> dict[str, Any]:
+    """Figures of one run before and after its refinement."""
+    from gsjax import pipeline
+    from gsjax.binding.refining import PRESETS as REFINEMENTS
+    from gsjax.binding.refining import Refinement
+    from gsjax.config import merge, parse
+    from gsjax.pipeline.budget import scaled
+    from gsjax.settings import PRESETS, Settings
+
+    schedule, normals = SCHEDULES[budget], scene / "normals"
+    given = given | ({"normals": str(normals)} if normals.is_dir() else {})
+    settings = scaled(parse(Settings, merge(PRESETS[schedule.preset], schedule.differences, given)), share)
+    long = REFINEMENTS[str(schedule.refinement)]
+    refinement = parse(Refinement, {**REFINED, "steps": round(share * long["steps"]), "seed": given["seed"]})
+    trained, refined = folder / "run", folder / "refined"
+    pipeline.train(scene, trained, settings)
+    pipeline.mesh(trained, trained / "mesh.ply", settled=False)  # the paper does not
+    pipeline.refine(trained, refined, refinement)
+    return {"trained": _figures(trained), "refined": _figures(refined)}
+
+
+def _figures(folder: Path) -> dict[str, float]:
+    from gsjax import pipeline
+
+    figures = pipeline.evaluate(folder, mesh=folder / "mesh.ply")
+    return {name: figures[name] for name in FIGURES}
+
+
+def main() -> None:
+    """Reads the arguments and prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", required=True, help="folder of the data set")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the runs")
+    parser.add_argument("--share", type=float, default=0.1, help="of all steps (default: 0.1)")
+    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="runs of either budget (default: 1)")
+    arguments = parser.parse_args()
+    rows = run(arguments.scene, arguments.out, share=arguments.share, seeds=arguments.seeds)
+    print(tables.compare({label: tables.spread(each) for label, each in rows.items()}))
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))
