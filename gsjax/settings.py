@@ -218,6 +218,7 @@ def _phase(name: str, steps: int, **more: Any) -> dict:
 # (docs/deviations.md, experiments/studies/surface.py, surface_photos.py).
 _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}
 FAST = {
+    "depth_mode": "front",  # thin things are not as deep as their far sides' light has them (docs/deviations.md)
     "effects": AUTO,
     "pixel_filter": "mip",  # right at other sizes and distances than the photos' too (docs/deviations.md)
     "max_gaussians": 36_000,
@@ -234,6 +235,7 @@ FAST = {
     "logging": {"evaluate_every": 250, "checkpoint_every": 250},
 }
 BALANCED = {
+    "depth_mode": "front",
     "effects": AUTO,
     "pixel_filter": "mip",
     "max_gaussians": 120_000,
@@ -265,6 +267,7 @@ PAPER_13K_7K = {
 
 DEMO: dict[str, Any] = {
     "background": "white",
+    "depth_mode": "front",
     "pixel_filter": "mip",  # its pixels are means over their area, unsharpened
     "max_gaussians": 12_000,
     "sh_degree": 2,

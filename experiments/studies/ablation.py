@@ -1,6 +1,7 @@
 """What each change to the surface brings alone, and all of them together: growth, depth, pixel filter, weights.
 
-The first variant is the demo as it was without them; settled meshes are common to all (`gsjax.meshing.settling`).
+The first variant is the demo as it was without them, the last the demo but for its reading of depth (`depth.py` has
+that); settled meshes are common to all (`gsjax.meshing.settling`).
 """
 
 from typing import Any
