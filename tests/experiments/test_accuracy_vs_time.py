@@ -1,5 +1,7 @@
 """Knobs on a clock of the test's own: ratios within a round, the front, what is done is not done again."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -25,7 +27,8 @@ def turned(script, scripts, monkeypatch):
         return knobs.knob.Measured(slow * 8.0 / 2**value, value)
 
     knob = knobs.Knob({"best": 0, "half": 1, "quarter": 2}, measure, lambda own, best: {"off": float(own - best)})
-    monkeypatch.setattr(knobs, "knobs_of", lambda config: {"alpha cut": knob, "a knob": knob})
+    far = replace(knob, needs_truth=True)
+    monkeypatch.setattr(knobs, "knobs_of", lambda config: {"alpha cut": knob, "a knob": knob, "distance": far})
     return seen
 
 
@@ -51,6 +54,16 @@ def test_called_again_it_does_what_is_left(script, turned, tmp_path):
     assert len(turned) == before
     script.run("scene", str(tmp_path), ["a knob"], 3, 1.0)
     assert [index for _, index in turned[before:]] == [2] * 4
+
+
+def test_what_needs_a_truth_is_left_out_where_there_is_none(script, turned, tmp_path, monkeypatch, capsys):
+    from knobs.knob import Place
+
+    monkeypatch.setattr(Place, "has_truth", False)
+    assert list(script.run("scene", str(tmp_path), [], 1, 1.0)) == ["alpha cut", "a knob"]
+    assert "== distance: left out, scene has no true surface\n" in capsys.readouterr().out
+    monkeypatch.setattr(Place, "has_truth", True)
+    assert list(script.run("scene", str(tmp_path), [], 1, 1.0)) == ["alpha cut", "a knob", "distance"]
 
 
 def test_the_front_is_what_nothing_beats(script):
