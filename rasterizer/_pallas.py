@@ -13,7 +13,7 @@ from jax import Array
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton
 
-from rasterizer.blending import blend_splat, cut_alpha, splat_sigma, unblend_splat
+from rasterizer.blending import blend_splat, cut_alpha, front_weight, splat_sigma, unblend_splat
 from rasterizer.compositing import Blended, Engine, Static, chain_to_rows, moment_basis
 
 CHUNK = 16  # Splats between two looks at whether every pixel has stopped: the look is a reduction over the program.
@@ -58,19 +58,17 @@ def _forward_kernel(rows, splats, offsets, features, transmittance, last_index, 
     first_in_front = channels - (front.channels if front else 0)
 
     def blend_one(k, state):
-        signed_t, image, last, median, ended = state
+        signed_t, image, last, median = state
         splat = splats[k]
         _, alpha = _alpha(rows, splat, *_offsets(rows, splat, pixels, center), static.rules)
         weight, left = blend_splat(signed_t, alpha, static.rules)
-        in_front = jnp.where(signed_t > front.stop_after, weight, 0) if front else weight
+        in_front = front_weight(signed_t, weight, front.stop_after) if front else weight
         weights = (weight,) * first_in_front + (in_front,) * (channels - first_in_front)
         image = tuple(c + w * rows[splat, 6 + i] for i, (c, w) in enumerate(zip(image, weights, strict=True)))
         last = jnp.where(weight > 0, k - start, last)
-        if front:
-            ended = jnp.where(in_front > 0, k - start, ended)
         if static.with_median:
             median = jnp.where((weight > 0) & (signed_t > 0.5), k - start, median)
-        return left, image, last, median, ended
+        return left, image, last, median
 
     def blend_chunk(state):
         k, *pixel_state = state
@@ -79,17 +77,16 @@ def _forward_kernel(rows, splats, offsets, features, transmittance, last_index, 
 
     blank = jnp.zeros_like(pixels[0])
     nothing = jnp.full(blank.shape, -1, jnp.int32)
-    wanted = nothing if static.with_median else None, nothing if front else None
-    state = start, blank + 1, (blank,) * channels, nothing, *wanted
-    _, signed_t, image, last, *found = jax.lax.while_loop(
+    state = start, blank + 1, (blank,) * channels, nothing, nothing if static.with_median else None
+    _, signed_t, image, last, median = jax.lax.while_loop(
         lambda state: (state[0] < end) & (jnp.max(state[1]) > 0), blend_chunk, state
     )
     for i in range(channels):
         features[tile, i, :] = image[i]
     transmittance[tile, :] = jnp.abs(signed_t)
     last_index[tile, :] = last
-    for out, mark in zip(marks, (mark for mark in found if mark is not None), strict=True):
-        out[tile, :] = mark
+    if static.with_median:
+        marks[0][tile, :] = median
 
 
 def _backward_kernel(
@@ -98,7 +95,6 @@ def _backward_kernel(
     offsets,
     transmittance,
     last_index,
-    front_index,
     d_features,
     d_transmittance,
     zeros,
@@ -110,9 +106,9 @@ def _backward_kernel(
     tile = pl.program_id(0)
     start = offsets[tile]
     pixels, center = _pixels(static), _center(tile, static)
-    last, ended = last_index[tile, :], front_index[tile, :]
-    channels = d_features.shape[1]
-    first_in_front = channels - (static.front.channels if static.front else 0)
+    last = last_index[tile, :]
+    channels, front = d_features.shape[1], static.front
+    first_in_front = channels - (front.channels if front else 0)
     count = jnp.max(last) + 1
 
     def unblend_one(i, state):
@@ -123,14 +119,16 @@ def _backward_kernel(
         unclamped, alpha = _alpha(rows, splat, dx, dy, static.rules)
         alpha = jnp.where(k <= last, alpha, 0)
         lit = sum(rows[splat, 6 + c] * d_features[tile, c, :] for c in range(first_in_front))
-        if first_in_front < channels:
-            in_front = sum(rows[splat, 6 + c] * d_features[tile, c, :] for c in range(first_in_front, channels))
-            lit = lit + jnp.where(k <= ended, in_front, 0)
-        d_sigma, weight, t, behind = unblend_splat(t, behind, lit, alpha, unclamped, static.rules)
+        in_front = None
+        if front:
+            lit_in_front = sum(rows[splat, 6 + c] * d_features[tile, c, :] for c in range(first_in_front, channels))
+            in_front = lit_in_front, front.stop_after
+        d_sigma, weight, t, behind = unblend_splat(t, behind, lit, alpha, unclamped, static.rules, in_front)
         for column, power in enumerate(moment_basis(dx, dy)):
             gradients[start + k, column] = jnp.sum(d_sigma * power)
+        counted_in_front = front_weight(t, weight, front.stop_after) if front else weight
         for c in range(channels):
-            counted = weight if c < first_in_front else jnp.where(k <= ended, weight, 0)
+            counted = weight if c < first_in_front else counted_in_front
             gradients[start + k, 6 + c] = jnp.sum(counted * d_features[tile, c, :])
         return t, behind
 
@@ -155,20 +153,18 @@ def _forward(static: Static, rows: Array, splats: Array, offsets: Array, *, inte
     shapes = [
         jax.ShapeDtypeStruct((tiles, channels, pixels), jnp.float32),
         jax.ShapeDtypeStruct((tiles, pixels), jnp.float32),
-        *[indices] * (1 + static.with_median + (static.front is not None)),
+        *[indices] * (1 + static.with_median),
     ]
     features, t, last, *marks = _call(_forward_kernel, static, shapes, FORWARD_WARPS, interpret)(rows, splats, offsets)
-    median = marks.pop(0) if static.with_median else None
-    return Blended(features, t, last, median, marks.pop() if static.front else None)
+    return Blended(features, t, last, marks[0] if static.with_median else None)
 
 
-def _backward(static: Static, rows, splats, offsets, t, last, front, d_features, d_t, *, interpret: bool) -> Array:
+def _backward(static: Static, rows, splats, offsets, t, last, d_features, d_t, *, interpret: bool) -> Array:
     # The kernel writes the pairs that some pixel saw; the rest stay the zeros that come in.
     zeros = jnp.zeros((splats.shape[0], rows.shape[1]), jnp.float32)
     shapes = jax.ShapeDtypeStruct(zeros.shape, zeros.dtype)
-    kernel = _call(_backward_kernel, static, shapes, BACKWARD_WARPS, interpret, input_output_aliases={8: 0})
-    ended = last if front is None else front
-    gradients = kernel(rows, splats, offsets, t, last, ended, d_features, d_t, zeros)
+    kernel = _call(_backward_kernel, static, shapes, BACKWARD_WARPS, interpret, input_output_aliases={7: 0})
+    gradients = kernel(rows, splats, offsets, t, last, d_features, d_t, zeros)
     d_rows = chain_to_rows(rows[splats], gradients[:, :6], gradients[:, 6:])
     used = jnp.arange(splats.shape[0], dtype=jnp.int32) < offsets[-1]
     return jnp.zeros_like(rows).at[splats].add(jnp.where(used[:, None], d_rows, 0))

@@ -8,14 +8,15 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from rasterizer.blending import blend_splat, cut_alpha, splat_sigma
+from rasterizer.blending import blend_splat, cut_alpha, front_weight, splat_sigma
+from rasterizer.compositing import Front
 from rasterizer.projection import Projection
 from rasterizer.rules import Rules
 
 BLOCK = 512  # Pixels per block: the history of a block of 10,000 splats stays under 100 MB.
 
 
-def _blend_block(pixels: Array, splats: tuple, rules: Rules) -> tuple[Array, Array, Array]:
+def _blend_block(pixels: Array, splats: tuple, rules: Rules, front: Front | None) -> tuple[Array, Array, Array]:
     """Features `[B, D]`, transmittance `[B]` and rank of the median splat `[B]` from splats sorted front to back.
 
     `splats`: means2d, conics, opacities, features, and slopes or None.
@@ -34,10 +35,13 @@ def _blend_block(pixels: Array, splats: tuple, rules: Rules) -> tuple[Array, Arr
             alpha = jnp.where(alpha > 0, unclamped + jax.lax.stop_gradient(alpha - unclamped), 0)
         weight, left = blend_splat(signed_t, alpha, rules)
         median = jnp.where((weight > 0) & (signed_t > 0.5), rank, median)
-        shown = weight[:, None] * feature
+        weights = jnp.broadcast_to(weight[:, None], (*weight.shape, *feature.shape))
+        if front:
+            weights = weights.at[:, -front.channels :].set(front_weight(signed_t, weight, front.stop_after)[:, None])
+        shown = weights * feature
         if slope is not None:
             # Depth, the last feature, is that of the splat's plane at every pixel.
-            shown = shown.at[:, -1].add(-weight * (slope[0] * dx + slope[1] * dy))
+            shown = shown.at[:, -1].add(-weights[:, -1] * (slope[0] * dx + slope[1] * dy))
         return (left, image + shown, median), None
 
     count, dtype = pixels.shape[0], features.dtype
@@ -48,7 +52,13 @@ def _blend_block(pixels: Array, splats: tuple, rules: Rules) -> tuple[Array, Arr
 
 
 def composite(
-    projection: Projection, opacities: Array, features: Array, width: int, height: int, rules: Rules
+    projection: Projection,
+    opacities: Array,
+    features: Array,
+    width: int,
+    height: int,
+    rules: Rules,
+    front: Front | None = None,
 ) -> tuple[Array, Array, Array]:
     """Blend all visible splats at all pixels.
 
@@ -59,6 +69,7 @@ def composite(
         width: Image width. Static.
         height: Image height. Static.
         rules: Thresholds. Static.
+        front: How many of the last features end with the first layers, and where. Static.
 
     Returns:
         `[C, H, W, D]` blended features on nothing, `[C, H, W, 1]` transmittance left, and `[C, H, W]` int32 the splat
@@ -82,7 +93,7 @@ def composite(
 
         @jax.checkpoint
         def block(pixels):
-            return _blend_block(pixels, sorted_splats, rules)
+            return _blend_block(pixels, sorted_splats, rules, front)
 
         flat = [x.reshape(-1, *x.shape[2:])[: height * width] for x in jax.lax.map(block, blocks)]
         image, left, median = (x.reshape(height, width, *x.shape[1:]) for x in flat)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from rasterizer.blending import blend_splat, cut_alpha, splat_sigma, unblend_splat
+from rasterizer.blending import blend_splat, cut_alpha, front_weight, splat_sigma, unblend_splat
 from rasterizer.compositing import (
     Blended,
     Engine,
@@ -51,7 +51,7 @@ def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blen
         start, count, center = all_starts[tiles], all_counts[tiles], tile_centers(tiles, static.grid)
 
         def body(state):
-            k, signed_t, out, last, median, ended = state
+            k, signed_t, out, last, median = state
             block = rows[splats[start[:, None] + jnp.arange(UNROLL, dtype=jnp.int32) + k]]
             for u in range(UNROLL):
                 row = block[:, u]
@@ -62,15 +62,13 @@ def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blen
                 alpha = cut_alpha(opacity[:, None] * jnp.exp(-sigma), sigma, static.rules)
                 before = signed_t
                 weight, signed_t = blend_splat(before, alpha, static.rules)
-                in_front = jnp.where(before > front.stop_after, weight, 0) if front else weight
+                in_front = front_weight(before, weight, front.stop_after) if front else weight
                 weights = [weight] * first_in_front + [in_front] * (channels - first_in_front)
                 out = [c + w * row[:, 6 + i : 7 + i] for i, (c, w) in enumerate(zip(out, weights, strict=True))]
                 last = jnp.where(weight > 0, k + u, last)
-                if ended is not None:
-                    ended = jnp.where(in_front > 0, k + u, ended)
                 if median is not None:
                     median = jnp.where((weight > 0) & (before > 0.5), k + u, median)
-            return k + UNROLL, signed_t, out, last, median, ended
+            return k + UNROLL, signed_t, out, last, median
 
         def unfinished(state):
             k, signed_t, *_ = state
@@ -78,10 +76,9 @@ def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blen
 
         blank = jnp.zeros((tiles.shape[0], pixel_x.shape[0]), jnp.float32)
         nothing = jnp.full(blank.shape, -1, jnp.int32)
-        marks = nothing if static.with_median else None, nothing if front else None
-        state = (jnp.int32(0), blank + 1, [blank] * channels, nothing, *marks)
-        _, signed_t, out, last, median, ended = jax.lax.while_loop(unfinished, body, state)
-        return Blended(jnp.stack(out, 1), jnp.abs(signed_t), last, median, ended)
+        state = (jnp.int32(0), blank + 1, [blank] * channels, nothing, nothing if static.with_median else None)
+        _, signed_t, out, last, median = jax.lax.while_loop(unfinished, body, state)
+        return Blended(jnp.stack(out, 1), jnp.abs(signed_t), last, median)
 
     groups = _groups(counts)
     done = jax.lax.map(group, groups)
@@ -94,20 +91,19 @@ def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blen
 
 
 def _backward(
-    static: Static, rows: Array, splats: Array, offsets: Array, final_t, last, front, d_features, d_final_t
+    static: Static, rows: Array, splats: Array, offsets: Array, final_t, last, d_features, d_final_t
 ) -> Array:
     pixel_x, pixel_y = pixel_centers(static.grid)
     basis = jnp.stack(moment_basis(pixel_x, pixel_y), -1)
     counts = jnp.minimum(offsets[1:] - offsets[:-1], last.max(-1) + 1)
     all_counts, all_starts = _with_empty_tile(counts), _with_empty_tile(offsets[:-1])
-    ended = last if front is None else front
-    all_t, all_last, all_ended, all_df, all_dt = map(_with_empty_tile, (final_t, last, ended, d_features, d_final_t))
-    channels = rows.shape[1] - 6
-    first_in_front = channels - (static.front.channels if static.front else 0)
+    all_t, all_last, all_df, all_dt = map(_with_empty_tile, (final_t, last, d_features, d_final_t))
+    channels, front = rows.shape[1] - 6, static.front
+    first_in_front = channels - (front.channels if front else 0)
 
     def group(d_rows: Array, tiles: Array):
         start, count, center = all_starts[tiles], all_counts[tiles], tile_centers(tiles, static.grid)
-        last_index, ended_index = all_last[tiles], all_ended[tiles]
+        last_index = all_last[tiles]
         d_feature, d_front = jnp.split(all_df[tiles], [first_in_front], 1)
 
         def body(state):
@@ -121,15 +117,16 @@ def _backward(
             unclamped = jnp.where(live, row[:, 5], 0)[:, None] * jnp.exp(-sigma)
             alpha = jnp.where(k <= last_index, cut_alpha(unclamped, sigma, static.rules), 0)
             lit = sum(row[:, 6 + i : 7 + i] * d_feature[:, i] for i in range(first_in_front))
-            if first_in_front < channels:
-                in_front = sum(row[:, 6 + first_in_front + i, None] * d_front[:, i] for i in range(d_front.shape[1]))
-                lit = lit + jnp.where(k <= ended_index, in_front, 0)
-            d_sigma, weight, t, behind = unblend_splat(t, behind, lit, alpha, unclamped, static.rules)
+            in_front = None
+            if front:
+                lit_in_front = sum(row[:, 6 + first_in_front + i, None] * d_front[:, i] for i in range(front.channels))
+                in_front = lit_in_front, front.stop_after
+            d_sigma, weight, t, behind = unblend_splat(t, behind, lit, alpha, unclamped, static.rules, in_front)
             moments = jnp.dot(d_sigma, basis, precision=jax.lax.Precision.HIGHEST)
             d_pair = _summed(weight, d_feature)
-            if first_in_front < channels:
-                in_front = jnp.where(k <= ended_index, weight, 0)
-                d_pair = jnp.concatenate([d_pair, _summed(in_front, d_front)], 1)
+            if front:
+                counted = front_weight(t, weight, front.stop_after)
+                d_pair = jnp.concatenate([d_pair, _summed(counted, d_front)], 1)
             d_row = chain_to_rows(row, moments_about_means(row, center, moments), d_pair)
             d_rows = d_rows.at[jnp.where(live, splat, rows.shape[0])].add(d_row, mode="drop")
             return k - 1, t, behind, d_rows

@@ -34,12 +34,22 @@ def blend_splat(signed_t: Array, alpha: Array, rules: Rules) -> tuple[Array, Arr
     """
     left = signed_t * (1 - alpha)
     live = left > rules.transmittance_min
-    ahead = jnp.where(left > rules.stop_after, left, -left) if rules.stop_after else left
-    return jnp.where(live, signed_t - left, 0), jnp.where(live, ahead, -jnp.abs(signed_t))
+    return jnp.where(live, signed_t - left, 0), jnp.where(live, left, -jnp.abs(signed_t))
+
+
+def front_weight(t: Array, weight: Array, stop_after: float) -> Array:
+    """The part of a splat's weight that uses up light above `stop_after`, of transmittance `t` in front of it."""
+    return jnp.minimum(weight, jnp.maximum(t - stop_after, 0))
 
 
 def unblend_splat(
-    t: Array, behind: Array, lit: Array, alpha: Array, unclamped: Array, rules: Rules
+    t: Array,
+    behind: Array,
+    lit: Array,
+    alpha: Array,
+    unclamped: Array,
+    rules: Rules,
+    front: tuple[Array, float] | None = None,
 ) -> tuple[Array, Array, Array, Array]:
     """One splat back to front: its part of the gradient, and the state in front of it.
 
@@ -50,6 +60,7 @@ def unblend_splat(
         alpha: Alpha of the splat, cut; zero where it does not count.
         unclamped: The same before the clamp.
         rules: Whether the gradient passes the clamp.
+        front: `lit` of the channels that end in front, and the transmittance at which they do.
 
     Returns:
         dL/dsigma, the splat's weight (dL/dfeatures per dL/dimage), and `t` and `behind` in front of it.
@@ -57,7 +68,15 @@ def unblend_splat(
     inverse = 1 / (1 - alpha)
     t = t * inverse
     weight = t * alpha
+    passed = weight * lit
+    if front is not None:
+        lit_in_front, stop_after = front
+        counted = front_weight(t, weight, stop_after)
+        is_whole = counted == weight
+        lit = lit + jnp.where(is_whole, lit_in_front, 0)
+        # Of the splat that uses the light up t - stop_after counts, however opaque it is.
+        passed = passed + jnp.where(is_whole | (counted <= 0), counted, t) * lit_in_front
     # dL/dalpha = T lit - (what lies behind) / (1 - alpha); d alpha / d sigma = -unclamped alpha.
     differentiable = alpha > 0 if rules.straight_through else (alpha > 0) & (unclamped < rules.alpha_max)
     d_sigma = jnp.where(differentiable, (behind * inverse - t * lit) * unclamped, 0)
-    return d_sigma, weight, t, behind + weight * lit
+    return d_sigma, weight, t, behind + passed

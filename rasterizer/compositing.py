@@ -19,9 +19,13 @@ from rasterizer.rules import Rules
 
 
 class Front(NamedTuple):
-    """Channels that end with the first layers, while the others go on. Hashable, static."""
+    """Channels that end with the first layers, while the others go on. Hashable, static.
 
-    channels: int  # the last so many: blended as under `Rules(stop_after)`
+    They see the light down to a transmittance of `stop_after`: the splat that would leave less counts with what is
+    missing to that, nothing behind it counts. Weights are continuous in all alphas.
+    """
+
+    channels: int  # the last so many
     stop_after: float
 
 
@@ -32,7 +36,6 @@ class Blended(NamedTuple):
     transmittance: Array  # [T, P]
     last: Array  # [T, P] int32 last contributing splat, -1 for none
     median: Array | None  # [T, P] int32 last contributing splat with more than half the light left in front of it
-    front: Array | None  # [T, P] int32 last splat that counts in the channels of `Front`
 
 
 class Engine(NamedTuple):
@@ -40,7 +43,7 @@ class Engine(NamedTuple):
 
     # (static, rows, splats, offsets) -> Blended. rows [M, 6 + D] of `_splat_rows`; lists of `binning.TilePairs`.
     forward: Callable[..., Blended]
-    # (static, rows, splats, offsets, transmittance, last, front, d_features, d_transmittance) -> [M, 6 + D], dL/drows.
+    # (static, rows, splats, offsets, transmittance, last, d_features, d_transmittance) -> [M, 6 + D], dL/drows.
     backward: Callable[..., Array]
 
 
@@ -157,14 +160,14 @@ def _composite_fwd(static, means2d, conics, opacities, features, splats, offsets
     if blended.median is not None:
         listed = splats[offsets[:-1, None] + jnp.maximum(blended.median, 0)]
         median = to_image(jnp.where(blended.median >= 0, listed, -1)[:, None], static.grid)[..., 0]
-    residuals = rows, splats, offsets, blended.transmittance, blended.last, blended.front
+    residuals = rows, splats, offsets, blended.transmittance, blended.last
     return (image[..., :-1], image[..., -1:], median), residuals
 
 
 def _composite_bwd(static, residuals, cotangents):
-    rows, splats, offsets, t, last, front = residuals
+    rows, splats, offsets, t, last = residuals
     d_tiles = to_tiles(jnp.concatenate(cotangents[:2], -1), static.grid)
-    d_rows = static.engine.backward(static, rows, splats, offsets, t, last, front, d_tiles[:, :-1], d_tiles[:, -1])
+    d_rows = static.engine.backward(static, rows, splats, offsets, t, last, d_tiles[:, :-1], d_tiles[:, -1])
     return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:], None, None
 
 

@@ -16,8 +16,6 @@ class Rules:
         opacity_extent: Whether a faint splat's extent shrinks to where its alpha passes `alpha_min`.
         straight_through: Whether the gradient passes the alpha clamp as if it were not there.
         compensation_min: The least factor by which antialiasing dims a splat.
-        stop_after: A pixel is done with the splat that brings its transmittance to or under this: that splat counts
-            whole, nothing behind it does. 0: only `transmittance_min` stops it.
     """
 
     alpha_max: float = 0.99
@@ -27,7 +25,6 @@ class Rules:
     opacity_extent: bool = True
     straight_through: bool = False
     compensation_min: float = 0.005
-    stop_after: float = 0.0
 
 
 GSPLAT = Rules()

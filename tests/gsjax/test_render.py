@@ -12,6 +12,7 @@ from tolerances import assert_close
 import rasterizer
 from gsjax import render
 from gsjax.gaussians import Gaussians, opacities, scales, sh_coefficients, take
+from rasterizer import _reference
 
 CAMERA = camera_at((0.4, -0.3, 0.2), (0.1, 0.1, 4.0))
 CAPACITY = 2048
@@ -73,10 +74,14 @@ def test_the_centres_depth_is_there_to_compare_with():
 
 
 def in_front_of_reference(gaussians):
-    depth, alphas, _ = reference_depth(
-        gaussians, render_mode="ED", rules=replace(rasterizer.GSPLAT, stop_after=render.FRONT.stop_after)
-    )
-    return depth, alphas
+    shape = gaussians.means, gaussians.quats, scales(gaussians), opacities(gaussians)
+    size = CAMERA.width, CAMERA.height
+    splats = rasterizer.project(*shape, CAMERA.viewmat[None], CAMERA.K[None], *size, depth_mode="plane")
+    features = jnp.stack([jnp.ones_like(splats.depths), splats.depths], -1)  # the last one is made a plane
+    front = rasterizer.Front(2, render.FRONT.stop_after)
+    image, _, _ = _reference.composite(splats, shape[3][None], features, *size, rasterizer.GSPLAT, front)
+    is_covered = image[..., :1] > render.MIN_COVERAGE
+    return jnp.where(is_covered, image[..., 1:], 0) / jnp.where(is_covered, image[..., :1], 1), image[..., :1]
 
 
 def median_of_reference(gaussians):

@@ -1,6 +1,7 @@
 """The tile backends against the dense reference: values, alphas and all gradients, one body for every case."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ import pytest
 from scenes import GAUSSIAN_FIELDS, cloud, evaluate, relative_errors, render, single, stacks
 from tolerances import assert_close
 
-from rasterizer import GSPLAT, INRIA, Front, Rules, TileGrid, bin_splats, blend, project, spherical_harmonics
+from rasterizer import GSPLAT, INRIA, Front, TileGrid, _reference, bin_splats, blend, project, spherical_harmonics
 
 # name -> (scene, options): each is two programs to compile, so that few cases cover much.
 CASES = {
@@ -18,7 +19,6 @@ CASES = {
     "RGB+D, degree 1, two cameras": (cloud(cameras=2, sh_degree=1), {"sh_degree": 1, "render_mode": "RGB+D"}),
     "RGB+ED, degree 4, 7 channels": (cloud(channels=7, sh_degree=4), {"sh_degree": 4, "render_mode": "RGB+ED"}),
     "RGB+ED of planes, two cameras": (cloud(cameras=2), {"render_mode": "RGB+ED", "depth_mode": "plane"}),
-    "ED of planes in front": (stacks(), {"render_mode": "ED", "depth_mode": "plane", "rules": Rules(stop_after=0.2)}),
     "ED, one pixel": (cloud(20, size=(1, 1), channels=1), {"render_mode": "ED"}),
     "degree 0, one Gaussian, 1 channel": (cloud(1, size=(9, 7), sh_degree=0, channels=1), {"sh_degree": 0}),
 }
@@ -43,20 +43,6 @@ def test_tiles_equal_the_reference(name):
     # Measured up to 3e-6, and 3e-5 where two gradients of a field nearly cancel.
     for field, error in relative_errors(gradient, expected_gradient).items():
         assert error < 1e-4, (field, error)
-
-
-@pytest.mark.parametrize("backend", ["xla", "reference"])
-@pytest.mark.parametrize(("stop_after", "layers"), [(0.0, 4), (0.1, 3), (0.2, 2), (0.39, 2), (0.41, 1), (0.9, 1)])
-def test_a_pixel_is_done_with_the_layer_that_leaves_so_little(backend, stop_after, layers):
-    """Of four layers of alpha 0.6, each leaves 0.4 of the light; what stops a pixel counts whole."""
-    one = single(scale=(400.0, 400.0, 0.1), opacity=0.6)
-    rows = {name: jnp.repeat(getattr(one, name), 4, 0) for name in GAUSSIAN_FIELDS}
-    scene = replace(
-        one,
-        **rows | {"means": rows["means"] + 0.1 * jnp.arange(4, dtype=jnp.float32)[:, None] * jnp.array([0, 0, 1.0])},
-    )
-    _, alphas, *_ = evaluate(scene, backend, rules=replace(GSPLAT, stop_after=stop_after))
-    assert_close(alphas, jnp.full_like(alphas, 1 - 0.4**layers), rtol=0, atol=1e-5, why="wide splats fall off a little")
 
 
 @pytest.mark.parametrize("backend", ["xla", "reference"])
@@ -124,39 +110,63 @@ def test_the_tiles_refuse_forward_mode():
         jax.jvp(lambda c: render(replace(scene, colors=c))[0], (scene.colors,), (scene.colors,))
 
 
-@pytest.mark.parametrize("backend", ["xla", "pallas"])
-@pytest.mark.parametrize("channels", [5, 17])
-def test_channels_in_front_are_those_of_a_pass_that_stops(backend, channels):
-    """And the others, the light left and the median are those of one that goes on; 17 take more than one pass."""
-    scene = stacks()
-    grid = TileGrid(1, scene.width, scene.height, 16)
+def listed(scene, side=16):
+    """Splats of a scene and their lists."""
     shape = scene.means, scene.quats, scene.scales, scene.opacities
     projection = project(*shape, scene.viewmats, scene.Ks, scene.width, scene.height)
-    pairs = bin_splats(projection, scene.opacities, grid, 2048, GSPLAT)
+    grid = TileGrid(1, scene.width, scene.height, side)
+    return projection, grid, bin_splats(projection, scene.opacities, grid, 2048, GSPLAT)
+
+
+@pytest.mark.parametrize("backend", ["xla", "pallas"])
+@pytest.mark.parametrize("channels", [5, 17])
+def test_channels_in_front_are_those_of_the_reference(backend, channels):
+    """And so are the others, the light left and the median; 17 take more than one pass."""
+    scene, front = stacks(), Front(2, 0.2)
+    projection, grid, pairs = listed(scene)
     rng = np.random.default_rng(3)
     features = jnp.asarray(rng.normal(size=(1, len(scene.means), channels)), jnp.float32)
     weights = jnp.asarray(rng.normal(size=(1, scene.height, scene.width, channels)), jnp.float32)
 
-    def blended(numbers, **options):
-        means2d, conics, opacities, features = numbers
-        splats = projection._replace(means2d=means2d, conics=conics)
-        return blend(splats, opacities, features, pairs, grid, **{"backend": backend, **options})
+    def tiles(splats, opacities, features):
+        return blend(splats, opacities, features, pairs, grid, backend=backend, front=front, with_median=True)
 
-    def in_one(numbers):
-        image, left, median = blended(numbers, front=Front(2, 0.2), with_median=True)
-        return jnp.sum(image * weights) + jnp.sum(left), (image, left, median)
+    def dense(splats, opacities, features):
+        return _reference.composite(splats, opacities[None], features, grid.width, grid.height, GSPLAT, front)
 
-    def in_two(numbers):
-        image, left, median = blended(numbers, backend="xla", with_median=True)
-        ended, *_ = blended(numbers, backend="xla", rules=replace(GSPLAT, stop_after=0.2))
-        image = jnp.concatenate([image[..., :-2], ended[..., -2:]], -1)
+    def weighed(blended, numbers):
+        means2d, conics, *rest = numbers
+        image, left, median = blended(projection._replace(means2d=means2d, conics=conics), *rest)
         return jnp.sum(image * weights) + jnp.sum(left), (image, left, median)
 
     numbers = projection.means2d, projection.conics, scene.opacities, features
-    (_, found), slopes = jax.value_and_grad(in_one, has_aux=True)(numbers)
-    (_, expected), right = jax.value_and_grad(in_two, has_aux=True)(numbers)
+    (_, found), slopes = jax.value_and_grad(partial(weighed, tiles), has_aux=True)(numbers)
+    (_, expected), right = jax.value_and_grad(partial(weighed, dense), has_aux=True)(numbers)
     assert_close(found[:2], expected[:2])
     np.testing.assert_array_equal(found[2], expected[2])
-    assert float(jnp.abs(found[0] - blended(numbers)[0]).max()) > 0.1, "something shines through"
+    whole, *_ = blend(projection, scene.opacities, features, pairs, grid, backend=backend)
+    assert float(jnp.abs(found[0] - whole).max()) > 0.1, "something shines through"
+    assert_close(found[0][..., :-2], whole[..., :-2])
     for name, a, b in zip(("means2d", "conics", "opacities", "features"), slopes, right, strict=True):
         assert np.linalg.norm(a - b) < 1e-4 * np.linalg.norm(b), name
+
+
+@pytest.mark.parametrize("backend", ["xla", "pallas", "reference"])
+@pytest.mark.parametrize("stop_after", [0.0, 0.1, 0.16, 0.3, 0.4, 0.5, 0.9])
+def test_what_is_in_front_is_the_light_above_a_level(backend, stop_after):
+    """Of four layers of alpha 0.6, each leaves 0.4 of the light: what each layer adds to its own channel."""
+    one = single(scale=(400.0, 400.0, 0.1), opacity=0.6)
+    rows = {name: jnp.repeat(getattr(one, name), 4, 0) for name in GAUSSIAN_FIELDS}
+    ahead = 0.1 * jnp.arange(4, dtype=jnp.float32)[:, None] * jnp.array([0, 0, 1.0])
+    scene = replace(one, **rows | {"means": rows["means"] + ahead})
+    projection, grid, pairs = listed(scene)
+    front, each = Front(4, stop_after), jnp.eye(4)[None]
+    if backend == "reference":
+        image, *_ = _reference.composite(
+            projection, scene.opacities[None], each, grid.width, grid.height, GSPLAT, front
+        )
+    else:
+        image, *_ = blend(projection, scene.opacities, each, pairs, grid, backend=backend, front=front)
+    levels = np.maximum(0.4 ** np.arange(5), stop_after)
+    wanted = np.broadcast_to(levels[:-1] - levels[1:], image.shape)
+    assert_close(image, wanted, rtol=0, atol=1e-5, why="wide splats fall off a little")

@@ -16,7 +16,6 @@ CASES = {
     "pixels that stop": (stacks(), {}),
     "two cameras, 7 channels": (cloud(cameras=2, channels=7), {}),
     "planes": (cloud(), {"render_mode": "D", "depth_mode": "plane"}),
-    "in front": (stacks(), {"rules": replace(GSPLAT, stop_after=0.2)}),
     "inria": (replace(cloud(), opacities=0.35 * cloud().opacities), {"rules": INRIA}),
 }
 
