@@ -151,14 +151,19 @@ def test_channels_in_front_are_those_of_the_reference(backend, channels):
         assert np.linalg.norm(a - b) < 1e-4 * np.linalg.norm(b), name
 
 
+def layers(count, opacity):
+    """So many wide splats one behind the other, the same alpha each, and their lists."""
+    one = single(scale=(400.0, 400.0, 0.1), opacity=opacity)
+    rows = {name: jnp.repeat(getattr(one, name), count, 0) for name in GAUSSIAN_FIELDS}
+    ahead = 1e-3 * jnp.arange(count, dtype=jnp.float32)[:, None] * jnp.array([0, 0, 1.0])
+    return replace(one, **rows | {"means": rows["means"] + ahead})
+
+
 @pytest.mark.parametrize("backend", ["xla", "pallas", "reference"])
 @pytest.mark.parametrize("stop_after", [0.0, 0.1, 0.16, 0.3, 0.4, 0.5, 0.9])
 def test_what_is_in_front_is_the_light_above_a_level(backend, stop_after):
     """Of four layers of alpha 0.6, each leaves 0.4 of the light: what each layer adds to its own channel."""
-    one = single(scale=(400.0, 400.0, 0.1), opacity=0.6)
-    rows = {name: jnp.repeat(getattr(one, name), 4, 0) for name in GAUSSIAN_FIELDS}
-    ahead = 0.1 * jnp.arange(4, dtype=jnp.float32)[:, None] * jnp.array([0, 0, 1.0])
-    scene = replace(one, **rows | {"means": rows["means"] + ahead})
+    scene = layers(4, opacity=0.6)
     projection, grid, pairs = listed(scene)
     front, each = Front(4, stop_after), jnp.eye(4)[None]
     if backend == "reference":
@@ -170,3 +175,36 @@ def test_what_is_in_front_is_the_light_above_a_level(backend, stop_after):
     levels = np.maximum(0.4 ** np.arange(5), stop_after)
     wanted = np.broadcast_to(levels[:-1] - levels[1:], image.shape)
     assert_close(image, wanted, rtol=0, atol=1e-5, why="wide splats fall off a little")
+
+
+@pytest.mark.parametrize("backend", ["xla", "pallas"])
+@pytest.mark.parametrize(
+    ("count", "opacity", "slope"),
+    [
+        (1, 1.0, 0.0),  # more than is left: how opaque it is no longer matters
+        (3, 0.0, 0.0),  # nothing shows
+        (900, 0.0045, 0.0),  # hardly above the cut; the light is used up after 357
+        (300, 0.0045, None),  # the level is not reached
+        (1, 0.8, None),  # the level is met exactly: a kink
+    ],
+)
+def test_hard_cases_in_front(backend, count, opacity, slope):
+    """The share of light is known, and finite slopes with it: of all opacities together, per one of them."""
+    scene, front = layers(count, opacity), Front(1, 0.2)
+    projection, grid, pairs = listed(scene)
+    ones = jnp.ones((1, count, 1))
+
+    def covered(opacities):
+        image, *_ = blend(projection, opacities, ones, pairs, grid, backend=backend, front=front)
+        return jnp.mean(image)
+
+    value, gradient = jax.value_and_grad(covered)(scene.opacities)
+    left = (1 - min(opacity, 0.99)) ** count
+    assert_close(value, 1 - max(left, 0.2), rtol=0, atol=2e-5, why="wide splats fall off a little; 900 roundings")
+    assert np.isfinite(gradient).all()
+    if slope is not None:
+        assert_close(gradient, jnp.full(count, slope), rtol=0, atol=1e-4, why="hundreds of sums cancel")
+    elif count > 1:
+        assert_close(gradient, jnp.full(count, left / (1 - opacity)), rtol=1e-3, why="300 divisions back to front")
+    else:
+        assert 0 <= float(gradient[0]) <= 1.001, "either side's"
