@@ -15,13 +15,16 @@ from gsjax.gaussians import Gaussians, PixelFilter, opacities, scales, sh_coeffi
 from gsjax.numerics import safe_divide
 from rasterizer import DepthMode
 
-DepthReading = Literal["center", "plane", "front", "median"]
-"""What a pixel's depth is: the mean of its splats', each as `rasterizer.DepthMode` has it; the mean of the planes of
-those in front, see `FRONT`; or that of one's plane."""
+DepthReading = Literal["center", "plane", "front", "discs"]
+"""What a pixel's depth is: the mean of its splats', each as `rasterizer.DepthMode` has it; or the mean of the planes of
+those in front, see `IN_FRONT`."""
 
-FRONT = rasterizer.Front(channels=4, stop_after=0.2)
-"""Planes and what they cover, up to the splat that leaves a fifth of the light: what shines through the first layers
-from far behind is a few hundredths of the light, but not of its depth."""
+IN_FRONT: dict[str | None, rasterizer.Front] = {
+    "front": rasterizer.Front(channels=4, stop_after=0.2),
+    "discs": rasterizer.Front(channels=4, stop_after=0.4),
+}
+"""Planes and what they cover, down to some of the light: what shines through the first layers from far behind is a few
+hundredths of the light, but not of its depth. More shines through discs on a mesh, of its far side."""
 
 PIXEL_FILTERS: dict[PixelFilter, dict[str, Any]] = {
     "classic": {"eps2d": 0.3},
@@ -97,7 +100,7 @@ class View(NamedTuple):
 
     colors: Array  # [H, W, 3] over the background, not clamped
     alphas: Array  # [H, W] coverage
-    depth: Array | None  # [H, W] camera z, of all splats or the median; 0 where alpha is under `MIN_COVERAGE`
+    depth: Array | None  # [H, W] camera z, of all splats or those in front; 0 where alpha is under `MIN_COVERAGE`
     splats: Splats
     extra: Array | None = None  # [H, W, D] what `extra` composites to, on zero
     neighbor: Neighbor | None = None  # only in a step whose loss has a term between two views
@@ -243,9 +246,7 @@ def view(
         with_depth: Whether depth is composited too. Static; not in the program otherwise.
         depth_mode: What a splat's depth is: "plane" where the Gaussian is densest along each pixel's ray, "center" that
             of its mean; depth is the mean over the splats. "front": the mean of the planes of those in front, see
-            `FRONT`. "median": the plane's depth of the one in which the light
-            falls to half, for discs on a mesh, which let through light of its far side; costs a second pass, and its
-            gradient reaches that splat alone. Static.
+            `IN_FRONT`; "discs": the same of discs on a mesh. Static.
         means2d_probe: See `splat`.
         extra: `[N, D]` further channels, composited on zero.
 
@@ -272,23 +273,21 @@ def shown(
     before_depth = channels.shape[1]
     if reading in ("center", "plane"):
         channels = jnp.concatenate([channels, _depths(splats)], -1)
-    elif reading == "front":
+    elif reading in IN_FRONT:
         channels = jnp.concatenate([channels, _in_front(splats)], -1)
-    image, alphas = features(splats, channels, FRONT if reading == "front" else None)
+    image, alphas = features(splats, channels, IN_FRONT.get(reading))
     if reading in ("center", "plane"):
         depth = _mean_depth(image[..., before_depth:], alphas)
-    elif reading == "front":
+    elif reading in IN_FRONT:
         depth = _mean_depth(image[..., before_depth:-1], image[..., -1])
-    elif reading == "median":
-        depth = jnp.where(alphas > MIN_COVERAGE, _median_depth(splats), 0)
     under = background if background.ndim == 3 else background[None, None]
     over = image[..., :3] + (1 - alphas)[..., None] * under
     return View(over, alphas, depth, splats, None if extra is None else image[..., 3:before_depth])
 
 
-def front_depth(splats: Splats) -> Array:
-    """`[H, W]` mean depth of the splats in front, see `FRONT`; 0 where next to nothing is. A pass of its own."""
-    image, _ = features(splats, _in_front(splats), FRONT)
+def front_depth(splats: Splats, front: rasterizer.Front) -> Array:
+    """`[H, W]` mean depth of the splats in front, see `IN_FRONT`; 0 where next to nothing is. A pass of its own."""
+    image, _ = features(splats, _in_front(splats), front)
     return _mean_depth(image[..., :-1], image[..., -1])
 
 
@@ -303,7 +302,3 @@ def _depths(splats: Splats) -> Array:
 
 def _mean_depth(composited: Array, alphas: Array) -> Array:
     return safe_divide(rasterizer.blended_depth(composited[None])[0, ..., 0], alphas, alphas > MIN_COVERAGE)
-
-
-def _median_depth(splats: Splats) -> Array:
-    return rasterizer.median_depth(splats.projection, owners(splats)[None])[0, ..., 0]

@@ -87,7 +87,7 @@ def test_the_folder_holds_mesh_gaussians_and_report_and_is_a_run(place, refined)
     assert {"mesh.ply", "mesh.glb", "gaussians.ply", "cameras.json", "report.json"} <= set(manifest["files"])
     scores = pipeline.evaluate(refined.out)
     assert scores["views"] == 2 and scores["psnr"] == pytest.approx(report["psnr"], abs=1e-3)
-    assert (open_result(place.run).depth_mode, open_result(refined.out).depth_mode) == ("plane", "median")
+    assert (open_result(place.run).depth_mode, open_result(refined.out).depth_mode) == ("plane", "discs")
 
 
 def test_every_photo_is_read_once_and_those_held_out_last(refined):

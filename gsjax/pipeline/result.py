@@ -28,7 +28,7 @@ from gsjax.scene import Frame, Scene, valid_pixels
 BACKGROUNDS = {"white": np.ones(3, np.float32), "black": np.zeros(3, np.float32), "random": np.zeros(3, np.float32)}
 """Colour that pictures and scores are made over; a run trained on random ones is scored over black."""
 
-DEPTH_OF_DISCS: DepthReading = "median"  # The far side of a mesh shows through its discs, and is in any mean.
+DEPTH_OF_DISCS: DepthReading = "discs"  # The far side of a mesh shows through its discs, and is in any whole mean.
 QUIET = 3.0  # Seconds of drawing that need no bar.
 
 

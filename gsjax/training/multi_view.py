@@ -119,7 +119,8 @@ def _in_front(point: Array) -> tuple[Array, Array]:
 def rendered(gaussians: Gaussians, beside: Batch, capacity: int, depth_mode: DepthReading) -> Neighbor:
     """What the terms need of the second view."""
     splats = render.splat(gaussians, beside.camera, capacity, depth_mode=render.of_each(depth_mode))
-    found = render.front_depth(splats) if depth_mode == "front" else depth.expected(splats)[0]
+    front = render.IN_FRONT.get(depth_mode)
+    found = render.front_depth(splats, front) if front else depth.expected(splats)[0]
     return Neighbor(beside.camera, found, splats.pairs, beside.image, beside.valid)
 
 
