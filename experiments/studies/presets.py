@@ -1,7 +1,7 @@
 """The paper's schedule as it is and with the choices of the shorter presets, beside these: which earns its time.
 
-Photos a third as large, at most 30,000 Gaussians, every preset scaled to the steps of `fast`, so that it is minutes on a
-CPU. No effects: pictures are compared as they are rendered.
+Photos a third as large, at most 30,000 Gaussians, every preset scaled to the steps of `fast`, so that it is minutes on
+a CPU. No effects: pictures are compared as they are rendered.
 """
 
 from gsjax.config import merge, parse, to_dict
