@@ -249,6 +249,17 @@ BALANCED = {
     "density": {"rule": "error", "stop": 4500, "reset_every": 0},
 }
 ACCURATE = {
+    **BALANCED,
+    "max_gaussians": 300_000,
+    "sh_every": 1000,
+    "phases": [
+        _phase("coarse", 1000, image_scale=2, density_control=True),
+        _phase("vanilla", 9000, density_control=True),
+        _phase("surface", 5000, weights=_SURFACE_TERMS),
+    ],
+    "density": {"rule": "error", "stop": 7500, "reset_every": 0},
+}
+PAPER_6K_15K = {
     "phases": [
         _phase("vanilla", 7000, density_control=True),
         _phase("entropy", 2000, weights={"entropy": 0.1}, cull_below=0.5),
@@ -285,7 +296,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "fast": FAST,
     "balanced": BALANCED,
     "accurate": ACCURATE,
-    "paper_6k_15k": ACCURATE,
+    "paper_6k_15k": PAPER_6K_15K,
     "paper_13k_7k": PAPER_13K_7K,
 }
 LENGTHS = ("fast", "balanced", "accurate")

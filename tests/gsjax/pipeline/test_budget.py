@@ -89,7 +89,7 @@ def test_the_preset_is_the_one_whose_own_length_is_nearest(monkeypatch, seconds,
     took = machine.paces[expected] * total_steps(choice.settings)
     left = 0.9 * seconds - 4.0 * len(machine.tried) - 6.0
     if seconds == 1e7:
-        assert choice.settings == replace(NAMED["accurate"], downscale=1.0)  # never longer than the paper's
+        assert choice.settings == replace(NAMED["accurate"], downscale=1.0)  # never longer than it is
     else:
         assert took == pytest.approx(left, rel=0.01)
     assert choice.line.startswith(f"{expected}, ")
