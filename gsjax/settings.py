@@ -248,16 +248,16 @@ BALANCED = {
     ],
     "density": {"rule": "error", "stop": 4500, "reset_every": 0},
 }
-ACCURATE = {
+ACCURATE = {  # `balanced` in as many steps as the paper's
     **BALANCED,
     "max_gaussians": 300_000,
-    "sh_every": 1000,
+    "sh_every": 1300,
     "phases": [
-        _phase("coarse", 1000, image_scale=2, density_control=True),
-        _phase("vanilla", 9000, density_control=True),
-        _phase("surface", 5000, weights=_SURFACE_TERMS),
+        _phase("coarse", 1900, image_scale=2, density_control=True),
+        _phase("vanilla", 9350, density_control=True),
+        _phase("surface", 3750, weights=_SURFACE_TERMS),
     ],
-    "density": {"rule": "error", "stop": 7500, "reset_every": 0},
+    "density": {"rule": "error", "stop": 8400, "reset_every": 0},
 }
 PAPER_6K_15K = {
     "phases": [
