@@ -24,7 +24,7 @@ from gsjax.binding.hybrid import Hybrid
 from gsjax.binding.mesh_terms import MeshGraph
 from gsjax.gaussians import PixelFilter
 from gsjax.numerics import masked_mean
-from gsjax.settings import Rates
+from gsjax.settings import FAST, Rates
 from gsjax.training import losses, optimizers
 from gsjax.training.capacity import chosen_capacity
 from gsjax.training.loop import advance
@@ -55,10 +55,13 @@ class RefinementRates:
     opacities: float = 0.05
     scales: float = 0.005
     rotations: float = 0.001
+    final_share: float = 1.0  # of all rates above but the vertices', reached log-linearly in the last third
     free: Rates = Rates()  # of free Gaussians; their `decay_steps` are by default those of the refinement
 
     def __post_init__(self):
         """Check ranges."""
+        if not 0 < self.final_share <= 1:
+            raise ValueError(f"final_share={self.final_share} is not above 0 and at most 1")
         if not 0 < self.vertices_final <= self.vertices:
             raise ValueError(f"vertices_final={self.vertices_final} is not between 0 and vertices={self.vertices}")
 
@@ -100,8 +103,16 @@ class Refinement:
         return math.ceil(self.settle_at * self.steps)
 
 
+_FAST_RATES = {
+    "vertices": 1.5e-3,
+    "sh_dc": 0.005,
+    "sh_rest": 2e-3,
+    "scales": 0.02,
+    "rotations": 0.02,
+    "final_share": 0.1,
+}
 PRESETS: dict[str, dict[str, Any]] = {
-    "fast": {"steps": 1_000, "faces": 30_000, "rates": {"vertices": 1.5e-3}},
+    "fast": {"steps": 1_000, "faces": 30_000, "rates": {**_FAST_RATES, "free": FAST["rates"]}},
     "short": {"steps": 2_000},
     "medium": {"steps": 7_000},
     "long": {"steps": 15_000},
@@ -246,7 +257,7 @@ def active_degrees(gaussians: Hybrid, degree: Array) -> Array:
 def make_optimizer(settings: Refinement, extent: float, num_vertices: int) -> optax.GradientTransformation:
     """Adam (0.9, 0.999, eps 1e-15) per field; the vertices' rate falls log-linearly (SuGaR), as that of free means.
 
-    After `settings.moving_steps` it is 0.
+    After `settings.moving_steps` it is 0. Others stay, or fall to `settings.rates.final_share` in the last third.
     """
     rates = settings.rates
     unit = 10 * extent / num_vertices**0.5
@@ -257,13 +268,15 @@ def make_optimizer(settings: Refinement, extent: float, num_vertices: int) -> op
         end_value=rates.vertices_final * unit,
     )
     schedule = optax.join_schedules([falling, optax.constant_schedule(0.0)], [settings.moving_steps])
-    chosen = {
-        "vertices": schedule,
+    of_gaussians = {
         "log_scales": rates.scales,
         "rotations": rates.rotations,
         "logit_opacities": rates.opacities,
         "sh_dc": rates.sh_dc,
         "sh_rest": rates.sh_rest,
+    }
+    chosen = {"vertices": schedule} | {
+        name: optimizers.falling_at_last(rate, rates.final_share, settings.steps) for name, rate in of_gaussians.items()
     }
     transforms = {name: optax.adam(rate, eps=1e-15) for name, rate in chosen.items()}
     bound = optax.partition(transforms, lambda parameters: replace(parameters, **{name: name for name in chosen}))

@@ -70,6 +70,12 @@ def boundary_loops(mesh: Mesh, edges: EdgeTable) -> np.ndarray:
     return np.sort(np.bincount(loop_of, np.linalg.norm(places[:, 0] - places[:, 1], axis=-1)))[::-1]
 
 
+def border(mesh: Mesh) -> np.ndarray:
+    """`[B, 3]` vertices on open edges: where the mesh ends."""
+    edges = edge_table(mesh.faces)
+    return mesh.vertices[np.unique(edges.pairs[edges.faces == 1])]
+
+
 def topology(mesh: Mesh) -> Topology:
     """Pieces, borders and orientation of a mesh with at least one face."""
     edges = edge_table(mesh.faces)

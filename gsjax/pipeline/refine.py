@@ -30,6 +30,7 @@ from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
 from gsjax.meshing.settling import settle
+from gsjax.meshing.topology import border
 from gsjax.pipeline.effects import Photography, read_photography, write_photography
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
@@ -167,7 +168,7 @@ def _kept(result: Result, mesh: Mesh, data: Views) -> np.ndarray:
     cast = ray_caster(mesh)
     targets = tqdm(data.targets, desc="free Gaussians", unit="view", delay=QUIET)
     depths = (depth_of_mesh(mesh, target.viewmat, target.K, *data.size, cast=cast) for target in targets)
-    kept = beyond_mesh(result.gaussians, data, depths, depth_mode=result.depth_mode)
+    kept = beyond_mesh(result.gaussians, data, depths, border(mesh), depth_mode=result.depth_mode)
     print(f"refine: {kept.sum():,} of {len(kept):,} Gaussians stay free, where there is no mesh", file=sys.stderr)
     return kept
 

@@ -44,12 +44,7 @@ def make_optimizer(
     )
 
     def falling(rate: float):
-        if rates.final_share == 1:
-            return rate
-        last = max(decay_steps // 3, 1)
-        begin = max(decay_steps - last, 0)
-        end_value = rate * rates.final_share
-        return optax.exponential_decay(rate, last, rates.final_share, transition_begin=begin, end_value=end_value)
+        return falling_at_last(rate, rates.final_share, decay_steps)
 
     def adam(rate):
         return optax.adam(rate, 0.9**views_per_step, 0.999**views_per_step, eps=1e-15)
@@ -65,6 +60,15 @@ def make_optimizer(
         },
         labels,
     )
+
+
+def falling_at_last(rate: float, final_share: float, steps: int) -> float | optax.Schedule:
+    """A rate that falls log-linearly to `final_share` of itself in the last third of the steps; 1: it stays."""
+    if final_share == 1:
+        return rate
+    last = max(steps // 3, 1)
+    begin, end_value = max(steps - last, 0), rate * final_share
+    return optax.exponential_decay(rate, last, final_share, transition_begin=begin, end_value=end_value)
 
 
 def apply_gradients(

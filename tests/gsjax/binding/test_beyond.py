@@ -9,7 +9,7 @@ import pytest
 from small_scenes import camera_at, discs, plane
 
 from gsjax import cameras, render, views
-from gsjax.binding.beyond import SAME_SURFACE, beyond_mesh
+from gsjax.binding.beyond import OVER_BORDER, SAME_SURFACE, beyond_mesh
 from gsjax.scene import Pixels, frame_of
 
 CAMERAS = [camera_at((x, 0.2, 0.0), (0.0, 0.0, 4.0), size=(40, 32), focal=30.0) for x in (-0.4, 0.5)]
@@ -22,6 +22,7 @@ OTHERS = {
     "stands before the rest": [0.9, 0.3, 2.5],
     "is behind the cameras": [0.0, 0.0, -2.0],
 }
+BORDER = np.stack(np.broadcast_arrays(0.0, np.linspace(-3, 3, 601), 4.0), axis=-1)  # of the mesh
 STAYING = {"stands before the mesh", "stands before the rest"}
 
 
@@ -58,14 +59,15 @@ def data():
 
 @pytest.fixture(scope="module")
 def whole(scene, data):
-    return beyond_mesh(scene, data, map(mesh_depth, CAMERAS))
+    return beyond_mesh(scene, data, map(mesh_depth, CAMERAS), BORDER)
 
 
 def test_what_the_mesh_shows_goes_and_what_it_lacks_stays(whole):
     wall, x = whole[: WALL.num_gaussians], np.asarray(WALL.means)[:, 0]
     in_sight = np.abs(np.asarray(WALL.means)[:, 1]) < 1.7
-    assert np.all(wall[in_sight & (x > 0.1)]), "the rim and all beyond it"
-    assert not np.any(wall[x < -0.1])
+    assert np.all(wall[in_sight & (x > -0.1)]), "the rim and all beyond it"
+    assert np.any(wall[in_sight & (x < -0.1)]), "some reach over it"
+    assert not np.any(wall[x < -1.0])
     assert {name for name, stays in zip(OTHERS, whole[len(wall) :], strict=True) if stays} == STAYING
 
 
@@ -81,33 +83,38 @@ def test_the_choice_is_that_of_the_blending_weights(scene, data, whole):
             extra=jnp.eye(scene.num_gaussians, dtype=jnp.float32),
         )
     )
-    light, beyond = np.zeros(scene.num_gaussians), np.zeros(scene.num_gaussians)
+    light, bare, elsewhere = np.zeros((3, scene.num_gaussians))
     for camera in CAMERAS:
         view = shown(camera)
         weights, mesh = np.asarray(view.extra, np.float64), mesh_depth(camera)
         off = (mesh > 0) & (np.abs(np.asarray(view.depth) - mesh) > SAME_SURFACE * mesh)
         own = np.asarray(scene.means, np.float64) @ np.asarray(camera.viewmat)[2, :3] + np.asarray(camera.viewmat)[2, 3]
         light += weights.sum(axis=(0, 1))
-        beyond += weights[mesh == 0].sum(axis=0)
+        bare += weights[mesh == 0].sum(axis=0)
         for one in np.flatnonzero(weights[off].sum(axis=0)):
             around = np.average(mesh[off], weights=weights[off][:, one])
             if abs(own[one] - around) > SAME_SURFACE * around:
-                beyond[one] += weights[off][:, one].sum()
-    clear = np.abs(beyond - 0.5 * light) > 1e-3 * light
-    assert clear.sum() > 150
-    np.testing.assert_array_equal(whole[clear], (beyond > 0.5 * light)[clear])
+                elsewhere[one] += weights[off][:, one].sum()
+    at_border = np.abs(np.asarray(scene.means)[:, 0]) <= 2 * np.exp(np.asarray(scene.log_scales).max(axis=1))
+    at_border &= np.abs(np.asarray(scene.means)[:, 2] - 4) < 0.2
+    stays = (bare + elsewhere > 0.5 * light) | at_border & (bare > OVER_BORDER * light)
+    told = np.abs(bare + elsewhere - 0.5 * light) > 1e-3 * light
+    told &= ~at_border | (np.abs(bare - OVER_BORDER * light) > 1e-3 * light)
+    assert told.sum() > 150
+    np.testing.assert_array_equal(whole[told], stays[told])
+    assert np.any(stays & (bare + elsewhere < 0.4 * light)), "some reach over the border"
     assert not np.any(whole[light == 0]) and np.any(light == 0)
 
 
 def test_all_go_or_all_that_are_seen_stay(scene, data, whole):
     opaque = replace(scene, logit_opacities=scene.logit_opacities.at[-6:].set(-30.0))  # The wall alone.
-    assert not np.any(beyond_mesh(opaque, data, map(wall_depth, CAMERAS)))
-    without = beyond_mesh(scene, data, [np.zeros((32, 40), np.float32)] * 2)
+    assert not np.any(beyond_mesh(opaque, data, map(wall_depth, CAMERAS), BORDER[:0]))
+    without = beyond_mesh(scene, data, [np.zeros((32, 40), np.float32)] * 2, BORDER)
     assert np.all(without[whole]) and not without[-1] and without[: WALL.num_gaussians].mean() > 0.8
 
 
 def test_masked_pixels_say_nothing(scene, data):
     left = np.broadcast_to(np.where(np.arange(40) < 24, 255, 0).astype(np.uint8), (32, 40))
-    stays = beyond_mesh(scene, masked_by(left), map(mesh_depth, CAMERAS))
+    stays = beyond_mesh(scene, masked_by(left), map(mesh_depth, CAMERAS), BORDER)
     assert not np.any(stays[: WALL.num_gaussians][np.asarray(WALL.means)[:, 0] > 1.9]), "behind the masks in both"
     assert stays[WALL.num_gaussians + list(OTHERS).index("stands before the mesh")]

@@ -261,6 +261,22 @@ def test_the_rates_are_those_of_the_mesh_and_of_training():
         assert_close(found, np.full(found.shape, -rate))
 
 
+def test_the_rates_of_bound_gaussians_fall_in_the_last_third_where_they_are_asked_to():
+    mesh = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8))
+    parameters = refining.with_faces(Hybrid(bind(mesh, per_triangle=1, thickness=1e-3)), None)
+    rates = RefinementRates(vertices=1e-3, vertices_final=1e-3, final_share=0.1)
+    optimizer = refining.make_optimizer(Refinement(steps=6, rates=rates), 2.0, 400)
+    ones, state = jax.tree.map(jnp.ones_like, parameters), jax.jit(optimizer.init)(parameters)
+    moved = []
+    for _ in range(6):
+        with jax.numpy_dtype_promotion("standard"):
+            updates, state = jax.jit(optimizer.update)(ones, state, parameters)
+        moved.append([float(-updates.bound.rotations[0, 0]), float(-updates.bound.vertices[0, 0])])
+    share = 0.1 ** (np.array([0, 0, 0, 0, 0, 1]) / 2)
+    # Under a constant gradient Adam's corrected step stays the rate itself.
+    np.testing.assert_allclose(moved, 1e-3 * np.stack([share, np.ones(6)], axis=-1), rtol=1e-3)
+
+
 def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):
     trained_with = []
 
@@ -303,6 +319,7 @@ def test_every_preset_parses(preset):
         ({"settle_at": 0.0}, "settle_at=0.0 is not above 0 and at most 1"),
         ({"settle_at": 1.2}, "settle_at=1.2 is not above 0 and at most 1"),
         ({"rates": {"vertices": 0.0}}, "rates: vertices_final=1.6e-06 is not between 0 and vertices=0.0"),
+        ({"rates": {"final_share": 0.0}}, "rates: final_share=0.0 is not above 0 and at most 1"),
     ],
 )
 def test_wrong_settings_are_named(wrong, message):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gsjax.mesh import Mesh
-from gsjax.meshing.topology import boundary_loops, edge_table, face_components, topology
+from gsjax.meshing.topology import border, boundary_loops, edge_table, face_components, topology
 
 
 def mesh_of(vertices, faces):
@@ -52,6 +52,13 @@ def test_holes_are_loops_with_lengths():
     found = topology(mesh)
     assert (found.boundary_loops, found.boundary_length, found.largest_hole) == (3, 42, 32)
     assert not found.watertight
+
+
+def test_the_border_is_the_vertices_at_which_a_mesh_ends():
+    found = border(square(5, without={(2, 2)}))
+    rim = [(x, y, 0) for x in range(6) for y in range(6) if x in (0, 5) or y in (0, 5)]
+    assert set(map(tuple, found.tolist())) == {*rim, (2, 2, 0), (3, 2, 0), (2, 3, 0), (3, 3, 0)}
+    assert border(tetrahedron()).shape == (0, 3)
 
 
 def test_holes_that_touch_in_a_corner_are_one_loop():
