@@ -16,6 +16,7 @@ from typing import Any
 from paper.scenes import SCHEDULES
 
 from gsjax import tables
+from gsjax.binding.refining import PRESETS
 from gsjax.cli import guarded
 
 BUDGETS = ("paper_6k_15k", "paper_13k_7k")
@@ -23,7 +24,7 @@ FIGURES = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "chamfer"
 REFINED: dict[str, Any] = {
     "keep_free": False,  # the paper's Gaussians are on the mesh alone
     "faces": 30_000,
-    "rates": {"vertices": 1.5e-3},  # few steps, large ones: docs/refinement.md
+    "rates": PRESETS["fast"]["rates"],  # few steps, large ones: docs/refinement.md
 }
 
 
