@@ -25,8 +25,9 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
     add("--out", metavar="FILE", required=True, help="the mesh; .ply, .obj or .glb by its suffix")
-    add("--method", choices=("poisson", "tsdf", "centers", "marching-cubes"),
-        help="poisson (default): points of the level set; tsdf: fusion of depth, open where nothing was seen; "
+    add("--method", choices=("poisson", "depth", "tsdf", "centers", "marching-cubes"),
+        help="poisson (default): points of the level set; depth: of the rendered depth, flatter; "
+        "tsdf: fusion of that depth, open where nothing was seen; "
         "centers: Poisson through the Gaussians' centres; marching-cubes: of the density, needs no views")  # fmt: skip
     add("--depth", type=int, metavar="N", help="depth of the Poisson octree: one more doubles the resolution")
     add("--trim-quantile", type=float, metavar="Q",

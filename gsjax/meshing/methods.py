@@ -1,8 +1,8 @@
 """Ways from Gaussians and rendered views to a surface, all of one signature; `extract_mesh` is handed one of them.
 
 A method looks at every view once. What it brings back, a `Sighting`, says where the surface was seen and builds the
-part of it that lies in a region. Here are the two that end in a Poisson reconstruction; `tsdf` and `marching_cubes`
-hold the others.
+part of it that lies in a region. Here are two that end in a Poisson reconstruction; `depth_points`, `tsdf` and
+`marching_cubes` hold the others.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -61,7 +61,7 @@ def level_set_poisson(
             "flipped_share": surface.flipped / surface.crossings,
             "points": len(surface.points),
         }
-        build = _poisson_of(gaussians, surface.points, surface.normals, surface.colors, reconstruction)
+        build = poisson_through(gaussians, surface.points, surface.normals, surface.colors, reconstruction)
         return Sighting(surface.points, build, report)
 
     return gather
@@ -92,7 +92,7 @@ def centers_poisson(
         normals = plane_normals(centers, min(neighbors, len(centers)))
         normals *= np.where(np.sum(normals * towards, axis=1, keepdims=True) < 0, -1, 1)
         colors = base_colors(kept)
-        build = _poisson_of(gaussians, centers[seen], normals[seen], colors[seen], reconstruction)
+        build = poisson_through(gaussians, centers[seen], normals[seen], colors[seen], reconstruction)
         return Sighting(centers[seen], build, {"kernels": len(centers), "points": int(seen.sum())})
 
     return gather
@@ -149,7 +149,15 @@ def plane_normals(points: np.ndarray, neighbors: int) -> np.ndarray:
     return normals
 
 
-def _poisson_of(gaussians: Gaussians, points, normals, colors, options: PoissonOptions | None):
+def poisson_through(
+    gaussians: Gaussians,
+    points: np.ndarray,
+    normals: np.ndarray,
+    colors: np.ndarray,
+    options: PoissonOptions | None,
+) -> Callable[[Region], tuple[Mesh, dict]]:
+    """A method's `build` from points, outward normals and colours, each `[P, 3]`."""
+
     def build(region: Region) -> tuple[Mesh, dict]:
         chosen = region.grown(RIM * (region.without or region.box).longest).contains(points)
         cell = CELL_PER_SCALE * typical_scale(gaussians, region)

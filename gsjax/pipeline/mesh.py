@@ -15,6 +15,7 @@ from gsjax.gaussians import Gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.meshing import boxes, level_set, trimming
 from gsjax.meshing.boxes import Box
+from gsjax.meshing.depth_points import depth_poisson
 from gsjax.meshing.export import supported_suffix, write_mesh
 from gsjax.meshing.extract import extract_mesh
 from gsjax.meshing.marching_cubes import marching_cubes
@@ -22,10 +23,11 @@ from gsjax.meshing.methods import Method, centers_poisson, level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.settling import settle
 from gsjax.meshing.tsdf import tsdf
+from gsjax.normals.from_depth import smoothed_depth_normals
 from gsjax.pipeline.result import Result, open_result, scene_of_run, training_pictures
 from gsjax.scene import Frame
 
-METHODS = ("poisson", "tsdf", "centers", "marching-cubes")
+METHODS = ("poisson", "depth", "tsdf", "centers", "marching-cubes")
 
 
 def mesh(
@@ -53,12 +55,12 @@ def mesh(
     Args:
         source: Run folder or .ply.
         out: Mesh file; .ply, .obj or .glb.
-        method: "poisson" through points of the level set, "centers" through the Gaussians' centres, "tsdf" fusion of
-            the rendered depth, "marching-cubes" of the density.
+        method: "poisson" through points of the level set, "depth" through those of the rendered depth, "centers"
+            through the Gaussians' centres, "tsdf" fusion of the rendered depth, "marching-cubes" of the density.
         level: Density at which the surface lies ("poisson", "marching-cubes").
-        points: Most surface points ("poisson"). None: an eighth of the pixels, 200,000 to 10 million.
-        depth: Of the Poisson octree ("poisson", "centers"). None: chosen from the sizes of the Gaussians.
-        trim_quantile: Share of the least supported vertices to cut away ("poisson", "centers"). None: adaptive.
+        points: Most surface points ("poisson", "depth"). None: an eighth of the pixels, 200,000 to 10 million.
+        depth: Of the Poisson octree ("poisson", "depth", "centers"). None: chosen from the sizes of the Gaussians.
+        trim_quantile: Share of the least supported vertices to cut away (of the same). None: adaptive.
         cell: Side of a voxel ("tsdf") or of a grid cell ("marching-cubes"), scene units. None: from the Gaussians.
         bounds: x0 y0 z0 x1 y1 z1 of the box to keep, scene coordinates. None: around the points; the rest, up to four
             times that size, is a background with a coarser surface of its own.
@@ -131,6 +133,7 @@ def _method(
         sampling = replace(sampling, num_points=points)
     makers = {
         "poisson": partial(level_set_poisson, sampling, reconstruction),
+        "depth": partial(depth_poisson, smoothed_depth_normals, sampling.num_points, reconstruction),
         "tsdf": partial(tsdf, voxel=cell),
         "centers": partial(centers_poisson, reconstruction),
         "marching-cubes": partial(marching_cubes, level=level, cell=cell),

@@ -7,15 +7,19 @@ import pytest
 
 from gsjax import gaussians as gs
 from gsjax.errors import InputError
+from gsjax.gallery import Picture
 from gsjax.mesh import Mesh, face_normals, signed_volume
 from gsjax.meshing import boxes, extract_mesh, methods
 from gsjax.meshing.boxes import Box, Region
+from gsjax.meshing.depth_points import LEAST_FACING, depth_poisson
 from gsjax.meshing.marching_cubes import density_grid, marching_cubes
 from gsjax.meshing.methods import centers_poisson
 from gsjax.meshing.orientation import facing_share, outward
 from gsjax.meshing.tsdf import tsdf
+from gsjax.normals.from_depth import smoothed_depth_normals
 
 ALL = {
+    "depth": depth_poisson(smoothed_depth_normals, 100_000),
     "centers": centers_poisson(),
     "tsdf": tsdf(voxel=0.06),
     "marching-cubes": marching_cubes(cell=0.06),
@@ -35,7 +39,7 @@ def test_every_method_finds_the_ball(named_mesh):
     assert np.quantile(np.abs(radii - 1), 0.99) < near
     assert report["facing_share"] > 0.99
     assert report["topology"]["oriented"]
-    assert np.abs(mesh.colors.astype(int) - ([128] * 3 if name != "tsdf" else [255, 128, 0])).max() <= 2
+    assert np.abs(mesh.colors.astype(int) - ([128] * 3 if name not in ("tsdf", "depth") else [255, 128, 0])).max() <= 2
 
 
 def test_poisson_through_the_centres_is_a_closed_outward_ball(ball):
@@ -80,6 +84,38 @@ def test_fused_surfaces_lie_at_the_depth_and_not_half_a_voxel_beside(ball_on_gro
         regions=lambda _: boxes.fixed(Box((1.5, -2, -2), (2.4, 2, 0))),
     )
     assert abs(np.median(mesh.vertices[:, 2]) + 1) < 0.01
+
+
+def test_points_of_the_depth_are_where_it_has_a_normal_that_faces_the_camera(ball):
+    """A plane before a turned camera: no normal on its left half, and seen too flatly in the lower one."""
+    camera = ball.cameras[3]
+    size = camera.height, camera.width
+    colors = np.full((*size, 3), 0.5, np.float32)
+    plane = Picture(colors, np.full(size, 2.5, np.float32), np.ones(size, np.float32))
+    flat = np.array([0, np.sqrt(1 - 0.1**2), -0.1])
+
+    def normals_of(depth, alphas, camera):
+        normals = np.zeros((*size, 3))
+        normals[:, size[1] // 2 :] = [0, 0, -1]
+        normals[size[0] // 2 :, size[1] // 2 :] = flat
+        return normals
+
+    points = depth_poisson(normals_of, 10**6)(ball.gaussians, [camera], [plane]).points
+    local = points @ np.asarray(camera.viewmat)[:3, :3].T + np.asarray(camera.viewmat)[:3, 3]
+    pixels = local[:, :2] / local[:, 2:] * np.asarray(camera.K)[[0, 1], [0, 1]] + np.asarray(camera.K)[:2, 2]
+    np.testing.assert_allclose(local[:, 2], 2.5, rtol=1e-5)
+    rows, columns = np.mgrid[: size[0], : size[1]]
+    rays = np.stack([columns + 0.5, rows + 0.5, np.ones(size)], -1) @ np.linalg.inv(np.asarray(camera.K, np.float64)).T
+    facing = -np.sum(rays * normals_of(None, None, None), axis=-1) / np.linalg.norm(rays, axis=-1)
+    found = np.zeros(size, bool)
+    found[np.floor(pixels[:, 1]).astype(int), np.floor(pixels[:, 0]).astype(int)] = True
+    np.testing.assert_array_equal(found, facing > LEAST_FACING)
+    assert 0.2 < found.mean() < 0.3
+
+
+def test_a_depth_without_normals_has_no_surface(ball):
+    with pytest.raises(InputError, match="no pixel of 10 views has alpha > 0.5 and a normal"):
+        extract_mesh(ball.gaussians, *ball.views, method=depth_poisson(lambda d, a, c: np.zeros((*d.shape, 3)), 1000))
 
 
 def test_nothing_opaque_cannot_be_fused(ball):

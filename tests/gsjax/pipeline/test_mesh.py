@@ -78,7 +78,7 @@ def lumpy(ball, tmp_path_factory):
     return folders
 
 
-@pytest.mark.parametrize("method", ["poisson", "tsdf", "centers"])
+@pytest.mark.parametrize("method", ["poisson", "depth", "tsdf", "centers"])
 def test_where_photos_are_masked_no_triangle_grows(lumpy, method, tmp_path):
     def near_lump(name):
         mesh(lumpy[name], tmp_path / f"{name}.ply", method=method)
@@ -93,7 +93,7 @@ def test_where_photos_are_masked_no_triangle_grows(lumpy, method, tmp_path):
 @pytest.mark.parametrize(
     ("options", "fault"),
     [
-        ({"method": "nurbs"}, "--method nurbs is none of poisson, tsdf, centers, marching-cubes"),
+        ({"method": "nurbs"}, "--method nurbs is none of poisson, depth, tsdf, centers, marching-cubes"),
         ({"level": 1.5}, "--level 1.5"),
         ({"trim_quantile": 1.0}, "--trim-quantile 1.0"),
         ({"points": 0}, "--points 0"),
