@@ -45,11 +45,11 @@ def depth_poisson(
             _points_of_view(index, camera, picture, normals_of, wanted, min_alpha, rng)
             for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True))
         ]
-        points, normals, colors = (np.concatenate(parts) for parts in zip(*views, strict=True))
-        if not len(points):
+        if not sum(len(points) for points, _, _ in views):
             raise InputError(
                 f"no surface to extract: no pixel of {len(views)} views has alpha > {min_alpha} and a normal"
             )
+        points, normals, colors = (np.concatenate(parts) for parts in zip(*views, strict=True))
         build = poisson_through(gaussians, points, normals, colors, reconstruction)
         return Sighting(points, build, {"points": len(points)})
 
