@@ -13,7 +13,7 @@ from small_scenes import camera_at, plane
 
 from gsjax import cli, config, pipeline
 from gsjax.binding import refining
-from gsjax.binding.refining import PRESETS, Refinement
+from gsjax.binding.refining import PRESETS, SETTLE_AT, Refinement
 from gsjax.errors import InputError
 from gsjax.io import photos, runs
 from gsjax.io.images import read_image, write_image
@@ -220,10 +220,13 @@ def test_the_command_hands_over_its_settings(monkeypatch, capsys):
     assert keywords == {"mesh": None, "resume": False}
     assert (second[2].steps, second[2].faces, second[2].per_triangle) == (2000, 500, 6)
     assert first[2].keep_free and not second[2].keep_free
-    assert (first[2].settle_at, second[2].settle_at) == (1.0, 0.8)
+    assert (first[2].settle_at, second[2].settle_at) == (SETTLE_AT, SETTLE_AT)
     assert (second[2].weights.laplacian, second[2].opacity) == (2.0, 0.5)
     assert more == {"mesh": "m.obj", "resume": True}
     assert "psnr  30" in capsys.readouterr().out
+    assert cli.main(["refine", "run", "--out", "o", "--unsettled"]) == 0
+    assert calls[2][0][2].settle_at == 1.0
+    assert cli.main(["refine", "run", "--out", "o", "--settle", "--unsettled"]) == 2
     assert cli.main(["refine", "run", "--out", "o", "--set", "weights.l2=1"]) == 2
     assert "unknown key 'weights.l2'; the nearest known one is 'weights.l1'" in capsys.readouterr().err
     assert cli.main(["refine", "run", "--out", "o", "--per-triangle", "2"]) == 2

@@ -81,6 +81,9 @@ KNOBS: dict[str, Knob] = {
     "refinement triangles": Knob(
         {f"{faces:,}": {"faces": faces} for faces in (30_000, 15_000, 8_000, 4_000)}, *_OF_REFINED
     ),
-    "refined mesh": Knob({"settled": {"settle_at": 0.8}, "unsettled": {}}, *_OF_REFINED),
+    "refined mesh settles": Knob(
+        {f"after {share:g} of the steps": {"settle_at": share} for share in (0.6, 0.8)} | {"never": {"settle_at": 1.0}},
+        *_OF_REFINED,
+    ),
     "texture": Knob({f"{size:,} px": size for size in (4096, 2048, 1024, 512)}, _textured, _texture_errors),
 }

@@ -111,8 +111,14 @@ _FAST_RATES = {
     "rotations": 0.02,
     "final_share": 0.1,
 }
+SETTLE_AT = 0.6  # Before the rates fall: colours have to follow the mesh (docs/refinement.md).
 PRESETS: dict[str, dict[str, Any]] = {
-    "fast": {"steps": 1_000, "faces": 30_000, "rates": {**_FAST_RATES, "free": FAST["rates"]}},
+    "fast": {
+        "steps": 1_000,
+        "faces": 30_000,
+        "settle_at": SETTLE_AT,
+        "rates": {**_FAST_RATES, "free": FAST["rates"]},
+    },
     "short": {"steps": 2_000},
     "medium": {"steps": 7_000},
     "long": {"steps": 15_000},

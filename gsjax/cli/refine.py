@@ -5,7 +5,6 @@ import argparse
 from gsjax.cli.parsers import add_command, given
 
 PRESETS = ("fast", "short", "medium", "long")
-SETTLE_AT = 0.8  # Of the steps; the rest is for the Gaussians on the settled mesh.
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -34,8 +33,11 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--per-triangle", type=int, choices=(1, 3, 4, 6), help="Gaussians a triangle (default: 1)")
     add("--bound-only", dest="keep_free", action="store_const", const=False,
         help="drop all Gaussians of RUN: nothing shows then where there is no mesh")  # fmt: skip
-    add("--settle", dest="settle_at", action="store_const", const=SETTLE_AT,
-        help="towards the end the mesh settles on the photos and stays: a truer mesh, poorer pictures")  # fmt: skip
+    settling = parser.add_mutually_exclusive_group()
+    settling.add_argument("--settle", dest="settled", action="store_const", const=True,
+        help="after three fifths of the steps the mesh settles on the photos and stays (fast: default)")  # fmt: skip
+    settling.add_argument("--unsettled", dest="settled", action="store_const", const=False,
+        help="the mesh stays where its Gaussians have moved it (short, medium, long: default)")  # fmt: skip
     add("--seed", type=int, metavar="N", help="seed of the order of the photos (default: 0)")
     add("--resume", action="store_true", help="continue OUT from its last checkpoint, given the same options")
     add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
@@ -44,9 +46,11 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import config, pipeline, tables
-    from gsjax.binding.refining import PRESETS, Refinement
+    from gsjax.binding.refining import PRESETS, SETTLE_AT, Refinement
 
-    options = given(arguments, "steps", "faces", "per_triangle", "keep_free", "settle_at", "seed")
+    options = given(arguments, "steps", "faces", "per_triangle", "keep_free", "seed")
+    if arguments.settled is not None:
+        options["settle_at"] = SETTLE_AT if arguments.settled else 1.0
     chosen = config.merge(PRESETS[arguments.preset or "fast"], options)
     whole = config.to_dict(config.parse(Refinement, chosen, where="settings"))
     assignments = [one for group in arguments.assignments for one in group]
