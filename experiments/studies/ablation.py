@@ -1,7 +1,7 @@
 """What each change to the surface brings alone, and all of them together: growth, depth, pixel filter, weights.
 
-The first variant is the demo as it was without them, the last the demo but for its reading of depth (`depth.py` has
-that); settled meshes are common to all (`gsjax.meshing.settling`).
+The first variant is the demo as it was without them, the last the demo; settled meshes are common to all
+(`gsjax.meshing.settling`).
 """
 
 from typing import Any
@@ -26,6 +26,7 @@ _BEFORE = {
 _CHANGES: dict[str, dict[str, Any]] = {
     "growth by error": {"density": {"rule": "error"}},
     "plane depth": {"depth_mode": "plane"},
+    "depth in front": {"depth_mode": "front"},
     "mip filter": {"pixel_filter": "mip"},
     "weights": _weights(**_SURFACE["weights"]),
 }
