@@ -33,12 +33,11 @@ class Settling:
     rounds: int = 3
     step: float = 0.25  # between two offsets that are tried
     reach: int = 6  # steps to either side in the first round, half of the last in the next, at least 3
-    blurs: int = 2  # times that a vertex' evidence is mixed with its neighbours'
     stiffness: float = 10.0  # of the differences between neighbours, in median evidence
 
     def __post_init__(self):
         """Check ranges."""
-        for name, low in {"rounds": 0, "reach": 3, "blurs": 0}.items():
+        for name, low in {"rounds": 0, "reach": 3}.items():
             if getattr(self, name) < low:
                 raise ValueError(f"{name}={getattr(self, name)} is below {low}")
         if not (self.step > 0 and self.stiffness > 0):
@@ -67,7 +66,7 @@ def settle(mesh: Mesh, frames: Sequence[Frame], options: Settling | None = None)
     options = options or Settling()
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(MOST_VIEWS, len(frames))).astype(int))
     frames = [frames[index] for index in chosen]
-    mixing, stiffness = _neighbours(mesh)
+    differences = _laplacian(mesh)
     with tqdm(total=(options.rounds + 2) * len(frames), desc="settle", unit="view", delay=3.0) as bar:
         survey = _survey(mesh, frames, np.zeros((1, mesh.num_vertices)), None, bar)
         seen, before, moved = survey.views >= LEAST_VIEWS, survey.variance[0], np.zeros(mesh.num_vertices)
@@ -75,7 +74,7 @@ def settle(mesh: Mesh, frames: Sequence[Frame], options: Settling | None = None)
         for _ in range(options.rounds if seen.any() else 0):
             steps = options.step * np.arange(-reach, reach + 1)
             survey = _survey(settled, frames, steps[:, None] * survey.pixel, survey.mean, bar)
-            way = _agreed(survey, steps, mixing, stiffness, options)
+            way = _agreed(survey, steps, differences, options)
             offsets = (way * survey.pixel)[:, None] * vertex_normals(settled)
             settled = replace(settled, vertices=(settled.vertices + offsets).astype(np.float32))
             moved, reach = moved + way, max(reach // 2, 3)
@@ -191,25 +190,21 @@ def _gains(colors: np.ndarray, mean: np.ndarray, weight: np.ndarray) -> np.ndarr
     return (np.sum(w * colors * mean, axis=0) / np.where(power > 0, power, 1) + (power == 0)).astype(np.float32)
 
 
-def _neighbours(mesh: Mesh) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-    """The matrix that mixes a vertex half and half with the mean of its neighbours, and the graph's Laplacian."""
+def _laplacian(mesh: Mesh) -> sparse.csr_matrix:
+    """`[V, V]`: a vertex' value less those of its neighbours, summed."""
     count = mesh.num_vertices
     ends = edge_table(mesh.faces).pairs
     both = np.concatenate([ends, ends[:, ::-1]])
     adjacent = sparse.csr_matrix((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(count, count))
-    degree = np.asarray(adjacent.sum(axis=1)).ravel()
-    mean = sparse.diags(1 / np.maximum(degree, 1)) @ adjacent
-    mixing = 0.5 * (sparse.identity(count) + mean) + 0.5 * sparse.diags((degree == 0).astype(float))
-    return sparse.csr_matrix(mixing), sparse.csr_matrix(sparse.diags(degree) - adjacent)
+    return sparse.csr_matrix(sparse.diags(np.asarray(adjacent.sum(axis=1)).ravel()) - adjacent)
 
 
-def _agreed(
-    survey: _Survey, steps: np.ndarray, mixing: sparse.csr_matrix, stiffness: sparse.csr_matrix, options: Settling
-) -> np.ndarray:
-    """`[V]` pixels to move: at the least disagreement where there is evidence, smooth between."""
+def _agreed(survey: _Survey, steps: np.ndarray, differences: sparse.csr_matrix, options: Settling) -> np.ndarray:
+    """`[V]` pixels to move: at the least disagreement where there is evidence, smooth between.
+
+    Evidence is each vertex' own: mixed with its neighbours', it says the same of both sides of an edge.
+    """
     curves = survey.variance.T
-    for _ in range(options.blurs):
-        curves = mixing @ curves
     lowest, rows = curves.argmin(axis=1), np.arange(len(curves))
     inner = np.clip(lowest, 1, len(steps) - 2)
     before, at, after = (curves[rows, inner + k] for k in (-1, 0, 1))
@@ -219,7 +214,7 @@ def _agreed(
     told = (survey.views >= LEAST_VIEWS) & (lowest == inner)
     typical = max(float(np.median(bend[told])) if told.any() else 0.0, GRAY**2)
     evidence = np.where(told, np.minimum(bend / typical, 4), 0)
-    system = sparse.diags(evidence + 1e-6) + options.stiffness * stiffness
+    system = sparse.diags(evidence + 1e-6) + options.stiffness * differences
     way, _ = cg(system, evidence * wanted, rtol=1e-4, maxiter=300)
     return way
 

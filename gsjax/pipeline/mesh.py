@@ -10,12 +10,13 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.meshing import boxes, level_set, trimming
 from gsjax.meshing.boxes import Box
-from gsjax.meshing.depth_points import depth_poisson
+from gsjax.meshing.depth_points import NormalsOfDepth, depth_poisson
 from gsjax.meshing.export import supported_suffix, write_mesh
 from gsjax.meshing.extract import extract_mesh
 from gsjax.meshing.marching_cubes import marching_cubes
@@ -24,6 +25,7 @@ from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.settling import settle
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
+from gsjax.pipeline.prior import reduction_for
 from gsjax.pipeline.result import Result, open_result, scene_of_run, training_pictures
 from gsjax.scene import Frame
 
@@ -88,7 +90,7 @@ def mesh(
         result.gaussians,
         cameras,
         pictures,
-        method=_method(method, result, level, points, depth, trim_quantile, cell),
+        method=_method(method, result, cameras, level, points, depth, trim_quantile, cell),
         regions=regions,
         max_faces=faces,
     )
@@ -120,6 +122,7 @@ def without_view_dependence(gaussians: Gaussians) -> Gaussians:
 def _method(
     name: str,
     result: Result,
+    cameras: Sequence[Camera],
     level: float,
     points: int | None,
     depth: int | None,
@@ -133,7 +136,7 @@ def _method(
         sampling = replace(sampling, num_points=points)
     makers = {
         "poisson": partial(level_set_poisson, sampling, reconstruction),
-        "depth": partial(depth_poisson, smoothed_depth_normals, sampling.num_points, reconstruction),
+        "depth": lambda: depth_poisson(_smoothed_normals(result, cameras), sampling.num_points, reconstruction),
         "tsdf": partial(tsdf, voxel=cell),
         "centers": partial(centers_poisson, reconstruction),
         "marching-cubes": partial(marching_cubes, level=level, cell=cell),
@@ -141,6 +144,12 @@ def _method(
     if name not in makers:
         raise InputError(f"--method {name} is none of {', '.join(METHODS)}")
     return makers[name]()
+
+
+def _smoothed_normals(result: Result, cameras: Sequence[Camera]) -> NormalsOfDepth:
+    """Normals of depth in windows as large as the run's noise asks for."""
+    reduction = reduction_for(result.gaussians, cameras, result.depth_mode)
+    return partial(smoothed_depth_normals, reduction=reduction)
 
 
 def _regions(bounds: list[float] | None, background: list[float] | None, foreground_only: bool):

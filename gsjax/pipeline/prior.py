@@ -10,6 +10,7 @@ import numpy as np
 from tqdm import tqdm
 
 from gsjax import gallery
+from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io.images import read_image, write_image
@@ -119,16 +120,25 @@ class RunPrior:
         return signs
 
     def _own(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
-        reduction = chosen_reduction(self._rendered(gaussians, _spread(frames, VIEWS_FOR_NOISE)))
+        reduction = reduction_for(gaussians, [frame_camera(frame) for frame in frames], self.depth_mode)
         for depth, alphas, camera in self._rendered(gaussians, missing):
             yield np.asarray(smoothed_depth_normals(depth, alphas, camera, reduction=reduction))
 
     def _rendered(self, gaussians: Gaussians, frames: Sequence[Frame]) -> Iterator[tuple]:
         """Depth, alphas and camera of one frame after the other."""
-        cameras = [frame_camera(frame) for frame in frames]
-        pictures = gallery.pictures(gaussians, cameras, BACKGROUNDS["black"], self.depth_mode)
-        for picture, camera in zip(pictures, cameras, strict=True):
-            yield jnp.asarray(picture.depth), jnp.asarray(picture.alphas), camera
+        return _views(gaussians, [frame_camera(frame) for frame in frames], self.depth_mode)
+
+
+def reduction_for(gaussians: Gaussians, cameras: Sequence[Camera], depth_mode: DepthReading) -> int:
+    """The `reduction` of `smoothed_depth_normals` that Gaussians ask for, by how noisy some of the views are."""
+    return chosen_reduction(_views(gaussians, _spread(cameras, VIEWS_FOR_NOISE), depth_mode))
+
+
+def _views(gaussians: Gaussians, cameras: Sequence[Camera], depth_mode: DepthReading) -> Iterator[tuple]:
+    """Depth, alphas and camera of one view after the other."""
+    pictures = gallery.pictures(gaussians, cameras, BACKGROUNDS["black"], depth_mode)
+    for picture, camera in zip(pictures, cameras, strict=True):
+        yield jnp.asarray(picture.depth), jnp.asarray(picture.alphas), camera
 
 
 def write_map(file: Path, normals: np.ndarray) -> None:
