@@ -21,9 +21,11 @@ from gsjax.io.ply import read_gaussians, write_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.export import read_mesh, write_mesh
-from gsjax.pipeline.refine import prepared
+from gsjax.pipeline.refine import halved_where_seen, prepared
 from gsjax.pipeline.result import open_result, write_views
+from gsjax.scene import Pixels, frame_of
 from gsjax.settings import Settings
+from gsjax.views import views_of
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 SETTINGS = Refinement(steps=4, per_triangle=3, sh_degree=1, thickness=1e-3, settle_at=0.75)
@@ -109,6 +111,21 @@ def test_the_parts_of_a_mesh_stay_and_what_goes_is_said(capsys):
     assert "decimated" in capsys.readouterr().err
     prepared(sheet(), 1000)
     assert not capsys.readouterr().err
+
+
+def test_triangles_are_halved_where_pixels_see_them_and_are_not_masked(capsys):
+    coarse, taken_out = prepared(sheet(), 16, halved_share=0.5)
+    assert coarse.num_faces <= 8 and taken_out["decimated"] == 18 - coarse.num_faces
+    camera = camera_at(size=(64, 48), focal=80.0)
+    right = np.zeros((48, 64), np.uint8)
+    right[:, 40:] = 255
+    pixels = Pixels(np.zeros((48, 64, 3), np.uint8), valid=right)
+    seen = views_of([frame_of("0.png", np.asarray(camera.viewmat), np.asarray(camera.K), pixels)])
+    halved = halved_where_seen(coarse, seen, 100)
+    assert 99 <= halved.num_faces <= 100
+    middles = halved.vertices[halved.faces].mean(axis=1)
+    assert np.sum(middles[:, 0] > 0) > 2.5 * np.sum(middles[:, 0] < -0.3)
+    assert "refine: 100 triangles after halving those that most pixels see" in capsys.readouterr().err
 
 
 def test_the_gaussians_in_the_file_lie_on_the_mesh_in_the_file(refined):

@@ -73,6 +73,7 @@ class Refinement:
     steps: int = 15_000
     per_triangle: int = 1
     faces: int = 1_000_000  # above it, the mesh is decimated first
+    halved_share: float = 0.0  # of `faces`, if it is decimated: come from halving the triangles that most pixels see
     sh_degree: int = 3
     opacity: float = 0.9  # of every Gaussian at the start
     thickness: float = 1e-6  # of the extent: standard deviation along the normal
@@ -94,6 +95,8 @@ class Refinement:
             raise ValueError(f"sh_degree={self.sh_degree} is not 0 to 4")
         if not 0 < self.opacity < 1 or not self.thickness > 0:
             raise ValueError(f"opacity={self.opacity} is not in 0..1 or thickness={self.thickness} is not above 0")
+        if not 0 <= self.halved_share < 1:
+            raise ValueError(f"halved_share={self.halved_share} is not at least 0 and below 1")
         if not 0 < self.settle_at <= 1:
             raise ValueError(f"settle_at={self.settle_at} is not above 0 and at most 1")
 
@@ -116,6 +119,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "fast": {
         "steps": 1_000,
         "faces": 30_000,
+        "halved_share": 0.5,
         "settle_at": SETTLE_AT,
         "rates": {**_FAST_RATES, "free": FAST["rates"]},
     },

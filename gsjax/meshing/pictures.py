@@ -101,6 +101,15 @@ def depth_of_mesh(
     return np.where(np.isfinite(depth), depth, 0).reshape(height, width)
 
 
+def faces_of_pixels(
+    mesh: Mesh, viewmat: np.ndarray, K: np.ndarray, width: int, height: int, *, cast: Cast | None = None
+) -> np.ndarray:
+    """`[H, W]` int64, the nearest triangle at every pixel centre, -1 where there is none."""
+    origin, directions = _pixel_rays(viewmat, K, width, height)
+    hits = (cast or ray_caster(mesh))(origin, directions)
+    return np.where(np.isfinite(hits.distances), hits.faces, -1).reshape(height, width)
+
+
 def _hits(mesh: Mesh, cast: Cast, viewmat, K, width: int, height: int) -> tuple[Hits, np.ndarray]:
     """What each ray hits first, and the flat indices of the pixels that hit something."""
     origin, directions = _pixel_rays(viewmat, K, width, height)

@@ -25,11 +25,12 @@ from gsjax.io import runs
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.mesh import Mesh
+from gsjax.meshing.bisection import bisected
 from gsjax.meshing.cleaning import clean
 from gsjax.meshing.export import read_mesh, write_mesh
-from gsjax.meshing.pictures import depth_of_mesh
+from gsjax.meshing.pictures import depth_of_mesh, faces_of_pixels
 from gsjax.meshing.rays import ray_caster
-from gsjax.meshing.settling import settle
+from gsjax.meshing.settling import MOST_VIEWS, settle
 from gsjax.meshing.topology import border
 from gsjax.pipeline.effects import Photography, read_photography, write_photography
 from gsjax.pipeline.evaluate import score_images
@@ -40,7 +41,7 @@ from gsjax.pipeline.shown_views import keeper
 from gsjax.scene import Scene, extent, in_memory
 from gsjax.training.capacity import largest_need
 from gsjax.training.step import BACKGROUNDS
-from gsjax.views import Views, views_of
+from gsjax.views import Views, batch, views_of
 
 LOGGED_EVERY, SAVED_EVERY = 50, 500  # steps
 
@@ -76,13 +77,15 @@ def refine(
     if mesh is None and not source.exists():
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
     scene, result = scene_of_run(run), open_result(run) if settings.keep_free else None
-    coarse, taken_out = prepared(read_mesh(source), settings.faces)
+    coarse, taken_out = prepared(read_mesh(source), settings.faces, settings.halved_share)
     # Held-out photos are read when they are scored, one by one.
     scene = replace(scene, frames=tuple(frame if frame.held_out else in_memory(frame) for frame in scene.frames))
     # The Gaussians and the mesh are those of the mean photo: what each camera did is taken off its photo.
     found = read_photography(run)
     frames = tuple(relit(f, found.looks[f.name]) if found.looks else f for f in scene.train_frames)
     data, size = views_of(frames), extent(frames)
+    if taken_out["decimated"] and settings.halved_share:
+        coarse = halved_where_seen(coarse, data, settings.faces)
     behind = None if found.background is None else jnp.asarray(found.background)
     bound = bind(
         coarse,
@@ -135,7 +138,7 @@ def refine(
         return _finish(folder, scene, trained["background"], found, state.gaussians, summary)
 
 
-def prepared(given: Mesh, most_faces: int) -> tuple[Mesh, dict[str, int]]:
+def prepared(given: Mesh, most_faces: int, halved_share: float = 0.0) -> tuple[Mesh, dict[str, int]]:
     """A mesh that Gaussians can be bound to: without triangles that spoil it, decimated where it has too many.
 
     Parts stay, however small: what to leave out was decided when the mesh was made. One line says what went.
@@ -143,6 +146,7 @@ def prepared(given: Mesh, most_faces: int) -> tuple[Mesh, dict[str, int]]:
     Args:
         given: Any mesh.
         most_faces: Above it, the mesh is decimated.
+        halved_share: Of these, not to be filled by the decimation.
 
     Returns:
         The mesh, and numbers of triangles: `degenerate`, `duplicate`, `non_manifold`, `decimated`.
@@ -150,6 +154,8 @@ def prepared(given: Mesh, most_faces: int) -> tuple[Mesh, dict[str, int]]:
     Raises:
         InputError: Nothing is left.
     """
+    if given.num_faces > most_faces:
+        most_faces = max(round((1 - halved_share) * most_faces), 1)
     mesh, report = clean(given, min_component_share=0.0, max_faces=most_faces)
     taken_out = {
         "degenerate": report.degenerate_faces,
@@ -161,6 +167,19 @@ def prepared(given: Mesh, most_faces: int) -> tuple[Mesh, dict[str, int]]:
         counts = ", ".join(f"{count:,} {name.replace('_', '-')}" for name, count in taken_out.items() if count)
         print(f"refine: {mesh.num_faces:,} of {given.num_faces:,} triangles are left; {counts}", file=sys.stderr)
     return mesh, taken_out
+
+
+def halved_where_seen(mesh: Mesh, data: Views, count: int) -> Mesh:
+    """The mesh with `count` triangles, where more pixels see it more: decimation goes by shape alone."""
+    cast, seen = ray_caster(mesh), np.zeros(mesh.num_faces)
+    chosen = np.unique(np.linspace(0, data.num_views - 1, min(MOST_VIEWS, data.num_views)).astype(int))
+    for target in tqdm([data.targets[index] for index in chosen], desc="seen triangles", unit="view", delay=QUIET):
+        faces = faces_of_pixels(mesh, target.viewmat, target.K, *data.size, cast=cast)
+        usable = np.asarray(batch(target, jnp.zeros(3)).valid)
+        seen += np.bincount(faces[usable & (faces >= 0)], minlength=mesh.num_faces)
+    halved = bisected(mesh, seen, count)
+    print(f"refine: {halved.num_faces:,} triangles after halving those that most pixels see", file=sys.stderr)
+    return halved
 
 
 def _kept(result: Result, mesh: Mesh, data: Views) -> np.ndarray:

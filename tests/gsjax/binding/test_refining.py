@@ -316,6 +316,7 @@ def test_every_preset_parses(preset):
         ({"sh_degree": 5}, "sh_degree=5 is not 0 to 4"),
         ({"opacity": 1.0}, "opacity=1.0"),
         ({"thickness": 0.0}, "thickness=0.0"),
+        ({"halved_share": 1.0}, "halved_share=1.0 is not at least 0 and below 1"),
         ({"settle_at": 0.0}, "settle_at=0.0 is not above 0 and at most 1"),
         ({"settle_at": 1.2}, "settle_at=1.2 is not above 0 and at most 1"),
         ({"rates": {"vertices": 0.0}}, "rates: vertices_final=1.6e-06 is not between 0 and vertices=0.0"),

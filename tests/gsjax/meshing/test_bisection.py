@@ -1,0 +1,76 @@
+"""Triangles are halved where there is most to show: the surface stays, without cracks, and weights even out."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from gsjax.mesh import Mesh, signed_volume
+from gsjax.meshing.bisection import bisected
+from gsjax.meshing.closest import closest_on_mesh
+from gsjax.meshing.topology import edge_table, topology
+
+
+@pytest.fixture(scope="module")
+def ball_mesh() -> Mesh:
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    return Mesh(
+        ball.vertices.astype(np.float32), ball.faces.astype(np.int32), np.zeros((len(ball.vertices), 3), np.uint8)
+    )
+
+
+def areas(mesh: Mesh) -> np.ndarray:
+    a, b, c = (mesh.vertices.astype(np.float64)[mesh.faces[:, k]] for k in range(3))
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def weights_at(mesh: Mesh, place) -> np.ndarray:
+    """More, the nearer to a place, and in proportion to the area: a density that halves have half of."""
+    middles = mesh.vertices[mesh.faces].mean(axis=1)
+    return areas(mesh) * np.exp(-8 * np.sum((middles - place) ** 2, axis=1))
+
+
+def test_the_surface_stays_closed_and_where_it_was(ball_mesh):
+    place = ball_mesh.vertices[0]
+    halved = bisected(ball_mesh, weights_at(ball_mesh, place), 4 * ball_mesh.num_faces)
+    assert 4 * ball_mesh.num_faces - 1 <= halved.num_faces <= 4 * ball_mesh.num_faces
+    assert edge_table(halved.faces).faces.max() == 2
+    found, before = topology(halved), topology(ball_mesh)
+    assert found == before and found.watertight and found.oriented
+    assert signed_volume(halved) == pytest.approx(signed_volume(ball_mesh), rel=1e-5)
+    np.testing.assert_array_equal(halved.vertices[: ball_mesh.num_vertices], ball_mesh.vertices)
+    away = np.linalg.norm(halved.vertices - closest_on_mesh(ball_mesh, halved.vertices)[0], axis=1)
+    assert away.max() < 1e-6
+
+
+def test_triangles_are_smaller_where_weights_are_larger(ball_mesh):
+    place = ball_mesh.vertices[0]
+    halved = bisected(ball_mesh, weights_at(ball_mesh, place), 4 * ball_mesh.num_faces)
+    distance = np.linalg.norm(halved.vertices[halved.faces].mean(axis=1) - place, axis=1)
+    near, far = (np.median(areas(halved)[chosen]) for chosen in (distance < 0.4, distance > 1.5))
+    assert near < far / 8
+    # As even as halves allow: by a factor of two, and by neighbours that are halved along.
+    assert weights_at(halved, place).max() < 4 * np.sort(weights_at(halved, place))[-halved.num_faces // 3]
+
+
+def test_an_open_border_keeps_its_length_and_colours_are_means():
+    square = Mesh(
+        np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32),
+        np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+        np.array([[0, 0, 0], [200, 0, 0], [100, 0, 0], [0, 0, 0]], np.uint8),
+    )
+    once = bisected(square, np.array([1.0, 0.0]), 4)
+    assert once.num_faces == 4  # The diagonal is the longest edge of both.
+    np.testing.assert_allclose(once.vertices[4], [0.5, 0.5, 0])
+    np.testing.assert_array_equal(once.colors[4], [50, 0, 0])
+    many = bisected(square, np.array([1.0, 0.1]), 101)
+    assert 100 <= many.num_faces <= 101
+    assert topology(many).boundary_length == pytest.approx(4, rel=1e-6)
+    assert areas(many).sum() == pytest.approx(1, rel=1e-6)
+
+
+@pytest.mark.parametrize("weights", [np.zeros(2), np.array([3.0, 1.0])], ids=["nothing to show", "enough already"])
+def test_what_needs_no_halving_stays(weights):
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
+    square = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.zeros((4, 3), np.uint8))
+    same = bisected(square, weights, 100 if not weights.any() else 2)
+    np.testing.assert_array_equal(same.faces, square.faces)
