@@ -3,6 +3,8 @@
 Surface phases take the time of the demo's, as in `baselines.py`.
 """
 
+from typing import Any
+
 from studies.baselines import TERMS, at_equal_time
 
 from gsjax.settings import DEMO
@@ -21,15 +23,22 @@ _METHODS = {
     "ours, demo": "ours, demo",
     "DN-Splatter": "DN-Splatter, axis_normal",
 }
-_TRUE = at_equal_time(DEMO["phases"], TERMS)
-CONFIG: dict = {
-    "base": "demo",
-    "variants": {
-        "vanilla": _TRUE["vanilla"],
+
+
+def with_maps(true: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Variants by name: plain training, and every method with every kind of normals.
+
+    Args:
+        true: The same with true normals, as `baselines.at_equal_time` gives them.
+    """
+    return {
+        "vanilla": true["vanilla"],
         **{
-            f"{method}, {kind}": _TRUE[name] | {"normals": maps}
+            f"{method}, {kind}": true[name] | {"normals": maps}
             for method, name in _METHODS.items()
             for kind, maps in _MAPS.items()
         },
-    },
-}
+    }
+
+
+CONFIG: dict = {"base": "demo", "variants": with_maps(at_equal_time(DEMO["phases"], TERMS))}
