@@ -212,8 +212,9 @@ def scored(truth: Truth, background: str, *, aligned: bool) -> dict[str, Any]:
         mesh = truth.run / "mesh.ply"
         pipeline.mesh(truth.run, mesh, points=100_000, depth=7)
         known = truth.clean.truth
-        assert known is not None and known.points is not None and known.point_normals is not None, "built in"
-        scores |= score_mesh(read_mesh(mesh), known.points, known.point_normals, known.mesh)
+        assert known is not None and known.mesh is not None, "built in"
+        assert known.points is not None and known.point_normals is not None, "built in"
+        scores |= score_mesh(read_mesh(mesh), known.points, known.point_normals, read_mesh(known.mesh))
         names = ("psnr", "psnr_aligned", "chamfer")
         runs.write_json(file, {name: scores.get(name) for name in names})
     return runs.read_json(file)

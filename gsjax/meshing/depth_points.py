@@ -68,7 +68,7 @@ def _points_of_view(
     """Points, outward normals and colours of some pixels of one view."""
     level_set.check_sizes(index, camera, picture)
     depth, alphas = np.asarray(picture.depth), np.asarray(picture.alphas)
-    covered = (alphas > min_alpha) & (depth > 0) & np.isfinite(depth)
+    covered = level_set.shows_surface(picture, min_alpha)
     depth = np.where(covered, depth, 0)
     normals = np.asarray(normals_of(depth, np.where(covered, alphas, 0), camera), np.float64)
     rows, columns = np.nonzero(covered & np.any(normals != 0, axis=-1))

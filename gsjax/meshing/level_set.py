@@ -183,6 +183,12 @@ def check_sizes(index: int, camera: Camera, picture: Picture) -> None:
         raise ValueError(f"view {index}: {told} do not fit camera {size}")
 
 
+def shows_surface(picture: Picture, min_alpha: float) -> np.ndarray:
+    """`[H, W]` bool: covered by more than `min_alpha`, with a depth."""
+    depth = np.asarray(picture.depth)
+    return (np.asarray(picture.alphas) > min_alpha) & (depth > 0) & np.isfinite(depth)
+
+
 def to_bytes(colors: np.ndarray) -> np.ndarray:
     """8-bit sRGB of colours in 0..1."""
     return np.clip(np.round(colors * 255.0), 0, 255).astype(np.uint8)
@@ -216,8 +222,7 @@ def _rays_of_view(
     check_sizes(index, camera, picture)
     assert picture.owners is not None, "a level set is looked for around the Gaussian that was hit"
     depth, owners = np.asarray(picture.depth), place[picture.owners]
-    covered = (np.asarray(picture.alphas) > min_alpha) & (depth > 0) & np.isfinite(depth)
-    rows, columns = np.nonzero(covered & (owners >= 0))
+    rows, columns = np.nonzero(shows_surface(picture, min_alpha) & (owners >= 0))
     drawn = rng.permutation(len(rows))[:count]
     rows, columns = rows[drawn], columns[drawn]
     hits, directions = world_points(camera, depth, rows, columns)

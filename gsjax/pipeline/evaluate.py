@@ -104,22 +104,22 @@ def evaluate(
         file = Path(mesh) if mesh is not None else run / "mesh.ply"
         if mesh is None and not file.exists():
             extract(run, file)
-        scored = read_mesh(file)
-        figures |= score_mesh(scored, truth.points, truth.point_normals, truth.mesh)
+        scored, true = read_mesh(file), None if truth.mesh is None else read_mesh(truth.mesh)
+        figures |= score_mesh(scored, truth.points, truth.point_normals, true)
         figures |= score_mesh_views(scored, scene.held_out_frames, truth)
-        if truth.mesh is not None:
-            figures["floor"] |= score_mesh_views(read_mesh(truth.mesh), scene.held_out_frames, truth)
+        if true is not None:
+            figures["floor"] |= score_mesh_views(true, scene.held_out_frames, truth)
     return figures
 
 
-def score_mesh(mesh: Mesh, seen_points: np.ndarray, seen_normals: np.ndarray, true_mesh: Path | None) -> dict[str, Any]:
+def score_mesh(mesh: Mesh, seen_points: np.ndarray, seen_normals: np.ndarray, true_mesh: Mesh | None) -> dict[str, Any]:
     """How far a mesh is from the true surface: from its triangles where they are known, else from its points.
 
     Args:
         mesh: The prediction.
         seen_points: `[P, 3]` points of the true surface that cameras saw, world.
         seen_normals: `[P, 3]` its normals there.
-        true_mesh: File of the true triangles.
+        true_mesh: The true triangles, where they are known.
 
     Returns:
         `chamfer`, `accuracy`, `completeness`, `fscore`, `normal_consistency` and the rest that
@@ -127,13 +127,13 @@ def score_mesh(mesh: Mesh, seen_points: np.ndarray, seen_normals: np.ndarray, tr
         "point to point"; with true triangles also `floor`: the same scores of the true mesh itself.
 
     Raises:
-        InputError: The true mesh cannot be read, or nothing of the mesh lies where cameras saw something.
+        InputError: Nothing of the mesh lies where cameras saw something.
     """
     if true_mesh is None:
         return geometry.compare_to_truth(mesh, seen_points, seen_normals) | {"distances": "point to point"}
-    truth = read_mesh(true_mesh)
     found, floor = (
-        geometry.compare_to_surface(each, truth, seen_points, seen_normals, closest_on_mesh) for each in (mesh, truth)
+        geometry.compare_to_surface(each, true_mesh, seen_points, seen_normals, closest_on_mesh)
+        for each in (mesh, true_mesh)
     )
     return found | {"distances": "point to surface", "floor": floor}
 
