@@ -9,6 +9,7 @@ from studies.baselines import TERMS, at_equal_time
 _COSTS = {
     "vanilla": 1.00,
     "SuGaR, sdf": 4.27,
+    "SuGaR, density": 3.0,
     "2DGS, depth_normal": 2.22,
     "DN-Splatter, axis_normal": 1.94,
     "ours, sdf_normal": 2.32,
