@@ -8,14 +8,14 @@ from studies.baselines import TERMS, at_equal_time
 
 _COSTS = {
     "vanilla": 1.00,
-    "SuGaR, sdf": 4.27,
-    "SuGaR, density": 3.0,
-    "2DGS, depth_normal": 2.22,
-    "DN-Splatter, axis_normal": 1.94,
-    "ours, sdf_normal": 2.32,
-    "ours, pixel_normal": 1.33,
-    "ours, pixel_normal 0.1": 1.33,
-    "ours, demo": 2.41,
+    "SuGaR, sdf": 4.71,
+    "SuGaR, density": 3.32,
+    "2DGS, depth_normal": 2.29,
+    "DN-Splatter, axis_normal": 2.04,
+    "ours, sdf_normal": 2.09,
+    "ours, pixel_normal": 1.31,
+    "ours, pixel_normal 0.1": 1.31,
+    "ours, demo": 2.52,
 }
 CONFIG: dict = {
     "base": "bunny_plane",
