@@ -27,5 +27,7 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax.pipeline import demo
 
     report = demo.run(arguments.out)
-    print(tables.compare({**{name: report[name] for name in ("vanilla", "surface")}, tables.FLOOR: report["floor"]}))
+    rows = {"vanilla": report["vanilla"], "surface": report["surface"], tables.FLOOR: report["floor"]}
+    shown = (*demo.SHOWN, "seconds")
+    print(tables.compare({name: {key: row[key] for key in shown if key in row} for name, row in rows.items()}))
     print(f"report and pictures: {arguments.out}")
