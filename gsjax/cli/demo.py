@@ -4,6 +4,9 @@ import argparse
 
 from gsjax.cli.parsers import add_command
 
+SHOWN = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "chamfer", "fscore", "normal_consistency",
+         "gaussians", "seconds")  # fmt: skip
+
 
 def add_to(commands: argparse._SubParsersAction) -> None:
     """Adds the command."""
@@ -28,6 +31,5 @@ def _run(arguments: argparse.Namespace) -> None:
 
     report = demo.run(arguments.out)
     rows = {"vanilla": report["vanilla"], "surface": report["surface"], tables.FLOOR: report["floor"]}
-    shown = (*demo.SHOWN, "seconds")
-    print(tables.compare({name: {key: row[key] for key in shown if key in row} for name, row in rows.items()}))
+    print(tables.compare({name: {key: row[key] for key in SHOWN if key in row} for name, row in rows.items()}))
     print(f"report and pictures: {arguments.out}")
