@@ -140,7 +140,7 @@ MOST_MAPPINGS = 50_000  # Linux allows a process 65,530; a compiled program take
 def _room_for_programs():
     """Forgets compiled programs before the system refuses more memory mappings, which XLA does not survive.
 
-    And after every file the functions that nobody holds: jax keeps 4,096 programs, and theirs would crowd out others.
+    And after every file the functions that nobody holds: their programs take the room of others in jax's own cache.
     """
     yield
     gc.collect()
@@ -148,6 +148,12 @@ def _room_for_programs():
     if mappings.exists() and len(mappings.read_bytes().splitlines()) > MOST_MAPPINGS:
         jax.clear_caches()
         gc.collect()
+
+
+@pytest.fixture(scope="module")
+def empty_caches():
+    """Before programs are counted: jax takes no new ones into its cache once it holds 8,192, as after other files."""
+    jax.clear_caches()
 
 
 @pytest.fixture

@@ -54,7 +54,7 @@ def test_on_and_behind_the_camera_plane_all_is_finite(z):
     assert float(gradient[2]) == 0
 
 
-def test_a_new_pose_does_not_recompile_and_a_new_size_does():
+def test_a_new_pose_does_not_recompile_and_a_new_size_does(empty_caches):
     rays = jax.jit(lambda camera: cameras.pixel_rays(camera).sum())
     for focal in (20.0, 30.0):
         rays(camera_at((0.0, 0.0, focal), focal=focal))

@@ -87,11 +87,12 @@ def test_buckets_hold_and_waste_at_most_half():
         capacity_bucket(2**31 - 1)
 
 
-def test_a_new_camera_compiles_nothing():
+def test_a_new_camera_compiles_nothing(empty_caches):
     render(SCENE)
     sizes = _count._cache_size(), _rasterize._cache_size()
     moved = replace(SCENE, viewmats=SCENE.viewmats.at[0, 0, 3].add(1e-3), Ks=SCENE.Ks * 1.0001)
     assert not np.array_equal(render(moved)[0], render(SCENE)[0])
+    assert min(sizes) > 0
     assert sizes == (_count._cache_size(), _rasterize._cache_size())
 
 

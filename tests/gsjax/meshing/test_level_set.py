@@ -118,7 +118,7 @@ def test_number_of_points_is_a_cap(ball):
     assert len(surface.points) == len(surface.normals) == len(surface.colors) == len(surface.view_ids) == 137
 
 
-def test_one_compilation_for_many_chunks(ball):
+def test_one_compilation_for_many_chunks(ball, empty_caches):
     level_crossing.march_rays.clear_cache()
     level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1500, chunk=512))
     assert level_crossing.march_rays._cache_size() == 1
