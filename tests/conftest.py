@@ -8,11 +8,13 @@ from pathlib import Path
 
 os.environ["JAX_PLATFORMS"] = "cpu"
 # Tests compile much and run little: XLA's older emitters, and LLVM without its optimisations, take a third of the time
-# for the first and are slower at the second. `XLA_FLAGS= make test` tests the programs that users run. An XLA that does
-# not know a flag ends the process, so only where it was seen to.
+# for the first and are slower at the second. Programs in one piece take two thirds of the memory mappings, which run
+# out (below). `XLA_FLAGS= make test` tests the programs that users run. An XLA that does not know a flag ends the
+# process, so only where it was seen to.
 if version("jaxlib").startswith("0.10."):
     quick = "cpu_use_fusion_emitters=false", "backend_optimization_level=0", "llvm_disable_expensive_passes=true"
-    os.environ.setdefault("XLA_FLAGS", " ".join(f"--xla_{flag}" for flag in quick))
+    whole = "cpu_parallel_codegen_split_count=1"
+    os.environ.setdefault("XLA_FLAGS", " ".join(f"--xla_{flag}" for flag in (*quick, whole)))
 
 import jax
 import pytest
@@ -133,7 +135,7 @@ def shared() -> Path:
     return SHARED.resolve()
 
 
-MOST_MAPPINGS = 50_000  # Linux allows a process 65,530; a compiled program takes about nine, a module's at most 6,000.
+MOST_MAPPINGS = 50_000  # Linux allows a process 65,530; a compiled program takes about six, a module's at most 6,000.
 
 
 @pytest.fixture(scope="module", autouse=True)
