@@ -115,19 +115,21 @@ _FAST_RATES = {
     "final_share": 0.1,
 }
 SETTLE_AT = 0.6  # Before the rates fall: colours have to follow the mesh (docs/refinement.md).
+_FAST = {
+    "steps": 1_000,
+    "faces": 30_000,
+    "halved_share": 0.5,
+    "settle_at": SETTLE_AT,
+    "rates": {**_FAST_RATES, "free": FAST["rates"]},
+}
 PRESETS: dict[str, dict[str, Any]] = {
-    "fast": {
-        "steps": 1_000,
-        "faces": 30_000,
-        "halved_share": 0.5,
-        "settle_at": SETTLE_AT,
-        "rates": {**_FAST_RATES, "free": FAST["rates"]},
-    },
+    "fast": _FAST,
+    "balanced": {**_FAST, "steps": 2_000, "faces": 60_000},
     "short": {"steps": 2_000},
     "medium": {"steps": 7_000},
     "long": {"steps": 15_000},
 }
-"""A CPU's, whose few steps are large (docs/refinement.md), and SuGaR's three."""
+"""Two for a CPU, whose few steps are large (docs/refinement.md), and SuGaR's three."""
 
 
 @jax.tree_util.register_dataclass

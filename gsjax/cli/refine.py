@@ -4,7 +4,7 @@ import argparse
 
 from gsjax.cli.parsers import add_command, given
 
-PRESETS = ("fast", "short", "medium", "long")
+PRESETS = ("fast", "balanced", "short", "medium", "long")
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -27,7 +27,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--mesh", metavar="FILE", help="the mesh; .ply, .obj or .glb (default: RUN/mesh.ply)")
     add("--out", metavar="OUT", required=True, help="folder for the result; must be empty")
     add("--preset", choices=PRESETS,
-        help="how long: minutes on a CPU, or 2,000, 7,000 or 15,000 steps for a GPU (default: fast)")  # fmt: skip
+        help="how long: minutes on a CPU, three times as many, or 2,000, 7,000 or 15,000 steps for a GPU "
+        "(default: fast)")  # fmt: skip
     add("--steps", type=int, metavar="N", help="training steps, instead of the preset's")
     add("--faces", type=int, metavar="N", help="decimate the mesh to at most so many triangles first")
     add("--per-triangle", type=int, choices=(1, 3, 4, 6), help="Gaussians a triangle (default: 1)")
@@ -35,7 +36,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         help="drop all Gaussians of RUN: nothing shows then where there is no mesh")  # fmt: skip
     settling = parser.add_mutually_exclusive_group()
     settling.add_argument("--settle", dest="settled", action="store_const", const=True,
-        help="after three fifths of the steps the mesh settles on the photos and stays (fast: default)")  # fmt: skip
+        help="after three fifths of the steps the mesh settles on the photos (fast, balanced: default)")  # fmt: skip
     settling.add_argument("--unsettled", dest="settled", action="store_const", const=False,
         help="the mesh stays where its Gaussians have moved it (short, medium, long: default)")  # fmt: skip
     add("--seed", type=int, metavar="N", help="seed of the order of the photos (default: 0)")

@@ -5,8 +5,6 @@ import argparse
 from gsjax.cli.parsers import add_command
 from gsjax.settings import PRESETS
 
-REFINEMENTS = {"fast": "fast", "balanced": "short"}  # The others: long.
-
 
 def add_to(commands: argparse._SubParsersAction) -> None:
     """Adds the command."""
@@ -42,7 +40,7 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax.pipeline.scan import table
 
     settings = overridden(PRESETS[arguments.preset], arguments, "seed", "downscale", "hold_out")
-    length = LENGTHS[REFINEMENTS.get(arguments.preset, "long")]
+    length = LENGTHS.get(arguments.preset, LENGTHS["long"])  # that of the same name, where there is one
     refinement = config.parse(Refinement, config.merge(length, {"seed": settings.seed}))
     report = pipeline.scan(arguments.source, arguments.out, settings, refinement, frames=arguments.frames)
     print(tables.compare(table(report)))

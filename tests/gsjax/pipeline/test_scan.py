@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gsjax.binding.refining import Refinement
+from gsjax import cli, config, pipeline
+from gsjax.binding.refining import PRESETS, Refinement
 from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.pipeline.scan import scan, table
+from gsjax.settings import PRESETS as TRAINING
 from gsjax.settings import Settings
 
 scanning = importlib.import_module("gsjax.pipeline.scan")  # The package's attribute of that name is the function.
@@ -138,6 +140,20 @@ def test_a_scan_that_comes_to_nothing_leaves_nothing(stages, photos, tmp_path):
     broken.clear()
     scanned(photos, tmp_path / "out", Settings(seed=1))  # Other wishes: there is nothing they could contradict.
     assert len(calls) == 6
+
+
+@pytest.mark.parametrize(
+    ("preset", "length"),
+    [("fast", "fast"), ("balanced", "balanced"), ("accurate", "long"), ("paper_6k_15k", "long")],
+)
+def test_the_command_refines_as_long_as_it_trains(monkeypatch, preset, length):
+    handed = []
+    report = {"stages": {"mesh": {"faces": 12}}, "mesh": "m", "picture": "p"}
+    monkeypatch.setattr(pipeline, "scan", lambda *args, frames: handed.append(args) or report)
+    assert cli.main(["scan", "photos", "--out", "o", "--preset", preset, "--seed", "3"]) == 0
+    [(_, _, training, refinement)] = handed
+    assert refinement == config.parse(Refinement, {**PRESETS[length], "seed": 3})
+    assert training == config.parse(Settings, {**TRAINING[preset], "seed": 3})
 
 
 def test_panels_are_drawn_in_rows_under_their_titles(tmp_path):
