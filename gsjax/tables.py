@@ -22,9 +22,10 @@ def compare(variants: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def spread(rows: Sequence[Mapping[str, float]]) -> dict[str, str]:
-    """Mean and, in brackets, least and most of every quantity over rows that all have it: one row a seed."""
+    """Mean of every quantity over rows that all have it, a row a seed; where they are several also least and most."""
     found = {name: np.array([row[name] for row in rows], float) for name in rows[0]}
-    return {name: f"{v.mean():.4g} [{v.min():.4g} {v.max():.4g}]" for name, v in found.items()}
+    told = {name: [shown(float(v)) for v in (each.mean(), each.min(), each.max())] for name, each in found.items()}
+    return {name: f"{mean} [{least} {most}]" if len(rows) > 1 else mean for name, (mean, least, most) in told.items()}
 
 
 def aligned(rows: list[list[str]], right: Collection[int] = ()) -> str:

@@ -23,3 +23,7 @@ def test_variants_are_rows_and_gaps_are_shown():
 def test_rows_of_several_seeds_are_shown_with_least_and_most():
     rows = [{"fscore": 0.5, "psnr": 30.0}, {"fscore": 0.7, "psnr": 33.0}, {"fscore": 0.6, "psnr": 30.0}]
     assert tables.spread(rows) == {"fscore": "0.6 [0.5 0.7]", "psnr": "31 [30 33]"}
+
+
+def test_one_seed_has_no_least_and_most():
+    assert tables.spread([{"psnr": 30.25, "gaussians": 20_000}]) == {"psnr": "30.25", "gaussians": "20,000"}
