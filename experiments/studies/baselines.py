@@ -12,44 +12,59 @@ Each surface phase has as many steps as take the time of the demo's, by what a s
 (`benchmarks/steps.py baselines RUN`, AMD EPYC): what else a machine does decides nothing. Rates fall as over the demo.
 """
 
+from typing import NamedTuple
+
 from gsjax.settings import DEMO, NORMAL_TERMS
 
-TERMS = {  # what a step costs, in plain ones, and the weights
-    "vanilla": (1.00, {}),
-    "SuGaR, sdf": (4.23, {"sugar_sdf": 0.2}),
-    "SuGaR, density": (3.01, {"sugar_density": 0.2}),
-    "2DGS, depth_normal": (2.10, {"depth_normal": 0.05}),
-    "DN-Splatter, axis_normal": (1.78, {"axis_normal": 0.2}),
-    "ours, sdf_normal": (2.10, {"sdf_normal": 0.2}),
-    "ours, sdf_central": (2.16, {"sdf_central": 0.2}),
-    "ours, sdf_bicubic": (2.17, {"sdf_bicubic": 0.2}),
-    "ours, sdf_offset": (2.19, {"sdf_offset": 0.2}),
-    "ours, density_center": (3.61, {"density_center": 0.2}),
-    "ours, density_offset": (3.61, {"density_offset": 0.2}),
-    "ours, density_sample": (3.63, {"density_sample": 0.2}),
-    "ours, pixel_normal": (1.36, {"pixel_normal": 0.2}),
-    "ours, pixel_normal 0.1": (1.36, {"pixel_normal": 0.1}),
-    "ours, demo": (2.23, DEMO["phases"][-1]["weights"]),
+
+class Term(NamedTuple):
+    """What the last phase of a variant adds to the loss."""
+
+    cost: float  # of a step with it, in plain ones
+    weights: dict[str, float]
+    every: int = 1  # one of so many steps has it
+
+
+TERMS = {
+    "vanilla": Term(1.00, {}),
+    "SuGaR, sdf": Term(4.23, {"sugar_sdf": 0.2}),
+    "SuGaR, density": Term(3.01, {"sugar_density": 0.2}),
+    "2DGS, depth_normal": Term(2.10, {"depth_normal": 0.05}),
+    "DN-Splatter, axis_normal": Term(1.78, {"axis_normal": 0.2}),
+    "ours, sdf_normal": Term(2.10, {"sdf_normal": 0.2}),
+    "ours, sdf_central": Term(2.16, {"sdf_central": 0.2}),
+    "ours, sdf_bicubic": Term(2.17, {"sdf_bicubic": 0.2}),
+    "ours, sdf_offset": Term(2.19, {"sdf_offset": 0.2}),
+    "ours, density_center": Term(3.61, {"density_center": 0.2}),
+    "ours, density_offset": Term(3.61, {"density_offset": 0.2}),
+    "ours, density_sample": Term(3.63, {"density_sample": 0.2}),
+    "ours, pixel_normal": Term(1.36, {"pixel_normal": 0.2}),
+    "ours, pixel_normal 0.1": Term(1.36, {"pixel_normal": 0.1}),
+    "ours, demo": Term(2.23, DEMO["phases"][-1]["weights"]),
 }
 
 
-def at_equal_time(phases: list[dict], terms: dict[str, tuple[float, dict[str, float]]]) -> dict[str, dict]:
+def at_equal_time(phases: list[dict], terms: dict[str, Term], *, depth_mode: str = "plane") -> dict[str, dict]:
     """Variants by name: the phases, the last of each term as long as takes the time of the mix, `ours, demo`.
-
-    Depth is the mean of all splats' in each of them, as in the paper.
 
     Args:
         phases: Of the mix.
-        terms: What a step of the last phase costs, and its weights.
+        terms: What the last phase has, by name.
+        depth_mode: How depth is read in each of them; as in the paper it is the mean of all splats'.
     """
     *first, last = phases
-    time = terms["ours, demo"][0] * last["steps"]
-    shared = {"rates": {"decay_steps": sum(phase["steps"] for phase in phases)}, "depth_mode": "plane"}
+    time = terms["ours, demo"].cost * last["steps"]
+    shared = {"rates": {"decay_steps": sum(phase["steps"] for phase in phases)}, "depth_mode": depth_mode}
+
+    def ending(term: Term) -> dict:
+        steps = round(time / (1 + (term.cost - 1) / term.every))
+        return {**last, "steps": steps, "weights": term.weights, "surface_every": term.every}
+
     return {
-        name: {"phases": [*first, {**last, "steps": round(time / cost), "weights": weights}]}
-        | ({} if NORMAL_TERMS.isdisjoint(weights) else {"normals": "{scene}/normals"})
+        name: {"phases": [*first, ending(term)]}
+        | ({} if NORMAL_TERMS.isdisjoint(term.weights) else {"normals": "{scene}/normals"})
         | shared
-        for name, (cost, weights) in terms.items()
+        for name, term in terms.items()
     }
 
 

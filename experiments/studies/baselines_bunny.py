@@ -19,5 +19,7 @@ _COSTS = {
 }
 CONFIG: dict = {
     "base": "bunny_plane",
-    "variants": at_equal_time(BUNNY["phases"], {name: (cost, TERMS[name][1]) for name, cost in _COSTS.items()}),
+    "variants": at_equal_time(
+        BUNNY["phases"], {name: TERMS[name]._replace(cost=cost) for name, cost in _COSTS.items()}
+    ),
 }
