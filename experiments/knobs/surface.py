@@ -33,7 +33,7 @@ def _refined(place: Place, options: dict[str, Any], round_: int) -> Measured:
     return Measured(seconds, pipeline.evaluate(folder, mesh=folder / "mesh.ply"))
 
 
-def _textured(place: Place, size: int, round_: int) -> Measured:
+def _textured(place: Place, size: int | None, round_: int) -> Measured:
     file, mesh = place.fresh(f"texture_{round_}") / "textured.glb", place.mesh
     file.parent.mkdir(parents=True)
     started = time.perf_counter()
@@ -85,5 +85,9 @@ KNOBS: dict[str, Knob] = {
         {f"after {share:g} of the steps": {"settle_at": share} for share in (0.6, 0.8)} | {"never": {"settle_at": 1.0}},
         *_OF_REFINED,
     ),
-    "texture": Knob({f"{size:,} px": size for size in (4096, 2048, 1024, 512)}, _textured, _texture_errors),
+    "texture": Knob(
+        {f"{size:,} px": size for size in (4096, 2048, 1024, 512)} | {"as the photos": None},
+        _textured,
+        _texture_errors,
+    ),
 }

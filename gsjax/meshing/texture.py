@@ -73,7 +73,7 @@ def composited(
         # Nothing rendered is no haze.
         rendered = np.where(picture.depth > 0, picture.depth, np.inf)
         shown = np.dstack([picture.colors, picture.alphas, depth, rendered]).astype(np.float32)
-        chosen = np.flatnonzero(_may_be_seen(mesh, normals, camera)[texels.faces])
+        chosen = np.flatnonzero(may_be_seen(mesh, normals, camera)[texels.faces])
         for first in range(0, len(chosen), TEXELS_AT_ONCE):
             part = chosen[first : first + TEXELS_AT_ONCE]
             points, towards = _filled_up(texels.points[part]), _filled_up(normals[texels.faces[part]])
@@ -84,7 +84,7 @@ def composited(
     return np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8), is_seen
 
 
-def _may_be_seen(mesh: Mesh, normals: np.ndarray, camera: Camera) -> np.ndarray:
+def may_be_seen(mesh: Mesh, normals: np.ndarray, camera: Camera) -> np.ndarray:
     """`[F]` bool: triangles that face the camera and do not lie beside its image as a whole, or behind it."""
     viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
     center = -viewmat[:3, :3].T @ viewmat[:3, 3]

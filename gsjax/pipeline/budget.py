@@ -92,9 +92,10 @@ def budgeted(
     if factor * total_steps(sized) < FEWEST_STEPS:
         before = (1 - RESERVED) * seconds - left
         least = (before + _length(trial, sized) * FEWEST_STEPS / total_steps(sized)) / (1 - RESERVED)
+        plainer = "" if sized.vanilla else "; --vanilla has no surface phase to compile and needs less"
         raise InputError(
             f"--budget of {seconds:g} s: too short for this data set here, where even {FEWEST_STEPS} steps"
-            f" take {least:.0f} s with all that goes before"
+            f" take {least:.0f} s with all that goes before{plainer}"
         )
     chosen = scaled(sized, factor)
     paces = " + ".join(f"{phase.steps:,} at {1e3 * pace:.0f} ms" for phase, pace in zip(

@@ -9,15 +9,17 @@ from gsjax.errors import InputError
 from gsjax.meshing.export import read_mesh, read_textured, textured_writer, write_textured
 from gsjax.meshing.pictures import texture_colors, vertex_colors
 from gsjax.meshing.texture import texture_mesh
+from gsjax.meshing.texture_size import texture_side
 from gsjax.meshing.turntable import check_suffix, write_turntable
 from gsjax.meshing.turntable import turntable as pictures_around
 from gsjax.pipeline.result import open_result, training_pictures
 
 SIZES = (64, 8192)  # Browsers hold no larger texture.
+MOST_CHOSEN = 4096
 
 
 def texture(
-    source: str | Path, mesh: str | Path, out: str | Path, *, size: int = 4096, scene: str | Path | None = None
+    source: str | Path, mesh: str | Path, out: str | Path, *, size: int | None = None, scene: str | Path | None = None
 ) -> dict[str, Any]:
     """Paint a mesh with what the Gaussians show in the training views, where the photos are not masked.
 
@@ -25,24 +27,26 @@ def texture(
         source: Run folder, or a file of Gaussians.
         mesh: .ply, .obj or .glb in the same coordinates.
         out: .glb, or .obj with .mtl and .png beside it.
-        size: Side of the texture, texels.
+        size: Side of the texture, texels. None: as many as the photos tell apart, 4096 at most
+            (`gsjax.meshing.texture_size`).
         scene: Data set whose cameras to use with a file. None: cameras around the Gaussians, or within them.
 
     Returns:
-        A report of plain numbers: `vertices`, `faces` and what `texture_mesh` says.
+        A report of plain numbers: `vertices`, `faces`, `size` and what `texture_mesh` says.
 
     Raises:
         InputError: A file cannot be read or written, or the texture is too small for the mesh.
     """
     textured_writer(Path(out))
-    if not SIZES[0] <= size <= SIZES[1]:
+    if size is not None and not SIZES[0] <= size <= SIZES[1]:
         raise InputError(f"--size {size} is not between {SIZES[0]} and {SIZES[1]}")
     surface = read_mesh(mesh)
     result = open_result(source, scene=scene)
     cameras, pictures = training_pictures(result, result.gaussians, np.zeros(3, np.float32))
-    textured, report = texture_mesh(surface, cameras, pictures, size=size)
+    side = size or texture_side(surface, cameras, least=SIZES[0], most=MOST_CHOSEN)
+    textured, report = texture_mesh(surface, cameras, pictures, size=side)
     write_textured(out, textured)
-    return {"vertices": surface.num_vertices, "faces": surface.num_faces, **report}
+    return {"vertices": surface.num_vertices, "faces": surface.num_faces, "size": side, **report}
 
 
 def turntable(

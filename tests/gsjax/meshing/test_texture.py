@@ -203,8 +203,8 @@ def test_triangles_left_out_beforehand_would_not_have_been_seen(monkeypatch):
     pictures = [picture([0.2 * k, 0.5, 0.1], depth, (depth > 0) * np.float32(1)) for k, depth in enumerate(maps)]
     texels = texels_of(mesh, cells(mesh, 128))
     expected, everywhere = [], lambda mesh, normals, camera: np.ones(mesh.num_faces, bool)
-    for may_be_seen in (texture._may_be_seen, everywhere):
-        monkeypatch.setattr(texture, "_may_be_seen", may_be_seen)
+    for may_be_seen in (texture.may_be_seen, everywhere):
+        monkeypatch.setattr(texture, "may_be_seen", may_be_seen)
         expected.append(composited(mesh, texels, views, pictures))
     for few, all_of_them in zip(*expected, strict=True):
         np.testing.assert_array_equal(few, all_of_them)

@@ -103,12 +103,14 @@ def test_a_preset_that_is_named_is_only_scaled(monkeypatch):
     assert choice.settings.max_gaussians == NAMED["fast"].max_gaussians
 
 
+@pytest.mark.parametrize("vanilla", [False, True])
 @pytest.mark.parametrize("seconds", [3, 10, 14])
-def test_too_short_a_budget_is_one_line_that_names_the_least(monkeypatch, seconds):
+def test_too_short_a_budget_is_one_line_that_names_the_least_and_what_needs_less(monkeypatch, seconds, vanilla):
     machine = Machine(monkeypatch, fast=0.1)
     with pytest.raises(InputError, match="too short for this data set here, where even 50 steps take 17 s") as caught:
-        machine.budgeted(seconds, {"fast": NAMED["fast"]})
+        machine.budgeted(seconds, {"fast": replace(NAMED["fast"], vanilla=vanilla)})
     assert "\n" not in str(caught.value)
+    assert ("--vanilla" in str(caught.value)) == (not vanilla)
 
 
 def test_phases_without_steps_cannot_be_scaled(monkeypatch):

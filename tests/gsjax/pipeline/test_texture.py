@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 import small_scenes
 
-from gsjax import cli
+from gsjax import cli, pipeline
 from gsjax.io import ply, runs
 from gsjax.io.images import write_image
 from gsjax.mesh import Mesh
 from gsjax.meshing.export import read_textured, write_mesh
+from gsjax.meshing.texture_size import STEP
 
 SIZE = 128
 
@@ -50,6 +51,14 @@ def test_a_grey_mesh_gets_the_colours_of_the_gaussians(folder, tmp_path, capsys,
     expected = np.where(inner[:, :1] < 0, [0.9, 0.1, 0.1], [0.1, 0.2, 0.8])
     # The discs cover 0.97 of a pixel and its neighbours mix in: measured 0.02.
     assert np.abs(np.array(found) / 255 - expected).max() < 0.05
+
+
+def test_the_side_is_chosen_and_told_where_none_is_given(folder, tmp_path):
+    report = pipeline.texture(folder, folder / "grey.ply", tmp_path / "wall.glb")
+    textured = read_textured(tmp_path / "wall.glb")
+    assert textured is not None
+    # 30 x 30 pixels show the wall: the least step of a side is more than enough.
+    assert report["size"] == STEP and textured.texture.shape == (STEP, STEP, 3)
 
 
 def _color_at(textured, point):
