@@ -20,7 +20,7 @@ from gsjax.gaussians import Gaussians
 from gsjax.pipeline.pace import FIXED_COST, relative_cost
 from gsjax.pipeline.sizes import at_size, training_extent
 from gsjax.scene import Frame, Scene, in_memory
-from gsjax.settings import LENGTHS, Phase, Settings, total_steps
+from gsjax.settings import LENGTHS, Settings, total_steps
 from gsjax.training import initialize, loop, optimizers, surroundings
 from gsjax.training.loop import Progress, planned_phases
 from gsjax.training.rules import RULES
@@ -28,11 +28,13 @@ from gsjax.training.state import initial_state
 from gsjax.views import NORMAL_UNIT
 
 RESERVED = 0.1  # of a budget, for what no step does: photos, normals, scores
+SCORING = 8.0  # seconds besides, for programs that score
 TRIED_SHARE = 0.1  # of a budget, for the steps that are tried of each phase
 WARM, TIMED = 2, 8  # steps of a phase: the first ones compile, the next ones are timed
 PHOTOS = 8  # tried on
 GROWN = 10  # times the point cloud: Gaussians at the end where the rule of growth names no number
 HALF_GROWN = 0.5  # of these, over a phase in which they multiply
+PER_GAUSSIAN = 0.7  # of a step's time, what grows with the number of Gaussians (docs/experiments.md, every knob)
 FEWEST_STEPS = 50  # of a run
 
 Clock = Callable[[], float]
@@ -41,8 +43,8 @@ Clock = Callable[[], float]
 class Trial(NamedTuple):
     """What the phases of a run take on this machine."""
 
-    seconds_per_step: tuple[float, ...]
-    overhead: float  # seconds, of compiling all of them
+    seconds_per_step: tuple[float, ...]  # on average, while Gaussians multiply
+    overhead: float  # seconds, of compiling all of them, one of them again for a longer list of pairs
 
 
 class Choice(NamedTuple):
@@ -85,7 +87,7 @@ def budgeted(
     loaded, sized = scenes[name]
     if name != first:
         trial = tried(loaded, sized, most=TRIED_SHARE * seconds, clock=clock)
-    left = (1 - RESERVED) * seconds - (clock() - started) - trial.overhead
+    left = (1 - RESERVED) * seconds - SCORING - (clock() - started) - trial.overhead
     factor = left / _length(trial, sized)
     if name == LENGTHS[-1]:
         factor = min(factor, 1.0)
@@ -154,7 +156,29 @@ def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.
             known[full] = pace, max(moments[WARM] - moments[0] - WARM * pace, 0.0)
         pace, compiling[phase] = known[full]
         known[phase] = pace * relative_cost(phase) / relative_cost(full), compiling[phase]
-    return Trial(tuple(known[phase][0] for phase in phases), sum(compiling.values()))
+    shares = shares_alive(settings, len(scene.points))
+    paces = [known[p][0] * (1 - PER_GAUSSIAN * (1 - share)) for p, share in zip(phases, shares, strict=True)]
+    return Trial(tuple(paces), sum(compiling.values()) + max(compiling.values()))
+
+
+def shares_alive(settings: Settings, points: int) -> list[float]:
+    """By phase, the mean share of the Gaussians at the end that are alive.
+
+    Args:
+        settings: The run.
+        points: That it starts from.
+    """
+    phases, density = planned_phases(settings), settings.density
+    if density.rule != "error":
+        return [HALF_GROWN if phase.density_control else 1.0 for phase in phases]
+    first = min(max(points, 1) / settings.max_gaussians, 1.0)
+    growing = max(density.full_by * (density.stop - density.start), 1)
+    ends = np.cumsum([phase.steps for phase in phases])
+    missing = [
+        1 - np.clip((np.arange(end - phase.steps, end) + 1 - density.start) / growing, 0, 1)
+        for phase, end in zip(phases, ends, strict=True)
+    ]
+    return [float(np.mean(first**each)) if len(each) else 1.0 for each in missing]
 
 
 class _EnoughError(Exception):
@@ -170,7 +194,7 @@ def _moments(
     still = replace(settings.density, start=phase.steps + 1, stop=phase.steps + 2, reset_every=0)
     settings = replace(settings, density=still)
     optimizer = optimizers.make_optimizer(settings.rates, size, phase.steps)
-    gaussians = _grown(scene, settings, phase)
+    gaussians = _grown(scene, settings)
     nearest = surroundings.found(gaussians) if surroundings.needed(phase) else None
     state = initial_state(gaussians, optimizer, RULES[settings.density.rule], nearest=nearest)
     moments = [clock()]
@@ -189,19 +213,18 @@ def _moments(
     return moments
 
 
-def _grown(scene: Scene, settings: Settings, phase: Phase) -> Gaussians:
-    """As many Gaussians as the phase will have, about the points of the scene."""
+def _grown(scene: Scene, settings: Settings) -> Gaussians:
+    """As many Gaussians as the run ends with, about the points of the scene."""
     points, colors = scene.points, scene.point_colors
     most = settings.max_gaussians
     count = most if settings.density.rule == "error" else min(most, GROWN * len(points))
-    alive = max(1, int(count * (HALF_GROWN if phase.density_control else 1.0)))
-    if alive > len(points):
+    if count > len(points):
         rng = np.random.default_rng(0)
-        more = rng.integers(0, len(points), alive - len(points))
+        more = rng.integers(0, len(points), count - len(points))
         spacing = np.asarray(KDTree(points).query(points, min(4, len(points)))[0]).reshape(len(points), -1)[:, -1]
         moved = points[more] + spacing[more, None] * rng.normal(size=(len(more), 3)) / 2
         points, colors = np.concatenate([points, moved.astype(np.float32)]), np.concatenate([colors, colors[more]])
-    chosen = np.linspace(0, len(points) - 1, alive).astype(int)
+    chosen = np.linspace(0, len(points) - 1, count).astype(int)
     return initialize.from_points(
         points[chosen],
         colors[chosen],

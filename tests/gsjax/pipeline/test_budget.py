@@ -87,7 +87,7 @@ def test_the_preset_is_the_one_whose_own_length_is_nearest(monkeypatch, seconds,
     assert [name for name, _ in machine.tried] == list(dict.fromkeys(["fast", expected]))
     assert all(most == 0.1 * seconds for _, most in machine.tried)
     took = machine.paces[expected] * total_steps(choice.settings)
-    left = 0.9 * seconds - 4.0 * len(machine.tried) - 6.0
+    left = 0.9 * seconds - budget.SCORING - 4.0 * len(machine.tried) - 6.0
     if seconds == 1e7:
         assert choice.settings == replace(NAMED["accurate"], downscale=1.0)  # never longer than it is
     else:
@@ -99,7 +99,7 @@ def test_the_preset_is_the_one_whose_own_length_is_nearest(monkeypatch, seconds,
 def test_a_preset_that_is_named_is_only_scaled(monkeypatch):
     machine = Machine(monkeypatch, fast=0.1)
     choice = machine.budgeted(10_000, {"fast": NAMED["fast"]})
-    assert total_steps(choice.settings) == pytest.approx((9000 - 10) / 0.1, rel=0.01)
+    assert total_steps(choice.settings) == pytest.approx((9000 - 10 - budget.SCORING) / 0.1, rel=0.01)
     assert choice.settings.max_gaussians == NAMED["fast"].max_gaussians
 
 
@@ -107,7 +107,7 @@ def test_a_preset_that_is_named_is_only_scaled(monkeypatch):
 @pytest.mark.parametrize("seconds", [3, 10, 14])
 def test_too_short_a_budget_is_one_line_that_names_the_least_and_what_needs_less(monkeypatch, seconds, vanilla):
     machine = Machine(monkeypatch, fast=0.1)
-    with pytest.raises(InputError, match="too short for this data set here, where even 50 steps take 17 s") as caught:
+    with pytest.raises(InputError, match="too short for this data set here, where even 50 steps take 26 s") as caught:
         machine.budgeted(seconds, {"fast": replace(NAMED["fast"], vanilla=vanilla)})
     assert "\n" not in str(caught.value)
     assert ("--vanilla" in str(caught.value)) == (not vanilla)
@@ -134,7 +134,7 @@ SETTINGS = Settings(
         Phase("d", 30),
     ),
     max_gaussians=300,
-    density=Density(rule="error"),
+    density=Density(rule="error", start=0, stop=0),  # as many as there will ever be from the start
 )
 
 
@@ -157,8 +157,29 @@ def test_a_trial_takes_the_median_of_a_few_steps_of_every_kind_of_phase(monkeypa
     half = budget.relative_cost(SETTINGS.phases[0])  # of a step at full size: at half the size it is not tried
     assert 0.25 < half < 1 and trial.seconds_per_step == (half, 1.0, 1.0, 2.0)
     # a, b and d are programs of their own, b and c one; of the first 2 steps one compiles.
-    assert trial.overhead == pytest.approx(2 * (20 - 1.0) + (20 - 2.0))
-    assert seen == [((10, 8), (150, 300)), ((10, 8), (300, 300))]
+    # Once more that of the longest, for a longer list of pairs.
+    assert trial.overhead == pytest.approx(3 * (20 - 1.0) + (20 - 2.0))
+    assert seen == [((10, 8), (300, 300))] * 2
+    growing = replace(SETTINGS, density=Density(rule="error", start=800, stop=1_000, full_by=1.0))
+    slower = budget.tried(photos, growing, most=1e9, clock=lambda: now[0]).seconds_per_step
+    # 40 points of 300 until step 800, all from step 1,000 on.
+    least = 1 - budget.PER_GAUSSIAN * (1 - 40 / 300)
+    assert slower[0] == pytest.approx(half * least)
+    assert least < slower[1] < 1 and slower[2:] == trial.seconds_per_step[2:]
+
+
+@pytest.mark.parametrize("points", [1_000, 9_000, 36_000, 50_000])
+def test_while_gaussians_multiply_by_the_same_factor_their_mean_is_the_logarithmic_one(points):
+    # `fast`: 600 steps of which growth takes 50 to 560, then 1,400 and 600.
+    first = min(points / 36_000, 1.0)
+    growing = (1 - first) / np.log(1 / first) if first < 1 else 1.0
+    expected = (50 * first + 510 * growing + 40) / 600
+    assert budget.shares_alive(NAMED["fast"], points) == pytest.approx([expected, 1.0, 1.0], abs=1e-3)
+
+
+def test_where_nobody_knows_how_many_there_will_be_half_of_them_grow():
+    phases = (Phase("a", 10, density_control=True), Phase("b", 10))
+    assert budget.shares_alive(Settings(phases=phases), 100) == [budget.HALF_GROWN, 1.0]
 
 
 def test_slow_steps_are_tried_no_longer_than_asked(monkeypatch, photos):
@@ -186,7 +207,7 @@ def test_cameras_at_one_place_and_no_photos_are_one_line(photos):
 
 def test_what_grows_freely_is_tried_at_ten_times_the_cloud(photos):
     settings = replace(SETTINGS, density=Density(rule="adc"), max_gaussians=10_000)
-    gaussians = budget._grown(photos, settings, SETTINGS.phases[3])
+    gaussians = budget._grown(photos, settings)
     assert int(is_alive(gaussians).sum()) == gaussians.num_gaussians == 400
     spread = np.asarray(gaussians.means)
     assert np.isfinite(spread).all() and len(np.unique(spread, axis=0)) == 400
