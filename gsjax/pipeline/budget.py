@@ -34,6 +34,7 @@ WARM, TIMED = 2, 8  # steps of a phase: the first ones compile, the next ones ar
 PHOTOS = 8  # tried on
 GROWN = 10  # times the point cloud: Gaussians at the end where the rule of growth names no number
 HALF_GROWN = 0.5  # of these, over a phase in which they multiply
+WIDENED = 1.4  # by training: pairs of four runs on real photos end at 0.7 to 1.0 of what a trial then has
 PER_GAUSSIAN = 0.7  # of a step's time, what grows with the number of Gaussians (docs/experiments.md, every knob)
 FEWEST_STEPS = 50  # of a run
 
@@ -44,7 +45,7 @@ class Trial(NamedTuple):
     """What the phases of a run take on this machine."""
 
     seconds_per_step: tuple[float, ...]  # on average, while Gaussians multiply
-    overhead: float  # seconds, of compiling all of them, one of them again for a longer list of pairs
+    overhead: float  # seconds, of compiling all of them; one that multiplies again, for a longer list of pairs
 
 
 class Choice(NamedTuple):
@@ -158,7 +159,8 @@ def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.
         known[phase] = pace * relative_cost(phase) / relative_cost(full), compiling[phase]
     shares = shares_alive(settings, len(scene.points))
     paces = [known[p][0] * (1 - PER_GAUSSIAN * (1 - share)) for p, share in zip(phases, shares, strict=True)]
-    return Trial(tuple(paces), sum(compiling.values()) + max(compiling.values()))
+    again = max((seconds for phase, seconds in compiling.items() if phase.density_control), default=0.0)
+    return Trial(tuple(paces), sum(compiling.values()) + again)
 
 
 def shares_alive(settings: Settings, points: int) -> list[float]:
@@ -225,7 +227,7 @@ def _grown(scene: Scene, settings: Settings) -> Gaussians:
         moved = points[more] + spacing[more, None] * rng.normal(size=(len(more), 3)) / 2
         points, colors = np.concatenate([points, moved.astype(np.float32)]), np.concatenate([colors, colors[more]])
     chosen = np.linspace(0, len(points) - 1, count).astype(int)
-    return initialize.from_points(
+    gaussians = initialize.from_points(
         points[chosen],
         colors[chosen],
         capacity=count,
@@ -233,6 +235,7 @@ def _grown(scene: Scene, settings: Settings) -> Gaussians:
         opacity=0.5,
         pixel_filter=settings.pixel_filter,
     )
+    return replace(gaussians, log_scales=gaussians.log_scales + math.log(WIDENED))
 
 
 def _length(trial: Trial, settings: Settings) -> float:

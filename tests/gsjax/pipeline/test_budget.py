@@ -157,7 +157,7 @@ def test_a_trial_takes_the_median_of_a_few_steps_of_every_kind_of_phase(monkeypa
     half = budget.relative_cost(SETTINGS.phases[0])  # of a step at full size: at half the size it is not tried
     assert 0.25 < half < 1 and trial.seconds_per_step == (half, 1.0, 1.0, 2.0)
     # a, b and d are programs of their own, b and c one; of the first 2 steps one compiles.
-    # Once more that of the longest, for a longer list of pairs.
+    # One that multiplies once more, for a longer list of pairs.
     assert trial.overhead == pytest.approx(3 * (20 - 1.0) + (20 - 2.0))
     assert seen == [((10, 8), (300, 300))] * 2
     growing = replace(SETTINGS, density=Density(rule="error", start=800, stop=1_000, full_by=1.0))
