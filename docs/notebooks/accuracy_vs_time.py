@@ -146,4 +146,5 @@ assert lost["15 steps"] > lost["30 steps"] > 0
 
 # %% [markdown]
 # Every knob of the library is measured in this way by `experiments/accuracy_vs_time.py`, on the built-in scene with its
-# true normals and surface; results are among the [Experiments](../experiments.md).
+# true normals and surface; its tables are
+# [what accuracy costs in time](../accuracy_vs_time.md).
