@@ -19,9 +19,8 @@ from gsjax.binding.hybrid import Hybrid, all_gaussians
 from gsjax.cameras import Camera
 from gsjax.cli import guarded
 from gsjax.io.images import write_image
-from gsjax.meshing import read_mesh, render_mesh
-from gsjax.meshing.pictures import headlight
-from gsjax.pipeline.pictures import to_bytes
+from gsjax.meshing import read_mesh
+from gsjax.pipeline.pictures import mesh_picture, to_bytes
 from gsjax.pipeline.result import Result, open_result
 
 TWIST = 1.6  # radians per unit of height
@@ -55,10 +54,7 @@ def enlarged(camera: Camera) -> Camera:
 def _panels(hybrid: Hybrid, result: Result, view: int) -> list[np.ndarray]:
     camera = enlarged(result.cameras[view])
     picture = next(gallery.pictures(all_gaussians(hybrid), [camera], result.background))
-    surface = render_mesh(
-        to_mesh(hybrid.bound), camera.viewmat, camera.K, camera.width, camera.height, shading=headlight
-    )
-    return [surface, to_bytes(picture.colors)]
+    return [mesh_picture(to_mesh(hybrid.bound), camera), to_bytes(picture.colors)]
 
 
 if __name__ == "__main__":

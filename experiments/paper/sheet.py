@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 
 from gsjax import gallery
@@ -10,10 +9,9 @@ from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.io.normals import map_places
 from gsjax.io.ply import read_gaussians
-from gsjax.meshing import headlight, read_mesh, render_mesh
-from gsjax.normals.from_depth import depth_normals
+from gsjax.meshing import read_mesh
 from gsjax.pipeline.panels import draw_panels
-from gsjax.pipeline.pictures import normal_picture, to_bytes
+from gsjax.pipeline.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
 from gsjax.pipeline.prior import read_map
 from gsjax.pipeline.result import Result, open_result, scene_of_run
 
@@ -33,27 +31,19 @@ def draw_sheet(out: Path) -> list[str]:
     panels = {f"photo, {frame.name}": frame.pixels().image, "render": to_bytes(after.colors)}
     if (out / "before.ply").exists():
         before = _drawn(result, read_gaussians(out / "before.ply"), camera)
-        panels["normals before R"] = _normals(before, camera)
-    panels["normals after R"] = _normals(after, camera)
+        panels["normals before R"] = surface_picture(before.depth, camera)
+    panels["normals after R"] = surface_picture(after.depth, camera)
     maps = map_places([f for f in frames if not f.held_out])
     prior = run / "normals" / f"{maps[frame.name]}.png"
     if prior.exists():
         panels["normals of the prior"] = normal_picture(read_map(prior, frame).astype(np.float32) / 127)
-    panels["mesh with R"] = _mesh(run / "mesh.ply", camera)
+    panels["mesh with R"] = mesh_picture(read_mesh(run / "mesh.ply"), camera)
     plain = out.with_name(f"vanilla_{out.name.rpartition('_')[2]}") / "run" / "mesh.ply"
     if plain.exists():
-        panels["mesh without R"] = _mesh(plain, camera)
+        panels["mesh without R"] = mesh_picture(read_mesh(plain), camera)
     draw_panels(panels, out / "sheet.png", columns=min(4, len(panels)))
     return list(panels)
 
 
 def _drawn(result: Result, gaussians: Gaussians, camera: Camera) -> gallery.Picture:
     return next(gallery.pictures(gaussians, [camera], result.background, result.depth_mode))
-
-
-def _normals(picture: gallery.Picture, camera: Camera) -> np.ndarray:
-    return normal_picture(np.asarray(depth_normals(jnp.asarray(picture.depth), camera)))
-
-
-def _mesh(file: Path, camera: Camera) -> np.ndarray:
-    return render_mesh(read_mesh(file), camera.viewmat, camera.K, camera.width, camera.height, shading=headlight)

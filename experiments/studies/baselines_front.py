@@ -7,6 +7,16 @@ from studies.baselines import TERMS, Term, at_equal_time
 
 from gsjax.settings import DEMO
 
+NOW_AND_THEN = "ours, pixel_normal in every 4th step"
+
+
+def in_front(phases: list[dict], costs: dict[str, float]) -> dict[str, dict]:
+    """Variants by name: what `costs` names, and R at the pixels in every fourth step, with depth in front."""
+    terms = {name: TERMS[name]._replace(cost=cost) for name, cost in costs.items()}
+    rarer = Term(costs["ours, pixel_normal"], {"pixel_normal": 0.2}, every=4)
+    return at_equal_time(phases, {**terms, NOW_AND_THEN: rarer}, depth_mode="front")
+
+
 _COSTS = {
     "vanilla": 1.00,
     "SuGaR, sdf": 4.47,
@@ -18,11 +28,4 @@ _COSTS = {
     "ours, pixel_normal 0.1": 1.48,
     "ours, demo": 2.40,
 }
-_ALWAYS = {name: TERMS[name]._replace(cost=cost) for name, cost in _COSTS.items()}
-_NOW_AND_THEN = {
-    "ours, pixel_normal in every 4th step": Term(_COSTS["ours, pixel_normal"], {"pixel_normal": 0.2}, every=4)
-}
-CONFIG: dict = {
-    "base": "demo",
-    "variants": at_equal_time(DEMO["phases"], {**_ALWAYS, **_NOW_AND_THEN}, depth_mode="front"),
-}
+CONFIG: dict = {"base": "demo", "variants": in_front(DEMO["phases"], _COSTS)}

@@ -22,6 +22,7 @@ _TABLE_THICKNESS = 0.08
 _SHADOW_STEPS = 22
 _FAR = 8.0  # where a ray has left the world
 _HIT = 1e-5  # residual distance at which a ray stands on the surface
+BEFORE = 5e-5  # by so much normals are read ahead of the surface, world units
 _SUN = np.array([0.45, -0.35, 0.82]) / np.linalg.norm([0.45, -0.35, 0.82])
 _SUN_SHARPNESS = 14.0  # penumbra: 1 / the sun's apparent radius
 _SUN_LIGHT, _SKY_LIGHT = 0.85, 0.42  # linear irradiance of a surface that faces them
@@ -72,15 +73,23 @@ def trace(camera: Camera, *, samples: int = 3) -> Trace:
 def _surface_of_rays(camera: Camera) -> tuple[Array, Array, Array]:
     origins, directions = _world_rays(camera, 0.0, 0.0)
     distances = _cast_all(origins, directions)
-    points = origins + distances[:, None] * directions
+    points = _just_before(origins, directions, distances)
     return distances, _normal_all(points), _label_all(points)
 
 
 def _light_of_rays(camera: Camera, offset_x: float, offset_y: float) -> Array:
     origins, directions = _world_rays(camera, offset_x, offset_y)
     distances = _march_all(origins, directions)
-    light = _shade_all(origins + distances[:, None] * directions)
+    light = _shade_all(_just_before(origins, directions, distances))
     return jnp.where(distances[:, None] > 0, light, 1.0)
+
+
+def _just_before(origins: Array, directions: Array, distances: Array) -> Array:
+    """`[R, 3]` points where the distance has a slope: on a face it is a maximum of two that are equal but for rounding.
+
+    The gradient of a maximum goes to whom it equals, and a compiler that computes them twice may find none.
+    """
+    return origins + (distances - BEFORE)[:, None] * directions
 
 
 @jax.jit
@@ -290,10 +299,11 @@ def _turn(a: Array, b: Array, angle: float) -> tuple[Array, Array]:
 
 
 def _length(*components: Array) -> Array:
-    """Euclidean length, with zero gradient at zero."""
-    squared = sum(c * c for c in components)
-    is_zero = squared == 0
-    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, squared)))
+    """Euclidean length, never less than 1e-15; there its gradient is zero.
+
+    A floor, and not a stand-in for zero that a mask takes out again: a program may compute mask and stand-in apart.
+    """
+    return jnp.sqrt(jnp.maximum(sum(c * c for c in components), 1e-30))
 
 
 # Textures and colour.

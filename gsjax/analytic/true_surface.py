@@ -49,11 +49,13 @@ def samples(surface: Mesh, num_solids: int, num_table: int, seed: int) -> tuple[
     drawn = []
     for faces, count in ((~on_table, num_solids), (on_table & (centroids[:, 2] > -1e-3), num_table)):
         part = Mesh(surface.vertices, surface.faces[faces], surface.colors)
-        drawn.append(sample_surface(part, count, seed)[0].astype(np.float32))
-    points = _project_all(np.concatenate(drawn))
+        drawn.append(sample_surface(part, count, seed))
+    starts, facing = (np.concatenate(each).astype(np.float32) for each in zip(*drawn, strict=True))
+    points = np.asarray(_project_all(starts))
+    normals = np.asarray(_normal_all(points + solids.BEFORE * facing))
     at_rest = np.flatnonzero(np.abs(_distance_all(points)) < _ON_SURFACE)
     chosen = np.random.default_rng(seed).permutation(at_rest)
-    return np.asarray(points)[chosen], np.asarray(_normal_all(points))[chosen], chosen >= num_solids
+    return points[chosen], normals[chosen], chosen >= num_solids
 
 
 def project(point: Array) -> Array:

@@ -60,7 +60,7 @@ def _less_identity(turn: Array) -> Array:
     """
     squared = jnp.sum(jnp.square(turn))
     small = squared < _SMALL
-    angle = jnp.sqrt(jnp.where(small, 1, squared))
+    angle = jnp.sqrt(jnp.maximum(squared, _SMALL))
     half = jnp.sin(0.5 * angle) / (0.5 * angle)
     sine = jnp.where(small, 1 - squared / 6, jnp.sin(angle) / angle)
     cosine = 0.5 * jnp.where(small, 1 - squared / 12, jnp.square(half))  # (1 - cos) / angle²

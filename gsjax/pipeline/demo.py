@@ -3,9 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
-import numpy as np
-
 from gsjax import config, gallery, pipeline
 from gsjax.errors import InputError
 from gsjax.io import analytic_scene, runs
@@ -13,10 +10,8 @@ from gsjax.io.files import make_folder
 from gsjax.io.machine import machine, versions
 from gsjax.io.scenes import load_scene
 from gsjax.meshing.export import read_mesh
-from gsjax.meshing.pictures import headlight, render_mesh
-from gsjax.normals.from_depth import depth_normals
 from gsjax.pipeline.panels import draw_panels
-from gsjax.pipeline.pictures import normal_picture, to_bytes
+from gsjax.pipeline.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
 from gsjax.pipeline.result import Result, open_result
 from gsjax.settings import DEMO, Settings
 
@@ -77,22 +72,14 @@ def _comparison(scene: Path, vanilla: Result, surface: Result, out: Path) -> Pat
         next(gallery.pictures(r.gaussians, [camera], r.background, r.depth_mode)) for r in (vanilla, surface)
     )
 
-    def normals(picture: gallery.Picture) -> np.ndarray:
-        return normal_picture(np.asarray(depth_normals(jnp.asarray(picture.depth), camera)))
-
-    def mesh(name: str) -> np.ndarray:
-        return render_mesh(
-            read_mesh(out / name / "mesh.ply"), camera.viewmat, camera.K, camera.width, camera.height, shading=headlight
-        )
-
     assert truth is not None, "the demo writes its own truth"
     panels = {
         "held-out photo": frame.pixels().image,
-        "normals, vanilla": normals(before),
-        "normals, with the SDF term": normals(after),
+        "normals, vanilla": surface_picture(before.depth, camera),
+        "normals, with the SDF term": surface_picture(after.depth, camera),
         "normals, true": normal_picture(truth.normals[frame.name]()),
         "render, with the SDF term": to_bytes(after.colors),
-        "mesh, vanilla": mesh("vanilla"),
-        "mesh, with the SDF term": mesh("surface"),
+        "mesh, vanilla": mesh_picture(read_mesh(out / "vanilla" / "mesh.ply"), camera),
+        "mesh, with the SDF term": mesh_picture(read_mesh(out / "surface" / "mesh.ply"), camera),
     }
     return draw_panels(panels, out / "comparison.png")

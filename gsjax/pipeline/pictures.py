@@ -13,6 +13,8 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, opacities
 from gsjax.io.files import make_folder
 from gsjax.io.images import write_image
+from gsjax.mesh import Mesh
+from gsjax.meshing.pictures import Shading, headlight, render_mesh
 from gsjax.normals.from_depth import depth_normals
 from gsjax.pipeline.result import Result, open_result
 
@@ -50,8 +52,7 @@ def render(run: str | Path, out: str | Path, *, which: Literal["all", "held_out"
         stem = Path(name).with_suffix("").as_posix().replace("/", "_")
         write_image(out / f"{stem}_color.png", to_bytes(picture.colors))
         write_image(out / f"{stem}_depth.png", depth_picture(picture.depth))
-        normals = np.asarray(depth_normals(jnp.asarray(picture.depth), camera))
-        write_image(out / f"{stem}_normal.png", normal_picture(normals))
+        write_image(out / f"{stem}_normal.png", surface_picture(picture.depth, camera))
     return out
 
 
@@ -74,6 +75,16 @@ def normal_picture(normals: np.ndarray) -> np.ndarray:
     """`[H, W, 3]` uint8: x to the right red, y up green, towards the camera blue; white where there is none."""
     known = np.any(normals != 0, axis=-1, keepdims=True)
     return to_bytes(np.where(known, 0.5 + 0.5 * normals * np.array([1, -1, -1]), 1))
+
+
+def surface_picture(depth: np.ndarray, camera: Camera) -> np.ndarray:
+    """`normal_picture` of the surface that a rendered depth `[H, W]` implies."""
+    return normal_picture(np.asarray(depth_normals(jnp.asarray(depth), camera)))
+
+
+def mesh_picture(mesh: Mesh, camera: Camera, shading: Shading = headlight) -> np.ndarray:
+    """`[H, W, 3]` uint8: a mesh as `camera` sees it."""
+    return render_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height, shading=shading)
 
 
 def turntable(result: Result) -> list[Camera]:

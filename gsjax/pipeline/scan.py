@@ -6,9 +6,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-import numpy as np
-
 from gsjax import config, gallery
 from gsjax.binding.refining import Refinement
 from gsjax.errors import InputError
@@ -16,13 +13,11 @@ from gsjax.io import runs
 from gsjax.io.files import make_folder
 from gsjax.io.machine import machine, peak_memory, restart_peak_memory, versions
 from gsjax.io.scenes import is_data_set
-from gsjax.mesh import Mesh
 from gsjax.meshing.export import read_mesh, read_textured
-from gsjax.meshing.pictures import Shading, headlight, render_mesh, texture_colors
-from gsjax.normals.from_depth import depth_normals
+from gsjax.meshing.pictures import texture_colors
 from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.panels import draw_panels
-from gsjax.pipeline.pictures import normal_picture, to_bytes
+from gsjax.pipeline.pictures import mesh_picture, surface_picture, to_bytes
 from gsjax.pipeline.refine import refine
 from gsjax.pipeline.report import report as write_report
 from gsjax.pipeline.result import open_result
@@ -167,14 +162,11 @@ def _overview(out: Path) -> Path:
     camera = result.cameras[chosen]
     picture = next(gallery.pictures(result.gaussians, [camera], result.background, result.depth_mode))
 
-    def drawn(surface: Mesh, shading: Shading) -> np.ndarray:
-        return render_mesh(surface, camera.viewmat, camera.K, camera.width, camera.height, shading=shading)
-
     panels = {
         f"Gaussians, {result.names[chosen]}": to_bytes(picture.colors),
-        "normals": normal_picture(np.asarray(depth_normals(jnp.asarray(picture.depth), camera))),
-        "coarse mesh": drawn(coarse, headlight),
-        "refined mesh": drawn(refined, headlight),
-        "refined mesh, textured": drawn(textured.mesh, texture_colors(textured)),
+        "normals": surface_picture(picture.depth, camera),
+        "coarse mesh": mesh_picture(coarse, camera),
+        "refined mesh": mesh_picture(refined, camera),
+        "refined mesh, textured": mesh_picture(textured.mesh, camera, texture_colors(textured)),
     }
     return draw_panels(panels, out / "overview.png", columns=5)

@@ -101,7 +101,7 @@ def _there_and_back(pixel: Array, here: Array, camera: Camera, neighbor: Neighbo
     again, in_front_again = _in_front(jnp.sum(turn * (there - shift)[:, None], 0))
     squared = jnp.sum(jnp.square(cameras.project(again, camera) - pixel))
     moved = squared > ROUNDING**2  # A root has no slope at zero.
-    off = jnp.where(moved, jnp.sqrt(jnp.where(moved, squared, 1)), 0)
+    off = jnp.where(moved, jnp.sqrt(jnp.maximum(squared, ROUNDING**2)), 0)
     return seen_at, off, in_front & reads_within(neighbor.depth > 0, seen_at) & in_front_again
 
 

@@ -128,7 +128,7 @@ def _distance(density: Array, beta: Array) -> Array:
     """`[]` distance from a plane at which a flat Gaussian `beta` thick has so much density; 0 from 1 on."""
     level = -2 * jnp.log(jnp.clip(density, FAINTEST, 1))
     is_off = level > ON_LEVEL
-    return beta * jnp.where(is_off, jnp.sqrt(jnp.where(is_off, level, 1)), 0)
+    return beta * jnp.where(is_off, jnp.sqrt(jnp.maximum(level, ON_LEVEL)), 0)
 
 
 def _close_to_depth(gaussians: Gaussians, view: View, depth: Array, camera: Camera) -> Array:

@@ -1,3 +1,5 @@
+from importlib.metadata import version
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +11,16 @@ from gsjax.mesh import signed_volume
 
 SDF = jax.jit(jax.vmap(solids.scene_sdf))
 SPACING = 0.04
+# What the session's flags turn off (tests/conftest.py), for what only optimisation shows.
+AS_USERS_RUN = (
+    {
+        "xla_cpu_use_fusion_emitters": True,
+        "xla_backend_optimization_level": 3,
+        "xla_llvm_disable_expensive_passes": False,
+    }
+    if version("jaxlib").startswith("0.10.")
+    else None
+)
 BOX_TOP = np.float32([-0.36, 0.30, 0.54])  # above the carved box's foot
 
 
@@ -116,6 +128,16 @@ def test_normals_are_unit_and_face_the_camera(camera, view):
     assert np.sum(rays * view.normals, axis=-1)[hit].max() < 1e-2
 
 
+def test_every_hit_on_a_face_has_its_normal():
+    x, y = np.meshgrid(np.linspace(-0.1, 0.05, 40), np.linspace(-0.05, 0.1, 40))
+    above = (BOX_TOP + np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=-1)).astype(np.float32)
+    down = np.broadcast_to(np.float32([0, 0, -1]), above.shape)
+    hits = solids._just_before(above, down, solids._cast_all(above, down))
+    on_top = np.abs(hits[:, 2] - BOX_TOP[2]) < 1e-3
+    assert on_top.sum() > 800
+    np.testing.assert_allclose(solids._normal_all(hits)[on_top], np.eye(3)[[2] * on_top.sum()], atol=1e-6)
+
+
 def test_labels_name_what_is_hit(view, world_points):
     assert set(np.unique(view.labels)) == {0, 1, 2, 3, 4, 5, 255}
     np.testing.assert_array_equal(view.labels == 0, view.depth == 0)
@@ -197,6 +219,23 @@ def test_cameras_look_at_the_solids_from_all_sides():
     again = solids.cameras(24, (64, 48), seed=1)
     np.testing.assert_array_equal(cameras[7].viewmat, again[7].viewmat)
     assert np.any(np.asarray(cameras[7].viewmat) != np.asarray(solids.cameras(24, (64, 48), seed=2)[7].viewmat))
+
+
+def test_no_vertex_of_the_mesh_leaves_its_place(surface):
+    edges = surface.vertices[surface.faces] - surface.vertices[np.roll(surface.faces, 1, axis=1)]
+    assert np.linalg.norm(edges, axis=-1).max() < 3 * SPACING
+
+
+def test_the_distance_beside_its_gradient_is_the_distance_alone():
+    """On faces, where terms are zero but for rounding: optimised programs compute them twice, and round them apart."""
+
+    def optimised(function, points):
+        return jax.jit(jax.vmap(function)).lower(points).compile(compiler_options=AS_USERS_RUN)(points)
+
+    beside_the_box = np.random.default_rng(0).uniform([-0.6, 0.1, 0.02], [-0.1, 0.5, 0.6], (4000, 3)).astype(np.float32)
+    on_faces = optimised(lambda p: p - solids.scene_sdf(p) * solids.normal(p), beside_the_box)
+    values, _ = optimised(jax.value_and_grad(solids.scene_sdf), on_faces)
+    np.testing.assert_allclose(values, SDF(on_faces), atol=1e-6)
 
 
 def test_the_mesh_is_closed_outward_and_on_the_surface(surface):

@@ -1,0 +1,88 @@
+"""One held-out view of several runs: render, normals of the rendered depth and mesh, below each other; the truth first.
+
+    python experiments/side_by_side.py RUN ... --out FILE.png [--view N]
+
+All runs are of one data set; what the data set knows of the truth stands under the photo.
+"""
+
+import argparse
+import re
+import sys
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gsjax import gallery
+from gsjax.cameras import Camera
+from gsjax.cli import guarded
+from gsjax.errors import InputError
+from gsjax.meshing import read_mesh
+from gsjax.pipeline.panels import draw_panels
+from gsjax.pipeline.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
+from gsjax.pipeline.result import open_result, scene_of_run
+from gsjax.scene import Frame, Truth
+
+COLUMNS = 6
+TITLE = 24  # characters a line
+
+
+def draw(sources: Sequence[str], out: str, *, view: int = 0) -> list[str]:
+    """Draws FILE.png, and tells the titles of its panels: the photo, then the runs without their seeds.
+
+    Args:
+        sources: Run folders of one data set and one size; those without a `mesh.ply` have no mesh in the picture.
+        out: The picture.
+        view: Of the held-out ones.
+
+    Raises:
+        InputError: A run cannot be read, or has no such view.
+    """
+    scene = scene_of_run(Path(sources[0]))
+    if not 0 <= view < len(scene.held_out_frames):
+        raise InputError(f"{sources[0]}: holds out {len(scene.held_out_frames)} views; there is no view {view}")
+    frame = scene.held_out_frames[view]
+    camera = Camera(frame.viewmat, frame.K, frame.width, frame.height)  # pyright: ignore[reportArgumentType]
+    panels = {"photo" if scene.truth is None else "photo and truth": _true(frame, camera, scene.truth)}
+    for source in sources:
+        panels[textwrap.fill(re.sub(r"_\d+$", "", Path(source).name), TITLE)] = _made(Path(source), frame.name)
+    draw_panels(panels, out, columns=min(COLUMNS, len(panels)))
+    return list(panels)
+
+
+def _true(frame: Frame, camera: Camera, truth: Truth | None) -> np.ndarray:
+    image = frame.pixels().image
+    normals = mesh = np.full_like(image, 255)
+    if truth is not None and frame.name in truth.normals:
+        normals = normal_picture(truth.normals[frame.name]())
+    if truth is not None and truth.mesh is not None:
+        mesh = mesh_picture(read_mesh(truth.mesh), camera)
+    return np.concatenate([image, normals, mesh])
+
+
+def _made(run: Path, name: str) -> np.ndarray:
+    result = open_result(run)
+    if name not in result.names:
+        raise InputError(f"{run}: has no view {name}; are these runs of one data set?")
+    camera = result.cameras[result.names.index(name)]
+    picture = next(gallery.pictures(result.gaussians, [camera], result.background, result.depth_mode))
+    colors, surface = to_bytes(picture.colors), surface_picture(picture.depth, camera)
+    meshed = (run / "mesh.ply").exists()
+    mesh = mesh_picture(read_mesh(run / "mesh.ply"), camera) if meshed else np.full_like(colors, 255)
+    return np.concatenate([colors, surface, mesh])
+
+
+def main() -> None:
+    """Reads the arguments and names what was drawn."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("runs", nargs="+", metavar="RUN", help="folders of runs of one data set")
+    parser.add_argument("--out", required=True, metavar="FILE", help="the picture (.png)")
+    parser.add_argument("--view", type=int, default=0, metavar="N", help="of the held-out ones (default: 0)")
+    arguments = parser.parse_args()
+    draw(arguments.runs, arguments.out, view=arguments.view)
+    print(arguments.out)
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))
