@@ -2,7 +2,9 @@
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.io.images import image_size, read_image
 from gsjax.meshing.export import read_mesh
-from gsjax.pipeline import viewpoints
+from gsjax.pipeline import demo, viewpoints
 from gsjax.pipeline.result import open_result, scene_of_run
 
 
@@ -86,6 +88,36 @@ def test_pictures_have_the_size_of_their_views(run, tmp_path):
     photo, _ = read_image(Path(runs.read_json(run / "manifest.json")["scene"]) / "images/000.png")
     rendered, _ = read_image(files[0])
     assert np.abs(photo.astype(float) - rendered).mean() < 60, "the same view, roughly"
+
+
+def test_the_demo_sets_a_run_with_normals_beside_one_without(run, scene, tmp_path, monkeypatch):
+    asked = {}
+
+    def train(given, folder, settings):
+        asked[folder.name] = settings
+        assert given == scene
+        shutil.copytree(run, folder)
+        return {"train_seconds": 7.0}
+
+    small = SimpleNamespace(
+        train=train, mesh=partial(pipeline.mesh, level=0.1, points=5000), evaluate=pipeline.evaluate
+    )
+    monkeypatch.setattr(demo, "pipeline", small)
+    monkeypatch.setattr(demo.analytic_scene, "write", lambda folder, **_: scene)
+    report = demo.run(tmp_path / "demo")
+    assert [(settings.vanilla, settings.normals) for settings in asked.values()] == [
+        (True, str(scene / "normals")),
+        (False, str(scene / "normals")),
+    ]
+    assert report["vanilla"] == report["surface"], "both are one run here"
+    assert report["floor"]["chamfer"] < 5e-4 < report["surface"]["chamfer"] < 0.2
+    assert report["surface"]["seconds"] == 7.0
+    assert len(read_mesh(report["mesh"]).faces) > 100
+    panels = read_image(report["picture"])[0].reshape(-1, 3)
+    assert len(np.unique(panels, axis=0)) > 1000, "seven pictures and their titles"
+    assert runs.read_json(tmp_path / "demo/report.json")["floor"] == report["floor"]
+    with pytest.raises(InputError, match="this folder is not empty"):
+        demo.run(tmp_path / "demo")
 
 
 def test_a_bare_file_of_gaussians_is_meshed_from_cameras_around_it(run, tmp_path, monkeypatch):
