@@ -3,21 +3,16 @@
 Costs are those of a step on the built-in scene (`benchmarks/steps.py baselines_front RUN`), in plain ones.
 """
 
-from studies.baselines import TERMS, at_equal_time
+from studies.baselines import TERMS, Term, at_equal_time
 
 from gsjax.settings import DEMO
-
-EVERY = 4
 
 
 def in_front(phases: list[dict], costs: dict[str, float]) -> dict[str, dict]:
     """Variants by name: what `costs` names, and R at the pixels in every fourth step, with depth in front."""
     terms = {name: TERMS[name]._replace(cost=cost) for name, cost in costs.items()}
-    rarer = {
-        f"{name} in every {EVERY}th step": terms[name]._replace(every=EVERY)
-        for name in ("ours, pixel_normal", "ours, pixel_normal 0.1")
-    }
-    return at_equal_time(phases, terms | rarer, depth_mode="front")
+    rarer = Term(costs["ours, pixel_normal"], {"pixel_normal": 0.2}, every=4)
+    return at_equal_time(phases, {**terms, "ours, pixel_normal in every 4th step": rarer}, depth_mode="front")
 
 
 _COSTS = {
