@@ -85,7 +85,9 @@ def test_truth_points_lie_on_the_surface_with_their_normals(folder):
     points, normals = truth["points"], truth["normals"].astype(np.float32)
     assert points.dtype == np.float32
     assert np.abs(SDF(points)).max() < 1e-4
-    np.testing.assert_allclose(normals, jax.jit(jax.vmap(solids.normal))(points), atol=1e-3)
+    outside = jax.jit(jax.vmap(solids.normal))(points + solids.BEFORE * normals)  # on a face a gradient may be none
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-3)
+    assert np.mean(np.abs(normals - outside).max(axis=1) < 1e-3) > 0.999  # where two parts touch it may be either's
     is_table = np.asarray(jax.jit(jax.vmap(solids.label))(points)) == solids.GROUND_LABEL
     assert np.mean(is_table == truth["label"]) > 0.99  # where both touch either may be named
     assert np.abs(points[truth["label"] == 1, :2]).max() < analytic_scene.TRUTH_HALF
