@@ -37,7 +37,7 @@ def draw(sources: Sequence[str], out: str, *, view: int = 0) -> list[str]:
         view: Of the held-out ones.
 
     Raises:
-        InputError: A run cannot be read, or has no such view.
+        InputError: A run cannot be read or has no such view, or two are seeds of one variant.
     """
     scene = scene_of_run(Path(sources[0]))
     if not 0 <= view < len(scene.held_out_frames):
@@ -46,7 +46,10 @@ def draw(sources: Sequence[str], out: str, *, view: int = 0) -> list[str]:
     camera = Camera(frame.viewmat, frame.K, frame.width, frame.height)  # pyright: ignore[reportArgumentType]
     panels = {"photo" if scene.truth is None else "photo and truth": _true(frame, camera, scene.truth)}
     for source in sources:
-        panels[textwrap.fill(re.sub(r"_\d+$", "", Path(source).name), TITLE)] = _made(Path(source), frame.name)
+        title = textwrap.fill(re.sub(r"_\d+$", "", Path(source).name), TITLE)
+        if title in panels:
+            raise InputError(f"{source}: another run has this name; seeds of one variant would look alike")
+        panels[title] = _made(Path(source), frame.name)
     draw_panels(panels, out, columns=min(COLUMNS, len(panels)))
     return list(panels)
 

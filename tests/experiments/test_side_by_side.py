@@ -51,6 +51,12 @@ def test_a_run_has_its_render_its_normals_and_its_mesh_under_its_name_without_th
     assert unmeshed == [51, 20, 255]
 
 
+def test_two_seeds_of_one_variant_are_refused(script):
+    with pytest.raises(InputError, match=r"plain_0: another run has this name"):
+        script.module.draw([*script.runs, script.runs[-1]], "out.png")
+    assert not script.drawn
+
+
 def test_what_is_no_view_of_all_runs_is_refused_by_name(script):
     with pytest.raises(InputError, match=r"holds out 1 views; there is no view 1$"):
         script.module.draw(script.runs, "out.png", view=1)
