@@ -29,7 +29,6 @@ class Knob:
     values: Mapping[str, Any]  # by their labels, the most accurate first
     measure: Callable[["Place", Any, int], Measured]  # (where, a value, the round)
     errors: Callable[[Any, Any], dict[str, float]]  # (outcome, that of the most accurate) -> error by its unit
-    needs_truth: bool = False  # whether its errors are distances from a true surface
 
 
 class Place:

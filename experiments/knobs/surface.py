@@ -1,15 +1,18 @@
-"""Numbers of mesh, refinement and texture, from the base run."""
+"""Numbers of mesh, refinement and texture, from the base run.
+
+A mesh is measured from the true surface; of real photos, which have none, by its own colours in the held-out ones.
+"""
 
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gsjax import config, pipeline
 from gsjax.binding.refining import PRESETS, Refinement
-from gsjax.meshing.export import read_textured
-from gsjax.meshing.pictures import depth_of_mesh, render_mesh, texture_colors
+from gsjax.mesh import Mesh
+from gsjax.meshing.export import read_mesh, read_textured
+from gsjax.meshing.pictures import Shading, depth_of_mesh, render_mesh, texture_colors, vertex_colors
 from gsjax.meshing.rays import ray_caster
 from gsjax.pipeline.result import scene_of_run
 from knobs.knob import Knob, Measured, Place
@@ -21,7 +24,7 @@ def _meshed(place: Place, options: dict[str, Any], round_: int) -> Measured:
     run, started = place.run, time.perf_counter()
     pipeline.mesh(run, file, **options)
     seconds = time.perf_counter() - started
-    return Measured(seconds, pipeline.evaluate(run, mesh=file))
+    return Measured(seconds, pipeline.evaluate(run, mesh=file) if place.has_truth else _shown(place, read_mesh(file)))
 
 
 def _refined(place: Place, options: dict[str, Any], round_: int) -> Measured:
@@ -38,39 +41,45 @@ def _textured(place: Place, size: int | None, round_: int) -> Measured:
     file.parent.mkdir(parents=True)
     started = time.perf_counter()
     pipeline.texture(place.run, mesh, file, size=size)
-    return Measured(time.perf_counter() - started, {"psnr": _shown(place, file)})
-
-
-def _shown(place: Place, file: Path) -> float:
-    """PSNR of a textured mesh against the held-out photos, over the pixels that it covers."""
-    textured, squares = read_textured(file), []
+    seconds = time.perf_counter() - started
+    textured = read_textured(file)
     assert textured is not None, "it was given a texture"
-    cast, shading = ray_caster(textured.mesh), texture_colors(textured)
+    return Measured(seconds, _shown(place, textured.mesh, texture_colors(textured)))
+
+
+def _shown(place: Place, mesh: Mesh, shading: Shading = vertex_colors) -> dict[str, float]:
+    """How a mesh looks in the held-out photos: `psnr` over the pixels that it covers, and the share of them."""
+    squares, covers, cast = [], [], ray_caster(mesh)
     for frame in scene_of_run(place.run).held_out_frames:
         view = frame.viewmat, frame.K, frame.width, frame.height
-        covered = depth_of_mesh(textured.mesh, *view, cast=cast) > 0
-        shown = render_mesh(textured.mesh, *view, shading=shading, cast=cast)
+        covered = depth_of_mesh(mesh, *view, cast=cast) > 0
+        shown = render_mesh(mesh, *view, shading=shading, cast=cast)
         squares.append(np.square((shown[covered].astype(float) - frame.pixels().image[covered]) / 255))
-    return float(-10 * np.log10(np.concatenate(squares).mean()))
-
-
-def _surface_errors(outcome: dict[str, Any], best: dict[str, Any]) -> dict[str, float]:
+        covers.append(covered.ravel())
     return {
-        "Chamfer, % more": 100 * (outcome["chamfer"] / best["chamfer"] - 1),
-        "F-score lost": best["fscore"] - outcome["fscore"],
+        "psnr": float(-10 * np.log10(np.concatenate(squares).mean())),
+        "covered": float(np.concatenate(covers).mean()),
     }
 
 
+def _errors(outcome: dict[str, Any], best: dict[str, Any]) -> dict[str, float]:
+    """Distances where there is a truth; of what was shown its PSNR and what it no longer covers."""
+    found = {}
+    if "covered" in outcome:
+        found["PSNR lost, dB"] = best["psnr"] - outcome["psnr"]
+        found["covered less, %"] = 100 * (best["covered"] - outcome["covered"])
+    if "chamfer" in outcome:
+        found["Chamfer, % more"] = 100 * (outcome["chamfer"] / best["chamfer"] - 1)
+        found["F-score lost"] = best["fscore"] - outcome["fscore"]
+    return found
+
+
 def _refined_errors(outcome: dict[str, Any], best: dict[str, Any]) -> dict[str, float]:
-    return {"PSNR lost, dB": best["psnr"] - outcome["psnr"], **_surface_errors(outcome, best)}
+    return {"PSNR lost, dB": best["psnr"] - outcome["psnr"], **_errors(outcome, best)}
 
 
-def _texture_errors(outcome: dict[str, Any], best: dict[str, Any]) -> dict[str, float]:
-    return {"PSNR lost, dB": best["psnr"] - outcome["psnr"]}
-
-
-_OF_MESHES = _meshed, _surface_errors, True
-_OF_REFINED = _refined, _refined_errors, True
+_OF_MESHES = _meshed, _errors
+_OF_REFINED = _refined, _refined_errors
 KNOBS: dict[str, Knob] = {
     "surface points": Knob(
         {f"{count:,}": {"points": count} for count in (400_000, 200_000, 100_000, 50_000)}, *_OF_MESHES
@@ -88,6 +97,6 @@ KNOBS: dict[str, Knob] = {
     "texture": Knob(
         {f"{size:,} px": size for size in (4096, 2048, 1024, 512)} | {"as the photos": None},
         _textured,
-        _texture_errors,
+        _errors,
     ),
 }

@@ -1,6 +1,6 @@
 """Knobs on a clock of the test's own: ratios within a round, the front, what is done is not done again."""
 
-from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ import pytest
 from gsjax.config import to_dict
 from gsjax.errors import InputError
 from gsjax.io.images import read_image
+from gsjax.mesh import Mesh
 from gsjax.settings import Settings, total_steps
 
 
@@ -27,8 +28,7 @@ def turned(script, scripts, monkeypatch):
         return knobs.knob.Measured(slow * 8.0 / 2**value, value)
 
     knob = knobs.Knob({"best": 0, "half": 1, "quarter": 2}, measure, lambda own, best: {"off": float(own - best)})
-    far = replace(knob, needs_truth=True)
-    monkeypatch.setattr(knobs, "knobs_of", lambda config: {"alpha cut": knob, "a knob": knob, "distance": far})
+    monkeypatch.setattr(knobs, "knobs_of", lambda config: {"alpha cut": knob, "a knob": knob})
     return seen
 
 
@@ -66,14 +66,22 @@ def test_rounds_of_another_length_are_not_mixed_in(script, turned, tmp_path):
     assert (tmp_path / "rounds.json").read_bytes() == before and len(turned) == 4
 
 
-def test_what_needs_a_truth_is_left_out_where_there_is_none(script, turned, tmp_path, monkeypatch, capsys):
-    from knobs.knob import Place
+def test_a_mesh_without_truth_is_compared_in_the_photos(script, monkeypatch):
+    from knobs import surface
 
-    monkeypatch.setattr(Place, "has_truth", False)
-    assert list(script.run("scene", str(tmp_path), [], 1, 1.0)) == ["alpha cut", "a knob"]
-    assert "== distance: left out, scene has no true surface\n" in capsys.readouterr().out
-    monkeypatch.setattr(Place, "has_truth", True)
-    assert list(script.run("scene", str(tmp_path), [], 1, 1.0)) == ["alpha cut", "a knob", "distance"]
+    corners = np.array([[-2, -2, 1], [0, -2, 1], [0, 2, 1], [-2, 2, 1]], np.float32)  # the left half of the picture
+    mesh = Mesh(corners, np.array([[0, 2, 1], [0, 3, 2]]), np.tile(np.uint8([120, 60, 180]), (4, 1)))
+    photo = np.broadcast_to(np.uint8([130, 40, 180]), (6, 8, 3))
+    K = np.array([[4.0, 0, 4], [0, 4, 3], [0, 0, 1]])
+    frame = SimpleNamespace(viewmat=np.eye(4), K=K, width=8, height=6, pixels=lambda: SimpleNamespace(image=photo))
+    monkeypatch.setattr(surface, "scene_of_run", lambda run: SimpleNamespace(held_out_frames=(frame, frame)))
+    found = surface._shown(SimpleNamespace(run=None), mesh)
+    np.testing.assert_allclose(found["psnr"], -10 * np.log10(500 / 3 / 255**2), atol=1e-6)
+    np.testing.assert_allclose(found["covered"], 0.5)
+    lost = surface._errors({"psnr": 20.0, "covered": 0.4}, {"psnr": 21.5, "covered": 0.5})
+    assert lost == {"PSNR lost, dB": pytest.approx(1.5), "covered less, %": pytest.approx(10.0)}
+    lost = surface._errors({"psnr": 20.0, "chamfer": 3.0, "fscore": 0.5}, {"psnr": 21.0, "chamfer": 2.0, "fscore": 1.0})
+    assert lost == {"Chamfer, % more": pytest.approx(50.0), "F-score lost": pytest.approx(0.5)}
 
 
 def test_the_front_is_what_nothing_beats(script):
