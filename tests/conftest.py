@@ -135,21 +135,17 @@ def shared() -> Path:
     return SHARED.resolve()
 
 
-MOST_MAPPINGS = 50_000  # Linux allows a process 65,530; a compiled program takes about six, a module's at most 6,000.
-
-
 @pytest.fixture(scope="module", autouse=True)
 def _room_for_programs():
-    """Forgets compiled programs before the system refuses more memory mappings, which XLA does not survive.
+    """Forgets after every file what nobody holds, whose programs take the room of others in jax's own cache.
 
-    And after every file the functions that nobody holds: their programs take the room of others in jax's own cache.
+    And all programs before the system refuses more memory mappings.
     """
+    from gsjax.pipeline.compilations import make_room
+
     yield
     gc.collect()
-    mappings = Path("/proc/self/maps")
-    if mappings.exists() and len(mappings.read_bytes().splitlines()) > MOST_MAPPINGS:
-        jax.clear_caches()
-        gc.collect()
+    make_room()
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,15 @@
-"""Which programs were compiled while a run went, and how long that took."""
+"""Which programs were compiled while a run went, how long that took, and room for more of them."""
 
+import gc
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import jax
 from jax import monitoring
+
+MOST_MAPPINGS = 50_000
+"""Linux allows a process 65,530 by default. A run's programs take some 6,000."""
 
 _COMPILED = "/jax/core/compile/backend_compile_duration"
 _SHORTEST = 0.1  # seconds: below, nobody waits
@@ -36,3 +42,15 @@ class Compilations:
         if event == _COMPILED and seconds >= _SHORTEST:
             program = str(about.get("fun_name", "?")).removeprefix("jit(").removesuffix(")")
             self._seen.append({"program": program, "seconds": round(seconds, 2)})
+
+
+def make_room() -> None:
+    """Forgets compiled programs before the system refuses more memory mappings, which XLA does not survive.
+
+    Every program takes about six, and jax keeps them: some thirty runs of different settings end a process. Elsewhere
+    than on Linux nothing is known and nothing forgotten.
+    """
+    mappings = Path("/proc/self/maps")
+    if mappings.exists() and len(mappings.read_bytes().splitlines()) > MOST_MAPPINGS:
+        jax.clear_caches()
+        gc.collect()

@@ -32,6 +32,7 @@ from gsjax.meshing.pictures import depth_of_mesh, faces_of_pixels
 from gsjax.meshing.rays import ray_caster
 from gsjax.meshing.settling import MOST_VIEWS, settle
 from gsjax.meshing.topology import border
+from gsjax.pipeline.compilations import make_room
 from gsjax.pipeline.effects import Photography, read_photography, write_photography
 from gsjax.pipeline.evaluate import score_images
 from gsjax.pipeline.journal import Journal, beginning
@@ -71,6 +72,7 @@ def refine(
         InputError: The run, its data set or the mesh cannot be read, no triangle is seen, or the folder is in use or
             cannot be written.
     """
+    make_room()
     run = Path(run)
     trained = runs.read_json(run / "config.json")
     source = run / "mesh.ply" if mesh is None else Path(mesh)

@@ -21,6 +21,7 @@ from gsjax.gaussians import Gaussians, take
 from gsjax.io import normal_folders, runs
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
+from gsjax.pipeline.compilations import make_room
 from gsjax.pipeline.diagnose import looked_at
 from gsjax.pipeline.effects import Joined, Photography, joined, moves_line, refined, write_photography
 from gsjax.pipeline.evaluate import score_images
@@ -83,6 +84,7 @@ def train(
     earlier = None if earlier is None else Path(earlier)
     if earlier is not None and runs.latest_checkpoint(earlier) is None:
         raise InputError(f"{earlier}: has no checkpoint to begin from")
+    make_room()
     with own_folder(out) as folder:
         resume = resume and is_first()
         return _train(scene, folder, settings, resume=resume, earlier=earlier, observe=observe, devices=devices)

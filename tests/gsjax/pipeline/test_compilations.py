@@ -1,9 +1,14 @@
 import jax
 import jax.numpy as jnp
+import pytest
 from jax import monitoring
 
+from gsjax import pipeline
+from gsjax.binding.refining import Refinement
+from gsjax.errors import InputError
 from gsjax.pipeline import compilations
 from gsjax.pipeline.compilations import Compilations
+from gsjax.settings import Settings
 
 
 def test_programs_are_named_once_each_and_only_while_one_listens(monkeypatch):
@@ -30,3 +35,22 @@ def test_what_nobody_waits_for_is_not_told():
             monitoring.record_event_duration_secs(compilations._COMPILED, seconds, fun_name="jit(train_step)")
         monitoring.record_event_duration_secs("/jax/else", 9.0)
         assert seen.taken() == [{"program": "train_step", "seconds": 4.25}]
+
+
+@pytest.mark.parametrize(
+    "begun",
+    [lambda folder: pipeline.train(folder, folder / "out", Settings()),
+     lambda folder: pipeline.refine(folder, folder / "out", Refinement())],
+    ids=["train", "refine"],
+)  # fmt: skip
+def test_a_run_begins_with_room_for_its_programs(begun, monkeypatch, tmp_path):
+    thirds = jax.jit(lambda x: x / 3)
+    thirds(jnp.arange(7.0))
+    with pytest.raises(InputError):
+        begun(tmp_path)
+    assert thirds._cache_size() == 1
+    monkeypatch.setattr(compilations, "MOST_MAPPINGS", 0)
+    with pytest.raises(InputError):
+        begun(tmp_path)
+    assert thirds._cache_size() == 0
+    thirds(jnp.arange(7.0))
