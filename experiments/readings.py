@@ -1,8 +1,9 @@
 """Depth of finished runs, read in every way: how far it and its normals are from the truth in held-out views.
 
-    python experiments/readings.py RUN ... [--readings plane front]
+    python experiments/readings.py RUN ... [--readings plane front] [--picture FILE.png] [--view N]
 
-needs data sets with true depth or true normals. `gsjax.render.DepthReading` says what the readings are.
+needs data sets with true depth or true normals. `gsjax.render.DepthReading` says what the readings are. The picture
+shows the first run: a held-out view in its colours, and the normals of every reading.
 """
 
 import argparse
@@ -11,11 +12,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
-from gsjax import tables
+import numpy as np
+
+from gsjax import gallery, tables
 from gsjax.cli import guarded
 from gsjax.errors import InputError
 from gsjax.pipeline.evaluate import score_surface
-from gsjax.pipeline.result import open_result, scene_of_run
+from gsjax.pipeline.panels import draw_panels
+from gsjax.pipeline.pictures import surface_picture, to_bytes
+from gsjax.pipeline.result import Result, open_result, scene_of_run
 from gsjax.render import DepthReading
 
 READINGS: tuple[DepthReading, ...] = get_args(DepthReading)
@@ -35,12 +40,30 @@ def compare(folders: Sequence[str], readings: Sequence[DepthReading]) -> dict[st
     return figures
 
 
+def panels(result: Result, readings: Sequence[DepthReading], view: int) -> dict[str, np.ndarray]:
+    """`[H, W, 3]` uint8 pictures by their titles: one held-out view's colours, and the normals of every reading."""
+    held_out = [camera for camera, is_held_out in zip(result.cameras, result.held_out, strict=True) if is_held_out]
+    if not 0 <= view < len(held_out):
+        raise InputError(f"--view: the run holds out {len(held_out)} views; there is no view {view}")
+    camera, found = held_out[view], {}
+    for reading in readings:
+        picture = next(gallery.pictures(result.gaussians, [camera], result.background, reading))
+        found.setdefault("colours", to_bytes(picture.colors))
+        found[reading] = surface_picture(picture.depth, camera)
+    return found
+
+
 def main() -> None:
     """Reads the arguments and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", metavar="RUN", nargs="+", help="run folders")
     parser.add_argument("--readings", nargs="+", choices=READINGS, default=READINGS, help="(default: all)")
+    parser.add_argument("--picture", metavar="FILE", help="of the first run (.png)")
+    parser.add_argument("--view", type=int, default=0, metavar="N", help="of the held-out ones (default: 0)")
     arguments = parser.parse_args()
+    if arguments.picture is not None:
+        shown = panels(open_result(arguments.runs[0]), arguments.readings, arguments.view)
+        draw_panels(shown, arguments.picture, columns=len(shown))
     print(tables.compare(compare(arguments.runs, arguments.readings)))
 
 

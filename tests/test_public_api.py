@@ -42,6 +42,19 @@ def test_commands_and_settings_on_the_pages_are_right(page):
         config.parse(kind, config.override(whole, [assignment]))
 
 
+def test_every_study_benchmark_and_picture_has_its_command():
+    text, experiments = (DOCS / "reproducing.md").read_text(), DOCS.parent / "experiments"
+    benchmarks = (file for file in experiments.glob("benchmarks/*.py") if "__main__" in file.read_text())
+    assert not [file.name for file in benchmarks if f"benchmarks/{file.name}" not in text and file.stem != "steps"]
+    for command, folder in (("COMPARE", "studies"), ("REMESH", "remeshing")):
+        studies = {file.stem for file in experiments.glob(f"{folder}/*.py")}
+        assert studies == set(re.findall(rf"`{command} (\w+)", text))
+    pictures = {file.name for file in (DOCS / "assets").iterdir()}
+    assert pictures == {name for name in pictures if name in text}
+    for script in re.findall(r"`python (experiments/[\w/]+\.py)", text):
+        assert (DOCS.parent / script).is_file(), script
+
+
 def test_what_the_map_of_the_paper_points_to_exists():
     text = (DOCS / "paper_map.md").read_text()
     functions = re.findall(r"`(gsjax(?:\.\w+)+)`", text)

@@ -38,6 +38,19 @@ def test_every_reading_is_measured_by_itself(study):
         assert_close(np.float32(figures[f"run, {reading}"]["depth_error"]), np.float32(expected))
 
 
+def test_the_picture_shows_the_normals_of_every_reading(study):
+    camera = camera_at()
+    result = SimpleNamespace(
+        gaussians=study.module.open_result("run").gaussians, cameras=[camera], held_out=[True], background=np.zeros(3)
+    )
+    shown = study.module.panels(result, ["plane", "discs"], 0)
+    assert list(shown) == ["colours", "plane", "discs"]
+    inner = np.broadcast_to([127.5, 127.5, 255], (22, 30, 3))  # what half of 255 rounds to is not asked
+    np.testing.assert_allclose(shown["plane"][1:-1, 1:-1], inner, atol=0.5)
+    with pytest.raises(InputError, match="--view: the run holds out 1 views; there is no view 1"):
+        study.module.panels(result, ["plane"], 1)
+
+
 def test_without_truth_it_is_one_line(study):
     study.scene.truth = None
     with pytest.raises(InputError, match="scene: has neither true depth nor true normals of held-out views"):
