@@ -1,7 +1,10 @@
+import importlib.util
 import os
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "experiments/benchmarks"
 
@@ -40,3 +43,10 @@ def test_without_a_gpu_the_gpu_scripts_say_so_in_one_line(tmp_path):
 def test_a_peer_that_is_not_there_is_one_line(tmp_path):
     done = run("beside.py", "peer.py", folder=tmp_path)
     assert (done.returncode, done.stderr.splitlines()) == (2, ["gsjax: error: peer.py: no Python file"])
+
+
+@pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="torch is installed")
+def test_without_torch_gsplats_reference_is_one_line(tmp_path):
+    done = run("beside.py", "gsplat", folder=tmp_path)
+    message = "gsjax: error: gsplat: No module named 'torch': pip install gsplat torch"
+    assert (done.returncode, done.stderr.splitlines()) == (2, [message])

@@ -1,0 +1,171 @@
+"""Other rasterizers that `beside.py` times: what each does with the splats of one view, forward and with gradients.
+
+* A file: a tile rasterizer in JAX with `bin_pairs`, `forward` and `backward`; three channels, tiles in lockstep.
+* `gsplat`: the blending of gsplat's torch reference, `gsplat.cuda._torch_impl.accumulate`, with autograd. It makes no
+  lists of who meets which pixel (its CUDA kernels do) and sums along rays by nerfacc, CUDA too. So the lists are made
+  before the clock starts, and the sums are torch's: what is timed of it is less than what is timed of ours.
+"""
+
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from gsjax.errors import InputError
+
+TILE, LANES = 8, 256  # pixels, tiles: the fastest of the peer in JAX
+
+Task = Callable[[], Any]
+
+
+class Splats(NamedTuple):
+    """Projected splats of one view, and where ours puts them."""
+
+    projection: Any  # of one camera
+    opacities: Any  # [N]
+    colors: Any  # [N, 3]
+    grid: Any  # of tiles
+    pairs: Any  # the splats of every tile, front to back
+
+
+class Peer(NamedTuple):
+    """Another rasterizer."""
+
+    rules: Any  # thresholds that it has; ours takes them on
+    tasks: Callable[[Splats], tuple[Task, Task]]  # the image [H, W, 3] of splats, and the gradient of its squares' sum
+
+
+def peer_named(name: str) -> Peer:
+    """The peer of a file, or gsplat's.
+
+    Raises:
+        InputError: There is no such file, or no gsplat.
+    """
+    return _gsplat() if name == "gsplat" else _tiles(_imported(Path(name)))
+
+
+def _imported(file: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    if spec is None or spec.loader is None or not file.is_file():
+        raise InputError(f"{file}: no Python file")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _tiles(peer: ModuleType) -> Peer:
+    """It bins and blends."""
+    import jax
+    import jax.numpy as jnp
+
+    import rasterizer
+
+    def tasks(splats: Splats) -> tuple[Task, Task]:
+        projection, grid = splats.projection, splats.grid
+        width, height, across, down = grid.width, grid.height, grid.tiles_x, grid.tiles_y
+        where = projection.depths[0], projection.extents[0], projection.visible[0]
+        inputs = projection.means2d[0], projection.conics[0], splats.opacities, splats.colors
+        needed = int(peer.bin_pairs(inputs[0], *where, across, down, 1, TILE)[2])
+
+        def blended(inputs, where):
+            means2d, conics, opacities, colors = inputs
+            params = jnp.concatenate([means2d, conics, opacities[:, None], colors], -1)
+            pairs, offsets, _ = peer.bin_pairs(means2d, *where, across, down, needed, TILE)
+            return params, pairs, offsets, peer.forward(params, pairs, offsets, across, down, LANES, TILE)
+
+        def image(*arguments):
+            tiles = blended(*arguments)[3][0].reshape(down, across, 3, TILE, TILE)
+            return tiles.transpose(0, 3, 1, 4, 2).reshape(down * TILE, across * TILE, 3)[:height, :width]
+
+        def gradient(*arguments):
+            params, pairs, offsets, (lit, left, last) = blended(*arguments)
+            return peer.backward(params, pairs, offsets, left, last, 2 * lit, 0 * left, across, down, LANES, TILE)
+
+        compiled = jax.jit(image), jax.jit(gradient)
+        return tuple(lambda run=run: jax.block_until_ready(run(inputs, where)) for run in compiled)  # pyright: ignore[reportReturnType]
+
+    return Peer(rasterizer.GSPLAT, tasks)
+
+
+def _gsplat() -> Peer:
+    """It blends, along lists of pixels and splats that are there already."""
+    import rasterizer
+
+    try:
+        import torch
+        from gsplat.cuda import _torch_impl as reference
+    except ImportError as error:
+        raise InputError(f"gsplat: {error}: pip install gsplat torch") from None
+    sys.modules["nerfacc"] = _sums_along_rays(torch)  # gsplat imports it by name when it blends
+
+    def tasks(splats: Splats) -> tuple[Task, Task]:
+        import numpy as np
+
+        projection, grid = splats.projection, splats.grid
+        ids, pixels = (torch.tensor(each) for each in _met(splats, rasterizer.GSPLAT_1_5))
+        arrays = projection.means2d, projection.conics, splats.opacities[None], splats.colors[None]
+        inputs = [torch.tensor(np.array(each), requires_grad=True) for each in arrays]
+        only = torch.zeros_like(ids)
+
+        def blended():
+            return reference.accumulate(*inputs, ids, pixels, only, grid.width, grid.height)[0][0]
+
+        def image():
+            with torch.no_grad():
+                return blended()
+
+        return image, lambda: torch.autograd.grad((blended() ** 2).sum(), inputs)
+
+    return Peer(rasterizer.GSPLAT_1_5, tasks)
+
+
+def _met(splats: Splats, rules: Any) -> tuple[Any, Any]:
+    """`[M]` splats, and the pixels that draw them (counted row by row): pixel by pixel, front to back."""
+    import numpy as np
+
+    projection, grid = splats.projection, splats.grid
+    means2d, conics = np.asarray(projection.means2d[0], np.float64), np.asarray(projection.conics[0], np.float64)
+    opacities, listed = np.asarray(splats.opacities, np.float64), np.asarray(splats.pairs.splats)
+    offsets = np.asarray(splats.pairs.offsets)
+    rows, columns = np.indices((grid.tile_size, grid.tile_size)).reshape(2, -1)
+    found = []
+    for tile in range(grid.num_tiles):
+        ids = listed[offsets[tile] : offsets[tile + 1]]
+        column, row = tile % grid.tiles_x, tile // grid.tiles_x
+        across, down = column * grid.tile_size + columns, row * grid.tile_size + rows
+        inside = (across < grid.width) & (down < grid.height)
+        away_x, away_y = across[inside, None] + 0.5 - means2d[ids, 0], down[inside, None] + 0.5 - means2d[ids, 1]
+        a, b, c = conics[ids].T
+        alphas = opacities[ids] * np.exp(-0.5 * (a * away_x**2 + c * away_y**2) - b * away_x * away_y)
+        alphas = np.where(alphas < rules.alpha_min, 0, np.minimum(alphas, rules.alpha_max))
+        drawn = (alphas > 0) & (np.cumprod(1 - alphas, -1) > rules.transmittance_min)
+        pixel, place = np.nonzero(drawn)
+        found.append((ids[place], (down[inside] * grid.width + across[inside])[pixel]))
+    ids, pixels = (np.concatenate(each).astype(np.int64) for each in zip(*found, strict=True))
+    order = np.argsort(pixels, kind="stable")
+    return ids[order], pixels[order]
+
+
+def _sums_along_rays(torch: Any) -> ModuleType:
+    """The two functions of nerfacc that gsplat's reference calls, for samples in the order of their rays."""
+
+    def render_weight_from_alpha(alphas, *, ray_indices, n_rays):
+        del n_rays
+        # In float64: one running sum over all rays would cost the last ones their digits.
+        seen = torch.cumsum(torch.log1p(-alphas.double()), 0)
+        before = seen - torch.log1p(-alphas.double())
+        first = torch.searchsorted(ray_indices, ray_indices)
+        transmittances = torch.exp(before - before[first]).to(alphas.dtype)
+        return transmittances * alphas, transmittances
+
+    def accumulate_along_rays(weights, values, *, ray_indices, n_rays):
+        weighted = weights[:, None] if values is None else weights[:, None] * values
+        return weighted.new_zeros(n_rays, weighted.shape[-1]).index_add(0, ray_indices, weighted)
+
+    module = ModuleType("nerfacc")
+    module.__dict__.update(
+        render_weight_from_alpha=render_weight_from_alpha, accumulate_along_rays=accumulate_along_rays
+    )
+    return module
