@@ -17,14 +17,18 @@ from scipy.spatial import KDTree
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
+from gsjax.pipeline.diagnose import diagnosed
 from gsjax.pipeline.pace import FIXED_COST, relative_cost
 from gsjax.pipeline.sizes import at_size, training_extent
+from gsjax.pipeline.trials import SCORED, STEPS, is_near, is_worthwhile
 from gsjax.scene import Frame, Scene, in_memory
-from gsjax.settings import LENGTHS, Settings, total_steps
+from gsjax.settings import AUTO, LENGTHS, NONE, SIMULATED, Phase, Settings, total_steps
 from gsjax.training import initialize, loop, optimizers, surroundings
 from gsjax.training.loop import Progress, planned_phases
+from gsjax.training.losses import NEEDS_NORMALS
 from gsjax.training.rules import RULES
 from gsjax.training.state import initial_state
+from gsjax.training.step import active_terms
 from gsjax.views import NORMAL_UNIT
 
 RESERVED = 0.1  # of a budget, for what no step does: photos, normals, scores
@@ -37,6 +41,7 @@ HALF_GROWN = 0.5  # of these, over a phase in which they multiply
 WIDENED = 1.4  # by training: pairs of four runs on real photos end at 0.7 to 1.0 of what a trial then has
 PER_GAUSSIAN = 0.7  # of a step's time, what grows with the number of Gaussians (docs/accuracy_vs_time.md, every knob)
 FEWEST_STEPS = 50  # of a run
+OWN_PROGRAMS, OWN_MAP = 2.0, 1.4  # times a plain step's: compiling what makes maps of own depth, and making one
 
 Clock = Callable[[], float]
 
@@ -46,6 +51,8 @@ class Trial(NamedTuple):
 
     seconds_per_step: tuple[float, ...]  # on average, while Gaussians multiply
     overhead: float  # seconds, of compiling all of them; one that multiplies again, for a longer list of pairs
+    plain_step: float  # seconds, of the image alone at full size, when all Gaussians are there
+    plain_program: float  # seconds that compiling one takes
 
 
 class Choice(NamedTuple):
@@ -88,8 +95,13 @@ def budgeted(
     loaded, sized = scenes[name]
     if name != first:
         trial = tried(loaded, sized, most=TRIED_SHARE * seconds, clock=clock)
-    left = (1 - RESERVED) * seconds - SCORING - (clock() - started) - trial.overhead
+    looking, near = _looked(loaded, sized, clock)
+    left = (1 - RESERVED) * seconds - SCORING - (clock() - started) - trial.overhead - looking
+    left -= _mapping(loaded, sized, trial)
     factor = left / _length(trial, sized)
+    if near and is_worthwhile(scaled(sized, factor)):
+        left -= _trying(near, trial)
+        factor = left / _length(trial, sized)
     if name == LENGTHS[-1]:
         factor = min(factor, 1.0)
     if factor * total_steps(sized) < FEWEST_STEPS:
@@ -146,21 +158,21 @@ def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.
     size = training_extent(scene)
     spread = np.linspace(0, len(scene.train_frames) - 1, PHOTOS).astype(int)
     frames = tuple(in_memory(scene.train_frames[index]) for index in dict.fromkeys(spread.tolist()))
-    compiling, known = {}, {}
+    compiling, known, at_full = {}, {}, {}
     phases = [replace(phase, name="", steps=WARM + TIMED, cull_below=0.0) for phase in planned_phases(settings)]
     for phase in phases:
         # What smaller photos save is known well enough to spare their program.
         full = replace(phase, image_scale=1)
-        if full not in known:
+        if full not in at_full:
             moments = _moments(scene, frames, size, replace(settings, phases=(full,), vanilla=False), most, clock)
             pace = float(np.median(np.diff(moments[WARM:])))
-            known[full] = pace, max(moments[WARM] - moments[0] - WARM * pace, 0.0)
-        pace, compiling[phase] = known[full]
-        known[phase] = pace * relative_cost(phase) / relative_cost(full), compiling[phase]
+            at_full[full] = pace, max(moments[WARM] - moments[0] - WARM * pace, 0.0)
+        pace, compiling[phase] = at_full[full]
+        known[phase] = pace * relative_cost(phase) / relative_cost(full)
     shares = shares_alive(settings, len(scene.points))
-    paces = [known[p][0] * (1 - PER_GAUSSIAN * (1 - share)) for p, share in zip(phases, shares, strict=True)]
+    paces = [known[p] * (1 - PER_GAUSSIAN * (1 - share)) for p, share in zip(phases, shares, strict=True)]
     again = max((seconds for phase, seconds in compiling.items() if phase.density_control), default=0.0)
-    return Trial(tuple(paces), sum(compiling.values()) + again)
+    return Trial(tuple(paces), sum(compiling.values()) + again, *min(at_full.values()))
 
 
 def shares_alive(settings: Settings, points: int) -> list[float]:
@@ -236,6 +248,30 @@ def _grown(scene: Scene, settings: Settings) -> Gaussians:
         pixel_filter=settings.pixel_filter,
     )
     return replace(gaussians, log_scales=gaussians.log_scales + math.log(WIDENED))
+
+
+def _looked(scene: Scene, settings: Settings, clock: Clock) -> tuple[float, list[str]]:
+    """Seconds of looking for effects, and which of them a trial would decide."""
+    if settings.effects == NONE:
+        return 0.0, []
+    began = clock()
+    found = diagnosed(scene)
+    near = [name for name in SIMULATED if settings.effects == AUTO and is_near(name, found.effects[name])]
+    return clock() - began, near
+
+
+def _trying(near: Sequence[str], trial: Trial) -> float:
+    """Seconds of trials of effects, on photos of half the size."""
+    steps = (2 + len(near)) * (STEPS + SCORED)
+    return (1 + len(near)) * trial.plain_program + steps * trial.plain_step * relative_cost(Phase("", 1, image_scale=2))
+
+
+def _mapping(scene: Scene, settings: Settings, trial: Trial) -> float:
+    """Seconds of making the normal maps of the run's own depth, if a phase asks for them."""
+    asked = any(not NEEDS_NORMALS.isdisjoint(active_terms(phase.weights)) for phase in planned_phases(settings))
+    if settings.normals is not None or not asked:
+        return 0.0
+    return OWN_PROGRAMS * trial.plain_program + OWN_MAP * trial.plain_step * len(scene.train_frames)
 
 
 def _length(trial: Trial, settings: Settings) -> float:

@@ -9,10 +9,11 @@ from photographed_wall import wall
 
 from gsjax.cli import parsers
 from gsjax.config import parse
+from gsjax.effects.evidence import Cost, Evidence
 from gsjax.errors import InputError
 from gsjax.pipeline import budget
 from gsjax.pipeline.budget import Trial
-from gsjax.settings import LENGTHS, PRESETS, Density, Phase, Rates, Settings, total_steps
+from gsjax.settings import LENGTHS, PRESETS, SIMULATED, Density, Phase, Rates, Settings, total_steps
 from gsjax.training.density_control import is_alive
 
 NAMED = {name: parse(Settings, PRESETS[name]) for name in LENGTHS}
@@ -57,21 +58,32 @@ def test_all_that_is_due_at_a_step_is_scaled_with_the_phases():
 
 
 class Machine:
-    """A clock, a data set of photos of 1000x1000, and phases that take what a test says."""
+    """A clock, a data set of 20 photos of 1000x1000, and phases that take what a test says."""
 
-    def __init__(self, monkeypatch, **paces):
-        self.now, self.paces, self.tried = 0.0, paces, []
+    def __init__(self, monkeypatch, *, evidence=0.0, **paces):
+        self.now, self.paces, self.tried, self.evidence = 0.0, paces, [], evidence
         monkeypatch.setattr(budget, "at_size", self.at_size)
         monkeypatch.setattr(budget, "tried", self.try_out)
+        monkeypatch.setattr(budget, "diagnosed", self.diagnosed)
 
     def at_size(self, scene, settings):
-        return SimpleNamespace(), replace(settings, downscale=2.0 if settings.cpu_pixels else 1.0), ""
+        photos = SimpleNamespace(train_frames=(None,) * 20)
+        return photos, replace(settings, downscale=2.0 if settings.cpu_pixels else 1.0), ""
+
+    def diagnosed(self, scene):
+        self.now += 3.0
+        clear = {name: Evidence(False, 0.0, "", 0.0, 1.0, Cost(), "") for name in SIMULATED}
+        return SimpleNamespace(effects=clear | {"exposure": Evidence(True, self.evidence, "", 0.0, 1.0, Cost(), "")})
 
     def try_out(self, scene, settings, *, most, clock):
         name = next(name for name, each in NAMED.items() if each.phases == settings.phases)
         self.tried.append((name, most))
         self.now += 4.0
-        return Trial((self.paces[name],) * len(settings.phases), 6.0)
+        return Trial((self.paces[name],) * len(settings.phases), 6.0, self.paces[name], 2.0)
+
+    def beside_steps(self, name):
+        """Of one preset that was tried: 3 s of looking, twice, and 20 maps of a plain step and two fifths."""
+        return 4.0 * len(self.tried) + 6.0 + 2 * 3.0 + 2 * 2.0 + 20 * 1.4 * self.paces[name]
 
     def budgeted(self, seconds, candidates=NAMED):
         return budget.budgeted("scene", candidates, seconds, clock=lambda: self.now)
@@ -87,7 +99,7 @@ def test_the_preset_is_the_one_whose_own_length_is_nearest(monkeypatch, seconds,
     assert [name for name, _ in machine.tried] == list(dict.fromkeys(["fast", expected]))
     assert all(most == 0.1 * seconds for _, most in machine.tried)
     took = machine.paces[expected] * total_steps(choice.settings)
-    left = 0.9 * seconds - budget.SCORING - 4.0 * len(machine.tried) - 6.0
+    left = 0.9 * seconds - budget.SCORING - machine.beside_steps(expected)
     if seconds == 1e7:
         assert choice.settings == replace(NAMED["accurate"], downscale=1.0)  # never longer than it is
     else:
@@ -99,15 +111,38 @@ def test_the_preset_is_the_one_whose_own_length_is_nearest(monkeypatch, seconds,
 def test_a_preset_that_is_named_is_only_scaled(monkeypatch):
     machine = Machine(monkeypatch, fast=0.1)
     choice = machine.budgeted(10_000, {"fast": NAMED["fast"]})
-    assert total_steps(choice.settings) == pytest.approx((9000 - 10 - budget.SCORING) / 0.1, rel=0.01)
+    left = 9000 - budget.SCORING - machine.beside_steps("fast")
+    assert total_steps(choice.settings) == pytest.approx(left / 0.1, rel=0.01)
     assert choice.settings.max_gaussians == NAMED["fast"].max_gaussians
+
+
+@pytest.mark.parametrize(("seconds", "evidence", "tries"), [(1000, 1.2, True), (1000, 1.6, False), (90, 1.2, False)])
+def test_time_for_the_trial_of_an_effect_is_kept_where_there_will_be_one(monkeypatch, seconds, evidence, tries):
+    """Evidence near its threshold asks for one, but in a run too short for trials."""
+    machine = Machine(monkeypatch, evidence=evidence, fast=0.1)
+    steps = total_steps(machine.budgeted(seconds, {"fast": NAMED["fast"]}).settings)
+    left = 0.9 * seconds - budget.SCORING - machine.beside_steps("fast")
+    # Two programs, and three times 60 steps and 16 scores at half the size.
+    trial = 2 * 2.0 + 3 * (60 + 16) * 0.1 * (budget.FIXED_COST + (1 - budget.FIXED_COST) / 4)
+    assert steps == pytest.approx((left - tries * trial) / 0.1, abs=2)
+
+
+def test_maps_of_own_depth_take_time_where_a_phase_asks_for_them_and_none_are_given(monkeypatch):
+    machine = Machine(monkeypatch, fast=0.1)
+    own, given, plain = (
+        total_steps(machine.budgeted(500, {"fast": replace(NAMED["fast"], effects="none", **change)}).settings)
+        for change in ({}, {"normals": "maps"}, {"vanilla": True})
+    )
+    # The machine's clock has gone on by a trial of 4 s each time, which each budget counts for itself.
+    assert given == plain == pytest.approx(own + (2 * 2.0 + 20 * 1.4 * 0.1) / 0.1, abs=3)
 
 
 @pytest.mark.parametrize("vanilla", [False, True])
 @pytest.mark.parametrize("seconds", [3, 10, 14])
 def test_too_short_a_budget_is_one_line_that_names_the_least_and_what_needs_less(monkeypatch, seconds, vanilla):
     machine = Machine(monkeypatch, fast=0.1)
-    with pytest.raises(InputError, match="too short for this data set here, where even 50 steps take 26 s") as caught:
+    least = 32 if vanilla else 40  # maps of the run's own depth take the rest
+    with pytest.raises(InputError, match=f"data set here, where even 50 steps take {least} s") as caught:
         machine.budgeted(seconds, {"fast": replace(NAMED["fast"], vanilla=vanilla)})
     assert "\n" not in str(caught.value)
     assert ("--vanilla" in str(caught.value)) == (not vanilla)
@@ -159,6 +194,7 @@ def test_a_trial_takes_the_median_of_a_few_steps_of_every_kind_of_phase(monkeypa
     # a, b and d are programs of their own, b and c one; of the first 2 steps one compiles.
     # One that multiplies once more, for a longer list of pairs.
     assert trial.overhead == pytest.approx(3 * (20 - 1.0) + (20 - 2.0))
+    assert (trial.plain_step, trial.plain_program) == (1.0, pytest.approx(20 - 1.0))
     assert seen == [((10, 8), (300, 300))] * 2
     growing = replace(SETTINGS, density=Density(rule="error", start=800, stop=1_000, full_by=1.0))
     slower = budget.tried(photos, growing, most=1e9, clock=lambda: now[0]).seconds_per_step
