@@ -105,31 +105,17 @@ def _gradient_map(
 def pixel_depth_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
     """`[H, W, 3]` the same gradient of the same estimate, taken at the surface point of every pixel: no compositing.
 
-    At a pixel's centre the depth that is read has a slope on either side, and the estimate two gradients along each
-    axis of the image. Their mean is taken, with hardly anything of one that is far longer: where a surface ends before
-    another, no slope is that of the jump between them. By the chain rule the gradient is the cross product of the two
-    steps, unprojected.
+    By the chain rule it is the cross product of the depth map's central differences, unprojected.
     """
     del gaussians
     points = cameras.unproject(view.depth, camera)
+    right = jnp.roll(points, -1, 1) - jnp.roll(points, 1, 1)
+    down = jnp.roll(points, -1, 0) - jnp.roll(points, 1, 0)
     covered = jnp.pad(points[..., 2] > 0, 1)
     stencil = covered[1:-1, :-2] & covered[1:-1, 2:] & covered[:-2, 1:-1] & covered[2:, 1:-1]
     # Unit steps: a pixel's footprint in scene units is tiny, its square would pass for "too short to have a direction".
-    right, down = (safe_normalize(_step_along(points, axis), eps=1e-24) for axis in (1, 0))
+    right, down = (safe_normalize(step, eps=1e-24) for step in (right, down))
     return jnp.where(stencil[..., None], jnp.cross(down, right), 0)
-
-
-def _step_along(points: Array, axis: int) -> Array:
-    """`[H, W, 3]` mean of the steps to the next of `points` and from the one before.
-
-    Each counts by the inverse fourth power of its length. These weights have no gradient: R turns the slopes that are
-    there, it does not choose between them.
-    """
-    steps = jnp.roll(points, -1, axis) - points, points - jnp.roll(points, 1, axis)
-    ahead, behind = (jax.lax.stop_gradient(jnp.sum(step * step, -1, keepdims=True)) for step in steps)
-    share = ahead / jnp.maximum(ahead + behind, 1e-37)  # of the squared lengths
-    to_next, to_last = jnp.square(1 - share), jnp.square(share)
-    return (to_next * steps[0] + to_last * steps[1]) / (to_next + to_last)
 
 
 def smallest_axis_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:

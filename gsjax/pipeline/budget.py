@@ -41,6 +41,7 @@ HALF_GROWN = 0.5  # of these, over a phase in which they multiply
 WIDENED = 1.4  # by training: pairs of four runs on real photos end at 0.7 to 1.0 of what a trial then has
 PER_GAUSSIAN = 0.7  # of a step's time, what grows with the number of Gaussians (docs/accuracy_vs_time.md, every knob)
 FEWEST_STEPS = 50  # of a run
+MORE_STEPS = 150  # plain ones that a run takes time for besides its own: at first Gaussians are wider than a trial's
 OWN_PROGRAMS, OWN_MAP = 2.0, 1.4  # times a plain step's: compiling what makes maps of own depth, and making one
 
 Clock = Callable[[], float]
@@ -97,7 +98,7 @@ def budgeted(
         trial = tried(loaded, sized, most=TRIED_SHARE * seconds, clock=clock)
     looking, near = _looked(loaded, sized, clock)
     left = (1 - RESERVED) * seconds - SCORING - (clock() - started) - trial.overhead - looking
-    left -= _mapping(loaded, sized, trial)
+    left -= _mapping(loaded, sized, trial) + MORE_STEPS * trial.plain_step
     factor = left / _length(trial, sized)
     if near and is_worthwhile(scaled(sized, factor)):
         left -= _trying(near, trial)
