@@ -23,7 +23,6 @@ class Term(NamedTuple):
     cost: float  # of a step with it, in plain ones
     weights: dict[str, float]
     every: int = 1  # one of so many steps has it
-    share: float = 1.0  # of the time that has it, before steps of the image alone
 
 
 TERMS = {
@@ -57,14 +56,12 @@ def at_equal_time(phases: list[dict], terms: dict[str, Term], *, depth_mode: str
     time = terms["ours, demo"].cost * last["steps"]
     shared = {"rates": {"decay_steps": sum(phase["steps"] for phase in phases)}, "depth_mode": depth_mode}
 
-    def ending(term: Term) -> list[dict]:
-        steps = round(term.share * time / (1 + (term.cost - 1) / term.every))
-        having = {**last, "steps": steps, "weights": term.weights, "surface_every": term.every}
-        plain = {**last, "name": "plain", "steps": round((1 - term.share) * time), "weights": {}}
-        return [having, plain] if term.share < 1 else [having]
+    def ending(term: Term) -> dict:
+        steps = round(time / (1 + (term.cost - 1) / term.every))
+        return {**last, "steps": steps, "weights": term.weights, "surface_every": term.every}
 
     return {
-        name: {"phases": [*first, *ending(term)]}
+        name: {"phases": [*first, ending(term)]}
         | ({} if NORMAL_TERMS.isdisjoint(term.weights) else {"normals": "{scene}/normals"})
         | shared
         for name, term in terms.items()

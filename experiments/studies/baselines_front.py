@@ -1,4 +1,4 @@
-"""What makes meshes, with depth read in front by every method: `baselines.py` so, and R in a part of the steps too.
+"""What makes meshes, with depth read in front by every method: `baselines.py` so, and R in every fourth step too.
 
 Costs are those of a step on the built-in scene (`benchmarks/steps.py baselines_front RUN`), in plain ones.
 """
@@ -9,14 +9,10 @@ from gsjax.settings import DEMO
 
 
 def in_front(phases: list[dict], costs: dict[str, float]) -> dict[str, dict]:
-    """Variants by name: what `costs` names, and R at the pixels in every fourth step or in the first half alone."""
+    """Variants by name: what `costs` names, and R at the pixels in every fourth step, with depth in front."""
     terms = {name: TERMS[name]._replace(cost=cost) for name, cost in costs.items()}
-    always = Term(costs["ours, pixel_normal"], {"pixel_normal": 0.2})
-    terms |= {
-        "ours, pixel_normal in every 4th step": always._replace(every=4),
-        "ours, pixel_normal in the first half": always._replace(share=0.5),
-    }
-    return at_equal_time(phases, terms, depth_mode="front")
+    rarer = Term(costs["ours, pixel_normal"], {"pixel_normal": 0.2}, every=4)
+    return at_equal_time(phases, {**terms, "ours, pixel_normal in every 4th step": rarer}, depth_mode="front")
 
 
 _COSTS = {
