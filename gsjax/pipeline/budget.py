@@ -31,7 +31,7 @@ from gsjax.training.state import initial_state
 from gsjax.training.step import active_terms
 from gsjax.views import NORMAL_UNIT
 
-RESERVED = 0.1  # of a budget, for what no step does: photos, normals, scores
+RESERVED = 0.1  # of a budget, for photos, scores and what else no step does
 SCORING = 8.0  # seconds besides, for programs that score
 TRIED_SHARE = 0.1  # of a budget, for the steps that are tried of each phase
 WARM, TIMED = 2, 8  # steps of a phase: the first ones compile, the next ones are timed
@@ -41,7 +41,8 @@ HALF_GROWN = 0.5  # of these, over a phase in which they multiply
 WIDENED = 1.4  # by training: pairs of four runs on real photos end at 0.7 to 1.0 of what a trial then has
 PER_GAUSSIAN = 0.7  # of a step's time, what grows with the number of Gaussians (docs/accuracy_vs_time.md, every knob)
 FEWEST_STEPS = 50  # of a run
-MORE_STEPS = 150  # plain ones that a run takes time for besides its own: at first Gaussians are wider than a trial's
+# At first Gaussians are wider than a trial's: time for so many plain steps more, at most for half of a run's own.
+WIDER_STEPS, WIDER_SHARE = 150, 0.5
 OWN_PROGRAMS, OWN_MAP = 2.0, 1.4  # times a plain step's: compiling what makes maps of own depth, and making one
 
 Clock = Callable[[], float]
@@ -98,16 +99,17 @@ def budgeted(
         trial = tried(loaded, sized, most=TRIED_SHARE * seconds, clock=clock)
     looking, near = _looked(loaded, sized, clock)
     left = (1 - RESERVED) * seconds - SCORING - (clock() - started) - trial.overhead - looking
-    left -= _mapping(loaded, sized, trial) + MORE_STEPS * trial.plain_step
-    factor = left / _length(trial, sized)
+    left -= _mapping(loaded, sized, trial)
+    factor = _factor(trial, sized, left)
     if near and is_worthwhile(scaled(sized, factor)):
         left -= _trying(near, trial)
-        factor = left / _length(trial, sized)
+        factor = _factor(trial, sized, left)
     if name == LENGTHS[-1]:
         factor = min(factor, 1.0)
     if factor * total_steps(sized) < FEWEST_STEPS:
         before = (1 - RESERVED) * seconds - left
-        least = (before + _length(trial, sized) * FEWEST_STEPS / total_steps(sized)) / (1 - RESERVED)
+        a_step = _length(trial, sized) / total_steps(sized) + WIDER_SHARE * trial.plain_step
+        least = (before + FEWEST_STEPS * a_step) / (1 - RESERVED)
         plainer = "" if sized.vanilla else "; --vanilla has no surface phase to compile and needs less"
         raise InputError(
             f"--budget of {seconds:g} s: too short for this data set here, where even {FEWEST_STEPS} steps"
@@ -273,6 +275,13 @@ def _mapping(scene: Scene, settings: Settings, trial: Trial) -> float:
     if settings.normals is not None or not asked:
         return 0.0
     return OWN_PROGRAMS * trial.plain_program + OWN_MAP * trial.plain_step * len(scene.train_frames)
+
+
+def _factor(trial: Trial, settings: Settings, left: float) -> float:
+    """How many times its steps a run takes in so many seconds."""
+    whole = _length(trial, settings)
+    short = left / (whole + WIDER_SHARE * total_steps(settings) * trial.plain_step)
+    return max(short, (left - WIDER_STEPS * trial.plain_step) / whole)
 
 
 def _length(trial: Trial, settings: Settings) -> float:
