@@ -29,7 +29,7 @@ from gsjax.effects.poses import Move
 from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.pipeline.diagnose import Looked, looked_at
-from gsjax.pipeline.trials import WORTH, Trial, is_near
+from gsjax.pipeline.trials import WORTH, Trial, is_near, is_worthwhile
 from gsjax.scene import Frame, Scene
 from gsjax.settings import AUTO, NONE, SIMULATED, Settings, named_effects, total_steps
 
@@ -87,7 +87,7 @@ def joined(settings: Settings, scene: Scene, trial: Trial | None = None, looked:
     Args:
         settings: The run.
         scene: Its data set, at the size that is trained on.
-        trial: Decides, of "auto", where evidence is near its threshold. None: the threshold does.
+        trial: Decides, of "auto", where evidence is near its threshold. None, or a short run: the threshold does.
         looked: What `looked_at` found, if it was asked.
 
     Raises:
@@ -106,7 +106,7 @@ def joined(settings: Settings, scene: Scene, trial: Trial | None = None, looked:
         found = replace(found, effects=found.effects | {"background": _laid(found.effects["background"], settings)})
         near = [name for name in near if name != "background"]
     if is_auto:
-        if trial is not None:
+        if trial is not None and is_worthwhile(settings):
             found = replace(found, effects=found.effects | _tried(found, near, trial))
         wanted = {name for name in SIMULATED if found.effects[name].on}
     chosen = [name for name in SIMULATED if name in wanted]

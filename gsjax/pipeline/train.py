@@ -35,7 +35,7 @@ from gsjax.pipeline.report import report
 from gsjax.pipeline.result import write_views
 from gsjax.pipeline.shown_views import keeper
 from gsjax.pipeline.sizes import at_size, training_extent
-from gsjax.pipeline.trials import gains, is_worthwhile
+from gsjax.pipeline.trials import gains
 from gsjax.scene import Scene, in_memory
 from gsjax.settings import Settings, total_steps
 from gsjax.training import density_control, initialize, optimizers, surroundings
@@ -115,7 +115,7 @@ def _train(
         out, settings.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
     )
     trial = partial(gains, settings, frames, size, partial(trial_start, loaded, settings))
-    taken_in = joined(asked, loaded, trial if is_worthwhile(settings) else None, looked)
+    taken_in = joined(asked, loaded, trial, looked)
     as_dict, settings = config.to_dict(settings), without_neighbors(in_larger_steps(taken_in.paced(settings)))
     optimizer = optimizers.make_optimizer(
         settings.rates,

@@ -14,10 +14,11 @@ from gsjax.io.scenes import load_scene
 from gsjax.pipeline.effects import joined
 from gsjax.pipeline.sizes import training_extent
 from gsjax.pipeline.train import trial_start
-from gsjax.pipeline.trials import NEAR, gains, is_near
+from gsjax.pipeline.trials import FEWEST_STEPS, NEAR, gains, is_near
 from gsjax.settings import Phase, Settings
 
 SETTINGS = Settings(background="white", phases=(Phase("vanilla", 300),), sh_degree=1, effects="auto")
+LONG = replace(SETTINGS, phases=(Phase("vanilla", FEWEST_STEPS),))
 
 
 def evidence(value):
@@ -64,14 +65,18 @@ def test_a_trial_has_the_last_word_and_the_evidence_tells_of_it(gain, on):
         asked.append((list(others), list(near)))
         return dict.fromkeys(near, gain)
 
-    found = joined(SETTINGS, photos, trial)
+    found = joined(LONG, photos, trial)
     assert asked == [([], ["exposure"])]
     assert ("exposure" in found.effects) == on
     told = found.evidence["evidence"]["exposure"]
     assert told["on"] == on
     assert told["note"].startswith(f"near its threshold, a trial of it brings +{gain} dB (needs 0.1); ")
-    assert "exposure" in joined(SETTINGS, photos).effects
+    assert "exposure" in joined(LONG, photos).effects
     strong = relit(scene, lambda index, *_: 5 * true[index])
     asked.clear()
-    assert "exposure" in joined(SETTINGS, strong, trial).effects
+    assert "exposure" in joined(LONG, strong, trial).effects
+    assert not asked
+    # A step fewer, and the run is too short for a trial to tell.
+    short = replace(SETTINGS, phases=(Phase("vanilla", FEWEST_STEPS - 1),))
+    assert "exposure" in joined(short, photos, trial).effects
     assert not asked
