@@ -5,6 +5,9 @@ import argparse
 from gsjax.cli.parsers import add_command
 from gsjax.settings import PRESETS
 
+REFINED = {"quick": "fast", "fast": "fast", "balanced": "balanced"}
+"""How long the mesh of a training preset is refined; of any other, `long`."""
+
 
 def add_to(commands: argparse._SubParsersAction) -> None:
     """Adds the command."""
@@ -34,13 +37,13 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import config, pipeline, tables
-    from gsjax.binding.refining import PRESETS as LENGTHS
+    from gsjax.binding.refining import PRESETS as REFINEMENTS
     from gsjax.binding.refining import Refinement
     from gsjax.cli.train import overridden
     from gsjax.pipeline.scan import table
 
     settings = overridden(PRESETS[arguments.preset], arguments, "seed", "downscale", "hold_out")
-    length = LENGTHS.get(arguments.preset, LENGTHS["long"])  # that of the same name, where there is one
+    length = REFINEMENTS[REFINED.get(arguments.preset, "long")]
     refinement = config.parse(Refinement, config.merge(length, {"seed": settings.seed}))
     report = pipeline.scan(arguments.source, arguments.out, settings, refinement, frames=arguments.frames)
     print(tables.compare(table(report)))

@@ -108,7 +108,7 @@ def budgeted(
         factor = min(factor, 1.0)
     if factor * total_steps(sized) < FEWEST_STEPS:
         before = (1 - RESERVED) * seconds - left
-        a_step = _length(trial, sized) / total_steps(sized) + WIDER_SHARE * trial.plain_step
+        a_step = _length(trial, sized) / total_steps(sized) + WIDER_SHARE * _first_step(trial, sized)
         least = (before + FEWEST_STEPS * a_step) / (1 - RESERVED)
         plainer = "" if sized.vanilla else "; --vanilla has no surface phase to compile and needs less"
         raise InputError(
@@ -150,7 +150,9 @@ def scaled(settings: Settings, factor: float) -> Settings:
 
 
 def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.perf_counter) -> Trial:
-    """Times the first steps of every kind of phase, at full size, each for `most` seconds at the longest.
+    """Times the first steps of every kind of phase, each for `most` seconds at the longest.
+
+    All at the largest size that the run's phases have.
 
     Args:
         scene: The data set, of the size that the run looks at.
@@ -163,9 +165,10 @@ def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.
     frames = tuple(in_memory(scene.train_frames[index]) for index in dict.fromkeys(spread.tolist()))
     compiling, known, at_full = {}, {}, {}
     phases = [replace(phase, name="", steps=WARM + TIMED, cull_below=0.0) for phase in planned_phases(settings)]
+    largest = _largest(settings)
     for phase in phases:
         # What smaller photos save is known well enough to spare their program.
-        full = replace(phase, image_scale=1)
+        full = replace(phase, image_scale=largest.image_scale)
         if full not in at_full:
             moments = _moments(scene, frames, size, replace(settings, phases=(full,), vanilla=False), most, clock)
             pace = float(np.median(np.diff(moments[WARM:])))
@@ -175,7 +178,9 @@ def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.
     shares = shares_alive(settings, len(scene.points))
     paces = [known[p] * (1 - PER_GAUSSIAN * (1 - share)) for p, share in zip(phases, shares, strict=True)]
     again = max((seconds for phase, seconds in compiling.items() if phase.density_control), default=0.0)
-    return Trial(tuple(paces), sum(compiling.values()) + again, *min(at_full.values()))
+    plain_pace, plain_program = min(at_full.values())
+    plain_step = plain_pace / relative_cost(largest)
+    return Trial(tuple(paces), sum(compiling.values()) + again, plain_step, plain_program)
 
 
 def shares_alive(settings: Settings, points: int) -> list[float]:
@@ -279,9 +284,18 @@ def _mapping(scene: Scene, settings: Settings, trial: Trial) -> float:
 
 def _factor(trial: Trial, settings: Settings, left: float) -> float:
     """How many times its steps a run takes in so many seconds."""
-    whole = _length(trial, settings)
-    short = left / (whole + WIDER_SHARE * total_steps(settings) * trial.plain_step)
-    return max(short, (left - WIDER_STEPS * trial.plain_step) / whole)
+    whole, first = _length(trial, settings), _first_step(trial, settings)
+    return max(left / (whole + WIDER_SHARE * total_steps(settings) * first), (left - WIDER_STEPS * first) / whole)
+
+
+def _first_step(trial: Trial, settings: Settings) -> float:
+    """Seconds of a step of the image alone on the run's largest photos."""
+    return trial.plain_step * relative_cost(_largest(settings))
+
+
+def _largest(settings: Settings) -> Phase:
+    """A phase of the image alone, its photos as large as any that the run looks at."""
+    return Phase("", 1, image_scale=min(phase.image_scale for phase in planned_phases(settings)))
 
 
 def _length(trial: Trial, settings: Settings) -> float:

@@ -16,7 +16,7 @@ from gsjax import cli, config
 from gsjax.cli import environment
 from gsjax.errors import InputError
 from gsjax.io import runs
-from gsjax.settings import PRESETS, Phase, Settings
+from gsjax.settings import LENGTHS, PRESETS, Phase, Settings
 
 COMMANDS = (
     "demo", "scan", "sfm", "normals", "train", "mesh", "refine", "texture", "eval", "render", "report", "compare",
@@ -146,7 +146,7 @@ def test_a_budget_chooses_the_settings_once_and_a_resumed_run_keeps_them(library
     assert (settings.sh_every, settings.seed) == (77, 3)
     assert capsys.readouterr().err.splitlines() == ["budget of 10m: fast, 0.5 times its steps"]
     train_settings(library, "--out", run, "--budget", "1h", "--preset", "balanced")
-    assert asked == [("scene", ["fast", "balanced", "accurate"], 600), ("scene", ["balanced"], 3600)]
+    assert asked == [("scene", list(LENGTHS), 600), ("scene", ["balanced"], 3600)]
 
     runs.create(run, config.to_dict(settings), scene="scene", seed=3)
     assert train_settings(library, "--out", run, "--budget", "10m", "--resume")[0] == settings

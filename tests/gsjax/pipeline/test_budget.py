@@ -82,24 +82,27 @@ class Machine:
         return Trial((self.paces[name],) * len(settings.phases), 6.0, self.paces[name], 2.0)
 
     def beside_steps(self, name):
-        """Seconds for one that was tried: 3 of looking, twice; two programs and 20 maps of 1.4 plain steps."""
-        return 4.0 * len(self.tried) + 6.0 + 2 * 3.0 + 2 * 2.0 + 20 * 1.4 * self.paces[name]
+        """Seconds for one that was tried: 3 of looking, twice; for a surface two programs and 20 maps of 1.4 steps."""
+        maps = 0.0 if name == "quick" else 2 * 2.0 + 20 * 1.4 * self.paces[name]
+        return 4.0 * len(self.tried) + 6.0 + 2 * 3.0 + maps
 
     def budgeted(self, seconds, candidates=NAMED):
         return budget.budgeted("scene", candidates, seconds, clock=lambda: self.now)
 
 
 @pytest.mark.parametrize(
-    ("seconds", "expected"), [(60, "fast"), (300, "fast"), (3000, "balanced"), (1.2e4, "accurate"), (1e7, "accurate")]
+    ("seconds", "expected"),
+    [(90, "quick"), (300, "fast"), (3000, "balanced"), (1.2e4, "accurate"), (1e7, "accurate")],
 )
 def test_the_preset_is_the_one_whose_own_length_is_nearest(monkeypatch, seconds, expected):
-    # fast takes 300 s; by its photos of a quarter the pixels balanced is guessed at 40 times, accurate further off.
-    machine = Machine(monkeypatch, fast=0.1, balanced=0.3, accurate=0.8)
+    # quick takes 30 s; fast is guessed at 10 times as much, balanced at hundreds by its larger photos.
+    machine = Machine(monkeypatch, quick=0.05, fast=0.1, balanced=0.3, accurate=0.8)
     choice = machine.budgeted(seconds)
-    assert [name for name, _ in machine.tried] == list(dict.fromkeys(["fast", expected]))
+    assert [name for name, _ in machine.tried] == list(dict.fromkeys(["quick", expected]))
     assert all(most == 0.1 * seconds for _, most in machine.tried)
     steps = total_steps(choice.settings)
-    took = machine.paces[expected] * (steps + min(150, steps / 2))  # Gaussians are wide at first
+    first = budget.relative_cost(Phase("", 1, image_scale=2)) if expected == "quick" else 1.0
+    took = machine.paces[expected] * (steps + first * min(150, steps / 2))  # Gaussians are wide at first
     left = 0.9 * seconds - budget.SCORING - machine.beside_steps(expected)
     if seconds == 1e7:
         assert choice.settings == replace(NAMED["accurate"], downscale=1.0)  # never longer than it is
@@ -203,6 +206,24 @@ def test_a_trial_takes_the_median_of_a_few_steps_of_every_kind_of_phase(monkeypa
     least = 1 - budget.PER_GAUSSIAN * (1 - 40 / 300)
     assert slower[0] == pytest.approx(half * least)
     assert least < slower[1] < 1 and slower[2:] == trial.seconds_per_step[2:]
+
+
+def test_where_all_photos_are_small_no_larger_one_is_tried(monkeypatch, photos):
+    now, scales = [0.0], []
+
+    def fit(settings, frames, size, state, optimizer, *, prior, observe):
+        scales.append(settings.phases[0].image_scale)
+        for _ in range(settings.phases[0].steps):
+            now[0] += 3.0
+            observe(None)
+
+    monkeypatch.setattr(budget.loop, "fit", fit)
+    phases = (Phase("a", 100, image_scale=4), Phase("b", 100, image_scale=2))
+    trial = budget.tried(photos, replace(SETTINGS, phases=phases), most=1e9, clock=lambda: now[0])
+    quarter, half = (budget.relative_cost(phase) for phase in phases)
+    assert scales == [2]
+    assert trial.seconds_per_step == pytest.approx((3.0 * quarter / half, 3.0))
+    assert trial.plain_step == pytest.approx(3.0 / half)  # as it would be at full size
 
 
 @pytest.mark.parametrize("points", [1_000, 9_000, 36_000, 50_000])

@@ -144,7 +144,7 @@ def test_a_scan_that_comes_to_nothing_leaves_nothing(stages, photos, tmp_path):
 
 @pytest.mark.parametrize(
     ("preset", "length"),
-    [("fast", "fast"), ("balanced", "balanced"), ("accurate", "long"), ("paper_6k_15k", "long")],
+    [("quick", "fast"), ("fast", "fast"), ("balanced", "balanced"), ("accurate", "long"), ("paper_6k_15k", "long")],
 )
 def test_the_command_refines_as_long_as_it_trains(monkeypatch, preset, length):
     handed = []
