@@ -39,8 +39,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add(
         "--preset",
         choices=PRESETS,
-        help="how long to train: quick, the images alone in a minute or two; minutes on a CPU; or the paper's budgets for"
-        " a GPU (default: fast)",
+        help="how long to train: quick, the images alone in a minute or two; minutes on a CPU; or the paper's budgets"
+        " for a GPU (default: fast)",
     )
     add("--budget", metavar="TIME", help="how long the run may take on this machine, as in 90s, 10m or 1.5h: picks the"
         " preset, unless one is given, and scales its phases")  # fmt: skip
