@@ -41,6 +41,7 @@ HALF_GROWN = 0.5  # of these, over a phase in which they multiply
 WIDENED = 1.4  # by training: pairs of four runs on real photos end at 0.7 to 1.0 of what a trial then has
 PER_GAUSSIAN = 0.7  # of a step's time, what grows with the number of Gaussians (docs/accuracy_vs_time.md, every knob)
 FEWEST_STEPS = 50  # of a run
+SHORTENED = 0.4  # of its steps' time, with which a preset is no better than a shorter one (docs/accuracy_vs_time.md)
 # At first Gaussians are wider than a trial's: time for so many plain steps more, at most for half of a run's own.
 WIDER_STEPS, WIDER_SHARE = 150, 0.5
 OWN_PROGRAMS, OWN_MAP = 2.0, 1.4  # times a plain step's: compiling what makes maps of own depth, and making one
@@ -73,7 +74,7 @@ def budgeted(
 ) -> Choice:
     """The settings of a run that takes `seconds`, trying included.
 
-    Of several candidates the one is taken whose own length is nearest to the budget, by the ratio of the two.
+    Of several candidates the longest is taken of which a good part (`SHORTENED`) would fit, else the shortest.
 
     Args:
         scene: Folder of the data set.
@@ -93,7 +94,8 @@ def budgeted(
     trial = tried(*scenes[first], most=TRIED_SHARE * seconds, clock=clock)
     if len(scenes) > 1:
         lengths = {other: _predicted(trial, scenes[first][1], settings) for other, (_, settings) in scenes.items()}
-        name = min(lengths, key=lambda other: abs(math.log(lengths[other] / seconds)))
+        fitting = (other for other in scenes if SHORTENED * lengths[other] <= seconds)
+        name = max(fitting, key=lengths.__getitem__, default=first)
     loaded, sized = scenes[name]
     if name != first:
         trial = tried(loaded, sized, most=TRIED_SHARE * seconds, clock=clock)

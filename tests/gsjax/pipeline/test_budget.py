@@ -92,10 +92,19 @@ class Machine:
 
 @pytest.mark.parametrize(
     ("seconds", "expected"),
-    [(90, "quick"), (300, "fast"), (3000, "balanced"), (1.2e4, "accurate"), (1e7, "accurate")],
+    [
+        (90, "quick"),
+        (195, "quick"),
+        (205, "fast"),
+        (2400, "fast"),
+        (2420, "balanced"),
+        (7700, "balanced"),
+        (7750, "accurate"),
+        (1e7, "accurate"),
+    ],
 )
-def test_the_preset_is_the_one_whose_own_length_is_nearest(monkeypatch, seconds, expected):
-    # quick takes 30 s; fast is guessed at 10 times as much, balanced at hundreds by its larger photos.
+def test_the_preset_is_the_longest_of_which_two_fifths_fit(monkeypatch, seconds, expected):
+    # quick takes 30 s; by relative costs fast is guessed at 501, balanced at 6,030 and accurate at 19,300 s.
     machine = Machine(monkeypatch, quick=0.05, fast=0.1, balanced=0.3, accurate=0.8)
     choice = machine.budgeted(seconds)
     assert [name for name, _ in machine.tried] == list(dict.fromkeys(["quick", expected]))
