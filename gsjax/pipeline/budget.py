@@ -112,7 +112,8 @@ def budgeted(
         before = (1 - RESERVED) * seconds - left
         a_step = _length(trial, sized) / total_steps(sized) + WIDER_SHARE * _first_step(trial, sized)
         least = (before + FEWEST_STEPS * a_step) / (1 - RESERVED)
-        plainer = "" if sized.vanilla else "; --vanilla has no surface phase to compile and needs less"
+        is_plain = planned_phases(sized) == planned_phases(replace(sized, vanilla=True))
+        plainer = "" if is_plain else "; --vanilla has no surface phase to compile and needs less"
         raise InputError(
             f"--budget of {seconds:g} s: too short for this data set here, where even {FEWEST_STEPS} steps"
             f" take {least:.0f} s with all that goes before{plainer}"

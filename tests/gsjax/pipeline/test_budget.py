@@ -150,6 +150,11 @@ def test_maps_of_own_depth_take_time_where_a_phase_asks_for_them_and_none_are_gi
     assert given == plain == pytest.approx(own + (2 * 2.0 + 20 * 1.4 * 0.1) / 0.1, abs=3)
 
 
+def test_what_has_no_surface_phase_is_not_told_to_leave_it_out(monkeypatch):
+    with pytest.raises(InputError, match=r"where even 50 steps take \d+ s with all that goes before$"):
+        Machine(monkeypatch, quick=0.05).budgeted(10, {"quick": NAMED["quick"]})
+
+
 @pytest.mark.parametrize("vanilla", [False, True])
 @pytest.mark.parametrize("seconds", [3, 10, 14])
 def test_too_short_a_budget_is_one_line_that_names_the_least_and_what_needs_less(monkeypatch, seconds, vanilla):
