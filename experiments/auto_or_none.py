@@ -16,6 +16,7 @@ import numpy as np
 from handled import timed
 
 from gsjax import config, pipeline, tables
+from gsjax.cli.parsers import count
 from gsjax.io import runs
 from gsjax.io.machine import machine
 from gsjax.io.scenes import load_scene
@@ -90,7 +91,7 @@ def main() -> None:
     parser.add_argument("--width", type=int, default=150)
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--gaussians", type=int, default=8000)
-    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--seeds", type=count, default=1)
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     rows = []

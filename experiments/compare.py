@@ -18,6 +18,7 @@ from train import CONFIGS, load_config
 
 from gsjax import config, tables
 from gsjax.cli import guarded, parsers
+from gsjax.errors import InputError
 from gsjax.settings import Settings
 
 STUDIES = Path(__file__).parent / "studies"
@@ -47,9 +48,15 @@ def run(
         seeds: Runs of every variant, with seeds 0, 1, ...
         seconds: That a run may take; None: its own steps.
         only: The one run that is done, VARIANT_SEED; then `OUT/study.json` is left to who does them all.
+
+    Raises:
+        InputError: There is no such study or run, or one of its runs cannot be made.
     """
     from gsjax.io import runs
 
+    names = run_names(study, seeds)
+    if only is not None and only not in names:
+        raise InputError(f"--only {only}: no run of {study}, whose runs are {', '.join(names)}")
     described = load_config(study, folder=STUDIES)
     base = config.merge(load_config("base"), load_config(described["base"], folder=CONFIGS))
     every: dict[str, list[dict[str, Any]]] = {}
@@ -130,7 +137,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("study", metavar="STUDY", help="name of a file in studies/, without .py")
     parser.add_argument("--scene", required=True, help="folder of the data set")
     parser.add_argument("--out", required=True, metavar="DIR", help="empty folder for the runs")
-    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="runs of every variant (default: 1)")
+    parser.add_argument("--seeds", type=parsers.count, default=1, metavar="N", help="runs of each variant (default: 1)")
     parser.add_argument("--budget", metavar="TIME", help="of every run, as in 10m (default: the study's steps)")
 
 

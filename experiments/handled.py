@@ -22,6 +22,7 @@ import numpy as np
 from relit import relight, sky_color
 
 from gsjax import backdrop, config, gallery, pipeline, tables
+from gsjax.cli.parsers import count
 from gsjax.effects import transients, vignetting
 from gsjax.effects.alignment import align
 from gsjax.io import analytic_scene, runs
@@ -286,7 +287,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=112)
     parser.add_argument("--steps", type=int, default=600)
     parser.add_argument("--gaussians", type=int, default=4000)
-    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--seeds", type=count, default=1)
     given = parser.parse_args()
     clean = given.out / "clean"
     if not clean.exists():

@@ -16,7 +16,7 @@ from paper.measured import found_runs, measurements, methods, run_folder
 from paper.scenes import DEFAULT_SCHEDULES, SCHEDULES, discover
 from paper_run import asked, begun, is_finished
 
-from gsjax.cli import guarded
+from gsjax.cli import guarded, parsers
 from gsjax.errors import InputError
 
 
@@ -142,7 +142,7 @@ def main() -> None:
     add("--data", type=Path, required=True, metavar="ROOT", help="folder of the published data sets: scenes by their"
         " published names, in it or in 360_v2/, tandt/, db/")  # fmt: skip
     add("--out", type=Path, required=True, metavar="DIR", help="folder for runs and tables; begun ones go on")
-    add("--seeds", type=int, default=1, metavar="N", help="runs of every scene and schedule (default: 1)")
+    add("--seeds", type=parsers.count, default=1, metavar="N", help="runs of every scene and schedule (default: 1)")
     add("--preset", nargs="+", choices=SCHEDULES, default=list(DEFAULT_SCHEDULES), help="schedules (default: the"
         " paper's two); vanilla is plain 3DGS for as many steps, whose meshes the sheets then show too")  # fmt: skip
     add("--set", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the training by their dotted keys")

@@ -17,7 +17,7 @@ from paper.scenes import SCHEDULES
 
 from gsjax import tables
 from gsjax.binding.refining import PRESETS
-from gsjax.cli import guarded
+from gsjax.cli import guarded, parsers
 
 BUDGETS = ("paper_6k_15k", "paper_13k_7k")
 FIGURES = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "chamfer", "fscore", "normal_consistency")
@@ -92,7 +92,7 @@ def main() -> None:
     parser.add_argument("--scene", required=True, help="folder of the data set")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the runs")
     parser.add_argument("--share", type=float, default=0.1, help="of all steps (default: 0.1)")
-    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="runs of either budget (default: 1)")
+    parser.add_argument("--seeds", type=parsers.count, default=1, metavar="N", help="runs of each budget (default: 1)")
     arguments = parser.parse_args()
     rows = run(arguments.scene, arguments.out, share=arguments.share, seeds=arguments.seeds)
     print(tables.compare({label: tables.spread(each) for label, each in rows.items()}))

@@ -18,7 +18,7 @@ import numpy as np
 from train import load_settings
 
 from gsjax import tables
-from gsjax.cli import guarded
+from gsjax.cli import guarded, parsers
 from gsjax.io.machine import peak_memory
 
 WAYS = ("vanilla", "surface", "refined")
@@ -152,7 +152,7 @@ def main() -> None:
     parser.add_argument("config", metavar="CONFIG", help="name of a file in configs/, without .py")
     parser.add_argument("--scene", required=True, help="folder of the data set")
     parser.add_argument("--out", required=True, metavar="DIR", help="empty folder for the runs")
-    parser.add_argument("--seeds", type=int, default=3, metavar="N", help="runs of every way (default: 3)")
+    parser.add_argument("--seeds", type=parsers.count, default=3, metavar="N", help="runs of every way (default: 3)")
     parser.add_argument("--refine", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the refinement")
     arguments = parser.parse_args()
     report = run(arguments.config, arguments.scene, arguments.out, seeds=arguments.seeds, refinement=arguments.refine)

@@ -26,6 +26,7 @@ from painted_sphere import INTRINSICS, SIZE, VIEWS, Drawn, directions, inside, o
 from tqdm import tqdm
 
 import rasterizer
+from gsjax.cli.parsers import count
 from gsjax.measures.images import psnr, ssim
 
 COUNT = 1500
@@ -257,9 +258,9 @@ def rows(steps: int, seeds: int) -> Iterator[str]:
     yield "| Free Gaussians | Steps | Mean depth | without the far side's light | Median depth | PSNR |"
     yield "|---" * 6 + "|"
     for name, begun in FREE.items():
-        for count in (steps, 5 * steps):
-            found = np.mean([free(*begun, count, seed) for seed in range(seeds)], 0)
-            yield f"| {name} | {count} | " + " | ".join(f"{x:.1f}" for x in found) + " |"
+        for taken in (steps, 5 * steps):
+            found = np.mean([free(*begun, taken, seed) for seed in range(seeds)], 0)
+            yield f"| {name} | {taken} | " + " | ".join(f"{x:.1f}" for x in found) + " |"
 
 
 def main() -> None:
@@ -267,7 +268,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--steps", type=int, default=600)
-    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--seeds", type=count, default=1)
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     lines: list[str] = []

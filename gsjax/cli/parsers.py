@@ -38,6 +38,17 @@ def given(arguments: argparse.Namespace, *names: str) -> dict:
     return {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
 
 
+def count(text: str) -> int:
+    """A number of things, 1 at least; as the `type` of an argument.
+
+    Raises:
+        argparse.ArgumentTypeError: It is none.
+    """
+    if not (text.isdecimal() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text}: not a whole number of at least 1")
+    return int(text)
+
+
 def seconds(budget: str) -> float:
     """Seconds of a time such as `90s`, `10m` or `1.5h`.
 

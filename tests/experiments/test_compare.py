@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from gsjax import config, pipeline, tables
+from gsjax.errors import InputError
 from gsjax.io import runs
 from gsjax.settings import Phase, Rates, Settings, Weights
 from gsjax.training.loop import planned_phases
@@ -51,6 +52,13 @@ def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, mon
     assert set(seen) == {f"{variant}_0" for variant in variants}
     assert all(isinstance(settings, Settings) for settings in seen.values())
     assert len({str(config.to_dict(settings)) for settings in seen.values()}) == len(variants)
+
+
+@pytest.mark.parametrize("name", ["nonsense_0", "0.2_1"])
+def test_a_run_that_the_study_does_not_have_is_one_line(compare, tmp_path, name):
+    with pytest.raises(InputError, match=rf"^--only {name}: no run of lambda_r, whose runs are none_0, .*0\.2_0, .*"):
+        compare.run("lambda_r", "scene", str(tmp_path / "out"), only=name)
+    assert not (tmp_path / "out").exists()
 
 
 def phases(*named):

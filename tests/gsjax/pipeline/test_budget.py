@@ -1,5 +1,6 @@
 """Budgets of time: what is read, what is scaled, what is chosen; on a clock of the test's own."""
 
+from argparse import ArgumentTypeError
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -33,6 +34,13 @@ def test_anything_else_is_one_line(text):
     with pytest.raises(InputError, match="not a time, such as 90s, 10m or 1.5h") as caught:
         parsers.seconds(text)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "1.5", "", "two"])
+def test_a_count_is_one_at_least(text):
+    assert parsers.count("12") == 12
+    with pytest.raises(ArgumentTypeError, match=f"^{text}: not a whole number of at least 1$"):
+        parsers.count(text)
 
 
 def test_all_that_is_due_at_a_step_is_scaled_with_the_phases():
