@@ -234,7 +234,7 @@ FAST: dict[str, Any] = {
     "density": {"rule": "error", "start": 50, "stop": 900, "every": 50, "full_by": 0.6, "reset_every": 0},
     "logging": {"evaluate_every": 250, "checkpoint_every": 250},
 }
-QUICK = {  # small photos and their image alone: a step takes a third as long, and one program is all to compile
+QUICK = {  # small photos and their image alone: a step takes less than half as long, and one program is all to compile
     **FAST,
     "max_gaussians": 18_000,
     "sh_every": 100,

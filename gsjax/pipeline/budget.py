@@ -90,12 +90,11 @@ def budgeted(
             raise InputError(f"--budget: the phases of {name} have no steps to scale")
     started = clock()
     scenes = {name: at_size(scene, settings)[:2] for name, settings in candidates.items()}
-    name = first = next(iter(scenes))
+    first = next(iter(scenes))
     trial = tried(*scenes[first], most=TRIED_SHARE * seconds, clock=clock)
-    if len(scenes) > 1:
-        lengths = {other: _predicted(trial, scenes[first][1], settings) for other, (_, settings) in scenes.items()}
-        fitting = (other for other in scenes if SHORTENED * lengths[other] <= seconds)
-        name = max(fitting, key=lengths.__getitem__, default=first)
+    lengths = {other: _predicted(trial, scenes[first][1], settings) for other, (_, settings) in scenes.items()}
+    fitting = (other for other in scenes if SHORTENED * lengths[other] <= seconds)
+    name = max(fitting, key=lengths.__getitem__, default=first)
     loaded, sized = scenes[name]
     if name != first:
         trial = tried(loaded, sized, most=TRIED_SHARE * seconds, clock=clock)
@@ -166,22 +165,22 @@ def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.
     size = training_extent(scene)
     spread = np.linspace(0, len(scene.train_frames) - 1, PHOTOS).astype(int)
     frames = tuple(in_memory(scene.train_frames[index]) for index in dict.fromkeys(spread.tolist()))
-    compiling, known, at_full = {}, {}, {}
+    compiling, known, at_largest = {}, {}, {}
     phases = [replace(phase, name="", steps=WARM + TIMED, cull_below=0.0) for phase in planned_phases(settings)]
     largest = _largest(settings)
     for phase in phases:
         # What smaller photos save is known well enough to spare their program.
-        full = replace(phase, image_scale=largest.image_scale)
-        if full not in at_full:
-            moments = _moments(scene, frames, size, replace(settings, phases=(full,), vanilla=False), most, clock)
+        large = replace(phase, image_scale=largest.image_scale)
+        if large not in at_largest:
+            moments = _moments(scene, frames, size, replace(settings, phases=(large,), vanilla=False), most, clock)
             pace = float(np.median(np.diff(moments[WARM:])))
-            at_full[full] = pace, max(moments[WARM] - moments[0] - WARM * pace, 0.0)
-        pace, compiling[phase] = at_full[full]
-        known[phase] = pace * relative_cost(phase) / relative_cost(full)
+            at_largest[large] = pace, max(moments[WARM] - moments[0] - WARM * pace, 0.0)
+        pace, compiling[phase] = at_largest[large]
+        known[phase] = pace * relative_cost(phase) / relative_cost(large)
     shares = shares_alive(settings, len(scene.points))
     paces = [known[p] * (1 - PER_GAUSSIAN * (1 - share)) for p, share in zip(phases, shares, strict=True)]
     again = max((seconds for phase, seconds in compiling.items() if phase.density_control), default=0.0)
-    plain_pace, plain_program = min(at_full.values())
+    plain_pace, plain_program = min(at_largest.values())
     plain_step = plain_pace / relative_cost(largest)
     return Trial(tuple(paces), sum(compiling.values()) + again, plain_step, plain_program)
 
