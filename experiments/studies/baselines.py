@@ -23,6 +23,7 @@ class Term(NamedTuple):
     cost: float  # of a step with it, in plain ones
     weights: dict[str, float]
     every: int = 1  # one of so many steps has it
+    within: tuple[float, float] = (0.0, 1.0)  # which part of the phase's time has it; the rest is plain
 
 
 TERMS = {
@@ -56,12 +57,18 @@ def at_equal_time(phases: list[dict], terms: dict[str, Term], *, depth_mode: str
     time = terms["ours, demo"].cost * last["steps"]
     shared = {"rates": {"decay_steps": sum(phase["steps"] for phase in phases)}, "depth_mode": depth_mode}
 
-    def ending(term: Term) -> dict:
-        steps = round(time / (1 + (term.cost - 1) / term.every))
-        return {**last, "steps": steps, "weights": term.weights, "surface_every": term.every}
+    def ending(term: Term) -> list[dict]:
+        begin, end = term.within
+        steps = round(time * (end - begin) / (1 + (term.cost - 1) / term.every))
+        parts = (
+            {**last, "name": "before", "steps": round(time * begin), "weights": {}},
+            {**last, "steps": steps, "weights": term.weights, "surface_every": term.every},
+            {**last, "name": "after", "steps": round(time * (1 - end)), "weights": {}},
+        )
+        return [part for part in parts if part["steps"]]
 
     return {
-        name: {"phases": [*first, ending(term)]}
+        name: {"phases": [*first, *ending(term)]}
         | ({} if NORMAL_TERMS.isdisjoint(term.weights) else {"normals": "{scene}/normals"})
         | shared
         for name, term in terms.items()

@@ -15,7 +15,7 @@ def in_front(phases: list[dict], costs: dict[str, float]) -> dict[str, dict]:
     return at_equal_time(phases, {**terms, "ours, pixel_normal in every 4th step": rarer}, depth_mode="front")
 
 
-_COSTS = {
+COSTS = {
     "vanilla": 1.00,
     "SuGaR, sdf": 4.47,
     "SuGaR, density": 3.08,
@@ -26,4 +26,4 @@ _COSTS = {
     "ours, pixel_normal 0.1": 1.48,
     "ours, demo": 2.40,
 }
-CONFIG: dict = {"base": "demo", "variants": in_front(DEMO["phases"], _COSTS)}
+CONFIG: dict = {"base": "demo", "variants": in_front(DEMO["phases"], COSTS)}
