@@ -1,13 +1,11 @@
 """What errors of a known size in the normals do to what is aligned with them (`experiments/wrong_normals.py`).
 
-Surface phases take the time of the demo's, as in `baselines.py`.
+Surface phases take the time of the demo's and depth is read in front, as in `baselines_front.py`.
 """
 
 from typing import Any
 
-from studies.baselines import TERMS, at_equal_time
-
-from gsjax.settings import DEMO
+from studies.baselines_front import CONFIG as BASELINES
 
 _MAPS = {
     "true": "{scene}/normals",
@@ -20,6 +18,7 @@ _MAPS = {
 _METHODS = {
     "ours": "ours, sdf_normal",
     "ours, pixels": "ours, pixel_normal",
+    "ours, pixels in every 4th step": "ours, pixel_normal in every 4th step",
     "ours, demo": "ours, demo",
     "DN-Splatter": "DN-Splatter, axis_normal",
 }
@@ -29,7 +28,7 @@ def with_maps(true: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Variants by name: plain training, and every method with every kind of normals.
 
     Args:
-        true: The same with true normals, as `baselines.at_equal_time` gives them.
+        true: The same with true normals, as `baselines_front.in_front` gives them.
     """
     return {
         "vanilla": true["vanilla"],
@@ -41,4 +40,4 @@ def with_maps(true: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     }
 
 
-CONFIG: dict = {"base": "demo", "variants": with_maps(at_equal_time(DEMO["phases"], TERMS))}
+CONFIG: dict = {"base": "demo", "variants": with_maps(BASELINES["variants"])}
