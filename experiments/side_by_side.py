@@ -1,6 +1,6 @@
 """One held-out view of several runs: render, normals of the rendered depth and mesh, below each other; the truth first.
 
-    python experiments/side_by_side.py RUN ... --out FILE.png [--view N]
+    python experiments/side_by_side.py RUN ... --out FILE [--view N]
 
 All runs are of one data set; what the data set knows of the truth stands under the photo.
 """
@@ -29,11 +29,11 @@ TITLE = 24  # characters a line
 
 
 def draw(sources: Sequence[str], out: str, *, view: int = 0) -> list[str]:
-    """Draws FILE.png, and tells the titles of its panels: the photo, then the runs without their seeds.
+    """Draws the picture, and tells the titles of its panels: the photo, then the runs without their seeds.
 
     Args:
         sources: Run folders of one data set and one size; those without a `mesh.ply` have no mesh in the picture.
-        out: The picture.
+        out: The picture, a .png or .jpg.
         view: Of the held-out ones.
 
     Raises:
@@ -80,7 +80,7 @@ def main() -> None:
     """Reads the arguments and names what was drawn."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("runs", nargs="+", metavar="RUN", help="folders of runs of one data set")
-    parser.add_argument("--out", required=True, metavar="FILE", help="the picture (.png)")
+    parser.add_argument("--out", required=True, metavar="FILE", help="the picture (.png, .jpg)")
     parser.add_argument("--view", type=int, default=0, metavar="N", help="of the held-out ones (default: 0)")
     arguments = parser.parse_args()
     draw(arguments.runs, arguments.out, view=arguments.view)

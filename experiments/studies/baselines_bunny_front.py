@@ -6,7 +6,7 @@ Costs are those of a step on `bunny_plane` (`benchmarks/steps.py baselines_bunny
 from configs.bunny_plane import CONFIG as BUNNY
 from studies.baselines_front import in_front
 
-COSTS = {
+_COSTS = {
     "vanilla": 1.00,
     "SuGaR, sdf": 5.09,
     "SuGaR, density": 3.22,
@@ -17,4 +17,4 @@ COSTS = {
     "ours, pixel_normal 0.1": 1.45,
     "ours, demo": 2.55,
 }
-CONFIG: dict = {"base": "bunny_plane", "variants": in_front(BUNNY["phases"], COSTS)}
+CONFIG: dict = {"base": "bunny_plane", "variants": in_front(BUNNY["phases"], _COSTS)}

@@ -28,5 +28,6 @@ def draw_panels(panels: Mapping[str, np.ndarray], path: str | Path, *, columns: 
     for axes in figure.axes:
         axes.axis("off")
     with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=110)
+        # Of JPEG alone: normals are read by their hue, which subsampling blurs.
+        figure.savefig(temporary, dpi=110, pil_kwargs={"quality": 85, "subsampling": 0})
     return Path(path)

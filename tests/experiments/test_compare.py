@@ -54,6 +54,17 @@ def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, mon
     assert len({str(config.to_dict(settings)) for settings in seen.values()}) == len(variants)
 
 
+def test_whenever_r_acts_the_phase_takes_the_time_of_plain_training(compare):
+    variants = compare.load_config("when_r", folder=compare.STUDIES)["variants"]
+    cost = 1.48  # of a step with R, in plain ones
+    for name, change in variants.items():
+        _, *phases = change["phases"]
+        times = [p["steps"] * (1 + (cost - 1) / p["surface_every"] if p["weights"] else 1) for p in phases]
+        assert sum(times) == pytest.approx(2.40 * 850, abs=2), name
+    halves = [phase["steps"] for phase in variants["0.2, every 4th, last half"]["phases"]]
+    assert halves == [1000, 1020, round(1020 / (1 + (cost - 1) / 4))]
+
+
 @pytest.mark.parametrize("name", ["nonsense_0", "0.2_1"])
 def test_a_run_that_the_study_does_not_have_is_one_line(compare, tmp_path, name):
     with pytest.raises(InputError, match=rf"^--only {name}: no run of lambda_r, whose runs are none_0, .*0\.2_0, .*"):
