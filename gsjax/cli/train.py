@@ -43,7 +43,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         " for a GPU (default: fast)",
     )
     add("--budget", metavar="TIME", help="how long the run may take on this machine, as in 90s, 10m or 1.5h: picks the"
-        " preset, unless one is given, and scales its phases")  # fmt: skip
+        " preset, unless one is given, its steps, and its Gaussians unless `--set max_gaussians=N` does")  # fmt: skip
     add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
     add("--downscale", type=float, metavar="K", help="make the photos K times smaller (default: to 1600 pixels,"
         " and with fast on a CPU to what its minutes bear)")  # fmt: skip
@@ -130,7 +130,7 @@ def _devices(arguments: argparse.Namespace) -> int | Literal["all"]:
 def settings(arguments: argparse.Namespace) -> Settings:
     """The run's settings: the preset (of a resumed run: what it was started with), the options, then `--set`.
 
-    With a budget of time, as many steps of that as the machine does in it.
+    With a budget of time, as many steps of that, and Gaussians but where their number is set, as the machine bears.
 
     Raises:
         InputError: An unknown key, or a value of the wrong type or range.
@@ -148,7 +148,8 @@ def settings(arguments: argparse.Namespace) -> Settings:
     runs.require_free(arguments.out)
     names = (arguments.preset,) if arguments.preset else LENGTHS
     candidates = {name: overridden(PRESETS[name], arguments, *OPTIONS) for name in names}
-    choice = pipeline.budgeted(arguments.scene, candidates, budget)
+    is_set = any(one.startswith("max_gaussians=") for group in arguments.assignments for one in group)
+    choice = pipeline.budgeted(arguments.scene, candidates, budget, pipeline.scaled if is_set else pipeline.resized)
     print(f"budget of {arguments.budget}: {choice.line}", file=sys.stderr)
     return choice.settings
 

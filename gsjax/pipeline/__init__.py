@@ -1,6 +1,6 @@
 """The whole road as plain functions: what the command line and notebooks call."""
 
-from gsjax.pipeline.budget import budgeted
+from gsjax.pipeline.budget import budgeted, resized, scaled
 from gsjax.pipeline.compare import compare
 from gsjax.pipeline.convert import convert
 from gsjax.pipeline.diagnose import diagnose
@@ -29,6 +29,8 @@ __all__ = [
     "refine",
     "render",
     "report",
+    "resized",
+    "scaled",
     "scan",
     "texture",
     "train",

@@ -135,24 +135,30 @@ def test_settings_come_from_the_preset_the_options_and_set(library):
 def test_a_budget_chooses_the_settings_once_and_a_resumed_run_keeps_them(library, tmp_path, monkeypatch, capsys):
     asked = []
 
-    def budgeted(scene, candidates, seconds):
-        asked.append((scene, list(candidates), seconds))
+    def budgeted(scene, candidates, seconds, lasting):
+        asked.append((scene, list(candidates), seconds, lasting))
         settings = replace(next(iter(candidates.values())), sh_every=77)
         return SimpleNamespace(settings=settings, line="fast, 0.5 times its steps")
 
-    monkeypatch.setattr(sys.modules["gsjax.pipeline"], "budgeted", budgeted, raising=False)
+    for name, value in {"budgeted": budgeted, "scaled": "steps", "resized": "steps and Gaussians"}.items():
+        monkeypatch.setattr(sys.modules["gsjax.pipeline"], name, value, raising=False)
     run = str(tmp_path / "run")
     settings, _ = train_settings(library, "--out", run, "--budget", "10m", "--seed", "3")
     assert (settings.sh_every, settings.seed) == (77, 3)
     assert capsys.readouterr().err.splitlines() == ["budget of 10m: fast, 0.5 times its steps"]
     train_settings(library, "--out", run, "--budget", "1h", "--preset", "balanced")
-    assert asked == [("scene", list(LENGTHS), 600), ("scene", ["balanced"], 3600)]
+    train_settings(library, "--out", run, "--budget", "1h", "--set", "sh_degree=2", "max_gaussians=50")
+    assert asked == [
+        ("scene", list(LENGTHS), 600, "steps and Gaussians"),
+        ("scene", ["balanced"], 3600, "steps and Gaussians"),
+        ("scene", list(LENGTHS), 3600, "steps"),  # keeps the number that was asked for
+    ]
 
     runs.create(run, config.to_dict(settings), scene="scene", seed=3)
     assert train_settings(library, "--out", run, "--budget", "10m", "--resume")[0] == settings
-    assert len(asked) == 2
+    assert len(asked) == 3
     assert cli.main(["train", "scene", "--out", run, "--budget", "10m"]) == 2
-    assert "this folder is not empty" in capsys.readouterr().err and len(asked) == 2
+    assert "this folder is not empty" in capsys.readouterr().err and len(asked) == 3
     for text in ("10", "0s", "soon"):
         assert cli.main(["train", "scene", "--out", str(tmp_path / "other"), "--budget", text]) == 2
         error = f"gsjax: error: --budget {text}: not a time, such as 90s, 10m or 1.5h"
