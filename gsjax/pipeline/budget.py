@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import bisect
+from scipy.optimize import root_scalar
 
 from gsjax.errors import InputError
 from gsjax.pipeline.diagnose import diagnosed
@@ -175,7 +175,11 @@ def _part(trial: Trial, settings: Settings, left: float) -> float:
 
 def _least_part(settings: Settings, lasting: Lasting) -> float:
     """How many times its own time a run of the fewest steps is."""
-    return bisect(lambda part: total_steps(lasting(settings, part)) - FEWEST_STEPS + 0.5, 0, FEWEST_STEPS**2)
+
+    def missing(part: float) -> float:
+        return FEWEST_STEPS - 0.5 - total_steps(lasting(settings, part))
+
+    return root_scalar(missing, bracket=(0, FEWEST_STEPS**2), method="bisect").root
 
 
 def _first_step(trial: Trial, settings: Settings) -> float:
