@@ -63,6 +63,14 @@ def test_all_that_is_due_at_a_step_is_scaled_with_the_phases():
     assert unset.rates.decay_steps is None
 
 
+def test_another_length_shares_its_time_between_gaussians_and_steps():
+    quarter, four = (budget.resized(NAMED["fast"], factor) for factor in (0.25, 4.0))
+    assert (quarter.max_gaussians, four.max_gaussians) == (18_000, 72_000)
+    assert total_steps(quarter) == pytest.approx(0.25 * 2_600 / 0.65, abs=2)  # a step with half of them costs 0.65
+    assert total_steps(four) == pytest.approx(4 * 2_600 / 1.7, abs=2)
+    assert budget.resized(NAMED["fast"], 1.0) == NAMED["fast"]
+
+
 class Machine:
     """A clock, a data set of 20 photos of 1000x1000, and phases that take what a test says."""
 
