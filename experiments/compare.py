@@ -29,8 +29,7 @@ FIGURES = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "mesh_nor
 
 def run_names(study: str, seeds: int) -> list[str]:
     """VARIANT_SEED of every run of a study, seed by seed."""
-    variants = load_config(study, folder=STUDIES)["variants"]
-    return [f"{variant}_{seed}" for seed in range(seeds) for variant in variants]
+    return _names(load_config(study, folder=STUDIES), seeds)
 
 
 def run(
@@ -54,10 +53,10 @@ def run(
     """
     from gsjax.io import runs
 
-    names = run_names(study, seeds)
+    described = load_config(study, folder=STUDIES)
+    names = _names(described, seeds)
     if only is not None and only not in names:
         raise InputError(f"--only {only}: no run of {study}, whose runs are {', '.join(names)}")
-    described = load_config(study, folder=STUDIES)
     base = config.merge(load_config("base"), load_config(described["base"], folder=CONFIGS))
     every: dict[str, list[dict[str, Any]]] = {}
     floor: dict[str, Any] = {}
@@ -84,6 +83,10 @@ def run(
     if only is None:
         runs.write_json(Path(out) / "study.json", every)
     return every
+
+
+def _names(described: dict[str, Any], seeds: int) -> list[str]:
+    return [f"{variant}_{seed}" for seed in range(seeds) for variant in described["variants"]]
 
 
 def _common(scene: str, folder: Path, settings: Settings | None) -> Path | None:

@@ -32,7 +32,8 @@ def draw(sources: Sequence[str], out: str, *, view: int = 0) -> list[str]:
     """Draws the picture, and tells the titles of its panels: the photo, then the runs without their seeds.
 
     Args:
-        sources: Run folders of one data set and one size; those without a `mesh.ply` have no mesh in the picture.
+        sources: Run folders of one data set and one size; those without a `mesh.ply` have no mesh in the picture, which
+            has no row of meshes where none has one.
         out: The picture, a .png or .jpg.
         view: Of the held-out ones.
 
@@ -49,31 +50,37 @@ def draw(sources: Sequence[str], out: str, *, view: int = 0) -> list[str]:
         title = textwrap.fill(re.sub(r"_\d+$", "", Path(source).name), TITLE)
         if title in panels:
             raise InputError(f"{source}: another run has this name; seeds of one variant would look alike")
-        panels[title] = _made(Path(source), frame.name)
-    draw_panels(panels, out, columns=min(COLUMNS, len(panels)))
+        panels[title] = _made(source, frame.name)
+    rows = slice(None) if any(_mesh(source).exists() for source in sources) else slice(-1)
+    stacked = {title: np.concatenate(pictures[rows]) for title, pictures in panels.items()}
+    draw_panels(stacked, out, columns=min(COLUMNS, len(panels)))
     return list(panels)
 
 
-def _true(frame: Frame, camera: Camera, truth: Truth | None) -> np.ndarray:
+def _true(frame: Frame, camera: Camera, truth: Truth | None) -> list[np.ndarray]:
     image = frame.pixels().image
     normals = mesh = np.full_like(image, 255)
     if truth is not None and frame.name in truth.normals:
         normals = normal_picture(truth.normals[frame.name]())
     if truth is not None and truth.mesh is not None:
         mesh = mesh_picture(read_mesh(truth.mesh), camera)
-    return np.concatenate([image, normals, mesh])
+    return [image, normals, mesh]
 
 
-def _made(run: Path, name: str) -> np.ndarray:
-    result = open_result(run)
+def _made(run: str, name: str) -> list[np.ndarray]:
+    result = open_result(Path(run))
     if name not in result.names:
         raise InputError(f"{run}: has no view {name}; are these runs of one data set?")
     camera = result.cameras[result.names.index(name)]
     picture = next(gallery.pictures(result.gaussians, [camera], result.background, result.depth_mode))
     colors, surface = to_bytes(picture.colors), surface_picture(picture.depth, camera)
-    meshed = (run / "mesh.ply").exists()
-    mesh = mesh_picture(read_mesh(run / "mesh.ply"), camera) if meshed else np.full_like(colors, 255)
-    return np.concatenate([colors, surface, mesh])
+    mesh = _mesh(run)
+    meshed = mesh_picture(read_mesh(mesh), camera) if mesh.exists() else np.full_like(colors, 255)
+    return [colors, surface, meshed]
+
+
+def _mesh(run: str) -> Path:
+    return Path(run) / "mesh.ply"
 
 
 def main() -> None:

@@ -38,7 +38,7 @@ def script(scripts, monkeypatch, tmp_path):
 
 def column(panel: np.ndarray) -> list[int]:
     """The value of each picture of a panel."""
-    assert panel.shape == (3 * SIZE[0], *SIZE[1:])
+    assert panel.shape[0] % SIZE[0] == 0 and panel.shape[1:] == SIZE[1:]
     return panel[:: SIZE[0], 0, 0].tolist()
 
 
@@ -49,6 +49,12 @@ def test_a_run_has_its_render_its_normals_and_its_mesh_under_its_name_without_th
     assert photo == [40, 255, 30], "a normal that is not known is white"
     assert plain == [51, 20, 30]
     assert unmeshed == [51, 20, 255]
+
+
+def test_without_any_mesh_there_is_no_row_of_meshes(script, tmp_path):
+    (tmp_path / "plain_0/mesh.ply").unlink()
+    script.module.draw(script.runs, "out.png")
+    assert list(map(column, script.drawn.values())) == [[40, 255], [51, 20], [51, 20]]
 
 
 def test_two_seeds_of_one_variant_are_refused(script):
