@@ -64,12 +64,11 @@ def _measured(scene: Path, folder: Path, budget: str, share: float, given: dict[
     from gsjax.binding.refining import PRESETS as REFINEMENTS
     from gsjax.binding.refining import Refinement
     from gsjax.config import merge, parse
-    from gsjax.pipeline.budget import scaled
     from gsjax.settings import PRESETS, Settings
 
     schedule, normals = SCHEDULES[budget], scene / "normals"
     given = given | ({"normals": str(normals)} if normals.is_dir() else {})
-    settings = scaled(parse(Settings, merge(PRESETS[schedule.preset], schedule.differences, given)), share)
+    settings = pipeline.scaled(parse(Settings, merge(PRESETS[schedule.preset], schedule.differences, given)), share)
     long = REFINEMENTS[str(schedule.refinement)]
     refinement = parse(Refinement, {**REFINED, "steps": round(share * long["steps"]), "seed": given["seed"]})
     trained, refined = folder / "run", folder / "refined"

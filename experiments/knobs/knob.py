@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 from gsjax import pipeline
 from gsjax.config import merge, parse
 from gsjax.io.scenes import load_scene
-from gsjax.pipeline.budget import scaled
 from gsjax.pipeline.result import Result, open_result
 from gsjax.settings import Settings
 
@@ -54,7 +53,7 @@ class Place:
         """The config's settings with a difference, in this place's share of the steps."""
         normals = self.scene / "normals"
         given = {"seed": seed} | ({"normals": str(normals)} if normals.is_dir() else {})
-        return scaled(parse(Settings, merge(self.config, given, difference)), self._share)
+        return pipeline.scaled(parse(Settings, merge(self.config, given, difference)), self._share)
 
     def fresh(self, name: str) -> Path:
         """A folder of this place that does not exist yet."""

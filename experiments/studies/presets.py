@@ -5,7 +5,7 @@ that it is minutes on a CPU; `accurate` is then `balanced`. No effects: pictures
 """
 
 from gsjax.config import parse, to_dict
-from gsjax.pipeline.budget import scaled
+from gsjax.pipeline import scaled
 from gsjax.settings import NONE, PRESETS, Settings, total_steps
 
 _FAST = parse(Settings, PRESETS["fast"])

@@ -6,7 +6,7 @@ pictures are compared as they are rendered.
 """
 
 from gsjax.config import parse, to_dict
-from gsjax.pipeline.budget import scaled
+from gsjax.pipeline import scaled
 from gsjax.pipeline.timed_steps import step_cost
 from gsjax.settings import NONE, PRESETS, Settings
 

@@ -1,11 +1,8 @@
 """The paper's two budgets in small: what each stage is asked for, and that what is done is not done again."""
 
-from types import SimpleNamespace
-
 import pytest
 
-import gsjax
-import gsjax.pipeline.budget
+import gsjax.pipeline
 from gsjax.io import runs
 from gsjax.settings import total_steps
 
@@ -27,8 +24,8 @@ def asked(script, monkeypatch):
 
         return stage
 
-    stages = {name: note(name) for name in ("train", "mesh", "refine", "evaluate")}
-    monkeypatch.setattr(gsjax, "pipeline", SimpleNamespace(**stages))
+    for name in ("train", "mesh", "refine", "evaluate"):
+        monkeypatch.setattr(gsjax.pipeline, name, note(name))
     return calls
 
 
