@@ -68,7 +68,7 @@ def _true(frame: Frame, camera: Camera, truth: Truth | None) -> list[np.ndarray]
 
 
 def _made(run: str, name: str) -> list[np.ndarray]:
-    result = open_result(Path(run))
+    result = open_result(run)
     if name not in result.names:
         raise InputError(f"{run}: has no view {name}; are these runs of one data set?")
     camera = result.cameras[result.names.index(name)]
