@@ -129,6 +129,11 @@ def _least_sigma(offset_low: Array, offset_high: Array, conic: Array) -> Array:
     return jnp.where((nearest == 0).all(), 0, jnp.minimum(edge_x, edge_y))
 
 
+def sigma_cuts(opacities: Array, rules: Rules) -> Array:
+    """The Mahalanobis term up to which a splat is listed; a margin for rounding: a pair too many is harmless."""
+    return jnp.log(jnp.maximum(opacities / rules.alpha_min, 1)) * 1.0001 + 1e-4
+
+
 def bin_splats(
     projection: Projection,
     opacities: Array,
@@ -184,8 +189,7 @@ def bin_splats(
     tile = (box[:, 4] * grid.tiles_y + tile_y) * grid.tiles_x + tile_x
 
     opacity = jnp.broadcast_to(jax.lax.stop_gradient(opacities), projection.depths.shape).reshape(-1)
-    # The cut in sigma, with a margin for rounding: listing a pair too many is harmless.
-    cut = jnp.log(jnp.maximum(opacity / rules.alpha_min, 1)) * 1.0001 + 1e-4
+    cut = sigma_cuts(opacity, rules)
     splat = jnp.concatenate(
         [
             jax.lax.stop_gradient(projection.means2d).reshape(-1, 2),

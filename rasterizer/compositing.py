@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from rasterizer.binning import TileGrid
+from rasterizer.binning import TileGrid, TilePairs, bin_splats
 from rasterizer.covariances import components
 from rasterizer.rules import Rules
 
@@ -39,12 +39,13 @@ class Blended(NamedTuple):
 
 
 class Engine(NamedTuple):
-    """The two passes over tiles. Hashable, static."""
+    """The two passes over tiles, and what lists their splats. Hashable, static."""
 
     # (static, rows, splats, offsets) -> Blended. rows [M, 6 + D] of `_splat_rows`; lists of `binning.TilePairs`.
     forward: Callable[..., Blended]
     # (static, rows, splats, offsets, transmittance, last, d_features, d_transmittance) -> [M, 6 + D], dL/drows.
     backward: Callable[..., Array]
+    lists: Callable[..., TilePairs] = bin_splats
 
 
 class Static(NamedTuple):

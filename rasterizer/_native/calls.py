@@ -1,0 +1,211 @@
+"""A call from XLA: its arguments and results, and the threads that share its work.
+
+XLA calls a C function with a frame (`xla/ffi/api/c_api.h`, which jaxlib ships; version 0.3); what is read of it here
+are words at fixed places. No Python runs in a call, and no lock of Python's is taken. The work is shared with XLA's own
+threads: whoever is free takes the next item. A thread that comes late finds nothing left, so that nobody ever waits for
+one that is busy elsewhere.
+"""
+
+from numba import types
+
+from rasterizer._native.compiled import inlined
+from rasterizer._native.instructions import (
+    address_of,
+    as_bytes,
+    as_floats,
+    as_int32s,
+    as_int64s,
+    call,
+    fetch_add,
+    words_on_stack,
+)
+
+API_MAJOR, API_MINOR = 0, 3
+HANDLER, TASK = types.int64(types.int64), types.void(types.int64)
+
+# Places of what is read, in words of 8 bytes.
+_EXTENSION, _API, _CONTEXT, _STAGE, _ARGUMENTS, _RESULTS = 1, 2, 3, 4, 9, 14  # of a frame
+_DATA, _DIMENSIONS = 3, 5  # of a buffer
+_CREATE_ERROR, _DESTROY_ERROR, _SCHEDULE, _COUNT_THREADS = 6, 8, 17, 18  # of the table of XLA's functions
+_RESOURCE_EXHAUSTED = 8
+# Of what threads share: how many hold it, the next item, the items that are done, all items, and their job.
+_HOLDERS, _NEXT, _DONE, _ITEMS, _JOB = 0, 1, 2, 3, 4
+
+
+@inlined
+def word(address, place):
+    """The word at so many words behind an address."""
+    return as_int64s(address)[place]
+
+
+@inlined
+def set_word(address, place, value):
+    """Writes a word."""
+    as_int64s(address)[place] = value
+
+
+@inlined
+def argument(frame, place):
+    """The record of an argument's buffer."""
+    return word(word(frame, _ARGUMENTS), place)
+
+
+@inlined
+def result(frame, place):
+    """The record of a result's buffer."""
+    return word(word(frame, _RESULTS), place)
+
+
+@inlined
+def length(buffer, axis):
+    """Length of a buffer along an axis."""
+    return word(word(buffer, _DIMENSIONS), axis)
+
+
+@inlined
+def floats(buffer):
+    """A buffer's float32 numbers."""
+    return as_floats(word(buffer, _DATA))
+
+
+@inlined
+def int32s(buffer):
+    """A buffer's int32 numbers."""
+    return as_int32s(word(buffer, _DATA))
+
+
+@inlined
+def flags(buffer):
+    """A buffer's booleans, as bytes."""
+    return as_bytes(word(buffer, _DATA))
+
+
+@inlined
+def allocate(size):
+    """Address of so many fresh bytes; 0 where there are none left."""
+    return call(address_of("rasterizer_allocate"), max(size, 1))
+
+
+@inlined
+def release(address):
+    """Gives back what `allocate` gave."""
+    call(address_of("rasterizer_release"), address)
+
+
+@inlined
+def only_introduces(frame):
+    """Whether XLA only asks which version of its interface this is written for. It is told on the way."""
+    extension = word(frame, _EXTENSION)
+    if extension == 0 or as_int32s(extension)[2] != 1:
+        return False
+    metadata = as_int32s(word(extension, 3))
+    metadata[6], metadata[7], metadata[8] = API_MAJOR, API_MINOR, 0
+    return True
+
+
+@inlined
+def no_memory(frame):
+    """The error that a call returns where `allocate` found nothing."""
+    request = words_on_stack(4)
+    set_word(request, 0, 28)
+    set_word(request, 1, 0)
+    set_word(request, 2, address_of("rasterizer_no_memory"))
+    set_word(request, 3, _RESOURCE_EXHAUSTED)
+    return call(word(word(frame, _API), _CREATE_ERROR), request)
+
+
+@inlined
+def share(frame, task, job, items):
+    """Does all items of a job, with as many of XLA's threads as come to help.
+
+    Args:
+        frame: Of the call.
+        task: Address of a C function `TASK` that does items until `next_item` has none, and then lets go.
+        job: What the task needs to know: a word.
+        items: How many there are.
+
+    Returns:
+        Whether there was memory to begin.
+    """
+    shared, helpers = allocate(8 * 5), min(_threads(frame), items) - 1
+    if shared == 0:
+        return False
+    set_word(shared, _HOLDERS, helpers + 2)
+    set_word(shared, _NEXT, 0)
+    set_word(shared, _DONE, 0)
+    set_word(shared, _ITEMS, items)
+    set_word(shared, _JOB, job)
+    fetch_add(shared + 8 * _HOLDERS, _asked(frame, task, shared, helpers) - helpers)
+    call(task, shared)
+    while fetch_add(shared + 8 * _DONE, 0) < items:
+        call(address_of("rasterizer_give_way"), 0)
+    let_go(shared)
+    return True
+
+
+@inlined
+def job_of(shared):
+    """The job's word."""
+    return word(shared, _JOB)
+
+
+@inlined
+def next_item(shared):
+    """An item that nobody has taken, or -1."""
+    item = fetch_add(shared + 8 * _NEXT, 1)
+    return item if item < word(shared, _ITEMS) else -1
+
+
+@inlined
+def item_after(shared):
+    """The next item, the last one being done, or -1."""
+    fetch_add(shared + 8 * _DONE, 1)
+    return next_item(shared)
+
+
+@inlined
+def let_go(shared):
+    """The last one to let go gives back what was shared."""
+    if fetch_add(shared + 8 * _HOLDERS, -1) == 1:
+        release(shared)
+
+
+@inlined
+def _threads(frame):
+    """Threads that XLA has, this one among them; 1 where it does not tell."""
+    count, request = words_on_stack(1), words_on_stack(4)
+    set_word(count, 0, 1)
+    set_word(request, 0, 32)
+    set_word(request, 1, 0)
+    set_word(request, 2, word(frame, _CONTEXT))
+    set_word(request, 3, count)
+    _forget(frame, call(word(word(frame, _API), _COUNT_THREADS), request))
+    return word(count, 0)
+
+
+@inlined
+def _asked(frame, task, shared, helpers):
+    """How many threads were asked for help."""
+    request = words_on_stack(5)
+    set_word(request, 0, 40)
+    set_word(request, 1, 0)
+    set_word(request, 2, word(frame, _CONTEXT))
+    set_word(request, 3, task)
+    set_word(request, 4, shared)
+    for asked in range(helpers):
+        if _forget(frame, call(word(word(frame, _API), _SCHEDULE), request)):
+            return asked
+    return helpers
+
+
+@inlined
+def _forget(frame, error):
+    """Whether there was an error of XLA's. It is thrown away: this thread then works alone."""
+    if error == 0:
+        return False
+    request = words_on_stack(3)
+    set_word(request, 0, 24)
+    set_word(request, 1, 0)
+    set_word(request, 2, error)
+    call(word(word(frame, _API), _DESTROY_ERROR), request)
+    return True

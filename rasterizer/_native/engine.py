@@ -1,0 +1,86 @@
+"""The native loops as an engine: what `rasterizer.compositing` and `rasterizer.engines` call."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from rasterizer._native import lists as _lists
+from rasterizer._native import passes as _passes
+from rasterizer._native.tiles import GEOMETRY
+from rasterizer.binning import TileGrid, TilePairs, sigma_cuts
+from rasterizer.compositing import Blended, Engine, Static
+from rasterizer.projection import Projection
+from rasterizer.rules import Rules
+
+for _handler in (_lists.lists, _passes.forward, _passes.backward):
+    jax.ffi.register_ffi_target(f"rasterizer_{_handler.__name__}", jax.ffi.pycapsule(_handler.ctypes), platform="cpu")
+
+
+def _call(name: str, results, *arguments):
+    return jax.ffi.ffi_call(f"rasterizer_{name}", results, vmap_method="sequential")(*arguments)
+
+
+def _numbers(static: Static) -> tuple[Array, Array]:
+    """What the loops read of the static part: whole numbers and rules."""
+    grid, rules, front = static.grid, static.rules, static.front
+    sizes = grid.tiles_x, grid.tiles_x * grid.tiles_y, grid.tile_size, front.channels if front else 0, static.with_median
+    below = np.inf if rules.straight_through else rules.alpha_max
+    thresholds = rules.alpha_max, rules.alpha_min, rules.transmittance_min, below, front.stop_after if front else 0
+    return jnp.asarray(np.array(sizes, np.int32)), jnp.asarray(np.array(thresholds, np.float32))
+
+
+def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blended:
+    tiles, pixels = static.grid.num_tiles, static.grid.tile_size**2
+    indices = jax.ShapeDtypeStruct((tiles, pixels), np.int32)
+    results = (
+        jax.ShapeDtypeStruct((tiles, rows.shape[1] - GEOMETRY, pixels), np.float32),
+        jax.ShapeDtypeStruct((tiles, pixels), np.float32),
+        indices,
+        indices,
+    )
+    features, light, last, median = _call("forward", results, rows, splats, offsets, *_numbers(static))
+    return Blended(features, light, last, median if static.with_median else None)
+
+
+def _backward(static: Static, rows, splats, offsets, light, last, d_features, d_light) -> Array:
+    result = jax.ShapeDtypeStruct(rows.shape, np.float32)
+    arguments = rows, splats, offsets, light, last, d_features, d_light
+    return _call("backward", result, *arguments, *_numbers(static))
+
+
+def bin_splats(
+    projection: Projection,
+    opacities: Array,
+    grid: TileGrid,
+    capacity: int,
+    rules: Rules,
+    masks: Array | None = None,
+) -> TilePairs:
+    """`binning.bin_splats` as native loops: the same lists; `needed` is their length, and not that of the boxes."""
+    p = jax.lax.stop_gradient(projection)
+    cuts = sigma_cuts(jnp.broadcast_to(jax.lax.stop_gradient(opacities), p.depths.shape), rules)
+    sizes = np.array([grid.tiles_x, grid.tiles_y, grid.tile_size, grid.num_cameras], np.int32)
+    wanted = jnp.zeros(0, bool) if masks is None else masks.reshape(-1)
+    results = (
+        jax.ShapeDtypeStruct((capacity,), np.int32),
+        jax.ShapeDtypeStruct((grid.num_tiles + 1,), np.int32),
+        jax.ShapeDtypeStruct((), np.int32),
+    )
+    arrays = [x.reshape(-1, 2) for x in (p.means2d, p.extents)]
+    splats, offsets, needed = _call(
+        "lists",
+        results,
+        arrays[0],
+        p.conics.reshape(-1, 3),
+        p.depths.reshape(-1),
+        arrays[1],
+        p.visible.reshape(-1),
+        cuts.reshape(-1),
+        wanted,
+        jnp.asarray(sizes),
+    )
+    return TilePairs(splats, offsets, needed, needed > capacity)
+
+
+ENGINE = Engine(_forward, _backward, bin_splats)
