@@ -37,38 +37,40 @@ from rasterizer._native.instructions import (
     define,
     floats_at,
     int32s_at,
+    prefetch,
     words_on_stack,
 )
 
 BANDS = 16  # of rows of tiles: a band is a thread's work
+CHUNKS = 16  # of splats, too
+AHEAD = 16  # splats: memory answers about so many later
 DIGIT = 11  # bits that are sorted by at once
 DIGITS = 1 << DIGIT
 # Numbers of a splat: its tiles (from and to along x, rows from and to), the first row of its camera, its id; and its
-# ellipse (centre, conic, cut).
-BOX, ELLIPSE = 6, 6
-# Of a job: its frame, how many splats are visible, where their boxes and ellipses are, where the tiles' counts are.
-_FRAME, _VISIBLE, _BOXES, _ELLIPSES, _COUNTS, _JOB_WORDS = 0, 1, 2, 3, 4, 5
+# ellipse (centre, conic, cut, and how far along one axis it leans per pixel along the other).
+BOX, ELLIPSE = 6, 8
+# Of a job: its frame, the order and how many it has, where boxes, ellipses, counts of tiles and the bands' splats are;
+# then where each band's splats begin.
+_FRAME, _ORDER, _SHOWN, _BOXES, _ELLIPSES, _COUNTS, _MEMBERS, _STARTS = range(8)
+_JOB_WORDS = 8 + BANDS + 1
 # Of `sizes`: tiles along a row, rows of tiles, side of a tile in pixels, cameras.
 _ACROSS, _DOWN, _SIDE, _CAMERAS = 0, 1, 2, 3
 
 
 @inlined
-def least_sigma(x_low, y_low, x_high, y_high, xx, xy, yy):
+def least_sigma(x_low, y_low, x_high, y_high, ellipse):
     """Least Mahalanobis term over a box of offsets from the splat's centre, see `binning._least_sigma`."""
+    xx, xy, yy = ellipse[2], ellipse[3], ellipse[4]
     x, y = min(max(ZERO, x_low), x_high), min(max(ZERO, y_low), y_high)
-    if (x == ZERO) & (y == ZERO):
-        return ZERO
-    least = np.float32(np.inf)
-    if x != ZERO:
-        beside = min(max(-xy / yy * x, y_low), y_high)
-        least = min(least, HALF * (xx * x * x + yy * beside * beside) + xy * x * beside)
-    if y != ZERO:
-        beside = min(max(-xy / xx * y, x_low), x_high)
-        least = min(least, HALF * (xx * beside * beside + yy * y * y) + xy * beside * y)
-    return least
+    along_y = min(max(ellipse[6] * x, y_low), y_high)
+    along_x = min(max(ellipse[7] * y, x_low), x_high)
+    of_x = HALF * (xx * x * x + yy * along_y * along_y) + xy * x * along_y
+    of_y = HALF * (xx * along_x * along_x + yy * y * y) + xy * along_x * y
+    least = min(of_x if x != ZERO else np.float32(np.inf), of_y if y != ZERO else np.float32(np.inf))
+    return ZERO if (x == ZERO) & (y == ZERO) else least
 
 
-@part
+@inlined
 def order_by_depth(depths, visible, count, order, keys, other_order, other_keys):
     """Writes the ids of what is visible to `order`, front to back, equal depths by id; returns how many there are.
 
@@ -125,21 +127,75 @@ def tile_range(center, reach, side, limit):
 
 
 @part
-def write_splats(means2d, conics, extents, cuts, count, order, shown, sizes, boxes, ellipses):
-    """Writes where the splats of an order are, one after the other, so that every band reads them in one sweep."""
+def write_chunk(job, chunk):
+    """Writes where some of the ordered splats are, one after the other, so that the bands read them in one sweep."""
+    frame, shown, order = word(job, _FRAME), word(job, _SHOWN), as_int32s(word(job, _ORDER))
+    means2d, conics = floats(argument(frame, 0)), floats(argument(frame, 1))
+    extents, cuts, sizes = floats(argument(frame, 3)), floats(argument(frame, 5)), int32s(argument(frame, 7))
     across, down, side = np.float32(sizes[_ACROSS]), np.float32(sizes[_DOWN]), np.float32(sizes[_SIDE])
-    per_camera = max(count // sizes[_CAMERAS], 1)
-    for k in range(shown):
-        splat = np.int64(order[k])
+    per_camera = max(length(argument(frame, 2), 0) // sizes[_CAMERAS], 1)
+    for k in range(shown * chunk // CHUNKS, shown * (chunk + 1) // CHUNKS):
+        splat, later = np.int64(order[k]), np.int64(order[min(k + AHEAD, shown - 1)])
+        prefetch(floats_at(means2d, 2 * later))
+        prefetch(floats_at(conics, 3 * later))
+        prefetch(floats_at(extents, 2 * later))
         mean, extent, conic = floats_at(means2d, 2 * splat), floats_at(extents, 2 * splat), floats_at(conics, 3 * splat)
         from_x, to_x = tile_range(mean[0], extent[0], side, across)
         from_y, to_y = tile_range(mean[1], extent[1], side, down)
         first_row = splat // per_camera * sizes[_DOWN]
-        box, ellipse = int32s_at(boxes, BOX * k), floats_at(ellipses, ELLIPSE * k)
+        box, ellipse = int32s_at(as_int32s(word(job, _BOXES)), BOX * k), floats_at(as_floats(word(job, _ELLIPSES)), ELLIPSE * k)
         box[0], box[1], box[2], box[3] = from_x, to_x, first_row + from_y, first_row + to_y
         box[4], box[5] = first_row, splat
         ellipse[0], ellipse[1], ellipse[5] = mean[0], mean[1], cuts[splat]
         ellipse[2], ellipse[3], ellipse[4] = conic[0], conic[1], conic[2]
+        ellipse[6], ellipse[7] = -conic[1] / conic[2], -conic[1] / conic[0]
+
+
+@inlined
+def first_row_of(band, rows):
+    """The first row of tiles of a band."""
+    return rows * band // BANDS
+
+
+@inlined
+def band_of(row, rows):
+    """The band that a row of tiles belongs to."""
+    band = min(row * BANDS // max(rows, 1), BANDS - 1)
+    while first_row_of(band + 1, rows) <= row:
+        band += 1
+    return band
+
+
+@inlined
+def share_out(job, rows):
+    """Counts the splats of every band and tells where they begin; returns how many there are in all."""
+    boxes, starts = as_int32s(word(job, _BOXES)), as_int64s(job + 8 * _STARTS)
+    for band in range(BANDS + 1):
+        starts[band] = 0
+    for k in range(word(job, _SHOWN)):
+        box = int32s_at(boxes, BOX * k)
+        if box[0] < box[1] and box[2] < box[3]:
+            for band in range(band_of(np.int64(box[2]), rows), band_of(np.int64(box[3]) - 1, rows) + 1):
+                starts[band + 1] += 1
+    for band in range(BANDS):
+        starts[band + 1] += starts[band]
+    return starts[BANDS]
+
+
+@inlined
+def write_members(job, rows):
+    """Writes the splats of every band, in their order."""
+    boxes, starts = as_int32s(word(job, _BOXES)), as_int64s(job + 8 * _STARTS)
+    members = as_int32s(word(job, _MEMBERS))
+    for k in range(word(job, _SHOWN)):
+        box = int32s_at(boxes, BOX * k)
+        if box[0] < box[1] and box[2] < box[3]:
+            for band in range(band_of(np.int64(box[2]), rows), band_of(np.int64(box[3]) - 1, rows) + 1):
+                members[starts[band]] = k
+                starts[band] += 1
+    for band in range(BANDS, 0, -1):
+        starts[band] = starts[band - 1]
+    starts[0] = 0
 
 
 @inlined
@@ -148,36 +204,45 @@ def is_listed(ellipse, column, row, side, masks, masked, tile):
     x = np.float32(column * side) + HALF - ellipse[0]
     y = np.float32(row * side) + HALF - ellipse[1]
     span = np.float32(side - 1)
-    wanted = masked == 0 or masks[tile] != 0
-    return wanted and least_sigma(x, y, x + span, y + span, ellipse[2], ellipse[3], ellipse[4]) <= ellipse[5]
+    reaches = least_sigma(x, y, x + span, y + span, ellipse) <= ellipse[5]
+    return reaches & (masks[tile] != 0) if masked else reaches
 
 
 @part
 def list_band(job, band, filling):
     """Counts the splats of every tile of a band; or, where these are known, writes its lists."""
-    frame = word(job, _FRAME)
+    frame, starts, members = word(job, _FRAME), as_int64s(job + 8 * _STARTS), as_int32s(word(job, _MEMBERS))
     sizes, masks, masked = int32s(argument(frame, 7)), flags(argument(frame, 6)), length(argument(frame, 6), 0)
     splats, capacity = int32s(result(frame, 0)), length(result(frame, 0), 0)
-    boxes, ellipses, counts = (
-        as_int32s(word(job, _BOXES)),
-        as_floats(word(job, _ELLIPSES)),
-        as_int64s(word(job, _COUNTS)),
-    )
+    counts = as_int64s(word(job, _COUNTS))
     across, rows, side = np.int64(sizes[_ACROSS]), np.int64(sizes[_DOWN]) * sizes[_CAMERAS], np.int64(sizes[_SIDE])
-    first, end = rows * band // BANDS, rows * (band + 1) // BANDS
+    first, end = first_row_of(band, rows), first_row_of(band + 1, rows)
     if not filling:
         for tile in range(first * across, end * across):
             counts[tile] = 0
-    for k in range(word(job, _VISIBLE)):
-        box, ellipse = int32s_at(boxes, BOX * k), floats_at(ellipses, ELLIPSE * k)
+    for member in range(starts[band], starts[band + 1]):
+        k = np.int64(members[member])
+        box, ellipse = int32s_at(as_int32s(word(job, _BOXES)), BOX * k), floats_at(as_floats(word(job, _ELLIPSES)), ELLIPSE * k)
         for row in range(max(np.int64(box[2]), first), min(np.int64(box[3]), end)):
             for column in range(np.int64(box[0]), np.int64(box[1])):
                 tile = row * across + column
-                if is_listed(ellipse, column, row - box[4], side, masks, masked, tile):
-                    place = counts[tile]
-                    if filling and place < capacity:
-                        splats[place] = box[5]
-                    counts[tile] = place + 1
+                listed = is_listed(ellipse, column, row - box[4], side, masks, masked, tile)
+                if not filling:
+                    counts[tile] += listed
+                elif listed:
+                    if counts[tile] < capacity:
+                        splats[counts[tile]] = box[5]
+                    counts[tile] += 1
+
+
+@entry_point(TASK)
+def write_chunks(shared):
+    """Writes chunks of splats until none is left."""
+    chunk = next_item(shared)
+    while chunk >= 0:
+        write_chunk(job_of(shared), chunk)
+        chunk = item_after(shared)
+    let_go(shared)
 
 
 @entry_point(TASK)
@@ -200,11 +265,11 @@ def fill_bands(shared):
     let_go(shared)
 
 
-for _task in (count_bands, fill_bands):
+for _task in (write_chunks, count_bands, fill_bands):
     define(f"rasterizer_{_task.__name__}", _task.address)
 
 
-@part
+@inlined
 def write_offsets(frame, counts, tiles):
     """Writes the offsets and the capacity that is needed, and turns counts into where each list begins."""
     capacity, total = length(result(frame, 0), 0), 0
@@ -217,38 +282,48 @@ def write_offsets(frame, counts, tiles):
     needed[0] = min(total, 2**31 - 1)
 
 
+@inlined
+def write_lists(frame, job, count, tiles):
+    """Whether there was room for all that is written on the way."""
+    sizes = int32s(argument(frame, 7))
+    rows = np.int64(sizes[_DOWN]) * sizes[_CAMERAS]
+    at_order, at_work = allocate(4 * count), allocate(12 * count)
+    at_boxes, at_ellipses, at_counts = allocate(4 * BOX * count), allocate(4 * ELLIPSE * count), allocate(8 * tiles)
+    at_members = 0
+    done = at_order != 0 and at_work != 0 and at_boxes != 0 and at_ellipses != 0 and at_counts != 0
+    if done:
+        order, work = as_int32s(at_order), as_int32s(at_work)
+        set_word(job, _FRAME, frame)
+        set_word(job, _ORDER, at_order)
+        set_word(job, _BOXES, at_boxes)
+        set_word(job, _ELLIPSES, at_ellipses)
+        set_word(job, _COUNTS, at_counts)
+        depths, visible = int32s(argument(frame, 2)), flags(argument(frame, 4))
+        shown = order_by_depth(depths, visible, count, order, work, int32s_at(work, count), int32s_at(work, 2 * count))
+        set_word(job, _SHOWN, shown)
+        done = share(frame, address_of("rasterizer_write_chunks"), job, CHUNKS)
+        at_members = allocate(4 * share_out(job, rows))
+        set_word(job, _MEMBERS, at_members)
+        done = done and at_members != 0
+        if done:
+            write_members(job, rows)
+            done = share(frame, address_of("rasterizer_count_bands"), job, BANDS)
+            write_offsets(frame, as_int64s(at_counts), tiles)
+            done = done and share(frame, address_of("rasterizer_fill_bands"), job, BANDS)
+    release(at_order)
+    release(at_work)
+    release(at_boxes)
+    release(at_ellipses)
+    release(at_counts)
+    release(at_members)
+    return done
+
+
 @entry_point(HANDLER)
 def lists(frame):
     """(means2d, conics, depths, extents, visible, cuts, masks, sizes) -> splats, offsets, needed."""
     if only_introduces(frame):
         return 0
+    job = words_on_stack(_JOB_WORDS)
     count, tiles = length(argument(frame, 2), 0), length(result(frame, 1), 0) - 1
-    at_order, at_work, at_counts = allocate(4 * count), allocate(12 * count), allocate(8 * tiles)
-    at_boxes, at_ellipses = allocate(4 * BOX * count), allocate(4 * ELLIPSE * count)
-    done = at_order != 0 and at_work != 0 and at_counts != 0 and at_boxes != 0 and at_ellipses != 0
-    if done:
-        order, work = as_int32s(at_order), as_int32s(at_work)
-        shown = order_by_depth(
-            int32s(argument(frame, 2)), flags(argument(frame, 4)), count, order, work, int32s_at(work, count),
-            int32s_at(work, 2 * count),
-        )  # fmt: skip
-        write_splats(
-            floats(argument(frame, 0)), floats(argument(frame, 1)), floats(argument(frame, 3)),
-            floats(argument(frame, 5)), count, order, shown, int32s(argument(frame, 7)), as_int32s(at_boxes),
-            as_floats(at_ellipses),
-        )  # fmt: skip
-        job = words_on_stack(_JOB_WORDS)
-        set_word(job, _FRAME, frame)
-        set_word(job, _VISIBLE, shown)
-        set_word(job, _BOXES, at_boxes)
-        set_word(job, _ELLIPSES, at_ellipses)
-        set_word(job, _COUNTS, at_counts)
-        done = share(frame, address_of("rasterizer_count_bands"), job, BANDS)
-        write_offsets(frame, as_int64s(at_counts), tiles)
-        done = done and share(frame, address_of("rasterizer_fill_bands"), job, BANDS)
-    release(at_order)
-    release(at_work)
-    release(at_counts)
-    release(at_boxes)
-    release(at_ellipses)
-    return 0 if done else no_memory(frame)
+    return 0 if write_lists(frame, job, count, tiles) else no_memory(frame)
