@@ -1,11 +1,11 @@
 """A differentiable Gaussian rasterizer in JAX: arrays in, images out."""
 
 from rasterizer.api import rasterization
-from rasterizer.binning import TileGrid, TilePairs, bin_splats, count_pairs
+from rasterizer.binning import TileGrid, TilePairs, count_pairs
 from rasterizer.capacity import capacity_bucket
 from rasterizer.compositing import Front
 from rasterizer.covariances import quat_scale_to_covar_preci
-from rasterizer.engines import blend, default_tile_size
+from rasterizer.engines import bin_splats, blend, default_tile_size
 from rasterizer.exchange import Packed, exchange, pack, unpack
 from rasterizer.features import blended_depth, depth_channels, median_depth
 from rasterizer.harmonics import spherical_harmonics

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from rasterizer import _reference
-from rasterizer.binning import TileGrid, bin_splats
+from rasterizer.binning import TileGrid
 from rasterizer.capacity import choose_capacity
 from rasterizer.checks import check_arrays, check_masks, check_modes, check_sizes
-from rasterizer.engines import Backend, blend, default_tile_size, resolve
+from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, resolve
 from rasterizer.features import (
     RenderMode,
     blended_depth,
@@ -111,7 +111,7 @@ def _rasterize(
     if dense:
         image, left, median = _blend_densely(projection, opacities, features, grid, masks, options["rules"])
     else:
-        pairs = bin_splats(projection, opacities, grid, capacity, options["rules"], masks)
+        pairs = bin_splats(projection, opacities, grid, capacity, options["rules"], masks, backend=backend)
         how = {"backend": backend, "with_median": return_median_depth}
         image, left, median = blend(projection, opacities, features, pairs, grid, options["rules"], **how)
         info |= pairs._asdict()
@@ -196,8 +196,9 @@ def rasterization(
         tile_size: Side of a tile in pixels; None for what suits the backend, `rasterizer.default_tile_size(backend)`.
         capacity: Length of the buffer of (tile, Gaussian) pairs. None counts first and chooses a bucket, which works
             eagerly, under `grad` and under `vmap`; inside `jit` a number must be given.
-        backend: "xla" tiles in jnp, "pallas" tiles in GPU kernels, "reference" the dense oracle (any dtype, any order
-            of derivatives), "auto" the fastest on this machine.
+        backend: "native" tiles in loops that numba compiles for this CPU, "xla" tiles in jnp, "pallas" tiles in GPU
+            kernels, "reference" the dense oracle (any dtype, any order of derivatives), "auto" the fastest on this
+            machine.
         rules: Thresholds of compositing; presets `rasterizer.GSPLAT` and `rasterizer.INRIA`.
         **gsplat_only: What else gsplat 1.6 takes (`packed`, `absgrad`, `camera_model`, ...), at the values that ask for
             nothing.

@@ -1,5 +1,8 @@
 """Which engine blends the tiles, and how many channels at a time."""
 
+import logging
+from functools import cache
+from types import ModuleType
 from typing import Literal
 
 import jax
@@ -12,29 +15,85 @@ from rasterizer.compositing import Engine, Front, Static, composite
 from rasterizer.projection import Projection
 from rasterizer.rules import GSPLAT, Rules
 
-Backend = Literal["auto", "xla", "pallas", "reference"]
-TILE_SIZES = {"xla": 8, "pallas": 16, "reference": 8}  # 8 halves the wasted pixels of small splats, measured on CPU.
+Backend = Literal["auto", "native", "xla", "pallas", "reference"]
+# 8 halves the wasted pixels of small splats, measured on CPU.
+TILE_SIZES = {"native": 8, "xla": 8, "pallas": 16, "reference": 8}
 CHANNEL_CHUNK = 16  # Channels per pass: more would not fit a CPU's, or a GPU thread's, registers.
+
+logger = logging.getLogger("rasterizer")
 
 
 def resolve(backend: Backend) -> Backend:
     """The backend that "auto" stands for on this machine."""
     if backend != "auto":
         return backend
-    return "pallas" if _has_gpu() else "xla"
+    if _has_gpu():
+        return "pallas"
+    return "native" if jax.default_backend() == "cpu" and _native_or_none() else "xla"
 
 
 def _has_gpu() -> bool:
     return jax.default_backend() == "gpu"
 
 
+def _native() -> ModuleType:
+    """The native loops, compiled or loaded.
+
+    Raises:
+        ImportError: There is no numba here, or XLA's interface is not the one that they are written for.
+    """
+    from rasterizer import _native
+
+    return _native
+
+
+@cache
+def _native_or_none() -> ModuleType | None:
+    try:
+        return _native()
+    except ImportError as error:
+        logger.warning("the CPU's rasterizer runs in jnp, several times slower than its native loops: %s", error)
+        return None
+
+
 def _engine(backend: Backend) -> Engine:
-    return _pallas.engine(interpret=not _has_gpu()) if resolve(backend) == "pallas" else _xla.ENGINE
+    kind = resolve(backend)
+    if kind == "native":
+        return _native().ENGINE
+    return _pallas.engine(interpret=not _has_gpu()) if kind == "pallas" else _xla.ENGINE
 
 
 def default_tile_size(backend: Backend = "auto") -> int:
     """The side of a tile that suits a backend, pixels."""
     return TILE_SIZES[resolve(backend)]
+
+
+def bin_splats(
+    projection: Projection,
+    opacities: Array,
+    grid: TileGrid,
+    capacity: int,
+    rules: Rules,
+    masks: Array | None = None,
+    *,
+    backend: Backend = "auto",
+) -> TilePairs:
+    """List, for every tile, the splats whose alpha passes the cut at one of its pixel centres, front to back.
+
+    Args:
+        projection: Splats of `grid.num_cameras` cameras.
+        opacities: `[N]` or `[C, N]` opacity of each splat.
+        grid: The tiles. Static.
+        capacity: Length of the pair buffer. Static.
+        rules: Decides the alpha cut. Static.
+        masks: `[C, tiles_y, tiles_x]` bool, the tiles that are wanted; None for all. The others get empty lists.
+        backend: A tile backend. The lists of all are the same. Static.
+
+    Returns:
+        `TilePairs`, not differentiable. If `overflowed`, pairs are missing. `needed` is the number of pairs that are
+        listed with "native", and of those that boxes around the splats would list with the others.
+    """
+    return _engine(backend).lists(projection, opacities, grid, capacity, rules, masks)
 
 
 def blend(
@@ -71,8 +130,11 @@ def blend(
         ValueError: If the tiles do not suit the backend.
     """
     channels, side = features.shape[2], grid.tile_size
-    if resolve(backend) == "pallas" and side & (side - 1):
+    kind = resolve(backend)
+    if kind == "pallas" and side & (side - 1):
         raise ValueError(f"tile_size={side} is not a power of two, as backend='pallas' needs it")
+    if kind == "native" and side > _native().MAX_SIDE:
+        raise ValueError(f"tile_size={side} is over {_native().MAX_SIDE}, the most that backend='native' holds")
     if features.shape[1] == 0:
         shape = (grid.num_cameras, grid.height, grid.width)
         median = jnp.full(shape, -1, jnp.int32) if with_median else None

@@ -24,7 +24,8 @@ class Layer:
 CORE_PACKAGES = ("jax", "numpy", "optax", "scipy")
 CORE = ("vocabulary", "measures", "normals", "analytic", "effects", "training", "binding")
 LAYERS = {
-    "rasterizer": Layer(("rasterizer",), (), ("jax", "numpy")),
+    "native loops": Layer(("rasterizer._native",), ("rasterizer",), ("jax", "numpy", "numba", "llvmlite")),
+    "rasterizer": Layer(("rasterizer",), ("native loops",), ("jax", "numpy")),
     "vocabulary": Layer(("gsjax",), ("rasterizer",), CORE_PACKAGES),
     "measures": Layer(("gsjax.measures",), ("vocabulary",), CORE_PACKAGES),
     "normals": Layer(("gsjax.normals",), ("vocabulary",), CORE_PACKAGES),
@@ -62,7 +63,7 @@ LAYERS = {
         ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "websockets", "gsplat", "torch", *SCRIPTS),
     ),
 }
-HEAVY = {"open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "xatlas", "matplotlib", "PIL", "viser"}
+HEAVY = {"numba", "open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "xatlas", "matplotlib", "PIL", "viser"}
 
 
 def layer_of(module: str) -> str | None:

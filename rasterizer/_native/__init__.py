@@ -9,5 +9,6 @@ from rasterizer._native.compiled import kept_on_disk
 
 with kept_on_disk():
     from rasterizer._native.engine import ENGINE
+    from rasterizer._native.tiles import MAX_SIDE
 
-__all__ = ["ENGINE"]
+__all__ = ["ENGINE", "MAX_SIDE"]

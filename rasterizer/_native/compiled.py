@@ -57,17 +57,13 @@ def _home_or_none() -> Path | None:
 FOLDER = _home_or_none()
 OPTIONS = {"fastmath": FAST, "error_model": "numpy"}
 
-# A small function: compiled once, and inlined by LLVM wherever it is called.
-inlined = numba.njit(forceinline=True, **OPTIONS)
-# A long one that is called in one place: inlined before anything is compiled, or LLVM would optimise it twice.
-part = numba.njit(inline="always", **OPTIONS)
+# Compiled once, and inlined by LLVM wherever it is called. Nobody calls it from Python, which saves its wrappers.
+inlined = numba.njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)
 
 
 def entry_point(signature: object) -> Callable:
     """A function that C can call, compiled or loaded as soon as it is defined."""
-    def g(f):
-        t=time.perf_counter(); r=numba.cfunc(signature, cache=FOLDER is not None, **OPTIONS)(f); print(f.__name__, time.perf_counter()-t); return r
-    return g
+    return numba.cfunc(signature, cache=FOLDER is not None, **OPTIONS)
 
 
 @contextmanager

@@ -1,5 +1,8 @@
 """The native loops as an engine: what `rasterizer.compositing` and `rasterizer.engines` call."""
 
+import re
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,17 +10,32 @@ from jax import Array
 
 from rasterizer._native import lists as _lists
 from rasterizer._native import passes as _passes
+from rasterizer._native.calls import API_MAJOR, API_MINOR
 from rasterizer._native.tiles import GEOMETRY
 from rasterizer.binning import TileGrid, TilePairs, sigma_cuts
 from rasterizer.compositing import Blended, Engine, Static
 from rasterizer.projection import Projection
 from rasterizer.rules import Rules
 
+
+
+def _check_interface() -> None:
+    """Raises ImportError where XLA's interface has changed since `calls` was written."""
+    header = (Path(jax.ffi.include_dir()) / "xla" / "ffi" / "api" / "c_api.h").read_text()
+    version = [int(re.findall(rf"define XLA_FFI_API_{part} (\d+)", header)[0]) for part in ("MAJOR", "MINOR")]
+    if version[0] != API_MAJOR or version[1] < API_MINOR:
+        raise ImportError(f"XLA's FFI is of version {version[0]}.{version[1]}, not {API_MAJOR}.{API_MINOR} or later")
+
+
+_check_interface()
 for _handler in (_lists.lists, _passes.forward, _passes.backward):
     jax.ffi.register_ffi_target(f"rasterizer_{_handler.__name__}", jax.ffi.pycapsule(_handler.ctypes), platform="cpu")
 
 
 def _call(name: str, results, *arguments):
+    for each in arguments:
+        if each.dtype == np.float64:
+            raise ValueError(f"{each.dtype} arrays; backend='native' takes float32, only backend='reference' takes more")
     return jax.ffi.ffi_call(f"rasterizer_{name}", results, vmap_method="sequential")(*arguments)
 
 

@@ -28,7 +28,7 @@ from rasterizer._native.calls import (
     share,
     word,
 )
-from rasterizer._native.compiled import entry_point, inlined, part
+from rasterizer._native.compiled import entry_point, inlined
 from rasterizer._native.instructions import (
     address_of,
     as_floats,
@@ -46,13 +46,14 @@ CHUNKS = 16  # of splats, too
 AHEAD = 16  # splats: memory answers about so many later
 DIGIT = 11  # bits that are sorted by at once
 DIGITS = 1 << DIGIT
-# Numbers of a splat: its tiles (from and to along x, rows from and to), the first row of its camera, its id; and its
-# ellipse (centre, conic, cut, and how far along one axis it leans per pixel along the other).
-BOX, ELLIPSE = 6, 8
-# Of a job: its frame, the order and how many it has, where boxes, ellipses, counts of tiles and the bands' splats are;
-# then where each band's splats begin.
-_FRAME, _ORDER, _SHOWN, _BOXES, _ELLIPSES, _COUNTS, _MEMBERS, _STARTS = range(8)
-_JOB_WORDS = 8 + BANDS + 1
+# A record of a splat is a line of the cache: int32 of its tiles (from and to along x, rows from and to), the first row of
+# its camera, its id; then float32 of its ellipse: centre, conic, cut, and how far it leans along one axis per pixel along
+# the other.
+LINE, ELLIPSE = 64, 24  # bytes
+# Of a job: its frame, the order and how many it has, where records, counts of tiles and the bands' splats are; then
+# where each band's splats begin.
+_FRAME, _ORDER, _SHOWN, _RECORDS, _COUNTS, _MEMBERS, _STARTS = range(7)
+_JOB_WORDS = 7 + BANDS + 1
 # Of `sizes`: tiles along a row, rows of tiles, side of a tile in pixels, cameras.
 _ACROSS, _DOWN, _SIDE, _CAMERAS = 0, 1, 2, 3
 
@@ -126,7 +127,19 @@ def tile_range(center, reach, side, limit):
     return np.int32(min(max(low, ZERO), limit)), np.int32(min(max(high, ZERO), limit))
 
 
-@part
+@inlined
+def box_of(job, k):
+    """The whole numbers of the record of the splat that comes k-th."""
+    return as_int32s(word(job, _RECORDS) + LINE * k)
+
+
+@inlined
+def ellipse_of(job, k):
+    """The others."""
+    return as_floats(word(job, _RECORDS) + LINE * k + ELLIPSE)
+
+
+@inlined
 def write_chunk(job, chunk):
     """Writes where some of the ordered splats are, one after the other, so that the bands read them in one sweep."""
     frame, shown, order = word(job, _FRAME), word(job, _SHOWN), as_int32s(word(job, _ORDER))
@@ -143,7 +156,7 @@ def write_chunk(job, chunk):
         from_x, to_x = tile_range(mean[0], extent[0], side, across)
         from_y, to_y = tile_range(mean[1], extent[1], side, down)
         first_row = splat // per_camera * sizes[_DOWN]
-        box, ellipse = int32s_at(as_int32s(word(job, _BOXES)), BOX * k), floats_at(as_floats(word(job, _ELLIPSES)), ELLIPSE * k)
+        box, ellipse = box_of(job, k), ellipse_of(job, k)
         box[0], box[1], box[2], box[3] = from_x, to_x, first_row + from_y, first_row + to_y
         box[4], box[5] = first_row, splat
         ellipse[0], ellipse[1], ellipse[5] = mean[0], mean[1], cuts[splat]
@@ -169,11 +182,11 @@ def band_of(row, rows):
 @inlined
 def share_out(job, rows):
     """Counts the splats of every band and tells where they begin; returns how many there are in all."""
-    boxes, starts = as_int32s(word(job, _BOXES)), as_int64s(job + 8 * _STARTS)
+    starts = as_int64s(job + 8 * _STARTS)
     for band in range(BANDS + 1):
         starts[band] = 0
     for k in range(word(job, _SHOWN)):
-        box = int32s_at(boxes, BOX * k)
+        box = box_of(job, k)
         if box[0] < box[1] and box[2] < box[3]:
             for band in range(band_of(np.int64(box[2]), rows), band_of(np.int64(box[3]) - 1, rows) + 1):
                 starts[band + 1] += 1
@@ -185,10 +198,9 @@ def share_out(job, rows):
 @inlined
 def write_members(job, rows):
     """Writes the splats of every band, in their order."""
-    boxes, starts = as_int32s(word(job, _BOXES)), as_int64s(job + 8 * _STARTS)
-    members = as_int32s(word(job, _MEMBERS))
+    starts, members = as_int64s(job + 8 * _STARTS), as_int32s(word(job, _MEMBERS))
     for k in range(word(job, _SHOWN)):
-        box = int32s_at(boxes, BOX * k)
+        box = box_of(job, k)
         if box[0] < box[1] and box[2] < box[3]:
             for band in range(band_of(np.int64(box[2]), rows), band_of(np.int64(box[3]) - 1, rows) + 1):
                 members[starts[band]] = k
@@ -208,7 +220,7 @@ def is_listed(ellipse, column, row, side, masks, masked, tile):
     return reaches & (masks[tile] != 0) if masked else reaches
 
 
-@part
+@inlined
 def list_band(job, band, filling):
     """Counts the splats of every tile of a band; or, where these are known, writes its lists."""
     frame, starts, members = word(job, _FRAME), as_int64s(job + 8 * _STARTS), as_int32s(word(job, _MEMBERS))
@@ -221,8 +233,9 @@ def list_band(job, band, filling):
         for tile in range(first * across, end * across):
             counts[tile] = 0
     for member in range(starts[band], starts[band + 1]):
+        prefetch(box_of(job, np.int64(members[min(member + AHEAD, starts[band + 1] - 1)])))
         k = np.int64(members[member])
-        box, ellipse = int32s_at(as_int32s(word(job, _BOXES)), BOX * k), floats_at(as_floats(word(job, _ELLIPSES)), ELLIPSE * k)
+        box, ellipse = box_of(job, k), ellipse_of(job, k)
         for row in range(max(np.int64(box[2]), first), min(np.int64(box[3]), end)):
             for column in range(np.int64(box[0]), np.int64(box[1])):
                 tile = row * across + column
@@ -288,15 +301,13 @@ def write_lists(frame, job, count, tiles):
     sizes = int32s(argument(frame, 7))
     rows = np.int64(sizes[_DOWN]) * sizes[_CAMERAS]
     at_order, at_work = allocate(4 * count), allocate(12 * count)
-    at_boxes, at_ellipses, at_counts = allocate(4 * BOX * count), allocate(4 * ELLIPSE * count), allocate(8 * tiles)
-    at_members = 0
-    done = at_order != 0 and at_work != 0 and at_boxes != 0 and at_ellipses != 0 and at_counts != 0
+    at_records, at_counts, at_members = allocate(LINE * (count + 1)), allocate(8 * tiles), 0
+    done = at_order != 0 and at_work != 0 and at_records != 0 and at_counts != 0
     if done:
         order, work = as_int32s(at_order), as_int32s(at_work)
         set_word(job, _FRAME, frame)
         set_word(job, _ORDER, at_order)
-        set_word(job, _BOXES, at_boxes)
-        set_word(job, _ELLIPSES, at_ellipses)
+        set_word(job, _RECORDS, (at_records + LINE - 1) // LINE * LINE)
         set_word(job, _COUNTS, at_counts)
         depths, visible = int32s(argument(frame, 2)), flags(argument(frame, 4))
         shown = order_by_depth(depths, visible, count, order, work, int32s_at(work, count), int32s_at(work, 2 * count))
@@ -312,8 +323,7 @@ def write_lists(frame, job, count, tiles):
             done = done and share(frame, address_of("rasterizer_fill_bands"), job, BANDS)
     release(at_order)
     release(at_work)
-    release(at_boxes)
-    release(at_ellipses)
+    release(at_records)
     release(at_counts)
     release(at_members)
     return done

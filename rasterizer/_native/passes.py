@@ -28,7 +28,7 @@ from rasterizer._native.calls import (
     share,
     word,
 )
-from rasterizer._native.compiled import entry_point, inlined, part
+from rasterizer._native.compiled import entry_point, inlined
 from rasterizer._native.instructions import (
     address_of,
     as_floats,
@@ -85,7 +85,7 @@ def tile_center(tile, sizes):
     return (np.float32(within % sizes[_ACROSS]) + HALF) * side, (np.float32(within // sizes[_ACROSS]) + HALF) * side
 
 
-@part
+@inlined
 def gather(rows, count, on, in_front, splats, pairs, alpha_min, places, ids, near):
     """Copies the rows of a band's splats next to each other, as `tiles` wants them.
 
@@ -139,7 +139,7 @@ def shape_of(frame, sizes):
     return length(buffer, 0), on, in_front, CHANNELS + through + until, np.int64(sizes[_SIDE])
 
 
-@part
+@inlined
 def blend_band(job, band):
     """Blends the tiles of a band."""
     frame = word(job, _FRAME)
@@ -170,7 +170,7 @@ def blend_band(job, band):
     release(at_near)
 
 
-@part
+@inlined
 def unblend_band(job, band):
     """Sums, of every splat that a band's tiles show, the moments of dL/dsigma and the gradients to channels."""
     frame = word(job, _FRAME)
@@ -208,7 +208,7 @@ def unblend_band(job, band):
     set_word(job, _BANDS + 2 * band + 1, at_sums)
 
 
-@part
+@inlined
 def add_chunk(job, chunk):
     """Adds what the bands summed for some of the rows, and goes on to rows as `compositing.chain_to_rows` does."""
     frame = word(job, _FRAME)

@@ -17,7 +17,7 @@ from rasterizer._native.blending import (
     unblend_in_front,
     unblend_splat,
 )
-from rasterizer._native.compiled import inlined, part
+from rasterizer._native.compiled import inlined
 from rasterizer._native.instructions import floats_at, floats_on_stack
 
 MAX_SIDE, MAX_CHANNELS = 32, 16  # pixels of a tile, channels of a pass
@@ -97,7 +97,7 @@ def all_stopped(blocks, side):
     return most <= ZERO
 
 
-@part
+@inlined
 def blend_list(blocks, rows, splats, count, center_x, center_y, side, through, until, rules, alone):
     """Blends a list onto blocks; `alone`, a literal: only the first three channels, and no median, are asked for."""
     of_row, width = blocks_of_row(side), CHANNELS + through + until
@@ -146,7 +146,7 @@ def blend_list(blocks, rows, splats, count, center_x, center_y, side, through, u
             break
 
 
-@part
+@inlined
 def blend_tile(
     rows, splats, count, center_x, center_y, side, on, in_front, with_median, rules, features, light, last, median
 ):
@@ -188,7 +188,7 @@ def blend_tile(
                 features[(on + d) * pixels + p] = block[CHANNEL + LANES * (through + d)]
 
 
-@part
+@inlined
 def unblend_list(blocks, rows, splats, count, center_x, center_y, side, through, until, rules, sums, alone):
     """Walks back over a list; `alone`, a literal: only the first three channels are there."""
     of_row, width, parts = blocks_of_row(side), CHANNELS + through + until, floats_on_stack(PART_LANES)
@@ -247,7 +247,7 @@ def sum_of_lanes(parts, first):
     return total
 
 
-@part
+@inlined
 def light_up(blocks, row, begin, end, through, until):
     """Writes dL/dimage . channels of a splat for all channels but the first three."""
     for n in range(begin, end):
@@ -263,7 +263,7 @@ def light_up(blocks, row, begin, end, through, until):
                 to[j] += a * gradient[j]
 
 
-@part
+@inlined
 def sum_channels(blocks, parts, total, begin, end, through, until, rules):
     """Adds weights x dL/dimage for all channels but the first three; what it reads of weights becomes those in front."""
     for d in range(THREE, through + until):
@@ -282,7 +282,7 @@ def sum_channels(blocks, parts, total, begin, end, through, until, rules):
         total[CHANNELS + d] += sum_of_lanes(parts, 0)
 
 
-@part
+@inlined
 def unblend_tile(rows, splats, center_x, center_y, side, on, in_front, rules, light, last, d_features, d_light, sums):
     """Walks back over a tile's list, from the last splat that shows.
 
