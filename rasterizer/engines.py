@@ -90,8 +90,7 @@ def bin_splats(
         backend: A tile backend. The lists of all are the same. Static.
 
     Returns:
-        `TilePairs`, not differentiable. If `overflowed`, pairs are missing. `needed` is the number of pairs that are
-        listed with "native", and of those that boxes around the splats would list with the others.
+        `TilePairs`, not differentiable. If `overflowed`, pairs are missing.
     """
     return _engine(backend).lists(projection, opacities, grid, capacity, rules, masks)
 

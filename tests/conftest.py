@@ -39,7 +39,7 @@ class HardCases:
     def page(self):
         from gsjax.io.machine import machine, versions
 
-        backends = ("reference", "xla", "pallas")
+        backends = ("reference", "native", "xla", "pallas")
         heads = [f"{name}, {what}" for name in backends for what in ("value", "gradient")]
         lines = [
             "# Hard cases",

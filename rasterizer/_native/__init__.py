@@ -1,8 +1,8 @@
-"""The tile engine as native loops: the CPU's. numba compiles them, XLA calls them, Python is not there while they run.
+"""The CPU's tile engine as native loops: numba compiles them, XLA calls them, no Python runs in between.
 
-`blending` is the text of the blend, `tiles` walks a tile's list, `passes` and `lists` are what XLA calls, `calls` how it
-does and how threads share the work, `engine` the face to jax. Importing this package compiles or loads it all;
-`rasterizer.engines` does so when the engine is first used.
+`blending` is the text of the blend, `tiles` walks the list of a tile, `passes` and `lists` are what XLA calls, `calls`
+is how it calls and how threads share the work, `engine` is the face to jax. Importing this package compiles it all, or
+loads it; `rasterizer.engines` does so when the engine is first used.
 """
 
 from rasterizer._native.compiled import kept_on_disk

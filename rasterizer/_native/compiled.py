@@ -11,10 +11,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numba
-from numba.core import config
+from numba.core import config as _config
 
+config: Any = _config  # Its fields are made when it is loaded.
 # Sums may be contracted and reordered, so that loops become vectors; infinities and NaN keep their meaning.
 FAST = {"contract", "reassoc", "nsz"}
 
@@ -55,10 +57,11 @@ def _home_or_none() -> Path | None:
 
 
 FOLDER = _home_or_none()
-OPTIONS = {"fastmath": FAST, "error_model": "numpy"}
+OPTIONS: dict[str, Any] = {"fastmath": FAST, "error_model": "numpy"}
 
 # Compiled once, and inlined by LLVM wherever it is called. Nobody calls it from Python, which saves its wrappers.
-inlined = numba.njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **OPTIONS)
+INLINED = {"forceinline": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True, **OPTIONS}
+inlined = numba.njit(**INLINED)
 
 
 def entry_point(signature: object) -> Callable:

@@ -18,7 +18,6 @@ from rasterizer.projection import Projection
 from rasterizer.rules import Rules
 
 
-
 def _check_interface() -> None:
     """Raises ImportError where XLA's interface has changed since `calls` was written."""
     header = (Path(jax.ffi.include_dir()) / "xla" / "ffi" / "api" / "c_api.h").read_text()
@@ -35,14 +34,26 @@ for _handler in (_lists.lists, _passes.forward, _passes.backward):
 def _call(name: str, results, *arguments):
     for each in arguments:
         if each.dtype == np.float64:
-            raise ValueError(f"{each.dtype} arrays; backend='native' takes float32, only backend='reference' takes more")
+            raise ValueError(
+                f"{each.dtype} arrays; backend='native' takes float32, only backend='reference' takes more"
+            )
     return jax.ffi.ffi_call(f"rasterizer_{name}", results, vmap_method="sequential")(*arguments)
+
+
+def _single(x: Array) -> Array:
+    return x.astype(np.float32) if x.dtype == np.float64 else x
 
 
 def _numbers(static: Static) -> tuple[Array, Array]:
     """What the loops read of the static part: whole numbers and rules."""
     grid, rules, front = static.grid, static.rules, static.front
-    sizes = grid.tiles_x, grid.tiles_x * grid.tiles_y, grid.tile_size, front.channels if front else 0, static.with_median
+    sizes = (
+        grid.tiles_x,
+        grid.tiles_x * grid.tiles_y,
+        grid.tile_size,
+        front.channels if front else 0,
+        static.with_median,
+    )
     below = np.inf if rules.straight_through else rules.alpha_max
     thresholds = rules.alpha_max, rules.alpha_min, rules.transmittance_min, below, front.stop_after if front else 0
     return jnp.asarray(np.array(sizes, np.int32)), jnp.asarray(np.array(thresholds, np.float32))
@@ -75,8 +86,10 @@ def bin_splats(
     rules: Rules,
     masks: Array | None = None,
 ) -> TilePairs:
-    """`binning.bin_splats` as native loops: the same lists; `needed` is their length, and not that of the boxes."""
-    p = jax.lax.stop_gradient(projection)
+    """`binning.bin_splats` as native loops: the same lists. Slots that nobody needs are not even written."""
+    # In float32, whatever comes: the lists only say what is looked at.
+    p = jax.tree.map(lambda x: jax.lax.stop_gradient(_single(x)), projection)
+    opacities = _single(opacities)
     cuts = sigma_cuts(jnp.broadcast_to(jax.lax.stop_gradient(opacities), p.depths.shape), rules)
     sizes = np.array([grid.tiles_x, grid.tiles_y, grid.tile_size, grid.num_cameras], np.int32)
     wanted = jnp.zeros(0, bool) if masks is None else masks.reshape(-1)
@@ -85,14 +98,13 @@ def bin_splats(
         jax.ShapeDtypeStruct((grid.num_tiles + 1,), np.int32),
         jax.ShapeDtypeStruct((), np.int32),
     )
-    arrays = [x.reshape(-1, 2) for x in (p.means2d, p.extents)]
     splats, offsets, needed = _call(
         "lists",
         results,
-        arrays[0],
+        p.means2d.reshape(-1, 2),
         p.conics.reshape(-1, 3),
         p.depths.reshape(-1),
-        arrays[1],
+        p.extents.reshape(-1, 2),
         p.visible.reshape(-1),
         cuts.reshape(-1),
         wanted,

@@ -2,13 +2,14 @@
 
 import ctypes
 import os
+from typing import Any
 
 import llvmlite.binding as llvm
 from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
+from numba import extending, types
 
 WORD = ir.IntType(64)
+intrinsic: Any = extending.intrinsic  # What it makes of a function takes one argument less: its types say otherwise.
 
 
 def _pointer_to(kind: types.Type):
@@ -52,7 +53,9 @@ def prefetch(typingctx, pointer):
     def codegen(context, builder, signature, arguments):
         place = builder.bitcast(arguments[0], ir.IntType(8).as_pointer())
         kinds = [place.type, *[ir.IntType(32)] * 3]
-        function = builder.module.declare_intrinsic("llvm.prefetch", [place.type], ir.FunctionType(ir.VoidType(), kinds))
+        function = builder.module.declare_intrinsic(
+            "llvm.prefetch", [place.type], ir.FunctionType(ir.VoidType(), kinds)
+        )
         builder.call(function, [place, *(ir.Constant(ir.IntType(32), value) for value in (0, 3, 1))])
         return context.get_dummy_value()
 

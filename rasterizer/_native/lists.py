@@ -46,9 +46,9 @@ CHUNKS = 16  # of splats, too
 AHEAD = 16  # splats: memory answers about so many later
 DIGIT = 11  # bits that are sorted by at once
 DIGITS = 1 << DIGIT
-# A record of a splat is a line of the cache: int32 of its tiles (from and to along x, rows from and to), the first row of
-# its camera, its id; then float32 of its ellipse: centre, conic, cut, and how far it leans along one axis per pixel along
-# the other.
+# A record of a splat is a line of the cache. It begins with int32: its tiles (from and to along x, rows from and to),
+# the first row of its camera, its id. Then come float32 of its ellipse: centre, conic, cut, and how far it leans along
+# one axis per pixel along the other.
 LINE, ELLIPSE = 64, 24  # bytes
 # Of a job: its frame, the order and how many it has, where records, counts of tiles and the bands' splats are; then
 # where each band's splats begin.
@@ -181,18 +181,20 @@ def band_of(row, rows):
 
 @inlined
 def share_out(job, rows):
-    """Counts the splats of every band and tells where they begin; returns how many there are in all."""
+    """Counts the splats of every band and tells where they begin; returns the tiles of all boxes together."""
     starts = as_int64s(job + 8 * _STARTS)
+    tiles = 0
     for band in range(BANDS + 1):
         starts[band] = 0
     for k in range(word(job, _SHOWN)):
         box = box_of(job, k)
         if box[0] < box[1] and box[2] < box[3]:
+            tiles += np.int64(box[1] - box[0]) * np.int64(box[3] - box[2])
             for band in range(band_of(np.int64(box[2]), rows), band_of(np.int64(box[3]) - 1, rows) + 1):
                 starts[band + 1] += 1
     for band in range(BANDS):
         starts[band + 1] += starts[band]
-    return starts[BANDS]
+    return tiles
 
 
 @inlined
@@ -283,16 +285,15 @@ for _task in (write_chunks, count_bands, fill_bands):
 
 
 @inlined
-def write_offsets(frame, counts, tiles):
+def write_offsets(frame, counts, tiles, needed):
     """Writes the offsets and the capacity that is needed, and turns counts into where each list begins."""
-    capacity, total = length(result(frame, 0), 0), 0
-    offsets, needed = int32s(result(frame, 1)), int32s(result(frame, 2))
+    capacity, total, offsets = length(result(frame, 0), 0), 0, int32s(result(frame, 1))
     for tile in range(tiles):
         here = counts[tile]
         offsets[tile], counts[tile] = min(total, capacity), total
         total += here
     offsets[tiles] = min(total, capacity)
-    needed[0] = min(total, 2**31 - 1)
+    int32s(result(frame, 2))[0] = min(needed, 2**31 - 1)
 
 
 @inlined
@@ -313,13 +314,14 @@ def write_lists(frame, job, count, tiles):
         shown = order_by_depth(depths, visible, count, order, work, int32s_at(work, count), int32s_at(work, 2 * count))
         set_word(job, _SHOWN, shown)
         done = share(frame, address_of("rasterizer_write_chunks"), job, CHUNKS)
-        at_members = allocate(4 * share_out(job, rows))
+        needed = share_out(job, rows)
+        at_members = allocate(4 * word(job, _STARTS + BANDS))
         set_word(job, _MEMBERS, at_members)
         done = done and at_members != 0
         if done:
             write_members(job, rows)
             done = share(frame, address_of("rasterizer_count_bands"), job, BANDS)
-            write_offsets(frame, as_int64s(at_counts), tiles)
+            write_offsets(frame, as_int64s(at_counts), tiles, needed)
             done = done and share(frame, address_of("rasterizer_fill_bands"), job, BANDS)
     release(at_order)
     release(at_work)

@@ -1,6 +1,8 @@
-"""One tile at a time, front to back and back to front. Its pixels lie in the first cache, eight side by side: what is
-known of eight pixels is one block of numbers, so that LLVM makes a vector of each and finds all at one address. Of a
-tile's rows, only those that a splat's ellipse reaches are looked at.
+"""One tile at a time, front to back and back to front.
+
+Its pixels lie in the first cache, eight side by side: what is known of eight pixels is one block of numbers, so that
+LLVM makes a vector of each and finds all of them at one address. Of a tile's rows, only those that a splat's ellipse
+reaches are looked at.
 """
 
 import numpy as np
@@ -265,7 +267,7 @@ def light_up(blocks, row, begin, end, through, until):
 
 @inlined
 def sum_channels(blocks, parts, total, begin, end, through, until, rules):
-    """Adds weights x dL/dimage for all channels but the first three; what it reads of weights becomes those in front."""
+    """Adds weights x dL/dimage for all channels but the first three; the blocks end with the weights in front."""
     for d in range(THREE, through + until):
         if d == through:
             for n in range(begin, end):

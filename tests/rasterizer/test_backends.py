@@ -30,11 +30,12 @@ def with_background_for_mode(scene, render_mode="RGB", **_):
     return replace(scene, backgrounds=padded)
 
 
+@pytest.mark.parametrize("backend", ["native", "xla"])
 @pytest.mark.parametrize("name", CASES)
-def test_tiles_equal_the_reference(name):
+def test_tiles_equal_the_reference(name, backend):
     scene, options = CASES[name]
     scene = with_background_for_mode(scene, **options)
-    image, alphas, info, gradient = evaluate(scene, backend="xla", **options)
+    image, alphas, info, gradient = evaluate(scene, backend=backend, **options)
     expected_image, expected_alphas, _, expected_gradient = evaluate(scene, backend="reference", **options)
     assert not info["overflowed"]
     assert float(np.max(expected_alphas)) > 0.1
@@ -45,7 +46,7 @@ def test_tiles_equal_the_reference(name):
         assert error < 1e-4, (field, error)
 
 
-@pytest.mark.parametrize("backend", ["xla", "reference"])
+@pytest.mark.parametrize("backend", ["native", "xla", "reference"])
 def test_an_empty_scene_is_its_background(backend):
     scene = cloud(0, cameras=2)
     image, alphas, info, gradient = evaluate(scene, backend=backend)
@@ -91,16 +92,17 @@ def test_depth_modes_are_the_depths_as_a_colour():
     assert np.asarray(info["depths"])[0].min() <= normalised[shown].min()
 
 
-def test_inria_rules_pass_the_gradient_straight_through_the_clamp():
+@pytest.mark.parametrize("backend", ["native", "xla"])
+def test_inria_rules_pass_the_gradient_straight_through_the_clamp(backend):
     # Under opacity 0.35 the 3 sigma extent hides nothing that passes the cut: the tiles can equal the dense oracle.
     faint = cloud()
     faint = replace(faint, opacities=faint.opacities.at[1:].multiply(0.35).at[0].set(1.0))
     faint = replace(faint, means=faint.means.at[0].set(jnp.array([0.0, 0.0, 1.5])), scales=faint.scales.at[0].set(0.4))
-    _, _, _, straight = evaluate(faint, backend="xla", rules=INRIA)
+    _, _, _, straight = evaluate(faint, backend=backend, rules=INRIA)
     _, _, _, expected = evaluate(faint, backend="reference", rules=INRIA)
     for field, error in relative_errors(straight, expected).items():
         assert error < 1e-4, (field, error)
-    _, _, _, blocked = evaluate(faint, backend="xla")
+    _, _, _, blocked = evaluate(faint, backend=backend)
     assert abs(straight.opacities[0] - blocked.opacities[0]) > 0.01 * abs(blocked.opacities[0])
 
 
@@ -118,7 +120,7 @@ def listed(scene, side=16):
     return projection, grid, bin_splats(projection, scene.opacities, grid, 2048, GSPLAT)
 
 
-@pytest.mark.parametrize("backend", ["xla", "pallas"])
+@pytest.mark.parametrize("backend", ["native", "xla", "pallas"])
 @pytest.mark.parametrize("channels", [5, 17])
 def test_channels_in_front_are_those_of_the_reference(backend, channels):
     """And so are the others, the light left and the median; 17 take more than one pass."""
@@ -159,7 +161,7 @@ def layers(count, opacity):
     return replace(one, **rows | {"means": rows["means"] + ahead})
 
 
-@pytest.mark.parametrize("backend", ["xla", "pallas", "reference"])
+@pytest.mark.parametrize("backend", ["native", "xla", "pallas", "reference"])
 @pytest.mark.parametrize("stop_after", [0.0, 0.1, 0.16, 0.3, 0.4, 0.5, 0.9])
 def test_what_is_in_front_is_the_light_above_a_level(backend, stop_after):
     """Of four layers of alpha 0.6, each leaves 0.4 of the light: what each layer adds to its own channel."""
@@ -177,7 +179,7 @@ def test_what_is_in_front_is_the_light_above_a_level(backend, stop_after):
     assert_close(image, wanted, rtol=0, atol=1e-5, why="wide splats fall off a little")
 
 
-@pytest.mark.parametrize("backend", ["xla", "pallas"])
+@pytest.mark.parametrize("backend", ["native", "xla", "pallas"])
 @pytest.mark.parametrize(
     ("count", "opacity", "slope"),
     [

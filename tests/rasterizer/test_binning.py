@@ -19,9 +19,15 @@ def project_scene(scene):
     return project(s.means, s.quats, s.scales, s.opacities, s.viewmats, s.Ks, s.width, s.height)
 
 
-@partial(jax.jit, static_argnames="capacity")
-def lists(projection, opacities, capacity=CAPACITY):
-    return bin_splats(projection, opacities, GRID, capacity, GSPLAT)
+@pytest.fixture(scope="module", params=["native", "xla"])
+def lists(request):
+    """The lists of splats by either backend."""
+    return partial(listed, backend=request.param)
+
+
+@partial(jax.jit, static_argnames=("capacity", "backend"))
+def listed(projection, opacities, capacity=CAPACITY, backend="xla"):
+    return bin_splats(projection, opacities, GRID, capacity, GSPLAT, backend=backend)
 
 
 def needles(scene):
@@ -66,7 +72,7 @@ def greatest_alphas(projection, opacities):
 
 
 @pytest.fixture(scope="module", params=SCENES)
-def binned(request):
+def binned(request, lists):
     scene = SCENES[request.param]
     projection = project_scene(scene)
     pairs = lists(projection, scene.opacities)
@@ -109,7 +115,7 @@ def test_each_camera_lists_its_own_splats(binned):
     assert second.size and second.min() >= count
 
 
-def test_capacity_exactly_full_and_one_short():
+def test_capacity_exactly_full_and_one_short(lists):
     scene = SCENES["cloud"]
     projection = project_scene(scene)
     needed = int(count_pairs(projection, GRID))
@@ -137,7 +143,7 @@ def test_more_pairs_than_int32_counts_do_not_wrap_round():
     assert count_pairs(projection, TileGrid(1, 2048, 2048, 8)) == 3000 * 256 * 256
 
 
-def test_a_session_of_float64_lists_the_same():
+def test_a_session_of_float64_lists_the_same(lists):
     scene = SCENES["cloud"]
     projection = project_scene(scene)
     expected = lists(projection, scene.opacities)

@@ -22,7 +22,7 @@ def golden(shared):
     return dict(np.load(path))
 
 
-@pytest.fixture(scope="module", params=["xla", "pallas", "reference"])
+@pytest.fixture(scope="module", params=["native", "xla", "pallas", "reference"])
 def rendered(golden, request):
     """Image, alphas, info and gradients of the golden loss from one backend in float32."""
     width, height = int(golden["width"]), int(golden["height"])

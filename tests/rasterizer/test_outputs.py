@@ -13,7 +13,7 @@ from tolerances import assert_close
 import rasterizer
 from rasterizer import GSPLAT, INRIA
 
-BACKENDS = ("reference", "xla", "pallas")
+BACKENDS = ("reference", "native", "xla", "pallas")
 TILE = 16
 SCENE = cloud(cameras=2)
 
@@ -46,7 +46,7 @@ def with_masks():
     return masks, masks.repeat(TILE, 1).repeat(TILE, 2)[:, : SCENE.height, : SCENE.width]
 
 
-@pytest.mark.parametrize("backend", ["xla", "pallas"])
+@pytest.mark.parametrize("backend", ["native", "xla", "pallas"])
 def test_everything_at_once_equals_the_reference(backend):
     scene = replace(SCENE, backgrounds=jnp.pad(SCENE.backgrounds, ((0, 0), (0, 1)), constant_values=0.5))
     extra = {"masks": jnp.asarray(with_masks()[0])}
@@ -78,7 +78,9 @@ def composited(scene, camera=0, rules=GSPLAT):
     return np.array(weights), order, depths
 
 
-@pytest.mark.parametrize(("backend", "depth_mode"), [*((name, "center") for name in BACKENDS), ("xla", "plane")])
+@pytest.mark.parametrize(
+    ("backend", "depth_mode"), [*((name, "center") for name in BACKENDS), ("native", "plane"), ("xla", "plane")]
+)
 def test_median_depth_is_where_the_light_falls_to_one_half(backend, depth_mode):
     options = {"capacity": 4096, "return_median_depth": True, "depth_mode": depth_mode}
     info = jax.jit(lambda scene: render(scene, backend=backend, **options)[2])(SCENE)
@@ -162,7 +164,7 @@ def test_antialiasing_keeps_the_energy_of_what_is_smaller_than_a_pixel():
     np.testing.assert_allclose(fair / classic, 0.9927, atol=1e-4)
 
 
-@pytest.mark.parametrize("backend", ["reference", "xla"])
+@pytest.mark.parametrize("backend", ["reference", "native", "xla"])
 def test_covariances_in_place_of_quats_and_scales(backend):
     expected_image, _, _, _ = outputs(SCENE, {}, "reference")
     covars, _ = rasterizer.quat_scale_to_covar_preci(SCENE.quats, SCENE.scales, compute_preci=False)

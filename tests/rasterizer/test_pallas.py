@@ -44,7 +44,7 @@ def test_two_runs_give_the_same_bits_and_a_batch_is_its_cameras():
         assert_close((both[0][i], both[1][i]), first[:2])
 
 
-@pytest.mark.parametrize("backend", ["xla", "pallas"])
+@pytest.mark.parametrize("backend", ["native", "xla", "pallas"])
 def test_a_pair_buffer_that_is_too_short_is_reported_and_stays_finite(backend):
     _, _, info, gradient = evaluate(stacks(), backend, capacity=64)
     assert info["overflowed"]
@@ -101,10 +101,12 @@ def test_the_sort_by_tile_is_a_pair_with_a_short_key_on_a_gpu():
 
 
 def test_the_engine_follows_the_device(monkeypatch):
-    assert engines.resolve("auto") == "xla" and engines.default_tile_size() == 8
+    assert engines.resolve("auto") == "native" and engines.default_tile_size() == 8
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     assert engines.resolve("auto") == "pallas" and engines.default_tile_size() == 16
     assert engines.resolve("xla") == "xla"
+    monkeypatch.setattr(jax, "default_backend", lambda: "tpu")
+    assert engines.resolve("auto") == "xla"
 
 
 def test_a_tile_that_is_no_power_of_two_is_refused_by_the_kernels_alone():

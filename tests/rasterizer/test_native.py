@@ -1,0 +1,403 @@
+"""The native loops: their text against the first text of the blend, their lists and bits, and how XLA calls them."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import cloud, evaluate, loss, relative_errors, render, stacks
+from tolerances import assert_close
+
+from rasterizer import GSPLAT, INRIA, Front, TileGrid, bin_splats, blend, blending, engines, project
+from rasterizer._native import MAX_SIDE, compiled
+from rasterizer._native import blending as native
+from rasterizer._native.calls import API_MAJOR, API_MINOR
+from rasterizer._native.tiles import reach_along_y
+
+COUNT = 512
+
+
+over_arrays = numba.njit(fastmath=compiled.FAST)
+
+
+@over_arrays
+def exps_of_minus(x):
+    out = np.empty_like(x)
+    for k in range(x.size):
+        out[k] = native.exp_minus(x[k])
+    return out
+
+
+@over_arrays
+def sigmas(dx, dy, xx, xy, yy):
+    out = np.empty_like(dx)
+    for k in range(dx.size):
+        out[k] = native.splat_sigma(dx[k], dy[k], xx[k], xy[k], yy[k])
+    return out
+
+
+@over_arrays
+def blended(t, unclamped, rules):
+    """Cut alphas, then weights and transmittances of signed `t`."""
+    out = np.empty((3, t.size), np.float32)
+    for k in range(t.size):
+        out[0, k] = native.cut_alpha(unclamped[k], rules)
+        out[1, k], out[2, k] = native.blend_splat(t[k], out[0, k], rules)
+    return out
+
+
+@over_arrays
+def front_weights(t, weight, stop_after):
+    out = np.empty_like(t)
+    for k in range(t.size):
+        out[k] = native.front_weight(t[k], weight[k], stop_after)
+    return out
+
+
+@over_arrays
+def unblended(t, behind, lit, alpha, unclamped, rules):
+    out = np.empty((4, t.size), np.float32)
+    for k in range(t.size):
+        state = native.unblend_splat(t[k], behind[k], lit[k], alpha[k], unclamped[k], rules)
+        out[0, k], out[1, k], out[2, k], out[3, k] = state
+    return out
+
+
+@over_arrays
+def unblended_in_front(t, behind, lit, alpha, unclamped, rules, in_front):
+    out = np.empty((4, t.size), np.float32)
+    for k in range(t.size):
+        state = native.unblend_in_front(t[k], behind[k], lit[k], alpha[k], unclamped[k], rules, in_front[k])
+        out[0, k], out[1, k], out[2, k], out[3, k] = state
+    return out
+
+
+@over_arrays
+def reaches(xx, xy, yy, opacity, alpha_min):
+    out = np.empty_like(xx)
+    for k in range(xx.size):
+        out[k] = reach_along_y(xx[k], xy[k], yy[k], opacity[k], alpha_min)
+    return out
+
+
+def thresholds(rules, stop_after=0.0):
+    below = np.inf if rules.straight_through else rules.alpha_max
+    numbers = rules.alpha_max, rules.alpha_min, rules.transmittance_min, below, stop_after
+    return native.Thresholds(*map(np.float32, numbers))
+
+
+def states(seed):
+    """Random states of a pixel before and behind a splat, float32: (t, behind, lit, lit in front, sigma, opacity)."""
+    rng = np.random.default_rng(seed)
+    t = np.exp(rng.uniform(np.log(1e-4), 0, COUNT))
+    sigma = rng.choice([-1e-3, 0, 1, 3, 6, 30, 200], COUNT) * rng.uniform(0, 1, COUNT)
+    opacity = rng.choice([0, 1 / 255, 0.3, 0.99, 1], COUNT) * rng.uniform(0.9, 1, COUNT)
+    numbers = t, rng.normal(size=COUNT), rng.normal(size=COUNT), rng.normal(size=COUNT), sigma, opacity
+    return [np.asarray(x, np.float32) for x in numbers]
+
+
+def test_the_exponential_is_right_to_a_few_roundings():
+    x = np.linspace(0, 79.9, 200_001, dtype=np.float32)
+    # The polynomial's own error, and what the exponent lost when it was multiplied: a rounding and a half of it.
+    bound = 3e-7 + 1.5 * 2.0**-24 * x
+    assert (np.abs(exps_of_minus(x) / np.exp(-x.astype(np.float64)) - 1) < bound).all()
+    odd = np.array([-1e-9, -5, 80, 1e30, np.inf, np.nan, -np.inf], np.float32)
+    assert (exps_of_minus(odd) < 1e-30).all() and (exps_of_minus(odd) > 0).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_sigma_is_the_first_texts(seed):
+    dx, dy, xx, xy, yy = np.random.default_rng(seed).normal(size=(5, COUNT)).astype(np.float32)
+    expected = np.asarray(blending.splat_sigma(*map(jnp.asarray, (dx, dy, xx, xy, yy))))
+    # Contracted or not, a sum of three products is within a few roundings of the largest of them.
+    largest = np.abs(xx * dx * dx) + np.abs(xy * dx * dy) + np.abs(yy * dy * dy)
+    assert (np.abs(sigmas(dx, dy, xx, xy, yy) - expected) <= 4e-7 * largest).all()
+
+
+@pytest.mark.parametrize("rules", [GSPLAT, INRIA], ids=["gsplat", "inria"])
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_blend_and_unblend_are_the_first_texts(rules, seed):
+    t, behind, lit, in_front, sigma, opacity = states(seed)
+    fixed, level = thresholds(rules, 0.2), np.float32(0.2)
+    signed_t = np.where(np.arange(COUNT) % 5 == 0, -t, t)
+    # Alphas before the cut are the first text's: a splat on the cut may be drawn by one exponential alone.
+    unclamped = np.where(sigma >= 0, opacity * np.exp(-np.maximum(sigma, 0)), 0).astype(np.float32)
+    alpha = np.asarray(blending.cut_alpha(jnp.asarray(unclamped), jnp.asarray(sigma), rules))
+    weight, left = blending.blend_splat(jnp.asarray(signed_t), jnp.asarray(alpha), rules)
+    found = blended(signed_t, unclamped, fixed)
+    np.testing.assert_array_equal(found[0], alpha)
+    near = np.abs(t * (1 - alpha) - rules.transmittance_min) < 1e-9  # stops in one text, goes on in the other
+    assert_close(found[1:, ~near], np.stack([weight, left])[:, ~near], why="contracted products", rtol=1e-6, atol=1e-7)
+
+    expected = blending.front_weight(jnp.asarray(t), jnp.asarray(t * alpha), 0.2)
+    assert_close(front_weights(t, t * alpha, level), np.asarray(expected))
+
+    state = [t, behind, lit, alpha, unclamped]
+    expected = np.stack(blending.unblend_splat(*map(jnp.asarray, state), rules))
+    assert_close(unblended(*state, fixed), expected, why="t is divided by up to 0.01", rtol=1e-5, atol=1e-5)
+    expected = np.stack(blending.unblend_splat(*map(jnp.asarray, state), rules, (jnp.asarray(in_front), 0.2)))
+    # What counts in front jumps where a weight meets the light above the level: there either side is right.
+    before = t / (1 - alpha)
+    clear = np.abs(before * alpha - np.maximum(before - level, 0)) > 1e-5 * before
+    found = unblended_in_front(*state, fixed, in_front)
+    assert_close(found[:, clear], expected[:, clear], why="t is divided by up to 0.01", rtol=1e-5, atol=1e-4)
+
+
+def listed(scene, side, masks=None, capacity=4096):
+    """A scene's splats and the lists of both engines."""
+    shape = scene.means, scene.quats, scene.scales, scene.opacities
+    projection = project(*shape, scene.viewmats, scene.Ks, scene.width, scene.height)
+    grid = TileGrid(scene.viewmats.shape[0], scene.width, scene.height, side)
+    args = projection, scene.opacities, grid, capacity, GSPLAT, masks
+    return projection, grid, *(bin_splats(*args, backend=backend) for backend in ("native", "xla"))
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    seed=st.integers(0, 2**31), side=st.sampled_from([1, 3, 8, 12, 16, 32]), spread=st.sampled_from([0.02, 0.3, 2.0])
+)
+def test_lists_are_those_of_the_other_engine_to_the_last_entry(seed, side, spread):
+    scene = cloud(60, cameras=2, seed=seed)
+    scene = replace(scene, scales=spread * scene.scales)
+    rng = np.random.default_rng(seed)
+    grid = TileGrid(2, scene.width, scene.height, side)
+    masks = jnp.asarray(rng.random((2, grid.tiles_y, grid.tiles_x)) < 0.7) if seed % 2 else None
+    _, _, ours, expected = listed(scene, side, masks, capacity=200_000)
+    np.testing.assert_array_equal(ours.offsets, expected.offsets)
+    total = int(expected.offsets[-1])
+    np.testing.assert_array_equal(ours.splats[:total], expected.splats[:total])
+    assert ours.needed == expected.needed and not ours.overflowed
+
+
+@settings(max_examples=6, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    side=st.sampled_from([5, 8, 12, 16]),
+    channels=st.sampled_from([1, 3, 4, 7, 11, 16]),
+    ending=st.sampled_from([0, 1, 4, 5]),
+    rules=st.sampled_from([GSPLAT, INRIA]),
+)
+def test_whole_tiles_equal_the_other_engines(seed, side, channels, ending, rules):
+    """Any side of a tile, any number of channels, any of them ending in front, in value and gradient."""
+    scene = (stacks if seed % 2 else cloud)(count=40)
+    projection, grid, pairs, _ = listed(scene, side)
+    front = Front(min(ending, channels), 0.2) if ending else None
+    rng = np.random.default_rng(seed)
+    features = jnp.asarray(rng.normal(size=(1, 40, channels)), jnp.float32)
+    weights = jnp.asarray(rng.normal(size=(1, scene.height, scene.width, channels)), jnp.float32)
+
+    def weighed(numbers, backend):
+        means2d, conics, opacities, features = numbers
+        splats = projection._replace(means2d=means2d, conics=conics)
+        how = {"backend": backend, "front": front, "with_median": True}
+        image, left, median = blend(splats, opacities, features, pairs, grid, rules, **how)
+        return jnp.sum(image * weights) + jnp.sum(left), (image, left, median)
+
+    numbers = projection.means2d, projection.conics, scene.opacities, features
+    run = jax.value_and_grad(weighed, has_aux=True)
+    (_, found), slopes = run(numbers, "native")
+    (_, expected), right = run(numbers, "xla")
+    assert_close(found[:2], expected[:2], rtol=1e-5, atol=2e-5, why="sums of up to 40 roundings, in another order")
+    np.testing.assert_array_equal(found[2], expected[2])
+    for a, b in zip(slopes, right, strict=True):
+        assert np.linalg.norm(a - b) < 1e-4 * max(np.linalg.norm(b), 1e-6)
+
+
+def test_the_same_bits_from_call_to_call_and_with_one_thread():
+    scene = cloud(60, cameras=2)
+    first = evaluate(scene, "native")
+    for _ in range(20):
+        again = evaluate(scene, "native")
+        jax.tree.map(np.testing.assert_array_equal, (again[0], again[3]), (first[0], first[3]))
+    alone = """
+import numpy as np, sys
+sys.path.insert(0, "tests")
+from scenes import cloud, evaluate
+image, _, _, gradient = evaluate(cloud(60, cameras=2), "native")
+np.savez(sys.argv[1], image=image, means=gradient.means, opacities=gradient.opacities)
+"""
+    with_one = {**os.environ, "NPROC": "1"}
+    target = os.path.join(os.environ.get("TMPDIR", "/tmp"), f"one-thread-{os.getpid()}.npz")
+    subprocess.run([sys.executable, "-c", alone, target], check=True, env=with_one, cwd=engines_root())
+    try:
+        with np.load(target) as saved:
+            np.testing.assert_array_equal(saved["image"], first[0])
+            np.testing.assert_array_equal(saved["means"], first[3].means)
+            np.testing.assert_array_equal(saved["opacities"], first[3].opacities)
+    finally:
+        os.unlink(target)
+
+
+def engines_root():
+    return os.path.dirname(os.path.dirname(engines.__file__))
+
+
+def test_vmap_scan_eager_and_donation_are_the_plain_call():
+    scene = cloud()
+    image = render(scene, capacity=2048, backend="native")[0]
+    eager = render(scene, backend="native")[0]
+    np.testing.assert_array_equal(eager, image)
+    opacities = jnp.stack([scene.opacities, 0.5 * scene.opacities])
+    each = [render(replace(scene, opacities=x), capacity=2048, backend="native")[0] for x in opacities]
+
+    def one(x):
+        return render(replace(scene, opacities=x), capacity=2048, backend="native")[0]
+
+    assert_close(jax.vmap(one)(opacities), np.stack(each))
+    _, scanned = jax.lax.scan(lambda carry, x: (carry, one(x)), 0, opacities)
+    assert_close(scanned, np.stack(each))
+    donated = jax.jit(lambda x: (one(x), 2 * x), donate_argnums=0)
+    assert_close(donated(opacities[1] + 0)[0], each[1])
+    gradient = jax.vmap(jax.grad(lambda x: jnp.sum(one(x) ** 2)))(opacities)
+    for found, x in zip(gradient, opacities, strict=True):
+        alone = jax.grad(lambda x: jnp.sum(one(x) ** 2))(x)
+        assert np.linalg.norm(found - alone) <= 1e-5 * np.linalg.norm(alone)
+
+
+def test_a_session_of_float64_renders_float32_and_refuses_float64(x64):
+    scene = cloud()
+    expected = evaluate(scene, "xla")[0]
+    assert_close(evaluate(scene, "native")[0], expected)
+    projection, grid, pairs, _ = listed(scene, 8)
+    finer = jax.tree.map(lambda x: x.astype(jnp.float64) if x.dtype == jnp.float32 else x, projection)
+    colors = scene.colors[None].astype(jnp.float64)
+    with pytest.raises(ValueError, match="float64 arrays; backend='native' takes float32"):
+        blend(finer, scene.opacities.astype(jnp.float64), colors, pairs, grid, backend="native")
+
+
+def test_too_large_a_tile_is_refused_by_its_size():
+    with pytest.raises(ValueError, match=f"tile_size={MAX_SIDE + 1} is over {MAX_SIDE}"):
+        render(cloud(), tile_size=MAX_SIDE + 1, capacity=2048, backend="native")
+
+
+def test_without_the_loops_a_cpu_renders_in_jnp_and_says_so_once(monkeypatch, caplog):
+    def missing():
+        raise ImportError("No module named 'numba'")
+
+    monkeypatch.setattr(engines, "_native", missing)
+    engines._native_or_none.cache_clear()
+    try:
+        assert [engines.resolve("auto") for _ in range(3)] == ["xla"] * 3
+        assert [record.message for record in caplog.records] == [
+            "the CPU's rasterizer runs in jnp, several times slower than its native loops: No module named 'numba'"
+        ]
+        with pytest.raises(ImportError):
+            render(cloud(), capacity=2047, backend="native")  # Of another capacity than any program that is kept.
+    finally:
+        engines._native_or_none.cache_clear()
+
+
+def test_another_interface_of_xla_is_refused_by_its_version(monkeypatch, tmp_path):
+    from rasterizer._native import engine
+
+    header = tmp_path / "xla" / "ffi" / "api" / "c_api.h"
+    header.parent.mkdir(parents=True)
+    for major, minor, fits in [(API_MAJOR, API_MINOR, True), (API_MAJOR, API_MINOR + 4, True), (1, 0, False)]:
+        header.write_text(f"#define XLA_FFI_API_MAJOR {major}\n#define XLA_FFI_API_MINOR {minor}\n")
+        monkeypatch.setattr(jax.ffi, "include_dir", lambda: str(tmp_path))
+        if fits:
+            engine._check_interface()
+        else:
+            with pytest.raises(ImportError, match=r"version 1\.0, not 0\.3 or later"):
+                engine._check_interface()
+
+
+def test_programs_with_the_loops_are_kept_on_disk():
+    """What calls back into Python is not; jax's own store of programs takes these."""
+    scene = cloud()
+    program = jax.jit(partial(render, capacity=2048, backend="native")).lower(scene)
+    text = program.as_text()
+    assert "rasterizer_forward" in text and "rasterizer_lists" in text
+    assert "callback" not in text
+
+
+STRESS = """
+import json, sys, threading, time
+sys.path.insert(0, "tests")
+import jax, jax.numpy as jnp, numpy as np
+from scenes import cloud, loss
+scene = cloud(400, size=(120, 90))
+step = jax.jit(lambda s: jax.value_and_grad(lambda s: loss(s, capacity=8192, backend="native")[0])(s))
+value, gradient = jax.block_until_ready(step(scene))
+wrong, calls = [], [0]
+until = time.monotonic() + float(sys.argv[1])
+def work():
+    while time.monotonic() < until:
+        v, g = step(scene)
+        if float(v) != float(value) or not (np.asarray(g.means) == np.asarray(gradient.means)).all():
+            wrong.append(float(v))
+        calls[0] += 1
+threads = [threading.Thread(target=work) for _ in range(6)]
+print("ready", flush=True)
+for t in threads: t.start()
+for t in threads: t.join()
+print(json.dumps({"wrong": len(wrong), "calls": calls[0]}))
+"""
+
+
+def stressed(seconds):
+    command = [sys.executable, "-c", STRESS, str(seconds)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=engines_root())
+
+
+def test_six_threads_at_once_neither_hang_nor_differ():
+    """GSJAX_STRESS_SECONDS asks for more than the few seconds of every day."""
+    seconds = float(os.environ.get("GSJAX_STRESS_SECONDS", "4"))
+    process = stressed(seconds)
+    out, err = process.communicate(timeout=seconds + 120)
+    assert process.returncode == 0, err
+    told = json.loads(out.splitlines()[-1])
+    assert told["wrong"] == 0 and told["calls"] > 6
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_an_interrupt_ends_a_run_of_steps_at_once():
+    program = STRESS.replace("threads = [", "work()\nthreads = [").replace('print("ready", flush=True)', "")
+    program = program.replace("until =", 'print("ready", flush=True)\nuntil =')
+    process = subprocess.Popen([sys.executable, "-c", program, "60"], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                               text=True, cwd=engines_root())  # fmt: skip
+    assert process.stdout.readline().strip() == "ready"
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=20)
+    assert process.returncode != 0 and "KeyboardInterrupt" in err
+
+
+@pytest.mark.parametrize("aspect", [1, 10, 1e3, 1e5])
+def test_a_reach_is_never_too_short(aspect):
+    """Skipped rows hold no pixel that passes the cut: needles whose conic's digits cancel are looked at whole."""
+    rng = np.random.default_rng(0)
+    angle, sigma = rng.uniform(0, np.pi, 200), 10 ** rng.uniform(-0.3, 1, 200)
+    cos, sin = np.cos(angle), np.sin(angle)
+    long, short = sigma**2 * aspect, sigma**2 / aspect
+    # The inverse is written out: numpy's would lose the digits that this is about.
+    xx, yy = cos**2 / long + sin**2 / short, sin**2 / long + cos**2 / short
+    xy = cos * sin * (1 / long - 1 / short)
+    opacity = np.full(200, 0.8)
+    reach = reaches(*(x.astype(np.float32) for x in (xx, xy, yy, opacity)), np.float32(1 / 255))
+    needed = np.sqrt(2 * np.log(0.8 * 255) * (sin**2 * long + cos**2 * short))
+    assert (reach >= needed * (1 - 1e-6)).all()
+    if aspect < 100:
+        assert (reach < 1.01 * needed).all(), "and hardly longer than it must be"
+
+
+def test_errors_of_gradients_are_those_of_the_other_engine():
+    scene = stacks()
+    exact = evaluate(scene, "reference")[3]
+    ours, theirs = (relative_errors(evaluate(scene, backend)[3], exact) for backend in ("native", "xla"))
+    for field in ours:
+        assert ours[field] < max(3 * theirs[field], 3e-6), field
+    assert loss(scene, capacity=2048, backend="native")[0].dtype == jnp.float32
