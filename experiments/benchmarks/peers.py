@@ -1,5 +1,6 @@
-"""Other rasterizers that `beside.py` times: what each does with the splats of one view, forward and with gradients.
+"""Rasterizers that `beside.py` times: what each does with the splats of one view, forward and with gradients.
 
+* `jnp`: our own engine in jnp, `backend="xla"`.
 * A file: a tile rasterizer in JAX with `bin_pairs`, `forward` and `backward`; three channels, tiles in lockstep.
 * `gsplat`: the blending of gsplat's torch reference, `gsplat.cuda._torch_impl.accumulate`, with autograd. It makes no
   lists of who meets which pixel (its CUDA kernels do) and sums along rays by nerfacc, CUDA too. So the lists are made
@@ -9,6 +10,7 @@
 import importlib.util
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -38,12 +40,40 @@ class Peer(NamedTuple):
 
 
 def peer_named(name: str) -> Peer:
-    """The peer of a file, or gsplat's.
+    """The peer of a file, or one of ours or gsplat's by its name.
 
     Raises:
         InputError: There is no such file, or no gsplat.
     """
-    return _gsplat() if name == "gsplat" else _tiles(_imported(Path(name)))
+    named = {"jnp": _jnp, "gsplat": _gsplat}
+    return named[name]() if name in named else _tiles(_imported(Path(name)))
+
+
+def tasks_of_ours(splats: Splats, *, backend: Any, rules: Any) -> tuple[Task, Task]:
+    """One of our backends: it bins and blends."""
+    import jax
+    import jax.numpy as jnp
+
+    import rasterizer
+
+    grid, capacity = splats.grid, len(splats.pairs.splats)
+    inputs = splats.projection.means2d, splats.projection.conics, splats.opacities, splats.colors
+
+    # All that is known of the splats is an argument: a compiler sorts constants before the clock starts.
+    def image(inputs, projection):
+        means2d, conics, opacities, colors = inputs
+        placed = projection._replace(means2d=means2d, conics=conics)
+        pairs = rasterizer.bin_splats(placed, opacities, grid, capacity, rules, backend=backend)
+        return rasterizer.blend(placed, opacities, colors[None], pairs, grid, rules, backend=backend)[0][0]
+
+    compiled = jax.jit(image), jax.jit(jax.grad(lambda *arguments: jnp.sum(image(*arguments) ** 2)))
+    return tuple(lambda run=run: jax.block_until_ready(run(inputs, splats.projection)) for run in compiled)  # pyright: ignore[reportReturnType]
+
+
+def _jnp() -> Peer:
+    import rasterizer
+
+    return Peer(rasterizer.GSPLAT, partial(tasks_of_ours, backend="xla", rules=rasterizer.GSPLAT))
 
 
 def _imported(file: Path) -> ModuleType:

@@ -1,11 +1,20 @@
-"""Times the tile rasterizer on seeded workloads, stage by stage, and prints tables with the machine beside them."""
+"""Times the tile rasterizer on seeded workloads, stage by stage, and prints tables with the machine beside them.
+
+    python experiments/benchmarks/rasterizer.py [--backend native | xla] [--only WORKLOAD] [--processes 3]
+
+A nanosecond figure is blending's time by (pixel, Gaussian) pairs: Gaussians listed for a tile times all of its pixels,
+whether they draw them or not. The columns over the limit have it in times of what a pair's operations, counted, take
+this machine where nothing waits for memory. Both are wall times: no other program may want the cores.
+"""
 
 import argparse
 import multiprocessing
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from workloads import GOLDEN, HEAVY, WORKLOADS, milliseconds, scene_named
 
@@ -22,8 +31,8 @@ PEERS = {
 }
 
 
-def measure(name: str) -> dict[str, float]:
-    """Figures of one workload; meant for a process of its own, whose peak memory is part of them."""
+def measure(name: str, backend: Any) -> dict[str, float]:
+    """Figures of a backend on one workload; meant for a process of its own, whose peak memory is part of them."""
     import jax
     import jax.numpy as jnp
 
@@ -31,19 +40,19 @@ def measure(name: str) -> dict[str, float]:
 
     jax.config.update("jax_enable_compilation_cache", False)  # Or compile times would be those of reading a file.
     arrays, width, height = scene_named(name)
-    _, _, info = rasterizer.rasterization(*arrays, width, height)
+    _, _, info = rasterizer.rasterization(*arrays, width, height, backend=backend)
     capacity, pairs = int(info["splats"].shape[0]), int(info["offsets"][-1])
-    tile = rasterizer.default_tile_size()
+    tile = rasterizer.default_tile_size(backend)
     grid = rasterizer.TileGrid(1, width, height, tile)
 
     def projected(arrays):
         return rasterizer.project(*arrays[:4], *arrays[5:], width, height)
 
     def binned(arrays):
-        return rasterizer.bin_splats(projected(arrays), arrays[3], grid, capacity, rasterizer.GSPLAT)
+        return rasterizer.bin_splats(projected(arrays), arrays[3], grid, capacity, rasterizer.GSPLAT, backend=backend)
 
     def image(arrays):
-        return rasterizer.rasterization(*arrays, width, height, capacity=capacity)[0]
+        return rasterizer.rasterization(*arrays, width, height, capacity=capacity, backend=backend)[0]
 
     def projection_gradient(arrays):
         return jax.grad(lambda a: sum(jnp.sum(x) for x in (projected(a).means2d, projected(a).conics)))(arrays)
@@ -72,7 +81,7 @@ def measure(name: str) -> dict[str, float]:
 
 
 def operations_per_pixel_pair(channels: int = 3) -> tuple[int, int]:
-    """Elementwise operations of the forward and the backward blend, counted on the lines that the engines run."""
+    """Elementwise operations of the forward and the backward blend, counted on the lines of `rasterizer.blending`."""
     import jax
     import jax.numpy as jnp
 
@@ -120,10 +129,12 @@ def main(chosen: Sequence[str] | None = None) -> None:
     # Run as a script, this file would be found before the package of its name.
     sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
     from gsjax.io.machine import machine, versions
+    from rasterizer.engines import resolve
 
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     golden = [name for name in PEERS if name.startswith("golden") and GOLDEN.is_file()]
     names = [*golden, *WORKLOADS, HEAVY]
+    parser.add_argument("--backend", choices=("native", "xla"), default=resolve("auto"), help="what is timed")
     parser.add_argument("--only", choices=names, help="one workload")
     parser.add_argument("--processes", type=int, default=PROCESSES, metavar="N", help="of which the quickest counts")
     arguments = parser.parse_args(chosen)
@@ -132,8 +143,19 @@ def main(chosen: Sequence[str] | None = None) -> None:
         # Processes of their own, so that each has its own peak of memory; the quickest counts.
         spawn = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(1, spawn, max_tasks_per_child=1) as pool:
-            figures = list(pool.map(measure, [name] * arguments.processes))
+            figures = list(pool.map(partial(measure, backend=arguments.backend), [name] * arguments.processes))
         rows[name] = min(figures, key=lambda row: row["forward_backward_ms"])
+    forward, backward = operations_per_pixel_pair()
+    speed = operations_per_ns()
+    limits = {
+        "operations_forward": forward,
+        "operations_backward": backward,
+        "operations_per_ns": speed,
+        "limit_forward_ns": forward / speed,
+        "limit_backward_ns": backward / speed,
+    }
+    for row in rows.values():
+        row |= {f"{way}_over_limit": row[f"{way}_ns"] / limits[f"limit_{way}_ns"] for way in ("forward", "backward")}
     print(tables.compare(rows))
     ratios = {
         f"{peer}, {name}": {
@@ -147,16 +169,7 @@ def main(chosen: Sequence[str] | None = None) -> None:
     }
     if ratios:
         print(tables.compare(ratios))
-    forward, backward = operations_per_pixel_pair()
-    speed = operations_per_ns()
-    limits = {
-        "operations_forward": forward,
-        "operations_backward": backward,
-        "operations_per_ns": speed,
-        "limit_forward_ns": forward / speed,
-        "limit_backward_ns": backward / speed,
-    }
-    print(tables.record({**limits, **machine(), **versions()}))
+    print(tables.record({"backend": arguments.backend, **limits, **machine(), **versions()}))
 
 
 if __name__ == "__main__":

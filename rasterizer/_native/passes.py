@@ -43,10 +43,10 @@ from rasterizer._native.tiles import (
     CHANNELS,
     GEOMETRY,
     REACH,
+    at_least_three,
     blend_tile,
     reach_along_y,
     unblend_tile,
-    whole_groups,
 )
 
 BANDS = 6  # How many are best depends little on the scene; no more threads than these share a pass.
@@ -99,13 +99,13 @@ def gather(rows, count, on, in_front, splats, pairs, alpha_min, places, ids, nea
         alpha_min: The alpha cut.
         places: `[count]` int32, written: where a splat's copy is, -1 for none.
         ids: `[pairs]` int32, written: the lists in terms of copies.
-        near: `[.., CHANNELS + whole groups]`, written: the copies.
+        near: `[.., CHANNELS + D]`, written: the copies.
 
     Returns:
         The number of copies.
     """
-    through, until = whole_groups(on, in_front)
-    given, width, copies = GEOMETRY + on + in_front, CHANNELS + through + until, 0
+    through = at_least_three(on)
+    given, width, copies = GEOMETRY + on + in_front, CHANNELS + through + in_front, 0
     for splat in range(count):
         places[splat] = -1
     for k in range(pairs):
@@ -135,8 +135,7 @@ def shape_of(frame, sizes):
     """Splats, channels that go on, channels that end in front, numbers of a copied row, and side of a tile."""
     buffer, in_front = argument(frame, 0), np.int64(sizes[_IN_FRONT])
     on = length(buffer, 1) - GEOMETRY - in_front
-    through, until = whole_groups(on, in_front)
-    return length(buffer, 0), on, in_front, CHANNELS + through + until, np.int64(sizes[_SIDE])
+    return length(buffer, 0), on, in_front, CHANNELS + at_least_three(on) + in_front, np.int64(sizes[_SIDE])
 
 
 @inlined
@@ -214,7 +213,7 @@ def add_chunk(job, chunk):
     frame = word(job, _FRAME)
     rows, d_rows, sizes = floats(argument(frame, 0)), floats(result(frame, 0)), int32s(argument(frame, 7))
     count, on, in_front, width, _ = shape_of(frame, sizes)
-    given, through = GEOMETRY + on + in_front, width - CHANNELS - whole_groups(on, in_front)[1]
+    given, through = GEOMETRY + on + in_front, at_least_three(on)
     for splat in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
         row, total = floats_at(rows, splat * given), floats_at(d_rows, splat * given)
         for c in range(given):

@@ -25,27 +25,24 @@ from rasterizer._native.instructions import floats_at, floats_on_stack
 MAX_SIDE, MAX_CHANNELS = 32, 16  # pixels of a tile, channels of a pass
 LANES = 8  # pixels of a block; a row of a tile is filled up to whole blocks with pixels that have stopped
 
-# Of a block, in numbers: pixel centres, light, place of the last splat that shows; then what one pass alone has; then
-# channels, or their gradients. Channels go in groups: those that go on to the end in threes, the first of which shares
-# the blend's own loop, and those that end in front in fours, filled up with channels of zeros.
-PIXEL_X, PIXEL_Y, LIGHT, LATEST, WEIGHT = (LANES * slot for slot in range(5))
-BEFORE, MIDDLE = LANES * 5, LANES * 6  # forward: light in front of a splat; place of the median splat
-BEHIND, LIT_MORE, LIT_IN_FRONT = LANES * 5, LANES * 6, LANES * 7  # backward, see `blending.unblend_splat`
-CHANNEL = LANES * 8
-THREE, FOUR = 3, 4
-BLOCK = CHANNEL + LANES * (MAX_CHANNELS + THREE + FOUR)
+# Of a block, in numbers: pixel centres, light, place of the last splat that shows; then the place of the median splat
+# on the way there, and what lies behind on the way back; then channels or their gradients, at least three of them:
+# these share the blend's own loop.
+PIXEL_X, PIXEL_Y, LIGHT, LATEST, MIDDLE = (LANES * slot for slot in range(5))
+BEHIND, CHANNEL, THREE = MIDDLE, LANES * 5, 3
+BLOCK = CHANNEL + LANES * (MAX_CHANNELS + THREE)
 BLOCKS = MAX_SIDE * MAX_SIDE // LANES * BLOCK  # the numbers of a tile
 
 GEOMETRY, REACH, CHANNELS = 6, 6, 7  # of a row: mean, conic, opacity; how far it reaches along y; its channels
-PART_LANES = (GEOMETRY + THREE) * LANES  # sums of a splat over a tile, a number a lane each
+PART_LANES = (GEOMETRY + MAX_CHANNELS + THREE) * LANES  # sums of a splat over a tile, a number a lane each
 LOOK = 8  # splats between two looks at whether every pixel has stopped
 FAR, MARGIN = 1e9, np.float32(1e-3)  # pixels
 
 
 @inlined
-def whole_groups(on, in_front):
-    """Channels that go on and channels that end in front, with what fills up their groups."""
-    return (max(on, 1) + THREE - 1) // THREE * THREE, (in_front + FOUR - 1) // FOUR * FOUR
+def at_least_three(on):
+    """Channels that go on to the end, with those of zeros that are added to have three."""
+    return max(on, THREE)
 
 
 @inlined
@@ -101,8 +98,9 @@ def all_stopped(blocks, side):
 
 @inlined
 def blend_list(blocks, rows, splats, count, center_x, center_y, side, through, until, rules, alone):
-    """Blends a list onto blocks; `alone`, a literal: only the first three channels, and no median, are asked for."""
+    """Blends a list onto blocks; `alone`, a literal: only three channels, and no median, are asked for."""
     of_row, width = blocks_of_row(side), CHANNELS + through + until
+    weights, in_front = floats_on_stack(LANES), floats_on_stack(LANES)
     for k in range(count):
         row = floats_at(rows, splats[k] * width)
         x, y, xx, xy, yy, opacity = row[0] - center_x, row[1] - center_y, row[2], row[3], row[4], row[5]
@@ -121,31 +119,22 @@ def blend_list(blocks, rows, splats, count, center_x, center_y, side, through, u
                 block[CHANNEL + LANES + j] += weight * g
                 block[CHANNEL + 2 * LANES + j] += weight * b
                 if not alone:
-                    block[BEFORE + j], block[WEIGHT + j] = t, weight
                     block[MIDDLE + j] = place if (weight > ZERO) & (t > HALF) else block[MIDDLE + j]
-        if not alone:
-            for d in range(THREE, through, THREE):
-                r, g, b = row[CHANNELS + d], row[CHANNELS + d + 1], row[CHANNELS + d + 2]
-                for n in range(top * of_row, bottom * of_row):
-                    block = floats_at(blocks, n * BLOCK)
-                    shown = floats_at(block, CHANNEL + LANES * d)
-                    for j in range(LANES):
-                        shown[j] += block[WEIGHT + j] * r
-                        shown[LANES + j] += block[WEIGHT + j] * g
-                        shown[2 * LANES + j] += block[WEIGHT + j] * b
-            for d in range(through, through + until, FOUR):
-                r, g, b, a = row[CHANNELS + d], row[CHANNELS + d + 1], row[CHANNELS + d + 2], row[CHANNELS + d + 3]
-                for n in range(top * of_row, bottom * of_row):
-                    block = floats_at(blocks, n * BLOCK)
-                    shown = floats_at(block, CHANNEL + LANES * d)
-                    for j in range(LANES):
-                        weight = front_weight(block[BEFORE + j], block[WEIGHT + j], rules.stop_after)
-                        shown[j] += weight * r
-                        shown[LANES + j] += weight * g
-                        shown[2 * LANES + j] += weight * b
-                        shown[3 * LANES + j] += weight * a
+                    weights[j], in_front[j] = weight, front_weight(t, weight, rules.stop_after)
+            if not alone:
+                for d in range(THREE, through):
+                    add_channel(floats_at(block, CHANNEL + LANES * d), weights, row[CHANNELS + d])
+                for d in range(through, through + until):
+                    add_channel(floats_at(block, CHANNEL + LANES * d), in_front, row[CHANNELS + d])
         if k % LOOK == LOOK - 1 and all_stopped(blocks, side):
             break
+
+
+@inlined
+def add_channel(shown, weights, value):
+    """Adds a splat's channel to eight pixels."""
+    for j in range(LANES):
+        shown[j] += weights[j] * value
 
 
 @inlined
@@ -155,7 +144,7 @@ def blend_tile(
     """Blends a tile's list front to back.
 
     Args:
-        rows: `[.., CHANNELS + whole groups]` splats.
+        rows: `[.., CHANNELS + D]` splats, D at least three and the channels that end in front.
         splats: `[count]` the list, as rows of `rows`.
         count: How many there are.
         center_x: Of the tile, pixels of the image.
@@ -170,16 +159,16 @@ def blend_tile(
         last: `[P]` int32, written: the place in the list of the last splat that shows; -1 for none.
         median: `[P]` int32, written: the same of the last that shows with more than half the light before it.
     """
-    through, until = whole_groups(on, in_front)
+    through = at_least_three(on)
     blocks, of_row, pixels = floats_on_stack(BLOCKS), blocks_of_row(side), side * side
-    begin_blocks(blocks, side, through + until)
+    begin_blocks(blocks, side, through + in_front)
     for y in range(side):
         for x in range(side):
             floats_at(blocks, (y * of_row + x // LANES) * BLOCK)[LIGHT + x % LANES] = ONE
-    if through == THREE and until == 0 and not with_median:
-        blend_list(blocks, rows, splats, count, center_x, center_y, side, through, until, rules, True)
+    if through == THREE and in_front == 0 and not with_median:
+        blend_list(blocks, rows, splats, count, center_x, center_y, side, through, in_front, rules, True)
     else:
-        blend_list(blocks, rows, splats, count, center_x, center_y, side, through, until, rules, False)
+        blend_list(blocks, rows, splats, count, center_x, center_y, side, through, in_front, rules, False)
     for y in range(side):
         for x in range(side):
             p, block = y * side + x, floats_at(blocks, (y * of_row + x // LANES) * BLOCK + x % LANES)
@@ -192,19 +181,27 @@ def blend_tile(
 
 @inlined
 def unblend_list(blocks, rows, splats, count, center_x, center_y, side, through, until, rules, sums, alone):
-    """Walks back over a list; `alone`, a literal: only the first three channels are there."""
-    of_row, width, parts = blocks_of_row(side), CHANNELS + through + until, floats_on_stack(PART_LANES)
+    """Walks back over a list; `alone`, a literal: only three channels are there."""
+    of_row, channels = blocks_of_row(side), through + until
+    width, parts = CHANNELS + channels, floats_on_stack(PART_LANES)
+    lit_more, lit_in_front = floats_on_stack(LANES), floats_on_stack(LANES)
+    weights, in_front = floats_on_stack(LANES), floats_on_stack(LANES)
     for k in range(count - 1, -1, -1):
         row, total = floats_at(rows, splats[k] * width), floats_at(sums, splats[k] * width)
         x, y, xx, xy, yy, opacity = row[0] - center_x, row[1] - center_y, row[2], row[3], row[4], row[5]
         top, bottom = rows_reached(y + HALF * np.float32(side), row[REACH], side)
-        if not alone:
-            light_up(blocks, row, top * of_row, bottom * of_row, through, until)
         r, g, b, place = row[CHANNELS], row[CHANNELS + 1], row[CHANNELS + 2], np.float32(k)
-        for j in range(PART_LANES):
+        for j in range((GEOMETRY + THREE if alone else GEOMETRY + channels) * LANES):
             parts[j] = ZERO
         for n in range(top * of_row, bottom * of_row):
             block = floats_at(blocks, n * BLOCK)
+            if not alone:
+                for j in range(LANES):
+                    lit_more[j], lit_in_front[j] = ZERO, ZERO
+                for d in range(THREE, through):
+                    add_channel(lit_more, floats_at(block, CHANNEL + LANES * d), row[CHANNELS + d])
+                for d in range(through, channels):
+                    add_channel(lit_in_front, floats_at(block, CHANNEL + LANES * d), row[CHANNELS + d])
             for j in range(LANES):
                 dx, dy = x - block[PIXEL_X + j], y - block[PIXEL_Y + j]
                 unclamped = opacity * exp_minus(splat_sigma(dx, dy, xx, xy, yy))
@@ -217,10 +214,9 @@ def unblend_list(blocks, rows, splats, count, center_x, center_y, side, through,
                     )
                 else:
                     d_sigma, weight, t, behind = unblend_in_front(
-                        block[LIGHT + j], block[BEHIND + j], lit + block[LIT_MORE + j], alpha, unclamped, rules,
-                        block[LIT_IN_FRONT + j],
-                    )  # fmt: skip
-                    block[WEIGHT + j] = weight
+                        block[LIGHT + j], block[BEHIND + j], lit + lit_more[j], alpha, unclamped, rules, lit_in_front[j]
+                    )
+                    weights[j], in_front[j] = weight, front_weight(t, weight, rules.stop_after)
                 block[LIGHT + j], block[BEHIND + j] = t, behind
                 along_x, along_y = d_sigma * dx, d_sigma * dy
                 parts[j] += d_sigma
@@ -232,12 +228,22 @@ def unblend_list(blocks, rows, splats, count, center_x, center_y, side, through,
                 parts[6 * LANES + j] += weight * d_r
                 parts[7 * LANES + j] += weight * d_g
                 parts[8 * LANES + j] += weight * d_b
+            if not alone:
+                for d in range(THREE, through):
+                    add_products(parts, GEOMETRY + d, weights, floats_at(block, CHANNEL + LANES * d))
+                for d in range(through, channels):
+                    add_products(parts, GEOMETRY + d, in_front, floats_at(block, CHANNEL + LANES * d))
         for c in range(GEOMETRY):
             total[c] += sum_of_lanes(parts, LANES * c)
-        for c in range(THREE):
-            total[CHANNELS + c] += sum_of_lanes(parts, LANES * (GEOMETRY + c))
-        if not alone:
-            sum_channels(blocks, parts, total, top * of_row, bottom * of_row, through, until, rules)
+        for d in range(THREE if alone else channels):
+            total[CHANNELS + d] += sum_of_lanes(parts, LANES * (GEOMETRY + d))
+
+
+@inlined
+def add_products(parts, part, weights, gradient):
+    """Adds weights x dL/dimage of eight pixels to a part."""
+    for j in range(LANES):
+        parts[LANES * part + j] += weights[j] * gradient[j]
 
 
 @inlined
@@ -247,41 +253,6 @@ def sum_of_lanes(parts, first):
     for j in range(LANES):
         total += parts[first + j]
     return total
-
-
-@inlined
-def light_up(blocks, row, begin, end, through, until):
-    """Writes dL/dimage . channels of a splat for all channels but the first three."""
-    for n in range(begin, end):
-        block = floats_at(blocks, n * BLOCK)
-        for j in range(LANES):
-            block[LIT_MORE + j], block[LIT_IN_FRONT + j] = ZERO, ZERO
-    for d in range(THREE, through + until):
-        a, lit = row[CHANNELS + d], LIT_MORE if d < through else LIT_IN_FRONT
-        for n in range(begin, end):
-            block = floats_at(blocks, n * BLOCK)
-            gradient, to = floats_at(block, CHANNEL + LANES * d), floats_at(block, lit)
-            for j in range(LANES):
-                to[j] += a * gradient[j]
-
-
-@inlined
-def sum_channels(blocks, parts, total, begin, end, through, until, rules):
-    """Adds weights x dL/dimage for all channels but the first three; the blocks end with the weights in front."""
-    for d in range(THREE, through + until):
-        if d == through:
-            for n in range(begin, end):
-                block = floats_at(blocks, n * BLOCK)
-                for j in range(LANES):
-                    block[WEIGHT + j] = front_weight(block[LIGHT + j], block[WEIGHT + j], rules.stop_after)
-        for j in range(LANES):
-            parts[j] = ZERO
-        for n in range(begin, end):
-            block = floats_at(blocks, n * BLOCK)
-            gradient = floats_at(block, CHANNEL + LANES * d)
-            for j in range(LANES):
-                parts[j] += block[WEIGHT + j] * gradient[j]
-        total[CHANNELS + d] += sum_of_lanes(parts, 0)
 
 
 @inlined
@@ -303,9 +274,9 @@ def unblend_tile(rows, splats, center_x, center_y, side, on, in_front, rules, li
         d_light: `[P]` dL/dlight.
         sums: Like `rows`, added to: moments of dL/dsigma about the splats' means, and dL/dchannels.
     """
-    through, until = whole_groups(on, in_front)
+    through = at_least_three(on)
     blocks, of_row, pixels, count = floats_on_stack(BLOCKS), blocks_of_row(side), side * side, 0
-    begin_blocks(blocks, side, through + until)
+    begin_blocks(blocks, side, through + in_front)
     for y in range(side):
         for x in range(side):
             p, block = y * side + x, floats_at(blocks, (y * of_row + x // LANES) * BLOCK + x % LANES)
@@ -315,7 +286,7 @@ def unblend_tile(rows, splats, center_x, center_y, side, on, in_front, rules, li
                 block[CHANNEL + LANES * d] = d_features[d * pixels + p]
             for d in range(in_front):
                 block[CHANNEL + LANES * (through + d)] = d_features[(on + d) * pixels + p]
-    if through == THREE and until == 0:
-        unblend_list(blocks, rows, splats, count, center_x, center_y, side, through, until, rules, sums, True)
+    if through == THREE and in_front == 0:
+        unblend_list(blocks, rows, splats, count, center_x, center_y, side, through, in_front, rules, sums, True)
     else:
-        unblend_list(blocks, rows, splats, count, center_x, center_y, side, through, until, rules, sums, False)
+        unblend_list(blocks, rows, splats, count, center_x, center_y, side, through, in_front, rules, sums, False)

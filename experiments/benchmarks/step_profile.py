@@ -1,0 +1,156 @@
+"""Where a training step's time goes: processor time of its parts, with the native loops and with the jnp engine.
+
+    python experiments/benchmarks/step_profile.py RUN [--rounds 15] [--processes 3]
+
+The Gaussians of RUN, a finished run, seen in its first photo. Every part is a program of its own: it and the whole step
+run in turn with either engine. Parts do not add up to the step to the millisecond, since XLA fuses across them. A ratio
+is jnp's time over the loops', the median over the rounds; the process with the least time for the whole step is told,
+and the range of its ratio over all processes.
+"""
+
+import argparse
+import multiprocessing
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from gsjax import tables
+from gsjax.cli import guarded
+from gsjax.io.machine import machine, versions
+
+ENGINES = ("native", "xla")
+
+
+@contextmanager
+def traced_with(engine: str) -> Iterator[None]:
+    """Within, "auto" stands for an engine, in whatever is traced."""
+    from rasterizer import engines
+
+    kept = engines.resolve
+    engines.resolve = lambda backend: engine if backend == "auto" else kept(backend)
+    try:
+        yield
+    finally:
+        engines.resolve = kept
+
+
+def parts(run: Path) -> dict[str, Callable[[], Any]]:
+    """By part of a step, and by phase of the preset `fast` for whole ones: what computes it once."""
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+    from steps import steppers
+
+    import rasterizer
+    from gsjax import config, render, views
+    from gsjax.measures.images import ssim
+    from gsjax.pipeline.result import open_result, scene_of_run
+    from gsjax.pipeline.sizes import training_extent
+    from gsjax.settings import PRESETS, Rates, Settings
+    from gsjax.training import optimizers
+    from gsjax.training.capacity import chosen_capacity
+    from gsjax.training.loop import one_view
+
+    scene = scene_of_run(run)
+    finished = jax.tree.map(np.asarray, open_result(run).gaussians)  # Steps donate what they begin from.
+    gaussians = jax.tree.map(jnp.asarray, finished)
+    data = views.views_of(scene.train_frames)
+    batch = views.batch(one_view(data, 0, 0.5)(0), jnp.ones(3, jnp.float32))
+    camera, capacity, grid = batch.camera, chosen_capacity(gaussians, data), render.tile_grid(batch.camera)
+
+    def projected(gaussians):
+        scene = render.drawable(gaussians)
+        return *render.projected(scene, camera, "center"), render.colors(scene, camera)
+
+    def summed(gaussians):
+        projection, opacities, colors = projected(gaussians)
+        return sum(jnp.sum(x) for x in (projection.means2d, projection.conics, opacities, colors))
+
+    def listed(projection, opacities):
+        return rasterizer.bin_splats(projection, opacities, grid, capacity, rasterizer.GSPLAT)
+
+    def blended(inputs, projection, pairs):
+        means2d, conics, opacities, colors = inputs
+        placed = projection._replace(means2d=means2d, conics=conics)
+        return jnp.sum(rasterizer.blend(placed, opacities, colors[None], pairs, grid)[0] ** 2)
+
+    def loss(picture):
+        return 0.8 * jnp.mean(jnp.abs(picture - batch.image)) + 0.2 * (1 - ssim(picture, batch.image))
+
+    optimizer = optimizers.make_optimizer(Rates(), 1.0, 1000)
+    projection, opacities, colors = jax.jit(projected)(gaussians)
+    blendable = (projection.means2d, projection.conics, opacities, colors), projection, listed(projection, opacities)
+    programs = {
+        "projection and harmonics, with gradients": (jax.grad(summed), (gaussians,)),
+        "lists": (listed, (projection, opacities)),
+        "blending": (blended, blendable),
+        "blending, with gradients": (jax.grad(blended), blendable),
+        "L1 and D-SSIM, with gradients": (jax.grad(loss), (0.9 * batch.image,)),
+        "Adam": (partial(optimizers.apply_gradients, optimizer), (gaussians, optimizer.init(gaussians), gaussians)),
+    }
+    whole = steppers(config.parse(Settings, PRESETS["fast"]), finished, scene.train_frames, training_extent(scene))
+
+    def compiled(function, arguments):
+        program = jax.jit(function)
+        jax.block_until_ready(program(*arguments))
+        return lambda: jax.block_until_ready(program(*arguments))
+
+    steps = {f"a whole step, {phase}": once for phase, once in whole.items()}
+    return {name: compiled(*program) for name, program in programs.items()} | steps
+
+
+def measure(run: Path, rounds: int) -> dict[str, list[float]]:
+    """By part: milliseconds of the processor with the loops and with jnp, and the median ratio of the two."""
+    import numpy as np
+
+    both = {}
+    for engine in ENGINES:
+        with traced_with(engine):
+            both[engine] = parts(run)
+    times: dict[tuple[str, str], list[float]] = {(engine, part): [] for engine in ENGINES for part in both[engine]}
+    for _ in range(rounds):
+        for part in both[ENGINES[0]]:
+            for engine in ENGINES:
+                started = time.process_time()
+                both[engine][part]()
+                times[engine, part].append(1e3 * (time.process_time() - started))
+    ratios = {part: np.array(times["xla", part]) / np.array(times["native", part]) for part in both["native"]}
+    return {
+        part: [*(float(np.median(times[engine, part])) for engine in ENGINES), float(np.median(ratio))]
+        for part, ratio in ratios.items()
+    }
+
+
+def main() -> None:
+    """Measure and print one table, with machine and versions."""
+    # Run as a script, this folder holds a file of the package's name.
+    sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--processes", type=int, default=3)
+    arguments = parser.parse_args()
+    told = []
+    for _ in range(arguments.processes):
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), max_tasks_per_child=1) as pool:
+            told.append(pool.submit(measure, arguments.run, arguments.rounds).result())
+    quickest = min(told, key=lambda each: sum(figures[0] for figures in each.values()))
+    rows = {}
+    for part, (native, xla, ratio) in quickest.items():
+        others = [each[part][2] for each in told]
+        rows[part] = {
+            "native, ms": f"{native:.1f}",
+            "jnp, ms": f"{xla:.1f}",
+            "jnp / native": f"{ratio:.2f} ({min(others):.2f}-{max(others):.2f})",
+        }
+    print(tables.compare(rows))
+    print(tables.record({"rounds": arguments.rounds, "processes": arguments.processes, **machine(), **versions()}))
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))
