@@ -20,7 +20,7 @@ from rasterizer._native.blending import (
     unblend_splat,
 )
 from rasterizer._native.compiled import inlined
-from rasterizer._native.instructions import floats_at, floats_on_stack
+from rasterizer._native.instructions import add_products, add_scaled, floats_at, floats_on_stack
 
 MAX_SIDE, MAX_CHANNELS = 32, 16  # pixels of a tile, channels of a pass
 LANES = 8  # pixels of a block; a row of a tile is filled up to whole blocks with pixels that have stopped
@@ -123,18 +123,11 @@ def blend_list(blocks, rows, splats, count, center_x, center_y, side, through, u
                     weights[j], in_front[j] = weight, front_weight(t, weight, rules.stop_after)
             if not alone:
                 for d in range(THREE, through):
-                    add_channel(floats_at(block, CHANNEL + LANES * d), weights, row[CHANNELS + d])
+                    add_scaled(floats_at(block, CHANNEL + LANES * d), weights, row[CHANNELS + d])
                 for d in range(through, through + until):
-                    add_channel(floats_at(block, CHANNEL + LANES * d), in_front, row[CHANNELS + d])
+                    add_scaled(floats_at(block, CHANNEL + LANES * d), in_front, row[CHANNELS + d])
         if k % LOOK == LOOK - 1 and all_stopped(blocks, side):
             break
-
-
-@inlined
-def add_channel(shown, weights, value):
-    """Adds a splat's channel to eight pixels."""
-    for j in range(LANES):
-        shown[j] += weights[j] * value
 
 
 @inlined
@@ -199,9 +192,9 @@ def unblend_list(blocks, rows, splats, count, center_x, center_y, side, through,
                 for j in range(LANES):
                     lit_more[j], lit_in_front[j] = ZERO, ZERO
                 for d in range(THREE, through):
-                    add_channel(lit_more, floats_at(block, CHANNEL + LANES * d), row[CHANNELS + d])
+                    add_scaled(lit_more, floats_at(block, CHANNEL + LANES * d), row[CHANNELS + d])
                 for d in range(through, channels):
-                    add_channel(lit_in_front, floats_at(block, CHANNEL + LANES * d), row[CHANNELS + d])
+                    add_scaled(lit_in_front, floats_at(block, CHANNEL + LANES * d), row[CHANNELS + d])
             for j in range(LANES):
                 dx, dy = x - block[PIXEL_X + j], y - block[PIXEL_Y + j]
                 unclamped = opacity * exp_minus(splat_sigma(dx, dy, xx, xy, yy))
@@ -230,20 +223,17 @@ def unblend_list(blocks, rows, splats, count, center_x, center_y, side, through,
                 parts[8 * LANES + j] += weight * d_b
             if not alone:
                 for d in range(THREE, through):
-                    add_products(parts, GEOMETRY + d, weights, floats_at(block, CHANNEL + LANES * d))
+                    add_products(
+                        floats_at(parts, LANES * (GEOMETRY + d)), weights, floats_at(block, CHANNEL + LANES * d)
+                    )
                 for d in range(through, channels):
-                    add_products(parts, GEOMETRY + d, in_front, floats_at(block, CHANNEL + LANES * d))
+                    add_products(
+                        floats_at(parts, LANES * (GEOMETRY + d)), in_front, floats_at(block, CHANNEL + LANES * d)
+                    )
         for c in range(GEOMETRY):
             total[c] += sum_of_lanes(parts, LANES * c)
         for d in range(THREE if alone else channels):
             total[CHANNELS + d] += sum_of_lanes(parts, LANES * (GEOMETRY + d))
-
-
-@inlined
-def add_products(parts, part, weights, gradient):
-    """Adds weights x dL/dimage of eight pixels to a part."""
-    for j in range(LANES):
-        parts[LANES * part + j] += weights[j] * gradient[j]
 
 
 @inlined
