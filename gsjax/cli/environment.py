@@ -1,5 +1,6 @@
 """What the command line settles for jax before it is imported; the library itself never touches the environment."""
 
+import ctypes
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -7,12 +8,14 @@ from pathlib import Path
 from gsjax.io.machine import cpu_flags
 
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
+# mallopt of glibc: one arena, no block mapped by itself, nothing given back while the process lives.
+KEEP_MEMORY = {-8: 1, -3: 1 << 30, -1: (1 << 31) - 1}
 
 
 def prepare() -> None:
-    """Full-width vectors where the CPU has them, and a compilation cache that outlives the process.
+    """Full-width vectors where the CPU has them, memory that is kept, a compilation cache that outlives the process.
 
-    What the user has set in XLA_FLAGS or JAX_COMPILATION_CACHE_DIR stays.
+    What the user has set in XLA_FLAGS, JAX_COMPILATION_CACHE_DIR or glibc's MALLOC_ variables stays.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     # XLA prefers 256 bits by default; with 512 the rasterizer's forward pass ran 1.3-2x faster (AMD EPYC, jax 0.10.2).
@@ -23,3 +26,14 @@ def prepare() -> None:
             folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gsjax" / "xla"
             folder.mkdir(parents=True, exist_ok=True)
             os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
+    keep_memory()
+
+
+def keep_memory() -> None:
+    """Lets glibc's allocator keep what it has. A step would else map its buffers anew, page by page."""
+    if any(name.startswith("MALLOC_") for name in os.environ):
+        return
+    with suppress(AttributeError, OSError):  # Another system's allocator.
+        mallopt = ctypes.CDLL(None).mallopt
+        for option, value in KEEP_MEMORY.items():
+            mallopt(option, value)
