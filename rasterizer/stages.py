@@ -310,7 +310,9 @@ def rasterize_to_pixels(
     grid = TileGrid(num_images, image_width, image_height, tile_size)
     total = jnp.sum(flatten_ids >= 0, dtype=jnp.int32)
     splats = jnp.maximum(flatten_ids, 0) if flatten_ids.size else jnp.zeros(1, jnp.int32)
-    pairs = TilePairs(splats, jnp.append(isect_offsets.reshape(-1), total), total, jnp.array(False))
+    # In order and within the lists, whatever comes: the CPU's loops read what these say.
+    offsets = jax.lax.cummax(jnp.clip(jnp.append(isect_offsets.reshape(-1), total), 0, total))
+    pairs = TilePairs(splats, offsets, total, jnp.array(False))
     if masks is not None:
         pairs = _keep_masked(pairs, masks.reshape(-1))
 

@@ -302,7 +302,7 @@ def write_lists(frame, job, count, tiles):
     sizes = int32s(argument(frame, 7))
     rows = np.int64(sizes[_DOWN]) * sizes[_CAMERAS]
     at_order, at_work = allocate(4 * count), allocate(12 * count)
-    at_records, at_counts, at_members = allocate(LINE * (count + 1)), allocate(8 * tiles), 0
+    at_records, at_counts, at_members, needed = allocate(LINE * (count + 1)), allocate(8 * tiles), 0, 0
     done = at_order != 0 and at_work != 0 and at_records != 0 and at_counts != 0
     if done:
         order, work = as_int32s(at_order), as_int32s(at_work)
@@ -314,15 +314,17 @@ def write_lists(frame, job, count, tiles):
         shown = order_by_depth(depths, visible, count, order, work, int32s_at(work, count), int32s_at(work, 2 * count))
         set_word(job, _SHOWN, shown)
         done = share(frame, address_of("rasterizer_write_chunks"), job, CHUNKS)
+    if done:
         needed = share_out(job, rows)
         at_members = allocate(4 * word(job, _STARTS + BANDS))
         set_word(job, _MEMBERS, at_members)
-        done = done and at_members != 0
-        if done:
-            write_members(job, rows)
-            done = share(frame, address_of("rasterizer_count_bands"), job, BANDS)
-            write_offsets(frame, as_int64s(at_counts), tiles, needed)
-            done = done and share(frame, address_of("rasterizer_fill_bands"), job, BANDS)
+        done = at_members != 0
+    if done:
+        write_members(job, rows)
+        done = share(frame, address_of("rasterizer_count_bands"), job, BANDS)
+    if done:
+        write_offsets(frame, as_int64s(at_counts), tiles, needed)
+        done = share(frame, address_of("rasterizer_fill_bands"), job, BANDS)
     release(at_order)
     release(at_work)
     release(at_records)

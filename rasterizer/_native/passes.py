@@ -110,7 +110,8 @@ def gather(rows, count, on, in_front, splats, pairs, alpha_min, places, ids, nea
         places[splat] = -1
     for k in range(pairs):
         prefetch(floats_at(rows, np.int64(splats[min(k + AHEAD, pairs - 1)]) * given))
-        splat = np.int64(splats[k])
+        # Lists may come from a caller: what is no splat must not be read.
+        splat = min(max(np.int64(splats[k]), 0), count - 1)
         if places[splat] < 0:
             places[splat] = copies
             row, copy = floats_at(rows, splat * given), floats_at(near, copies * width)

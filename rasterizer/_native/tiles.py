@@ -58,10 +58,13 @@ def reach_along_y(conic_xx, conic_xy, conic_yy, opacity, alpha_min):
 
 @inlined
 def rows_reached(y, reach, side):
-    """The first row of pixels that a splat reaches and the one after the last; `y` of its mean from the tile's top."""
-    first = np.ceil(min(max(y - reach - HALF - MARGIN, ZERO), np.float32(side)))
-    last = np.floor(min(max(y + reach - HALF + MARGIN, -ONE), np.float32(side - 1)))
-    return np.int64(first), np.int64(last) + 1
+    """The first row of pixels that a splat reaches and the one after the last; `y` of its mean from the tile's top.
+
+    All rows where one of the numbers is not a number: comparisons with it are false.
+    """
+    low, high, last = y - reach - HALF - MARGIN, y + reach - HALF + MARGIN, np.float32(side - 1)
+    low, high = low if low > ZERO else ZERO, high if high < last else last
+    return np.int64(np.ceil(min(low, np.float32(side)))), np.int64(np.floor(max(high, -ONE))) + 1
 
 
 @inlined

@@ -19,11 +19,22 @@ from hypothesis import strategies as st
 from scenes import cloud, evaluate, loss, relative_errors, render, stacks
 from tolerances import assert_close
 
-from rasterizer import GSPLAT, INRIA, Front, TileGrid, bin_splats, blend, blending, engines, project
+from rasterizer import (
+    GSPLAT,
+    INRIA,
+    Front,
+    TileGrid,
+    bin_splats,
+    blend,
+    blending,
+    engines,
+    project,
+    rasterize_to_pixels,
+)
 from rasterizer._native import MAX_SIDE, compiled
 from rasterizer._native import blending as native
 from rasterizer._native.calls import API_MAJOR, API_MINOR
-from rasterizer._native.tiles import reach_along_y
+from rasterizer._native.tiles import reach_along_y, rows_reached
 
 COUNT = 512
 
@@ -392,6 +403,39 @@ def test_a_reach_is_never_too_short(aspect):
     assert (reach >= needed * (1 - 1e-6)).all()
     if aspect < 100:
         assert (reach < 1.01 * needed).all(), "and hardly longer than it must be"
+
+
+@over_arrays
+def ranges_of_rows(y, reach, side):
+    out = np.empty((2, y.size), np.int64)
+    for k in range(y.size):
+        out[0, k], out[1, k] = rows_reached(y[k], reach[k], side)
+    return out
+
+
+def test_the_rows_of_any_number_lie_within_the_tile():
+    odd = np.array([np.nan, np.inf, -np.inf, 3e38, -3e38, -0.5, 3.2, 7.9, 8.6], np.float32)
+    y, reach = (x.ravel() for x in np.meshgrid(odd, np.abs(odd)))
+    first, end = ranges_of_rows(y, reach, 8)
+    assert (first >= 0).all() and (first <= 8).all() and (end >= 0).all() and (end <= 8).all()
+    # Pixel centres at half a pixel: a splat at 3.2 that reaches 1 covers the rows of 2.5 and 3.5.
+    assert [x.tolist() for x in ranges_of_rows(np.float32([3.2]), np.float32([1.0]), 8)] == [[2], [4]]
+
+
+def test_lists_of_rubbish_read_nothing_beyond_the_splats():
+    """What the stages are handed is a caller's: ids and offsets that make no sense draw something, and end nothing."""
+    scene = cloud()
+    projection, grid, _, _ = listed(scene, 8)
+    rng = np.random.default_rng(0)
+    ids = jnp.asarray(rng.integers(-5, 10**9, 300), jnp.int32)
+    offsets = jnp.asarray(rng.integers(-(10**9), 10**9, (1, grid.tiles_y, grid.tiles_x)), jnp.int32)
+    arrays = projection.means2d, projection.conics, scene.colors[None], scene.opacities[None]
+    how = scene.width, scene.height, 8, offsets, ids
+    image, alphas = rasterize_to_pixels(*arrays, *how, backend="native")
+    assert np.isfinite(image).all() and (np.asarray(alphas) <= 1).all()
+    bad = projection.means2d.at[0, :5].set(jnp.nan)
+    image, _ = rasterize_to_pixels(bad, *arrays[1:], *how, backend="native")
+    assert np.isfinite(image).all()
 
 
 def test_errors_of_gradients_are_those_of_the_other_engine():
