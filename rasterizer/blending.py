@@ -1,6 +1,7 @@
-"""The alpha of one splat at one pixel, the front-to-back blend and its way back: the lines that every backend shares.
+"""The alpha of one splat at one pixel, the front-to-back blend and its way back, in jnp.
 
-Elementwise on arrays of any shape, so that the same text runs in XLA's loops and inside a GPU kernel.
+Elementwise on arrays of any shape, so that the same text runs in XLA's loops and inside a GPU kernel. The CPU's loops,
+which numba compiles, have a second text of it in the same order: `rasterizer._native.blending`.
 """
 
 import jax.numpy as jnp

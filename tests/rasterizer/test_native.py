@@ -193,7 +193,7 @@ def test_lists_are_those_of_the_other_engine_to_the_last_entry(seed, side, sprea
     assert ours.needed == expected.needed and not ours.overflowed
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(
     seed=st.integers(0, 2**31),
     side=st.sampled_from([5, 8, 12, 16]),
