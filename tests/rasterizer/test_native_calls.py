@@ -1,0 +1,164 @@
+"""How XLA calls the native loops: transformations, threads, interrupts, and what stands in where they are missing."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scenes import cloud, evaluate, render
+from tolerances import assert_close
+
+from rasterizer import engines
+from rasterizer._native.calls import API_MAJOR, API_MINOR
+
+
+def test_the_same_bits_from_call_to_call_and_with_one_thread():
+    scene = cloud(60, cameras=2)
+    first = evaluate(scene, "native")
+    for _ in range(20):
+        again = evaluate(scene, "native")
+        jax.tree.map(np.testing.assert_array_equal, (again[0], again[3]), (first[0], first[3]))
+    alone = """
+import numpy as np, sys
+sys.path.insert(0, "tests")
+from scenes import cloud, evaluate
+image, _, _, gradient = evaluate(cloud(60, cameras=2), "native")
+np.savez(sys.argv[1], image=image, means=gradient.means, opacities=gradient.opacities)
+"""
+    with_one = {**os.environ, "NPROC": "1"}
+    target = os.path.join(os.environ.get("TMPDIR", "/tmp"), f"one-thread-{os.getpid()}.npz")
+    subprocess.run([sys.executable, "-c", alone, target], check=True, env=with_one, cwd=engines_root())
+    try:
+        with np.load(target) as saved:
+            np.testing.assert_array_equal(saved["image"], first[0])
+            np.testing.assert_array_equal(saved["means"], first[3].means)
+            np.testing.assert_array_equal(saved["opacities"], first[3].opacities)
+    finally:
+        os.unlink(target)
+
+
+def engines_root():
+    return os.path.dirname(os.path.dirname(engines.__file__))
+
+
+def test_vmap_scan_eager_and_donation_are_the_plain_call():
+    scene = cloud()
+    image = render(scene, capacity=2048, backend="native")[0]
+    eager = render(scene, backend="native")[0]
+    np.testing.assert_array_equal(eager, image)
+    opacities = jnp.stack([scene.opacities, 0.5 * scene.opacities])
+    each = [render(replace(scene, opacities=x), capacity=2048, backend="native")[0] for x in opacities]
+
+    def one(x):
+        return render(replace(scene, opacities=x), capacity=2048, backend="native")[0]
+
+    assert_close(jax.vmap(one)(opacities), np.stack(each))
+    _, scanned = jax.lax.scan(lambda carry, x: (carry, one(x)), 0, opacities)
+    assert_close(scanned, np.stack(each))
+    donated = jax.jit(lambda x: (one(x), 2 * x), donate_argnums=0)
+    assert_close(donated(opacities[1] + 0)[0], each[1])
+    gradient = jax.vmap(jax.grad(lambda x: jnp.sum(one(x) ** 2)))(opacities)
+    for found, x in zip(gradient, opacities, strict=True):
+        alone = jax.grad(lambda x: jnp.sum(one(x) ** 2))(x)
+        assert np.linalg.norm(found - alone) <= 1e-5 * np.linalg.norm(alone)
+
+
+def test_without_the_loops_a_cpu_renders_in_jnp_and_says_so_once(monkeypatch, caplog):
+    def missing():
+        raise ImportError("No module named 'numba'")
+
+    monkeypatch.setattr(engines, "_native", missing)
+    engines._native_or_none.cache_clear()
+    try:
+        assert [engines.resolve("auto") for _ in range(3)] == ["xla"] * 3
+        assert [record.message for record in caplog.records] == [
+            "the CPU's rasterizer runs in jnp, several times slower than its native loops: No module named 'numba'"
+        ]
+        with pytest.raises(ImportError):
+            render(cloud(), capacity=2047, backend="native")  # Of another capacity than any program that is kept.
+    finally:
+        engines._native_or_none.cache_clear()
+
+
+def test_another_interface_of_xla_is_refused_by_its_version(monkeypatch, tmp_path):
+    from rasterizer._native import engine
+
+    header = tmp_path / "xla" / "ffi" / "api" / "c_api.h"
+    header.parent.mkdir(parents=True)
+    for major, minor, fits in [(API_MAJOR, API_MINOR, True), (API_MAJOR, API_MINOR + 4, True), (1, 0, False)]:
+        header.write_text(f"#define XLA_FFI_API_MAJOR {major}\n#define XLA_FFI_API_MINOR {minor}\n")
+        monkeypatch.setattr(jax.ffi, "include_dir", lambda: str(tmp_path))
+        if fits:
+            engine._check_interface()
+        else:
+            with pytest.raises(ImportError, match=r"version 1\.0, not 0\.3 or later"):
+                engine._check_interface()
+
+
+def test_programs_with_the_loops_are_kept_on_disk():
+    """What calls back into Python is not; jax's own store of programs takes these."""
+    scene = cloud()
+    program = jax.jit(partial(render, capacity=2048, backend="native")).lower(scene)
+    text = program.as_text()
+    assert "rasterizer_forward" in text and "rasterizer_lists" in text
+    assert "callback" not in text
+
+
+STRESS = """
+import json, sys, threading, time
+sys.path.insert(0, "tests")
+import jax, jax.numpy as jnp, numpy as np
+from scenes import cloud, loss
+scene = cloud(400, size=(120, 90))
+step = jax.jit(lambda s: jax.value_and_grad(lambda s: loss(s, capacity=8192, backend="native")[0])(s))
+value, gradient = jax.block_until_ready(step(scene))
+wrong, calls = [], [0]
+until = time.monotonic() + float(sys.argv[1])
+def work():
+    while time.monotonic() < until:
+        v, g = step(scene)
+        if float(v) != float(value) or not (np.asarray(g.means) == np.asarray(gradient.means)).all():
+            wrong.append(float(v))
+        calls[0] += 1
+threads = [threading.Thread(target=work) for _ in range(6)]
+print("ready", flush=True)
+for t in threads: t.start()
+for t in threads: t.join()
+print(json.dumps({"wrong": len(wrong), "calls": calls[0]}))
+"""
+
+
+def stressed(seconds):
+    command = [sys.executable, "-c", STRESS, str(seconds)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=engines_root())
+
+
+def test_six_threads_at_once_neither_hang_nor_differ():
+    """GSJAX_STRESS_SECONDS asks for more than the few seconds of every day."""
+    seconds = float(os.environ.get("GSJAX_STRESS_SECONDS", "4"))
+    process = stressed(seconds)
+    out, err = process.communicate(timeout=seconds + 120)
+    assert process.returncode == 0, err
+    told = json.loads(out.splitlines()[-1])
+    assert told["wrong"] == 0 and told["calls"] > 6
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_an_interrupt_ends_a_run_of_steps_at_once():
+    program = STRESS.replace("threads = [", "work()\nthreads = [").replace('print("ready", flush=True)', "")
+    program = program.replace("until =", 'print("ready", flush=True)\nuntil =')
+    process = subprocess.Popen([sys.executable, "-c", program, "60"], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                               text=True, cwd=engines_root())  # fmt: skip
+    assert process.stdout.readline().strip() == "ready"
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=20)
+    assert process.returncode != 0 and "KeyboardInterrupt" in err
