@@ -21,6 +21,7 @@ from train import load_settings
 
 from gsjax.cli import guarded
 from gsjax.errors import InputError
+from gsjax.io import json_files
 
 AGAIN = "the same again"
 
@@ -36,7 +37,6 @@ def run(
     from knobs.knob import Place
 
     from gsjax.config import to_dict
-    from gsjax.io import runs
 
     whole = to_dict(load_settings(config))
     knobs = knobs_of(whole)
@@ -44,27 +44,25 @@ def run(
         raise InputError(f"--knobs: no knob {unknown[0]!r}; there are {', '.join(knobs)}")
     _take(Path(out), {"scene": str(Path(scene).resolve()), "config": config, "share": share})
     place, ledger = Place(scene, out, whole, share), Path(out) / "rounds.json"
-    done: dict[str, Rounds] = runs.read_json(ledger) if ledger.exists() else {}
+    done: dict[str, Rounds] = json_files.read(ledger) if ledger.exists() else {}
     for name in names or knobs:
         while len(done.setdefault(name, [])) < rounds:
             print(f"== {name}, round {len(done[name]) + 1} of {rounds}", flush=True)
             done[name].append(one_round(knobs[name], place, len(done[name])))
-            runs.write_json(ledger, done)
+            json_files.write(ledger, done)
         write(Path(out), {knob: each for knob, each in done.items() if each})
     return done
 
 
 def _take(out: Path, asked: dict[str, Any]) -> None:
     """Notes what a folder's rounds are of; raises where it holds others."""
-    from gsjax.io import runs
-
     note = out / "asked.json"
-    before = runs.read_json(note) if note.exists() else asked
+    before = json_files.read(note) if note.exists() else asked
     for key, value in asked.items():
         if before[key] != value:
             raise InputError(f"{note}: its rounds are of {key} {before[key]}, not {value}; --out takes another folder")
     out.mkdir(parents=True, exist_ok=True)
-    runs.write_json(note, asked)
+    json_files.write(note, asked)
 
 
 def one_round(knob: Any, place: Any, index: int) -> dict[str, dict[str, Any]]:

@@ -17,7 +17,7 @@ from handled import timed
 
 from gsjax import config, pipeline, tables
 from gsjax.cli.parsers import count
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.io.machine import machine
 from gsjax.io.scenes import load_scene
 from gsjax.settings import FAST, Settings
@@ -57,7 +57,7 @@ def row(scene: Path, effects: str, given: argparse.Namespace, seed: int) -> dict
         started = time.process_time()
         times = timed(scene, run, chosen)
         figures = pipeline.evaluate(run, three_ways=load_scene(scene).tracks is not None)
-        manifest = runs.read_json(run / "manifest.json")
+        manifest = json_files.read(run / "manifest.json")
         kept = {name: figures.get(name) for name in (*SCORES, "gaussians")}
         kept |= {
             "simulated": manifest.get("effects", {}).get("simulated", []),
@@ -65,8 +65,8 @@ def row(scene: Path, effects: str, given: argparse.Namespace, seed: int) -> dict
             "seconds before": times[0] - started,
             "ms a step": 1e3 * float(np.median(np.diff(times)[FIRST:])),
         }
-        runs.write_json(run / "scored.json", kept)
-    return {"scene": scene.name, "effects": effects, "seed": seed, **runs.read_json(run / "scored.json")}
+        json_files.write(run / "scored.json", kept)
+    return {"scene": scene.name, "effects": effects, "seed": seed, **json_files.read(run / "scored.json")}
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -98,7 +98,7 @@ def main() -> None:
     for scene in given.scenes:
         for effects in given.effects:
             rows += [row(scene, effects, given, seed) for seed in range(given.seeds)]
-            runs.write_json(given.out / "auto_or_none.json", {"rows": rows, "machine": machine()})
+            json_files.write(given.out / "auto_or_none.json", {"rows": rows, "machine": machine()})
             (given.out / "auto_or_none.md").write_text(table(rows))
     print(table(rows))
 

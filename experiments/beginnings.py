@@ -7,9 +7,9 @@ from typing import Any
 from gsjax import config
 from gsjax.settings import Phase, Settings, Weights, total_steps
 from gsjax.training.loop import planned_phases
-from gsjax.training.losses import NEEDS_NORMALS
 from gsjax.training.step import active_terms
 from gsjax.training.surroundings import needed
+from gsjax.training.terms.losses import NEEDS_NORMALS
 
 READS_TABLE = Phase("nothing", 0, Weights(sugar_sdf=1.0))  # no steps: a state with a table of neighbours all the same
 

@@ -19,6 +19,7 @@ from train import CONFIGS, load_config
 from gsjax import config, tables
 from gsjax.cli import guarded, parsers
 from gsjax.errors import InputError
+from gsjax.io import json_files
 from gsjax.settings import Settings
 
 STUDIES = Path(__file__).parent / "studies"
@@ -51,8 +52,6 @@ def run(
     Raises:
         InputError: There is no such study or run, or one of its runs cannot be made.
     """
-    from gsjax.io import runs
-
     described = load_config(study, folder=STUDIES)
     names = _names(described, seeds)
     if only is not None and only not in names:
@@ -76,12 +75,12 @@ def run(
                 alone = only is not None or seconds is not None or folder.exists()
                 earlier = None if alone else _common(scene, Path(out) / "beginnings", beginning(settings, others))
                 _trained(scene, folder, settings, seconds, earlier)
-                runs.write_json(done, _figures(folder, described.get("zooms", ())))
-            figures, floor = runs.read_json(done)
+                json_files.write(done, _figures(folder, described.get("zooms", ())))
+            figures, floor = json_files.read(done)
             every.setdefault(variant, []).append(figures)
     every |= {tables.FLOOR: [floor]} if floor else {}
     if only is None:
-        runs.write_json(Path(out) / "study.json", every)
+        json_files.write(Path(out) / "study.json", every)
     return every
 
 
@@ -92,20 +91,18 @@ def _names(described: dict[str, Any], seeds: int) -> list[str]:
 def _common(scene: str, folder: Path, settings: Settings | None) -> Path | None:
     """Where the run that others begin with lies, trained to its end; None of None."""
     from gsjax import pipeline
-    from gsjax.io import runs
 
     if settings is None:
         return None
     name = hashlib.sha256(json.dumps(config.to_dict(settings), sort_keys=True).encode()).hexdigest()[:12]
     run = folder / name
-    if not (run / "manifest.json").exists() or runs.read_json(run / "manifest.json")["status"] != "done":
+    if not (run / "manifest.json").exists() or json_files.read(run / "manifest.json")["status"] != "done":
         pipeline.train(scene, run, settings, resume=run.exists())
     return run
 
 
 def _trained(scene: str, folder: Path, settings: Settings, seconds: float | None, earlier: Path | None) -> None:
-    from gsjax import pipeline
-    from gsjax.io import runs
+    from gsjax import pipeline, runs
 
     if seconds is not None and not folder.exists():
         settings, line = pipeline.budgeted(scene, {folder.name: settings}, seconds)
@@ -117,8 +114,7 @@ def _trained(scene: str, folder: Path, settings: Settings, seconds: float | None
 
 def _figures(folder: Path, zooms: Sequence[float]) -> tuple[dict[str, Any], dict[str, Any]]:
     """A variant's figures, and those of the true mesh where there is one."""
-    from gsjax import pipeline
-    from gsjax.io import runs
+    from gsjax import pipeline, runs
 
     figures = pipeline.evaluate(folder, zooms=zooms)
     last = runs.read_metrics(folder)[-20:]

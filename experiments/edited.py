@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax import gallery
 from gsjax.binding.bound import to_mesh
 from gsjax.binding.editing import rebound, with_vertices
 from gsjax.binding.hybrid import Hybrid, all_gaussians
@@ -20,8 +19,9 @@ from gsjax.cameras import Camera
 from gsjax.cli import guarded
 from gsjax.io.images import write_image
 from gsjax.meshing import read_mesh
-from gsjax.pipeline.pictures import mesh_picture, to_bytes
-from gsjax.pipeline.result import Result, open_result
+from gsjax.render import gallery
+from gsjax.report.pictures import mesh_picture, to_bytes
+from gsjax.runs.result import Result, open_result
 
 TWIST = 1.6  # radians per unit of height
 ENLARGED = 2

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax import gallery
 from gsjax.cli import guarded
 from gsjax.io.gaussian_files import FORMATS, format_of
 from gsjax.io.images import write_image
 from gsjax.pipeline import convert
-from gsjax.pipeline.pictures import to_bytes
-from gsjax.pipeline.result import open_result
+from gsjax.render import gallery
+from gsjax.report.pictures import to_bytes
+from gsjax.runs.result import open_result
 
 
 def compare(run: str, out: Path, *, views: int) -> None:

@@ -21,22 +21,25 @@ import jax.numpy as jnp
 import numpy as np
 from relit import relight, sky_color
 
-from gsjax import backdrop, config, gallery, pipeline, tables
+from gsjax import config, pipeline, runs, tables
 from gsjax.cli.parsers import count
 from gsjax.effects import transients, vignetting
 from gsjax.effects.alignment import align
-from gsjax.io import analytic_scene, runs
-from gsjax.io.checkpoints import load_arrays
+from gsjax.io import analytic_scene, json_files
 from gsjax.io.machine import machine
 from gsjax.io.scenes import load_scene
 from gsjax.meshing.export import read_mesh
-from gsjax.pipeline.effects import Photography, joined, read_photography, refined
-from gsjax.pipeline.evaluate import score_images, score_mesh
-from gsjax.pipeline.result import frame_camera, open_result
-from gsjax.pipeline.sizes import training_extent
+from gsjax.pipeline.evaluate import score_mesh
 from gsjax.pipeline.train import trial_start
-from gsjax.pipeline.trials import gains
+from gsjax.planning.effects import joined
+from gsjax.planning.sizes import training_extent
+from gsjax.planning.trials import gains
+from gsjax.render import backdrop, gallery
+from gsjax.runs.checkpoints import load_arrays
+from gsjax.runs.photography import Photography, read_photography, refined
+from gsjax.runs.result import frame_camera, open_result
 from gsjax.scene import Scene
+from gsjax.scoring.images import score_images
 from gsjax.settings import Settings
 
 POINTS, SMALL = 300, 1e-4  # that stand for all; of a world's change, to first order
@@ -90,7 +93,7 @@ def of_cameras(truth: Truth) -> float:
     Without what the best small turn, shift and growth of the world explains, which is nobody's error.
     """
     true = {frame.name: (frame.viewmat, frame.K) for frame in truth.clean.train_frames}
-    found = [record for record in runs.read_json(truth.run / "cameras.json") if not record["held_out"]]
+    found = [record for record in json_files.read(truth.run / "cameras.json") if not record["held_out"]]
     rng = np.random.default_rng(0)
     points = truth.clean.points[rng.permutation(len(truth.clean.points))[:POINTS]].astype(np.float64)
     offsets = points - points.mean(0)
@@ -191,8 +194,8 @@ def trained(scene: Path, run: Path, chosen: Settings) -> float:
     """Trains unless that was done; median processor seconds of a step."""
     if not (run / "timed.json").exists():
         times = timed(scene, run, chosen)
-        runs.write_json(run / "timed.json", {"seconds_per_step": float(np.median(np.diff(times)[FIRST:]))})
-    return runs.read_json(run / "timed.json")["seconds_per_step"]
+        json_files.write(run / "timed.json", {"seconds_per_step": float(np.median(np.diff(times)[FIRST:]))})
+    return json_files.read(run / "timed.json")["seconds_per_step"]
 
 
 def scored(truth: Truth, background: str, *, aligned: bool) -> dict[str, Any]:
@@ -217,8 +220,8 @@ def scored(truth: Truth, background: str, *, aligned: bool) -> dict[str, Any]:
         assert known.points is not None and known.point_normals is not None, "built in"
         scores |= score_mesh(read_mesh(mesh), known.points, known.point_normals, read_mesh(known.mesh))
         names = ("psnr", "psnr_aligned", "chamfer")
-        runs.write_json(file, {name: scores.get(name) for name in names})
-    return runs.read_json(file)
+        json_files.write(file, {name: scores.get(name) for name in names})
+    return json_files.read(file)
 
 
 def row(out: Path, clean: Path, effect: str, strength: float, given: argparse.Namespace, seed: int) -> dict[str, Any]:
@@ -228,7 +231,7 @@ def row(out: Path, clean: Path, effect: str, strength: float, given: argparse.Na
         scene = out / f"{effect}_{strength:g}"
         if not scene.exists():
             relight(clean, scene, **case.put_in(strength))
-    told = runs.read_json(scene / "relit.json") if strength else {}
+    told = json_files.read(scene / "relit.json") if strength else {}
     # A sky is not known to whoever starts a run; the clean scene's white is.
     background = "black" if effect == "background" and strength else "white"
     chosen = [settings(e, given.steps, given.gaussians, seed, background) for e in ("auto", "none", effect)]
@@ -296,7 +299,7 @@ def main() -> None:
     for effect in given.effects:
         for strength in (0.0, *CASES[effect].strengths):
             rows += [row(given.out, clean, effect, strength, given, seed) for seed in range(given.seeds)]
-            runs.write_json(given.out / "handled.json", {"rows": rows, "machine": machine()})
+            json_files.write(given.out / "handled.json", {"rows": rows, "machine": machine()})
             (given.out / "handled.md").write_text(table(rows))
     print(table(rows))
 

@@ -17,16 +17,16 @@ import numpy as np
 from gsjax import cameras, tables
 from gsjax.cli import guarded
 from gsjax.errors import InputError
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.io.scenes import load_scene
-from gsjax.pipeline.evaluate import score_images
-from gsjax.pipeline.result import frame_camera, open_result
+from gsjax.runs.result import frame_camera, open_result
 from gsjax.scene import Frame, with_pixels
+from gsjax.scoring.images import score_images
 
 
 def compare(folders: Sequence[str], reach: float) -> dict[str, dict[str, float]]:
     """For every run: `psnr`, `psnr_inside`, and `inside`, the share of the pixels."""
-    root, *others = [runs.read_json(Path(folder) / "manifest.json")["scene"] for folder in folders]
+    root, *others = [json_files.read(Path(folder) / "manifest.json")["scene"] for folder in folders]
     for folder, other in zip(folders[1:], others, strict=True):
         if other != root:
             raise InputError(f"{folder}: is a run on {other}, not on {root}")
@@ -41,7 +41,7 @@ def compare(folders: Sequence[str], reach: float) -> dict[str, dict[str, float]]
     figures = {}
     for folder in folders:
         gaussians = open_result(folder).gaussians
-        background = runs.read_json(Path(folder) / "config.json")["background"]
+        background = json_files.read(Path(folder) / "config.json")["background"]
         figures[folder] = {
             "psnr": score_images(gaussians, scene.held_out_frames, background)["psnr"],
             "psnr_inside": score_images(gaussians, masked, background)["psnr"],

@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 from devtools import Tab, browser
 
-from gsjax import gallery, tables
+from gsjax import tables
 from gsjax.cli import environment
 from gsjax.io.images import write_image
-from gsjax.pipeline.pictures import to_bytes
+from gsjax.render import gallery
+from gsjax.report.pictures import to_bytes
 from gsjax.viewer.page import CAMERAS, MESH, SHOW, Page
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera
 from gsjax.viewer.pictures import COLOR

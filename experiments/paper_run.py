@@ -14,6 +14,7 @@ from paper.scenes import SCENES, SCHEDULES, settings_of
 from gsjax import config, tables
 from gsjax.cli import guarded
 from gsjax.errors import InputError
+from gsjax.io import json_files
 from gsjax.settings import Settings
 
 SCORES = ("psnr", "ssim", LPIPS, "gaussians", "views")
@@ -42,12 +43,10 @@ def begun(folder: Path, wishes: Mapping[str, Any], lpips: Sequence[str] = ()) ->
     Raises:
         InputError: It was begun with other wishes.
     """
-    from gsjax.io import runs
-
     file = folder / "result.json"
     if not file.exists():
         return {"asked": dict(wishes)}
-    result = runs.read_json(file)
+    result = json_files.read(file)
     for part, wanted in wishes.items():
         before = result["asked"][part] or {}
         for key, value in (wanted or {}).items():
@@ -90,7 +89,6 @@ def run(
     Raises:
         InputError: A stage cannot be done, or `out` was begun with other settings.
     """
-    from gsjax.io import runs
     from gsjax.io.machine import machine, versions
 
     wishes = asked(scene, schedule, seed, assignments, refinement)
@@ -101,7 +99,7 @@ def run(
             print(f"== {scene}, {schedule}, seed {seed}: {name}", flush=True)
             result[name] = stages[name]()
             result |= {"lpips": list(lpips), "machine": machine(), "versions": versions()}
-            runs.write_json(out / "result.json", result)
+            json_files.write(out / "result.json", result)
     return result
 
 
@@ -130,8 +128,7 @@ def _stages(data: Path, out: Path, wishes: Mapping[str, Any], lpips: Sequence[st
 
 
 def _train(data: Path, folder: Path, settings: Settings) -> dict[str, Any]:
-    from gsjax import pipeline
-    from gsjax.io import runs
+    from gsjax import pipeline, runs
 
     keep = partial(_keep_before, folder.parent / "before.ply", settings)
     summary = pipeline.train(data, folder, settings, resume=_goes_on(folder), observe=keep)
@@ -139,7 +136,7 @@ def _train(data: Path, folder: Path, settings: Settings) -> dict[str, Any]:
     cap = {"most_gaussians": most, "max_gaussians": settings.max_gaussians, "cap_bound": most >= settings.max_gaussians}
     if cap["cap_bound"]:
         print(f"paper_run: {folder}: growth was held at max_gaussians={settings.max_gaussians:,}", file=sys.stderr)
-    return {**summary, **cap, "normals": runs.read_json(folder / "config.json")["normals"]}
+    return {**summary, **cap, "normals": json_files.read(folder / "config.json")["normals"]}
 
 
 def _keep_before(file: Path, settings: Settings, progress: Any) -> None:

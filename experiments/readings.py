@@ -14,14 +14,14 @@ from typing import get_args
 
 import numpy as np
 
-from gsjax import gallery, tables
+from gsjax import tables
 from gsjax.cli import guarded
 from gsjax.errors import InputError
-from gsjax.pipeline.evaluate import score_surface
-from gsjax.pipeline.panels import draw_panels
-from gsjax.pipeline.pictures import surface_picture, to_bytes
-from gsjax.pipeline.result import Result, open_result, scene_of_run
-from gsjax.render import DepthReading
+from gsjax.render import DepthReading, gallery
+from gsjax.report.panels import draw_panels
+from gsjax.report.pictures import surface_picture, to_bytes
+from gsjax.runs.result import Result, open_result, scene_of_run
+from gsjax.scoring.surfaces import score_surface
 
 READINGS: tuple[DepthReading, ...] = get_args(DepthReading)
 FIGURES = ("depth_error", "normal_error_deg", "normal_error_all_deg")

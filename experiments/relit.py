@@ -19,7 +19,7 @@ import numpy as np
 from gsjax.cameras import Camera
 from gsjax.effects.exposure import linear_light
 from gsjax.effects.twists import gauge, moved
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.io.colmap_writer import write_poses
 from gsjax.io.files import atomic_folder
 from gsjax.io.images import write_image
@@ -81,7 +81,7 @@ def relight(
         if turn or shift:
             write_poses(folder / "sparse/0", _displaced(loaded, np.radians(turn), shift, rng))
             told["viewmats"] = {f.name: f.viewmat for f in frames}
-        runs.write_json(folder / "relit.json", told)
+        json_files.write(folder / "relit.json", told)
     return Path(out)
 
 

@@ -22,6 +22,7 @@ from train import load_config
 from gsjax import tables
 from gsjax.cli import guarded
 from gsjax.errors import InputError
+from gsjax.io import json_files
 
 STUDIES = Path(__file__).parent / "remeshing"
 FIGURES = ("psnr", "ssim", "depth_error", "normal_error_deg", "normal_error_all_deg", "chamfer", "fscore_half",
@@ -40,8 +41,6 @@ def run(study: str, sources: Sequence[str], out: str) -> dict[str, list[dict[str
     Raises:
         InputError: There is no such study, two runs have one name, or OUT holds figures of other runs.
     """
-    from gsjax.io import runs
-
     variants = load_config(study, folder=STUDIES)["variants"]
     folders = {Path(source).name: Path(source).resolve() for source in sources}
     if len(folders) < len(sources):
@@ -55,8 +54,8 @@ def run(study: str, sources: Sequence[str], out: str) -> dict[str, list[dict[str
             if not done.exists():
                 print(f"== {folder.name}", flush=True)
                 shutil.rmtree(folder, ignore_errors=True)
-                runs.write_json(done, {"run": str(source), **_measured(source, folder, Path(out), asked)})
-            found = runs.read_json(done)
+                json_files.write(done, {"run": str(source), **_measured(source, folder, Path(out), asked)})
+            found = json_files.read(done)
             if found["run"] != str(source):
                 raise InputError(f"{done}: is of the run {found['run']}, not of {source}; --out takes another folder")
             floor = found["floor"]
@@ -82,21 +81,19 @@ def _measured(source: Path, folder: Path, out: Path, asked: dict[str, Any]) -> d
 def _mesh(source: Path, folder: Path, options: dict[str, Any]) -> tuple[Path, float]:
     """The mesh of a run with these options, made once, and the seconds that it took."""
     from gsjax import pipeline
-    from gsjax.io import runs
 
     name = hashlib.sha256(json.dumps([str(source), options], sort_keys=True).encode()).hexdigest()[:12]
     file, note = folder / f"{name}.ply", folder / f"{name}.json"
     if not note.exists():
         folder.mkdir(parents=True, exist_ok=True)
         seconds = _timed(lambda: pipeline.mesh(source, file, **options))
-        runs.write_json(note, {"run": str(source), "options": options, "cpu_seconds": seconds})
-    return file, runs.read_json(note)["cpu_seconds"]
+        json_files.write(note, {"run": str(source), "options": options, "cpu_seconds": seconds})
+    return file, json_files.read(note)["cpu_seconds"]
 
 
 def _refined(source: Path, folder: Path, mesh: Path, asked: dict[str, Any]) -> None:
-    from gsjax import config, pipeline
+    from gsjax import config, pipeline, runs
     from gsjax.binding.refining import Refinement
-    from gsjax.io import runs
 
     seed = runs.read_settings(source)["seed"]
     pipeline.refine(source, folder, config.parse(Refinement, {**asked, "seed": seed}), mesh=mesh)

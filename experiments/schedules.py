@@ -18,6 +18,7 @@ from paper.scenes import SCHEDULES
 from gsjax import tables
 from gsjax.binding.refining import PRESETS
 from gsjax.cli import guarded, parsers
+from gsjax.io import json_files
 
 BUDGETS = ("paper_6k_15k", "paper_13k_7k")
 FIGURES = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "chamfer", "fscore", "normal_consistency")
@@ -41,8 +42,6 @@ def run(
         most: Gaussians.
         background: Under the photos.
     """
-    from gsjax.io import runs
-
     rows: dict[str, list[dict[str, Any]]] = {}
     for seed in range(seeds):
         for budget in BUDGETS:
@@ -52,8 +51,8 @@ def run(
                 print(f"== {folder.name}", flush=True)
                 shutil.rmtree(folder, ignore_errors=True)
                 given = {"seed": seed, "max_gaussians": most, "background": background}
-                runs.write_json(done, _measured(Path(scene), folder, budget, share, given))
-            for stage, figures in runs.read_json(done).items():
+                json_files.write(done, _measured(Path(scene), folder, budget, share, given))
+            for stage, figures in json_files.read(done).items():
                 rows.setdefault(f"{budget}, {stage}", []).append(figures)
     return rows
 

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax import gallery
 from gsjax.cameras import Camera
 from gsjax.cli import guarded
 from gsjax.errors import InputError
 from gsjax.meshing import read_mesh
-from gsjax.pipeline.panels import draw_panels
-from gsjax.pipeline.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
-from gsjax.pipeline.result import open_result, scene_of_run
+from gsjax.render import gallery
+from gsjax.report.panels import draw_panels
+from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
+from gsjax.runs.result import open_result, scene_of_run
 from gsjax.scene import Frame, Truth
 
 COLUMNS = 6

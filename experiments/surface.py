@@ -19,6 +19,7 @@ from train import load_settings
 
 from gsjax import tables
 from gsjax.cli import guarded, parsers
+from gsjax.io import json_files
 from gsjax.io.machine import peak_memory
 
 WAYS = ("vanilla", "surface", "refined")
@@ -38,12 +39,10 @@ def run(name: str, scene: str, out: str, *, seeds: int = 3, refinement: Sequence
         seeds: Runs of every way, with seeds 0, 1, ...
         refinement: key=value assignments to the refinement's "fast" settings.
     """
-    from gsjax.io import runs
-
     figures: dict[str, list[dict]] = {way: [] for way in WAYS}
     stages: dict[str, list[dict]] = {}
     ledger = Path(out) / "stages.json"
-    done = runs.read_json(ledger) if ledger.exists() else {}
+    done = json_files.read(ledger) if ledger.exists() else {}
     for seed in range(seeds):
         folders = {way: Path(out) / f"{way}_{seed}" for way in WAYS}
 
@@ -53,7 +52,7 @@ def run(name: str, scene: str, out: str, *, seeds: int = 3, refinement: Sequence
                 print(f"== {title}", flush=True)
                 result, cost = _alone(stage, *arguments)
                 done[title] = {"result": result, "cost": cost}
-                runs.write_json(ledger, done)
+                json_files.write(ledger, done)
             stages.setdefault(label, []).append(done[title]["cost"])
             return done[title]["result"]
 
@@ -68,7 +67,7 @@ def run(name: str, scene: str, out: str, *, seeds: int = 3, refinement: Sequence
         figures[tables.FLOOR] = [floor] if floor else []
     _alone(_picture, scene, [Path(out) / f"{way}_0" for way in WAYS], Path(out) / "surface.png")
     report = {"figures": figures, "stages": stages}
-    runs.write_json(Path(out) / "surface.json", report)
+    json_files.write(Path(out) / "surface.json", report)
     return report
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from gsjax import config, tables
 from gsjax.cli import guarded
 from gsjax.errors import InputError
+from gsjax.io import json_files
 from gsjax.settings import Settings
 
 CONFIGS = Path(__file__).parent / "configs"
@@ -18,13 +19,12 @@ CONFIGS = Path(__file__).parent / "configs"
 def run(name: str, scene: str, out: str, assignments: Sequence[str] = ()) -> dict:
     """Trains `scene` with a config, extracts the mesh, scores both; `OUT/evaluation.json` holds what is returned."""
     from gsjax import pipeline  # Here, and not above: it imports jax, whose environment `guarded` settles first.
-    from gsjax.io import runs
 
     pipeline.train(scene, out, load_settings(name, assignments))
     mesh = Path(out) / "mesh.ply"
     pipeline.mesh(out, mesh)
     figures = pipeline.evaluate(out, mesh=mesh)
-    runs.write_json(Path(out) / "evaluation.json", figures)
+    json_files.write(Path(out) / "evaluation.json", figures)
     return figures
 
 

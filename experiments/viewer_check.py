@@ -14,7 +14,7 @@ import numpy as np
 from browser_check import open_page
 
 from gsjax.cameras import Camera
-from gsjax.pipeline.result import open_result
+from gsjax.runs.result import open_result
 
 HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])  # About x: between x right, y down, z forward and x right, y up, z back.
 

@@ -97,7 +97,7 @@ class Rates:
 class Density:
     """Clone, split, prune and reset, at a fixed budget of Gaussians."""
 
-    rule: Literal["adc", "error"] = "adc"  # who grows, see `gsjax.training.rules`
+    rule: Literal["adc", "error"] = "adc"  # who grows, see `gsjax.training.growth.rules`
     start: int = 500
     stop: int = 15000
     every: int = 100

@@ -141,7 +141,7 @@ def _room_for_programs():
 
     And all programs before the system refuses more memory mappings.
     """
-    from gsjax.pipeline.compilations import make_room
+    from gsjax.runs.compilations import make_room
 
     yield
     gc.collect()

@@ -5,12 +5,12 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from gsjax import render, views
+from gsjax import render, targets
 from gsjax.numerics import masked_mean
 from gsjax.training import optimizers
-from gsjax.training.losses import NEEDS_DEPTH, TERMS
 from gsjax.training.state import TrainState
 from gsjax.training.step import Metrics, active_terms, in_photo
+from gsjax.training.terms.losses import NEEDS_DEPTH, TERMS
 
 
 def make_train_step(optimizer, weights, *, capacity, background, sh_every, rule, depth_mode="plane", extent=1.0):
@@ -38,7 +38,7 @@ def make_train_step(optimizer, weights, *, capacity, background, sh_every, rule,
     @partial(jax.jit, donate_argnums=0)
     def train_step(state, target, key):
         color = background(jax.random.fold_in(key, state.step))
-        batch = views.batch(target, color)
+        batch = targets.batch(target, color)
         active_degree = state.step // sh_every
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
         gradient = jax.value_and_grad(objective, argnums=(0, 1) if rule else (0,), has_aux=True)

@@ -23,6 +23,7 @@ class Layer:
 
 CORE_PACKAGES = ("jax", "numpy", "optax", "scipy")
 CORE = ("vocabulary", "measures", "normals", "analytic", "effects", "training", "binding")
+FILES = ("io", "meshing", "networks", "runs")
 LAYERS = {
     "native loops": Layer(("rasterizer._native",), ("rasterizer",), ("jax", "numpy", "numba", "llvmlite")),
     "rasterizer": Layer(("rasterizer",), ("native loops",), ("jax", "numpy")),
@@ -30,35 +31,44 @@ LAYERS = {
     "measures": Layer(("gsjax.measures",), ("vocabulary",), CORE_PACKAGES),
     "normals": Layer(("gsjax.normals",), ("vocabulary",), CORE_PACKAGES),
     "analytic": Layer(("gsjax.analytic",), ("vocabulary", "measures"), CORE_PACKAGES),
+    "effects": Layer(("gsjax.effects",), ("vocabulary",), CORE_PACKAGES),
     "training": Layer(
         ("gsjax.training",), ("rasterizer", "vocabulary", "measures", "normals", "effects"), CORE_PACKAGES
     ),
-    "effects": Layer(("gsjax.effects",), ("vocabulary",), CORE_PACKAGES),
     "binding": Layer(("gsjax.binding",), ("vocabulary", "training"), CORE_PACKAGES),
-    "io": Layer(
-        ("gsjax.io",),
-        ("vocabulary", "analytic"),
-        ("jax", "numpy", "scipy", "tqdm", "cv2", "PIL", "pycolmap", "onnxruntime"),
+    "io": Layer(("gsjax.io",), ("vocabulary", "analytic"), ("jax", "numpy", "scipy", "tqdm", "cv2", "PIL", "pycolmap")),
+    "networks": Layer(
+        ("gsjax.networks",), ("vocabulary", "measures", "normals", "io"), ("jax", "numpy", "cv2", "onnxruntime")
     ),
     "meshing": Layer(
         ("gsjax.meshing",),
         ("vocabulary", "io"),
         ("jax", "numpy", "scipy", "tqdm", "open3d", "trimesh", "xatlas", "PIL"),
     ),
-    "runs": Layer(
+    "runs": Layer(("gsjax.runs",), (*CORE, "io", "meshing"), ("jax", "numpy", "tqdm")),
+    "scoring": Layer(("gsjax.scoring",), (*CORE, *FILES), ("jax", "numpy")),
+    "planning": Layer(
+        ("gsjax.planning",), (*CORE, "io", "meshing", "runs"), ("jax", "numpy", "optax", "scipy", "tqdm")
+    ),
+    "report": Layer(
+        ("gsjax.report",), (*CORE, "io", "meshing", "runs", "scoring"), ("jax", "numpy", "tqdm", "matplotlib", "jinja2")
+    ),
+    "pipeline": Layer(
         ("gsjax.pipeline",),
-        ("rasterizer", *CORE, "io", "meshing"),
+        ("rasterizer", *CORE, *FILES, "scoring", "planning", "report"),
         ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "jinja2"),
     ),
     "viewer": Layer(
         ("gsjax.viewer",),
-        ("rasterizer", *CORE, "io", "meshing", "runs"),
+        ("rasterizer", *CORE, *FILES, "scoring", "planning", "report", "pipeline"),
         ("jax", "numpy", "scipy", "viser", "rich"),
     ),
-    "cli": Layer(("gsjax.cli", "gsjax.__main__"), (*CORE, "io", "meshing", "runs", "viewer"), ()),
+    "cli": Layer(
+        ("gsjax.cli", "gsjax.__main__"), (*CORE, *FILES, "scoring", "planning", "report", "pipeline", "viewer"), ()
+    ),
     "experiments": Layer(
         ("experiments",),
-        ("rasterizer", *CORE, "io", "meshing", "runs", "viewer", "cli"),
+        ("rasterizer", *CORE, *FILES, "scoring", "planning", "report", "pipeline", "viewer", "cli"),
         # Among them a peer to time ours against, and the scripts themselves: one imports another by its bare name.
         ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "websockets", "gsplat", "torch", *SCRIPTS),
     ),
@@ -125,13 +135,13 @@ def test_a_module_imports_from_its_own_layer_and_below(path):
         ("rasterizer.api", "import jax.numpy as jnp", True),
         ("rasterizer.api", "from gsjax import cameras", False),
         ("rasterizer.api", "import optax", False),
-        ("gsjax.training.losses", "from gsjax.normals import sdf", True),
+        ("gsjax.training.terms.losses", "from gsjax.normals import sdf", True),
         ("gsjax.normals.sdf", "from gsjax.training import losses", False),
-        ("gsjax.views", "from gsjax.training import losses", False),
-        ("gsjax.training.losses", "from gsjax.cameras import Camera", True),
-        ("gsjax.training.losses", "from gsjax import io", False),
-        ("gsjax.training.losses", "def f():\n    from gsjax.io.files import atomic_path", False),
-        ("gsjax.training.losses", "def f():\n    import open3d", False),
+        ("gsjax.targets", "from gsjax.training import losses", False),
+        ("gsjax.training.terms.losses", "from gsjax.cameras import Camera", True),
+        ("gsjax.training.terms.losses", "from gsjax import io", False),
+        ("gsjax.training.terms.losses", "def f():\n    from gsjax.io.files import atomic_path", False),
+        ("gsjax.training.terms.losses", "def f():\n    import open3d", False),
         ("gsjax.io.ply", "import pycolmap", True),
         ("gsjax.io.ply", "from gsjax.meshing import poisson", False),
         ("gsjax.meshing.export", "from gsjax.io.files import atomic_path", True),

@@ -11,21 +11,21 @@ import numpy as np
 import pytest
 from small_scenes import camera_at, plane
 
-from gsjax import cli, config, pipeline
+from gsjax import cli, config, pipeline, runs
 from gsjax.binding import refining
 from gsjax.binding.refining import PRESETS, SETTLE_AT, Refinement
 from gsjax.errors import InputError
-from gsjax.io import photos, runs
+from gsjax.io import json_files, photos
 from gsjax.io.images import read_image, write_image
 from gsjax.io.ply import read_gaussians, write_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline.refine import halved_where_seen, prepared
-from gsjax.pipeline.result import open_result, write_views
+from gsjax.runs.result import open_result, write_views
 from gsjax.scene import Pixels, frame_of
 from gsjax.settings import Settings
-from gsjax.views import views_of
+from gsjax.targets import views_of
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 SETTINGS = Refinement(steps=4, per_triangle=3, sh_degree=1, thickness=1e-3, settle_at=0.75)
@@ -73,7 +73,7 @@ def refined(place):
 
 
 def test_the_folder_holds_mesh_gaussians_and_report_and_is_a_run(place, refined):
-    report = runs.read_json(refined.out / "report.json")
+    report = json_files.read(refined.out / "report.json")
     assert report == refined.report
     assert (report["faces"], report["vertices"], report["bound"], report["steps"]) == (18, 16, BOUND, 4)
     assert report["gaussians"] == BOUND + report["free"] == read_gaussians(refined.out / "gaussians.ply").num_gaussians
@@ -84,7 +84,7 @@ def test_the_folder_holds_mesh_gaussians_and_report_and_is_a_run(place, refined)
     # Photos of noise agree nowhere, but better in some places than in others.
     assert report["settled"]["moved_px"] > 0 and report["settled"]["after"] < report["settled"]["before"]
     np.testing.assert_allclose(read_mesh(refined.out / "mesh.glb").vertices, mesh.vertices, atol=1e-6)
-    manifest = runs.read_json(refined.out / "manifest.json")
+    manifest = json_files.read(refined.out / "manifest.json")
     assert manifest["status"] == "done" and manifest["scene"] == str(place.scene)
     assert {"mesh.ply", "mesh.glb", "gaussians.ply", "cameras.json", "report.json"} <= set(manifest["files"])
     scores = pipeline.evaluate(refined.out)

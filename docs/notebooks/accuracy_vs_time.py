@@ -12,9 +12,10 @@ from functools import lru_cache
 import numpy as np
 from matplotlib import pyplot
 
-from gsjax import gallery, views
+from gsjax import targets
 from gsjax.analytic import solids
 from gsjax.measures.images import psnr
+from gsjax.render import gallery
 from gsjax.scene import Pixels, extent, frame_of
 from gsjax.settings import Rates, Weights
 from gsjax.training import initialize, optimizers
@@ -40,7 +41,7 @@ def as_frame(index):
 held_out = range(0, 12, 4)
 frames = [as_frame(index) for index in range(12) if index not in held_out]
 size = extent(tuple(frames))
-photos_to_train_on = views.views_of(frames)
+photos_to_train_on = targets.views_of(frames)
 
 rng = np.random.default_rng(0)
 low, high = np.array(solids.BOUNDS)

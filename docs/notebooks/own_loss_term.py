@@ -18,10 +18,11 @@ from gsjax.numerics import masked_mean
 from gsjax.render import View
 from gsjax.scene import Pixels, extent, frame_of
 from gsjax.settings import Phase, Settings, Weights
-from gsjax.training import initialize, losses, optimizers
+from gsjax.targets import Batch
+from gsjax.training import initialize, optimizers
 from gsjax.training.loop import fit
 from gsjax.training.state import initial_state
-from gsjax.views import Batch
+from gsjax.training.terms import losses
 
 # %% [markdown]
 # ## What a term is
@@ -68,8 +69,8 @@ np.testing.assert_allclose(gradient.log_scales[1], [-1, 1, 0], atol=1e-6)
 # ## Give it a name and a weight
 #
 # `TERMS` maps names to functions, `Weights` names to weights; a term of weight 0 is not in the compiled program. In the
-# library both are a line each, in `gsjax/training/losses.py` and `gsjax/settings.py`; from outside it is done like
-# this. (A term that reads rendered depth, normals or a second view is also listed in `NEEDS_DEPTH` and its like there.)
+# library both are a line each, in `gsjax/training/terms/losses.py` and `gsjax/settings.py`; from outside it is done as
+# here. (A term that reads rendered depth, normals or a second view is also listed in `NEEDS_DEPTH` and its like there.)
 
 # %%
 losses.TERMS["needles"] = needles

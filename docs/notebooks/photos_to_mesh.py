@@ -16,7 +16,7 @@ from gsjax.io import analytic_scene
 from gsjax.io.scenes import load_scene
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.meshing.pictures import headlight, render_mesh
-from gsjax.pipeline.result import open_result
+from gsjax.runs.result import open_result
 from gsjax.settings import DEMO, Settings
 
 # %% [markdown]

@@ -77,7 +77,7 @@ def main() -> None:
     # Run as a script, this folder holds a file of the package's name.
     sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
     from gsjax.io.machine import machine, versions
-    from gsjax.pipeline.result import open_result
+    from gsjax.runs.result import open_result
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(

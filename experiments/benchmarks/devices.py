@@ -31,8 +31,8 @@ def stepper(placement: Any, state: Any, data: Any, optimizer: Any) -> Callable[[
     import jax
 
     from gsjax.settings import Weights
+    from gsjax.training.growth.rules import RULES
     from gsjax.training.loop import STILL
-    from gsjax.training.rules import RULES
     from gsjax.training.step import BACKGROUNDS
 
     capacity = placement.chosen_capacity(state.gaussians, data, headroom=STILL)
@@ -68,17 +68,19 @@ def prepare(run: Path, count: int) -> None:
     import jax
     import jax.numpy as jnp
 
-    from gsjax import views
-    from gsjax.pipeline.result import open_result, scene_of_run
+    from gsjax import targets
+    from gsjax.runs.result import open_result, scene_of_run
     from gsjax.settings import Rates
-    from gsjax.training import rows, several, sharding
+    from gsjax.training import rows
+    from gsjax.training.growth.rules import RULES
     from gsjax.training.loop import one_device
     from gsjax.training.optimizers import make_optimizer
-    from gsjax.training.rules import RULES
+    from gsjax.training.sharded import layout as sharding
+    from gsjax.training.sharded import placement as several
     from gsjax.training.state import initial_state
 
     global once  # what this process is there for
-    gaussians, data = open_result(run).gaussians, views.views_of(scene_of_run(run).train_frames)
+    gaussians, data = open_result(run).gaussians, targets.views_of(scene_of_run(run).train_frames)
     optimizer = make_optimizer(Rates(), 1.0, 1000)
     state = initial_state(jax.tree.map(jnp.asarray, gaussians), optimizer, RULES["error"])
     if not count:

@@ -23,20 +23,20 @@ def measure(run: Path, rounds: int) -> dict[str, dict[str, Any]]:
     import numpy as np
     import optax
 
-    from gsjax import views
+    from gsjax import targets
     from gsjax.effects.appearance import simulations, start
     from gsjax.effects.diagnosis import diagnose
-    from gsjax.pipeline.result import open_result, scene_of_run
+    from gsjax.runs.result import open_result, scene_of_run
     from gsjax.settings import SIMULATED, Rates, Weights
     from gsjax.training.capacity import chosen_capacity
+    from gsjax.training.growth.rules import RULES
     from gsjax.training.optimizers import make_optimizer
-    from gsjax.training.rules import RULES
     from gsjax.training.state import initial_state
     from gsjax.training.step import BACKGROUNDS, make_train_step
 
     gaussians, scene = open_result(run).gaussians, scene_of_run(run)
     found = diagnose(scene)
-    counted, data = found.record()["effects"], views.numbered(views.views_of(scene.train_frames))
+    counted, data = found.record()["effects"], targets.numbered(targets.views_of(scene.train_frames))
     optimizer, rule, key = make_optimizer(Rates(), 1.0, 1000), RULES["error"], jax.random.key(0)
     options = {"capacity": chosen_capacity(gaussians, data), "background": BACKGROUNDS["black"], "sh_every": 1}
     steppers, target = {}, jax.device_put(data.targets[0])

@@ -55,14 +55,14 @@ def _stepper(alive: int, rows: int):
     import jax
     import numpy as np
 
-    from gsjax import views
+    from gsjax import targets
     from gsjax.cameras import look_at
     from gsjax.scene import Pixels, frame_of
     from gsjax.settings import Rates, Weights
     from gsjax.training.capacity import chosen_capacity
+    from gsjax.training.growth.rules import RULES
     from gsjax.training.initialize import from_points
     from gsjax.training.optimizers import make_optimizer
-    from gsjax.training.rules import RULES
     from gsjax.training.state import initial_state
     from gsjax.training.step import BACKGROUNDS, make_train_step
 
@@ -71,7 +71,7 @@ def _stepper(alive: int, rows: int):
     viewmat = look_at(np.array([0.0, -4.0, 0.5]), np.zeros(3), np.array([0.0, 0.0, 1.0]))
     K = np.array([[width, 0, width / 2], [0, width, height / 2], [0, 0, 1]], np.float32)
     photo = Pixels(rng.integers(0, 256, (height, width, 3), dtype=np.uint8))
-    data = views.views_of([frame_of("0", viewmat, K, photo)])
+    data = targets.views_of([frame_of("0", viewmat, K, photo)])
     gaussians = from_points(points, colors, capacity=rows, sh_degree=3)
     optimizer = make_optimizer(Rates(), 1.0, 1000)
     step = make_train_step(

@@ -68,14 +68,14 @@ def compiled(load: Load, devices: int) -> dict[str, Any]:
 
     from gsjax.gaussians import Gaussians
     from gsjax.settings import Density, Rates, Weights
-    from gsjax.training import sharding
+    from gsjax.targets import Target
+    from gsjax.training.growth.rules import RULES
     from gsjax.training.optimizers import make_optimizer
-    from gsjax.training.rules import RULES
-    from gsjax.training.sharded_density import densify
-    from gsjax.training.sharded_step import make_sharded_step
+    from gsjax.training.sharded import layout as sharding
+    from gsjax.training.sharded.growth import densify
+    from gsjax.training.sharded.step import make_sharded_step
     from gsjax.training.state import initial_state
     from gsjax.training.step import BACKGROUNDS
-    from gsjax.views import Target
 
     mesh = sharding.mesh_of(jax.devices()[:devices])
     optimizer = make_optimizer(Rates(), 1.0, 1000)

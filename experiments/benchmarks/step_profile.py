@@ -47,10 +47,10 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
     from steps import steppers
 
     import rasterizer
-    from gsjax import config, render, views
+    from gsjax import config, render, targets
     from gsjax.measures.images import ssim
-    from gsjax.pipeline.result import open_result, scene_of_run
-    from gsjax.pipeline.sizes import training_extent
+    from gsjax.planning.sizes import training_extent
+    from gsjax.runs.result import open_result, scene_of_run
     from gsjax.settings import PRESETS, Rates, Settings
     from gsjax.training import optimizers
     from gsjax.training.capacity import chosen_capacity
@@ -59,8 +59,8 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
     scene = scene_of_run(run)
     finished = jax.tree.map(np.asarray, open_result(run).gaussians)  # Steps donate what they begin from.
     gaussians = jax.tree.map(jnp.asarray, finished)
-    data = views.views_of(scene.train_frames)
-    batch = views.batch(one_view(data, 0, 0.5)(0), jnp.ones(3, jnp.float32))
+    data = targets.views_of(scene.train_frames)
+    batch = targets.batch(one_view(data, 0, 0.5)(0), jnp.ones(3, jnp.float32))
     camera, capacity, grid = batch.camera, chosen_capacity(gaussians, data), render.tile_grid(batch.camera)
 
     def projected(gaussians):

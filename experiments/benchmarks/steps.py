@@ -24,25 +24,25 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
     import jax
     import numpy as np
 
-    from gsjax import views
+    from gsjax import targets
     from gsjax.settings import total_steps
     from gsjax.training import surroundings
     from gsjax.training.capacity import chosen_capacity
+    from gsjax.training.growth.rules import RULES
     from gsjax.training.loop import one_view, planned_phases
-    from gsjax.training.losses import NEEDS_NORMALS
-    from gsjax.training.multi_view import with_neighbors
     from gsjax.training.optimizers import make_optimizer
-    from gsjax.training.rules import RULES
     from gsjax.training.state import initial_state
     from gsjax.training.step import BACKGROUNDS, active_terms, make_train_step
+    from gsjax.training.terms.losses import NEEDS_NORMALS
+    from gsjax.training.terms.multi_view import with_neighbors
 
     optimizer, key = make_optimizer(settings.rates, extent, total_steps(settings)), jax.random.key(0)
     facing = [np.tile(np.array([0, 0, -127], np.int8), (frame.height, frame.width, 1)) for frame in frames]
     taken = {}
     for phase in planned_phases(settings):
-        data = with_neighbors(views.views_of(frames, scale=phase.image_scale), extent)
+        data = with_neighbors(targets.views_of(frames, scale=phase.image_scale), extent)
         if not NEEDS_NORMALS.isdisjoint(active_terms(phase.weights)):
-            data = views.with_normals(data, facing)
+            data = targets.with_normals(data, facing)
         rule = RULES[settings.density.rule]
         start = replace(jax.tree.map(jax.numpy.asarray, gaussians), pixel_filter=settings.pixel_filter)
         nearest = jax.numpy.asarray(surroundings.none_yet(start.num_gaussians))
@@ -80,8 +80,8 @@ def measure(study: str, run: Path, rounds: int) -> dict[str, dict[str, str]]:
     from train import CONFIGS, load_config
 
     from gsjax import config
-    from gsjax.pipeline.result import open_result, scene_of_run
-    from gsjax.pipeline.sizes import training_extent
+    from gsjax.planning.sizes import training_extent
+    from gsjax.runs.result import open_result, scene_of_run
     from gsjax.settings import Settings
 
     gaussians, scene = open_result(run).gaussians, scene_of_run(run)

@@ -124,7 +124,7 @@ def seen_in_training(run: Path) -> Seen:
     import jax.numpy as jnp
 
     from gsjax import render
-    from gsjax.pipeline.result import open_result
+    from gsjax.runs.result import open_result
 
     result = open_result(run)
     gaussians, camera = jax.tree.map(jnp.asarray, (result.gaussians, result.cameras[result.held_out.index(False)]))

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from gsjax import pipeline
 from gsjax.config import merge, parse
 from gsjax.io.scenes import load_scene
-from gsjax.pipeline.result import Result, open_result
+from gsjax.runs.result import Result, open_result
 from gsjax.settings import Settings
 
 

@@ -14,7 +14,7 @@ from gsjax.mesh import Mesh
 from gsjax.meshing.export import read_mesh, read_textured
 from gsjax.meshing.pictures import Shading, depth_of_mesh, render_mesh, texture_colors, vertex_colors
 from gsjax.meshing.rays import ray_caster
-from gsjax.pipeline.result import scene_of_run
+from gsjax.runs.result import scene_of_run
 from knobs.knob import Knob, Measured, Place
 
 

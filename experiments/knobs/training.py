@@ -6,12 +6,11 @@ from typing import Any
 
 import jax
 
-from gsjax import pipeline
-from gsjax.io import runs
-from gsjax.pipeline.evaluate import score_surface
-from gsjax.pipeline.result import open_result, scene_of_run
+from gsjax import pipeline, runs
+from gsjax.runs.result import open_result, scene_of_run
+from gsjax.scoring.surfaces import score_surface
 from gsjax.settings import SIMULATED
-from gsjax.training.losses import SURFACE_TERMS
+from gsjax.training.terms.losses import SURFACE_TERMS
 from knobs.knob import Knob, Measured, Place
 
 _STEPS = (2, 1, 0.5, 0.25)  # times a config's

@@ -65,14 +65,14 @@ def run_folder(out: str | Path, scene: str, schedule: str, seed: int) -> Path:
 
 def found_runs(out: str | Path) -> list[tuple[str, str, int, dict[str, Any]]]:
     """Scene, schedule, seed and result of every run that has one, finished or not."""
-    from gsjax.io import runs
+    from gsjax.io import json_files
 
     found = []
     for scene in SCENES:
         for file in sorted((Path(out) / scene).glob("*/result.json")):
             schedule, _, seed = file.parent.name.rpartition("_")
             if schedule in SCHEDULES and seed.isdecimal():
-                found.append((scene, schedule, int(seed), runs.read_json(file)))
+                found.append((scene, schedule, int(seed), json_files.read(file)))
     return found
 
 

@@ -4,16 +4,16 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax import gallery
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.io.normals import map_places
 from gsjax.io.ply import read_gaussians
 from gsjax.meshing import read_mesh
-from gsjax.pipeline.panels import draw_panels
-from gsjax.pipeline.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
-from gsjax.pipeline.prior import read_map
-from gsjax.pipeline.result import Result, open_result, scene_of_run
+from gsjax.render import gallery
+from gsjax.report.panels import draw_panels
+from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
+from gsjax.runs.prior import read_map
+from gsjax.runs.result import Result, open_result, scene_of_run
 
 
 def draw_sheet(out: Path) -> list[str]:

@@ -1,13 +1,13 @@
 """What a run of another length is best made of: more steps, or more Gaussians.
 
 Parts of the time of a preset, each filled with some numbers of Gaussians and as many steps as that leaves, by what a
-step costs with them (`gsjax.pipeline.timed_steps.step_cost`); what `--budget` takes is their square root. No effects:
+step costs with them (`gsjax.planning.timed_steps.step_cost`); what `--budget` takes is their square root. No effects:
 pictures are compared as they are rendered.
 """
 
 from gsjax.config import parse, to_dict
 from gsjax.pipeline import scaled
-from gsjax.pipeline.timed_steps import step_cost
+from gsjax.planning.timed_steps import step_cost
 from gsjax.settings import NONE, PRESETS, Settings
 
 _TRIED = {  # a preset and so many times its time: shares of its Gaussians

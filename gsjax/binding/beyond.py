@@ -9,11 +9,11 @@ import numpy as np
 from jax import Array
 from scipy.spatial import KDTree
 
-from gsjax import render, views
+from gsjax import render, targets
 from gsjax.gaussians import Gaussians
 from gsjax.render import DepthReading
+from gsjax.targets import Target, Views
 from gsjax.training.capacity import chosen_capacity
-from gsjax.views import Target, Views
 
 AT_BORDER = 2.0  # Standard deviations within which a Gaussian reaches over a border of the mesh.
 OVER_BORDER = 0.05  # Share of the light of such a one, past the mesh, above which it stays.
@@ -71,7 +71,7 @@ def _light(
 ) -> Array:
     """`[N, 3]` light in one view: on rays that meet no mesh, on those that meet it elsewhere, and all."""
     black = jnp.zeros(3, jnp.float32)
-    batch = views.batch(target, black)
+    batch = targets.batch(target, black)
 
     def shown(probe: Array) -> tuple[Array, tuple[Array, Array]]:
         view = render.view(

@@ -17,19 +17,21 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
-from gsjax import backdrop, render, views
+from gsjax import render, targets
 from gsjax.binding import mesh_terms
 from gsjax.binding.bound import LAYOUTS, BoundGaussians
 from gsjax.binding.hybrid import Hybrid
 from gsjax.binding.mesh_terms import MeshGraph
 from gsjax.gaussians import PixelFilter
 from gsjax.numerics import masked_mean
+from gsjax.render import backdrop
 from gsjax.settings import FAST, Rates
-from gsjax.training import losses, optimizers
+from gsjax.targets import Target, Views
+from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
 from gsjax.training.loop import advance
 from gsjax.training.step import Background, Metrics, active_terms
-from gsjax.views import Target, Views
+from gsjax.training.terms import losses
 
 
 @dataclass(frozen=True)
@@ -171,7 +173,7 @@ def refine(
         data: The photos.
         state: Where to start. Its buffers are taken.
         optimizer: The transformation that made the state.
-        background: Under the images; where photos have no mattes it may also be as `gsjax.backdrop` has it.
+        background: Under the images; where photos have no mattes it may also be as `gsjax.render.backdrop` has it.
         observe: Called after every step.
         settled: Moves the vertices once, after `settings.moving_steps`, if there are more; the rest of the steps is for
             the Gaussians on them.
@@ -245,7 +247,7 @@ def make_refine_step(
     @partial(jax.jit, donate_argnums=1)
     def refine_step(graph: MeshGraph, state: RefineState, target: Target, key: Array):
         color = background(jax.random.fold_in(key, state.step))
-        batch = views.batch(target, color)
+        batch = targets.batch(target, color)
         parameters, faces = with_faces(state.gaussians, None), state.gaussians.bound.faces
         (total, (values, mse, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
             parameters, faces, graph, batch, color, state.step // sh_every

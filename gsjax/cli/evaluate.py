@@ -5,6 +5,7 @@ import sys
 from functools import partial
 
 from gsjax.cli.parsers import add_command, given
+from gsjax.io import json_files
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -49,7 +50,6 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
-    from gsjax.io import runs
 
     score = partial(
         pipeline.evaluate,
@@ -62,7 +62,7 @@ def _run(arguments: argparse.Namespace) -> None:
     )
     figures = pipeline.noted(arguments.run_folder, "eval", score)
     if arguments.json:
-        runs.write_json(arguments.json, figures)
+        json_files.write(arguments.json, figures)
     if not figures["views"]:
         print(f"{arguments.run_folder}: no held-out views, pictures are not scored", file=sys.stderr)
     elif not arguments.lpips:

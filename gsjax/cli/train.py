@@ -90,7 +90,7 @@ def _run(arguments: argparse.Namespace) -> None:
     if arguments.coordinator is None:
         print(tables.record(_train(arguments, address)))
         return
-    from gsjax.pipeline import processes
+    from gsjax.runs import processes
 
     with processes.joined(arguments.coordinator, **places):
         summary = _train(arguments, address)
@@ -135,8 +135,7 @@ def settings(arguments: argparse.Namespace) -> Settings:
     Raises:
         InputError: An unknown key, or a value of the wrong type or range.
     """
-    from gsjax import pipeline
-    from gsjax.io import runs
+    from gsjax import pipeline, runs
 
     budget = None if arguments.budget is None else seconds(arguments.budget)
     started = Path(arguments.out) / "config.json"

@@ -3,10 +3,10 @@
 import numpy as np
 import optax
 
-from gsjax import backdrop
 from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.model import Effect
 from gsjax.effects.observations import Observations
+from gsjax.render import backdrop
 
 THRESHOLD = 0.25  # of the photos
 OPEN = 0.05  # of a photo's pixels
@@ -72,7 +72,7 @@ def is_one(seen: Observations, color: float, most: np.ndarray, least: np.ndarray
 
 
 def simulated(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:
-    """A colour by direction stands behind all Gaussians, see `gsjax.backdrop`. No surface is made of it.
+    """A colour by direction stands behind all Gaussians, see `gsjax.render.backdrop`. No surface is made of it.
 
     Args:
         coefficients: `[(L + 1)^2, 3]` to start with.

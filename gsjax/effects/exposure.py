@@ -12,7 +12,7 @@ from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.gains import Fit, Table, fit, held_out_ratio, table
 from gsjax.effects.model import LIMIT, Effect
 from gsjax.effects.observations import Observations
-from gsjax.views import Batch
+from gsjax.targets import Batch
 
 THRESHOLD = 0.05  # EV, of the exposure's or the white balance's standard deviation: 0.26 dB of PSNR at 30 dB
 HELD_OUT = 0.95  # Gains must lower the error of points that they were not fitted to at least to this share,

@@ -16,7 +16,7 @@ from jax.typing import ArrayLike
 
 from gsjax.cameras import Camera
 from gsjax.render import View
-from gsjax.views import Batch
+from gsjax.targets import Batch
 
 RATE, FINAL = 2e-3, 1e-2  # Adam's learning rate, and the share of it that is left at the end (PPISP)
 HOLD = 300  # steps before an effect may move, and after opacities were reset: colours settle first

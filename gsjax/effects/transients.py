@@ -19,7 +19,7 @@ from gsjax.effects.model import Effect
 from gsjax.effects.observations import Observations
 from gsjax.numerics import masked_mean
 from gsjax.settings import Density
-from gsjax.views import Batch
+from gsjax.targets import Batch
 
 THRESHOLD = 0.25  # of the observations
 FLOOR = 0.14  # what still scenes reach by sheen, shadows and wrong matches

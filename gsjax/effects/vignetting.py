@@ -11,7 +11,7 @@ from gsjax.effects.exposure import Gains
 from gsjax.effects.gains import Fit, Table, project
 from gsjax.effects.model import LIMIT, Effect
 from gsjax.effects.observations import Observations
-from gsjax.views import Batch
+from gsjax.targets import Batch
 
 THRESHOLD = 0.1  # EV at the corner
 SIGNIFICANT = 5  # standard errors

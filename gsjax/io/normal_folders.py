@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.io.files import atomic_path, sweep
 
 MANIFEST = "normals.json"
@@ -68,11 +68,11 @@ def add(folder: Path, manifest: dict[str, Any], name: str, file: Path, normals: 
         InputError: The disk is full or read-only.
     """
     if not is_recorded(folder):  # First, so that a run killed now is one that can go on.
-        runs.write_json(folder / MANIFEST, manifest)
+        json_files.write(folder / MANIFEST, manifest)
     with atomic_path(folder / file) as temporary:
         np.savez_compressed(temporary, cam=normals.astype(np.float16))
     manifest["maps"][name] = {"file": str(file), **about}
-    runs.write_json(folder / MANIFEST, manifest)
+    json_files.write(folder / MANIFEST, manifest)
 
 
 def find(scene: str | Path, given: str) -> str:
@@ -104,7 +104,7 @@ def find(scene: str | Path, given: str) -> str:
 
 
 def _read(folder: Path) -> dict[str, Any]:
-    manifest = runs.read_json(folder / MANIFEST)
+    manifest = json_files.read(folder / MANIFEST)
     try:
         known = isinstance(manifest["made_by"]["network"], str) and isinstance(manifest["maps"], dict)
     except (TypeError, KeyError):

@@ -6,11 +6,11 @@ import numpy as np
 
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
 from gsjax.meshing.methods import Method, Sighting, poisson_through
 from gsjax.meshing.poisson import PoissonOptions
+from gsjax.render.gallery import Picture
 
 NormalsOfDepth = Callable[[np.ndarray, np.ndarray, Camera], np.ndarray]
 """Depth and alphas `[H, W]`, camera -> `[H, W, 3]` unit normals in its frame, towards it; zero where there is none."""

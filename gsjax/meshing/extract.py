@@ -7,7 +7,6 @@ import numpy as np
 
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.mesh import Mesh
 from gsjax.meshing.boxes import Region, Regions, near_and_far
@@ -15,6 +14,7 @@ from gsjax.meshing.cleaning import clean, joined
 from gsjax.meshing.methods import Method, Sighting, level_set_poisson
 from gsjax.meshing.orientation import outward
 from gsjax.meshing.topology import topology
+from gsjax.render.gallery import Picture
 
 
 def extract_mesh(

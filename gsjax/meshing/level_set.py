@@ -18,10 +18,10 @@ from gsjax import density_field
 from gsjax import gaussians as gs
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.meshing.level_crossing import march_rays
 from gsjax.meshing.neighborhood import Neighborhood
+from gsjax.render.gallery import Picture
 
 PIXELS_PER_POINT = 8  # Photos of so many pixels in all bear one surface point.
 FEWEST_POINTS = 200_000

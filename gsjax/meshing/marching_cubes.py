@@ -14,13 +14,13 @@ from gsjax import gaussians as gs
 from gsjax.cameras import Camera
 from gsjax.density_field import Kernels
 from gsjax.errors import InputError
-from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.mesh import Mesh
 from gsjax.meshing import level_set
 from gsjax.meshing.boxes import Box, Region
 from gsjax.meshing.libraries import load_open3d
 from gsjax.meshing.methods import Method, Sighting, base_colors, typical_scale
+from gsjax.render.gallery import Picture
 
 MOST_CELLS = 256  # Along the longest side of a region, where the size is chosen; SuGaR takes 512.
 REACH = 3.0  # Standard deviations beyond which a Gaussian makes no density.

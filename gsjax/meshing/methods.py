@@ -15,7 +15,6 @@ from scipy.spatial import KDTree
 from gsjax import gaussians as gs
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.mesh import Mesh, unit_or_zero
 from gsjax.meshing import level_set, poisson
@@ -23,6 +22,7 @@ from gsjax.meshing.boxes import Region
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.nearest import TREE_CHUNK
+from gsjax.render.gallery import Picture
 
 CELL_PER_SCALE = 1.0  # Poisson cells smaller than the Gaussians reproduce their bumps, not the surface.
 RIM = 0.05  # Of the region's, or its inner box's, longest side: points that far outside shape the surface inside.

@@ -10,13 +10,13 @@ from jax import Array
 
 from gsjax import cameras as pinhole
 from gsjax.cameras import Camera
-from gsjax.gallery import Picture
 from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.atlas import TexturedMesh, Unwrap, unwrap
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
 from gsjax.meshing.texels import Texels, painted, texels_of
 from gsjax.render import MIN_COVERAGE
+from gsjax.render.gallery import Picture
 
 TEXELS_AT_ONCE = 1 << 18
 MIN_COSINE = 0.2  # A view flatter than this (78 degrees off the normal) says nothing of a texel.

@@ -14,11 +14,11 @@ from jax import Array
 from gsjax import cameras, render
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, smallest_axes
-from gsjax.images import Read, reads_within, sample_bicubic, sample_bilinear, sample_central, shrunk
 from gsjax.normals import places
 from gsjax.normals.places import Places, facing
 from gsjax.numerics import masked_mean, safe_normalize
 from gsjax.render import View
+from gsjax.render.sampling import Read, reads_within, sample_bicubic, sample_bilinear, sample_central, shrunk
 
 Estimator = Callable[[Gaussians, View, Camera], Array]
 """(Gaussians, View with depth, Camera) -> `[H, W, 3]` camera-frame direction per pixel, of any length."""

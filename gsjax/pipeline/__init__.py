@@ -1,20 +1,21 @@
 """The whole road as plain functions: what the command line and notebooks call."""
 
-from gsjax.pipeline.budget import budgeted, resized, scaled
 from gsjax.pipeline.compare import compare
 from gsjax.pipeline.convert import convert
 from gsjax.pipeline.diagnose import diagnose
 from gsjax.pipeline.evaluate import evaluate
-from gsjax.pipeline.hardware import count_devices
 from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.normals import normals
-from gsjax.pipeline.pictures import render
 from gsjax.pipeline.refine import refine
-from gsjax.pipeline.report import noted, report
+from gsjax.pipeline.render import render
 from gsjax.pipeline.scan import scan
-from gsjax.pipeline.texture import texture, turntable
+from gsjax.pipeline.texture import texture
 from gsjax.pipeline.train import train
+from gsjax.pipeline.turntable import turntable
 from gsjax.pipeline.undistort import undistort
+from gsjax.planning.budget import budgeted, resized, scaled
+from gsjax.planning.hardware import count_devices
+from gsjax.report.page import noted, report
 
 __all__ = [
     "budgeted",

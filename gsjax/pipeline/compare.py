@@ -7,9 +7,9 @@ from typing import Any
 
 from gsjax import tables
 from gsjax.errors import InputError
-from gsjax.pipeline import run_facts
-from gsjax.pipeline.report import write_page
-from gsjax.pipeline.run_facts import RunFacts, flat_settings, read_run
+from gsjax.report import facts as run_facts
+from gsjax.report.facts import RunFacts, flat_settings, read_run
+from gsjax.report.page import write_page
 
 SEEDS = ("seed", "refinement.seed")
 CHARTS = {

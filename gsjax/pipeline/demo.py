@@ -3,16 +3,17 @@
 from pathlib import Path
 from typing import Any
 
-from gsjax import config, gallery, pipeline
+from gsjax import config, pipeline
 from gsjax.errors import InputError
-from gsjax.io import analytic_scene, runs
+from gsjax.io import analytic_scene, json_files
 from gsjax.io.files import make_folder
 from gsjax.io.machine import machine, versions
 from gsjax.io.scenes import load_scene
 from gsjax.meshing.export import read_mesh
-from gsjax.pipeline.panels import draw_panels
-from gsjax.pipeline.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
-from gsjax.pipeline.result import Result, open_result
+from gsjax.render import gallery
+from gsjax.report.panels import draw_panels
+from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
+from gsjax.runs.result import Result, open_result
 from gsjax.settings import DEMO, Settings
 
 NUM_VIEWS, SIZE = 48, (192, 192)
@@ -58,7 +59,7 @@ def run(out: str | Path = "runs/demo") -> dict[str, Any]:
         "machine": machine(),
         "versions": versions(),
     }
-    runs.write_json(out / "report.json", report)
+    json_files.write(out / "report.json", report)
     return report
 
 

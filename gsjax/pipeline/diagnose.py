@@ -1,22 +1,17 @@
 """Which effects a data set calls for: the table, a file of it, and pictures of the evidence; and what training sees."""
 
-import sys
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
-from gsjax.effects import blur, vignetting
+from gsjax.effects import vignetting
 from gsjax.effects.diagnosis import Diagnosis
-from gsjax.effects.diagnosis import diagnose as look
 from gsjax.errors import InputError
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.io.files import atomic_path
 from gsjax.io.scenes import load_scene
-from gsjax.scene import Scene
-from gsjax.settings import AUTO, NONE, Settings, named_effects
+from gsjax.planning.effects import diagnosed
 
 CHANNELS = ("red", "green", "blue")
 
@@ -45,41 +40,9 @@ def diagnose(
         raise InputError(f"--json {json}: the name of the file must end in .json, its pictures will end in .png")
     found = diagnosed(load_scene(scene, downscale=downscale, images=images))
     if json is not None:
-        runs.write_json(json, found.record())
+        json_files.write(json, found.record())
         draw(found, Path(json).with_suffix(".png"))
     return found.record()
-
-
-def diagnosed(scene: Scene) -> Diagnosis:
-    """The diagnosis of a loaded data set, a bar meanwhile."""
-    return look(scene, progress=lambda frames: tqdm(list(frames), desc="diagnose", unit="photo", leave=False))
-
-
-class Looked(NamedTuple):
-    """A data set without the photos that are too blurred to be trained on."""
-
-    scene: Scene
-    found: Diagnosis | None = None  # of its photos; None: nobody looked
-    left_out: tuple[str, ...] = ()  # names
-
-
-def looked_at(settings: Settings, scene: Scene) -> Looked:
-    """The data set as the run trains on it, and what its photos show if the run asks; one line says what was left out.
-
-    Raises:
-        InputError: A photo or the tracks cannot be read.
-    """
-    if settings.effects == NONE:
-        return Looked(scene)
-    found = diagnosed(scene)
-    is_asked = settings.effects == AUTO or "blur" in named_effects(settings.effects)
-    names = blur.left_out(found.seen) if is_asked else ()
-    if not names:
-        return Looked(scene, found)
-    print(f"train: too blurred, left out: {', '.join(names)}", file=sys.stderr)
-    sharp = replace(scene, frames=tuple(frame for frame in scene.frames if frame.name not in names))
-    again = diagnosed(sharp)
-    return Looked(sharp, replace(again, effects=again.effects | {"blur": found.effects["blur"]}), names)
 
 
 def rows(record: dict[str, Any]) -> list[list[str]]:

@@ -25,8 +25,8 @@ from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.settling import settle
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
-from gsjax.pipeline.prior import reduction_for
-from gsjax.pipeline.result import Result, open_result, scene_of_run, training_pictures
+from gsjax.runs.prior import reduction_for
+from gsjax.runs.result import Result, open_result, scene_of_run, training_pictures
 from gsjax.scene import Frame
 
 METHODS = ("poisson", "depth", "tsdf", "centers", "marching-cubes")

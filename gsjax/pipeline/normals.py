@@ -10,14 +10,14 @@ from tqdm import tqdm
 
 from gsjax import config
 from gsjax.errors import InputError
-from gsjax.io import normal_folders, runs
+from gsjax.io import json_files, normal_folders
 from gsjax.io.files import folder_if_used
 from gsjax.io.normals import map_places
 from gsjax.io.scenes import load_scene
+from gsjax.networks.estimator import Estimator
+from gsjax.networks.records import NETWORKS, Network
 from gsjax.normals.axes import axes_verdict, facing_votes
-from gsjax.normals.networks import NETWORKS, Network
-from gsjax.pipeline.estimator import Estimator
-from gsjax.pipeline.sizes import chosen_downscale
+from gsjax.planning.sizes import chosen_downscale
 from gsjax.scene import Frame
 from gsjax.settings import Settings
 
@@ -37,7 +37,7 @@ def normals(
 
     Args:
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
-        network: A name of `gsjax.normals.networks.NETWORKS`, or a JSON file with a record of one's own.
+        network: A name of `gsjax.networks.records.NETWORKS`, or a JSON file with a record of one's own.
         weights: The network as an ONNX file.
         out: Folder of the maps, see `gsjax.io.normal_folders`. None: `normals_NETWORK` in the data set, where NETWORK
             is the name, or the file's without its suffix.
@@ -100,7 +100,7 @@ def read_network(network: str | Path) -> tuple[str, Network]:
     if not file.is_file():
         known = ", ".join(NETWORKS)
         raise InputError(f"--network {network}: neither a known network ({known}) nor a file that describes one")
-    data = runs.read_json(file)
+    data = json_files.read(file)
     if not isinstance(data, Mapping):
         raise InputError(f"{file}: holds no table of keys that describes a network")
     return file.stem, config.parse(Network, data, where=str(file))

@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 from tqdm import tqdm
 
-from gsjax import config
+from gsjax import config, runs
 from gsjax.binding import refining
 from gsjax.binding.beyond import beyond_mesh
 from gsjax.binding.bound import BoundGaussians, bind, to_mesh
@@ -21,7 +21,7 @@ from gsjax.effects.alignment import align
 from gsjax.effects.appearance import relit
 from gsjax.errors import InputError
 from gsjax.gaussians import take
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.mesh import Mesh
@@ -32,17 +32,17 @@ from gsjax.meshing.pictures import depth_of_mesh, faces_of_pixels
 from gsjax.meshing.rays import ray_caster
 from gsjax.meshing.settling import MOST_VIEWS, settle
 from gsjax.meshing.topology import border
-from gsjax.pipeline.compilations import make_room
-from gsjax.pipeline.effects import Photography, read_photography, write_photography
-from gsjax.pipeline.evaluate import score_images
-from gsjax.pipeline.journal import Journal, beginning
-from gsjax.pipeline.report import report
-from gsjax.pipeline.result import DEPTH_OF_DISCS, QUIET, Result, open_result, scene_of_run, write_views
-from gsjax.pipeline.shown_views import keeper
+from gsjax.report.page import report
+from gsjax.report.shown_views import keeper
+from gsjax.runs.compilations import make_room
+from gsjax.runs.journal import Journal, beginning
+from gsjax.runs.photography import Photography, read_photography, write_photography
+from gsjax.runs.result import DEPTH_OF_DISCS, QUIET, Result, open_result, scene_of_run, write_views
 from gsjax.scene import Scene, extent, in_memory
+from gsjax.scoring.images import score_images
+from gsjax.targets import Views, batch, views_of
 from gsjax.training.capacity import largest_need
 from gsjax.training.step import BACKGROUNDS
-from gsjax.views import Views, batch, views_of
 
 LOGGED_EVERY, SAVED_EVERY = 50, 500  # steps
 
@@ -74,7 +74,7 @@ def refine(
     """
     make_room()
     run = Path(run)
-    trained = runs.read_json(run / "config.json")
+    trained = json_files.read(run / "config.json")
     source = run / "mesh.ply" if mesh is None else Path(mesh)
     if mesh is None and not source.exists():
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
@@ -225,7 +225,7 @@ def _finish(
         "free": hybrid.num_free,
         **summary,
     }
-    runs.write_json(folder / "report.json", summary)
+    json_files.write(folder / "report.json", summary)
     runs.update_manifest(folder, status="done", peak_gib=round(peak_memory() / 2**30, 2), **summary)
     report(folder)
     return summary

@@ -6,23 +6,24 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gsjax import config, gallery
+from gsjax import config
 from gsjax.binding.refining import Refinement
 from gsjax.errors import InputError
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.io.files import make_folder
 from gsjax.io.machine import machine, peak_memory, restart_peak_memory, versions
 from gsjax.io.scenes import is_data_set
 from gsjax.meshing.export import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors
 from gsjax.pipeline.mesh import mesh
-from gsjax.pipeline.panels import draw_panels
-from gsjax.pipeline.pictures import mesh_picture, surface_picture, to_bytes
 from gsjax.pipeline.refine import refine
-from gsjax.pipeline.report import report as write_report
-from gsjax.pipeline.result import open_result
 from gsjax.pipeline.texture import texture
 from gsjax.pipeline.train import train
+from gsjax.render import gallery
+from gsjax.report.page import report as write_report
+from gsjax.report.panels import draw_panels
+from gsjax.report.pictures import mesh_picture, surface_picture, to_bytes
+from gsjax.runs.result import open_result
 from gsjax.settings import Settings
 
 
@@ -84,14 +85,14 @@ def scan(
             "seconds": round(before + time.perf_counter() - started, 1),
             "peak_gib": round(peak_memory() / 2**30, 2),
         }
-        runs.write_json(out / "report.json", report)
+        json_files.write(out / "report.json", report)
     report |= {
         "mesh": str(out / "mesh.glb"),
         "picture": str(_overview(out)),
         "machine": machine(),
         "versions": versions(),
     }
-    runs.write_json(out / "report.json", report)
+    json_files.write(out / "report.json", report)
     write_report(out)
     return report
 
@@ -108,7 +109,7 @@ def _begun(out: Path, asked: Mapping[str, Any]) -> dict[str, Any]:
     """The report so far of a scan that was begun with the same wishes, or a new one."""
     file = out / "report.json"
     if file.exists():
-        report = runs.read_json(file)
+        report = json_files.read(file)
         for key, value in asked.items():
             if report.get("asked", {}).get(key) != value:
                 raise InputError(f"{out}: was begun with another {key}; choose another folder with --out")
@@ -117,7 +118,7 @@ def _begun(out: Path, asked: Mapping[str, Any]) -> dict[str, Any]:
         raise InputError(f"{out}: this folder is not empty and holds no scan; choose another with --out")
     make_folder(out)
     report = {"asked": dict(asked), "stages": {}}
-    runs.write_json(file, report)
+    json_files.write(file, report)
     return report
 
 
@@ -150,7 +151,7 @@ def _reconstruct(source: Path, scene: Path, frames: int | None) -> dict[str, Any
 
 def _is_finished(run: Path) -> bool:
     manifest = run / "manifest.json"
-    return manifest.exists() and runs.read_json(manifest)["status"] == "done"
+    return manifest.exists() and json_files.read(manifest)["status"] == "done"
 
 
 def _overview(out: Path) -> Path:

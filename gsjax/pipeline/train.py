@@ -13,36 +13,37 @@ import numpy as np
 import optax
 from tqdm import tqdm
 
-from gsjax import config
+from gsjax import config, runs
 from gsjax.effects.alignment import align
 from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
-from gsjax.io import normal_folders, runs
+from gsjax.io import normal_folders
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
-from gsjax.pipeline.compilations import make_room
-from gsjax.pipeline.diagnose import looked_at
-from gsjax.pipeline.effects import Joined, Photography, joined, moves_line, refined, write_photography
-from gsjax.pipeline.evaluate import score_images
-from gsjax.pipeline.hardware import Devices, hardware, without_looking, without_neighbors
-from gsjax.pipeline.harmonics import stored_degree, with_needed_harmonics
-from gsjax.pipeline.journal import Journal, beginning
-from gsjax.pipeline.pace import Pace, seconds_left, spoken
-from gsjax.pipeline.prior import RunPrior
-from gsjax.pipeline.processes import from_first, is_first, own_folder
-from gsjax.pipeline.report import report
-from gsjax.pipeline.result import write_views
-from gsjax.pipeline.shown_views import keeper
-from gsjax.pipeline.sizes import at_size, training_extent
-from gsjax.pipeline.trials import gains
+from gsjax.planning.effects import Joined, joined, looked_at
+from gsjax.planning.hardware import Devices, hardware, without_looking, without_neighbors
+from gsjax.planning.harmonics import stored_degree, with_needed_harmonics
+from gsjax.planning.pace import Pace, seconds_left, spoken
+from gsjax.planning.sizes import at_size, training_extent
+from gsjax.planning.trials import gains
+from gsjax.report.page import report
+from gsjax.report.shown_views import keeper
+from gsjax.runs.compilations import make_room
+from gsjax.runs.journal import Journal, beginning
+from gsjax.runs.photography import Photography, moves_line, refined, write_photography
+from gsjax.runs.prior import RunPrior
+from gsjax.runs.processes import from_first, is_first, own_folder
+from gsjax.runs.result import write_views
 from gsjax.scene import Scene, in_memory
+from gsjax.scoring.images import score_images
 from gsjax.settings import Settings, total_steps
-from gsjax.training import density_control, initialize, optimizers, surroundings
+from gsjax.training import initialize, optimizers, surroundings
 from gsjax.training.batches import in_larger_steps
+from gsjax.training.growth import adaptive as density_control
+from gsjax.training.growth.rules import RULES
 from gsjax.training.loop import Progress, fit, planned_phases
 from gsjax.training.rows import bucket
-from gsjax.training.rules import RULES
 from gsjax.training.state import TrainState, count_alive, initial_state
 
 FAR_SHARE = 10  # Of the budget no more than one in so many is far around the cloud at the start.
@@ -60,11 +61,11 @@ def train(
 ) -> dict[str, Any]:
     """Train Gaussians on a data set.
 
-    Several processes that were joined (`gsjax.pipeline.processes`) call it alike; the first alone writes.
+    Several processes that were joined (`gsjax.runs.processes`) call it alike; the first alone writes.
 
     Args:
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
-        out: Run folder, see `gsjax.io.runs`; absent or empty unless `resume`.
+        out: Run folder, see `gsjax.runs.folder`; absent or empty unless `resume`.
         settings: The run.
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
         earlier: Another run folder, of the same settings as far as it went, where this run begins: what several have in
@@ -76,7 +77,7 @@ def train(
 
     Returns:
         `psnr` and `ssim` (None without held-out views; with effects also the other ways of
-        `gsjax.pipeline.evaluate.score_images`), `views`, `gaussians`, `steps`, `train_seconds`.
+        `gsjax.scoring.images.score_images`), `views`, `gaussians`, `steps`, `train_seconds`.
 
     Raises:
         InputError: The data set, the normals, the run folder or the devices cannot be used.
@@ -227,7 +228,7 @@ def _initial(
 def trial_start(
     scene: Scene, settings: Settings, optimizer: optax.GradientTransformation, effects: Effects
 ) -> TrainState:
-    """Step 0 of a trial, see `gsjax.pipeline.trials.gains`."""
+    """Step 0 of a trial, see `gsjax.planning.trials.gains`."""
     return _initial(scene, settings, optimizer, None, effects=effects)
 
 

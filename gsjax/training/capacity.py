@@ -3,15 +3,15 @@
 import jax
 from jax import Array
 
-from gsjax import render, views
+from gsjax import render, targets
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
-from gsjax.views import Views
+from gsjax.targets import Views
 
 
 def largest_need(gaussians: Gaussians, data: Views) -> int:
     """Pair capacity that serves every one of the views."""
-    return int(_largest_need(gaussians, views.cameras(data)))
+    return int(_largest_need(gaussians, targets.cameras(data)))
 
 
 def chosen_capacity(gaussians: Gaussians, data: Views, *, headroom: float = 1.25) -> int:

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from gsjax import views
+from gsjax import targets
 from gsjax.effects.model import Effects
 from gsjax.scene import Frame
 from gsjax.settings import Phase, Rates, Settings, total_steps
@@ -44,7 +44,7 @@ def degrees_tried(
     optimizer = optimizers.make_optimizer(_of_colors(settings.rates), extent, 1)
     steps = max(1, min(STEPS, round(SHARE * total_steps(settings))))
     # At full size: at half of it splats are blurred otherwise, which colours by direction would learn to make up for.
-    shown, kept = trial.by_photo(views.numbered(views.views_of(frames, scale=phase.image_scale)))
+    shown, kept = trial.by_photo(targets.numbered(targets.views_of(frames, scale=phase.image_scale)))
     anew = replace(state.gaussians, sh_rest=jnp.zeros_like(state.gaussians.sh_rest))
     begun = replace(state, gaussians=anew, opt_state=optimizer.init(anew), nearest=None)
     # One program for all: its ramp opens a band every so many steps, and each degree starts where its own are open.

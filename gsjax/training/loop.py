@@ -11,23 +11,24 @@ import numpy as np
 import optax
 from jax import Array
 
-from gsjax import views
+from gsjax import targets
 from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.errors import InputError
 from gsjax.scene import Frame
 from gsjax.settings import Phase, Settings, Weights
-from gsjax.training import density_control, rows, surroundings
+from gsjax.targets import Target, Views
+from gsjax.training import rows, surroundings
 from gsjax.training.capacity import chosen_capacity, rounded_capacity
-from gsjax.training.losses import NEEDS_NEIGHBOR, NEEDS_NORMALS, SURFACE_TERMS
-from gsjax.training.multi_view import drawn_beside, with_neighbors
-from gsjax.training.rules import RULES
+from gsjax.training.growth import adaptive as density_control
+from gsjax.training.growth.rules import RULES
 from gsjax.training.state import TrainState, cull, densify, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, active_terms, make_train_step
-from gsjax.views import Target, Views
+from gsjax.training.terms.losses import NEEDS_NEIGHBOR, NEEDS_NORMALS, SURFACE_TERMS
+from gsjax.training.terms.multi_view import drawn_beside, with_neighbors
 
 S = TypeVar("S")  # A state of training.
 NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
-"""Training so far -> an int8 normal map a frame, see `gsjax.views.Target`."""
+"""Training so far -> an int8 normal map a frame, see `gsjax.targets.Target`."""
 
 GROWTH = 2.0  # How much longer the pair buffer is than needed while Gaussians multiply,
 STILL = 1.25  # and while they do not: a view that needs more costs another compilation.
@@ -87,7 +88,7 @@ def one_view(data: Views, seed: int, view_share: float) -> Callable[[int], Targe
 
     Where the views have neighbours, one of them stands beside each.
     """
-    fed = views.feed(data, room=views.device_room(view_share))
+    fed = targets.feed(data, room=targets.device_room(view_share))
 
     def of_step(step: int) -> list[int]:
         view = view_order(seed, step, data.num_views)
@@ -154,11 +155,11 @@ def fit(
     for phase in planned_phases(settings):
         end = start + phase.steps
         if done < end:
-            data = views.views_of(frames, scale=phase.image_scale)
+            data = targets.views_of(frames, scale=phase.image_scale)
             if effects:
-                data = views.numbered(data)
+                data = targets.numbered(data)
             if not NEEDS_NORMALS.isdisjoint(active_terms(phase.weights)):
-                data = views.with_normals(data, prior(state))
+                data = targets.with_normals(data, prior(state))
             if not NEEDS_NEIGHBOR.isdisjoint(active_terms(phase.weights)):
                 data = with_neighbors(data, extent)
             if surroundings.needed(phase) and done == start:

@@ -15,8 +15,8 @@ from jax import Array
 
 from gsjax.settings import Density
 from gsjax.training import optimizers
+from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import DEAD_LOGIT
-from gsjax.training.rules import RULES
 from gsjax.training.state import TrainState
 from gsjax.training.surroundings import none_yet
 

@@ -13,8 +13,9 @@ from gsjax.effects import model
 from gsjax.effects.model import NO_EFFECTS, Effects, EffectState
 from gsjax.gaussians import Gaussians
 from gsjax.settings import Density
-from gsjax.training import density_control, optimizers
-from gsjax.training.rules import RULES, Rule
+from gsjax.training import optimizers
+from gsjax.training.growth import adaptive as density_control
+from gsjax.training.growth.rules import RULES, Rule
 
 
 @jax.tree_util.register_dataclass
@@ -24,7 +25,7 @@ class TrainState:
 
     gaussians: Gaussians
     opt_state: Any
-    statistics: Any  # [N] sums of the rule of density control, see `gsjax.training.rules`
+    statistics: Any  # [N] sums of the rule of density control, see `gsjax.training.growth.rules`
     step: Array  # [] int32 steps done
     effects: EffectState | None = None  # of those that are simulated
     nearest: Array | None = None  # [N, K] int32 of the terms on the density, see `gsjax.training.surroundings`

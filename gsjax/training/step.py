@@ -11,18 +11,19 @@ import optax
 from jax import Array
 
 import rasterizer
-from gsjax import render, views
+from gsjax import render, targets
 from gsjax.effects import model
 from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import masked_mean
 from gsjax.render import Surroundings, View
 from gsjax.settings import Weights
-from gsjax.training import multi_view, optimizers
-from gsjax.training.losses import NEEDS_DEPTH, NEEDS_NEIGHBOR, NEEDS_SURROUNDINGS, TERMS
-from gsjax.training.rules import Rule
+from gsjax.targets import Batch, Target
+from gsjax.training import optimizers
+from gsjax.training.growth.rules import Rule
 from gsjax.training.state import TrainState
-from gsjax.views import Batch, Target
+from gsjax.training.terms import multi_view
+from gsjax.training.terms.losses import NEEDS_DEPTH, NEEDS_NEIGHBOR, NEEDS_SURROUNDINGS, TERMS
 
 
 class Metrics(NamedTuple):
@@ -130,10 +131,10 @@ def make_train_step(
     @partial(jax.jit, donate_argnums=0)
     def train_step(state: TrainState, target: Target, key: Array):
         color = background(jax.random.fold_in(key, state.step))
-        batch = views.batch(target, color)
+        batch = targets.batch(target, color)
         active_degree = state.step // sh_every
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
-        beside = views.batch(target.beside, color) if with_neighbor and target.beside else None
+        beside = targets.batch(target.beside, color) if with_neighbor and target.beside else None
         surroundings = None
         if with_surroundings:
             drawing = jax.random.fold_in(jax.random.fold_in(key, state.step), 2)

@@ -20,7 +20,7 @@ from gsjax.normals import sdf
 from gsjax.normals.places import SPREAD, facing, turned
 from gsjax.numerics import masked_mean, safe_normalize
 from gsjax.render import View
-from gsjax.views import Batch
+from gsjax.targets import Batch
 
 MOST_SAMPLES = 1_000_000  # points in a step; no more than there are Gaussians
 CLOSE = 2.0  # standard deviations towards the camera between a mean and the rendered depth, to be drawn from (sdf)

@@ -12,10 +12,10 @@ from scipy.spatial import KDTree
 from gsjax.gaussians import Gaussians
 from gsjax.nearest import nearest_table
 from gsjax.settings import Phase
-from gsjax.training.density_control import is_alive
-from gsjax.training.losses import NEEDS_SURROUNDINGS
+from gsjax.training.growth.adaptive import is_alive
 from gsjax.training.state import TrainState
 from gsjax.training.step import active_terms
+from gsjax.training.terms.losses import NEEDS_SURROUNDINGS
 
 NEAREST = 16  # Gaussians that the density at one is summed over, itself among them (SuGaR)
 EVERY = 500  # steps between two tables (SuGaR)

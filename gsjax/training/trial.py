@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from gsjax import views
+from gsjax import targets
 from gsjax.effects.model import Effects
 from gsjax.scene import Frame
 from gsjax.settings import Settings, Weights
+from gsjax.targets import Target, Views
 from gsjax.training.capacity import chosen_capacity
 from gsjax.training.loop import advance, kept_step
 from gsjax.training.state import TrainState
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep
-from gsjax.views import Target, Views
 
 SCALE = 2  # of the photos: trials look at smaller ones
 KEPT = 8  # One in so many photos, or blocks of pixels, is kept from a trial,
@@ -83,8 +83,8 @@ def maker(
 def small_views(frames: Sequence[Frame]) -> Views:
     """The photos as trials see them: smaller, where that leaves anything, each told which it is."""
     smallest = min(min(frame.width, frame.height) for frame in frames)
-    data = views.views_of(frames, scale=SCALE if smallest >= SCALE * BLOCKS else 1)
-    return views.numbered(data)
+    data = targets.views_of(frames, scale=SCALE if smallest >= SCALE * BLOCKS else 1)
+    return targets.numbered(data)
 
 
 def by_photo(data: Views) -> tuple[Views, Views]:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsjax.gaussians import SH_C0, Gaussians, covariances, opacities
-from gsjax.training.density_control import is_alive
+from gsjax.training.growth.adaptive import is_alive
 
 
 class BrowserSplats(NamedTuple):

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 import rasterizer
-from gsjax import backdrop, render
+from gsjax import render
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.normals.from_depth import depth_normals
-from gsjax.render import DepthReading
+from gsjax.render import DepthReading, backdrop
 
 HEADROOM = 1.5  # How much longer the pair buffer is than this view needs: the next one needs more.
 
@@ -45,7 +45,7 @@ class Drawer:
         Args:
             gaussians: jax or numpy; another number of them is another program.
             camera: The view; its size chooses the program.
-            background: As `gsjax.backdrop` has it; one of another shape is another program.
+            background: As `gsjax.render.backdrop` has it; one of another shape is another program.
             with_surface: Whether depth and normals are drawn too: another program.
 
         Returns:

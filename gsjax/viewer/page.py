@@ -16,7 +16,7 @@ import viser
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.pipeline.pictures import to_bytes
+from gsjax.report.pictures import to_bytes
 from gsjax.viewer.desk import Desk, Order
 from gsjax.viewer.drawing import bare
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera, picture_size
@@ -36,7 +36,7 @@ class News(NamedTuple):
 
     gaussians: Gaussians
     line: str
-    background: np.ndarray | None = None  # where it is learned, see `gsjax.backdrop`; None: the subject's
+    background: np.ndarray | None = None  # where it is learned, see `gsjax.render.backdrop`; None: the subject's
 
 
 class Page:

@@ -6,7 +6,7 @@ import numpy as np
 
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
-from gsjax.pipeline.pictures import depth_picture, normal_picture, to_bytes
+from gsjax.report.pictures import depth_picture, normal_picture, to_bytes
 from gsjax.viewer.drawing import Drawer
 from gsjax.viewer.photo_error import error_picture, nearest_photo, photo_colors, seen_by_photo
 from gsjax.viewer.subject import Subject
@@ -41,7 +41,7 @@ class Pictures:
             kind: One of `kinds`.
             gaussians: What to look at.
             camera: From where.
-            background: As `gsjax.backdrop` has it; None: the subject's.
+            background: As `gsjax.render.backdrop` has it; None: the subject's.
 
         Returns:
             `[H, W, 3]` uint8, and a line about it, or "".

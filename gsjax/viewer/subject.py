@@ -11,9 +11,9 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io.gaussian_files import FORMATS
 from gsjax.meshing.export import SUFFIXES, read_mesh
-from gsjax.pipeline.pictures import opaque_middle
-from gsjax.pipeline.result import BACKGROUNDS, Result, frame_camera, open_result, scene_of_run
 from gsjax.render import DepthReading
+from gsjax.runs.result import BACKGROUNDS, Result, frame_camera, open_result, scene_of_run
+from gsjax.runs.viewpoints import opaque_middle
 from gsjax.scene import Frame, Scene
 
 HEADER_BYTES = 65536  # of a PLY, at most
@@ -32,7 +32,9 @@ class Subject:
     cameras: Mapping[str, Camera] = field(default_factory=dict)  # by the names of their photos
     photos: Mapping[str, Frame] = field(default_factory=dict)  # those that are at hand
     mesh: Path | None = None
-    background: np.ndarray = field(default_factory=lambda: BACKGROUNDS["black"])  # [3] or SH, see `gsjax.backdrop`
+    background: np.ndarray = field(
+        default_factory=lambda: BACKGROUNDS["black"]
+    )  # [3] or SH, see `gsjax.render.backdrop`
     depth_mode: DepthReading = "plane"
 
 

@@ -11,7 +11,7 @@ from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
 from gsjax import render
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
 from rasterizer._native.compiled import cache_folder
 
@@ -73,8 +73,8 @@ def test_both_of_our_engines_draw_a_run_as_its_first_training_camera_sees_it(scr
     held_out, camera = (camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-0.5, 0.5))
     records = [{"name": "a", "held_out": True, **vars(held_out)}, {"name": "b", "held_out": False, **vars(camera)}]
     write_gaussians(tmp_path / "gaussians.ply", gaussians)
-    runs.write_json(tmp_path / "config.json", {"background": "black"})
-    runs.write_json(tmp_path / "cameras.json", records)
+    json_files.write(tmp_path / "config.json", {"background": "black"})
+    json_files.write(tmp_path / "cameras.json", records)
     (image, gradient), (jnp_image, jnp_gradient) = beside.tasks(tmp_path, peers.peer_named("jnp"))
     expected = render.view(gaussians, camera, capacity=4096, background=jnp.zeros(3)).colors
     assert float(expected.max()) > 0.1

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from gsjax import config, pipeline, tables
+from gsjax import config, pipeline, runs, tables
 from gsjax.errors import InputError
-from gsjax.io import runs
 from gsjax.settings import Phase, Rates, Settings, Weights
 from gsjax.training.loop import planned_phases
 from gsjax.training.surroundings import needed

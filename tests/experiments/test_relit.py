@@ -8,7 +8,7 @@ from photographed_wall import wall
 from scipy.spatial.transform import Rotation
 
 from gsjax.effects.exposure import linear_light
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.io.colmap_writer import write_model
 from gsjax.io.images import write_image
 from gsjax.io.scenes import load_scene
@@ -31,7 +31,7 @@ def scene(tmp_path):
 
 def test_light_is_changed_by_what_the_file_tells(relit, scene, tmp_path):
     out = relit.relight(tmp_path / "scene", tmp_path / "out", exposure=0.3, balance=0.1, corner=-0.5)
-    told = runs.read_json(out / "relit.json")
+    told = json_files.read(out / "relit.json")
     np.testing.assert_allclose(np.mean(list(told["gains"].values()), axis=0), 0, atol=1e-12)
     for before, after in zip(scene.frames, load_scene(out).frames, strict=True):
         stops = np.log2(linear_light(after.pixels().image / 255) / linear_light(before.pixels().image / 255))
@@ -43,7 +43,7 @@ def test_light_is_changed_by_what_the_file_tells(relit, scene, tmp_path):
 
 def test_poses_are_wrong_by_what_was_asked_and_the_file_tells_the_true_ones(relit, scene, tmp_path):
     out = relit.relight(tmp_path / "scene", tmp_path / "out", turn=0.5, shift=0.01)
-    told = runs.read_json(out / "relit.json")["viewmats"]
+    told = json_files.read(out / "relit.json")["viewmats"]
     errors = []
     for before, after in zip(scene.frames, load_scene(out).frames, strict=True):
         np.testing.assert_allclose(told[before.name], before.viewmat, atol=1e-6)

@@ -10,7 +10,7 @@ import gsjax.pipeline
 from gsjax import config, tables
 from gsjax.binding.refining import PRESETS, Refinement
 from gsjax.errors import InputError
-from gsjax.io import runs
+from gsjax.io import json_files
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 STUDIES = sorted(path.stem for path in (EXPERIMENTS / "remeshing").glob("*.py"))
@@ -47,7 +47,7 @@ def trained(tmp_path):
     """Two runs, of seeds 3 and 4."""
     folders = [tmp_path / f"run_{seed}" for seed in (3, 4)]
     for folder in folders:
-        runs.write_json(folder / "config.json", {"seed": int(folder.name[-1])})
+        json_files.write(folder / "config.json", {"seed": int(folder.name[-1])})
     return [str(folder) for folder in folders]
 
 

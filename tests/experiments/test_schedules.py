@@ -3,7 +3,7 @@
 import pytest
 
 import gsjax.pipeline
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.settings import total_steps
 
 
@@ -47,7 +47,7 @@ def test_both_budgets_have_their_share_of_every_stage(script, asked, tmp_path):
 def test_called_again_it_does_what_is_left(script, asked, tmp_path):
     folder = tmp_path / "paper_13k_7k_0"
     (folder / "run").mkdir(parents=True)  # Stopped in its training.
-    runs.write_json(tmp_path / "paper_6k_15k_0/schedule.json", {"trained": {"psnr": 30.0}})
+    json_files.write(tmp_path / "paper_6k_15k_0/schedule.json", {"trained": {"psnr": 30.0}})
     rows = script.run("scene", str(tmp_path), share=0.1)
     assert [name for name, _ in asked] == ["train", "mesh", "refine", "evaluate", "evaluate"]
     assert not (folder / "run").exists(), "the beginning of a run that was stopped is gone"

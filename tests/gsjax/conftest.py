@@ -9,9 +9,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gsjax.cameras import Camera
-from gsjax.gallery import Picture
 from gsjax.gaussians import Gaussians
 from gsjax.meshing.level_set import world_points
+from gsjax.render.gallery import Picture
 
 RADIUS = 1.0
 

@@ -12,10 +12,9 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 import gsjax
-from gsjax import cli, config
+from gsjax import cli, config, runs
 from gsjax.cli import environment
 from gsjax.errors import InputError
-from gsjax.io import runs
 from gsjax.settings import LENGTHS, PRESETS, Phase, Settings
 
 COMMANDS = (

@@ -7,8 +7,7 @@ import pytest
 from small_scenes import built_in
 from trained_run import MASK, SETTINGS
 
-from gsjax import config, pipeline
-from gsjax.io import runs
+from gsjax import config, pipeline, runs
 from gsjax.io.images import write_image
 from gsjax.settings import Settings
 

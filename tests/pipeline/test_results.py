@@ -12,11 +12,12 @@ from small_graphs import small_lpips
 
 from gsjax import cli, pipeline
 from gsjax.errors import InputError
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.io.images import image_size, read_image
 from gsjax.meshing.export import read_mesh
-from gsjax.pipeline import demo, viewpoints
-from gsjax.pipeline.result import open_result, scene_of_run
+from gsjax.pipeline import demo
+from gsjax.runs import viewpoints
+from gsjax.runs.result import open_result, scene_of_run
 
 
 def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, scene, tmp_path):
@@ -31,13 +32,15 @@ def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, scene, tm
     assert figures["floor"]["chamfer"] < 5e-4 < figures["chamfer"] < 0.2
     assert figures["distances"] == "point to surface"
     assert 5 < figures["normal_error_deg"] < 90
-    assert figures["psnr"] == pytest.approx(runs.read_json(run / "manifest.json")["psnr"], abs=1e-3)
+    assert figures["psnr"] == pytest.approx(json_files.read(run / "manifest.json")["psnr"], abs=1e-3)
     assert 0 < figures["ssim"] < 1
 
 
 def test_a_mesh_whose_photos_have_gone_is_made_as_the_gaussians_have_it(run, tmp_path, capsys):
     moved = shutil.copytree(run, tmp_path / "run")
-    runs.write_json(moved / "manifest.json", {**runs.read_json(run / "manifest.json"), "scene": str(tmp_path / "gone")})
+    json_files.write(
+        moved / "manifest.json", {**json_files.read(run / "manifest.json"), "scene": str(tmp_path / "gone")}
+    )
     options = {"level": 0.1, "points": 5000}
     report = pipeline.mesh(moved, tmp_path / "mesh.ply", **options)
     assert report["settled"] is None
@@ -85,7 +88,7 @@ def test_pictures_have_the_size_of_their_views(run, tmp_path):
     assert [f.name for f in files[:3]] == ["000_color.png", "000_depth.png", "000_normal.png"]
     assert len(files) == 6
     assert all(image_size(f) == (48, 40) for f in files)
-    photo, _ = read_image(Path(runs.read_json(run / "manifest.json")["scene"]) / "images/000.png")
+    photo, _ = read_image(Path(json_files.read(run / "manifest.json")["scene"]) / "images/000.png")
     rendered, _ = read_image(files[0])
     assert np.abs(photo.astype(float) - rendered).mean() < 60, "the same view, roughly"
 
@@ -115,7 +118,7 @@ def test_the_demo_sets_a_run_with_normals_beside_one_without(run, scene, tmp_pat
     assert len(read_mesh(report["mesh"]).faces) > 100
     panels = read_image(report["picture"])[0].reshape(-1, 3)
     assert len(np.unique(panels, axis=0)) > 1000, "seven pictures and their titles"
-    assert runs.read_json(tmp_path / "demo/report.json")["floor"] == report["floor"]
+    assert json_files.read(tmp_path / "demo/report.json")["floor"] == report["floor"]
     with pytest.raises(InputError, match="this folder is not empty"):
         demo.run(tmp_path / "demo")
 

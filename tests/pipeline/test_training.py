@@ -8,23 +8,23 @@ import pycolmap
 import pytest
 from trained_run import MASK, SETTINGS, train_until_killed
 
-from gsjax import cli, config, pipeline
+from gsjax import cli, config, pipeline, runs
 from gsjax.errors import InputError
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.io.images import read_image, read_mask, write_image
 from gsjax.io.ply import read_gaussians
-from gsjax.pipeline.result import scene_of_run
+from gsjax.runs.result import scene_of_run
 from gsjax.settings import Settings
 
 
 def test_a_run_folder_holds_what_was_asked_and_what_came_of_it(run, scene):
-    manifest = runs.read_json(run / "manifest.json")
+    manifest = json_files.read(run / "manifest.json")
     assert manifest["status"] == "done"
     assert Path(manifest["scene"]) == scene.resolve()
     assert {"config.json", "metrics.jsonl", "gaussians.ply", "cameras.json", "normals/001.png"} <= set(
         manifest["files"]
     )
-    masks = [record["mask"] for record in runs.read_json(run / "cameras.json")]
+    masks = [record["mask"] for record in json_files.read(run / "cameras.json")]
     assert [path for path in masks if path] == [masks[3]] == ["masks/0003.png"]
     np.testing.assert_array_equal(read_mask(run / masks[3]), MASK)
     steps = [record["step"] for record in runs.read_metrics(run)]
@@ -98,7 +98,7 @@ def test_a_benchmark_folder_with_reduced_photos_only_trains_and_scores_the_same(
     summary = pipeline.train(tmp_path / "scene", tmp_path / "run", config.parse(Settings, SETTINGS))
 
     assert (tmp_path / "run/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
-    assert summary["psnr"] == runs.read_json(run / "manifest.json")["psnr"]
+    assert summary["psnr"] == json_files.read(run / "manifest.json")["psnr"]
     assert pipeline.evaluate(tmp_path / "run")["psnr"] == pytest.approx(summary["psnr"], abs=1e-3)
     with pytest.raises(InputError, match=r"run: was started on .*/scene, not on .*; a resumed run keeps its data set"):
         pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS), resume=True)
@@ -117,7 +117,7 @@ def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scen
     summary = pipeline.train(tmp_path / "scene", tmp_path / "run", settings)
 
     assert (summary["psnr"], summary["ssim"], summary["views"], summary["steps"]) == (None, None, 0, 30)
-    cameras = runs.read_json(tmp_path / "run/cameras.json")
+    cameras = json_files.read(tmp_path / "run/cameras.json")
     assert len(cameras) == 7 and not any(camera["held_out"] for camera in cameras)
     assert not any("held_out_psnr" in record for record in runs.read_metrics(tmp_path / "run"))
     figures = pipeline.evaluate(tmp_path / "run", mesh=scene / "gt_mesh.ply")
@@ -133,8 +133,8 @@ def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scen
 def test_a_run_is_scored_on_its_own_split_whatever_became_of_the_list(run, scene, tmp_path):
     shutil.copytree(run, tmp_path / "run")
     config_file = tmp_path / "run/config.json"
-    runs.write_json(config_file, {**runs.read_json(config_file), "hold_out": str(tmp_path / "gone.txt")})
-    held_out = [record["name"] for record in runs.read_json(run / "cameras.json") if record["held_out"]]
+    json_files.write(config_file, {**json_files.read(config_file), "hold_out": str(tmp_path / "gone.txt")})
+    held_out = [record["name"] for record in json_files.read(run / "cameras.json") if record["held_out"]]
     assert [frame.name for frame in scene_of_run(tmp_path / "run").held_out_frames] == held_out != []
 
 

@@ -7,15 +7,15 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from trained_run import SETTINGS, train_until_killed
 
-from gsjax import config, pipeline
+from gsjax import config, pipeline, runs
 from gsjax.errors import InputError
-from gsjax.io import runs
-from gsjax.io.checkpoints import load_arrays
+from gsjax.io import json_files
 from gsjax.io.images import read_image, write_image
 from gsjax.io.ply import read_gaussians
-from gsjax.pipeline.effects import read_photography
-from gsjax.pipeline.evaluate import score_images
-from gsjax.pipeline.result import open_result, scene_of_run
+from gsjax.runs.checkpoints import load_arrays
+from gsjax.runs.photography import read_photography
+from gsjax.runs.result import open_result, scene_of_run
+from gsjax.scoring.images import score_images
 from gsjax.settings import Settings
 from gsjax.training import harmonics
 
@@ -35,7 +35,7 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     for file in ("gaussians.ply", "effects.json", "poses.json", "cameras.json", "background.json"):
         assert (stopped / file).read_bytes() == (whole / file).read_bytes()
 
-    manifest = runs.read_json(whole / "manifest.json")
+    manifest = json_files.read(whole / "manifest.json")
     assert manifest["effects"]["simulated"] == ["exposure", "vignetting", "poses", "background"]
     assert manifest["effects"]["evidence"]["exposure"]["threshold"] == 0.05
     scores = {f"{name}{way}" for name in ("psnr", "ssim") for way in ("", "_near_gains", "_track_gains", "_fitted")}
@@ -58,15 +58,15 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
         summary["psnr_near_gains"], abs=1e-3
     )
     assert summary["psnr_near_gains"] != summary["psnr_track_gains"]
-    photos = runs.read_json(whole / "effects.json")["photos"]
-    records = runs.read_json(whole / "cameras.json")
+    photos = json_files.read(whole / "effects.json")["photos"]
+    records = json_files.read(whole / "cameras.json")
     held_out = {record["name"] for record in records if record["held_out"]}
     gains = np.array([photo["log_gains"] for name, photo in photos.items() if name not in held_out])
     assert gains.shape == (7, 3)
     np.testing.assert_allclose(gains.mean(0), 0, atol=1e-6)
 
     # Later stages see the cameras that training moved; those that are held out are where they were.
-    given = {record["name"]: np.array(record["viewmat"]) for record in runs.read_json(run / "cameras.json")}
+    given = {record["name"]: np.array(record["viewmat"]) for record in json_files.read(run / "cameras.json")}
     for frame, record in zip(scene_of_run(whole).frames, records, strict=True):
         np.testing.assert_array_equal(frame.viewmat, np.float32(record["viewmat"]))
         np.testing.assert_array_equal(frame.K, np.float32(record["K"]))
@@ -76,10 +76,10 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     assert open_result(whole).background.shape == (1, 3), "the built-in scene stands before one white"
     three = pipeline.evaluate(run, three_ways=True)
     assert scores <= three.keys() and not aligned & three.keys()
-    assert three["psnr"] == pytest.approx(runs.read_json(run / "manifest.json")["psnr"], abs=1e-3)
+    assert three["psnr"] == pytest.approx(json_files.read(run / "manifest.json")["psnr"], abs=1e-3)
 
     pipeline.train(scene, auto, config.parse(Settings, {**SETTINGS, "effects": "auto"}))
-    assert runs.read_json(auto / "manifest.json")["effects"]["simulated"] == []
+    assert json_files.read(auto / "manifest.json")["effects"]["simulated"] == []
     assert (auto / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
     assert not any((auto / name).exists() for name in ("effects.json", "poses.json", "background.json"))
     stored = [set(load_arrays(runs.latest_checkpoint(folder)[1])) for folder in (run, auto, whole)]
@@ -96,7 +96,7 @@ def test_a_run_goes_on_with_fewer_harmonics_and_they_are_nowhere(run, scene, tmp
     monkeypatch.setattr(harmonics, "smallest", min)
     whole = tmp_path / "whole"
     pipeline.train(scene, whole, settings)
-    found = runs.read_json(whole / "manifest.json")["harmonics"]
+    found = json_files.read(whole / "manifest.json")["harmonics"]
     assert found["degree"] == 0
     assert list(found["psnr"]) == ["0", "1"] and all(psnr > 5 for psnr in found["psnr"].values())
     stopped = tmp_path / "stopped"
@@ -127,9 +127,9 @@ def test_a_photo_too_blurred_to_learn_from_is_in_no_stage(scene, tmp_path, capsy
     pipeline.train(tmp_path / "scene", run, config.parse(Settings, {**SETTINGS, **short, "effects": "blur"}))
     assert f"train: too blurred, left out: {name}\n" in capsys.readouterr().err
     pipeline.train(tmp_path / "scene", whole, config.parse(Settings, {**SETTINGS, **short, "effects": "exposure"}))
-    assert runs.read_json(run / "manifest.json")["effects"]["left_out"] == [name]
-    assert runs.read_json(whole / "manifest.json")["effects"]["left_out"] == []
-    names = [[record["name"] for record in runs.read_json(folder / "cameras.json")] for folder in (run, whole)]
+    assert json_files.read(run / "manifest.json")["effects"]["left_out"] == [name]
+    assert json_files.read(whole / "manifest.json")["effects"]["left_out"] == []
+    names = [[record["name"] for record in json_files.read(folder / "cameras.json")] for folder in (run, whole)]
     assert set(names[1]) - set(names[0]) == {name}
     assert [frame.name for frame in scene_of_run(run).frames] == names[0]
     assert [frame.name for frame in scene_of_run(whole).frames] == names[1]

@@ -8,7 +8,7 @@ import numpy as np
 from tolerances import assert_close
 
 import rasterizer
-from gsjax.training import sharding
+from gsjax.training.sharded import layout as sharding
 
 SLOTS, COLUMNS = 3, 2
 

@@ -12,12 +12,12 @@ import pytest
 from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
-from gsjax import views
+from gsjax import targets
 from gsjax.settings import Weights
-from gsjax.training import sharding
+from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import DEAD_LOGIT
-from gsjax.training.rules import RULES
-from gsjax.training.sharded_step import make_sharded_step
+from gsjax.training.sharded import layout as sharding
+from gsjax.training.sharded.step import make_sharded_step
 from gsjax.training.state import initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
 
@@ -41,10 +41,10 @@ CASES = {"adc": (Weights(alpha=0.1), 2), "error": (SURFACE, 4)}
 
 @pytest.fixture(scope="module")
 def data():
-    found = views.views_of(photographed(cloud(80, seed=5), CAMERAS, with_mattes=True))
+    found = targets.views_of(photographed(cloud(80, seed=5), CAMERAS, with_mattes=True))
     normals = np.zeros((*SIZE[::-1], 3), np.int8)
-    normals[..., 2] = -views.NORMAL_UNIT
-    return views.with_normals(found, [normals] * 4)
+    normals[..., 2] = -targets.NORMAL_UNIT
+    return targets.with_normals(found, [normals] * 4)
 
 
 def start(rule, gaussians):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_scenes import camera_at, discs, plane
 
-from gsjax import cameras, render, views
+from gsjax import cameras, render, targets
 from gsjax.binding.beyond import OVER_BORDER, SAME_SURFACE, beyond_mesh
 from gsjax.scene import Pixels, frame_of
 
@@ -43,7 +43,7 @@ def mesh_depth(camera) -> np.ndarray:
 def masked_by(valid):
     """Both views, of which this much may be used."""
     pixels = Pixels(np.zeros((32, 40, 3), np.uint8), valid=valid)
-    return views.views_of([frame_of("", np.asarray(c.viewmat), np.asarray(c.K), pixels) for c in CAMERAS])
+    return targets.views_of([frame_of("", np.asarray(c.viewmat), np.asarray(c.K), pixels) for c in CAMERAS])
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from small_scenes import camera_at
 
-from gsjax import cameras, gallery, render
+from gsjax import cameras, render
 from gsjax.binding.bound import BoundGaussians, bind
 from gsjax.cameras import Camera, look_at
 from gsjax.mesh import Mesh
+from gsjax.render import gallery
 
 WAVE, EDGE, VERTICES_A_SIDE = 0.3, 0.03, 50  # of the stripes, of a triangle
 ELEVATION = np.radians(38)

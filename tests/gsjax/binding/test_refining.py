@@ -9,7 +9,7 @@ import pytest
 from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
-from gsjax import config, gallery, render, views
+from gsjax import config, render, targets
 from gsjax.binding import refining
 from gsjax.binding.bound import bind, to_mesh
 from gsjax.binding.hybrid import Hybrid, with_free
@@ -18,10 +18,11 @@ from gsjax.binding.refining import PRESETS, Refinement, RefinementRates
 from gsjax.errors import InputError
 from gsjax.measures import geometry
 from gsjax.mesh import Mesh
+from gsjax.render import gallery
 from gsjax.scene import Pixels, frame_of, with_pixels
 from gsjax.training.loop import view_order
 from gsjax.training.step import BACKGROUNDS
-from gsjax.training.surface_terms import distortion
+from gsjax.training.terms.surface import distortion
 
 EXTENT = 4.0
 SETTINGS = Refinement(
@@ -61,7 +62,7 @@ def scene():
         for i, (c, p) in enumerate(zip(cameras, photos, strict=True))
     )
     return SimpleNamespace(
-        truth=truth, rough=rough, frames=frames, data=views.views_of(frames), graph=mesh_graph(truth.faces)
+        truth=truth, rough=rough, frames=frames, data=targets.views_of(frames), graph=mesh_graph(truth.faces)
     )
 
 
@@ -152,7 +153,7 @@ def test_distortion_is_that_of_the_discs_as_they_are_drawn(scene):
 
     @jax.jit
     def drawn(gaussians):
-        batch = views.batch(target, black)
+        batch = targets.batch(target, black)
         view = render.view(gaussians, batch.camera, capacity=16384, background=black, with_depth=True)
         return distortion(gaussians, view, batch)
 
@@ -287,7 +288,7 @@ def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):
     monkeypatch.setattr(refining, "make_refine_step", make_refine_step)
     state, optimizer = started(scene)
     solid = tuple(with_pixels(f, f.pixels()._replace(matte=np.full((48, 48), 255, np.uint8))) for f in scene.frames)
-    for data in (scene.data, views.views_of(solid)):
+    for data in (scene.data, targets.views_of(solid)):
         refining.refine(
             replace(SETTINGS, steps=1),
             scene.graph,

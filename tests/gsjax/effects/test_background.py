@@ -10,12 +10,12 @@ from photographed_wall import gains, radii2, relit, wall
 from small_scenes import camera_at
 from tolerances import assert_close
 
-from gsjax import backdrop
 from gsjax.cameras import Camera
 from gsjax.effects import background
 from gsjax.effects.observations import observe
 from gsjax.errors import InputError
-from gsjax.pipeline.effects import joined
+from gsjax.planning.effects import joined
+from gsjax.render import backdrop
 from gsjax.scene import with_pixels
 from gsjax.settings import Settings
 

@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from gsjax.effects.blur import judge, left_out
 from gsjax.effects.observations import observe
-from gsjax.pipeline.diagnose import looked_at
+from gsjax.planning.effects import looked_at
 from gsjax.scene import with_pixels
 from gsjax.settings import Settings
 

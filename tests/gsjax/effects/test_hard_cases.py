@@ -11,7 +11,7 @@ import pytest
 from photographed_wall import wall
 from small_scenes import cloud
 
-from gsjax import render, views
+from gsjax import render, targets
 from gsjax.effects import exposure
 from gsjax.effects.appearance import simulations, start
 from gsjax.effects.model import LIMIT, aimed, behind, initial_state, photographed, trusted, updated
@@ -101,11 +101,11 @@ def test_values_gradients_and_a_step_are_finite(name, of_twelve):
     state = initial_state(effects)
     assert set(state.numbers) == set(SIMULATED)
     assert np.abs(exposure.log_gains(state.numbers["exposure"])).max() <= LIMIT
-    target = views.numbered(views.views_of(scene.frames)).targets[0]
+    target = targets.numbered(targets.views_of(scene.frames)).targets[0]
     target = replace(target, valid=np.ones(target.image.shape[:2], bool) if target.valid is None else target.valid)
     other_gauge = name in ("one photo", "cameras in one place")
     slopes_of = program(effects) if other_gauge else of_twelve
-    value, (slopes, of_gaussians) = slopes_of(state.numbers, CLOUD, views.batch(target, BLACK))
+    value, (slopes, of_gaussians) = slopes_of(state.numbers, CLOUD, targets.batch(target, BLACK))
     after = updated(effects, state, slopes)
     for leaf in jax.tree.leaves((value, slopes, of_gaussians, after.numbers)):
         assert np.isfinite(leaf).all()

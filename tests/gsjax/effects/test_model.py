@@ -12,7 +12,7 @@ from gsjax.effects.appearance import Appearance, fitted, relit
 from gsjax.effects.model import FINAL, HOLD, LIMIT, RATE, WARM_UP, learning_rate, photographed
 from gsjax.render import View
 from gsjax.scene import Pixels, frame_of
-from gsjax.views import Batch
+from gsjax.targets import Batch
 
 CAMERA = camera_at(size=(32, 24))
 GAINS = np.array([[0.2, -0.1, 0.0], [0.1, 0.3, -0.4]], np.float32)

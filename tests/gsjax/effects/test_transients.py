@@ -15,7 +15,7 @@ from gsjax.effects.model import initial_state as effects_state
 from gsjax.effects.model import trusted, updated
 from gsjax.render import View
 from gsjax.settings import Density
-from gsjax.views import Batch
+from gsjax.targets import Batch
 
 CAMERA = camera_at(size=(32, 24))
 RATE = optax.constant_schedule(transients.RATE)

@@ -7,7 +7,6 @@ import pytest
 
 from gsjax import gaussians as gs
 from gsjax.errors import InputError
-from gsjax.gallery import Picture
 from gsjax.mesh import Mesh, face_normals, signed_volume
 from gsjax.meshing import boxes, extract_mesh, methods
 from gsjax.meshing.boxes import Box, Region
@@ -17,6 +16,7 @@ from gsjax.meshing.methods import centers_poisson
 from gsjax.meshing.orientation import facing_share, outward
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
+from gsjax.render.gallery import Picture
 
 ALL = {
     "depth": depth_poisson(smoothed_depth_normals, 100_000),

@@ -5,13 +5,14 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from gsjax import gallery, nearest
+from gsjax import nearest
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set, neighborhood
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.neighborhood import Neighborhood
 from gsjax.nearest import nearest_table
+from gsjax.render import gallery
 
 WALL = Camera(
     np.eye(4, dtype=np.float32) + np.float32([[0] * 4, [0] * 4, [0, 0, 0, 2], [0] * 4]),

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from gsjax import gallery
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
 from gsjax.mesh import signed_volume
 from gsjax.meshing.export import read_mesh
-from gsjax.pipeline import viewpoints
 from gsjax.pipeline.mesh import METHODS, mesh
-from gsjax.pipeline.result import write_views
+from gsjax.render import gallery
+from gsjax.runs import viewpoints
+from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, frame_of
 
 
@@ -65,7 +65,7 @@ def lumpy(ball, tmp_path_factory):
     for name in ("masked", "unmasked"):
         folders[name] = tmp_path_factory.mktemp(name)
         write_gaussians(folders[name] / "gaussians.ply", both)
-        runs.write_json(folders[name] / "config.json", {"background": "black"})
+        json_files.write(folders[name] / "config.json", {"background": "black"})
     frames, count = [], 0
     for index, (camera, picture) in enumerate(zip(ball.cameras, shown, strict=True)):
         hidden = ndimage.binary_dilation(picture.alphas > 0, iterations=1)

@@ -17,8 +17,8 @@ from gsjax.errors import InputError
 from gsjax.io import normal_folders
 from gsjax.io.normals import normal_maps
 from gsjax.io.scenes import load_scene
+from gsjax.networks.records import IMAGENET_MEAN, IMAGENET_STD, NETWORKS, Network
 from gsjax.normals.axes import axis_signs
-from gsjax.normals.networks import IMAGENET_MEAN, IMAGENET_STD, NETWORKS, Network
 
 WIDTH, HEIGHT = 60, 40
 OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])

@@ -10,7 +10,7 @@ import pytest
 from gsjax import cli, config, pipeline
 from gsjax.binding.refining import PRESETS, Refinement
 from gsjax.errors import InputError
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.pipeline.scan import scan, table
 from gsjax.settings import PRESETS as TRAINING
 from gsjax.settings import Settings
@@ -38,7 +38,7 @@ def stages(monkeypatch):
         return run
 
     def run_folder(*arguments):
-        runs.write_json(arguments[1] / "manifest.json", {"status": "done"})
+        json_files.write(arguments[1] / "manifest.json", {"status": "done"})
         return {"psnr": 30.0}
 
     def product(*arguments):
@@ -84,7 +84,7 @@ def test_every_stage_leaves_its_work_where_its_command_would(stages, photos, tmp
         ("texture", "scan/refined", "scan/refined/mesh.ply", "scan/mesh.glb"),
     ]
     assert calls[0][-1] == {"frames": 30}
-    assert runs.read_json(out / "report.json") == runs._plain(report)
+    assert json_files.read(out / "report.json") == json_files.plain(report)
     assert (out / "report.html").exists()
     rows = table(report)
     assert list(rows) == ["sfm", "train", "mesh", "refine", "texture"]
@@ -158,7 +158,7 @@ def test_the_command_refines_as_long_as_it_trains(monkeypatch, preset, length):
 
 def test_panels_are_drawn_in_rows_under_their_titles(tmp_path):
     from gsjax.io.images import image_size
-    from gsjax.pipeline.panels import draw_panels
+    from gsjax.report.panels import draw_panels
 
     pictures = {f"picture {i}": np.full((20, 30, 3), 40 * i, np.uint8) for i in range(5)}
     wide = draw_panels(pictures, tmp_path / "a.png", columns=5)

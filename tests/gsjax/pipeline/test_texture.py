@@ -5,7 +5,7 @@ import pytest
 import small_scenes
 
 from gsjax import cli, pipeline
-from gsjax.io import ply, runs
+from gsjax.io import json_files, ply
 from gsjax.io.images import write_image
 from gsjax.mesh import Mesh
 from gsjax.meshing.export import read_textured, write_mesh
@@ -23,13 +23,13 @@ def folder(tmp_path_factory):
     colors = np.where((x < 0)[:, None], [0.9, 0.1, 0.1], [0.1, 0.2, 0.8])
     wall = small_scenes.discs(np.stack([x, y, np.full(x.size, 4.0)], -1), [0, 0, -1.0], 0.05, colors=colors)
     ply.write_gaussians(folder / "gaussians.ply", wall)
-    runs.write_json(folder / "config.json", {"background": "white"})
+    json_files.write(folder / "config.json", {"background": "white"})
     cameras = [small_scenes.camera_at((at, 0.1, 0), (0, 0, 4), size=(64, 48), focal=60) for at in (-0.5, 0.0, 0.5, 1.0)]
     records = [
         {"name": f"{k}.png", "width": 64, "height": 48, "viewmat": c.viewmat, "K": c.K, "held_out": k == 3}
         for k, c in enumerate(cameras)
     ]
-    runs.write_json(folder / "cameras.json", records)
+    json_files.write(folder / "cameras.json", records)
     corners = np.array([[-1, -1, 4], [1, -1, 4], [1, 1, 4], [-1, 1, 4]], np.float32)
     faces = np.array([[0, 2, 1], [0, 3, 2]], np.int32)
     write_mesh(folder / "grey.ply", Mesh(corners, faces, np.full((4, 3), 128, np.uint8)))
@@ -76,7 +76,7 @@ def _color_at(textured, point):
 def test_where_photos_are_masked_the_mesh_keeps_its_own_colours(folder, tmp_path):
     for name in ("gaussians.ply", "config.json"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
-    records = runs.read_json(folder / "cameras.json")
+    records = json_files.read(folder / "cameras.json")
     x = np.arange(64) + 0.5
     for record in records:
         viewmat, K = np.array(record["viewmat"]), np.array(record["K"])
@@ -84,7 +84,7 @@ def test_where_photos_are_masked_the_mesh_keeps_its_own_colours(folder, tmp_path
         column = on_wall + (np.linalg.inv(viewmat) @ [0, 0, 4, 1])[0]
         record["mask"] = f"masks/{record['name']}"
         write_image(tmp_path / record["mask"], np.tile(np.where(column > 0.1, 255, 0).astype(np.uint8), (48, 1)))
-    runs.write_json(tmp_path / "cameras.json", records)
+    json_files.write(tmp_path / "cameras.json", records)
     command = ["texture", str(tmp_path), "--mesh", str(folder / "grey.ply"), "--out", str(tmp_path / "half.glb")]
     assert cli.main([*command, "--size", str(SIZE)]) == 0
     textured = read_textured(tmp_path / "half.glb")
@@ -137,8 +137,8 @@ def test_a_texture_too_small_for_the_triangles_is_one_line(folder, tmp_path, cap
 def test_a_run_without_training_views_is_one_line(folder, tmp_path, capsys):
     for name in ("gaussians.ply", "config.json"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
-    records = runs.read_json(folder / "cameras.json")
-    runs.write_json(tmp_path / "cameras.json", [record | {"held_out": True} for record in records])
+    records = json_files.read(folder / "cameras.json")
+    json_files.write(tmp_path / "cameras.json", [record | {"held_out": True} for record in records])
     command = ["texture", str(tmp_path), "--mesh", str(folder / "grey.ply"), "--out", str(tmp_path / "t.glb")]
     assert cli.main(command) == 2
     assert "has no training views to look from" in capsys.readouterr().err

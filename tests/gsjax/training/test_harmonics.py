@@ -9,7 +9,7 @@ import pytest
 from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
-from gsjax import views
+from gsjax import targets
 from gsjax.scene import Pixels, with_pixels
 from gsjax.settings import Phase, Rates, Settings, Weights
 from gsjax.training import harmonics, trial
@@ -68,14 +68,14 @@ def test_what_is_cut_is_nowhere():
 
 @pytest.fixture(scope="module")
 def data():
-    return views.numbered(views.views_of(photographed(scene(1.0), CAMERAS)))
+    return targets.numbered(targets.views_of(photographed(scene(1.0), CAMERAS)))
 
 
 def test_photos_are_kept_whole(data):
     shown, kept = trial.by_photo(data)
     assert [int(t.photo) for t in kept.targets] == [4]
     assert sorted(int(t.photo) for t in (*shown.targets, *kept.targets)) == list(range(10))
-    few, last = trial.by_photo(views.Views(data.targets[:2]))
+    few, last = trial.by_photo(targets.Views(data.targets[:2]))
     assert [int(t.photo) for t in (*few.targets, *last.targets)] == [0, 1]
 
 
@@ -85,7 +85,7 @@ def test_every_pixel_is_shown_or_kept_and_every_place_kept_somewhere(data):
         assert (one.valid ^ other.valid).all()
     assert np.mean([t.valid.mean() for t in kept.targets]) == pytest.approx(1 / trial.KEPT, abs=0.03)
     assert np.any([t.valid for t in kept.targets], axis=0).all()
-    masked = views.Views((replace(data.targets[0], valid=np.zeros((32, 40), bool)),))
+    masked = targets.Views((replace(data.targets[0], valid=np.zeros((32, 40), bool)),))
     assert not any(part.targets[0].valid.any() for part in trial.by_block(masked))
 
 

@@ -8,16 +8,16 @@ import optax
 import pytest
 from small_scenes import camera_at, cloud, photographed
 
-from gsjax import views
+from gsjax import targets
 from gsjax.effects.model import NO_EFFECTS, Effect
 from gsjax.errors import InputError
 from gsjax.gaussians import opacities
 from gsjax.scene import with_pixels
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
 from gsjax.training import loop
+from gsjax.training.growth.rules import RULES
 from gsjax.training.loop import fit, planned_phases, view_order
 from gsjax.training.optimizers import make_optimizer
-from gsjax.training.rules import RULES
 from gsjax.training.state import count_alive, initial_state
 from gsjax.training.step import BACKGROUNDS, active_terms
 
@@ -165,8 +165,8 @@ def entered(monkeypatch):
         phases.append((phase.name, scales[-1], steps, capacity))
         return state
 
-    unreduced = views.views_of
-    monkeypatch.setattr(views, "views_of", stacked)
+    unreduced = targets.views_of
+    monkeypatch.setattr(targets, "views_of", stacked)
     monkeypatch.setattr(loop, "_run_phase", run_phase)
     return phases
 

@@ -8,12 +8,12 @@ import pytest
 
 from gsjax.settings import Density, Rates
 from gsjax.training import rows
-from gsjax.training.density_control import GrowthStatistics
-from gsjax.training.error_driven import ErrorStatistics
+from gsjax.training.growth.adaptive import GrowthStatistics
+from gsjax.training.growth.error_driven import ErrorStatistics
+from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import from_points
 from gsjax.training.optimizers import apply_gradients, make_optimizer
 from gsjax.training.rows import bucket, lengthened, with_room_to_densify
-from gsjax.training.rules import RULES
 from gsjax.training.state import count_alive, densify, initial_state
 
 OPTIMIZER = make_optimizer(Rates(), 1.0, 10)

@@ -9,15 +9,16 @@ from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
 import rasterizer
-from gsjax import render, views
+from gsjax import render, targets
 from gsjax.gaussians import opacities
 from gsjax.measures.images import psnr
 from gsjax.settings import Density, Rates, Weights
-from gsjax.training import density_control, surroundings
+from gsjax.training import surroundings
 from gsjax.training.capacity import chosen_capacity, largest_need
+from gsjax.training.growth import adaptive as density_control
+from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.optimizers import make_optimizer
-from gsjax.training.rules import RULES
 from gsjax.training.state import count_alive, cull, densify, initial_state, reset_opacities
 from gsjax.training.step import BACKGROUNDS, active_terms, in_photo, make_train_step
 
@@ -41,7 +42,7 @@ def setup(empty_caches):
         sh_every=SH_EVERY,
         rule=RULES["adc"],
     )
-    data = views.views_of(photographed(cloud(200, seed=5), CAMERAS, with_mattes=True))
+    data = targets.views_of(photographed(cloud(200, seed=5), CAMERAS, with_mattes=True))
     return SimpleNamespace(optimizer=optimizer, step=step, data=data)
 
 
@@ -90,7 +91,7 @@ def test_the_report_is_of_the_view_before_the_update(setup):
     gaussians = copied(before.gaussians)
     color = BACKGROUNDS["random"](jax.random.fold_in(KEY, 0))
     _, metrics = setup.step(before, setup.data.targets[1], KEY)
-    batch = views.batch(setup.data.targets[1], color)
+    batch = targets.batch(setup.data.targets[1], color)
     view = jax.jit(render.view, static_argnames="capacity")(
         gaussians, batch.camera, capacity=PAIRS, background=color, active_degree=0
     )
@@ -272,9 +273,9 @@ def test_the_capacity_holds_every_view_with_headroom(setup):
 
 def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     normals = np.zeros((*SIZE[::-1], 3), np.int8)
-    normals[..., 2] = -views.NORMAL_UNIT
+    normals[..., 2] = -targets.NORMAL_UNIT
     normals[0, 0] = 0  # a hole
-    data = views.with_normals(setup.data, [normals] * 3)
+    data = targets.with_normals(setup.data, [normals] * 3)
     # One of the readings of R that are composited stands for the others, each of which is another pass to compile.
     others = {"axis_normal", "sdf_central", "sdf_bicubic", "sdf_offset", "density_center", "density_offset"}
     weights = Weights(**{name: 0.0 if name in others else 0.1 for name in Weights().__dict__})

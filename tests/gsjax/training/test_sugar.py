@@ -14,9 +14,9 @@ from tolerances import assert_close
 from gsjax.density_field import Kernels
 from gsjax.gaussians import rotation_matrices
 from gsjax.render import Surroundings, View
+from gsjax.targets import Batch
 from gsjax.training import sugar, surroundings
 from gsjax.training.sugar import Sample, sugar_density, sugar_sdf
-from gsjax.views import Batch
 
 COUNT, DISTANCE, EXTENT = 36, 4.0, 2.5
 CAMERA = camera_at(size=(40, 36), focal=36.0)

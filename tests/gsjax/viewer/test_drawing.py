@@ -6,11 +6,11 @@ import pytest
 from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
-from gsjax import backdrop, gallery
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.normals.from_depth import depth_normals
-from gsjax.pipeline.pictures import to_bytes
+from gsjax.render import backdrop, gallery
+from gsjax.report.pictures import to_bytes
 from gsjax.scene import Pixels, frame_of
 from gsjax.viewer import drawing
 from gsjax.viewer.drawing import Drawer, bare

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from small_scenes import camera_at, cloud
 
-from gsjax import backdrop, cli
+from gsjax import cli
 from gsjax.errors import InputError
+from gsjax.render import backdrop
 from gsjax.viewer import page as pages
 from gsjax.viewer.desk import Desk
 from gsjax.viewer.page import BY_BROWSER, CAMERAS, SHOW, SIDE, News, Page, check_port

@@ -10,14 +10,14 @@ from small_scenes import camera_at, cloud
 from gsjax import cli
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.io import runs
+from gsjax.io import json_files
 from gsjax.io.compressed_ply import write_compressed_ply
 from gsjax.io.ply import write_gaussians
 from gsjax.io.spz import write_spz
 from gsjax.mesh import Mesh
 from gsjax.meshing.export import glb_bytes, read_mesh, write_mesh
-from gsjax.pipeline import viewpoints
-from gsjax.pipeline.result import write_views
+from gsjax.runs import viewpoints
+from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, frame_of
 from gsjax.viewer.subject import open_subject
 
@@ -36,7 +36,7 @@ def run(tmp_path):
         frame_of(f"{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image)) for k, c in enumerate(CAMERAS)
     ]
     folder = tmp_path / "run"
-    runs.write_json(folder / "config.json", {"background": "white"})
+    json_files.write(folder / "config.json", {"background": "white"})
     write_gaussians(folder / "gaussians.ply", cloud(30))
     write_views(folder, tuple(frames))
     return folder
@@ -105,9 +105,9 @@ def colors_of(glb):
 
 
 def test_cameras_in_all_directions_have_an_up_all_the_same(run):
-    records = runs.read_json(run / "cameras.json")
+    records = json_files.read(run / "cameras.json")
     turned = np.diag([-1.0, -1.0, 1.0, 1.0]) @ np.asarray(records[0]["viewmat"])  # Upside down.
-    runs.write_json(run / "cameras.json", [records[0], {**records[0], "name": "b", "viewmat": turned}])
+    json_files.write(run / "cameras.json", [records[0], {**records[0], "name": "b", "viewmat": turned}])
     up = open_subject(run).up
     np.testing.assert_allclose(up, -np.asarray(records[0]["viewmat"])[1, :3], atol=1e-6)
 

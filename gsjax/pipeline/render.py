@@ -1,0 +1,49 @@
+"""Pictures of a run: colour, depth and normals of its views or from a circle around the scene."""
+
+from pathlib import Path
+from typing import Literal
+
+from tqdm import tqdm
+
+from gsjax.errors import InputError
+from gsjax.io.files import make_folder
+from gsjax.io.images import write_image
+from gsjax.render import gallery
+from gsjax.report.pictures import depth_picture, surface_picture, to_bytes
+from gsjax.runs.result import open_result
+from gsjax.runs.viewpoints import circle
+
+
+def render(run: str | Path, out: str | Path, *, which: Literal["all", "held_out", "turntable"] = "all") -> Path:
+    """Write NAME_color.png, NAME_depth.png and NAME_normal.png for each chosen view.
+
+    Args:
+        run: Run folder, or a file of Gaussians.
+        out: Folder for the pictures.
+        which: Every view of the run, the held-out ones, or a circle around the scene.
+
+    Returns:
+        `out`.
+
+    Raises:
+        InputError: The run cannot be read or the pictures cannot be written.
+    """
+    result = open_result(run)
+    if which == "turntable":
+        cameras = circle(result.gaussians, result.cameras)
+        names = [f"turn_{i:03d}" for i in range(len(cameras))]
+    else:
+        chosen = [i for i, held_out in enumerate(result.held_out) if held_out or which == "all"]
+        if not chosen:
+            raise InputError(f"{run}: has no held-out views to render")
+        cameras, names = [result.cameras[i] for i in chosen], [result.names[i] for i in chosen]
+    out = make_folder(out)
+    shown = gallery.pictures(result.gaussians, cameras, result.background, result.depth_mode)
+    for name, camera, picture in tqdm(
+        zip(names, cameras, shown, strict=True), total=len(cameras), desc="render", unit="view"
+    ):
+        stem = Path(name).with_suffix("").as_posix().replace("/", "_")
+        write_image(out / f"{stem}_color.png", to_bytes(picture.colors))
+        write_image(out / f"{stem}_depth.png", depth_picture(picture.depth))
+        write_image(out / f"{stem}_normal.png", surface_picture(picture.depth, camera))
+    return out

@@ -1,0 +1,1 @@
+"""What will run: how large, how long, on which devices, with which effects."""

@@ -1,0 +1,193 @@
+"""Which effects a run simulates, and what it tells of each photo and its camera afterwards."""
+
+import sys
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from gsjax.effects import background, blur, transients
+from gsjax.effects.appearance import (
+    Appearance,
+    Start,
+    appearances,
+    light_range,
+    moves,
+    simulations,
+    start,
+)
+from gsjax.effects.diagnosis import Diagnosis
+from gsjax.effects.diagnosis import diagnose as look
+from gsjax.effects.evidence import Evidence
+from gsjax.effects.model import Effects, EffectState, learning_rate
+from gsjax.effects.observations import observe
+from gsjax.errors import InputError
+from gsjax.planning.trials import WORTH, Trial, is_near, is_worthwhile
+from gsjax.runs.photography import Photography
+from gsjax.scene import Scene
+from gsjax.settings import AUTO, NONE, SIMULATED, Settings, named_effects, total_steps
+
+_PLAIN = {"black": 0.0, "white": 1.0}  # what `Settings.background` lays under the renders
+
+
+def diagnosed(scene: Scene) -> Diagnosis:
+    """The diagnosis of a loaded data set, a bar meanwhile."""
+    return look(scene, progress=lambda frames: tqdm(list(frames), desc="diagnose", unit="photo", leave=False))
+
+
+class Looked(NamedTuple):
+    """A data set without the photos that are too blurred to be trained on."""
+
+    scene: Scene
+    found: Diagnosis | None = None  # of its photos; None: nobody looked
+    left_out: tuple[str, ...] = ()  # names
+
+
+def looked_at(settings: Settings, scene: Scene) -> Looked:
+    """The data set as the run trains on it, and what its photos show if the run asks; one line says what was left out.
+
+    Raises:
+        InputError: A photo or the tracks cannot be read.
+    """
+    if settings.effects == NONE:
+        return Looked(scene)
+    found = diagnosed(scene)
+    is_asked = settings.effects == AUTO or "blur" in named_effects(settings.effects)
+    names = blur.left_out(found.seen) if is_asked else ()
+    if not names:
+        return Looked(scene, found)
+    print(f"train: too blurred, left out: {', '.join(names)}", file=sys.stderr)
+    sharp = replace(scene, frames=tuple(frame for frame in scene.frames if frame.name not in names))
+    again = diagnosed(sharp)
+    return Looked(sharp, replace(again, effects=again.effects | {"blur": found.effects["blur"]}), names)
+
+
+@dataclass(frozen=True)
+class Joined:
+    """The effects of a run."""
+
+    effects: Effects = field(default_factory=dict)
+    begun: Start | None = None  # None: of no effects
+    evidence: dict[str, Any] | None = None  # for the manifest; None: nobody looked
+    tries_degrees: bool = False  # whether the run cuts its harmonics to those that photos do not miss
+
+    def paced(self, settings: Settings) -> Settings:
+        """The settings as these effects need them."""
+        if "transients" not in self.effects:
+            return settings
+        growing = sum(phase.steps for phase in settings.phases if phase.density_control)
+        return replace(settings, density=transients.patient(settings.density, growing))
+
+    def photography(self, state: EffectState | None) -> Photography:
+        """What the state says of the photos."""
+        if state is None or self.begun is None:
+            return Photography()
+        behind = state.numbers.get("background")
+        return Photography(
+            appearances(self.begun, state),
+            moves(self.begun, state),
+            None if behind is None else np.asarray(behind),
+        )
+
+
+def joined(settings: Settings, scene: Scene, trial: Trial | None = None, looked: Looked | None = None) -> Joined:
+    """The effects that the settings name or, of "auto", that the photos show; one line says which.
+
+    Args:
+        settings: The run.
+        scene: Its data set, at the size that is trained on.
+        trial: Decides, of "auto", where evidence is near its threshold. None, or a short run: the threshold does.
+        looked: What `looked_at` found, if it was asked.
+
+    Raises:
+        InputError: A photo or the tracks cannot be read, or a background is asked for behind mattes.
+    """
+    if settings.effects == NONE:
+        return Joined()
+    looked = looked or looked_at(settings, scene)
+    scene, found = looked.scene, looked.found
+    assert found is not None, "somebody looked"
+    wanted = set(named_effects(settings.effects))
+    is_auto = settings.effects == AUTO
+    near = [name for name in SIMULATED if is_auto and is_near(name, found.effects[name])]
+    is_on = [name for name in SIMULATED if found.effects[name].on] if is_auto else [*wanted]
+    if _is_laid(found, settings, {*is_on, *near}):
+        found = replace(found, effects=found.effects | {"background": _laid(found.effects["background"], settings)})
+        near = [name for name in near if name != "background"]
+    if is_auto:
+        if trial is not None and is_worthwhile(settings):
+            found = replace(found, effects=found.effects | _tried(found, near, trial))
+        wanted = {name for name in SIMULATED if found.effects[name].on}
+    chosen = [name for name in SIMULATED if name in wanted]
+    print(f"train: effects: {', '.join(chosen) or 'none that the photos show'}", file=sys.stderr)
+    evidence = {"simulated": chosen, "left_out": list(looked.left_out), "evidence": found.record()["effects"]}
+    tries_degrees = "sh_degree" in wanted and settings.sh_degree > 0
+    if tries_degrees and grown(settings) is None:
+        raise InputError(
+            f"--effects {settings.effects}: no phase comes after those of density control, to go on with fewer"
+            " harmonics; leave sh_degree out"
+        )
+    if not chosen:
+        return Joined(evidence=evidence, tries_degrees=tries_degrees)
+    density = settings.density
+    rate = partial(
+        learning_rate,
+        total_steps(settings),
+        reset_every=density.reset_every,
+        resets_stop=min(density.stop, total_steps(settings)),
+    )
+    if "background" in chosen and any(facts.has_matte for facts in found.seen.facts):
+        raise InputError(
+            f"--effects {settings.effects}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
+            " leave background out"
+        )
+    begun = start(found.seen, chosen)
+    return Joined(simulations(begun, chosen, rate), begun, evidence, tries_degrees)
+
+
+def grown(settings: Settings) -> int | None:
+    """How many phases have run when no Gaussians multiply any more; None where none comes then."""
+    last = max((index for index, phase in enumerate(settings.phases, 1) if phase.density_control), default=0)
+    return last if last < len(settings.phases) else None
+
+
+def _tried(found: Diagnosis, near: list[str], trial: Trial) -> dict[str, Evidence]:
+    """The evidence of effects that are near their threshold, decided by what a trial of each brings."""
+    on = [name for name in SIMULATED if found.effects[name].on and name not in near]
+    gains = trial(found.seen, on, near) if near else {}
+    told = {name: f"near its threshold, a trial of it brings {gain:+.2f} dB" for name, gain in gains.items()}
+    return {
+        name: each._replace(on=gains[name] >= WORTH, note=f"{told[name]} (needs {WORTH}); {each.note}")
+        for name, each in found.effects.items()
+        if name in gains
+    }
+
+
+def _is_laid(found: Diagnosis, settings: Settings, light: Collection[str]) -> bool:
+    """Whether what looks like sky is the colour that the run lays under its renders, seen through effects on light."""
+    if settings.background not in _PLAIN:
+        return False
+    reached = light_range(start(found.seen, light), found.seen.frames, light)
+    return background.is_one(found.seen, _PLAIN[settings.background], *reached)
+
+
+def _laid(evidence: Evidence, settings: Settings) -> Evidence:
+    """The evidence of a sky whose one colour the run lays under its renders anyway: nothing is left to simulate."""
+    note = f"off: --background {settings.background} lays that colour there; {evidence.note}"
+    return evidence._replace(on=False, note=note) if evidence.on else evidence
+
+
+def appearances_of_tracks(scene: Scene) -> dict[str, Appearance]:
+    """Gains of all photos as their tracks tell them, no fall-off: to score a scene that took nothing in.
+
+    Raises:
+        InputError: A photo or the tracks cannot be read.
+    """
+    begun = start(observe(scene), ("exposure",))
+    return {
+        name: Appearance(tuple(gains.tolist()), (0.0, 0.0))
+        for name, gains in zip(begun.names, begun.log_gains, strict=True)
+    }

@@ -1,0 +1,60 @@
+"""How long a run will take, from the time that its first steps took."""
+
+import time
+
+from gsjax.settings import Phase, Settings
+from gsjax.training.loop import planned_phases
+from gsjax.training.step import active_terms
+from gsjax.training.terms.losses import NEEDS_NEIGHBOR, SURFACE_TERMS
+
+# What makes a step longer, in units of one of the image alone (docs/deviations.md, "Terms of other mesh makers"):
+SURFACE_COST, NEIGHBOR_COST = 1.0, 1.5  # a term of the surface, a second view beside the first
+FIXED_COST = 0.35  # Of a step at full size, what does not shrink with the photos: the Gaussians' own part.
+UNTIMED, TIMED = 3, 15  # Steps of a phase: the first ones compile, the next ones are timed.
+
+
+class Pace:
+    """Times the first steps of every phase."""
+
+    def __init__(self):
+        """Before the first step."""
+        self._phase: Phase | None = None
+        self._steps, self._began = 0, 0.0
+
+    def seconds_per_step(self, phase: Phase) -> float | None:
+        """To be called after every step: a number once a phase, when enough of its steps have been timed."""
+        if phase is not self._phase:
+            self._phase, self._steps = phase, 0
+        self._steps += 1
+        if self._steps == UNTIMED:
+            self._began = time.perf_counter()
+        done = self._steps == UNTIMED + TIMED
+        return (time.perf_counter() - self._began) / TIMED if done else None
+
+
+def relative_cost(phase: Phase) -> float:
+    """A step of a phase, on average, in units of a photometric step at full size."""
+    terms = active_terms(phase.weights).keys()
+    dearer = SURFACE_COST * bool(terms & SURFACE_TERMS) + NEIGHBOR_COST * bool(terms & NEEDS_NEIGHBOR)
+    return (FIXED_COST + (1 - FIXED_COST) / phase.image_scale**2) * (1 + dearer / phase.surface_every)
+
+
+def seconds_left(settings: Settings, step: int, phase: Phase, seconds_per_step: float) -> float:
+    """Seconds for the steps after `step`, at the pace of the phase that runs.
+
+    The Gaussians still multiply where density control is on, so it is an early guess there; it is made anew when
+    each phase begins.
+    """
+    unit, left, start = seconds_per_step / relative_cost(phase), 0.0, 0
+    for planned in planned_phases(settings):
+        end = start + planned.steps
+        left += max(end - max(step, start), 0) * relative_cost(planned) * unit
+        start = end
+    return left
+
+
+def spoken(seconds: float) -> str:
+    """A duration as one says it: `40 s`, `12 min`, `3.5 h`."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,163 @@
+"""What the steps of a run take on this machine.
+
+The first steps of every phase are tried on a few of the photos, with as many Gaussians as the run is to have, and
+forgotten.
+"""
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from gsjax.gaussians import Gaussians
+from gsjax.planning.pace import relative_cost
+from gsjax.planning.sizes import training_extent
+from gsjax.scene import Frame, Scene, in_memory
+from gsjax.settings import Phase, Settings
+from gsjax.targets import NORMAL_UNIT
+from gsjax.training import initialize, loop, optimizers, surroundings
+from gsjax.training.growth.rules import RULES
+from gsjax.training.loop import Progress, planned_phases
+from gsjax.training.state import initial_state
+
+WARM, TIMED = 2, 8  # steps of a phase: the first ones compile, the next ones are timed
+PHOTOS = 8  # tried on
+GROWN = 10  # times the point cloud: Gaussians at the end where the rule of growth names no number
+HALF_GROWN = 0.5  # of these, over a phase in which they multiply
+WIDENED = 1.4  # by training: pairs of four runs on real photos end at 0.7 to 1.0 of what a trial then has
+PER_GAUSSIAN = 0.7  # of a step's time, what grows with the number of Gaussians (docs/accuracy_vs_time.md, every knob)
+
+Clock = Callable[[], float]
+
+
+class Trial(NamedTuple):
+    """What the phases of a run take on this machine."""
+
+    seconds_per_step: tuple[float, ...]  # on average, while Gaussians multiply
+    overhead: float  # seconds, of compiling all of them; one that multiplies again, for a longer list of pairs
+    plain_step: float  # seconds, of the image alone at full size, when all Gaussians are there
+    plain_program: float  # seconds that compiling one takes
+
+
+def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.perf_counter) -> Trial:
+    """Times the first steps of every kind of phase, each for `most` seconds at the longest.
+
+    All at the largest size that the run's phases have.
+
+    Args:
+        scene: The data set, of the size that the run looks at.
+        settings: The run.
+        most: Seconds; two steps are timed in any case.
+        clock: Tells seconds.
+    """
+    size = training_extent(scene)
+    spread = np.linspace(0, len(scene.train_frames) - 1, PHOTOS).astype(int)
+    frames = tuple(in_memory(scene.train_frames[index]) for index in dict.fromkeys(spread.tolist()))
+    compiling, known, at_largest = {}, {}, {}
+    phases = [replace(phase, name="", steps=WARM + TIMED, cull_below=0.0) for phase in planned_phases(settings)]
+    largest = largest_phase(settings)
+    for phase in phases:
+        # What smaller photos save is known well enough to spare their program.
+        large = replace(phase, image_scale=largest.image_scale)
+        if large not in at_largest:
+            moments = _moments(scene, frames, size, replace(settings, phases=(large,), vanilla=False), most, clock)
+            pace = float(np.median(np.diff(moments[WARM:])))
+            at_largest[large] = pace, max(moments[WARM] - moments[0] - WARM * pace, 0.0)
+        pace, compiling[phase] = at_largest[large]
+        known[phase] = pace * relative_cost(phase) / relative_cost(large)
+    shares = shares_alive(settings, len(scene.points))
+    paces = [known[phase] * step_cost(share) for phase, share in zip(phases, shares, strict=True)]
+    again = max((seconds for phase, seconds in compiling.items() if phase.density_control), default=0.0)
+    plain_pace, plain_program = min(at_largest.values())
+    plain_step = plain_pace / relative_cost(largest)
+    return Trial(tuple(paces), sum(compiling.values()) + again, plain_step, plain_program)
+
+
+def shares_alive(settings: Settings, points: int) -> list[float]:
+    """By phase, the mean share of the Gaussians at the end that are alive.
+
+    Args:
+        settings: The run.
+        points: That it starts from.
+    """
+    phases, density = planned_phases(settings), settings.density
+    if density.rule != "error":
+        return [HALF_GROWN if phase.density_control else 1.0 for phase in phases]
+    first = min(max(points, 1) / settings.max_gaussians, 1.0)
+    growing = max(density.full_by * (density.stop - density.start), 1)
+    ends = np.cumsum([phase.steps for phase in phases])
+    missing = [
+        1 - np.clip((np.arange(end - phase.steps, end) + 1 - density.start) / growing, 0, 1)
+        for phase, end in zip(phases, ends, strict=True)
+    ]
+    return [float(np.mean(first**each)) if len(each) else 1.0 for each in missing]
+
+
+class _EnoughError(Exception):
+    """Steps have been timed for long enough."""
+
+
+def _moments(
+    scene: Scene, frames: Sequence[Frame], size: float, settings: Settings, most: float, clock: Clock
+) -> list[float]:
+    """When the steps of the only phase ended, and before them when the first one began."""
+    (phase,) = settings.phases
+    # Nobody multiplies while the steps are timed; the statistics for it are gathered all the same.
+    still = replace(settings.density, start=phase.steps + 1, stop=phase.steps + 2, reset_every=0)
+    settings = replace(settings, density=still)
+    optimizer = optimizers.make_optimizer(settings.rates, size, phase.steps)
+    gaussians = _grown(scene, settings)
+    nearest = surroundings.found(gaussians) if surroundings.needed(phase) else None
+    state = initial_state(gaussians, optimizer, RULES[settings.density.rule], nearest=nearest)
+    moments = [clock()]
+
+    def note(progress: Progress) -> None:
+        del progress
+        moments.append(clock())
+        if len(moments) > WARM + 2 and moments[-1] - moments[WARM] > most:
+            raise _EnoughError
+
+    def facing(_: object) -> list[np.ndarray]:
+        return [np.tile(np.int8([0, 0, -NORMAL_UNIT]), (frame.height, frame.width, 1)) for frame in frames]
+
+    with contextlib.suppress(_EnoughError):
+        loop.fit(settings, frames, size, state, optimizer, prior=facing, observe=note)
+    return moments
+
+
+def _grown(scene: Scene, settings: Settings) -> Gaussians:
+    """As many Gaussians as the run ends with, about the points of the scene."""
+    points, colors = scene.points, scene.point_colors
+    most = settings.max_gaussians
+    count = most if settings.density.rule == "error" else min(most, GROWN * len(points))
+    if count > len(points):
+        rng = np.random.default_rng(0)
+        more = rng.integers(0, len(points), count - len(points))
+        spacing = np.asarray(KDTree(points).query(points, min(4, len(points)))[0]).reshape(len(points), -1)[:, -1]
+        moved = points[more] + spacing[more, None] * rng.normal(size=(len(more), 3)) / 2
+        points, colors = np.concatenate([points, moved.astype(np.float32)]), np.concatenate([colors, colors[more]])
+    chosen = np.linspace(0, len(points) - 1, count).astype(int)
+    gaussians = initialize.from_points(
+        points[chosen],
+        colors[chosen],
+        capacity=count,
+        sh_degree=settings.sh_degree,
+        opacity=0.5,
+        pixel_filter=settings.pixel_filter,
+    )
+    return replace(gaussians, log_scales=gaussians.log_scales + math.log(WIDENED))
+
+
+def step_cost(gaussians: float) -> float:
+    """A step with so many times the Gaussians, in steps with all of them."""
+    return 1 - PER_GAUSSIAN * (1 - gaussians)
+
+
+def largest_phase(settings: Settings) -> Phase:
+    """A phase of the image alone, its photos as large as any that the run looks at."""
+    return Phase("", 1, image_scale=min(phase.image_scale for phase in planned_phases(settings)))

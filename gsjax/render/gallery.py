@@ -1,0 +1,84 @@
+"""Many views of finished Gaussians as numpy pictures, with one compilation for all of them."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import rasterizer
+from gsjax import render
+from gsjax.cameras import Camera
+from gsjax.gaussians import Gaussians
+from gsjax.render import DepthReading, backdrop
+
+
+class Picture(NamedTuple):
+    """One rendered view, numpy."""
+
+    colors: np.ndarray  # [H, W, 3] float32, clipped to 0..1, over the background
+    depth: np.ndarray  # [H, W] float32 camera z, 0 where little covers the pixel
+    alphas: np.ndarray  # [H, W] float32
+    owners: np.ndarray | None = None  # [H, W] int32, who was hit: in whom half of a pixel's light is gone; -1: none
+
+
+def pictures(
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    background: np.ndarray,
+    depth_mode: DepthReading = "plane",
+    *,
+    with_owners: bool = False,
+) -> Iterator[Picture]:
+    """Render every camera over a background (see `gsjax.render.backdrop`); sizes may differ, as the cameras do.
+
+    Depth is as `depth_mode` says, see `gsjax.render.view`. Owners cost another pass over the pairs.
+    """
+    gaussians = jax.tree.map(jnp.asarray, gaussians)
+    width, height = max(c.width for c in cameras), max(c.height for c in cameras)
+    padded = [Camera(jnp.asarray(c.viewmat), jnp.asarray(c.K), width, height) for c in cameras]
+    needed = max(int(_needed(gaussians, camera)) for camera in padded)
+    capacity = rasterizer.capacity_bucket(needed)
+    for camera, own in zip(padded, cameras, strict=True):
+        color = jnp.asarray(background, jnp.float32)
+        shown = _shown(gaussians, camera, color, capacity=capacity, depth_mode=depth_mode, with_owners=with_owners)
+        yield Picture(*(np.asarray(x)[: own.height, : own.width] for x in shown))
+
+
+def masked(pictures: Iterable[Picture], valid: Iterable[np.ndarray | None]) -> Iterator[Picture]:
+    """The same pictures with nothing in them, in colour, depth, coverage and owners, where their photos say nothing.
+
+    Args:
+        pictures: One a view; looked at one by one, as `valid` is.
+        valid: `[H, W]` bool a view, False where its photo must not be used; None: it may be everywhere.
+    """
+    for picture, usable in zip(pictures, valid, strict=True):
+        if usable is None:
+            yield picture
+        else:
+            colors = np.where(usable[..., None], picture.colors, 0)
+            depth, alphas = np.where(usable, picture.depth, 0), np.where(usable, picture.alphas, 0)
+            owners = None if picture.owners is None else np.where(usable, picture.owners, -1)
+            yield Picture(colors, depth, alphas, owners)
+
+
+_needed = jax.jit(render.needed_capacity)
+
+
+@partial(jax.jit, static_argnames=("capacity", "depth_mode", "with_owners"))
+def _shown(
+    gaussians: Gaussians,
+    camera: Camera,
+    background: jax.Array,
+    *,
+    capacity: int,
+    depth_mode: DepthReading,
+    with_owners: bool,
+) -> tuple[jax.Array, ...]:
+    under = backdrop.behind(background, camera)
+    view = render.view(gaussians, camera, capacity=capacity, background=under, with_depth=True, depth_mode=depth_mode)
+    assert view.depth is not None  # as asked for
+    shown = jnp.clip(view.colors, 0, 1), view.depth, view.alphas
+    return (*shown, render.owners(view.splats)) if with_owners else shown

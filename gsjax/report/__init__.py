@@ -1,0 +1,1 @@
+"""A run on one page: facts from its folder, curves, pictures."""

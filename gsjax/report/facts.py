@@ -1,0 +1,239 @@
+"""What the files of a run folder say, in the words and rows of its report."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gsjax import runs, tables
+from gsjax.errors import InputError
+from gsjax.io import json_files
+from gsjax.report.curves import Chart, Curve, chart
+from gsjax.settings import NORMAL_TERMS
+
+AXES = {"steps": "step", "seconds": "seconds"}  # Name of an axis, and what a line of metrics calls it.
+CHARTS = {
+    "Loss": {"loss": "loss"},
+    "PSNR, dB": {
+        "training view": "psnr",
+        "held-out views": "held_out_psnr",
+        "held-out views, exposed as photos near them": "held_out_psnr_near_gains",
+    },
+    "Gaussians": {"Gaussians": "gaussians"},
+}
+CAME_OF_IT = ("registered", "points", "psnr", "ssim", "gaussians", "vertices", "faces", "seen_share")
+ALIGNED = sorted(NORMAL_TERMS - {"coverage"})  # terms that turn something to the normals
+LEFT_OUT_OF_VANILLA = (*ALIGNED, "entropy", "thickness", "coverage")
+SPLITS = {"auto": "the data set's own split, else every 8th photo by name", "none": "asked for: all photos train"}
+
+Rows = list[tuple[str, ...]]
+
+
+class RunFacts(NamedTuple):
+    """One run folder, read."""
+
+    folder: Path
+    manifest: dict[str, Any]
+    settings: dict[str, Any]
+    views: list[dict[str, Any]]  # of cameras.json; empty before the run has finished
+    history: list[dict[str, Any]]  # of metrics.jsonl, and the last score of the held-out views
+
+    @property
+    def is_refinement(self) -> bool:
+        """Whether a mesh was trained with its Gaussians here."""
+        return "refinement" in self.settings
+
+    @property
+    def stages(self) -> dict[str, dict[str, Any]]:
+        """Figures of every stage that this folder knows of, by name."""
+        own = {name: self.manifest[name] for name in CAME_OF_IT if name in self.manifest}
+        first = {**own, "seconds": self.manifest.get("train_seconds"), "peak_gib": self.manifest.get("peak_gib")}
+        return {"refine" if self.is_refinement else "train": first, **self.manifest.get("stages", {})}
+
+
+def read_run(folder: Path) -> RunFacts:
+    """Reads what a report needs; of a run that is not done, what there is.
+
+    Raises:
+        InputError: It is no run folder, or a file is damaged.
+    """
+    if not (folder / "manifest.json").is_file():
+        raise InputError(f"{folder}: holds no manifest.json; it is no run folder")
+    manifest, settings = json_files.read(folder / "manifest.json"), runs.read_settings(folder)
+    views = json_files.read(folder / "cameras.json") if (folder / "cameras.json").exists() else []
+    history = runs.read_metrics(folder)
+    if manifest.get("psnr") is not None:
+        scores = {f"held_out_{name}": manifest[name] for name in ("psnr", "psnr_near_gains") if name in manifest}
+        history.append({"step": manifest["steps"], "seconds": manifest["train_seconds"], **scores})
+    return RunFacts(folder, manifest, settings, views, history)
+
+
+def what_was_read(run: RunFacts) -> Rows:
+    """Name and value."""
+    rows = [("Data set", run.manifest["scene"]), ("Photos", _photos(run)), ("Begun with", run.manifest["command"])]
+    return [*rows, ("Begun at", run.manifest["created"]), ("State", state(run))]
+
+
+def what_was_decided(run: RunFacts) -> Rows:
+    """What, how, and why."""
+    hold_out, factor = str(run.settings["hold_out"]), run.settings["downscale"]
+    return [
+        ("Size of the photos", f"reduced {factor:g} times" if factor > 1 else "as they are", _photos(run)),
+        ("Photos for scoring", _count_held_out(run), SPLITS.get(hold_out, f"asked for: --hold-out {hold_out}")),
+        ("Normals", *_normals(run)),
+        ("Effects of photography", *_effects(run)),
+    ]
+
+
+def plan(run: RunFacts) -> Rows:
+    """Phase, steps, and terms of the loss with their weights."""
+    phases = [{"name": "refine", **run.settings["refinement"]}] if run.is_refinement else run.settings["phases"]
+    left_out = LEFT_OUT_OF_VANILLA if run.settings["vanilla"] and not run.is_refinement else ()
+    return [
+        (
+            phase["name"],
+            f"{phase['steps']:,}",
+            ", ".join(f"{n} {weight:g}" for n, weight in phase["weights"].items() if weight and n not in left_out),
+        )
+        for phase in phases
+    ]
+
+
+def effects(run: RunFacts) -> Rows:
+    """Effect, decision, evidence, noise, threshold, and what the note says; empty where nobody looked."""
+    found = run.manifest.get("effects", {})
+    return [
+        (
+            name,
+            "simulated" if name in found["simulated"] else "called for" if each["on"] else "no",
+            *(f"{tables.shown(each[key])} {each['unit'] if each[key] is not None else ''}".strip()
+              for key in ("evidence", "noise", "threshold")),
+            each["note"],
+        )
+        for name, each in found.get("evidence", {}).items()
+    ]  # fmt: skip
+
+
+def scores(run: RunFacts) -> Rows:
+    """Name and value: of the end of the run, then of the last `gsjax eval`."""
+    named = {name: value for name, value in run.manifest.items() if name.startswith(("psnr", "ssim"))}
+    sizes = {name: run.manifest[name] for name in ("views", "gaussians", "vertices", "faces") if name in run.manifest}
+    evaluated = run.manifest.get("stages", {}).get("eval", {})
+    figures = {**named, **sizes, **{k: v for k, v in evaluated.items() if k not in ("seconds", "peak_gib")}}
+    return [(name, tables.shown(value)) for name, value in tables.flat(figures)]
+
+
+def stage_rows(stages: Mapping[str, Mapping[str, Any]]) -> Rows:
+    """Stage, seconds, GiB, and what came of it."""
+    return [
+        (
+            name,
+            tables.shown(figures.get("seconds")),
+            tables.shown(figures.get("peak_gib")),
+            ", ".join(f"{key} {tables.shown(figures[key])}" for key in CAME_OF_IT if figures.get(key) is not None),
+        )
+        for name, figures in stages.items()
+    ]
+
+
+def flat_settings(value: Any, at: str = "") -> dict[str, str]:
+    """Every setting as JSON under its dotted key, as `--set` takes it."""
+    if isinstance(value, list) and any(isinstance(item, Mapping) for item in value):
+        value = dict(enumerate(value))
+    if not isinstance(value, Mapping):
+        return {at: json.dumps(value)}
+    inner = [flat_settings(item, f"{at}.{name}".lstrip(".")) for name, item in value.items()]
+    return {key: text for one in inner for key, text in one.items()}
+
+
+def charts(
+    pools: Mapping[str, Sequence[RunFacts]], axis: str, titles: Mapping[str, Mapping[str, str]] = CHARTS
+) -> list[Chart]:
+    """Curves against `axis`, "steps" or "seconds": the mean of the runs under each label.
+
+    Args:
+        pools: Label -> its runs. Lines are named after it where there are several, and phases marked where not.
+        axis: What x is.
+        titles: Title of a chart -> name of a line, and what the metrics call it. The last line is the one that counts.
+    """
+    alone, drawn = len(pools) == 1, []
+    for title, lines in titles.items():
+        curves = [
+            Curve(name if alone else label, *pooled(pool, key, AXES[axis]), color, name != [*lines][-1])
+            for color, (label, pool) in enumerate(pools.items())
+            for name, key in lines.items()
+        ]
+        marks = phase_ends(next(iter(pools.values()))[0], AXES[axis]) if alone else []
+        drawn.append(chart(title, axis, curves, marks))
+    return [each for each in drawn if each]
+
+
+def pooled(
+    pool: Sequence[RunFacts], key: str, axis: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """The x and the mean y at the steps that all runs logged `key` at; of several runs also least and most."""
+    told = [
+        {record["step"]: (record[axis], record[key]) for record in run.history if _is_told(record, key, axis)}
+        for run in pool
+    ]
+    steps = sorted(set.intersection(*map(set, told)))
+    values = np.array([[one[step] for step in steps] for one in told], float).reshape(len(told), len(steps), 2)
+    x, y = values.mean(0).T
+    return (x, y, values[..., 1].min(0), values[..., 1].max(0)) if len(pool) > 1 else (x, y, None, None)
+
+
+def phase_ends(run: RunFacts, axis: str) -> list[tuple[float, str]]:
+    """Where, as far as was logged, each phase but the last ended, and its name."""
+    logged = [record for record in run.history if "phase" in record]
+    return [
+        (float(before[axis]), before["phase"])
+        for before, after in zip(logged, logged[1:], strict=False)
+        if before["phase"] != after["phase"]
+    ]
+
+
+def _is_told(record: Mapping[str, Any], *keys: str) -> bool:
+    return all(isinstance(record.get(key), int | float) for key in keys)
+
+
+def _photos(run: RunFacts) -> str:
+    if "photos" in run.manifest:
+        return run.manifest["photos"]
+    sizes = sorted({(view["width"], view["height"]) for view in run.views}, reverse=True)
+    return f"{len(run.views)} photos at {sizes[0][0]}x{sizes[0][1]}" if sizes else "not told yet"
+
+
+def _count_held_out(run: RunFacts) -> str:
+    return f"{sum(view['held_out'] for view in run.views)} of {len(run.views)}" if run.views else "not told yet"
+
+
+def state(run: RunFacts) -> str:
+    """Done, or how far it came."""
+    if run.manifest["status"] == "done":
+        return f"done, {run.manifest.get('updated', '')}".rstrip(", ")
+    steps = sum(int(steps.replace(",", "")) for _, steps, _ in plan(run))
+    reached = run.history[-1]["step"] if run.history else 0
+    return f"not finished: {reached:,} of {steps:,} steps logged"
+
+
+def _normals(run: RunFacts) -> tuple[str, str]:
+    weights = [phase["weights"].get(term, 0) for phase in run.settings["phases"] for term in ALIGNED]
+    if run.settings["vanilla"] or not any(weights) or run.is_refinement:
+        return "none", "no term of the loss looks at them"
+    if run.settings["normals"] is None:
+        return "of the Gaussians' own depth, smoothed", "no maps were given: --normals names them"
+    axes = run.settings["normal_axes"]
+    asked = f"axes asked for: {axes}" if axes else "axes as the maps' maker wrote them, or found by comparing"
+    return run.settings["normals"], run.manifest.get("normals", asked)
+
+
+def _effects(run: RunFacts) -> tuple[str, str]:
+    if run.is_refinement and run.settings["effects"] != "none":
+        return run.settings["effects"], "taken off the photos as training found them"
+    if "effects" not in run.manifest:
+        return "none", "nobody looked: --effects auto does"
+    chosen = ", ".join(run.manifest["effects"]["simulated"]) or "none"
+    asked = run.settings["effects"]
+    return chosen, "what the photos show, see below" if asked == "auto" else f"asked for: --effects {asked}"

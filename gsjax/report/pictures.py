@@ -1,0 +1,40 @@
+"""Arrays of colours, depths and normals as pictures of bytes."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from gsjax.cameras import Camera
+from gsjax.mesh import Mesh
+from gsjax.meshing.pictures import Shading, headlight, render_mesh
+from gsjax.normals.from_depth import depth_normals
+
+
+def to_bytes(image: np.ndarray) -> np.ndarray:
+    """0..1 to uint8, rounded."""
+    return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
+
+
+def depth_picture(depth: np.ndarray) -> np.ndarray:
+    """`[H, W, 3]` uint8 grey: near is light, far is dark, nothing is black."""
+    seen = depth > 0
+    if not seen.any():
+        return np.zeros((*depth.shape, 3), np.uint8)
+    near, far = np.quantile(depth[seen], [0.01, 0.99])
+    grey = np.where(seen, 1 - 0.85 * np.clip((depth - near) / max(far - near, 1e-6), 0, 1), 0)
+    return to_bytes(np.repeat(grey[..., None], 3, -1))
+
+
+def normal_picture(normals: np.ndarray) -> np.ndarray:
+    """`[H, W, 3]` uint8: x to the right red, y up green, towards the camera blue; white where there is none."""
+    known = np.any(normals != 0, axis=-1, keepdims=True)
+    return to_bytes(np.where(known, 0.5 + 0.5 * normals * np.array([1, -1, -1]), 1))
+
+
+def surface_picture(depth: np.ndarray, camera: Camera) -> np.ndarray:
+    """`normal_picture` of the surface that a rendered depth `[H, W]` implies."""
+    return normal_picture(np.asarray(depth_normals(jnp.asarray(depth), camera)))
+
+
+def mesh_picture(mesh: Mesh, camera: Camera, shading: Shading = headlight) -> np.ndarray:
+    """`[H, W, 3]` uint8: a mesh as `camera` sees it."""
+    return render_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height, shading=shading)

@@ -1,0 +1,100 @@
+"""Pictures of a few views of a run, small enough for its report: RUN/pictures/0007_photo.jpg and the like."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from gsjax.cameras import Camera
+from gsjax.io import json_files
+from gsjax.io.files import atomic_path
+from gsjax.io.images import jpeg, resize
+from gsjax.meshing.export import read_mesh
+from gsjax.meshing.pictures import headlight, render_mesh, vertex_colors
+from gsjax.meshing.rays import ray_caster
+from gsjax.normals.from_depth import depth_normals
+from gsjax.render.gallery import Picture
+from gsjax.report.pictures import normal_picture, to_bytes
+from gsjax.runs.result import frame_camera
+from gsjax.scene import Frame
+
+FOLDER = "pictures"
+KINDS = ("photo", "render", "normals")
+MOST_VIEWS, LONGEST_SIDE = 6, 560  # a page of them stays under 4 MB
+
+
+def shown_views(records: Sequence[dict[str, Any]]) -> list[int]:
+    """Which views of `cameras.json` a report shows: held-out ones, evenly spread; of none, any."""
+    held_out = [index for index, record in enumerate(records) if record["held_out"]]
+    some = held_out or range(len(records))
+    places = np.linspace(0, len(some) - 1, min(MOST_VIEWS, len(some))).round().astype(int)
+    return [some[place] for place in np.unique(places)]
+
+
+def keeper(run: Path) -> Callable[[Frame, np.ndarray, Picture], None]:
+    """What is told of each frame as it is scored, and keeps pictures of those that the report shows.
+
+    Args:
+        run: Run folder with its `cameras.json`.
+    """
+    records = json_files.read(run / "cameras.json")
+    places = {records[index]["name"]: index for index in shown_views(records)}
+
+    def keep(frame: Frame, target: np.ndarray, picture: Picture) -> None:
+        if frame.name not in places:
+            return
+        normals = np.asarray(depth_normals(jnp.asarray(picture.depth), frame_camera(frame)))
+        shown = to_bytes(target), to_bytes(picture.colors), normal_picture(normals)
+        for kind, image in zip(KINDS, shown, strict=True):
+            with atomic_path(_file(run, places[frame.name], kind)) as temporary:
+                temporary.write_bytes(jpeg(resize(image, *_reduced(frame.width, frame.height))))
+
+    return keep
+
+
+def kept(run: Path, index: int) -> dict[str, bytes]:
+    """The JPEGs that were kept of a view, by kind; those that there are."""
+    files = {kind: _file(run, index, kind) for kind in KINDS}
+    return {kind: file.read_bytes() for kind, file in files.items() if file.exists()}
+
+
+def mesh_pictures(run: Path, records: Sequence[dict[str, Any]]) -> list[dict[str, bytes]]:
+    """JPEGs of `RUN/mesh.ply` from every one of these views, its shape and its colours; empty ones without a mesh.
+
+    Raises:
+        InputError: The mesh cannot be read.
+    """
+    if not (run / "mesh.ply").exists():
+        return [{} for _ in records]
+    mesh = read_mesh(run / "mesh.ply")
+    cast = ray_caster(mesh)
+
+    def drawn(record: dict[str, Any]) -> dict[str, bytes]:
+        camera = _small_camera(record)
+        shadings = {"mesh": headlight, "mesh colours": vertex_colors}
+        return {
+            kind: jpeg(
+                render_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height, shading=shading, cast=cast)
+            )
+            for kind, shading in shadings.items()
+        }
+
+    return [drawn(record) for record in records]
+
+
+def _file(run: Path, index: int, kind: str) -> Path:
+    return run / FOLDER / f"{index:04d}_{kind}.jpg"
+
+
+def _reduced(width: int, height: int) -> tuple[int, int]:
+    factor = max(1.0, max(width, height) / LONGEST_SIDE)
+    return round(width / factor), round(height / factor)
+
+
+def _small_camera(record: dict[str, Any]) -> Camera:
+    """A recorded camera at the size of the report's pictures."""
+    width, height = _reduced(record["width"], record["height"])
+    scale = np.array([[width / record["width"]], [height / record["height"]], [1.0]])
+    return Camera(np.asarray(record["viewmat"]), scale * np.asarray(record["K"]), width, height)  # pyright: ignore[reportArgumentType]

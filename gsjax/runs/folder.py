@@ -1,0 +1,212 @@
+"""A run folder: what was asked, on what machine, how it went, and the states to go on from.
+
+    config.json        the parsed settings
+    manifest.json      scene, command, versions, machine, seed, dates, status, the list of files
+    metrics.jsonl      one line per logged step
+    pictures/          a few held-out views, as the report shows them
+    report.html        all of this to look at (`gsjax.report.page`)
+    checkpoints/       step_0001234.npz, the last two
+    gaussians.ply      the result, for viewers
+    cameras.json       the views it was trained on and scored on
+    effects.json       what each photo made of the light, where a run simulates that
+    poses.json         where cameras went from those of the data set, where a run moves them: cameras.json has the moved
+    background.json    what is behind all Gaussians, where a run learns that
+    masks/             0007.png of every training view with pixels that must not be used: 0 there, else 255
+
+`create` starts one, `reopen` continues one; every write is whole or not at all.
+"""
+
+import json
+import math
+import os
+import re
+import shlex
+import shutil
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from gsjax.io import json_files
+from gsjax.errors import InputError
+from gsjax.runs import checkpoints
+from gsjax.io.files import atomic_path, make_folder, sweep, unwritable
+from gsjax.io.machine import machine, versions
+
+EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic", "effects": "none"}
+"""What runs did before they could choose."""
+KEPT_CHECKPOINTS = 2  # The newest and, should it turn out damaged, the one before.
+
+
+def require_free(run: str | Path) -> None:
+    """Raises InputError where the folder of a new run holds something already."""
+    if Path(run).is_dir() and any(Path(run).iterdir()):
+        raise InputError(f"{run}: this folder is not empty; continue its run with --resume, or choose another")
+
+
+def create(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path, seed: int) -> Path:
+    """Makes the folder of a new run, with its config and manifest.
+
+    Args:
+        run: A folder that is absent or empty.
+        settings: The parsed settings as a nested dict (`gsjax.config.to_dict`).
+        scene: The data set.
+        seed: Seed of all random numbers of the run.
+
+    Raises:
+        InputError: The folder holds something already, or cannot be written.
+    """
+    run = Path(run)
+    require_free(run)
+    make_folder(run / "checkpoints")
+    json_files.write(run / "config.json", settings)
+    manifest = {
+        "scene": str(Path(scene).resolve()),
+        "command": shlex.join(sys.argv),
+        "seed": seed,
+        "created": _now(),
+        "versions": versions(),
+        "machine": machine(),
+        "status": "started",
+    }
+    json_files.write(run / "manifest.json", manifest)
+    return run
+
+
+def reopen(
+    run: str | Path,
+    settings: Mapping[str, Any],
+    *,
+    scene: str | Path,
+    completed: Callable[[dict[str, Any]], Mapping[str, Any]] = dict,
+) -> Path:
+    """Opens the folder of a run to continue it on the data set and with the settings it was started with.
+
+    Args:
+        run: The folder.
+        settings: Those asked for now, as `create` takes them.
+        scene: The data set.
+        completed: What `config.json` holds -> the same with what its version did not know yet, where that defaults to
+            what was done then.
+
+    Raises:
+        InputError: It is no run folder, or the data set or a setting differs; the message names the first that does.
+    """
+    run = Path(run)
+    started, before = completed(read_settings(run)), json_files.read(run / "manifest.json")["scene"]
+    if before != str(Path(scene).resolve()):
+        raise InputError(f"{run}: was started on {before}, not on {scene}; a resumed run keeps its data set")
+    for key, (before, now) in _differences(started, json_files.plain({**EARLIER, **settings})).items():
+        raise InputError(f"{run}: was started with {key} = {before}, not {now}; a resumed run keeps its settings")
+    sweep(run)
+    return run
+
+
+@contextmanager
+def begun(run: Path) -> Iterator[None]:
+    """While a run goes on: its folder goes away if bad input ends it before anything came of it.
+
+    Who tries again with other settings would be told otherwise that the folder is taken.
+    """
+    try:
+        yield
+    except InputError:
+        if not read_metrics(run) and latest_checkpoint(run) is None:
+            shutil.rmtree(run)
+        raise
+
+
+def update_manifest(run: str | Path, **changes: Any) -> None:
+    """Sets entries of the manifest (`status="done"`, `train_seconds=...`) and lists the files anew."""
+    run = Path(run)
+    files = sorted(p.relative_to(run).as_posix() for p in run.rglob("*") if p.is_file() and not p.name.startswith("."))
+    manifest = {**json_files.read(run / "manifest.json"), **changes, "updated": _now(), "files": files}
+    json_files.write(run / "manifest.json", manifest)
+
+
+def save_checkpoint(run: str | Path, step: int, tree: Any) -> Path:
+    """Writes `checkpoints/step_0001234.npz` and drops all but the newest two."""
+    path = Path(run) / "checkpoints" / f"step_{step:07d}.npz"
+    checkpoints.save(path, tree)
+    for _, old in _checkpoints(run)[:-KEPT_CHECKPOINTS]:
+        old.unlink(missing_ok=True)
+    return path
+
+
+def latest_checkpoint(run: str | Path) -> tuple[int, Path] | None:
+    """Step and path of the newest checkpoint, or None before the first."""
+    found = _checkpoints(run)
+    return found[-1] if found else None
+
+
+def append_metrics(run: str | Path, record: Mapping[str, Any]) -> None:
+    """Adds one line to `metrics.jsonl`; `record` holds at least `step`.
+
+    Raises:
+        InputError: The disk is full or read-only.
+    """
+    path = Path(run) / "metrics.jsonl"
+    line = json.dumps(json_files.plain(record), allow_nan=False) + "\n"
+    try:
+        with open(path, "a", encoding="utf-8") as file:
+            file.write(line)  # One write of one line: a killed run leaves at most the last line torn.
+    except OSError as error:
+        raise unwritable(path, error) from error
+
+
+def read_metrics(run: str | Path) -> list[dict[str, Any]]:
+    """All whole lines of `metrics.jsonl`; a last line that a kill has torn is left out.
+
+    Raises:
+        InputError: Another line is no record.
+    """
+    path = Path(run) / "metrics.jsonl"
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines(keepends=True) if path.exists() else []
+    return [_record(line, f"{path}, line {i}") for i, line in enumerate(lines, 1) if line.endswith("\n")]
+
+
+def truncate_metrics(run: str | Path, step: int) -> None:
+    """Drops what was logged after `step`: a resumed run logs it again."""
+    kept = [record for record in read_metrics(run) if record["step"] <= step]
+    with atomic_path(Path(run) / "metrics.jsonl") as temporary:
+        temporary.write_text("".join(json.dumps(record) + "\n" for record in kept), encoding="utf-8")
+
+
+def read_settings(run: str | Path) -> dict[str, Any]:
+    """What `config.json` holds, and for a run of an earlier version what it did where there was no choice.
+
+    Raises:
+        InputError: The file is absent or is no JSON.
+    """
+    return {**EARLIER, **json_files.read(Path(run) / "config.json")}
+
+
+def _record(line: str, where: str) -> dict[str, Any]:
+    try:
+        record = json.loads(line)
+    except ValueError as error:
+        raise InputError(f"{where}: is no JSON ({str(error).splitlines()[0]})") from error
+    if not isinstance(record, dict) or not isinstance(record.get("step"), int):
+        raise InputError(f"{where}: is no record of a step")
+    return record
+
+
+def _checkpoints(run: str | Path) -> list[tuple[int, Path]]:
+    named = ((re.fullmatch(r"step_(\d+)\.npz", p.name), p) for p in (Path(run) / "checkpoints").glob("step_*.npz"))
+    return sorted((int(match[1]), path) for match, path in named if match)
+
+
+def _differences(before: Any, now: Any, at: str = "") -> dict[str, tuple[str, str]]:
+    """Dotted keys at which two nested dicts differ, with both values as JSON."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        found = {}
+        for key in [*before, *(key for key in now if key not in before)]:
+            found |= _differences(before.get(key), now.get(key), f"{at}.{key}" if at else key)
+        return found
+    return {} if before == now else {at: (json.dumps(before), json.dumps(now))}
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,0 +1,100 @@
+"""What long work leaves behind while it goes, and where it goes on from: a bar with an ETA, metrics, checkpoints."""
+
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from tqdm import tqdm
+
+from gsjax.runs import checkpoints
+from gsjax import runs
+from gsjax.runs.compilations import Compilations
+from gsjax.training.step import Metrics
+
+
+class Journal:
+    """A progress bar and a clock over the steps of one run folder. A context: the bar ends with it."""
+
+    def __init__(self, run: Path, label: str, steps: int, step: int, seconds: float):
+        """Begin at `step` of `steps`, after `seconds` spent in earlier sessions of the same run."""
+        self.run, self.steps = run, steps
+        self._seconds_before, self._started = seconds, time.perf_counter()
+        self.bar = tqdm(total=steps, initial=step, desc=label, unit="step", smoothing=0.05)
+        self._compilations = Compilations()
+
+    def __enter__(self) -> Self:
+        """The journal itself."""
+        self._compilations.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the bar."""
+        self._compilations.__exit__(kind, error, trace)
+        self.bar.close()
+
+    @property
+    def seconds(self) -> float:
+        """Time so far, scoring and earlier sessions of this run included."""
+        return self._seconds_before + time.perf_counter() - self._started
+
+    def log(self, step: int, metrics: Metrics, shown: str = "", **more: Any) -> None:
+        """One line of metrics.jsonl, compilations since the last included; loss, PSNR and `shown` beside the bar."""
+        record = {
+            "step": step,
+            "loss": float(metrics.loss),
+            "psnr": float(metrics.psnr),
+            "pairs": int(metrics.needed),
+            "seconds": round(self.seconds, 2),
+            "terms": {name: float(value) for name, value in metrics.terms.items()},
+        } | more
+        if compiled := self._compilations.taken():
+            record["compiled"] = compiled
+        runs.append_metrics(self.run, record)
+        self.bar.set_postfix_str(f"loss {record['loss']:.4f}, PSNR {record['psnr']:.1f} dB{shown}", refresh=False)
+
+    def save(self, step: int, state: Any, capacity: int) -> None:
+        """A checkpoint; capacity 0 leaves the size of the pair buffer to whoever goes on."""
+        runs.save_checkpoint(self.run, step, _checkpoint(state, capacity, self.seconds))
+
+
+class Beginning(NamedTuple):
+    """Where a run begins, or goes on."""
+
+    state: Any  # a pytree with a field `step`
+    capacity: int | None  # of the pair buffer; None: to be counted
+    seconds: float  # spent so far
+
+
+def beginning(run: Path, initial: Callable[[int | None], Any], earlier: Path | None = None) -> Beginning:
+    """The newest checkpoint of a run folder, or the initial state; metrics of later steps are taken back.
+
+    Args:
+        run: The folder.
+        initial: The state at step 0, in buffers of so many rows (None: as many as it takes).
+        earlier: A run folder with a checkpoint, where a run that has none of its own begins.
+    """
+    found = runs.latest_checkpoint(run)
+    if found is None and earlier is not None:
+        found = runs.latest_checkpoint(earlier)
+        shutil.copyfile(earlier / "metrics.jsonl", run / "metrics.jsonl")
+    if found is None:
+        start = Beginning(initial(None), None, 0.0)
+    else:
+        stored = checkpoints.load(found[1], lambda arrays: _checkpoint(initial(int(arrays["['rows']"])), 0, 0.0))
+        state = jax.tree.map(jnp.asarray, stored["state"])
+        start = Beginning(state, int(stored["capacity"]) or None, float(stored["seconds"]))
+    runs.truncate_metrics(run, int(start.state.step))
+    return start
+
+
+def _checkpoint(state: Any, capacity: int, seconds: float) -> dict[str, Any]:
+    rows = state.gaussians.num_gaussians
+    return {"state": state, "rows": np.int64(rows), "capacity": np.int64(capacity), "seconds": np.float64(seconds)}

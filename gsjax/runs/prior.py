@@ -1,0 +1,168 @@
+"""Where the normals of a run come from: a folder of maps, or the run's own smoothed depth."""
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+from tqdm import tqdm
+
+from gsjax.render import gallery
+from gsjax.cameras import Camera
+from gsjax.errors import InputError
+from gsjax.gaussians import Gaussians
+from gsjax.io.images import read_image, write_image
+from gsjax.io.normal_folders import maker
+from gsjax.io.normals import map_places, normal_maps
+from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
+from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
+from gsjax.runs.result import BACKGROUNDS, frame_camera
+from gsjax.render import DepthReading
+from gsjax.scene import Frame
+
+CLEAR_SCORE, CLEAR_MARGIN = 0.5, 0.02  # Below either, the axes of foreign maps are doubtful (method: A8).
+VIEWS_FOR_AXES = 50  # as many as are compared with their maps, 4,000 pixels each
+VIEWS_FOR_NOISE = 4
+
+T = TypeVar("T")
+
+
+class RunPrior:
+    """The normals prior of a run, one map a view, kept in RUN/normals as 8-bit pictures once it is known.
+
+    A run that was stopped reads what is there and makes what is missing, so that it goes on with the same numbers.
+    Maps given by the user are looked for when the run starts, not hours later. One view at a time is in memory, but
+    for the maps themselves: 3 bytes a pixel.
+    """
+
+    def __init__(
+        self,
+        run: Path,
+        folder: str | None,
+        axes: str | None,
+        frames: tuple[Frame, ...],
+        depth_mode: DepthReading = "plane",
+        *,
+        tell: Callable[[str], None] = lambda line: tqdm.write(f"normals: {line}", file=sys.stderr),
+    ):
+        """Check what was given.
+
+        Args:
+            run: The run's folder, which need not exist yet.
+            folder: Of foreign normal maps; None: the Gaussians' own.
+            axes: Those of the foreign maps, see `axis_signs`; None: those that they were written with where `gsjax
+                normals` made them, else found by comparing with the Gaussians.
+            frames: Whose normals will be asked for.
+            depth_mode: What the Gaussians' depth is, see `gsjax.render.view`.
+            tell: Told in one line which axes foreign maps have, and how that was found.
+
+        Raises:
+            InputError: A map is missing, or the axes are none.
+        """
+        self.folder = run / "normals"
+        self.signs = None if axes is None else axis_signs(axes)
+        if folder is None and axes is not None:
+            raise InputError(f"--normal-axes {axes}: there are no maps whose axes these are, --normals DIR names them")
+        self.depth_mode: DepthReading = depth_mode
+        self.tell = tell
+        self.network = None if folder is None else maker(folder)
+        self.given = None if folder is None else normal_maps(folder, frames)
+
+    def __call__(self, gaussians: Gaussians, frames: tuple[Frame, ...]) -> list[np.ndarray]:
+        """The maps, made of the Gaussians so far where the user gave none.
+
+        Returns:
+            `[H, W, 3]` int8 a frame: 127 times the unit normal in the camera frame, zero where there is none.
+
+        Raises:
+            InputError: A map is damaged, or cannot be written.
+        """
+        files = _files(self.folder, frames)
+        missing = [frame for frame in frames if not files[frame.name].exists()]
+        if missing:
+            maps = self._foreign(gaussians, frames, missing) if self.given else self._own(gaussians, frames, missing)
+            shown = tqdm(zip(missing, maps, strict=True), total=len(missing), desc="normals prior", unit="view")
+            for frame, normals in shown:
+                write_map(files[frame.name], normals)
+        return [read_map(files[frame.name], frame) for frame in frames]
+
+    def _foreign(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
+        assert self.given is not None
+        signs = self._detected(gaussians, _spread(frames, VIEWS_FOR_AXES)) if self.signs is None else self.signs
+        for frame in missing:
+            yield apply_axes(self.given[frame.name](), signs)
+
+    def _detected(self, gaussians: Gaussians, frames: Sequence[Frame]) -> np.ndarray:
+        """Signs of the axes: those of the convention where the views cannot tell, or a network's record set them.
+
+        One line says which, and what the comparison says of them.
+        """
+        assert self.given is not None
+        maps = (self.given[frame.name]() for frame in frames)
+        references = (
+            np.asarray(depth_normals(depth, camera)) for depth, _, camera in self._rendered(gaussians, frames)
+        )
+        signs, score, margin = detect_axes(maps, references)
+        measured = f"mean cosine {score:.3f} against the rendered depth, next best {margin:.3f} lower"
+        clear = score >= CLEAR_SCORE and margin >= CLEAR_MARGIN
+        guess, ours = written_axes(signs), np.ones(3, np.float32)
+        if clear and self.network is None:
+            line = f"axes read as {guess} ({measured})"
+        elif clear and np.array_equal(signs, ours):
+            line = f"axes confirmed as in {self.network}'s record ({measured})"
+        else:
+            own, fault = self.network is None, "fits better" if clear else "is doubtful"
+            taken = f"taken as {written_axes(ours)}" if own else f"kept as in {self.network}'s record"
+            line, signs = f"axes {taken}: {guess} {fault} ({measured}); --normal-axes sets them", ours
+        self.tell(line)
+        return signs
+
+    def _own(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
+        reduction = reduction_for(gaussians, [frame_camera(frame) for frame in frames], self.depth_mode)
+        for depth, alphas, camera in self._rendered(gaussians, missing):
+            yield np.asarray(smoothed_depth_normals(depth, alphas, camera, reduction=reduction))
+
+    def _rendered(self, gaussians: Gaussians, frames: Sequence[Frame]) -> Iterator[tuple]:
+        """Depth, alphas and camera of one frame after the other."""
+        return _views(gaussians, [frame_camera(frame) for frame in frames], self.depth_mode)
+
+
+def reduction_for(gaussians: Gaussians, cameras: Sequence[Camera], depth_mode: DepthReading) -> int:
+    """The `reduction` of `smoothed_depth_normals` that Gaussians ask for, by how noisy some of the views are."""
+    return chosen_reduction(_views(gaussians, _spread(cameras, VIEWS_FOR_NOISE), depth_mode))
+
+
+def _views(gaussians: Gaussians, cameras: Sequence[Camera], depth_mode: DepthReading) -> Iterator[tuple]:
+    """Depth, alphas and camera of one view after the other."""
+    pictures = gallery.pictures(gaussians, cameras, BACKGROUNDS["black"], depth_mode)
+    for picture, camera in zip(pictures, cameras, strict=True):
+        yield jnp.asarray(picture.depth), jnp.asarray(picture.alphas), camera
+
+
+def write_map(file: Path, normals: np.ndarray) -> None:
+    """Writes `[H, W, 3]` unit normals as an 8-bit PNG, 128 + 127 n: zero is exactly middle grey."""
+    write_image(file, (np.rint(127 * normals) + 128).astype(np.uint8))
+
+
+def read_map(file: Path, frame: Frame) -> np.ndarray:
+    """`[H, W, 3]` int8, 127 times the normals that `write_map` was given.
+
+    Raises:
+        InputError: The file is damaged or not of the frame's size.
+    """
+    pixels, _ = read_image(file)
+    if pixels.shape[:2] != (frame.height, frame.width):
+        found = f"{pixels.shape[1]}x{pixels.shape[0]}"
+        raise InputError(f"{file}: normal map is {found}, its frame {frame.width}x{frame.height}")
+    return (pixels ^ np.uint8(128)).view(np.int8)  # value - 128, without leaving 8 bits
+
+
+def _files(folder: Path, frames: Sequence[Frame]) -> dict[str, Path]:
+    return {name: folder / f"{place}.png" for name, place in map_places(frames).items()}
+
+
+def _spread(items: Sequence[T], count: int) -> list[T]:
+    """No more than `count` of them, evenly spread."""
+    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, min(count, len(items))).round().astype(int))]

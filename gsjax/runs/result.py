@@ -1,0 +1,212 @@
+"""What a finished run, or a file of Gaussians, offers to later stages: Gaussians, cameras, and where photos count."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from gsjax.io import json_files
+from gsjax.render import gallery
+from gsjax.cameras import Camera
+from gsjax.errors import InputError
+from gsjax.render.gallery import Picture
+from gsjax.gaussians import Gaussians
+from gsjax import runs
+from gsjax.io.gaussian_files import format_of
+from gsjax.io.images import read_mask, write_image
+from gsjax.io.ply import read_gaussians
+from gsjax.io.scenes import load_scene
+from gsjax.io.splits import NONE
+from gsjax.runs import viewpoints
+from gsjax.runs.photography import read_photography, refined
+from gsjax.render import DepthReading
+from gsjax.scene import Frame, Scene, valid_pixels
+
+BACKGROUNDS = {"white": np.ones(3, np.float32), "black": np.zeros(3, np.float32), "random": np.zeros(3, np.float32)}
+"""Colour that pictures and scores are made over; a run trained on random ones is scored over black."""
+
+DEPTH_OF_DISCS: DepthReading = "discs"  # The far side of a mesh shows through its discs, and is in any whole mean.
+QUIET = 3.0  # Seconds of drawing that need no bar.
+
+
+@dataclass(frozen=True)
+class Result:
+    """Gaussians and the views they were made from."""
+
+    source: Path
+    gaussians: Gaussians  # numpy
+    cameras: tuple[Camera, ...]
+    names: tuple[str, ...]
+    held_out: tuple[bool, ...]
+    valid: tuple[
+        Callable[[], np.ndarray | None], ...
+    ]  # reads [H, W] bool, where the photo may be used; None: all of it
+    background: np.ndarray  # [3], or as SH coefficients of the direction, see `gsjax.render.backdrop`
+    depth_mode: DepthReading = "plane"  # as depth was read in training, or `DEPTH_OF_DISCS`, see `gsjax.render.view`
+
+
+def write_views(run: Path, frames: tuple[Frame, ...]) -> None:
+    """`cameras.json`: one record a view, world to camera, OpenCV axes, pixels; and the masks of the training views.
+
+    A mask (`masks/0007.png`, 255 where the photo may be used) is written only for a view that has one, and its record
+    names it: later stages need no photo to know what must not be seen. Only masked frames are read, one by one.
+
+    Args:
+        run: Run folder.
+        frames: All views, in the order of the data set.
+
+    Raises:
+        InputError: A file cannot be written, or a frame not be read.
+    """
+    records = [
+        {
+            "name": f.name,
+            "width": f.width,
+            "height": f.height,
+            "viewmat": f.viewmat,
+            "K": f.K,
+            "held_out": f.held_out,
+            "mask": None if f.held_out else _written_mask(run, f"masks/{index:04d}.png", f),
+        }
+        for index, f in enumerate(frames)
+    ]
+    json_files.write(run / "cameras.json", records)
+
+
+def open_result(source: str | Path, *, scene: str | Path | None = None) -> Result:
+    """A run folder; or any file of Gaussians, with the cameras of `scene` or with cameras placed around it.
+
+    Files are those of `gsjax.io.gaussian_files`, by their suffixes.
+
+    Raises:
+        InputError: It is neither, or unfinished, or unreadable.
+    """
+    source = Path(source)
+    if source.is_dir():
+        if not (source / "gaussians.ply").exists():
+            hint = "its training has not finished" if (source / "manifest.json").exists() else "it is no run folder"
+            raise InputError(f"{source}: holds no gaussians.ply; {hint}")
+        gaussians = read_gaussians(source / "gaussians.ply")
+        settings, learned = runs.read_settings(source), read_photography(source).background
+        records = json_files.read(source / "cameras.json")
+        return Result(
+            source,
+            gaussians,
+            cameras=tuple(map(_recorded_camera, records)),
+            names=tuple(record["name"] for record in records),
+            held_out=tuple(bool(record["held_out"]) for record in records),
+            valid=tuple(partial(_read_mask, source, record) for record in records),
+            background=BACKGROUNDS[settings["background"]] if learned is None else learned,
+            depth_mode=DEPTH_OF_DISCS if "refinement" in settings else settings["depth_mode"],
+        )
+    gaussians = format_of(source).read(source)
+    if scene is None:
+        if not gaussians.num_gaussians:
+            raise InputError(f"{source}: holds no Gaussians, there is nothing to look at")
+        cameras = viewpoints.around(gaussians)
+        return Result(
+            source,
+            gaussians,
+            cameras,
+            names=tuple(f"around_{index:02d}" for index in range(len(cameras))),
+            held_out=(False,) * len(cameras),
+            valid=(lambda: None,) * len(cameras),
+            background=BACKGROUNDS["black"],
+        )
+    frames = load_scene(scene).frames
+    return Result(
+        source,
+        gaussians,
+        cameras=tuple(map(frame_camera, frames)),
+        names=tuple(f.name for f in frames),
+        held_out=tuple(f.held_out for f in frames),
+        valid=tuple(partial(valid_pixels, f) for f in frames),
+        background=BACKGROUNDS["black"],
+    )
+
+
+def training_pictures(
+    result: Result, gaussians: Gaussians, background: np.ndarray, *, with_owners: bool = False
+) -> tuple[list[Camera], Iterator[Picture]]:
+    """The cameras that a surface is looked at from, and what `gaussians` show there: nothing where photos are masked.
+
+    Args:
+        result: Whose training views.
+        gaussians: Its own, or what was made of them.
+        background: Under the pictures, see `gsjax.render.backdrop`.
+        with_owners: Whether the pictures tell who was hit, which the level set asks for.
+
+    Raises:
+        InputError: There is no training view; or, as the pictures are drawn, a mask cannot be used.
+    """
+    chosen = [index for index, held_out in enumerate(result.held_out) if not held_out]
+    if not chosen:
+        raise InputError(f"{result.source}: has no training views to look from")
+    cameras = [result.cameras[index] for index in chosen]
+    drawn = gallery.pictures(gaussians, cameras, background, result.depth_mode, with_owners=with_owners)
+    pictures = tqdm(drawn, total=len(cameras), desc="views", unit="view", delay=QUIET)
+    return cameras, gallery.masked(pictures, (result.valid[index]() for index in chosen))
+
+
+def scene_of_run(run: Path, *, zoom: float = 1.0) -> Scene:
+    """The data set of a finished run, loaded as it was trained on: with its split, whatever became of the list of it.
+
+    Cameras that training moved are where it left them; photos that it left out are left out.
+
+    Args:
+        run: Run folder.
+        zoom: Photos are so many times larger than in training.
+
+    Raises:
+        InputError: It is no run folder, its data set cannot be used any more, or its photos are too small for `zoom`.
+    """
+    manifest, settings = json_files.read(run / "manifest.json"), json_files.read(run / "config.json")
+    if not zoom > 0:
+        raise InputError(f"zoom must be a number above 0, not {zoom}")
+    downscale = settings["downscale"] / zoom
+    if downscale < 1:
+        reduced = f"reduced by {settings['downscale']:g}" if settings["downscale"] > 1 else "as they are"
+        raise InputError(f"{run}: was trained on photos {reduced}; there are none {zoom:g} times larger")
+    held_out = {record["name"]: record["held_out"] for record in json_files.read(run / "cameras.json")}
+    scene = load_scene(
+        manifest["scene"],
+        downscale=downscale,
+        folder_masks=settings["masks"],
+        images=settings.get("images"),  # Absent from folders of runs that could not choose.
+        hold_out=NONE,
+    )
+    frames = tuple(replace(f, held_out=held_out[f.name]) for f in scene.frames if f.name in held_out)
+    return replace(scene, frames=refined(frames, read_photography(run).moves))
+
+
+def frame_camera(frame: Frame) -> Camera:
+    """The camera of a loaded frame, numpy."""
+    return Camera(frame.viewmat, frame.K, frame.width, frame.height)  # pyright: ignore[reportArgumentType]
+
+
+def _recorded_camera(record: dict[str, Any]) -> Camera:
+    viewmat, K = (np.asarray(record[key], np.float32) for key in ("viewmat", "K"))
+    return Camera(viewmat, K, record["width"], record["height"])  # pyright: ignore[reportArgumentType]
+
+
+def _written_mask(run: Path, name: str, frame: Frame) -> str | None:
+    valid = valid_pixels(frame)
+    if valid is None or valid.all():
+        return None
+    write_image(run / name, np.where(valid, np.uint8(255), np.uint8(0)))
+    return name
+
+
+def _read_mask(run: Path, record: dict[str, Any]) -> np.ndarray | None:
+    name = record.get("mask")
+    if name is None:
+        return None
+    valid = read_mask(run / name) > 127
+    if valid.shape != (record["height"], record["width"]):
+        found = f"{valid.shape[1]}x{valid.shape[0]}"
+        raise InputError(f"{run / name}: mask is {found} but its view {record['width']}x{record['height']}")
+    return valid

@@ -1,0 +1,110 @@
+"""Where to look from at Gaussians: around those that come without cameras, and in a circle around any."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from gsjax.render import gallery
+from gsjax.cameras import Camera, look_at
+from gsjax.gaussians import Gaussians, opacities
+from gsjax.meshing.methods import directions_to_viewers
+
+COUNT = 32
+TURNTABLE_VIEWS = 36
+SIZE = 400  # Side of a view, pixels.
+FOCAL = 1.2  # Of a view from outside, in widths: what surrounds the middle fills it.
+WIDE_FOCAL = 0.5  # Of a view from inside: a quarter turn.
+PROBE_SIZE = 64  # Of the small views by which a place to stand is chosen.
+MUCH_BETTER = 1.5  # So many times as many Gaussians must be seen for an inner place to be preferred.
+
+
+def around(gaussians: Gaussians) -> tuple[Camera, ...]:
+    """32 cameras that see the opaque Gaussians: an object from outside, or a room from within.
+
+    Three places are tried with small views: a wide sphere about the robust middle, looking in; a close one, between the
+    thing in the middle and what surrounds it; the middle itself, looking out. The first is taken unless another shows
+    half as many Gaussians again.
+    """
+    means, middle, radii = _spread(gaussians)
+    wide, close = np.quantile(radii, [0.9, 0.5]) * [3.0, 1.5]
+    places = [
+        lambda size: _looking_in(middle, float(wide), size),
+        lambda size: _looking_in(middle, float(close), size),
+        lambda size: _looking_out(middle, float(0.1 * np.median(radii)), size),
+    ]
+    seen = [_count_seen(gaussians, means, radii, place(PROBE_SIZE)) for place in places]
+    best = int(np.argmax(seen))
+    return places[best if seen[best] > MUCH_BETTER * seen[0] else 0](SIZE)
+
+
+def _spread(gaussians: Gaussians) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`[M, 3]` opaque, finite means, their median `[3]`, and `[M]` distances from it."""
+    means = np.asarray(gaussians.means, np.float64)
+    finite = np.isfinite(means).all(axis=1)
+    opaque = finite & (np.asarray(opacities(gaussians)) > 0.5)
+    means = means[opaque if opaque.any() else finite]
+    middle = np.median(means, axis=0)
+    return means, middle, np.linalg.norm(means - middle, axis=1)
+
+
+def _directions() -> np.ndarray:
+    """`[COUNT, 3]` unit vectors, evenly spread (a Fibonacci lattice)."""
+    height = 1 - 2 * (np.arange(COUNT) + 0.5) / COUNT
+    angle, ring = np.pi * (3 - np.sqrt(5)) * np.arange(COUNT), np.sqrt(1 - height**2)
+    return np.stack([ring * np.cos(angle), ring * np.sin(angle), height], -1)
+
+
+def _looking_in(middle: np.ndarray, radius: float, size: int) -> tuple[Camera, ...]:
+    return tuple(_camera(middle + radius * d, middle, FOCAL, size) for d in _directions())
+
+
+def _looking_out(middle: np.ndarray, radius: float, size: int) -> tuple[Camera, ...]:
+    return tuple(_camera(middle, middle + radius * d, WIDE_FOCAL, size) for d in _directions())
+
+
+def _camera(eye: np.ndarray, target: np.ndarray, focal: float, size: int) -> Camera:
+    K: Any = np.array([[focal * size, 0, size / 2], [0, focal * size, size / 2], [0, 0, 1]], np.float32)
+    viewmat: Any = look_at(eye, target, np.array([0.0, 0.0, 1.0]))
+    return Camera(viewmat, K, size, size)
+
+
+def _count_seen(gaussians: Gaussians, means: np.ndarray, radii: np.ndarray, cameras: tuple[Camera, ...]) -> int:
+    """How many means lie on the rendered depth of some view."""
+    near = np.full(len(means), 0.02 * np.median(radii))
+    # Means are looked for, so the depth is theirs.
+    pictures = gallery.pictures(gaussians, cameras, np.zeros(3, np.float32), "center")
+    return int(np.any(directions_to_viewers(means, near, cameras, pictures) != 0, axis=1).sum())
+
+
+def circle(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Camera]:
+    """A circle of cameras at the mean height and distance of the run's own, around the middle of the opaque part."""
+    middle = opaque_middle(gaussians)
+    views = np.stack([np.asarray(c.viewmat) for c in cameras])
+    centers = -np.einsum("vji,vj->vi", views[:, :3, :3], views[:, :3, 3])
+    up = -views[:, 1, :3].mean(0)
+    up /= np.linalg.norm(up)
+    offsets = centers - middle
+    height = float((offsets @ up).mean())
+    flat = offsets - (offsets @ up)[:, None] * up
+    radius = float(np.linalg.norm(flat, axis=1).mean())
+    first = flat[0] / np.linalg.norm(flat[0])
+    second = np.cross(up, first)
+    angles = 2 * np.pi * np.arange(TURNTABLE_VIEWS) / TURNTABLE_VIEWS
+    like = cameras[0]
+    return [
+        Camera(
+            look_at(middle + height * up + radius * (np.cos(a) * first + np.sin(a) * second), middle, up),
+            like.K,
+            like.width,
+            like.height,
+        )  # pyright: ignore[reportArgumentType]
+        for a in angles
+    ]
+
+
+def opaque_middle(gaussians: Gaussians) -> np.ndarray:
+    """`[3]` median of the opaque Gaussians' means, or of all where none is; world."""
+    opaque = np.asarray(opacities(gaussians)) > 0.5
+    means = np.asarray(gaussians.means)
+    return np.median(means[opaque] if opaque.any() else means, axis=0)

@@ -1,0 +1,120 @@
+"""Renders of photographed views against the photos: PSNR, SSIM and further measures."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from types import MappingProxyType
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from gsjax.cameras import Camera
+from gsjax.effects.alignment import Draw
+from gsjax.effects.appearance import Appearance, fitted
+from gsjax.gaussians import Gaussians
+from gsjax.measures.images import psnr, ssim
+from gsjax.networks.perceptual import Measure
+from gsjax.render import DepthReading, gallery
+from gsjax.render.gallery import Picture
+from gsjax.runs.photography import Photography
+from gsjax.runs.result import BACKGROUNDS, frame_camera
+from gsjax.scene import Frame
+
+NOTHING = Photography()
+Aligner = Callable[[Camera, np.ndarray, np.ndarray, Draw], Camera]
+"""(camera as given, photo `[H, W, 3]` 0..1, `[H, W]` bool pixels that count, what draws) -> where it stood."""
+
+
+def score_images(
+    gaussians: Gaussians,
+    frames: tuple[Frame, ...],
+    background: str,
+    *,
+    measures: Mapping[str, Measure] = MappingProxyType({}),
+    found: Photography = NOTHING,
+    align: Aligner | None = None,
+    depth_mode: DepthReading = "plane",
+    observe: Callable[[Frame, np.ndarray, Picture], None] = lambda *_: None,
+) -> dict[str, Any]:
+    """Mean PSNR and SSIM over frames, as 3DGS defines them (float renders, every pixel that is valid); None of none.
+
+    Args:
+        gaussians: The scene.
+        frames: Photos that it was not trained on.
+        background: Colour behind it, where `found` has none that was learned.
+        measures: Further ones by name. They see pictures in 0..1, both black where a pixel is not valid.
+        found: What the photos' cameras did to the light, and what is behind all, where training took that in.
+        align: Finds the pose that a photo was taken from; None: given poses are all that is scored.
+        depth_mode: Of the pictures' depth, which no score looks at.
+        observe: Told of every frame, of the photo `[H, W, 3]` that it is compared with, and of its picture.
+
+    Returns:
+        `psnr`, `ssim` and `measures`: of the render as it is, the mean photo of the scene; `views`. With `found.near`
+        also `psnr_near_gains`, `ssim_near_gains`: after the fall-off that was learned and the gains of the photos taken
+        near this one, of which nothing is used. With `found.looks` also `psnr_track_gains`, `ssim_track_gains`: with
+        the gains that its own tracks tell; and `psnr_fitted`, `ssim_fitted`: of the render as it is, after the affine
+        map of its colours that fits the photo best, which sees the answer. With `align` each of these also with
+        `_aligned`: from the pose that fits the photo best with the Gaussians as they are, which sees the answer too.
+    """
+    lights = {"_near_gains": found.near, "_track_gains": found.looks}
+    ways = ("", *(way for way, looks in lights.items() if looks), *(("_fitted",) if found.looks else ()))
+    poses = ("", "_aligned") if align else ("",)
+    names = [f"{score}{way}{pose}" for pose in poses for way in ways for score in ("psnr", "ssim")]
+    if not frames:
+        return {**dict.fromkeys((*names, *measures)), "views": 0}
+    color = BACKGROUNDS[background] if found.background is None else found.background
+    gaussians = jax.tree.map(jnp.asarray, gaussians)
+    draw = partial(gallery.pictures, gaussians, background=color, depth_mode=depth_mode)
+    scores = []
+    for frame, picture in zip(frames, draw([frame_camera(f) for f in frames]), strict=True):
+        image, matte, valid = frame.pixels()
+        target = image.astype(np.float32) / 255
+        if matte is not None:
+            coverage = matte[..., None].astype(np.float32) / 255
+            target = target * coverage + (1 - coverage) * color
+        observe(frame, target, picture)
+        valid = np.ones(target.shape[:2], bool) if valid is None else valid > 127
+        lit = {way: _as_taken(looks, frame, None if matte is None else color) for way, looks in lights.items()}
+        shown = [picture]
+        if align:
+            shown += draw([align(frame_camera(frame), target, valid, partial(_taken, draw, lit["_track_gains"]))])
+        renders = []
+        for each in shown:
+            of_way = {"": each.colors, **{way: taken(each).colors for way, taken in lit.items() if way in ways}}
+            if found.looks:
+                of_way["_fitted"] = np.clip(fitted(each.colors, target, valid), 0, 1)
+            renders += [of_way[way] for way in ways]
+        pair = [np.clip(colors, 0, 1) * valid[..., None] for colors in (picture.colors, target)]
+        scores.append(
+            [each for render in renders for each in _scores(*map(jnp.asarray, (render, target, valid)))]
+            + [measure(*pair) for measure in measures.values()]
+        )
+    means = np.asarray(scores, np.float64).mean(0).tolist()
+    return {**dict(zip((*names, *measures), means, strict=True)), "views": len(scores)}
+
+
+def _taken(
+    draw: Callable[[Sequence[Camera]], Iterable[Picture]],
+    taken: Callable[[Picture], Picture],
+    cameras: Sequence[Camera],
+) -> list[Picture]:
+    return [taken(picture) for picture in draw(cameras)]
+
+
+def _as_taken(looks: Mapping[str, Appearance], frame: Frame, under: np.ndarray | None) -> Callable[[Picture], Picture]:
+    """What a photo's camera makes of a picture; `under`: the colour that we put behind its matte."""
+    if not looks:
+        return lambda picture: picture
+    factor = looks[frame.name].factor(frame)
+
+    def taken(picture: Picture) -> Picture:
+        behind = 0 if under is None else (1 - picture.alphas)[..., None] * under
+        return picture._replace(colors=np.clip((picture.colors - behind) * factor + behind, 0, 1))
+
+    return taken
+
+
+@jax.jit
+def _scores(image: jax.Array, target: jax.Array, valid: jax.Array) -> tuple[jax.Array, jax.Array]:
+    return psnr(image, target, valid), ssim(image, target, valid)

@@ -1,0 +1,1 @@
+"""Who gets the budget of Gaussians: the rules of density control."""

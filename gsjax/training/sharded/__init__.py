@@ -1,0 +1,1 @@
+"""Training on several devices: Gaussians by rows, views by device."""

@@ -1,0 +1,193 @@
+"""The compiled step on several devices: Gaussians by rows, views by device.
+
+Every device projects its own Gaussians into every view of the step; the splats that show there change places, so that
+each device bins and blends its own view and loses on it; the gradients go back the same way, and every device updates
+its own rows.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+from jax.sharding import Mesh
+
+import rasterizer
+from gsjax import render, targets
+from gsjax.cameras import Camera
+from gsjax.gaussians import Gaussians
+from gsjax.settings import Weights
+from gsjax.targets import Target
+from gsjax.training import optimizers
+from gsjax.training.growth.rules import Rule
+from gsjax.training.sharded.layout import AXIS, BY_ROWS, EVERYWHERE, specs
+from gsjax.training.state import TrainState
+from gsjax.training.step import Background, Metrics, active_terms, in_decibels, in_photo, weighed
+from gsjax.training.terms.losses import NEEDS_DEPTH, NEEDS_GAUSSIANS
+
+
+class Exchange(NamedTuple):
+    """What the exchange of a step reports."""
+
+    needed: Array  # [] int32 the most splats that a device had for one view
+    overflowed: Array  # the capacity was too short: the state was left as it was
+
+
+ShardedStep = Callable[[TrainState, Target, Array], tuple[TrainState, Metrics, Exchange]]
+"""(state by rows, `[V]` stacked targets by device, random key) -> (state, metrics, exchange). The state is donated."""
+
+
+class _Seen(NamedTuple):
+    """What one round tells beside the gradients: one view a device."""
+
+    total: Array
+    losses: dict[str, Array]
+    psnr: Array
+    pairs: Array  # needed
+    splats: Array  # needed, by this device for any of the views
+
+
+def make_sharded_step(
+    optimizer: optax.GradientTransformation,
+    weights: Weights,
+    *,
+    mesh: Mesh,
+    splat_capacity: int,
+    capacity: int,
+    background: Background,
+    sh_every: int,
+    rule: Rule | None,
+    depth_mode: render.DepthReading = "plane",
+    extent: float = 1.0,
+) -> ShardedStep:
+    """The compiled step of one phase over V views, a multiple of the D devices: the mean of the V losses is descended.
+
+    Value, gradients and growth statistics are those of one device that takes the same views one by one, to float32's
+    rounding. Every device takes V / D of them in turn.
+
+    Args:
+        optimizer: Over `Gaussians`; it treats rows alike and by themselves.
+        weights: Of the loss terms; none may need a neighbour or surroundings.
+        mesh: The devices, see `gsjax.training.sharded.layout`.
+        splat_capacity: The most splats that one device sends to one view.
+        capacity: Of a view's pair buffer. A step that needs more of either leaves the state untouched and says so.
+        background: Colour under the images, one for all views of a step.
+        sh_every: Steps between the bands of the SH ramp.
+        rule: Of density control, whose statistics are gathered; None: none are.
+        depth_mode: What a splat's depth is, see `gsjax.render.view`.
+        extent: Camera extent, scene units.
+
+    Returns:
+        A `ShardedStep`. Its loss, terms and PSNR are means over the views, `needed` are the largest.
+    """
+    terms = active_terms(weights)
+    with_depth = not NEEDS_DEPTH.isdisjoint(terms)
+    reading = depth_mode if with_depth else None
+    splat_depth = render.of_each(reading)
+    with_shapes = not NEEDS_GAUSSIANS.isdisjoint(terms)
+    unpack = partial(rasterizer.unpack, with_slopes=splat_depth == "plane")
+
+    def objective(free: tuple[Gaussians, Array | None], target: Target, color: Array, active_degree: Array):
+        gaussians, probe = free
+        batch = targets.batch(target, color)
+        scene = render.drawable(gaussians)
+
+        @jax.checkpoint
+        def pack(camera: Camera) -> rasterizer.Packed:
+            projection, opacities = render.projected(scene, camera, splat_depth)
+            features = [render.colors(scene, camera, active_degree)]
+            if with_shapes:
+                features.append(_shapes(gaussians))
+            return rasterizer.pack(projection, opacities, jnp.concatenate(features, -1), splat_capacity)
+
+        # One view after the other: no array has a row for every Gaussian and every view.
+        packed = jax.lax.map(pack, jax.tree.map(partial(jax.lax.all_gather, axis_name=AXIS), batch.camera))
+        rows = packed.rows if rule is None else _probed(rule, packed.rows, probe)
+        projection, opacities, features = unpack(rasterizer.exchange(rows, AXIS))
+        splats = render.binned(projection, opacities, batch.camera, capacity)
+        extra = features[:, -2:] if rule and rule.probes == "extra" else None
+        view = render.shown(splats, features[:, :3], color, reading=reading, extra=extra)
+        shown = _shaped(features[:, 3:14]) if with_shapes else gaussians
+        total, losses, mse = weighed(terms, rule, shown, view, batch)
+        needed = splats.pairs.needed, jnp.max(packed.needed)
+        return total, (_Seen(total, losses, in_decibels(mse), *needed), packed)
+
+    def counted(rule: Rule, statistics: Any, shares: Array, packed: rasterizer.Packed, sizes: Array):
+        """The statistics after all devices' views, one after the other: `shares` `[D, K, 2]` gradients to the probe."""
+
+        def one_view(statistics, of_view):
+            shares, rows, ids, size = of_view
+            projection, _, _ = unpack(rows)
+            seen = in_photo(projection, size)
+            distances = jnp.where(seen, projection.depths[0], 0) / extent
+            count = jax.tree.leaves(statistics)[0].shape[0]
+
+            def by_row(slots: Array) -> Array:
+                return jnp.zeros((count, *slots.shape[1:]), slots.dtype).at[ids].set(slots, mode="drop")
+
+            return rule.accumulate(statistics, by_row(shares), by_row(seen), by_row(distances), size), None
+
+        return jax.lax.scan(one_view, statistics, (shares, packed.rows, packed.ids, sizes))[0]
+
+    def local_step(state: TrainState, targets: Target, key: Array):
+        color = background(jax.random.fold_in(key, state.step))
+        active_degree = state.step // sh_every
+        probe = jnp.zeros((mesh.size, splat_capacity, 2), jnp.float32) if rule else None
+
+        def one_round(carry, target: Target):
+            gradients, statistics = carry
+            (_, (seen, packed)), (gradient, shares) = jax.value_and_grad(objective, has_aux=True)(
+                (state.gaussians, probe), target, color, active_degree
+            )
+            if rule:
+                statistics = counted(rule, statistics, shares, packed, jax.lax.all_gather(target.size, AXIS))
+            return (jax.tree.map(jnp.add, gradients, gradient), statistics), seen
+
+        start = jax.tree.map(jnp.zeros_like, state.gaussians), state.statistics
+        (gradients, statistics), seen = jax.lax.scan(one_round, start, targets)
+        num_views = mesh.size * seen.total.shape[0]
+        gradients = jax.tree.map(lambda total: total / num_views, gradients)
+        gaussians, opt_state = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients)
+        proposed = TrainState(gaussians, opt_state, statistics, state.step + 1)
+        pairs, splats = (jax.lax.pmax(jnp.max(needed), AXIS) for needed in (seen.pairs, seen.splats))
+        exchange = Exchange(splats, splats > splat_capacity)
+        overflowed = (pairs > capacity) | exchange.overflowed
+        state = jax.tree.map(lambda old, new: jnp.where(overflowed, old, new), state, proposed)
+        total, losses, psnr = jax.tree.map(lambda each: jax.lax.pmean(jnp.mean(each), AXIS), seen[:3])
+        return state, Metrics(total, psnr, pairs, pairs > capacity, losses), exchange
+
+    @partial(jax.jit, donate_argnums=0)
+    def train_step(state: TrainState, targets: Target, key: Array):
+        by_rows = specs(state)
+        return jax.shard_map(
+            local_step,
+            mesh=mesh,
+            in_specs=(by_rows, BY_ROWS, EVERYWHERE),
+            out_specs=(by_rows, EVERYWHERE, EVERYWHERE),
+            check_vma=False,
+        )(state, targets, key)
+
+    return train_step
+
+
+def _probed(rule: Rule, rows: Array, probe: Array) -> Array:
+    """`[D, K, W]` rows with the probe where `gsjax.render.view` has it: in the means, or as two channels more."""
+    if rule.probes == "extra":
+        return jnp.concatenate([rows, probe], -1)
+    return rows.at[..., :2].add(probe)
+
+
+def _shapes(gaussians: Gaussians) -> Array:
+    """`[N, 11]` what terms on Gaussians read of them: all but colours."""
+    parts = gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities[:, None]
+    return jnp.concatenate(parts, -1)
+
+
+def _shaped(shapes: Array) -> Gaussians:
+    """The Gaussians of `_shapes`, without colours."""
+    means, quats, log_scales, logits = jnp.split(shapes, [3, 7, 10], -1)
+    no_colors = jnp.zeros((len(shapes), 0, 3), shapes.dtype)
+    return Gaussians(means, quats, log_scales, logits[:, 0], no_colors, no_colors)

@@ -1,0 +1,90 @@
+import jax
+import numpy as np
+import pytest
+from small_scenes import camera_at, cloud, plane
+from tolerances import assert_close
+
+import rasterizer
+from gsjax.cameras import Camera
+from gsjax.gaussians import opacities, scales, sh_coefficients
+from gsjax.render import MIN_COVERAGE, gallery
+
+BACKGROUND = np.array([0.1, 0.9, 0.4])
+CAMERAS = [
+    camera_at((0.0, 0.0, 0.0), size=(24, 20)),
+    camera_at((0.5, 0.0, 0.0), (0.0, 0.0, 4.0), size=(32, 16)),
+]
+
+
+@pytest.fixture(scope="module")
+def shown():
+    scene = cloud(30)
+    return scene, list(gallery.pictures(scene, CAMERAS, BACKGROUND, with_owners=True))
+
+
+def reference(scene, camera, **options):
+    """Colours and expected depth of the dense backend."""
+    return rasterizer.rasterization(
+        scene.means,
+        scene.quats,
+        scales(scene),
+        opacities(scene),
+        sh_coefficients(scene),
+        camera.viewmat[None],
+        camera.K[None],
+        camera.width,
+        camera.height,
+        sh_degree=1,
+        render_mode="RGB+ED",
+        backend="reference",
+        **options,
+    )
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_a_picture_has_its_cameras_size_and_content(shown, index):
+    scene, pictures = shown
+    picture, camera = pictures[index], CAMERAS[index]
+    image, alphas, _ = reference(scene, camera, depth_mode="plane")
+    image, alphas = np.asarray(image[0], np.float64), np.asarray(alphas[0, ..., 0], np.float64)
+    assert picture.colors.shape == (camera.height, camera.width, 3)
+    assert_close(picture.alphas, alphas)
+    assert_close(picture.colors, np.clip(image[..., :3] + (1 - alphas[..., None]) * BACKGROUND, 0, 1))
+    assert_close(picture.depth, np.where(alphas > MIN_COVERAGE, image[..., 3], 0))
+
+
+def test_pictures_are_numpy_and_float32(shown):
+    for picture in shown[1]:
+        assert all(isinstance(part, np.ndarray) for part in picture)
+        assert [part.dtype for part in picture] == 3 * [np.float32] + [np.int32]
+
+
+def test_owners_are_the_medians_of_the_reference(shown):
+    scene, pictures = shown
+    camera = CAMERAS[0]
+    projection = rasterizer.project(
+        scene.means, scene.quats, scales(scene), opacities(scene), camera.viewmat[None], camera.K[None], 24, 20
+    )
+    owners = pictures[0].owners
+    *_, info = reference(scene, camera, return_median_depth=True)
+    depths = np.where(owners >= 0, np.asarray(projection.depths)[0, owners], 0)
+    assert (owners >= 0).any() and (owners < 0).any()
+    np.testing.assert_allclose(depths, info["median_depths"][0, ..., 0], rtol=1e-6)
+
+
+def test_colours_are_clipped_and_numpy_scenes_will_do():
+    bright = plane((0.0, 0.0, -1.0), per_side=4, spacing=1.0, colors=np.tile([3.0, -2.0, 0.5], (16, 1)))
+    as_numpy = jax.tree.map(np.asarray, bright)
+    camera = Camera(np.asarray(CAMERAS[0].viewmat), np.asarray(CAMERAS[0].K), 24, 20)
+    (picture,) = gallery.pictures(as_numpy, [camera], np.zeros(3))
+    assert picture.colors.min() == 0 and picture.colors.max() == 1
+
+
+def test_masked_pictures_show_nothing_where_the_photo_does_not_count(shown):
+    valid = np.random.default_rng(0).random((20, 24)) > 0.4
+    first, second = gallery.masked(iter(shown[1]), iter([valid, None]))
+    for before, after, nothing in zip(shown[1][0], first, (0, 0, 0, -1), strict=True):
+        assert after.dtype == before.dtype and (before[~valid] != nothing).any()
+        np.testing.assert_array_equal(after[valid], before[valid])
+        assert (after[~valid] == nothing).all()
+    assert second is shown[1][1]

@@ -1,0 +1,133 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates, minimum_filter
+from tolerances import assert_close
+
+from gsjax.render.sampling import sample_bicubic, sample_bilinear, sample_central, shrunk
+
+IMAGE = np.random.default_rng(0).random((5, 8)).astype(np.float32)
+
+
+def sampled(pixels, image=IMAGE):
+    return jax.vmap(sample_bilinear, in_axes=(None, 0))(jnp.asarray(image), jnp.asarray(pixels, jnp.float32))
+
+
+def test_values_equal_scipys_inside_and_beyond_the_border():
+    pixels = np.random.default_rng(1).uniform([-3, -3], [11, 8], (200, 2))
+    expected = map_coordinates(
+        IMAGE.astype(np.float64), [pixels[:, 1] - 0.5, pixels[:, 0] - 0.5], order=1, mode="nearest"
+    )
+    assert_close(sampled(pixels), expected)
+
+
+def test_pixel_centres_are_at_a_half():
+    x, y = np.meshgrid(np.arange(8) + 0.5, np.arange(5) + 0.5)
+    assert_close(sampled(np.stack([x.ravel(), y.ravel()], -1)), IMAGE.ravel())
+
+
+def test_slope_is_that_of_the_patch_and_zero_beyond_the_border():
+    slope = jax.grad(sample_bilinear, argnums=1)
+    inside = slope(jnp.asarray(IMAGE), jnp.asarray([3.0, 2.25], jnp.float32))
+    patch = IMAGE[1:3, 2:4].astype(np.float64)
+    fx, fy = 0.5, 0.75
+    by_x = (1 - fy) * (patch[0, 1] - patch[0, 0]) + fy * (patch[1, 1] - patch[1, 0])
+    by_y = (1 - fx) * (patch[1, 0] - patch[0, 0]) + fx * (patch[1, 1] - patch[0, 1])
+    assert_close(inside, np.array([by_x, by_y]))
+    assert_close(slope(jnp.asarray(IMAGE), jnp.asarray([-2.0, 9.0], jnp.float32)), np.zeros(2))
+
+
+@pytest.mark.parametrize("pixel", [(3.3, 2.2), (-5.0, 1.7), (1e30, -1e30)])
+def test_gradient_to_the_image_is_a_partition_of_unity(pixel):
+    weights = jax.grad(sample_bilinear)(jnp.asarray(IMAGE), jnp.asarray(pixel, jnp.float32))
+    assert float(weights.sum()) == pytest.approx(1, abs=1e-6)
+    assert float(weights.min()) >= 0
+    assert int((weights > 0).sum()) <= 4
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (3, 1)])
+def test_images_of_one_row_or_column(shape):
+    image = np.arange(np.prod(shape), dtype=np.float32).reshape(shape)
+    pixels = np.array([[0.5, 0.5], [shape[1] - 0.5, shape[0] - 0.5], [7.0, 7.0]])
+    assert_close(sampled(pixels, image), np.array([0, image[-1, -1], image[-1, -1]]))
+
+
+# --- smoother slopes
+
+SMOOTH = (sample_central, sample_bicubic)
+Y, X = np.indices((9, 11)) + 0.5
+
+
+def quadratic(x, y):
+    return 0.3 + 0.2 * x - 0.5 * y + 0.03 * x * x - 0.04 * x * y + 0.02 * y * y
+
+
+@jax.jit
+def smooth(image, pixels):
+    """For both: values `[2, P]`, slopes `[2, P, 2]`, and gradients of both to the map, summed over the pixels."""
+
+    def values(image, pixels):
+        return jnp.stack([jax.vmap(sample, (None, 0))(image, pixels) for sample in SMOOTH])
+
+    def slopes(image, pixels):
+        return jnp.stack([jax.vmap(jax.grad(sample, 1), (None, 0))(image, pixels) for sample in SMOOTH])
+
+    def dotted(image, pixels):
+        return jnp.sum(slopes(image, pixels) * jnp.asarray([1.0, 0.3]).astype(image.dtype))
+
+    return values(image, pixels), slopes(image, pixels), jax.value_and_grad(dotted, (0, 1))(image, pixels)
+
+
+def test_the_slopes_of_a_quadratic_are_exact(x64):
+    pixels = np.random.default_rng(0).uniform(2, 7, (40, 2))
+    x, y = pixels.T
+    values, slopes, _ = smooth(jnp.asarray(quadratic(X, Y)), jnp.asarray(pixels))
+    for found in slopes:
+        assert_close(found, np.stack([0.2 + 0.06 * x - 0.04 * y, -0.5 - 0.04 * x + 0.04 * y], -1))
+    assert_close(values[1], quadratic(x, y))
+
+
+def test_at_a_pixel_the_value_is_the_pixel_and_the_slope_its_central_difference(x64):
+    image = np.random.default_rng(3).random((9, 11))
+    row, column = (index.ravel() for index in np.indices((7, 9)) + 1)
+    at = np.stack([column, row], -1) + 0.5
+    pixels = np.concatenate([at[:39], at[-1:]])
+    row, column = pixels[:, 1].astype(int), pixels[:, 0].astype(int)
+    values, slopes, _ = smooth(jnp.asarray(image), jnp.asarray(pixels))
+    by_x = 0.5 * (image[row, column + 1] - image[row, column - 1])
+    by_y = 0.5 * (image[row + 1, column] - image[row - 1, column])
+    for value, slope in zip(values, slopes, strict=True):
+        assert_close(value, image[row, column])
+        assert_close(slope, np.stack([by_x, by_y], -1))
+
+
+def test_slopes_are_differentiable_to_the_map_and_the_place(x64):
+    rng = np.random.default_rng(4)
+    image, pixels = rng.random((9, 11)), rng.uniform(-1, 12, (40, 2))
+    image_step, pixel_step = 1e-6 * rng.normal(size=image.shape), 1e-6 * rng.normal(size=pixels.shape)
+
+    def moved(sign):
+        return smooth(jnp.asarray(image + sign * image_step), jnp.asarray(pixels + sign * pixel_step))[2]
+
+    to_image, to_pixels = moved(0)[1]
+    expected = float(np.sum(to_image * image_step) + np.sum(to_pixels * pixel_step))
+    assert 0.5 * float(moved(1)[0] - moved(-1)[0]) == pytest.approx(expected, rel=1e-5)
+
+
+def test_smooth_reads_beyond_the_border_are_those_of_the_border_and_finite(x64):
+    image = np.random.default_rng(5).random((9, 11))
+    away = np.array([[-5.0, 1.7], [1e30, -1e30], [0.0, 0.0], [14.0, 4.5]])
+    values, slopes, every = smooth(jnp.asarray(image), jnp.asarray(np.tile(away, (10, 1))))
+    for value, slope in zip(values, slopes, strict=True):
+        assert_close(value[np.array([1, 2])], image[[0, 0], [10, 0]])
+        assert_close(slope[1], np.zeros(2))
+        assert slope[0, 0] == slope[3, 0] == 0
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(every))
+
+
+def test_a_shrunk_mask_is_the_minimum_of_its_neighbourhood():
+    mask = np.random.default_rng(2).random((9, 12)) > 0.1
+    expected = minimum_filter(mask, 3, mode="constant", cval=0)
+    assert 5 < expected.sum() < 90
+    np.testing.assert_array_equal(jax.jit(shrunk)(mask), expected)

@@ -1,0 +1,293 @@
+"""What the page says is what the run's files say. Runs are written by hand: nothing is trained here."""
+
+import io
+from base64 import b64decode
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsjax import cli, config, pipeline, runs, tables
+from gsjax.errors import InputError
+from gsjax.io import json_files
+from gsjax.mesh import Mesh
+from gsjax.meshing.export import write_mesh
+from gsjax.pipeline.compare import compare
+from gsjax.render.gallery import Picture
+from gsjax.report import shown_views
+from gsjax.report.curves import LEFT, RIGHT
+from gsjax.report.page import noted, report
+from gsjax.scene import Pixels, frame_of
+from gsjax.settings import PRESETS, Settings
+
+SIZE = (64, 48)  # width, height
+NAMES = [f"{index:02d} <b>&\"'.jpg" for index in range(9)]  # as a file may be called
+K = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
+VIEWMAT = np.eye(4)
+EVIDENCE = {"on": True, "evidence": 0.31, "unit": "EV", "noise": 0.02, "threshold": 0.05, "cost": "-", "note": "a<b"}
+WALL = Mesh(
+    np.array([[-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2]], np.float32),
+    np.array([[0, 2, 1], [0, 3, 2]], np.int32),
+    np.full((4, 3), 200, np.uint8),
+)
+
+
+class Page(HTMLParser):
+    """The rows of a page's tables, its pictures, and its lines."""
+
+    def __init__(self, file):
+        super().__init__()
+        self.rows, self.pictures, self.lines, self.tags, self.text = [], {}, [], [], None
+        self.feed(Path(file).read_text(encoding="utf-8"))
+        self.cells = {row[0]: row[1:] for row in self.rows}
+
+    def handle_starttag(self, tag, attrs):
+        attributes = dict(attrs)
+        self.tags.append((tag, attributes))
+        if tag == "tr":
+            self.rows.append([])
+        elif tag in ("td", "th"):
+            self.text = ""
+        elif tag == "img":
+            self.pictures[attributes["alt"]] = attributes["src"]
+        elif tag == "polyline":
+            points = np.array([pair.split(",") for pair in attributes["points"].split()], float)
+            self.lines.append((attributes["data-line"], points))
+
+    def handle_data(self, data):
+        if self.text is not None:
+            self.text += data
+
+    def handle_endtag(self, tag):
+        if tag in ("td", "th"):
+            self.rows[-1].append(self.text.strip())
+            self.text = None
+
+
+def picture(uri):
+    head, data = uri.split(",")
+    assert head == "data:image/jpeg;base64"
+    return Image.open(io.BytesIO(b64decode(data)))
+
+
+def made_run(folder, *, seed=0, losses=(0.5, 0.25, 0.125), psnr=25.0, done=True, views=9, **settings):
+    """A run folder as training leaves it, without its Gaussians and checkpoints."""
+    whole = config.to_dict(config.parse(Settings, config.merge(PRESETS["fast"], {"seed": seed, **settings})))
+    runs.create(folder, {**whole, "downscale": 2.0}, scene=folder.parent / "scene <i>", seed=seed)
+    for index, loss in enumerate(losses):
+        held_out = {"held_out_psnr": 20.0 + index} if index else {}
+        phase = "coarse" if index < 2 else "vanilla"
+        record = {"step": 50 * (index + 1), "seconds": 7.0 * (index + 1) + seed, "loss": loss, "psnr": 10 + index}
+        runs.append_metrics(folder, {**record, "gaussians": 100 * index, "phase": phase, **held_out})
+    if not done:
+        return folder
+    records = [
+        {"name": name, "width": SIZE[0], "height": SIZE[1], "viewmat": VIEWMAT, "K": K, "held_out": index % 2 == 1}
+        for index, name in enumerate(NAMES[:views])
+    ]
+    json_files.write(folder / "cameras.json", records)
+    keep = shown_views.keeper(folder)
+    for index, record in enumerate(records):
+        photo = np.full((SIZE[1], SIZE[0], 3), 20 * index, np.uint8)
+        frame = frame_of(record["name"], VIEWMAT.astype(np.float32), K.astype(np.float32), Pixels(photo))
+        if record["held_out"]:
+            flat, ones = np.full((SIZE[1], SIZE[0]), 2.0, np.float32), np.ones((SIZE[1], SIZE[0]), np.float32)
+            keep(frame, photo / np.float32(255), Picture(1 - photo / np.float32(255), flat, ones, flat))
+    summary = {"psnr": psnr, "ssim": 0.8125, "views": 4, "gaussians": 1234, "steps": 200, "train_seconds": 30.5 + seed}
+    runs.update_manifest(folder, status="done", peak_gib=1.25, photos="9 photos at 64x48 (taken at 128x96)", **summary)
+    return folder
+
+
+@pytest.fixture
+def run(tmp_path):
+    return made_run(tmp_path / "run <script>")
+
+
+def test_the_page_says_what_the_files_say(run):
+    evidence = {"exposure": EVIDENCE, "blur": {**EVIDENCE, "on": False, "evidence": None, "noise": None}}
+    runs.update_manifest(run, effects={"simulated": ["exposure"], "evidence": evidence})
+    page = Page(report(run))
+    assert page.cells["Data set"] == [json_files.read(run / "manifest.json")["scene"]]
+    assert page.cells["psnr"] == ["25"] and page.cells["ssim"] == ["0.8125"] and page.cells["gaussians"] == ["1,234"]
+    assert page.cells["train"] == ["30.5", "1.25", "psnr 25, ssim 0.8125, gaussians 1,234"]
+    assert page.cells["Size of the photos"] == ["reduced 2 times", "9 photos at 64x48 (taken at 128x96)"]
+    assert page.cells["Photos for scoring"][0] == "4 of 9"
+    assert page.cells["Normals"][0] == "of the Gaussians' own depth, smoothed"
+    assert page.cells["exposure"] == ["simulated", "0.31 EV", "0.02 EV", "0.05 EV", "a<b"]
+    assert page.cells["blur"] == ["no", "-", "-", "0.05 EV", "a<b"]
+    terms = "l1 0.8, dssim 0.2, sdf_normal 0.05, pixel_normal 0.05, multi_view 0.03, photometric 0.15, alpha 0.1"
+    assert page.cells["surface"] == ["600", terms]
+    assert page.cells["phases.2.weights.sdf_normal"] == ["0.05"]
+    manifest = json_files.read(run / "manifest.json")
+    assert page.cells["jax"] == [manifest["versions"]["jax"]] and page.cells["cpu"] == [manifest["machine"]["cpu"]]
+
+
+def test_photos_beside_renders_are_the_kept_pictures_under_their_own_names(run):
+    page = Page(report(run))
+    names = [name for index, name in enumerate(NAMES) if index % 2]
+    assert len(page.pictures) == 3 * len(names)
+    for index, name in zip(range(1, 9, 2), names, strict=True):
+        photo, render = (picture(page.pictures[f"{kind} {name}"]) for kind in ("photo", "render of"))
+        assert photo.format == "JPEG" and photo.size == render.size == SIZE
+        assert abs(np.asarray(photo, float).mean() - 20 * index) < 2
+        assert abs(np.asarray(render, float).mean() - (255 - 20 * index)) < 2
+        normals = np.asarray(picture(page.pictures[f"normals, {name}"]), float).mean((0, 1))
+        assert np.abs(normals - [128, 128, 255]).max() < 3, "a wall straight ahead"
+    sliders = [attributes for tag, attributes in page.tags if tag == "input" and attributes["type"] == "range"]
+    assert [slider["aria-label"].startswith(name) for slider, name in zip(sliders, names, strict=True)] == [True] * 4
+
+
+def test_nothing_of_a_name_becomes_markup_and_nothing_is_loaded(run):
+    page = Page(report(run))
+    tags = [tag for tag, _ in page.tags]
+    assert tags.count("script") == 1 and "b" not in tags and "i" not in tags
+    links = [attributes for _, attributes in page.tags if "href" in attributes or "src" in attributes]
+    assert all(link["src"].startswith("data:") for link in links)
+    assert "http:" not in (text := (run / "report.html").read_text()) and "https:" not in text
+
+
+def test_the_lines_are_the_metrics(run):
+    """Three charts against steps, then against seconds; the last score of the held-out views ends its line."""
+    page = Page(report(run))
+    names = ["loss", "training view", "held-out views", "Gaussians"]
+    assert [name for name, _ in page.lines] == 2 * names
+    loss, _, held_out, _ = (points for _, points in page.lines[:4])
+    np.testing.assert_allclose(loss[:, 0], LEFT + (RIGHT - LEFT) * np.array([1, 2, 3]) / 3, atol=0.01)
+    drops = np.diff(loss[:, 1])
+    assert drops[0] == pytest.approx(2 * drops[1], abs=0.02), "0.5, 0.25, 0.125; y points down"
+    np.testing.assert_allclose(held_out[:, 0], LEFT + (RIGHT - LEFT) * np.array([100, 150, 200]) / 200, atol=0.01)
+    seconds = page.lines[6][1]
+    np.testing.assert_allclose(seconds[:, 0], LEFT + (RIGHT - LEFT) * np.array([14, 21, 30.5]) / 30.5, atol=0.01)
+
+
+def test_a_mesh_is_drawn_from_the_views_that_are_shown(run):
+    write_mesh(run / "mesh.ply", WALL)
+    page = Page(report(run))
+    colors = np.asarray(picture(page.pictures[f"mesh colours, {NAMES[1]}"]), float)
+    assert colors.shape == (SIZE[1], SIZE[0], 3)
+    assert abs(colors[24, 32].mean() - 200) < 4 and colors[24, 0].mean() > 250, "the wall, and white beside it"
+
+
+def test_at_most_six_views_are_shown_evenly_spread():
+    held_out = [{"held_out": index % 2 == 0} for index in range(23)]
+    assert shown_views.shown_views(held_out) == [0, 4, 8, 14, 18, 22]
+    assert shown_views.shown_views([{"held_out": False}] * 3) == [0, 1, 2]
+
+
+def test_large_pictures_are_reduced():
+    assert shown_views._reduced(*SIZE) == SIZE
+    assert shown_views._reduced(4000, 3000) == (560, 420)
+
+
+def test_what_a_stage_measured_is_told(run):
+    figures = {"psnr": 26.5, "chamfer": 0.01, "floor": {"chamfer": 0.001}}
+    assert noted(run, "eval", lambda: figures) == figures
+    page = Page(run / "report.html")
+    assert page.cells["psnr"] == ["26.5"] and page.cells["floor.chamfer"] == ["0.001"]
+    stage = json_files.read(run / "manifest.json")["stages"]["eval"]
+    assert page.cells["eval"][:2] == [tables.shown(stage["seconds"]), tables.shown(stage["peak_gib"])]
+    assert noted(run / "mesh.ply", "mesh", lambda: figures) == figures, "of no run nothing is noted"
+
+
+def test_work_that_is_done_is_not_lost_where_the_report_cannot_be_written(run, capsys):
+    (run / "report.html").mkdir()
+    assert noted(run, "eval", lambda: {"psnr": 26.5}) == {"psnr": 26.5}
+    assert "report: cannot write" in capsys.readouterr().err
+
+
+def test_a_run_that_is_not_finished_shows_what_there_is(tmp_path):
+    page = Page(report(made_run(tmp_path / "run", done=False)))
+    assert page.cells["State"] == ["not finished: 150 of 2,600 steps logged"]
+    assert not page.pictures and page.lines
+    runs.create(tmp_path / "begun", json_files.read(tmp_path / "run/config.json"), scene=tmp_path, seed=0)
+    assert not Page(report(tmp_path / "begun")).lines
+
+
+def test_a_scan_is_one_page_of_its_stages_and_runs(tmp_path):
+    made_run(tmp_path / "scan/run")
+    stages = {"sfm": {"registered": 9, "seconds": 3.5, "peak_gib": 0.5}, "train": {"psnr": 25.0, "seconds": 40.0}}
+    json_files.write(tmp_path / "scan/report.json", {"asked": {}, "stages": stages})
+    Image.new("RGB", (2600, 260), (10, 20, 30)).save(tmp_path / "scan/overview.png")
+    page = Page(report(tmp_path / "scan"))
+    assert page.cells["sfm"] == ["3.5", "0.5", "registered 9"] and page.cells["train"][0] == "40"
+    assert picture(page.pictures["one view as Gaussians, as normals, and as the meshes"]).size == (1280, 128)
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ("nothing", "holds no manifest.json; it is no run folder"),
+        ("metrics", "metrics.jsonl, line 2: is no JSON"),
+        ("record", "metrics.jsonl, line 2: is no record of a step"),
+        ("cameras", "cameras.json: is no JSON"),
+        ("scan", "is the folder of neither a run nor a scan"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(run, tmp_path, capsys, fault, told):
+    folder = tmp_path / "empty" if fault in ("nothing", "scan") else run
+    folder.mkdir(exist_ok=True)
+    if fault in ("metrics", "record"):
+        lines = (run / "metrics.jsonl").read_text().splitlines(keepends=True)
+        lines[1] = '{"step": 100, "lo\n' if fault == "metrics" else "7\n"
+        (run / "metrics.jsonl").write_text("".join(lines))
+    if fault == "cameras":
+        (run / "cameras.json").write_text("[{")
+    if fault == "scan":
+        json_files.write(folder / "report.json", {"vanilla": {}})
+    commands = [["report", str(folder)]]
+    if fault != "scan":
+        commands.append(["compare", str(folder), str(made_run(tmp_path / "whole")), "--out", str(tmp_path / "c.html")])
+    for command in commands:
+        assert cli.main(command) == 2
+        message = capsys.readouterr().err
+        assert told in message and message.count("\n") == 1
+    assert not list(tmp_path.rglob("*.html"))
+
+
+def test_a_last_line_that_a_kill_has_torn_is_left_out(run):
+    with open(run / "metrics.jsonl", "a") as file:
+        file.write('{"step": 200, "lo')
+    assert len(Page(report(run)).lines[0][1]) == 3
+
+
+def test_seeds_are_pooled_and_settings_that_differ_are_named(tmp_path):
+    first = made_run(tmp_path / "a", seed=0, losses=(0.5, 0.3), psnr=25.0)
+    second = made_run(tmp_path / "b", seed=2, losses=(0.3, 0.1), psnr=26.0)
+    other = made_run(tmp_path / "c", losses=(0.4, 0.4), psnr=21.0, vanilla=True, max_gaussians=500)
+    page = Page(compare([first, other, second], tmp_path / "c.html"))
+    assert page.rows[0] == ["", "a, 2 seeds", "c"]
+    assert page.cells["psnr"] == ["25.5 [25 26]", "21"]
+    assert page.cells["train_seconds"] == ["31.5 [30.5 32.5]", "30.5"]
+    assert page.cells["vanilla"] == ["false", "true"] and page.cells["max_gaussians"] == ["36000", "500"]
+    assert not {"seed", "sh_degree", "downscale"} & page.cells.keys()
+    assert [row[1:3] for row in page.rows if row[0] == "a"] == [[str(first), "0"], [str(second), "2"]]
+    assert [label for label, _ in page.lines] == 8 * ["a", "c"]
+    a, c = (points for _, points in page.lines[4:6])
+    assert a[0, 1] == pytest.approx(c[0, 1]), "the mean of 0.5 and 0.3 is 0.4"
+    assert a[1, 1] > c[1, 1], "0.2 lies under 0.4"
+    seconds = [points for label, points in page.lines if label == "a"][4 + 2]
+    np.testing.assert_allclose(seconds[:, 0], LEFT + (RIGHT - LEFT) * np.array([8, 15]) / 15, atol=0.01)
+
+
+def test_runs_of_one_name_are_told_apart_and_nothing_differs_between_equals(tmp_path):
+    folders = [made_run(tmp_path / name / "run", done=False) for name in ("x", "y")]
+    page = Page(compare(folders, tmp_path / "c.html"))
+    assert page.rows[0] == ["", "x/run", "y/run"]
+    assert page.cells["data set"] == [str(tmp_path / name / "scene <i>") for name in "xy"]
+    same = [made_run(tmp_path / "z" / name, done=False, seed=seed) for seed, name in enumerate("pq")]
+    assert "Nothing but the seed." in compare(same, tmp_path / "c.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("names", "out", "told"),
+    [
+        (["a"], "c.html", "nothing to compare .*a with"),
+        (["a", "a"], "c.html", "named twice"),
+        (["a", "b"], "c.txt", "html"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(tmp_path, names, out, told):
+    with pytest.raises(InputError, match=told):
+        pipeline.compare([tmp_path / name for name in names], tmp_path / out)

@@ -1,0 +1,124 @@
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from gsjax.errors import InputError
+from gsjax.runs import checkpoints
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class State:
+    params: dict
+    opt_state: optax.OptState
+    key: jax.Array
+    step: jax.Array
+    mask: np.ndarray
+
+
+def make_state():
+    bits = np.array([0.0, -0.0, 1e-45, 1e38, np.inf, -np.inf, np.nan], np.float32)
+    params = {"means": jnp.asarray(bits), "empty": jnp.zeros((0, 3), jnp.float32)}
+    return State(
+        params=params,
+        opt_state=optax.chain(optax.adam(1e-3), optax.trace(0.9)).init(params),
+        key=jax.random.PRNGKey(7),
+        step=jnp.int32(41),
+        mask=np.array([True, False]),
+    )
+
+
+def raw_bytes(tree):
+    return [(np.asarray(x).tobytes(), np.asarray(x).dtype, np.shape(x)) for x in jax.tree.leaves(tree)]
+
+
+def test_round_trip_keeps_every_bit_and_the_structure(tmp_path):
+    state = make_state()
+    checkpoints.save(tmp_path / "state.npz", state)
+    loaded = checkpoints.load(tmp_path / "state.npz", state)
+    assert jax.tree.structure(loaded) == jax.tree.structure(state)
+    assert raw_bytes(loaded) == raw_bytes(state)
+    assert isinstance(loaded.key, jax.Array)
+    assert isinstance(loaded.mask, np.ndarray)
+    assert jnp.array_equal(jax.random.split(loaded.key), jax.random.split(state.key))
+
+
+def test_shapes_alone_are_enough_to_load(tmp_path):
+    state = make_state()
+    checkpoints.save(tmp_path / "state.npz", state)
+    loaded = checkpoints.load(tmp_path / "state.npz", jax.eval_shape(lambda: jax.tree.map(jnp.asarray, state)))
+    assert raw_bytes(loaded) == raw_bytes(state)
+
+
+def test_arrays_are_named_by_their_path(tmp_path):
+    checkpoints.save(tmp_path / "state.npz", make_state())
+    arrays = checkpoints.load_arrays(tmp_path / "state.npz")
+    assert arrays[".params['means']"].shape == (7,)
+    assert arrays[".step"] == 41
+    assert {name for name in arrays if ".mu" in name} == {
+        ".opt_state[0][0].mu['means']",
+        ".opt_state[0][0].mu['empty']",
+    }
+
+
+@pytest.mark.parametrize(
+    ("like", "message"),
+    [
+        ({"a": np.zeros(3, np.float32), "b": np.zeros(2, np.int32)}, r"x.npz: '\['b'\]' is missing"),
+        ({}, r"x.npz: holds '\['a'\]', which this run has no place for"),
+        ({"a": np.zeros(4, np.float32)}, r"x.npz: '\['a'\]' is float32\[3\], expected float32\[4\]"),
+        ({"a": np.zeros(3, np.int32)}, r"x.npz: '\['a'\]' is float32\[3\], expected int32\[3\]"),
+    ],
+)
+def test_the_first_difference_is_named(tmp_path, like, message):
+    checkpoints.save(tmp_path / "x.npz", {"a": np.ones(3, np.float32)})
+    with pytest.raises(InputError, match=message):
+        checkpoints.load(tmp_path / "x.npz", like)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.1, 0.5, 0.99])
+def test_a_truncated_file_is_one_line(tmp_path, kept):
+    path = tmp_path / "state.npz"
+    checkpoints.save(path, {"a": np.arange(1000, dtype=np.float32)})
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(len(whole) * kept)])
+    with pytest.raises(InputError, match=r"state\.npz: truncated or damaged checkpoint") as caught:
+        checkpoints.load_arrays(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_flipped_bit_is_noticed(tmp_path):
+    path = tmp_path / "state.npz"
+    checkpoints.save(path, {"a": np.arange(1000, dtype=np.float32)})
+    damaged = bytearray(path.read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    path.write_bytes(damaged)
+    with pytest.raises(InputError, match="truncated or damaged"):
+        checkpoints.load_arrays(path)
+
+
+def test_absent_and_foreign_files(tmp_path):
+    with pytest.raises(InputError, match="no such checkpoint"):
+        checkpoints.load_arrays(tmp_path / "absent.npz")
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    with pytest.raises(InputError, match="truncated or damaged"):
+        checkpoints.load_arrays(tmp_path / "array.npy")
+
+
+def test_a_full_disk_keeps_the_previous_checkpoint(tmp_path, monkeypatch):
+    path = tmp_path / "state.npz"
+    checkpoints.save(path, {"a": np.float32(1)})
+
+    def disk_is_full(file, **arrays):
+        file.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", disk_is_full)
+    with pytest.raises(InputError, match=r"cannot write .*state\.npz: No space left on device"):
+        checkpoints.save(path, {"a": np.float32(2)})
+    monkeypatch.undo()
+    assert checkpoints.load(path, {"a": np.float32(0)})["a"] == 1

@@ -1,0 +1,56 @@
+import jax
+import jax.numpy as jnp
+import pytest
+from jax import monitoring
+
+from gsjax import pipeline
+from gsjax.binding.refining import Refinement
+from gsjax.errors import InputError
+from gsjax.runs import compilations
+from gsjax.runs.compilations import Compilations
+from gsjax.settings import Settings
+
+
+def test_programs_are_named_once_each_and_only_while_one_listens(monkeypatch):
+    monkeypatch.setattr(compilations, "_SHORTEST", 0.0)
+    values = jnp.arange(7.0)
+    with Compilations() as seen:
+
+        @jax.jit
+        def halved(x):
+            return 0.5 * x
+
+        for _ in range(2):
+            halved(values)
+        (told,) = [one for one in seen.taken() if one["program"] == "halved"]
+        assert told["seconds"] >= 0
+        assert seen.taken() == []
+    jax.jit(lambda x: x - 3)(values)
+    assert seen.taken() == []
+
+
+def test_what_nobody_waits_for_is_not_told():
+    with Compilations() as seen:
+        for seconds in (0.05, 4.25):
+            monitoring.record_event_duration_secs(compilations._COMPILED, seconds, fun_name="jit(train_step)")
+        monitoring.record_event_duration_secs("/jax/else", 9.0)
+        assert seen.taken() == [{"program": "train_step", "seconds": 4.25}]
+
+
+@pytest.mark.parametrize(
+    "begun",
+    [lambda folder: pipeline.train(folder, folder / "out", Settings()),
+     lambda folder: pipeline.refine(folder, folder / "out", Refinement())],
+    ids=["train", "refine"],
+)  # fmt: skip
+def test_a_run_begins_with_room_for_its_programs(begun, monkeypatch, tmp_path):
+    thirds = jax.jit(lambda x: x / 3)
+    thirds(jnp.arange(7.0))
+    with pytest.raises(InputError):
+        begun(tmp_path)
+    assert thirds._cache_size() == 1
+    monkeypatch.setattr(compilations, "MOST_MAPPINGS", 0)
+    with pytest.raises(InputError):
+        begun(tmp_path)
+    assert thirds._cache_size() == 0
+    thirds(jnp.arange(7.0))

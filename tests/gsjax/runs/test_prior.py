@@ -1,0 +1,162 @@
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from small_scenes import angles, camera_at, plane
+
+from gsjax.errors import InputError
+from gsjax.io import normal_folders
+from gsjax.io.normals import normal_maps
+from gsjax.runs import prior
+from gsjax.runs.prior import RunPrior, read_map, write_map
+from gsjax.scene import Pixels, frame_of
+
+NORMAL = np.array([0.5, -0.3, -1]) / np.linalg.norm([0.5, -0.3, -1])
+EYES = [(0.0, 0.0, 0.0), (0.2, 0.0, 0.1), (-0.1, 0.2, 0.0)]
+
+
+def frames_named(*names):
+    cameras = [camera_at(eye, np.add(eye, (0, 0, 1)), size=(40, 32)) for eye in EYES]
+    photo = Pixels(np.zeros((32, 40, 3), np.uint8))
+    return tuple(
+        frame_of(name, np.asarray(c.viewmat), np.asarray(c.K), photo) for name, c in zip(names, cameras, strict=False)
+    )
+
+
+FRAMES = frames_named("left/a.jpg", "b.jpg", "c.jpg")
+
+
+@pytest.fixture(scope="module")
+def tilted():
+    return plane(NORMAL)
+
+
+@pytest.fixture
+def foreign(tmp_path):
+    """Maps of a plane straight ahead or tilted, mirrored."""
+
+    def write(normal, signs) -> str:
+        for frame in FRAMES:
+            file = (tmp_path / "foreign" / frame.name).with_suffix(".npy")
+            file.parent.mkdir(parents=True, exist_ok=True)
+            np.save(file, np.tile(np.float32(normal) * np.float32(signs), (32, 40, 1)))
+        return str(tmp_path / "foreign")
+
+    return write
+
+
+def directions(rng):
+    normals = rng.normal(size=(32, 40, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals[:8] = 0
+    normals[8, :6] = np.concatenate([np.eye(3), -np.eye(3)])
+    return normals.astype(np.float32)
+
+
+def test_a_map_on_disk_is_the_map_in_eight_bits_and_a_zero_stays_one(tmp_path):
+    normals = directions(np.random.default_rng(0))
+    write_map(tmp_path / "b.png", normals)
+    stored = read_map(tmp_path / "b.png", FRAMES[1])
+    assert stored.dtype == np.int8
+    assert np.all(stored[:8] == 0)
+    assert angles(stored[8:], normals[8:]).max() < 0.4
+    assert np.all(cv2.imread(str(tmp_path / "b.png"))[:8] == 128)
+    again = normal_maps(tmp_path, FRAMES[1:2])["b.jpg"]()
+    assert np.all(again[:8] == 0)
+    assert angles(again[8:], normals[8:]).max() < 0.8, "read as 2 v / 255 - 1: half a step off"
+
+
+def test_own_normals_are_those_of_the_surface_and_lie_in_the_run(tilted, tmp_path):
+    maps = RunPrior(tmp_path, None, None, FRAMES)(tilted, FRAMES)
+    assert [m.shape for m in maps] == [(32, 40, 3)] * 3
+    for normals in maps:
+        known = np.any(normals, axis=-1)
+        assert known.mean() > 0.9
+        assert angles(normals[known], NORMAL).mean() < 3
+    assert sorted(p.relative_to(tmp_path).as_posix() for p in tmp_path.rglob("*.png")) == [
+        "normals/b.png",
+        "normals/c.png",
+        "normals/left/a.png",
+    ]
+
+
+def test_a_killed_run_makes_what_is_missing_and_ends_with_the_same_bits(tilted, tmp_path, monkeypatch):
+    whole = RunPrior(tmp_path / "whole", None, None, FRAMES)(tilted, FRAMES)
+
+    def killed(file: Path, normals):
+        if file.name == "b.png":
+            raise KeyboardInterrupt
+        write_map(file, normals)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(prior, "write_map", killed)
+        with pytest.raises(KeyboardInterrupt):
+            RunPrior(tmp_path / "run", None, None, FRAMES)(tilted, FRAMES)
+    first = tmp_path / "run/normals/left/a.png"
+    before = first.stat().st_mtime_ns
+    resumed = RunPrior(tmp_path / "run", None, None, FRAMES)(tilted, FRAMES)
+    assert first.stat().st_mtime_ns == before
+    np.testing.assert_array_equal(resumed, whole)
+    np.testing.assert_array_equal(RunPrior(tmp_path / "run", None, None, FRAMES)(None, FRAMES), whole)
+
+
+def test_names_that_differ_by_their_suffix_alone_have_a_map_each(tilted, tmp_path):
+    frames = frames_named("a.jpg", "a.png")
+    maps = RunPrior(tmp_path, None, None, frames)(tilted, frames)
+    assert {p.name for p in tmp_path.rglob("*.png")} == {"a.jpg.png", "a.png.png"}
+    assert np.any(maps[0] != maps[1])
+
+
+@pytest.mark.parametrize("signs", [(1, -1, -1), (-1, 1, 1), (-1, -1, -1)])
+def test_foreign_maps_are_turned_to_our_axes(tilted, foreign, tmp_path, capsys, signs):
+    maps = RunPrior(tmp_path / "run", foreign(NORMAL, signs), None, FRAMES)(tilted, FRAMES)
+    assert angles(np.stack(maps), NORMAL).max() < 0.4
+    assert "axes read as " in capsys.readouterr().err
+
+
+def test_where_views_cannot_tell_the_convention_stays_and_a_line_says_so(foreign, tmp_path, capsys):
+    """Straight ahead all mirrorings but one look the same, and that one faces away."""
+    wall = plane((0, 0, -1))
+    maps = RunPrior(tmp_path / "run", foreign((0, 0, -1), (1, 1, -1)), None, FRAMES)(wall, FRAMES)
+    np.testing.assert_array_equal(np.stack(maps)[..., 2], 127)
+    assert "axes taken as +x+y+z: -x-y-z is doubtful" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("signs", "line"),
+    [
+        ((1, 1, 1), "axes confirmed as in moge2's record (mean cosine "),
+        ((1, -1, -1), "axes kept as in moge2's record: +x-y-z fits better (mean cosine "),
+    ],
+)
+def test_axes_of_a_network_stay_and_the_comparison_confirms_or_doubts_them(tilted, tmp_path, capsys, signs, line):
+    folder = tmp_path / "scene/normals_moge2"
+    folder.mkdir(parents=True)
+    manifest = normal_folders.begin(folder, {"network": "moge2"})
+    for frame in FRAMES:
+        normals = np.tile(np.float32(NORMAL) * np.float32(signs), (32, 40, 1))
+        normal_folders.add(folder, manifest, frame.name, Path(frame.name).with_suffix(".npz"), normals, {})
+    maps = RunPrior(tmp_path / "run", str(folder), None, FRAMES)(tilted, FRAMES)
+    assert angles(np.stack(maps), NORMAL * signs).max() < 0.4
+    assert line in capsys.readouterr().err
+
+
+def test_axes_that_are_set_are_taken_and_nothing_is_rendered(foreign, tmp_path, capsys):
+    maps = RunPrior(tmp_path / "run", foreign(NORMAL, (1, -1, -1)), "opengl", FRAMES)(None, FRAMES)
+    assert angles(np.stack(maps), NORMAL).max() < 0.4
+    assert "axes" not in capsys.readouterr().err
+
+
+def test_axes_without_maps_or_that_are_none_are_refused_before_the_run_begins(foreign, tmp_path):
+    with pytest.raises(InputError, match=r"--normal-axes opengl: there are no maps .* --normals DIR"):
+        RunPrior(tmp_path / "run", None, "opengl", FRAMES)
+    with pytest.raises(InputError, match=r"--normal-axes up: expected three signs"):
+        RunPrior(tmp_path / "run", foreign(NORMAL, (1, 1, 1)), "up", FRAMES)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_stored_map_of_another_size_is_named(tmp_path):
+    write_map(tmp_path / "b.png", np.zeros((8, 8, 3)))
+    with pytest.raises(InputError, match=r"b.png: normal map is 8x8, its frame 40x32"):
+        read_map(tmp_path / "b.png", FRAMES[1])

@@ -1,0 +1,64 @@
+"""Two processes that train one run, and what is left when one is lost."""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+from small_scenes import built_in
+
+from gsjax.runs import checkpoints
+from gsjax import runs
+
+PATIENCE = 900  # seconds until the first checkpoint, on a machine with much else to do
+PLAN = (
+    'phases=[{"name":"vanilla","steps":100000,"density_control":true}]',
+    "max_gaussians=400",
+    "sh_degree=0",
+    "density.rule=error",
+    "logging.metrics_every=2",
+    "logging.evaluate_every=0",
+    "logging.checkpoint_every=2",
+)
+
+
+def free_port():
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.fixture
+def both(tmp_path):
+    """Both processes of a run in `tmp_path`/run, and their standard errors."""
+    scene, port = built_in(tmp_path / "scene", 6, (32, 32)), free_port()
+    started = []
+    for process in range(2):
+        log = open(tmp_path / f"{process}.log", "w")  # noqa: SIM115
+        command = [sys.executable, "-m", "gsjax", "train", str(scene), "--out", str(tmp_path / "run")]
+        command += ["--coordinator", f"127.0.0.1:{port}", "--processes", "2", "--process", str(process), "--set", *PLAN]
+        started.append(subprocess.Popen(command, stdout=log, stderr=log, env={**os.environ, "TMPDIR": str(tmp_path)}))
+        log.close()
+    yield started
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def test_a_lost_process_ends_the_run_with_one_line_and_the_last_checkpoint_whole(both, tmp_path):
+    run, deadline = tmp_path / "run", time.monotonic() + PATIENCE
+    while runs.latest_checkpoint(run) is None and time.monotonic() < deadline:
+        assert all(process.poll() is None for process in both), (tmp_path / "0.log").read_text()
+        time.sleep(0.2)
+    both[1].kill()
+    assert both[0].wait(PATIENCE) == 2
+    said = (tmp_path / "0.log").read_text().splitlines()
+    assert said[-1] == "gsjax: error: another process of this run was lost; --resume goes on from the last checkpoint"
+    assert "Traceback" not in "".join(said)
+    step, path = runs.latest_checkpoint(run)
+    arrays = checkpoints.load_arrays(path)
+    assert int(arrays["['state'].step"]) == step > 0
+    assert len(arrays["['state'].gaussians.means"]) == int(arrays["['rows']"])
+    assert "step/s" not in (tmp_path / "1.log").read_text(), "the first process alone speaks"

@@ -1,0 +1,271 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scenes import cloud
+from tolerances import assert_close
+
+from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales
+from gsjax.settings import Density
+from gsjax.training.growth import adaptive as control
+from gsjax.training.growth.adaptive import GrowthStatistics
+from gsjax.training.initialize import DEAD_LOGIT
+
+EXTENT = 10.0
+DENSITY = Density(gradient=0.5, dense_share=0.01, min_opacity=0.1, max_share=0.5)  # small is up to 0.1, large over 5
+CAPACITY, ALIVE = 16, 10
+KEY = jax.random.key(3)
+
+
+def scene(*, opacity=None, size=None) -> Gaussians:
+    """10 Gaussians in 16 rows, of scale 0.05 and opacity 0.6 where nothing else is said (row -> value)."""
+    logits = np.where(np.arange(CAPACITY) < ALIVE, np.log(0.6 / 0.4), DEAD_LOGIT)
+    log_scales = np.full((CAPACITY, 3), np.log(0.05))
+    for row, value in (opacity or {}).items():
+        logits[row] = np.log(value / (1 - value))
+    for row, value in (size or {}).items():
+        log_scales[row, row % 3] = np.log(value)
+    fields = {"logit_opacities": jnp.asarray(logits, jnp.float32), "log_scales": jnp.asarray(log_scales, jnp.float32)}
+    return Gaussians(**{**cloud(ALIVE, capacity=CAPACITY).__dict__, **fields})
+
+
+def gradients(mean_of, views=4):
+    """Statistics over some views whose mean gradient is `mean_of[row]`, else 0."""
+    sums = np.zeros(CAPACITY, np.float32)
+    sums[list(mean_of)] = np.array(list(mean_of.values())) * views
+    return GrowthStatistics(jnp.asarray(sums), jnp.full(CAPACITY, views, jnp.float32))
+
+
+@jax.jit
+def densified(gaussians, statistics, prune_large=False, key=KEY):
+    return control.densify(gaussians, statistics, key, density=DENSITY, extent=EXTENT, prune_large=prune_large)
+
+
+def alive(gaussians):
+    return np.asarray(control.is_alive(gaussians))
+
+
+def rows(tree, index):
+    return jax.tree.map(lambda x: np.asarray(x)[index], tree)
+
+
+def assert_same_rows(actual, expected, index):
+    jax.tree.map(np.testing.assert_array_equal, rows(actual, index), rows(expected, index))
+
+
+def test_without_gradients_and_faint_gaussians_nothing_changes():
+    before = scene()
+    after, moved = densified(before, gradients({}))
+    assert_same_rows(after, before, slice(None))
+    np.testing.assert_array_equal(moved.source, np.arange(CAPACITY))
+    np.testing.assert_array_equal(moved.fresh, ~alive(before))
+
+
+def test_a_small_gaussian_is_cloned_and_the_original_keeps_its_state():
+    before = scene()
+    after, moved = densified(before, gradients({4: 0.6, 7: 0.4}))
+    assert alive(after).sum() == ALIVE + 1
+    assert_same_rows(after, before, slice(ALIVE))
+    new = ALIVE  # the first free row
+    assert int(moved.source[new]) == 4
+    assert_same_rows(rows(after, [new]), rows(before, [4]), slice(None))
+    assert bool(moved.fresh[new]) and not np.any(moved.fresh[:ALIVE])
+
+
+@pytest.mark.parametrize(("mean", "grows"), [(0.4999, False), (0.5, True)])
+def test_the_threshold_of_growth_is_inclusive(mean, grows):
+    after, _ = densified(scene(), gradients({2: mean}))
+    assert alive(after).sum() == ALIVE + grows
+
+
+def test_a_large_gaussian_is_split_in_two_smaller_ones_inside_itself():
+    before = scene(size={3: 0.4})
+    after, moved = densified(before, gradients({3: 2.0}))
+    halves = [3, ALIVE]
+    assert alive(after).sum() == ALIVE + 1
+    assert np.all(moved.fresh[np.array(halves)])
+    assert_close(scales(after)[np.array(halves)], np.tile(np.asarray(scales(before))[3] / 1.6, (2, 1)))
+    for name in ("quats", "logit_opacities", "sh_dc", "sh_rest"):
+        field = np.asarray(getattr(after, name))[halves]
+        np.testing.assert_array_equal(field, np.repeat(np.asarray(getattr(before, name))[3:4], 2, axis=0))
+    offsets = (np.asarray(after.means)[halves] - np.asarray(before.means)[3]) @ np.asarray(
+        rotation_matrices(before.quats)[3]
+    )
+    assert np.abs(offsets[0] - offsets[1]).max() > 1e-3
+    assert np.all(np.abs(offsets) < 5 * np.asarray(scales(before))[3])
+    assert_same_rows(after, before, [0, 1, 2, 4, 5, 6, 7, 8, 9])
+
+
+def test_split_positions_are_samples_of_the_gaussian():
+    before = scene(size={3: 0.4})
+    after = jax.vmap(lambda key: densified(before, gradients({3: 2.0}), key=key)[0])(jax.random.split(KEY, 2000))
+    local = (after.means[:, np.array([3, ALIVE])] - before.means[3]) @ rotation_matrices(before.quats)[3]
+    found = np.asarray(local, np.float64).reshape(-1, 3)
+    expected = np.asarray(scales(before))[3]
+    np.testing.assert_allclose(found.std(0), expected, rtol=0.06)  # 4,000 samples: 1.1 % a standard error
+    np.testing.assert_allclose(found.mean(0), np.zeros(3), atol=0.08 * expected.max())
+
+
+def test_the_limit_between_clone_and_split_is_a_share_of_the_extent():
+    before = scene(size={1: 0.0999, 2: 0.1001})
+    after, _ = densified(before, gradients({1: 1.0, 2: 1.0}))
+    largest = np.asarray(scales(after)).max(1)
+    np.testing.assert_allclose(largest[1], 0.0999, rtol=1e-5)
+    np.testing.assert_allclose(largest[2], 0.1001 / 1.6, rtol=1e-5)
+
+
+def test_when_rows_are_short_the_largest_gradients_win():
+    means = {row: 1 + 0.1 * ((7 * row) % 10) for row in range(ALIVE)}
+    after, moved = densified(scene(), gradients(means))
+    assert alive(after).all()
+    winners = sorted(means, key=means.get)[-(CAPACITY - ALIVE) :]
+    assert sorted(np.asarray(moved.source)[ALIVE:]) == sorted(winners)
+    np.testing.assert_array_equal(np.asarray(moved.source)[:ALIVE], np.arange(ALIVE))
+
+
+def test_a_full_buffer_of_opaque_gaussians_stays_as_it_is():
+    full = scene(opacity=dict.fromkeys(range(CAPACITY), 0.9), size={0: 0.4})
+    after, moved = densified(full, gradients(dict.fromkeys(range(CAPACITY), 9.0)))
+    assert_same_rows(after, full, slice(None))
+    assert not np.any(moved.fresh)
+
+
+def test_faint_gaussians_die_and_their_rows_serve_at_once():
+    before = scene(opacity={0: 0.09, 5: 0.11, 6: 0.02})
+    after, moved = densified(before, gradients({}))
+    np.testing.assert_array_equal(np.flatnonzero(~alive(after)), [0, 6, *range(ALIVE, CAPACITY)])
+    assert np.all(moved.fresh[np.array([0, 6])]) and not bool(moved.fresh[5])
+    # A dying one does not grow, and its row is the first that is given away.
+    after, moved = densified(before, gradients({0: 9.0, 3: 1.0}))
+    assert int(moved.source[0]) == 3 and alive(after)[0] and alive(after).sum() == ALIVE - 1
+
+
+def test_size_prunes_only_when_asked():
+    before = scene(size={8: 5.1, 9: 4.9})
+    kept, _ = densified(before, gradients({}), prune_large=False)
+    pruned, _ = densified(before, gradients({}), prune_large=True)
+    np.testing.assert_array_equal(np.flatnonzero(alive(kept)), np.arange(ALIVE))
+    np.testing.assert_array_equal(np.flatnonzero(alive(pruned)), np.delete(np.arange(ALIVE), 8))
+
+
+def test_a_large_gaussian_that_grows_leaves_its_halves_behind_where_these_are_small_enough():
+    before = scene(size={1: 5.1, 4: 7.9, 7: 8.1, 9: 7.0})  # halves of 3.2, 4.9 and 5.1; the last one is well fitted
+    after, moved = densified(before, gradients({1: 1.0, 4: 2.0, 7: 9.0}), prune_large=True)
+    survivors = {row: float(scales(after)[row].max()) for row in np.flatnonzero(alive(after))}
+    # The doomed ones' rows, 7 and 9, are the first that are free: the steeper gradient gets the first.
+    assert (int(moved.source[7]), int(moved.source[9])) == (4, 1)
+    assert len(survivors) == ALIVE
+    for row, size in ((1, 5.1), (9, 5.1), (4, 7.9), (7, 7.9)):
+        assert survivors[row] == pytest.approx(size / 1.6, rel=1e-5)
+    assert max(survivors.values()) < 5
+
+
+def test_a_large_gaussian_that_finds_no_row_for_its_second_half_waits():
+    full = scene(opacity=dict.fromkeys(range(CAPACITY), 0.9), size={3: 7.0})
+    steeper = {row: 9.0 for row in range(CAPACITY) if row != 3}
+    after, moved = densified(full, gradients({**steeper, 3: 1.0}), prune_large=True)
+    assert_same_rows(after, full, slice(None))
+    room = scene(opacity=dict.fromkeys(range(CAPACITY), 0.9) | {8: 0.01}, size={3: 7.0})
+    after, moved = densified(room, gradients({3: 1.0}), prune_large=True)
+    assert int(moved.source[8]) == 3 and alive(after).all()
+
+
+def densify_and_prune_of_3dgs(gaussians, gradient, prune_large):
+    """Sizes and opacities of what is left, sorted, by the order of 3DGS: clone, split, then prune (numpy)."""
+    sizes, seen = np.asarray(scales(gaussians).max(1)), np.asarray(opacities(gaussians))
+    rows = [(sizes[k], seen[k], gradient.get(k, 0.0)) for k in np.flatnonzero(alive(gaussians))]
+    rows += [(size, opacity, 0.0) for size, opacity, slope in rows if slope >= 0.5 and size <= 0.1]
+    halves = [(size / 1.6, opacity, 0.0) for size, opacity, slope in rows if slope >= 0.5 and size > 0.1] * 2
+    rows = [row for row in rows if not (row[2] >= 0.5 and row[0] > 0.1)] + halves
+    return sorted((size, opacity) for size, opacity, _ in rows if opacity >= 0.1 and not (prune_large and size > 5))
+
+
+@pytest.mark.parametrize("prune_large", [False, True])
+def test_with_room_enough_what_is_left_is_what_3dgs_leaves(prune_large):
+    sizes = {0: 0.3, 1: 6.0, 2: 7.5, 3: 9.0, 4: 5.5, 6: 0.2}
+    gradient = {0: 1.0, 1: 0.7, 3: 2.0, 5: 0.9, 6: 3.0, 7: 0.4, 8: 5.0}
+    before = scene(opacity={6: 0.05, 8: 0.02, 9: 0.3}, size=sizes)
+    after, _ = densified(before, gradients(gradient), prune_large)
+    sizes_and_opacities = (np.asarray(scales(after).max(1)), np.asarray(opacities(after)))
+    found = sorted(zip(*(values[alive(after)] for values in sizes_and_opacities), strict=True))
+    np.testing.assert_allclose(found, densify_and_prune_of_3dgs(before, gradient, prune_large), rtol=1e-5)
+
+
+def steps_where(rule, *arguments, density, last=100):
+    return [step for step in range(1, last + 1) if rule(density, step, *arguments)]
+
+
+def test_densification_is_due_between_its_bounds():
+    assert steps_where(control.densifies, density=Density(start=20, stop=60, every=10)) == [30, 40, 50]
+
+
+@pytest.mark.parametrize(
+    ("settings", "first"),
+    [
+        ({}, 41),  # after the first reset, as in 3DGS
+        ({"reset_every": 0}, 17),  # without resets: past a fifth of the 80 steps
+        ({"prune_large_after": 70}, 71),
+        ({"prune_large_after": 0, "reset_every": 0}, 1),
+    ],
+)
+def test_size_prunes_from_a_step_on_also_where_opacities_are_never_reset(settings, first):
+    density = Density(**{"stop": 80, "reset_every": 40, **settings})
+    assert steps_where(control.prunes_large, density=density) == list(range(first, 101))
+    assert min(steps_where(control.prunes_large, density=Density(), last=3100)) == 3001
+    assert min(steps_where(control.prunes_large, density=Density(reset_every=0), last=3100)) == 3001
+
+
+@pytest.mark.parametrize(
+    ("background", "settings", "expected"),
+    [
+        ("black", {}, [40]),
+        ("white", {}, [15, 40]),  # what was fitted to the white goes once more, before anything grows
+        ("random", {}, [40]),
+        ("white", {"reset_every": 0}, []),  # resets are off: all of them
+        ("white", {"start": 80}, [40]),
+    ],
+)
+def test_opacities_are_reset_now_and_then_and_at_the_start_over_white(background, settings, expected):
+    density = Density(**{"start": 15, "stop": 80, "reset_every": 40, **settings})
+    assert steps_where(control.resets_opacities, background, density=density) == expected
+
+
+def test_a_gaussian_never_seen_does_not_grow():
+    unseen = GrowthStatistics(jnp.zeros(CAPACITY, jnp.float32), jnp.zeros(CAPACITY, jnp.float32))
+    after, _ = densified(scene(), unseen)
+    assert alive(after).sum() == ALIVE
+
+
+def test_accumulated_gradients_are_norms_in_ndc_units_of_the_visible():
+    gradient = np.random.default_rng(0).normal(size=(CAPACITY, 2))
+    visible = np.arange(CAPACITY) % 3 > 0
+    statistics = control.empty_statistics(CAPACITY)
+    for _ in range(2):
+        statistics = control.accumulate(
+            statistics,
+            jnp.asarray(gradient, jnp.float32),
+            jnp.asarray(visible),
+            jnp.ones(CAPACITY, jnp.float32),
+            jnp.array([40, 30], jnp.int32),
+        )
+    expected = np.where(visible, np.linalg.norm(gradient * [20, 15], axis=1), 0)
+    assert_close(statistics.gradient, 2 * expected)
+    assert_close(statistics.views, 2.0 * visible)
+
+
+def test_reset_caps_opacities_and_leaves_the_dead_dead():
+    before = scene(opacity={1: 0.005})
+    after = control.reset_opacities(before, 0.01)
+    expected = np.where(np.arange(CAPACITY) < ALIVE, 0.01, 0)
+    expected[1] = 0.005
+    assert_close(opacities(after), expected)
+    np.testing.assert_array_equal(alive(after), alive(before))
+    assert_same_rows(after.log_scales, before.log_scales, slice(None))
+
+
+def test_cull_removes_what_is_fainter():
+    before = scene(opacity={2: 0.49, 3: 0.51})
+    after = control.cull(before, 0.5)
+    np.testing.assert_array_equal(alive(after), alive(before) & (np.arange(CAPACITY) != 2))
+    kept = alive(after)
+    assert_same_rows(after, before, kept)

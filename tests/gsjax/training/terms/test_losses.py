@@ -1,0 +1,153 @@
+from dataclasses import replace
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+from scipy.special import expit, xlogy
+from small_scenes import camera_at, cloud
+from tolerances import assert_close
+
+from gsjax.gaussians import Gaussians
+from gsjax.measures.images import ssim
+from gsjax.render import View
+from gsjax.settings import Weights
+from gsjax.training.terms import losses
+from gsjax.training.terms.losses import Batch
+
+RNG = np.random.default_rng(0)
+IMAGE, TARGET = RNG.random((12, 14, 3)), RNG.random((12, 14, 3))
+ALPHAS, MATTE = RNG.random((12, 14)), RNG.random((12, 14))
+VALID = RNG.random((12, 14)) > 0.3
+
+
+def view_of(colors, alphas=ALPHAS, visible=None):
+    visible = (
+        None if visible is None else SimpleNamespace(projection=SimpleNamespace(visible=jnp.asarray(visible)[None]))
+    )
+    return View(jnp.asarray(colors), jnp.asarray(alphas), None, visible)
+
+
+def batch_of(image=TARGET, valid=VALID, matte=None):
+    return Batch(None, jnp.asarray(image), jnp.asarray(valid), None if matte is None else jnp.asarray(matte), None)
+
+
+def of_logits(logits) -> Gaussians:
+    return Gaussians(**{**cloud(len(logits)).__dict__, "logit_opacities": jnp.asarray(logits)})
+
+
+def test_photometric_terms_are_zero_for_the_photo_itself():
+    for term in (jax.jit(losses.l1), jax.jit(losses.dssim)):
+        assert_close(term(None, view_of(TARGET), batch_of()), np.float32(0), atol=1e-6, rtol=0, why="1 - SSIM cancels")
+
+
+def test_l1_is_the_mean_over_valid_pixels_and_channels(x64):
+    assert_close(losses.l1(None, view_of(IMAGE), batch_of()), np.abs(IMAGE - TARGET)[VALID].mean())
+    gradient = jax.grad(lambda colors: losses.l1(None, view_of(colors), batch_of()))(jnp.asarray(IMAGE))
+    assert_close(gradient, np.sign(IMAGE - TARGET) * VALID[..., None] / (3 * VALID.sum()))
+
+
+def test_dssim_is_one_minus_ssim_and_differentiable(x64):
+    expected = 1 - jax.jit(ssim)(jnp.asarray(IMAGE), jnp.asarray(TARGET), jnp.asarray(VALID))
+    dssim = jax.jit(lambda colors: losses.dssim(None, view_of(colors), batch_of()))
+    assert_close(dssim(jnp.asarray(IMAGE)), expected)
+    check_grads(dssim, (jnp.asarray(IMAGE),), order=1, modes=["rev"])
+
+
+def test_coverage_is_the_light_that_falls_through_where_there_is_a_normal(x64):
+    normals = RNG.normal(size=(12, 14, 3)) * (RNG.random((12, 14, 1)) > 0.4)
+    surface = VALID & np.any(normals, -1)
+    batch = replace(batch_of(), normals=jnp.asarray(normals))
+    value, gradient = jax.value_and_grad(lambda a: losses.coverage(None, view_of(IMAGE, a), batch))(jnp.asarray(ALPHAS))
+    assert_close(value, 1 - ALPHAS[surface].mean())
+    assert_close(gradient, np.where(surface, -1 / surface.sum(), 0))
+    nowhere = replace(batch, normals=jnp.zeros((12, 14, 3)))
+    value, gradient = jax.value_and_grad(lambda a: losses.coverage(None, view_of(IMAGE, a), nowhere))(
+        jnp.asarray(ALPHAS)
+    )
+    assert value == 0 and not np.any(gradient)
+
+
+def test_thickness_is_the_smallest_deviation_in_pixels_and_moves_nothing(x64):
+    rng = np.random.default_rng(1)
+    log_scales, depths, visible = rng.normal(-2, 1, (9, 3)), rng.uniform(1, 5, 9), np.arange(9) % 4 != 0
+    depths[0] = 0.0  # Not visible: its row may hold anything harmless.
+    camera = camera_at((0.0, 0, 0), (0.0, 0, 4), size=(24, 20))
+    camera = replace(camera, K=jnp.asarray(camera.K, jnp.float64))
+    batch = replace(batch_of(), camera=camera)
+    focal = np.sqrt(float(camera.K[0, 0]) * float(camera.K[1, 1]))
+
+    def term(log_scales, depths):
+        projection = SimpleNamespace(visible=jnp.asarray(visible)[None], depths=depths[None])
+        view = View(jnp.asarray(IMAGE), jnp.asarray(ALPHAS), None, SimpleNamespace(projection=projection))
+        return losses.thickness(Gaussians(**{**cloud(9).__dict__, "log_scales": log_scales}), view, batch)
+
+    smallest = np.exp(log_scales.min(1))
+    value, (to_scales, to_depths) = jax.value_and_grad(term, (0, 1))(jnp.asarray(log_scales), jnp.asarray(depths))
+    pixels = np.where(visible, smallest * focal / np.where(visible, depths, 1), 0)
+    assert_close(value, pixels.sum() / visible.sum())
+    is_smallest = log_scales == log_scales.min(1, keepdims=True)
+    expected = np.where(is_smallest, pixels[:, None], 0) / visible.sum()
+    assert_close(to_scales, expected)
+    assert_close(to_depths, np.zeros(9))
+
+
+def test_alpha_is_the_mean_distance_to_the_matte(x64):
+    batch = batch_of(matte=MATTE)
+    assert_close(losses.alpha(None, view_of(IMAGE), batch), np.abs(ALPHAS - MATTE)[VALID].mean())
+    gradient = jax.grad(lambda alphas: losses.alpha(None, view_of(IMAGE, alphas), batch))(jnp.asarray(ALPHAS))
+    assert_close(gradient, np.sign(ALPHAS - MATTE) * VALID / VALID.sum())
+
+
+@pytest.mark.parametrize("term", [losses.l1, losses.dssim, losses.alpha], ids=lambda term: term.__name__)
+def test_invalid_pixels_do_not_matter(term):
+    image, alphas = np.where(VALID[..., None], IMAGE, 7.0), np.where(VALID, ALPHAS, -3.0)
+    expected = term(None, view_of(IMAGE), batch_of(matte=MATTE))
+    assert_close(term(None, view_of(image, alphas), batch_of(matte=MATTE)), expected)
+    nothing = batch_of(valid=np.zeros_like(VALID), matte=MATTE)
+    assert float(term(None, view_of(IMAGE), nothing)) == (1.0 if term is losses.dssim else 0.0)
+
+
+def test_entropy_is_that_of_a_coin_over_the_visible(x64):
+    logits = np.array([-8.0, -2.0, 0.0, 0.5, 3.0, 11.0])
+    visible = np.array([1, 0, 1, 1, 1, 1], bool)
+    a = expit(logits)
+    nats = -(xlogy(a, a) + xlogy(1 - a, 1 - a))
+    assert_close(losses.entropy(of_logits(logits), view_of(IMAGE, visible=visible), None), nats[visible].mean())
+
+    def of(logits):
+        return losses.entropy(of_logits(logits), view_of(IMAGE, visible=visible), None)
+
+    assert_close(jax.grad(of)(jnp.asarray(logits)), np.where(visible, -logits * a * (1 - a) / 5, 0))
+    check_grads(of, (jnp.asarray(logits),), order=1, modes=["rev"])
+
+
+@pytest.mark.parametrize("logit", [-100.0, 100.0, -1e30, 1e30])
+def test_entropy_of_a_certain_opacity_is_exactly_zero(logit):
+    value, gradient = jax.value_and_grad(
+        lambda logits: losses.entropy(of_logits(logits), view_of(IMAGE, visible=np.ones(2, bool)), None)
+    )(jnp.full(2, logit, jnp.float32))
+    assert_close((value, gradient), (np.zeros(()), np.zeros(2)), rtol=0, atol=1e-38, why="exact but for denormals")
+
+
+def test_entropy_of_nothing_visible_is_zero():
+    value = losses.entropy(cloud(3), view_of(IMAGE, visible=np.zeros(3, bool)), None)
+    assert float(value) == 0
+
+
+def test_a_normal_term_counts_only_valid_covered_pixels_that_have_a_normal():
+    # An estimator of constant direction: z. Where a pixel counts, 1 - |cos| is 1 - |n_z|.
+    normals = RNG.normal(size=(12, 14, 3))
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals[:, :4] = 0
+    batch = Batch(camera_at(), None, jnp.asarray(VALID), None, jnp.asarray(normals, jnp.float32))
+    term = losses._normal(lambda gaussians, view, camera: jnp.broadcast_to(jnp.array([0.0, 0, -2]), (12, 14, 3)))
+    counts = VALID & (ALPHAS > 0.5) & (np.arange(14) >= 4)
+    assert_close(term(None, view_of(IMAGE), batch), (1 - np.abs(normals[..., 2]))[counts].mean())
+
+
+def test_every_weight_has_its_term():
+    assert set(losses.TERMS) == set(Weights().__dict__)
+    assert set(losses.TERMS) >= losses.NEEDS_NORMALS | losses.NEEDS_DEPTH | losses.NEEDS_SURROUNDINGS

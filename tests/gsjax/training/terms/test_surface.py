@@ -1,0 +1,225 @@
+"""The terms of one view: against all pairs of splats in float64, closed forms, and where there is nothing to see."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scenes import camera_at, cloud, discs, plane
+from tolerances import assert_close
+
+import rasterizer
+from gsjax import render
+from gsjax.cameras import pixel_rays
+from gsjax.gaussians import opacities, rotation_matrices, scales
+from gsjax.normals.from_depth import depth_normals
+from gsjax.numerics import masked_mean
+from gsjax.render import View, depth
+from gsjax.targets import Batch
+from gsjax.training.terms.surface import depth_normal, distortion
+
+CAMERA = camera_at(size=(24, 20))
+COUNT = 16
+TERMS = (distortion, depth_normal)
+CLOUD = cloud(COUNT, sh_degree=0)
+FIELDS = ("means", "quats", "log_scales", "logit_opacities")
+ALL = jnp.ones((20, 24), bool)
+PIXEL = (9, 11)  # row and column of the one that closed forms are about
+ONLY = jnp.zeros((20, 24), bool).at[PIXEL].set(True)
+RAY = np.asarray(pixel_rays(CAMERA), np.float64)[PIXEL]
+FACING = (0.0, 0.0, -1.0)
+
+
+def shown(gaussians, depth_mode="plane"):
+    """All of the view but its colours, which no term reads."""
+    splats = render.splat(gaussians, CAMERA, 2048, depth_mode=depth_mode)
+    expected, alphas = depth.expected(splats)
+    return View(None, alphas, expected, splats)
+
+
+def both(gaussians, valid=ALL, depth_mode="plane"):
+    batch, view = Batch(CAMERA, None, valid, None, None), shown(gaussians, depth_mode)
+    return jnp.stack([term(gaussians, view, batch) for term in TERMS])
+
+
+@jax.jit
+def weighted_and_gradient(weights, gaussians, valid):
+    return jax.value_and_grad(lambda g: jnp.sum(weights * both(g, valid)))(gaussians)
+
+
+def value_and_gradient(term, gaussians, valid=ALL):
+    """Of one term; the other has no weight, so that one program serves both."""
+    return weighted_and_gradient(jnp.asarray([float(term is t) for t in TERMS], jnp.float32), gaussians, valid)
+
+
+def dense(gaussians, depth_mode):
+    """Weights and depths of all splats at every pixel, both `[20, 24, N]`, front to back, and their order."""
+    camera = in_float64(CAMERA)
+    shape = gaussians.quats, scales(gaussians), opacities(gaussians)
+    p = rasterizer.project(gaussians.means, *shape, camera.viewmat[None], camera.K[None], 24, 20, depth_mode=depth_mode)
+    order = jnp.argsort(p.depths[0])
+    y, x = jnp.meshgrid(jnp.arange(0.5, 20), jnp.arange(0.5, 24), indexing="ij")
+    dx, dy = jnp.moveaxis(jnp.stack([x, y], -1)[:, :, None] - p.means2d[0, order], -1, 0)
+    xx, xy, yy = p.conics[0, order].T
+    alpha = opacities(gaussians)[order] * jnp.exp(-0.5 * (xx * dx * dx + yy * dy * dy) - xy * dx * dy)
+    alpha = jnp.where((alpha >= 1 / 255) & p.visible[0, order], jnp.minimum(alpha, 0.99), 0)
+    left = jnp.cumprod(1 - alpha, -1)
+    weight = jnp.where(left > 1e-4, alpha * left / (1 - alpha), 0)
+    slope_x, slope_y = (0, 0) if p.slopes is None else p.slopes[0, order].T
+    return weight, p.depths[0, order] + slope_x * dx + slope_y * dy, order
+
+
+def dense_distortion(gaussians, depth_mode="plane"):
+    """From every pair of splats at every pixel."""
+    weight, z, _ = dense(gaussians, depth_mode)
+    alphas, covered, here = dense_depth(weight, z)
+    here = jax.lax.stop_gradient(here)
+    pairs = weight[..., :, None] * weight[..., None, :] * (z[..., :, None] - z[..., None, :]) ** 2
+    return masked_mean(0.5 * jnp.sum(pairs, (-2, -1)) / here**2, covered)
+
+
+def dense_depth(weight, z):
+    """Alphas, where they make a depth, and that depth (1 elsewhere)."""
+    alphas = jnp.sum(weight, -1)
+    covered = alphas > 0.5
+    return alphas, covered, jnp.where(covered, jnp.sum(weight * z, -1), 1) / jnp.where(covered, alphas, 1)
+
+
+def dense_depth_normal(gaussians, depth_mode="plane"):
+    """From the smallest axis of every splat, and the normals of the dense depth."""
+    weight, z, order = dense(gaussians, depth_mode)
+    alphas, covered, here = dense_depth(weight, z)
+    of_depth = depth_normals(jnp.where(covered, here, 0), in_float64(CAMERA))
+    smallest = jnp.argmin(gaussians.log_scales, -1)
+    axes = jnp.take_along_axis(rotation_matrices(gaussians.quats), smallest[:, None, None], -1)[..., 0]
+    facing = jnp.where(jnp.sum(axes * gaussians.means, -1, keepdims=True) > 0, -axes, axes)[order]
+    apart = jnp.sum(weight * (1 - jnp.einsum("nk,hwk->hwn", facing, of_depth)), -1)
+    held = jax.lax.stop_gradient(alphas)  # Of the sum of weights only the part with a normal has a gradient.
+    return masked_mean(held * (apart - alphas + held), jnp.any(of_depth != 0, -1))
+
+
+def dense_both(gaussians, depth_mode="plane"):
+    return jnp.stack([dense_distortion(gaussians, depth_mode), dense_depth_normal(gaussians, depth_mode)])
+
+
+@jax.jit
+def dense_values_and_gradients(gaussians):
+    return dense_both(gaussians), jax.jacrev(dense_both)(gaussians)
+
+
+def in_float64(tree):
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.float64), tree)
+
+
+def layers(distance, gap, *, normal=FACING, opacity=0.7):
+    """Two parallel planes of 8 discs, each of which covers the view; the discs of one do not lie on top of another."""
+    normal = np.asarray(normal) / np.linalg.norm(normal)
+    x, y = np.meshgrid([-0.24, -0.08, 0.08, 0.24], [-0.15, 0.15])
+    rays = np.stack([x.ravel(), y.ravel(), np.ones(8)], -1)
+    on_plane = [rays * (d * normal[2] / (rays @ normal))[:, None] for d in (distance, distance + gap)]
+    return discs(np.concatenate(on_plane), normal, 0.15 * distance, opacity=opacity)
+
+
+def larger(gaussians, factor):
+    """The scene in a smaller unit, seen from the origin."""
+    return replace(
+        gaussians, means=gaussians.means * factor, log_scales=gaussians.log_scales + np.log(factor, dtype="f")
+    )
+
+
+SCENES = {
+    "a cloud": CLOUD,
+    "a cloud a thousand units away": larger(CLOUD, 250),
+    "two layers": layers(4.0, 0.4),
+    "two thin layers": layers(4.0, 0.02),
+    "two thin layers a thousand units away": layers(1000.0, 5.0),
+    "two slanted layers a thousand units away": layers(1000.0, 20.0, normal=(0.4, -0.3, -1.0)),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_terms_are_those_of_all_splats_at_all_pixels(name):
+    with jax.enable_x64(True):
+        values, gradients = jax.tree.map(np.asarray, dense_values_and_gradients(in_float64(SCENES[name])))
+    for index, term in enumerate(TERMS):
+        value, gradient = value_and_gradient(term, SCENES[name])
+        assert values[index] > 1e-6
+        assert_close(value, values[index], rtol=1e-4, atol=2e-8, why="a sum of weights in float32, less one")
+        for field in FIELDS:
+            found, expected = getattr(gradient, field), getattr(gradients, field)[index]
+            assert_close(found, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max(), why="small numbers")
+
+
+def test_of_centers_too():
+    values = jax.jit(both, static_argnums=2)(CLOUD, ALL, "center")
+    with jax.enable_x64(True):
+        expected = np.asarray(jax.jit(dense_both, static_argnums=1)(in_float64(CLOUD), "center"))
+    assert_close(values, expected)
+
+
+# --- distortion
+
+
+def test_of_two_splats_on_a_ray_distortion_has_a_closed_form():
+    near, far, a, b = 1000.0, 1001.5, 0.6, 0.8
+    scene = discs(np.stack([near * RAY, far * RAY] + [-RAY] * 14), FACING, 30.0)
+    logits = np.log([a / (1 - a), b / (1 - b)])
+    scene = replace(scene, logit_opacities=scene.logit_opacities.at[:2].set(logits.astype(np.float32)))
+    value, gradient = value_and_gradient(distortion, scene, ONLY)
+    first, second = a, (1 - a) * b
+    depth = (first * near + second * far) / (first + second)
+    assert_close(value, first * second * (far - near) ** 2 / depth**2, rtol=1e-3, atol=0, why="1.5 of 1000 in float32")
+    slope = 2 * first * second * (far - near) / depth**2
+    assert_close(gradient.means[:2, 2], np.array([-slope, slope]), rtol=1e-3, atol=0, why="1.5 of 1000 in float32")
+    to_a, to_b = (1 - 2 * a) * b, a * (1 - a)
+    to_logits = np.array([to_a * a * (1 - a), to_b * b * (1 - b)]) * (far - near) ** 2 / depth**2
+    assert_close(gradient.logit_opacities[:2], to_logits, rtol=2e-3, atol=0, why="1.5 of 1000 in float32")
+    assert not np.any(gradient.means[2:])
+
+
+def test_one_layer_and_layers_at_equal_depth_have_no_distortion():
+    slanted = plane((0.1, -0.08, -1.0), per_side=4, spacing=0.8)
+    apart = float(value_and_gradient(distortion, layers(4.0, 0.4))[0])
+    for scene in (plane(FACING, per_side=4, spacing=0.8), slanted, layers(4.0, 0.0)):
+        value, gradient = value_and_gradient(distortion, scene)
+        assert abs(float(value)) < 2e-3 * apart
+        assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
+
+
+def test_the_unit_of_the_scene_does_not_matter():
+    values = [float(value_and_gradient(distortion, larger(CLOUD, factor))[0]) for factor in (1, 250)]
+    assert values[0] == pytest.approx(values[1], rel=1e-3)
+
+
+# --- depth_normal
+
+
+def test_splats_that_lie_on_their_surface_agree_with_its_depth():
+    for normal in (FACING, (0.4, -0.3, -1.0)):
+        value, gradient = value_and_gradient(depth_normal, plane(normal, per_side=4, spacing=0.8, opacity=0.97))
+        assert 0 <= float(value) < 5e-3
+        assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
+
+
+# --- nothing to be seen
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_without_a_surface_there_is_neither_value_nor_gradient(term):
+    beside = replace(CLOUD, means=CLOUD.means + jnp.array([90.0, 0, 0]))
+    faint = replace(CLOUD, logit_opacities=jnp.full(COUNT, -9, jnp.float32))
+    smoke = replace(layers(4.0, 0.4), logit_opacities=jnp.full(COUNT, -4, jnp.float32))  # drawn, but of no depth
+    for scene, valid in ((beside, ALL), (faint, ALL), (smoke, ALL), (SCENES["two layers"], ~ALL)):
+        value, gradient = value_and_gradient(term, scene, valid)
+        assert float(value) == 0
+        assert all(not np.any(leaf) for leaf in jax.tree.leaves(gradient))
+
+
+@pytest.mark.parametrize("term", TERMS)
+def test_pixels_that_do_not_count_do_not_matter(term):
+    scene = SCENES["a cloud"]
+    half = ALL.at[:, 12:].set(False)
+    both = [value_and_gradient(term, scene, valid) for valid in (half, ALL & ~half)]
+    assert float(both[0][0]) != float(both[1][0])
+    assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(both))
