@@ -1,0 +1,29 @@
+"""Run folders: what lies in one, how long work writes it and goes on from it, and how later stages read it."""
+
+from gsjax.runs.folder import (
+    append_metrics,
+    begun,
+    create,
+    latest_checkpoint,
+    read_metrics,
+    read_settings,
+    reopen,
+    require_free,
+    save_checkpoint,
+    truncate_metrics,
+    update_manifest,
+)
+
+__all__ = [
+    "append_metrics",
+    "begun",
+    "create",
+    "latest_checkpoint",
+    "read_metrics",
+    "read_settings",
+    "reopen",
+    "require_free",
+    "save_checkpoint",
+    "truncate_metrics",
+    "update_manifest",
+]

@@ -1,0 +1,87 @@
+"""What a run found of how its photos were taken, as files in its folder."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from gsjax.effects.appearance import Appearance, as_near_photos
+from gsjax.effects.poses import Move
+from gsjax.io import json_files
+from gsjax.scene import Frame
+
+FILE, POSES, BACKGROUND = "effects.json", "poses.json", "background.json"
+T = TypeVar("T", Appearance, Move)
+_SAID = "cameras.json has the cameras after these moves of those of the data set: radians, scene units, a factor"
+_BEHIND = "behind all Gaussians: max(0, SH(direction of the ray in the world) + 0.5), as Gaussians' colours are"
+
+
+class Photography(NamedTuple):
+    """What a run found of how its photos were taken: of each by name. Empty: what it did not look for."""
+
+    looks: Mapping[str, Appearance] = MappingProxyType({})
+    moves: Mapping[str, Move] = MappingProxyType({})  # of its camera from where the data set has it
+    background: np.ndarray | None = (
+        None  # [(L + 1)^2, 3] SH coefficients of what is behind all, see `gsjax.render.backdrop`
+    )
+    near: Mapping[str, Appearance] = MappingProxyType({})  # held-out photos, exposed as those taken near them
+
+    def with_near(self, frames: Sequence[Frame]) -> "Photography":
+        """The same and, where there are looks, what the other photos tell of those held out."""
+        return self._replace(near=as_near_photos(frames, self.looks)) if self.looks else self
+
+
+def refined(frames: tuple[Frame, ...], moves: Mapping[str, Move]) -> tuple[Frame, ...]:
+    """The frames with their cameras where training moved them; as they are without moves."""
+    return tuple(moves[frame.name].refined(frame) if frame.name in moves else frame for frame in frames)
+
+
+def write_photography(run: Path, found: Photography) -> None:
+    """`effects.json`, `poses.json` and `background.json`, where there is anything to say.
+
+    Raises:
+        InputError: A file cannot be written.
+    """
+    if found.looks:
+        json_files.write(run / FILE, {"photos": {name: look._asdict() for name, look in found.looks.items()}})
+    if found.moves:
+        photos = {name: move._asdict() for name, move in found.moves.items()}
+        json_files.write(run / POSES, {"about": _SAID, "photos": photos})
+    if found.background is not None:
+        json_files.write(run / BACKGROUND, {"about": _BEHIND, "sh": found.background})
+
+
+def read_photography(run: Path) -> Photography:
+    """What a run found; nothing where it simulated nothing.
+
+    Raises:
+        InputError: A file is damaged.
+    """
+    file = run / BACKGROUND
+    background = np.asarray(json_files.read(file)["sh"], np.float32) if file.exists() else None
+    return Photography(_read(run / FILE, Appearance), _read(run / POSES, Move), background)
+
+
+def moves_line(moves: Mapping[str, Move]) -> str:
+    """How far cameras went, in words."""
+    turns, shifts = (np.linalg.norm([getattr(m, name) for m in moves.values()], axis=1) for name in ("turn", "shift"))
+    turns, shifts = (each[each > 0] if each.any() else each for each in (np.degrees(turns), shifts))  # not held out
+    focals = [move.focal for move in moves.values()]
+    return (
+        f"cameras turned by {np.median(turns):.3f} degrees and shifted by {np.median(shifts):.3g} scene units"
+        f" (medians), focal lengths x{min(focals):.4f} to x{max(focals):.4f}"
+    )
+
+
+def _read(file: Path, kind: type[T]) -> dict[str, T]:
+    """Records of every photo by name; none where the file is absent."""
+    if not file.exists():
+        return {}
+    photos = json_files.read(file)["photos"]
+    return {name: kind(*(_plain(record[field]) for field in kind._fields)) for name, record in photos.items()}  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _plain(value: Any) -> Any:
+    return tuple(map(float, value)) if isinstance(value, list) else float(value)
