@@ -15,7 +15,8 @@ from gsjax.errors import InputError
 
 ODD_VALUES = (
     None, True, False, 0, -1, 1, 2, 0.5, 1e308, -1e308, 10**400, -(10**400), 2**31, 2**63, 2**64,
-    float("nan"), float("inf"), -float("inf"), "", "x", "x" * 300, "\0", "../../x", "ä\ud800", [], {}, [[]], [None], [1, 2, 3], {"x": 1},
+    float("nan"), float("inf"), -float("inf"), "", "x", "x" * 300, "\0", "../../x", "ä\ud800",
+    [], {}, [[]], [None], [1, 2, 3], {"x": 1},
 )  # fmt: skip
 ODD_NUMBERS = b"0 -1 1 255 256 65536 2147483648 4294967296 18446744073709551616 1e308 1e999 -1e999 nan inf x".split()
 NUMBER = re.compile(rb"-?\d+(\.\d+)?(e-?\d+)?")
