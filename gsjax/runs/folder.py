@@ -17,8 +17,6 @@
 """
 
 import json
-import math
-import os
 import re
 import shlex
 import shutil
@@ -29,11 +27,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from gsjax.io import json_files
 from gsjax.errors import InputError
-from gsjax.runs import checkpoints
+from gsjax.io import json_files
 from gsjax.io.files import atomic_path, make_folder, sweep, unwritable
 from gsjax.io.machine import machine, versions
+from gsjax.runs import checkpoints
 
 EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic", "effects": "none"}
 """What runs did before they could choose."""

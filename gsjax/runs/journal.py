@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from gsjax.runs import checkpoints
 from gsjax import runs
+from gsjax.runs import checkpoints
 from gsjax.runs.compilations import Compilations
 from gsjax.training.step import Metrics
 

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from gsjax.render import gallery
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
@@ -18,8 +17,8 @@ from gsjax.io.normal_folders import maker
 from gsjax.io.normals import map_places, normal_maps
 from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
+from gsjax.render import DepthReading, gallery
 from gsjax.runs.result import BACKGROUNDS, frame_camera
-from gsjax.render import DepthReading
 from gsjax.scene import Frame
 
 CLEAR_SCORE, CLEAR_MARGIN = 0.5, 0.02  # Below either, the axes of foreign maps are doubtful (method: A8).

@@ -9,21 +9,20 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from gsjax.io import json_files
-from gsjax.render import gallery
+from gsjax import runs
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.render.gallery import Picture
 from gsjax.gaussians import Gaussians
-from gsjax import runs
+from gsjax.io import json_files
 from gsjax.io.gaussian_files import format_of
 from gsjax.io.images import read_mask, write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import NONE
+from gsjax.render import DepthReading, gallery
+from gsjax.render.gallery import Picture
 from gsjax.runs import viewpoints
 from gsjax.runs.photography import read_photography, refined
-from gsjax.render import DepthReading
 from gsjax.scene import Frame, Scene, valid_pixels
 
 BACKGROUNDS = {"white": np.ones(3, np.float32), "black": np.zeros(3, np.float32), "random": np.zeros(3, np.float32)}

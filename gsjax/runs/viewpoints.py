@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from gsjax.render import gallery
 from gsjax.cameras import Camera, look_at
 from gsjax.gaussians import Gaussians, opacities
 from gsjax.meshing.methods import directions_to_viewers
+from gsjax.render import gallery
 
 COUNT = 32
 TURNTABLE_VIEWS = 36

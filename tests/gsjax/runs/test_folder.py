@@ -7,11 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax.io import json_files
-from gsjax.errors import InputError
-from gsjax.io import machine
-from gsjax.runs import checkpoints
 from gsjax import runs
+from gsjax.errors import InputError
+from gsjax.io import json_files, machine
+from gsjax.runs import checkpoints
 
 SETTINGS = {"seed": 3, "train": {"steps": 100, "rates": [0.1, 0.2]}}
 

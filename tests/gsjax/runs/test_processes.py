@@ -9,8 +9,8 @@ import time
 import pytest
 from small_scenes import built_in
 
-from gsjax.runs import checkpoints
 from gsjax import runs
+from gsjax.runs import checkpoints
 
 PATIENCE = 900  # seconds until the first checkpoint, on a machine with much else to do
 PLAN = (

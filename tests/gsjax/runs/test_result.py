@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from small_scenes import camera_at, cloud
 
-from gsjax.io import json_files
-from gsjax.render import gallery
 from gsjax.errors import InputError
+from gsjax.io import json_files
 from gsjax.io.images import write_image
 from gsjax.io.ply import write_gaussians
+from gsjax.render import gallery
 from gsjax.runs.result import open_result, training_pictures, write_views
 from gsjax.scene import Frame, Pixels, frame_of
 
