@@ -42,6 +42,18 @@ def test_a_zero_quaternion_is_the_identity_with_zero_gradient():
     assert_close(jax.jacobian(g.rotation_matrices)(zero), np.zeros((3, 3, 4)))
 
 
+def test_covariances_are_those_that_the_paper_prints():
+    quats = np.asarray(SCENE.quats, np.float64)[:, [1, 2, 3, 0]]
+    for covariance, R, log_scales in zip(
+        g.covariances(SCENE),
+        Rotation.from_quat(quats).as_matrix(),
+        np.asarray(SCENE.log_scales, np.float64),
+        strict=True,
+    ):
+        S = np.diag(np.exp(log_scales))
+        assert_close(covariance, R @ S @ S.T @ R.T)
+
+
 def test_take_picks_the_same_rows_of_every_field():
     by_index, by_mask = g.take(SCENE, np.array([1, 4])), g.take(SCENE, np.arange(7) % 3 == 1)
     assert_close(by_index, by_mask)
