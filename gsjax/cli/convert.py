@@ -1,6 +1,7 @@
 """`gsjax convert`: files of Gaussians for other programs, and of them."""
 
 import argparse
+import sys
 
 from gsjax.cli.parsers import add_command, given
 
@@ -31,4 +32,8 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
 
     options = given(arguments, "sh_degree", "crop", "min_opacity")
-    print(tables.record(pipeline.convert(arguments.source, arguments.out, **options)))
+    figures = pipeline.convert(arguments.source, arguments.out, **options)
+    if figures["clipped"]:
+        print(f"{arguments.out}: {figures['clipped']} of {figures['gaussians']} Gaussians hold values beyond what the"
+            " format reaches without taking precision from the others; they were clipped", file=sys.stderr)  # fmt: skip
+    print(tables.record(figures))

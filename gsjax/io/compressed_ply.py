@@ -16,6 +16,7 @@ from gsjax.gaussians import SH_C0, Gaussians
 from gsjax.io.files import atomic_path
 from gsjax.io.packing import (
     check_packable,
+    drawn_in,
     logits_of_bytes,
     of_smallest_three,
     opacity_bytes,
@@ -38,19 +39,23 @@ _PACKED = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
 _IN_SPACE, _OF_ROTATIONS, _OF_COLORS = (11, 10, 11), (10, 10, 10), (8, 8, 8)  # bits
 _MOST_LOG_SCALE = 20.0  # One Gaussian without thickness must not take the precision of its chunk.
 _MOST_REST = 4.0
+_MOST_COLOR = 4.0  # from black, which is 0; white is 1
+_REACH = 16.0  # Of a chunk, see `drawn_in`: a scene's own chunks stay as they are.
+_REACH_OF_ORDER = 256.0  # Of all, where the curve's cells are as fine as the scene.
 
 
 def write_compressed_ply(path: str | Path, gaussians: Gaussians) -> int:
     """Writes Gaussians in the order of a space-filling curve, so that chunks, and the steps in them, are small.
 
     Returns:
-        How many Gaussians hold values that the format cannot reach: logs of scales beyond 20, harmonics beyond 4.
+        How many Gaussians hold values that the format cannot reach: logs of scales beyond 20, harmonics and colours
+        beyond 4, or a mean so far from its chunk that no other of that had its precision.
 
     Raises:
         InputError: Values are not finite, harmonics are of degree 4, or the target cannot be written.
     """
     check_packable(path, gaussians)
-    order = _morton_order(np.asarray(gaussians.means, np.float64))
+    order = _morton_order(drawn_in(np.asarray(gaussians.means, np.float64), _REACH_OF_ORDER)[0])
     means, quats, log_scales, logits, dc, rest = (
         np.asarray(values)[order]
         for values in (
@@ -63,24 +68,27 @@ def write_compressed_ply(path: str | Path, gaussians: Gaussians) -> int:
         )
     )
     largest, three = smallest_three(unit_quats(quats))
+    means, far = _drawn_into_chunks(means.astype(np.float64))
+    colors = dc[:, 0].astype(np.float64) * SH_C0 + 0.5
     bounds, packed = zip(
         _pack_between(means, _IN_SPACE),
         _pack_between(np.clip(log_scales, -_MOST_LOG_SCALE, _MOST_LOG_SCALE), _IN_SPACE),
-        _pack_between(dc[:, 0].astype(np.float64) * SH_C0 + 0.5, _OF_COLORS),
+        _pack_between(np.clip(colors, -_MOST_COLOR, _MOST_COLOR), _OF_COLORS),
         strict=True,
     )
     rotations = largest.astype(np.uint32) << 30 | _pack(three * np.sqrt(0.5) + 0.5, _OF_ROTATIONS)
-    colors = packed[2] << 8 | opacity_bytes(logits)
+    colors_opacities = packed[2] << 8 | opacity_bytes(logits)
     harmonics = np.clip(np.floor((rest.astype(np.float64) / (2 * _MOST_REST) + 0.5) * 256), 0, 255).astype(np.uint8)
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         file.write(
             "\n".join(_header(len(harmonics), harmonics.shape[1], filter_comments(gaussians.pixel_filter))).encode()
         )
         file.write(np.concatenate(bounds, axis=1).astype("<f4").tobytes())
-        file.write(np.stack([packed[0], rotations, packed[1], colors], axis=1).astype("<u4").tobytes())
+        file.write(np.stack([packed[0], rotations, packed[1], colors_opacities], axis=1).astype("<u4").tobytes())
         file.write(harmonics.tobytes())
-    beyond = (np.abs(log_scales) > _MOST_LOG_SCALE).any(axis=1) | (np.abs(rest) > _MOST_REST).any(axis=1)
-    return int(beyond.sum())
+    limited = (log_scales, _MOST_LOG_SCALE), (rest, _MOST_REST), (colors, _MOST_COLOR)
+    beyond = [(np.abs(values) > most).any(axis=1) for values, most in limited]
+    return int(np.any([far, *beyond], axis=0).sum())
 
 
 def read_compressed_ply(path: str | Path) -> Gaussians:
@@ -153,6 +161,13 @@ def _header(count: int, width: int, comments: list[str]) -> list[str]:
 
 def _bounds(names: tuple[str, ...]) -> tuple[list[str], list[str]]:
     return [f"min_{name}" for name in names], [f"max_{name}" for name in names]
+
+
+def _drawn_into_chunks(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`drawn_in` of one chunk after the other."""
+    starts = range(_CHUNK, len(means), _CHUNK)
+    inner, far = zip(*(drawn_in(chunk, _REACH) for chunk in np.split(means, starts)), strict=True)
+    return np.concatenate(inner), np.concatenate(far)
 
 
 def _pack_between(values: np.ndarray, bits: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:

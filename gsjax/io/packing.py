@@ -33,6 +33,32 @@ def check_packable(path: str | Path, gaussians: Gaussians) -> None:
         )
 
 
+def drawn_in(means: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Positions of which a far one takes no precision from the others.
+
+    The mass are those within `reach` times the distance that nine tenths keep from the middle, the distance being the
+    largest along an axis. What lies farther away comes in towards the middle, to the edge of the box of the mass.
+
+    Args:
+        means: `[N, 3]` float64.
+        reach: Far enough that what a scene has is not touched.
+
+    Returns:
+        `[N, 3]` positions, and `[N]` bool, which of them came in.
+    """
+    if not len(means):
+        return means, np.zeros(0, bool)
+    middle = np.median(means, axis=0)
+    offsets = means - middle
+    distances = np.abs(offsets).max(axis=1)
+    spread = np.quantile(distances, 0.9)
+    far = (distances > reach * spread) & (spread > 0)
+    mass, moved = means[~far], means.copy()
+    shares = distances[~far].max() / distances[far]
+    moved[far] = np.clip(middle + shares[:, None] * offsets[far], mass.min(axis=0), mass.max(axis=0))
+    return moved, far
+
+
 def opacity_bytes(logits: np.ndarray) -> np.ndarray:
     """The nearest of 256 opacities, uint8, of logits of any size."""
     return np.rint(255 * expit(np.asarray(logits, np.float64))).astype(np.uint8)

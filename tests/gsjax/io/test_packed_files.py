@@ -123,6 +123,7 @@ def test_a_compressed_ply_keeps_everything_to_the_steps_of_its_chunks(tmp_path_f
     assert np.abs(expit(read.logit_opacities) - expit(wanted["logit_opacities"])).max(initial=0) <= 0.5 / 255 + 1e-6
     assert (np.abs(read.sh_rest - np.clip(wanted["sh_rest"], -4, 4)) <= 1 / 32).all()
     beyond = (np.abs(gaussians.log_scales) > 20).any(1) | (np.abs(gaussians.sh_rest) > 4).any((1, 2))
+    beyond |= (np.abs(gaussians.sh_dc * SH_C0 + 0.5) > 4).any((1, 2))
     assert clipped == beyond.sum()
     for field in FIELDS:
         assert getattr(read, field).dtype == np.float32 and np.isfinite(getattr(read, field)).all(), field
@@ -284,9 +285,49 @@ def test_huge_values_are_clipped_without_a_warning(tmp_path, name):
     assert all(np.isfinite(getattr(read(tmp_path / name), field)).all() for field in FIELDS)
 
 
-def test_a_mean_beyond_spz_is_refused(tmp_path):
+@pytest.mark.parametrize("name", READ_WRITE)
+@pytest.mark.parametrize(("count", "number_far"), [(50, 1), (3000, 5)])
+@pytest.mark.parametrize("offset", [0.0, 300.0])
+def test_far_gaussians_take_no_precision_from_others(tmp_path, name, count, number_far, offset):
+    """The others are as they are without them, but for the order; the far ones are counted and stay the way they lie."""
+    read, write = READ_WRITE[name]
+    gaussians = some_gaussians(count, 0, offset=offset)
+    # All of it is within reach but the means, and scales number them whatever their order.
+    gaussians.log_scales[:] = -6 + 0.1 * np.stack(np.unravel_index(np.arange(count), (1, 64, 64)), axis=1)
+    gaussians.sh_dc[:] = 0
+    near = replace(gaussians, means=gaussians.means.copy())
+    far = np.arange(number_far) * (count // number_far)
+    directions = np.random.default_rng(1).normal(size=(number_far, 3))
+    gaussians.means[far] = directions * 10.0 ** np.linspace(4, 30, number_far)[:, None]
+    assert write(tmp_path / name, near) == 0
+    assert write(tmp_path / f"far_{name}", gaussians) == number_far
+    others = np.setdiff1d(np.arange(count), far)
+    errors = []
+    for file in (name, f"far_{name}"):
+        found = read(tmp_path / file)
+        places = np.argsort(np.rint((found.log_scales[:, 1:] + 6) / 0.1) @ [64, 1])
+        errors.append(np.abs(found.means[places[others]] - near.means[others]).mean())
+        came_in = found.means[places[far]] - offset
+    assert errors[1] < 1.5 * errors[0] + 1e-6 * (offset > 0)
+    assert (np.abs(came_in).max(axis=1) < 4).all()
+    cosines = (
+        np.sum(came_in * directions, axis=1) / np.linalg.norm(came_in, axis=1) / np.linalg.norm(directions, axis=1)
+    )
+    assert (cosines > 0.9).all()
+
+
+def test_a_background_a_hundred_times_as_wide_keeps_its_place(tmp_path):
+    gaussians = some_gaussians(1000, 0)
+    gaussians.log_scales[:, 1:] = 0
+    gaussians.sh_dc[:] = 0
+    gaussians.means[::50] *= 100
+    assert write_spz(tmp_path / "g.spz", gaussians) == 0
+    assert np.abs(read_spz(tmp_path / "g.spz").means - gaussians.means).max() < 1e-5
+
+
+def test_means_beyond_spz_are_refused(tmp_path):
     gaussians = some_gaussians(3, 0)
-    gaussians.means[1, 2] = -9e6
+    gaussians.means[:, 2] = -9e6
     with pytest.raises(InputError, match=r"g.spz: a mean lies at 9e\+06, SPZ reaches 8388607"):
         write_spz(tmp_path / "g.spz", gaussians)
 
