@@ -289,7 +289,7 @@ def test_huge_values_are_clipped_without_a_warning(tmp_path, name):
 @pytest.mark.parametrize(("count", "number_far"), [(50, 1), (3000, 5)])
 @pytest.mark.parametrize("offset", [0.0, 300.0])
 def test_far_gaussians_take_no_precision_from_others(tmp_path, name, count, number_far, offset):
-    """The others are as they are without them, but for the order; the far ones are counted and stay the way they lie."""
+    """The others are as they are without them, but for the order; the far ones are counted and keep their direction."""
     read, write = READ_WRITE[name]
     gaussians = some_gaussians(count, 0, offset=offset)
     # All of it is within reach but the means, and scales number them whatever their order.
