@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 IN_PARALLEL := --numprocesses auto --dist loadfile --no-loadscope-reorder
 OPEN3D_LIBRARIES := libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 libidn2-0
 
-.PHONY: demo test check lint docs clean
+.PHONY: demo test check lint docs wheel words libraries clean
 
 demo: $(VENV)/.installed
 	$(BIN)/gsjax demo --out runs/demo
@@ -28,6 +28,22 @@ lint: $(VENV)/.installed-test
 
 docs: $(VENV)/.installed-docs
 	$(BIN)/mkdocs build --strict
+
+# The package as others install it: built, put into a folder outside the checkout, and asked from there.
+wheel: $(VENV)/.installed
+	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && root=$$PWD && \
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir "$$folder" . && \
+	$(BIN)/python -m pip install --quiet --no-deps --target "$$folder/installed" "$$folder"/*.whl && \
+	python=$$(cd $(BIN) && pwd)/python && cd "$$folder" && \
+	PYTHONPATH="$$folder/installed" "$$python" "$$root/tests/installed_wheel.py" "$$root"
+
+# What Open3D loads from the system, for who installs it otherwise.
+libraries:
+	@echo $(OPEN3D_LIBRARIES)
+
+# How much there is to read.
+words:
+	@find README.md docs -name '*.md' | sort | xargs wc -w
 
 clean:
 	rm -rf $(VENV) site dist build .pytest_cache .ruff_cache .hypothesis

@@ -7,9 +7,6 @@ import pytest
 
 import gsjax
 import rasterizer
-from gsjax import cli, config
-from gsjax.binding.refining import Refinement
-from gsjax.settings import PRESETS, Settings
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PUBLIC = [(package, name) for package in (rasterizer, gsjax) for name in package.__all__]
@@ -26,20 +23,6 @@ def test_every_public_name_is_documented_and_listed(package, name):
 def test_a_name_that_does_not_exist_is_an_attribute_error():
     with pytest.raises(AttributeError, match="module 'gsjax' has no attribute 'Nothing'"):
         _ = gsjax.Nothing
-
-
-PAGES = [DOCS.parent / "README.md", *sorted(DOCS.glob("*.md")), DOCS.parent / "experiments/README.md"]
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_commands_and_settings_on_the_pages_are_right(page):
-    text = page.read_text()
-    for command in re.findall(r"^    gsjax (.*?)(?:  #.*)?$", text, re.MULTILINE):
-        assert cli.parser().parse_args(command.split()).run
-    kind, preset = (Refinement, {}) if page.name == "refinement.md" else (Settings, PRESETS["fast"])
-    for assignment in re.findall(r"--set (\w+(?:\.\w+)+=[\w.]+)", text):
-        whole = config.to_dict(config.parse(kind, preset))
-        config.parse(kind, config.override(whole, [assignment]))
 
 
 def test_every_study_benchmark_and_picture_has_its_command():
