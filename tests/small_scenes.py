@@ -1,5 +1,7 @@
 """Scenes of a few Gaussians whose depth and normals have a closed form."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -18,11 +20,18 @@ from gsjax.scene import Frame, Pixels, frame_of
 from gsjax.training.initialize import DEAD_LOGIT
 
 
-def built_in(folder: Path, num_views: int, size: tuple[int, int]) -> Path:
-    """The built-in scene, written with fewer samples of its truth and of every pixel: most of the time goes there."""
+@contextmanager
+def few_samples() -> Iterator[None]:
+    """The built-in scene is written with fewer samples of its truth and of every pixel: most of the time goes there."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(analytic_scene, "TRUTH_SAMPLES", (6_000, 4_000))
         patched.setattr(solids, "trace", partial(solids.trace, samples=2))
+        yield
+
+
+def built_in(folder: Path, num_views: int, size: tuple[int, int]) -> Path:
+    """The built-in scene, written with few samples."""
+    with few_samples():
         return analytic_scene.write(
             folder, num_views=num_views, size=size, progress=lambda **options: tqdm(disable=True, **options)
         )

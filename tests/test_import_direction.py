@@ -70,7 +70,20 @@ LAYERS = {
         ("experiments",),
         ("rasterizer", *CORE, *FILES, "scoring", "planning", "report", "pipeline", "viewer", "cli"),
         # Among them a peer to time ours against, and the scripts themselves: one imports another by its bare name.
-        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "websockets", "gsplat", "torch", *SCRIPTS),
+        (
+            "jax",
+            "numpy",
+            "optax",
+            "scipy",
+            "tqdm",
+            "matplotlib",
+            "cv2",
+            "websockets",
+            "gsplat",
+            "torch",
+            "lpips",
+            *SCRIPTS,
+        ),
     ),
 }
 HEAVY = {"numba", "open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "xatlas", "matplotlib", "PIL", "viser"}

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from small_scenes import few_samples
 
 from gsjax import cli, config
 from gsjax.binding.bound import bind, to_mesh
@@ -50,16 +51,15 @@ def test_code_runs_as_it_stands(page, readers_folder, monkeypatch):
     text, names = page.read_text(), {"__name__": "__main__"}
     for block in PYTHON.finditer(text):
         above = text.count("\n", 0, block.start(1))  # Tracebacks then name the page's own line.
-        exec(compile("\n" * above + block[1], str(page), "exec"), names)
+        with few_samples():
+            exec(compile("\n" * above + block[1], str(page), "exec"), names)
 
 
 @pytest.fixture
 def readers_folder(tmp_path) -> Path:
     """Where a reader is after the commands of the pages: a mesh of the run, and a refined one with its Gaussians."""
     ball = trimesh.creation.icosphere(2)
-    mesh = Mesh(
-        np.float32(ball.vertices), np.int32(ball.faces), np.full((len(ball.vertices), 3), 128, np.uint8)
-    )
+    mesh = Mesh(np.float32(ball.vertices), np.int32(ball.faces), np.full((len(ball.vertices), 3), 128, np.uint8))
     bound = bind(mesh, per_triangle=1, thickness=0.004, sh_degree=1, opacity=0.8)
     refined = tmp_path / "runs/refined"
     refined.mkdir(parents=True)
