@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+PEERS = ("gsplat", "torch", "lpips")
 SCRIPTS = [path.stem for path in (ROOT / "experiments").rglob("*") if path.suffix == ".py" or path.is_dir()]
 
 
@@ -69,21 +70,8 @@ LAYERS = {
     "experiments": Layer(
         ("experiments",),
         ("rasterizer", *CORE, *FILES, "scoring", "planning", "report", "pipeline", "viewer", "cli"),
-        # Among them a peer to time ours against, and the scripts themselves: one imports another by its bare name.
-        (
-            "jax",
-            "numpy",
-            "optax",
-            "scipy",
-            "tqdm",
-            "matplotlib",
-            "cv2",
-            "websockets",
-            "gsplat",
-            "torch",
-            "lpips",
-            *SCRIPTS,
-        ),
+        # Among them peers to time ours against, and the scripts themselves: one imports another by its bare name.
+        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "websockets", *PEERS, *SCRIPTS),
     ),
 }
 HEAVY = {"numba", "open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "xatlas", "matplotlib", "PIL", "viser"}
