@@ -1,7 +1,7 @@
 """Photos to 3D Gaussians to a clean mesh, as pure functions over pytrees.
 
 The records are re-exported here; the functions are in the modules that name their subject (`gsjax.cameras`,
-`gsjax.losses`, ...), what the command line does in `gsjax.pipeline`, files in `gsjax.io`, meshes in `gsjax.meshing`.
+`gsjax.render`, ...), what the command line does in `gsjax.pipeline`, files in `gsjax.io`, meshes in `gsjax.meshing`.
 """
 
 import importlib

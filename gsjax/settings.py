@@ -298,7 +298,7 @@ DEMO: dict[str, Any] = {
     "density": {"rule": "error", "start": 200, "stop": 900, "replace": 0.05, "reset_every": 0},
     "logging": {"metrics_every": 50, "evaluate_every": 0, "checkpoint_every": 1000},
 }
-"""The built-in scene at 192x192 pixels with its true normals (`gsjax.demo`); weights: docs/experiments.md."""
+"""The built-in scene at 192x192 pixels with its true normals (`gsjax.pipeline.demo`); weights: docs/experiments.md."""
 
 PRESETS: dict[str, dict[str, Any]] = {
     "quick": QUICK,

@@ -1,7 +1,10 @@
 """The pages keep their word: commands parse, settings exist, code runs as it stands, names are those of the source."""
 
+import importlib
+import importlib.util
 import re
 import shlex
+import tokenize
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +47,22 @@ def test_every_setting_exists_and_takes_the_value(page):
         config.parse(kind, config.override(whole, [assignment]))
 
 
+@pytest.mark.parametrize("page", PAGES + BESIDE, ids=named)
+def test_names_and_files_of_the_source_exist(page):
+    text = page.read_text()
+    assert not absent(text)
+    paths = re.findall(r"`((?:gsjax|rasterizer|experiments|tests|docs)/[\w./]*\.\w+)`", text)
+    assert not [path for path in paths if not (ROOT / path).exists()]
+
+
+SOURCES = sorted(path for folder in ("rasterizer", "gsjax") for path in (ROOT / folder).rglob("*.py"))
+
+
+def test_names_in_docstrings_and_comments_exist():
+    faults = {named(path): absent(prose(path)) for path in SOURCES}
+    assert not {path: names for path, names in faults.items() if names}
+
+
 @pytest.mark.parametrize("page", [page for page in PAGES if PYTHON.search(page.read_text())], ids=named)
 def test_code_runs_as_it_stands(page, readers_folder, monkeypatch):
     """The blocks of a page share their names, and find the files that the page's commands would have written."""
@@ -53,6 +72,36 @@ def test_code_runs_as_it_stands(page, readers_folder, monkeypatch):
         above = text.count("\n", 0, block.start(1))  # Tracebacks then name the page's own line.
         with few_samples():
             exec(compile("\n" * above + block[1], str(page), "exec"), names)
+
+
+DOTTED = re.compile(r"(?<![\w/.])(?:gsjax|rasterizer)(?:\.[A-Za-z]\w*)+")
+
+
+def absent(text: str) -> list[str]:
+    """The dotted names of modules, and of what they hold, that do not exist; names of files are none."""
+    names = {name for name in DOTTED.findall(text) if not name.endswith((".md", ".py"))}
+    return sorted(name for name in names if not exists(name))
+
+
+def exists(name: str) -> bool:
+    path, *rest = name.split(".")
+    found = importlib.import_module(path)
+    for part in rest:
+        path = f"{path}.{part}"
+        if hasattr(found, "__path__") and importlib.util.find_spec(path):
+            found = importlib.import_module(path)
+        elif hasattr(found, part):
+            found = getattr(found, part)
+        else:  # A field without a default is no attribute of its class.
+            return part in getattr(found, "__dataclass_fields__", {})
+    return True
+
+
+def prose(path: Path) -> str:
+    """Docstrings and comments of a source file: what no import and no checker of types looks at."""
+    with path.open("rb") as file:
+        kinds = {tokenize.COMMENT, tokenize.STRING}
+        return "\n".join(token.string for token in tokenize.tokenize(file.readline) if token.type in kinds)
 
 
 @pytest.fixture

@@ -29,7 +29,7 @@ def reference() -> str:
 
 
 def packages() -> list[str]:
-    """gsjax and its packages, but for the commands: `gsjax --help` documents these."""
+    """The names of all packages, but for the commands: `gsjax --help` documents these."""
     folders = (path.parent for path in (ROOT / "gsjax").rglob("__init__.py"))
     names = sorted(".".join(folder.relative_to(ROOT).parts) for folder in folders)
     return [name for name in names if name != "gsjax.cli"]

@@ -91,7 +91,7 @@ def with_vertices(bound: BoundGaussians, vertices: np.ndarray) -> BoundGaussians
 
 
 def _flat_triangles(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """`[F, 2, 2]` two edges of each triangle (columns) in the plane's own axes, as `gsjax.bound` chooses them."""
+    """`[F, 2, 2]` two edges of each triangle (columns) in its plane's axes, chosen as in `gsjax.binding.bound`."""
     a, b, c = np.moveaxis(vertices.astype(np.float64)[faces], 1, 0)
     along, other = a - b, c - b
     length = np.linalg.norm(along, axis=-1)

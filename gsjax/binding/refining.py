@@ -169,7 +169,7 @@ def refine(
 
     Args:
         settings: The run.
-        graph: Of the faces, see `gsjax.mesh_terms.mesh_graph`.
+        graph: Of the faces, see `gsjax.binding.mesh_terms.mesh_graph`.
         data: The photos.
         state: Where to start. Its buffers are taken.
         optimizer: The transformation that made the state.
