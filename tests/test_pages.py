@@ -47,6 +47,13 @@ def test_every_setting_exists_and_takes_the_value(page):
         config.parse(kind, config.override(whole, [assignment]))
 
 
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_lines_of_prose_are_short(page):
+    """Tables, pictures and code are not prose."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    assert not [line for line in text.splitlines() if len(line) > 120 and not line.startswith(("|", "!", "    "))]
+
+
 @pytest.mark.parametrize("page", PAGES + BESIDE, ids=named)
 def test_names_and_files_of_the_source_exist(page):
     text = page.read_text()
