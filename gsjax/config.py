@@ -7,6 +7,7 @@ command line, and one `parse` that checks everything. No function of the method 
 import dataclasses
 import difflib
 import json
+import math
 import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,6 +17,7 @@ from typing import Any, TypeVar
 from gsjax.errors import InputError
 
 T = TypeVar("T")
+MOST_INTEGER = 2**53  # As floats hold them; where less is sensible, the dataclass says so.
 
 
 def parse(cls: type[T], data: Mapping[str, Any], *, where: str = "config") -> T:
@@ -115,10 +117,12 @@ class _Parser:
             return self.tuple(arguments, value, at, hint)
         if origin in (dict, Mapping) and isinstance(value, Mapping):
             return {str(key): self.value(arguments[1], item, _join(at, key)) for key, item in value.items()}
+        if type(value) is int and hint in (int, float) and abs(value) > MOST_INTEGER:
+            raise InputError(f"{self.where}: {at or 'the whole'} is an integer beyond {MOST_INTEGER}")
         if hint is float and type(value) is int:
             return float(value)
-        if hint is float and value != value:
-            raise self.mismatch(at, value, "a number")
+        if hint is float and isinstance(value, float) and not math.isfinite(value):
+            raise self.mismatch(at, value, "a finite number")
         if hint is Path and isinstance(value, str):
             return Path(value)
         if hint is types.NoneType and value is None:
@@ -213,7 +217,7 @@ def _copy(data: Any) -> Any:
 def _value(text: str) -> Any:
     try:
         return json.loads(text)
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):  # No JSON, an integer of thousands of digits, or thousands of brackets.
         return text
 
 

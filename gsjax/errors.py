@@ -1,8 +1,17 @@
 """The one exception that means: the input is at fault, and here is how."""
 
+MOST_CHARACTERS = 900  # of a message; names and values come from files, and may be of any length
+
 
 class InputError(ValueError):
     """Unusable input. Its message is one line that names the file (or option) and the fault.
 
-    The command line prints the message and exits with code 2; as a library it is an ordinary `ValueError`.
+    The command line prints the message and exits with code 2; as a library it is an ordinary `ValueError`. Characters
+    that do not print, such as a line's end in a name, are escaped, and of a very long message the middle is left out.
     """
+
+    def __init__(self, message: str):
+        """One line of it."""
+        line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(message))
+        half = MOST_CHARACTERS // 2
+        super().__init__(line if len(line) <= MOST_CHARACTERS else f"{line[: half - 5]} ... {line[-half:]}")

@@ -9,11 +9,23 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 
-def _check_lowest(record: Any, **lowest: float) -> None:
-    """Raise ValueError for the first field under its lowest value."""
+MOST_SEED = 2**32 - 1  # of jax's random keys and numpy's generators alike
+
+
+def check_lowest(record: Any, **lowest: float) -> None:
+    """Raise ValueError for the first field that is under its lowest value or is not finite."""
     for name, low in lowest.items():
-        if getattr(record, name) < low:
-            raise ValueError(f"{name}={getattr(record, name)} is below {low}")
+        value = getattr(record, name)
+        if value < low:
+            raise ValueError(f"{name}={value} is below {low}")
+        if not value < math.inf:
+            raise ValueError(f"{name}={value} is not a finite number")
+
+
+def check_seed(seed: int) -> None:
+    """Raise ValueError for a seed that random numbers cannot begin with."""
+    if not 0 <= seed <= MOST_SEED:
+        raise ValueError(f"seed={seed} is not between 0 and {MOST_SEED}")
 
 
 @dataclass(frozen=True)
@@ -64,7 +76,9 @@ class Phase:
 
     def __post_init__(self):
         """Check ranges."""
-        _check_lowest(self, steps=0, image_scale=1, surface_every=1)
+        check_lowest(self, steps=0, image_scale=1, surface_every=1)
+        if not 0 <= self.cull_below <= 1:
+            raise ValueError(f"cull_below={self.cull_below} is not between 0 and 1")
         if self.image_scale > 1 and any(getattr(self.weights, term) for term in NORMAL_TERMS):
             raise ValueError(
                 f"image_scale={self.image_scale} with a normal term: normal maps serve full-size photos only"
@@ -87,6 +101,10 @@ class Rates:
 
     def __post_init__(self):
         """Check ranges."""
+        rates = ("means", "sh_dc", "sh_rest", "opacities", "scales", "quats")
+        check_lowest(self, **dict.fromkeys(rates, 0))
+        if self.decay_steps is not None:
+            check_lowest(self, decay_steps=1)
         if not 0 < self.final_share <= 1:
             raise ValueError(f"final_share={self.final_share} is not above 0 and at most 1")
         if not 0 < self.means_final <= self.means:
@@ -113,12 +131,12 @@ class Density:
 
     def __post_init__(self):
         """Check ranges."""
-        _check_lowest(self, every=1, reset_every=0)
-        for name in ("full_by", "replace"):
+        check_lowest(self, start=0, stop=0, every=1, gradient=0, dense_share=0, max_share=0, reset_every=0)
+        for name in ("full_by", "replace", "min_opacity"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name}={getattr(self, name)} is not between 0 and 1")
         if self.prune_large_after is not None:
-            _check_lowest(self, prune_large_after=0)
+            check_lowest(self, prune_large_after=0)
         if not 0 < self.reset_opacity < 1:
             raise ValueError(f"reset_opacity={self.reset_opacity} is not between 0 and 1")
 
@@ -133,7 +151,7 @@ class Logging:
 
     def __post_init__(self):
         """Check ranges."""
-        _check_lowest(self, metrics_every=1, evaluate_every=0, checkpoint_every=1)
+        check_lowest(self, metrics_every=1, evaluate_every=0, checkpoint_every=1)
 
 
 SIMULATED = ("exposure", "vignetting", "poses", "background", "transients")  # effects that training can take in
@@ -190,7 +208,8 @@ class Settings:
 
     def __post_init__(self):
         """Check ranges."""
-        _check_lowest(self, views_per_step=1, max_gaussians=1, far_points=0, sh_every=1, longest_side=1)
+        check_seed(self.seed)
+        check_lowest(self, views_per_step=1, max_gaussians=1, far_points=0, sh_every=1, longest_side=1)
         named_effects(self.effects)
         if self.downscale is not None and not 1 <= self.downscale < math.inf:
             raise ValueError(f"downscale={self.downscale} is not a number of at least 1")

@@ -25,7 +25,7 @@ from gsjax.binding.mesh_terms import MeshGraph
 from gsjax.gaussians import PixelFilter
 from gsjax.numerics import masked_mean
 from gsjax.render import backdrop
-from gsjax.settings import FAST, Rates
+from gsjax.settings import FAST, Rates, check_lowest, check_seed
 from gsjax.targets import Target, Views
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
@@ -62,6 +62,7 @@ class RefinementRates:
 
     def __post_init__(self):
         """Check ranges."""
+        check_lowest(self, vertices=0, sh_dc=0, sh_rest=0, opacities=0, scales=0, rotations=0)
         if not 0 < self.final_share <= 1:
             raise ValueError(f"final_share={self.final_share} is not above 0 and at most 1")
         if not 0 < self.vertices_final <= self.vertices:
@@ -88,9 +89,8 @@ class Refinement:
 
     def __post_init__(self):
         """Check ranges."""
-        for name, low in {"steps": 1, "faces": 1}.items():
-            if getattr(self, name) < low:
-                raise ValueError(f"{name}={getattr(self, name)} is below {low}")
+        check_seed(self.seed)
+        check_lowest(self, steps=1, faces=1, thickness=0)
         if self.per_triangle not in LAYOUTS:
             raise ValueError(f"per_triangle={self.per_triangle} is none of {', '.join(map(str, LAYOUTS))}")
         if not 0 <= self.sh_degree <= 4:

@@ -85,7 +85,10 @@ def test_round_trip_through_json():
         ({"seed": 1.5}, "config: seed is 1.5, expected int"),
         ({"masked": 1}, "config: masked is 1, expected bool"),
         ({"downscale": "2"}, "config: downscale is '2', expected int or null"),
-        ({"loss": {"weight": float("nan")}}, "config: loss.weight is nan, expected a number"),
+        ({"loss": {"weight": float("nan")}}, "config: loss.weight is nan, expected a finite number"),
+        ({"loss": {"weight": float("inf")}}, "config: loss.weight is inf, expected a finite number"),
+        ({"rates": {"means": 10**400}}, "config: rates.means is an integer beyond 9007199254740992"),
+        ({"seed": -(2**64)}, "config: seed is an integer beyond 9007199254740992"),
         ({"loss": {"kind": "l3"}}, """config: loss.kind is 'l3', expected one of "l1", "l2", 3"""),
         ({"loss": 3}, "config: loss is 3, expected a table of keys"),
         ({"background": [0, 1]}, "config: background is [0, 1], expected a list of 3: float, float, float"),
@@ -131,6 +134,11 @@ def test_override_reads_json_and_makes_tables_where_there_are_none():
         "x": "",
     }
     assert data == {"phases": [{"name": "a", "steps": 1}], "x": 1}
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, "9" * 5_000])
+def test_what_is_no_sensible_json_is_a_string(text):
+    assert config.override({}, [f"x={text}"]) == {"x": text}
 
 
 @pytest.mark.parametrize(

@@ -3,9 +3,10 @@ import itertools
 
 import pytest
 
+from gsjax.binding.refining import Refinement
 from gsjax.config import merge, parse, to_dict
 from gsjax.errors import InputError
-from gsjax.settings import LENGTHS, PRESETS, Settings, named_effects, total_steps
+from gsjax.settings import LENGTHS, PRESETS, Rates, Settings, named_effects, total_steps
 
 
 def test_defaults_are_the_numbers_of_3dgs_and_of_the_paper():
@@ -55,6 +56,14 @@ def test_presets_of_ours_look_for_effects_and_the_papers_have_none():
         ({"downscale": 0}, "downscale=0.0 is not a number of at least 1"),
         ({"max_gaussians": 0}, "max_gaussians=0 is below 1"),
         ({"phases": []}, "there are no phases"),
+        ({"seed": -1}, "seed=-1 is not between 0 and 4294967295"),
+        ({"seed": 2**32}, "seed=4294967296 is not between 0 and 4294967295"),
+        ({"rates": {"scales": float("inf")}}, "rates.scales is inf, expected a finite number"),
+        ({"rates": {"scales": -1e-3}}, "rates: scales=-0.001 is below 0"),
+        ({"rates": {"decay_steps": 0}}, "rates: decay_steps=0 is below 1"),
+        ({"density": {"gradient": -1}}, "density: gradient=-1.0 is below 0"),
+        ({"density": {"min_opacity": 2}}, "density: min_opacity=2.0 is not between 0 and 1"),
+        ({"phases": [{"name": "a", "steps": 1, "cull_below": 2}]}, "cull_below=2.0 is not between 0 and 1"),
         ({"phases": [{"name": "a", "steps": -1}]}, r"phases.0: steps=-1 is below 0"),
         ({"phases": [{"name": "a", "steps": 1, "image_scale": 0}]}, "image_scale=0 is below 1"),
         ({"phases": [{"name": "a", "steps": 1, "image_scale": 2, "weights": {"axis_normal": 0.1}}]}, "normal term"),
@@ -95,3 +104,11 @@ def test_effects_are_named_in_any_order(given, names):
 def test_unknown_effects_are_refused(given):
     with pytest.raises(ValueError, match="is none of auto, none, exposure, vignetting"):
         Settings(effects=given)
+
+
+def test_rates_that_no_file_told_are_held_to_the_same():
+    with pytest.raises(ValueError, match="opacities=inf is not a finite number"):
+        Rates(opacities=float("inf"))
+    for seed in (-1, 2**32):
+        with pytest.raises(ValueError, match=f"seed={seed} is not between 0 and 4294967295"):
+            Refinement(seed=seed)
