@@ -8,7 +8,6 @@ import math
 from dataclasses import dataclass
 from typing import Any, Literal
 
-
 MOST_SEED = 2**32 - 1  # of jax's random keys and numpy's generators alike
 
 

@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, given
+from gsjax.cli.parsers import add_command, finite, given
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -23,7 +23,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")
     add("--json", metavar="FILE", help="also write it here, and pictures of the evidence beside it (.png)")
-    add("--downscale", type=float, metavar="K", help="look at photos K times smaller (default: 1)")
+    add("--downscale", type=finite, metavar="K", help="look at photos K times smaller (default: 1)")
     add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute (default: looked for)")
 
 

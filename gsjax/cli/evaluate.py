@@ -4,7 +4,7 @@ import argparse
 import sys
 from functools import partial
 
-from gsjax.cli.parsers import add_command, given
+from gsjax.cli.parsers import add_command, finite, given
 from gsjax.io import json_files
 
 
@@ -38,7 +38,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--zoom",
         metavar="FACTOR",
-        type=float,
+        type=finite,
         nargs="+",
         default=[],
         help="also score pictures at so many times the size of training, such as 0.5 2",

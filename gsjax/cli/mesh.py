@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, given
+from gsjax.cli.parsers import add_command, finite, given
 
 BOX = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
 
@@ -30,13 +30,13 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         "tsdf: fusion of that depth, open where nothing was seen; "
         "centers: Poisson through the Gaussians' centres; marching-cubes: of the density, needs no views")  # fmt: skip
     add("--depth", type=int, metavar="N", help="depth of the Poisson octree: one more doubles the resolution")
-    add("--trim-quantile", type=float, metavar="Q",
+    add("--trim-quantile", type=finite, metavar="Q",
         help="share (0..1) of vertices, the least supported, to cut away; default: as the points ask for")  # fmt: skip
-    add("--cell", type=float, metavar="C", help="side of a voxel (tsdf) or grid cell (marching-cubes), scene units")
-    add("--level", type=float, metavar="L", help="density (0..1) at which the surface lies")
+    add("--cell", type=finite, metavar="C", help="side of a voxel (tsdf) or grid cell (marching-cubes), scene units")
+    add("--level", type=finite, metavar="L", help="density (0..1) at which the surface lies")
     add("--points", type=int, metavar="N", help="number of surface points to reconstruct from")
-    add("--bounds", type=float, nargs=6, metavar=BOX, help="keep only what lies in this box, scene coordinates")
-    add("--background-bounds", type=float, nargs=6, metavar=BOX,
+    add("--bounds", type=finite, nargs=6, metavar=BOX, help="keep only what lies in this box, scene coordinates")
+    add("--background-bounds", type=finite, nargs=6, metavar=BOX,
         help="reconstruct what lies in this box and not in --bounds too, at its own resolution")  # fmt: skip
     add("--foreground-only", action="store_const", const=True, help="no background, whatever there is")
     add("--faces", type=int, metavar="N", help="most triangles, of the foreground and of the background each")

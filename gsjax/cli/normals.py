@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, given
+from gsjax.cli.parsers import add_command, finite, given
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -26,7 +26,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         " describes another one")  # fmt: skip
     add("--weights", metavar="FILE", required=True, help="the network as an ONNX file")
     add("--out", metavar="DIR", help="folder of the maps (default: SCENE/normals_NETWORK)")
-    add("--downscale", type=float, metavar="K", help="make the maps K times smaller than the photos (default: to 1600"
+    add("--downscale", type=finite, metavar="K", help="make the maps K times smaller than the photos (default: to 1600"
         " pixels)")  # fmt: skip
     add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute (default: looked for)")
 

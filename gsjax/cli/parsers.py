@@ -49,6 +49,21 @@ def count(text: str) -> int:
     return int(text)
 
 
+def finite(text: str) -> float:
+    """A number that is neither infinite nor none; as the `type` of an argument.
+
+    Raises:
+        argparse.ArgumentTypeError: It is no such number.
+    """
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise argparse.ArgumentTypeError(f"{text}: not a finite number")
+    return number
+
+
 def seconds(budget: str) -> float:
     """Seconds of a time such as `90s`, `10m` or `1.5h`.
 

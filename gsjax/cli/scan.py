@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command
+from gsjax.cli.parsers import add_command, finite
 from gsjax.settings import PRESETS
 
 REFINED = {"quick": "fast", "fast": "fast", "balanced": "balanced"}
@@ -29,7 +29,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--frames", type=int, metavar="N", help="how many frames of a video to take")
     add("--preset", choices=PRESETS, default="fast", help="how long to train and refine (default: fast)")
     add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
-    add("--downscale", type=float, metavar="K", help="make the photos K times smaller (default: as `gsjax train`)")
+    add("--downscale", type=finite, metavar="K", help="make the photos K times smaller (default: as `gsjax train`)")
     add("--hold-out", metavar="N|none|FILE", help="photos for scoring only (default: as `gsjax train`)")
     add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
         help="any setting of the training by its dotted key; may be repeated")  # fmt: skip

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gsjax import config
-from gsjax.cli.parsers import add_command, given, seconds
+from gsjax.cli.parsers import add_command, finite, given, seconds
 from gsjax.cli.view import add_address
 from gsjax.errors import InputError
 from gsjax.settings import LENGTHS, PRESETS, Settings
@@ -45,7 +45,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--budget", metavar="TIME", help="how long the run may take on this machine, as in 90s, 10m or 1.5h: picks the"
         " preset, unless one is given, its steps, and its Gaussians unless `--set max_gaussians=N` does")  # fmt: skip
     add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
-    add("--downscale", type=float, metavar="K", help="make the photos K times smaller (default: to 1600 pixels,"
+    add("--downscale", type=finite, metavar="K", help="make the photos K times smaller (default: to 1600 pixels,"
         " and with fast on a CPU to what its minutes bear)")  # fmt: skip
     add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute; copies of another size"
         " rescale the cameras (default: images/, or the largest of images_2, images_4, images_8)")  # fmt: skip

@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, given
+from gsjax.cli.parsers import add_command, finite, given
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -23,7 +23,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--frames", type=int, metavar="N", help="pictures in a full turn; default: 36")
     parser.add_argument("--size", type=int, metavar="PX", help="side of a picture; default: 512")
     parser.add_argument(
-        "--up", type=float, nargs=3, metavar=("X", "Y", "Z"), help="direction that points up; default: 0 0 1"
+        "--up", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="direction that points up; default: 0 0 1"
     )
 
 

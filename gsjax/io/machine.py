@@ -9,6 +9,8 @@ from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
+from gsjax.errors import InputError
+
 PACKAGES = ("gsjax", "jax", "jaxlib", "optax", "numpy", "scipy", "pycolmap", "open3d", "trimesh", "onnxruntime")
 
 
@@ -49,6 +51,30 @@ def peak_memory(path: str | Path = "/proc/self/status") -> int:
         return 1024 * int(match[1])
     unit = 1 if platform.system() == "Darwin" else 1024
     return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def free_memory() -> int:
+    """Bytes of memory that this process could still take, as Linux and its container say; elsewhere half of all."""
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    match = re.search(r"^MemAvailable:\s*(\d+) kB$", _text("/proc/meminfo"), re.MULTILINE)
+    free = 1024 * int(match[1]) if match else total // 2
+    limit, used = (_text(f"/sys/fs/cgroup/memory.{name}").strip() for name in ("max", "current"))
+    return min(free, int(limit) - int(used)) if limit.isdecimal() and used.isdecimal() else free
+
+
+def require_memory(what: str, size: float) -> None:
+    """Refuses what this machine has no room for, before it is begun.
+
+    Args:
+        what: The beginning of the message: a file or an option, and what it asks for.
+        size: Bytes that it takes.
+
+    Raises:
+        InputError: They are not free.
+    """
+    free = free_memory()
+    if size > free:
+        raise InputError(f"{what} takes {size / 2**30:.3g} GiB of memory; {max(0, free) / 2**30:.3g} are free")
 
 
 def restart_peak_memory() -> None:

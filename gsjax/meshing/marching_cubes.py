@@ -15,6 +15,7 @@ from gsjax.cameras import Camera
 from gsjax.density_field import Kernels
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
+from gsjax.io.machine import require_memory
 from gsjax.mesh import Mesh
 from gsjax.meshing import level_set
 from gsjax.meshing.boxes import Box, Region
@@ -26,6 +27,7 @@ MOST_CELLS = 256  # Along the longest side of a region, where the size is chosen
 REACH = 3.0  # Standard deviations beyond which a Gaussian makes no density.
 FLATTEST = 0.6  # Cells: a thinner Gaussian could pass between the samples unseen, so it counts as this thick.
 BLOCK = 8  # Samples along the side of a block, in which a Gaussian is evaluated everywhere or nowhere.
+BYTES_PER_SAMPLE = 12  # blocks, the grid made of them, and its copy for the surface
 PAIRS = 2_048  # (Gaussian, block) evaluated at once: a bound of the memory.
 
 
@@ -68,7 +70,9 @@ def density_grid(gaussians: Gaussians, box: Box, step: float) -> np.ndarray:
     """
     thick = jnp.maximum(gaussians.log_scales, np.float32(np.log(FLATTEST * step)))
     field = density_field.kernels(gs.Gaussians(**{**gaussians.__dict__, "log_scales": thick}))
-    counts = np.ceil((box.high - box.low) / (BLOCK * step)).astype(np.int64) + 1  # blocks along x, y, z
+    counts = np.ceil((box.high - box.low) / (BLOCK * step)) + 1  # blocks along x, y, z
+    require_memory(f"a grid of cells of {step:.3g} scene units", BYTES_PER_SAMPLE * BLOCK**3 * float(np.prod(counts)))
+    counts = counts.astype(np.int64)
     low, high = _blocks_touched(np.asarray(gaussians.means), np.asarray(gs.rotation_matrices(gaussians.quats)),
                                 np.exp(np.asarray(thick)), box, step, counts)  # fmt: skip
     spans = np.maximum(high - low, 0)

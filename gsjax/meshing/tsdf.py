@@ -8,6 +8,7 @@ import numpy as np
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
+from gsjax.io.machine import require_memory
 from gsjax.mesh import Mesh
 from gsjax.meshing import level_set
 from gsjax.meshing.boxes import Region
@@ -19,6 +20,7 @@ VOXEL_PER_SCALE = 1.0  # Voxels smaller than the Gaussians reproduce their bumps
 MOST_VOXELS = 512  # Along the longest side of a region, where the size is chosen.
 TRUNCATION = 5.0  # Voxels on both sides of the depth that a view speaks about.
 BLOCK = 8  # Voxels along the side of a block, of which the grid has as many as the surface touches.
+BYTES_PER_VOXEL = 20  # distance, weight and colour
 SEEN_ONCE = 0.5  # A voxel that one view speaks about counts.
 POINTS_PER_VIEW = 2_000  # Of the depth, to choose the regions by.
 
@@ -81,6 +83,8 @@ def _fused(views: Sequence[DepthView], region: Region, voxel: float) -> Mesh:
         depth = _depth_within(view, region)
         if not depth.any():
             continue
+        blocks = np.sum((depth.astype(np.float64) / (view.camera.K[0, 0] * BLOCK * voxel)) ** 2)  # of what it sees
+        require_memory(f"a grid of voxels of {voxel:.3g} scene units", BYTES_PER_VOXEL * BLOCK**3 * float(blocks))
         far = float(depth.max()) + voxel
         image = o3d.t.geometry.Image(o3d.core.Tensor(depth))
         colors = o3d.t.geometry.Image(o3d.core.Tensor(view.colors.astype(np.float32) / 255))

@@ -40,6 +40,8 @@ def convert(
             no Gaussian is wanted.
     """
     source, out = Path(source), Path(out)
+    if not source.exists():
+        raise InputError(f"{source}: no such file or folder")
     source = source / "gaussians.ply" if source.is_dir() else source
     reading, writing = format_of(source), format_of(out)
     if sh_degree is not None and not 0 <= sh_degree <= 4:

@@ -56,6 +56,8 @@ def evaluate(
     result = open_result(run)
     manifest, settings = json_files.read(run / "manifest.json"), json_files.read(run / "config.json")
     scene = scene_of_run(run)
+    zoomed = {zoom: scene_of_run(run, zoom=zoom).held_out_frames for zoom in zooms}  # Refused before hours of scoring.
+    given = None if mesh is None else read_mesh(mesh)
     found = read_photography(run)
     if three_ways and not found.looks:
         found = found._replace(looks=appearances_of_tracks(scene))
@@ -68,10 +70,9 @@ def evaluate(
         align=aligned_camera if aligned or found.moves else None,
     )
     figures.setdefault(STANDARD, None)
-    for zoom in zooms:
-        zoomed = scene_of_run(run, zoom=zoom).held_out_frames
+    for zoom, frames in zoomed.items():
         plain = Photography(background=found.background)
-        scores = score_images(result.gaussians, zoomed, settings["background"], found=plain)
+        scores = score_images(result.gaussians, frames, settings["background"], found=plain)
         figures |= {f"{name}_zoom_{zoom:g}": scores[name] for name in ("psnr", "ssim")}
     figures |= {
         "gaussians": result.gaussians.num_gaussians,
@@ -83,10 +84,11 @@ def evaluate(
         return figures
     figures |= score_surface(result.gaussians, scene.held_out_frames, truth, result.depth_mode)
     if truth.points is not None and truth.point_normals is not None:
-        file = Path(mesh) if mesh is not None else run / "mesh.ply"
-        if mesh is None and not file.exists():
-            extract(run, file)
-        scored, true = read_mesh(file), None if truth.mesh is None else read_mesh(truth.mesh)
+        own = run / "mesh.ply"
+        if given is None and not own.exists():
+            extract(run, own)
+        scored = read_mesh(own) if given is None else given
+        true = None if truth.mesh is None else read_mesh(truth.mesh)
         figures |= score_mesh(scored, truth.points, truth.point_normals, true)
         figures |= score_mesh_views(scored, scene.held_out_frames, truth)
         if true is not None:

@@ -1,5 +1,6 @@
 """Gaussians to a mesh file."""
 
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,6 +14,7 @@ import numpy as np
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
+from gsjax.io.machine import require_memory
 from gsjax.io.scenes import load_scene
 from gsjax.meshing import boxes, level_set, trimming
 from gsjax.meshing.boxes import Box
@@ -29,6 +31,8 @@ from gsjax.runs.prior import reduction_for
 from gsjax.runs.result import Result, open_result, scene_of_run, training_pictures
 from gsjax.scene import Frame
 
+MOST_CELLS = 2**16  # along a side; of a surface alone they are tens of gigabytes
+BYTES_PER_POINT = 24  # of the surface: place and normal, at the least
 METHODS = ("poisson", "depth", "tsdf", "centers", "marching-cubes")
 
 
@@ -83,6 +87,8 @@ def mesh(
     _check(level=level, points=points, depth=depth, trim_quantile=trim_quantile, cell=cell, faces=faces)
     regions = _regions(bounds, background_bounds, foreground_only)
     result = open_result(source, scene=scene)
+    if cell is not None:
+        _check_cell(cell, np.asarray(result.gaussians.means) if bounds is None else np.reshape(bounds, (2, 3)))
     cameras, pictures = training_pictures(
         result, without_view_dependence(result.gaussians), result.background, with_owners=True
     )
@@ -158,6 +164,9 @@ def _regions(bounds: list[float] | None, background: list[float] | None, foregro
         if background is not None:
             raise InputError("--background-bounds needs --bounds: the background is what lies around that box")
         return boxes.near_only if foreground_only else boxes.near_and_far
+    for name, corners in (("bounds", bounds), ("background-bounds", background)):
+        if corners is not None and not np.isfinite(corners).all():
+            raise InputError(f"--{name} {' '.join(f'{side:g}' for side in corners)}: not all of its sides are finite")
     near, far = (
         None if corners is None else Box(*np.split(np.asarray(corners), 2)) for corners in (bounds, background)
     )
@@ -165,16 +174,28 @@ def _regions(bounds: list[float] | None, background: list[float] | None, foregro
     return lambda _: boxes.fixed(near, None if foreground_only else far)
 
 
+def _check_cell(cell: float, places: np.ndarray) -> None:
+    """Before views are drawn. What a grid really takes is looked at again once its box is known."""
+    low, high = np.quantile(places, [0.01, 0.99], axis=0)
+    along = float((high - low).max()) / cell if len(places) else 0
+    if along > MOST_CELLS:
+        raise InputError(
+            f"--cell {cell:g}: makes {along:,.0f} cells along the scene's longest side, above {MOST_CELLS:,}"
+        )
+
+
 def _check(*, level, points, depth, trim_quantile, cell, faces) -> None:
     if not 0 < level < 1:
         raise InputError(f"--level {level} is not between 0 and 1")
     if trim_quantile is not None and not 0 <= trim_quantile < 1:
         raise InputError(f"--trim-quantile {trim_quantile} is not in 0..1")
-    if points is not None and points < 1:
-        raise InputError(f"--points {points} is below 1")
+    if points is not None:
+        if points < 1:
+            raise InputError(f"--points {points} is below 1")
+        require_memory(f"--points {points}", BYTES_PER_POINT * points)
     if depth is not None and not 2 <= depth <= 14:
         raise InputError(f"--depth {depth} is not between 2 and 14")
-    if cell is not None and not cell > 0:
-        raise InputError(f"--cell {cell} is not above 0")
+    if cell is not None and not 0 < cell < math.inf:
+        raise InputError(f"--cell {cell} is not a number above 0")
     if faces < 1:
         raise InputError(f"--faces {faces} is below 1")

@@ -5,10 +5,14 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io.machine import require_memory
 from gsjax.meshing.export import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors, vertex_colors
 from gsjax.meshing.turntable import check_suffix, write_turntable
 from gsjax.meshing.turntable import turntable as pictures_around
+
+MOST_FRAMES, MOST_SIZE = 3600, 4096
+BYTES = 6  # a pixel: the pictures, and the copies of them that are written
 
 
 def turntable(
@@ -35,11 +39,12 @@ def turntable(
         InputError: The mesh cannot be read, the pictures cannot be written, or an option is out of range.
     """
     check_suffix(out)
-    for name, value in (("frames", frames), ("size", size)):
-        if value < 1:
-            raise InputError(f"--{name} {value} is below 1")
-    if not np.any(up):
-        raise InputError("--up 0 0 0 is no direction")
+    for name, value, most in (("frames", frames, MOST_FRAMES), ("size", size, MOST_SIZE)):
+        if not 1 <= value <= most:
+            raise InputError(f"--{name} {value} is not between 1 and {most}")
+    require_memory(f"--frames {frames} --size {size}", BYTES * frames * size**2)
+    if not (np.any(up) and np.isfinite(up).all()):
+        raise InputError(f"--up {' '.join(f'{axis:g}' for axis in up)} is no direction")
     textured = read_textured(mesh)
     surface = read_mesh(mesh) if textured is None else textured.mesh
     shading = vertex_colors if textured is None else texture_colors(textured)

@@ -3,6 +3,7 @@
 import atexit
 import os
 import re
+import socket
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr
@@ -17,6 +18,7 @@ from gsjax.errors import InputError
 T = TypeVar("T")
 LOST = re.compile(r"Gloo|NCCL|heartbeat|coordination|UNAVAILABLE", re.IGNORECASE)
 """What the runtime says when another process is gone."""
+MOST_PROCESSES = 2**16
 PATIENCE = (
     600  # seconds without a sign of life; jax then ends the process, so what exchanges with it is to find out first
 )
@@ -34,6 +36,11 @@ def joined(coordinator: str, processes: int | None = None, process: int | None =
     Raises:
         InputError: They do not come together, or one was lost. The caller is to end: there is no going on.
     """
+    if coordinator != "auto":
+        _check_address(coordinator)
+    for name, number, low in (("processes", processes, 1), ("process", process, 0)):
+        if number is not None and not low <= number < MOST_PROCESSES:
+            raise InputError(f"--{name} {number} is not between {low} and {MOST_PROCESSES - 1}")
     jax.config.update("jax_cpu_collectives_implementation", "gloo")
     try:
         address = None if coordinator == "auto" else coordinator
@@ -50,6 +57,19 @@ def joined(coordinator: str, processes: int | None = None, process: int | None =
             raise
         atexit.register(os._exit, 2)
         raise InputError("another process of this run was lost; --resume goes on from the last checkpoint") from error
+
+
+def _check_address(coordinator: str) -> None:
+    """InputError unless there could be somebody: jax would wait for minutes."""
+    host, _, port = coordinator.rpartition(":")
+    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise InputError(f"--coordinator {coordinator}: is no HOST:PORT")
+    try:
+        socket.getaddrinfo(host.strip("[]"), int(port))
+    except (socket.gaierror, UnicodeError) as error:
+        raise InputError(
+            f"--coordinator {coordinator}: {getattr(error, 'strerror', 'is no name of a host')}"
+        ) from error
 
 
 def is_first() -> bool:

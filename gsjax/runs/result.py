@@ -1,5 +1,6 @@
 """What a finished run, or a file of Gaussians, offers to later stages: Gaussians, cameras, and where photos count."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -85,6 +86,8 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
         InputError: It is neither, or unfinished, or unreadable.
     """
     source = Path(source)
+    if not source.exists():
+        raise InputError(f"{source}: no such file or folder")
     if source.is_dir():
         if not (source / "gaussians.ply").exists():
             hint = "its training has not finished" if (source / "manifest.json").exists() else "it is no run folder"
@@ -164,8 +167,8 @@ def scene_of_run(run: Path, *, zoom: float = 1.0) -> Scene:
         InputError: It is no run folder, its data set cannot be used any more, or its photos are too small for `zoom`.
     """
     manifest, settings = json_files.read(run / "manifest.json"), json_files.read(run / "config.json")
-    if not zoom > 0:
-        raise InputError(f"zoom must be a number above 0, not {zoom}")
+    if not 0 < zoom < math.inf:
+        raise InputError(f"--zoom {zoom:g} is not a number above 0")
     downscale = settings["downscale"] / zoom
     if downscale < 1:
         reduced = f"reduced by {settings['downscale']:g}" if settings["downscale"] > 1 else "as they are"

@@ -229,6 +229,8 @@ def check_port(host: str, port: int) -> None:
             probe.bind(address)
     except socket.gaierror as error:
         raise InputError(f"--host {host}: {error.strerror}") from error
+    except UnicodeError as error:  # Of a name that no address can have, such as an empty or a very long part.
+        raise InputError(f"--host {host}: is no name of a host") from error
     except OSError as error:
         way_out = "; choose another with --port" if error.errno == errno.EADDRINUSE else ""
         raise InputError(f"--port {port} on {host}: {error.strerror}{way_out}") from error

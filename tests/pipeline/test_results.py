@@ -74,7 +74,12 @@ def test_a_run_is_scored_at_other_sizes_of_its_photos(run):
 
 
 @pytest.mark.parametrize(
-    ("zoom", "fault"), [(2, "on photos as they are; there are none 2 times larger"), (0, "must be a number above 0")]
+    ("zoom", "fault"),
+    [
+        (2, "on photos as they are; there are none 2 times larger"),
+        (0, "--zoom 0 is not a number above 0"),
+        (-1, "--zoom -1 is not a number above 0"),
+    ],
 )
 def test_a_zoom_that_photos_do_not_allow_is_one_line(run, zoom, fault, capsys):
     assert cli.main(["eval", str(run), "--zoom", str(zoom)]) == 2

@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from small_scenes import camera_at, cloud
 
 from gsjax import gaussians as gs
 from gsjax.errors import InputError
@@ -144,6 +145,18 @@ def test_the_grid_holds_the_density_at_its_own_points():
     inside = distance < 3  # Beyond, whole blocks may be left out.
     np.testing.assert_allclose(grid[inside], expected[inside], atol=2e-6)
     assert grid[~inside].max() <= expected[~inside].max() + 2e-6
+
+
+def test_a_grid_that_no_machine_holds_is_refused():
+    box = Box((-1, -1, -1), (1, 1, 1))
+    with pytest.raises(InputError, match=r"^a grid of cells of 1e-06 scene units takes 8.\d+e\+10 GiB of memory; "):
+        density_grid(cloud(3), box, 1e-6)
+    camera = camera_at((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), size=(16, 16))
+    depth = np.full((16, 16), 3.0, np.float32)
+    picture = Picture(colors=np.zeros((16, 16, 3)), alphas=np.ones((16, 16)), depth=depth, owners=None)
+    sighting = tsdf(voxel=1e-6)(cloud(3), [camera], [picture])
+    with pytest.raises(InputError, match=r"^a grid of voxels of 1e-06 scene units takes .*e\+\d+ GiB of memory; "):
+        sighting.build(Region(Box((-9, -9, -9), (9, 9, 9))))
 
 
 def test_vertices_of_a_round_gaussian_lie_on_its_level_sphere():

@@ -128,8 +128,9 @@ def test_the_command_draws_textures_and_vertex_colours(tmp_path, box):
     ("options", "message"),
     [
         (["--out", "t.mp4"], "t.mp4: turntables end in .gif or .png"),
-        (["--out", "t.gif", "--frames", "0"], "--frames 0 is below 1"),
-        (["--out", "t.gif", "--size", "-3"], "--size -3 is below 1"),
+        (["--out", "t.gif", "--frames", "0"], "--frames 0 is not between 1 and 3600"),
+        (["--out", "t.gif", "--size", "-3"], "--size -3 is not between 1 and 4096"),
+        (["--out", "t.gif", "--size", "10000"], "--size 10000 is not between 1 and 4096"),
         (["--out", "t.gif", "--up", "0", "0", "0"], "--up 0 0 0 is no direction"),
         (["--out", "t.gif"], "absent.ply: no such mesh file"),
     ],

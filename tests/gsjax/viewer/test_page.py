@@ -187,6 +187,8 @@ def test_a_port_in_use_and_others_that_cannot_be_are_one_line(capsys, tmp_path):
         check_port("127.0.0.1", 65536)
     with pytest.raises(InputError, match="--host nowhere.invalid: "):
         check_port("nowhere.invalid", 0)
+    with pytest.raises(InputError, match="--host ..: is no name of a host"):
+        check_port("..", 0)
 
 
 def test_the_server_is_there_for_this_machine_alone_and_then_gone(monkeypatch):
