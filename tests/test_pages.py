@@ -5,6 +5,7 @@ import importlib.util
 import re
 import shlex
 import tokenize
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,23 @@ def test_every_command_line_parses(page):
         assert cli.parser().parse_args(shlex.split(command, comments=True)).run
 
 
+WORKFLOW = ROOT / ".github/workflows/checks.yml"
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", BESIDE[0], WORKFLOW, ROOT / ".ci/run"], ids=named)
+def test_every_target_of_make_exists(page):
+    targets = set(re.search(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)[1].split())
+    asked = re.findall(r"(?:^ {4}| run: |\$\(|^)make ([a-z -]+[a-z])", page.read_text(), re.MULTILINE)
+    words = {word for line in asked for word in line.split("  ")[0].split() if not word.startswith("-")}
+    assert words
+    assert words <= targets
+
+
+def test_the_citation_is_of_this_version():
+    (version,) = re.findall(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert version == tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+
+
 @pytest.mark.parametrize("page", PAGES + BESIDE, ids=named)
 def test_every_setting_exists_and_takes_the_value(page):
     kind, preset = (Refinement, {}) if page.name == "refinement.md" else (Settings, PRESETS["fast"])
@@ -60,6 +78,8 @@ def test_names_and_files_of_the_source_exist(page):
     assert not absent(text)
     paths = re.findall(r"`((?:gsjax|rasterizer|experiments|tests|docs)/[\w./]*\.\w+)`", text)
     assert not [path for path in paths if not (ROOT / path).exists()]
+    in_files = re.findall(r"`(?:\w+\.)*([\w-]+)` in `([\w/]+\.py)`", text)
+    assert not [(word, path) for word, path in in_files if word not in (ROOT / path).read_text()]
 
 
 SOURCES = sorted(path for folder in ("rasterizer", "gsjax") for path in (ROOT / folder).rglob("*.py"))
