@@ -1,6 +1,6 @@
 """Where the files of a data set's photos lie: the folder that is asked for, or that there is, and the suffix found."""
 
-import sys
+import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,10 +8,12 @@ from functools import cache
 from pathlib import Path
 
 from gsjax.errors import InputError
+from gsjax.io.images import SUFFIXES
+from gsjax.io.notices import say
+from gsjax.io.photo_names import inside, spellings
 from gsjax.io.photos import Photo
 
 REDUCED = ("images_2", "images_4", "images_8")  # Copies of reduced size, as benchmarks bring them, largest first.
-_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 
 
 def located(root: Path, photos: Sequence[Photo], images: str | None) -> list[Photo]:
@@ -38,43 +40,42 @@ def located(root: Path, photos: Sequence[Photo], images: str | None) -> list[Pho
     best = max(range(len(REDUCED)), key=lambda index: _count(reduced[index]))
     if not _count(reduced[best]):
         return found
-    _say(f"images: none where {root} says; {root / REDUCED[best]} is taken")
+    say(f"images: none where {root} says; {root / REDUCED[best]} is taken")
     return reduced[best]
 
 
 def found_files(paths: Sequence[Path]) -> list[Path]:
-    """Each path itself where it is a file, else the image beside it of the same stem, whatever its suffix and case.
+    """Each path itself where it is a file, else another spelling of it, else the image beside it of the same stem.
 
-    A stem that two of the paths share, or two images, tells nothing: the path stays as it is.
+    Stems are compared whatever their suffix and case. One that two of the paths share, or two images, tells nothing:
+    the path stays as it is.
     """
     wanted = Counter(_stem(path) for path in paths)
 
     @cache
     def images_in(folder: Path) -> dict[Path, list[Path]]:
-        images = [p for p in folder.glob("*") if p.suffix.lower() in _SUFFIXES and p.is_file()]
+        listed = folder.glob("*") if os.path.isdir(folder) else ()
+        images = [p for p in listed if p.suffix.lower() in SUFFIXES and os.path.isfile(p)]
         by_stem: dict[Path, list[Path]] = {}
         for image in images:
             by_stem.setdefault(_stem(image), []).append(image)
         return by_stem
 
     def found(path: Path) -> Path:
-        if path.is_file():
+        if os.path.isfile(path):
             return path
+        spelled = next((other for other in spellings(path) if os.path.isfile(other)), None)
+        if spelled is not None:
+            return spelled
         same = images_in(path.parent).get(_stem(path), [])
         return same[0] if len(same) == 1 and wanted[_stem(path)] == 1 else path
 
     return [found(path) for path in paths]
 
 
-@cache
-def _say(line: str) -> None:
-    """On stderr; once, however often a command loads the data set."""
-    print(line, file=sys.stderr)
-
-
 def _in_folder(photos: Sequence[Photo], folder: Path) -> list[Photo]:
     names = [Path(photo.name) for photo in photos]  # Absolute where a data set lists photos outside its folder.
-    return _with_files(photos, [folder / (name.name if name.is_absolute() else name) for name in names])
+    return _with_files(photos, [folder / (name.name if name.is_absolute() else inside(str(name))) for name in names])
 
 
 def _with_files(photos: Sequence[Photo], paths: Sequence[Path]) -> list[Photo]:
@@ -82,7 +83,7 @@ def _with_files(photos: Sequence[Photo], paths: Sequence[Path]) -> list[Photo]:
 
 
 def _count(photos: Sequence[Photo]) -> int:
-    return sum(photo.path.is_file() for photo in photos)
+    return sum(os.path.isfile(photo.path) for photo in photos)
 
 
 def _stem(path: Path) -> Path:

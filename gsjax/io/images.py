@@ -14,6 +14,7 @@ from gsjax.io.packages import require
 cv2 = require("cv2", "pip install opencv-contrib-python-headless")
 Image = require("PIL.Image", "pip install pillow")
 
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".heif", ".hif", ".avif")  # Of photos.
 _ORIENTATION, _QUARTER_TURNS = 0x0112, (5, 6, 7, 8)  # EXIF: the tag, and its values that swap the sides.
 
 

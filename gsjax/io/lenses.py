@@ -24,6 +24,7 @@ _WITH_TWO_FOCALS = {
     "SIMPLE_RADIAL_FISHEYE": ("OPENCV_FISHEYE", 3),
     "RADIAL_FISHEYE": ("OPENCV_FISHEYE", 2),
 }
+_LARGEST_SIDE = 2**31  # pixels
 _NO_REMAP_BELOW = 0.01  # pixels: a lens that moves nothing farther is read as it is
 
 
@@ -57,15 +58,24 @@ class PinholeView:
         return cv2.remap(array, source, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
 
-def check_lens(lens: Lens, file: Path) -> Lens:
+def check_lens(lens: Lens, where: str | Path) -> Lens:
     """The lens itself, once its size and numbers are found usable.
 
     Raises:
-        InputError: The size or the focal length is not positive, or a parameter not finite; names `file`.
+        InputError: The size or a focal length is not positive, or a number beyond what can be used; begins with
+            `where`.
     """
-    if lens.width < 1 or lens.height < 1 or not is_float32(np.array(lens.params)).all() or lens.params[0] <= 0:
-        raise InputError(f"{file}: camera {lens.model} {lens.width}x{lens.height} with params {list(lens.params)}")
-    return lens
+    focals = lens.params[: 1 if lens.model in _WITH_TWO_FOCALS else 2]
+    if not (0 < lens.width < _LARGEST_SIDE and 0 < lens.height < _LARGEST_SIDE):
+        fault = "a size that no photo has"
+    elif not is_float32(np.array(lens.params)).all():
+        fault = "a parameter that is not finite"
+    elif min(focals) <= 0:
+        fault = "a focal length that is not positive"
+    else:
+        return lens
+    numbers = ", ".join(f"{value:.6g}" for value in lens.params)
+    raise InputError(f"{where} ({lens.model} {lens.width}x{lens.height} with {numbers}) has {fault}")
 
 
 def resized(lens: Lens, width: int, height: int) -> Lens:

@@ -1,13 +1,18 @@
 """A folder of photos with cameras, whatever its layout, as one `Scene`."""
 
 import math
+import os
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+
+import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io import colmap, transforms
+from gsjax.io import colmap, colmap_model, transforms
 from gsjax.io.image_folders import located
+from gsjax.io.photo_names import inside
 from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, listed
 from gsjax.io.splits import AUTO, split
 from gsjax.io.truth import load_truth
@@ -24,12 +29,12 @@ def load_scene(
 ) -> Scene:
     """Loads a data set: COLMAP, `transforms.json` (instant-ngp, nerfstudio) or NeRF-synthetic.
 
-    A COLMAP model is looked for in `sparse/0`, `sparse`, `colmap/sparse/0` and the folder itself; its photos in
-    `images/` or beside it, or in reduced copies (`gsjax.io.image_folders`). Photos of another size than their camera
-    says rescale its intrinsics where the shape fits (`gsjax.io.images.same_shape`). Lens distortion is removed
-    (`gsjax.io.lenses`). Masks come from a folder `masks/` (a mask has the photo's name, that name with `.png` after
-    it, or its stem with `.png`), from `mask_path` in `transforms.json`, or from the photos' alpha channel, which
-    always becomes the matte. Truth beside the images is listed too (`gsjax.io.truth`).
+    A COLMAP model is looked for in `sparse/0` (or a larger one in `sparse/1` and so on), `sparse`, `colmap/sparse/0`
+    and the folder itself; its photos in `images/` or beside it, or in reduced copies (`gsjax.io.image_folders`). Photos
+    of another size than their camera says rescale its intrinsics where the shape fits (`gsjax.io.images.same_shape`).
+    Lens distortion is removed (`gsjax.io.lenses`). Masks come from a folder `masks/` (a mask has the photo's name, that
+    name with `.png` after it, or its stem with `.png`), from `mask_path` in `transforms.json`, or from the photos'
+    alpha channel, which always becomes the matte. Truth beside the images is listed too (`gsjax.io.truth`).
 
     Args:
         root: Folder of the data set.
@@ -52,26 +57,27 @@ def load_scene(
     photos = _with_folder_masks(photos, root / "masks")
     frames = [frame for photo in photos for frame in frames_of(photo, downscale, folder_masks)]
     frames = tuple(sorted(frames, key=lambda frame: frame.name))
+    points = capture.points.astype(np.float32)
     truth = load_truth(root, frames)
-    return Scene(root, capture.source, frames, capture.points, capture.point_colors, truth, capture.tracks)
+    return Scene(root, capture.source, frames, points, capture.point_colors, truth, capture.tracks)
 
 
 def is_data_set(root: str | Path) -> bool:
     """Whether a folder is laid out as one that `load_scene` reads; what the files hold is not looked at."""
     root = Path(root)
-    return colmap.find_model(root) is not None or any((root / file).is_file() for file in transforms.FILES)
+    return colmap_model.find_model(root) is not None or any((root / file).is_file() for file in transforms.FILES)
 
 
 def _read_capture(root: Path) -> Capture:
     if not root.is_dir():
         raise InputError(f"{root}: no such folder")
-    model = colmap.find_model(root)
+    model = colmap_model.find_model(root)
     if model is not None:
         return colmap.read_capture(root, model)
     for file, read in zip(transforms.FILES, (transforms.read_transforms, transforms.read_synthetic), strict=True):
         if (root / file).is_file():
             return read(root)
-    places = ", ".join(f"{folder}/cameras.bin or .txt" for folder in colmap.MODEL_FOLDERS)
+    places = ", ".join(f"{folder}/cameras.bin or .txt" for folder in ("sparse/0", "sparse", "colmap/sparse/0", "."))
     raise InputError(f"{root}: no data set; looked for {places}, {', '.join(transforms.FILES)}")
 
 
@@ -84,9 +90,10 @@ def _checked_photos(root: Path, photos: Sequence[Photo]) -> list[Photo]:
     twice = sorted({name for name, following in zip(names, names[1:], strict=False) if name == following})
     if twice:
         raise InputError(f"{root}: the image {twice[0]} is listed more than once")
-    missing = [photo for photo in photos if not photo.path.is_file()]
+    missing = [photo for photo in photos if not os.path.isfile(photo.path)]
     if missing:
-        folder = missing[0].path.parents[len(Path(missing[0].name).parts) - 1]
+        first = missing[0]
+        folder = str(first.path).removesuffix(first.name).rstrip("/") or root
         raise InputError(f"{folder}: {listed('image', [photo.name for photo in missing])}")
     return photos
 
@@ -95,13 +102,20 @@ def _with_folder_masks(photos: list[Photo], folder: Path) -> list[Photo]:
     """Gives photos the masks of a folder; a photo without one is used whole."""
     if not folder.is_dir():
         return photos
-    found = [replace(photo, mask_path=_mask_path(photo.name, folder) or photo.mask_path) for photo in photos]
+    bases = Counter(inside(photo.name).name for photo in photos)
+
+    def mask_of(photo: Photo) -> Path | None:
+        within = inside(photo.name)
+        places = [within] if bases[within.name] > 1 else [within, PurePosixPath(within.name)]
+        return next((mask for place in places if (mask := _mask_path(folder / place))), photo.mask_path)
+
+    found = [replace(photo, mask_path=mask_of(photo)) for photo in photos]
     if all(photo.mask_path is None for photo in found):
         raise InputError(f"{folder}: no mask in it has the name of an image, for example {photos[0].name}.png")
     return found
 
 
-def _mask_path(name: str, folder: Path) -> Path | None:
-    same = folder / name
-    candidates = (same, same.with_name(same.name + ".png"), same.with_suffix(".png"))
-    return next((c for c in candidates if c.is_file()), None)
+def _mask_path(same: Path) -> Path | None:
+    """The mask under a photo's name, that name with `.png` after it, or its stem with `.png`."""
+    candidates = (same, Path(f"{same}.png"), Path(f"{os.path.splitext(same)[0]}.png"))
+    return next((path for path in candidates if os.path.isfile(path)), None)

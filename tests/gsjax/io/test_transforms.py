@@ -213,10 +213,24 @@ def test_lego_mattes_are_silhouettes_of_one_solid(shared):
         (lambda m: m.pop("frames"), 'has no list "frames"'),
         (lambda m: m["frames"][3].pop("file_path"), 'frame 3 has no "file_path"'),
         (lambda m: m["frames"][3].update(transform_matrix=[[1, 2], [3, 4]]), "003.png is not a finite 4x4 matrix"),
-        (lambda m: m["frames"][3].update(transform_matrix=(2 * np.eye(4)).tolist()), "it stretches by"),
+        (lambda m: m["frames"][3].update(transform_matrix=np.diag([1, 2, 1, 1.0]).tolist()), "stretches by 2, 1, 1"),
+        (lambda m: m["frames"][3].update(transform_matrix=np.diag([1, -1, 1, 1.0]).tolist()), "it mirrors"),
+        (lambda m: m["frames"][3].update(transform_matrix=np.zeros((3, 4)).tolist()), "stretches by 0, 0, 0"),
+        (lambda m: m["frames"][3].update(transform_matrix=(np.eye(4) + np.eye(4, k=-3)).tolist()), "a row 0, 0, 0, 1"),
+        (lambda m: m["frames"][3].update(mask_path=7), "mask_path is no text"),
+        (lambda m: m["frames"][3].update(mask_path="gone.png"), "gone.png: no such image"),
+        (
+            lambda m: m.update(train_filenames=["images/gone.png"]),
+            "images/gone.png, which is the file_path of no frame",
+        ),
+        (lambda m: m.update(test_filenames=7), "test_filenames is no list of names"),
+        (lambda m: m.update(frames=[f | {"is_bad": True} for f in m["frames"]]), "leaves all of its frames out"),
+        (lambda m: m.update(camera_model=["OPENCV"]), "unknown camera_model that is no text"),
+        (lambda m: m.update(cx=[1]), "has cx a list, which is no number"),
+        (lambda m: m.update(fl_x=None, camera_angle_x=7), "camera_angle_x 7, which is no angle"),
         (lambda m: m["frames"][3].update(transform_matrix=(np.eye(4) * np.nan).tolist()), "not a finite 4x4 matrix"),
         (lambda m: m.pop("fl_x"), "neither fl_x nor camera_angle_x"),
-        (lambda m: m.update(fl_x=-5.0), "camera PINHOLE 40x30"),
+        (lambda m: m.update(fl_x=-5.0), "(PINHOLE 40x30 with -5, -5, 20, 15) has a focal length that is not positive"),
         (lambda m: m.update(fl_x="wide"), "wide"),
         (lambda m: m.update(camera_model="LENSBABY"), "unknown camera_model 'LENSBABY'"),
         (lambda m: m.update(k4=0.1), "takes no k4"),
@@ -238,3 +252,109 @@ def test_a_file_that_is_not_json_is_named(tmp_path):
     (tmp_path / "transforms.json").write_text('{"frames": [')
     with pytest.raises(InputError, match=r"transforms.json: cannot be read as JSON"):
         load_scene(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "perspective", "Simple_Radial"])
+def test_radial_cameras_by_any_name_and_case_are_one_lens(tmp_path, name):
+    root = write(tmp_path, fl_x=50.0, camera_model=name, k1=0.1)
+    assert {photo.lens.params for photo in read_transforms(root).photos} == {(50, 50, 20, 15, 0.1, *[0] * 7)}
+
+
+def test_all_coefficients_of_a_rational_lens_are_taken(tmp_path):
+    coefficients = dict(zip(("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"), np.arange(1, 9) / 100, strict=True))
+    root = write(tmp_path, fl_x=50.0, camera_model="full_opencv", **coefficients)
+    assert read_transforms(root).photos[0].lens.params == (50, 50, 20, 15, *coefficients.values())
+
+
+@pytest.mark.parametrize("scale", [np.diag([3, 3, 3, 1.0]), 2 * np.eye(4)])
+def test_an_even_scale_of_a_camera_changes_nothing(tmp_path, scale):
+    plain = load_scene(write(tmp_path / "plain", fl_x=50.0)).frames
+    poses = [pose @ scale for pose in ring()]
+    for ours, theirs in zip(load_scene(write(tmp_path / "s", fl_x=50.0, poses=poses)).frames, plain, strict=True):
+        np.testing.assert_allclose(ours.viewmat, theirs.viewmat, atol=1e-6)
+
+
+def names(scene, which):
+    return [int(frame.name[:3]) for frame in getattr(scene, which)]
+
+
+def listing(*numbers):
+    return [f"images/{number:03d}.png" for number in numbers]
+
+
+def test_the_split_that_nerfstudio_lists_is_taken_and_gives_way_to_another(tmp_path, capsys):
+    root = write(tmp_path, fl_x=50.0, train_filenames=listing(0, 1, 2), test_filenames=listing(4, 5))
+    scene = load_scene(root)
+    assert names(scene, "train_frames") == [0, 1, 2] and names(scene, "held_out_frames") == [4, 5]
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "0 of its frames are left out as bad, 3 as being in no list" in said
+    assert names(load_scene(root, hold_out="none"), "train_frames") == [0, 1, 2, 4, 5]
+    edit(root, lambda m: m.pop("test_filenames"))
+    assert names(load_scene(root), "held_out_frames") == [3, 4, 5, 6, 7]
+    edit(root, lambda m: m.update(val_filenames=[".\\images\\002.png"], train_filenames=listing(*range(8))))
+    assert names(load_scene(root), "held_out_frames") == [2]
+
+
+def test_bad_frames_and_frames_for_testing_of_scannet(tmp_path, capsys):
+    root = write(tmp_path, fl_x=50.0)
+
+    def change(meta):
+        meta["frames"][1]["is_bad"] = True
+        meta["frames"][2]["is_bad"] = False
+        meta["test_frames"] = [meta["frames"].pop(5), meta["frames"].pop()]
+
+    edit(root, change)
+    scene = load_scene(root)
+    assert names(scene, "train_frames") == [0, 2, 3, 4, 6] and names(scene, "held_out_frames") == [5, 7]
+    assert "1 of its frames are left out as bad" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "latin-1"])
+def test_json_of_every_encoding_is_read(tmp_path, encoding):
+    root = write(tmp_path, fl_x=50.0, title="K\u00fcche")
+    text = (root / "transforms.json").read_text().replace("\\u00fc", "\u00fc")
+    (root / "transforms.json").write_bytes(text.encode(encoding))
+    assert len(load_scene(root).frames) == 8
+
+
+@pytest.mark.parametrize("prefix", ["images\\", ".\\images\\", "/home/someone/images/", "D:\\scene\\images\\", ""])
+def test_photos_listed_on_another_machine_are_found(tmp_path, prefix):
+    root = write(tmp_path, fl_x=50.0)
+
+    def change(meta):
+        for i, frame in enumerate(meta["frames"]):
+            frame["file_path"] = f"{prefix}{i:03d}.png"
+
+    edit(root, change)
+    assert [frame.name for frame in load_scene(root).frames] == [f"{i:03d}.png" for i in range(8)]
+
+
+@pytest.mark.parametrize("absolute", [True, False])
+def test_a_linked_folder_of_photos_is_named_as_if_it_were_there(tmp_path, monkeypatch, absolute):
+    """Masks beside it are its masks, and names are the same from wherever the scene is loaded."""
+    root = write(tmp_path / "scene", fl_x=50.0)
+    (root / "images").rename(tmp_path / "disk")
+    (root / "images").symlink_to(tmp_path / "disk")
+    mask = np.full((30, 40), 255, np.uint8)
+    mask[:, 20:] = 0
+    (root / "masks").mkdir()
+    for i in range(8):
+        cv2.imwrite(str(root / f"masks/{i:03d}.png"), mask)
+    if absolute:
+        edit(root, lambda m: [f.update(file_path=str(root / f["file_path"])) for f in m["frames"]])
+    monkeypatch.chdir(tmp_path)
+    for given in ("scene", root):
+        frames = load_scene(given).frames
+        assert [frame.name for frame in frames] == [f"{i:03d}.png" for i in range(8)]
+        np.testing.assert_array_equal(frames[0].pixels().valid, mask)
+
+
+def test_photos_outside_the_data_set_are_not_their_own_masks(tmp_path):
+    root = write(tmp_path / "scene", fl_x=50.0)
+    (root / "images").rename(tmp_path / "disk")
+    edit(root, lambda m: [f.update(file_path=str(tmp_path / "disk" / f["file_path"][-7:])) for f in m["frames"]])
+    (root / "masks").mkdir()
+    cv2.imwrite(str(root / "masks/002.png"), np.zeros((30, 40), np.uint8))
+    photos = {photo.name[-7:]: photo for photo in load_scene(root).frames}
+    assert photos["001.png"].pixels().valid is None
+    assert (photos["002.png"].pixels().valid == 0).all()

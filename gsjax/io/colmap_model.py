@@ -1,0 +1,158 @@
+"""A COLMAP model: where it lies, and what its files say.
+
+They are read here and not by pycolmap, which 4.2 reads past the end of a truncated file, drops every second image of an
+`images.txt` without keypoint lines, ends names at their first space, and shears the scene by a quaternion that is not
+of unit length. `rigs` and `frames` say nothing that `images` does not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gsjax.errors import InputError
+from gsjax.io import colmap_binary, colmap_text
+from gsjax.io.colmap_records import ImageRecord
+from gsjax.io.lenses import Lens, check_lens, is_float32
+from gsjax.io.notices import say
+from gsjax.io.ply import read_points
+
+PLACES = ("sparse/*", "sparse", "colmap/sparse/*", ".")  # Where models are looked for; the first with one is taken.
+_READERS = {".bin": colmap_binary, ".txt": colmap_text}
+_SHORTEST_QUAT = 1e-6
+
+
+@dataclass(frozen=True)
+class PosedImage:
+    """A photo of the model."""
+
+    name: str
+    camera: int  # its id
+    viewmat: np.ndarray  # [4, 4] float64 rigid, world to camera
+    keypoints: np.ndarray  # [K] of `gsjax.io.colmap_records.KEYPOINT`
+
+
+@dataclass(frozen=True)
+class Model:
+    """What a COLMAP model says."""
+
+    cameras: dict[int, Lens]
+    images: tuple[PosedImage, ...]  # by name
+    point_ids: np.ndarray  # [P] int64, ascending
+    points: np.ndarray  # [P, 3] float64 world
+    point_colors: np.ndarray  # [P, 3] uint8
+
+
+def find_model(root: Path) -> Path | None:
+    """The folder under `root` that holds a COLMAP model's cameras file, or None.
+
+    COLMAP writes a model into `sparse/0`, and others beside it where photos do not hang together: the one with the most
+    photos is taken, and a line says so.
+    """
+    for place in PLACES:
+        found = [folder for folder in _folders(root, place) if _suffix(folder)]
+        if len(found) > 1:
+            return _largest(found)
+        if found:
+            return found[0]
+    return None
+
+
+def read_model(folder: Path) -> Model:
+    """Reads cameras, images and, where there are any, points.
+
+    Quaternions are made unit: they are rounded in many a file, and the turn does not depend on their length. Points may
+    be in `points3D.ply` alone, as 3DGS writes it.
+
+    Raises:
+        InputError: A file is missing, truncated or contradicts another; a camera model is unknown.
+    """
+    suffix = _suffix(folder) or ".bin"
+    reader = _READERS[suffix]
+    files = {part: folder / f"{part}{suffix}" for part in ("cameras", "images", "points3D")}
+    for part in ("cameras", "images"):
+        if not files[part].is_file():
+            raise InputError(f"{files[part]}: missing from the COLMAP model")
+    colmap_binary.check_frames(folder)
+    cameras = reader.read_cameras(files["cameras"])
+    if not cameras:
+        raise InputError(f"{files['cameras']}: no camera in it")
+    for number, lens in cameras.items():
+        check_lens(lens, f"{files['cameras']}: camera {number}")
+    images = sorted(reader.read_images(files["images"]), key=lambda image: image.name)
+    posed = tuple(_posed(image, cameras, files["images"]) for image in images)
+    if files["points3D"].is_file():
+        return Model(cameras, posed, *_cloud(reader.read_points(files["points3D"])))
+    if (folder / "points3D.ply").is_file():
+        points, colors = read_points(folder / "points3D.ply")
+        return Model(cameras, posed, np.arange(len(points)), points.astype(np.float64), colors)
+    return Model(cameras, posed, np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3), np.uint8))
+
+
+def _folders(root: Path, place: str) -> list[Path]:
+    if not place.endswith("/*"):
+        return [root / place]
+    folder = root / place[:-2]
+    numbered = [path for path in folder.glob("*") if path.name.isdecimal()] if folder.is_dir() else []
+    return sorted(numbered, key=lambda path: (len(path.name), path.name))
+
+
+def _suffix(folder: Path) -> str | None:
+    """In which form a folder holds a model: the one with cameras and images, or else with cameras; None of none."""
+    having = [suffix for suffix in _READERS if (folder / f"cameras{suffix}").is_file()]
+    return next((suffix for suffix in having if (folder / f"images{suffix}").is_file()), next(iter(having), None))
+
+
+def _largest(models: Sequence[Path]) -> Path:
+    counts = {model: _count_images(model) for model in models}
+    best = max(models, key=lambda model: counts[model])
+    others = ", ".join(f"{model.name} with {counts[model]}" for model in models if model != best)
+    say(f"COLMAP: {best} with {counts[best]} photos is taken; beside it lie {others}")
+    return best
+
+
+def _count_images(model: Path) -> int:
+    """What the file of images promises; 0 where it cannot be read, which is told when the model is."""
+    suffix = _suffix(model)
+    assert suffix, "is a model"
+    try:
+        return _READERS[suffix].count_images(model / f"images{suffix}")
+    except (OSError, InputError):
+        return 0
+
+
+def _posed(image: ImageRecord, cameras: dict[int, Lens], file: Path) -> PosedImage:
+    if image.camera not in cameras:
+        raise InputError(f"{file}: {image.name} is of camera {image.camera}, which the model does not have")
+    pose = np.array(image.pose)
+    length = np.linalg.norm(pose[:4])
+    if not is_float32(pose).all():
+        raise InputError(f"{file}: the pose of {image.name} is not finite")
+    if length < _SHORTEST_QUAT:
+        raise InputError(f"{file}: the quaternion of {image.name} is zero, which is no rotation")
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = _rotation(pose[:4] / length)
+    viewmat[:3, 3] = pose[4:]
+    return PosedImage(image.name, image.camera, viewmat, image.keypoints)
+
+
+def _rotation(quat: np.ndarray) -> np.ndarray:
+    """`[3, 3]` of a unit quaternion, w first."""
+    w, x, y, z = quat
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _cloud(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ids, places and colours; colours of fractions are shares of 255."""
+    points = points[np.argsort(points["id"], kind="stable")]
+    colors = points["color"]
+    if (colors % 1).any() and colors.max() <= 1:
+        colors = 255 * colors
+    return points["id"], points["xyz"], np.clip(np.rint(colors), 0, 255).astype(np.uint8)

@@ -1,0 +1,80 @@
+"""Names of photos as data sets list them, and as they are here: other machines have other paths and other spellings."""
+
+import os
+import posixpath
+import re
+import unicodedata
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+
+from gsjax.io.notices import say
+
+_DRIVE = re.compile(r"[A-Za-z]:/|//")  # Of Windows, once its separators are those of everybody else.
+
+
+def local_names(listed: Sequence[str], exists: Callable[[str], bool], place: object) -> list[str]:
+    """The names under which the photos that a file lists are found here, or would be.
+
+    A name that exists stays as it is. Else its backslashes separate folders; and where it is a path of another machine,
+    absolute or out of its folder, its last parts name the photo: as many of them as exist, or those in which the
+    listed paths differ.
+
+    Args:
+        listed: As the file has them.
+        exists: Whether there is a photo of a name here.
+        place: The file, which a line on stderr names where last parts are taken.
+    """
+    spelled = [name if exists(name) else name.replace("\\", "/") for name in listed]
+    foreign = [name for name in spelled if _is_elsewhere(name) and not exists(name)]
+    if not foreign:
+        return spelled
+    shared = posixpath.commonpath([posixpath.dirname(name) for name in foreign]) if _are_alike(foreign) else ""
+    ends = {name: _end(name, exists) or _below(name, shared) for name in foreign}
+    if len(set(ends.values())) < len(ends):  # Two photos would be one.
+        ends = {name: _below(name, shared) for name in foreign}
+    say(f"images: {place} lists paths of another machine, as {foreign[0]}; it is taken for {ends[foreign[0]]}")
+    return [ends.get(name, name) for name in spelled]
+
+
+def inside(name: str) -> PurePosixPath:
+    """A name as a path within a folder: parts that would lead out of it are left out."""
+    path = PurePosixPath(name)
+    return PurePosixPath(*[part for part in path.parts if part not in (path.anchor, "..")])
+
+
+def short(name: str) -> str:
+    """A name without the folder `images/`, in which photos mostly lie, and without detours."""
+    name = posixpath.normpath(name)
+    return name.removeprefix("images/") or name
+
+
+def spellings(path: Path) -> list[Path]:
+    """The path, and other spellings of what of it does not exist: accents composed or not, bytes of Latin-1."""
+    if str(path).isascii():
+        return [path]
+    there = next((parent for parent in path.parents if os.path.exists(parent)), Path())
+    rest = os.path.relpath(path, there)
+    forms = [unicodedata.normalize(form, rest) for form in ("NFC", "NFD")]
+    with suppress(UnicodeEncodeError):
+        forms.append(os.fsdecode(rest.encode("latin-1")))
+    return [path, *(there / form for form in forms)]
+
+
+def _is_elsewhere(name: str) -> bool:
+    return name.startswith(("/", "../")) or _DRIVE.match(name) is not None
+
+
+def _are_alike(names: Sequence[str]) -> bool:
+    """Whether all are absolute or none is: others have no common folder."""
+    return len({name.startswith("/") for name in names}) == 1
+
+
+def _end(name: str, exists: Callable[[str], bool]) -> str | None:
+    """The longest end of a path that exists."""
+    parts = [part for part in name.split("/") if part not in ("", "..")]
+    return next((end for i in range(len(parts)) if exists(end := "/".join(parts[i:]))), None)
+
+
+def _below(name: str, folder: str) -> str:
+    return posixpath.relpath(name, folder) if folder else posixpath.basename(name)

@@ -1,0 +1,60 @@
+"""Points to start from where a data set has none: random, where its cameras look."""
+
+import numpy as np
+
+from gsjax.io.notices import say
+
+COUNT = 30_000
+_SYNTHETIC_HALF_WIDTH = 1.3  # 3DGS, Blender scenes
+_SEED = 0
+
+
+def points_in_view(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Random points in a cube around the place nearest to all optical axes.
+
+    The cube is as large as the median distance of the cameras from that place; no point is nearer to a camera than a
+    quarter of it.
+
+    Args:
+        viewmats: `[V, 4, 4]` float64 world to camera, OpenCV axes.
+
+    Returns:
+        `[P, 3]` float64 world and `[P, 3]` uint8 of middle tones.
+    """
+    rng = np.random.default_rng(_SEED)
+    centers = -np.einsum("nji,nj->ni", viewmats[:, :3, :3], viewmats[:, :3, 3])
+    focus = _nearest_to_axes(centers, viewmats[:, 2, :3])
+    reach = float(np.median(np.linalg.norm(centers - focus, axis=1))) or 1.0
+    points = focus + rng.uniform(-reach, reach, (2 * COUNT, 3))
+    nearest = np.min([np.linalg.norm(points - center, axis=1) for center in centers], axis=0)
+    clear = points[nearest > 0.25 * reach][:COUNT]
+    return clear, _mid_tones(rng)[: len(clear)]
+
+
+def points_in_synthetic_cube() -> tuple[np.ndarray, np.ndarray]:
+    """`[P, 3]` float64 points in [-1.3, 1.3]^3, as in 3DGS, and `[P, 3]` uint8."""
+    rng = np.random.default_rng(_SEED)
+    points = rng.uniform(-_SYNTHETIC_HALF_WIDTH, _SYNTHETIC_HALF_WIDTH, (COUNT, 3))
+    return points, _mid_tones(rng)
+
+
+def tell_of_random_points(place: object) -> None:
+    """One line: where points were looked for, and what is taken instead."""
+    say(f"points: {place} has none; training starts from {COUNT:,} random ones where the cameras look")
+
+
+def _nearest_to_axes(centers: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """The point of least squared distance to all optical axes.
+
+    Axes that are all but parallel meet nowhere in particular; a weak pull to one spread of the cameras ahead of
+    them decides then.
+    """
+    spread = np.linalg.norm(centers - centers.mean(0), axis=1).max() or 1.0
+    ahead = centers.mean(0) + spread * axes.mean(0)
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    weak = 1e-3 * len(centers) * np.eye(3)
+    return np.linalg.solve(across.sum(0) + weak, np.einsum("nij,nj->i", across, centers) + weak @ ahead)
+
+
+def _mid_tones(rng: np.random.Generator) -> np.ndarray:
+    return rng.integers(64, 192, (COUNT, 3), dtype=np.uint8)

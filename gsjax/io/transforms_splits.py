@@ -1,0 +1,75 @@
+"""Which frames of `transforms.json` are for what, where the file itself says so.
+
+nerfstudio lists names in `train_filenames`, `test_filenames` and `val_filenames`; ScanNet++ lists frames of their own
+in `test_frames`, and marks bad ones by `is_bad`.
+"""
+
+import posixpath
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from gsjax.errors import InputError
+from gsjax.io.notices import say
+
+TRAINED_ON, HELD_OUT, LEFT_OUT = "trained on", "held out", "left out"
+_TRAIN, _SCORE = "train_filenames", ("test_filenames", "val_filenames")
+_TEST_FRAMES = "test_frames"
+
+
+def frames_and_uses(file: Path, meta: dict[str, Any]) -> tuple[list[dict[str, Any]], list[str]]:
+    """The entries of all frames, each with what the file says for all of them, and what each is for.
+
+    Frames that a list for scoring names are held out, whatever another list says. Where the file lists those to train
+    on, the rest is held out, or left out if there is a list for scoring too. Bad frames are left out. A line on stderr
+    counts those that are left out.
+
+    Raises:
+        InputError: A frame has no `file_path`, or a list names a photo that is in no frame.
+    """
+    shared = {key: value for key, value in meta.items() if key not in ("frames", _TEST_FRAMES)}
+    tests = meta.get(_TEST_FRAMES) or []
+    own = tests if isinstance(tests, list) and all(isinstance(frame, dict) for frame in tests) else []
+    frames = [*meta["frames"], *own]
+    for number, frame in enumerate(frames):
+        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+            raise InputError(f'{file}: frame {number} has no "file_path"')
+    names = [_normal(frame["file_path"]) for frame in frames]
+    trained = _listed(file, meta, _TRAIN, names)
+    scored = set().union(*(_listed(file, meta, key, names) for key in _SCORE))
+    if not own:
+        scored |= _listed(file, meta, _TEST_FRAMES, names)
+    first_own = len(meta["frames"])
+
+    def use(index: int) -> str:
+        if frames[index].get("is_bad") is True:
+            return LEFT_OUT
+        if index >= first_own or names[index] in scored:
+            return HELD_OUT
+        if trained and names[index] not in trained:
+            return LEFT_OUT if scored or own else HELD_OUT
+        return TRAINED_ON
+
+    uses = [use(index) for index in range(len(frames))]
+    if LEFT_OUT in uses:
+        bad = sum(frame.get("is_bad") is True for frame in frames)
+        say(f"{file}: {bad} of its frames are left out as bad, {uses.count(LEFT_OUT) - bad} as being in no list of it")
+    return [{**shared, **frame} for frame in frames], uses
+
+
+def _listed(file: Path, meta: dict[str, Any], key: str, names: Sequence[str]) -> set[str]:
+    """The photos of a list, in the form of `names`."""
+    value = meta.get(key)
+    if value is None:
+        return set()
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        raise InputError(f"{file}: {key} is no list of names")
+    wanted = {_normal(name): name for name in value}
+    unknown = [wanted[name] for name in sorted(wanted.keys() - set(names))]
+    if unknown:
+        raise InputError(f"{file}: {key} lists {unknown[0]}, which is the file_path of no frame")
+    return set(wanted)
+
+
+def _normal(name: str) -> str:
+    return posixpath.normpath(name.replace("\\", "/"))
