@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -17,7 +18,7 @@ pycolmap = require("pycolmap", "pip install pycolmap")
 _JPEG_QUALITY = 95
 
 
-def write_dataset(model, shots: list[Shot], folder: Path, progress: Callable[..., tqdm]) -> None:
+def write_dataset(model: Any, shots: list[Shot], folder: Path, progress: Callable[..., tqdm]) -> None:
     """Writes `images/` and `sparse/0` (PINHOLE), the layout that 3DGS programs read.
 
     Args:
