@@ -108,12 +108,14 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
     if chunks is None or vertices is None:
         raise InputError(f"{path}: not a compressed PLY of Gaussians")
     bounds = {name for names in (_MEANS, _SCALES) for end in _bounds(names) for name in end}
-    if not bounds <= set(chunks.dtype.names or ()) or not set(_PACKED) <= set(vertices.dtype.names or ()):
+    packed = {vertices.dtype[name].str[1:] for name in _PACKED if name in (vertices.dtype.names or ())}
+    lacks_packed = not set(_PACKED) <= set(vertices.dtype.names or ()) or packed != {"u4"}
+    if not bounds <= set(chunks.dtype.names or ()) or lacks_packed:
         raise InputError(f"{path}: not a compressed PLY of Gaussians")
     if not np.isfinite(stacked(chunks, list(chunks.dtype.names or ()))).all():
         raise InputError(f"{path}: bounds of a chunk are not finite")
     count = len(vertices)
-    harmonics = elements.get("sh", np.empty(count, []))
+    harmonics = elements.get("sh", np.empty(count, []))  # None where the degree is 0.
     if len(chunks) != -(-count // _CHUNK) or len(harmonics) != count:
         raise InputError(
             f"{path}: {count} Gaussians do not go with {len(chunks)} chunks and {len(harmonics)} harmonics"
@@ -126,7 +128,7 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
 
     largest, three = vertices["packed_rotation"] >> 30, _unpack(vertices["packed_rotation"], _OF_ROTATIONS)
     colors = vertices["packed_color"] >> 8
-    with_bounds = _bounds(_COLORS)[0][0] in (chunks.dtype.names or ())
+    with_bounds = {name for end in _bounds(_COLORS) for name in end} <= set(chunks.dtype.names or ())
     colors = unpacked(colors, _COLORS, _OF_COLORS) if with_bounds else _unpack(colors, _OF_COLORS)
     rest = stacked(harmonics, rest_names(path, harmonics.dtype.names or ()))
     inside = (rest > 0) & (rest < 255)
@@ -139,7 +141,11 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
         sh_rest=from_rest_columns((np.where(inside, (rest + 0.5) / 256, rest / 255) - 0.5) * 2 * _MOST_REST),
         pixel_filter=told_filter(header),
     )
-    return jax.tree.map(lambda values: values.astype(np.float32), read)
+    with np.errstate(over="ignore"):
+        read = jax.tree.map(lambda values: values.astype(np.float32), read)
+    if not all(np.isfinite(values).all() for values in jax.tree.leaves(read)):
+        raise InputError(f"{path}: bounds of a chunk, or harmonics, are beyond what float32 holds")
+    return read
 
 
 def _header(count: int, width: int, comments: list[str]) -> list[str]:

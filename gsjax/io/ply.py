@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians
+from gsjax.gaussians import Gaussians, rgb_to_sh
 from gsjax.io.files import atomic_path
+from gsjax.io.notices import say
 from gsjax.io.ply_elements import (
     filter_comments,
     from_rest_columns,
@@ -21,6 +22,8 @@ _MEANS = ["x", "y", "z"]
 _DC = [f"f_dc_{i}" for i in range(3)]
 _SCALES = [f"scale_{i}" for i in range(3)]
 _QUATS = [f"rot_{i}" for i in range(4)]  # w first
+_RGB = ["red", "green", "blue"]
+_OF_DISCS = 1e-4  # Of the thinner of a disc's other two deviations: where a file gives it no thickness.
 _SURE = 88.0  # Logit of an opacity that is 0 or 1 in float32; its exponential is still a number.
 
 
@@ -57,13 +60,16 @@ def read_gaussians(path: str | Path) -> Gaussians:
     """Reads a 3DGS PLY, ascii or binary, of any SH degree 0-4; columns in any order, foreign ones ignored.
 
     Opacities of exactly 0 and 1, whose logits are infinite, become logits of -88 and 88: the same opacities in float32.
+    2DGS's discs, whose third scale is absent or of minus infinity, get one of a ten-thousandth of their others.
+    Nerfstudio's `--ply-color-mode rgb` has red, green and blue instead of harmonics. Rows that are not finite are left
+    out, and a line says how many.
 
     Returns:
         Gaussians of numpy float32 arrays.
 
     Raises:
-        InputError: The file is no PLY or truncated, is a compressed one, lacks columns (named), or holds values that
-            are not finite.
+        InputError: The file is no PLY or truncated, is a compressed one, lacks columns (named), or holds no Gaussian
+            of finite values.
     """
     path = Path(path)
     vertices, header = _read_vertices(path)
@@ -71,15 +77,26 @@ def read_gaussians(path: str | Path) -> Gaussians:
     if "packed_position" in names:
         raise InputError(f"{path}: holds compressed Gaussians; name it {path.stem}.compressed.ply")
     rest = rest_names(path, names)
-    missing = [name for name in [*_MEANS, *_DC, *rest, "opacity", *_SCALES, *_QUATS] if name not in names]
+    in_rgb = not set(_DC) & set(names) and set(_RGB) <= set(names)
+    scales = _SCALES if _SCALES[2] in names else _SCALES[:2]
+    missing = [n for n in [*_MEANS, *(() if in_rgb else _DC), *rest, "opacity", *scales, *_QUATS] if n not in names]
     if missing:
         raise InputError(f"{path}: not a PLY of Gaussians, it lacks {', '.join(missing)}")
-    columns = [stacked(vertices, part) for part in (_MEANS, _QUATS, _SCALES, ["opacity"], _DC, rest)]
-    columns[3] = np.where(np.isinf(columns[3]), np.copysign(_SURE, columns[3]), columns[3]).astype(np.float32)
-    broken = ~np.isfinite(np.concatenate(columns, axis=1)).all(axis=1)
-    if broken.any():
-        raise InputError(f"{path}: {broken.sum()} of {len(vertices)} Gaussians hold values that are not finite")
-    means, quats, log_scales, logits, dc, rest = columns
+    columns = [
+        stacked(vertices, _MEANS),
+        stacked(vertices, _QUATS),
+        _with_thickness(stacked(vertices, scales)),
+        np.nan_to_num(stacked(vertices, ["opacity"]), nan=np.nan, posinf=_SURE, neginf=-_SURE),
+        np.asarray(rgb_to_sh(_colors(vertices))) if in_rgb else stacked(vertices, _DC),
+        stacked(vertices, rest),
+    ]
+    fine = np.isfinite(np.concatenate(columns, axis=1)).all(axis=1)
+    if not fine.all():
+        told = f"{path}: {(~fine).sum()} of {len(fine)} Gaussians hold values that are not finite"
+        if not fine.any():
+            raise InputError(told)
+        say(f"{told}; they are left out")
+    means, quats, log_scales, logits, dc, rest = (column[fine] for column in columns)
     return Gaussians(
         means, quats, log_scales, logits[:, 0], dc[:, None], from_rest_columns(rest), pixel_filter=told_filter(header)
     )
@@ -97,12 +114,31 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(f"{path}: not a PLY of points, it lacks {', '.join(n for n in _MEANS if n not in names)}")
     points = stacked(vertices, _MEANS)
     colors = np.full(points.shape, 128, np.uint8)
-    if {"red", "green", "blue"} <= set(names):
-        colors = stacked(vertices, ["red", "green", "blue"]).astype(np.uint8)
+    if set(_RGB) <= set(names):
+        shares = np.nan_to_num(_colors(vertices), nan=0.5)
+        colors = np.rint(255 * np.clip(shares, 0, 1)).astype(np.uint8)
     finite = np.isfinite(points).all(axis=1)
     if not finite.any():
         raise InputError(f"{path}: no points in it")
     return points[finite], colors[finite]
+
+
+def _with_thickness(log_scales: np.ndarray) -> np.ndarray:
+    """`[N, 3]` log scales of `[N, 2 or 3]`: minus infinity, or a third that is absent, is the thickness of a disc."""
+    if log_scales.shape[1] == 2:
+        log_scales = np.pad(log_scales, ((0, 0), (0, 1)), constant_values=-np.inf)
+    flat = np.isneginf(log_scales)
+    with np.errstate(invalid="ignore"):  # What is no number is looked for later, in all columns.
+        thinnest = np.min(log_scales, axis=1, keepdims=True, where=~flat, initial=np.inf)
+        return np.where(flat, thinnest + np.float32(np.log(_OF_DISCS)), log_scales)
+
+
+def _colors(vertices: np.ndarray) -> np.ndarray:
+    """`[N, 3]` float32 in 0..1: red, green and blue of any type; floats beyond 1 are those of a byte."""
+    colors, kind = stacked(vertices, _RGB), vertices.dtype[_RGB[0]]
+    if kind.kind in "iu":
+        return colors / np.float32(np.iinfo(kind).max if kind.itemsize < 4 else 255)
+    return colors / np.float32(255) if np.nanmax(colors, initial=0) > 1 else colors
 
 
 def _read_vertices(path: Path) -> tuple[np.ndarray, str]:

@@ -21,7 +21,7 @@ _REST_COUNTS = [3 * ((degree + 1) ** 2 - 1) for degree in range(5)]
 def read_elements(path: Path) -> tuple[dict[str, np.ndarray], str]:
     """The rows of every element as structured arrays, by name; and the header. Ascii or binary.
 
-    Elements with lists (faces), and those after them, are left out.
+    Elements with lists (faces), and those after them, are left out, and so are those without columns.
 
     Raises:
         InputError: The file cannot be read, is no PLY, has no element without lists, or is truncated.
@@ -40,6 +40,8 @@ def read_elements(path: Path) -> tuple[dict[str, np.ndarray], str]:
     order = ">" if form == "binary_big_endian" else "<"
     rows = {}
     for name, count, fields in elements:
+        if not fields:  # As gsplat's harmonics of degree 0.
+            continue
         rows[name], start = read(path, name, data, start, count, np.dtype(fields).newbyteorder(order))
     return rows, header
 
@@ -54,12 +56,15 @@ def rest_names(path: Path, names: tuple[str, ...]) -> list[str]:
     """The columns `f_rest_*` in their order.
 
     Raises:
-        InputError: They are of no degree.
+        InputError: They are of no degree, or one is missing.
     """
     count = sum(name.startswith("f_rest_") for name in names)
     if count not in _REST_COUNTS:
         raise InputError(f"{path}: has {count} columns f_rest_*, degrees 0-4 have one of {_REST_COUNTS}")
-    return [f"f_rest_{i}" for i in range(count)]
+    wanted = [f"f_rest_{i}" for i in range(count)]
+    if not set(wanted) <= set(names):
+        raise InputError(f"{path}: its columns f_rest_* are not numbered from 0 to {count - 1}")
+    return wanted
 
 
 def from_rest_columns(columns: np.ndarray) -> np.ndarray:
@@ -69,8 +74,10 @@ def from_rest_columns(columns: np.ndarray) -> np.ndarray:
 
 
 def stacked(rows: np.ndarray, names: list[str]) -> np.ndarray:
-    """`[N, K]` float32 of K columns, in the order of `names`."""
-    return np.ascontiguousarray(np.array([rows[name] for name in names], np.float32).reshape(len(names), len(rows)).T)
+    """`[N, K]` float32 of K columns, in the order of `names`; what float32 cannot hold is infinite."""
+    with np.errstate(over="ignore"):
+        columns = np.array([rows[name] for name in names], np.float32)
+    return np.ascontiguousarray(columns.reshape(len(names), len(rows)).T)
 
 
 def filter_comments(pixel_filter: PixelFilter) -> list[str]:
@@ -98,9 +105,12 @@ def _parse_header(path: Path, header: str) -> tuple[str, list[tuple[str, int, li
                 break
             elif words[:1] == ["property"]:
                 elements[-1][2].append((words[2], _TYPES[words[1]]))
+        for name, _, fields in elements:
+            if len({field for field, _ in fields}) < len(fields):
+                raise ValueError(f"a column of {name!r} is there twice")
         if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
             raise ValueError(f"format {form!r}")
-        if not elements or any(count < 0 or not fields for _, count, fields in elements):
+        if any(count < 0 for _, count, _ in elements) or not any(fields for _, _, fields in elements):
             raise ValueError("no element of plain numbers comes first")
     except (IndexError, KeyError, ValueError) as error:
         raise InputError(f"{path}: PLY header not understood ({error})") from error
@@ -122,5 +132,5 @@ def _ascii_rows(path: Path, name: str, data: bytes, start: int, count: int, dtyp
         lines += [line] if line.strip() else []
     try:
         return np.array([tuple(map(float, line.split())) for line in lines], dtype).reshape(count), start
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise InputError(f"{path}: truncated or damaged, {count} ascii rows of {name!r} were promised") from error

@@ -6,11 +6,12 @@ compresses each array by zstandard. The axes are x right, y up, z back, half a t
 """
 
 import gzip
+import io
 import math
 import struct
 import zlib
 from dataclasses import replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io.files import atomic_path
+from gsjax.io.machine import require_memory
 from gsjax.io.packages import require
 from gsjax.io.packing import (
     check_packable,
@@ -37,6 +39,9 @@ _ANTIALIASED, _EXTENDED = 1, 2  # flags
 _OTHER_AXES = 0xADBE0003  # The extension SPZ_ADOBE_coordinate_system.
 _REACH = 256.0  # Within so many times the spread of nine tenths positions are kept, to 3e-5 of that spread.
 _MOST_FIXED = 2**23 - 1  # Positions have 24 bits with the sign.
+_MOST_RATIO = 1100  # What gzip makes of a byte at the most (1032), rounded up.
+_MOST_EXTENSIONS = 2**20  # bytes behind the Gaussians
+_BYTES_PER_BYTE = 20  # of memory, of an unpacked one: it becomes a float64 and is turned
 _DC_STEP = 1 / (0.15 * 255)
 _ROTATION_STEP = math.sqrt(0.5) / 511
 _REST_STEPS = (1 / 16, 1 / 8)  # degree 1, and the higher ones: what Niantic's writer leaves of 8 bits by default
@@ -185,13 +190,19 @@ def _checked(path: Path, head: bytes, versions: tuple[int, ...]) -> _Header:
 def _read_gzip(path: Path, data: bytes) -> tuple[_Header, list[bytes], bytes]:
     """Versions 2 and 3: the arrays one after another, extensions behind them."""
     try:
-        body = gzip.decompress(data)
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as unpacking:
+            header = _checked(path, unpacking.read(_HEADER.size), (2, 3))
+            ends = list(accumulate((header.count * width for width in header.layout()), initial=0))
+            if ends[-1] > _MOST_RATIO * len(data):
+                raise InputError(f"{path}: truncated, {header.count} Gaussians need {ends[-1]} bytes unpacked")
+            _require_room(path, header)
+            body = unpacking.read(ends[-1] + _MOST_EXTENSIONS + 1)  # No more, however much there is.
     except (EOFError, OSError, zlib.error) as error:
         raise InputError(f"{path}: truncated or damaged ({error})") from error
-    header = _checked(path, body, (2, 3))
-    ends = np.cumsum([_HEADER.size, *(header.count * width for width in header.layout())]).tolist()
     if len(body) < ends[-1]:
         raise InputError(f"{path}: truncated, {header.count} Gaussians need {ends[-1]} bytes, it has {len(body)}")
+    if len(body) > ends[-1] + _MOST_EXTENSIONS:
+        raise InputError(f"{path}: goes on for more than {_MOST_EXTENSIONS} bytes after its {header.count} Gaussians")
     return header, [body[start:end] for start, end in pairwise(ends)], body[ends[-1] :]
 
 
@@ -207,13 +218,15 @@ def _read_zstandard(path: Path, data: bytes) -> tuple[_Header, list[bytes], byte
     if table < start or len(data) < place:
         raise InputError(f"{path}: truncated or damaged, it ends within the table of its arrays")
     zstandard = require("zstandard", "pip install zstandard")
+    _require_room(path, header)
     unpacked = []
     for index, size in enumerate(filled):
         packed, promised = struct.unpack_from("<QQ", data, table + 16 * index)
         if promised != size or len(data) < place + packed:
             raise InputError(f"{path}: truncated or damaged, array {index + 1} of {len(filled)} is not whole")
         try:
-            unpacked.append(zstandard.ZstdDecompressor().decompress(data[place : place + packed], size))
+            reader = zstandard.ZstdDecompressor().stream_reader(data[place : place + packed])
+            unpacked.append(reader.read(size + 1))  # No more, whatever the array's own header promises.
         except zstandard.ZstdError as error:
             raise InputError(f"{path}: truncated or damaged ({error})") from error
         if len(unpacked[-1]) != size:
@@ -221,6 +234,11 @@ def _read_zstandard(path: Path, data: bytes) -> tuple[_Header, list[bytes], byte
         place += packed
     arrays = iter(unpacked)
     return header, [next(arrays) if size else b"" for size in sizes], data[start:table]
+
+
+def _require_room(path: Path, header: _Header) -> None:
+    """InputError where the Gaussians that a header promises have no room in this machine's memory."""
+    require_memory(f"{path}: {header.count} Gaussians", _BYTES_PER_BYTE * header.count * sum(header.layout()))
 
 
 def _extension_types(records: bytes) -> set[int]:

@@ -2,6 +2,7 @@
 
 import gzip
 import struct
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -262,6 +263,18 @@ def test_a_compressed_ply_by_hand(tmp_path, with_colors):
     assert_close(read.sh_rest, np.float32([np.reshape(channel, (3, 3)).T] * 2))
 
 
+def test_gsplats_compressed_ply_of_degree_0(tmp_path):
+    """It names the element of the harmonics, which then has no columns."""
+    path, gaussians = tmp_path / "g.compressed.ply", some_gaussians(300, 0)
+    write_compressed_ply(path, gaussians)
+    whole = path.read_bytes()
+    path.write_bytes(whole.replace(b"end_header", b"element sh 300\nend_header"))
+    other = tmp_path / "h.compressed.ply"
+    other.write_bytes(whole)
+    for field in FIELDS:
+        np.testing.assert_array_equal(*(getattr(read_compressed_ply(file), field) for file in (path, other)))
+
+
 @pytest.mark.parametrize("name", READ_WRITE)
 def test_what_no_file_can_hold_is_refused_by_name(tmp_path, name):
     _, write = READ_WRITE[name]
@@ -370,6 +383,47 @@ def test_what_is_no_spz_is_named(tmp_path, data, message):
         read_spz(tmp_path / "g.spz")
 
 
+MILLIONS = 4_000_000_000  # Gaussians that a header asks for
+
+
+def bomb(version, more):
+    """A file of a few kilobytes that becomes a hundred megabytes, behind or instead of its one Gaussian."""
+    header, arrays = by_hand(version, ROTATIONS[3])
+    if version == 3:
+        return gzip.compress(header + b"".join(arrays) + bytes(more))
+    zstandard = pytest.importorskip("zstandard", reason="SPZ of version 4 needs zstandard")
+    whole = version_4(header, arrays)
+    packed = zstandard.ZstdCompressor().compress(bytes(more))
+    place = 32 + 16 * len(arrays)
+    first = struct.unpack_from("<Q", whole, 32)[0]
+    return whole[:32] + struct.pack("<Q", len(packed)) + whole[40:place] + packed + whole[place + first :]
+
+
+@pytest.mark.parametrize(
+    ("version", "message"), [(3, "goes on for more than 1048576 bytes"), (4, "array 1 of 6 is not")]
+)
+def test_an_spz_that_inflates_without_end_is_refused_in_little_memory(tmp_path, version, message):
+    (tmp_path / "g.spz").write_bytes(bomb(version, 10**8))
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match=f"g.spz: .*{message}"):
+            read_spz(tmp_path / "g.spz")
+        assert tracemalloc.get_traced_memory()[1] < 2e7
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("version", [3, 4])
+def test_an_spz_that_asks_for_a_hundred_gigabytes_is_refused(tmp_path, version):
+    header, arrays = by_hand(version, ROTATIONS[3])
+    header = header[:8] + struct.pack("<I", MILLIONS) + header[12:]
+    whole = gzip.compress(header + b"".join(arrays)) if version == 3 else version_4(header, arrays)
+    (tmp_path / "g.spz").write_bytes(whole)
+    wanted = "truncated, 4000000000 Gaussians need" if version == 3 else "4000000000 Gaussians takes .* GiB of memory"
+    with pytest.raises(InputError, match=f"g.spz: {wanted}"):
+        read_spz(tmp_path / "g.spz")
+
+
 def test_what_is_no_compressed_ply_is_named(tmp_path):
     path = tmp_path / "g.compressed.ply"
     write_compressed_ply(path, some_gaussians(3, 1))
@@ -378,6 +432,7 @@ def test_what_is_no_compressed_ply_is_named(tmp_path):
         (b"element chunk 1", b"element chunk 0", "3 Gaussians do not go with 0 chunks and 3 harmonics"),
         (b"min_scale_x", b"min_scale_w", "not a compressed PLY of Gaussians"),
         (b"packed_color", b"packed_light", "not a compressed PLY of Gaussians"),
+        (b"uint packed_rotation", b"float packed_rotation", "not a compressed PLY of Gaussians"),
         (b"f_rest_8", b"f_more_8", r"has 8 columns f_rest_\*"),
     ):
         path.write_bytes(whole.replace(old, new))

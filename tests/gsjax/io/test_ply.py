@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians
+from gsjax.gaussians import SH_C0, Gaussians, take
 from gsjax.io.ply import read_gaussians, read_points, write_gaussians
 
+PLY_TYPES = {"uchar": "u1", "ushort": "<u2", "float": "<f4"}
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest")
 
 
@@ -140,14 +141,77 @@ def test_truncated_files_are_named(tmp_path, form, share):
     assert "\n" not in str(error.value)
 
 
-def test_rows_that_are_not_finite_are_counted(tmp_path):
+def test_rows_that_are_not_finite_are_left_out_and_counted(tmp_path, capsys):
     gaussians = some_gaussians(9)
     gaussians.means[2, 1] = np.nan
     gaussians.sh_rest[2, 1, 0] = np.inf
     gaussians.logit_opacities[5] = np.nan
+    gaussians.log_scales[7] = np.inf
     write_gaussians(tmp_path / "g.ply", gaussians)
-    with pytest.raises(InputError, match=r"g.ply: 2 of 9 Gaussians hold values that are not finite"):
-        read_gaussians(tmp_path / "g.ply")
+    assert_same(read_gaussians(tmp_path / "g.ply"), take(gaussians, np.array([0, 1, 3, 4, 6, 8])))
+    told = f"{tmp_path / 'g.ply'}: 3 of 9 Gaussians hold values that are not finite; they are left out\n"
+    assert capsys.readouterr().err == told
+    gaussians.quats[:] = np.nan
+    write_gaussians(tmp_path / "h.ply", gaussians)
+    with pytest.raises(InputError, match=r"h.ply: 9 of 9 Gaussians hold values that are not finite$"):
+        read_gaussians(tmp_path / "h.ply")
+
+
+@pytest.mark.parametrize("third", ["absent", "minus infinity"])
+def test_discs_of_2dgs_are_discs(tmp_path, third):
+    gaussians = some_gaussians(9)
+    gaussians.log_scales[:, 2] = -np.inf
+    gaussians.log_scales[4] = -np.inf  # nothing at all
+    write_gaussians(tmp_path / "g.ply", gaussians)
+    names, rows = table_of(tmp_path / "g.ply")
+    kept = [name for name in names if third != "absent" or name != "scale_2"]
+    write_table(tmp_path / "d.ply", kept, rows[:, [names.index(name) for name in kept]])
+    read = read_gaussians(tmp_path / "d.ply")
+    others = take(gaussians, np.arange(9) != 4)
+    for field in ("means", "quats", "logit_opacities", "sh_dc", "sh_rest"):
+        np.testing.assert_array_equal(getattr(read, field), getattr(others, field))
+    np.testing.assert_array_equal(read.log_scales[:, :2], others.log_scales[:, :2])
+    thin = np.exp(read.log_scales[:, 2] - others.log_scales[:, :2].min(axis=1))
+    np.testing.assert_allclose(thin, 1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("kind", "most"), [("uchar", 255), ("ushort", 65535), ("float", 1)])
+def test_colours_instead_of_harmonics(tmp_path, kind, most):
+    """As nerfstudio's `--ply-color-mode rgb` writes them; points of a cloud may have them in 0..1 too."""
+    names = ["x", "y", "z", "opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
+    table = np.zeros(3, [(name, "<f4") for name in names] + [(c, PLY_TYPES[kind]) for c in ("red", "green", "blue")])
+    table["rot_0"], table["x"] = 1, [1, 2, 3]
+    table["red"], table["green"], table["blue"] = [0, most, 0], [most, 0, 0], [0, 0, most]
+    lines = [f"property {'float' if name in names else kind} {name}" for name in table.dtype.names]
+    head = ["ply", "format binary_little_endian 1.0", "element vertex 3", *lines, "end_header", ""]
+    (tmp_path / "g.ply").write_bytes("\n".join(head).encode() + table.tobytes())
+    colors = read_gaussians(tmp_path / "g.ply").sh_dc[:, 0] * SH_C0 + 0.5
+    expected = [[0, 1, 0], [1, 0, 0], [0, 0, 1]]
+    np.testing.assert_allclose(colors, expected, atol=1e-6)
+    np.testing.assert_array_equal(read_points(tmp_path / "g.ply")[1], 255 * np.array(expected))
+
+
+def test_bad_headers_are_named(tmp_path):
+    write_gaussians(tmp_path / "g.ply", some_gaussians(3))
+    whole = (tmp_path / "g.ply").read_bytes()
+    for old, new, message in (
+        (
+            b"property float y\n",
+            b"property float x\n",
+            r"header not understood \(a column of 'vertex' is there twice\)",
+        ),
+        (b"vertex 3", b"vertex 999999999999999999", "truncated, 999999999999999999 rows of 'vertex' need"),
+        (b"vertex 3", b"vertex -3", "header not understood"),
+        (b"vertex 3", b"vertex " + 5000 * b"9", "header not understood"),
+        (b"property float y\n", b"property int y\n", None),
+    ):
+        assert old in whole
+        (tmp_path / "h.ply").write_bytes(whole.replace(old, new))
+        if message is None:
+            assert read_gaussians(tmp_path / "h.ply").num_gaussians == 3
+            continue
+        with pytest.raises(InputError, match=f"h.ply: .*{message}"):
+            read_gaussians(tmp_path / "h.ply")
 
 
 def test_opacities_of_0_and_1_get_logits_that_are_numbers(tmp_path):

@@ -1,0 +1,66 @@
+"""Damaged files of Gaussians and points: read, or refused in one line."""
+
+import numpy as np
+import pytest
+from fuzzing import damaged, fuzz
+from small_scenes import cloud
+
+from gsjax.gaussians import Gaussians
+from gsjax.io.compressed_ply import read_compressed_ply, write_compressed_ply
+from gsjax.io.ply import read_gaussians, read_points, write_gaussians
+from gsjax.io.spz import read_spz, write_spz
+
+ASCII = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty double y\nproperty int z\n"
+ASCII += b"property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n1 2 3 4 5 6\n-1e3 0.5 7 8 9 10\n"
+
+
+def written(write, path):
+    gaussians = cloud(20)
+    write(path, Gaussians(**{**gaussians.__dict__, "sh_rest": np.zeros((20, 3, 3), np.float32)}))
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "read"),
+    [
+        ("g.ply", write_gaussians, read_gaussians),
+        ("p.ply", write_gaussians, read_points),
+        ("g.compressed.ply", write_compressed_ply, read_compressed_ply),
+        ("g.spz", write_spz, read_spz),
+    ],
+)
+def test_fuzz_files_of_gaussians(tmp_path, name, write, read):
+    path = tmp_path / name
+    whole = written(write, path)
+
+    def attempt(random):
+        path.write_bytes(damaged(whole, random))
+        found = read(path)
+        if isinstance(found, Gaussians):
+            assert all(np.isfinite(values).all() for values in vars(found).values() if not isinstance(values, str))
+
+    assert all(fuzz(attempt, usual=200))
+
+
+def test_fuzz_the_inside_of_spz(tmp_path):
+    """What a checksum would else refuse before anybody looks."""
+    import gzip
+
+    path = tmp_path / "g.spz"
+    whole = gzip.decompress(written(write_spz, path))
+
+    def attempt(random):
+        path.write_bytes(gzip.compress(damaged(whole, random)))
+        read_spz(path)
+
+    assert all(fuzz(attempt, usual=200))
+
+
+def test_fuzz_points_in_ascii(tmp_path):
+    path = tmp_path / "p.ply"
+
+    def attempt(random):
+        path.write_bytes(damaged(ASCII, random))
+        read_points(path)
+
+    assert all(fuzz(attempt, usual=200))
