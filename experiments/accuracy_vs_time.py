@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from train import load_settings
+from train import claim, load_settings
 
 from gsjax.cli import guarded
 from gsjax.errors import InputError
@@ -42,7 +42,7 @@ def run(
     knobs = knobs_of(whole)
     if unknown := [name for name in names if name not in knobs]:
         raise InputError(f"--knobs: no knob {unknown[0]!r}; there are {', '.join(knobs)}")
-    _take(Path(out), {"scene": str(Path(scene).resolve()), "config": config, "share": share})
+    claim(Path(out), {"scene": str(Path(scene).resolve()), "config": config, "share": share})
     place, ledger = Place(scene, out, whole, share), Path(out) / "rounds.json"
     done: dict[str, Rounds] = json_files.read(ledger) if ledger.exists() else {}
     for name in names or knobs:
@@ -52,17 +52,6 @@ def run(
             json_files.write(ledger, done)
         write(Path(out), {knob: each for knob, each in done.items() if each})
     return done
-
-
-def _take(out: Path, asked: dict[str, Any]) -> None:
-    """Notes what a folder's rounds are of; raises where it holds others."""
-    note = out / "asked.json"
-    before = json_files.read(note) if note.exists() else asked
-    for key, value in asked.items():
-        if before[key] != value:
-            raise InputError(f"{note}: its rounds are of {key} {before[key]}, not {value}; --out takes another folder")
-    out.mkdir(parents=True, exist_ok=True)
-    json_files.write(note, asked)
 
 
 def one_round(knob: Any, place: Any, index: int) -> dict[str, dict[str, Any]]:

@@ -1,6 +1,6 @@
-"""Other meshes, and other refinements, of runs that are trained: the variants of a study in one table.
+"""How do meshes, and refinements, of the same trained runs compare: the variants of a study in one table.
 
-    python experiments/remesh.py STUDY RUN ... --out DIR
+    python experiments/remesh.py {methods,length,bound_only} RUN ... --out DIR
 
 Every variant takes every RUN's Gaussians to a mesh, and refines that where it says so; a run each is a seed. Seconds
 are the processor's, compilation included, of the mesh alone or of the refinement alone. Called again it goes on after
@@ -17,31 +17,70 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from train import load_config
+from train import nearest
 
 from gsjax import tables
 from gsjax.cli import guarded
 from gsjax.errors import InputError
 from gsjax.io import json_files
 
-STUDIES = Path(__file__).parent / "remeshing"
+STUDIES = ("methods", "length", "bound_only")
 FIGURES = ("psnr", "ssim", "depth_error", "normal_error_deg", "normal_error_all_deg", "chamfer", "fscore_half",
            "fscore", "mesh_normal_error_deg", "mesh_normal_error_all_deg")  # fmt: skip
+
+
+def variants_of(study: str) -> dict[str, dict[str, Any]]:
+    """The variants of a study by name.
+
+    Each holds `mesh`, options of `gsjax.pipeline.mesh` (absent: the defaults), and `refine`, settings of a refinement
+    (absent: there is none, and the free Gaussians are scored).
+
+    Raises:
+        InputError: There is no such study.
+    """
+    from gsjax.binding.refining import PRESETS
+
+    def bound(faces: int, per_triangle: int, steps: int) -> dict[str, Any]:
+        more = {"faces": faces, "per_triangle": per_triangle, "steps": steps, "keep_free": False}
+        return {"refine": {**PRESETS["fast"], **more}}
+
+    studies: dict[str, dict[str, dict[str, Any]]] = {
+        # How a mesh is made of the same Gaussians, and whether it then settles on the photos.
+        "methods": {
+            "poisson": {},
+            "poisson, unsettled": {"mesh": {"settled": False}},
+            "depth": {"mesh": {"method": "depth"}},
+            "tsdf": {"mesh": {"method": "tsdf"}},
+        },
+        # How long a refinement takes and what it brings, beside the free Gaussians before it.
+        "length": {"free": {}} | {name: {"refine": PRESETS[name]} for name in ("fast", "balanced", "short")},
+        # How far more triangles, Gaussians on each and steps get, with all Gaussians on the mesh.
+        "bound_only": {
+            "fast": bound(30_000, 1, 1_000),
+            "60,000 triangles": bound(60_000, 1, 1_000),
+            "3 on each": bound(30_000, 3, 1_000),
+            "60,000, twice the steps": bound(60_000, 1, 2_000),
+            "all, four times the steps": bound(1_000_000, 1, 4_000),
+            "free": {},
+        },
+    }
+    if study not in studies:
+        raise InputError(f"no study '{study}' of meshes; the nearest is '{nearest(study, STUDIES)}'")
+    return studies[study]
 
 
 def run(study: str, sources: Sequence[str], out: str) -> dict[str, list[dict[str, Any]]]:
     """Figures of every variant, a row a run, and the true mesh's own where there is one.
 
     Args:
-        study: Name of a file in `remeshing/`. Each of its `variants` holds `mesh`, options of `gsjax.pipeline.mesh`
-            (absent: the defaults), and `refine`, settings of a refinement (absent: there is none).
+        study: As in `variants_of`.
         sources: Folders of runs, no two of one name.
         out: Folder for meshes and refinements, OUT/VARIANT_RUN each.
 
     Raises:
         InputError: There is no such study, two runs have one name, or OUT holds figures of other runs.
     """
-    variants = load_config(study, folder=STUDIES)["variants"]
+    variants = variants_of(study)
     folders = {Path(source).name: Path(source).resolve() for source in sources}
     if len(folders) < len(sources):
         raise InputError(f"{', '.join(sources)}: two runs have one name, and what is made of them would have too")
@@ -109,7 +148,7 @@ def _timed(stage: Callable[[], object]) -> float:
 def main() -> None:
     """Reads the arguments and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("study", metavar="STUDY", help="name of a file in remeshing/, without .py")
+    parser.add_argument("study", choices=STUDIES, help="what is compared")
     parser.add_argument("runs", metavar="RUN", nargs="+", help="run folders, one a seed")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for meshes and refinements")
     arguments = parser.parse_args()

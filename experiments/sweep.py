@@ -1,6 +1,8 @@
-"""Runs the variants and seeds of a study over what devices there are, one run each, and prints the study's table.
+"""How do the variants of a study compare, with their runs spread over the devices that there are.
 
-Every run is a process of its own that sees one device. Called again it does what is left; what was stopped goes on.
+    python experiments/sweep.py STUDY --scene PATH --out DIR [--on CONFIG] [--seeds N] [--budget TIME] [--at-once N]
+
+Every run is a process of its own that sees one device; what it says is in DIR/VARIANT_SEED.log. Called again it does what is left; what was stopped goes on.
 """
 
 import argparse
@@ -76,7 +78,7 @@ def _start(name: str, device: str, out: Path, arguments: Sequence[str]) -> int:
 
 def main() -> None:
     """Runs what is left and prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     compare.add_arguments(parser)
     parser.add_argument("--at-once", type=int, metavar="N", help="runs at a time where there is no GPU (default: 1)")
     arguments = parser.parse_args()
@@ -84,12 +86,13 @@ def main() -> None:
     if devices == ["cpu"]:
         devices = [f"cpu {index}" for index in range(arguments.at_once or 1)]
     same = [arguments.study, "--scene", arguments.scene, "--out", arguments.out, "--seeds", str(arguments.seeds)]
+    same += ["--on", arguments.on] if arguments.on else []
     same += ["--budget", arguments.budget] if arguments.budget else []
-    names = compare.run_names(arguments.study, arguments.seeds)
+    names = compare.run_names(compare.load_study(arguments.study, arguments.on).variants, arguments.seeds)
     failed = sweep(names, out, devices, lambda name, device: _start(name, device, out, same))
     if failed:
         raise InputError(f"{len(failed)} of {len(names)} runs failed: {', '.join(failed)}; see {out}/{failed[0]}.log")
-    every = compare.run(arguments.study, arguments.scene, arguments.out, arguments.seeds)
+    every = compare.run(arguments.study, arguments.scene, arguments.out, arguments.seeds, on=arguments.on)
     print(tables.compare({variant: tables.spread(rows) for variant, rows in every.items()}))
 
 

@@ -1,19 +1,25 @@
-"""Trains, meshes and scores one scene with a config of `configs/`."""
+"""What does one run with a config of `configs.py` reach: train, mesh and score a scene.
+
+    python experiments/train.py CONFIG --scene PATH --out RUN [--set KEY=VALUE ...]
+
+Prints the figures of photos and mesh, and writes them as `RUN/evaluation.json`; `RUN/manifest.json` holds machine,
+versions, seed and commit.
+"""
 
 import argparse
 import difflib
-import runpy
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+from configs import CONFIGS
 
 from gsjax import config, tables
 from gsjax.cli import guarded
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.settings import Settings
-
-CONFIGS = Path(__file__).parent / "configs"
 
 
 def run(name: str, scene: str, out: str, assignments: Sequence[str] = ()) -> dict:
@@ -29,30 +35,50 @@ def run(name: str, scene: str, out: str, assignments: Sequence[str] = ()) -> dic
 
 
 def load_settings(name: str, assignments: Sequence[str] = ()) -> Settings:
-    """The settings of `configs/NAME.py`: `base.py`, the config's differences, then `key=value` assignments.
+    """The settings of a config: `base`, the config's differences, then `key=value` assignments.
 
     Raises:
         InputError: There is no such config, or a key of it is unknown or its value wrong.
     """
-    merged = config.merge(load_config("base"), load_config(name))
-    whole = config.to_dict(config.parse(Settings, merged, where=f"configs/{name}.py"))
+    whole = config.to_dict(config.parse(Settings, load_config(name), where=f"config {name}"))
     return config.parse(Settings, config.override(whole, assignments), where="--set")
 
 
-def load_config(name: str, *, folder: Path = CONFIGS) -> dict:
-    """The `CONFIG` of `NAME.py` in a folder."""
-    path = folder / f"{name}.py"
-    if not path.is_file():
-        known = sorted(p.stem for p in folder.glob("*.py"))
-        nearest = max(known, key=lambda other: difflib.SequenceMatcher(None, name, other).ratio())
-        raise InputError(f"no config '{name}' in {folder}; the nearest is '{nearest}'")
-    return runpy.run_path(str(path))["CONFIG"]
+def load_config(name: str) -> dict:
+    """A whole config: `base` with the differences of the named one.
+
+    Raises:
+        InputError: There is no such config.
+    """
+    if name not in CONFIGS:
+        raise InputError(f"no config '{name}'; the nearest is '{nearest(name, CONFIGS)}'")
+    return config.merge(CONFIGS["base"], CONFIGS[name])
+
+
+def claim(out: Path, asked: Mapping[str, Any]) -> None:
+    """Notes what a folder's runs are of, as `OUT/asked.json`.
+
+    Raises:
+        InputError: The folder holds runs of something else.
+    """
+    note = out / "asked.json"
+    before = json_files.read(note) if note.exists() else asked
+    for key, value in asked.items():
+        if before[key] != value:
+            raise InputError(f"{note}: its runs are of {key} {before[key]}, not {value}; --out takes another folder")
+    out.mkdir(parents=True, exist_ok=True)
+    json_files.write(note, asked)
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The known name that is most like this one."""
+    return max(known, key=lambda other: difflib.SequenceMatcher(None, name, other).ratio())
 
 
 def main() -> None:
     """Reads the arguments and prints the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("config", metavar="CONFIG", help="name of a file in configs/, without .py")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("config", metavar="CONFIG", help=", ".join(CONFIGS))
     parser.add_argument("--scene", required=True, help="folder of the data set")
     parser.add_argument("--out", required=True, metavar="RUN", help="empty folder for the run")
     parser.add_argument("--set", nargs="+", default=[], metavar="KEY=VALUE", help="settings by their dotted keys")

@@ -1,23 +1,29 @@
-"""What the regulariser brings beside those that it replaces or competes with; all else is shared, the time too.
+"""What does each regulariser of a surface bring, all else and the time being equal?
 
-Every variant is the demo's plain phase, then a surface phase whose loss has one regulariser more. Weights are those of
-the authors, whose photometric loss is ours (0.8 L1 + 0.2 D-SSIM): 0.2 for SuGaR's pair of terms in either mode, 0.05
+    python experiments/compare.py baselines --scene runs/demo/scene --out DIR --seeds 3
+    python experiments/compare.py baselines --on bunny_plane --scene BUNNY --out DIR --seeds 3
+
+Every variant is the config's plain phases, then a surface phase whose loss has one regulariser more. Weights are those
+of the authors, whose photometric loss is ours (0.8 L1 + 0.2 D-SSIM): 0.2 for SuGaR's pair of terms in either mode, 0.05
 for 2DGS's depth-normal consistency; 0.2, the paper's, for all that align something with normals, DN-Splatter's axes
 among them, and at the pixels also 0.1, the least that the paper has. SuGaR and 2DGS see no normals. `ours, demo` is the
-demo's mix (docs/deviations.md says why there is one).
+demo's mix (docs/deviations.md says why there is one). SuGaR and the paper have an entropy phase and a cull before,
+which short runs do not bear; no variant has them.
 
-SuGaR and the paper have an entropy phase and a cull before, which short runs do not bear; no variant has them.
-
-Each surface phase has as many steps as take the time of the demo's, by what a step costs on the built-in scene
-(`benchmarks/steps.py baselines RUN`, AMD EPYC): what else a machine does decides nothing. Rates fall as over the demo.
+Each surface phase has as many steps as take the time of the mix, by what a step costs (`STEP_COSTS`): what else a
+machine does decides nothing. Depth is read in front by all.
 """
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 from gsjax.settings import DEMO, NORMAL_TERMS
 
+ON = "demo"
+MIX = "ours, demo"
 
-class Term(NamedTuple):
+
+class Method(NamedTuple):
     """What the last phase of a variant adds to the loss."""
 
     cost: float  # of a step with it, in plain ones
@@ -26,53 +32,66 @@ class Term(NamedTuple):
     within: tuple[float, float] = (0.0, 1.0)  # which part of the phase's time has it; the rest is plain
 
 
-TERMS = {
-    "vanilla": Term(1.00, {}),
-    "SuGaR, sdf": Term(4.23, {"sugar_sdf": 0.2}),
-    "SuGaR, density": Term(3.01, {"sugar_density": 0.2}),
-    "2DGS, depth_normal": Term(2.10, {"depth_normal": 0.05}),
-    "DN-Splatter, axis_normal": Term(1.78, {"axis_normal": 0.2}),
-    "ours, sdf_normal": Term(2.10, {"sdf_normal": 0.2}),
-    "ours, sdf_central": Term(2.16, {"sdf_central": 0.2}),
-    "ours, sdf_bicubic": Term(2.17, {"sdf_bicubic": 0.2}),
-    "ours, sdf_offset": Term(2.19, {"sdf_offset": 0.2}),
-    "ours, density_center": Term(3.61, {"density_center": 0.2}),
-    "ours, density_offset": Term(3.61, {"density_offset": 0.2}),
-    "ours, density_sample": Term(3.63, {"density_sample": 0.2}),
-    "ours, pixel_normal": Term(1.36, {"pixel_normal": 0.2}),
-    "ours, pixel_normal 0.1": Term(1.36, {"pixel_normal": 0.1}),
-    "ours, demo": Term(2.23, DEMO["phases"][-1]["weights"]),
+WEIGHTS: dict[str, dict[str, float]] = {
+    "vanilla": {},
+    "SuGaR, sdf": {"sugar_sdf": 0.2},
+    "SuGaR, density": {"sugar_density": 0.2},
+    "2DGS, depth_normal": {"depth_normal": 0.05},
+    "DN-Splatter, axis_normal": {"axis_normal": 0.2},
+    "ours, sdf_normal": {"sdf_normal": 0.2},
+    "ours, pixel_normal": {"pixel_normal": 0.2},
+    "ours, pixel_normal 0.1": {"pixel_normal": 0.1},
+    MIX: DEMO["phases"][-1]["weights"],
 }
+_COSTS = {
+    "demo": (1.00, 4.47, 3.08, 2.25, 1.80, 2.29, 1.48, 1.48, 2.40),
+    "bunny_plane": (1.00, 5.09, 3.22, 2.40, 1.97, 2.16, 1.45, 1.45, 2.55),
+}
+STEP_COSTS = {on: dict(zip(WEIGHTS, costs, strict=True)) for on, costs in _COSTS.items()}
+"""In plain steps, by config and method (`benchmarks/step_cost.py baselines RUN --on CONFIG`, AMD EPYC)."""
 
 
-def at_equal_time(phases: list[dict], terms: dict[str, Term], *, depth_mode: str = "plane") -> dict[str, dict]:
-    """Variants by name: the phases, the last of each term as long as takes the time of the mix, `ours, demo`.
+def costs_on(on: str) -> dict[str, float]:
+    """What a step with each method costs, in plain ones; those of the demo where nobody has measured them."""
+    return STEP_COSTS.get(on, STEP_COSTS["demo"])
+
+
+def at_equal_time(
+    phases: list[dict[str, Any]], methods: Mapping[str, Method], mix: float, *, depth_mode: str = "front"
+) -> dict[str, dict[str, Any]]:
+    """Variants by name: the phases, the last of each method as long as takes the time of the mix.
 
     Args:
         phases: Of the mix.
-        terms: What the last phase has, by name.
-        depth_mode: How depth is read in each of them; as in the paper it is the mean of all splats'.
+        methods: What the last phase has, by name.
+        mix: What a step of the mix costs, in plain ones.
+        depth_mode: How depth is read in each of them.
     """
     *first, last = phases
-    time = terms["ours, demo"].cost * last["steps"]
+    time = mix * last["steps"]
     shared = {"rates": {"decay_steps": sum(phase["steps"] for phase in phases)}, "depth_mode": depth_mode}
 
-    def ending(term: Term) -> list[dict]:
-        begin, end = term.within
-        steps = round(time * (end - begin) / (1 + (term.cost - 1) / term.every))
+    def ending(method: Method) -> list[dict[str, Any]]:
+        begin, end = method.within
+        steps = round(time * (end - begin) / (1 + (method.cost - 1) / method.every))
         parts = (
             {**last, "name": "before", "steps": round(time * begin), "weights": {}},
-            {**last, "steps": steps, "weights": term.weights, "surface_every": term.every},
+            {**last, "steps": steps, "weights": method.weights, "surface_every": method.every},
             {**last, "name": "after", "steps": round(time * (1 - end)), "weights": {}},
         )
         return [part for part in parts if part["steps"]]
 
     return {
-        name: {"phases": [*first, *ending(term)]}
-        | ({} if NORMAL_TERMS.isdisjoint(term.weights) else {"normals": "{scene}/normals"})
+        name: {"phases": [*first, *ending(method)]}
+        | ({} if NORMAL_TERMS.isdisjoint(method.weights) else {"normals": "{scene}/normals"})
         | shared
-        for name, term in terms.items()
+        for name, method in methods.items()
     }
 
 
-CONFIG: dict = {"base": "demo", "variants": at_equal_time(DEMO["phases"], TERMS)}
+def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
+    """Every method, and R at the pixels in every fourth step alone."""
+    costs = costs_on(on)
+    methods = {name: Method(costs[name], weights) for name, weights in WEIGHTS.items()}
+    rarer = Method(costs["ours, pixel_normal"], {"pixel_normal": 0.2}, every=4)
+    return at_equal_time(config["phases"], {**methods, "ours, pixel_normal in every 4th step": rarer}, costs[MIX])

@@ -1,23 +1,29 @@
-"""The weight of R at the means: from too little to too much, both signs, and the sum over the means for their mean.
+"""How strong should R at the means be, and what does the printed sign do?
 
-From the demo's plain phase on, true normals. A sum is a mean with the number of Gaussians in its weight.
+    python experiments/compare.py lambda_r --scene runs/demo/scene --out DIR
+
+From too little to too much, both signs, and the sum over the means for their mean: a sum is a mean with the number of
+Gaussians in its weight. All begin with the config's plain phases and have true normals.
 """
 
-from gsjax.settings import DEMO
+from collections.abc import Mapping
+from typing import Any
 
-_VANILLA, _SURFACE = DEMO["phases"]
-
-
-def _weighted(weight: float) -> dict:
-    return {"phases": [_VANILLA, {**_SURFACE, "weights": {"sdf_normal": weight}}], "normals": "{scene}/normals"}
+ON = "demo"
 
 
-CONFIG: dict = {
-    "base": "demo",
-    "variants": {
-        "none": {"phases": [_VANILLA, {**_SURFACE, "weights": {}}]},
-        **{f"{weight:g}": _weighted(weight) for weight in (0.05, 0.1, 0.2, 0.4, 0.8)},
-        "-0.2, as printed": _weighted(-0.2),
-        "0.2, a sum": _weighted(0.2 * DEMO["max_gaussians"]),
-    },
-}
+def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
+    """Plain training, and every weight."""
+    del on
+    *plain, surface = config["phases"]
+
+    def weighted(weight: float) -> dict[str, Any]:
+        phases = [*plain, {**surface, "weights": {"sdf_normal": weight}}]
+        return {"phases": phases, "normals": "{scene}/normals"}
+
+    return {
+        "none": {"phases": [*plain, {**surface, "weights": {}}]},
+        **{f"{weight:g}": weighted(weight) for weight in (0.05, 0.1, 0.2, 0.4, 0.8)},
+        "-0.2, as printed": weighted(-0.2),
+        "0.2, a sum": weighted(0.2 * config["max_gaussians"]),
+    }

@@ -1,30 +1,33 @@
-"""When R at the pixels acts: in which part of the surface phase's time, in how many of its steps, with what weight.
+"""When should R act: in which part of the surface phase's time, in how many of its steps, with what weight?
 
-All else, depth in front and the time among it, is as in `baselines_front.py`; the rest of the phase is plain.
+    python experiments/compare.py when_r --scene runs/demo/scene --out DIR --seeds 3
+
+R is at the pixels. All else, the time among it, is as in `baselines.py`; the rest of the phase is plain.
 """
 
-from studies.baselines import TERMS, Term, at_equal_time
-from studies.baselines_front import COSTS
+from collections.abc import Mapping
+from typing import Any
 
-from gsjax.settings import DEMO
+from studies.baselines import MIX, Method, at_equal_time, costs_on
 
-
-def _r(weight: float, *, every: int = 1, within: tuple[float, float] = (0.0, 1.0)) -> Term:
-    return Term(COSTS["ours, pixel_normal"], {"pixel_normal": weight}, every, within)
-
-
-_TERMS = {
-    "vanilla": TERMS["vanilla"],
-    "0.1, first half": _r(0.1, within=(0, 1 / 2)),
-    "0.2, first half": _r(0.2, within=(0, 1 / 2)),
-    "0.1, every 4th, first two thirds": _r(0.1, every=4, within=(0, 2 / 3)),
-    "0.2, every 4th, last half": _r(0.2, every=4, within=(1 / 2, 1)),
-    "0.1, every 4th": _r(0.1, every=4),
-    "0.2, every 4th": _r(0.2, every=4),
-    "0.4, every 8th": _r(0.4, every=8),
+ON = "demo"
+_WHEN: dict[str, dict[str, Any]] = {
+    "0.1, first half": {"within": (0, 1 / 2)},
+    "0.2, first half": {"within": (0, 1 / 2)},
+    "0.1, every 4th, first two thirds": {"every": 4, "within": (0, 2 / 3)},
+    "0.2, every 4th, last half": {"every": 4, "within": (1 / 2, 1)},
+    "0.1, every 4th": {"every": 4},
+    "0.2, every 4th": {"every": 4},
+    "0.4, every 8th": {"every": 8},
 }
-_SAME_TIME = "ours, demo"
-_ALL = at_equal_time(
-    DEMO["phases"], {**_TERMS, _SAME_TIME: TERMS[_SAME_TIME]._replace(cost=COSTS[_SAME_TIME])}, depth_mode="front"
-)
-CONFIG: dict = {"base": "demo", "variants": {name: _ALL[name] for name in _TERMS}}
+"""By the weight, and when."""
+
+
+def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
+    """Plain training, and R at every time."""
+    costs = costs_on(on)
+    methods = {"vanilla": Method(1.0, {})} | {
+        name: Method(costs["ours, pixel_normal"], {"pixel_normal": float(name.split(",")[0])}, **when)
+        for name, when in _WHEN.items()
+    }
+    return at_equal_time(config["phases"], methods, costs[MIX])

@@ -1,12 +1,17 @@
-"""What errors of a known size in the normals do to what is aligned with them (`experiments/wrong_normals.py`).
+"""What do normals with errors of a known size do to what is aligned with them?
 
-Surface phases take the time of the demo's and depth is read in front, as in `baselines_front.py`.
+    python experiments/perturb_normals.py SCENE
+    python experiments/compare.py wrong_normals --scene SCENE --out DIR --seeds 3 [--on bunny_plane]
+
+The first command writes the maps. Methods and their time are those of `baselines.py`.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
-from studies.baselines_front import CONFIG as BASELINES
+from studies import baselines
 
+ON = "demo"
 _MAPS = {
     "true": "{scene}/normals",
     "5 degrees": "{scene}/normals_5deg",
@@ -24,12 +29,9 @@ _METHODS = {
 }
 
 
-def with_maps(true: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Variants by name: plain training, and every method with every kind of normals.
-
-    Args:
-        true: The same with true normals, as `baselines_front.in_front` gives them.
-    """
+def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
+    """Plain training, and every method with every kind of normals."""
+    true = baselines.variants(config, on)
     return {
         "vanilla": true["vanilla"],
         **{
@@ -38,6 +40,3 @@ def with_maps(true: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
             for kind, maps in _MAPS.items()
         },
     }
-
-
-CONFIG: dict = {"base": "demo", "variants": with_maps(BASELINES["variants"])}

@@ -22,6 +22,11 @@ def compare(scripts):
     return scripts("compare")
 
 
+@pytest.fixture
+def beginning(scripts):
+    return scripts("common_phases").beginning
+
+
 @pytest.mark.parametrize("with_mesh", [True, False])
 def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_path, with_mesh):
     chamfers = iter([0.004, 0.006, 0.002] * 2)
@@ -29,32 +34,37 @@ def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_pa
     monkeypatch.setattr(pipeline, "train", lambda *_, **__: None)
     monkeypatch.setattr(compare, "_common", lambda *_: None)
     figures = {"psnr": 30.0, "views": 2, **floor}
-    monkeypatch.setattr(pipeline, "evaluate", lambda _, zooms: figures | {"chamfer": next(chamfers)})
+    monkeypatch.setattr(pipeline, "evaluate", lambda _, **__: figures | {"chamfer": next(chamfers)})
     monkeypatch.setattr(runs, "read_metrics", lambda _: [])
     for _ in range(2):  # The second time from what the first has left.
-        rows = compare.run("surface", "scene", str(tmp_path), seeds=2)
+        rows = compare.run("growth", "scene", str(tmp_path), seeds=3)
         found = [[row["chamfer"] for row in each] for each in rows.values()]
-        assert found == [[0.004, 0.004], [0.006, 0.006], [0.002, 0.002]] + [[1e-4]] * with_mesh
+        assert found == [[0.004, 0.002, 0.006], [0.006, 0.004, 0.002]] + [[1e-4]] * with_mesh
         assert (tables.FLOOR in rows) == with_mesh
         assert json.loads((tmp_path / "study.json").read_text()) == rows
 
 
-@pytest.mark.parametrize("study", STUDIES)
-def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, monkeypatch, tmp_path, study):
+@pytest.mark.parametrize(
+    ("study", "on"),
+    [(study, None) for study in STUDIES]
+    + [("baselines", "bunny_plane"), ("wrong_normals", "bunny_plane"), ("growth", "photos_short"),
+       ("supervision", "photos_short")],
+)  # fmt: skip
+def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, monkeypatch, tmp_path, study, on):
     seen = {}
     monkeypatch.setattr(pipeline, "train", lambda _, folder, settings, **__: seen.setdefault(folder.name, settings))
     monkeypatch.setattr(compare, "_common", lambda *_: None)
-    monkeypatch.setattr(pipeline, "evaluate", lambda _, zooms: {"psnr": 30.0})
+    monkeypatch.setattr(pipeline, "evaluate", lambda _, **__: {"psnr": 30.0})
     monkeypatch.setattr(runs, "read_metrics", lambda _: [])
-    compare.run(study, "scene", str(tmp_path))
-    variants = compare.load_config(study, folder=compare.STUDIES)["variants"]
+    compare.run(study, "scene", str(tmp_path), on=on)
+    variants = compare.load_study(study, on).variants
     assert set(seen) == {f"{variant}_0" for variant in variants}
     assert all(isinstance(settings, Settings) for settings in seen.values())
     assert len({str(config.to_dict(settings)) for settings in seen.values()}) == len(variants)
 
 
 def test_whenever_r_acts_the_phase_takes_the_time_of_plain_training(compare):
-    variants = compare.load_config("when_r", folder=compare.STUDIES)["variants"]
+    variants = compare.load_study("when_r").variants
     cost = 1.48  # of a step with R, in plain ones
     for name, change in variants.items():
         _, *phases = change["phases"]
@@ -62,6 +72,35 @@ def test_whenever_r_acts_the_phase_takes_the_time_of_plain_training(compare):
         assert sum(times) == pytest.approx(2.40 * 850, abs=2), name
     halves = [phase["steps"] for phase in variants["0.2, every 4th, last half"]["phases"]]
     assert halves == [1000, 1020, round(1020 / (1 + (cost - 1) / 4))]
+
+
+@pytest.mark.parametrize(("on", "mix", "time"), [("demo", 2.40, 850), ("bunny_plane", 2.55, 800), ("fox", 2.40, 600)])
+def test_every_baseline_takes_the_time_of_the_mix(compare, on, mix, time):
+    """By the costs that are measured on a config, or else on the demo."""
+    sugar = {"demo": 4.47, "bunny_plane": 5.09}.get(on, 4.47)
+    variants = compare.load_study("baselines", on).variants
+    surface = {name: change["phases"][-1] for name, change in variants.items()}
+    assert surface["ours, demo"]["steps"] == time
+    assert surface["vanilla"]["steps"] == round(mix * time)
+    assert surface["SuGaR, sdf"]["steps"] == round(mix * time / sugar)
+    assert {change["depth_mode"] for change in variants.values()} == {"front"}
+
+
+def test_a_folder_of_another_study_or_config_is_not_mixed_in(compare, monkeypatch, tmp_path):
+    monkeypatch.setattr(pipeline, "train", lambda *_, **__: None)
+    monkeypatch.setattr(compare, "_common", lambda *_: None)
+    monkeypatch.setattr(pipeline, "evaluate", lambda _, **__: {"psnr": 30.0})
+    monkeypatch.setattr(runs, "read_metrics", lambda _: [])
+    compare.run("growth", "scene", str(tmp_path))
+    with pytest.raises(InputError, match=r"asked.json: its runs are of on bunny_plane, not photos_short; --out takes"):
+        compare.run("growth", "scene", str(tmp_path), on="photos_short")
+
+
+def test_unknown_names_are_answered_with_the_nearest(compare):
+    with pytest.raises(InputError, match="no study 'baseline'; the nearest is 'baselines'"):
+        compare.load_study("baseline")
+    with pytest.raises(InputError, match="no config 'bunny'; the nearest is 'bunny_plane'"):
+        compare.load_study("baselines", "bunny")
 
 
 @pytest.mark.parametrize("name", ["nonsense_0", "0.2_1"])
@@ -99,8 +138,8 @@ SUGARED, OTHERWISE = (
         (COARSE, [], None),
     ],
 )
-def test_what_runs_begin_with_is_shared_as_far_as_they_are_the_same(compare, settings, others, shared):
-    begun = compare.beginning(settings, others)
+def test_what_runs_begin_with_is_shared_as_far_as_they_are_the_same(beginning, settings, others, shared):
+    begun = beginning(settings, others)
     assert (None if begun is None else tuple(phase.name for phase in begun.phases)) == shared
     if begun is not None:
         assert (begun.normals, begun.vanilla, begun.rates.decay_steps) == (None, False, 60)

@@ -12,8 +12,7 @@ from gsjax.binding.refining import PRESETS, Refinement
 from gsjax.errors import InputError
 from gsjax.io import json_files
 
-EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
-STUDIES = sorted(path.stem for path in (EXPERIMENTS / "remeshing").glob("*.py"))
+STUDIES = ["methods", "length", "bound_only"]
 
 
 @pytest.fixture
@@ -52,7 +51,7 @@ def trained(tmp_path):
 
 
 def test_a_refinement_has_the_runs_seed_and_meshes_are_shared(remesh, asked, trained, tmp_path):
-    rows = remesh.run("settling", trained, str(tmp_path / "out"))
+    rows = remesh.run("length", trained, str(tmp_path / "out"))
     assert [Path(run).name for name, run, *_ in asked if name == "mesh"] == ["run_3", "run_4"]
     refinements = [call[2:] for call in asked if call[0] == "refine"]
     assert [(settings.seed, settings.settle_at) for settings, _ in refinements] == [
@@ -90,7 +89,7 @@ def test_figures_of_other_runs_are_not_taken_for_these(remesh, asked, trained, t
 
 @pytest.mark.parametrize("study", STUDIES)
 def test_every_study_parses_and_no_two_of_its_variants_are_the_same(remesh, study):
-    variants = remesh.load_config(study, folder=remesh.STUDIES)["variants"]
+    variants = remesh.variants_of(study)
     parsed = []
     for name, asked in variants.items():
         refined = config.parse(Refinement, asked["refine"], where=name) if "refine" in asked else None
@@ -100,7 +99,7 @@ def test_every_study_parses_and_no_two_of_its_variants_are_the_same(remesh, stud
 
 
 def test_presets_are_compared_as_they_are(remesh):
-    variants = remesh.load_config("length", folder=remesh.STUDIES)["variants"]
+    variants = remesh.variants_of("length")
     assert {name: asked["refine"] for name, asked in variants.items() if asked} == {
         name: PRESETS[name] for name in ("fast", "balanced", "short")
     }

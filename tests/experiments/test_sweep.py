@@ -48,7 +48,7 @@ def test_called_again_it_does_what_is_left_and_names_what_failed(sweep, tmp_path
 
 
 def test_runs_have_the_names_that_a_study_gives_them(sweep):
-    names = sweep.compare.run_names("growth", 2)
+    names = sweep.compare.run_names(sweep.compare.load_study("growth").variants, 2)
     assert len(names) == len(set(names)) and {name[-2:] for name in names} == {"_0", "_1"}
 
 

@@ -1,4 +1,4 @@
-"""Runs of a study that begin alike: phases that ask for no normals, where all other settings are the same."""
+"""The first phases that runs of a study have in common: same settings, and nothing yet that asks for normals."""
 
 from collections.abc import Sequence
 from dataclasses import replace
