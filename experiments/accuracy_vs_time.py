@@ -1,4 +1,4 @@
-"""What accuracy costs in time: every knob that trades one for the other, in one table and one picture.
+"""What does accuracy cost in time? Every knob that trades one for the other, in one table and one picture.
 
     python experiments/accuracy_vs_time.py --scene SCENE --out DIR [--config NAME] [--knobs NAME ...]
         [--rounds N] [--share S]
@@ -166,7 +166,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", required=True, help="folder of the data set")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for runs, table and picture")
-    parser.add_argument("--config", default="demo", metavar="NAME", help="of configs/, to turn from (default: demo)")
+    parser.add_argument("--config", default="demo", metavar="NAME", help="of configs.py, to turn from (default: demo)")
     parser.add_argument("--knobs", nargs="+", default=[], metavar="NAME", help="those to turn (default: all)")
     parser.add_argument("--rounds", type=int, default=3, metavar="N", help="of every knob (default: 3)")
     parser.add_argument("--share", type=float, default=1.0, help="of the config's steps, in every run (default: 1)")

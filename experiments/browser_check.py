@@ -1,4 +1,4 @@
-"""Opens a GLB in a real browser without a display and keeps screenshots of it from several sides.
+"""How does a GLB look in a real browser? Opens it without a display and keeps screenshots from several sides.
 
     npm install three --prefix DIR
     python experiments/browser_check.py mesh.glb --three DIR/node_modules/three --out pictures

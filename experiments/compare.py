@@ -1,4 +1,4 @@
-"""How do the variants of a study compare: train each on one scene from the same start, and print one table.
+"""How do the variants of a study compare, trained on one scene from the same start?
 
     python experiments/compare.py STUDY --scene PATH --out DIR [--on CONFIG] [--seeds N] [--budget TIME]
 

@@ -1,6 +1,6 @@
-"""Draws what the editing example of docs/refinement.md does: mesh and Gaussians of a refined run, before and after.
+"""What does the editing example of docs/refinement.md do? Draws mesh and Gaussians of a refined run, before and after.
 
-    python experiments/edited.py --run REFINED --out docs/assets/edited.png
+    python experiments/editing_picture.py --run REFINED --out docs/assets/edited.png
 
 REFINED is a folder that `gsjax refine` made from a scene whose z axis points up.
 """
@@ -9,19 +9,16 @@ import argparse
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gsjax.binding.bound import to_mesh
-from gsjax.binding.editing import rebound, with_vertices
-from gsjax.binding.hybrid import Hybrid, all_gaussians
-from gsjax.cameras import Camera
 from gsjax.cli import guarded
-from gsjax.io.images import write_image
-from gsjax.meshing import read_mesh
-from gsjax.render import gallery
-from gsjax.report.pictures import mesh_picture, to_bytes
-from gsjax.runs.result import Result, open_result
+
+if TYPE_CHECKING:  # They import jax.
+    from gsjax.binding.hybrid import Hybrid
+    from gsjax.cameras import Camera
+    from gsjax.runs.result import Result
 
 TWIST = 1.6  # radians per unit of height
 ENLARGED = 2
@@ -30,6 +27,11 @@ GAP = 6  # white pixels between the panels
 
 def draw(run: str, out: str, *, view: int) -> None:
     """Writes four panels in a row: mesh and Gaussians as refined, mesh and Gaussians twisted."""
+    from gsjax.binding.editing import rebound, with_vertices
+    from gsjax.io.images import write_image
+    from gsjax.meshing import read_mesh
+    from gsjax.runs.result import open_result
+
     result, mesh = open_result(run), read_mesh(Path(run) / "mesh.ply")
     refined = rebound(mesh, result.gaussians)
     edited = replace(refined, bound=with_vertices(refined.bound, twisted(mesh.vertices)))
@@ -45,22 +47,34 @@ def twisted(vertices: np.ndarray) -> np.ndarray:
     return np.stack([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y, z], axis=-1)
 
 
-def enlarged(camera: Camera) -> Camera:
+def enlarged(camera: "Camera") -> "Camera":
     """The same view with `ENLARGED` times as many pixels along each side."""
+    from gsjax.cameras import Camera
+
     K = camera.K * np.array([[ENLARGED], [ENLARGED], [1]], np.float32)
     return Camera(camera.viewmat, K, ENLARGED * camera.width, ENLARGED * camera.height)
 
 
-def _panels(hybrid: Hybrid, result: Result, view: int) -> list[np.ndarray]:
+def _panels(hybrid: "Hybrid", result: "Result", view: int) -> list[np.ndarray]:
+    from gsjax.binding.bound import to_mesh
+    from gsjax.binding.hybrid import all_gaussians
+    from gsjax.render import gallery
+    from gsjax.report.pictures import mesh_picture, to_bytes
+
     camera = enlarged(result.cameras[view])
     picture = next(gallery.pictures(all_gaussians(hybrid), [camera], result.background))
     return [mesh_picture(to_mesh(hybrid.bound), camera), to_bytes(picture.colors)]
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Reads the arguments and draws."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--run", required=True, help="folder that `gsjax refine` made")
     parser.add_argument("--out", required=True, help="the picture (.png)")
     parser.add_argument("--view", type=int, default=8, help="index of the view to draw (default: 8)")
     arguments = parser.parse_args()
-    sys.exit(guarded(lambda: draw(arguments.run, arguments.out, view=arguments.view)))
+    draw(arguments.run, arguments.out, view=arguments.view)
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))

@@ -1,60 +1,38 @@
-"""Effects put into the built-in scene, each at several strengths and not at all: found, ignored, simulated, forced on.
+"""Which effects does training find and undo? Each is put into the built-in scene, at several strengths and not at all.
 
-    python experiments/handled.py --out DIR [--effects NAME ...] [--views 32] [--size 112] [--steps 600] [--seeds N]
+    python experiments/effect_recovery.py --out DIR [--effects NAME ...] [--views N] [--size N] [--steps N] [--seeds N]
 
 Every effect and strength is one row: what `train --effects auto` decides, how far off the parameters that it learns
 are, and PSNR and Chamfer distance of a run that ignores it and of one that simulates it. In the row of strength 0 the
 latter is forced on. PSNR is that of the held-out photos as they were before anything was put in, from where they were
-truly taken: both runs are asked for the same pictures. `DIR/handled.md` is the table, `DIR/handled.json` its figures.
-Called again it does what is left.
+truly taken: both runs are asked for the same pictures. `DIR/effect_recovery.md` is the table, `effect_recovery.json`
+beside it holds its figures. Called again it does what is left.
 """
 
 import argparse
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-import jax.numpy as jnp
 import numpy as np
-from relit import relight, sky_color
+from inject_effects import inject
 
-from gsjax import config, pipeline, runs, tables
+from gsjax import config, tables
+from gsjax.cli import guarded
 from gsjax.cli.parsers import count
-from gsjax.effects import transients, vignetting
-from gsjax.effects.alignment import align
-from gsjax.io import analytic_scene, json_files
+from gsjax.io import json_files
 from gsjax.io.machine import machine
-from gsjax.io.scenes import load_scene
-from gsjax.meshing.export import read_mesh
-from gsjax.pipeline.evaluate import score_mesh
-from gsjax.pipeline.train import trial_start
-from gsjax.planning.effects import joined
-from gsjax.planning.sizes import training_extent
-from gsjax.planning.trials import gains
-from gsjax.render import backdrop, gallery
-from gsjax.runs.checkpoints import load_arrays
-from gsjax.runs.photography import Photography, read_photography, refined
-from gsjax.runs.result import frame_camera, open_result
-from gsjax.scene import Scene
-from gsjax.scoring.images import score_images
 from gsjax.settings import Settings
 
-POINTS, SMALL = 300, 1e-4  # that stand for all; of a world's change, to first order
-STOPS = 2.2 / np.log(2)  # of light, in a natural logarithm of display-coded values
+if TYPE_CHECKING:  # They import jax.
+    from effect_errors import Truth
+
 FIRST = 20  # steps that are not timed: they compile
 NAMES = "ignored", "simulated"
-
-
-class Truth(NamedTuple):
-    """What an effect's error is told from."""
-
-    clean: Scene  # as it was
-    scene: Scene  # as training gets it
-    told: dict[str, Any]  # what was put in, see `relit.relight`
-    run: Path
 
 
 @dataclass(frozen=True)
@@ -62,98 +40,16 @@ class Case:
     """An effect that is put in."""
 
     strengths: tuple[float, ...]  # beside none
-    put_in: Callable[[float], dict[str, float]]  # strength -> options of `relit.relight`
-    error: Callable[[Truth], float]  # of what a run learned
-    unit: str  # of that
-
-
-def of_gains(truth: Truth) -> float:
-    """Root mean square over the photos that are trained on and their channels, EV."""
-    names = [frame.name for frame in truth.scene.train_frames]
-    true = np.array([truth.told["gains"][name] if truth.told else np.zeros(3) for name in names])
-    looks = read_photography(truth.run).looks
-    found = STOPS * np.array([looks[name].log_gains if looks else np.zeros(3) for name in names])
-    return float(np.sqrt(np.square(found - true + true.mean(0)).mean()))
-
-
-def of_corner(truth: Truth) -> float:
-    """Light of a corner against the middle's, EV."""
-    frame, looks = truth.scene.train_frames[0], read_photography(truth.run).looks
-    found = 0.0
-    if looks:
-        camera = frame_camera(frame)
-        falloff = np.asarray(vignetting.falloff(jnp.asarray(looks[frame.name].falloff, jnp.float32), camera))
-        found = STOPS * float(falloff[0, 0])
-    return abs(found - truth.told.get("corner", 0.0))
-
-
-def of_cameras(truth: Truth) -> float:
-    """How far points are from their true pixels in the training photos, pixels: root mean square.
-
-    Without what the best small turn, shift and growth of the world explains, which is nobody's error.
-    """
-    true = {frame.name: (frame.viewmat, frame.K) for frame in truth.clean.train_frames}
-    found = [record for record in json_files.read(truth.run / "cameras.json") if not record["held_out"]]
-    rng = np.random.default_rng(0)
-    points = truth.clean.points[rng.permutation(len(truth.clean.points))[:POINTS]].astype(np.float64)
-    offsets = points - points.mean(0)
-    worlds = [np.cross(axis, offsets) for axis in np.eye(3)] + [np.ones_like(points) * axis for axis in np.eye(3)]
-    right = np.concatenate([pixels(points, *true[record["name"]]) for record in found])
-    errors = np.concatenate([pixels(points, record["viewmat"], record["K"]) for record in found]) - right
-    modes = [
-        (np.concatenate([pixels(points + SMALL * w, *true[r["name"]]) for r in found]) - right) / SMALL
-        for w in [*worlds, offsets]
-    ]
-    slopes = np.stack([mode.ravel() for mode in modes], -1)
-    left = errors.ravel() - slopes @ np.linalg.lstsq(slopes, errors.ravel(), rcond=None)[0]
-    return float(np.sqrt(np.square(left).reshape(-1, 2).sum(-1).mean()))
-
-
-def of_sky(truth: Truth) -> float:
-    """Mean difference of what is behind all from the sky, over the sky of the held-out photos, of 255."""
-    result, share = open_result(truth.run), truth.told.get("sky", 0.0)
-    found = []
-    for frame in truth.clean.held_out_frames:
-        behind = np.asarray(backdrop.behind(jnp.asarray(result.background, jnp.float32), frame_camera(frame)))
-        is_sky = truth.clean.truth.labels[frame.name]() == 0  # pyright: ignore[reportOptionalMemberAccess]
-        off = np.abs(np.broadcast_to(behind, (*is_sky.shape, 3)) - sky_color(frame, share))
-        found.append(off[is_sky])
-    return 255 * float(np.concatenate(found).mean())
-
-
-def of_masks(truth: Truth) -> float:
-    """Share of what was pasted in that is trusted, and of the rest that is not: the larger."""
-    arrays = load_arrays(runs.latest_checkpoint(truth.run)[1])  # pyright: ignore[reportOptionalSubscript]
-    threshold = arrays.get("['state'].effects.numbers['transients']")
-    if threshold is None:
-        return 1.0
-    result, wrong = open_result(truth.run), {True: [], False: []}
-    frames = truth.scene.train_frames
-    drawn = gallery.pictures(result.gaussians, [frame_camera(f) for f in frames], result.background)
-    for before, after, picture in zip(truth.clean.train_frames, frames, drawn, strict=True):
-        photo = after.pixels().image
-        pasted = (photo != before.pixels().image).any(-1)
-        trusted = transients.trusted(jnp.asarray(threshold), picture.colors, jnp.asarray(photo, jnp.float32) / 255)
-        for there, off in ((True, trusted), (False, ~trusted)):
-            wrong[there].append(np.asarray(off)[pasted == there])
-    return float(max(np.concatenate(each).mean() for each in wrong.values() if np.concatenate(each).size))
-
-
-def pixels(points: np.ndarray, viewmat: Any, K: Any) -> np.ndarray:
-    """`[P, 2]` places of points in a picture."""
-    viewmat, K = np.asarray(viewmat, np.float64), np.asarray(K, np.float64)
-    shown = (points @ viewmat[:3, :3].T + viewmat[:3, 3]) @ K.T
-    return shown[:, :2] / shown[:, 2:]
+    put_in: Callable[[float], dict[str, float]]  # strength -> options of `inject_effects.inject`
+    unit: str  # of the error of what a run learns of it, see `effect_errors.ERRORS`
 
 
 CASES = {
-    "exposure": Case((0.1, 0.3), lambda stops: {"exposure": stops, "balance": stops / 3}, of_gains, "EV"),
-    "vignetting": Case((0.2, 0.5), lambda stops: {"corner": -stops}, of_corner, "EV"),
-    "poses": Case(
-        (0.1, 0.3, 0.5), lambda degrees: {"turn": degrees, "shift": float(np.radians(degrees))}, of_cameras, "px"
-    ),
-    "background": Case((0.5, 1.0), lambda share: {"sky": share}, of_sky, "/255"),
-    "transients": Case((0.3, 0.6), lambda share: {"pasted": share}, of_masks, "of pixels"),
+    "exposure": Case((0.1, 0.3), lambda stops: {"exposure": stops, "balance": stops / 3}, "EV"),
+    "vignetting": Case((0.2, 0.5), lambda stops: {"corner": -stops}, "EV"),
+    "poses": Case((0.1, 0.3, 0.5), lambda degrees: {"turn": degrees, "shift": float(np.radians(degrees))}, "px"),
+    "background": Case((0.5, 1.0), lambda share: {"sky": share}, "/255"),
+    "transients": Case((0.3, 0.6), lambda share: {"pasted": share}, "of pixels"),
 }
 """Strengths: EV over the photos (a third of it in every channel); EV at a corner; degrees about each axis, and as many
 radians of the distance along it; how far what is behind goes from white to a sky; share of the photos with squares."""
@@ -177,29 +73,28 @@ def settings(effects: str, steps: int, gaussians: int, seed: int, background: st
     )
 
 
-def timed(scene: Path, run: Path, chosen: Settings) -> list[float]:
-    """Trains, or goes on; the processor's time after every step, seconds."""
-    times: list[float] = []
-    pipeline.train(
-        scene,
-        run,
-        chosen,
-        resume=(run / "config.json").exists(),
-        observe=lambda progress: times.append(time.process_time()),
-    )
-    return times
-
-
 def trained(scene: Path, run: Path, chosen: Settings) -> float:
     """Trains unless that was done; median processor seconds of a step."""
+    from gsjax import pipeline
+
     if not (run / "timed.json").exists():
-        times = timed(scene, run, chosen)
+        times: list[float] = []
+        resume = (run / "config.json").exists()
+        pipeline.train(scene, run, chosen, resume=resume, observe=lambda _: times.append(time.process_time()))
         json_files.write(run / "timed.json", {"seconds_per_step": float(np.median(np.diff(times)[FIRST:]))})
     return json_files.read(run / "timed.json")["seconds_per_step"]
 
 
-def scored(truth: Truth, background: str, *, aligned: bool) -> dict[str, Any]:
+def scored(truth: "Truth", background: str, *, aligned: bool) -> dict[str, Any]:
     """PSNR of the true held-out photos, from where they were taken and from where they fit best; Chamfer distance."""
+    from gsjax import pipeline
+    from gsjax.effects.alignment import align
+    from gsjax.meshing.export import read_mesh
+    from gsjax.pipeline.evaluate import score_mesh
+    from gsjax.runs.photography import Photography, read_photography, refined
+    from gsjax.runs.result import open_result
+    from gsjax.scoring.images import score_images
+
     file = truth.run / f"scored{'_aligned' if aligned else ''}.json"
     if not file.exists():
         result, found = open_result(truth.run), read_photography(truth.run)
@@ -226,12 +121,20 @@ def scored(truth: Truth, background: str, *, aligned: bool) -> dict[str, Any]:
 
 def row(out: Path, clean: Path, effect: str, strength: float, given: argparse.Namespace, seed: int) -> dict[str, Any]:
     """One effect at one strength: decision, and scores of both runs."""
+    from effect_errors import ERRORS, Truth
+
+    from gsjax.io.scenes import load_scene
+    from gsjax.pipeline.train import trial_start
+    from gsjax.planning.effects import joined
+    from gsjax.planning.sizes import training_extent
+    from gsjax.planning.trials import gains
+
     case, scene = CASES[effect], clean
     if strength:
         scene = out / f"{effect}_{strength:g}"
         if not scene.exists():
-            relight(clean, scene, **case.put_in(strength))
-    told = json_files.read(scene / "relit.json") if strength else {}
+            inject(clean, scene, **case.put_in(strength))
+    told = json_files.read(scene / "injected.json") if strength else {}
     # A sky is not known to whoever starts a run; the clean scene's white is.
     background = "black" if effect == "background" and strength else "white"
     chosen = [settings(e, given.steps, given.gaussians, seed, background) for e in ("auto", "none", effect)]
@@ -252,7 +155,7 @@ def row(out: Path, clean: Path, effect: str, strength: float, given: argparse.Na
     for name, effects in zip(NAMES, chosen[1:], strict=True):
         run = out / f"run_{scene.name}_{effects.effects}_{background}_{seed}"
         seconds, truth = trained(scene, run, effects), Truth(before, after, told, run)
-        scores = scored(truth, background, aligned=effect == "poses") | {"error": case.error(truth)}
+        scores = scored(truth, background, aligned=effect == "poses") | {"error": ERRORS[effect](truth)}
         figures |= {f"{key}, {name}": value for key, value in scores.items()}
         figures[f"ms a step, {name}"] = 1e3 * seconds
     return figures
@@ -282,9 +185,9 @@ def _pooled(values: list[float | None], key: str) -> str:
 
 
 def main() -> None:
-    """Run it."""
+    """Reads the arguments, measures what is left and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for scenes, runs and table")
     parser.add_argument("--effects", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--views", type=int, default=32)
     parser.add_argument("--size", type=int, default=112)
@@ -292,6 +195,8 @@ def main() -> None:
     parser.add_argument("--gaussians", type=int, default=4000)
     parser.add_argument("--seeds", type=count, default=1)
     given = parser.parse_args()
+    from gsjax.io import analytic_scene  # Here, and not above: it imports jax.
+
     clean = given.out / "clean"
     if not clean.exists():
         analytic_scene.write(clean, num_views=given.views, size=(given.size, given.size))
@@ -299,10 +204,10 @@ def main() -> None:
     for effect in given.effects:
         for strength in (0.0, *CASES[effect].strengths):
             rows += [row(given.out, clean, effect, strength, given, seed) for seed in range(given.seeds)]
-            json_files.write(given.out / "handled.json", {"rows": rows, "machine": machine()})
-            (given.out / "handled.md").write_text(table(rows))
+            json_files.write(given.out / "effect_recovery.json", {"rows": rows, "machine": machine()})
+            (given.out / "effect_recovery.md").write_text(table(rows))
     print(table(rows))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(guarded(main))

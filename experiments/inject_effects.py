@@ -1,36 +1,31 @@
-"""A data set taken by another camera: exposure, white balance, fall-off, a sky, squares and wrong poses put into it.
+"""Which data set has effects of a known size? Writes one: exposure, white balance, fall-off, sky, squares, wrong poses.
 
-    python experiments/relit.py SCENE OUT --exposure 0.3 --balance 0.1 --corner -0.5
-    python experiments/relit.py SCENE OUT --turn 0.3 --shift 0.005
-    python experiments/relit.py SCENE OUT --sky 1
-    python experiments/relit.py SCENE OUT --pasted 0.3
+    python experiments/inject_effects.py SCENE OUT --exposure 0.3 --balance 0.1 --corner -0.5
+    python experiments/inject_effects.py SCENE OUT --turn 0.3 --shift 0.005
+    python experiments/inject_effects.py SCENE OUT --sky 1
+    python experiments/inject_effects.py SCENE OUT --pasted 0.3
 
-OUT is SCENE with other pixels in `images/` or other poses in `sparse/0/`, and `relit.json`, which tells what was put
-in: gains in EV, the true viewmats where poses are wrong.
+OUT is SCENE with other pixels in `images/` or other poses in `sparse/0/`, and `injected.json`, which tells what was put
+in: gains in EV, the true viewmats where poses are wrong. `gsjax diagnose` and `gsjax train --effects` should find it.
 """
 
 import argparse
 import shutil
+import sys
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 
-from gsjax.cameras import Camera
-from gsjax.effects.exposure import linear_light
-from gsjax.effects.twists import gauge, moved
+from gsjax.cli import guarded
 from gsjax.io import json_files
-from gsjax.io.colmap_writer import write_poses
 from gsjax.io.files import atomic_folder
-from gsjax.io.images import write_image
-from gsjax.io.scenes import load_scene
 from gsjax.scene import Frame, Scene, with_pixels
 
 HORIZON, ZENITH = np.array([1.0, 0.9, 0.75]), np.array([0.45, 0.65, 1.0])
 SQUARES, SIDE = 4, 0.16  # pasted into a photo, and the side of each in that of a square of its area: a tenth of it
 
 
-def relight(
+def inject(
     scene: str | Path,
     out: str | Path,
     *,
@@ -64,6 +59,10 @@ def relight(
     Raises:
         InputError: The data set cannot be used, or `out` not be written.
     """
+    from gsjax.io.colmap_writer import write_poses  # Here, and not above: they import jax and OpenCV.
+    from gsjax.io.images import write_image
+    from gsjax.io.scenes import load_scene
+
     loaded = load_scene(scene)
     frames = loaded.frames
     rng = np.random.default_rng(seed)
@@ -81,11 +80,13 @@ def relight(
         if turn or shift:
             write_poses(folder / "sparse/0", _displaced(loaded, np.radians(turn), shift, rng))
             told["viewmats"] = {f.name: f.viewmat for f in frames}
-        json_files.write(folder / "relit.json", told)
+        json_files.write(folder / "injected.json", told)
     return Path(out)
 
 
 def _retaken(frame: Frame, gain: np.ndarray, corner: float) -> np.ndarray:
+    from gsjax.effects.exposure import linear_light
+
     x, y = np.meshgrid(np.arange(frame.width) + 0.5, np.arange(frame.height) + 0.5)
     radii2 = ((x - frame.K[0, 2]) ** 2 + (y - frame.K[1, 2]) ** 2) * 4 / (frame.width**2 + frame.height**2)
     light = np.clip(linear_light(frame.pixels().image / 255) * 2 ** (gain + corner * radii2[..., None]), 0, 1)
@@ -122,7 +123,12 @@ def sky_color(frame: Frame, share: float) -> np.ndarray:
 
 
 def _displaced(scene: Scene, turn: float, shift: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Viewmats by name: every camera turned about its centre and put elsewhere, at random; see `relight`."""
+    """Viewmats by name: every camera turned about its centre and put elsewhere, at random; see `inject`."""
+    import jax.numpy as jnp
+
+    from gsjax.cameras import Camera
+    from gsjax.effects.twists import gauge, moved
+
     frames = scene.frames
     depths = np.concatenate([scene.points @ f.viewmat[2, :3] + f.viewmat[2, 3] for f in frames])
     unit = float(np.median(depths[depths > 0]))
@@ -137,10 +143,10 @@ def _displaced(scene: Scene, turn: float, shift: float, rng: np.random.Generator
 
 
 def main() -> None:
-    """Run it."""
+    """Reads the arguments and writes the data set."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scene")
-    parser.add_argument("out")
+    parser.add_argument("scene", metavar="SCENE", help="folder of a data set with PNGs in images/")
+    parser.add_argument("out", metavar="OUT", help="folder to make")
     for name in ("exposure", "balance", "corner"):
         parser.add_argument(f"--{name}", type=float, default=0.0, metavar="EV")
     parser.add_argument("--turn", type=float, default=0.0, metavar="DEGREES")
@@ -149,8 +155,8 @@ def main() -> None:
     parser.add_argument("--pasted", type=float, default=0.0, metavar="SHARE")
     parser.add_argument("--seed", type=int, default=0)
     arguments = vars(parser.parse_args())
-    relight(arguments.pop("scene"), arguments.pop("out"), **arguments)
+    print(inject(arguments.pop("scene"), arguments.pop("out"), **arguments))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(guarded(main))

@@ -1,4 +1,9 @@
-"""One run of the paper's protocol on one scene: train, score, mesh, refine, score, draw. Goes on where it stopped."""
+"""What does one run of the paper's protocol reach on one scene? Trains, scores, meshes, refines, scores, draws.
+
+    python experiments/paper_run.py SCENE DATA OUT [--schedule NAME] [--seed N]
+
+Goes on where it stopped. `reproduce.py` does all of them.
+"""
 
 import argparse
 import shutil
@@ -167,7 +172,7 @@ def _scores(folder: Path, lpips: Sequence[str]) -> dict[str, Any]:
 
 def main() -> None:
     """Reads the arguments and prints the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("scene", choices=SCENES, metavar="SCENE", help=f"one of {', '.join(SCENES)}")
     add("data", type=Path, metavar="DATA", help="its folder")

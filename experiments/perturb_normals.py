@@ -1,8 +1,8 @@
-"""Normal maps that are wrong in a known way, beside the true ones of a data set.
+"""Which normal maps have errors of a known size? Writes them beside the true ones of a data set.
 
-    python experiments/wrong_normals.py SCENE [--out DIR]
+    python experiments/perturb_normals.py SCENE [--out DIR]
 
-reads SCENE/normals and writes into DIR (default: SCENE) the folders normals_5deg, normals_10deg and normals_20deg,
+Reads SCENE/normals and writes into DIR (default: SCENE) the folders normals_5deg, normals_10deg and normals_20deg,
 whose maps are turned by smooth fields of that mean angle, and normals_fifth_wrong, where blobs that cover a fifth of
 every map say one direction of their own, as a network does that takes a picture on the wall for a room.
 """
@@ -13,13 +13,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
-from scipy.optimize import brentq
 
 from gsjax.cli import guarded
 from gsjax.io.files import atomic_folder
-from gsjax.io.normals import map_places, normal_maps
-from gsjax.io.scenes import load_scene
 
 Wrong = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 """(a map `[H, W, 3]` of unit normals, zero where there is none; random numbers) -> the wrong map."""
@@ -31,6 +27,8 @@ def turned(degrees: float) -> Wrong:
     """Every normal is turned, by so many degrees in the mean over the map, into directions that change smoothly."""
 
     def of_map(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        from scipy.optimize import brentq
+
         there = np.any(normals != 0, -1)
         field = np.stack([_smooth(normals.shape[:2], rng) for _ in range(3)], -1)
         sideways = field - np.sum(field * normals, -1, keepdims=True) * normals
@@ -75,6 +73,9 @@ def run(scene: str, out: str, seed: int = 0) -> list[Path]:
     Raises:
         InputError: The data set has no true normals, or a folder cannot be written.
     """
+    from gsjax.io.normals import map_places, normal_maps  # Here, and not above: they import jax and OpenCV.
+    from gsjax.io.scenes import load_scene
+
     frames = load_scene(scene).frames
     maps, places = normal_maps(Path(scene) / "normals", frames), map_places(frames)
     folders = [Path(out) / kind for kind in KINDS]
@@ -89,6 +90,8 @@ def run(scene: str, out: str, seed: int = 0) -> list[Path]:
 
 def _smooth(shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
     """`[H, W]` noise without detail, of unit variance."""
+    from scipy.ndimage import gaussian_filter
+
     field = gaussian_filter(rng.normal(size=shape), WIDTH_SHARE * max(shape), mode="reflect")
     return field / max(float(field.std()), 1e-12)
 

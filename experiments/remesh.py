@@ -1,6 +1,6 @@
-"""How do meshes, and refinements, of the same trained runs compare: the variants of a study in one table.
+"""How do meshes, and refinements, of the same trained runs compare?
 
-    python experiments/remesh.py {methods,length,bound_only} RUN ... --out DIR
+    python experiments/remesh.py {methods,length} RUN ... --out DIR
 
 Every variant takes every RUN's Gaussians to a mesh, and refines that where it says so; a run each is a seed. Seconds
 are the processor's, compilation included, of the mesh alone or of the refinement alone. Called again it goes on after
@@ -24,7 +24,7 @@ from gsjax.cli import guarded
 from gsjax.errors import InputError
 from gsjax.io import json_files
 
-STUDIES = ("methods", "length", "bound_only")
+STUDIES = ("methods", "length")
 FIGURES = ("psnr", "ssim", "depth_error", "normal_error_deg", "normal_error_all_deg", "chamfer", "fscore_half",
            "fscore", "mesh_normal_error_deg", "mesh_normal_error_all_deg")  # fmt: skip
 
@@ -40,10 +40,6 @@ def variants_of(study: str) -> dict[str, dict[str, Any]]:
     """
     from gsjax.binding.refining import PRESETS
 
-    def bound(faces: int, per_triangle: int, steps: int) -> dict[str, Any]:
-        more = {"faces": faces, "per_triangle": per_triangle, "steps": steps, "keep_free": False}
-        return {"refine": {**PRESETS["fast"], **more}}
-
     studies: dict[str, dict[str, dict[str, Any]]] = {
         # How a mesh is made of the same Gaussians, and whether it then settles on the photos.
         "methods": {
@@ -54,15 +50,6 @@ def variants_of(study: str) -> dict[str, dict[str, Any]]:
         },
         # How long a refinement takes and what it brings, beside the free Gaussians before it.
         "length": {"free": {}} | {name: {"refine": PRESETS[name]} for name in ("fast", "balanced", "short")},
-        # How far more triangles, Gaussians on each and steps get, with all Gaussians on the mesh.
-        "bound_only": {
-            "fast": bound(30_000, 1, 1_000),
-            "60,000 triangles": bound(60_000, 1, 1_000),
-            "3 on each": bound(30_000, 3, 1_000),
-            "60,000, twice the steps": bound(60_000, 1, 2_000),
-            "all, four times the steps": bound(1_000_000, 1, 4_000),
-            "free": {},
-        },
     }
     if study not in studies:
         raise InputError(f"no study '{study}' of meshes; the nearest is '{nearest(study, STUDIES)}'")

@@ -1,4 +1,6 @@
-"""The paper's tables and figures from its data sets: one run a scene, schedule and seed, each in its own process.
+"""Do we reach the paper's tables? One run a scene, schedule and seed of its data sets, each in its own process.
+
+    python experiments/reproduce.py --data ROOT --out DIR [--seeds N] [--preset NAME ...] [--set KEY=VALUE ...]
 
 Runs what it finds under a root. A finished run is not done again, a stopped one goes on, and one that fails leaves a
 dash. Writes OUT/tables.md, .tex and .csv beside the runs, OUT/SCENE/SCHEDULE_SEED each.

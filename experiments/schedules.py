@@ -1,4 +1,4 @@
-"""The paper's two budgets in small: are steps better spent on R or on the refinement?
+"""Are steps better spent on R or on the refinement? The paper's two budgets in small.
 
     python experiments/schedules.py --scene SCENE --out DIR [--share 0.1] [--seeds N]
 
@@ -16,17 +16,11 @@ from typing import Any
 from paper.scenes import SCHEDULES
 
 from gsjax import tables
-from gsjax.binding.refining import PRESETS
 from gsjax.cli import guarded, parsers
 from gsjax.io import json_files
 
 BUDGETS = ("paper_6k_15k", "paper_13k_7k")
 FIGURES = ("psnr", "ssim", "normal_error_deg", "normal_error_all_deg", "chamfer", "fscore", "normal_consistency")
-REFINED: dict[str, Any] = {
-    "keep_free": False,  # the paper's Gaussians are on the mesh alone
-    "faces": 30_000,
-    "rates": PRESETS["fast"]["rates"],  # few steps, large ones: docs/refinement.md
-}
 
 
 def run(
@@ -68,13 +62,19 @@ def _measured(scene: Path, folder: Path, budget: str, share: float, given: dict[
     schedule, normals = SCHEDULES[budget], scene / "normals"
     given = given | ({"normals": str(normals)} if normals.is_dir() else {})
     settings = pipeline.scaled(parse(Settings, merge(PRESETS[schedule.preset], schedule.differences, given)), share)
-    long = REFINEMENTS[str(schedule.refinement)]
-    refinement = parse(Refinement, {**REFINED, "steps": round(share * long["steps"]), "seed": given["seed"]})
-    trained, refined = folder / "run", folder / "refined"
+    refined = {
+        "keep_free": False,  # the paper's Gaussians are on the mesh alone
+        "faces": 30_000,
+        "rates": REFINEMENTS["fast"]["rates"],  # few steps, large ones: docs/refinement.md
+        "steps": round(share * REFINEMENTS[str(schedule.refinement)]["steps"]),
+        "seed": given["seed"],
+    }
+    refinement = parse(Refinement, refined)
+    trained, bound = folder / "run", folder / "refined"
     pipeline.train(scene, trained, settings)
     pipeline.mesh(trained, trained / "mesh.ply", settled=False)  # the paper does not
-    pipeline.refine(trained, refined, refinement)
-    return {"trained": _figures(trained), "refined": _figures(refined)}
+    pipeline.refine(trained, bound, refinement)
+    return {"trained": _figures(trained), "refined": _figures(bound)}
 
 
 def _figures(folder: Path) -> dict[str, float]:

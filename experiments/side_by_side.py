@@ -1,8 +1,8 @@
-"""One held-out view of several runs: render, normals of the rendered depth and mesh, below each other; the truth first.
+"""How do runs look beside each other in one held-out view: render, normals of the depth, mesh?
 
     python experiments/side_by_side.py RUN ... --out FILE [--view N]
 
-All runs are of one data set; what the data set knows of the truth stands under the photo.
+All runs are of one data set; photo and truth, as far as the data set knows it, are the first column.
 """
 
 import argparse
@@ -11,18 +11,17 @@ import sys
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gsjax.cameras import Camera
 from gsjax.cli import guarded
 from gsjax.errors import InputError
-from gsjax.meshing import read_mesh
-from gsjax.render import gallery
 from gsjax.report.panels import draw_panels
-from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
-from gsjax.runs.result import open_result, scene_of_run
 from gsjax.scene import Frame, Truth
+
+if TYPE_CHECKING:  # It imports jax.
+    from gsjax.cameras import Camera
 
 COLUMNS = 6
 TITLE = 24  # characters a line
@@ -40,6 +39,9 @@ def draw(sources: Sequence[str], out: str, *, view: int = 0) -> list[str]:
     Raises:
         InputError: A run cannot be read or has no such view, or two are seeds of one variant.
     """
+    from gsjax.cameras import Camera
+    from gsjax.runs.result import scene_of_run
+
     scene = scene_of_run(Path(sources[0]))
     if not 0 <= view < len(scene.held_out_frames):
         raise InputError(f"{sources[0]}: holds out {len(scene.held_out_frames)} views; there is no view {view}")
@@ -57,7 +59,10 @@ def draw(sources: Sequence[str], out: str, *, view: int = 0) -> list[str]:
     return list(panels)
 
 
-def _true(frame: Frame, camera: Camera, truth: Truth | None) -> list[np.ndarray]:
+def _true(frame: Frame, camera: "Camera", truth: Truth | None) -> list[np.ndarray]:
+    from gsjax.meshing import read_mesh
+    from gsjax.report.pictures import mesh_picture, normal_picture
+
     image = frame.pixels().image
     normals = mesh = np.full_like(image, 255)
     if truth is not None and frame.name in truth.normals:
@@ -68,6 +73,11 @@ def _true(frame: Frame, camera: Camera, truth: Truth | None) -> list[np.ndarray]
 
 
 def _made(run: str, name: str) -> list[np.ndarray]:
+    from gsjax.meshing import read_mesh
+    from gsjax.render import gallery
+    from gsjax.report.pictures import mesh_picture, surface_picture, to_bytes
+    from gsjax.runs.result import open_result
+
     result = open_result(run)
     if name not in result.names:
         raise InputError(f"{run}: has no view {name}; are these runs of one data set?")

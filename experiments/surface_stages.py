@@ -1,8 +1,12 @@
-"""Photos to a mesh in three ways on one scene, over seeds: vanilla, surface, and surface then refined.
+"""What do the surface phase and the refinement bring and cost, from photos to a mesh on one scene, over seeds?
+
+    python experiments/surface_stages.py CONFIG --scene PATH --out DIR [--seeds N] [--refine KEY=VALUE ...]
+
+Three ways: vanilla, surface, and surface then refined. Figures stand beside those of the true mesh.
 
 Every stage runs in a process of its own, so that its seconds (loading and compilation included) and its peak memory are
-its own. Prints a table of figures and one of stages; writes OUT/surface.json and OUT/surface.png. Called again it
-goes on after the stages that are done (OUT/stages.json).
+its own. Prints a table of figures and one of stages; writes DIR/surface.json and DIR/surface.png. Called again it
+goes on after the stages that are done (DIR/stages.json).
 """
 
 import argparse
@@ -15,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from configs import CONFIGS
 from train import load_settings
 
 from gsjax import tables
@@ -33,7 +38,7 @@ def run(name: str, scene: str, out: str, *, seeds: int = 3, refinement: Sequence
     """Figures of the three ways and of the true mesh over the seeds, and stages.
 
     Args:
-        name: A config of `configs/`; its normals are used, if it names any.
+        name: A config of `configs.py`; its normals are used, if it names any.
         scene: Data set with a true surface.
         out: Folder for the runs, OUT/WAY_SEED each.
         seeds: Runs of every way, with seeds 0, 1, ...
@@ -147,8 +152,8 @@ def _picture(scene: str, folders: Sequence[Path], out: Path) -> None:
 
 def main() -> None:
     """Reads the arguments and prints the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("config", metavar="CONFIG", help="name of a file in configs/, without .py")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("config", choices=CONFIGS, metavar="CONFIG", help="of configs.py")
     parser.add_argument("--scene", required=True, help="folder of the data set")
     parser.add_argument("--out", required=True, metavar="DIR", help="empty folder for the runs")
     parser.add_argument("--seeds", type=parsers.count, default=3, metavar="N", help="runs of every way (default: 3)")

@@ -1,8 +1,9 @@
-"""How do the variants of a study compare, with their runs spread over the devices that there are.
+"""How do the variants of a study compare, their runs spread over all devices?
 
     python experiments/sweep.py STUDY --scene PATH --out DIR [--on CONFIG] [--seeds N] [--budget TIME] [--at-once N]
 
-Every run is a process of its own that sees one device; what it says is in DIR/VARIANT_SEED.log. Called again it does what is left; what was stopped goes on.
+Every run is a process of its own that sees one device; what it says is in DIR/VARIANT_SEED.log. Called again it does
+what is left; what was stopped goes on.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""What does one run with a config of `configs.py` reach: train, mesh and score a scene.
+"""What does a run with a config of `configs.py` reach? Trains, meshes and scores a scene.
 
     python experiments/train.py CONFIG --scene PATH --out RUN [--set KEY=VALUE ...]
 

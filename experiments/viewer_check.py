@@ -1,4 +1,4 @@
-"""Opens files of Gaussians in viewers that are not ours, in a real browser without a display, and keeps what they show.
+"""What do other people's viewers show of a file of Gaussians? Opens it in a real browser without a display.
 
     npm install three @sparkjsdev/spark playcanvas --prefix DIR
     python experiments/viewer_check.py spark FILE --modules DIR/node_modules --run RUN --view 0 --out picture.png
@@ -9,12 +9,13 @@ Needs Chromium. The camera is that of a view of RUN, so the picture belongs besi
 import argparse
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from browser_check import open_page
 
-from gsjax.cameras import Camera
-from gsjax.runs.result import open_result
+if TYPE_CHECKING:  # It imports jax.
+    from gsjax.cameras import Camera
 
 HALF_TURN = np.diag([1.0, -1.0, -1.0, 1.0])  # About x: between x right, y down, z forward and x right, y up, z back.
 
@@ -78,7 +79,7 @@ try {
 VIEWERS = {"spark": SPARK, "playcanvas": PLAYCANVAS}
 
 
-def picture(viewer: str, file: Path, modules: Path, camera: Camera) -> bytes:
+def picture(viewer: str, file: Path, modules: Path, camera: "Camera") -> bytes:
     """PNG bytes of what a viewer shows of a file from a camera. The world is that of the file: turned in an SPZ."""
     width, height = camera.width, camera.height
     (fx, _, cx), (_, fy, cy), _ = np.asarray(camera.K, np.float64)
@@ -105,6 +106,8 @@ def main() -> None:
     parser.add_argument("--view", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
+    from gsjax.runs.result import open_result  # Here, and not above: it imports jax.
+
     camera = open_result(given.run).cameras[given.view]
     given.out.write_bytes(picture(given.viewer, given.file.resolve(), given.modules.resolve(), camera))
 

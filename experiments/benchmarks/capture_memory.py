@@ -1,4 +1,6 @@
-"""Peak memory and seconds of every stage of a large capture: many photos of ordinary size, whatever they show.
+"""How much memory and time does every stage of a large capture take: many photos of ordinary size?
+
+    python experiments/benchmarks/capture_memory.py --out DIR [--photos 300] [--size 1600 1060]
 
 The photos are those of the built-in scene, rendered small and enlarged, beside a COLMAP model of the small size: what
 happens to them does not depend on what they show. Few training steps are taken: memory does not grow with them. Every

@@ -1,6 +1,6 @@
-"""What each effect costs a step: processor milliseconds with it beside those without, in turn, and bytes of its state.
+"""What does each effect cost a step? Processor milliseconds with it beside those without, in turn, and its bytes.
 
-    python experiments/benchmarks/effects.py RUN [--rounds 15]
+    python experiments/benchmarks/effect_cost.py RUN [--rounds 15]
 
 RUN is a finished run on a data set with tracks: its Gaussians and first photo are used. `counted` is what
 `gsjax diagnose` says.
@@ -69,7 +69,7 @@ def main() -> None:
     # A script beside this one has the name of the package.
     sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("run", type=Path)
+    parser.add_argument("run", type=Path, metavar="RUN", help="a finished run")
     parser.add_argument("--rounds", type=int, default=15)
     arguments = parser.parse_args()
     print(tables.compare(measure(arguments.run, arguments.rounds)))

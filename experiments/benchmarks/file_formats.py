@@ -1,6 +1,6 @@
-"""What every file format makes of the Gaussians of a run: sizes, what is clipped, and how like the plain file it looks.
+"""What does every file format make of the Gaussians of a run: size, what is clipped, how like the plain file it looks?
 
-    python experiments/files.py RUN --out DIR [--views 3]
+    python experiments/benchmarks/file_formats.py RUN --out DIR [--views 3]
 
 RUN is a folder that `gsjax train` made. Leaves the files and the pictures of the plain one in DIR, and prints a table.
 """
@@ -12,16 +12,17 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.cli import guarded
-from gsjax.io.gaussian_files import FORMATS, format_of
-from gsjax.io.images import write_image
-from gsjax.pipeline import convert
-from gsjax.render import gallery
-from gsjax.report.pictures import to_bytes
-from gsjax.runs.result import open_result
 
 
 def compare(run: str, out: Path, *, views: int) -> None:
     """Writes the files, draws the first held-out views of each, prints the table."""
+    from gsjax.io.gaussian_files import FORMATS, format_of
+    from gsjax.io.images import write_image
+    from gsjax.pipeline import convert
+    from gsjax.render import gallery
+    from gsjax.report.pictures import to_bytes
+    from gsjax.runs.result import open_result
+
     result = open_result(run)
     cameras = [c for c, held_out in zip(result.cameras, result.held_out, strict=True) if held_out][:views]
     plain = list(gallery.pictures(result.gaussians, cameras, result.background))
@@ -38,10 +39,17 @@ def compare(run: str, out: Path, *, views: int) -> None:
         print(f"| {name} | {report['bytes'] / 1e6:.2f} | {each:.1f} | {report['clipped']} | {psnr} |", flush=True)
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Reads the arguments and prints the table."""
+    # A script beside this one has the name of the package.
+    sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", metavar="RUN")
     parser.add_argument("--out", type=Path, required=True, help="folder for the files and pictures")
     parser.add_argument("--views", type=int, default=3, help="held-out views to compare")
     given = parser.parse_args()
-    sys.exit(guarded(lambda: compare(given.run, given.out, views=given.views)))
+    compare(given.run, given.out, views=given.views)
+
+
+if __name__ == "__main__":
+    sys.exit(guarded(main))

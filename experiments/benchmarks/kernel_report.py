@@ -1,4 +1,6 @@
-"""Compiles the GPU kernels for an H100 without one, and prints registers, spills and instructions per pixel pair.
+"""What do the GPU kernels need of an H100: registers, spills, instructions per pixel pair? Compiled without one.
+
+    python experiments/benchmarks/kernel_report.py
 
 Needs `pip install "jax[cuda13]>=0.11.2" nvidia-cuda-nvcc nvidia-cuda-nvdisasm` on any x86 machine; the GPU is described
 by numbers.
@@ -134,7 +136,8 @@ def report(variant: Variant, mesh, dump: Path) -> dict[str, float]:
 
 def main(chosen: Sequence[str] | None = None) -> None:
     """Compile and print."""
-    argparse.ArgumentParser(description=__doc__).parse_args(chosen)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.parse_args(chosen)
     # A script beside this one has the name of the package.
     sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
     with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""Rasterizers that `beside.py` times: what each does with the splats of one view, forward and with gradients.
+"""Rasterizers that `rasterizer_peers.py` times: what each does with the splats of one view, forward and with gradients.
 
 * `jnp`: our own engine in jnp, `backend="xla"`.
 * A file: a tile rasterizer in JAX with `bin_pairs`, `forward` and `backward`; three channels, tiles in lockstep.

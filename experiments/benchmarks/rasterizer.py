@@ -1,4 +1,4 @@
-"""Times the tile rasterizer on seeded workloads, stage by stage, and prints tables with the machine beside them.
+"""How long does every stage of the tile rasterizer take on seeded workloads? Tables with the machine beside them.
 
     python experiments/benchmarks/rasterizer.py [--backend native | xla] [--only WORKLOAD] [--processes 3]
 
@@ -129,21 +129,23 @@ def main(chosen: Sequence[str] | None = None) -> None:
     # Run as a script, this file would be found before the package of its name.
     sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
     from gsjax.io.machine import machine, versions
-    from rasterizer.engines import resolve
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     golden = [name for name in PEERS if name.startswith("golden") and GOLDEN.is_file()]
     names = [*golden, *WORKLOADS, HEAVY]
-    parser.add_argument("--backend", choices=("native", "xla"), default=resolve("auto"), help="what is timed")
+    parser.add_argument("--backend", choices=("native", "xla"), help="what is timed (default: what auto stands for)")
     parser.add_argument("--only", choices=names, help="one workload")
     parser.add_argument("--processes", type=int, default=PROCESSES, metavar="N", help="of which the quickest counts")
     arguments = parser.parse_args(chosen)
+    from rasterizer.engines import resolve
+
+    backend = arguments.backend or resolve("auto")
     rows = {}
     for name in [arguments.only] if arguments.only else names:
         # Processes of their own, so that each has its own peak of memory; the quickest counts.
         spawn = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(1, spawn, max_tasks_per_child=1) as pool:
-            figures = list(pool.map(partial(measure, backend=arguments.backend), [name] * arguments.processes))
+            figures = list(pool.map(partial(measure, backend=backend), [name] * arguments.processes))
         rows[name] = min(figures, key=lambda row: row["forward_backward_ms"])
     forward, backward = operations_per_pixel_pair()
     speed = operations_per_ns()
@@ -169,7 +171,7 @@ def main(chosen: Sequence[str] | None = None) -> None:
     }
     if ratios:
         print(tables.compare(ratios))
-    print(tables.record({"backend": arguments.backend, **limits, **machine(), **versions()}))
+    print(tables.record({"backend": backend, **limits, **machine(), **versions()}))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,9 @@
-"""Times the rasterizer on a GPU, after comparing it with the reference; gsplat beside it where it is installed."""
+"""How long does the rasterizer take on a GPU, beside gsplat where it is installed?
+
+python experiments/benchmarks/rasterizer_gpu.py [--counts 100k 1M] [--sizes 1080p 4K]
+
+First its image and gradients are compared with those of the reference.
+"""
 
 import argparse
 import sys
@@ -117,15 +122,15 @@ def main(chosen: Sequence[str] | None = None) -> None:
     """Compare, measure and print."""
     # A script beside this one has the name of the package.
     sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
-    import jax
-
-    from gsjax.io.machine import machine, versions
-
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--backend", choices=("pallas", "xla"), default="pallas", help="engine to time")
     parser.add_argument("--counts", nargs="+", choices=COUNTS, default=list(COUNTS), help="numbers of Gaussians")
     parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES), help="image sizes")
     arguments = parser.parse_args(chosen)
+    import jax
+
+    from gsjax.io.machine import machine, versions
+
     if jax.default_backend() != "gpu":
         raise InputError(f"no GPU: jax runs on {jax.default_backend()!r} here")
     print(tables.record(errors_against_reference(arguments.backend)))

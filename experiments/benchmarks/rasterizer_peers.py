@@ -1,6 +1,6 @@
-"""Our tile rasterizer beside another one, in turn within the same processes: ratios hold on a machine that is shared.
+"""How fast is our tile rasterizer beside another one? In turn in one process, so ratios hold on a shared machine.
 
-    python experiments/benchmarks/beside.py PEER.py | gsplat | jnp [--run RUN] [--rounds 15] [--processes 5]
+    python experiments/benchmarks/rasterizer_peers.py PEER.py | gsplat | jnp [--run RUN] [--rounds 15] [--processes 5]
 
 Ours, the backend that `auto` stands for, bins and blends the splats of one view, forward and with the gradients to all
 of them; `peers.py` says what the others do. Their images must agree. The peer's wall time and its processor time are
@@ -77,7 +77,6 @@ def main() -> None:
     # Run as a script, this folder holds a file of the package's name.
     sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
     from gsjax.io.machine import machine, versions
-    from gsjax.runs.result import open_result
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
@@ -90,6 +89,8 @@ def main() -> None:
     peer_named(arguments.peer)
     workloads: list[str | Path] = [name for name in NAMES if not name.startswith("golden") or GOLDEN.is_file()]
     if arguments.run:
+        from gsjax.runs.result import open_result
+
         open_result(arguments.run)  # What is wrong with it is said before the clock starts.
         workloads.append(arguments.run)
     for workload in workloads:

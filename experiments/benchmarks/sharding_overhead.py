@@ -1,6 +1,6 @@
-"""What a view costs on several devices: processor time a view of a step of D views on D of them, in turn.
+"""What does sharding cost? Processor time of a view in a step of D views on D devices, beside one device, in turn.
 
-    python experiments/benchmarks/devices.py RUN [--devices 1 2 4] [--rounds 15]
+    python experiments/benchmarks/sharding_overhead.py RUN [--devices 1 2 4] [--rounds 15]
 
 RUN is a finished run: its Gaussians and photos are used. On a CPU the devices are simulated and share its cores: the
 ratio to the program of one device is what exchanging and stacking cost, not what several devices bring. Every number of

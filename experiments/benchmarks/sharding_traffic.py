@@ -1,4 +1,6 @@
-"""What a step on several devices exchanges and holds: counted in the compiled program, beside what the model says.
+"""What does a step on several devices exchange and hold? Counted in the compiled program, beside what the model says.
+
+    python experiments/benchmarks/sharding_traffic.py
 
 Nothing is run: a program for so many simulated devices is compiled, and its collectives and buffers are read.
 """

@@ -1,6 +1,6 @@
-"""What a training step of every variant of a study costs: processor time against the first one's, in turn.
+"""What does a training step of every variant of a study cost? Processor time against the first one's, in turn.
 
-    python experiments/benchmarks/steps.py STUDY RUN [--rounds 15]
+    python experiments/benchmarks/step_cost.py STUDY RUN [--on CONFIG] [--rounds 15]
 
 All start from the Gaussians of RUN, a finished run, and look at its first photo and at normals that face the camera; a
 column a phase. Ratios are medians over the rounds, with the quarter and three quarters of them.
@@ -73,11 +73,10 @@ def _stepper(step: Callable, state: Any, target: Any, key: Any) -> Callable[[], 
     return once
 
 
-def measure(study: str, run: Path, rounds: int) -> dict[str, dict[str, str]]:
+def measure(study: str, run: Path, rounds: int, on: str | None = None) -> dict[str, dict[str, str]]:
     """By variant: milliseconds of the first, ratios of the others, a column a phase."""
     import numpy as np
-    from compare import STUDIES
-    from train import CONFIGS, load_config
+    from compare import load_study
 
     from gsjax import config
     from gsjax.planning.sizes import training_extent
@@ -85,11 +84,10 @@ def measure(study: str, run: Path, rounds: int) -> dict[str, dict[str, str]]:
     from gsjax.settings import Settings
 
     gaussians, scene = open_result(run).gaussians, scene_of_run(run)
-    described = load_config(study, folder=STUDIES)
-    base = config.merge(load_config("base"), load_config(described["base"], folder=CONFIGS))
+    described = load_study(study, on)
     every = {}
-    for variant, change in described["variants"].items():
-        settings = config.parse(Settings, config.merge(base, change), where=variant)
+    for variant, change in described.variants.items():
+        settings = config.parse(Settings, config.merge(described.config, change), where=variant)
         for phase, once in steppers(settings, gaussians, scene.train_frames, training_extent(scene)).items():
             every[variant, phase] = once
     times: dict[tuple[str, str], list[float]] = {name: [] for name in every}
@@ -98,7 +96,7 @@ def measure(study: str, run: Path, rounds: int) -> dict[str, dict[str, str]]:
             started = time.process_time()
             once()
             times[name].append(1e3 * (time.process_time() - started))
-    first = next(iter(described["variants"]))
+    first = next(iter(described.variants))
     table: dict[str, dict[str, str]] = {}
     for (variant, phase), spent in times.items():
         low, middle, high = np.quantile(np.array(spent) / times[first, phase], [0.25, 0.5, 0.75])
@@ -114,11 +112,12 @@ def main() -> None:
     sys.path.sort(key=lambda folder: Path(folder).resolve() == here)
     sys.path.insert(0, str(here.parent))
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("study", metavar="STUDY", help="name of a file in ../studies, without .py")
-    parser.add_argument("run", type=Path)
+    parser.add_argument("study", metavar="STUDY", help="as in compare.py")
+    parser.add_argument("run", type=Path, metavar="RUN", help="a finished run")
+    parser.add_argument("--on", metavar="CONFIG", help="of configs.py (default: the study's own)")
     parser.add_argument("--rounds", type=int, default=15)
     arguments = parser.parse_args()
-    print(tables.compare(measure(arguments.study, arguments.run, arguments.rounds)))
+    print(tables.compare(measure(arguments.study, arguments.run, arguments.rounds, arguments.on)))
     print(tables.record({"rounds": arguments.rounds, **machine(), **versions()}))
 
 

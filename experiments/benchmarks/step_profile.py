@@ -1,4 +1,4 @@
-"""Where a training step's time goes: processor time of its parts, with the native loops and with the jnp engine.
+"""Where does a training step's time go? Processor time of its parts, with the native loops and with the jnp engine.
 
     python experiments/benchmarks/step_profile.py RUN [--rounds 15] [--processes 3]
 

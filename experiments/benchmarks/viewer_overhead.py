@@ -1,6 +1,6 @@
-"""What a page costs the training that it shows: runs with and without a visitor, in turn, in one process.
+"""What does a page cost the training that it shows? Runs with and without a visitor, in turn, in one process.
 
-    python experiments/watched.py SCENE --rounds 3 [--steps 1000] [--downscale 4] [--gaussians 10000]
+    python experiments/benchmarks/viewer_overhead.py SCENE --rounds 3 [--steps 1000] [--downscale 4] [--gaussians 10000]
 
 A round is three runs of one phase without density control: nobody looks; somebody looks at splats; somebody looks at
 the rasterizer's pictures and never rests. The visitor is a stand-in: pictures and splats are made and encoded, and go
@@ -9,6 +9,7 @@ program is compiled in a run before the first round, the page's own where it fir
 """
 
 import argparse
+import sys
 import tempfile
 import threading
 import time
@@ -16,28 +17,32 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gsjax import config, pipeline, tables
-from gsjax.cli import environment
-from gsjax.io.scenes import load_scene
+from gsjax import config, tables
+from gsjax.cli import guarded
 from gsjax.settings import Settings
-from gsjax.training.loop import Progress
-from gsjax.viewer.page import SHOW, Page
-from gsjax.viewer.page_camera import page_camera
-from gsjax.viewer.pictures import COLOR
-from gsjax.viewer.snapshots import Snapshots
-from gsjax.viewer.subject import subject_of_scene
-from gsjax.viewer.watch import SHARE
+
+if TYPE_CHECKING:  # It imports jax.
+    from gsjax.training.loop import Progress
 
 NOBODY, SPLATS, PICTURES = "nobody", "splats", "pictures, moving"
 PAGE = 960, 640
 
 
 @contextmanager
-def visited(scene: str, settings: Settings, visit: str) -> Iterator[Callable[[Progress], None]]:
+def visited(scene: str, settings: Settings, visit: str) -> Iterator[Callable[["Progress"], None]]:
     """As `gsjax.viewer.watch`, with a visitor."""
+    from gsjax.io.scenes import load_scene
+    from gsjax.viewer.page import SHOW, Page
+    from gsjax.viewer.page_camera import page_camera
+    from gsjax.viewer.pictures import COLOR
+    from gsjax.viewer.snapshots import Snapshots
+    from gsjax.viewer.subject import subject_of_scene
+    from gsjax.viewer.watch import SHARE
+
     loaded = load_scene(scene, downscale=settings.downscale or 1)
     subject = subject_of_scene("scene", loaded, settings.background, settings.depth_mode)
     snapshots, done = Snapshots(settings.phases[0].steps), threading.Event()
@@ -66,6 +71,8 @@ def visited(scene: str, settings: Settings, visit: str) -> Iterator[Callable[[Pr
 
 def run(scene: str, settings: Settings, visit: str) -> dict[str, float]:
     """Seconds of one training."""
+    from gsjax import pipeline
+
     with tempfile.TemporaryDirectory() as folder, visited(scene, settings, visit) as observe:
         before = time.process_time()
         summary = pipeline.train(scene, Path(folder) / "run", settings, observe=observe)
@@ -74,14 +81,15 @@ def run(scene: str, settings: Settings, visit: str) -> dict[str, float]:
 
 def main() -> None:
     """Reads the arguments, prints the tables."""
+    # A script beside this one has the name of the package.
+    sys.path.sort(key=lambda folder: Path(folder).resolve() == Path(__file__).resolve().parent)
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scene")
+    parser.add_argument("scene", metavar="SCENE", help="folder of the data set")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--downscale", type=float, default=4)
     parser.add_argument("--gaussians", type=int, default=10_000)
     given = parser.parse_args()
-    environment.prepare()
     phase = {"name": "vanilla", "steps": given.steps}
     logging = {"evaluate_every": 0, "checkpoint_every": 10**6}
     asked = {"downscale": given.downscale, "max_gaussians": given.gaussians, "phases": [phase], "logging": logging}
@@ -101,4 +109,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(guarded(main))

@@ -59,9 +59,7 @@ def test_called_again_it_does_what_is_left(script, turned, tmp_path):
 def test_rounds_of_another_length_are_not_mixed_in(script, turned, tmp_path):
     script.run("scene", str(tmp_path), ["a knob"], 1, 1.0)
     before = (tmp_path / "rounds.json").read_bytes()
-    with pytest.raises(
-        InputError, match=r"asked.json: its runs are of share 1.0, not 0.5; --out takes another folder"
-    ):
+    with pytest.raises(InputError, match=r"asked.json: its runs are of share 1.0, not 0.5; --out takes another folder"):
         script.run("scene", str(tmp_path), ["a knob"], 2, 0.5)
     assert (tmp_path / "rounds.json").read_bytes() == before and len(turned) == 4
 

@@ -55,27 +55,27 @@ def test_without_a_gpu_the_gpu_scripts_say_so_in_one_line(tmp_path):
 
 
 def test_a_peer_that_is_not_there_is_one_line(tmp_path):
-    done = run("beside.py", "peer.py", folder=tmp_path)
+    done = run("rasterizer_peers.py", "peer.py", folder=tmp_path)
     assert (done.returncode, done.stderr.splitlines()) == (2, ["gsjax: error: peer.py: no Python file"])
 
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="torch is installed")
 def test_without_torch_gsplats_reference_is_one_line(tmp_path):
-    done = run("beside.py", "gsplat", folder=tmp_path)
+    done = run("rasterizer_peers.py", "gsplat", folder=tmp_path)
     message = "gsjax: error: gsplat: No module named 'torch': pip install gsplat torch"
     assert (done.returncode, done.stderr.splitlines()) == (2, [message])
 
 
 def test_both_of_our_engines_draw_a_run_as_its_first_training_camera_sees_it(scripts, monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(BENCHMARKS)  # It holds a rasterizer.py: the package was imported with `render`.
-    beside, peers = scripts("beside"), scripts("peers")
+    rasterizer_peers, peers = scripts("rasterizer_peers"), scripts("peers")
     gaussians = replace(cloud(60), pixel_filter="mip")
     held_out, camera = (camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-0.5, 0.5))
     records = [{"name": "a", "held_out": True, **vars(held_out)}, {"name": "b", "held_out": False, **vars(camera)}]
     write_gaussians(tmp_path / "gaussians.ply", gaussians)
     json_files.write(tmp_path / "config.json", {"background": "black"})
     json_files.write(tmp_path / "cameras.json", records)
-    (image, gradient), (jnp_image, jnp_gradient) = beside.tasks(tmp_path, peers.peer_named("jnp"))
+    (image, gradient), (jnp_image, jnp_gradient) = rasterizer_peers.tasks(tmp_path, peers.peer_named("jnp"))
     expected = render.view(gaussians, camera, capacity=4096, background=jnp.zeros(3)).colors
     assert float(expected.max()) > 0.1
     assert_close(image(), expected)

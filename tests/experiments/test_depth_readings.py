@@ -8,6 +8,7 @@ from small_scenes import camera_at, discs
 from tolerances import assert_close
 
 from gsjax.errors import InputError
+from gsjax.runs import result
 from gsjax.scene import Pixels, Truth, frame_of
 
 NEAR, FAR, OPACITY = 4.0, 6.0, 0.7
@@ -15,17 +16,17 @@ NEAR, FAR, OPACITY = 4.0, 6.0, 0.7
 
 @pytest.fixture
 def study(scripts, monkeypatch):
-    """`experiments/readings.py` over a run of the two sheets; the truth is the near one."""
-    module, camera = scripts("readings"), camera_at()
+    """`experiments/depth_readings.py` over a run of the two sheets; the truth is the near one."""
+    module, camera = scripts("depth_readings"), camera_at()
     size = camera.height, camera.width
     pixels = Pixels(np.zeros((*size, 3), np.uint8))
     frame = frame_of("a.png", np.asarray(camera.viewmat), np.asarray(camera.K), pixels, held_out=True)
     known = Truth(depths={"a.png": lambda: np.full(size, NEAR, np.float32)})
     sheets = discs(np.array([[0, 0, NEAR], [0, 0, FAR]]), [0, 0, -1.0], 1000.0, thickness=1e-6, opacity=OPACITY)
     scene = SimpleNamespace(root="scene", held_out_frames=(frame,), truth=known)
-    monkeypatch.setattr(module, "open_result", lambda folder: SimpleNamespace(gaussians=sheets))
-    monkeypatch.setattr(module, "scene_of_run", lambda folder: scene)
-    return SimpleNamespace(module=module, scene=scene)
+    monkeypatch.setattr(result, "open_result", lambda folder: SimpleNamespace(gaussians=sheets))
+    monkeypatch.setattr(result, "scene_of_run", lambda folder: scene)
+    return SimpleNamespace(module=module, scene=scene, sheets=sheets)
 
 
 def test_every_reading_is_measured_by_itself(study):
@@ -40,15 +41,13 @@ def test_every_reading_is_measured_by_itself(study):
 
 def test_the_picture_shows_the_normals_of_every_reading(study):
     camera = camera_at()
-    result = SimpleNamespace(
-        gaussians=study.module.open_result("run").gaussians, cameras=[camera], held_out=[True], background=np.zeros(3)
-    )
-    shown = study.module.panels(result, ["plane", "discs"], 0)
+    run = SimpleNamespace(gaussians=study.sheets, cameras=[camera], held_out=[True], background=np.zeros(3))
+    shown = study.module.panels(run, ["plane", "discs"], 0)
     assert list(shown) == ["colours", "plane", "discs"]
     inner = np.broadcast_to([127.5, 127.5, 255], (22, 30, 3))  # what half of 255 rounds to is not asked
     np.testing.assert_allclose(shown["plane"][1:-1, 1:-1], inner, atol=0.5)
     with pytest.raises(InputError, match="--view: the run holds out 1 views; there is no view 1"):
-        study.module.panels(result, ["plane"], 1)
+        study.module.panels(run, ["plane"], 1)
 
 
 def test_without_truth_it_is_one_line(study):

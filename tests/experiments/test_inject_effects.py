@@ -16,8 +16,8 @@ from gsjax.scene import Truth
 
 
 @pytest.fixture
-def relit(scripts):
-    return scripts("relit")
+def script(scripts):
+    return scripts("inject_effects")
 
 
 @pytest.fixture
@@ -29,9 +29,9 @@ def scene(tmp_path):
     return scene
 
 
-def test_light_is_changed_by_what_the_file_tells(relit, scene, tmp_path):
-    out = relit.relight(tmp_path / "scene", tmp_path / "out", exposure=0.3, balance=0.1, corner=-0.5)
-    told = json_files.read(out / "relit.json")
+def test_light_is_changed_by_what_the_file_tells(script, scene, tmp_path):
+    out = script.inject(tmp_path / "scene", tmp_path / "out", exposure=0.3, balance=0.1, corner=-0.5)
+    told = json_files.read(out / "injected.json")
     np.testing.assert_allclose(np.mean(list(told["gains"].values()), axis=0), 0, atol=1e-12)
     for before, after in zip(scene.frames, load_scene(out).frames, strict=True):
         stops = np.log2(linear_light(after.pixels().image / 255) / linear_light(before.pixels().image / 255))
@@ -41,9 +41,9 @@ def test_light_is_changed_by_what_the_file_tells(relit, scene, tmp_path):
         np.testing.assert_allclose(corner - middle, -0.5, atol=0.07)
 
 
-def test_poses_are_wrong_by_what_was_asked_and_the_file_tells_the_true_ones(relit, scene, tmp_path):
-    out = relit.relight(tmp_path / "scene", tmp_path / "out", turn=0.5, shift=0.01)
-    told = json_files.read(out / "relit.json")["viewmats"]
+def test_poses_are_wrong_by_what_was_asked_and_the_file_tells_the_true_ones(script, scene, tmp_path):
+    out = script.inject(tmp_path / "scene", tmp_path / "out", turn=0.5, shift=0.01)
+    told = json_files.read(out / "injected.json")["viewmats"]
     errors = []
     for before, after in zip(scene.frames, load_scene(out).frames, strict=True):
         np.testing.assert_allclose(told[before.name], before.viewmat, atol=1e-6)
@@ -59,26 +59,26 @@ def test_poses_are_wrong_by_what_was_asked_and_the_file_tells_the_true_ones(reli
     assert np.sqrt(np.mean(shifts**2)) == pytest.approx(0.03, rel=0.5)
 
 
-def test_squares_are_pasted_into_some_photos(relit, scene, tmp_path):
-    out = relit.relight(tmp_path / "scene", tmp_path / "out", pasted=0.5)
+def test_squares_are_pasted_into_some_photos(script, scene, tmp_path):
+    out = script.inject(tmp_path / "scene", tmp_path / "out", pasted=0.5)
     changed = []
     for before, after in zip(scene.frames, load_scene(out).frames, strict=True):
         other = (after.pixels().image != before.pixels().image).any(-1)
         changed.append(other.mean())
         if other.any():
-            assert len(np.unique(after.pixels().image[other], axis=0)) <= relit.SQUARES
+            assert len(np.unique(after.pixels().image[other], axis=0)) <= script.SQUARES
     assert sorted(share > 0 for share in changed) == [False, False, True, True]
-    assert 0.05 < max(changed) <= relit.SQUARES * relit.SIDE**2 * 1.05
+    assert 0.05 < max(changed) <= script.SQUARES * script.SIDE**2 * 1.05
 
 
-def test_a_sky_is_put_where_the_truth_says_that_there_is_none_else(relit, scene):
+def test_a_sky_is_put_where_the_truth_says_that_there_is_none_else(script, scene):
     frame = scene.frames[0]
     labels = np.ones((72, 96), np.uint8)
     labels[:20] = 0
     true = replace(scene, truth=Truth(labels={frame.name: lambda: labels}))
-    found = relit._under_sky(true, frame, 1.0).pixels().image
+    found = script._under_sky(true, frame, 1.0).pixels().image
     np.testing.assert_array_equal(found[20:], frame.pixels().image[20:])
     # The cameras look along z: the middle of the picture is the zenith of this world.
     height = 0.5 + 0.5 / np.sqrt(1 + (((0.5 - 48) / 80) ** 2 + ((0.5 - 36) / 80) ** 2))
-    expected = 255 * ((1 - height) * relit.HORIZON + height * relit.ZENITH)
+    expected = 255 * ((1 - height) * script.HORIZON + height * script.ZENITH)
     np.testing.assert_allclose(found[0, 0], expected, atol=0.51)

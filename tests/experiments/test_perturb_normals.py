@@ -15,7 +15,7 @@ from gsjax.io.scenes import load_scene
 
 @pytest.fixture
 def script(scripts):
-    return scripts("wrong_normals")
+    return scripts("perturb_normals")
 
 
 @pytest.fixture

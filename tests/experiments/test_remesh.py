@@ -12,7 +12,7 @@ from gsjax.binding.refining import PRESETS, Refinement
 from gsjax.errors import InputError
 from gsjax.io import json_files
 
-STUDIES = ["methods", "length", "bound_only"]
+STUDIES = ["methods", "length"]
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 
 @pytest.fixture
 def surface(scripts):
-    return scripts("surface")
+    return scripts("surface_stages")
 
 
 def test_a_stage_runs_in_a_process_of_its_own_and_is_measured(surface):
