@@ -1,6 +1,6 @@
 """How long does the rasterizer take on a GPU, beside gsplat where it is installed?
 
-python experiments/benchmarks/rasterizer_gpu.py [--counts 100k 1M] [--sizes 1080p 4K]
+    python experiments/benchmarks/rasterizer_gpu.py [--counts 100k 1M] [--sizes 1080p 4K]
 
 First its image and gradients are compared with those of the reference.
 """

@@ -54,16 +54,17 @@ def test_a_refinement_has_the_runs_seed_and_meshes_are_shared(remesh, asked, tra
     rows = remesh.run("length", trained, str(tmp_path / "out"))
     assert [Path(run).name for name, run, *_ in asked if name == "mesh"] == ["run_3", "run_4"]
     refinements = [call[2:] for call in asked if call[0] == "refine"]
-    assert [(settings.seed, settings.settle_at) for settings, _ in refinements] == [
-        (seed, share) for seed in (3, 4) for share in (1.0, 0.8, 0.6)
+    assert [(settings.seed, settings.steps) for settings, _ in refinements] == [
+        (seed, PRESETS[name]["steps"]) for seed in (3, 4) for name in ("fast", "balanced", "short")
     ]
     assert len({mesh for _, mesh in refinements}) == 2
     scored = [(Path(run).name, Path(mesh).parent.name) for name, run, mesh in (c for c in asked if len(c) == 3)
               if name == "evaluate"]  # fmt: skip
-    assert scored == [("refined", "refined")] * 3 + [("run_3", "meshes")] + [("refined", "refined")] * 3 + [
-        ("run_4", "meshes")
-    ]
-    assert [row["psnr"] for row in rows["never"]] == [3.0, 11.0]
+    assert (
+        scored
+        == [("run_3", "meshes")] + [("refined", "refined")] * 3 + [("run_4", "meshes")] + [("refined", "refined")] * 3
+    )
+    assert [row["psnr"] for row in rows["free"]] == [2.0, 10.0]
     assert rows[tables.FLOOR] == [{"chamfer": 1e-4}]
 
 
