@@ -233,7 +233,7 @@ def _phase(name: str, steps: int, **more: Any) -> dict:
 
 # On short schedules the SDF gradient at every pixel's own surface point helps the one at the means, and an entropy
 # phase costs more than it brings. What photos say of each other makes flat what normals of one's own leave rough
-# (docs/deviations.md, experiments/studies/surface.py, surface_photos.py).
+# (docs/deviations.md, experiments/studies/supervision.py).
 _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}
 FAST: dict[str, Any] = {
     "depth_mode": "front",  # thin things are not as deep as their far sides' light has them (docs/deviations.md)
