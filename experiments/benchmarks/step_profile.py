@@ -44,7 +44,7 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
     import jax
     import jax.numpy as jnp
     import numpy as np
-    from steps import steppers
+    from step_cost import steppers
 
     import rasterizer
     from gsjax import config, render, targets

@@ -92,7 +92,8 @@ def gone(text: str) -> set[str]:
         script for script in re.findall(r"python (experiments/[\w/]+\.py)", text) if not (ROOT / script).is_file()
     }
     called = re.findall(r"(?:compare|sweep|step_cost|remesh)\.py ([a-z]\w*)", text)
-    return scripts | (set(called) - {"methods", "length"} - {f.stem for f in (EXPERIMENTS / "studies").glob("*.py")})
+    missing = {script for script in scripts if not (ROOT / script).is_file()}
+    return missing | (set(called) - {"methods", "length"} - {f.stem for f in (EXPERIMENTS / "studies").glob("*.py")})
 
 
 def test_what_is_gone_is_found():
