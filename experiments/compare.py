@@ -128,6 +128,8 @@ def run(
 
 def _common(scene: str, folder: Path, settings: Settings | None) -> Path | None:
     """Where the run that others begin with lies, trained to its end; None of None."""
+    from terms import TERMS
+
     from gsjax import pipeline
 
     if settings is None:
@@ -135,11 +137,13 @@ def _common(scene: str, folder: Path, settings: Settings | None) -> Path | None:
     name = hashlib.sha256(json.dumps(config.to_dict(settings), sort_keys=True).encode()).hexdigest()[:12]
     run = folder / name
     if not (run / "manifest.json").exists() or json_files.read(run / "manifest.json")["status"] != "done":
-        pipeline.train(scene, run, settings, resume=run.exists())
+        pipeline.train(scene, run, settings, terms=TERMS, resume=run.exists())
     return run
 
 
 def _trained(scene: str, folder: Path, settings: Settings, seconds: float | None, earlier: Path | None) -> None:
+    from terms import TERMS
+
     from gsjax import pipeline, runs
 
     if seconds is not None and not folder.exists():
@@ -147,7 +151,7 @@ def _trained(scene: str, folder: Path, settings: Settings, seconds: float | None
         print(f"budget: {line}", flush=True)
     elif seconds is not None:
         settings = config.parse(Settings, runs.read_settings(folder))
-    pipeline.train(scene, folder, settings, resume=folder.exists(), earlier=earlier)
+    pipeline.train(scene, folder, settings, terms=TERMS, resume=folder.exists(), earlier=earlier)
 
 
 def _figures(folder: Path, options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

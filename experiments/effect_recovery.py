@@ -124,10 +124,11 @@ def row(out: Path, clean: Path, effect: str, strength: float, given: argparse.Na
     from effect_errors import ERRORS, Truth
 
     from gsjax.io.scenes import load_scene
-    from gsjax.pipeline.train import trial_start
-    from gsjax.planning.effects import joined
+    from gsjax.pipeline.train import first_state
+    from gsjax.planning.effects import choose_effects
     from gsjax.planning.sizes import training_extent
     from gsjax.planning.trials import gains
+    from gsjax.training.plan import plan
 
     case, scene = CASES[effect], clean
     if strength:
@@ -140,16 +141,16 @@ def row(out: Path, clean: Path, effect: str, strength: float, given: argparse.Na
     chosen = [settings(e, given.steps, given.gaussians, seed, background) for e in ("auto", "none", effect)]
     before, after = load_scene(clean), load_scene(scene)
     size = training_extent(after)
-    trial = partial(gains, chosen[0], after.train_frames, size, partial(trial_start, after, chosen[0]))
-    joined_by_auto = joined(chosen[0], after, trial).evidence
-    assert joined_by_auto is not None, "auto looks"
-    evidence = joined_by_auto["evidence"][effect]
+    trial = partial(gains, plan(chosen[0]), after.train_frames, size, partial(first_state, after, chosen[0]))
+    by_auto = choose_effects("auto", plan(chosen[0]), after, trial).evidence
+    assert by_auto is not None, "auto looks"
+    evidence = by_auto["evidence"][effect]
     said = {(True, True): "hit", (True, False): "miss", (False, True): "false alarm", (False, False): "right"}
     figures = {
         "effect": effect,
         "strength": strength,
         "evidence": evidence["evidence"],
-        "decision": said[strength > 0, effect in joined_by_auto["simulated"]],
+        "decision": said[strength > 0, effect in by_auto["simulated"]],
         "seed": seed,
     }
     for name, effects in zip(NAMES, chosen[1:], strict=True):

@@ -151,7 +151,7 @@ def _keep_before(file: Path, settings: Settings, progress: Any) -> None:
 
     if not progress.phase_done or settings.vanilla:
         return
-    first = next((i for i, phase in enumerate(settings.phases) if phase.weights.sdf_normal), 0)
+    first = next((i for i, phase in enumerate(settings.phases) if phase.weights.get("sdf_normal")), 0)
     if first and progress.step == sum(phase.steps for phase in settings.phases[:first]):
         write_gaussians(file, living(progress.state.gaussians))
 

@@ -40,19 +40,38 @@ def parse(cls: type[T], data: Mapping[str, Any], *, where: str = "config") -> T:
 
 
 def merge(base: Mapping[str, Any], *differences: Mapping[str, Any]) -> dict[str, Any]:
-    """A new nested dict: later values win, mappings are merged key by key, lists are replaced."""
+    """A new nested dict: later values win, mappings are merged key by key, lists are replaced.
+
+    A mapping over a list of records changes those it names: `{"phases": {"surface": {"steps": 100}}}`.
+    """
     merged = dict(base)
     for difference in differences:
         for key, value in difference.items():
-            both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
-            merged[key] = merge(merged[key], value) if both else value
+            merged[key] = _merged(merged.get(key), value)
     return merged
+
+
+def _merged(before: Any, value: Any) -> Any:
+    if not isinstance(value, Mapping):
+        return value
+    if isinstance(before, Mapping):
+        return merge(before, value)
+    if not isinstance(before, list | tuple) or not all(isinstance(item, Mapping) for item in before):
+        return value
+    items = list(before)
+    for part, change in value.items():
+        place = _place(items, part)
+        if place is None:
+            raise InputError(f"'{part}' is none of {_names(items)}")
+        items[place] = _merged(items[place], change)
+    return items
 
 
 def override(data: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, Any]:
     """`data` with every `dotted.key=value` set; a value is read as JSON where it is JSON, else as a string.
 
-    List items are reached by number (`phases.0.steps=100`) where `data` holds the list. Whether a key exists is for
+    List items are reached by name (`phases.surface.steps=100`) or number (`phases.0.steps=100`) where `data` holds the
+    list. Whether a key exists is for
     `parse` to say.
 
     Raises:
@@ -233,6 +252,24 @@ def _index(target: Any, part: str, assignment: str) -> Any:
     """`part` as a key of a table or a place in a list."""
     if isinstance(target, dict):
         return part
-    if isinstance(target, list) and part.isdecimal() and int(part) < len(target):
-        return int(part)
+    if isinstance(target, list):
+        place = _place(target, part)
+        if place is not None:
+            return place
+        if all(isinstance(item, dict) and "name" in item for item in target):
+            raise InputError(f"--set {assignment}: '{part}' is none of {_names(target)}")
     raise InputError(f"--set {assignment}: '{part}' is no key or place in {json.dumps(target)}")
+
+
+def _place(items: Sequence[Any], part: str) -> int | None:
+    """Where an item of a list stands that is named by its `name` or by its number; None: nowhere."""
+    named = [place for place, item in enumerate(items) if isinstance(item, Mapping) and item.get("name") == part]
+    if named:
+        return named[0]
+    return int(part) if str(part).isdecimal() and int(part) < len(items) else None
+
+
+def _names(items: Sequence[Any]) -> str:
+    """The names and numbers that reach the items of a list."""
+    named = (item.get("name") for item in items if isinstance(item, Mapping))
+    return ", ".join([*(str(name) for name in named if name), *map(str, range(len(items)))])

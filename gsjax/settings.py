@@ -5,7 +5,9 @@ in proportion.
 """
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Literal
 
 MOST_SEED = 2**32 - 1  # of jax's random keys and numpy's generators alike
@@ -27,38 +29,43 @@ def check_seed(seed: int) -> None:
         raise ValueError(f"seed={seed} is not between 0 and {MOST_SEED}")
 
 
-@dataclass(frozen=True)
-class Weights:
-    """Weights of the loss terms. A term of weight 0 is not in the compiled program."""
-
-    l1: float = 0.8
-    dssim: float = 0.2
-    entropy: float = 0.0  # mean binary entropy of the visible opacities
-    sdf_normal: float = 0.0  # lambda_r: composited SDF gradient against the normals (the paper's R)
-    pixel_normal: float = 0.0  # the SDF gradient at every pixel's surface point against the normals
-    axis_normal: float = 0.0  # composited smallest axes against the normals (DN-Splatter's reading)
-    sdf_central: float = 0.0  # as sdf_normal, with slopes of central differences
-    sdf_bicubic: float = 0.0  # as sdf_normal, with slopes of cubics
-    sdf_offset: float = 0.0  # as sdf_normal, one smallest deviation before the means
-    density_center: float = 0.0  # composited gradient of the density at the means against the normals
-    density_offset: float = 0.0  # the same one smallest deviation before the means
-    density_sample: float = 0.0  # the same at places drawn about the means
-    thickness: float = 0.0  # mean smallest standard deviation of the visible Gaussians, pixels at their depth
-    coverage: float = 0.0  # mean 1 - alpha where the normal maps show a surface
-    distortion: float = 0.0  # squared distance of a ray's splats from each other, in depths of its surface (2DGS)
-    depth_normal: float = 0.0  # smallest axes, composited, against the normals of the rendered depth (2DGS)
-    multi_view: float = 0.0  # reprojection error between the rendered depths of two views, pixels (PGSR)
-    photometric: float = 0.0  # 1 - correlation of two photos in windows, seen through the rendered depth (PGSR)
-    sugar_sdf: float = 0.0  # density against the distance to the rendered depth, and normals among neighbours (SuGaR)
-    sugar_density: float = 0.0  # density against that of a flat Gaussian, and normals among neighbours (SuGaR)
-    alpha: float = 0.1  # mean |alpha - matte|; only where the photos have an alpha channel
+PLAIN = MappingProxyType({"l1": 0.8, "dssim": 0.2, "alpha": 0.1})
+"""Weights of the terms of the image, which every phase has unless it says otherwise (3DGS; the matte's is ours)."""
 
 
-NORMAL_TERMS = frozenset(
-    {"coverage", "sdf_normal", "pixel_normal", "axis_normal", "sdf_central", "sdf_bicubic", "sdf_offset"}
-    | {"density_center", "density_offset", "density_sample"}
-)
-"""The terms that read normal maps."""
+class Weights(Mapping[str, float]):
+    """Weights of the loss terms by name: those of `PLAIN`, and what is named beside them; hashable.
+
+    The names are those of `gsjax.training.terms.TERMS` and of the terms that a run is handed; `gsjax.training.plan`
+    checks them. A term of weight 0 is not in the compiled program.
+    """
+
+    def __init__(self, **weights: float):
+        """The weights that differ from `PLAIN`."""
+        for name, weight in weights.items():
+            if not math.isfinite(weight):
+                raise ValueError(f"weights.{name}={weight} is no finite number")
+        self._by_name = {**PLAIN, **weights}
+
+    def __getitem__(self, name: str) -> float:
+        """The weight of a term that was named."""
+        return self._by_name[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """The names."""
+        return iter(self._by_name)
+
+    def __len__(self) -> int:
+        """How many are named."""
+        return len(self._by_name)
+
+    def __hash__(self) -> int:
+        """Equal weights have equal hashes."""
+        return hash(frozenset(self._by_name.items()))
+
+    def __repr__(self) -> str:
+        """As it is written."""
+        return f"Weights({', '.join(f'{name}={weight}' for name, weight in self.items())})"
 
 
 @dataclass(frozen=True)
@@ -67,7 +74,7 @@ class Phase:
 
     name: str
     steps: int
-    weights: Weights = Weights()
+    weights: Mapping[str, float] = Weights()  # of the terms by name, as `Weights` completes them
     image_scale: int = 1  # photos this many times smaller in each direction
     density_control: bool = False  # clone, split, prune, reset
     cull_below: float = 0.0  # at the end, Gaussians of lower opacity are removed
@@ -78,10 +85,7 @@ class Phase:
         check_lowest(self, steps=0, image_scale=1, surface_every=1)
         if not 0 <= self.cull_below <= 1:
             raise ValueError(f"cull_below={self.cull_below} is not between 0 and 1")
-        if self.image_scale > 1 and any(getattr(self.weights, term) for term in NORMAL_TERMS):
-            raise ValueError(
-                f"image_scale={self.image_scale} with a normal term: normal maps serve full-size photos only"
-            )
+        object.__setattr__(self, "weights", Weights(**self.weights))
 
 
 @dataclass(frozen=True)

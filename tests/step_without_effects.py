@@ -9,27 +9,26 @@ from gsjax import render, targets
 from gsjax.numerics import masked_mean
 from gsjax.training import optimizers
 from gsjax.training.state import TrainState
-from gsjax.training.step import Metrics, active_terms, in_photo
-from gsjax.training.terms.losses import NEEDS_DEPTH, TERMS
+from gsjax.training.step import Metrics, in_photo
+from gsjax.training.terms import needs
 
 
-def make_train_step(optimizer, weights, *, capacity, background, sh_every, rule, depth_mode="plane", extent=1.0):
-    terms = active_terms(weights)
-    with_depth = not NEEDS_DEPTH.isdisjoint(terms)
+def make_train_step(optimizer, terms, *, capacity, background, sh_every, rule, depth_mode="plane", extent=1.0):
+    with_depth = "depth" in needs(terms)
 
-    def objective(gaussians, probe, batch, color, active_degree):
+    def objective(gaussians, probe, state, batch, color):
         view = render.view(
             gaussians,
             batch.camera,
             capacity=capacity,
             background=color,
-            active_degree=active_degree,
+            active_degree=state.step // sh_every,
             with_depth=with_depth,
             depth_mode=depth_mode,
             **({rule.probes: probe} if rule else {}),
         )
-        losses = {name: TERMS[name](gaussians, view, batch) for name in terms}
-        total = sum(weight * losses[name] for name, weight in terms.items())
+        losses = {each.name: each.term.loss(gaussians, view, batch) for each in terms}
+        total = sum(each.weight * losses[each.name] for each in terms)
         if rule:
             total += rule.probed(view, batch)
         mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
@@ -39,12 +38,10 @@ def make_train_step(optimizer, weights, *, capacity, background, sh_every, rule,
     def train_step(state, target, key):
         color = background(jax.random.fold_in(key, state.step))
         batch = targets.batch(target, color)
-        active_degree = state.step // sh_every
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
         gradient = jax.value_and_grad(objective, argnums=(0, 1) if rule else (0,), has_aux=True)
-        (total, (losses, mse, projection, pairs)), gradients = gradient(
-            state.gaussians, probe, batch, color, active_degree
-        )
+        (total, (losses, mse, projection, pairs)), gradients = gradient(state.gaussians, probe, state, batch, color)
+        psnr = -10 * jnp.log10(jnp.maximum(mse, 1e-10))
         gaussians, opt_state = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients[0])
         statistics = state.statistics
         if rule:
@@ -53,6 +50,6 @@ def make_train_step(optimizer, weights, *, capacity, background, sh_every, rule,
             statistics = rule.accumulate(statistics, gradients[1], seen, distances, target.size)
         proposed = TrainState(gaussians, opt_state, statistics, state.step + 1)
         state = jax.tree.map(lambda old, new: jnp.where(pairs.overflowed, old, new), state, proposed)
-        return state, Metrics(total, -10 * jnp.log10(jnp.maximum(mse, 1e-10)), pairs.needed, pairs.overflowed, losses)
+        return state, Metrics(total, psnr, pairs.needed, pairs.overflowed, losses)
 
     return train_step

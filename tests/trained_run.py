@@ -23,7 +23,7 @@ SETTINGS = {
 MASK = np.where(np.arange(48) < 44, np.uint8(255), np.uint8(0))[None] * np.ones((40, 1), np.uint8)
 
 
-def train_until_killed(step, scene, folder, settings):
+def train_until_killed(step, scene, folder, settings, **more):
     journals = pipeline.train.__globals__["TrainingJournal"]
     note = journals.note
 
@@ -34,4 +34,4 @@ def train_until_killed(step, scene, folder, settings):
 
     with pytest.MonkeyPatch.context() as patched, pytest.raises(KeyboardInterrupt):
         patched.setattr(journals, "note", killed)
-        pipeline.train(scene, folder, settings, resume=folder.exists())
+        pipeline.train(scene, folder, settings, resume=folder.exists(), **more)

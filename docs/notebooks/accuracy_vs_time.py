@@ -22,6 +22,7 @@ from gsjax.training import initialize, optimizers
 from gsjax.training.loop import advance
 from gsjax.training.state import initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
+from gsjax.training.terms import weighed
 
 # %% [markdown]
 # ## A scene
@@ -68,7 +69,12 @@ optimizer = optimizers.make_optimizer(Rates(), size, 60)
 def program(capacity):
     """The compiled step, the same one in every run: otherwise each would be compiled anew."""
     return make_train_step(
-        optimizer, Weights(alpha=0.0), capacity=capacity, background=BACKGROUNDS["white"], sh_every=1000, rule=None
+        optimizer,
+        weighed(Weights(alpha=0.0)),
+        capacity=capacity,
+        background=BACKGROUNDS["white"],
+        sh_every=1000,
+        rule=None,
     )
 
 

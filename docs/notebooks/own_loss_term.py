@@ -5,7 +5,7 @@
 # to a training, and seen to do what it says.
 
 # %%
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ from gsjax.targets import Batch
 from gsjax.training import initialize, optimizers
 from gsjax.training.loop import fit
 from gsjax.training.state import initial_state
-from gsjax.training.terms import losses
+from gsjax.training.terms import Term
 
 # %% [markdown]
 # ## What a term is
@@ -68,20 +68,12 @@ np.testing.assert_allclose(gradient.log_scales[1], [-1, 1, 0], atol=1e-6)
 # %% [markdown]
 # ## Give it a name and a weight
 #
-# `TERMS` maps names to functions, `Weights` names to weights; a term of weight 0 is not in the compiled program. In the
-# library both are a line each, in `gsjax/training/terms/losses.py` and `gsjax/settings.py`; from outside it is done as
-# here. (A term that reads rendered depth, normals or a second view is also listed in `NEEDS_DEPTH` and its like there.)
+# A term is handed to a run under a name, with what it needs beside the image: `Term(loss, needs)`. This one reads the
+# Gaussians; others say "depth", "normals" or "neighbor", and what nobody needs is not computed. A phase gives the name
+# a weight. Edit the function, run its cell again, and the next training compiles the new one.
 
 # %%
-losses.TERMS["needles"] = needles
-
-
-@dataclass(frozen=True)
-class MyWeights(Weights):
-    """Those of the library, and ours."""
-
-    needles: float = 0.0
-
+own = {"needles": Term(needles, needs={"gaussians"})}
 
 # %% [markdown]
 # ## A scene to train on
@@ -121,12 +113,13 @@ def trained(weights):
         optimizer,
         prior=lambda state: [],
         observe=lambda progress: told.append(float(progress.metrics.psnr)),
+        terms=own,
     )
     return state.gaussians, told
 
 
-plain, psnr_plain = trained(MyWeights())
-rounder, psnr_rounder = trained(MyWeights(needles=0.2))
+plain, psnr_plain = trained(Weights())
+rounder, psnr_rounder = trained(Weights(needles=0.2))
 
 
 # %% [markdown]

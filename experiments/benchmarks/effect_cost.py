@@ -33,6 +33,7 @@ def measure(run: Path, rounds: int) -> dict[str, dict[str, Any]]:
     from gsjax.training.optimizers import make_optimizer
     from gsjax.training.state import initial_state
     from gsjax.training.step import BACKGROUNDS, make_train_step
+    from gsjax.training.terms import weighed
 
     gaussians, scene = open_result(run).gaussians, scene_of_run(run)
     found = diagnose(scene)
@@ -42,7 +43,7 @@ def measure(run: Path, rounds: int) -> dict[str, dict[str, Any]]:
     steppers, target = {}, jax.device_put(data.targets[0])
     for names in ((), *((name,) for name in SIMULATED)):
         effects = simulations(start(found.seen, names), names, lambda **_: optax.constant_schedule(0.0))
-        step = make_train_step(optimizer, Weights(alpha=0.0), rule=rule, effects=effects, **options)
+        step = make_train_step(optimizer, weighed(Weights(alpha=0.0)), rule=rule, effects=effects, **options)
         state = initial_state(jax.tree.map(jax.numpy.asarray, gaussians), optimizer, rule, effects)
         steppers["".join(names)] = step, step(state, target, key)[0]
     times: dict[str, list[float]] = {name: [] for name in steppers}

@@ -34,11 +34,12 @@ def stepper(placement: Any, state: Any, data: Any, optimizer: Any) -> Callable[[
     from gsjax.training.growth.rules import RULES
     from gsjax.training.loop import STILL
     from gsjax.training.step import BACKGROUNDS
+    from gsjax.training.terms import weighed
 
     capacity = placement.chosen_capacity(state.gaussians, data, headroom=STILL)
     step = placement.make_step(
         optimizer,
-        Weights(alpha=0.0),
+        weighed(Weights(alpha=0.0)),
         capacity=capacity,
         background=BACKGROUNDS["black"],
         sh_every=1,

@@ -78,6 +78,7 @@ def compiled(load: Load, devices: int) -> dict[str, Any]:
     from gsjax.training.sharded.step import make_sharded_step
     from gsjax.training.state import initial_state
     from gsjax.training.step import BACKGROUNDS
+    from gsjax.training.terms import weighed
 
     mesh = sharding.mesh_of(jax.devices()[:devices])
     optimizer = make_optimizer(Rates(), 1.0, 1000)
@@ -108,7 +109,7 @@ def compiled(load: Load, devices: int) -> dict[str, Any]:
     )
     step = make_sharded_step(
         optimizer,
-        Weights(alpha=0.0),
+        weighed(Weights(alpha=0.0)),
         mesh=mesh,
         splat_capacity=load.splat_capacity(devices),
         capacity=load.pairs,

@@ -26,34 +26,32 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
 
     from gsjax import targets
     from gsjax.settings import total_steps
-    from gsjax.training import surroundings
     from gsjax.training.capacity import chosen_capacity
     from gsjax.training.growth.rules import RULES
-    from gsjax.training.loop import one_view, planned_phases
+    from gsjax.training.loop import one_view
     from gsjax.training.optimizers import make_optimizer
+    from gsjax.training.plan import plan
     from gsjax.training.state import initial_state
-    from gsjax.training.step import BACKGROUNDS, active_terms, make_train_step
-    from gsjax.training.terms.losses import NEEDS_NORMALS
+    from gsjax.training.step import BACKGROUNDS, make_train_step
     from gsjax.training.terms.multi_view import with_neighbors
 
     optimizer, key = make_optimizer(settings.rates, extent, total_steps(settings)), jax.random.key(0)
     facing = [np.tile(np.array([0, 0, -127], np.int8), (frame.height, frame.width, 1)) for frame in frames]
     taken = {}
-    for phase in planned_phases(settings):
-        data = with_neighbors(targets.views_of(frames, scale=phase.image_scale), extent)
-        if not NEEDS_NORMALS.isdisjoint(active_terms(phase.weights)):
+    for phase in plan(settings).phases:
+        data = with_neighbors(targets.views_of(frames, scale=phase.scale), extent)
+        if "normals" in phase.needs:
             data = targets.with_normals(data, facing)
         rule = RULES[settings.density.rule]
         start = replace(jax.tree.map(jax.numpy.asarray, gaussians), pixel_filter=settings.pixel_filter)
-        nearest = jax.numpy.asarray(surroundings.none_yet(start.num_gaussians))
-        state = surroundings.refreshed(initial_state(start, optimizer, rule, {}, nearest))
+        state = initial_state(start, optimizer, rule)
         step = make_train_step(
             optimizer,
-            phase.weights if data.has_mattes else replace(phase.weights, alpha=0.0),
+            tuple(each for each in phase.terms if data.has_mattes or each.name != "alpha"),
             capacity=chosen_capacity(start, data),
             background=BACKGROUNDS[settings.background],
             sh_every=1,
-            rule=rule if phase.density_control else None,
+            rule=phase.rule,
             depth_mode=settings.depth_mode,
             extent=extent,
         )

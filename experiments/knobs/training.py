@@ -5,12 +5,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import jax
+from terms import TERMS
 
 from gsjax import pipeline, runs
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.scoring.surfaces import score_surface
-from gsjax.settings import SIMULATED
-from gsjax.training.terms.losses import SURFACE_TERMS
+from gsjax.settings import PLAIN, SIMULATED
 from knobs.knob import Knob, Measured, Place
 
 _STEPS = (2, 1, 0.5, 0.25)  # times a config's
@@ -35,7 +35,7 @@ def knobs_of(config: Mapping[str, Any]) -> dict[str, Knob]:
 
     def rarer(count: int) -> dict[str, Any]:
         """R in one of so many steps, and as many times as strong."""
-        weights = {name: count * w if name in SURFACE_TERMS else w for name, w in surface["weights"].items()}
+        weights = {name: w if name in PLAIN else count * w for name, w in surface["weights"].items()}
         return with_surface(surface_every=count, weights=weights)
 
     values: dict[str, dict[str, dict[str, Any]]] = {
@@ -63,7 +63,7 @@ def _measure(place: Place, difference: dict[str, Any], round_: int) -> Measured:
     """
     folder, clocks = place.fresh(f"training_{round_}"), (time.process_time, time.perf_counter)
     started = [clock() for clock in clocks]
-    figures = pipeline.train(place.scene, folder, place.settings(difference, round_))
+    figures = pipeline.train(place.scene, folder, place.settings(difference, round_), terms=TERMS)
     busy, wall = (clock() - start for clock, start in zip(clocks, started, strict=True))
     share = busy / wall if jax.default_backend() == "cpu" else 1.0
     compiled = sum(each["seconds"] for record in runs.read_metrics(folder) for each in record.get("compiled", ()))

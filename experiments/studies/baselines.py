@@ -17,7 +17,8 @@ machine does decides nothing. Depth is read in front by all.
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from gsjax.settings import DEMO, NORMAL_TERMS
+from gsjax.settings import DEMO
+from gsjax.training.terms import TERMS as OURS
 
 ON = "demo"
 MIX = "ours, demo"
@@ -83,10 +84,18 @@ def at_equal_time(
 
     return {
         name: {"phases": [*first, *ending(method)]}
-        | ({} if NORMAL_TERMS.isdisjoint(method.weights) else {"normals": "{scene}/normals"})
+        | (
+            {}
+            if not any("normals" in OURS[name].needs for name in method.weights if name in OURS)
+            else {"normals": "{scene}/normals"}
+        )
         | shared
         for name, method in methods.items()
     }
+
+
+def _reads_normals(method: Method) -> bool:
+    return any("normals" in OURS[name].needs for name in method.weights if name in OURS)
 
 
 def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:

@@ -26,12 +26,12 @@ from gsjax.gaussians import PixelFilter
 from gsjax.numerics import masked_mean
 from gsjax.render import backdrop
 from gsjax.settings import FAST, Rates, check_lowest, check_seed
-from gsjax.targets import Target, Views
+from gsjax.targets import Batch, Target, Views
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
 from gsjax.training.loop import advance
-from gsjax.training.step import Background, Metrics, active_terms
-from gsjax.training.terms import losses
+from gsjax.training.step import Background, Metrics, Outcome, guarded_step, in_decibels
+from gsjax.training.terms import TERMS
 
 
 @dataclass(frozen=True)
@@ -224,38 +224,43 @@ def make_refine_step(
 
     A view that needs more pairs than `capacity` leaves the state untouched and says so.
     """
-    terms = active_terms(weights)
-    with_depth = not losses.NEEDS_DEPTH.isdisjoint(terms)
+    terms = {name: weight for name, weight in vars(weights).items() if weight}
+    with_depth = any("depth" in TERMS[name].needs for name in terms if name in TERMS)
 
-    def objective(parameters: Hybrid, faces: Array, graph: MeshGraph, batch, color: Array, degree: Array):
-        gaussians = with_faces(parameters, faces)
-        degrees = active_degrees(gaussians, degree)
-        under = backdrop.behind(color, batch.camera)
+    def objective(parameters: Hybrid, state: RefineState, graph: MeshGraph, batch: Batch, color: Array):
+        gaussians = with_faces(parameters, state.gaussians.bound.faces)
         view = render.view(
             gaussians,
             batch.camera,
             capacity=capacity,
-            background=under,
-            active_degree=degrees,
+            background=backdrop.behind(color, batch.camera),
+            active_degree=active_degrees(gaussians, state.step // sh_every),
             with_depth=with_depth,
         )
-        values = {name: _term(name, gaussians, graph, view, batch) for name in terms}
-        total = sum(weight * values[name] for name, weight in terms.items())
+        losses = {name: _term(name, gaussians, graph, view, batch) for name in terms}
+        total = sum(weight * losses[name] for name, weight in terms.items())
         mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
-        return total, (values, mse, view.splats.pairs)
+        return total, (losses, mse, view.splats.pairs)
+
+    def update(state: RefineState, gradients: Hybrid, outcome: Outcome, target: Target) -> RefineState:
+        del outcome, target
+        parameters = with_faces(state.gaussians, None)
+        parameters, opt_state = optimizers.apply_gradients(optimizer, parameters, state.opt_state, gradients)
+        return RefineState(with_faces(parameters, state.gaussians.bound.faces), opt_state, state.step + 1)
 
     @partial(jax.jit, donate_argnums=1)
     def refine_step(graph: MeshGraph, state: RefineState, target: Target, key: Array):
-        color = background(jax.random.fold_in(key, state.step))
-        batch = targets.batch(target, color)
-        parameters, faces = with_faces(state.gaussians, None), state.gaussians.bound.faces
-        (total, (values, mse, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
-            parameters, faces, graph, batch, color, state.step // sh_every
-        )
-        parameters, opt_state = optimizers.apply_gradients(optimizer, parameters, state.opt_state, gradients)
-        proposed = RefineState(with_faces(parameters, faces), opt_state, state.step + 1)
-        state = jax.tree.map(lambda old, new: jnp.where(pairs.overflowed, old, new), state, proposed)
-        return state, Metrics(total, -10 * jnp.log10(jnp.maximum(mse, 1e-10)), pairs.needed, pairs.overflowed, values)
+        def differentiate(state: RefineState, target: Target, color: Array, key: Array):
+            del key
+            parameters, batch = with_faces(state.gaussians, None), targets.batch(target, color)
+            (total, (losses, mse, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
+                parameters, state, graph, batch, color
+            )
+            metrics = Metrics(total, in_decibels(mse), pairs.needed, pairs.overflowed, losses)
+            return gradients, Outcome(metrics, pairs.overflowed)
+
+        state, outcome = guarded_step(differentiate, update, background)(state, target, key)
+        return state, outcome.metrics
 
     return refine_step
 
@@ -316,9 +321,9 @@ def _side_by_side(
     return optax.GradientTransformation(init, update)
 
 
-def _term(name: str, gaussians: Hybrid, graph: MeshGraph, view: render.View, batch: losses.Batch) -> Array:
+def _term(name: str, gaussians: Hybrid, graph: MeshGraph, view: render.View, batch: Batch) -> Array:
     if name == "normal_consistency":
         return mesh_terms.normal_consistency(gaussians.bound.vertices, gaussians.bound.faces, graph)
     if name == "laplacian":
         return mesh_terms.laplacian(gaussians.bound.vertices, graph)
-    return losses.TERMS[name](gaussians, view, batch)
+    return TERMS[name].loss(gaussians, view, batch)

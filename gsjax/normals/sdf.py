@@ -5,7 +5,6 @@ of the depth map, and the loss' own gradient through the renders of depth and of
 """
 
 from collections.abc import Callable
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -14,31 +13,28 @@ from jax import Array
 from gsjax import cameras, render
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, smallest_axes
-from gsjax.normals import places
-from gsjax.normals.places import Places, facing
 from gsjax.numerics import masked_mean, safe_normalize
 from gsjax.render import View
-from gsjax.render.sampling import Read, reads_within, sample_bicubic, sample_bilinear, sample_central, shrunk
+from gsjax.render.sampling import reads_within, sample_bilinear
 
 Estimator = Callable[[Gaussians, View, Camera], Array]
 """(Gaussians, View with depth, Camera) -> `[H, W, 3]` camera-frame direction per pixel, of any length."""
 
 
-def depth_sdf(point: Array, depth: Array, camera: Camera, read: Read = sample_bilinear) -> Array:
+def depth_sdf(point: Array, depth: Array, camera: Camera) -> Array:
     """Estimated signed distance of one world point to the rendered surface: D(pi(p)) - z(p) (paper, section III).
 
     Args:
         point: `[3]` world position.
         depth: `[H, W]` rendered depth, camera z in scene units.
         camera: The view that `depth` was rendered from.
-        read: How the depth map is read between its pixels.
 
     Returns:
         `[]` scene units, positive between the camera and the surface. Its length of gradient is 1 / |n . ray|, not 1:
         only the direction is used. Differentiable to all arguments, finite also on and behind the camera plane.
     """
     point_cam = cameras.world_to_camera(point, camera)
-    return read(depth, cameras.project(point_cam, camera)) - point_cam[2]
+    return sample_bilinear(depth, cameras.project(point_cam, camera)) - point_cam[2]
 
 
 def composited(world: Array, gaussians: Gaussians, view: View, camera: Camera) -> Array:
@@ -53,52 +49,12 @@ def sdf_gradient_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
 
     A mean off the image, or beside a pixel without depth, has no slope to read: it adds no direction and no gradient.
     """
-    return _gradient_map(gaussians, view, camera)
-
-
-def sdf_central_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
-    """`[H, W, 3]` the same with central differences for slopes: of 4 x 4 pixels instead of 2 x 2."""
-    return _gradient_map(gaussians, view, camera, read=sample_central, reach=1)
-
-
-def sdf_bicubic_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
-    """`[H, W, 3]` the same with the slopes of cubics through 4 x 4 pixels."""
-    return _gradient_map(gaussians, view, camera, read=sample_bicubic, reach=1)
-
-
-def sdf_offset_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
-    """`[H, W, 3]` the same one smallest standard deviation before the means, on the smallest axis."""
-    return _gradient_map(gaussians, view, camera, at=places.before)
-
-
-def _gradient_map(
-    gaussians: Gaussians,
-    view: View,
-    camera: Camera,
-    *,
-    at: Places = places.centers,
-    read: Read = sample_bilinear,
-    reach: int = 0,
-) -> Array:
-    """`[H, W, 3]` gradients of `depth_sdf` at a place of each Gaussian, composited.
-
-    Args:
-        gaussians: The scene.
-        view: Its render, with depth.
-        camera: Of the view.
-        at: The places.
-        read: How depth is read there.
-        reach: Pixels beyond the nearest 2 x 2 that `read` blends, 0 or 1; all that it blends must have depth.
-    """
     assert view.depth is not None, "the estimate reads the rendered depth"
-    covered = shrunk(view.depth > 0) if reach else view.depth > 0
-    points = at(gaussians, view, camera)
-    reads = jax.vmap(reads_depth, in_axes=(0, None, None))(points, covered, camera)
+    reads = jax.vmap(reads_depth, in_axes=(0, None, None))(gaussians.means, view.depth > 0, camera)
     usable = (view.splats.projection.visible[0] & reads)[:, None]
     # What is not usable is read at a harmless place, so that nothing odd enters the gradient.
-    points = jnp.where(usable, points, jax.lax.stop_gradient(_in_front(camera))[None])
-    gradient = jax.grad(partial(depth_sdf, read=read))
-    world = jax.vmap(gradient, in_axes=(0, None, None))(points, view.depth, camera)
+    points = jnp.where(usable, gaussians.means, jax.lax.stop_gradient(in_front(camera))[None])
+    world = jax.vmap(jax.grad(depth_sdf), in_axes=(0, None, None))(points, view.depth, camera)
     return composited(jnp.where(usable, world, 0), gaussians, view, camera)
 
 
@@ -143,11 +99,17 @@ def misalignment(directions: Array, normals: Array, valid: Array) -> Array:
     return masked_mean(1 - jnp.abs(jnp.sum(unit * target, axis=-1)), usable)
 
 
+def facing(directions: Array, towards_camera: Array) -> Array:
+    """Flip directions whose dot product with `towards_camera` is negative; the sign carries no gradient."""
+    side = jnp.sum(jax.lax.stop_gradient(directions * towards_camera), axis=-1, keepdims=True)
+    return jnp.where(side < 0, -directions, directions)
+
+
 def reads_depth(point: Array, covered: Array, camera: Camera) -> Array:
     """`[]` bool: a world point projects between four pixel centres of the image, all of them `covered` `[H, W]`."""
     return reads_within(covered, cameras.project(cameras.world_to_camera(point, camera), camera))
 
 
-def _in_front(camera: Camera) -> Array:
+def in_front(camera: Camera) -> Array:
     """`[3]` the world point one unit in front of the camera."""
     return cameras.center(camera) + cameras.rotation(camera)[2]

@@ -8,7 +8,7 @@ from typing import Any
 from gsjax import tables
 from gsjax.errors import InputError
 from gsjax.report import facts as run_facts
-from gsjax.report.facts import RunFacts, flat_settings, read_run
+from gsjax.report.facts import RunFacts, flat_settings
 from gsjax.report.page import write_page
 
 SEEDS = ("seed", "refinement.seed")
@@ -46,7 +46,7 @@ def compare(folders: Iterable[str | Path], out: str | Path) -> Path:
     for folder in folders:
         if resolved.count(folder.resolve()) > 1:
             raise InputError(f"{folder}: is named twice")
-    pools = pooled_by_seed([read_run(folder) for folder in folders])
+    pools = pooled_by_seed([RunFacts.open(folder) for folder in folders])
     return write_page(
         out,
         "compare.html",

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from gsjax.effects.alignment import align as aligned_camera
-from gsjax.io import json_files
 from gsjax.measures import geometry
 from gsjax.mesh import Mesh
 from gsjax.meshing.closest import closest_on_mesh
@@ -15,8 +14,9 @@ from gsjax.meshing.export import read_mesh
 from gsjax.networks.perceptual import STANDARD, lpips_measures
 from gsjax.pipeline.mesh import mesh as extract
 from gsjax.planning.effects import appearances_of_tracks
-from gsjax.runs.photography import Photography, read_photography
+from gsjax.runs.photography import Photography
 from gsjax.runs.result import open_result, scene_of_run
+from gsjax.runs.run import Run
 from gsjax.scoring.images import score_images
 from gsjax.scoring.surfaces import score_mesh_views, score_surface
 
@@ -53,18 +53,16 @@ def evaluate(
         InputError: The run, its data set, the mesh or the weights cannot be read.
     """
     run, measures = Path(run), lpips_measures(lpips)
-    result = open_result(run)
-    manifest, settings = json_files.read(run / "manifest.json"), json_files.read(run / "config.json")
-    scene = scene_of_run(run)
+    result, folder = open_result(run), Run.open(run)
+    background, scene, found = folder.settings["background"], scene_of_run(run), folder.photography
     zoomed = {zoom: scene_of_run(run, zoom=zoom).held_out_frames for zoom in zooms}  # Refused before hours of scoring.
     given = None if mesh is None else read_mesh(mesh)
-    found = read_photography(run)
     if three_ways and not found.looks:
         found = found._replace(looks=appearances_of_tracks(scene))
     figures = score_images(
         result.gaussians,
         scene.held_out_frames,
-        settings["background"],
+        background,
         measures=measures,
         found=found.with_near(scene.frames),
         align=aligned_camera if aligned or found.moves else None,
@@ -72,12 +70,12 @@ def evaluate(
     figures.setdefault(STANDARD, None)
     for zoom, frames in zoomed.items():
         plain = Photography(background=found.background)
-        scores = score_images(result.gaussians, frames, settings["background"], found=plain)
+        scores = score_images(result.gaussians, frames, background, found=plain)
         figures |= {f"{name}_zoom_{zoom:g}": scores[name] for name in ("psnr", "ssim")}
     figures |= {
         "gaussians": result.gaussians.num_gaussians,
-        "train_seconds": manifest.get("train_seconds"),
-        "steps": manifest.get("steps"),
+        "train_seconds": folder.manifest.get("train_seconds"),
+        "steps": folder.manifest.get("steps"),
     }
     truth = scene.truth
     if truth is None:

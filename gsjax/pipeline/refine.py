@@ -36,8 +36,9 @@ from gsjax.report.page import report
 from gsjax.report.shown_views import keeper
 from gsjax.runs.compilations import make_room
 from gsjax.runs.journal import Journal, beginning
-from gsjax.runs.photography import Photography, read_photography, write_photography
+from gsjax.runs.photography import Photography, write_photography
 from gsjax.runs.result import DEPTH_OF_DISCS, QUIET, Result, open_result, scene_of_run, write_views
+from gsjax.runs.run import Run
 from gsjax.scene import Scene, extent, in_memory
 from gsjax.scoring.images import score_images
 from gsjax.targets import Views, batch, views_of
@@ -74,7 +75,7 @@ def refine(
     """
     make_room()
     run = Path(run)
-    trained = json_files.read(run / "config.json")
+    trained = Run.open(run)
     source = run / "mesh.ply" if mesh is None else Path(mesh)
     if mesh is None and not source.exists():
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
@@ -83,7 +84,7 @@ def refine(
     # Held-out photos are read when they are scored, one by one.
     scene = replace(scene, frames=tuple(frame if frame.held_out else in_memory(frame) for frame in scene.frames))
     # The Gaussians and the mesh are those of the mean photo: what each camera did is taken off its photo.
-    found = read_photography(run)
+    found = trained.photography
     frames = tuple(relit(f, found.looks[f.name]) if found.looks else f for f in scene.train_frames)
     data, size = views_of(frames), extent(frames)
     if taken_out["decimated"] and settings.halved_share:
@@ -100,12 +101,14 @@ def refine(
     if not largest_need(bound, data):
         raise InputError(f"{source}: no training view of {scene.root} sees any of its {coarse.num_faces} triangles")
 
-    asked = {**trained, "mesh": str(source.resolve()), "refinement": config.to_dict(settings)}
+    background = trained.settings["background"]
+    asked = {**trained.settings, "mesh": str(source.resolve()), "refinement": config.to_dict(settings)}
     folder = (
         runs.reopen(out, asked, scene=scene.root)
         if resume
         else runs.create(out, asked, scene=scene.root, seed=settings.seed)
     )
+    json_files.write(folder / "plan.json", _plan(settings, trained))
     optimizer = refining.make_optimizer(settings, size, coarse.num_vertices)
 
     def initial(rows: int | None) -> RefineState:
@@ -130,14 +133,21 @@ def refine(
             data,
             state,
             optimizer,
-            background=BACKGROUNDS[trained["background"]] if behind is None else lambda key: behind,
+            background=BACKGROUNDS[background] if behind is None else lambda key: behind,
             observe=journal.note,
             settled=settled,
             capacity=capacity,
         )
         summary = {"steps": settings.steps, "train_seconds": round(journal.seconds, 1), "taken_out": taken_out}
         summary["settled"] = told or None
-        return _finish(folder, scene, trained["background"], found, state.gaussians, summary)
+        return _finish(folder, scene, background, found, state.gaussians, summary)
+
+
+def _plan(settings: Refinement, trained: Run) -> dict[str, Any]:
+    """What will run, as `gsjax.training.plan.Plan.record` tells of a training."""
+    terms = {name: weight for name, weight in vars(settings.weights).items() if weight}
+    phase = {"name": "refine", "steps": settings.steps, "begin": 0, "end": settings.steps, "terms": terms, "needs": []}
+    return {"steps": settings.steps, "phases": [phase], "downscale": trained.downscale, "normals": None}
 
 
 def prepared(given: Mesh, most_faces: int, halved_share: float = 0.0) -> tuple[Mesh, dict[str, int]]:

@@ -1,28 +1,28 @@
 """A data set to Gaussians, in a run folder that can be stopped and continued at any moment."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optax
 from tqdm import tqdm
 
 from gsjax import config, runs
 from gsjax.effects.alignment import align
-from gsjax.effects.model import NO_EFFECTS, Effects
+from gsjax.effects.model import Effects
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
-from gsjax.io import normal_folders
+from gsjax.io import json_files, normal_folders
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
-from gsjax.planning.effects import Joined, joined, looked_at
-from gsjax.planning.hardware import Devices, hardware, without_looking, without_neighbors
+from gsjax.planning.effects import ChosenEffects, choose_effects, looked_at
+from gsjax.planning.hardware import Devices, count_devices, effects_asked, hardware
 from gsjax.planning.harmonics import stored_degree, with_needed_harmonics
 from gsjax.planning.pace import Pace, seconds_left, spoken
 from gsjax.planning.sizes import at_size, training_extent
@@ -35,16 +35,18 @@ from gsjax.runs.photography import Photography, moves_line, refined, write_photo
 from gsjax.runs.prior import RunPrior
 from gsjax.runs.processes import from_first, is_first, own_folder
 from gsjax.runs.result import write_views
+from gsjax.runs.run import Run
 from gsjax.scene import Scene, in_memory
 from gsjax.scoring.images import score_images
-from gsjax.settings import Settings, total_steps
-from gsjax.training import initialize, optimizers, surroundings
-from gsjax.training.batches import in_larger_steps
-from gsjax.training.growth import adaptive as density_control
+from gsjax.settings import PLAIN, Settings
+from gsjax.training import initialize, optimizers
+from gsjax.training.growth import adaptive
 from gsjax.training.growth.rules import RULES
-from gsjax.training.loop import Progress, fit, planned_phases
+from gsjax.training.loop import Progress, Work, follow, with_tables
+from gsjax.training.plan import Plan, plan
 from gsjax.training.rows import bucket
 from gsjax.training.state import TrainState, count_alive, initial_state
+from gsjax.training.terms import Term
 
 FAR_SHARE = 10  # Of the budget no more than one in so many is far around the cloud at the start.
 
@@ -54,6 +56,7 @@ def train(
     out: str | Path,
     settings: Settings,
     *,
+    terms: Mapping[str, Term] = MappingProxyType({}),
     resume: bool = False,
     earlier: str | Path | None = None,
     observe: Callable[[Progress], None] = lambda _: None,
@@ -66,82 +69,92 @@ def train(
     Args:
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
         out: Run folder, see `gsjax.runs.folder`; absent or empty unless `resume`.
-        settings: The run.
+        settings: The run. A phase gives terms of the loss their weights by name.
+        terms: The run's own terms of the loss by name, beside those of `gsjax.training.terms.TERMS` or in their place.
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
         earlier: Another run folder, of the same settings as far as it went, where this run begins: what several have in
             common is then trained once. None: at the first step.
         observe: Told after every step, before its checkpoint is written.
         devices: How many the Gaussians are spread over, or "all". More than one, or several views a step, know no
-            effects ("auto" looks for none) and no terms that read densities; those that compare views are left out. A
-            line says both.
+            effects ("auto" looks for none) and no terms with tables; those that compare views are left out. A line says
+            both.
 
     Returns:
         `psnr` and `ssim` (None without held-out views; with effects also the other ways of
         `gsjax.scoring.images.score_images`), `views`, `gaussians`, `steps`, `train_seconds`.
 
     Raises:
-        InputError: The data set, the normals, the run folder or the devices cannot be used.
+        InputError: The data set, the normals, a weight, the run folder or the devices cannot be used.
     """
     earlier = None if earlier is None else Path(earlier)
     if earlier is not None and runs.latest_checkpoint(earlier) is None:
         raise InputError(f"{earlier}: has no checkpoint to begin from")
     make_room()
     with own_folder(out) as folder:
-        resume = resume and is_first()
-        return _train(scene, folder, settings, resume=resume, earlier=earlier, observe=observe, devices=devices)
+        known = Run.open(folder).plan if resume and is_first() else None
+        planned = _planned(scene, settings, terms, count_devices(devices), known)
+        return _train(scene, folder, settings, planned, known, earlier, observe, devices)
+
+
+def _planned(
+    scene: str | Path, settings: Settings, terms: Mapping[str, Term], devices: int, known: Mapping[str, Any] | None
+) -> Plan:
+    """The plan before anybody looked at the photos; a line says what these devices cannot run."""
+    planned = plan(settings, terms, devices)
+    if planned.left_out:
+        print(f"train: {', '.join(planned.left_out)} need one photo a step and are left out", file=sys.stderr)
+    if settings.normals is None:
+        return planned
+    return replace(planned, normals=known["normals"] if known else normal_folders.find(scene, settings.normals))
 
 
 def _train(
     scene: str | Path,
     out: Path,
     settings: Settings,
-    *,
-    resume: bool,
+    planned: Plan,
+    known: Mapping[str, Any] | None,
     earlier: Path | None,
     observe: Callable[[Progress], None],
     devices: Devices,
 ) -> dict[str, Any]:
-    if settings.normals is not None:
-        settings = replace(settings, normals=normal_folders.find(scene, settings.normals))
-    loaded, settings, photos_line = at_size(scene, settings)
+    loaded, downscale, photos_line = at_size(scene, settings, planned.steps, known and known["downscale"])
     print(f"train: {photos_line}", file=sys.stderr)
     # Read once, and before the run begins: a damaged photo is found now.
     photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
     loaded = replace(loaded, frames=tuple(map(in_memory, photos)))
-    asked = without_looking(settings, devices)
+    asked = effects_asked(settings, devices)
     looked = looked_at(asked, loaded)
     loaded, frames = looked.scene, looked.scene.train_frames
     size = training_extent(loaded)
     prior = RunPrior(
-        out, settings.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
+        out, planned.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
     )
-    trial = partial(gains, settings, frames, size, partial(trial_start, loaded, settings))
-    taken_in = joined(asked, loaded, trial, looked)
-    as_dict, settings = config.to_dict(settings), without_neighbors(in_larger_steps(taken_in.paced(settings)))
+    trial = partial(gains, planned, frames, size, partial(first_state, loaded, settings))
+    chosen = choose_effects(asked, planned, loaded, trial, looked, sh_degree=settings.sh_degree)
+    planned = replace(planned.with_effects(chosen.effects), downscale=downscale)
     optimizer = optimizers.make_optimizer(
-        settings.rates,
-        size,
-        settings.rates.decay_steps or total_steps(settings),
-        views_per_step=settings.views_per_step,
+        planned.rates, size, planned.rates.decay_steps, views_per_step=planned.views_per_step
     )
-    spread = hardware(devices, settings, optimizer)
-    if (taken_in.effects or taken_in.tries_degrees) and not spread.is_one:
+    spread = hardware(devices, planned.views_per_step, optimizer)
+    if (chosen.effects or chosen.tries_degrees) and not spread.is_one:
         raise InputError(f"--effects {settings.effects}: effects need one device and --views-per-step 1")
+    as_dict = config.to_dict(settings)
     run = (
         runs.reopen(out, as_dict, scene=scene, completed=_completed)
-        if resume
+        if known
         else runs.create(out, as_dict, scene=scene, seed=settings.seed)
     )
-
+    json_files.write(run / "plan.json", planned.record())
     runs.update_manifest(run, photos=photos_line)
-    if taken_in.evidence:
-        runs.update_manifest(run, effects=taken_in.evidence)
-    first = replace(settings, sh_degree=stored_degree(run, settings)) if resume else settings
-    initial = partial(_initial, loaded, first, optimizer, effects=taken_in.effects)
+    if chosen.evidence:
+        runs.update_manifest(run, effects=chosen.evidence)
+    degree = stored_degree(run, planned, settings.sh_degree) if known else settings.sh_degree
+    initial = partial(_initial_with_tables, loaded, replace(settings, sh_degree=degree), planned, optimizer, chosen)
     state, capacity, seconds = beginning(run, initial, earlier)
     state = spread.deal(_of_first(state, initial))
     whole = spread.whole
-    with runs.begun(run), TrainingJournal(run, settings, loaded, int(state.step), seconds, taken_in, whole) as journal:
+    with runs.begun(run), TrainingJournal(run, planned, loaded, int(state.step), seconds, chosen, whole) as journal:
 
         def told(progress: Progress) -> None:
             observe(progress)
@@ -149,26 +162,16 @@ def _train(
 
         def normals(state: TrainState) -> list[np.ndarray]:
             state = whole(state)
-            maps = prior(state.gaussians, refined(frames, taken_in.photography(state.effects).moves))
+            maps = prior(state.gaussians, refined(frames, chosen.photography(state.effects).moves))
             return [from_first(each) for each in maps]
 
-        fitted = partial(
-            fit,
-            frames=frames,
-            extent=size,
-            optimizer=optimizer,
-            prior=normals,
-            observe=told,
-            # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.
-            capacity=capacity if spread.is_one else None,
-            effects=taken_in.effects,
-            placement=spread.placement,
-        )
-        if taken_in.tries_degrees:
-            state = with_needed_harmonics(run, settings, frames, size, state, optimizer, taken_in.effects, fitted)
-        state = fitted(settings, state=state)
-        state = whole(state)
-        return _finish(run, settings, loaded, state, taken_in.photography(state.effects), journal.seconds)
+        work = Work(planned, frames, size, optimizer, normals, told, chosen.effects, spread.placement)
+        # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.
+        capacity = capacity if spread.is_one else None
+        if chosen.tries_degrees:
+            state, capacity = with_needed_harmonics(run, work, state, capacity), None
+        state = whole(follow(work, state, capacity))
+        return _finish(run, planned, loaded, state, chosen.photography(state.effects), journal.seconds)
 
 
 def _of_first(state: TrainState, initial: Callable[[int], TrainState]) -> TrainState:
@@ -180,7 +183,9 @@ def _of_first(state: TrainState, initial: Callable[[int], TrainState]) -> TrainS
 
 
 def _completed(started: dict[str, Any]) -> dict[str, Any]:
-    """Settings of a run that was started before all of today's were there."""
+    """Settings of a run that was started before all of today's were there; weights of 0 say nothing."""
+    for phase in started["phases"]:
+        phase["weights"] = {name: weight for name, weight in phase["weights"].items() if weight or name in PLAIN}
     return config.to_dict(config.parse(Settings, started, where="config.json"))
 
 
@@ -203,13 +208,12 @@ def _starting_points(scene: Scene, settings: Settings) -> tuple[np.ndarray, np.n
     return np.concatenate([scene.points[kept], far]), np.concatenate([scene.point_colors[kept], grey])
 
 
-def _initial(
+def first_state(
     scene: Scene,
     settings: Settings,
     optimizer: optax.GradientTransformation,
-    rows: int | None,
-    *,
-    effects: Effects = NO_EFFECTS,
+    effects: Effects,
+    rows: int | None = None,
 ) -> TrainState:
     """Step 0 in a buffer of so many rows; None: of those that the points take."""
     points, colors = _starting_points(scene, settings)
@@ -220,25 +224,28 @@ def _initial(
         sh_degree=settings.sh_degree,
         pixel_filter=settings.pixel_filter,
     )
-    sums_nearest = any(map(surroundings.needed, planned_phases(settings)))
-    nearest = jnp.asarray(surroundings.none_yet(first.num_gaussians)) if sums_nearest else None
-    return initial_state(first, optimizer, RULES[settings.density.rule], effects, nearest)
+    return initial_state(first, optimizer, RULES[settings.density.rule], effects)
 
 
-def trial_start(
-    scene: Scene, settings: Settings, optimizer: optax.GradientTransformation, effects: Effects
+def _initial_with_tables(
+    scene: Scene,
+    settings: Settings,
+    planned: Plan,
+    optimizer: optax.GradientTransformation,
+    chosen: ChosenEffects,
+    rows: int | None,
 ) -> TrainState:
-    """Step 0 of a trial, see `gsjax.planning.trials.gains`."""
-    return _initial(scene, settings, optimizer, None, effects=effects)
+    """The same with the tables of the plan's terms."""
+    return with_tables(first_state(scene, settings, optimizer, chosen.effects, rows), planned)
 
 
 def living(gaussians: Gaussians) -> Gaussians:
     """The Gaussians without the free rows of their buffers, numpy."""
-    return jax.tree.map(np.asarray, take(gaussians, np.asarray(density_control.is_alive(gaussians))))
+    return jax.tree.map(np.asarray, take(gaussians, np.asarray(adaptive.is_alive(gaussians))))
 
 
 def _finish(
-    run: Path, settings: Settings, scene: Scene, state: TrainState, found: Photography, seconds: float
+    run: Path, planned: Plan, scene: Scene, state: TrainState, found: Photography, seconds: float
 ) -> dict[str, Any]:
     scene = replace(scene, frames=refined(scene.frames, found.moves))
     gaussians = living(state.gaussians)
@@ -252,10 +259,10 @@ def _finish(
     scores = score_images(
         state.gaussians,
         scene.held_out_frames,
-        settings.background,
+        planned.background,
         found=found.with_near(scene.frames),
         align=align if found.moves else None,
-        depth_mode=settings.depth_mode,
+        depth_mode=planned.depth_mode,
         observe=keeper(run),
     )
     summary = {
@@ -270,27 +277,27 @@ def _finish(
 
 
 class TrainingJournal(Journal):
-    """Logs, scores and saves as the settings say."""
+    """Logs, scores and saves as the plan says."""
 
     def __init__(
         self,
         run: Path,
-        settings: Settings,
+        planned: Plan,
         scene: Scene,
         step: int,
         seconds: float,
-        taken_in: Joined,
+        chosen: ChosenEffects,
         whole: Callable[[TrainState], TrainState] = lambda state: state,
     ):
         """Begin at `step`; `whole` brings a state to one device."""
-        super().__init__(run, "train", total_steps(settings), step, seconds)
-        self.settings, self.scene, self.taken_in = settings, scene, taken_in
+        super().__init__(run, "train", planned.steps, step, seconds)
+        self.plan, self.scene, self.chosen = planned, scene, chosen
         self._pace, self._whole = Pace(), whole
-        self.evaluate_every = settings.logging.evaluate_every if scene.held_out_frames else 0
+        self.evaluate_every = planned.logging.evaluate_every if scene.held_out_frames else 0
 
     def note(self, progress: Progress) -> None:
         """What the loop tells after every step."""
-        every, last = self.settings.logging, progress.step == self.steps
+        every, last = self.plan.logging, progress.step == self.steps
         self.bar.set_description(progress.phase.name, refresh=False)
         self.bar.update()
         self._tell_pace(progress)
@@ -307,15 +314,15 @@ class TrainingJournal(Journal):
 
     def _held_out(self, state: TrainState) -> dict[str, float]:
         """PSNR of the views that are held out, of the render as it is and, with effects on light, as photos near it."""
-        settings, found = self.settings, self.taken_in.photography(state.effects)
+        planned, found = self.plan, self.chosen.photography(state.effects)
         frames = refined(self.scene.held_out_frames, found.moves)
         found = found.with_near(self.scene.frames)._replace(looks={})  # the other ways are told at the end
-        scores = score_images(state.gaussians, frames, settings.background, found=found, depth_mode=settings.depth_mode)
+        scores = score_images(state.gaussians, frames, planned.background, found=found, depth_mode=planned.depth_mode)
         return {f"held_out_{name}": score for name, score in scores.items() if name.startswith("psnr")}
 
     def _tell_pace(self, progress: Progress) -> None:
         """How long the rest will take, once a phase."""
         pace = self._pace.seconds_per_step(progress.phase)
         if pace is not None:
-            left = seconds_left(self.settings, progress.step, progress.phase, pace)
+            left = seconds_left(self.plan, progress.step, progress.phase, pace)
             self.bar.write(f"{progress.phase.name}: {1e3 * pace:.0f} ms a step, about {spoken(left)} to go", sys.stderr)

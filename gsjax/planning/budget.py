@@ -12,15 +12,13 @@ from scipy.optimize import root_scalar
 
 from gsjax.errors import InputError
 from gsjax.planning.effects import diagnosed
-from gsjax.planning.pace import FIXED_COST, relative_cost
+from gsjax.planning.pace import FIXED_COST, image_cost, relative_cost
 from gsjax.planning.sizes import at_size
-from gsjax.planning.timed_steps import Clock, Trial, largest_phase, step_cost, tried
+from gsjax.planning.timed_steps import Clock, Trial, largest_scale, step_cost, tried
 from gsjax.planning.trials import SCORED, STEPS, is_near, is_worthwhile
 from gsjax.scene import Scene
-from gsjax.settings import AUTO, LENGTHS, NONE, SIMULATED, Phase, Settings, total_steps
-from gsjax.training.loop import planned_phases
-from gsjax.training.step import active_terms
-from gsjax.training.terms.losses import NEEDS_NORMALS
+from gsjax.settings import AUTO, LENGTHS, NONE, SIMULATED, Settings, total_steps
+from gsjax.training.plan import plan
 
 RESERVED = 0.1  # of a budget, for photos, scores and what else no step does
 SCORING = 8.0  # seconds besides, for programs that score
@@ -109,7 +107,10 @@ def budgeted(
         if not total_steps(settings):
             raise InputError(f"--budget: the phases of {name} have no steps to scale")
     started = clock()
-    scenes = {name: at_size(scene, settings)[:2] for name, settings in candidates.items()}
+    scenes = {}
+    for name, settings in candidates.items():
+        loaded, downscale, _ = at_size(scene, settings, total_steps(settings))
+        scenes[name] = loaded, replace(settings, downscale=downscale)
     first = next(iter(scenes))
     trial = tried(*scenes[first], most=TRIED_SHARE * seconds, clock=clock)
     lengths = {other: _predicted(trial, scenes[first][1], settings) for other, (_, settings) in scenes.items()}
@@ -122,7 +123,7 @@ def budgeted(
     left = (1 - RESERVED) * seconds - SCORING - (clock() - started) - trial.overhead - looking
     left -= _mapping(loaded, sized, trial)
     part = _part(trial, sized, left)
-    if near and is_worthwhile(lasting(sized, part)):
+    if near and is_worthwhile(total_steps(lasting(sized, part))):
         left -= _trying(near, trial)
         part = _part(trial, sized, left)
     if name == LENGTHS[-1]:
@@ -131,7 +132,7 @@ def budgeted(
     if total_steps(chosen) < FEWEST_STEPS:
         before = (1 - RESERVED) * seconds - left
         least = (before + _least_part(sized, lasting) * _short_length(trial, sized)) / (1 - RESERVED)
-        is_plain = planned_phases(sized) == planned_phases(replace(sized, vanilla=True))
+        is_plain = plan(sized).phases == plan(replace(sized, vanilla=True)).phases
         plainer = "" if is_plain else "; --vanilla has no surface phase to compile and needs less"
         raise InputError(
             f"--budget of {seconds:g} s: too short for this data set here, where even {FEWEST_STEPS} steps"
@@ -139,7 +140,7 @@ def budgeted(
         )
     cost = step_cost(chosen.max_gaussians / sized.max_gaussians)
     paces = " + ".join(f"{phase.steps:,} at {1e3 * cost * pace:.0f} ms" for phase, pace in zip(
-        planned_phases(chosen), trial.seconds_per_step, strict=True))  # fmt: skip
+        chosen.phases, trial.seconds_per_step, strict=True))  # fmt: skip
     return Choice(chosen, f"{name}, {part:.2g} times as long: {chosen.max_gaussians:,} Gaussians, steps {paces}")
 
 
@@ -156,13 +157,12 @@ def _looked(scene: Scene, settings: Settings, clock: Clock) -> tuple[float, list
 def _trying(near: Sequence[str], trial: Trial) -> float:
     """Seconds of trials of effects, on photos of half the size."""
     steps = (2 + len(near)) * (STEPS + SCORED)
-    return (1 + len(near)) * trial.plain_program + steps * trial.plain_step * relative_cost(Phase("", 1, image_scale=2))
+    return (1 + len(near)) * trial.plain_program + steps * trial.plain_step * image_cost(2)
 
 
 def _mapping(scene: Scene, settings: Settings, trial: Trial) -> float:
     """Seconds of making the normal maps of the run's own depth, if a phase asks for them."""
-    asked = any(not NEEDS_NORMALS.isdisjoint(active_terms(phase.weights)) for phase in planned_phases(settings))
-    if settings.normals is not None or not asked:
+    if settings.normals is not None or "normals" not in plan(settings).needs:
         return 0.0
     return OWN_PROGRAMS * trial.plain_program + OWN_MAP * trial.plain_step * len(scene.train_frames)
 
@@ -184,12 +184,12 @@ def _least_part(settings: Settings, lasting: Lasting) -> float:
 
 def _first_step(trial: Trial, settings: Settings) -> float:
     """Seconds of a step of the image alone on the run's largest photos."""
-    return trial.plain_step * relative_cost(largest_phase(settings))
+    return trial.plain_step * image_cost(largest_scale(plan(settings)))
 
 
 def _length(trial: Trial, settings: Settings) -> float:
     """Seconds of all steps."""
-    return sum(phase.steps * pace for phase, pace in zip(planned_phases(settings), trial.seconds_per_step, strict=True))
+    return sum(phase.steps * pace for phase, pace in zip(settings.phases, trial.seconds_per_step, strict=True))
 
 
 def _short_length(trial: Trial, settings: Settings) -> float:
@@ -201,10 +201,10 @@ def _predicted(trial: Trial, settings: Settings, other: Settings) -> float:
     """Seconds of all steps of another run on the same photos, from those of one that was tried; both name a size."""
     if other == settings:
         return _length(trial, settings)
-    costs = [relative_cost(phase) for phase in planned_phases(settings)]
+    costs = [relative_cost(phase) for phase in plan(settings).phases]
     unit = float(np.median(np.divide(trial.seconds_per_step, costs)))
     assert settings.downscale and other.downscale
     pixels = (settings.downscale / other.downscale) ** 2
     gaussians = other.max_gaussians / settings.max_gaussians
     unit *= FIXED_COST * gaussians + (1 - FIXED_COST) * pixels
-    return unit * sum(phase.steps * relative_cost(phase) for phase in planned_phases(other))
+    return unit * sum(phase.steps * relative_cost(phase) for phase in plan(other).phases)

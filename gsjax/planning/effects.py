@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from gsjax.effects import background, blur, transients
+from gsjax.effects import background, blur
 from gsjax.effects.appearance import (
     Appearance,
     Start,
@@ -28,7 +28,8 @@ from gsjax.errors import InputError
 from gsjax.planning.trials import WORTH, Trial, is_near, is_worthwhile
 from gsjax.runs.photography import Photography
 from gsjax.scene import Scene
-from gsjax.settings import AUTO, NONE, SIMULATED, Settings, named_effects, total_steps
+from gsjax.settings import AUTO, NONE, SIMULATED, named_effects
+from gsjax.training.plan import Plan
 
 _PLAIN = {"black": 0.0, "white": 1.0}  # what `Settings.background` lays under the renders
 
@@ -46,16 +47,16 @@ class Looked(NamedTuple):
     left_out: tuple[str, ...] = ()  # names
 
 
-def looked_at(settings: Settings, scene: Scene) -> Looked:
+def looked_at(asked: str, scene: Scene) -> Looked:
     """The data set as the run trains on it, and what its photos show if the run asks; one line says what was left out.
 
     Raises:
         InputError: A photo or the tracks cannot be read.
     """
-    if settings.effects == NONE:
+    if asked == NONE:
         return Looked(scene)
     found = diagnosed(scene)
-    is_asked = settings.effects == AUTO or "blur" in named_effects(settings.effects)
+    is_asked = asked == AUTO or "blur" in named_effects(asked)
     names = blur.left_out(found.seen) if is_asked else ()
     if not names:
         return Looked(scene, found)
@@ -66,20 +67,13 @@ def looked_at(settings: Settings, scene: Scene) -> Looked:
 
 
 @dataclass(frozen=True)
-class Joined:
+class ChosenEffects:
     """The effects of a run."""
 
     effects: Effects = field(default_factory=dict)
     begun: Start | None = None  # None: of no effects
     evidence: dict[str, Any] | None = None  # for the manifest; None: nobody looked
     tries_degrees: bool = False  # whether the run cuts its harmonics to those that photos do not miss
-
-    def paced(self, settings: Settings) -> Settings:
-        """The settings as these effects need them."""
-        if "transients" not in self.effects:
-            return settings
-        growing = sum(phase.steps for phase in settings.phases if phase.density_control)
-        return replace(settings, density=transients.patient(settings.density, growing))
 
     def photography(self, state: EffectState | None) -> Photography:
         """What the state says of the photos."""
@@ -93,65 +87,69 @@ class Joined:
         )
 
 
-def joined(settings: Settings, scene: Scene, trial: Trial | None = None, looked: Looked | None = None) -> Joined:
-    """The effects that the settings name or, of "auto", that the photos show; one line says which.
+def choose_effects(
+    asked: str,
+    plan: Plan,
+    scene: Scene,
+    trial: Trial | None = None,
+    looked: Looked | None = None,
+    *,
+    sh_degree: int = 3,
+) -> ChosenEffects:
+    """The effects that are named or, of "auto", that the photos show; one line says which.
 
     Args:
-        settings: The run.
+        asked: As `Settings.effects`.
+        plan: The run, without effects.
         scene: Its data set, at the size that is trained on.
         trial: Decides, of "auto", where evidence is near its threshold. None, or a short run: the threshold does.
         looked: What `looked_at` found, if it was asked.
+        sh_degree: Of the run's Gaussians.
 
     Raises:
         InputError: A photo or the tracks cannot be read, or a background is asked for behind mattes.
     """
-    if settings.effects == NONE:
-        return Joined()
-    looked = looked or looked_at(settings, scene)
+    if asked == NONE:
+        return ChosenEffects()
+    looked = looked or looked_at(asked, scene)
     scene, found = looked.scene, looked.found
     assert found is not None, "somebody looked"
-    wanted = set(named_effects(settings.effects))
-    is_auto = settings.effects == AUTO
+    wanted = set(named_effects(asked))
+    is_auto = asked == AUTO
     near = [name for name in SIMULATED if is_auto and is_near(name, found.effects[name])]
     is_on = [name for name in SIMULATED if found.effects[name].on] if is_auto else [*wanted]
-    if _is_laid(found, settings, {*is_on, *near}):
-        found = replace(found, effects=found.effects | {"background": _laid(found.effects["background"], settings)})
+    if _is_laid(found, plan, {*is_on, *near}):
+        found = replace(found, effects=found.effects | {"background": _laid(found.effects["background"], plan)})
         near = [name for name in near if name != "background"]
     if is_auto:
-        if trial is not None and is_worthwhile(settings):
+        if trial is not None and is_worthwhile(plan.steps):
             found = replace(found, effects=found.effects | _tried(found, near, trial))
         wanted = {name for name in SIMULATED if found.effects[name].on}
     chosen = [name for name in SIMULATED if name in wanted]
     print(f"train: effects: {', '.join(chosen) or 'none that the photos show'}", file=sys.stderr)
     evidence = {"simulated": chosen, "left_out": list(looked.left_out), "evidence": found.record()["effects"]}
-    tries_degrees = "sh_degree" in wanted and settings.sh_degree > 0
-    if tries_degrees and grown(settings) is None:
+    tries_degrees = "sh_degree" in wanted and sh_degree > 0
+    if tries_degrees and plan.grown is None:
         raise InputError(
-            f"--effects {settings.effects}: no phase comes after those of density control, to go on with fewer"
+            f"--effects {asked}: no phase comes after those of density control, to go on with fewer"
             " harmonics; leave sh_degree out"
         )
     if not chosen:
-        return Joined(evidence=evidence, tries_degrees=tries_degrees)
-    density = settings.density
+        return ChosenEffects(evidence=evidence, tries_degrees=tries_degrees)
+    density = plan.density
     rate = partial(
         learning_rate,
-        total_steps(settings),
+        plan.steps,
         reset_every=density.reset_every,
-        resets_stop=min(density.stop, total_steps(settings)),
+        resets_stop=min(density.stop, plan.steps),
     )
     if "background" in chosen and any(facts.has_matte for facts in found.seen.facts):
         raise InputError(
-            f"--effects {settings.effects}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
+            f"--effects {asked}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
             " leave background out"
         )
     begun = start(found.seen, chosen)
-    return Joined(simulations(begun, chosen, rate), begun, evidence, tries_degrees)
-
-
-def grown(settings: Settings) -> int | None:
-    """How many phases have run when no Gaussians multiply any more; None where none comes then."""
-    last = max((index for index, phase in enumerate(settings.phases, 1) if phase.density_control), default=0)
-    return last if last < len(settings.phases) else None
+    return ChosenEffects(simulations(begun, chosen, rate), begun, evidence, tries_degrees)
 
 
 def _tried(found: Diagnosis, near: list[str], trial: Trial) -> dict[str, Evidence]:
@@ -166,17 +164,17 @@ def _tried(found: Diagnosis, near: list[str], trial: Trial) -> dict[str, Evidenc
     }
 
 
-def _is_laid(found: Diagnosis, settings: Settings, light: Collection[str]) -> bool:
+def _is_laid(found: Diagnosis, plan: Plan, light: Collection[str]) -> bool:
     """Whether what looks like sky is the colour that the run lays under its renders, seen through effects on light."""
-    if settings.background not in _PLAIN:
+    if plan.background not in _PLAIN:
         return False
     reached = light_range(start(found.seen, light), found.seen.frames, light)
-    return background.is_one(found.seen, _PLAIN[settings.background], *reached)
+    return background.is_one(found.seen, _PLAIN[plan.background], *reached)
 
 
-def _laid(evidence: Evidence, settings: Settings) -> Evidence:
+def _laid(evidence: Evidence, plan: Plan) -> Evidence:
     """The evidence of a sky whose one colour the run lays under its renders anyway: nothing is left to simulate."""
-    note = f"off: --background {settings.background} lays that colour there; {evidence.note}"
+    note = f"off: --background {plan.background} lays that colour there; {evidence.note}"
     return evidence._replace(on=False, note=note) if evidence.on else evidence
 
 

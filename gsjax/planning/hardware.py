@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
@@ -12,12 +12,10 @@ import optax
 from gsjax.errors import InputError
 from gsjax.settings import AUTO, NONE, Settings
 from gsjax.training import rows
-from gsjax.training.loop import Placement, one_device, planned_phases
+from gsjax.training.loop import Placement, one_device
 from gsjax.training.sharded import layout as sharding
 from gsjax.training.sharded import placement as several
 from gsjax.training.state import TrainState
-from gsjax.training.step import active_terms
-from gsjax.training.terms.losses import NEEDS_NEIGHBOR, NEEDS_SURROUNDINGS
 
 Devices = int | Literal["all"]
 
@@ -48,23 +46,22 @@ def count_devices(devices: Devices) -> int:
     return count
 
 
-def hardware(devices: Devices, settings: Settings, optimizer: optax.GradientTransformation) -> Hardware:
+def hardware(devices: Devices, views: int, optimizer: optax.GradientTransformation) -> Hardware:
     """One device with a view a step, or Gaussians by rows over several.
 
     Args:
         devices: How many, or all that there are, those of the other processes included.
-        settings: The run.
-        optimizer: Its optimiser.
+        views: Of a step.
+        optimizer: Of the run.
 
     Raises:
         InputError: There are not so many, or the run cannot be spread over them.
     """
-    views, count = settings.views_per_step, count_devices(devices)
+    count = count_devices(devices)
     if count == views == 1:
         return Hardware(one_device(), lambda state: state, lambda state: state, is_one=True)
     if views % count:
         raise InputError(f"--views-per-step {views}: is no multiple of {count} devices")
-    _refuse_far_terms(settings)
     mesh = sharding.mesh_of(jax.devices()[:count])
 
     def deal(state: TrainState) -> TrainState:
@@ -74,29 +71,12 @@ def hardware(devices: Devices, settings: Settings, optimizer: optax.GradientTran
     return Hardware(several.placement(mesh, views), deal, partial(sharding.gathered, mesh=mesh), is_one=False)
 
 
-def without_neighbors(settings: Settings) -> Settings:
-    """The settings without terms that compare a view with the next one, which a step of several views has no room for.
+def effects_asked(settings: Settings, devices: Devices) -> str:
+    """The effects that were asked for, "auto" turned to none where a step has several views, which knows none.
 
-    One line says what went. Presets have such terms and shall run on any number of devices.
+    A line says so.
     """
-    far = sorted(NEEDS_NEIGHBOR & {term for phase in planned_phases(settings) for term in active_terms(phase.weights)})
-    if settings.views_per_step == 1 or not far:
-        return settings
-    print(f"train: {', '.join(far)} need one photo a step and are left out", file=sys.stderr)
-    phases = (replace(p, weights=replace(p.weights, **dict.fromkeys(far, 0.0))) for p in settings.phases)
-    return replace(settings, phases=tuple(phases))
-
-
-def without_looking(settings: Settings, devices: Devices) -> Settings:
-    """The settings, "auto" turned to no effects where a step has several views, which knows none; a line says so."""
     if settings.effects != AUTO or settings.views_per_step == count_devices(devices) == 1:
-        return settings
+        return settings.effects
     print("train: effects need one device and one photo a step: nobody looks for any", file=sys.stderr)
-    return replace(settings, effects=NONE)
-
-
-def _refuse_far_terms(settings: Settings) -> None:
-    """No term may read Gaussians that do not show in the view that it compares."""
-    for phase in planned_phases(settings):
-        for term in sorted((NEEDS_NEIGHBOR | NEEDS_SURROUNDINGS) & active_terms(phase.weights).keys()):
-            raise InputError(f"phase {phase.name}: {term} needs one device and --views-per-step 1")
+    return NONE

@@ -2,10 +2,7 @@
 
 import time
 
-from gsjax.settings import Phase, Settings
-from gsjax.training.loop import planned_phases
-from gsjax.training.step import active_terms
-from gsjax.training.terms.losses import NEEDS_NEIGHBOR, SURFACE_TERMS
+from gsjax.training.plan import Plan, PlannedPhase
 
 # What makes a step longer, in units of one of the image alone (docs/deviations.md, "Terms of other mesh makers"):
 SURFACE_COST, NEIGHBOR_COST = 1.0, 1.5  # a term of the surface, a second view beside the first
@@ -18,10 +15,10 @@ class Pace:
 
     def __init__(self):
         """Before the first step."""
-        self._phase: Phase | None = None
+        self._phase: PlannedPhase | None = None
         self._steps, self._began = 0, 0.0
 
-    def seconds_per_step(self, phase: Phase) -> float | None:
+    def seconds_per_step(self, phase: PlannedPhase) -> float | None:
         """To be called after every step: a number once a phase, when enough of its steps have been timed."""
         if phase is not self._phase:
             self._phase, self._steps = phase, 0
@@ -32,25 +29,26 @@ class Pace:
         return (time.perf_counter() - self._began) / TIMED if done else None
 
 
-def relative_cost(phase: Phase) -> float:
-    """A step of a phase, on average, in units of a photometric step at full size."""
-    terms = active_terms(phase.weights).keys()
-    dearer = SURFACE_COST * bool(terms & SURFACE_TERMS) + NEIGHBOR_COST * bool(terms & NEEDS_NEIGHBOR)
-    return (FIXED_COST + (1 - FIXED_COST) / phase.image_scale**2) * (1 + dearer / phase.surface_every)
+def relative_cost(phase: PlannedPhase) -> float:
+    """A step of a phase, on average, in units of a step of the image alone at full size."""
+    is_dear = any(each.is_dear for each in phase.terms)
+    dearer = SURFACE_COST * is_dear + NEIGHBOR_COST * ("neighbor" in phase.needs)
+    return image_cost(phase.scale) * (1 + dearer / phase.surface_every)
 
 
-def seconds_left(settings: Settings, step: int, phase: Phase, seconds_per_step: float) -> float:
+def image_cost(scale: int) -> float:
+    """A step of the image alone on photos so many times smaller, in units of one at full size."""
+    return FIXED_COST + (1 - FIXED_COST) / scale**2
+
+
+def seconds_left(plan: Plan, step: int, phase: PlannedPhase, seconds_per_step: float) -> float:
     """Seconds for the steps after `step`, at the pace of the phase that runs.
 
     The Gaussians still multiply where density control is on, so it is an early guess there; it is made anew when
     each phase begins.
     """
-    unit, left, start = seconds_per_step / relative_cost(phase), 0.0, 0
-    for planned in planned_phases(settings):
-        end = start + planned.steps
-        left += max(end - max(step, start), 0) * relative_cost(planned) * unit
-        start = end
-    return left
+    unit = seconds_per_step / relative_cost(phase)
+    return sum(max(each.end - max(step, each.begin), 0) * relative_cost(each) * unit for each in plan.phases)
 
 
 def spoken(seconds: float) -> str:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -11,17 +10,25 @@ import jax
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.scene import Frame, Scene, extent
-from gsjax.settings import Settings, total_steps
-from gsjax.training.batches import in_larger_steps
+from gsjax.settings import Settings
 
 
-def at_size(scene: str | Path, settings: Settings) -> tuple[Scene, Settings, str]:
-    """The data set at the size that the run looks at, which the settings then name; and the line that says it."""
+def at_size(
+    scene: str | Path, settings: Settings, steps: int, downscale: float | None = None
+) -> tuple[Scene, float, str]:
+    """The data set at the size that a run looks at, how many times smaller that is, and the line that says it.
+
+    Args:
+        scene: Folder of the data set.
+        settings: The run.
+        steps: That it takes, for the line.
+        downscale: What was chosen before; None: it is chosen now.
+    """
     opened = partial(load_scene, scene, folder_masks=settings.masks, images=settings.images, hold_out=settings.hold_out)
     taken = opened()
-    settings = replace(settings, downscale=chosen_downscale(settings, taken.frames))
-    loaded = taken if settings.downscale == 1 else opened(downscale=settings.downscale)
-    return loaded, settings, size_line(settings, taken.frames, loaded.frames)
+    factor = chosen_downscale(settings, taken.frames) if downscale is None else downscale
+    loaded = taken if factor == 1 else opened(downscale=factor)
+    return loaded, factor, size_line(steps, taken.frames, loaded.frames)
 
 
 def training_extent(scene: Scene) -> float:
@@ -61,10 +68,10 @@ def chosen_downscale(settings: Settings, frames: Sequence[Frame], *, on_cpu: boo
     return round(factor, 4)
 
 
-def size_line(settings: Settings, taken: Sequence[Frame], used: Sequence[Frame]) -> str:
+def size_line(steps: int, taken: Sequence[Frame], used: Sequence[Frame]) -> str:
     """One line for the user: how many photos, at what size and why, and how many steps."""
     largest, reduced = (max(frames, key=lambda f: f.width * f.height) for frames in (taken, used))
     line = f"{len(used)} photos at {reduced.width}x{reduced.height}"
     if (largest.width, largest.height) != (reduced.width, reduced.height):
         line += f" (taken at {largest.width}x{largest.height}; --downscale 1 keeps that)"
-    return f"{line}, {total_steps(in_larger_steps(settings)):,} steps"
+    return f"{line}, {steps:,} steps"

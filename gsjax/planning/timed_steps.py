@@ -15,14 +15,15 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gsjax.gaussians import Gaussians
-from gsjax.planning.pace import relative_cost
+from gsjax.planning.pace import image_cost, relative_cost
 from gsjax.planning.sizes import training_extent
 from gsjax.scene import Frame, Scene, in_memory
-from gsjax.settings import Phase, Settings
+from gsjax.settings import Settings
 from gsjax.targets import NORMAL_UNIT
-from gsjax.training import initialize, loop, optimizers, surroundings
+from gsjax.training import initialize, loop, optimizers
 from gsjax.training.growth.rules import RULES
-from gsjax.training.loop import Progress, planned_phases
+from gsjax.training.loop import Progress
+from gsjax.training.plan import Plan, plan
 from gsjax.training.state import initial_state
 
 WARM, TIMED = 2, 8  # steps of a phase: the first ones compile, the next ones are timed
@@ -59,41 +60,40 @@ def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.
     spread = np.linspace(0, len(scene.train_frames) - 1, PHOTOS).astype(int)
     frames = tuple(in_memory(scene.train_frames[index]) for index in dict.fromkeys(spread.tolist()))
     compiling, known, at_largest = {}, {}, {}
-    phases = [replace(phase, name="", steps=WARM + TIMED, cull_below=0.0) for phase in planned_phases(settings)]
-    largest = largest_phase(settings)
+    planned = plan(settings)
+    phases = [replace(phase, name="", begin=0, end=WARM + TIMED, cull_below=0.0) for phase in planned.phases]
+    scale = largest_scale(planned)
     for phase in phases:
         # What smaller photos save is known well enough to spare their program.
-        large = replace(phase, image_scale=largest.image_scale)
+        large = replace(phase, scale=scale)
         if large not in at_largest:
-            moments = _moments(scene, frames, size, replace(settings, phases=(large,), vanilla=False), most, clock)
+            moments = _moments(scene, frames, size, settings, replace(planned, phases=(large,)), most, clock)
             pace = float(np.median(np.diff(moments[WARM:])))
             at_largest[large] = pace, max(moments[WARM] - moments[0] - WARM * pace, 0.0)
         pace, compiling[phase] = at_largest[large]
         known[phase] = pace * relative_cost(phase) / relative_cost(large)
-    shares = shares_alive(settings, len(scene.points))
+    shares = shares_alive(planned, len(scene.points))
     paces = [known[phase] * step_cost(share) for phase, share in zip(phases, shares, strict=True)]
-    again = max((seconds for phase, seconds in compiling.items() if phase.density_control), default=0.0)
+    again = max((seconds for phase, seconds in compiling.items() if phase.rule), default=0.0)
     plain_pace, plain_program = min(at_largest.values())
-    plain_step = plain_pace / relative_cost(largest)
+    plain_step = plain_pace / image_cost(scale)
     return Trial(tuple(paces), sum(compiling.values()) + again, plain_step, plain_program)
 
 
-def shares_alive(settings: Settings, points: int) -> list[float]:
+def shares_alive(plan: Plan, points: int) -> list[float]:
     """By phase, the mean share of the Gaussians at the end that are alive.
 
     Args:
-        settings: The run.
+        plan: The run.
         points: That it starts from.
     """
-    phases, density = planned_phases(settings), settings.density
+    density = plan.density
     if density.rule != "error":
-        return [HALF_GROWN if phase.density_control else 1.0 for phase in phases]
-    first = min(max(points, 1) / settings.max_gaussians, 1.0)
+        return [HALF_GROWN if phase.rule else 1.0 for phase in plan.phases]
+    first = min(max(points, 1) / plan.max_gaussians, 1.0)
     growing = max(density.full_by * (density.stop - density.start), 1)
-    ends = np.cumsum([phase.steps for phase in phases])
     missing = [
-        1 - np.clip((np.arange(end - phase.steps, end) + 1 - density.start) / growing, 0, 1)
-        for phase, end in zip(phases, ends, strict=True)
+        1 - np.clip((np.arange(phase.begin, phase.end) + 1 - density.start) / growing, 0, 1) for phase in plan.phases
     ]
     return [float(np.mean(first**each)) if len(each) else 1.0 for each in missing]
 
@@ -103,17 +103,14 @@ class _EnoughError(Exception):
 
 
 def _moments(
-    scene: Scene, frames: Sequence[Frame], size: float, settings: Settings, most: float, clock: Clock
+    scene: Scene, frames: Sequence[Frame], size: float, settings: Settings, plan: Plan, most: float, clock: Clock
 ) -> list[float]:
-    """When the steps of the only phase ended, and before them when the first one began."""
-    (phase,) = settings.phases
+    """When the steps of the plan's only phase ended, and before them when the first one began."""
+    (phase,) = plan.phases
     # Nobody multiplies while the steps are timed; the statistics for it are gathered all the same.
-    still = replace(settings.density, start=phase.steps + 1, stop=phase.steps + 2, reset_every=0)
-    settings = replace(settings, density=still)
-    optimizer = optimizers.make_optimizer(settings.rates, size, phase.steps)
-    gaussians = _grown(scene, settings)
-    nearest = surroundings.found(gaussians) if surroundings.needed(phase) else None
-    state = initial_state(gaussians, optimizer, RULES[settings.density.rule], nearest=nearest)
+    still = replace(plan.density, start=phase.steps + 1, stop=phase.steps + 2, reset_every=0)
+    optimizer = optimizers.make_optimizer(plan.rates, size, phase.steps)
+    state = initial_state(_grown(scene, settings), optimizer, RULES[plan.density.rule])
     moments = [clock()]
 
     def note(progress: Progress) -> None:
@@ -126,7 +123,7 @@ def _moments(
         return [np.tile(np.int8([0, 0, -NORMAL_UNIT]), (frame.height, frame.width, 1)) for frame in frames]
 
     with contextlib.suppress(_EnoughError):
-        loop.fit(settings, frames, size, state, optimizer, prior=facing, observe=note)
+        loop.follow(loop.Work(replace(plan, density=still), frames, size, optimizer, facing, note), state)
     return moments
 
 
@@ -158,6 +155,6 @@ def step_cost(gaussians: float) -> float:
     return 1 - PER_GAUSSIAN * (1 - gaussians)
 
 
-def largest_phase(settings: Settings) -> Phase:
-    """A phase of the image alone, its photos as large as any that the run looks at."""
-    return Phase("", 1, image_scale=min(phase.image_scale for phase in planned_phases(settings)))
+def largest_scale(plan: Plan) -> int:
+    """How many times smaller the largest photos are that any phase looks at."""
+    return min(phase.scale for phase in plan.phases)

@@ -13,10 +13,11 @@ from gsjax.effects.model import RATE, Effects, EffectState
 from gsjax.effects.model import initial_state as state_of
 from gsjax.effects.observations import Observations
 from gsjax.scene import Frame
-from gsjax.settings import Settings, Weights, total_steps
+from gsjax.settings import PLAIN
 from gsjax.targets import Views
 from gsjax.training import trial
 from gsjax.training.optimizers import make_optimizer
+from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState
 
 NEAR = 1.5  # times the threshold, or that part of it
@@ -36,13 +37,13 @@ def is_near(name: str, evidence: Evidence) -> bool:
     return name in TRIED and value is not None and 1 / NEAR < value / evidence.threshold < NEAR
 
 
-def is_worthwhile(settings: Settings) -> bool:
-    """Whether a run is long enough for trials."""
-    return total_steps(settings) >= FEWEST_STEPS
+def is_worthwhile(steps: int) -> bool:
+    """Whether a run of so many steps is long enough for trials."""
+    return steps >= FEWEST_STEPS
 
 
 def gains(
-    settings: Settings,
+    plan: Plan,
     frames: Sequence[Frame],
     extent: float,
     initial: Callable[[optax.GradientTransformation, Effects], TrainState],
@@ -56,7 +57,7 @@ def gains(
     many steps again as it is, and with each of the others. Deterministic, so that the difference is the effect's.
 
     Args:
-        settings: The run.
+        plan: The run.
         frames: The photos that are trained on. Held-out ones play no part.
         extent: Camera extent, scene units.
         initial: (optimiser, effects) -> step 0.
@@ -67,17 +68,17 @@ def gains(
     Returns:
         PSNR with the effect less that without, by name.
     """
-    optimizer = make_optimizer(settings.rates, extent, total_steps(settings))
+    optimizer = make_optimizer(plan.rates, extent, plan.steps)
     shown, kept = trial.by_block(trial.small_views(frames))
     kept = Views(kept.targets[:: -(-kept.num_views // SCORED)])
-    steps = max(1, min(STEPS, round(SHARE * total_steps(settings))))
+    steps = max(1, min(STEPS, round(SHARE * plan.steps)))
 
     every = (2 + len(near)) * (steps + kept.num_views)
     bar = tqdm(total=every, desc=f"trying {', '.join(near)}", unit="step", leave=False)
 
     def steps_with(effects: Effects) -> Callable[[TrainState], tuple[TrainState, float]]:
-        make = trial.maker(settings, Weights(), optimizer, shown, effects=effects, sh_every=settings.sh_every)
-        return partial(trial.tried, make, shown=shown, kept=kept, steps=steps, seed=settings.seed, observe=bar.update)
+        make = trial.maker(plan, PLAIN, optimizer, shown, effects=effects, sh_every=plan.sh_every)
+        return partial(trial.tried, make, shown=shown, kept=kept, steps=steps, seed=plan.seed, observe=bar.update)
 
     def chosen(names: Sequence[str]) -> Effects:
         return simulations(start(seen, names), names, lambda peak=RATE, **_: optax.constant_schedule(peak))

@@ -87,14 +87,6 @@ class Neighbor(NamedTuple):
     valid: Array | None = None  # [H, W] bool, of the photo
 
 
-class Surroundings(NamedTuple):
-    """What terms on the density of the Gaussians read beside a view."""
-
-    nearest: Array  # [N, K] int32 ids of the nearest of each Gaussian, itself first; its own id again stands for nobody
-    key: Array  # random key of this step
-    extent: float  # camera extent, scene units
-
-
 class View(NamedTuple):
     """What one view shows. `depth` is None where it was not asked for."""
 
@@ -104,7 +96,6 @@ class View(NamedTuple):
     splats: Splats
     extra: Array | None = None  # [H, W, D] what `extra` composites to, on zero
     neighbor: Neighbor | None = None  # only in a step whose loss has a term between two views
-    surroundings: Surroundings | None = None  # only in a step whose loss has a term on the density
 
 
 MIN_COVERAGE = 0.5  # A pixel covered less has no surface whose depth would mean anything (method: A10, A11).

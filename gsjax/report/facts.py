@@ -2,16 +2,15 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from gsjax import runs, tables
-from gsjax.errors import InputError
-from gsjax.io import json_files
+from gsjax import tables
 from gsjax.report.curves import Chart, Curve, chart
-from gsjax.settings import NORMAL_TERMS
+from gsjax.runs.run import Run
 
 AXES = {"steps": "step", "seconds": "seconds"}  # Name of an axis, and what a line of metrics calls it.
 CHARTS = {
@@ -24,26 +23,23 @@ CHARTS = {
     "Gaussians": {"Gaussians": "gaussians"},
 }
 CAME_OF_IT = ("registered", "points", "psnr", "ssim", "gaussians", "vertices", "faces", "seen_share")
-ALIGNED = sorted(NORMAL_TERMS - {"coverage"})  # terms that turn something to the normals
-LEFT_OUT_OF_VANILLA = (*ALIGNED, "entropy", "thickness", "coverage")
 SPLITS = {"auto": "the data set's own split, else every 8th photo by name", "none": "asked for: all photos train"}
 
 Rows = list[tuple[str, ...]]
 
 
-class RunFacts(NamedTuple):
-    """One run folder, read."""
+@dataclass(frozen=True)
+class RunFacts(Run):
+    """One run folder, read for its report."""
 
-    folder: Path
-    manifest: dict[str, Any]
-    settings: dict[str, Any]
-    views: list[dict[str, Any]]  # of cameras.json; empty before the run has finished
-    history: list[dict[str, Any]]  # of metrics.jsonl, and the last score of the held-out views
-
-    @property
-    def is_refinement(self) -> bool:
-        """Whether a mesh was trained with its Gaussians here."""
-        return "refinement" in self.settings
+    @cached_property
+    def history(self) -> list[dict[str, Any]]:
+        """The metrics, and the last score of the held-out views."""
+        if self.manifest.get("psnr") is None:
+            return self.metrics
+        scores = {f"held_out_{n}": self.manifest[n] for n in ("psnr", "psnr_near_gains") if n in self.manifest}
+        last = {"step": self.manifest["steps"], "seconds": self.manifest["train_seconds"], **scores}
+        return [*self.metrics, last]
 
     @property
     def stages(self) -> dict[str, dict[str, Any]]:
@@ -51,23 +47,6 @@ class RunFacts(NamedTuple):
         own = {name: self.manifest[name] for name in CAME_OF_IT if name in self.manifest}
         first = {**own, "seconds": self.manifest.get("train_seconds"), "peak_gib": self.manifest.get("peak_gib")}
         return {"refine" if self.is_refinement else "train": first, **self.manifest.get("stages", {})}
-
-
-def read_run(folder: Path) -> RunFacts:
-    """Reads what a report needs; of a run that is not done, what there is.
-
-    Raises:
-        InputError: It is no run folder, or a file is damaged.
-    """
-    if not (folder / "manifest.json").is_file():
-        raise InputError(f"{folder}: holds no manifest.json; it is no run folder")
-    manifest, settings = json_files.read(folder / "manifest.json"), runs.read_settings(folder)
-    views = json_files.read(folder / "cameras.json") if (folder / "cameras.json").exists() else []
-    history = runs.read_metrics(folder)
-    if manifest.get("psnr") is not None:
-        scores = {f"held_out_{name}": manifest[name] for name in ("psnr", "psnr_near_gains") if name in manifest}
-        history.append({"step": manifest["steps"], "seconds": manifest["train_seconds"], **scores})
-    return RunFacts(folder, manifest, settings, views, history)
 
 
 def what_was_read(run: RunFacts) -> Rows:
@@ -78,7 +57,7 @@ def what_was_read(run: RunFacts) -> Rows:
 
 def what_was_decided(run: RunFacts) -> Rows:
     """What, how, and why."""
-    hold_out, factor = str(run.settings["hold_out"]), run.settings["downscale"]
+    hold_out, factor = str(run.settings["hold_out"]), run.downscale
     return [
         ("Size of the photos", f"reduced {factor:g} times" if factor > 1 else "as they are", _photos(run)),
         ("Photos for scoring", _count_held_out(run), SPLITS.get(hold_out, f"asked for: --hold-out {hold_out}")),
@@ -89,15 +68,13 @@ def what_was_decided(run: RunFacts) -> Rows:
 
 def plan(run: RunFacts) -> Rows:
     """Phase, steps, and terms of the loss with their weights."""
-    phases = [{"name": "refine", **run.settings["refinement"]}] if run.is_refinement else run.settings["phases"]
-    left_out = LEFT_OUT_OF_VANILLA if run.settings["vanilla"] and not run.is_refinement else ()
     return [
         (
             phase["name"],
             f"{phase['steps']:,}",
-            ", ".join(f"{n} {weight:g}" for n, weight in phase["weights"].items() if weight and n not in left_out),
+            ", ".join(f"{name} {weight:g}" for name, weight in phase["terms"].items()),
         )
-        for phase in phases
+        for phase in run.plan["phases"]
     ]
 
 
@@ -213,20 +190,18 @@ def state(run: RunFacts) -> str:
     """Done, or how far it came."""
     if run.manifest["status"] == "done":
         return f"done, {run.manifest.get('updated', '')}".rstrip(", ")
-    steps = sum(int(steps.replace(",", "")) for _, steps, _ in plan(run))
     reached = run.history[-1]["step"] if run.history else 0
-    return f"not finished: {reached:,} of {steps:,} steps logged"
+    return f"not finished: {reached:,} of {run.plan['steps']:,} steps logged"
 
 
 def _normals(run: RunFacts) -> tuple[str, str]:
-    weights = [phase["weights"].get(term, 0) for phase in run.settings["phases"] for term in ALIGNED]
-    if run.settings["vanilla"] or not any(weights) or run.is_refinement:
+    if run.is_refinement or not any("normals" in phase["needs"] for phase in run.plan["phases"]):
         return "none", "no term of the loss looks at them"
-    if run.settings["normals"] is None:
+    if run.plan["normals"] is None:
         return "of the Gaussians' own depth, smoothed", "no maps were given: --normals names them"
     axes = run.settings["normal_axes"]
     asked = f"axes asked for: {axes}" if axes else "axes as the maps' maker wrote them, or found by comparing"
-    return run.settings["normals"], run.manifest.get("normals", asked)
+    return run.plan["normals"], run.manifest.get("normals", asked)
 
 
 def _effects(run: RunFacts) -> tuple[str, str]:

@@ -17,7 +17,7 @@ from gsjax.io.images import jpeg, read_image, resize
 from gsjax.io.machine import peak_memory, restart_peak_memory
 from gsjax.report import curves, shown_views
 from gsjax.report import facts as run_facts
-from gsjax.report.facts import RunFacts, read_run
+from gsjax.report.facts import RunFacts
 from gsjax.runs.photography import Photography, read_photography
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.scoring.images import score_images
@@ -119,7 +119,7 @@ def write_page(path: Path, template: str, **content: Any) -> Path:
 
 def _chapter(folder: Path) -> dict[str, Any]:
     """Everything about one run folder, for the template."""
-    run = read_run(folder)
+    run = RunFacts.open(folder)
     return {
         "name": folder.resolve().name,
         "is_refinement": run.is_refinement,

@@ -1,6 +1,7 @@
 """A run folder: what was asked, on what machine, how it went, and the states to go on from.
 
-    config.json        the parsed settings
+    config.json        the settings that were asked for
+    plan.json          what runs: phases with steps, terms and weights, and what the run found out for itself
     manifest.json      scene, command, versions, machine, seed, dates, status, the list of files
     metrics.jsonl      one line per logged step
     pictures/          a few held-out views, as the report shows them

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from gsjax import runs
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
@@ -23,7 +22,8 @@ from gsjax.io.splits import NONE
 from gsjax.render import DepthReading, gallery
 from gsjax.render.gallery import Picture
 from gsjax.runs import viewpoints
-from gsjax.runs.photography import read_photography, refined
+from gsjax.runs.photography import refined
+from gsjax.runs.run import Run
 from gsjax.scene import Frame, Scene, valid_pixels
 
 BACKGROUNDS = {"white": np.ones(3, np.float32), "black": np.zeros(3, np.float32), "random": np.zeros(3, np.float32)}
@@ -93,8 +93,8 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             hint = "its training has not finished" if (source / "manifest.json").exists() else "it is no run folder"
             raise InputError(f"{source}: holds no gaussians.ply; {hint}")
         gaussians = read_gaussians(source / "gaussians.ply")
-        settings, learned = runs.read_settings(source), read_photography(source).background
-        records = json_files.read(source / "cameras.json")
+        run = Run(source)
+        settings, learned, records = run.settings, run.photography.background, run.views
         return Result(
             source,
             gaussians,
@@ -103,7 +103,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             held_out=tuple(bool(record["held_out"]) for record in records),
             valid=tuple(partial(_read_mask, source, record) for record in records),
             background=BACKGROUNDS[settings["background"]] if learned is None else learned,
-            depth_mode=DEPTH_OF_DISCS if "refinement" in settings else settings["depth_mode"],
+            depth_mode=DEPTH_OF_DISCS if run.is_refinement else settings["depth_mode"],
         )
     gaussians = format_of(source).read(source)
     if scene is None:
@@ -154,35 +154,35 @@ def training_pictures(
     return cameras, gallery.masked(pictures, (result.valid[index]() for index in chosen))
 
 
-def scene_of_run(run: Path, *, zoom: float = 1.0) -> Scene:
+def scene_of_run(folder: Path, *, zoom: float = 1.0) -> Scene:
     """The data set of a finished run, loaded as it was trained on: with its split, whatever became of the list of it.
 
     Cameras that training moved are where it left them; photos that it left out are left out.
 
     Args:
-        run: Run folder.
+        folder: Of the run.
         zoom: Photos are so many times larger than in training.
 
     Raises:
         InputError: It is no run folder, its data set cannot be used any more, or its photos are too small for `zoom`.
     """
-    manifest, settings = json_files.read(run / "manifest.json"), json_files.read(run / "config.json")
+    run = Run(folder)
     if not 0 < zoom < math.inf:
         raise InputError(f"--zoom {zoom:g} is not a number above 0")
-    downscale = settings["downscale"] / zoom
+    downscale = run.downscale / zoom
     if downscale < 1:
-        reduced = f"reduced by {settings['downscale']:g}" if settings["downscale"] > 1 else "as they are"
-        raise InputError(f"{run}: was trained on photos {reduced}; there are none {zoom:g} times larger")
-    held_out = {record["name"]: record["held_out"] for record in json_files.read(run / "cameras.json")}
+        reduced = f"reduced by {run.downscale:g}" if run.downscale > 1 else "as they are"
+        raise InputError(f"{folder}: was trained on photos {reduced}; there are none {zoom:g} times larger")
+    held_out = {record["name"]: record["held_out"] for record in run.views}
     scene = load_scene(
-        manifest["scene"],
+        run.manifest["scene"],
         downscale=downscale,
-        folder_masks=settings["masks"],
-        images=settings.get("images"),  # Absent from folders of runs that could not choose.
+        folder_masks=run.settings["masks"],
+        images=run.settings.get("images"),  # Absent from folders of runs that could not choose.
         hold_out=NONE,
     )
     frames = tuple(replace(f, held_out=held_out[f.name]) for f in scene.frames if f.name in held_out)
-    return replace(scene, frames=refined(frames, read_photography(run).moves))
+    return replace(scene, frames=refined(frames, run.photography.moves))
 
 
 def frame_camera(frame: Frame) -> Camera:

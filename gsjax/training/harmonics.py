@@ -10,8 +10,9 @@ import optax
 from gsjax import targets
 from gsjax.effects.model import Effects
 from gsjax.scene import Frame
-from gsjax.settings import Phase, Rates, Settings, total_steps
+from gsjax.settings import Rates
 from gsjax.training import optimizers, trial
+from gsjax.training.plan import Plan, PlannedPhase
 from gsjax.training.state import TrainState
 
 MARGIN = 0.1  # dB: so much less than the best is as good
@@ -22,7 +23,7 @@ _STILL = 1e-12  # a rate that moves nothing
 
 
 def degrees_tried(
-    settings: Settings, phase: Phase, frames: Sequence[Frame], state: TrainState, extent: float, effects: Effects
+    plan: Plan, phase: PlannedPhase, frames: Sequence[Frame], state: TrainState, extent: float, effects: Effects
 ) -> dict[int, float]:
     """PSNR of photos that were kept from the colours, by the degree of their harmonics.
 
@@ -31,7 +32,7 @@ def degrees_tried(
     the photos that they were fitted to says nothing.
 
     Args:
-        settings: The run.
+        plan: The run.
         phase: Whose loss and photos.
         frames: The photos that are trained on.
         state: After that phase; left as it is.
@@ -41,18 +42,19 @@ def degrees_tried(
     Returns:
         Decibels by degree, 0 to that of the state.
     """
-    optimizer = optimizers.make_optimizer(_of_colors(settings.rates), extent, 1)
-    steps = max(1, min(STEPS, round(SHARE * total_steps(settings))))
+    optimizer = optimizers.make_optimizer(_of_colors(plan.rates), extent, 1)
+    steps = max(1, min(STEPS, round(SHARE * plan.steps)))
     # At full size: at half of it splats are blurred otherwise, which colours by direction would learn to make up for.
-    shown, kept = trial.by_photo(targets.numbered(targets.views_of(frames, scale=phase.image_scale)))
+    shown, kept = trial.by_photo(targets.numbered(targets.views_of(frames, scale=phase.scale)))
     anew = replace(state.gaussians, sh_rest=jnp.zeros_like(state.gaussians.sh_rest))
-    begun = replace(state, gaussians=anew, opt_state=optimizer.init(anew), nearest=None)
+    begun = replace(state, gaussians=anew, opt_state=optimizer.init(anew), tables={})
     # One program for all: its ramp opens a band every so many steps, and each degree starts where its own are open.
-    make = trial.maker(settings, phase.weights, optimizer, shown, effects=effects, sh_every=steps)
+    weights = {each.name: each.weight for each in phase.terms}
+    make = trial.maker(plan, weights, optimizer, shown, effects=effects, sh_every=steps)
 
     def psnr(degree: int) -> float:
         at = replace(begun, step=jnp.asarray(degree * steps, jnp.int32))
-        return trial.tried(make, at, shown, kept, steps, seed=settings.seed)[1]
+        return trial.tried(make, at, shown, kept, steps, seed=plan.seed)[1]
 
     return {degree: psnr(degree) for degree in range(state.gaussians.sh_degree + 1)}
 

@@ -1,8 +1,9 @@
 """The host loop over the phases: which view, when to densify, when a buffer must grow."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
+from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -12,18 +13,18 @@ import optax
 from jax import Array
 
 from gsjax import targets
-from gsjax.effects.model import NO_EFFECTS, Effects
+from gsjax.effects.model import Effects
 from gsjax.errors import InputError
 from gsjax.scene import Frame
-from gsjax.settings import Phase, Settings, Weights
+from gsjax.settings import Settings
 from gsjax.targets import Target, Views
-from gsjax.training import rows, surroundings
+from gsjax.training import rows
 from gsjax.training.capacity import chosen_capacity, rounded_capacity
-from gsjax.training.growth import adaptive as density_control
-from gsjax.training.growth.rules import RULES
+from gsjax.training.growth import adaptive
+from gsjax.training.plan import Plan, PlannedPhase, plan
 from gsjax.training.state import TrainState, cull, densify, reset_opacities
-from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, active_terms, make_train_step
-from gsjax.training.terms.losses import NEEDS_NEIGHBOR, NEEDS_NORMALS, SURFACE_TERMS
+from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
+from gsjax.training.terms import Term, Weighed
 from gsjax.training.terms.multi_view import drawn_beside, with_neighbors
 
 S = TypeVar("S")  # A state of training.
@@ -32,6 +33,7 @@ NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
 
 GROWTH = 2.0  # How much longer the pair buffer is than needed while Gaussians multiply,
 STILL = 1.25  # and while they do not: a view that needs more costs another compilation.
+REFRESHED_EVERY = 500  # steps between two tables of a term that has one (SuGaR)
 
 
 Feed = Callable[[Views, int, float], Callable[[int], Target]]
@@ -54,27 +56,11 @@ class Progress(NamedTuple):
     """What the loop tells after every step."""
 
     step: int  # steps done, all phases together
-    phase: Phase
+    phase: PlannedPhase
     state: TrainState  # valid until the next step, which takes its buffers
     metrics: Metrics
     capacity: int  # of the pair buffer
     phase_done: bool  # this was the last step of its phase
-
-
-def planned_phases(settings: Settings) -> tuple[Phase, ...]:
-    """The phases as they run: with `settings.vanilla`, the same steps of the photometric loss alone."""
-    if not settings.vanilla:
-        return settings.phases
-    return tuple(
-        Phase(
-            p.name,
-            p.steps,
-            Weights(l1=p.weights.l1, dssim=p.weights.dssim, alpha=p.weights.alpha),
-            p.image_scale,
-            p.density_control,
-        )
-        for p in settings.phases
-    )
 
 
 def view_order(seed: int, step: int, num_views: int) -> int:
@@ -104,18 +90,35 @@ def one_view(data: Views, seed: int, view_share: float) -> Callable[[int], Targe
 _kept = lru_cache(maxsize=32)(make_train_step)
 
 
-def kept_step(optimizer: optax.GradientTransformation, weights: Weights, *, effects: Effects, **how: Any) -> TrainStep:
-    """`make_train_step`, the same for the same arguments: the next run of these settings finds its programs compiled.
+def kept_step(
+    optimizer: optax.GradientTransformation, terms: tuple[Weighed, ...], *, effects: Effects, **how: Any
+) -> TrainStep:
+    """`make_train_step`, the same for the same arguments: the next run of this plan finds its programs compiled.
 
-    Effects bring numbers of their run, so that steps with them are made anew.
+    A term whose function is another is another argument. Effects bring numbers of their run, so that steps with them
+    are made anew.
     """
-    return make_train_step(optimizer, weights, effects=effects, **how) if effects else _kept(optimizer, weights, **how)
+    return make_train_step(optimizer, terms, effects=effects, **how) if effects else _kept(optimizer, terms, **how)
 
 
 def one_device() -> Placement:
     """All on one device, a view a step."""
     room = rows.with_room_to_densify
     return Placement(one_view, kept_step, chosen_capacity, room, densify, reset_opacities, cull)
+
+
+@dataclass(frozen=True)
+class Work:
+    """What all phases of a run share."""
+
+    plan: Plan
+    frames: Sequence[Frame]  # training photos, best in memory: every phase reads them
+    extent: float  # of the cameras, scene units
+    optimizer: optax.GradientTransformation  # the transformation that made the state
+    prior: NormalsPrior  # gives normals to the first phase that needs them
+    observe: Callable[[Progress], None]  # called after every step
+    effects: Effects = field(default_factory=dict)  # the state must be made for them, their photos be `frames`
+    placement: Placement = field(default_factory=one_device)  # where the state lies
 
 
 def fit(
@@ -127,23 +130,39 @@ def fit(
     *,
     prior: NormalsPrior,
     observe: Callable[[Progress], None],
+    terms: Mapping[str, Term] = MappingProxyType({}),
     capacity: int | None = None,
-    effects: Effects = NO_EFFECTS,
-    placement: Placement | None = None,
 ) -> TrainState:
-    """Run all phases from `state.step` on.
+    """Plan a run on one device and follow the plan from `state.step` on.
 
     Args:
         settings: The run.
-        frames: Training photos, best in memory: every phase reads them.
-        extent: Camera extent, scene units.
+        frames: As in `Work`.
+        extent: As in `Work`.
         state: Where to start; step 0 or a checkpoint. Its buffers are taken.
         optimizer: The transformation that made the state.
-        prior: Gives normals to the first phase that needs them.
-        observe: Called after every step.
+        prior: As in `Work`.
+        observe: As in `Work`.
+        terms: The run's own terms of the loss, see `gsjax.training.plan.plan`.
         capacity: Pair buffer to continue with; None counts.
-        effects: Those that are simulated; the state must be made for them, their photos be `frames`.
-        placement: Where the state lies; None: on one device.
+
+    Returns:
+        The final state.
+
+    Raises:
+        InputError: A weight has no term, or the device has no room for so many Gaussians at this size.
+    """
+    work = Work(plan(settings, terms), frames, extent, optimizer, prior, observe)
+    return follow(work, state if state.tables else with_tables(state, work.plan), capacity)
+
+
+def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainState:
+    """Run all phases of a plan from `state.step` on.
+
+    Args:
+        work: The plan, and what its phases share.
+        state: Where to start; step 0 or a checkpoint, with the tables that `with_tables` makes. Its buffers are taken.
+        capacity: Pair buffer to continue with; None counts.
 
     Returns:
         The final state.
@@ -151,24 +170,35 @@ def fit(
     Raises:
         InputError: The device has no room for so many Gaussians at this size.
     """
-    done, start, placement = int(state.step), 0, placement or one_device()
-    for phase in planned_phases(settings):
-        end = start + phase.steps
-        if done < end:
-            data = targets.views_of(frames, scale=phase.image_scale)
-            if effects:
-                data = targets.numbered(data)
-            if not NEEDS_NORMALS.isdisjoint(active_terms(phase.weights)):
-                data = targets.with_normals(data, prior(state))
-            if not NEEDS_NEIGHBOR.isdisjoint(active_terms(phase.weights)):
-                data = with_neighbors(data, extent)
-            if surroundings.needed(phase) and done == start:
-                state = surroundings.refreshed(state)
-            beginning = (done, end), data, extent, state, optimizer, observe, capacity, effects, placement
-            state = _run_phase(settings, phase, *beginning)
-            done, capacity = end, None
-        start = end
+    done = int(state.step)
+    for phase in work.plan.phases:
+        if done >= phase.end:
+            continue
+        if phase.tables and done == phase.begin:
+            state = with_tables(state, work.plan)
+        state = _run_phase(work, phase, _views(work, phase, state), state, done, capacity)
+        done, capacity = phase.end, None
     return state
+
+
+def with_tables(state: TrainState, plan: Plan) -> TrainState:
+    """The state with the tables of the plan's terms, of its Gaussians as they are now."""
+    terms = (each for phase in plan.phases for each in phase.terms)
+    refreshed = {each.table: each.term.refresh for each in terms if each.table and each.term.refresh}
+    tables = {name: jnp.asarray(refresh(state.gaussians)) for name, refresh in refreshed.items()}
+    return replace(state, tables=tables)
+
+
+def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
+    """What the phase compares with."""
+    data = targets.views_of(work.frames, scale=phase.scale)
+    if work.effects:
+        data = targets.numbered(data)
+    if "normals" in phase.needs:
+        data = targets.with_normals(data, work.prior(state))
+    if "neighbor" in phase.needs:
+        data = with_neighbors(data, work.extent)
+    return data
 
 
 def advance(
@@ -234,49 +264,37 @@ def _no_room(error: Exception, data: Views, capacity: int) -> Exception:
 
 
 def _run_phase(
-    settings: Settings,
-    phase: Phase,
-    steps: tuple[int, int],
-    data: Views,
-    extent: float,
-    state: TrainState,
-    optimizer: optax.GradientTransformation,
-    observe: Callable[[Progress], None],
-    capacity: int | None,
-    effects: Effects,
-    placement: Placement,
+    work: Work, phase: PlannedPhase, data: Views, state: TrainState, done: int, capacity: int | None
 ) -> TrainState:
-    key = jax.random.key(settings.seed)
-    # Photos without an alpha channel have nothing to compare alphas with.
-    weights = phase.weights if data.has_mattes else replace(phase.weights, alpha=0.0)
-    headroom = GROWTH if phase.density_control else STILL
+    plan, placement = work.plan, work.placement
+    key = jax.random.key(plan.seed)
+    headroom = GROWTH if phase.rule else STILL
 
     def compiled(capacity: int) -> TrainStep:
         make = partial(
             placement.make_step,
-            optimizer,
+            work.optimizer,
             capacity=capacity,
-            background=BACKGROUNDS[settings.background],
-            sh_every=settings.sh_every,
-            rule=RULES[settings.density.rule] if phase.density_control else None,
-            depth_mode=settings.depth_mode,
-            effects=effects,
-            extent=extent,
+            background=BACKGROUNDS[plan.background],
+            sh_every=plan.sh_every,
+            rule=phase.rule,
+            depth_mode=plan.depth_mode,
+            effects=work.effects,
+            extent=work.extent,
         )
         if phase.surface_every == 1:
-            return make(weights)
-        image_alone = replace(weights, **dict.fromkeys(SURFACE_TERMS, 0.0))
-        return _every(phase.surface_every, make(weights), make(image_alone))
+            return make(_shown(phase.terms, data))
+        return _every(phase.surface_every, make(_shown(phase.terms, data)), make(_shown(phase.image_terms, data)))
 
     def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
-        done = step == steps[1]
-        if phase.density_control:
-            state = _control_density(settings, step, state, optimizer, extent, key, placement)
-        if done and phase.cull_below > 0:
-            state = placement.cull(state, optimizer=optimizer, min_opacity=phase.cull_below)
-        if surroundings.needed(phase) and not done and _moves_neighbors(settings, phase, step):
-            state = surroundings.refreshed(state)
-        observe(Progress(step, phase, state, metrics, capacity, done))
+        is_last = step == phase.end
+        if phase.rule:
+            state = _control_density(work, step, state, key)
+        if is_last and phase.cull_below > 0:
+            state = placement.cull(state, optimizer=work.optimizer, min_opacity=phase.cull_below)
+        if phase.tables and not is_last and _moves_neighbors(plan, phase, step):
+            state = with_tables(state, plan)
+        work.observe(Progress(step, phase, state, metrics, capacity, is_last))
         return state
 
     return advance(
@@ -284,13 +302,18 @@ def _run_phase(
         after,
         state,
         data,
-        steps,
-        seed=settings.seed,
+        (done, phase.end),
+        seed=plan.seed,
         capacity=capacity or placement.chosen_capacity(state.gaussians, data, headroom=headroom),
         headroom=headroom,
-        view_share=settings.view_share,
+        view_share=plan.view_share,
         feed=placement.feed,
     )
+
+
+def _shown(terms: tuple[Weighed, ...], data: Views) -> tuple[Weighed, ...]:
+    """The terms that these photos can serve: without an alpha channel there is nothing to compare alphas with."""
+    return terms if data.has_mattes else tuple(each for each in terms if each.name != "alpha")
 
 
 def _every(count: int, due: TrainStep, between: TrainStep) -> TrainStep:
@@ -303,34 +326,26 @@ def _every(count: int, due: TrainStep, between: TrainStep) -> TrainStep:
     return train_step
 
 
-def _moves_neighbors(settings: Settings, phase: Phase, step: int) -> bool:
-    """Whether the nearest of each Gaussian are to be found again: other Gaussians, or the same for long enough."""
-    others = phase.density_control and density_control.densifies(settings.density, step)
-    return others or step % surroundings.EVERY == 0
+def _moves_neighbors(plan: Plan, phase: PlannedPhase, step: int) -> bool:
+    """Whether tables are to be made again: other Gaussians, or the same for long enough."""
+    others = phase.rule is not None and adaptive.densifies(plan.density, step)
+    return others or step % REFRESHED_EVERY == 0
 
 
-def _control_density(
-    settings: Settings,
-    step: int,
-    state: TrainState,
-    optimizer: optax.GradientTransformation,
-    extent: float,
-    key: Array,
-    placement: Placement,
-) -> TrainState:
-    density = settings.density
-    if density_control.densifies(density, step):
-        large = jnp.asarray(density_control.prunes_large(density, step))
-        state = placement.with_room_to_densify(state, optimizer, density, settings.max_gaussians)
+def _control_density(work: Work, step: int, state: TrainState, key: Array) -> TrainState:
+    plan, placement, density = work.plan, work.placement, work.plan.density
+    if adaptive.densifies(density, step):
+        large = jnp.asarray(adaptive.prunes_large(density, step))
+        state = placement.with_room_to_densify(state, work.optimizer, density, plan.max_gaussians)
         state = placement.densify(
             state,
             key,
-            jnp.float32(extent),
+            jnp.float32(work.extent),
             large,
-            optimizer=optimizer,
+            optimizer=work.optimizer,
             density=density,
-            budget=settings.max_gaussians,
+            budget=plan.max_gaussians,
         )
-    if density_control.resets_opacities(density, step, settings.background):
-        state = placement.reset_opacities(state, optimizer=optimizer, limit=density.reset_opacity)
+    if adaptive.resets_opacities(density, step, plan.background):
+        state = placement.reset_opacities(state, optimizer=work.optimizer, limit=density.reset_opacity)
     return state

@@ -18,7 +18,6 @@ from gsjax.training import optimizers
 from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.state import TrainState
-from gsjax.training.surroundings import none_yet
 
 FEWEST_ROWS = 1 << 15  # Below, another compilation costs more than it saves.
 
@@ -50,7 +49,7 @@ def lengthened(state: TrainState, optimizer: optax.GradientTransformation, rows:
         ),
         opt_state=optimizers.map_moments(optimizer, zeros_after, state.opt_state),
         statistics=jax.tree.map(zeros_after, state.statistics),
-        nearest=None if state.nearest is None else jnp.asarray(none_yet(rows)),
+        tables=jax.tree.map(zeros_after, state.tables),
     )
 
 

@@ -1,7 +1,9 @@
 """All that changes while training, and the changes that are not optimiser steps: densify, reset, cull."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -28,7 +30,7 @@ class TrainState:
     statistics: Any  # [N] sums of the rule of density control, see `gsjax.training.growth.rules`
     step: Array  # [] int32 steps done
     effects: EffectState | None = None  # of those that are simulated
-    nearest: Array | None = None  # [N, K] int32 of the terms on the density, see `gsjax.training.surroundings`
+    tables: dict[str, Array] = field(default_factory=dict)  # [N, ...] of the terms that have one, by name
 
 
 def initial_state(
@@ -36,7 +38,7 @@ def initial_state(
     optimizer: optax.GradientTransformation,
     rule: Rule = RULES["adc"],
     effects: Effects = NO_EFFECTS,
-    nearest: Array | None = None,
+    tables: Mapping[str, Array] = MappingProxyType({}),
 ) -> TrainState:
     """Step 0."""
     return TrainState(
@@ -45,7 +47,7 @@ def initial_state(
         rule.empty_statistics(gaussians.num_gaussians),
         jnp.zeros((), jnp.int32),
         model.initial_state(effects),
-        nearest,
+        dict(tables),
     )
 
 

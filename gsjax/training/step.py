@@ -1,9 +1,9 @@
 """One compiled step per phase: render, lose, update, accumulate."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -16,14 +16,15 @@ from gsjax.effects import model
 from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import masked_mean
-from gsjax.render import Surroundings, View
-from gsjax.settings import Weights
+from gsjax.render import View
 from gsjax.targets import Batch, Target
 from gsjax.training import optimizers
 from gsjax.training.growth.rules import Rule
 from gsjax.training.state import TrainState
-from gsjax.training.terms import multi_view
-from gsjax.training.terms.losses import NEEDS_DEPTH, NEEDS_NEIGHBOR, NEEDS_SURROUNDINGS, TERMS
+from gsjax.training.terms import Kept, Weighed, multi_view, needs
+
+S = TypeVar("S")  # a state of training: a pytree with a field `step`
+G = TypeVar("G")  # gradients to what of it is trained
 
 
 class Metrics(NamedTuple):
@@ -36,12 +37,12 @@ class Metrics(NamedTuple):
     terms: dict[str, Array]
 
 
-class _Free(NamedTuple):
-    """What the objective is differentiated to; what is None is not."""
+class Outcome(NamedTuple):
+    """What looking at one view, or several, brings beside the gradients."""
 
-    gaussians: Gaussians
-    probe: Array | None  # of the rule of density control
-    numbers: dict[str, Any] | None  # of the effects
+    metrics: Metrics
+    overflowed: Array  # a buffer of any kind was too short: gradients and metrics are of a wrong image
+    seen: Any = None  # what the update reads
 
 
 TrainStep = Callable[[TrainState, Target, Array], tuple[TrainState, Metrics]]
@@ -57,14 +58,40 @@ BACKGROUNDS: dict[str, Background] = {
 }
 
 
-def active_terms(weights: Weights) -> dict[str, float]:
-    """The terms of non-zero weight; only these are compiled."""
-    return {name: weight for name, weight in weights.__dict__.items() if weight != 0}
+def guarded_step(
+    differentiate: Callable[[S, Target, Array, Array], tuple[G, Outcome]],
+    update: Callable[[S, G, Outcome, Target], S],
+    background: Background,
+) -> Callable[[S, Target, Array], tuple[S, Outcome]]:
+    """A step that leaves the state as it was where a buffer overflowed: the host makes room and repeats it.
+
+    Args:
+        differentiate: (state, target, colour under the image, key of this step) -> gradients of the loss, and what the
+            view showed.
+        update: (state, gradients, outcome, target) -> the state after the step.
+        background: Colour under the images.
+    """
+
+    def step(state: S, target: Target, key: Array) -> tuple[S, Outcome]:
+        key = jax.random.fold_in(key, state.step)  # pyright: ignore[reportAttributeAccessIssue]
+        gradients, outcome = differentiate(state, target, background(key), key)
+        proposed = update(state, gradients, outcome, target)
+        return jax.tree.map(lambda old, new: jnp.where(outcome.overflowed, old, new), state, proposed), outcome
+
+    return step
+
+
+class _Free(NamedTuple):
+    """What the objective is differentiated to; what is None is not."""
+
+    gaussians: Gaussians
+    probe: Array | None  # of the rule of density control
+    numbers: dict[str, Any] | None  # of the effects
 
 
 def make_train_step(
     optimizer: optax.GradientTransformation,
-    weights: Weights,
+    terms: Sequence[Weighed],
     *,
     capacity: int,
     background: Background,
@@ -78,32 +105,22 @@ def make_train_step(
 
     Args:
         optimizer: Over `Gaussians`.
-        weights: Of the loss terms.
+        terms: Of the loss, see `gsjax.training.terms.weighed`.
         capacity: Of the pair buffer. A view that needs more leaves the state untouched and says so.
         background: Colour under the images.
         sh_every: Steps between the bands of the SH ramp.
         rule: Of density control, whose statistics are gathered; None: none are.
         depth_mode: What a splat's depth is, see `gsjax.render.view`.
         effects: Those that stand between the render and the photos; the state and the targets must be made for them.
-        extent: Camera extent, scene units: what a term on the density measures errors in, and a rule distances. The
-            state must hold the table of the nearest that such a term reads.
+        extent: Camera extent, scene units: what a rule, and a term with a table, measure distances in. The state must
+            hold the table of every term that has one.
 
     Returns:
         A `TrainStep`.
     """
-    terms = active_terms(weights)
-    with_depth = not NEEDS_DEPTH.isdisjoint(terms)
-    with_neighbor = not NEEDS_NEIGHBOR.isdisjoint(terms)
-    with_surroundings = not NEEDS_SURROUNDINGS.isdisjoint(terms)
+    needed = needs(terms)
 
-    def objective(
-        free: _Free,
-        batch: Batch,
-        color: Array,
-        active_degree: Array,
-        beside: Batch | None,
-        surroundings: Surroundings | None,
-    ):
+    def objective(free: _Free, state: TrainState, batch: Batch, beside: Batch | None, color: Array, key: Array):
         gaussians, probe, numbers = free
         batch = replace(batch, camera=model.aimed(effects, numbers, batch.camera, batch.photo))
         view = render.view(
@@ -111,8 +128,8 @@ def make_train_step(
             batch.camera,
             capacity=capacity,
             background=model.behind(effects, numbers, batch.camera, color),
-            active_degree=active_degree,
-            with_depth=with_depth,
+            active_degree=state.step // sh_every,
+            with_depth="depth" in needed,
             depth_mode=depth_mode,
             **({rule.probes: probe} if rule else {}),
         )
@@ -123,49 +140,60 @@ def make_train_step(
             beside = replace(beside, camera=model.aimed(effects, numbers, beside.camera, beside.photo))
             neighbor = multi_view.rendered(gaussians, beside, capacity, depth_mode)
             view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
-        view = view._replace(surroundings=surroundings)
-        total, losses, mse = weighed(terms, rule, gaussians, view, batch)
+        kept = {name: Kept(table, jax.random.fold_in(key, 2), extent) for name, table in state.tables.items()}
+        total, losses, mse = lost(terms, rule, gaussians, view, batch, kept)
         total = total if added is None else total + added
         return total, (losses, mse, view.splats.projection, pairs)
 
-    @partial(jax.jit, donate_argnums=0)
-    def train_step(state: TrainState, target: Target, key: Array):
-        color = background(jax.random.fold_in(key, state.step))
+    def differentiate(state: TrainState, target: Target, color: Array, key: Array) -> tuple[_Free, Outcome]:
         batch = targets.batch(target, color)
-        active_degree = state.step // sh_every
+        beside = targets.batch(target.beside, color) if "neighbor" in needed and target.beside else None
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
-        beside = targets.batch(target.beside, color) if with_neighbor and target.beside else None
-        surroundings = None
-        if with_surroundings:
-            drawing = jax.random.fold_in(jax.random.fold_in(key, state.step), 2)
-            surroundings = Surroundings(state.nearest, drawing, extent)
         free = _Free(state.gaussians, probe, None if state.effects is None else state.effects.numbers)
         (total, (losses, mse, projection, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
-            free, batch, color, active_degree, beside, surroundings
+            free, state, batch, beside, color, key
         )
+        metrics = Metrics(total, in_decibels(mse), pairs.needed, pairs.overflowed, losses)
+        return gradients, Outcome(metrics, pairs.overflowed, projection)
+
+    def update(state: TrainState, gradients: _Free, outcome: Outcome, target: Target) -> TrainState:
         gaussians, opt_state = optimizers.apply_gradients(
             optimizer, state.gaussians, state.opt_state, gradients.gaussians
         )
-        statistics = state.statistics
+        statistics, projection = state.statistics, outcome.seen
         if rule:
             seen = in_photo(projection, target.size)
             distances = jnp.where(seen, projection.depths[0], 0) / extent
             statistics = rule.accumulate(statistics, gradients.probe, seen, distances, target.size)
         looks = model.updated(effects, state.effects, gradients.numbers)
-        proposed = TrainState(gaussians, opt_state, statistics, state.step + 1, looks, state.nearest)
-        # A full buffer means a wrong image: the state stays, the host makes room and repeats the step.
-        state = jax.tree.map(lambda old, new: jnp.where(pairs.overflowed, old, new), state, proposed)
-        return state, Metrics(total, in_decibels(mse), pairs.needed, pairs.overflowed, losses)
+        return TrainState(gaussians, opt_state, statistics, state.step + 1, looks, state.tables)
+
+    step = guarded_step(differentiate, update, background)
+
+    @partial(jax.jit, donate_argnums=0)
+    def train_step(state: TrainState, target: Target, key: Array) -> tuple[TrainState, Metrics]:
+        state, outcome = step(state, target, key)
+        return state, outcome.metrics
 
     return train_step
 
 
-def weighed(
-    terms: dict[str, float], rule: Rule | None, gaussians: Gaussians, view: View, batch: Batch
+def lost(
+    terms: Sequence[Weighed],
+    rule: Rule | None,
+    gaussians: Gaussians,
+    view: View,
+    batch: Batch,
+    kept: dict[str, Kept] | None = None,
 ) -> tuple[Any, dict[str, Array], Array]:
     """The weighted sum of the terms, with what a rule adds for its probe; each of them; the mean squared error."""
-    losses = {name: TERMS[name](gaussians, view, batch) for name in terms}
-    total = sum(weight * losses[name] for name, weight in terms.items())
+
+    def loss(each: Weighed) -> Array:
+        tables = () if each.table is None else ((kept or {})[each.table],)
+        return each.term.loss(gaussians, view, batch, *tables)
+
+    losses = {each.name: loss(each) for each in terms}
+    total = sum(each.weight * losses[each.name] for each in terms)
     if rule:
         total += rule.probed(view, batch)
     mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)

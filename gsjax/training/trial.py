@@ -1,6 +1,6 @@
 """Short trials from one state: what another setting would bring, told by what was kept from them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -12,12 +12,14 @@ import optax
 from gsjax import targets
 from gsjax.effects.model import Effects
 from gsjax.scene import Frame
-from gsjax.settings import Settings, Weights
+from gsjax.settings import PLAIN
 from gsjax.targets import Target, Views
 from gsjax.training.capacity import chosen_capacity
 from gsjax.training.loop import advance, kept_step
+from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep
+from gsjax.training.terms import weighed
 
 SCALE = 2  # of the photos: trials look at smaller ones
 KEPT = 8  # One in so many photos, or blocks of pixels, is kept from a trial,
@@ -66,8 +68,8 @@ def tried(
 
 
 def maker(
-    settings: Settings,
-    weights: Weights,
+    plan: Plan,
+    weights: Mapping[str, float],
     optimizer: optax.GradientTransformation,
     data: Views,
     *,
@@ -75,8 +77,8 @@ def maker(
     sh_every: int,
 ) -> Callable[[int], TrainStep]:
     """Pair capacity -> a step of the image alone: no term of the surface, no density control. Compiled once for all."""
-    image = Weights(l1=weights.l1, dssim=weights.dssim, alpha=weights.alpha if data.has_mattes else 0.0)
-    options = {"background": BACKGROUNDS[settings.background], "sh_every": sh_every, "depth_mode": settings.depth_mode}
+    image = weighed({name: weights.get(name, 0.0) for name in PLAIN if name != "alpha" or data.has_mattes})
+    options = {"background": BACKGROUNDS[plan.background], "sh_every": sh_every, "depth_mode": plan.depth_mode}
     return cache(lambda capacity: kept_step(optimizer, image, capacity=capacity, rule=None, effects=effects, **options))
 
 

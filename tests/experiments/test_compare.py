@@ -9,8 +9,7 @@ import pytest
 from gsjax import config, pipeline, runs, tables
 from gsjax.errors import InputError
 from gsjax.settings import Phase, Rates, Settings, Weights
-from gsjax.training.loop import planned_phases
-from gsjax.training.surroundings import needed
+from gsjax.training.plan import plan
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 SDF, SUGAR, FIXED = Weights(sdf_normal=0.2), Weights(sugar_density=0.2), Rates(decay_steps=60)
@@ -110,6 +109,12 @@ def test_a_run_that_the_study_does_not_have_is_one_line(compare, tmp_path, name)
     assert not (tmp_path / "out").exists()
 
 
+def tables_of(settings):
+    from terms import TERMS
+
+    return {table for phase in plan(settings, TERMS).phases for table in phase.tables}
+
+
 def phases(*named):
     described = {"coarse": Phase("coarse", 10), "more": Phase("more", 20), "sdf": Phase("sdf", 30, SDF)}
     return tuple(described[name] for name in named)
@@ -144,4 +149,4 @@ def test_what_runs_begin_with_is_shared_as_far_as_they_are_the_same(beginning, s
     if begun is not None:
         assert (begun.normals, begun.vanilla, begun.rates.decay_steps) == (None, False, 60)
         # What decides whether a state holds the table of neighbours: both must, or the run could not begin there.
-        assert any(map(needed, planned_phases(begun))) == any(map(needed, planned_phases(settings)))
+        assert tables_of(begun) == tables_of(settings)

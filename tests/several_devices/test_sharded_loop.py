@@ -13,8 +13,9 @@ from tolerances import assert_close
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
 from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import DEAD_LOGIT
-from gsjax.training.loop import fit
+from gsjax.training.loop import Work, follow
 from gsjax.training.optimizers import make_optimizer, map_moments
+from gsjax.training.plan import plan
 from gsjax.training.rows import with_room_to_densify
 from gsjax.training.sharded import growth as sharded_density
 from gsjax.training.sharded import layout as sharding
@@ -50,17 +51,17 @@ def fitted(frames, num_devices, *, settings=SETTINGS, state=None, capacity=None)
 
     if state is None:
         state = initial_state(cloud(ALIVE, capacity=CAPACITY, seed=1), OPTIMIZER, RULES[settings.density.rule])
-    final = fit(
-        settings,
+    normals = [np.tile(np.int8([12, 25, -124]), (24, 32, 1))] * 3
+    work = Work(
+        plan(settings),
         frames,
         EXTENT,
-        sharding.dealt(state, mesh),
         OPTIMIZER,
-        prior=lambda state: [np.tile(np.int8([12, 25, -124]), (24, 32, 1))] * 3,
-        observe=observe,
-        capacity=capacity,
+        lambda state: normals,
+        observe,
         placement=several.placement(mesh, VIEWS),
     )
+    final = follow(work, sharding.dealt(state, mesh), capacity)
     return SimpleNamespace(final=sharding.gathered(final, mesh), told=told)
 
 

@@ -20,6 +20,7 @@ from gsjax.training.sharded import layout as sharding
 from gsjax.training.sharded.step import make_sharded_step
 from gsjax.training.state import initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
+from gsjax.training.terms import weighed
 
 ALIVE, ROWS, PAIRS, SPLATS = 60, 64, 4096, 32
 SIZE = (32, 24)
@@ -34,8 +35,8 @@ RECORDER = optax.GradientTransformation(
 )
 """An optimiser that moves nothing and keeps the gradient."""
 
-SURFACE = Weights(alpha=0.1, entropy=0.1, thickness=0.1, sdf_normal=0.2, pixel_normal=0.2, depth_normal=0.1)
-CASES = {"adc": (Weights(alpha=0.1), 2), "error": (SURFACE, 4)}
+SURFACE = weighed(Weights(alpha=0.1, entropy=0.1, thickness=0.1, sdf_normal=0.2, pixel_normal=0.2, depth_normal=0.1))
+CASES = {"adc": (weighed(Weights(alpha=0.1)), 2), "error": (SURFACE, 4)}
 """The terms and the devices that a rule is tested with: two views for each, and a view for each with everything on."""
 
 
@@ -55,7 +56,7 @@ def start(rule, gaussians):
 def options(rule):
     return {
         "optimizer": RECORDER,
-        "weights": CASES[rule][0],
+        "terms": CASES[rule][0],
         "capacity": PAIRS,
         "background": BACKGROUNDS["random"],
         "sh_every": 2,

@@ -17,7 +17,6 @@ from gsjax import render
 from gsjax.cameras import Camera
 from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
-from gsjax.settings import Weights
 from gsjax.targets import Target, Views
 from gsjax.training.capacity import rounded_capacity
 from gsjax.training.loop import STILL, Placement, view_order
@@ -26,6 +25,7 @@ from gsjax.training.sharded.layout import AXIS, BY_ROWS, EVERYWHERE, specs
 from gsjax.training.sharded.step import make_sharded_step
 from gsjax.training.state import TrainState
 from gsjax.training.step import Metrics, TrainStep
+from gsjax.training.terms import Weighed
 
 SLOTS = 256  # splats that buffers of the exchange are multiples of
 
@@ -91,7 +91,7 @@ def _stacked_views(
 
 def _make_step(
     optimizer: optax.GradientTransformation,
-    weights: Weights,
+    terms: tuple[Weighed, ...],
     *,
     mesh: Mesh,
     room: Room,
@@ -103,7 +103,7 @@ def _make_step(
 
     @cache
     def compiled(splat_capacity: int):
-        return make_sharded_step(optimizer, weights, mesh=mesh, splat_capacity=splat_capacity, **options)
+        return make_sharded_step(optimizer, terms, mesh=mesh, splat_capacity=splat_capacity, **options)
 
     def train_step(state: TrainState, targets: Target, key: Array) -> tuple[TrainState, Metrics]:
         state, metrics, exchange = compiled(room.splats)(state, targets, key)

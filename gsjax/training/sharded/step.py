@@ -5,7 +5,7 @@ each device bins and blends its own view and loses on it; the gradients go back 
 its own rows.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -18,15 +18,15 @@ from jax.sharding import Mesh
 import rasterizer
 from gsjax import render, targets
 from gsjax.cameras import Camera
+from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.settings import Weights
 from gsjax.targets import Target
 from gsjax.training import optimizers
 from gsjax.training.growth.rules import Rule
 from gsjax.training.sharded.layout import AXIS, BY_ROWS, EVERYWHERE, specs
 from gsjax.training.state import TrainState
-from gsjax.training.step import Background, Metrics, active_terms, in_decibels, in_photo, weighed
-from gsjax.training.terms.losses import NEEDS_DEPTH, NEEDS_GAUSSIANS
+from gsjax.training.step import Background, Metrics, Outcome, guarded_step, in_decibels, in_photo, lost
+from gsjax.training.terms import Weighed, needs
 
 
 class Exchange(NamedTuple):
@@ -52,7 +52,7 @@ class _Seen(NamedTuple):
 
 def make_sharded_step(
     optimizer: optax.GradientTransformation,
-    weights: Weights,
+    terms: Sequence[Weighed],
     *,
     mesh: Mesh,
     splat_capacity: int,
@@ -70,7 +70,7 @@ def make_sharded_step(
 
     Args:
         optimizer: Over `Gaussians`; it treats rows alike and by themselves.
-        weights: Of the loss terms; none may need a neighbour or surroundings.
+        terms: Of the loss; none may need a neighbour or have a table.
         mesh: The devices, see `gsjax.training.sharded.layout`.
         splat_capacity: The most splats that one device sends to one view.
         capacity: Of a view's pair buffer. A step that needs more of either leaves the state untouched and says so.
@@ -83,11 +83,10 @@ def make_sharded_step(
     Returns:
         A `ShardedStep`. Its loss, terms and PSNR are means over the views, `needed` are the largest.
     """
-    terms = active_terms(weights)
-    with_depth = not NEEDS_DEPTH.isdisjoint(terms)
-    reading = depth_mode if with_depth else None
+    needed = needs(terms)
+    reading = depth_mode if "depth" in needed else None
     splat_depth = render.of_each(reading)
-    with_shapes = not NEEDS_GAUSSIANS.isdisjoint(terms)
+    with_shapes = "gaussians" in needed
     unpack = partial(rasterizer.unpack, with_slopes=splat_depth == "plane")
 
     def objective(free: tuple[Gaussians, Array | None], target: Target, color: Array, active_degree: Array):
@@ -110,10 +109,9 @@ def make_sharded_step(
         splats = render.binned(projection, opacities, batch.camera, capacity)
         extra = features[:, -2:] if rule and rule.probes == "extra" else None
         view = render.shown(splats, features[:, :3], color, reading=reading, extra=extra)
-        shown = _shaped(features[:, 3:14]) if with_shapes else gaussians
-        total, losses, mse = weighed(terms, rule, shown, view, batch)
-        needed = splats.pairs.needed, jnp.max(packed.needed)
-        return total, (_Seen(total, losses, in_decibels(mse), *needed), packed)
+        shown = _shaped(features[:, 3:14]) if with_shapes else _Undeclared()
+        total, losses, mse = lost(terms, rule, shown, view, batch)  # pyright: ignore[reportArgumentType]
+        return total, (_Seen(total, losses, in_decibels(mse), splats.pairs.needed, jnp.max(packed.needed)), packed)
 
     def counted(rule: Rule, statistics: Any, shares: Array, packed: rasterizer.Packed, sizes: Array):
         """The statistics after all devices' views, one after the other: `shares` `[D, K, 2]` gradients to the probe."""
@@ -132,15 +130,14 @@ def make_sharded_step(
 
         return jax.lax.scan(one_view, statistics, (shares, packed.rows, packed.ids, sizes))[0]
 
-    def local_step(state: TrainState, targets: Target, key: Array):
-        color = background(jax.random.fold_in(key, state.step))
-        active_degree = state.step // sh_every
+    def differentiate(state: TrainState, targets: Target, color: Array, key: Array) -> tuple[Gaussians, Outcome]:
+        del key
         probe = jnp.zeros((mesh.size, splat_capacity, 2), jnp.float32) if rule else None
 
         def one_round(carry, target: Target):
             gradients, statistics = carry
-            (_, (seen, packed)), (gradient, shares) = jax.value_and_grad(objective, has_aux=True)(
-                (state.gaussians, probe), target, color, active_degree
+            (gradient, shares), (seen, packed) = jax.grad(objective, has_aux=True)(
+                (state.gaussians, probe), target, color, state.step // sh_every
             )
             if rule:
                 statistics = counted(rule, statistics, shares, packed, jax.lax.all_gather(target.size, AXIS))
@@ -149,15 +146,23 @@ def make_sharded_step(
         start = jax.tree.map(jnp.zeros_like, state.gaussians), state.statistics
         (gradients, statistics), seen = jax.lax.scan(one_round, start, targets)
         num_views = mesh.size * seen.total.shape[0]
-        gradients = jax.tree.map(lambda total: total / num_views, gradients)
-        gaussians, opt_state = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients)
-        proposed = TrainState(gaussians, opt_state, statistics, state.step + 1)
         pairs, splats = (jax.lax.pmax(jnp.max(needed), AXIS) for needed in (seen.pairs, seen.splats))
-        exchange = Exchange(splats, splats > splat_capacity)
-        overflowed = (pairs > capacity) | exchange.overflowed
-        state = jax.tree.map(lambda old, new: jnp.where(overflowed, old, new), state, proposed)
         total, losses, psnr = jax.tree.map(lambda each: jax.lax.pmean(jnp.mean(each), AXIS), seen[:3])
-        return state, Metrics(total, psnr, pairs, pairs > capacity, losses), exchange
+        metrics = Metrics(total, psnr, pairs, pairs > capacity, losses)
+        exchange = Exchange(splats, splats > splat_capacity)
+        outcome = Outcome(metrics, metrics.overflowed | exchange.overflowed, (statistics, exchange))
+        return jax.tree.map(lambda total: total / num_views, gradients), outcome
+
+    def update(state: TrainState, gradients: Gaussians, outcome: Outcome, targets: Target) -> TrainState:
+        del targets
+        gaussians, opt_state = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients)
+        return TrainState(gaussians, opt_state, outcome.seen[0], state.step + 1)
+
+    step = guarded_step(differentiate, update, background)
+
+    def local_step(state: TrainState, targets: Target, key: Array) -> tuple[TrainState, Metrics, Exchange]:
+        state, outcome = step(state, targets, key)
+        return state, outcome.metrics, outcome.seen[1]
 
     @partial(jax.jit, donate_argnums=0)
     def train_step(state: TrainState, targets: Target, key: Array):
@@ -171,6 +176,13 @@ def make_sharded_step(
         )(state, targets, key)
 
     return train_step
+
+
+class _Undeclared:
+    """Stands for Gaussians where no term said that it needs them: those of other devices are not at hand."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise InputError(f"a term of the loss reads gaussians.{name}: on several devices its needs have to name them")
 
 
 def _probed(rule: Rule, rows: Array, probe: Array) -> Array:

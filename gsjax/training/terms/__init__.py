@@ -1,1 +1,114 @@
-"""The terms of the training loss."""
+"""The terms of the training loss: each one record, the library's by name in `TERMS`; a run's own are handed in.
+
+To add one, write a function of (Gaussians, View, Batch) and say what it needs: `Term(loss, needs)`.
+"""
+
+import difflib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from jax import Array
+
+from gsjax.errors import InputError
+from gsjax.gaussians import Gaussians
+from gsjax.training.terms import losses, multi_view, surface
+
+NEEDS = {
+    "depth": "the rendered depth, `View.depth`",
+    "normals": "the normal map of the photo, `Batch.normals`",
+    "neighbor": "a second view beside the first, `View.neighbor`",
+    "gaussians": "the Gaussians themselves, not their picture alone; on several devices those that show in the view",
+}
+"""What a term may need beside the image, and where it finds it."""
+
+
+class Kept(NamedTuple):
+    """What a term with a table reads beside view and batch."""
+
+    table: Array  # as `Term.refresh` made it last
+    key: Array  # of this step: two steps draw differently
+    extent: float  # camera extent, scene units
+
+
+@dataclass(frozen=True)
+class Term:
+    """A term of the loss.
+
+    Two terms are the same if their functions are: a function that was edited and run again is compiled again.
+    """
+
+    loss: Callable[..., Array]
+    """(Gaussians, `gsjax.render.View`, `gsjax.targets.Batch`) -> `[]`, a mean; with `refresh` also a `Kept`."""
+
+    needs: Iterable[str] = frozenset()
+    """Words of `NEEDS`. What nobody needs is neither rendered nor loaded."""
+
+    refresh: Callable[[Gaussians], Any] | None = None
+    """Makes a table of `[N, ...]` on the host: where a phase begins, after Gaussians multiplied, every 500 steps."""
+
+    def __post_init__(self):
+        """Check the words."""
+        needs = frozenset({self.needs} if isinstance(self.needs, str) else self.needs)
+        for word in sorted(needs - NEEDS.keys()):
+            raise ValueError(f"needs={word!r} is none of {', '.join(NEEDS)}")
+        object.__setattr__(self, "needs", needs)
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """A term as a phase has it."""
+
+    name: str
+    weight: float
+    term: Term
+
+    @property
+    def table(self) -> str | None:
+        """The name of its table, the same for terms that one function refreshes; None: it has none."""
+        if self.term.refresh is None:
+            return None
+        name = getattr(self.term.refresh, "__qualname__", "<")
+        return self.name if "<" in name else name
+
+    @property
+    def is_dear(self) -> bool:
+        """Whether it needs more than the image of a view and its Gaussians, which makes a step longer."""
+        return bool(frozenset(self.term.needs) - {"gaussians"}) or self.term.refresh is not None
+
+
+TERMS: Mapping[str, Term] = {
+    "l1": Term(losses.l1),
+    "dssim": Term(losses.dssim),
+    "entropy": Term(losses.entropy, {"gaussians"}),
+    "sdf_normal": Term(losses.sdf_normal, {"depth", "normals", "gaussians"}),
+    "pixel_normal": Term(losses.pixel_normal, {"depth", "normals"}),
+    "axis_normal": Term(losses.axis_normal, {"normals", "gaussians"}),
+    "thickness": Term(losses.thickness, {"gaussians"}),
+    "coverage": Term(losses.coverage, {"normals"}),
+    "distortion": Term(surface.distortion, {"depth"}),
+    "depth_normal": Term(surface.depth_normal, {"depth", "gaussians"}),
+    "multi_view": Term(multi_view.multi_view, {"depth", "neighbor"}),
+    "photometric": Term(multi_view.photometric, {"depth", "neighbor"}),
+    "alpha": Term(losses.alpha),
+}
+"""The library's own: of the image (3DGS), of the paper (`sdf_normal` is its R), and those of other mesh makers."""
+
+
+def weighed(weights: Mapping[str, float], terms: Mapping[str, Term] = TERMS) -> tuple[Weighed, ...]:
+    """The terms of non-zero weight, in the order of `terms`; only these are compiled.
+
+    Raises:
+        InputError: A weight is named for which there is no term.
+    """
+    for name in weights:
+        if name not in terms:
+            nearest = difflib.get_close_matches(name, terms, n=1, cutoff=0.0)
+            hint = f"; the nearest known one is '{nearest[0]}'" if nearest else ""
+            raise InputError(f"weights.{name}: no such term of the loss{hint}")
+    return tuple(Weighed(name, weights[name], term) for name, term in terms.items() if weights.get(name, 0.0))
+
+
+def needs(terms: Iterable[Weighed]) -> frozenset[str]:
+    """All that any of the terms needs, words of `NEEDS`."""
+    return frozenset(word for each in terms for word in each.term.needs)

@@ -1,7 +1,9 @@
-"""The terms of the training loss: functions of (Gaussians, View, Batch).
+"""The terms on one view's image, on its Gaussians, and on normals.
 
 Each is a mean, so that weights mean the same at every resolution.
 """
+
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
@@ -9,14 +11,13 @@ from jax import Array
 
 from gsjax.gaussians import Gaussians, scales
 from gsjax.measures.images import ssim
-from gsjax.normals import density, sdf
+from gsjax.normals import sdf
 from gsjax.numerics import masked_mean
 from gsjax.render import MIN_COVERAGE, View
-from gsjax.settings import NORMAL_TERMS
 from gsjax.targets import Batch
-from gsjax.training.sugar import sugar_density, sugar_sdf
-from gsjax.training.terms.multi_view import multi_view, photometric
-from gsjax.training.terms.surface import depth_normal, distortion
+
+Loss = Callable[[Gaussians, View, Batch], Array]
+"""(Gaussians, View, Batch) -> `[]`."""
 
 
 def l1(gaussians: Gaussians, view: View, batch: Batch) -> Array:
@@ -67,7 +68,9 @@ def coverage(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     return masked_mean(1 - view.alphas, batch.valid & is_surface)
 
 
-def _normal(estimator: sdf.Estimator):
+def aligned(estimator: sdf.Estimator) -> Loss:
+    """The term that aligns what an estimator composites with the normals (the paper's R, with its own estimator)."""
+
     def term(gaussians: Gaussians, view: View, batch: Batch) -> Array:
         covered = batch.valid & (jax.lax.stop_gradient(view.alphas) > MIN_COVERAGE)
         return sdf.misalignment(estimator(gaussians, view, batch.camera), batch.normals, covered)
@@ -75,49 +78,6 @@ def _normal(estimator: sdf.Estimator):
     return term
 
 
-sdf_normal = _normal(sdf.sdf_gradient_map)
-pixel_normal = _normal(sdf.pixel_depth_map)
-axis_normal = _normal(sdf.smallest_axis_map)
-sdf_central = _normal(sdf.sdf_central_map)
-sdf_bicubic = _normal(sdf.sdf_bicubic_map)
-sdf_offset = _normal(sdf.sdf_offset_map)
-density_center = _normal(density.density_center_map)
-density_offset = _normal(density.density_offset_map)
-density_sample = _normal(density.density_sample_map)
-
-TERMS = {
-    "l1": l1,
-    "dssim": dssim,
-    "entropy": entropy,
-    "alpha": alpha,
-    "thickness": thickness,
-    "coverage": coverage,
-    "distortion": distortion,
-    "depth_normal": depth_normal,
-    "multi_view": multi_view,
-    "photometric": photometric,
-    "sdf_normal": sdf_normal,
-    "pixel_normal": pixel_normal,
-    "axis_normal": axis_normal,
-    "sdf_central": sdf_central,
-    "sdf_bicubic": sdf_bicubic,
-    "sdf_offset": sdf_offset,
-    "density_center": density_center,
-    "density_offset": density_offset,
-    "density_sample": density_sample,
-    "sugar_sdf": sugar_sdf,
-    "sugar_density": sugar_density,
-}
-NEEDS_NORMALS = NORMAL_TERMS
-NEEDS_DEPTH = frozenset(
-    {"sdf_normal", "sdf_central", "sdf_bicubic", "sdf_offset", "pixel_normal"}
-    | {"distortion", "depth_normal", "multi_view", "photometric", "sugar_sdf"}
-)
-NEEDS_GAUSSIANS = frozenset(
-    {"entropy", "thickness", "axis_normal", "depth_normal"} | {"sdf_normal", "sdf_central", "sdf_bicubic", "sdf_offset"}
-)
-"""Beside the view, the Gaussians that show in it: where they lie and how they are shaped, not their colours."""
-NEEDS_NEIGHBOR = frozenset({"multi_view", "photometric"})
-NEEDS_SURROUNDINGS = frozenset({"density_center", "density_offset", "density_sample", "sugar_sdf", "sugar_density"})
-SURFACE_TERMS = NEEDS_NORMALS | NEEDS_DEPTH | NEEDS_NEIGHBOR | NEEDS_SURROUNDINGS
-"""Those that need more than the image of a view, and make a step dearer."""
+sdf_normal = aligned(sdf.sdf_gradient_map)
+pixel_normal = aligned(sdf.pixel_depth_map)
+axis_normal = aligned(sdf.smallest_axis_map)

@@ -14,10 +14,11 @@ from gsjax.cameras import Camera
 from gsjax.effects import background
 from gsjax.effects.observations import observe
 from gsjax.errors import InputError
-from gsjax.planning.effects import joined
+from gsjax.planning.effects import choose_effects
 from gsjax.render import backdrop
 from gsjax.scene import with_pixels
 from gsjax.settings import Settings
+from gsjax.training.plan import plan
 
 CAMERA = camera_at((0.4, -0.3, 0.2), (1.0, 0.5, 4.0), size=(8, 6), focal=7.0)
 C1 = 0.4886025119029199  # Of the harmonics of degree 1.
@@ -112,19 +113,19 @@ def test_a_sky_starts_as_the_photos_show_it():
 
 def test_a_sky_of_the_colour_that_a_run_lays_anyway_is_off():
     white = painted(lambda y, x: np.array([255, 255, 255]))
-    auto = Settings(effects="auto", background="white")
-    laid = joined(auto, white)
+    auto = plan(Settings(background="white"))
+    laid = choose_effects("auto", auto, white)
     assert "background" not in laid.effects
     told = laid.evidence["evidence"]["background"]
     assert not told["on"] and told["evidence"] == 1.0
     assert told["note"].startswith("off: --background white lays that colour there; ")
-    over_black = joined(replace(auto, background="black"), white)
+    over_black = choose_effects("auto", replace(auto, background="black"), white)
     assert "background" in over_black.effects and over_black.evidence["evidence"]["background"]["on"]
 
 
 @pytest.mark.parametrize("effect", ["exposure", "vignetting"])
 def test_what_cameras_do_to_a_laid_colour_makes_no_sky_of_it(effect):
-    auto = Settings(effects="auto", background="white")
+    auto = plan(Settings(background="white"))
     if effect == "exposure":
         stops = gains(wall(), 0.3)
 
@@ -137,7 +138,7 @@ def test_what_cameras_do_to_a_laid_colour_makes_no_sky_of_it(effect):
 
     for shade, is_sky in ((255, False), (200, True)):
         scene = relit(painted(lambda y, x, shade=shade: np.full(3, shade)), changed)
-        taken_in = joined(auto, scene)
+        taken_in = choose_effects("auto", auto, scene)
         assert effect in taken_in.effects
         assert ("background" in taken_in.effects) == is_sky
 
@@ -147,5 +148,5 @@ def test_behind_mattes_nothing_is_learned():
     matte = np.full((72, 96), 255, np.uint8)
     cut_out = tuple(with_pixels(f, f.pixels()._replace(matte=matte)) for f in scene.frames)
     with pytest.raises(InputError, match="have mattes"):
-        joined(Settings(effects="background"), replace(scene, frames=cut_out))
-    assert "background" in joined(Settings(effects="background"), scene).effects
+        choose_effects("background", plan(Settings()), replace(scene, frames=cut_out))
+    assert "background" in choose_effects("background", plan(Settings()), scene).effects

@@ -11,7 +11,6 @@ from gsjax.effects.blur import judge, left_out
 from gsjax.effects.observations import observe
 from gsjax.planning.effects import looked_at
 from gsjax.scene import with_pixels
-from gsjax.settings import Settings
 
 
 def blurred(*indices):
@@ -71,7 +70,7 @@ def test_without_tracks_nobody_knows_and_no_photo_is_left_out():
 @pytest.mark.parametrize(("effects", "expected"), [("auto", ("04.png",)), ("poses,blur", ("04.png",)), ("poses", ())])
 def test_who_asks_for_it_gets_a_scene_without_and_a_diagnosis_of_that_scene(effects, expected, capsys):
     scene = blurred(4)
-    looked = looked_at(Settings(effects=effects), scene)
+    looked = looked_at(effects, scene)
     assert looked.left_out == expected
     names = tuple(frame.name for frame in scene.frames if frame.name not in expected)
     assert tuple(frame.name for frame in looked.scene.frames) == names
@@ -82,6 +81,6 @@ def test_who_asks_for_it_gets_a_scene_without_and_a_diagnosis_of_that_scene(effe
 
 def test_nobody_looks_where_nothing_is_asked():
     scene = blurred(4)
-    looked = looked_at(Settings(effects="none"), scene)
+    looked = looked_at("none", scene)
     assert looked.scene is scene
     assert looked.found is None

@@ -80,9 +80,9 @@ class Machine:
         monkeypatch.setattr(budget, "tried", self.try_out)
         monkeypatch.setattr(budget, "diagnosed", self.diagnosed)
 
-    def at_size(self, scene, settings):
+    def at_size(self, scene, settings, steps):
         photos = SimpleNamespace(train_frames=(None,) * 20)
-        return photos, replace(settings, downscale=2.0 if settings.cpu_pixels else 1.0), ""
+        return photos, 2.0 if settings.cpu_pixels else 1.0, ""
 
     def diagnosed(self, scene):
         self.now += 3.0
@@ -132,7 +132,7 @@ def test_the_preset_is_the_longest_of_which_two_fifths_fit(monkeypatch, seconds,
     whole = NAMED[expected]
     kept, cost = kept_and_cost(choice.settings, whole)
     steps = cost * total_steps(choice.settings)
-    first = budget.relative_cost(Phase("", 1, image_scale=2)) if expected == "quick" else 1.0
+    first = budget.image_cost(2) if expected == "quick" else 1.0
     took = machine.paces[expected] * (steps + first * min(150, steps / 2))  # Gaussians are wide at first
     left = 0.9 * seconds - budget.SCORING - machine.beside_steps(expected)
     if seconds == 1e7:

@@ -8,6 +8,7 @@ from gsjax.planning.pace import Pace, seconds_left, spoken
 from gsjax.planning.sizes import chosen_downscale, size_line
 from gsjax.scene import Frame
 from gsjax.settings import Phase, Settings, Weights
+from gsjax.training.plan import plan
 
 EYE = np.eye(4, dtype=np.float32)
 
@@ -36,31 +37,31 @@ def test_the_size_is_the_users_or_what_the_largest_photo_and_the_machine_bear(si
 
 
 def test_one_line_says_the_size_and_how_to_keep_the_photos_own():
-    settings = Settings(phases=(Phase("vanilla", 1500), Phase("surface", 500)))
-    line = size_line(settings, [photo(4000, 3000)] * 2, [photo(1600, 1200)] * 2)
+    line = size_line(2000, [photo(4000, 3000)] * 2, [photo(1600, 1200)] * 2)
     assert line == "2 photos at 1600x1200 (taken at 4000x3000; --downscale 1 keeps that), 2,000 steps"
-    assert size_line(settings, [photo(40, 30)], [photo(40, 30)]) == "1 photos at 40x30, 2,000 steps"
+    assert size_line(2000, [photo(40, 30)], [photo(40, 30)]) == "1 photos at 40x30, 2,000 steps"
 
 
 PHASES = (Phase("coarse", 100, image_scale=2), Phase("vanilla", 200), Phase("surface", 50, Weights(sdf_normal=0.1)))
 
 
 def test_what_is_left_scales_with_the_pixels_and_the_terms_of_each_phase():
-    settings = Settings(phases=PHASES)
-    assert seconds_left(settings, 100, PHASES[1], 0.5) == pytest.approx(0.5 * (200 + 2 * 50))
-    assert seconds_left(settings, 250, PHASES[1], 0.5) == pytest.approx(0.5 * (50 + 2 * 50))
-    assert seconds_left(settings, 300, PHASES[2], 1.0) == pytest.approx(50)
-    rarely = replace(settings, phases=(*PHASES[:2], replace(PHASES[2], surface_every=4)))
-    assert seconds_left(rarely, 250, PHASES[1], 0.5) == pytest.approx(0.5 * (50 + 1.25 * 50))
+    planned = plan(Settings(phases=PHASES))
+    coarse, vanilla, surface = planned.phases
+    assert seconds_left(planned, 100, vanilla, 0.5) == pytest.approx(0.5 * (200 + 2 * 50))
+    assert seconds_left(planned, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + 2 * 50))
+    assert seconds_left(planned, 300, surface, 1.0) == pytest.approx(50)
+    rarely = replace(planned, phases=(coarse, vanilla, replace(surface, surface_every=4)))
+    assert seconds_left(rarely, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + 1.25 * 50))
     quarter = pace.FIXED_COST + (1 - pace.FIXED_COST) / 4
-    assert seconds_left(settings, 20, PHASES[0], quarter) == pytest.approx(80 * quarter + 200 + 2 * 50)
+    assert seconds_left(planned, 20, coarse, quarter) == pytest.approx(80 * quarter + 200 + 2 * 50)
 
 
 def test_a_phase_is_timed_once_after_its_first_steps(monkeypatch):
     clock = iter(np.arange(0, 1000, 0.25))
     monkeypatch.setattr(pace.time, "perf_counter", lambda: float(next(clock)))
     timer = Pace()
-    told = [timer.seconds_per_step(phase) for phase in PHASES for _ in range(30)]
+    told = [timer.seconds_per_step(phase) for phase in plan(Settings(phases=PHASES)).phases for _ in range(30)]
     steps = [i for i, seconds in enumerate(told) if seconds is not None]
     assert steps == [pace.UNTIMED + pace.TIMED - 1 + 30 * phase for phase in range(3)]
     assert {told[i] for i in steps} == {0.25 / pace.TIMED}

@@ -11,6 +11,7 @@ from gsjax.errors import InputError
 from gsjax.planning import timed_steps
 from gsjax.settings import PRESETS, Density, Phase, Settings
 from gsjax.training.growth.adaptive import is_alive
+from gsjax.training.plan import plan
 
 FAST = parse(Settings, PRESETS["fast"])
 
@@ -35,20 +36,20 @@ SETTINGS = Settings(
 def test_a_trial_takes_the_median_of_a_few_steps_of_every_kind_of_phase(monkeypatch, photos):
     now, seen = [100.0], []
 
-    def fit(settings, frames, size, state, optimizer, *, prior, observe):
-        (phase,) = settings.phases
+    def follow(work, state):
+        (phase,) = work.plan.phases
         rows = int(is_alive(state.gaussians).sum()), state.gaussians.num_gaussians
-        seen.append(((phase.steps, len(frames)), rows))
-        assert not any(settings.density.start < step < settings.density.stop for step in range(1, phase.steps + 1))
-        assert phase.image_scale == 1
-        pace = 1.0 if phase.density_control else 2.0
+        seen.append(((phase.steps, len(work.frames)), rows))
+        assert not any(work.plan.density.start < step < work.plan.density.stop for step in range(1, phase.steps + 1))
+        assert phase.scale == 1
+        pace = 1.0 if phase.rule else 2.0
         for step in range(phase.steps):
             now[0] += 20.0 if step == 0 else 7.0 if step == 5 else pace  # compiles; is held up once
-            observe(None)
+            work.observe(None)
 
-    monkeypatch.setattr(timed_steps.loop, "fit", fit)
+    monkeypatch.setattr(timed_steps.loop, "follow", follow)
     trial = timed_steps.tried(photos, SETTINGS, most=1e9, clock=lambda: now[0])
-    half = timed_steps.relative_cost(SETTINGS.phases[0])  # of a step at full size: at half the size it is not tried
+    half = timed_steps.image_cost(2)  # of a step at full size: at half the size it is not tried
     assert 0.25 < half < 1 and trial.seconds_per_step == (half, 1.0, 1.0, 2.0)
     # a, b and d are programs of their own, b and c one; of the first 2 steps one compiles.
     # One that multiplies once more, for a longer list of pairs.
@@ -66,16 +67,16 @@ def test_a_trial_takes_the_median_of_a_few_steps_of_every_kind_of_phase(monkeypa
 def test_where_all_photos_are_small_no_larger_one_is_tried(monkeypatch, photos):
     now, scales = [0.0], []
 
-    def fit(settings, frames, size, state, optimizer, *, prior, observe):
-        scales.append(settings.phases[0].image_scale)
-        for _ in range(settings.phases[0].steps):
+    def follow(work, state):
+        scales.append(work.plan.phases[0].scale)
+        for _ in range(work.plan.phases[0].steps):
             now[0] += 3.0
-            observe(None)
+            work.observe(None)
 
-    monkeypatch.setattr(timed_steps.loop, "fit", fit)
+    monkeypatch.setattr(timed_steps.loop, "follow", follow)
     phases = (Phase("a", 100, image_scale=4), Phase("b", 100, image_scale=2))
     trial = timed_steps.tried(photos, replace(SETTINGS, phases=phases), most=1e9, clock=lambda: now[0])
-    quarter, half = (timed_steps.relative_cost(phase) for phase in phases)
+    quarter, half = (timed_steps.image_cost(phase.image_scale) for phase in phases)
     assert scales == [2]
     assert trial.seconds_per_step == pytest.approx((3.0 * quarter / half, 3.0))
     assert trial.plain_step == pytest.approx(3.0 / half)  # as it would be at full size
@@ -87,24 +88,24 @@ def test_while_gaussians_multiply_by_the_same_factor_their_mean_is_the_logarithm
     first = min(points / 36_000, 1.0)
     growing = (1 - first) / np.log(1 / first) if first < 1 else 1.0
     expected = (50 * first + 510 * growing + 40) / 600
-    assert timed_steps.shares_alive(FAST, points) == pytest.approx([expected, 1.0, 1.0], abs=1e-3)
+    assert timed_steps.shares_alive(plan(FAST), points) == pytest.approx([expected, 1.0, 1.0], abs=1e-3)
 
 
 def test_where_nobody_knows_how_many_there_will_be_half_of_them_grow():
     phases = (Phase("a", 10, density_control=True), Phase("b", 10))
-    assert timed_steps.shares_alive(Settings(phases=phases), 100) == [timed_steps.HALF_GROWN, 1.0]
+    assert timed_steps.shares_alive(plan(Settings(phases=phases)), 100) == [timed_steps.HALF_GROWN, 1.0]
 
 
 def test_slow_steps_are_tried_no_longer_than_asked(monkeypatch, photos):
     now, steps = [0.0], [0]
 
-    def fit(settings, frames, size, state, optimizer, *, prior, observe):
-        for _ in range(settings.phases[0].steps):
+    def follow(work, state):
+        for _ in range(work.plan.phases[0].steps):
             now[0] += 30.0
             steps[0] += 1
-            observe(None)
+            work.observe(None)
 
-    monkeypatch.setattr(timed_steps.loop, "fit", fit)
+    monkeypatch.setattr(timed_steps.loop, "follow", follow)
     trial = timed_steps.tried(photos, replace(SETTINGS, phases=SETTINGS.phases[1:2]), most=5.0, clock=lambda: now[0])
     assert steps == [4]  # two that may compile, two that are timed
     assert trial.seconds_per_step == (30.0,)

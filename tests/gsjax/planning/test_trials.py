@@ -11,11 +11,12 @@ from small_scenes import built_in
 from gsjax.effects.evidence import Cost, Evidence, unknown
 from gsjax.effects.observations import observe
 from gsjax.io.scenes import load_scene
-from gsjax.pipeline.train import trial_start
-from gsjax.planning.effects import joined
+from gsjax.pipeline.train import first_state
+from gsjax.planning.effects import choose_effects
 from gsjax.planning.sizes import training_extent
 from gsjax.planning.trials import FEWEST_STEPS, NEAR, gains, is_near
 from gsjax.settings import Phase, Settings
+from gsjax.training.plan import plan
 
 SETTINGS = Settings(background="white", phases=(Phase("vanilla", 300),), sh_degree=1, effects="auto")
 LONG = replace(SETTINGS, phases=(Phase("vanilla", FEWEST_STEPS),))
@@ -45,9 +46,9 @@ def test_a_trial_finds_what_is_there_and_nothing_where_nothing_is(scene):
     found = {}
     for name, each in (("clean", scene), ("relit", relit(scene, lambda index, *_: true[index]))):
         few = replace(each, points=each.points[::4], point_colors=each.point_colors[::4])
-        initial = partial(trial_start, few, SETTINGS)
+        initial = partial(first_state, few, SETTINGS)
         found[name] = gains(
-            SETTINGS, each.train_frames, training_extent(each), initial, observe(each), (), ("exposure",)
+            plan(SETTINGS), each.train_frames, training_extent(each), initial, observe(each), (), ("exposure",)
         )["exposure"]
     assert found["relit"] > 0.5, found
     assert abs(found["clean"]) < 0.1, found
@@ -65,18 +66,18 @@ def test_a_trial_has_the_last_word_and_the_evidence_tells_of_it(gain, on):
         asked.append((list(others), list(near)))
         return dict.fromkeys(near, gain)
 
-    found = joined(LONG, photos, trial)
+    found = choose_effects("auto", plan(LONG), photos, trial)
     assert asked == [([], ["exposure"])]
     assert ("exposure" in found.effects) == on
     told = found.evidence["evidence"]["exposure"]
     assert told["on"] == on
     assert told["note"].startswith(f"near its threshold, a trial of it brings +{gain} dB (needs 0.1); ")
-    assert "exposure" in joined(LONG, photos).effects
+    assert "exposure" in choose_effects("auto", plan(LONG), photos).effects
     strong = relit(scene, lambda index, *_: 5 * true[index])
     asked.clear()
-    assert "exposure" in joined(LONG, strong, trial).effects
+    assert "exposure" in choose_effects("auto", plan(LONG), strong, trial).effects
     assert not asked
     # A step fewer, and the run is too short for a trial to tell.
     short = replace(SETTINGS, phases=(Phase("vanilla", FEWEST_STEPS - 1),))
-    assert "exposure" in joined(short, photos, trial).effects
+    assert "exposure" in choose_effects("auto", plan(short), photos, trial).effects
     assert not asked

@@ -14,10 +14,12 @@ from gsjax.scene import Pixels, with_pixels
 from gsjax.settings import Phase, Rates, Settings, Weights
 from gsjax.training import harmonics, trial
 from gsjax.training.optimizers import make_optimizer
+from gsjax.training.plan import plan
 from gsjax.training.state import initial_state
 
 PLAIN = Weights(dssim=0.0)
 SETTINGS = Settings(phases=(Phase("vanilla", 2000, PLAIN, density_control=True), Phase("more", 1000, PLAIN)))
+PLAN = plan(SETTINGS)
 OPTIMIZER = make_optimizer(Rates(), 1.0, 100)
 EYES = [(x, y, 0.0) for x in (-2.0, -1.0, 0.0, 1.0, 2.0) for y in (-1.0, 1.0)]
 CAMERAS = [camera_at(eye, (0.0, 0.0, 4.0), size=(40, 32), focal=36.0) for eye in EYES]
@@ -43,7 +45,7 @@ def test_the_smallest_degree_that_predicts_kept_photos_is_chosen(strength, degre
     state = initial_state(replace(scene(strength), sh_rest=cloud(40, sh_degree=2, seed=9).sh_rest), OPTIMIZER)
     before = jax.tree.map(np.asarray, state)
     frames = tuple(map(noisy, photographed(scene(strength), CAMERAS)))
-    found = harmonics.degrees_tried(SETTINGS, SETTINGS.phases[0], frames, state, 1.0, {})
+    found = harmonics.degrees_tried(PLAN, PLAN.phases[0], frames, state, 1.0, {})
     assert list(found) == [0, 1, 2]
     assert harmonics.smallest(found) == degree, found
     jax.tree.map(np.testing.assert_array_equal, before, state)

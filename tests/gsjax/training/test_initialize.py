@@ -72,7 +72,7 @@ def test_a_run_starts_with_the_pixel_filter_of_its_settings_and_growing_keeps_it
     scene = Scene(Path("scene"), "colmap", (), POINTS.astype(np.float32), COLORS)
     settings = Settings(pixel_filter=pixel_filter, max_gaussians=40, sh_degree=0)
     optimizer = make_optimizer(settings.rates, 1.0, 10)
-    state = training._initial(scene, settings, optimizer, None)
+    state = training.first_state(scene, settings, optimizer, {})
     assert state.gaussians.pixel_filter == pixel_filter
     assert with_room_to_densify(state, optimizer, settings.density, 40).gaussians.pixel_filter == pixel_filter
 

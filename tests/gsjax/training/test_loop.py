@@ -16,10 +16,12 @@ from gsjax.scene import with_pixels
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
 from gsjax.training import loop
 from gsjax.training.growth.rules import RULES
-from gsjax.training.loop import fit, planned_phases, view_order
+from gsjax.training.loop import fit, view_order
 from gsjax.training.optimizers import make_optimizer
+from gsjax.training.plan import plan
 from gsjax.training.state import count_alive, initial_state
-from gsjax.training.step import BACKGROUNDS, active_terms
+from gsjax.training.step import BACKGROUNDS
+from gsjax.training.terms import TERMS, Term, weighed
 
 PLAIN = Weights(dssim=0.0)
 EXTENT, ALIVE, CAPACITY = 1.0, 30, 48
@@ -28,7 +30,7 @@ SETTINGS = Settings(
     background="random",
     phases=(
         Phase("coarse", 6, PLAIN, image_scale=2, density_control=True, cull_below=0.6),
-        Phase("surface", 5, replace(PLAIN, entropy=0.1, sdf_normal=0.2)),
+        Phase("surface", 5, Weights(dssim=0.0, entropy=0.1, sdf_normal=0.2)),
     ),
     sh_every=4,
     max_gaussians=CAPACITY,
@@ -91,17 +93,6 @@ def test_an_epoch_shows_every_view_once_in_an_order_of_its_own():
     assert epochs[0] != [view_order(8, i, 10) for i in range(10)]
 
 
-def test_a_vanilla_plan_has_the_same_steps_and_only_photometric_terms():
-    plan = planned_phases(replace(SETTINGS, vanilla=True))
-    assert [(p.name, p.steps, p.image_scale, p.density_control) for p in plan] == [
-        (p.name, p.steps, p.image_scale, p.density_control) for p in SETTINGS.phases
-    ]
-    for phase in plan:
-        assert set(active_terms(phase.weights)) == {"l1", "alpha"}
-        assert phase.cull_below == 0
-    assert planned_phases(SETTINGS) == SETTINGS.phases
-
-
 # --- the loop
 
 
@@ -145,8 +136,9 @@ def test_size_prunes_without_resets_and_white_photos_reset_once_more_at_the_star
     monkeypatch.setattr(loop.rows, "with_room_to_densify", lambda state, *_: state)
     for chosen in (density, replace(density, reset_every=0)):
         for step in range(1, 9):
-            settings = replace(SETTINGS, density=chosen, background="white")
-            loop._control_density(settings, step, step, OPTIMIZER, EXTENT, jax.random.key(0), loop.one_device())
+            planned = plan(replace(SETTINGS, density=chosen, background="white"))
+            work = loop.Work(planned, (), EXTENT, OPTIMIZER, lambda state: [], lambda progress: None)
+            loop._control_density(work, step, step, jax.random.key(0))
         calls.append("end")
     with_resets = ["reset", (4, False), "reset", (6, True), (8, True), "end"]  # at 2, 4, 5, 6 and 8
     assert calls == [*with_resets, (4, True), (6, True), (8, True), "end"]
@@ -161,8 +153,8 @@ def entered(monkeypatch):
         scales.append(scale)
         return unreduced(frames)
 
-    def run_phase(settings, phase, steps, data, extent, state, optimizer, observe, capacity, effects, on):
-        phases.append((phase.name, scales[-1], steps, capacity))
+    def run_phase(work, phase, data, state, done, capacity):
+        phases.append((phase.name, scales[-1], (done, phase.end), capacity))
         return state
 
     unreduced = targets.views_of
@@ -201,15 +193,15 @@ def test_a_run_continued_from_a_copy_in_a_starved_buffer_ends_with_the_same_bits
 def test_terms_of_the_surface_may_come_every_third_step_and_the_others_always(frames, monkeypatch, begun):
     taken = []
 
-    def make_train_step(optimizer, weights, **_):
+    def make_train_step(optimizer, terms, **_):
         def step(state, target, key):
-            taken.append((int(state.step), set(active_terms(weights))))
+            taken.append((int(state.step), {each.name for each in terms}))
             return replace(state, step=state.step + 1), SimpleNamespace(overflowed=False)
 
         return step
 
     monkeypatch.setattr(loop, "kept_step", make_train_step)
-    weights = replace(PLAIN, entropy=0.1, sdf_normal=0.2, distortion=0.3)
+    weights = Weights(dssim=0.0, entropy=0.1, sdf_normal=0.2, distortion=0.3)
     settings = replace(SETTINGS, phases=(Phase("surface", 7, weights, surface_every=3),))
     fitted(frames, settings, state=replace(start(), step=np.int32(begun)), capacity=64)
     always = {"l1", "alpha", "entropy"}
@@ -221,15 +213,15 @@ def test_terms_of_the_surface_may_come_every_third_step_and_the_others_always(fr
 def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkeypatch):
     trained_with = []
 
-    def make_train_step(optimizer, weights, *, depth_mode, **_):
-        trained_with.append((weights, depth_mode))
+    def make_train_step(optimizer, terms, *, depth_mode, **_):
+        trained_with.append(({each.name for each in terms}, depth_mode))
         return lambda state, target, key: (state, SimpleNamespace(overflowed=False))
 
     monkeypatch.setattr(loop, "kept_step", make_train_step)
     settings = replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),), depth_mode="center")
     for photos in (frames, tuple(with_pixels(f, f.pixels()._replace(matte=None)) for f in frames)):
         fitted(photos, settings, capacity=64)
-    assert trained_with == [(PLAIN, "center"), (replace(PLAIN, alpha=0.0), "center")] and PLAIN.alpha > 0
+    assert trained_with == [({"l1", "alpha"}, "center"), ({"l1"}, "center")]
 
 
 @pytest.mark.parametrize(
@@ -244,7 +236,7 @@ def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkey
     ],
 )
 def test_a_device_without_room_is_one_line_and_any_other_failure_stays_one(frames, monkeypatch, said, raised, line):
-    def make_train_step(optimizer, weights, **_):
+    def make_train_step(optimizer, terms, **_):
         def step(state, target, key):
             raise jax.errors.JaxRuntimeError(said)
 
@@ -275,9 +267,27 @@ def test_error_driven_densification_fills_the_budget_and_resumes_to_the_same_bit
 def test_the_next_run_of_the_same_settings_finds_its_programs():
     """Other numbers anywhere are another program; effects hold numbers of their run."""
     how = {"capacity": 128, "background": BACKGROUNDS["white"], "sh_every": 4, "rule": RULES["error"], "extent": EXTENT}
-    step = loop.kept_step(OPTIMIZER, PLAIN, effects=NO_EFFECTS, **how)
-    assert loop.kept_step(make_optimizer(Rates(), EXTENT, 11), Weights(dssim=0.0), effects={}, **how) is step
+    plain = weighed(PLAIN)
+    step = loop.kept_step(OPTIMIZER, plain, effects=NO_EFFECTS, **how)
+    assert loop.kept_step(make_optimizer(Rates(), EXTENT, 11), weighed(Weights(dssim=0.0)), effects={}, **how) is step
     for other in ({"capacity": 256}, {"extent": 2.0}, {"rule": None}, {"sh_every": 5}):
-        assert loop.kept_step(OPTIMIZER, PLAIN, effects=NO_EFFECTS, **{**how, **other}) is not step
-    assert loop.kept_step(make_optimizer(Rates(means=1.0), EXTENT, 11), PLAIN, effects=NO_EFFECTS, **how) is not step
-    assert loop.kept_step(OPTIMIZER, PLAIN, effects={"none": Effect((), optax.constant_schedule(0))}, **how) is not step
+        assert loop.kept_step(OPTIMIZER, plain, effects=NO_EFFECTS, **{**how, **other}) is not step
+    assert loop.kept_step(make_optimizer(Rates(means=1.0), EXTENT, 11), plain, effects=NO_EFFECTS, **how) is not step
+    assert loop.kept_step(OPTIMIZER, plain, effects={"none": Effect((), optax.constant_schedule(0))}, **how) is not step
+
+
+def test_a_term_that_was_edited_is_another_program():
+    how = {"capacity": 128, "background": BACKGROUNDS["white"], "sh_every": 4, "rule": None, "effects": NO_EFFECTS}
+
+    def step_with(loss):
+        own = weighed(Weights(dssim=0.0, own=0.1), {**TERMS, "own": Term(loss)})
+        return loop.kept_step(OPTIMIZER, own, **how)
+
+    def first(gaussians, view, batch):
+        return jnp.mean(view.alphas)
+
+    def edited(gaussians, view, batch):
+        return 1 - jnp.mean(view.alphas)
+
+    assert step_with(first) is step_with(first)
+    assert step_with(edited) is not step_with(first)

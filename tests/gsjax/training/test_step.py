@@ -13,14 +13,14 @@ from gsjax import render, targets
 from gsjax.gaussians import opacities
 from gsjax.measures.images import psnr
 from gsjax.settings import Density, Rates, Weights
-from gsjax.training import surroundings
 from gsjax.training.capacity import chosen_capacity, largest_need
 from gsjax.training.growth import adaptive as density_control
 from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import count_alive, cull, densify, initial_state, reset_opacities
-from gsjax.training.step import BACKGROUNDS, active_terms, in_photo, make_train_step
+from gsjax.training.step import BACKGROUNDS, in_photo, make_train_step
+from gsjax.training.terms import TERMS, weighed
 
 ALIVE, CAPACITY, PAIRS = 180, 200, 8192
 SIZE = (32, 32)
@@ -36,7 +36,7 @@ def setup(empty_caches):
     optimizer = make_optimizer(Rates(means=2e-3, means_final=2e-4), 1.0, 60)
     step = make_train_step(
         optimizer,
-        Weights(alpha=0.1),
+        weighed(Weights(alpha=0.1)),
         capacity=PAIRS,
         background=BACKGROUNDS["random"],
         sh_every=SH_EVERY,
@@ -124,7 +124,7 @@ def test_an_overflowing_step_leaves_every_bit_and_says_what_it_needs(setup):
     state, _ = run(setup, start(setup), 2)
     narrow = make_train_step(
         setup.optimizer,
-        Weights(alpha=0.1),
+        weighed(Weights(alpha=0.1)),
         capacity=64,
         background=BACKGROUNDS["random"],
         sh_every=SH_EVERY,
@@ -260,7 +260,8 @@ def test_a_cull_kills_the_faint_and_leaves_the_others(setup):
 
 
 def test_only_terms_of_weight_are_active():
-    assert active_terms(Weights(dssim=0.0, alpha=0.0, entropy=0.1)) == {"l1": 0.8, "entropy": 0.1}
+    active = weighed(Weights(dssim=0.0, alpha=0.0, entropy=0.1))
+    assert [(each.name, each.weight) for each in active] == [("l1", 0.8), ("entropy", 0.1)]
 
 
 def test_the_capacity_holds_every_view_with_headroom(setup):
@@ -277,21 +278,20 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     normals[0, 0] = 0  # a hole
     data = targets.with_normals(setup.data, [normals] * 3)
     # One of the readings of R that are composited stands for the others, each of which is another pass to compile.
-    others = {"axis_normal", "sdf_central", "sdf_bicubic", "sdf_offset", "density_center", "density_offset"}
-    weights = Weights(**{name: 0.0 if name in others else 0.1 for name in Weights().__dict__})
+    terms = weighed({name: 0.1 for name in TERMS if name != "axis_normal"})
     capacity = int(1.1 * largest_need(start(setup).gaussians, data))
     step = make_train_step(
         setup.optimizer,
-        weights,
+        terms,
         capacity=capacity,
         background=BACKGROUNDS["white"],
         sh_every=SH_EVERY,
         rule=None,
     )
-    state = replace(start(setup), nearest=jnp.asarray(surroundings.found(start(setup).gaussians)))
+    state = start(setup)
     for index in range(4):
         state, metrics = step(state, replace(data.targets[index % 3], beside=data.targets[(index + 1) % 3]), KEY)
-        assert set(metrics.terms) == set(active_terms(weights))
+        assert set(metrics.terms) == {each.name for each in terms}
         assert all(0 < float(value) < 9 for value in metrics.terms.values()), metrics.terms  # one of them is in pixels
     assert step._cache_size() == 1
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state))

@@ -22,12 +22,13 @@ from gsjax.training.growth.rules import RULES
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
+from gsjax.training.terms import weighed
 
 CAMERAS = [
     camera_at(eye, (0.0, 0.0, 4.0), size=(32, 32)) for eye in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.3), (0.0, -1.0, 0.0))
 ]
 CENTERS = np.stack([center(camera) for camera in CAMERAS])
-PHOTOS = Weights(alpha=0.0)
+PHOTOS = weighed(Weights(alpha=0.0))
 SKY = backdrop.constant(np.array([0.4, 0.6, 0.8]), 2)
 SKY[1] = [0.3, 0.2, -0.2]
 SKY[3] = [-0.2, 0.1, 0.1]
@@ -55,13 +56,13 @@ def program(step, state, target) -> str:
 
 
 @pytest.mark.parametrize(
-    ("rule", "weights"), [("adc", PHOTOS), ("error", PHOTOS), (None, Weights(alpha=0.0, entropy=0.1))]
+    ("rule", "terms"), [("adc", PHOTOS), ("error", PHOTOS), (None, weighed(Weights(alpha=0.0, entropy=0.1)))]
 )
-def test_a_step_without_effects_is_that_of_a_program_that_never_heard_of_them(rule, weights):
+def test_a_step_without_effects_is_that_of_a_program_that_never_heard_of_them(rule, terms):
     (target,) = targets.views_of(photographed(cloud(200, seed=5), CAMERAS[:1])).targets
     state = start(rule=rule or "adc")
-    ours = program(make_train_step(OPTIMIZER, weights, **options(rule)), state, target)
-    theirs = program(step_without_effects.make_train_step(OPTIMIZER, weights, **options(rule)), state, target)
+    ours = program(make_train_step(OPTIMIZER, terms, **options(rule)), state, target)
+    theirs = program(step_without_effects.make_train_step(OPTIMIZER, terms, **options(rule)), state, target)
     assert ours == theirs
 
 
@@ -117,7 +118,7 @@ def retaken(data):
         "poses": poses.simulated(CENTERS, 4.0, np.zeros(3), 1, lambda step: jnp.float32(1e-3) * 0.98**step),
         "background": background.simulated(backdrop.constant(np.full(3, 0.5), 2), lambda step: jnp.float32(0.02)),
     }
-    step = make_train_step(OPTIMIZER, Weights(dssim=0.0, alpha=0.0), **options("adc"), effects=effects)
+    step = make_train_step(OPTIMIZER, weighed(Weights(dssim=0.0, alpha=0.0)), **options("adc"), effects=effects)
     return targets, effects, step, gains
 
 

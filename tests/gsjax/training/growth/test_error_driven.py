@@ -22,6 +22,7 @@ from gsjax.training.initialize import DEAD_LOGIT, far_points, from_points
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
+from gsjax.training.terms import weighed
 
 KEY = jax.random.key(0)
 ROWS, ALIVE = 40, 20
@@ -231,7 +232,7 @@ def setup():
     def step(rule):
         return make_train_step(
             optimizer,
-            Weights(alpha=0.0),
+            weighed(Weights(alpha=0.0)),
             capacity=4096,
             background=BACKGROUNDS["black"],
             sh_every=10,

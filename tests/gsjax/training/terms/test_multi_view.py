@@ -277,7 +277,7 @@ def test_views_bring_neighbours_in_the_phases_of_the_term_alone(monkeypatch):
     phases = (Phase("plain", 1), Phase("surface", 1, Weights(multi_view=0.1)))
     neighbors = {}
 
-    def noted(settings, phase, steps, data, extent, state, *rest):
+    def noted(work, phase, data, state, *rest):
         neighbors[phase.name] = data.neighbors
         return state
 

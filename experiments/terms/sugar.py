@@ -17,10 +17,12 @@ from gsjax.cameras import Camera
 from gsjax.density_field import Kernels
 from gsjax.gaussians import Gaussians, rotation_matrices, scales, smallest_axes
 from gsjax.normals import sdf
-from gsjax.normals.places import SPREAD, facing, turned
+from gsjax.normals.sdf import facing
 from gsjax.numerics import masked_mean, safe_normalize
 from gsjax.render import View
 from gsjax.targets import Batch
+from gsjax.training.terms import Kept
+from terms.places import SPREAD, turned
 
 MOST_SAMPLES = 1_000_000  # points in a step; no more than there are Gaussians
 CLOSE = 2.0  # standard deviations towards the camera between a mean and the rendered depth, to be drawn from (sdf)
@@ -45,7 +47,7 @@ Misfit = Callable[[Sample], tuple[Array, Array]]
 """Sample -> `[]` how far the density is from a surface's there, and `[]` bool whether that counts."""
 
 
-def sugar_sdf(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+def sugar_sdf(gaussians: Gaussians, view: View, batch: Batch, kept: Kept) -> Array:
     """Mean of | f(x) - |D(pi(x)) - z(x)| | over a tenth of the extent, and of the normals' disagreement.
 
     f = beta sqrt(-2 log d) is the distance that the density d stands for. Points are drawn from the Gaussians close to
@@ -53,8 +55,8 @@ def sugar_sdf(gaussians: Gaussians, view: View, batch: Batch) -> Array:
 
     Differentiable to means, rotations, scales, opacities and the depth; not through who is drawn from.
     """
-    assert view.depth is not None and view.surroundings is not None, "the term compares density with depth"
-    depth, camera, unit = view.depth, batch.camera, view.surroundings.extent / EXTENTS
+    assert view.depth is not None, "the term compares density with depth"
+    depth, camera, unit = view.depth, batch.camera, kept.extent / EXTENTS
 
     def misfit(sample: Sample) -> tuple[Array, Array]:
         reads = sdf.reads_depth(sample.point, depth > 0, camera)
@@ -62,11 +64,11 @@ def sugar_sdf(gaussians: Gaussians, view: View, batch: Batch) -> Array:
         to_depth = jnp.abs(sdf.depth_sdf(point, depth, camera))
         return jnp.abs(_distance(FACTOR * density_field.density(point, sample.nearby), sample.beta) - to_depth), reads
 
-    value, disagreement = _means(misfit, gaussians, view, _close_to_depth(gaussians, view, depth, camera))
+    value, disagreement = _means(misfit, gaussians, kept, _close_to_depth(gaussians, view, depth, camera))
     return value / unit + disagreement
 
 
-def sugar_density(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+def sugar_density(gaussians: Gaussians, view: View, batch: Batch, kept: Kept) -> Array:
     """Mean of | d(x) - exp(-((x - mu) . n)^2 / (2 beta^2)) |, and of the normals' disagreement.
 
     The target is the density of a flat Gaussian at the distance of x from the plane of the one that it was drawn from:
@@ -83,15 +85,13 @@ def sugar_density(gaussians: Gaussians, view: View, batch: Batch) -> Array:
         deviations = jnp.clip(deviations, -density_field.MAX_DISTANCE, density_field.MAX_DISTANCE)
         return jnp.abs(found - jnp.exp(-0.5 * deviations * deviations)), jnp.array(True)
 
-    value, disagreement = _means(misfit, gaussians, view, view.splats.projection.visible[0])
+    value, disagreement = _means(misfit, gaussians, kept, view.splats.projection.visible[0])
     return value + disagreement
 
 
-def _means(misfit: Misfit, gaussians: Gaussians, view: View, among: Array) -> tuple[Array, Array]:
+def _means(misfit: Misfit, gaussians: Gaussians, kept: Kept, among: Array) -> tuple[Array, Array]:
     """`[]` mean misfit where it counts, `[]` mean disagreement of normals: over points drawn `among` `[N]`."""
-    assert view.surroundings is not None, "points are drawn with the step's key"
-    nearest, key, _ = view.surroundings
-    who, how = jax.random.split(key)
+    who, how = jax.random.split(kept.key)
     count = min(MOST_SAMPLES, gaussians.num_gaussians)
     owners = chosen(who, among, count)
     noise = jax.random.normal(how, (count, 3), gaussians.means.dtype)
@@ -99,7 +99,7 @@ def _means(misfit: Misfit, gaussians: Gaussians, view: View, among: Array) -> tu
     thickness, field = deviations.min(-1), density_field.kernels(gaussians)
 
     def of_one(owner: Array, noise: Array) -> tuple[Array, Array, Array]:
-        ids = nearest[owner]
+        ids = kept.table[owner]
         point = gaussians.means[owner] + SPREAD * turned(axes[owner], noise * deviations[owner])
         nearby = density_field.around(field, ids)
         sample = Sample(point, gaussians.means[owner], normals[owner], nearby, jnp.mean(thickness[ids]))

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from scipy.special import expit
 from small_scenes import camera_at, cloud, plane
+from terms import sugar, surroundings
+from terms.sugar import Sample, sugar_density, sugar_sdf
 from tolerances import assert_close
 
 from gsjax.density_field import Kernels
 from gsjax.gaussians import rotation_matrices
-from gsjax.render import Surroundings, View
+from gsjax.render import View
 from gsjax.targets import Batch
-from gsjax.training import sugar, surroundings
-from gsjax.training.sugar import Sample, sugar_density, sugar_sdf
+from gsjax.training.terms import Kept
 
 COUNT, DISTANCE, EXTENT = 36, 4.0, 2.5
 CAMERA = camera_at(size=(40, 36), focal=36.0)
@@ -30,9 +31,9 @@ WALL = plane((0.0, 0.0, -1.0), per_side=6, spacing=0.25, radius=0.2, opacity=0.3
 
 def both(gaussians, depth, visible, nearest):
     splats = SimpleNamespace(projection=SimpleNamespace(visible=visible[None]))
-    view = View(None, depth, depth, splats, surroundings=Surroundings(nearest, KEY, EXTENT))
+    view, kept = View(None, depth, depth, splats), Kept(nearest, KEY, EXTENT)
     camera = jax.tree.map(lambda leaf: leaf.astype(depth.dtype), CAMERA)
-    return jnp.stack([term(gaussians, view, Batch(camera, None, None, None, None)) for term in TERMS])
+    return jnp.stack([term(gaussians, view, Batch(camera, None, None, None, None), kept) for term in TERMS])
 
 
 @jax.jit
@@ -42,7 +43,7 @@ def weighted_and_gradient(weights, gaussians, depth, visible, nearest):
 
 def value_and_gradient(term, gaussians, depth=DEPTH, visible=ALL, nearest=None):
     """Of one term; the other has no weight, so that one program serves both."""
-    nearest = jnp.asarray(surroundings.found(gaussians) if nearest is None else nearest)
+    nearest = jnp.asarray(surroundings.nearest(gaussians) if nearest is None else nearest)
     weights = jnp.asarray([float(term is t) for t in TERMS], gaussians.means.dtype)
     return weighted_and_gradient(weights, gaussians, depth, visible, nearest)
 
@@ -106,7 +107,7 @@ AT_DEPTH = replace(
 @pytest.mark.parametrize("alone", [True, False])
 @pytest.mark.parametrize("gaussians", [AT_DEPTH, WALL, FLIPPED], ids=["a cloud", "a wall", "half of it upside down"])
 def test_the_terms_are_those_written_out_in_float64(gaussians, alone):
-    nearest = surroundings.none_yet(COUNT) if alone else surroundings.found(gaussians)
+    nearest = surroundings.none_yet(COUNT) if alone else surroundings.nearest(gaussians)
     expected = expected_terms(gaussians, nearest)
     for index, term in enumerate(TERMS):
         found = value_and_gradient(term, gaussians, nearest=nearest)[0]
@@ -156,7 +157,7 @@ def test_gradients_equal_finite_differences(term, x64):
         "quats": gaussians.quats,
         "logit_opacities": gaussians.logit_opacities,
     }
-    nearest = surroundings.found(gaussians)
+    nearest = surroundings.nearest(gaussians)
     depth = DISTANCE + 0.01 * rng.normal(size=DEPTH.shape)
     steps = {name: 1e-6 * rng.normal(size=leaf.shape) for name, leaf in first.items()}
     depth_step = 1e-6 * rng.normal(size=depth.shape)
@@ -218,7 +219,7 @@ HARD = {
 @pytest.mark.parametrize("term", TERMS)
 @pytest.mark.parametrize("name", HARD)
 def test_value_and_gradient_are_finite(term, name):
-    for nearest in (surroundings.found(HARD[name]), surroundings.none_yet(COUNT)):
+    for nearest in (surroundings.nearest(HARD[name]), surroundings.none_yet(COUNT)):
         value, gradient = value_and_gradient(term, HARD[name], nearest=nearest)
         assert 0 <= float(value) < 1e12
         assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))

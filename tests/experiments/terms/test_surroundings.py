@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from photographed_wall import wall
 from small_scenes import cloud
+from terms import TERMS, surroundings
 
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
-from gsjax.training import loop, surroundings
+from gsjax.training import loop
 from gsjax.training.optimizers import make_optimizer
+from gsjax.training.plan import plan
 from gsjax.training.rows import lengthened
 from gsjax.training.state import initial_state
 from gsjax.training.step import Metrics
@@ -21,7 +23,7 @@ ALIVE, ROWS = 30, 40
 
 def test_the_nearest_are_the_living_by_distance_itself_first():
     gaussians = cloud(ALIVE, capacity=ROWS, seed=1)
-    table = surroundings.found(gaussians)
+    table = surroundings.nearest(gaussians)
     assert (table.shape, table.dtype) == ((ROWS, surroundings.NEAREST), np.int32)
     means = np.asarray(gaussians.means, np.float64)[:ALIVE]
     expected = np.argsort(np.linalg.norm(means[:, None] - means, axis=-1), axis=1)[:, : surroundings.NEAREST]
@@ -31,14 +33,14 @@ def test_the_nearest_are_the_living_by_distance_itself_first():
 
 @pytest.mark.parametrize("alive", [0, 1, 5])
 def test_where_there_are_few_the_own_id_stands_for_nobody(alive):
-    table = surroundings.found(cloud(alive, capacity=8))
+    table = surroundings.nearest(cloud(alive, capacity=8))
     assert np.all(np.sort(table[:alive, :alive], axis=1) == np.arange(alive))
     assert np.all(table[:, max(alive, 1) :] == np.arange(8)[:, None])
 
 
 def test_of_coincident_gaussians_each_is_its_own_first():
     gaussians = replace(cloud(20), means=jnp.ones((20, 3)))
-    np.testing.assert_array_equal(surroundings.found(gaussians)[:, 0], np.arange(20))
+    np.testing.assert_array_equal(surroundings.nearest(gaussians)[:, 0], np.arange(20))
 
 
 OPTIMIZER = make_optimizer(Rates(), 1.0, 8)
@@ -47,7 +49,11 @@ PHASES = (Phase("plain", 1, Weights(alpha=0.0)), Phase("surface", 6, Weights(alp
 
 def start():
     table = jnp.asarray(surroundings.none_yet(ROWS))
-    return initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER, nearest=table)
+    return initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER, tables={"nearest": table})
+
+
+def table(state):
+    return state.tables["nearest"]
 
 
 def shaken(state, target, key):
@@ -59,7 +65,7 @@ def shaken(state, target, key):
 
 def fitted(state, monkeypatch):
     """The states after every step."""
-    monkeypatch.setattr(surroundings, "EVERY", 5)
+    monkeypatch.setattr(loop, "REFRESHED_EVERY", 5)
     monkeypatch.setattr(loop, "kept_step", lambda *_, **__: shaken)
     monkeypatch.setattr(loop, "chosen_capacity", lambda *_, **__: 4096)
     states = []
@@ -71,6 +77,7 @@ def fitted(state, monkeypatch):
         OPTIMIZER,
         prior=lambda _: [],
         observe=lambda progress: states.append(progress.state),
+        terms=TERMS,
         capacity=4096,
     )
     return states
@@ -78,24 +85,29 @@ def fitted(state, monkeypatch):
 
 def test_a_run_makes_the_table_anew_when_due_and_goes_on_from_a_checkpoint_to_the_same_bits(monkeypatch):
     whole = fitted(start(), monkeypatch)
-    np.testing.assert_array_equal(whole[0].nearest, start().nearest)
+    np.testing.assert_array_equal(table(whole[0]), table(start()))
     # At the start of the phase that reads it, and every 5 steps.
     for made, kept in ((1, (2, 3, 4)), (5, (5, 6, 7))):
-        of_then = surroundings.found(whole[made - 1].gaussians)
+        of_then = surroundings.nearest(whole[made - 1].gaussians)
         for step in kept:
-            np.testing.assert_array_equal(whole[step - 1].nearest, of_then)
-    assert np.any(whole[3].nearest != whole[4].nearest)
+            np.testing.assert_array_equal(table(whole[step - 1]), of_then)
+    assert np.any(table(whole[3]) != table(whole[4]))
     resumed = fitted(whole[5], monkeypatch)
     jax.tree.map(np.testing.assert_array_equal, resumed[-1], whole[-1])
 
 
 def test_other_gaussians_ask_for_another_table():
-    phase = Phase("surface", 9, density_control=True)
-    settings = Settings(density=Density(start=1, stop=600, every=200))
-    due = [step for step in range(1, 1001) if loop._moves_neighbors(settings, phase, step)]
+    settings = Settings(
+        density=Density(start=1, stop=600, every=200), phases=(Phase("a", 9, density_control=True), Phase("b", 9))
+    )
+    planned = plan(settings)
+    growing, still = planned.phases
+    due = [step for step in range(1, 1001) if loop._moves_neighbors(planned, growing, step)]
     assert due == [200, 400, 500, 1000]
-    assert not loop._moves_neighbors(settings, replace(phase, density_control=False), 200)
+    assert not loop._moves_neighbors(planned, still, 200)
 
 
-def test_longer_buffers_wait_for_their_table():
-    np.testing.assert_array_equal(lengthened(start(), OPTIMIZER, ROWS + 9).nearest, surroundings.none_yet(ROWS + 9))
+def test_longer_buffers_have_a_row_of_the_table_each():
+    longer = table(lengthened(start(), OPTIMIZER, ROWS + 9))
+    np.testing.assert_array_equal(longer[:ROWS], surroundings.none_yet(ROWS))
+    assert longer.shape == (ROWS + 9, surroundings.NEAREST)

@@ -1,7 +1,8 @@
 """The regulariser's other source: the gradient of the density field instead of that of the depth-based estimate.
 
 SuGaR, whose losses the paper replaces, calls the distance to the density's level set the SDF; its gradient's direction
-is that of the density. A Gaussian sums over its `gsjax.render.Surroundings`, one chunk of them at a time.
+is that of the density. A Gaussian sums over its nearest (`terms.surroundings`), one chunk of
+them at a time.
 """
 
 import jax
@@ -11,30 +12,30 @@ from jax import Array
 from gsjax import density_field
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, scales
-from gsjax.normals import places
-from gsjax.normals.places import Places
 from gsjax.normals.sdf import composited
 from gsjax.render import View
+from gsjax.training.terms import Kept
+from terms import places
+from terms.places import Places
 
 
-def density_center_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
+def density_center_map(gaussians: Gaussians, view: View, camera: Camera, kept: Kept) -> Array:
     """`[H, W, 3]` at the means: on a plane of Gaussians it lies in the plane, and asks for the wrong thing."""
-    return _density_gradient_map(gaussians, view, camera, places.centers)
+    return _density_gradient_map(gaussians, view, camera, kept, places.centers)
 
 
-def density_offset_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
+def density_offset_map(gaussians: Gaussians, view: View, camera: Camera, kept: Kept) -> Array:
     """`[H, W, 3]` one smallest standard deviation before the means."""
-    return _density_gradient_map(gaussians, view, camera, places.before)
+    return _density_gradient_map(gaussians, view, camera, kept, places.before)
 
 
-def density_sample_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
+def density_sample_map(gaussians: Gaussians, view: View, camera: Camera, kept: Kept) -> Array:
     """`[H, W, 3]` at places drawn about the means, as SuGaR draws them."""
-    return _density_gradient_map(gaussians, view, camera, places.drawn)
+    return _density_gradient_map(gaussians, view, camera, kept, places.drawn)
 
 
-def _density_gradient_map(gaussians: Gaussians, view: View, camera: Camera, at: Places) -> Array:
+def _density_gradient_map(gaussians: Gaussians, view: View, camera: Camera, kept: Kept, at: Places) -> Array:
     """`[H, W, 3]` minus the density's gradient, unit and facing the camera, composited; zero where there is none."""
-    assert view.surroundings is not None, "the density is summed over the nearest Gaussians"
     field = density_field.kernels(gaussians)
     # In units of the Gaussian's own thickness: the direction stays, and the length no longer knows the scene's unit.
     thickness = jax.lax.stop_gradient(scales(gaussians).min(-1))
@@ -42,7 +43,7 @@ def _density_gradient_map(gaussians: Gaussians, view: View, camera: Camera, at: 
     def outward(place: Array, ids: Array, unit: Array) -> Array:
         return -unit * density_field.density_gradient(place, density_field.around(field, ids))
 
-    rows = at(gaussians, view, camera), view.surroundings.nearest, thickness
+    rows = at(gaussians, camera, kept), kept.table, thickness
     world = density_field.at_each(outward, *rows)
     visible = view.splats.projection.visible[0, :, None]
     return composited(jnp.where(visible, world, 0), gaussians, view, camera)

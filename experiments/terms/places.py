@@ -1,4 +1,4 @@
-"""Where in space the gradient of a Gaussian is taken: functions of (Gaussians, View, Camera).
+"""Where in space the gradient of a Gaussian is taken: functions of (Gaussians, Camera, Kept).
 
 At the mean is what the paper prints. There the density's gradient has nothing of the Gaussian itself and, on a plane of
 them, lies in the plane; a step off the mean gives it a side.
@@ -13,44 +13,39 @@ from jax import Array
 from gsjax import cameras
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, rotation_matrices, scales, smallest_axes
-from gsjax.render import View
+from gsjax.normals.sdf import facing
+from gsjax.training.terms import Kept
 
-Places = Callable[[Gaussians, View, Camera], Array]
-"""(Gaussians, View, Camera) -> `[N, 3]` world positions."""
+Places = Callable[[Gaussians, Camera, Kept | None], Array]
+"""(Gaussians, Camera, what the term keeps) -> `[N, 3]` world positions."""
 
 SPREAD = 1.5  # standard deviations of the places drawn about a Gaussian, in its own (SuGaR)
 
 
-def centers(gaussians: Gaussians, view: View, camera: Camera) -> Array:
+def centers(gaussians: Gaussians, camera: Camera, kept: Kept | None = None) -> Array:
     """The means."""
-    del view, camera
+    del camera, kept
     return gaussians.means
 
 
-def before(gaussians: Gaussians, view: View, camera: Camera, *, deviations: float = 1.0) -> Array:
+def before(gaussians: Gaussians, camera: Camera, kept: Kept | None = None, *, deviations: float = 1.0) -> Array:
     """So many of the smallest standard deviations from the mean, along the smallest axis, on the camera's side.
 
     Differentiable to means, rotations and scales; not through which side it is.
     """
-    del view
+    del kept
     normals = facing(smallest_axes(gaussians), cameras.center(camera)[None] - gaussians.means)
     return gaussians.means + deviations * scales(gaussians).min(-1, keepdims=True) * normals
 
 
-def drawn(gaussians: Gaussians, view: View, camera: Camera) -> Array:
+def drawn(gaussians: Gaussians, camera: Camera, kept: Kept | None) -> Array:
     """One place of each Gaussian, drawn anew in every step: normal about the mean, `SPREAD` times as wide as it is."""
     del camera
-    assert view.surroundings is not None, "places are drawn with the step's key"
-    noise = jax.random.normal(view.surroundings.key, gaussians.means.shape, gaussians.means.dtype)
+    assert kept is not None, "places are drawn with the step's key"
+    noise = jax.random.normal(kept.key, gaussians.means.shape, gaussians.means.dtype)
     return gaussians.means + SPREAD * turned(rotation_matrices(gaussians.quats), noise * scales(gaussians))
 
 
 def turned(rotations: Array, vectors: Array) -> Array:
     """`[..., 3]` vectors turned by `[..., 3, 3]` rotations."""
     return jnp.sum(rotations * vectors[..., None, :], axis=-1)
-
-
-def facing(directions: Array, towards_camera: Array) -> Array:
-    """Flip directions whose dot product with `towards_camera` is negative; the sign carries no gradient."""
-    side = jnp.sum(jax.lax.stop_gradient(directions * towards_camera), axis=-1, keepdims=True)
-    return jnp.where(side < 0, -directions, directions)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.special import expit
 from small_scenes import angles, camera_at, cloud, plane
+from terms import density, places, slopes, surroundings
 from tolerances import assert_close
 
 from gsjax import cameras, render
 from gsjax.gaussians import rotation_matrices, smallest_axes
-from gsjax.normals import density, places, sdf
-from gsjax.render import Surroundings, View
-from gsjax.training import surroundings
+from gsjax.render import View
+from gsjax.training.terms import Kept
 
 COUNT = 64  # of every scene here: one program in float64, and one in float32
 CAMERA = camera_at((0.6, -0.4, -0.5), (0.1, 0.2, 4.0), size=(40, 36), focal=36.0)
@@ -26,9 +26,9 @@ NORMAL = np.array([0.3, 0.2, -1.0]) / np.linalg.norm([0.3, 0.2, -1.0])
 RAYS = np.asarray(cameras.pixel_rays(CAMERA), np.float64)
 PLANE_DEPTH = (NORMAL @ (np.array([0, 0, 4.0]) - CENTER)) / (RAYS @ TURN @ NORMAL)
 READINGS = (
-    sdf.sdf_central_map,
-    sdf.sdf_bicubic_map,
-    sdf.sdf_offset_map,
+    slopes.sdf_central_map,
+    slopes.sdf_bicubic_map,
+    slopes.sdf_offset_map,
     density.density_center_map,
     density.density_offset_map,
     density.density_sample_map,
@@ -48,8 +48,9 @@ def traced(towards, gaussians, depth, nearest, visible):
     camera = jax.tree.map(lambda leaf: leaf.astype(depth.dtype), CAMERA)
 
     def total(gaussians, depth):
-        view = View(None, None, depth, splats, surroundings=Surroundings(nearest, KEY, 1.0))
-        found = jnp.stack([reading(gaussians, view, camera) for reading in READINGS])
+        view, kept = View(None, None, depth, splats), Kept(nearest, KEY, 1.0)
+        of_depth = [reading(gaussians, view, camera) for reading in READINGS[:AT_CENTER]]
+        found = jnp.stack([*of_depth, *(reading(gaussians, view, camera, kept) for reading in READINGS[AT_CENTER:])])
         return jnp.sum(towards * found), found
 
     return jax.value_and_grad(total, (0, 1), has_aux=True)(gaussians, depth)
@@ -58,7 +59,7 @@ def traced(towards, gaussians, depth, nearest, visible):
 def everything(gaussians, depth=PLANE_DEPTH, *, towards=1.0, nearest=None, visible=None):
     """((sum, directions [6, N, 3]), gradients of the sum to Gaussians and depth)."""
     kind = gaussians.means.dtype
-    nearest = surroundings.found(gaussians) if nearest is None else nearest
+    nearest = surroundings.nearest(gaussians) if nearest is None else nearest
     visible = np.ones(COUNT, bool) if visible is None else visible
     towards = jnp.asarray(np.broadcast_to(towards, (6, COUNT, 3)), kind)
     return traced(towards, gaussians, jnp.asarray(depth, kind), jnp.asarray(nearest), jnp.asarray(visible))
@@ -106,7 +107,7 @@ def test_of_many_gaussians_the_gradient_is_the_weighted_sum(x64):
     means, alpha = np.asarray(gaussians.means), expit(np.asarray(gaussians.logit_opacities))
     points = means + np.einsum("nij,nj->ni", axes, noise * deviations)
     inverse = np.einsum("nij,nj,nkj->nik", axes, 1 / deviations**2, axes)
-    ids = surroundings.found(gaussians)
+    ids = surroundings.nearest(gaussians)
     offsets = points[:, None] - means[ids]
     pull = np.einsum("nkij,nkj->nki", inverse[ids], offsets)
     weights = alpha[ids] * np.exp(-0.5 * np.sum(offsets * pull, -1))
@@ -146,7 +147,7 @@ def test_places_that_blend_a_pixel_without_depth_have_no_direction(x64):
     for reading, where, reach in (
         (CENTRAL, wall.means, 1),
         (BICUBIC, wall.means, 1),
-        (OFFSET, places.before(wall, None, CAMERA), 0),
+        (OFFSET, places.before(wall, CAMERA), 0),
     ):
         points = (np.asarray(where) - CENTER) @ TURN.T
         expected = []
@@ -168,7 +169,7 @@ def test_gradients_equal_finite_differences(reading, x64):
     depth = PLANE_DEPTH + 0.05 * rng.normal(size=PLANE_DEPTH.shape)
     towards = np.zeros((6, COUNT, 3))
     towards[reading] = rng.normal(size=(COUNT, 3))
-    nearest = surroundings.found(gaussians)
+    nearest = surroundings.nearest(gaussians)
     step = {name: 1e-6 * rng.normal(size=leaf.shape) for name, leaf in gaussians.__dict__.items() if leaf is not None
             and name in ("means", "quats", "log_scales", "logit_opacities")}  # fmt: skip
     depth_step = 1e-6 * rng.normal(size=depth.shape)
@@ -202,7 +203,7 @@ HARD = {
 
 @pytest.mark.parametrize("name", HARD)
 def test_hard_places_are_finite_in_value_and_gradient(name):
-    for table in (surroundings.found(HARD[name]), surroundings.none_yet(COUNT)):
+    for table in (surroundings.nearest(HARD[name]), surroundings.none_yet(COUNT)):
         every = everything(HARD[name], nearest=table)
         assert all(bool(np.isfinite(leaf).all()) for leaf in jax.tree.leaves(every))
 

@@ -1,0 +1,45 @@
+"""Terms of the loss that the library does without, handed in as anybody's own: `pipeline.train(..., terms=TERMS)`.
+
+`sdf_central`, `sdf_bicubic` and `sdf_offset` read the paper's gradient otherwise, the `density` terms take the gradient
+of the density instead, and the `sugar` terms are those that the paper replaces. Tables in experiments/results show what
+each of them gives.
+"""
+
+from collections.abc import Mapping
+
+import jax
+from jax import Array
+
+from gsjax.gaussians import Gaussians
+from gsjax.normals.sdf import misalignment
+from gsjax.render import MIN_COVERAGE, View
+from gsjax.targets import Batch
+from gsjax.training.terms import Kept, Term
+from gsjax.training.terms.losses import aligned
+from terms import density, slopes, sugar
+from terms.surroundings import nearest
+
+__all__ = ["TERMS"]
+
+
+def _along_density(estimator) -> Term:
+    """R with a gradient of the density, which is summed over the nearest Gaussians."""
+
+    def term(gaussians: Gaussians, view: View, batch: Batch, kept: Kept) -> Array:
+        covered = batch.valid & (jax.lax.stop_gradient(view.alphas) > MIN_COVERAGE)
+        return misalignment(estimator(gaussians, view, batch.camera, kept), batch.normals, covered)
+
+    return Term(term, {"normals", "gaussians"}, refresh=nearest)
+
+
+_OF_DEPTH = {"depth", "normals", "gaussians"}
+TERMS: Mapping[str, Term] = {
+    "sdf_central": Term(aligned(slopes.sdf_central_map), _OF_DEPTH),
+    "sdf_bicubic": Term(aligned(slopes.sdf_bicubic_map), _OF_DEPTH),
+    "sdf_offset": Term(aligned(slopes.sdf_offset_map), _OF_DEPTH),
+    "density_center": _along_density(density.density_center_map),
+    "density_offset": _along_density(density.density_offset_map),
+    "density_sample": _along_density(density.density_sample_map),
+    "sugar_sdf": Term(sugar.sugar_sdf, {"depth", "gaussians"}, refresh=nearest),
+    "sugar_density": Term(sugar.sugar_density, {"gaussians"}, refresh=nearest),
+}

@@ -1,0 +1,91 @@
+"""A run folder, read: each file when it is asked for, and once."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+from gsjax import runs
+from gsjax.errors import InputError
+from gsjax.io import json_files
+from gsjax.runs.photography import Photography, read_photography
+
+READ_NORMALS = "sdf_normal", "pixel_normal", "axis_normal"  # the terms of runs that wrote no plan
+
+
+@dataclass(frozen=True)
+class Run:
+    """What the files of a run folder say."""
+
+    folder: Path
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Self:
+        """The run in a folder.
+
+        Raises:
+            InputError: It is no run folder.
+        """
+        folder = Path(folder)
+        if not (folder / "manifest.json").is_file():
+            raise InputError(f"{folder}: holds no manifest.json; it is no run folder")
+        return cls(folder)
+
+    @cached_property
+    def manifest(self) -> dict[str, Any]:
+        """Scene, command, versions, state, and what each stage left."""
+        return json_files.read(self.folder / "manifest.json")
+
+    @cached_property
+    def settings(self) -> dict[str, Any]:
+        """What was asked for."""
+        return runs.read_settings(self.folder)
+
+    @cached_property
+    def plan(self) -> dict[str, Any]:
+        """What runs, see `gsjax.training.plan.Plan.record`; of a run that wrote none, what its settings tell of it."""
+        file = self.folder / "plan.json"
+        if file.exists():
+            return json_files.read(file)
+        phases = [self._phase(phase) for phase in self.settings.get("phases", [])]
+        if self.is_refinement:
+            phases = [self._phase({"name": "refine", **self.settings["refinement"]})]
+        return {
+            "phases": phases,
+            "steps": sum(phase["steps"] for phase in phases),
+            "downscale": self.settings.get("downscale") or 1.0,
+            "normals": self.settings.get("normals"),
+        }
+
+    def _phase(self, phase: dict[str, Any]) -> dict[str, Any]:
+        terms = {name: weight for name, weight in phase["weights"].items() if weight}
+        if self.settings.get("vanilla") and not self.is_refinement:
+            terms = {name: weight for name, weight in terms.items() if name in ("l1", "dssim", "alpha")}
+        needs = ["normals"] if any(name in terms for name in READ_NORMALS) else []
+        return {"name": phase["name"], "steps": phase["steps"], "terms": terms, "needs": needs}
+
+    @cached_property
+    def views(self) -> list[dict[str, Any]]:
+        """The records of cameras.json; none before the run has finished."""
+        file = self.folder / "cameras.json"
+        return json_files.read(file) if file.exists() else []
+
+    @cached_property
+    def metrics(self) -> list[dict[str, Any]]:
+        """The lines of metrics.jsonl."""
+        return runs.read_metrics(self.folder)
+
+    @cached_property
+    def photography(self) -> Photography:
+        """What it found of how its photos were taken."""
+        return read_photography(self.folder)
+
+    @property
+    def is_refinement(self) -> bool:
+        """Whether a mesh was trained with its Gaussians here."""
+        return "refinement" in self.settings
+
+    @property
+    def downscale(self) -> float:
+        """How many times smaller it looked at its photos."""
+        return float(self.plan["downscale"])

@@ -1,0 +1,228 @@
+"""What will run, decided once: phases with their steps, sizes, terms and rules, from settings and the run's own facts.
+
+Loop, budget, pace, report and resume read a plan; settings stay as they were asked for.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Self
+
+from gsjax.effects import transients
+from gsjax.errors import InputError
+from gsjax.settings import PLAIN, Density, Logging, Phase, Rates, Settings
+from gsjax.training.growth.rules import RULES, Rule
+from gsjax.training.terms import TERMS, Term, Weighed, needs, weighed
+
+RATES = "means", "means_final", "sh_dc", "sh_rest", "opacities", "scales", "quats"
+"""The fields of `Rates` that are rates."""
+
+
+@dataclass(frozen=True)
+class PlannedPhase:
+    """A stretch of training with fixed terms: one compiled step."""
+
+    name: str
+    begin: int  # steps of the run before its first one
+    end: int  # and after its last one
+    scale: int  # photos are so many times smaller in each direction
+    terms: tuple[Weighed, ...]  # of non-zero weight
+    rule: Rule | None = None  # of density control; None: nobody multiplies
+    cull_below: float = 0.0  # at the end, Gaussians of lower opacity are removed
+    surface_every: int = 1  # one of so many steps has the dear terms
+
+    @property
+    def steps(self) -> int:
+        """How many."""
+        return self.end - self.begin
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What its terms need, words of `gsjax.training.terms.NEEDS`."""
+        return needs(self.terms)
+
+    @property
+    def tables(self) -> frozenset[str]:
+        """The names of tables that its terms read, which must be made anew now and then."""
+        return frozenset(each.table for each in self.terms if each.table)
+
+    @property
+    def image_terms(self) -> tuple[Weighed, ...]:
+        """The terms without the dear ones."""
+        return tuple(each for each in self.terms if not each.is_dear)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What will run."""
+
+    phases: tuple[PlannedPhase, ...]
+    seed: int
+    background: str  # of `gsjax.training.step.BACKGROUNDS`
+    depth_mode: str  # of `gsjax.render.view`
+    views_per_step: int
+    max_gaussians: int
+    sh_every: int  # steps between the bands of the SH ramp
+    view_share: float  # of the device's memory, for photos
+    rates: Rates  # their `decay_steps` are known
+    density: Density
+    logging: Logging
+    left_out: tuple[str, ...] = ()  # terms that were asked for and cannot run on these devices
+    downscale: float = 1.0  # photos are so many times smaller than they were taken
+    normals: str | None = None  # folder of the maps; None: those of the run's own depth, where a term asks for any
+    effects: tuple[str, ...] = ()  # that are simulated
+
+    @property
+    def steps(self) -> int:
+        """Of all phases."""
+        return self.phases[-1].end
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """What the terms of any phase need, words of `gsjax.training.terms.NEEDS`."""
+        return frozenset(word for phase in self.phases for word in phase.needs)
+
+    @property
+    def grown(self) -> int | None:
+        """How many phases have run when no Gaussians multiply any more; None where none comes then."""
+        last = max((count for count, phase in enumerate(self.phases, 1) if phase.rule), default=0)
+        return last if last < len(self.phases) else None
+
+    def with_effects(self, names: Iterable[str]) -> Self:
+        """The plan of a run that simulates these effects: masks of transients make growth wait."""
+        growing = sum(phase.steps for phase in self.phases if phase.rule)
+        density = transients.patient(self.density, growing) if "transients" in names else self.density
+        return replace(self, effects=tuple(names), density=density)
+
+    def until(self, count: int) -> Self:
+        """The first so many phases alone."""
+        return replace(self, phases=self.phases[:count])
+
+    def record(self) -> dict[str, Any]:
+        """The plan as `RUN/plan.json` has it."""
+        return {
+            "steps": self.steps,
+            "views_per_step": self.views_per_step,
+            "left_out": self.left_out,
+            "downscale": self.downscale,
+            "normals": self.normals,
+            "effects": self.effects,
+            "phases": [
+                {
+                    "name": phase.name,
+                    "steps": phase.steps,
+                    "begin": phase.begin,
+                    "end": phase.end,
+                    "scale": phase.scale,
+                    "terms": {each.name: each.weight for each in phase.terms},
+                    "needs": sorted(phase.needs),
+                    "surface_every": phase.surface_every,
+                    "density_control": phase.rule is not None,
+                    "cull_below": phase.cull_below,
+                }
+                for phase in self.phases
+            ],
+        }
+
+
+def plan(
+    settings: Settings,
+    terms: Mapping[str, Term] = MappingProxyType({}),
+    devices: int = 1,
+    effects: Iterable[str] = (),
+) -> Plan:
+    """The plan of a run.
+
+    Steps of several views are fewer: what is counted in steps comes after as many photos as with one. The rates grow
+    with the square root of the views: Adam divides by the gradient's size, and a mean over V views is nearer to the
+    true one by that root (Zhao et al., On Scaling Up 3D Gaussian Splatting Training). What its moments remember is the
+    optimiser's matter (`gsjax.training.optimizers.make_optimizer`).
+
+    Args:
+        settings: What was asked for.
+        terms: The run's own terms of the loss by name, beside the library's or in their place.
+        devices: How many the Gaussians are spread over. Terms that compare views are left out where a step takes
+            several.
+        effects: Names of those that are simulated: masks of transients make growth wait.
+
+    Raises:
+        InputError: A weight has no term, a term with normals looks at smaller photos, or a term cannot run on so many
+            devices.
+    """
+    known = {**TERMS, **terms}
+    is_one = devices == settings.views_per_step == 1
+    phases, left_out, begin = [], set(), 0
+    for phase in settings.phases:
+        wanted = _weighed(settings, phase, known)
+        if not is_one:
+            left_out |= {each.name for each in wanted if "neighbor" in needs([each])}
+            wanted = tuple(each for each in wanted if each.name not in left_out)
+        for each in wanted:
+            if each.term.refresh is not None and not is_one:
+                raise InputError(f"phase {phase.name}: {each.name} needs one device and --views-per-step 1")
+        if phase.image_scale > 1 and "normals" in needs(wanted):
+            raise InputError(
+                f"phase {phase.name}: image_scale={phase.image_scale} with a term that needs normals: normal maps serve"
+                " full-size photos only"
+            )
+        end = begin + _fewer(phase.steps, settings.views_per_step)
+        rule = RULES[settings.density.rule] if phase.density_control else None
+        cull, every = (0.0, 1) if settings.vanilla else (phase.cull_below, phase.surface_every)
+        phases.append(PlannedPhase(phase.name, begin, end, phase.image_scale, wanted, rule, cull, every))
+        begin = end
+    views = settings.views_per_step
+    return Plan(
+        phases=tuple(phases),
+        seed=settings.seed,
+        background=settings.background,
+        depth_mode=settings.depth_mode,
+        views_per_step=views,
+        max_gaussians=settings.max_gaussians,
+        sh_every=_fewer(settings.sh_every, views),
+        view_share=settings.view_share,
+        rates=_rates(settings.rates, views, begin),
+        density=_density(settings.density, views),
+        logging=_logging(settings.logging, views),
+        left_out=tuple(sorted(left_out)),
+    ).with_effects(tuple(effects))
+
+
+def _weighed(settings: Settings, phase: Phase, terms: Mapping[str, Term]) -> tuple[Weighed, ...]:
+    """The terms of a phase; of plain 3DGS those of the image alone."""
+    try:
+        wanted = weighed(phase.weights, terms)
+    except InputError as error:
+        raise InputError(f"phases.{phase.name}.{error}") from error
+    return tuple(each for each in wanted if each.name in PLAIN) if settings.vanilla else wanted
+
+
+def _fewer(steps: int, views: int) -> int:
+    return math.ceil(steps / views)
+
+
+def _rates(rates: Rates, views: int, steps: int) -> Rates:
+    grown = {name: math.sqrt(views) * getattr(rates, name) for name in RATES} if views > 1 else {}
+    decay = steps if rates.decay_steps is None else _fewer(rates.decay_steps, views)
+    return replace(rates, **grown, decay_steps=decay)
+
+
+def _density(density: Density, views: int) -> Density:
+    large = density.prune_large_after
+    return replace(
+        density,
+        start=_fewer(density.start, views),
+        stop=_fewer(density.stop, views),
+        every=_fewer(density.every, views),
+        reset_every=_fewer(density.reset_every, views),
+        prune_large_after=None if large is None else _fewer(large, views),
+    )
+
+
+def _logging(logging: Logging, views: int) -> Logging:
+    return replace(
+        logging,
+        metrics_every=_fewer(logging.metrics_every, views),
+        evaluate_every=_fewer(logging.evaluate_every, views),
+        checkpoint_every=_fewer(logging.checkpoint_every, views),
+    )

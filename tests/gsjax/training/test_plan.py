@@ -1,0 +1,117 @@
+import math
+from dataclasses import replace
+
+import pytest
+
+from gsjax import config
+from gsjax.errors import InputError
+from gsjax.settings import PRESETS, Density, Logging, Phase, Rates, Settings, Weights, total_steps
+from gsjax.training.plan import plan
+from gsjax.training.terms import Term
+
+SETTINGS = Settings(
+    phases=(
+        Phase("coarse", 500, image_scale=2, density_control=True),
+        Phase("surface", 301, Weights(sdf_normal=0.2, multi_view=0.1), cull_below=0.5, surface_every=2),
+    ),
+    rates=Rates(decay_steps=3000, final_share=0.2),
+    density=Density(start=50, stop=900, every=50, reset_every=0, prune_large_after=200),
+    logging=Logging(50, 0, 250),
+    sh_every=150,
+)
+
+
+def needles(gaussians, view, batch):
+    return gaussians.log_scales.mean()
+
+
+def terms(phase):
+    return {each.name: each.weight for each in phase.terms}
+
+
+def test_phases_follow_each_other_with_their_terms_and_what_these_need():
+    coarse, surface = plan(SETTINGS).phases
+    assert (coarse.begin, coarse.end, surface.begin, surface.end) == (0, 500, 500, 801)
+    assert (coarse.scale, surface.scale, surface.cull_below, surface.surface_every) == (2, 1, 0.5, 2)
+    assert coarse.rule is not None and surface.rule is None
+    assert terms(coarse) == {"l1": 0.8, "dssim": 0.2, "alpha": 0.1}
+    assert terms(surface) == {"l1": 0.8, "dssim": 0.2, "sdf_normal": 0.2, "multi_view": 0.1, "alpha": 0.1}
+    assert (coarse.needs, surface.needs) == (set(), {"depth", "normals", "neighbor", "gaussians"})
+    assert [each.name for each in surface.image_terms] == ["l1", "dssim", "alpha"]
+
+
+def test_plain_splatting_has_the_terms_of_the_image_for_as_many_steps():
+    plain = plan(replace(SETTINGS, vanilla=True))
+    assert [terms(phase) for phase in plain.phases] == 2 * [{"l1": 0.8, "dssim": 0.2, "alpha": 0.1}]
+    assert [(p.steps, p.cull_below, p.surface_every) for p in plain.phases] == [(500, 0.0, 1), (301, 0.0, 1)]
+
+
+def test_everything_comes_after_as_many_photos_and_rates_grow_with_the_root():
+    larger = plan(replace(SETTINGS, views_per_step=4))
+    assert [phase.steps for phase in larger.phases] == [125, 76]
+    assert larger.steps == larger.record()["steps"] == 201
+    assert (larger.sh_every, larger.rates.decay_steps) == (38, 750)
+    assert larger.density == Density(start=13, stop=225, every=13, reset_every=0, prune_large_after=50)
+    assert larger.logging == Logging(13, 0, 63)
+    assert larger.rates.final_share == 0.2
+    for name in ("means", "means_final", "sh_dc", "sh_rest", "opacities", "scales", "quats"):
+        assert getattr(larger.rates, name) == pytest.approx(2 * getattr(SETTINGS.rates, name))
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("views", [1, 2, 3, 64])
+def test_every_preset_may_be_taken_in_larger_steps(preset, views):
+    settings = config.parse(Settings, {**PRESETS[preset], "views_per_step": views})
+    larger = plan(settings)
+    assert total_steps(settings) <= views * larger.steps < total_steps(settings) + views * len(larger.phases)
+    assert larger.rates.means == pytest.approx(math.sqrt(views) * settings.rates.means)
+
+
+def test_terms_that_compare_views_are_left_out_and_told_where_a_step_has_several():
+    several = plan(replace(SETTINGS, views_per_step=2))
+    assert several.left_out == ("multi_view",) and "multi_view" not in terms(several.phases[1])
+    assert plan(SETTINGS).left_out == ()
+
+
+def test_masks_of_transients_make_growth_wait():
+    assert plan(SETTINGS, effects=["exposure"]).density == SETTINGS.density
+    assert plan(SETTINGS, effects=["transients"]).density.start > SETTINGS.density.start
+
+
+def test_a_term_of_ones_own_stands_beside_the_others_or_in_the_place_of_one():
+    phase = Phase("surface", 10, Weights(needles=0.3, l1=0.5))
+    settings = replace(SETTINGS, phases=(phase,))
+    (planned,) = plan(settings, {"needles": Term(needles, "gaussians")}).phases
+    assert terms(planned) == {"l1": 0.5, "dssim": 0.2, "alpha": 0.1, "needles": 0.3}
+    (planned,) = plan(settings, {"needles": Term(needles), "l1": Term(needles)}).phases
+    assert next(each.term.loss for each in planned.terms if each.name == "l1") is needles
+
+
+@pytest.mark.parametrize(
+    ("settings", "own", "message"),
+    [
+        (
+            replace(SETTINGS, phases=(Phase("last", 1, Weights(sdf_norml=0.1)),)),
+            {},
+            r"phases\.last\.weights\.sdf_norml: no such term of the loss; the nearest known one is 'sdf_normal'",
+        ),
+        (
+            replace(SETTINGS, phases=(Phase("last", 1, Weights(sdf_normal=0.1), image_scale=2),)),
+            {},
+            r"phase last: image_scale=2 with a term that needs normals",
+        ),
+        (
+            replace(SETTINGS, views_per_step=2, phases=(Phase("last", 1, Weights(needles=0.1)),)),
+            {"needles": Term(needles, refresh=lambda gaussians: gaussians.means)},
+            r"phase last: needles needs one device and --views-per-step 1",
+        ),
+    ],
+)
+def test_what_cannot_run_is_refused_by_name(settings, own, message):
+    with pytest.raises(InputError, match=message):
+        plan(settings, own)
+
+
+def test_words_that_nothing_provides_are_refused():
+    with pytest.raises(ValueError, match="needs='depht' is none of depth, normals, neighbor, gaussians"):
+        Term(needles, {"depht"})
