@@ -72,7 +72,7 @@ def prepare(run: Path, count: int) -> None:
     from gsjax import targets
     from gsjax.runs.result import open_result, scene_of_run
     from gsjax.settings import Rates
-    from gsjax.training import rows
+    from gsjax.training import buffers
     from gsjax.training.growth.rules import RULES
     from gsjax.training.loop import one_device
     from gsjax.training.optimizers import make_optimizer
@@ -88,7 +88,7 @@ def prepare(run: Path, count: int) -> None:
         once = stepper(one_device(), state, data, optimizer)
         return
     mesh = sharding.mesh_of(jax.devices()[:count])
-    whole = rows.lengthened(state, optimizer, -(-gaussians.num_gaussians // count) * count)
+    whole = buffers.lengthened(state, optimizer, -(-gaussians.num_gaussians // count) * count)
     once = stepper(several.placement(mesh, count), sharding.dealt(whole, mesh), data, optimizer)
 
 

@@ -40,11 +40,11 @@ from gsjax.scene import Scene, in_memory
 from gsjax.scoring.images import score_images
 from gsjax.settings import PLAIN, Settings
 from gsjax.training import initialize, optimizers
+from gsjax.training.buffers import bucket
 from gsjax.training.growth import adaptive
 from gsjax.training.growth.rules import RULES
 from gsjax.training.loop import Progress, Work, follow, with_tables
 from gsjax.training.plan import Plan, plan
-from gsjax.training.rows import bucket
 from gsjax.training.state import TrainState, count_alive, initial_state
 from gsjax.training.terms import Term
 

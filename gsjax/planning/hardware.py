@@ -11,7 +11,7 @@ import optax
 
 from gsjax.errors import InputError
 from gsjax.settings import AUTO, NONE, Settings
-from gsjax.training import rows
+from gsjax.training import buffers
 from gsjax.training.loop import Placement, one_device
 from gsjax.training.sharded import layout as sharding
 from gsjax.training.sharded import placement as several
@@ -66,7 +66,7 @@ def hardware(devices: Devices, views: int, optimizer: optax.GradientTransformati
 
     def deal(state: TrainState) -> TrainState:
         total = -(-state.gaussians.num_gaussians // count) * count
-        return sharding.dealt(rows.lengthened(state, optimizer, total), mesh)
+        return sharding.dealt(buffers.lengthened(state, optimizer, total), mesh)
 
     return Hardware(several.placement(mesh, views), deal, partial(sharding.gathered, mesh=mesh), is_one=False)
 

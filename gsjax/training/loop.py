@@ -18,7 +18,7 @@ from gsjax.errors import InputError
 from gsjax.scene import Frame
 from gsjax.settings import Settings
 from gsjax.targets import Target, Views
-from gsjax.training import rows
+from gsjax.training import buffers
 from gsjax.training.capacity import chosen_capacity, rounded_capacity
 from gsjax.training.growth import adaptive
 from gsjax.training.plan import Plan, PlannedPhase, plan
@@ -103,7 +103,7 @@ def kept_step(
 
 def one_device() -> Placement:
     """All on one device, a view a step."""
-    room = rows.with_room_to_densify
+    room = buffers.with_room_to_densify
     return Placement(one_view, kept_step, chosen_capacity, room, densify, reset_opacities, cull)
 
 

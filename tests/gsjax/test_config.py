@@ -154,3 +154,22 @@ def test_an_assignment_that_cannot_be_made(assignment, message):
     with pytest.raises(InputError) as caught:
         config.override({"seed": 1, "phases": [{}]}, [assignment])
     assert str(caught.value) == message
+
+
+PHASED = {"phases": [{"name": "coarse", "steps": 1}, {"name": "surface", "steps": 2, "rates": {"means": 0.1}}]}
+
+
+def test_items_of_a_list_are_reached_by_their_names_and_by_number():
+    changed = config.override(PHASED, ["phases.surface.steps=7", "phases.0.steps=5", "phases.surface.rates.quats=0.2"])
+    coarse, surface = changed["phases"]
+    assert (coarse["steps"], surface["steps"], surface["rates"]) == (5, 7, {"means": 0.1, "quats": 0.2})
+    assert PHASED["phases"][1]["steps"] == 2
+    merged = config.merge(PHASED, {"phases": {"surface": {"rates": {"quats": 0.2}}, "0": {"steps": 5}}})
+    assert merged["phases"] == [{**coarse}, {**surface, "steps": 2}]
+
+
+def test_a_name_that_no_item_has_is_one_line_with_those_there_are():
+    with pytest.raises(InputError, match=r"^--set phases\.surfac\.steps=1: 'surfac' is none of coarse, surface, 0, 1$"):
+        config.override(PHASED, ["phases.surfac.steps=1"])
+    with pytest.raises(InputError, match="'surfac' is none of coarse, surface, 0, 1"):
+        config.merge(PHASED, {"phases": {"surfac": {"steps": 1}}})

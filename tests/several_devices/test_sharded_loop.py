@@ -11,12 +11,12 @@ from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
+from gsjax.training.buffers import with_room_to_densify
 from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.loop import Work, follow
 from gsjax.training.optimizers import make_optimizer, map_moments
 from gsjax.training.plan import plan
-from gsjax.training.rows import with_room_to_densify
 from gsjax.training.sharded import growth as sharded_density
 from gsjax.training.sharded import layout as sharding
 from gsjax.training.sharded import placement as several

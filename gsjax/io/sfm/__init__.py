@@ -11,7 +11,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from gsjax.errors import InputError
-from gsjax.io.apart import run_apart
+from gsjax.io.child_process import run_in_child
 from gsjax.io.files import make_folder, unwritable
 
 DEFAULT_FRAMES = 100
@@ -72,7 +72,7 @@ def reconstruct(
     threads = threads if threads > 0 else len(os.sched_getaffinity(0))
     with _workspace(out) as workspace:
         arguments = (photos, workspace, frames or DEFAULT_FRAMES, max_image_size, threads)
-        report = run_apart(_build, *arguments, name=str(photos), progress=progress)
+        report = run_in_child(_build, *arguments, name=str(photos), progress=progress)
         os.replace(workspace / "scene", out)
     return SfmReport(**report, seconds=time.monotonic() - start)
 

@@ -17,7 +17,7 @@ from jax import Array
 from jax.sharding import Mesh
 
 from gsjax.settings import Density
-from gsjax.training import optimizers, rows, state
+from gsjax.training import buffers, optimizers, state
 from gsjax.training.growth.rules import RULES
 from gsjax.training.sharded.layout import all_rows, fetched, on_shards, own_rows
 from gsjax.training.state import TrainState
@@ -80,10 +80,10 @@ def cull(sharded: TrainState, *, mesh: Mesh, optimizer: optax.GradientTransforma
 def with_room_to_densify(
     sharded: TrainState, optimizer: optax.GradientTransformation, density: Density, most: int, *, mesh: Mesh
 ) -> TrainState:
-    """`gsjax.training.rows.with_room_to_densify` of a state by rows; the rows stay a multiple of the devices."""
+    """`gsjax.training.buffers.with_room_to_densify` of a state by rows; the rows stay a multiple of the devices."""
 
     def lengthen(sharded: TrainState, optimizer: optax.GradientTransformation, total: int) -> TrainState:
-        of_shard = partial(rows.lengthened, optimizer=optimizer, rows=-(-total // mesh.size))
+        of_shard = partial(buffers.lengthened, optimizer=optimizer, rows=-(-total // mesh.size))
         return jax.jit(partial(on_shards, of_shard, mesh))(sharded)
 
-    return rows.with_room_to_densify(sharded, optimizer, density, most, lengthen=lengthen)
+    return buffers.with_room_to_densify(sharded, optimizer, density, most, lengthen=lengthen)

@@ -12,9 +12,9 @@ from terms import TERMS, surroundings
 
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
 from gsjax.training import loop
+from gsjax.training.buffers import lengthened
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
-from gsjax.training.rows import lengthened
 from gsjax.training.state import initial_state
 from gsjax.training.step import Metrics
 

@@ -11,9 +11,9 @@ from tolerances import assert_close
 from gsjax.gaussians import SH_C0, opacities, scales
 from gsjax.scene import Pixels, Scene, frame_of
 from gsjax.settings import Settings
+from gsjax.training.buffers import with_room_to_densify
 from gsjax.training.initialize import DEAD_LOGIT, SHELLS, far_points, from_points
 from gsjax.training.optimizers import make_optimizer
-from gsjax.training.rows import with_room_to_densify
 
 training = importlib.import_module("gsjax.pipeline.train")  # The package's attribute of that name is the function.
 

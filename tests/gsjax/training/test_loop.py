@@ -133,7 +133,7 @@ def test_size_prunes_without_resets_and_white_photos_reset_once_more_at_the_star
     monkeypatch.setattr(loop, "densify", lambda state, key, extent, large, **_: calls.append((int(state), bool(large))))
     monkeypatch.setattr(loop, "reset_opacities", lambda state, **_: calls.append("reset"))
     density = Density(start=2, stop=9, every=2, reset_every=5)
-    monkeypatch.setattr(loop.rows, "with_room_to_densify", lambda state, *_: state)
+    monkeypatch.setattr(loop.buffers, "with_room_to_densify", lambda state, *_: state)
     for chosen in (density, replace(density, reset_every=0)):
         for step in range(1, 9):
             planned = plan(replace(SETTINGS, density=chosen, background="white"))

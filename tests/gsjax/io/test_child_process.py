@@ -10,7 +10,7 @@ import pytest
 from tqdm import tqdm
 
 from gsjax.errors import InputError
-from gsjax.io.apart import run_apart
+from gsjax.io.child_process import run_in_child
 
 quietly = partial(tqdm, disable=True)
 
@@ -56,7 +56,7 @@ def test_results_come_back_and_bars_are_shown_here():
         bars.append(tqdm(**settings, file=io.StringIO()))
         return bars[-1]
 
-    result = run_apart(counted, 5, name="it", progress=progress)
+    result = run_in_child(counted, 5, name="it", progress=progress)
     assert result["sum"] == 10
     assert result["process"] != os.getpid()
     assert [(bar.desc, bar.total, bar.n) for bar in bars] == [("counting", 5, 4)]
@@ -66,19 +66,19 @@ def test_results_come_back_and_bars_are_shown_here():
 def test_a_crash_is_one_line_with_the_last_words(number):
     expected = rf"^it: the process was ended by {number.name} \(database is locked\)(; was there memory left\?)?$"
     with pytest.raises(InputError, match=expected):
-        run_apart(crash, number, name="it", progress=quietly)
+        run_in_child(crash, number, name="it", progress=quietly)
 
 
 def test_an_end_without_a_word_is_one_line():
     with pytest.raises(InputError, match=r"^it: the process ended with code 3$"):
-        run_apart(leave, name="it", progress=quietly)
+        run_in_child(leave, name="it", progress=quietly)
 
 
 def test_errors_keep_their_kind():
     with pytest.raises(InputError, match=r"^photo.jpg: not a photo$"):
-        run_apart(refuse, name="it", progress=quietly)
+        run_in_child(refuse, name="it", progress=quietly)
     with pytest.raises(RuntimeError, match=r"in fail\n(.*\n)*KeyError: 'a bug'"):
-        run_apart(fail, name="it", progress=quietly)
+        run_in_child(fail, name="it", progress=quietly)
 
 
 def test_an_interrupt_here_ends_the_process_there(tmp_path):
@@ -87,7 +87,7 @@ def test_an_interrupt_here_ends_the_process_there(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_apart(sleep, tmp_path / "pid", name="it", progress=partial(Interrupted, disable=True))
+        run_in_child(sleep, tmp_path / "pid", name="it", progress=partial(Interrupted, disable=True))
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "pid").read_text()), 0)
 
@@ -95,9 +95,9 @@ def test_an_interrupt_here_ends_the_process_there(tmp_path):
 def test_the_process_does_not_outlive_its_parent(tmp_path):
     program = f"""
 from pathlib import Path
-from gsjax.io.apart import run_apart
+from gsjax.io.child_process import run_in_child
 from {__name__} import quietly, sleep
-run_apart(sleep, Path({str(tmp_path / "pid")!r}), name="it", progress=quietly)
+run_in_child(sleep, Path({str(tmp_path / "pid")!r}), name="it", progress=quietly)
 """
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     with subprocess.Popen([sys.executable, "-c", program], env=environment) as parent:

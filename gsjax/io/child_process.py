@@ -24,7 +24,7 @@ from gsjax.errors import InputError
 _LAST_WORDS = re.compile(rb"(?:what\(\):|^F\d{4,8} .*?\])\s*(\S.*)", re.MULTILINE)  # Of C++, and of Google's log.
 
 
-def run_apart(function: Callable, *arguments: Any, name: str, progress: Callable[..., tqdm] = tqdm) -> Any:
+def run_in_child(function: Callable, *arguments: Any, name: str, progress: Callable[..., tqdm] = tqdm) -> Any:
     """Calls `function(*arguments, progress)` in a new process and returns what it returns.
 
     The process ends with this call, however the call ends; what it prints is not shown.
@@ -42,7 +42,7 @@ def run_apart(function: Callable, *arguments: Any, name: str, progress: Callable
     """
     # One thread for each product of matrices: who calls this runs many of them side by side.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "gsjax.io.apart"]
+    command = [sys.executable, "-m", "gsjax.io.child_process"]
     with tempfile.TemporaryFile() as log, ExitStack() as stack:
         child = subprocess.Popen(
             command,

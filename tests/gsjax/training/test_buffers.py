@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 
 from gsjax.settings import Density, Rates
-from gsjax.training import rows
+from gsjax.training.buffers import bucket, lengthened, with_room_to_densify
 from gsjax.training.growth.adaptive import GrowthStatistics
 from gsjax.training.growth.error_driven import ErrorStatistics
 from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import from_points
 from gsjax.training.optimizers import apply_gradients, make_optimizer
-from gsjax.training.rows import bucket, lengthened, with_room_to_densify
 from gsjax.training.state import count_alive, densify, initial_state
 
 OPTIMIZER = make_optimizer(Rates(), 1.0, 10)
@@ -44,7 +43,7 @@ def assert_identical(actual, expected):
 
 
 def test_buckets_are_halves_of_the_budget(monkeypatch):
-    monkeypatch.setattr(rows, "FEWEST_ROWS", 8)
+    monkeypatch.setattr(buffers, "FEWEST_ROWS", 8)
     counts = {0: 12, 8: 12, 12: 12, 13: 25, 25: 25, 26: 50, 51: 100, 100: 100, 1000: 100}
     assert {count: bucket(count, 100) for count in counts} == counts
     assert bucket(3, 5) == 5, "a budget under the smallest bucket is the buffer"
@@ -58,7 +57,7 @@ def test_a_lengthened_state_is_the_one_that_was_long_from_the_start():
 
 @pytest.mark.parametrize("rule", RULES)
 def test_density_control_gives_the_same_bits_in_a_buffer_that_grows_as_in_one_of_the_whole_budget(monkeypatch, rule):
-    monkeypatch.setattr(rows, "FEWEST_ROWS", 8)
+    monkeypatch.setattr(buffers, "FEWEST_ROWS", 8)
     key, density = jax.random.key(1), DENSITY[rule]
     ended = []
     for state in (with_room_to_densify(trained(SHORT, rule), OPTIMIZER, density, LONG), trained(LONG, rule)):
