@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gsjax.settings import Density, Rates
+from gsjax.training import buffers
 from gsjax.training.buffers import bucket, lengthened, with_room_to_densify
 from gsjax.training.growth.adaptive import GrowthStatistics
 from gsjax.training.growth.error_driven import ErrorStatistics
