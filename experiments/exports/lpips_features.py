@@ -1,4 +1,4 @@
-"""LPIPS' features and weights as an ONNX file for `gsjax eval --lpips`.
+"""How do LPIPS' features and weights become an ONNX file for `gsjax eval --lpips`?
 
     python experiments/exports/lpips_features.py {vgg,alex} OUT.onnx
 
@@ -9,27 +9,26 @@ package's source, and not run here.
 import argparse
 from pathlib import Path
 
-import lpips
-import torch
-
-
-class Features(torch.nn.Module):
-    """A picture `[1, 3, H, W]` in -1..1 to the features of the five layers, then the five layers' weights."""
-
-    def __init__(self, net: str):
-        super().__init__()
-        self.model = lpips.LPIPS(net=net).eval()
-
-    def forward(self, picture: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """The ten outputs."""
-        features = self.model.net(self.model.scaling_layer(picture))
-        return (*features, *[layer.model[-1].weight for layer in self.model.lins])
-
 
 def export(net: str, out: Path) -> None:
     """Fetches a network and writes it, for pictures of any size."""
+    import lpips
+    import torch
+
+    class Features(torch.nn.Module):
+        """A picture `[1, 3, H, W]` in -1..1 to the features of the five layers, then the five layers' weights."""
+
+        def __init__(self):
+            super().__init__()
+            self.model = lpips.LPIPS(net=net).eval()
+
+        def forward(self, picture: torch.Tensor) -> tuple[torch.Tensor, ...]:
+            """The ten outputs."""
+            features = self.model.net(self.model.scaling_layer(picture))
+            return (*features, *[layer.model[-1].weight for layer in self.model.lins])
+
     torch.onnx.export(
-        Features(net),
+        Features(),
         (torch.zeros(1, 3, 64, 64),),
         str(out),
         input_names=["picture"],

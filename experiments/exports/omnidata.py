@@ -1,4 +1,4 @@
-"""The network of the paper as an ONNX file for `gsjax normals --network omnidata`.
+"""How does the network of the paper become an ONNX file for `gsjax normals --network omnidata`?
 
     python experiments/exports/omnidata.py omnidata_v2.onnx
 
@@ -9,13 +9,13 @@ Written from what their repositories say of the model, and not run here.
 import argparse
 from pathlib import Path
 
-import torch
-
 SIDE = 384  # pixels that the network takes
 
 
 def export(out: Path) -> None:
     """Fetches the network and writes it."""
+    import torch
+
     model = torch.hub.load("alexsax/omnidata_models", "surface_normal_dpt_hybrid_384").eval()
     torch.onnx.export(model, (torch.zeros(1, 3, SIDE, SIDE),), str(out), opset_version=17, dynamo=False)
 

@@ -63,7 +63,7 @@ def test_a_script_tells_its_question_and_how_it_is_called(usages, script):
 
 def test_every_study_script_and_picture_has_its_command():
     text = (ROOT / "docs/reproducing.md").read_text()
-    named = set(re.findall(r"`python (experiments/[\w/]+\.py)", text))
+    named = set(re.findall(r"`python\s(experiments/[\w/]+\.py)", text))
     assert named == set(SCRIPTS)
     studies = {file.stem for file in (EXPERIMENTS / "studies").glob("*.py")}
     assert studies == set(re.findall(r"`COMPARE (\w+)", text))
