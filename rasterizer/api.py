@@ -8,9 +8,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from rasterizer import _reference
+from rasterizer.arrays import takes_arrays
 from rasterizer.binning import TileGrid
 from rasterizer.capacity import choose_capacity
-from rasterizer.checks import check_arrays, check_masks, check_modes, check_sizes
+from rasterizer.checks import check_arrays, check_counts, check_masks, check_modes, check_sizes
 from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, resolve
 from rasterizer.features import (
     RenderMode,
@@ -131,6 +132,7 @@ def _rasterize(
     return image, alphas, info
 
 
+@takes_arrays
 def rasterization(
     means: Array,
     quats: Array | None,
@@ -162,6 +164,7 @@ def rasterization(
 ) -> tuple[Array, Array, dict[str, Any]]:
     """Render N Gaussians into C cameras.
 
+    Arrays are JAX's or numpy's, or lists of numbers.
     Array arguments are differentiable (means, quats, scales, covars, opacities, colors, viewmats, Ks, backgrounds);
     the rest is static, a new value compiles anew. Camera matrices are traced: a new camera does not.
 
@@ -181,6 +184,7 @@ def rasterization(
         eps2d: Added to both variances of a splat, pixels^2 (the low-pass filter of 3DGS).
         sh_degree: Degree of the harmonics in `colors`, 0 to 4; None where colors are colours.
         backgrounds: `[C, X]` blended under each image; or `[C, D]`, those of the colours alone: depth then has zero.
+            A number stands for all channels of the colours; for the depth where there is nothing else.
         masks: `[C, tiles_y, tiles_x]` bool; a tile that is False is not rendered: background, alpha 0.
         covars: `[N, 3, 3]` symmetric covariances in place of quats and scales.
         render_mode: What X holds: "RGB" the channels of `colors`; "D" depth blended like a colour; "ED" depth divided
@@ -212,9 +216,14 @@ def rasterization(
     Raises:
         ValueError: On shapes, dtypes, modes or degrees that do not fit, with the value in the message; on an argument
             that only gsplat answers to.
-        TypeError: On an argument that gsplat has not either.
+        TypeError: On an argument that gsplat has not either, and on what is no array, such as a tensor of torch. In
+            forward mode or differentiated twice, unless the backend is "reference".
     """
     check_modes(render_mode, rasterize_mode, depth_mode, backend)
+    check_counts(means, viewmats, colors)
+    if backgrounds is not None and backgrounds.ndim == 0:
+        behind = colors.shape[-1] if colors is not None and "RGB" in render_mode else 1
+        backgrounds = jnp.broadcast_to(backgrounds, (viewmats.shape[0], behind))
     gaussians = means, quats, scales, covars, opacities
     check_arrays(*gaussians, colors, viewmats, Ks, backgrounds, masks, sh_degree, render_mode, backend)
     check_sizes(width=width, height=height, tile_size=tile_size, capacity=capacity)

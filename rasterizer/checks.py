@@ -8,7 +8,7 @@ from jax import Array
 
 from rasterizer.engines import Backend
 from rasterizer.features import RenderMode, num_channels
-from rasterizer.projection import DepthMode, RasterizeMode
+from rasterizer.projection import DepthMode, RasterizeMode, require_shape
 
 
 def check_modes(render_mode, rasterize_mode, depth_mode, backend) -> None:
@@ -31,6 +31,18 @@ def check_sizes(**sizes: int | None) -> None:
             raise ValueError(f"{name}={size}, expected at least 1")
 
 
+def check_counts(means, viewmats, colors) -> None:
+    """Raise ValueError where there are not N Gaussians and C cameras, or there is no camera or no channel."""
+    if means.ndim != 2:
+        raise ValueError(f"{means.shape=}, expected [N, 3]")
+    if viewmats.ndim != 3:
+        raise ValueError(f"{viewmats.shape=}, expected [C, 4, 4]")
+    if viewmats.shape[0] == 0:
+        raise ValueError(f"{viewmats.shape=} holds no camera")
+    if colors is not None and (colors.ndim == 0 or colors.shape[-1] == 0):
+        raise ValueError(f"{colors.shape=} holds no channel")
+
+
 def _check_shapes(means, quats, scales, covars, opacities, viewmats, Ks) -> dict[str, Array]:
     num_gaussians, num_cameras = means.shape[0], viewmats.shape[0]
     expected = {
@@ -39,9 +51,8 @@ def _check_shapes(means, quats, scales, covars, opacities, viewmats, Ks) -> dict
         "viewmats": (viewmats, (num_cameras, 4, 4)),
         "Ks": (Ks, (num_cameras, 3, 3)),
     }
+    require_shape(quats, scales, covars)
     if covars is None:
-        if quats is None or scales is None:
-            raise ValueError("a Gaussian's shape is missing: pass quats and scales, or covars")
         expected |= {"quats": (quats, (num_gaussians, 4)), "scales": (scales, (num_gaussians, 3))}
     else:
         expected["covars"] = (covars, (num_gaussians, 3, 3))

@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from rasterizer.arrays import takes_arrays
+
 Vector = list[Array]
 Matrix = list[Vector]  # rows
 
@@ -113,6 +115,7 @@ def upper_triangle(matrices: Array) -> Array:
     return jnp.stack([matrices[..., i, j] for i in range(3) for j in range(i, 3)], -1)
 
 
+@takes_arrays
 def quat_scale_to_covar_preci(
     quats: Array, scales: Array, compute_covar: bool = True, compute_preci: bool = True, triu: bool = False
 ) -> tuple[Array | None, Array | None]:

@@ -13,6 +13,7 @@ from rasterizer import _pallas, _xla
 from rasterizer.binning import TileGrid, TilePairs
 from rasterizer.compositing import Engine, Front, Static, composite
 from rasterizer.projection import Projection
+from rasterizer.reverse_mode import reverse_only
 from rasterizer.rules import GSPLAT, Rules
 
 Backend = Literal["auto", "native", "xla", "pallas", "reference"]
@@ -126,9 +127,12 @@ def blend(
         none), or None. Differentiable to `means2d` and `conics` of the projection, opacities and features.
 
     Raises:
-        ValueError: If the tiles do not suit the backend.
+        ValueError: If the tiles do not suit the backend, or there is no camera or no channel.
+        TypeError: In forward mode, or differentiated a second time.
     """
     channels, side = features.shape[2], grid.tile_size
+    if not channels or not grid.num_cameras:
+        raise ValueError(f"features.shape={features.shape} holds no {'camera' if channels else 'channel'}")
     kind = resolve(backend)
     if kind == "pallas" and side & (side - 1):
         raise ValueError(f"tile_size={side} is not a power of two, as backend='pallas' needs it")
@@ -146,11 +150,11 @@ def blend(
         return jnp.concatenate([image, ended], -1), left, median
     static = Static(grid, rules, _engine(backend), with_median, front)
     splats = (
-        projection.means2d.reshape(-1, 2),
-        projection.conics.reshape(-1, 3),
-        jnp.where(projection.visible, opacities, 0).reshape(-1),
+        reverse_only(projection.means2d.reshape(-1, 2)),
+        reverse_only(projection.conics.reshape(-1, 3)),
+        reverse_only(jnp.where(projection.visible, opacities, 0).reshape(-1)),
     )
-    flat = features.reshape(-1, channels)
+    flat = reverse_only(features.reshape(-1, channels))
     if channels <= CHANNEL_CHUNK:
         return composite(static, *splats, flat, pairs.splats, pairs.offsets)
     # Equal chunks of one compiled pass; the light left and the median come from the first.

@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from rasterizer.arrays import takes_arrays
+
 
 def _basis(degree: int, x: Array, y: Array, z: Array) -> list[Array]:
     """Basis functions at a unit direction, ordered by degree and then by order -l..l."""
@@ -46,6 +48,7 @@ def _basis(degree: int, x: Array, y: Array, z: Array) -> list[Array]:
     return values
 
 
+@takes_arrays
 def spherical_harmonics(degrees_to_use: int, dirs: Array, coeffs: Array, masks: Array | None = None) -> Array:
     """Evaluate real spherical harmonics.
 

@@ -4,10 +4,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from rasterizer.arrays import takes_arrays
 from rasterizer.covariances import components, dot, matrix_rows, rotation
 from rasterizer.projection import camera_position
 
 
+@takes_arrays
 def camera_normals(means: Array, quats: Array, scales: Array, viewmats: Array, visible: Array) -> Array:
     """Unit normals of N Gaussians in C camera frames (OpenCV axes), facing the camera.
 

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from rasterizer.arrays import takes_arrays
 from rasterizer.covariances import (
     Matrix,
     Vector,
@@ -167,6 +168,13 @@ def _project_components(
     return _Splats(mean2d, z, conic, extent, visible, compensation, slope)
 
 
+def require_shape(quats: Array | None, scales: Array | None, covars: Array | None) -> None:
+    """Raise ValueError where nothing says what shape the Gaussians have."""
+    if covars is None and (quats is None or scales is None):
+        raise ValueError("a Gaussian's shape is missing: pass quats and scales, or covars")
+
+
+@takes_arrays
 def project(
     means: Array,
     quats: Array | None,
@@ -211,7 +219,12 @@ def project(
     Returns:
         `Projection`; `means2d`, `depths`, `conics`, `compensations` and `slopes` are differentiable to means, quats,
         scales, covars, viewmats and Ks.
+
+    Raises:
+        ValueError: There are neither quats and scales nor covars.
+        TypeError: On what is no array.
     """
+    require_shape(quats, scales, covars)
     shapes = (quats, scales) if covars is None else (upper_triangle(covars),)
     inputs = (
         components(means),

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from rasterizer.arrays import takes_arrays
 from rasterizer.binning import TileGrid, TilePairs
 from rasterizer.covariances import Matrix, components, dot, matrix_rows
 from rasterizer.engines import Backend, blend
@@ -26,6 +27,7 @@ def _of_cameras(cameras: Array) -> Matrix:
     return [[entry[..., None] for entry in row] for row in matrix_rows(cameras)]
 
 
+@takes_arrays
 def world_to_cam(means: Array, covars: Array, viewmats: Array) -> tuple[Array, Array]:
     """Gaussians in the cameras' frames.
 
@@ -45,6 +47,7 @@ def world_to_cam(means: Array, covars: Array, viewmats: Array) -> tuple[Array, A
     return jnp.stack(camera_position(mean, viewmat), -1), jnp.stack(both, -2)
 
 
+@takes_arrays
 def proj(
     means: Array, covars: Array, Ks: Array, width: int, height: int, camera_model: str = "pinhole"
 ) -> tuple[Array, Array]:
@@ -75,6 +78,7 @@ def proj(
     return means2d, jnp.stack(covars2d, -2)
 
 
+@takes_arrays
 def fully_fused_projection(
     means: Array,
     covars: Array | None,
@@ -164,6 +168,7 @@ def _tile_bits(num_tiles: int) -> int:
     return max(num_tiles - 1, 0).bit_length()
 
 
+@takes_arrays
 def isect_tiles(
     means2d: Array,
     radii: Array,
@@ -238,6 +243,7 @@ def isect_tiles(
     return tiles_per_gauss, ids, splat
 
 
+@takes_arrays
 def isect_offset_encode(isect_ids: Array, n_images: int, tile_width: int, tile_height: int) -> Array:
     """`[n_images, tile_height, tile_width]` int32: where each tile's run starts in sorted intersection ids."""
     num_tiles = tile_width * tile_height
@@ -260,6 +266,7 @@ def _keep_masked(pairs: TilePairs, masks: Array) -> TilePairs:
     return pairs._replace(splats=splats, offsets=jnp.concatenate([jnp.zeros(1, jnp.int32), ends]))
 
 
+@takes_arrays
 def rasterize_to_pixels(
     means2d: Array,
     conics: Array,
@@ -290,7 +297,7 @@ def rasterize_to_pixels(
         tile_size: Side of a tile, pixels. Static.
         isect_offsets: `[..., tile_height, tile_width]` of `isect_offset_encode`.
         flatten_ids: `[n]` of `isect_tiles`.
-        backgrounds: `[..., D]` blended under each image.
+        backgrounds: `[..., D]` blended under each image, or a number.
         masks: `[..., tile_height, tile_width]` bool; a tile that is False is not rendered: background, alpha 0.
         packed: Refused.
         absgrad: Refused.
@@ -302,7 +309,7 @@ def rasterize_to_pixels(
         backgrounds.
 
     Raises:
-        ValueError: On what is refused.
+        ValueError: On what is refused, and where there is no image or no channel.
     """
     refuse(packed=packed, absgrad=absgrad)
     images, count = means2d.shape[:-2], means2d.shape[-2]
@@ -323,6 +330,7 @@ def rasterize_to_pixels(
     projection = Projection(flat(means2d), flat(opacities), flat(conics), flat(means2d), everywhere)
     image, left, _ = blend(projection, flat(opacities), flat(colors), pairs, grid, rules, backend=backend)
     if backgrounds is not None:
-        image = image + left * backgrounds.reshape(num_images, 1, 1, -1)
+        behind = jnp.broadcast_to(backgrounds, (*images, colors.shape[-1]))
+        image = image + left * behind.reshape(num_images, 1, 1, -1)
     shape = (*images, image_height, image_width)
     return image.reshape(*shape, image.shape[-1]), (1 - left).reshape(*shape, 1)

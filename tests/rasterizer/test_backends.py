@@ -106,10 +106,22 @@ def test_inria_rules_pass_the_gradient_straight_through_the_clamp(backend):
     assert abs(straight.opacities[0] - blocked.opacities[0]) > 0.01 * abs(blocked.opacities[0])
 
 
-def test_the_tiles_refuse_forward_mode():
+@pytest.mark.parametrize(
+    "derivative",
+    [
+        lambda image, colors: jax.jvp(image, (colors,), (colors,)),
+        lambda image, colors: jax.jvp(jax.jit(image), (colors,), (colors,)),
+        lambda image, colors: jax.linearize(image, colors)[1](colors),
+        lambda image, colors: jax.jacfwd(image)(colors),
+        lambda image, colors: jax.hessian(lambda c: image(c).sum())(colors),
+        lambda image, colors: jax.grad(lambda c: jax.grad(lambda c: (image(c) ** 2).sum())(c).sum())(colors),
+    ],
+    ids=["jvp", "jvp of jit", "linearize", "jacfwd", "hessian", "grad of grad"],
+)
+def test_the_tiles_name_the_backend_that_has_other_derivatives(derivative):
     scene = cloud()
-    with pytest.raises(TypeError, match="forward-mode"):
-        jax.jvp(lambda c: render(replace(scene, colors=c))[0], (scene.colors,), (scene.colors,))
+    with pytest.raises(TypeError, match="need backend='reference'"):
+        derivative(lambda c: render(replace(scene, colors=c), capacity=2048)[0], scene.colors)
 
 
 def listed(scene, side=16):

@@ -129,5 +129,5 @@ def test_a_background_of_the_colours_alone_leaves_depth_over_zero(render_mode):
 def test_harmonics_without_a_channel_are_refused():
     with pytest.raises(ValueError, match=r"coeffs.shape=\(8, 25, 0\) holds no channel"):
         spherical_harmonics(0, jnp.ones((8, 3)), jnp.ones((8, 25, 0)))
-    with pytest.raises(ValueError, match=r"coeffs.shape=.* holds no channel"):
+    with pytest.raises(ValueError, match=r"colors.shape=.* holds no channel"):
         render(replace(SCENE, colors=jnp.ones((40, 4, 0))), capacity=2048, sh_degree=1, backgrounds=None)

@@ -1,0 +1,58 @@
+"""What may be passed for an array: JAX's and numpy's as they are, numbers and lists of numbers; nothing else."""
+
+import inspect
+import reprlib
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+P = ParamSpec("P")
+R = TypeVar("R")
+# Arguments that hold indices or truth values; lists of the others become floats.
+_NO_FLOATS = {"masks", "radii", "isect_ids", "isect_offsets", "flatten_ids", "image_ids", "gaussian_ids", "visible"}
+
+
+def takes_arrays(function: Callable[P, R]) -> Callable[P, R]:
+    """The function, given an array for every argument annotated `Array` or `Array | None`.
+
+    Numbers and lists of numbers become arrays, of the float dtype of the first float array among the arguments.
+
+    Raises:
+        TypeError: An argument is something else, such as a tensor of torch, or None where an array must be.
+    """
+    signature = inspect.signature(function)
+    may_be_none = {name: p.annotation != Array for name, p in signature.parameters.items() if _is_array(p.annotation)}
+
+    @wraps(function)
+    def with_arrays(*args: P.args, **kwargs: P.kwargs) -> R:
+        given = signature.bind(*args, **kwargs)
+        passed = {name: value for name, value in given.arguments.items() if name in may_be_none}
+        dtypes = [value.dtype for value in passed.values() if isinstance(value, jax.Array | np.ndarray)]
+        dtype = jax.dtypes.canonicalize_dtype(next((d for d in dtypes if jnp.issubdtype(d, jnp.floating)), float))
+        for name, value in passed.items():
+            if value is not None or not may_be_none[name]:
+                given.arguments[name] = _as_array(name, value, dtype)
+        return function(*given.args, **given.kwargs)
+
+    return with_arrays
+
+
+def _is_array(annotation: Any) -> bool:
+    return annotation == Array or annotation == (Array | None)
+
+
+def _as_array(name: str, value: Any, dtype: Any) -> Array:
+    if isinstance(value, jax.Array | np.ndarray):
+        return value  # pyright: ignore[reportReturnType]
+    if not isinstance(value, list | tuple | bool | int | float | np.generic):
+        kind = f"{type(value).__module__}.{type(value).__qualname__}"
+        raise TypeError(f"{name} is of type {kind}, expected an array of JAX or numpy, or a list of numbers")
+    try:
+        return np.asarray(value) if name in _NO_FLOATS else jnp.asarray(value, dtype)  # pyright: ignore[reportReturnType]
+    except (TypeError, ValueError) as fault:
+        raise TypeError(f"{name}={reprlib.repr(value)} is no array of numbers") from fault
