@@ -15,6 +15,8 @@ _HOMES = {
     "Mesh": "mesh",
     "Scene": "scene",
     "Truth": "scene",
+    "load_gaussians": "io.gaussian_files",
+    "save_gaussians": "io.gaussian_files",
 }
 
 __all__ = list(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -1,6 +1,6 @@
 """The Gaussians of a scene as one pytree, and the maps from its free parameters to what a renderer needs."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import jax
@@ -66,6 +66,11 @@ def covariances(gaussians: Gaussians) -> Array:
 def sh_coefficients(gaussians: Gaussians) -> Array:
     """`[N, (L+1)^2, 3]` coefficients of all degrees."""
     return jnp.concatenate([gaussians.sh_dc, gaussians.sh_rest], axis=1)
+
+
+def without_view_dependence(gaussians: Gaussians) -> Gaussians:
+    """The same Gaussians with their constant colour alone: what a surface is painted with."""
+    return replace(gaussians, sh_rest=jnp.zeros_like(jnp.asarray(gaussians.sh_rest)))
 
 
 def rgb_to_sh(rgb: Array) -> Array:

@@ -5,7 +5,7 @@ from rasterizer.binning import TileGrid, TilePairs, count_pairs
 from rasterizer.capacity import capacity_bucket
 from rasterizer.compositing import Front
 from rasterizer.covariances import quat_scale_to_covar_preci
-from rasterizer.engines import bin_splats, blend, default_tile_size
+from rasterizer.engines import Backend, bin_splats, blend, default_tile_size
 from rasterizer.exchange import Packed, exchange, pack, unpack
 from rasterizer.features import blended_depth, depth_channels, median_depth
 from rasterizer.harmonics import spherical_harmonics
@@ -25,6 +25,7 @@ __all__ = [
     "GSPLAT",
     "GSPLAT_1_5",
     "INRIA",
+    "Backend",
     "DepthMode",
     "Front",
     "Packed",

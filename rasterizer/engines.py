@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from rasterizer import _pallas, _xla
+from rasterizer import _pallas, _reference, _xla
 from rasterizer.binning import TileGrid, TilePairs
 from rasterizer.compositing import Engine, Front, Static, composite
 from rasterizer.projection import Projection
@@ -88,7 +88,7 @@ def bin_splats(
         capacity: Length of the pair buffer. Static.
         rules: Decides the alpha cut. Static.
         masks: `[C, tiles_y, tiles_x]` bool, the tiles that are wanted; None for all. The others get empty lists.
-        backend: A tile backend. The lists of all are the same. Static.
+        backend: The lists of all are the same; "reference" lists as "xla" does. Static.
 
     Returns:
         `TilePairs`, not differentiable. If `overflowed`, pairs are missing.
@@ -117,7 +117,7 @@ def blend(
         pairs: Lists of `bin_splats` for this projection and grid.
         grid: The tiles. Static.
         rules: Thresholds. Static.
-        backend: A tile backend. Static.
+        backend: "reference" looks at no list: every splat is blended at every pixel. Static.
         with_median: Whether the median splats are wanted. Static.
         front: How many of the last channels end with the first layers, and where. Static.
 
@@ -128,7 +128,7 @@ def blend(
 
     Raises:
         ValueError: If the tiles do not suit the backend, or there is no camera or no channel.
-        TypeError: In forward mode, or differentiated a second time.
+        TypeError: In forward mode, or differentiated a second time, unless the backend is "reference".
     """
     channels, side = features.shape[2], grid.tile_size
     if not channels or not grid.num_cameras:
@@ -142,6 +142,10 @@ def blend(
         shape = (grid.num_cameras, grid.height, grid.width)
         median = jnp.full(shape, -1, jnp.int32) if with_median else None
         return jnp.zeros((*shape, channels), features.dtype), jnp.ones((*shape, 1), features.dtype), median
+    if kind == "reference":
+        # Depth has channels of its own here: no feature is to be read on a splat's plane.
+        flat, opacities = projection._replace(slopes=None), jnp.broadcast_to(opacities, projection.depths.shape)
+        return _reference.composite(flat, opacities, features, grid.width, grid.height, rules, front)
     if front and channels > CHANNEL_CHUNK:
         others = features[..., : channels - front.channels], features[..., channels - front.channels :]
         how = {"backend": backend, "with_median": with_median}

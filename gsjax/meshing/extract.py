@@ -7,20 +7,21 @@ import numpy as np
 
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians
+from gsjax.gaussians import Gaussians, without_view_dependence
 from gsjax.mesh import Mesh
 from gsjax.meshing.boxes import Region, Regions, near_and_far
 from gsjax.meshing.cleaning import clean, joined
 from gsjax.meshing.methods import Method, Sighting, level_set_poisson
 from gsjax.meshing.orientation import outward
 from gsjax.meshing.topology import topology
+from gsjax.render import gallery
 from gsjax.render.gallery import Picture
 
 
 def extract_mesh(
     gaussians: Gaussians,
     cameras: Sequence[Camera],
-    pictures: Iterable[Picture],
+    pictures: Iterable[Picture] | None = None,
     *,
     method: Method | None = None,
     regions: Callable[[np.ndarray], Regions] = near_and_far,
@@ -35,7 +36,8 @@ def extract_mesh(
     Args:
         gaussians: The trained scene.
         cameras: One camera a view.
-        pictures: One rendered picture a camera, with owners, in order; a generator will do.
+        pictures: One rendered picture a camera, in order, with the owners that `level_set_poisson` looks at; a
+            generator will do. None: they are drawn here, in the constant colour of the Gaussians, over black.
         method: How the surface is found. None: `level_set_poisson()`.
         regions: Where it is reconstructed, from the `[P, 3]` points at which it was seen. A region that is given is
             taken as it is.
@@ -47,8 +49,13 @@ def extract_mesh(
         `facing_share` (of the view rays, those whose first triangle faces the camera).
 
     Raises:
-        InputError: There is no surface, none in any region, or no triangle survives.
+        InputError: There is no camera, a picture lacks what the method looks at, there is no surface, none in any
+            region, or no triangle survives.
     """
+    if not cameras:
+        raise InputError("no mesh: there is no camera to look from")
+    if pictures is None:
+        pictures = gallery.pictures(without_view_dependence(gaussians), cameras, np.zeros(3), with_owners=True)
     seen = (method or level_set_poisson())(gaussians, cameras, pictures)
     parts, reports, faults = [], {}, []
     for name, region in regions(seen.points).items():

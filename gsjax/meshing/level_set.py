@@ -112,7 +112,7 @@ def surface_points(
         At most `options.num_points` points with outward normals.
 
     Raises:
-        InputError: No pixel is opaque, no Gaussian is there, or no ray crosses the level.
+        InputError: A picture has no owners, no pixel is opaque, no Gaussian is there, or no ray crosses the level.
     """
     options = options_for(cameras) if options is None else options
     rng = np.random.default_rng(seed)
@@ -220,7 +220,9 @@ def _rays_of_view(
 ) -> tuple[np.ndarray, ...]:
     """Arrays (hits, directions, colours, view ids, owners) of one view."""
     check_sizes(index, camera, picture)
-    assert picture.owners is not None, "a level set is looked for around the Gaussian that was hit"
+    if picture.owners is None:
+        hint = "draw pictures with gallery.pictures(..., with_owners=True), or leave them out"
+        raise InputError(f"view {index}: its picture does not say which Gaussian each pixel hit; {hint}")
     depth, owners = np.asarray(picture.depth), place[picture.owners]
     rows, columns = np.nonzero(shows_surface(picture, min_alpha) & (owners >= 0))
     drawn = rng.permutation(len(rows))[:count]

@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
-from gsjax.io.gaussian_files import format_of
+from gsjax.io.gaussian_files import format_of, load_gaussians, save_gaussians
 
 
 def convert(
@@ -40,17 +40,14 @@ def convert(
             no Gaussian is wanted.
     """
     source, out = Path(source), Path(out)
-    if not source.exists():
-        raise InputError(f"{source}: no such file or folder")
-    source = source / "gaussians.ply" if source.is_dir() else source
-    reading, writing = format_of(source), format_of(out)
+    format_of(out)
     if sh_degree is not None and not 0 <= sh_degree <= 4:
         raise InputError(f"--sh-degree {sh_degree} is not between 0 and 4")
     if crop is not None and not all(low <= high for low, high in zip(crop[:3], crop[3:], strict=True)):
         raise InputError(f"--crop {' '.join(f'{side:g}' for side in crop)}: a lower side is above its upper one")
     if min_opacity is not None and not 0 <= min_opacity <= 1:
         raise InputError(f"--min-opacity {min_opacity:g} is not between 0 and 1")
-    gaussians = reading.read(source)
+    gaussians = load_gaussians(source)
     wanted = np.ones(gaussians.num_gaussians, bool)
     if crop is not None:
         means, (low, high) = np.asarray(gaussians.means), np.reshape(np.asarray(crop, np.float64), (2, 3))
@@ -62,7 +59,7 @@ def convert(
     kept = take(gaussians, wanted)
     if sh_degree is not None:
         kept = _of_degree(kept, sh_degree)
-    clipped = writing.write(out, kept)
+    clipped = save_gaussians(kept, out)
     return {
         "gaussians": kept.num_gaussians,
         "left_out": gaussians.num_gaussians - kept.num_gaussians,

@@ -8,12 +8,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians
+from gsjax.gaussians import without_view_dependence
 from gsjax.io.machine import require_memory
 from gsjax.io.scenes import load_scene
 from gsjax.meshing import boxes, level_set, trimming
@@ -118,11 +117,6 @@ def _photos(source: Path, scene: str | Path | None) -> Sequence[Frame]:
     except InputError as error:
         print(f"mesh: did not settle on its photos: {error}", file=sys.stderr)
         return ()
-
-
-def without_view_dependence(gaussians: Gaussians) -> Gaussians:
-    """The same Gaussians with their constant colour alone: what a surface is painted with."""
-    return Gaussians(**{**gaussians.__dict__, "sh_rest": jnp.zeros_like(jnp.asarray(gaussians.sh_rest))})
 
 
 def _method(

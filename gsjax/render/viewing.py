@@ -75,6 +75,7 @@ class Splats:
     opacities: Array  # [N] as the pixels see them: dimmed by the filter where it dims
     pairs: rasterizer.TilePairs
     grid: rasterizer.TileGrid = field(metadata={"static": True})
+    backend: rasterizer.Backend = field(default="auto", metadata={"static": True})  # that listed and blends them
 
 
 class Neighbor(NamedTuple):
@@ -107,6 +108,7 @@ def splat(
     capacity: int,
     means2d_probe: Array | None = None,
     depth_mode: DepthMode = "center",
+    backend: rasterizer.Backend = "auto",
 ) -> Splats:
     """Project and bin.
 
@@ -116,25 +118,31 @@ def splat(
         capacity: Length of the (tile, splat) buffer. Static. `pairs.overflowed` says that it was too short.
         means2d_probe: `[N, 2]` zeros added to the projected means: the gradient to it is the one to the 2D means.
         depth_mode: "plane" gives the splats slopes, see `rasterizer.project`. Static.
+        backend: What lists the splats, and blends them in every pass, see `rasterizer.rasterization`. Static.
 
     Returns:
         `Splats` of this view.
     """
-    return _splat(drawable(gaussians), camera, capacity, means2d_probe, depth_mode)
+    return _splat(drawable(gaussians), camera, capacity, means2d_probe, depth_mode, backend)
 
 
-def needed_capacity(gaussians: Any, camera: Camera) -> Array:
+def needed_capacity(gaussians: Any, camera: Camera, backend: rasterizer.Backend = "auto") -> Array:
     """`[]` int32 length of the pair buffer that this view needs."""
-    return rasterizer.count_pairs(_project(drawable(gaussians), camera), tile_grid(camera))
+    return rasterizer.count_pairs(_project(drawable(gaussians), camera), tile_grid(camera, backend))
 
 
 def _splat(
-    scene: Drawable, camera: Camera, capacity: int, means2d_probe: Array | None, depth_mode: DepthMode
+    scene: Drawable,
+    camera: Camera,
+    capacity: int,
+    means2d_probe: Array | None,
+    depth_mode: DepthMode,
+    backend: rasterizer.Backend,
 ) -> Splats:
     projection, opacities = projected(scene, camera, depth_mode)
     if means2d_probe is not None:
         projection = projection._replace(means2d=projection.means2d + means2d_probe[None])
-    return binned(projection, opacities, camera, capacity)
+    return binned(projection, opacities, camera, capacity, backend)
 
 
 def projected(scene: Drawable, camera: Camera, depth_mode: DepthMode) -> tuple[rasterizer.Projection, Array]:
@@ -146,15 +154,17 @@ def projected(scene: Drawable, camera: Camera, depth_mode: DepthMode) -> tuple[r
     return projection, opacities
 
 
-def binned(projection: rasterizer.Projection, opacities: Array, camera: Camera, capacity: int) -> Splats:
-    """The splats of one view (see `projected`) with their lists; `capacity` as in `splat`."""
-    grid = tile_grid(camera)
-    return Splats(
-        projection,
-        opacities,
-        rasterizer.bin_splats(projection, opacities, grid, capacity, rasterizer.GSPLAT),
-        grid,
-    )
+def binned(
+    projection: rasterizer.Projection,
+    opacities: Array,
+    camera: Camera,
+    capacity: int,
+    backend: rasterizer.Backend = "auto",
+) -> Splats:
+    """The splats of one view (see `projected`) with their lists; `capacity` and `backend` as in `splat`."""
+    grid = tile_grid(camera, backend)
+    pairs = rasterizer.bin_splats(projection, opacities, grid, capacity, rasterizer.GSPLAT, backend=backend)
+    return Splats(projection, opacities, pairs, grid, backend)
 
 
 def _project(scene: Drawable, camera: Camera, depth_mode: DepthMode = "center") -> rasterizer.Projection:
@@ -173,16 +183,16 @@ def _project(scene: Drawable, camera: Camera, depth_mode: DepthMode = "center") 
     )
 
 
-def tile_grid(camera: Camera) -> rasterizer.TileGrid:
+def tile_grid(camera: Camera, backend: rasterizer.Backend = "auto") -> rasterizer.TileGrid:
     """The tiles of a view."""
-    return rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.default_tile_size())
+    return rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.default_tile_size(backend))
 
 
 def features(splats: Splats, values: Array, front: rasterizer.Front | None = None) -> tuple[Array, Array]:
     """`[H, W, D]` per-Gaussian `values` `[N, D]` composited on zero, and `[H, W]` alphas."""
     values = jnp.where(splats.projection.visible[0, :, None], values, 0)
     to_blend = splats.projection, splats.opacities, values[None], splats.pairs, splats.grid
-    image, left, _ = rasterizer.blend(*to_blend, front=front)
+    image, left, _ = rasterizer.blend(*to_blend, backend=splats.backend, front=front)
     return image[0], 1 - left[0, ..., 0]
 
 
@@ -193,7 +203,7 @@ def owners(splats: Splats) -> Array:
     """
     nothing = jnp.zeros((1, len(splats.opacities), 1), splats.opacities.dtype)
     to_blend = splats.projection, splats.opacities, nothing, splats.pairs, splats.grid
-    _, _, median = rasterizer.blend(*to_blend, with_median=True)
+    _, _, median = rasterizer.blend(*to_blend, backend=splats.backend, with_median=True)
     assert median is not None  # as asked for
     return median[0]
 
@@ -225,6 +235,7 @@ def view(
     depth_mode: DepthReading = "plane",
     means2d_probe: Array | None = None,
     extra: Array | None = None,
+    backend: rasterizer.Backend = "auto",
 ) -> View:
     """Render one view. Differentiable to the Gaussians, the camera matrices and the background.
 
@@ -240,12 +251,16 @@ def view(
             `IN_FRONT`; "discs": the same of discs on a mesh. Static.
         means2d_probe: See `splat`.
         extra: `[N, D]` further channels, composited on zero.
+        backend: As in `rasterizer.rasterization`; "reference" has forward mode and derivatives of any order. Static.
 
     Returns:
         `View`.
+
+    Raises:
+        TypeError: In forward mode, or differentiated a second time, unless the backend is "reference".
     """
     scene, reading = drawable(gaussians), depth_mode if with_depth else None
-    splats = _splat(scene, camera, capacity, means2d_probe, of_each(reading))
+    splats = _splat(scene, camera, capacity, means2d_probe, of_each(reading), backend)
     return shown(splats, colors(scene, camera, active_degree), background, reading=reading, extra=extra)
 
 

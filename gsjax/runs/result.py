@@ -14,9 +14,8 @@ from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io import json_files
-from gsjax.io.gaussian_files import format_of
+from gsjax.io.gaussian_files import load_gaussians
 from gsjax.io.images import read_mask, write_image
-from gsjax.io.ply import read_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import NONE
 from gsjax.render import DepthReading, gallery
@@ -86,13 +85,8 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
         InputError: It is neither, or unfinished, or unreadable.
     """
     source = Path(source)
-    if not source.exists():
-        raise InputError(f"{source}: no such file or folder")
+    gaussians = load_gaussians(source)
     if source.is_dir():
-        if not (source / "gaussians.ply").exists():
-            hint = "its training has not finished" if (source / "manifest.json").exists() else "it is no run folder"
-            raise InputError(f"{source}: holds no gaussians.ply; {hint}")
-        gaussians = read_gaussians(source / "gaussians.ply")
         run = Run(source)
         settings, learned, records = run.settings, run.photography.background, run.views
         return Result(
@@ -105,7 +99,6 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             background=BACKGROUNDS[settings["background"]] if learned is None else learned,
             depth_mode=DEPTH_OF_DISCS if run.is_refinement else settings["depth_mode"],
         )
-    gaussians = format_of(source).read(source)
     if scene is None:
         if not gaussians.num_gaussians:
             raise InputError(f"{source}: holds no Gaussians, there is nothing to look at")

@@ -15,6 +15,7 @@ from gsjax.meshing.extract import cut
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.methods import level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
+from gsjax.render import gallery
 
 
 def through(num_points, depth=None):
@@ -159,3 +160,28 @@ def test_regions_are_a_function_of_the_points(ball):
 
     extract_mesh(ball.gaussians, *ball.views, method=through(3_000), regions=partial(regions))
     assert np.abs(np.linalg.norm(asked[0], axis=1) - 1).max() < 0.02
+
+
+def test_without_pictures_it_draws_what_the_method_looks_at(ball):
+    looked_at = []
+
+    def method(gaussians, cameras, pictures):
+        looked_at.extend(pictures)
+        raise InputError("seen")
+
+    view_dependent = replace(ball.gaussians, sh_rest=jnp.full((len(ball.gaussians.means), 3, 3), 0.3))
+    with pytest.raises(InputError, match="seen"):
+        extract_mesh(view_dependent, ball.cameras[:2], method=method)
+    plain = replace(view_dependent, sh_rest=jnp.zeros_like(view_dependent.sh_rest))
+    expected = gallery.pictures(plain, ball.cameras[:2], np.zeros(3), with_owners=True)
+    for picture, same in zip(looked_at, expected, strict=True):
+        for part, wanted in zip(picture, same, strict=True):
+            np.testing.assert_array_equal(part, wanted)
+
+
+def test_pictures_without_owners_and_no_camera_are_one_line(ball):
+    pictures = [picture._replace(owners=None) for picture in ball.views[1]]
+    with pytest.raises(InputError, match=r"view 0: .* which Gaussian each pixel hit; .*with_owners=True"):
+        extract_mesh(ball.gaussians, ball.cameras, pictures)
+    with pytest.raises(InputError, match="no camera"):
+        extract_mesh(ball.gaussians, [])

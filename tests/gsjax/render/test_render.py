@@ -247,3 +247,27 @@ def test_without_depth_there_is_no_depth_in_the_program():
     without = most_channels()
     assert most_channels(with_depth=True, depth_mode="center") == without + 1
     assert most_channels(with_depth=True) == without + 3
+
+
+@pytest.mark.parametrize("backend", ["xla", "reference"])
+def test_any_backend_shows_the_same(backend):
+    how = {"capacity": CAPACITY, "background": BACKGROUND, "with_depth": True, "depth_mode": "front"}
+    of_it, usual = render.view(SCENE, CAMERA, backend=backend, **how), shown(SCENE, depth_mode="front")
+    assert of_it.splats.backend == backend
+    assert_close(of_it.colors, usual.colors)
+    assert_close(of_it.depth, usual.depth)
+    np.testing.assert_array_equal(render.owners(of_it.splats), render.owners(usual.splats))
+
+
+def test_forward_mode_is_the_references_and_equals_reverse_mode():
+    def brightness(means, backend):
+        moved = replace(SCENE, means=means)
+        how = {"capacity": CAPACITY, "background": BACKGROUND, "backend": backend}
+        return jnp.sum(render.view(moved, CAMERA, **how).colors)
+
+    along = jnp.asarray(np.random.default_rng(0).normal(size=SCENE.means.shape), jnp.float32)
+    with pytest.raises(TypeError, match="need backend='reference'"):
+        jax.jvp(lambda means: brightness(means, "auto"), (SCENE.means,), (along,))
+    _, forward = jax.jvp(lambda means: brightness(means, "reference"), (SCENE.means,), (along,))
+    reverse = jnp.vdot(jax.grad(lambda means: brightness(means, "auto"))(SCENE.means), along)
+    np.testing.assert_allclose(forward, reverse, rtol=1e-3)

@@ -1,0 +1,39 @@
+"""Files of Gaussians by suffix, as `gsjax.load_gaussians` and `gsjax.save_gaussians` find them."""
+
+import numpy as np
+import pytest
+from small_scenes import cloud
+
+import gsjax
+from gsjax.errors import InputError
+from gsjax.io import compressed_ply, ply, spz
+
+READERS = {"g.ply": ply.read_gaussians, "g.compressed.PLY": compressed_ply.read_compressed_ply, "g.SPZ": spz.read_spz}
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_the_suffix_says_what_is_written_and_read(tmp_path, name):
+    assert gsjax.save_gaussians(cloud(30), str(tmp_path / name)) == 0
+    loaded, of_its_format = gsjax.load_gaussians(str(tmp_path / name)), READERS[name](tmp_path / name)
+    assert loaded.num_gaussians == 30
+    for field in ("means", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest"):
+        np.testing.assert_array_equal(getattr(loaded, field), getattr(of_its_format, field))
+
+
+def test_a_run_folder_stands_for_its_gaussians(tmp_path):
+    gsjax.save_gaussians(cloud(30), tmp_path / "gaussians.ply")
+    np.testing.assert_array_equal(gsjax.load_gaussians(tmp_path).means, np.asarray(cloud(30).means))
+
+
+def test_what_holds_no_gaussians_is_one_line(tmp_path):
+    faults = {"absent.ply": "no such file or folder", "": "holds no gaussians.ply; it is no run folder"}
+    for name, fault in faults.items():
+        with pytest.raises(InputError, match=fault):
+            gsjax.load_gaussians(tmp_path / name)
+    (tmp_path / "manifest.json").write_text("{}")
+    with pytest.raises(InputError, match="its training has not finished"):
+        gsjax.load_gaussians(tmp_path)
+    (tmp_path / "scene.obj").write_text("")
+    for attempt in (gsjax.load_gaussians, lambda path: gsjax.save_gaussians(cloud(2), path)):
+        with pytest.raises(InputError, match="files of Gaussians end in .compressed.ply, .ply, .spz"):
+            attempt(tmp_path / "scene.obj")
