@@ -16,7 +16,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             Finds where each photo was taken (SIFT, matching, incremental mapping), removes the lens
             distortion, turns the photos upright and writes SCENE/images and SCENE/sparse/0. Of a video
             the sharpest frame of every stretch is taken. Prints images registered, points, reprojection
-            error; names the photos left out, and why.
+            error; names the photos left out and the files passed over, and why. Mattes (alpha) and masks
+            (PHOTOS/masks) are kept.
         """,
         example="gsjax sfm photos/ --out scenes/garden",
     )
@@ -35,7 +36,9 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax.io import sfm
 
     report = sfm.reconstruct(arguments.photos, arguments.out, **given(arguments, "frames"))
-    for reason in dict.fromkeys(report.left_out.values()):
-        names = [name for name, why in report.left_out.items() if why == reason]
-        print(f"gsjax: left out ({reason}): {', '.join(names)}", file=sys.stderr)
-    print(tables.record(asdict(report) | {"left_out": len(report.left_out)}))
+    for what, files in (("left out", report.left_out), ("passed over", report.passed_over)):
+        for reason in dict.fromkeys(files.values()):
+            names = [name for name, why in files.items() if why == reason]
+            print(f"gsjax: {what} ({reason}): {', '.join(names)}", file=sys.stderr)
+    counts = {"left_out": len(report.left_out), "passed_over": len(report.passed_over)}
+    print(tables.record(asdict(report) | counts))

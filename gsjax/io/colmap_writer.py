@@ -1,12 +1,15 @@
 """Frames and points as a COLMAP model."""
 
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from gsjax.errors import InputError
 from gsjax.io.colmap import quiet
-from gsjax.io.files import make_folder
+from gsjax.io.colmap_model import read_model
+from gsjax.io.files import flush, make_folder
 from gsjax.io.packages import require
 from gsjax.scene import Frame
 
@@ -19,6 +22,9 @@ def write_model(folder: Path, frames: Sequence[Frame], points: np.ndarray, color
         frames: Their names become those of the images.
         points: `[P, 3]` world; without observations.
         colors: `[P, 3]` uint8.
+
+    Raises:
+        InputError: It cannot be written.
     """
     pycolmap = require("pycolmap", "pip install pycolmap")
     model = pycolmap.Reconstruction()
@@ -38,8 +44,7 @@ def write_model(folder: Path, frames: Sequence[Frame], points: np.ndarray, color
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pycolmap.Rotation3d(pose[:3, :3]), pose[:3, 3]))
     for point, color in zip(points.astype(np.float64), colors, strict=True):
         model.add_point3D(point, pycolmap.Track(), color)
-    with quiet(pycolmap):
-        model.write_binary(make_folder(folder))
+    write_whole(model, folder)
 
 
 def write_poses(folder: Path, viewmats: Mapping[str, np.ndarray]) -> None:
@@ -50,11 +55,43 @@ def write_poses(folder: Path, viewmats: Mapping[str, np.ndarray]) -> None:
         viewmats: `[4, 4]` world to camera, by the images' names; images that are not named keep theirs.
     """
     pycolmap = require("pycolmap", "pip install pycolmap")
+    read_model(folder)  # pycolmap does not tell what is cut, and may never return from it.
     with quiet(pycolmap):
         model = pycolmap.Reconstruction(folder)
-        for image in model.images.values():
-            if image.name in viewmats:
-                pose = viewmats[image.name].astype(np.float64)
-                moved = pycolmap.Rigid3d(pycolmap.Rotation3d(pose[:3, :3]), pose[:3, 3])
-                image.frame.set_cam_from_world(image.camera_id, moved)
-        model.write_binary(folder)
+    for image in model.images.values():
+        if image.name in viewmats:
+            pose = viewmats[image.name].astype(np.float64)
+            moved = pycolmap.Rigid3d(pycolmap.Rotation3d(pose[:3, :3]), pose[:3, 3])
+            image.frame.set_cam_from_world(image.camera_id, moved)
+    write_whole(model, folder)
+
+
+def write_whole(model, folder: Path) -> None:
+    """Writes a `pycolmap.Reconstruction` in binary, and sees that all of it has come onto the disk.
+
+    pycolmap 4.2 does not tell when a disk is full.
+
+    Args:
+        model: What to write.
+        folder: Made where absent.
+
+    Raises:
+        InputError: It cannot be written.
+    """
+    pycolmap = require("pycolmap", "pip install pycolmap")
+    make_folder(folder)
+    try:
+        with quiet(pycolmap):
+            model.write_binary(folder)
+        for file in folder.glob("*.bin"):
+            flush(file)
+        written = read_model(folder)
+    except (OSError, ValueError, RuntimeError) as error:  # InputError is a ValueError: what was written is cut.
+        raise _unwritten(folder) from error
+    if (len(written.images), len(written.points)) != (model.num_reg_images(), model.num_points3D()):
+        raise _unwritten(folder)
+
+
+def _unwritten(folder: Path) -> InputError:
+    left = shutil.disk_usage(folder).free
+    return InputError(f"cannot write {folder}: the model did not come whole onto the disk, which has {left} bytes left")

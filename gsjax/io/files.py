@@ -34,9 +34,9 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
-        _flush(temporary)
+        flush(temporary)
         os.replace(temporary, path)
-        _flush(path.parent)
+        flush(path.parent)
     except OSError as error:
         if _is_about_another_file(error, temporary, path):
             raise
@@ -125,7 +125,7 @@ def _is_about_another_file(error: OSError, temporary: Path, path: Path) -> bool:
     return unwritten or named not in (temporary, path, *path.parents)
 
 
-def _flush(path: Path) -> None:
+def flush(path: Path) -> None:
     """Waits until the file's bytes (or the folder's list of names) are on the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:

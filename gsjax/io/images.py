@@ -1,37 +1,47 @@
 """Images off the disk and onto it, whole or not at all, and filters that respect straight colours."""
 
+import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.files import atomic_path
+from gsjax.io.machine import require_memory
 from gsjax.io.packages import require
 
 cv2 = require("cv2", "pip install opencv-contrib-python-headless")
-Image = require("PIL.Image", "pip install pillow")
+Image: Any = require("PIL.Image", "pip install pillow")
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".heif", ".hif", ".avif")  # Of photos.
 _ORIENTATION, _QUARTER_TURNS = 0x0112, (5, 6, 7, 8)  # EXIF: the tag, and its values that swap the sides.
+_JPEG_QUALITY = 95
+_OPENING = threading.Lock()
+_DECODED = 8  # bytes a pixel: Pillow's copy and ours
+_ALWAYS_ROOM = 10**7  # pixels
 
 
 def read_image(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """A photo as its pixels are stored: an EXIF orientation is not applied, as COLMAP does not apply it.
 
-    Decoded by Pillow, which refuses a truncated file where OpenCV fills the rest with grey.
+    Decoded by Pillow, which refuses a truncated file where OpenCV fills the rest with grey. What counts to more than
+    255 is taken as 16 bits; floats as shares of 1.
 
     Returns:
         `[H, W, 3]` uint8 colours and `[H, W]` uint8 alpha, or None where the file has no alpha.
 
     Raises:
-        InputError: The file is missing, no image, or damaged.
+        InputError: The file is missing, no image, or damaged; its pixels are of no known range, or more than memory
+            has room for.
     """
     picture = _decode(path)
-    if picture.mode.startswith("I"):
-        grey = (np.asarray(picture, np.float64) / 257.0).round().astype(np.uint8)
+    if picture.mode.startswith("I") or picture.mode == "F":
+        grey = _in_bytes(path, picture)
         return np.repeat(grey[..., None], 3, axis=-1), None
     if picture.mode not in ("RGBA", "LA", "PA") and "transparency" not in picture.info:
         return np.array(picture.convert("RGB")), None
@@ -55,11 +65,15 @@ def read_mask(path: Path) -> np.ndarray:
 def write_image(path: str | Path, image: np.ndarray) -> None:
     """Writes `[H, W, 3]` (or `[H, W]`, `[H, W, 4]`) uint8 pixels, in the format that the suffix names; JPEGs at 95.
 
+    Pillow's encoders do not tell when a disk is full: they write to memory, and that is written as a whole.
+
     Raises:
-        InputError: The target cannot be written.
+        InputError: The target cannot be written, or its suffix names no format.
     """
+    encoded = BytesIO()
+    Image.fromarray(np.ascontiguousarray(image)).save(encoded, _format(Path(path)), quality=_JPEG_QUALITY)
     with atomic_path(path) as temporary:
-        Image.fromarray(np.ascontiguousarray(image)).save(temporary, quality=95)
+        temporary.write_bytes(encoded.getbuffer())
 
 
 def jpeg(image: np.ndarray) -> bytes:
@@ -75,11 +89,8 @@ def image_size(path: Path) -> tuple[int, int]:
     Raises:
         InputError: The file is missing or no image.
     """
-    try:
-        with Image.open(path) as picture:
-            return picture.size
-    except (OSError, ValueError, SyntaxError) as error:
-        raise _unreadable(path, error) from error
+    with opened(path) as picture:
+        return picture.size
 
 
 def upright_size(path: Path) -> tuple[int, int]:
@@ -88,11 +99,28 @@ def upright_size(path: Path) -> tuple[int, int]:
     Raises:
         InputError: The file is missing or no image.
     """
+    with opened(path) as picture:
+        width, height = picture.size
+        return (height, width) if picture.getexif().get(_ORIENTATION) in _QUARTER_TURNS else (width, height)
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """The file as Pillow opens it, of which only the header is read; for as long as the block lasts.
+
+    Photos may be of any size: what is decoded is held to the memory that there is, not to Pillow's fixed limit.
+
+    Raises:
+        InputError: The file is missing or no image; or the block has Pillow read what is damaged.
+    """
     try:
-        with Image.open(path) as picture:
-            width, height = picture.size
-            return (height, width) if picture.getexif().get(_ORIENTATION) in _QUARTER_TURNS else (width, height)
-    except (OSError, ValueError, SyntaxError) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Of metadata that nobody asked for.
+            with _open(path) as picture:
+                yield picture
+    except InputError:
+        raise
+    except Exception as error:  # Pillow's decoders raise whatever the broken bytes lead to.
         raise _unreadable(path, error) from error
 
 
@@ -148,20 +176,61 @@ def filter_straight(
 
 
 def _decode(path: Path):
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow warns of large photos; they are what we are here for.
-            with Image.open(path) as picture:
-                picture.load()
-                return picture
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise _unreadable(path, error) from error
+    with opened(path) as picture:
+        width, height = picture.size
+        if width * height > _ALWAYS_ROOM:
+            require_memory(f"{path}: a photo of {width}x{height} pixels", _DECODED * width * height)
+        picture.load()
+        return picture
+
+
+def _open(path: Path):
+    with path.open("rb") as file:
+        head = file.read(12)
+    if head[4:8] == b"ftyp" and head[8:12] != b"avif":  # HEIC, whatever the name says: what an iPhone takes.
+        require("pillow_heif", "pip install pillow-heif").register_heif_opener()
+    with _OPENING:
+        limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+        try:
+            return Image.open(path)
+        finally:
+            Image.MAX_IMAGE_PIXELS = limit
+
+
+def _in_bytes(path: Path, picture) -> np.ndarray:
+    """`[H, W]` uint8 of a picture of one channel that is not of bytes: of shares of 1, bytes after all, or 16 bits."""
+    values = np.asarray(picture, np.float64)
+    least, largest = float(values.min()), float(values.max())
+    whole = bool(np.isfinite(values).all()) and not (values % 1).any()
+    if least >= 0 and largest <= 1 and picture.mode == "F":
+        return _to_bytes(255 * values)
+    if least >= 0 and largest <= 255 and whole:
+        return _to_bytes(values)
+    if least >= 0 and largest <= 65535 and whole:
+        return _to_bytes(values / 257)
+    raise InputError(f"{path}: its pixels run from {least:g} to {largest:g}; known are 0 to 1, to 255 and to 65535")
+
+
+def _format(path: Path) -> str:
+    """What Pillow calls the format of a suffix."""
+    Image.init()
+    known = Image.registered_extensions()
+    if path.suffix.lower() not in known:
+        raise InputError(f"{path}: no format of images ends in {path.suffix or 'nothing'}")
+    return known[path.suffix.lower()]
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:
     if isinstance(error, FileNotFoundError):
         return InputError(f"{path}: no such image")
-    return InputError(f"{path}: not a whole image ({str(error).splitlines()[0]})")
+    if isinstance(error, Image.UnidentifiedImageError):
+        return InputError(
+            f"{path}: not a whole image (of no format that is read here; TIFFs of floats have one channel)"
+        )
+    if isinstance(error, OSError) and error.strerror:
+        return InputError(f"{path}: not a whole image ({error.strerror})")
+    reason = str(error).splitlines()[0] if str(error) else "it ends too soon"
+    return InputError(f"{path}: not a whole image ({reason})")
 
 
 def _to_bytes(values: np.ndarray) -> np.ndarray:

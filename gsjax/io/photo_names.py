@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 
 from gsjax.io.notices import say
 
+_AS_JPEG = (".heic", ".heif", ".hif", ".avif", ".webp")  # Of photos that have lost more than a JPEG at 95 loses.
 _DRIVE = re.compile(r"[A-Za-z]:/|//")  # Of Windows, once its separators are those of everybody else.
 
 
@@ -41,6 +42,18 @@ def inside(name: str) -> PurePosixPath:
     """A name as a path within a folder: parts that would lead out of it are left out."""
     path = PurePosixPath(name)
     return PurePosixPath(*[part for part in path.parts if part not in (path.anchor, "..")])
+
+
+def written_name(name: str, has_matte: bool) -> str:
+    """A photo's name where it is written anew, within a folder: a JPEG stays one, others become PNGs.
+
+    A matte makes a PNG of any. Photos of iPhones and of the web become JPEGs.
+    """
+    path = inside(name)
+    suffix = path.suffix.lower()
+    if suffix in (".jpg", ".jpeg") and not has_matte:
+        return str(path)
+    return str(path.with_suffix(".jpg" if suffix in _AS_JPEG and not has_matte else ".png"))
 
 
 def short(name: str) -> str:

@@ -130,7 +130,7 @@ def _read(photo: Photo, index: int, size: tuple[int, int], folder_masks: str) ->
     (width, height), lens = size, photo.lens
     view = pinhole_views(lens)[index]
     colors, alpha = read_image(photo.path)
-    alpha = None if alpha is None or _says_nothing(alpha) else alpha
+    alpha = None if alpha is None or says_nothing(alpha) else alpha
     mask = None if photo.mask_path is None else _mask_of_size(photo.mask_path, lens.width, lens.height)
     if mask is not None and folder_masks == "matte":
         alpha, mask = mask if alpha is None else np.minimum(alpha, mask), None
@@ -140,10 +140,10 @@ def _read(photo: Photo, index: int, size: tuple[int, int], folder_masks: str) ->
 
     unchanged = view.source_xy is None and size == (view.width, view.height)
     image, matte = (colors, alpha) if unchanged else filter_straight(colors, alpha, warp)
-    return Pixels(image, matte, _valid(view, mask, width, height))
+    return Pixels(image, matte, valid_of(view, mask, width, height))
 
 
-def _says_nothing(alpha: np.ndarray) -> bool:
+def says_nothing(alpha: np.ndarray) -> bool:
     """Whether an alpha channel is one value: no matte then. One of zeros is: the object is not in this view."""
     return bool(alpha.min() == alpha.max() > 0)
 
@@ -153,7 +153,7 @@ def scaled_size(width: int, height: int, downscale: float) -> tuple[int, int]:
     return max(1, round(width / downscale)), max(1, round(height / downscale))
 
 
-def _valid(view: PinholeView, mask: np.ndarray | None, width: int, height: int) -> np.ndarray | None:
+def valid_of(view: PinholeView, mask: np.ndarray | None, width: int, height: int) -> np.ndarray | None:
     """255 where every photo pixel that a frame's pixel draws from may be used, 0 elsewhere, None for all."""
     if mask is None and view.valid is None:
         return None

@@ -2,17 +2,16 @@
 
 import math
 import os
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io import colmap, colmap_model, transforms
 from gsjax.io.image_folders import located
-from gsjax.io.photo_names import inside
+from gsjax.io.mask_folders import masks_in
 from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, listed
 from gsjax.io.splits import AUTO, split
 from gsjax.io.truth import load_truth
@@ -102,20 +101,8 @@ def _with_folder_masks(photos: list[Photo], folder: Path) -> list[Photo]:
     """Gives photos the masks of a folder; a photo without one is used whole."""
     if not folder.is_dir():
         return photos
-    bases = Counter(inside(photo.name).name for photo in photos)
-
-    def mask_of(photo: Photo) -> Path | None:
-        within = inside(photo.name)
-        places = [within] if bases[within.name] > 1 else [within, PurePosixPath(within.name)]
-        return next((mask for place in places if (mask := _mask_path(folder / place))), photo.mask_path)
-
-    found = [replace(photo, mask_path=mask_of(photo)) for photo in photos]
+    masks = masks_in(folder, [photo.name for photo in photos])
+    found = [replace(photo, mask_path=masks.get(photo.name, photo.mask_path)) for photo in photos]
     if all(photo.mask_path is None for photo in found):
         raise InputError(f"{folder}: no mask in it has the name of an image, for example {photos[0].name}.png")
     return found
-
-
-def _mask_path(same: Path) -> Path | None:
-    """The mask under a photo's name, that name with `.png` after it, or its stem with `.png`."""
-    candidates = (same, Path(f"{same}.png"), Path(f"{os.path.splitext(same)[0]}.png"))
-    return next((path for path in candidates if os.path.isfile(path)), None)

@@ -1,7 +1,7 @@
 """A data set as training sees it, written out: for networks and programs that want pinhole photos."""
 
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +11,10 @@ from gsjax.errors import InputError
 from gsjax.io.colmap_writer import write_model
 from gsjax.io.files import atomic_folder
 from gsjax.io.images import write_image
+from gsjax.io.photo_names import written_name
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import OWN_LIST
 from gsjax.scene import Frame, Pixels
-
-_JPEG = (".jpg", ".jpeg")
 
 
 def undistort(
@@ -26,8 +25,8 @@ def undistort(
     Args:
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
         out: Folder to make, absent or empty; appears when everything is done. It is a data set with the same views,
-            split and points: `images/` (JPEG at quality 95 where the photo is one, else PNG; with the matte as alpha),
-            `masks/` where not every pixel is valid, `sparse/0` with PINHOLE cameras, `hold_out.txt`.
+            split and points: `images/` (JPEG at quality 95 where the photo is one or HEIC, else PNG; with the matte as
+            alpha), `masks/` where not every pixel is valid, `sparse/0` with PINHOLE cameras, `hold_out.txt`.
         downscale: Frames are this many times smaller, at least 1.
         images: Folder of the photos, absolute or in `scene`. None: looked for.
 
@@ -44,7 +43,7 @@ def undistort(
     with atomic_folder(out) as folder:
         for frame in tqdm(loaded.frames, desc="undistort", unit="image"):
             pixels = frame.pixels()
-            name = _file_name(frame.name, pixels)
+            name = written_name(frame.name, pixels.matte is not None)
             if name in written:
                 raise InputError(f"{scene}: two of its photos would both be written as {name}")
             written[name] = replace(frame, name=name)
@@ -60,11 +59,3 @@ def undistort(
 
 def _picture(pixels: Pixels) -> np.ndarray:
     return pixels.image if pixels.matte is None else np.dstack([pixels.image, pixels.matte])
-
-
-def _file_name(name: str, pixels: Pixels) -> str:
-    """The frame's name within a folder, its suffix that of a format that can hold the frame."""
-    path = PurePosixPath(name)
-    path = PurePosixPath(*[part for part in path.parts if part not in (path.anchor, "..")])
-    is_jpeg = path.suffix.lower() in _JPEG and pixels.matte is None
-    return str(path if is_jpeg else path.with_suffix(".png"))

@@ -26,6 +26,7 @@ class SfmReport:
     images: int  # photos given, or frames taken of a video
     registered: int  # photos with a pose
     left_out: dict[str, str]  # names of the other photos, and why they have none
+    passed_over: dict[str, str]  # names of files that are no photos, and why they are not taken for some
     points: int
     mean_reprojection_error: float  # pixels of the photos
     mean_track_length: float  # photos a point is seen in
@@ -44,8 +45,9 @@ def reconstruct(
     """Makes a COLMAP data set (`out/images`, `out/sparse/0`, PINHOLE cameras) from a folder of photos or a video.
 
     Photos of one make, model, focal length and size are taken to come from one camera, held upright or across; what
-    is written is upright. Each photo is matched with the twenty most like it, whatever their order, and with the
-    next by name; the largest model is kept. The work is done in a process of its own.
+    is written is upright, with mattes (alpha) and masks (from a folder `masks/`). Each photo is matched with the twenty
+    most like it, whatever their order, and with the next by name; the largest model is kept. The work is done in a
+    process of its own.
 
     Args:
         photos: Folder of photos, subfolders included; or a video, of which the sharpest frame of every stretch is
@@ -81,6 +83,15 @@ def _build(
     source: Path, workspace: Path, frames: int, max_image_size: int, threads: int, progress: Callable[..., tqdm]
 ) -> dict:
     """The reconstruction, as it runs in its own process: leaves `workspace/scene`, returns the report."""
+    try:
+        return _built(source, workspace, frames, max_image_size, threads, progress)
+    except OSError as error:
+        raise unwritable(workspace, error) from error
+
+
+def _built(
+    source: Path, workspace: Path, frames: int, max_image_size: int, threads: int, progress: Callable[..., tqdm]
+) -> dict:
     from gsjax.io.sfm import features, mapping, pairs, publishing, shots
 
     mapping.pycolmap.set_random_seed(0)
@@ -98,6 +109,7 @@ def _build(
         "images": len(taken),
         "registered": model.num_reg_images(),
         "left_out": left_out,
+        "passed_over": shots.passed_over(folder),
         "points": model.num_points3D(),
         "mean_reprojection_error": model.compute_mean_reprojection_error(),
         "mean_track_length": model.compute_mean_track_length(),
@@ -105,9 +117,10 @@ def _build(
 
 
 def _frames_of(source: Path, folder: Path, count: int, progress: Callable[..., tqdm]) -> Path:
-    from gsjax.io.sfm import shots, video
+    from gsjax.io.images import SUFFIXES
+    from gsjax.io.sfm import video
 
-    if source.suffix.lower() in shots.PHOTO_SUFFIXES:
+    if source.suffix.lower() in SUFFIXES:
         raise InputError(f"{source}: is one photo; give the folder that holds all of them")
     return video.write_sharpest_frames(source, folder, count, progress)
 

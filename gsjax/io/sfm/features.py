@@ -52,7 +52,7 @@ def find_features(
         progress(total=len(shots), desc="features", unit="photo") as bar,
     ):
         found = []
-        for features in pool.map(lambda shot: _features(shot.read(), max_image_size), shots):
+        for features in pool.map(lambda shot: _features(shot.read()[0], max_image_size), shots):
             found.append(features)
             bar.update(1)
     return found

@@ -1,7 +1,9 @@
 """From features to a model: verified matches, COLMAP's incremental mapping, and a second look at what is left out."""
 
+import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +12,9 @@ import numpy as np
 from tqdm import tqdm
 
 from gsjax.errors import InputError
+from gsjax.io.colmap_writer import write_whole
 from gsjax.io.files import make_folder
+from gsjax.io.images import Image, opened
 from gsjax.io.packages import require
 from gsjax.io.sfm.features import Features, Region, along_lines, at_spots, match
 from gsjax.io.sfm.pairs import Pair, bridging_pairs, choose_pairs, likeliest
@@ -43,12 +47,22 @@ def guess_cameras(shots: list[Shot]) -> list:
     cameras = {}
     for number, kind in enumerate(kinds, start=1):
         members = [shot for shot in shots if shot.camera == kind]
-        guess = pycolmap.infer_camera_from_image(members[0].path)
+        guess = _guess(members[0])
         model = "OPENCV" if len(members) >= _FULL_LENS_FROM else "SIMPLE_RADIAL"
         camera = pycolmap.Camera.create_from_model_name(number, model, guess.mean_focal_length(), *members[0].size)
         camera.has_prior_focal_length = guess.has_prior_focal_length
         cameras[kind] = camera
     return [cameras[shot.camera] for shot in shots]
+
+
+def _guess(shot: Shot):
+    """COLMAP's camera of a photo, by its EXIF."""
+    with suppress(ValueError):  # Of formats that COLMAP does not read.
+        return pycolmap.infer_camera_from_image(shot.path)
+    with tempfile.NamedTemporaryFile(suffix=".jpg") as blank, opened(shot.path) as picture:
+        Image.new("L", picture.size).save(blank, "JPEG", exif=picture.getexif())
+        blank.flush()
+        return pycolmap.infer_camera_from_image(blank.name)
 
 
 def match_photos(material: Material, progress: Callable[..., tqdm]) -> tuple[dict[Pair, Any], set[Pair]]:
@@ -137,7 +151,7 @@ def map_photos(material: Material, workspace: Path, progress: Callable[..., tqdm
     outside = {photo for pair in geometries for photo in pair} - inside
     more = likeliest(material.scores, outside, inside, tried) if outside else set()
     if more and (found := match_pairs(material, more, "matching the rest", progress)):
-        model.write_binary(make_folder(workspace / "largest"))
+        write_whole(model, workspace / "largest")
         again = _map(material, geometries | found, workspace / "second", workspace / "largest", progress)
         model = max([model, *again], key=lambda model: model.num_reg_images())
     _self_calibrate(model)

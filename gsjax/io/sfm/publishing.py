@@ -7,19 +7,21 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from gsjax.io.files import make_folder
-from gsjax.io.images import Image
+from gsjax.io.colmap_writer import write_whole
+from gsjax.io.images import filter_straight, write_image
 from gsjax.io.lenses import Lens, PinholeView, pinhole_views
 from gsjax.io.packages import require
+from gsjax.io.photo_names import written_name
+from gsjax.io.photos import valid_of
 from gsjax.io.sfm.shots import Shot, turned_pinhole, turned_points, turned_pose
 
 pycolmap = require("pycolmap", "pip install pycolmap")
 
-_JPEG_QUALITY = 95
-
 
 def write_dataset(model: Any, shots: list[Shot], folder: Path, progress: Callable[..., tqdm]) -> None:
     """Writes `images/` and `sparse/0` (PINHOLE), the layout that 3DGS programs read.
+
+    Mattes become the alpha of PNGs; masks, and pixels that the undistorted photo does not cover, `masks/`.
 
     Args:
         model: `pycolmap.Reconstruction` in the sensors' frames; image ids count `shots` from 1.
@@ -28,6 +30,7 @@ def write_dataset(model: Any, shots: list[Shot], folder: Path, progress: Callabl
         progress: Makes a progress bar.
     """
     upright = pycolmap.Reconstruction()
+    names: set[str] = set()
     cameras: dict[tuple[int, int], int] = {}  # ids, by id of the camera in the model and quarter turns
     sums = {point: np.zeros(4) for point in model.points3D}  # colours that were seen of a point, and how many
     # Camera by camera: the map of a lens is large and made once.
@@ -40,20 +43,27 @@ def write_dataset(model: Any, shots: list[Shot], folder: Path, progress: Callabl
             if key not in cameras:
                 cameras[key] = len(cameras) + 1
                 upright.add_camera_with_trivial_rig(_camera(cameras[key], view, shot.to_upright))
-            colors = view.warp(shot.read())
+            colors, matte = shot.read()
+            if view.source_xy is not None:
+                colors, matte = filter_straight(colors, matte, view.warp)
+            name = _unused(written_name(shot.name, matte is not None), shot.name, names)
             xy = _undistorted(image, view)
             _gather_colors(sums, image, colors, xy)
-            _write(folder / "images" / shot.name, shot.upright(colors))
+            picture = colors if matte is None else np.dstack([colors, matte])
+            write_image(folder / "images" / name, shot.upright(picture))
+            valid = valid_of(view, shot.read_mask(), view.width, view.height)
+            if valid is not None and not valid.all():
+                write_image(folder / "masks" / f"{name}.png", shot.upright(valid))
             xy = turned_points(xy, view.width, view.height, shot.to_upright)
             pose = turned_pose(image.cam_from_world().matrix(), shot.to_upright)
-            turned = pycolmap.Image(shot.name, xy, cameras[key], number)
+            turned = pycolmap.Image(name, xy, cameras[key], number)
             upright.add_image_with_trivial_frame(turned, pycolmap.Rigid3d(pose))
             bar.update(1)
     for number, point in model.points3D.items():
         color = np.rint(sums[number][:3] / max(sums[number][3], 1)).astype(np.uint8)
         upright.add_point3D(point.xyz, point.track, color)
     upright.update_point_3d_errors()
-    upright.write_binary(make_folder(folder / "sparse" / "0"))
+    write_whole(upright, folder / "sparse" / "0")
 
 
 def _lens(camera) -> Lens:
@@ -78,6 +88,9 @@ def _gather_colors(sums: dict[int, np.ndarray], image, colors: np.ndarray, xy: n
             sums[point.point3D_id] += [*colors[int(y), int(x)], 1]
 
 
-def _write(path: Path, colors: np.ndarray) -> None:
-    make_folder(path.parent)
-    Image.fromarray(np.ascontiguousarray(colors)).save(path, quality=_JPEG_QUALITY)
+def _unused(name: str, listed: str, names: set[str]) -> str:
+    """The name to write, or where another photo has it, one made of all of the listed name; it is used from now on."""
+    if name in names:
+        name = f"{listed}{Path(name).suffix}"
+    names.add(name)
+    return name

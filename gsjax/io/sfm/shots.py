@@ -4,16 +4,18 @@ Structure from motion works in the sensor's frame, which is broader than high ho
 one camera share their intrinsics. What is written at the end is upright.
 """
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.images import Image, image_size, read_image
+from gsjax.io.images import SUFFIXES, cv2, image_size, opened, read_image, read_mask, same_shape
+from gsjax.io.mask_folders import masks_in
+from gsjax.io.photos import says_nothing
 
-PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp")
-
+_MASKS = "masks"  # the folder's name
 _MAKE, _MODEL, _ORIENTATION, _DETAILS, _FOCAL, _FOCAL_35 = 0x010F, 0x0110, 0x0112, 0x8769, 0x920A, 0xA405
 # EXIF orientation: whether the stored columns run backwards, then quarter turns clockwise until upright.
 _ORIENTATIONS = {1: (0, 0), 2: (1, 0), 3: (0, 2), 4: (1, 2), 5: (1, 3), 6: (0, 1), 7: (1, 1), 8: (0, 3)}
@@ -29,20 +31,44 @@ class Shot:
     mirrored: bool  # the stored columns run backwards
     to_sensor: int  # quarter turns anticlockwise, from the stored pixels to the sensor's frame
     to_upright: int  # quarter turns clockwise, from the sensor's frame to upright
+    mask_path: Path | None = None
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height in the sensor's frame, pixels; width is never the smaller."""
         return self.camera[-2:]
 
-    def read(self) -> np.ndarray:
-        """`[H, W, 3]` uint8 in the sensor's frame.
+    def read(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """`[H, W, 3]` uint8 in the sensor's frame, and the matte `[H, W]` uint8 where the photo has one.
 
         Raises:
             InputError: The file is damaged.
         """
-        colors, _ = read_image(self.path)
-        return np.ascontiguousarray(np.rot90(colors[:, ::-1] if self.mirrored else colors, self.to_sensor))
+        colors, alpha = read_image(self.path)
+        return self._in_sensor(colors), None if alpha is None or says_nothing(alpha) else self._in_sensor(alpha)
+
+    def read_mask(self) -> np.ndarray | None:
+        """`[H, W]` uint8 in the sensor's frame; None where the photo has no mask.
+
+        The mask is turned as the photo's pixels are stored, or as the photo is looked at; its shape tells.
+
+        Raises:
+            InputError: The file is damaged, or of another shape than the photo.
+        """
+        if self.mask_path is None:
+            return None
+        mask, (width, height) = read_mask(self.mask_path), self.size
+        turned = [self._in_sensor(mask), np.rot90(mask, self.to_upright)]
+        turned = [np.ascontiguousarray(one) for one in turned if same_shape(one.shape[::-1], self.size)]
+        if not turned:
+            shape = f"{mask.shape[1]}x{mask.shape[0]}"
+            raise InputError(f"{self.mask_path}: mask is {shape}, of another shape than {self.path}")
+        if turned[0].shape == (height, width):
+            return turned[0]
+        return cv2.resize(turned[0], (width, height), interpolation=cv2.INTER_NEAREST)
+
+    def _in_sensor(self, stored: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(np.rot90(stored[:, ::-1] if self.mirrored else stored, self.to_sensor))
 
     def upright(self, colors: np.ndarray) -> np.ndarray:
         """Pixels `[H, W, ...]` of the sensor's frame, turned as the photo is looked at."""
@@ -50,17 +76,46 @@ class Shot:
 
 
 def list_shots(folder: Path) -> list[Shot]:
-    """The photos of a folder and its subfolders, by name.
+    """The photos of a folder and its subfolders, by name, with their masks.
+
+    Where all photos lie in a subfolder `images/`, that is their folder. A folder `masks/` in it or beside it holds
+    masks (`gsjax.io.mask_folders`), no photos.
 
     Raises:
         InputError: No folder, fewer than two photos, or one that is no image (named).
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of photos")
-    files = sorted(f for f in folder.rglob("*") if f.suffix.lower() in PHOTO_SUFFIXES and not f.name.startswith("."))
-    if len(files) < 2:
-        raise InputError(f"{folder}: needs at least 2 photos ({', '.join(PHOTO_SUFFIXES)}), has {len(files)}")
-    return [_shot(file, file.relative_to(folder).as_posix()) for file in files]
+    root = _photo_folder(folder)
+    photos = {file.relative_to(root).as_posix(): file for file in _files(root) if _is_photo(file)}
+    if len(photos) < 2:
+        raise InputError(f"{folder}: needs at least 2 photos ({', '.join(SUFFIXES)}), has {len(photos)}")
+    masks = masks_in(root / _MASKS if (root / _MASKS).is_dir() else root.parent / _MASKS, photos)
+    return [_shot(file, name, masks.get(name)) for name, file in photos.items()]
+
+
+def passed_over(folder: Path) -> dict[str, str]:
+    """The other files of a folder of photos, by name, and why they are not taken; hidden ones do not count."""
+    root = _photo_folder(folder)
+    others = [file for file in _files(root) if not _is_photo(file)]
+    endings = {file: file.suffix.lower() or "no ending" for file in others}
+    return {f.relative_to(root).as_posix(): f"{endings[f]} is no format of photos that is read" for f in others}
+
+
+def _photo_folder(folder: Path) -> Path:
+    inner = folder / "images"
+    return inner if inner.is_dir() and not any(_is_photo(file) for file in folder.glob("*")) else folder
+
+
+def _files(root: Path) -> list[Path]:
+    """All files, but for hidden ones and masks."""
+    files = [file for file in root.rglob("*") if os.path.isfile(file)]
+    parts = {file: file.relative_to(root).parts for file in files}
+    return sorted(f for f in files if parts[f][0] != _MASKS and not any(part.startswith(".") for part in parts[f]))
+
+
+def _is_photo(file: Path) -> bool:
+    return file.suffix.lower() in SUFFIXES
 
 
 def turned_pose(pose: np.ndarray, turns: int) -> np.ndarray:
@@ -85,22 +140,22 @@ def turned_pinhole(
     return (fx, fy, cx, cy), *((width, height) if turns % 2 == 0 else (height, width))
 
 
-def _shot(path: Path, name: str) -> Shot:
+def _shot(path: Path, name: str, mask_path: Path | None) -> Shot:
     width, height = image_size(path)
     make, model, focal, orientation = _exif(path)
     mirrored, turns = _ORIENTATIONS.get(orientation, (0, 0))
     standing = int(height > width)
     camera = (make, model, focal, max(width, height), min(width, height))
-    return Shot(name, path, camera, bool(mirrored), standing, (turns + standing) % 4)
+    return Shot(name, path, camera, bool(mirrored), standing, (turns + standing) % 4, mask_path)
 
 
 def _exif(path: Path) -> tuple[str, str, str, int]:
     """Make, model, focal lengths and orientation; empty, and 1, where the file does not say."""
-    with Image.open(path) as picture:
+    with opened(path) as picture:
         try:
             tags = picture.getexif()
             details = tags.get_ifd(_DETAILS)
-        except (OSError, ValueError, SyntaxError, KeyError, TypeError):  # Pillow's many ways to say "damaged".
+        except Exception:  # Pillow's many ways to say "damaged".
             return "", "", "", 1
     focal = f"{details.get(_FOCAL, '')} {details.get(_FOCAL_35, '')}"
     return str(tags.get(_MAKE, "")), str(tags.get(_MODEL, "")), focal, tags.get(_ORIENTATION, 1)

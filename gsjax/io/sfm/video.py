@@ -7,7 +7,7 @@ import numpy as np
 from tqdm import tqdm
 
 from gsjax.errors import InputError
-from gsjax.io.files import make_folder
+from gsjax.io.files import atomic_path, make_folder
 from gsjax.io.images import cv2
 
 _JUDGED_AT = 640  # pixels of the longer side: what a lens resolves, without the noise of single pixels
@@ -85,6 +85,6 @@ def _sharpness(frame: np.ndarray) -> float:
 
 
 def _write(folder: Path, index: int, frame: np.ndarray) -> None:
-    path = folder / f"{index:06d}.jpg"
-    if not cv2.imwrite(str(path), frame, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]):
-        raise InputError(f"cannot write {path}")
+    _, encoded = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    with atomic_path(folder / f"{index:06d}.jpg") as temporary:  # OpenCV's own writer does not tell of full disks.
+        temporary.write_bytes(encoded)

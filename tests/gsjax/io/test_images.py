@@ -115,3 +115,80 @@ def test_the_orientation_of_a_photo_turns_its_size_but_not_its_pixels(tmp_path, 
     assert upright_size(tmp_path / "a.jpg") == size
     assert image_size(tmp_path / "a.jpg") == (7, 5)
     assert read_image(tmp_path / "a.jpg")[0].shape == (5, 7, 3)
+
+
+def test_tiffs_of_floats_and_of_more_bits_are_read_as_what_they_hold(tmp_path):
+    grey = noise(6, 4)
+    grey[0, :2] = 0, 255
+    stored = {
+        "shares": (grey / 255).astype(np.float32),
+        "bytes": grey.astype(np.float32),
+        "sixteen": grey.astype(np.uint16) * 257,
+        "eight_in_sixteen": grey.astype(np.uint16),
+        "ints": grey.astype(np.int32) * 257,
+    }
+    for name, pixels in stored.items():
+        Image.fromarray(pixels).save(tmp_path / f"{name}.tif")
+        np.testing.assert_array_equal(read_image(tmp_path / f"{name}.tif")[0], grey[..., None].repeat(3, -1), name)
+    Image.fromarray((grey > 99).astype(np.uint16)).save(tmp_path / "mask.tif")
+    np.testing.assert_array_equal(read_mask(tmp_path / "mask.tif"), 255 * (grey > 99))
+
+
+@pytest.mark.parametrize("beyond", [-0.1, 1.5, np.nan, np.inf, 1e9])
+def test_floats_of_no_known_range_are_refused(tmp_path, beyond):
+    pixels = np.full((6, 4), 0.5, np.float32)
+    pixels[2, 2] = beyond
+    Image.fromarray(pixels).save(tmp_path / "hdr.tif")
+    with pytest.raises(InputError, match="hdr.tif: its pixels run from .* known are 0 to 1"):
+        read_image(tmp_path / "hdr.tif")
+
+
+def test_tiffs_of_floats_in_colour_are_refused_with_the_reason(tmp_path):
+    cv2.imwrite(str(tmp_path / "f.tif"), np.full((6, 4, 3), 0.5, np.float32))
+    with pytest.raises(InputError, match="f.tif: not a whole image .*TIFFs of floats have one channel"):
+        read_image(tmp_path / "f.tif")
+
+
+@pytest.mark.parametrize("name", ["a.heic", "a.jpg"])
+def test_heic_is_read_by_its_bytes_whatever_its_name(tmp_path, name):
+    heif = pytest.importorskip("pillow_heif")
+    smooth = np.repeat(np.arange(0, 240, 6, dtype=np.uint8)[None, :, None], 30, 0).repeat(3, 2)
+    heif.from_pillow(Image.fromarray(smooth)).save(tmp_path / "saved.heic", quality=95)
+    (tmp_path / "saved.heic").rename(tmp_path / name)
+    assert image_size(tmp_path / name) == upright_size(tmp_path / name) == (40, 30)
+    assert np.abs(read_image(tmp_path / name)[0].astype(int) - smooth).max() <= 4
+
+
+def test_photos_are_held_to_memory_and_not_to_a_fixed_number_of_pixels(tmp_path, monkeypatch):
+    """Pillow refuses twice its limit, 179 megapixels: here as much more than a limit that is lowered."""
+    cv2.imwrite(str(tmp_path / "panorama.png"), noise(30, 40, 3))
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    assert image_size(tmp_path / "panorama.png") == (40, 30)
+    assert read_image(tmp_path / "panorama.png")[0].shape == (30, 40, 3)
+    assert Image.MAX_IMAGE_PIXELS == 100
+    Image.new("1", (30_000, 30_000)).save(tmp_path / "panorama.png")
+    monkeypatch.setattr("gsjax.io.machine.free_memory", lambda: 2**30)
+    with pytest.raises(
+        InputError, match=r"panorama.png: a photo of 30000x30000 pixels takes 6.71 GiB of memory; 1 are"
+    ):
+        read_image(tmp_path / "panorama.png")
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a.png", "a.tif", "a.webp"])
+def test_a_full_disk_is_told_and_leaves_no_part_of_an_image(tmp_path, monkeypatch, name):
+    """As the system tells it: a write that is short, then none."""
+    (tmp_path / name).write_bytes(b"the old one")
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.write_bytes", full)
+    with pytest.raises(InputError, match=f"cannot write .*{name}: No space left on device"):
+        write_image(tmp_path / name, noise(50, 70, 3))
+    assert [file.name for file in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_bytes() == b"the old one"
+
+
+def test_a_suffix_of_no_format_is_told(tmp_path):
+    with pytest.raises(InputError, match="a.xyz: no format of images ends in .xyz"):
+        write_image(tmp_path / "a.xyz", noise(5, 7, 3))

@@ -5,13 +5,15 @@ from functools import partial
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 from PIL import Image, ImageOps
 from tqdm import tqdm
 
 from gsjax.errors import InputError
+from gsjax.io.scenes import load_scene
 from gsjax.io.sfm import features as sift
-from gsjax.io.sfm import pairs, shots, video
+from gsjax.io.sfm import mapping, pairs, publishing, shots, video
 from gsjax.io.sfm.features import Features, along_lines, at_spots, match
 
 quietly = partial(tqdm, disable=True)
@@ -34,7 +36,7 @@ def test_every_exif_orientation_ends_upright_by_way_of_the_sensor(tmp_path, orie
     photo(tmp_path / "a.png", size, orientation=orientation)
     photo(tmp_path / "b.png", size)
     shot, _ = shots.list_shots(tmp_path)
-    sensor = shot.read()
+    sensor, _ = shot.read()
     assert sensor.shape == (20, 40, 3)
     assert shot.size == (40, 20)
     with Image.open(tmp_path / "a.png") as picture:
@@ -218,3 +220,100 @@ def test_unusable_videos_are_named(tmp_path):
     clip = write_video(tmp_path / "one.avi", noise_frames(1, sharp=()))
     with pytest.raises(InputError, match=r"one.avi: needs at least 2 frames, has 1"):
         video.write_sharpest_frames(clip, tmp_path / "frames", 4, quietly)
+
+
+@pytest.mark.parametrize("place", ["photos/masks", "masks", "inner"])
+def test_masks_are_masks_of_photos_and_no_photos(tmp_path, place):
+    """In the folder of photos, beside it, and where the folder given holds `images/` and `masks/`."""
+    names = ["a.png", "sub/a.png", "b.jpg"]
+    folder = tmp_path / ("photos/images" if place == "inner" else "images" if place == "masks" else "photos")
+    masks = tmp_path / ("photos/masks" if place == "inner" else place)
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        photo(folder / name)
+    (masks / "sub").mkdir(parents=True)
+    for name in ("a.png", "sub/a.png", "b.jpg.png"):
+        Image.fromarray(np.full((20, 40), len(name), np.uint8)).save(masks / name)
+    found = shots.list_shots(tmp_path / "photos" if place == "inner" else folder)
+    assert [shot.name for shot in found] == ["a.png", "b.jpg", "sub/a.png"]
+    assert [int(shot.read_mask()[0, 0]) for shot in found] == [5, 9, 9]
+
+
+@pytest.mark.parametrize("orientation", [1, 5, 6])
+@pytest.mark.parametrize("upright", [True, False])
+def test_masks_turn_with_the_pixels_or_with_the_picture(tmp_path, orientation, upright):
+    photo(tmp_path / "a.png", orientation=orientation)
+    photo(tmp_path / "b.png")
+    (tmp_path / "masks").mkdir()
+    with Image.open(tmp_path / "a.png") as picture:
+        grey = picture.convert("L")
+        grey.save(tmp_path / "masks/a.png", exif=Image.Exif())
+        if upright:
+            ImageOps.exif_transpose(grey).save(tmp_path / "masks/a.png")
+            expected = np.asarray(ImageOps.exif_transpose(grey))
+        else:
+            expected = np.asarray(ImageOps.exif_transpose(grey))
+    shot, other = shots.list_shots(tmp_path)
+    np.testing.assert_array_equal(shot.upright(shot.read_mask()), expected)
+    assert other.read_mask() is None
+    Image.fromarray(np.zeros((9, 9), np.uint8)).save(tmp_path / "masks/a.png")
+    with pytest.raises(InputError, match="masks/a.png: mask is 9x9, of another shape than"):
+        shot.read_mask()
+
+
+def test_photos_of_every_format_are_found_and_other_files_named(tmp_path):
+    for name in ("a.JPG", "b.webp", "c.tiff", "d.bmp", "e.avif"):
+        photo(tmp_path / name)
+    (tmp_path / ".hidden").mkdir()
+    (tmp_path / "raw").mkdir()
+    for name in (".DS_Store", ".hidden/x.jpg", "notes", "raw/IMG_1.CR2", "clip.mov"):
+        (tmp_path / name).write_bytes(b"x")
+    assert [shot.name for shot in shots.list_shots(tmp_path)] == ["a.JPG", "b.webp", "c.tiff", "d.bmp", "e.avif"]
+    assert shots.passed_over(tmp_path) == {
+        "clip.mov": ".mov is no format of photos that is read",
+        "notes": "no ending is no format of photos that is read",
+        "raw/IMG_1.CR2": ".cr2 is no format of photos that is read",
+    }
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "webp", "heic"])
+def test_the_focal_length_in_exif_is_used_whatever_the_format(tmp_path, suffix):
+    if suffix == "heic":
+        pytest.importorskip("pillow_heif").register_heif_opener()
+    for name in "ab":
+        photo(tmp_path / f"{name}.{suffix}", (300, 200), make="One", focal=26)
+    first, second = mapping.guess_cameras(shots.list_shots(tmp_path))
+    assert first is second and first.has_prior_focal_length
+    assert first.params[0] == pytest.approx(300 * 26 / 36, rel=0.05)  # 35 mm film is 36 mm wide
+
+
+def test_mattes_and_masks_are_published(tmp_path, monkeypatch):
+    """Six formats, two of them of one stem, upright and turned; COLMAP's model is one made by hand."""
+    photos = tmp_path / "photos"
+    (photos / "masks").mkdir(parents=True)
+    rgba = np.random.default_rng(0).integers(0, 256, (20, 40, 4), dtype=np.uint8)
+    turned = Image.Exif()
+    turned[0x0112] = 6
+    Image.fromarray(rgba).save(photos / "a.png", exif=turned)
+    for name in ("a.tif", "b.webp", "c.jpg"):
+        photo(photos / name)
+    mask = np.full((20, 40), 255, np.uint8)
+    mask[:, :20] = 0
+    Image.fromarray(mask).save(photos / "masks/c.jpg.png")
+    taken = shots.list_shots(photos)
+    model = pycolmap.Reconstruction()
+    model.add_camera_with_trivial_rig(
+        pycolmap.Camera(camera_id=1, model="PINHOLE", width=40, height=20, params=[30.0, 30.0, 20.0, 10.0])
+    )
+    for number, shot in enumerate(taken, 1):
+        image = pycolmap.Image(shot.name, np.empty((0, 2)), 1, number)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
+    model.add_point3D(np.array([0, 0, 5.0]), pycolmap.Track(), np.zeros(3, np.uint8))
+    publishing.write_dataset(model, taken, tmp_path / "scene", quietly)
+    frames = {frame.name: frame for frame in load_scene(tmp_path / "scene").frames}
+    assert sorted(frames) == ["a.png", "a.tif.png", "b.jpg", "c.jpg"]
+    np.testing.assert_array_equal(frames["a.png"].pixels().image, np.rot90(rgba[..., :3], -1))
+    np.testing.assert_array_equal(frames["a.png"].pixels().matte, np.rot90(rgba[..., 3], -1))
+    np.testing.assert_array_equal(frames["c.jpg"].pixels().valid, mask)
+    assert all(frames[name].pixels().matte is None for name in ("a.tif.png", "b.jpg", "c.jpg"))
+    assert all(frames[name].pixels().valid is None for name in ("a.png", "a.tif.png", "b.jpg"))

@@ -1,0 +1,55 @@
+"""What is written of a COLMAP model is whole, or the error says that it is not."""
+
+import os
+
+import numpy as np
+import pycolmap
+import pytest
+
+from gsjax.errors import InputError
+from gsjax.io.colmap_model import read_model
+from gsjax.io.colmap_writer import write_poses, write_whole
+
+
+class OnAFullDisk:
+    """A model whose writer loses the end of one file and says nothing, as pycolmap's does."""
+
+    def __init__(self, model, name, kept):
+        self.model, self.name, self.kept = model, name, kept
+
+    def __getattr__(self, name):
+        return getattr(self.model, name)
+
+    def write_binary(self, folder):
+        self.model.write_binary(folder)
+        os.truncate(folder / self.name, int(self.kept * (folder / self.name).stat().st_size))
+
+
+@pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin"])
+@pytest.mark.parametrize("kept", [0.0, 0.5, 0.99])
+def test_a_model_that_was_cut_by_a_full_disk_is_told(colmap_scene, tmp_path, name, kept):
+    model = pycolmap.Reconstruction(colmap_scene() / "sparse/0")
+    with pytest.raises(InputError, match="cannot write .*out: the model did not come whole onto the disk, which has"):
+        write_whole(OnAFullDisk(model, name, kept), tmp_path / "out")
+    write_whole(model, tmp_path / "out")
+    assert len(read_model(tmp_path / "out").images) == 10
+
+
+def test_a_folder_that_cannot_be_written_is_told(colmap_scene, tmp_path):
+    model = pycolmap.Reconstruction(colmap_scene() / "sparse/0")
+    (tmp_path / "out/points3D.bin").mkdir(parents=True)
+    with pytest.raises(InputError, match="cannot write .*out"):
+        write_whole(model, tmp_path / "out")
+
+
+def test_poses_are_given_anew_and_those_of_a_cut_model_are_not(colmap_scene):
+    folder = colmap_scene() / "sparse/0"
+    moved = np.eye(4)
+    moved[:3, 3] = 1, 2, 3
+    write_poses(folder, {"003.png": moved})
+    viewmats = {image.name: image.viewmat for image in read_model(folder).images}
+    np.testing.assert_allclose(viewmats["003.png"], moved, atol=1e-12)
+    assert viewmats["004.png"][0, 3] == pytest.approx(0.4)
+    os.truncate(folder / "frames.bin", 100)
+    with pytest.raises(InputError, match="frames.bin: truncated"):
+        write_poses(folder, {"003.png": moved})
