@@ -18,6 +18,7 @@ from gsjax.mesh import Mesh
 from gsjax.meshing import glb
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.libraries import load_trimesh
+from gsjax.meshing.part_colors import has_picture, joined, parts_of, picture_of, sampled
 
 # Of trimesh's writers, and what keeps them from rounding float32 coordinates.
 WRITERS = {".ply": {"encoding": "binary"}, ".obj": {"digits": 9}}
@@ -180,14 +181,28 @@ def _loaded(path: Path):
     try:
         # Where order is kept, places in the texture that share a vertex of an .obj become one.
         has_places = path.suffix.lower() == ".obj" and b"\nvt " in path.read_bytes()
-        surface = trimesh.load(path, force="mesh", process=False, maintain_order=not has_places)
+        scene = trimesh.load(path, force="scene", process=False, maintain_order=not has_places)
+        surface = _as_one(path, scene)
         _triangles(surface)
-        if path.suffix.lower() == ".glb" and surface.visual.kind == "vertex":
-            surface.visual.vertex_colors = _glb_colors(path, surface)
     except Exception as error:  # Readers raise whatever the broken bytes lead to.
         raise InputError(f"{path}: not readable as a mesh ({type(error).__name__}: {error})".splitlines()[0]) from error
     if not len(surface.faces):
         raise InputError(f"{path}: holds no triangles")
+    return surface
+
+
+def _as_one(path: Path, scene):
+    """The parts of a file as one trimesh, with the texture where all of them have one, else with vertex colours."""
+    parts, is_glb = parts_of(scene), path.suffix.lower() == ".glb"
+    if not parts:
+        raise InputError("holds no triangles")
+    if all(has_picture(part) for part in parts):
+        return scene.to_mesh()
+    if len(parts) > 1 or parts[0].visual.kind in ("face", "texture"):
+        return joined(parts, linear=is_glb)
+    (surface,) = parts
+    if is_glb and surface.visual.kind == "vertex":
+        surface.visual.vertex_colors = _glb_colors(path, surface)
     return surface
 
 
@@ -200,10 +215,8 @@ def _vertex_colors(surface) -> np.ndarray:
     """`[V, 3]` uint8."""
     if surface.visual.kind == "vertex":
         return np.asarray(surface.visual.vertex_colors[:, :3], np.uint8)
-    picture = _picture(surface)
-    if picture is not None:
-        columns, rows = np.floor(_uvs(surface) % 1 * picture.shape[1::-1]).astype(np.int64).T
-        return picture[rows, columns]
+    if has_picture(surface):
+        return sampled(surface)
     return np.full((len(surface.vertices), 3), 128, np.uint8)
 
 
@@ -220,8 +233,4 @@ def _uvs(surface) -> np.ndarray:
 
 def _picture(surface) -> np.ndarray | None:
     """`[H, W, 3]` uint8 texture, if there is one and every vertex has its place in it."""
-    if surface.visual.kind != "texture" or surface.visual.uv is None:
-        return None
-    material = surface.visual.material
-    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-    return None if image is None else np.asarray(image.convert("RGB"))
+    return np.asarray(picture_of(surface).convert("RGB")) if has_picture(surface) else None

@@ -218,3 +218,51 @@ def test_a_failed_write_of_a_texture_leaves_the_old_files(tmp_path, textured, mo
     with pytest.raises(InputError, match="No space left"):
         write_textured(tmp_path / name, other)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+
+
+def quad_with_face_colors(path, rows=("255 0 0", "0 0 255")):
+    header = "ply\nformat ascii 1.0\nelement vertex 4\n" + "".join(f"property float {a}\n" for a in "xyz")
+    header += "element face 2\nproperty list uchar int vertex_indices\n"
+    header += "".join(f"property uchar {c}\n" for c in ("red", "green", "blue")) + "end_header\n"
+    path.write_text(header + "0 0 0\n1 0 0\n1 1 0\n0 1 0\n" + f"3 0 1 2 {rows[0]}\n3 0 2 3 {rows[1]}\n")
+
+
+def test_colours_of_faces_are_those_of_their_corners(tmp_path):
+    quad_with_face_colors(tmp_path / "m.ply")
+    found = read_mesh(tmp_path / "m.ply")
+    np.testing.assert_array_equal(found.colors[found.faces], [[[255, 0, 0]] * 3, [[0, 0, 255]] * 3])
+    corners = [[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]]
+    np.testing.assert_array_equal(found.vertices[found.faces], corners)
+    quad_with_face_colors(tmp_path / "m.ply", ("9 8 7", "9 8 7"))
+    assert read_mesh(tmp_path / "m.ply").num_vertices == 4  # nothing is doubled without need
+
+
+def test_coloured_parts_of_a_glb_keep_their_colours_and_places(tmp_path):
+    """Materials hold light, as colours of vertices do; a part without either is grey in no file of glTF but white."""
+    import trimesh
+
+    scene = trimesh.Scene()
+    materials = [{"baseColorFactor": [1.0, 0.0, 0.2158605, 1.0]}, {"baseColorFactor": [0.0, 0.5, 0.0, 1.0]}, {}]
+    for number, material in enumerate(materials):
+        box = trimesh.creation.box()
+        box.visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(**material))
+        scene.add_geometry(box, transform=trimesh.transformations.translation_matrix([2 * number, 0, 0]))
+    box = trimesh.creation.box()
+    box.visual.vertex_colors = [0, 55, 255, 255]
+    scene.add_geometry(box, transform=trimesh.transformations.translation_matrix([6, 0, 0]))
+    scene.export(tmp_path / "m.glb")
+    found = read_mesh(tmp_path / "m.glb")
+    assert found.num_faces == 4 * 12
+    part = np.rint(found.vertices[:, 0] / 2).astype(int)
+    expected = np.array([[255, 0, 128], [0, 188, 0], [255, 255, 255], [0, 128, 255]])
+    assert np.abs(found.colors.astype(int) - expected[part]).max() <= 1
+
+
+def test_coloured_materials_of_an_obj_are_its_colours(tmp_path):
+    (tmp_path / "k.mtl").write_text("newmtl r\nKd 0.8 0.1 0.2\nnewmtl b\nKd 0 0 1\n")
+    vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\n"
+    (tmp_path / "k.obj").write_text(f"mtllib k.mtl\n{vertices}usemtl r\nf 1 2 3\nusemtl b\nf 2 4 3\n")
+    found = read_mesh(tmp_path / "k.obj")
+    colors = {tuple(found.vertices[face].mean(0, np.float64).round(2).tolist()): found.colors[face] for face in found.faces}
+    np.testing.assert_array_equal(colors[0.33, 0.33, 0.0], [[204, 26, 51]] * 3)
+    np.testing.assert_array_equal(colors[0.67, 0.67, 0.0], [[0, 0, 255]] * 3)
