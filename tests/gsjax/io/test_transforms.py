@@ -358,3 +358,19 @@ def test_photos_outside_the_data_set_are_not_their_own_masks(tmp_path):
     photos = {photo.name[-7:]: photo for photo in load_scene(root).frames}
     assert photos["001.png"].pixels().valid is None
     assert (photos["002.png"].pixels().valid == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "rows", "expected"),
+    [
+        ("float", ["0.2 0.5 1.0", "0 1 0.75"], [[51, 128, 255], [0, 255, 191]]),
+        ("float", ["51 127.6 255", "0 1 191"], [[51, 128, 255], [0, 1, 191]]),
+        ("ushort", ["13107 32896 65535", "0 257 49087"], [[51, 128, 255], [0, 1, 191]]),
+    ],
+)
+def test_colours_of_points_in_other_ranges(tmp_path, kind, rows, expected):
+    root = write(tmp_path, fl_x=50.0, ply_file_path="cloud.ply")
+    header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {a}\n" for a in "xyz")
+    header += "".join(f"property {kind} {c}\n" for c in ("red", "green", "blue")) + "end_header\n"
+    (root / "cloud.ply").write_text(header + f"1 2 3 {rows[0]}\n4 5 6 {rows[1]}\n")
+    np.testing.assert_array_equal(load_scene(root).point_colors, expected)

@@ -263,6 +263,8 @@ def test_coloured_materials_of_an_obj_are_its_colours(tmp_path):
     vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\n"
     (tmp_path / "k.obj").write_text(f"mtllib k.mtl\n{vertices}usemtl r\nf 1 2 3\nusemtl b\nf 2 4 3\n")
     found = read_mesh(tmp_path / "k.obj")
-    colors = {tuple(found.vertices[face].mean(0, np.float64).round(2).tolist()): found.colors[face] for face in found.faces}
+    colors = {
+        tuple(found.vertices[face].mean(0, np.float64).round(2).tolist()): found.colors[face] for face in found.faces
+    }
     np.testing.assert_array_equal(colors[0.33, 0.33, 0.0], [[204, 26, 51]] * 3)
     np.testing.assert_array_equal(colors[0.67, 0.67, 0.0], [[0, 0, 255]] * 3)
