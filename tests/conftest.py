@@ -36,6 +36,17 @@ class HardCases:
     def __call__(self, case, backend, *, value, gradient, bounds):
         self.rows.setdefault(case, {"bounds": bounds})[backend] = (float(value), float(gradient))
 
+    def _merged(self):
+        """The rows, those of Gaussians that do not show and change nothing as one of each kind, with their number."""
+        kinds, merged = {}, {}
+        for case, row in self.rows.items():
+            kind, _, hidden = case.partition("hidden: ")
+            shows = not hidden or any(any(row[name]) for name in row if name != "bounds")
+            if not shows:
+                kinds[kind] = kinds.get(kind, 0) + 1
+            merged[case if shows else kind] = row
+        return {f"{case}hidden, each of {kinds[case]}" if case in kinds else case: row for case, row in merged.items()}
+
     def page(self):
         from gsjax.io.machine import machine, versions
 
@@ -51,16 +62,17 @@ class HardCases:
             "assert.",
             "",
             "A *hidden* Gaussian must change no bit of the rest, so its errors are differences from the image",
-            "without it. *Planes* are the depth of the same Gaussians with the slopes of their splats. The Pallas",
-            "kernels run interpreted. Photos that say nothing are tested with the [effects](effects.md#hard-cases).",
-            "One command measures, asserts and writes this page:",
+            "without it. *Planes* are the depth of the same Gaussians with the slopes of their splats, *in front*",
+            "the planes of the first layers alone, the default depth of training. The Pallas kernels run interpreted.",
+            "Photos that say nothing are tested with the [effects](effects.md#hard-cases). One command",
+            "measures, asserts and writes this page:",
             "",
             "    python -m pytest tests/rasterizer/test_edge_cases.py --numprocesses 0 --hard-cases docs/hard_cases.md",
             "",
             "| Case | " + " | ".join(heads) + " | Bounds |",
             "|---" * (len(heads) + 2) + "|",
         ]
-        for case, row in self.rows.items():
+        for case, row in self._merged().items():
             errors = [f"{error:.0e}" if error else "0" for name in backends for error in row.get(name, ())]
             bounds = ", ".join(f"{bound:.0e}" if bound else "0" for bound in row["bounds"])
             lines.append(f"| {case} | " + " | ".join(errors) + f" | {bounds} |")

@@ -8,6 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import rasterizer
+from rasterizer import GSPLAT, Front, TileGrid, default_tile_size, project
+from rasterizer._reference import composite
+from rasterizer.features import center_channels
 
 
 @jax.tree_util.register_dataclass
@@ -175,6 +178,36 @@ def evaluate(scene, backend, capacity=2048, **options):
     value_and_grad = jax.value_and_grad(loss, has_aux=True)
     (_, (image, alphas, info)), gradient = value_and_grad(scene, backend=backend, capacity=capacity, **options)
     return image, alphas, info, gradient
+
+
+def loss_in_front(scene, backend, capacity):
+    """`loss` of the default depth of training: planes of the first layers, and what they cover, down to a fifth."""
+    s, size = scene, (scene.width, scene.height)
+    projection = project(s.means, s.quats, s.scales, s.opacities, s.viewmats, s.Ks, *size, depth_mode="plane")
+    covers = projection.visible[..., None].astype(projection.depths.dtype)
+    if backend == "reference":  # It evaluates the plane of its last feature at every pixel itself.
+        features = jnp.concatenate([covers, center_channels(projection)], -1)
+        image, left, _ = composite(projection, s.opacities[None], features, *size, GSPLAT, Front(2, 0.2))
+        depth, covered = image[..., 1:], image[..., :1]
+    else:
+        grid = TileGrid(1, *size, default_tile_size(backend))
+        pairs = rasterizer.bin_splats(projection, s.opacities, grid, capacity, GSPLAT, backend=backend)
+        features = jnp.concatenate([rasterizer.depth_channels(projection, *size), covers], -1)
+        image, left, _ = rasterizer.blend(
+            projection, s.opacities, features, pairs, grid, backend=backend, front=Front(4, 0.2)
+        )
+        depth, covered = rasterizer.blended_depth(image[..., :3]), image[..., 3:]
+    image = jnp.concatenate([depth, covered], -1)
+    rng = np.random.default_rng(3)
+    w_image, w_alpha = (jnp.asarray(rng.normal(size=x.shape), x.dtype) for x in (image, left))
+    return jnp.sum(w_image * image) + jnp.sum(w_alpha * left), (image, 1 - left)
+
+
+@partial(jax.jit, static_argnames=("backend", "capacity"))
+def evaluate_in_front(scene, backend, capacity=2048):
+    """As `evaluate`, of depth in front."""
+    (_, shown), gradient = jax.value_and_grad(loss_in_front, has_aux=True)(scene, backend, capacity)
+    return *shown, {}, gradient
 
 
 def relative_errors(actual, expected):

@@ -13,7 +13,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import GAUSSIAN_FIELDS, cloud, evaluate, in_float64, relative_errors, single, with_odd_one
+from scenes import (
+    GAUSSIAN_FIELDS,
+    cloud,
+    evaluate,
+    evaluate_in_front,
+    in_float64,
+    relative_errors,
+    single,
+    with_odd_one,
+)
 
 NAN, INF = float("nan"), float("inf")
 BACKENDS = ("reference", "native", "xla", "pallas")
@@ -132,11 +141,12 @@ def test_what_cannot_show_changes_no_bit_of_the_rest(planes, name, backend, hard
 def agree_with_float64(hard_cases):
     """A function that compares a scene on every backend with the float64 reference, and notes the errors."""
 
-    def agree(name, scene, value_bound=1e-5, gradient_bound=1e-4, backends=BACKENDS, **options):
+    def agree(name, scene, value_bound=1e-5, gradient_bound=1e-4, backends=BACKENDS, evaluate=evaluate, **options):
         with jax.enable_x64(True):
             expected_image, expected_alphas, _, expected = evaluate(in_float64(scene), "reference", **options)
         assert all_finite(expected_image, expected)
-        largest = max(1, np.max(np.abs(scene.colors)) if "render_mode" not in options else np.abs(expected_image).max())
+        shown = scene.colors if scene.backgrounds.shape[1] > 1 else expected_image  # depths have no colour
+        largest = max(1, np.abs(shown).max())
         for backend in backends:
             image, alphas, info, gradient = evaluate(scene, backend, **options)
             assert all_finite(image, alphas, gradient)
@@ -161,6 +171,11 @@ def test_what_can_show_agrees_with_float64(name, agree_with_float64):
 @pytest.mark.parametrize("name", SHOWN)
 def test_planes_agree_with_float64(name, agree_with_float64):
     agree_with_float64("planes: " + name, of_depth(odd(SHOWN[name])), **PLANES)
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_depth_in_front_agrees_with_float64(name, agree_with_float64):
+    agree_with_float64("in front: " + name, of_depth(odd(SHOWN[name])), evaluate=evaluate_in_front)
 
 
 @pytest.mark.parametrize("name", ["ordinary", "a point", "two flat axes", "needle 1e6", "huge", "far away"])
