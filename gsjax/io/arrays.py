@@ -1,17 +1,23 @@
 """Arrays in `.npy` and `.npz` files: read whole, or looked at without reading."""
 
+import math
+import struct
 import zipfile
 import zlib
 from lzma import LZMAError
 from pathlib import Path
+from tokenize import TokenError
 from typing import IO, NamedTuple
 
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io.machine import require_memory
 
 _FAULTS = (OSError, ValueError, EOFError, TypeError, AttributeError, KeyError)
-_FAULTS += (zipfile.BadZipFile, zlib.error, LZMAError, NotImplementedError)
+_FAULTS += (zipfile.BadZipFile, zlib.error, LZMAError, NotImplementedError, struct.error, IndexError, OverflowError)
+_FAULTS += (RuntimeError, MemoryError, SyntaxError, TokenError)  # Of encrypted archives, bombs, and numpy's headers.
+_ALWAYS_ROOM = 2**26  # bytes
 
 
 class Header(NamedTuple):
@@ -47,6 +53,10 @@ def read_arrays(file: Path, *keys: str) -> dict[str, np.ndarray]:
     Raises:
         InputError: The file is damaged or lacks one; names the file.
     """
+    for key, (shape, dtype) in headers(file, *keys).items():
+        size = math.prod(shape) * dtype.itemsize
+        if size > _ALWAYS_ROOM:
+            require_memory(f"{file}: {key or 'its array'}, of shape {list(shape)},", size)
     try:
         with file.open("rb") as handle:
             if file.suffix == ".npy":

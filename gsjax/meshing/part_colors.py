@@ -29,7 +29,7 @@ def has_picture(part: Part) -> bool:
     return part.visual.kind == "texture" and part.visual.uv is not None and picture_of(part) is not None
 
 
-def picture_of(part: Part):
+def picture_of(part: Part) -> Any:
     """The picture of a part's material, as Pillow has it; None of none."""
     material = getattr(part.visual, "material", None)
     return getattr(material, "baseColorTexture", None) or getattr(material, "image", None)

@@ -1,0 +1,217 @@
+"""Damaged data sets: whatever their files hold, they load or the fault is one line; `GSJAX_FUZZ=50000` tries more."""
+
+import json
+import zipfile
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from fuzzing import damaged, damaged_json, fuzz
+from PIL import Image
+
+from gsjax.errors import InputError
+from gsjax.io.arrays import headers, read_arrays
+from gsjax.io.images import image_size, read_image, read_mask
+from gsjax.io.normals import normal_maps
+from gsjax.io.scenes import load_scene
+from gsjax.io.truth import load_truth
+
+OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def photos(folder, count=3):
+    folder.mkdir(parents=True, exist_ok=True)
+    for i in range(count):
+        cv2.imwrite(str(folder / f"{i}.png"), np.full((6, 8, 3), 40 * i, np.uint8))
+
+
+def read_all(root):
+    """Everything of a scene that reading may bring up: frames, their pixels, tracks."""
+    scene = load_scene(root)
+    for frame in scene.frames[:2]:
+        frame.pixels()
+    if scene.tracks is not None:
+        scene.tracks()
+
+
+def stated(root):
+    """A `transforms.json` with as much in it as there may be."""
+    photos(root / "images")
+    (root / "p.ply").write_bytes(cloud())
+    frames = []
+    for i in range(3):
+        pose = np.eye(4)
+        pose[0, 3] = i
+        frames.append({"file_path": f"images/{i}.png", "transform_matrix": (pose @ OPENGL).tolist(), "mask_path": None})
+    frames[1] |= {"fl_x": 9.0, "k1": 0.02, "is_bad": False, "mask_path": "images/1.png"}
+    names = [frame["file_path"] for frame in frames]
+    camera = {
+        "w": 8,
+        "h": 6,
+        "fl_x": 8.0,
+        "fl_y": 8.5,
+        "cx": 4.0,
+        "cy": 3.0,
+        "k1": 0.01,
+        "k2": 0.0,
+        "camera_angle_x": 0.8,
+    }
+    lists = {"train_filenames": names[:2], "test_filenames": names[2:], "test_frames": []}
+    return {**camera, **lists, "camera_model": "OPENCV", "ply_file_path": "p.ply", "frames": frames}
+
+
+def cloud():
+    header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {a}\n" for a in "xyz")
+    header += "".join(f"property uchar {c}\n" for c in ("red", "green", "blue"))
+    return (header + "end_header\n1 2 3 10 20 30\n4 5 6 40 50 60\n").encode()
+
+
+def test_fuzz_transforms(tmp_path):
+    meta = stated(tmp_path)
+    (tmp_path / "transforms.json").write_text(json.dumps(meta))
+    read_all(tmp_path)
+
+    def attempt(random):
+        (tmp_path / "transforms.json").write_bytes(damaged_json(meta, random))
+        read_all(tmp_path)
+
+    assert min(fuzz(attempt, usual=150)) > 5
+
+
+@pytest.mark.parametrize("text", [True, False])
+def test_fuzz_colmap(colmap_scene, text):
+    root = colmap_scene(count=3, size=(8, 6), text=text)
+    model = pycolmap.Reconstruction(root / "sparse/0")
+    for image in model.images.values():
+        image.points2D = pycolmap.Point2DList([pycolmap.Point2D([1.5 + i, 2.0]) for i in range(3)])
+    for point, number in enumerate(sorted(model.images), 1):
+        model.add_observation(point, pycolmap.TrackElement(number, 0))
+    (model.write_text if text else model.write_binary)(root / "sparse/0")
+    whole = {file: file.read_bytes() for file in sorted((root / "sparse/0").iterdir())}
+    read_all(root)
+
+    def attempt(random):
+        file = list(whole)[random.integers(len(whole))]
+        file.write_bytes(damaged(whole[file], random))
+        try:
+            read_all(root)
+        finally:
+            file.write_bytes(whole[file])
+
+    assert min(fuzz(attempt, usual=150)) > 5
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg", "tif", "webp", "gif", "bmp", "heic", "float.tif", "deep.png"])
+def test_fuzz_photos_and_masks(tmp_path, suffix):
+    file = tmp_path / f"a.{suffix}"
+    pixels = np.random.default_rng(0).integers(0, 256, (9, 12, 3), dtype=np.uint8)
+    kinds = {"float.tif": (pixels[..., 0] / 255).astype(np.float32), "deep.png": pixels[..., 0].astype(np.uint16) * 257}
+    if suffix == "heic":
+        pytest.importorskip("pillow_heif").register_heif_opener()
+    exif = Image.Exif()
+    exif[0x0112], exif[0x010F] = 6, "One"
+    Image.fromarray(kinds.get(suffix, pixels)).save(file, **({} if suffix in ("gif", "bmp") else {"exif": exif}))
+    whole = file.read_bytes()
+
+    def attempt(random):
+        file.write_bytes(damaged(whole, random))
+        image_size(file)
+        assert read_image(file)[0].dtype == read_mask(file).dtype == np.uint8
+
+    fuzz(attempt, usual=40)
+
+
+@pytest.mark.parametrize("suffix", ["npy", "npz", "compressed.npz"])
+def test_fuzz_arrays_and_normal_maps(tmp_path, suffix):
+    photos(tmp_path / "images")
+    (tmp_path / "transforms.json").write_text(json.dumps(stated(tmp_path)))
+    frames = load_scene(tmp_path).frames[:1]
+    maps = tmp_path / "normals"
+    maps.mkdir()
+    file = maps / f"0.{suffix.split('.')[-1]}"
+    unit = np.tile(np.array([0, 0, -1], np.float32), (6, 8, 1))
+    if suffix == "npy":
+        np.save(file, unit)
+    else:
+        (np.savez_compressed if "comp" in suffix else np.savez)(file, cam=unit)
+    whole = file.read_bytes()
+    assert (normal_maps(maps, frames)["0.png"]()[..., 2] == -1).all()
+
+    def attempt(random):
+        file.write_bytes(damaged(whole, random))
+        headers(file)
+        read_arrays(file)
+        load_truth(tmp_path, frames)
+        normal_maps(maps, frames)["0.png"]()
+
+    assert fuzz(attempt, usual=80)[1] > 10
+
+
+@pytest.mark.parametrize("name", ["bomb.npy", "bomb.npz"])
+def test_arrays_of_more_than_memory_holds_are_told(tmp_path, name):
+    """A few hundred bytes that promise two terabytes."""
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (500000, 500000), }"
+    content = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+    if name.endswith("z"):
+        with zipfile.ZipFile(tmp_path / name, "w") as archive:
+            archive.writestr("cam.npy", content)
+    else:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=rf"{name}: .* takes 1.86e\+03 GiB of memory"):
+        read_arrays(tmp_path / name)
+
+
+def test_fuzz_maps_in_png(tmp_path):
+    (tmp_path / "transforms.json").write_text(json.dumps(stated(tmp_path)))
+    frames = load_scene(tmp_path).frames[:1]
+    maps = tmp_path / "maps"
+    maps.mkdir()
+    cv2.imwrite(str(maps / "0.png"), np.full((6, 8, 3), 9, np.uint8))
+    whole = (maps / "0.png").read_bytes()
+
+    def attempt(random):
+        (maps / "0.png").write_bytes(damaged(whole, random))
+        normal_maps(maps, frames)["0.png"]()
+
+    fuzz(attempt, usual=40)
+
+
+def test_fuzz_truth(tmp_path):
+    (tmp_path / "transforms.json").write_text(json.dumps(stated(tmp_path)))
+    frames = load_scene(tmp_path).frames[:1]
+    (tmp_path / "depth").mkdir()
+    files = {tmp_path / "depth/0.npz": None, tmp_path / "gt_points.npz": None}
+    np.savez(tmp_path / "depth/0.npz", depth=np.ones((6, 8), np.float32), label=np.ones((6, 8), np.uint8))
+    np.savez(tmp_path / "gt_points.npz", points=np.ones((4, 3)), normals=np.ones((4, 3)), label=np.zeros(4, np.uint8))
+    whole = {file: file.read_bytes() for file in files}
+    assert load_truth(tmp_path, frames) is not None
+
+    def attempt(random):
+        file = list(whole)[random.integers(2)]
+        file.write_bytes(damaged(whole[file], random))
+        try:
+            truth = load_truth(tmp_path, frames)
+            for maps in (truth.depths, truth.labels):
+                maps["0.png"]()
+        finally:
+            file.write_bytes(whole[file])
+
+    fuzz(attempt, usual=80)
+
+
+def test_fuzz_lists_and_clouds(tmp_path):
+    (tmp_path / "transforms.json").write_text(json.dumps(stated(tmp_path)))
+
+    def attempt(random):
+        (tmp_path / "p.ply").write_bytes(damaged(cloud(), random))
+        (tmp_path / "hold_out.txt").write_bytes(damaged(b"# of these\n0.png\n1.png\n", random))
+        load_scene(tmp_path, hold_out=str(tmp_path / "hold_out.txt"))
+
+    fuzz(attempt, usual=80)
+
+
+def test_whatever_is_in_the_place_of_a_file_is_one_line(tmp_path):
+    (tmp_path / "transforms.json").mkdir()
+    with pytest.raises(InputError, match="no data set"):
+        load_scene(tmp_path)
