@@ -85,13 +85,12 @@ def inject(
 
 
 def _retaken(frame: Frame, gain: np.ndarray, corner: float) -> np.ndarray:
-    from gsjax.effects.exposure import linear_light
+    from gsjax.colors import linear_to_srgb, srgb_to_linear
 
     x, y = np.meshgrid(np.arange(frame.width) + 0.5, np.arange(frame.height) + 0.5)
     radii2 = ((x - frame.K[0, 2]) ** 2 + (y - frame.K[1, 2]) ** 2) * 4 / (frame.width**2 + frame.height**2)
-    light = np.clip(linear_light(frame.pixels().image / 255) * 2 ** (gain + corner * radii2[..., None]), 0, 1)
-    coded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    return np.rint(255 * coded).astype(np.uint8)
+    light = np.clip(srgb_to_linear(frame.pixels().image / 255) * 2 ** (gain + corner * radii2[..., None]), 0, 1)
+    return np.rint(255 * linear_to_srgb(light)).astype(np.uint8)
 
 
 def _pasted_over(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -126,7 +125,7 @@ def _displaced(scene: Scene, turn: float, shift: float, rng: np.random.Generator
     """Viewmats by name: every camera turned about its centre and put elsewhere, at random; see `inject`."""
     import jax.numpy as jnp
 
-    from gsjax.cameras import Camera
+    from gsjax.cameras import Camera, viewmat_center
     from gsjax.effects.twists import gauge, moved
 
     frames = scene.frames
@@ -134,7 +133,7 @@ def _displaced(scene: Scene, turn: float, shift: float, rng: np.random.Generator
     unit = float(np.median(depths[depths > 0]))
     twists = np.repeat([turn, shift], 3) * rng.normal(size=(len(frames), 6))
     trained = np.array([not frame.held_out for frame in frames])
-    centers = np.stack([-f.viewmat[:3, :3].T @ f.viewmat[:3, 3] for f in frames])[trained]
+    centers = np.stack([viewmat_center(f.viewmat) for f in frames])[trained]
     fixed, own = gauge(centers, unit), twists[trained].reshape(-1)
     twists[trained] = (own - fixed @ (fixed.T @ own)).reshape(-1, 6)
     cameras = [Camera(jnp.asarray(f.viewmat), jnp.asarray(f.K), f.width, f.height) for f in frames]

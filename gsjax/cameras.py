@@ -33,6 +33,11 @@ def center(camera: Camera) -> Array:
     return -jnp.sum(camera.viewmat[:3, :3] * camera.viewmat[:3, 3, None], axis=0)
 
 
+def viewmat_center(viewmat: np.ndarray) -> np.ndarray:
+    """`[3]` world centre of the camera with a `[4, 4]` viewmat; numpy, of its dtype."""
+    return -viewmat[:3, :3].T @ viewmat[:3, 3]
+
+
 def world_to_camera(point: Array, camera: Camera) -> Array:
     """`[3]` camera-frame position of one world point."""
     return jnp.sum(camera.viewmat[:3, :3] * point, axis=-1) + camera.viewmat[:3, 3]

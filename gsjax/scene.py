@@ -118,5 +118,7 @@ class Scene:
 
 def extent(frames: tuple[Frame, ...]) -> float:
     """Camera extent E = 1.1 max_i |c_i - mean c| over the given frames, scene units (3DGS)."""
-    centers = np.stack([-f.viewmat[:3, :3].T @ f.viewmat[:3, 3] for f in frames])
+    from gsjax.cameras import viewmat_center  # Loads jax, which a data set is read without.
+
+    centers = np.stack([viewmat_center(f.viewmat) for f in frames])
     return float(1.1 * np.linalg.norm(centers - centers.mean(0), axis=1).max())

@@ -13,6 +13,7 @@ import numpy as np
 from jax import Array
 
 from gsjax.cameras import Camera, center, look_at, pixel_rays, project, rotation, world_to_camera
+from gsjax.colors import linear_to_srgb, srgb_to_linear
 
 GROUND_LABEL = 255
 TABLE_RADIUS = 1.6
@@ -65,7 +66,7 @@ def trace(camera: Camera, *, samples: int = 3) -> Trace:
     return Trace(
         depth=jnp.where(hit, depth, 0.0),
         normals=jnp.where(hit[..., None], normals.reshape(*hit.shape, 3) @ rotation(camera).T, 0.0),
-        colors=srgb(light).reshape(*hit.shape, 3),
+        colors=linear_to_srgb(light).reshape(*hit.shape, 3),
         labels=jnp.where(hit, labels.reshape(hit.shape), 0).astype(jnp.uint8),
     )
 
@@ -130,7 +131,7 @@ def shade(point: Array) -> Array:
     sun = jnp.asarray(_SUN, jnp.float32)
     lambert = jnp.maximum(jnp.sum(up * sun), 0.0) * sun_visibility(point + 2e-3 * up)
     open_sky = jnp.clip(scene_sdf(point + 0.12 * up) / 0.12, 0.2, 1.0) * (0.65 + 0.35 * up[2])
-    return jnp.clip(_linear(albedo(point)) * (_SUN_LIGHT * lambert + _SKY_LIGHT * open_sky), 0.0, 1.0)
+    return jnp.clip(srgb_to_linear(albedo(point)) * (_SUN_LIGHT * lambert + _SKY_LIGHT * open_sky), 0.0, 1.0)
 
 
 def sun_visibility(point: Array) -> Array:
@@ -331,16 +332,6 @@ def _grain(point: Array, waves: tuple[np.ndarray, np.ndarray]) -> Array:
 def _wave(cycles: Array) -> Array:
     """Square wave in -1..1 with soft edges."""
     return jnp.tanh(2.5 * jnp.sin(2 * jnp.pi * cycles))
-
-
-def _linear(srgb: Array) -> Array:
-    return jnp.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
-def srgb(linear: Array) -> Array:
-    """Linear light, 0..1, encoded as sRGB, 0..1; any shape."""
-    is_dark = linear <= 0.0031308
-    return jnp.where(is_dark, 12.92 * linear, 1.055 * jnp.where(is_dark, 1.0, linear) ** (1 / 2.4) - 0.055)
 
 
 # Each stage is compiled by itself: in one program XLA would fuse a stage into every use of its result and compute it

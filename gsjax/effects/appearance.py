@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from gsjax.cameras import Camera
+from gsjax.cameras import Camera, viewmat_center
 from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.effects.gains import fit, table
 from gsjax.effects.model import Effects, EffectState
@@ -172,7 +172,7 @@ def as_near_photos(frames: Sequence[Frame], looks: Mapping[str, Appearance]) -> 
 def _stands(frame: Frame) -> np.ndarray:
     """`[6]` centre and optical axis of a camera, world, float64."""
     viewmat = frame.viewmat.astype(np.float64)
-    return np.concatenate([-viewmat[:3, :3].T @ viewmat[:3, 3], viewmat[2, :3]])
+    return np.concatenate([viewmat_center(viewmat), viewmat[2, :3]])
 
 
 def moves(begun: Start, state: EffectState) -> dict[str, poses.Move]:

@@ -7,6 +7,7 @@ import numpy as np
 import optax
 from jax import Array
 
+from gsjax.colors import srgb_to_linear
 from gsjax.effects import model
 from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.gains import Fit, Table, fit, held_out_ratio, table
@@ -32,14 +33,9 @@ class Gains(NamedTuple):
     agreement: tuple[float, float]  # correlation of both halves of the scene: exposures, white balances
 
 
-def linear_light(colors: np.ndarray) -> np.ndarray:
-    """Light of display-coded (sRGB) colours, 0..1 both."""
-    return np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
-
-
 def light_table(seen: Observations) -> Table:
     """The observations as log2 of linear light."""
-    return table(np.log2(linear_light(seen.colors)), seen.photo, seen.point, len(seen.frames))
+    return table(np.log2(srgb_to_linear(seen.colors)), seen.photo, seen.point, len(seen.frames))
 
 
 def estimate(seen: Observations) -> Gains | None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from gsjax.cameras import viewmat_center
 from gsjax.effects.evidence import Evidence, gaussian_cost, unknown
 from gsjax.effects.exposure import Gains
 from gsjax.effects.observations import Observations
@@ -20,7 +21,7 @@ def explained(seen: Observations, gains: Gains) -> float | None:
     """
     data = gains.data
     values = (data.values - gains.fit.gains[data.photo]).mean(1)
-    centers = np.stack([-f.viewmat[:3, :3].T.astype(np.float64) @ f.viewmat[:3, 3] for f in seen.frames])
+    centers = np.stack([viewmat_center(f.viewmat.astype(np.float64)) for f in seen.frames])
     towards = centers[data.photo] - seen.points[data.origins[data.point]]
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-12)
     order = np.argsort(data.point, kind="stable")

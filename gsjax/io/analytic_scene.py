@@ -24,6 +24,7 @@ from tqdm import tqdm
 
 from gsjax.analytic import solids, true_surface
 from gsjax.cameras import Camera, project, rotation, world_to_camera
+from gsjax.colors import linear_to_srgb
 from gsjax.io.files import atomic_folder
 from gsjax.io.packages import require
 from gsjax.mesh import Mesh
@@ -205,4 +206,4 @@ def _to_bytes(colors: Array) -> np.ndarray:
 
 _visible_all = jax.jit(jax.vmap(solids.visible, in_axes=(0, None)))
 _project_all = jax.jit(jax.vmap(lambda point, camera: project(world_to_camera(point, camera), camera), (0, None)))
-_appearance_all = jax.jit(jax.vmap(lambda point: solids.srgb(solids.shade(point))))
+_appearance_all = jax.jit(jax.vmap(lambda point: linear_to_srgb(solids.shade(point))))

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 
+from gsjax.colors import linear_to_srgb, srgb_to_linear
 from gsjax.mesh import Mesh
 from gsjax.meshing.libraries import load_trimesh
 
@@ -20,7 +21,7 @@ def encoded(mesh: Mesh, *, unlit: bool = False) -> bytes:
         unlit: Whether viewers are told to show the colours as they are: photos hold their light.
     """
     linear = np.ones((mesh.num_vertices, 4))
-    linear[:, :3] = to_linear(mesh.colors / 255)
+    linear[:, :3] = srgb_to_linear(mesh.colors / 255)
     attributes = {OWN: np.rint(65535 * linear).astype(np.uint16)}
     surface = load_trimesh().Trimesh(mesh.vertices, mesh.faces, vertex_attributes=attributes, process=False)
 
@@ -64,14 +65,6 @@ def vertex_colors(content: bytes) -> np.ndarray | None:
     return srgb_bytes(stored[:, :3] / largest)
 
 
-def to_linear(encoded: np.ndarray) -> np.ndarray:
-    """Light of sRGB values, both 0..1 (IEC 61966-2-1)."""
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-
-
 def srgb_bytes(linear: np.ndarray) -> np.ndarray:
     """The uint8 sRGB values of light, 0..1; what is beyond is cut off."""
-    linear = np.clip(linear, 0, 1)
-    return np.rint(255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)).astype(
-        np.uint8
-    )
+    return np.rint(255 * linear_to_srgb(np.clip(linear, 0, 1))).astype(np.uint8)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gsjax import gaussians as gs
-from gsjax.cameras import Camera
+from gsjax.cameras import Camera, viewmat_center
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.mesh import Mesh, unit_or_zero
@@ -132,7 +132,7 @@ def directions_to_viewers(
         inside &= local[:, 2] > 1e-6
         rendered = np.asarray(picture.depth)[np.where(inside, rows, 0), np.where(inside, columns, 0)]
         sees = inside & (rendered > 0) & (np.abs(rendered - local[:, 2]) < reach)
-        towards = -viewmat[:3, :3].T @ viewmat[:3, 3] - points[sees]
+        towards = viewmat_center(viewmat) - points[sees]
         total[sees] += unit_or_zero(towards)
     return total
 

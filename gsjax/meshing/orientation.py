@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gsjax.cameras import Camera
+from gsjax.cameras import Camera, viewmat_center
 from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.rays import ray_caster
 
@@ -48,4 +48,4 @@ def _rays(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     )
     x, y = np.meshgrid((columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1])
     directions = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=-1) @ viewmat[:3, :3]
-    return -viewmat[:3, :3].T @ viewmat[:3, 3], directions
+    return viewmat_center(viewmat), directions

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gsjax.cameras import viewmat_center
 from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.atlas import TexturedMesh
 from gsjax.meshing.rays import Cast, ray_caster
@@ -136,4 +137,4 @@ def _pixel_rays(viewmat, K, width: int, height: int) -> tuple[np.ndarray, np.nda
     columns = (np.arange(width) + 0.5 - K[0, 2]) / K[0, 0]
     rows = (np.arange(height) + 0.5 - K[1, 2]) / K[1, 1]
     directions = columns[:, None] * right + (rows[:, None] * down + forward)[:, None]
-    return -viewmat[:3, :3].T @ viewmat[:3, 3], directions.reshape(-1, 3)
+    return viewmat_center(viewmat), directions.reshape(-1, 3)

@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 
 from gsjax import cameras as pinhole
-from gsjax.cameras import Camera
+from gsjax.cameras import Camera, viewmat_center
 from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.atlas import TexturedMesh, Unwrap, unwrap
 from gsjax.meshing.pictures import depth_of_mesh
@@ -87,7 +87,7 @@ def composited(
 def may_be_seen(mesh: Mesh, normals: np.ndarray, camera: Camera) -> np.ndarray:
     """`[F]` bool: triangles that face the camera and do not lie beside its image as a whole, or behind it."""
     viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
-    center = -viewmat[:3, :3].T @ viewmat[:3, 3]
+    center = viewmat_center(viewmat)
     is_facing = np.sum(normals * (center - mesh.vertices[mesh.faces[:, 0]]), axis=1) > 0
     in_camera = mesh.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]
     # A corner lies within a border of the image where its weighted pixel does: that holds on either side of z = 0.

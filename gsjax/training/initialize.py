@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import KDTree
 
+from gsjax.cameras import viewmat_center
 from gsjax.gaussians import Gaussians, PixelFilter, rgb_to_sh
 from gsjax.scene import Frame
 
@@ -30,7 +31,7 @@ def far_points(points: np.ndarray, frames: Sequence[Frame], count: int) -> np.nd
     Returns:
         `[Q, 3]` float32, Q at most `count`.
     """
-    eyes = np.stack([-frame.viewmat[:3, :3].T @ frame.viewmat[:3, 3] for frame in frames])
+    eyes = np.stack([viewmat_center(frame.viewmat) for frame in frames])
     middle = np.median(points, axis=0)
     cloud, cameras = (np.linalg.norm(each - middle, axis=1) for each in (points, eyes))
     radius = max(float(np.quantile(cloud, 0.9)), float(cameras.max()))

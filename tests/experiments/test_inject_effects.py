@@ -7,7 +7,7 @@ import pytest
 from photographed_wall import wall
 from scipy.spatial.transform import Rotation
 
-from gsjax.effects.exposure import linear_light
+from gsjax.colors import srgb_to_linear
 from gsjax.io import json_files
 from gsjax.io.colmap_writer import write_model
 from gsjax.io.images import write_image
@@ -34,7 +34,7 @@ def test_light_is_changed_by_what_the_file_tells(script, scene, tmp_path):
     told = json_files.read(out / "injected.json")
     np.testing.assert_allclose(np.mean(list(told["gains"].values()), axis=0), 0, atol=1e-12)
     for before, after in zip(scene.frames, load_scene(out).frames, strict=True):
-        stops = np.log2(linear_light(after.pixels().image / 255) / linear_light(before.pixels().image / 255))
+        stops = np.log2(srgb_to_linear(after.pixels().image / 255) / srgb_to_linear(before.pixels().image / 255))
         middle, corner = stops[35:37, 47:49].mean((0, 1)), stops[0, 0]
         # A step of 1 / 255 at these tones is 0.03 EV.
         np.testing.assert_allclose(middle, told["gains"][before.name], atol=0.04)
