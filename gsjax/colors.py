@@ -1,6 +1,6 @@
 """Light and its display code, sRGB (IEC 61966-2-1): numpy in, numpy out, and likewise JAX."""
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -20,5 +20,5 @@ def linear_to_srgb(linear: AnyArray) -> AnyArray:
     return _where(is_dark, 12.92 * linear, 1.055 * _where(is_dark, 1.0, linear) ** (1 / 2.4) - 0.055)
 
 
-def _where(condition, yes, no):
+def _where(condition: Any, yes: Any, no: Any) -> Any:
     return (np if isinstance(condition, np.ndarray | np.bool_) else jnp).where(condition, yes, no)
