@@ -12,6 +12,7 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.images import cv2
+from gsjax.io.machine import require_memory
 from gsjax.io.packages import require
 
 # Models of one focal length: the same model with two, and how many coefficients that one has more, all zero.
@@ -25,6 +26,8 @@ _WITH_TWO_FOCALS = {
     "RADIAL_FISHEYE": ("OPENCV_FISHEYE", 2),
 }
 _LARGEST_SIDE = 2**31  # pixels
+_LONGEST_REMAPPED = 32_766  # pixels: OpenCV counts them in 16 bits
+_MAPPED = 100  # bytes a pixel while a lens's map is made
 _NO_REMAP_BELOW = 0.01  # pixels: a lens that moves nothing farther is read as it is
 
 
@@ -117,8 +120,11 @@ def pinhole_views(lens: Lens) -> tuple[PinholeView, ...]:
     border that the photo does not cover; pixels inside which it does not cover are 0 in `valid`.
 
     Raises:
-        InputError: The parameters give no image around the principal point.
+        InputError: The parameters give no image around the principal point, or the photo is larger than memory has
+            room for.
     """
+    if lens.model not in ("PINHOLE", "SIMPLE_PINHOLE"):
+        _check_room(lens)
     if lens.model == "EQUIRECTANGULAR":
         return _cube_faces(lens)
     if lens.model in ("PINHOLE", "SIMPLE_PINHOLE"):
@@ -145,6 +151,16 @@ def pinhole_views(lens: Lens) -> tuple[PinholeView, ...]:
         valid=None if valid.all() else valid.astype(np.uint8) * np.uint8(255),
     )
     return (view,)
+
+
+def _check_room(lens: Lens) -> None:
+    """That the map of a lens fits into memory, and its photo into what OpenCV reads out by one."""
+    photo = f"a photo of {lens.width}x{lens.height} pixels from a {lens.model} camera"
+    if max(lens.width, lens.height) > _LONGEST_REMAPPED:
+        raise InputError(f"{photo} is too long to be undistorted: {_LONGEST_REMAPPED} pixels a side are the most")
+    side = lens.width / np.pi  # of a face of the cube
+    pixels = 2 * side * side if lens.model == "EQUIRECTANGULAR" else lens.width * lens.height
+    require_memory(f"undistorting {photo}", _MAPPED * pixels)
 
 
 def _cube_faces(lens: Lens) -> tuple[PinholeView, ...]:

@@ -35,12 +35,17 @@ def training_extent(scene: Scene) -> float:
     """The camera extent of the photos that training may see, scene units.
 
     Raises:
-        InputError: There are none, or all of them were taken from one place.
+        InputError: There is none or one, or all of them were taken from one place.
     """
     frames = scene.train_frames
     if not frames:
         raise InputError(f"{scene.root}: all {len(scene.frames)} photos are held out, none is left to train on")
     size = extent(frames)
+    if len(frames) == 1 and len(scene.frames) > 1:
+        raise InputError(
+            f"{scene.root}: of its {len(scene.frames)} photos one is left to train on, which is too few;"
+            " --hold-out none trains on all"
+        )
     if size <= 0:
         raise InputError(
             f"{scene.root}: all {len(frames)} training cameras are at one place, nothing can be reconstructed"

@@ -117,6 +117,9 @@ def test_cameras_at_one_place_and_no_photos_are_one_line(photos):
         timed_steps.tried(held_out, SETTINGS, most=1.0)
     with pytest.raises(InputError, match="all 1 training cameras are at one place"):
         timed_steps.tried(replace(photos, frames=photos.frames[:1]), SETTINGS, most=1.0)
+    two = (held_out.frames[0], photos.frames[1])
+    with pytest.raises(InputError, match="of its 2 photos one is left to train on.*; --hold-out none trains on all"):
+        timed_steps.tried(replace(photos, frames=two), SETTINGS, most=1.0)
 
 
 def test_what_grows_freely_is_tried_at_ten_times_the_cloud(photos):
