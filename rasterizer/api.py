@@ -1,7 +1,8 @@
 """The front door: arrays in, images out. Names, argument order and conventions of gsplat."""
 
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -51,52 +52,50 @@ def _gsplat_radii(projection: Projection) -> Array:
     return jnp.ceil(projection.extents).astype(jnp.int32)
 
 
-@partial(
-    jax.jit,
-    static_argnames=(
-        "grid",
-        "capacity",
-        "backend",
-        "sh_degree",
-        "render_mode",
-        "return_median_depth",
-        "return_normals",
-        "near_plane",
-        "far_plane",
-        "eps2d",
-        "rasterize_mode",
-        "depth_mode",
-        "rules",
-    ),
-)
-def _rasterize(
-    means,
-    quats,
-    scales,
-    opacities,
-    colors,
-    viewmats,
-    Ks,
-    covars,
-    backgrounds,
-    masks,
-    *,
-    grid,
-    capacity,
-    backend,
-    sh_degree,
-    render_mode,
-    return_median_depth,
-    return_normals,
-    depth_mode,
-    **options,
-):
+class Arrays(NamedTuple):
+    """What is rendered, as `rasterization` has it: all that may be traced."""
+
+    means: Array
+    quats: Array | None
+    scales: Array | None
+    opacities: Array
+    colors: Array | None
+    viewmats: Array
+    Ks: Array
+    covars: Array | None
+    backgrounds: Array | None
+    masks: Array | None
+
+
+@dataclass(frozen=True)
+class Options:
+    """How it is rendered, as `rasterization` has it: one compiled program for each."""
+
+    grid: TileGrid
+    backend: str
+    capacity: int | None
+    sh_degree: int | None
+    render_mode: RenderMode
+    depth_mode: DepthMode
+    return_median_depth: bool
+    return_normals: bool
+    projected: tuple[tuple[str, Any], ...]  # thresholds and filter of the projection, by their names
+    rules: Rules
+
+
+@partial(jax.jit, static_argnames="options")
+def _rasterize(arrays: Arrays, options: Options):
+    means, quats, scales, opacities, colors, viewmats, Ks, covars, backgrounds, masks = arrays
+    grid, render_mode, rules = options.grid, options.render_mode, options.rules
+    sh_degree, capacity, backend = options.sh_degree, options.capacity, options.backend
     if "RGB" in render_mode:
         opacities = jnp.where(drawable(colors, sh_degree), opacities, 0)
     gaussians = means, quats, scales, opacities
     has_depth = render_mode != "RGB"
-    options |= {"depth_mode": depth_mode if has_depth or return_median_depth else "center"}
-    projection = project(*gaussians, viewmats, Ks, grid.width, grid.height, covars=covars, **options)
+    how = {"depth_mode": options.depth_mode if has_depth or options.return_median_depth else "center", "rules": rules}
+    projection = project(
+        *gaussians, viewmats, Ks, grid.width, grid.height, covars=covars, **dict(options.projected), **how
+    )
     if projection.compensations is not None:
         opacities = opacities * projection.compensations
     dense, depths = backend == "reference", None
@@ -104,25 +103,25 @@ def _rasterize(
         # The oracle evaluates every splat's plane at every pixel itself.
         depths = center_channels(projection) if dense else depth_channels(projection, grid.width, grid.height)
     features = image_features(means, colors, viewmats, projection, depths, sh_degree, render_mode)
-    if return_normals:
+    if options.return_normals:
         normals = camera_normals(means, quats, scales, viewmats, projection.visible)
         features = jnp.concatenate([normals, features], -1)
 
     info = projection._asdict() | {"radii": _gsplat_radii(projection)}
     if dense:
-        image, left, median = _blend_densely(projection, opacities, features, grid, masks, options["rules"])
+        image, left, median = _blend_densely(projection, opacities, features, grid, masks, rules)
     else:
-        pairs = bin_splats(projection, opacities, grid, capacity, options["rules"], masks, backend=backend)
-        how = {"backend": backend, "with_median": return_median_depth}
-        image, left, median = blend(projection, opacities, features, pairs, grid, options["rules"], **how)
+        pairs = bin_splats(projection, opacities, grid, capacity, rules, masks, backend=backend)
+        asked = {"backend": backend, "with_median": options.return_median_depth}
+        image, left, median = blend(projection, opacities, features, pairs, grid, rules, **asked)
         info |= pairs._asdict()
         if depths is not None:
             colors_end = image.shape[-1] - depths.shape[-1]
             image = jnp.concatenate([image[..., :colors_end], blended_depth(image[..., colors_end:])], -1)
 
-    if return_normals:
+    if options.return_normals:
         info["normals"], image = image[..., :3], image[..., 3:]
-    if return_median_depth:
+    if options.return_median_depth:
         info["median_depths"] = median_depth(projection, median)
     alphas = 1 - left
     if "ED" in render_mode:
@@ -233,33 +232,26 @@ def rasterization(
     backend = resolve(backend)
     grid = TileGrid(viewmats.shape[0], width, height, tile_size or default_tile_size(backend))
     check_masks(masks, (grid.num_cameras, grid.tiles_y, grid.tiles_x))
-    options = {
+    projected = {
         "eps2d": eps2d,
         "near_plane": near_plane,
         "far_plane": far_plane,
         "rasterize_mode": rasterize_mode,
-        "rules": rules,
     }
+    arrays = Arrays(means, quats, scales, opacities, colors, viewmats, Ks, covars, backgrounds, masks)
     if capacity is None and backend != "reference":
-        capacity = choose_capacity(means, quats, scales, opacities, viewmats, Ks, covars, grid, options)
-    return _rasterize(
-        means,
-        quats,
-        scales,
-        opacities,
-        colors,
-        viewmats,
-        Ks,
-        covars,
-        backgrounds,
-        masks,
-        grid=grid,
-        capacity=capacity,
-        backend=backend,
-        sh_degree=sh_degree,
-        render_mode=render_mode,
-        return_median_depth=return_median_depth,
-        return_normals=return_normals,
-        depth_mode=depth_mode,
-        **options,
+        counted = {**projected, "rules": rules}
+        capacity = choose_capacity(means, quats, scales, opacities, viewmats, Ks, covars, grid, counted)
+    options = Options(
+        grid,
+        backend,
+        capacity,
+        sh_degree,
+        render_mode,
+        depth_mode,
+        return_median_depth,
+        return_normals,
+        tuple(projected.items()),
+        rules,
     )
+    return _rasterize(arrays, options)
