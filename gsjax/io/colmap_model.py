@@ -126,9 +126,9 @@ def _posed(image: ImageRecord, cameras: dict[int, Lens], file: Path) -> PosedIma
     if image.camera not in cameras:
         raise InputError(f"{file}: {image.name} is of camera {image.camera}, which the model does not have")
     pose = np.array(image.pose)
-    length = np.linalg.norm(pose[:4])
     if not is_float32(pose).all():
         raise InputError(f"{file}: the pose of {image.name} is not finite")
+    length = np.linalg.norm(pose[:4])
     if length < _SHORTEST_QUAT:
         raise InputError(f"{file}: the quaternion of {image.name} is zero, which is no rotation")
     viewmat = np.eye(4)

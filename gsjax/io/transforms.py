@@ -34,6 +34,8 @@ def read_transforms(root: Path) -> Capture:
     cloud = _file_in(file, meta, "ply_file_path")
     if cloud is None:
         return Capture("transforms", photos, *points_in_view(np.stack([p.viewmat for p in photos])))
+    if not os.path.isfile(cloud):
+        raise InputError(f"{cloud}: cannot be read (no such file)")
     points, colors = read_points(cloud)
     return Capture("transforms", photos, points.astype(np.float64), colors)
 
