@@ -16,6 +16,7 @@ from gsjax.scene import Frame, Origin
 
 _SUFFIXES = (".npy", ".npz", ".png")
 _ASPECT_TOLERANCE = 0.02
+_LONGEST = 1e15  # of a vector that is still taken for one: its square is finite in float32
 _REDUCTIONS = range(1, 17)  # Whole factors by which a map may be smaller and its size still tells what it shows.
 
 
@@ -172,7 +173,7 @@ def _unit(normals: np.ndarray, shortest: float = 0.0) -> np.ndarray:
 def _read(file: Path) -> np.ndarray:
     """`[H, W, 3]` float32 as the file has them."""
     normals = _read_png(file) if file.suffix == ".png" else _read_array(file)
-    broken = ~np.isfinite(normals).all(axis=-1)
+    broken = ~(np.abs(normals.astype(np.float64)) <= _LONGEST).all(axis=-1)
     if broken.any():
         raise InputError(f"{file}: {broken.sum()} pixels of the normal map are not finite")
     return normals.astype(np.float32)
