@@ -20,6 +20,7 @@ from gsjax.cli import guarded
 from gsjax.io import json_files
 from gsjax.io.files import atomic_folder
 from gsjax.scene import Frame, Scene, with_pixels
+from gsjax.similarity import IDENTITY
 
 HORIZON, ZENITH = np.array([1.0, 0.9, 0.75]), np.array([0.45, 0.65, 1.0])
 SQUARES, SIDE = 4, 0.16  # pasted into a photo, and the side of each in that of a square of its area: a tenth of it
@@ -63,7 +64,7 @@ def inject(
     from gsjax.io.images import write_image
     from gsjax.io.scenes import load_scene
 
-    loaded = load_scene(scene)
+    loaded = load_scene(scene, similarity=IDENTITY)  # Its poses are written back.
     frames = loaded.frames
     rng = np.random.default_rng(seed)
     gains = exposure * rng.normal(size=(len(frames), 1)) + balance * rng.normal(size=(len(frames), 3))

@@ -9,7 +9,7 @@ import numpy as np
 class Mesh:
     """V vertices and F triangles in world coordinates."""
 
-    vertices: np.ndarray  # [V, 3] float32 world positions, scene units
+    vertices: np.ndarray  # [V, 3] float32 world positions, scene units; float64 in files that lie far off
     faces: np.ndarray  # [F, 3] int32 vertex indices, counter-clockwise seen from outside
     colors: np.ndarray  # [V, 3] uint8 sRGB
 

@@ -1,4 +1,8 @@
-"""What a data set is, whatever its files looked like: plain records of numpy arrays, pixels read when asked for."""
+"""What a data set is, whatever its files looked like: plain records of numpy arrays, pixels read when asked for.
+
+Positions, poses and lengths are local (`gsjax.similarity`), which "world" and "scene units" mean from here on: those of
+the files where a scene has a usual size and lies at its origin.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -6,6 +10,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+
+from gsjax.similarity import IDENTITY, Similarity
 
 
 class Pixels(NamedTuple):
@@ -80,7 +86,7 @@ class Truth:
     points: np.ndarray | None = None  # [P, 3] float32 surface samples that cameras saw, world
     point_normals: np.ndarray | None = None  # [P, 3] float32 unit, world
     point_labels: np.ndarray | None = None  # [P] uint8, 0 object, 1 ground
-    mesh: Path | None = None  # file of the whole surface as triangles, seen or not, world (`gsjax.meshing.read_mesh`)
+    mesh: Path | None = None  # file of the whole surface as triangles, seen or not; in the files' own coordinates
 
 
 @dataclass(frozen=True)
@@ -104,6 +110,7 @@ class Scene:
     point_colors: np.ndarray  # [P, 3] uint8
     truth: Truth | None = None
     tracks: Callable[[], Tracks] | None = None  # reads them; None: nobody matched these points in these photos
+    similarity: Similarity = IDENTITY  # to all of this from the coordinates of the files
 
     @property
     def train_frames(self) -> tuple[Frame, ...]:

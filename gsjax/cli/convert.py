@@ -36,4 +36,7 @@ def _run(arguments: argparse.Namespace) -> None:
     if figures["clipped"]:
         print(f"{arguments.out}: {figures['clipped']} of {figures['gaussians']} Gaussians hold values beyond what the"
             " format reaches without taking precision from the others; they were clipped", file=sys.stderr)  # fmt: skip
+    if figures["stored_at"]:
+        print(f"{arguments.out}: holds {figures['stored_at']}, as {arguments.out}.similarity.json beside it tells",
+            file=sys.stderr)  # fmt: skip
     print(tables.record(figures))

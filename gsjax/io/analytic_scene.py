@@ -25,6 +25,7 @@ from tqdm import tqdm
 from gsjax.analytic import solids, true_surface
 from gsjax.cameras import Camera, project, rotation, world_to_camera
 from gsjax.colors import linear_to_srgb
+from gsjax.io import mesh_ply
 from gsjax.io.files import atomic_folder
 from gsjax.io.packages import require
 from gsjax.mesh import Mesh
@@ -86,7 +87,7 @@ def _write_parts(folder: Path, num_views: int, size: tuple[int, int], seed: int,
             _write_view(folder, f"{index:03d}", camera, solids.trace(camera))
             bar.update()
     surface = true_surface.mesh(MESH_SPACING)
-    _write_ply(folder / "gt_mesh.ply", surface)
+    (folder / "gt_mesh.ply").write_bytes(mesh_ply.encoded(surface))
     samples = _seen_samples(surface, cameras, seed)
     np.savez_compressed(folder / "gt_points.npz", **_truth_points(samples))
     _write_model(folder / "sparse/0", samples, cameras, seed)
@@ -180,24 +181,6 @@ def _limited(seen: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """`[V, P]` bool with at most LONGEST_TRACK views, drawn at random, for every point."""
     rank = np.argsort(np.argsort(np.where(seen, rng.random(seen.shape), 2.0), axis=0), axis=0)
     return seen & (rank < LONGEST_TRACK)
-
-
-def _write_ply(path: Path, surface: Mesh) -> None:
-    vertices = np.empty(surface.num_vertices, [("position", "<f4", 3), ("color", "u1", 3)])
-    vertices["position"], vertices["color"] = surface.vertices, surface.colors
-    faces = np.empty(surface.num_faces, [("count", "u1"), ("corners", "<i4", 3)])
-    faces["count"], faces["corners"] = 3, surface.faces
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"element vertex {len(vertices)}",
-        *(f"property float {axis}" for axis in "xyz"),
-        *(f"property uchar {channel}" for channel in ("red", "green", "blue")),
-        f"element face {len(faces)}",
-        "property list uchar int vertex_indices",
-        "end_header\n",
-    ]
-    path.write_bytes("\n".join(header).encode() + vertices.tobytes() + faces.tobytes())
 
 
 def _to_bytes(colors: Array) -> np.ndarray:

@@ -12,9 +12,16 @@ from gsjax.io.colmap_model import read_model
 from gsjax.io.files import flush, make_folder
 from gsjax.io.packages import require
 from gsjax.scene import Frame
+from gsjax.similarity import IDENTITY, Similarity
 
 
-def write_model(folder: Path, frames: Sequence[Frame], points: np.ndarray, colors: np.ndarray) -> None:
+def write_model(
+    folder: Path,
+    frames: Sequence[Frame],
+    points: np.ndarray,
+    colors: np.ndarray,
+    similarity: Similarity = IDENTITY,
+) -> None:
     """Writes a binary COLMAP model of PINHOLE cameras, one for all frames of the same size and intrinsics.
 
     Args:
@@ -22,6 +29,7 @@ def write_model(folder: Path, frames: Sequence[Frame], points: np.ndarray, color
         frames: Their names become those of the images.
         points: `[P, 3]` world; without observations.
         colors: `[P, 3]` uint8.
+        similarity: To the coordinates of frames and points from those of the model.
 
     Raises:
         InputError: It cannot be written.
@@ -40,9 +48,9 @@ def write_model(folder: Path, frames: Sequence[Frame], points: np.ndarray, color
                 )
             )
         image = pycolmap.Image(name=frame.name, camera_id=cameras[size, params], image_id=number)
-        pose = frame.viewmat.astype(np.float64)
+        pose = similarity.viewmat_to_world(frame.viewmat)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pycolmap.Rotation3d(pose[:3, :3]), pose[:3, 3]))
-    for point, color in zip(points.astype(np.float64), colors, strict=True):
+    for point, color in zip(similarity.points_to_world(points), colors, strict=True):
         model.add_point3D(point, pycolmap.Track(), color)
     write_whole(model, folder)
 

@@ -1,12 +1,25 @@
-"""Files of Gaussians by suffix: the plain PLY of 3DGS, PlayCanvas's compressed PLY, and SPZ; and the one of a run."""
+"""Files of Gaussians by suffix: the plain PLY of 3DGS, PlayCanvas's compressed PLY, and SPZ; and the one of a run.
+
+The compressed ones have few bits for positions and sizes. Gaussians that lie far off their origin, or are very small or
+large in their units, are stored in local coordinates (`gsjax.similarity`), and a JSON file beside tells which:
+`garden.spz.similarity.json`. With it the file is read as what was written; without, as the local one.
+"""
 
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.io import compressed_ply, ply, spz
+from gsjax.io import compressed_ply, json_files, ply, spz
+from gsjax.io.similarities import parsed_similarity
+from gsjax.similarity import IDENTITY, Similarity, loses_in_float32, of_points
+
+USUAL_SCALES = 1 / 64, 64.0  # Of a similarity: a compressed file needs no other units of its own.
+_ABOUT = "local = scale * (world - center); the file beside holds local coordinates"
 
 
 class Format(NamedTuple):
@@ -21,10 +34,51 @@ def _write_plain(path: Path, gaussians: Gaussians) -> int:
     return 0
 
 
+def stored_similarity(path: str | Path) -> Similarity:
+    """To the coordinates in a compressed file from those of its Gaussians, as the JSON file beside it tells.
+
+    Raises:
+        InputError: That is damaged.
+    """
+    file = _beside(path)
+    return parsed_similarity(json_files.read(file), file) if file.exists() else IDENTITY
+
+
+def _local(form: Format) -> Format:
+    """A format whose files hold local coordinates where they have to."""
+
+    def read(path: Path) -> Gaussians:
+        similarity = stored_similarity(path)
+        gaussians = form.read(path)
+        return gaussians if similarity.is_identity else similarity.gaussians_to_world(gaussians)
+
+    def write(path: Path, gaussians: Gaussians) -> int:
+        similarity = _needed(np.asarray(gaussians.means, np.float64))
+        if similarity.is_identity:
+            clipped = form.write(path, gaussians)
+            _beside(path).unlink(missing_ok=True)
+            return clipped
+        clipped = form.write(path, similarity.gaussians_to_local(gaussians))
+        json_files.write(_beside(path), {"about": _ABOUT, **asdict(similarity)})
+        return clipped
+
+    return Format(read, write)
+
+
+def _needed(means: np.ndarray) -> Similarity:
+    similarity = of_points(means)
+    is_usual = USUAL_SCALES[0] <= similarity.scale <= USUAL_SCALES[1] and not loses_in_float32(means)
+    return IDENTITY if is_usual else similarity
+
+
+def _beside(path: str | Path) -> Path:
+    return Path(f"{path}.similarity.json")
+
+
 FORMATS = {
-    ".compressed.ply": Format(compressed_ply.read_compressed_ply, compressed_ply.write_compressed_ply),
+    ".compressed.ply": _local(Format(compressed_ply.read_compressed_ply, compressed_ply.write_compressed_ply)),
     ".ply": Format(ply.read_gaussians, _write_plain),
-    ".spz": Format(spz.read_spz, spz.write_spz),
+    ".spz": _local(Format(spz.read_spz, spz.write_spz)),
 }
 
 
@@ -42,6 +96,9 @@ def format_of(path: str | Path) -> Format:
 
 def load_gaussians(path: str | Path) -> Gaussians:
     """The Gaussians of a file (`.ply`, `.compressed.ply`, `.spz`), or of a run folder, as numpy arrays.
+
+    They lie where the file has them, the means in float64 where float32 would lose that place. `gsjax.Scene.similarity`
+    brings them to the coordinates of a loaded scene (`gaussians_to_local`).
 
     Raises:
         InputError: There is no such file, its suffix is not known, it is damaged, or a folder holds no finished run.

@@ -42,7 +42,7 @@ class Capture:
 
     source: str  # "colmap", "transforms" or "nerf-synthetic"
     photos: tuple[Photo, ...]
-    points: np.ndarray  # [P, 3] float32 world
+    points: np.ndarray  # [P, 3] float64 world
     point_colors: np.ndarray  # [P, 3] uint8
     tracks: Callable[[], Tracks] | None = None  # reads them, see `gsjax.scene.Tracks`
 

@@ -7,6 +7,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, rgb_to_sh
 from gsjax.io.files import atomic_path
+from gsjax.io.lenses import is_float32
 from gsjax.io.notices import say
 from gsjax.io.ply_elements import (
     filter_comments,
@@ -17,6 +18,7 @@ from gsjax.io.ply_elements import (
     stacked,
     told_filter,
 )
+from gsjax.similarity import as_needed, loses_in_float32
 
 _MEANS = ["x", "y", "z"]
 _DC = [f"f_dc_{i}" for i in range(3)]
@@ -30,6 +32,7 @@ _SURE = 88.0  # Logit of an opacity that is 0 or 1 in float32; its exponential i
 def write_gaussians(path: str | Path, gaussians: Gaussians) -> None:
     """Writes Gaussians as a binary little-endian 3DGS PLY: opacities as logits, scales as logs, quaternions w first.
 
+    Means are float, as all viewers expect, but double where float would lose their place (`loses_in_float32`).
     A pixel filter other than the classic one is told by a comment, as Brush and splat-transform have it.
     The coefficients `f_rest_*` run channel by channel. Normals are written as zeros, as viewers expect the columns.
 
@@ -39,8 +42,8 @@ def write_gaussians(path: str | Path, gaussians: Gaussians) -> None:
     rest = rest_columns(gaussians.sh_rest)
     count, width = rest.shape
     fields = [*_MEANS, "nx", "ny", "nz", *_DC, *[f"f_rest_{i}" for i in range(width)], "opacity", *_SCALES, *_QUATS]
+    means = np.asarray(gaussians.means)
     columns = [
-        gaussians.means,
         np.zeros((count, 3)),
         np.asarray(gaussians.sh_dc)[:, 0],
         rest,
@@ -48,12 +51,15 @@ def write_gaussians(path: str | Path, gaussians: Gaussians) -> None:
         gaussians.log_scales,
         gaussians.quats,
     ]
-    table = np.concatenate([np.asarray(c, "<f4") for c in columns], axis=1)
+    types = dict.fromkeys(_MEANS, "double") if loses_in_float32(means) else {}
+    table = np.empty(count, [("means", "<f8" if types else "<f4", 3), ("rest", "<f4", len(fields) - 3)])
+    table["means"], table["rest"] = means, np.concatenate([np.asarray(c, "<f4") for c in columns], axis=1)
     header = ["ply", "format binary_little_endian 1.0", *filter_comments(gaussians.pixel_filter)]
-    header += [f"element vertex {len(table)}"] + [f"property float {name}" for name in fields] + ["end_header", ""]
+    header += [f"element vertex {count}"] + [f"property {types.get(name, 'float')} {name}" for name in fields]
+    header += ["end_header", ""]
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         file.write("\n".join(header).encode())
-        file.write(np.ascontiguousarray(table, "<f4").tobytes())
+        file.write(table.tobytes())
 
 
 def read_gaussians(path: str | Path) -> Gaussians:
@@ -65,7 +71,7 @@ def read_gaussians(path: str | Path) -> Gaussians:
     out, and a line says how many.
 
     Returns:
-        Gaussians of numpy float32 arrays.
+        Gaussians of numpy float32 arrays; the means are float64 where float32 would lose their place.
 
     Raises:
         InputError: The file is no PLY or truncated, is a compressed one, lacks columns (named), or holds no Gaussian
@@ -83,14 +89,14 @@ def read_gaussians(path: str | Path) -> Gaussians:
     if missing:
         raise InputError(f"{path}: not a PLY of Gaussians, it lacks {', '.join(missing)}")
     columns = [
-        stacked(vertices, _MEANS),
+        as_needed(stacked(vertices, _MEANS, np.float64)),
         stacked(vertices, _QUATS),
         _with_thickness(stacked(vertices, scales)),
         np.nan_to_num(stacked(vertices, ["opacity"]), nan=np.nan, posinf=_SURE, neginf=-_SURE),
         np.asarray(rgb_to_sh(_colors(vertices))) if in_rgb else stacked(vertices, _DC),
         stacked(vertices, rest),
     ]
-    fine = np.isfinite(np.concatenate(columns, axis=1)).all(axis=1)
+    fine = is_float32(np.concatenate(columns, axis=1)).all(axis=1)
     if not fine.all():
         told = f"{path}: {(~fine).sum()} of {len(fine)} Gaussians hold values that are not finite"
         if not fine.any():
@@ -103,7 +109,7 @@ def read_gaussians(path: str | Path) -> Gaussians:
 
 
 def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Points `[P, 3]` float32 and colours `[P, 3]` uint8 of a PLY; grey where it has no colours.
+    """Points `[P, 3]` float64 and colours `[P, 3]` uint8 of a PLY; grey where it has no colours.
 
     Raises:
         InputError: The file is missing, no PLY, truncated, without x, y, z, or holds no finite point.
@@ -112,12 +118,12 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     names = vertices.dtype.names or ()
     if not set(_MEANS) <= set(names):
         raise InputError(f"{path}: not a PLY of points, it lacks {', '.join(n for n in _MEANS if n not in names)}")
-    points = stacked(vertices, _MEANS)
+    points = stacked(vertices, _MEANS, np.float64)
     colors = np.full(points.shape, 128, np.uint8)
     if set(_RGB) <= set(names):
         shares = np.nan_to_num(_colors(vertices), nan=0.5)
         colors = np.rint(255 * np.clip(shares, 0, 1)).astype(np.uint8)
-    finite = np.isfinite(points).all(axis=1)
+    finite = is_float32(points).all(axis=1)
     if not finite.any():
         raise InputError(f"{path}: no points in it")
     return points[finite], colors[finite]

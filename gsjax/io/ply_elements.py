@@ -73,10 +73,10 @@ def from_rest_columns(columns: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(columns.reshape(count, 3, width // 3).transpose(0, 2, 1))
 
 
-def stacked(rows: np.ndarray, names: list[str]) -> np.ndarray:
-    """`[N, K]` float32 of K columns, in the order of `names`; what float32 cannot hold is infinite."""
+def stacked(rows: np.ndarray, names: list[str], dtype: type = np.float32) -> np.ndarray:
+    """`[N, K]` of K columns, in the order of `names`; what `dtype` cannot hold is infinite."""
     with np.errstate(over="ignore"):
-        columns = np.array([rows[name] for name in names], np.float32)
+        columns = np.array([rows[name] for name in names], dtype)
     return np.ascontiguousarray(columns.reshape(len(names), len(rows)).T)
 
 

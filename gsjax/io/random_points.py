@@ -6,6 +6,7 @@ from gsjax.io.notices import say
 
 COUNT = 30_000
 _SYNTHETIC_HALF_WIDTH = 1.3  # 3DGS, Blender scenes
+_SYNTHETIC_FAR = 10.0  # half widths: cameras that stand farther off look at something else
 _SEED = 0
 
 
@@ -22,17 +23,21 @@ def points_in_view(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         `[P, 3]` float64 world and `[P, 3]` uint8 of middle tones.
     """
     rng = np.random.default_rng(_SEED)
-    centers = -np.einsum("nji,nj->ni", viewmats[:, :3, :3], viewmats[:, :3, 3])
-    focus = _nearest_to_axes(centers, viewmats[:, 2, :3])
-    reach = float(np.median(np.linalg.norm(centers - focus, axis=1))) or 1.0
+    centers, (focus, reach) = _centers(viewmats), _looked_at(viewmats)
     points = focus + rng.uniform(-reach, reach, (2 * COUNT, 3))
     nearest = np.min([np.linalg.norm(points - center, axis=1) for center in centers], axis=0)
     clear = points[nearest > 0.25 * reach][:COUNT]
     return clear, _mid_tones(rng)[: len(clear)]
 
 
-def points_in_synthetic_cube() -> tuple[np.ndarray, np.ndarray]:
-    """`[P, 3]` float64 points in [-1.3, 1.3]^3, as in 3DGS, and `[P, 3]` uint8."""
+def points_in_synthetic_cube(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Random points in [-1.3, 1.3]^3, as in 3DGS; where cameras do not stand around that cube, those in their view.
+
+    Arguments and what is returned are those of `points_in_view`.
+    """
+    focus, reach = _looked_at(viewmats)
+    if np.abs(focus).max() > _SYNTHETIC_HALF_WIDTH or not 1 < reach / _SYNTHETIC_HALF_WIDTH < _SYNTHETIC_FAR:
+        return points_in_view(viewmats)
     rng = np.random.default_rng(_SEED)
     points = rng.uniform(-_SYNTHETIC_HALF_WIDTH, _SYNTHETIC_HALF_WIDTH, (COUNT, 3))
     return points, _mid_tones(rng)
@@ -41,6 +46,17 @@ def points_in_synthetic_cube() -> tuple[np.ndarray, np.ndarray]:
 def tell_of_random_points(place: object) -> None:
     """One line: where points were looked for, and what is taken instead."""
     say(f"points: {place} has none; training starts from {COUNT:,} random ones where the cameras look")
+
+
+def _centers(viewmats: np.ndarray) -> np.ndarray:
+    return -np.einsum("nji,nj->ni", viewmats[:, :3, :3], viewmats[:, :3, 3])
+
+
+def _looked_at(viewmats: np.ndarray) -> tuple[np.ndarray, float]:
+    """The place `[3]` nearest to all optical axes, and the median distance of the cameras from it."""
+    centers = _centers(viewmats)
+    focus = _nearest_to_axes(centers, viewmats[:, 2, :3])
+    return focus, float(np.median(np.linalg.norm(centers - focus, axis=1))) or 1.0
 
 
 def _nearest_to_axes(centers: np.ndarray, axes: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gsjax import similarity as similarities
 from gsjax.errors import InputError
 from gsjax.io import colmap, colmap_model, transforms
 from gsjax.io.image_folders import located
@@ -16,6 +17,7 @@ from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, listed
 from gsjax.io.splits import AUTO, split
 from gsjax.io.truth import load_truth
 from gsjax.scene import Scene
+from gsjax.similarity import Similarity
 
 
 def load_scene(
@@ -25,6 +27,7 @@ def load_scene(
     folder_masks: str = "valid",
     images: str | None = None,
     hold_out: str = AUTO,
+    similarity: Similarity | None = None,
 ) -> Scene:
     """Loads a data set: COLMAP, `transforms.json` (instant-ngp, nerfstudio) or NeRF-synthetic.
 
@@ -42,6 +45,8 @@ def load_scene(
             coverage.
         images: Folder of the photos, absolute or in `root`; None looks for them.
         hold_out: Which photos are for scoring only, see `gsjax.io.splits.split`.
+        similarity: From the coordinates of the files to those of the scene. None: by its cameras
+            (`gsjax.similarity.of_cameras`); it changes nothing of a scene of usual size at its origin.
 
     Raises:
         InputError: The folder is no data set, or a file in it is unusable; one line naming the file and the fault.
@@ -54,11 +59,14 @@ def load_scene(
     capture = _read_capture(root)
     photos = split(_checked_photos(root, located(root, capture.photos, images)), hold_out, root)
     photos = _with_folder_masks(photos, root / "masks")
+    if similarity is None:
+        similarity = similarities.of_cameras(np.stack([photo.viewmat for photo in photos]), capture.points)
+    photos = [replace(photo, viewmat=similarity.viewmat_to_local(photo.viewmat)) for photo in photos]
+    points = similarity.points_to_local(capture.points)
     frames = [frame for photo in photos for frame in frames_of(photo, downscale, folder_masks)]
     frames = tuple(sorted(frames, key=lambda frame: frame.name))
-    points = capture.points.astype(np.float32)
-    truth = load_truth(root, frames)
-    return Scene(root, capture.source, frames, points, capture.point_colors, truth, capture.tracks)
+    truth = load_truth(root, frames, similarity)
+    return Scene(root, capture.source, frames, points, capture.point_colors, truth, capture.tracks, similarity)
 
 
 def is_data_set(root: str | Path) -> bool:

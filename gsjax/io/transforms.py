@@ -43,7 +43,7 @@ def read_transforms(root: Path) -> Capture:
 def read_synthetic(root: Path) -> Capture:
     """Photos of the NeRF-synthetic layout; those of `transforms_test.json` are held out.
 
-    Points are random in [-1.3, 1.3]^3, as in 3DGS.
+    Points are random in [-1.3, 1.3]^3, as in 3DGS, or where the cameras look if they do not stand around that.
 
     Raises:
         InputError: A file is missing, damaged or contradicts itself.
@@ -53,7 +53,8 @@ def read_synthetic(root: Path) -> Capture:
     test = root / "transforms_test.json"
     if test.is_file():
         photos += _photos(test, _read_json(test), held_out=True)
-    return Capture("nerf-synthetic", tuple(photos), *points_in_synthetic_cube())
+    viewmats = np.stack([photo.viewmat for photo in photos])
+    return Capture("nerf-synthetic", tuple(photos), *points_in_synthetic_cube(viewmats))
 
 
 def _read_json(file: Path) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.similarity import IDENTITY, Similarity
 
 MIDDLE, MARGIN = 0.98, 0.1  # A robust box: share of the points along each axis; of its longest side, added all round.
 CORE, CORE_MARGIN = 0.9, 0.25  # The same of a foreground that has a background: all of an even spread, no long tail.
@@ -69,12 +70,18 @@ class Region:
         """The region with a rim of `margin` scene units, also towards the box that it leaves out."""
         return Region(self.box.grown(margin), None if self.without is None else self.without.grown(-margin))
 
-    def corners(self) -> list:
-        """[low, high] of the box as plain numbers."""
-        return [self.box.low.tolist(), self.box.high.tolist()]
+    def corners(self, similarity: Similarity = IDENTITY) -> list:
+        """[low, high] of the box as plain numbers, in the world that `similarity` brings to these coordinates."""
+        return similarity.points_to_world(np.stack([self.box.low, self.box.high])).tolist()
 
 
 Regions = dict[str, Region]  # name -> where; "foreground" and "background"
+
+
+def to_local(box: Box, similarity: Similarity) -> Box:
+    """A box of the world in local coordinates."""
+    low, high = similarity.scale * (np.stack([box.low, box.high]) - similarity.center)
+    return Box(low, high)
 
 
 def robust_box(points: np.ndarray, middle: float = MIDDLE, margin: float = MARGIN) -> Box:

@@ -1,4 +1,7 @@
-"""Meshes as files: PLY (binary), OBJ and GLB, by suffix, with vertex colours, in the scene's own coordinates.
+"""Meshes as files: PLY (binary), OBJ and GLB, by suffix, with vertex colours, in the data set's own coordinates.
+
+Where float32 would lose their place, vertices are doubles in a PLY, have all digits in an OBJ, and stand about the
+translation of their node in a GLB. Such vertices are read as float64, all others as float32.
 
 A texture goes into OBJ, with an MTL and a PNG of the same name beside it, or into GLB. The textured OBJ has vertex
 colours too; the textured GLB has none, since glTF would multiply them with the texture.
@@ -7,22 +10,24 @@ No axis is turned on the way out or in. glTF calls y "up": a viewer of the GLB m
 axis lying on its side, and it is still the same numbers as the cameras' and the Gaussians'.
 """
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io import mesh_ply
 from gsjax.io.files import atomic_path
 from gsjax.mesh import Mesh
 from gsjax.meshing import glb
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.libraries import load_trimesh
 from gsjax.meshing.part_colors import has_picture, joined, parts_of, picture_of, sampled
+from gsjax.similarity import as_needed, loses_in_float32, spread
 
-# Of trimesh's writers, and what keeps them from rounding float32 coordinates.
-WRITERS = {".ply": {"encoding": "binary"}, ".obj": {"digits": 9}}
-SUFFIXES = (*WRITERS, ".glb")
+SUFFIXES = (".ply", ".obj", ".glb")
+DIGITS = 9  # Significant ones of a coordinate in text: no float32 is rounded.
 MATERIAL = """newmtl surface
 Ka 0 0 0
 Kd 1 1 1
@@ -45,7 +50,7 @@ def write_mesh(path: str | Path, mesh: Mesh) -> None:
     path = Path(path)
     suffix = supported_suffix(path)
     with atomic_path(path) as temporary:
-        temporary.write_bytes(glb.encoded(mesh) if suffix == ".glb" else _encoded(mesh, suffix))
+        temporary.write_bytes(_WRITERS[suffix](mesh))
 
 
 def write_textured(path: str | Path, textured: TexturedMesh) -> None:
@@ -119,7 +124,13 @@ def glb_bytes(path: str | Path) -> bytes:
 
     if _picture(surface) is None:
         return glb.encoded(Mesh(*_triangles(surface), _vertex_colors(surface)), unlit=True)
-    return surface.export(file_type="glb", tree_postprocessor=glb.mark_unlit)
+    surface.vertices, offset = glb.about_offset(np.asarray(surface.vertices))
+
+    def completed(tree: dict) -> None:
+        glb.mark_unlit(tree)
+        glb.place(tree, offset)
+
+    return surface.export(file_type="glb", tree_postprocessor=completed)
 
 
 def supported_suffix(path: Path) -> str:
@@ -130,10 +141,13 @@ def supported_suffix(path: Path) -> str:
     return suffix
 
 
-def _encoded(mesh: Mesh, suffix: str) -> bytes:
+def _encoded_obj(mesh: Mesh) -> bytes:
     surface = load_trimesh().Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False)
-    content = surface.export(file_type=suffix[1:], **WRITERS[suffix])
-    return content.encode() if isinstance(content, str) else content
+    size = spread(mesh.vertices) or 1.0
+    return surface.export(file_type="obj", digits=max(DIGITS, DIGITS - math.floor(math.log10(size)))).encode()
+
+
+_WRITERS = {".ply": mesh_ply.encoded, ".obj": _encoded_obj, ".glb": glb.encoded}
 
 
 def _write_textured_obj(path: Path, textured: TexturedMesh) -> None:
@@ -147,7 +161,8 @@ def _write_textured_obj(path: Path, textured: TexturedMesh) -> None:
         mtl.write_text(MATERIAL.format(picture=picture.name))
         with obj.open("w") as file:
             file.write(f"mtllib {material.name}\nusemtl surface\n")
-            np.savetxt(file, np.hstack([mesh.vertices, mesh.colors / 255.0]), "v %.9g %.9g %.9g %.4f %.4f %.4f")
+            place = " ".join([f"%.{17 if loses_in_float32(mesh.vertices) else DIGITS}g"] * 3)
+            np.savetxt(file, np.hstack([mesh.vertices, mesh.colors / 255.0]), f"v {place} %.4f %.4f %.4f")
             np.savetxt(file, atlas.uvs * [1.0, -1.0] + [0.0, 1.0], "vt %.9g %.9g")
             np.savetxt(file, corners, "f %d/%d %d/%d %d/%d")
 
@@ -160,9 +175,15 @@ def _write_textured_glb(path: Path, textured: TexturedMesh) -> None:
         baseColorTexture=_image(textured.texture), metallicFactor=0.0, roughnessFactor=1.0
     )
     visual = trimesh.visual.TextureVisuals(uv=atlas.uvs * [1.0, -1.0] + [0.0, 1.0], material=material)
-    surface = trimesh.Trimesh(mesh.vertices[atlas.vertices], atlas.faces, visual=visual, process=False)
+    vertices, offset = glb.about_offset(mesh.vertices[atlas.vertices])
+    surface = trimesh.Trimesh(vertices, atlas.faces, visual=visual, process=False)
+
+    def completed(tree: dict) -> None:
+        glb.mark_unlit(tree)
+        glb.place(tree, offset)
+
     with atomic_path(path) as temporary:
-        temporary.write_bytes(surface.export(file_type="glb", include_normals=False, tree_postprocessor=glb.mark_unlit))
+        temporary.write_bytes(surface.export(file_type="glb", include_normals=False, tree_postprocessor=completed))
 
 
 def _image(pixels: np.ndarray):
@@ -207,8 +228,8 @@ def _as_one(path: Path, scene):
 
 
 def _triangles(surface) -> tuple[np.ndarray, np.ndarray]:
-    """`[V, 3]` float32 vertices and `[F, 3]` int32 faces."""
-    return np.asarray(surface.vertices, np.float32), np.asarray(surface.faces, np.int32)
+    """`[V, 3]` vertices, float64 where float32 would lose their place, and `[F, 3]` int32 faces."""
+    return as_needed(np.asarray(surface.vertices, np.float64)), np.asarray(surface.faces, np.int32)
 
 
 def _vertex_colors(surface) -> np.ndarray:

@@ -16,6 +16,10 @@ from gsjax.meshing.orientation import outward
 from gsjax.meshing.topology import topology
 from gsjax.render import gallery
 from gsjax.render.gallery import Picture
+from gsjax.similarity import IDENTITY, Similarity
+
+LENGTHS = frozenset({"cell", "voxel", "trim_distance", "boundary_length", "largest_hole"})
+"""What in a report has units of the scene."""
 
 
 def extract_mesh(
@@ -27,6 +31,7 @@ def extract_mesh(
     regions: Callable[[np.ndarray], Regions] = near_and_far,
     min_component_share: float = 0.01,
     max_faces: int | None = 1_000_000,
+    similarity: Similarity = IDENTITY,
 ) -> tuple[Mesh, dict]:
     """The mesh of the surface that the cameras see.
 
@@ -43,6 +48,7 @@ def extract_mesh(
             taken as it is.
         min_component_share: Connected pieces smaller than this share of a region's largest one are dropped.
         max_faces: Most triangles of a region; above it, it is decimated.
+        similarity: To these coordinates, which the mesh has too, from those that the report is in.
 
     Returns:
         The mesh, and a report of plain numbers: `seen` (by the method), one entry a region, `topology`, and
@@ -60,33 +66,37 @@ def extract_mesh(
     parts, reports, faults = [], {}, []
     for name, region in regions(seen.points).items():
         try:
-            part, reports[name] = _part(seen, region, min_component_share, max_faces)
+            part, reports[name] = _part(seen, region, min_component_share, max_faces, similarity)
             parts.append(part)
         except InputError as fault:
-            reports[name] = {"box": region.corners(), "empty": str(fault)}
+            reports[name] = {"box": region.corners(similarity), "empty": str(fault)}
             faults.append(f"{name}: {fault}")
     if not parts:
         raise InputError("; ".join(faults))
     mesh, facing = outward(joined(parts), cameras)
-    return mesh, {"seen": seen.report, **reports, "topology": asdict(topology(mesh)), "facing_share": facing}
+    report = {"seen": seen.report, **reports, "topology": asdict(topology(mesh)), "facing_share": facing}
+    return mesh, similarity.figures_to_world(report, LENGTHS)
 
 
-def _part(seen: Sighting, region: Region, min_component_share: float, max_faces: int | None) -> tuple[Mesh, dict]:
+def _part(
+    seen: Sighting, region: Region, min_component_share: float, max_faces: int | None, similarity: Similarity
+) -> tuple[Mesh, dict]:
     """The clean mesh of one region; InputError where there is none."""
     count = int(region.contains(seen.points).sum())
     if not count:
-        low, high = region.corners()
+        low, high = region.corners(similarity)
+        first, last = (_rounded(similarity.points_to_world(end(seen.points, axis=0))) for end in (np.min, np.max))
         raise InputError(
             f"no mesh: the box {low} to {high} holds none of {len(seen.points)} surface points, "
-            f"which span {_rounded(seen.points.min(0))} to {_rounded(seen.points.max(0))}"
+            f"which span {first} to {last}"
         )
     rough, chosen = seen.build(region)
     mesh, cleaning = clean(cut(rough, region), min_component_share=min_component_share, max_faces=max_faces)
-    return mesh, {"box": region.corners(), "points_seen": count, **chosen, "cleaning": asdict(cleaning)}
+    return mesh, {"box": region.corners(similarity), "points_seen": count, **chosen, "cleaning": asdict(cleaning)}
 
 
 def _rounded(point: np.ndarray) -> list[float]:
-    return point.astype(np.float64).round(3).tolist()
+    return point.round(3).tolist()
 
 
 def cut(mesh: Mesh, region: Region) -> Mesh:

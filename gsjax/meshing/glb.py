@@ -1,4 +1,8 @@
-"""Vertex colours of GLB files. glTF has them linear: 16 bits keep all 256 values of sRGB apart, 8 would not."""
+"""What glTF has its own way in GLB files: colours and far places.
+
+Colours are linear: 16 bits keep all 256 values of sRGB apart, 8 would not. Positions are float32: where that would lose
+them, they stand about a point near by, which is the translation of their node.
+"""
 
 import json
 
@@ -7,6 +11,7 @@ import numpy as np
 from gsjax.colors import linear_to_srgb, srgb_to_linear
 from gsjax.mesh import Mesh
 from gsjax.meshing.libraries import load_trimesh
+from gsjax.similarity import loses_in_float32, of_points
 
 OWN = "_color"  # What trimesh takes along untouched; it would write colours of its own in 8 bits.
 COMPONENTS = {5121: np.dtype("u1"), 5123: np.dtype("<u2"), 5126: np.dtype("<f4")}
@@ -23,16 +28,31 @@ def encoded(mesh: Mesh, *, unlit: bool = False) -> bytes:
     linear = np.ones((mesh.num_vertices, 4))
     linear[:, :3] = srgb_to_linear(mesh.colors / 255)
     attributes = {OWN: np.rint(65535 * linear).astype(np.uint16)}
-    surface = load_trimesh().Trimesh(mesh.vertices, mesh.faces, vertex_attributes=attributes, process=False)
+    vertices, offset = about_offset(mesh.vertices)
+    surface = load_trimesh().Trimesh(vertices, mesh.faces, vertex_attributes=attributes, process=False)
 
     def completed(tree: dict) -> None:
         primitive = tree["meshes"][0]["primitives"][0]
         primitive["attributes"]["COLOR_0"] = primitive["attributes"].pop(OWN)
         tree["accessors"][primitive["attributes"]["COLOR_0"]]["normalized"] = True
+        place(tree, offset)
         if unlit:
             mark_unlit(tree)
 
     return surface.export(file_type="glb", tree_postprocessor=completed)
+
+
+def about_offset(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`[V, 3]` vertices that float32 can hold, and the point `[3]` float64 that they stand about."""
+    offset = np.asarray(of_points(vertices).center) if loses_in_float32(vertices) else np.zeros(3)
+    return vertices - offset.astype(vertices.dtype), offset
+
+
+def place(tree: dict, offset: np.ndarray) -> None:
+    """Moves the meshes of a glTF tree by `offset` `[3]`, where that is not zero."""
+    for node in tree["nodes"]:
+        if "mesh" in node and offset.any():
+            node["translation"] = offset.tolist()
 
 
 def mark_unlit(tree: dict) -> None:

@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
-from gsjax.io.gaussian_files import format_of, load_gaussians, save_gaussians
+from gsjax.io.gaussian_files import format_of, load_gaussians, save_gaussians, stored_similarity
 
 
 def convert(
@@ -33,7 +33,9 @@ def convert(
 
     Returns:
         `gaussians`: how many were written. `left_out`: how many were not wanted. `clipped`: how many of those written
-        hold values that the format cannot reach. `sh_degree`, `pixel_filter`, `bytes`: of the file.
+        hold values that the format cannot reach. `stored_at`: which coordinates a compressed file holds where they are
+        not the Gaussians' own (`gsjax.io.gaussian_files`), in words, else None. `sh_degree`, `pixel_filter`, `bytes`:
+        of the file.
 
     Raises:
         InputError: A file cannot be read or written, its suffix is not known, an option is out of range, or
@@ -60,10 +62,12 @@ def convert(
     if sh_degree is not None:
         kept = _of_degree(kept, sh_degree)
     clipped = save_gaussians(kept, out)
+    stored = stored_similarity(out)
     return {
         "gaussians": kept.num_gaussians,
         "left_out": gaussians.num_gaussians - kept.num_gaussians,
         "clipped": clipped,
+        "stored_at": None if stored.is_identity else stored.told,
         "sh_degree": kept.sh_degree,
         "pixel_filter": kept.pixel_filter,
         "bytes": out.stat().st_size,

@@ -67,7 +67,7 @@ def _comparison(scene: Path, vanilla: Result, surface: Result, out: Path) -> Pat
     """comparison.png: photo and render, normals before, after and true, and both meshes, of one held-out view."""
     loaded = load_scene(scene)
     frame, truth = loaded.held_out_frames[SHOWN_VIEW], loaded.truth
-    index = surface.names.index(frame.name)
+    index, local = surface.names.index(frame.name), surface.similarity.mesh_to_local
     camera = surface.cameras[index]
     before, after = (
         next(gallery.pictures(r.gaussians, [camera], r.background, r.depth_mode)) for r in (vanilla, surface)
@@ -80,7 +80,7 @@ def _comparison(scene: Path, vanilla: Result, surface: Result, out: Path) -> Pat
         "normals, with the SDF term": surface_picture(after.depth, camera),
         "normals, true": normal_picture(truth.normals[frame.name]()),
         "render, with the SDF term": to_bytes(after.colors),
-        "mesh, vanilla": mesh_picture(read_mesh(out / "vanilla" / "mesh.ply"), camera),
-        "mesh, with the SDF term": mesh_picture(read_mesh(out / "surface" / "mesh.ply"), camera),
+        "mesh, vanilla": mesh_picture(local(read_mesh(out / "vanilla" / "mesh.ply")), camera),
+        "mesh, with the SDF term": mesh_picture(local(read_mesh(out / "surface" / "mesh.ply")), camera),
     }
     return draw_panels(panels, out / "comparison.png")

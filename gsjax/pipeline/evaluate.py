@@ -18,7 +18,7 @@ from gsjax.runs.photography import Photography
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.runs.run import Run
 from gsjax.scoring.images import score_images
-from gsjax.scoring.surfaces import score_mesh_views, score_surface
+from gsjax.scoring.surfaces import LENGTHS, score_mesh_views, score_surface
 
 
 def evaluate(
@@ -55,6 +55,7 @@ def evaluate(
     run, measures = Path(run), lpips_measures(lpips)
     result, folder = open_result(run), Run.open(run)
     background, scene, found = folder.settings["background"], scene_of_run(run), folder.photography
+    similarity = scene.similarity
     zoomed = {zoom: scene_of_run(run, zoom=zoom).held_out_frames for zoom in zooms}  # Refused before hours of scoring.
     given = None if mesh is None else read_mesh(mesh)
     if three_ways and not found.looks:
@@ -80,18 +81,18 @@ def evaluate(
     truth = scene.truth
     if truth is None:
         return figures
-    figures |= score_surface(result.gaussians, scene.held_out_frames, truth, result.depth_mode)
+    surface = score_surface(result.gaussians, scene.held_out_frames, truth, result.depth_mode)
     if truth.points is not None and truth.point_normals is not None:
         own = run / "mesh.ply"
         if given is None and not own.exists():
             extract(run, own)
-        scored = read_mesh(own) if given is None else given
-        true = None if truth.mesh is None else read_mesh(truth.mesh)
-        figures |= score_mesh(scored, truth.points, truth.point_normals, true)
-        figures |= score_mesh_views(scored, scene.held_out_frames, truth)
+        scored = similarity.mesh_to_local(read_mesh(own) if given is None else given)
+        true = None if truth.mesh is None else similarity.mesh_to_local(read_mesh(truth.mesh))
+        surface |= score_mesh(scored, truth.points, truth.point_normals, true)
+        surface |= score_mesh_views(scored, scene.held_out_frames, truth)
         if true is not None:
-            figures["floor"] |= score_mesh_views(true, scene.held_out_frames, truth)
-    return figures
+            surface["floor"] |= score_mesh_views(true, scene.held_out_frames, truth)
+    return figures | similarity.figures_to_world(surface, LENGTHS)
 
 
 def score_mesh(mesh: Mesh, seen_points: np.ndarray, seen_normals: np.ndarray, true_mesh: Mesh | None) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from gsjax.gaussians import without_view_dependence
 from gsjax.io.machine import require_memory
 from gsjax.io.scenes import load_scene
 from gsjax.meshing import boxes, level_set, trimming
-from gsjax.meshing.boxes import Box
+from gsjax.meshing.boxes import Box, Regions
 from gsjax.meshing.depth_points import NormalsOfDepth, depth_poisson
 from gsjax.meshing.export import supported_suffix, write_mesh
 from gsjax.meshing.extract import extract_mesh
@@ -29,6 +29,7 @@ from gsjax.normals.from_depth import smoothed_depth_normals
 from gsjax.runs.prior import reduction_for
 from gsjax.runs.result import Result, open_result, scene_of_run, training_pictures
 from gsjax.scene import Frame
+from gsjax.similarity import Similarity
 
 MOST_CELLS = 2**16  # along a side; of a surface alone they are tens of gigabytes
 BYTES_PER_POINT = 24  # of the surface: place and normal, at the least
@@ -86,8 +87,11 @@ def mesh(
     _check(level=level, points=points, depth=depth, trim_quantile=trim_quantile, cell=cell, faces=faces)
     regions = _regions(bounds, background_bounds, foreground_only)
     result = open_result(source, scene=scene)
+    similarity = result.similarity
     if cell is not None:
-        _check_cell(cell, np.asarray(result.gaussians.means) if bounds is None else np.reshape(bounds, (2, 3)))
+        means = similarity.points_to_world(np.asarray(result.gaussians.means))
+        _check_cell(cell, means if bounds is None else np.reshape(bounds, (2, 3)))
+        cell = similarity.length_to_local(cell)
     cameras, pictures = training_pictures(
         result, without_view_dependence(result.gaussians), result.background, with_owners=True
     )
@@ -96,13 +100,14 @@ def mesh(
         cameras,
         pictures,
         method=_method(method, result, cameras, level, points, depth, trim_quantile, cell),
-        regions=regions,
+        regions=regions(similarity),
         max_faces=faces,
+        similarity=similarity,
     )
     photos = _photos(Path(source), scene) if settled else ()
     if photos:
         surface, report["settled"] = settle(surface, photos)
-    write_mesh(out, surface)
+    write_mesh(out, similarity.mesh_to_world(surface))
     return {"vertices": len(surface.vertices), "faces": len(surface.faces), "settled": None, **report}
 
 
@@ -152,12 +157,14 @@ def _smoothed_normals(result: Result, cameras: Sequence[Camera]) -> NormalsOfDep
     return partial(smoothed_depth_normals, reduction=reduction)
 
 
-def _regions(bounds: list[float] | None, background: list[float] | None, foreground_only: bool):
-    """The function from points to regions that the options ask for."""
+def _regions(
+    bounds: list[float] | None, background: list[float] | None, foreground_only: bool
+) -> Callable[[Similarity], Callable[[np.ndarray], Regions]]:
+    """From a similarity to the function from points to regions that the options, which are of the world, ask for."""
     if bounds is None:
         if background is not None:
             raise InputError("--background-bounds needs --bounds: the background is what lies around that box")
-        return boxes.near_only if foreground_only else boxes.near_and_far
+        return lambda _: boxes.near_only if foreground_only else boxes.near_and_far
     for name, corners in (("bounds", bounds), ("background-bounds", background)):
         if corners is not None and not np.isfinite(corners).all():
             raise InputError(f"--{name} {' '.join(f'{side:g}' for side in corners)}: not all of its sides are finite")
@@ -165,7 +172,12 @@ def _regions(bounds: list[float] | None, background: list[float] | None, foregro
         None if corners is None else Box(*np.split(np.asarray(corners), 2)) for corners in (bounds, background)
     )
     assert near is not None
-    return lambda _: boxes.fixed(near, None if foreground_only else far)
+    given = (near,) if foreground_only or far is None else (near, far)
+
+    def local(similarity: Similarity) -> Callable[[np.ndarray], Regions]:
+        return lambda _: boxes.fixed(*(boxes.to_local(box, similarity) for box in given))
+
+    return local
 
 
 def _check_cell(cell: float, places: np.ndarray) -> None:

@@ -80,7 +80,8 @@ def refine(
     if mesh is None and not source.exists():
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
     scene, result = scene_of_run(run), open_result(run) if settings.keep_free else None
-    coarse, taken_out = prepared(read_mesh(source), settings.faces, settings.halved_share)
+    given = scene.similarity.mesh_to_local(read_mesh(source))
+    coarse, taken_out = prepared(given, settings.faces, settings.halved_share)
     # Held-out photos are read when they are scored, one by one.
     scene = replace(scene, frames=tuple(frame if frame.held_out else in_memory(frame) for frame in scene.frames))
     # The Gaussians and the mesh are those of the mean photo: what each camera did is taken off its photo.
@@ -106,7 +107,7 @@ def refine(
     folder = (
         runs.reopen(out, asked, scene=scene.root)
         if resume
-        else runs.create(out, asked, scene=scene.root, seed=settings.seed)
+        else runs.create(out, asked, scene=scene.root, seed=settings.seed, similarity=scene.similarity)
     )
     json_files.write(folder / "plan.json", _plan(settings, trained))
     optimizer = refining.make_optimizer(settings, size, coarse.num_vertices)
@@ -213,9 +214,9 @@ def _finish(
     summary: dict[str, Any],
 ) -> dict[str, Any]:
     refined, gaussians = to_mesh(hybrid.bound), all_gaussians(hybrid)
-    write_mesh(folder / "mesh.ply", refined)
-    write_mesh(folder / "mesh.glb", refined)
-    write_gaussians(folder / "gaussians.ply", gaussians)
+    for name in ("mesh.ply", "mesh.glb"):
+        write_mesh(folder / name, scene.similarity.mesh_to_world(refined))
+    write_gaussians(folder / "gaussians.ply", scene.similarity.gaussians_to_world(gaussians))
     write_views(folder, scene.frames)
     write_photography(folder, found)
     summary = {

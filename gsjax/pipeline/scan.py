@@ -157,7 +157,8 @@ def _is_finished(run: Path) -> bool:
 def _overview(out: Path) -> Path:
     """overview.png: one photo's view as Gaussians, as normals, and as the meshes."""
     result, textured = open_result(out / "run"), read_textured(out / "mesh.glb")
-    coarse, refined = read_mesh(out / "run/mesh.ply"), read_mesh(out / "refined/mesh.ply")
+    local = result.similarity.mesh_to_local
+    coarse, refined = (local(read_mesh(out / folder / "mesh.ply")) for folder in ("run", "refined"))
     assert textured is not None, "the scan wrote its texture"
     chosen = next((i for i, held_out in enumerate(result.held_out) if held_out), 0)
     camera = result.cameras[chosen]
@@ -168,6 +169,6 @@ def _overview(out: Path) -> Path:
         "normals": surface_picture(picture.depth, camera),
         "coarse mesh": mesh_picture(coarse, camera),
         "refined mesh": mesh_picture(refined, camera),
-        "refined mesh, textured": mesh_picture(textured.mesh, camera, texture_colors(textured)),
+        "refined mesh, textured": mesh_picture(local(textured.mesh), camera, texture_colors(textured)),
     }
     return draw_panels(panels, out / "overview.png", columns=5)

@@ -1,5 +1,6 @@
 """A mesh file and the Gaussians it came from to a mesh with a texture; any mesh file to a turntable."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -37,10 +38,10 @@ def texture(
     textured_writer(Path(out))
     if size is not None and not SIZES[0] <= size <= SIZES[1]:
         raise InputError(f"--size {size} is not between {SIZES[0]} and {SIZES[1]}")
-    surface = read_mesh(mesh)
     result = open_result(source, scene=scene)
+    surface = result.similarity.mesh_to_local(read_mesh(mesh))
     cameras, pictures = training_pictures(result, result.gaussians, np.zeros(3, np.float32))
     side = size or texture_side(surface, cameras, least=SIZES[0], most=MOST_CHOSEN)
     textured, report = texture_mesh(surface, cameras, pictures, size=side)
-    write_textured(out, textured)
+    write_textured(out, replace(textured, mesh=result.similarity.mesh_to_world(textured.mesh)))
     return {"vertices": surface.num_vertices, "faces": surface.num_faces, "size": side, **report}

@@ -118,7 +118,11 @@ def _train(
     observe: Callable[[Progress], None],
     devices: Devices,
 ) -> dict[str, Any]:
-    loaded, downscale, photos_line = at_size(scene, settings, planned.steps, known and known["downscale"])
+    begun_in = out if known else earlier  # whose checkpoint is in coordinates of its own
+    similarity = None if begun_in is None else runs.read_similarity(begun_in)
+    loaded, downscale, photos_line = at_size(
+        scene, settings, planned.steps, known and known["downscale"], similarity=similarity
+    )
     print(f"train: {photos_line}", file=sys.stderr)
     # Read once, and before the run begins: a damaged photo is found now.
     photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
@@ -143,7 +147,7 @@ def _train(
     run = (
         runs.reopen(out, as_dict, scene=scene, completed=_completed)
         if known
-        else runs.create(out, as_dict, scene=scene, seed=settings.seed)
+        else runs.create(out, as_dict, scene=scene, seed=settings.seed, similarity=loaded.similarity)
     )
     json_files.write(run / "plan.json", planned.record())
     runs.update_manifest(run, photos=photos_line)
@@ -249,11 +253,11 @@ def _finish(
 ) -> dict[str, Any]:
     scene = replace(scene, frames=refined(scene.frames, found.moves))
     gaussians = living(state.gaussians)
-    write_gaussians(run / "gaussians.ply", gaussians)
+    write_gaussians(run / "gaussians.ply", scene.similarity.gaussians_to_world(gaussians))
     write_views(run, scene.frames)
     write_photography(run, found)
     if found.moves:
-        print(f"train: {(line := moves_line(found.moves))}", file=sys.stderr)
+        print(f"train: {(line := moves_line(found.moves, scene.similarity))}", file=sys.stderr)
         runs.update_manifest(run, cameras=line)
     # The buffer as it is: a program for this very number of Gaussians would serve once.
     scores = score_images(

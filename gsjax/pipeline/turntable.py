@@ -10,6 +10,7 @@ from gsjax.meshing.export import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors, vertex_colors
 from gsjax.meshing.turntable import check_suffix, write_turntable
 from gsjax.meshing.turntable import turntable as pictures_around
+from gsjax.similarity import of_points
 
 MOST_FRAMES, MOST_SIZE = 3600, 4096
 BYTES = 6  # a pixel: the pictures, and the copies of them that are written
@@ -48,6 +49,7 @@ def turntable(
     textured = read_textured(mesh)
     surface = read_mesh(mesh) if textured is None else textured.mesh
     shading = vertex_colors if textured is None else texture_colors(textured)
+    surface = of_points(surface.vertices).mesh_to_local(surface)
     pictures = pictures_around(surface, frames=frames, size=size, up=np.asarray(up), shading=shading)
     write_turntable(out, list(pictures))
     return Path(out)

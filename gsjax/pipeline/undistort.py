@@ -53,7 +53,8 @@ def undistort(
                 masks += 1
         held_out = [name for name, frame in written.items() if frame.held_out]
         (folder / OWN_LIST).write_text("".join(f"{name}\n" for name in held_out), encoding="utf-8")
-        write_model(folder / "sparse" / "0", tuple(written.values()), loaded.points, loaded.point_colors)
+        frames = tuple(written.values())
+        write_model(folder / "sparse" / "0", frames, loaded.points, loaded.point_colors, loaded.similarity)
     return {"images": len(written), "held_out": len(held_out), "masks": masks, "points": len(loaded.points)}
 
 

@@ -11,10 +11,16 @@ from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.scene import Frame, Scene, extent
 from gsjax.settings import Settings
+from gsjax.similarity import Similarity
 
 
 def at_size(
-    scene: str | Path, settings: Settings, steps: int, downscale: float | None = None
+    scene: str | Path,
+    settings: Settings,
+    steps: int,
+    downscale: float | None = None,
+    *,
+    similarity: Similarity | None = None,
 ) -> tuple[Scene, float, str]:
     """The data set at the size that a run looks at, how many times smaller that is, and the line that says it.
 
@@ -23,8 +29,16 @@ def at_size(
         settings: The run.
         steps: That it takes, for the line.
         downscale: What was chosen before; None: it is chosen now.
+        similarity: As of `gsjax.io.scenes.load_scene`.
     """
-    opened = partial(load_scene, scene, folder_masks=settings.masks, images=settings.images, hold_out=settings.hold_out)
+    opened = partial(
+        load_scene,
+        scene,
+        folder_masks=settings.masks,
+        images=settings.images,
+        hold_out=settings.hold_out,
+        similarity=similarity,
+    )
     taken = opened()
     factor = chosen_downscale(settings, taken.frames) if downscale is None else downscale
     loaded = taken if factor == 1 else opened(downscale=factor)

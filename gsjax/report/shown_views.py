@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from gsjax import runs
 from gsjax.cameras import Camera
 from gsjax.io import json_files
 from gsjax.io.files import atomic_path
@@ -17,7 +18,7 @@ from gsjax.meshing.rays import ray_caster
 from gsjax.normals.from_depth import depth_normals
 from gsjax.render.gallery import Picture
 from gsjax.report.pictures import normal_picture, to_bytes
-from gsjax.runs.result import frame_camera
+from gsjax.runs.result import frame_camera, recorded_camera
 from gsjax.scene import Frame
 
 FOLDER = "pictures"
@@ -68,11 +69,12 @@ def mesh_pictures(run: Path, records: Sequence[dict[str, Any]]) -> list[dict[str
     """
     if not (run / "mesh.ply").exists():
         return [{} for _ in records]
-    mesh = read_mesh(run / "mesh.ply")
+    similarity = runs.read_similarity(run)
+    mesh = similarity.mesh_to_local(read_mesh(run / "mesh.ply"))
     cast = ray_caster(mesh)
 
     def drawn(record: dict[str, Any]) -> dict[str, bytes]:
-        camera = _small_camera(record)
+        camera = _small_camera(recorded_camera(record, similarity))
         shadings = {"mesh": headlight, "mesh colours": vertex_colors}
         return {
             kind: jpeg(
@@ -93,8 +95,8 @@ def _reduced(width: int, height: int) -> tuple[int, int]:
     return round(width / factor), round(height / factor)
 
 
-def _small_camera(record: dict[str, Any]) -> Camera:
-    """A recorded camera at the size of the report's pictures."""
-    width, height = _reduced(record["width"], record["height"])
-    scale = np.array([[width / record["width"]], [height / record["height"]], [1.0]])
-    return Camera(np.asarray(record["viewmat"]), scale * np.asarray(record["K"]), width, height)  # pyright: ignore[reportArgumentType]
+def _small_camera(camera: Camera) -> Camera:
+    """A camera at the size of the report's pictures."""
+    width, height = _reduced(camera.width, camera.height)
+    scale = np.array([[width / camera.width], [height / camera.height], [1.0]])
+    return Camera(camera.viewmat, scale * np.asarray(camera.K), width, height)  # pyright: ignore[reportArgumentType]

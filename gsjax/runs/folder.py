@@ -2,7 +2,8 @@
 
     config.json        the settings that were asked for
     plan.json          what runs: phases with steps, terms and weights, and what the run found out for itself
-    manifest.json      scene, command, versions, machine, seed, dates, status, the list of files
+    manifest.json      scene, command, versions, machine, seed, dates, status, the list of files, and the `similarity`
+                       to the coordinates of the checkpoints from those of all other files (`gsjax.similarity`)
     metrics.jsonl      one line per logged step
     pictures/          a few held-out views, as the report shows them
     report.html        all of this to look at (`gsjax.report.page`)
@@ -24,6 +25,7 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -32,7 +34,9 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.files import atomic_path, make_folder, sweep, unwritable
 from gsjax.io.machine import machine, versions
+from gsjax.io.similarities import parsed_similarity
 from gsjax.runs import checkpoints
+from gsjax.similarity import IDENTITY, Similarity
 
 EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic", "effects": "none"}
 """What runs did before they could choose."""
@@ -45,7 +49,14 @@ def require_free(run: str | Path) -> None:
         raise InputError(f"{run}: this folder is not empty; continue its run with --resume, or choose another")
 
 
-def create(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path, seed: int) -> Path:
+def create(
+    run: str | Path,
+    settings: Mapping[str, Any],
+    *,
+    scene: str | Path,
+    seed: int,
+    similarity: Similarity = IDENTITY,
+) -> Path:
     """Makes the folder of a new run, with its config and manifest.
 
     Args:
@@ -53,6 +64,7 @@ def create(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path, s
         settings: The parsed settings as a nested dict (`gsjax.config.to_dict`).
         scene: The data set.
         seed: Seed of all random numbers of the run.
+        similarity: To the run's own coordinates from those of the data set.
 
     Raises:
         InputError: The folder holds something already, or cannot be written.
@@ -65,6 +77,7 @@ def create(run: str | Path, settings: Mapping[str, Any], *, scene: str | Path, s
         "scene": str(Path(scene).resolve()),
         "command": shlex.join(sys.argv),
         "seed": seed,
+        "similarity": asdict(similarity),
         "created": _now(),
         "versions": versions(),
         "machine": machine(),
@@ -123,6 +136,17 @@ def update_manifest(run: str | Path, **changes: Any) -> None:
     files = sorted(p.relative_to(run).as_posix() for p in run.rglob("*") if p.is_file() and not p.name.startswith("."))
     manifest = {**json_files.read(run / "manifest.json"), **changes, "updated": _now(), "files": files}
     json_files.write(run / "manifest.json", manifest)
+
+
+def read_similarity(run: str | Path) -> Similarity:
+    """To the coordinates of a run's checkpoints from those of its other files; none in runs that knew no other.
+
+    Raises:
+        InputError: The manifest is damaged.
+    """
+    file = Path(run) / "manifest.json"
+    kept = json_files.read(file).get("similarity") if file.exists() else None
+    return IDENTITY if kept is None else parsed_similarity(kept, file)
 
 
 def save_checkpoint(run: str | Path, step: int, tree: Any) -> Path:

@@ -1,6 +1,6 @@
 """What a run found of how its photos were taken, as files in its folder."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
@@ -10,7 +10,9 @@ import numpy as np
 from gsjax.effects.appearance import Appearance, as_near_photos
 from gsjax.effects.poses import Move
 from gsjax.io import json_files
+from gsjax.runs.folder import read_similarity
 from gsjax.scene import Frame
+from gsjax.similarity import Similarity
 
 FILE, POSES, BACKGROUND = "effects.json", "poses.json", "background.json"
 T = TypeVar("T", Appearance, Move)
@@ -47,7 +49,8 @@ def write_photography(run: Path, found: Photography) -> None:
     if found.looks:
         json_files.write(run / FILE, {"photos": {name: look._asdict() for name, look in found.looks.items()}})
     if found.moves:
-        photos = {name: move._asdict() for name, move in found.moves.items()}
+        moves = _in_units(found.moves, read_similarity(run).length_to_world)
+        photos = {name: move._asdict() for name, move in moves.items()}
         json_files.write(run / POSES, {"about": _SAID, "photos": photos})
     if found.background is not None:
         json_files.write(run / BACKGROUND, {"about": _BEHIND, "sh": found.background})
@@ -61,11 +64,13 @@ def read_photography(run: Path) -> Photography:
     """
     file = run / BACKGROUND
     background = np.asarray(json_files.read(file)["sh"], np.float32) if file.exists() else None
-    return Photography(_read(run / FILE, Appearance), _read(run / POSES, Move), background)
+    moves = _in_units(_read(run / POSES, Move), read_similarity(run).length_to_local)
+    return Photography(_read(run / FILE, Appearance), moves, background)
 
 
-def moves_line(moves: Mapping[str, Move]) -> str:
-    """How far cameras went, in words."""
+def moves_line(moves: Mapping[str, Move], similarity: Similarity) -> str:
+    """How far cameras went, in words; `similarity` is to their coordinates from those of the data set."""
+    moves = _in_units(moves, similarity.length_to_world)
     turns, shifts = (np.linalg.norm([getattr(m, name) for m in moves.values()], axis=1) for name in ("turn", "shift"))
     turns, shifts = (each[each > 0] if each.any() else each for each in (np.degrees(turns), shifts))  # not held out
     focals = [move.focal for move in moves.values()]
@@ -73,6 +78,16 @@ def moves_line(moves: Mapping[str, Move]) -> str:
         f"cameras turned by {np.median(turns):.3f} degrees and shifted by {np.median(shifts):.3g} scene units"
         f" (medians), focal lengths x{min(focals):.4f} to x{max(focals):.4f}"
     )
+
+
+def _in_units(moves: Mapping[str, Move], length: Callable[[float], float]) -> dict[str, Move]:
+    """The moves with their shifts in other units."""
+
+    def of_units(move: Move) -> Move:
+        x, y, z = move.shift
+        return move._replace(shift=(length(x), length(y), length(z)))
+
+    return {name: of_units(move) for name, move in moves.items()}
 
 
 def _read(file: Path, kind: type[T]) -> dict[str, T]:

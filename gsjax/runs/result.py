@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from gsjax import runs
+from gsjax import similarity as similarities
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
@@ -24,6 +26,7 @@ from gsjax.runs import viewpoints
 from gsjax.runs.photography import refined
 from gsjax.runs.run import Run
 from gsjax.scene import Frame, Scene, valid_pixels
+from gsjax.similarity import IDENTITY, Similarity
 
 BACKGROUNDS = {"white": np.ones(3, np.float32), "black": np.zeros(3, np.float32), "random": np.zeros(3, np.float32)}
 """Colour that pictures and scores are made over; a run trained on random ones is scored over black."""
@@ -46,6 +49,7 @@ class Result:
     ]  # reads [H, W] bool, where the photo may be used; None: all of it
     background: np.ndarray  # [3], or as SH coefficients of the direction, see `gsjax.render.backdrop`
     depth_mode: DepthReading = "plane"  # as depth was read in training, or `DEPTH_OF_DISCS`, see `gsjax.render.view`
+    similarity: Similarity = IDENTITY  # to Gaussians and cameras from the coordinates of files
 
 
 def write_views(run: Path, frames: tuple[Frame, ...]) -> None:
@@ -56,17 +60,18 @@ def write_views(run: Path, frames: tuple[Frame, ...]) -> None:
 
     Args:
         run: Run folder.
-        frames: All views, in the order of the data set.
+        frames: All views, in the order of the data set; they are written in its coordinates.
 
     Raises:
         InputError: A file cannot be written, or a frame not be read.
     """
+    similarity = runs.read_similarity(run)
     records = [
         {
             "name": f.name,
             "width": f.width,
             "height": f.height,
-            "viewmat": f.viewmat,
+            "viewmat": similarity.viewmat_to_world(f.viewmat),
             "K": f.K,
             "held_out": f.held_out,
             "mask": None if f.held_out else _written_mask(run, f"masks/{index:04d}.png", f),
@@ -88,20 +93,24 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
     gaussians = load_gaussians(source)
     if source.is_dir():
         run = Run(source)
+        gaussians = run.similarity.gaussians_to_local(gaussians)
         settings, learned, records = run.settings, run.photography.background, run.views
         return Result(
             source,
             gaussians,
-            cameras=tuple(map(_recorded_camera, records)),
+            cameras=tuple(recorded_camera(record, run.similarity) for record in records),
             names=tuple(record["name"] for record in records),
             held_out=tuple(bool(record["held_out"]) for record in records),
             valid=tuple(partial(_read_mask, source, record) for record in records),
             background=BACKGROUNDS[settings["background"]] if learned is None else learned,
             depth_mode=DEPTH_OF_DISCS if run.is_refinement else settings["depth_mode"],
+            similarity=run.similarity,
         )
     if scene is None:
         if not gaussians.num_gaussians:
             raise InputError(f"{source}: holds no Gaussians, there is nothing to look at")
+        similarity = similarities.of_points(np.asarray(gaussians.means))
+        gaussians = similarity.gaussians_to_local(gaussians)
         cameras = viewpoints.around(gaussians)
         return Result(
             source,
@@ -111,16 +120,19 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             held_out=(False,) * len(cameras),
             valid=(lambda: None,) * len(cameras),
             background=BACKGROUNDS["black"],
+            similarity=similarity,
         )
-    frames = load_scene(scene).frames
+    loaded = load_scene(scene)
+    frames = loaded.frames
     return Result(
         source,
-        gaussians,
+        loaded.similarity.gaussians_to_local(gaussians),
         cameras=tuple(map(frame_camera, frames)),
         names=tuple(f.name for f in frames),
         held_out=tuple(f.held_out for f in frames),
         valid=tuple(partial(valid_pixels, f) for f in frames),
         background=BACKGROUNDS["black"],
+        similarity=loaded.similarity,
     )
 
 
@@ -173,6 +185,7 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0) -> Scene:
         folder_masks=run.settings["masks"],
         images=run.settings.get("images"),  # Absent from folders of runs that could not choose.
         hold_out=NONE,
+        similarity=run.similarity,
     )
     frames = tuple(replace(f, held_out=held_out[f.name]) for f in scene.frames if f.name in held_out)
     return replace(scene, frames=refined(frames, run.photography.moves))
@@ -183,8 +196,10 @@ def frame_camera(frame: Frame) -> Camera:
     return Camera(frame.viewmat, frame.K, frame.width, frame.height)  # pyright: ignore[reportArgumentType]
 
 
-def _recorded_camera(record: dict[str, Any]) -> Camera:
-    viewmat, K = (np.asarray(record[key], np.float32) for key in ("viewmat", "K"))
+def recorded_camera(record: dict[str, Any], similarity: Similarity) -> Camera:
+    """The camera of a record of `cameras.json`, numpy, in the run's own coordinates."""
+    viewmat = similarity.viewmat_to_local(np.asarray(record["viewmat"])).astype(np.float32)
+    K = np.asarray(record["K"], np.float32)
     return Camera(viewmat, K, record["width"], record["height"])  # pyright: ignore[reportArgumentType]
 
 

@@ -9,6 +9,7 @@ from gsjax import runs
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.runs.photography import Photography, read_photography
+from gsjax.similarity import Similarity
 
 READ_NORMALS = "sdf_normal", "pixel_normal", "axis_normal"  # the terms of runs that wrote no plan
 
@@ -79,6 +80,11 @@ class Run:
     def photography(self) -> Photography:
         """What it found of how its photos were taken."""
         return read_photography(self.folder)
+
+    @cached_property
+    def similarity(self) -> Similarity:
+        """To the coordinates of its checkpoints from those of its other files."""
+        return runs.read_similarity(self.folder)
 
     @property
     def is_refinement(self) -> bool:

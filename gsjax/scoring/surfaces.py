@@ -17,6 +17,8 @@ from gsjax.runs.result import BACKGROUNDS, frame_camera
 from gsjax.scene import Frame, Truth
 
 SKY, GROUND = 0, 255  # Labels of the truth; everything between is an object.
+LENGTHS = frozenset({"chamfer", "accuracy", "completeness", "threshold", "depth_error", "mesh_depth_error"})
+"""The scores that have units of the scene."""
 
 
 def score_surface(

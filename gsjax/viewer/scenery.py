@@ -64,11 +64,14 @@ class Scenery:
 
     def _add_mesh_colors(self) -> None:
         if self._subject.mesh is not None:
-            self._scene.add_glb(f"/mesh/{MESH_COLORS}", glb_bytes(self._subject.mesh))
+            similarity = self._subject.similarity
+            place = similarity.length_to_local(-np.asarray(similarity.center))
+            glb = glb_bytes(self._subject.mesh)
+            self._scene.add_glb(f"/mesh/{MESH_COLORS}", glb, scale=similarity.scale, position=place)
 
     def _add_mesh_shape(self) -> None:
         if self._subject.mesh is not None:
-            mesh = read_mesh(self._subject.mesh)
+            mesh = self._subject.similarity.mesh_to_local(read_mesh(self._subject.mesh))
             look = {"color": (200, 200, 200), "flat_shading": True, "side": "double"}
             self._scene.add_mesh_simple(f"/mesh/{MESH_SHAPE}", mesh.vertices, mesh.faces, **look)
 

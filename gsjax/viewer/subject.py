@@ -15,6 +15,7 @@ from gsjax.render import DepthReading
 from gsjax.runs.result import BACKGROUNDS, Result, frame_camera, open_result, scene_of_run
 from gsjax.runs.viewpoints import opaque_middle
 from gsjax.scene import Frame, Scene
+from gsjax.similarity import IDENTITY, Similarity, of_points
 
 HEADER_BYTES = 65536  # of a PLY, at most
 
@@ -36,6 +37,7 @@ class Subject:
         default_factory=lambda: BACKGROUNDS["black"]
     )  # [3] or SH, see `gsjax.render.backdrop`
     depth_mode: DepthReading = "plane"
+    similarity: Similarity = IDENTITY  # to all of this, which is local, from the mesh in its file
 
 
 def open_subject(
@@ -73,6 +75,7 @@ def open_subject(
         mesh=Path(mesh) if mesh else None,
         background=result.background,
         depth_mode=result.depth_mode,
+        similarity=result.similarity,
     )
 
 
@@ -110,6 +113,7 @@ def _of_run(run: Path, mesh: Path | None, tell: Callable[[str], None]) -> Subjec
         mesh=mesh,
         background=result.background,
         depth_mode=result.depth_mode,
+        similarity=result.similarity,
     )
 
 
@@ -123,12 +127,14 @@ def _opened(source: Path) -> Result:
 def _of_mesh(path: Path) -> Subject:
     """A mesh that stands on z, from a side and from above."""
     mesh = read_mesh(path)
+    similarity = of_points(mesh.vertices)
+    mesh = similarity.mesh_to_local(mesh)
     low, high = np.quantile(mesh.vertices[np.unique(mesh.faces)].astype(np.float64), [0.01, 0.99], axis=0)
     middle, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-12)
     up, K = np.array([0.0, 0.0, 1.0]), np.array([[600.0, 0, 400], [0, 600.0, 300], [0, 0, 1]], np.float32)
     eye = middle + radius * np.array([2.2, 1.2, 1.0])
     seen_from = _seen_from([Camera(look_at(eye, middle, up), K, 800, 600)], middle)
-    return Subject(path.name, **{**seen_from, "up": up}, mesh=path)
+    return Subject(path.name, **{**seen_from, "up": up}, mesh=path, similarity=similarity)
 
 
 def _seen_from(cameras: list[Camera], middle: np.ndarray) -> dict:

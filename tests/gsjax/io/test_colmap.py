@@ -12,6 +12,7 @@ from gsjax.errors import InputError
 from gsjax.io.colmap import read_capture
 from gsjax.io.colmap_model import find_model
 from gsjax.io.scenes import load_scene
+from gsjax.similarity import IDENTITY
 
 
 def mean_reprojection_error(scene, model_folder) -> float:
@@ -189,7 +190,7 @@ def test_points_in_a_ply_alone_are_read(colmap_scene):
     (root / "sparse/0/points3D.bin").unlink()
     header = "ply\nformat ascii 1.0\nelement vertex 1\n" + "".join(f"property float {a}\n" for a in "xyz")
     (root / "sparse/0/points3D.ply").write_text(header + "end_header\n1 2 3\n")
-    np.testing.assert_array_equal(load_scene(root).points, [[1, 2, 3]])
+    np.testing.assert_array_equal(load_scene(root, similarity=IDENTITY).points, [[1, 2, 3]])
 
 
 def test_of_several_models_the_largest_is_taken_and_told(colmap_scene, capsys):

@@ -6,6 +6,7 @@ from PIL import Image
 
 from gsjax.errors import InputError
 from gsjax.io.scenes import is_data_set, load_scene
+from gsjax.similarity import IDENTITY
 
 
 def read(path):
@@ -36,7 +37,7 @@ def test_every_eighth_of_the_sorted_names_is_held_out(colmap_scene):
 
 def test_a_frame_keeps_pixels_intrinsics_and_pose(colmap_scene):
     root = colmap_scene()
-    frame = load_scene(root).frames[4]
+    frame = load_scene(root, similarity=IDENTITY).frames[4]
     np.testing.assert_array_equal(frame.pixels().image, read(root / "images/004.png")[..., ::-1])
     np.testing.assert_array_equal(frame.K, np.array([[30, 0, 21], [0, 31, 14.5], [0, 0, 1]], np.float32))
     expected = np.eye(4, dtype=np.float32)

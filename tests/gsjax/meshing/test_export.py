@@ -6,7 +6,7 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.mesh import Mesh
-from gsjax.meshing import read_mesh, write_mesh
+from gsjax.meshing import export, read_mesh, write_mesh
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.export import read_textured, write_textured
 
@@ -68,16 +68,14 @@ def test_unknown_suffix_names_the_known(tmp_path, mesh):
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path, mesh, monkeypatch):
-    import trimesh
-
     target = tmp_path / "m.ply"
     write_mesh(target, mesh)
     before = target.read_bytes()
 
-    def full(*_, **__):
+    def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(trimesh.Trimesh, "export", full)
+    monkeypatch.setitem(export._WRITERS, ".ply", full)
     with pytest.raises(InputError, match="No space left"):
         write_mesh(target, mesh)
     assert target.read_bytes() == before

@@ -1,0 +1,258 @@
+"""Worlds far off, small and turned: what is read is as at the origin, what is written is where the user has it."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from small_scenes import cloud
+
+from gsjax import runs
+from gsjax import similarity as similarities
+from gsjax.errors import InputError
+from gsjax.io import gaussian_files, json_files
+from gsjax.io.images import write_image
+from gsjax.io.ply import read_gaussians, write_gaussians
+from gsjax.io.ply_elements import read_elements
+from gsjax.io.scenes import load_scene
+from gsjax.mesh import Mesh
+from gsjax.meshing import export
+from gsjax.meshing.atlas import Atlas, TexturedMesh
+from gsjax.pipeline.undistort import undistort
+from gsjax.runs.result import open_result, recorded_camera, write_views
+from gsjax.similarity import IDENTITY, Similarity
+
+TURN = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
+WORLDS = {
+    "as it is": (1.0, np.eye(3), np.zeros(3)),
+    "utm": (1.0, np.eye(3), np.array([512_345.6, 4_500_123.4, 103.2])),
+    "a thousand": (1000.0, np.eye(3), np.zeros(3)),
+    "a thousandth": (1e-3, np.eye(3), np.zeros(3)),
+    "a millionth, far off": (1e-6, np.eye(3), np.array([0.2, -0.7, 0.1])),
+    "turned and shifted": (2.7, TURN, np.array([-3e5, 20.0, 7e4])),
+}
+K = np.array([[50.0, 0, 20], [0, 50, 15], [0, 0, 1]])
+FLIP = np.diag([1.0, -1, -1, 1])  # OpenGL's camera axes
+
+
+def ring(count=8):
+    """`[V, 4, 4]` float64 camera to world, OpenCV axes, of cameras around the origin that look at it."""
+    poses = []
+    for angle in 2 * np.pi * np.arange(count) / count:
+        eye = np.array([3 * np.cos(angle), 2.5 * np.sin(angle), 0.4 * np.cos(3 * angle)])
+        z = -eye / np.linalg.norm(eye)
+        x = np.cross([0.0, 0, 1], z) / np.linalg.norm(np.cross([0.0, 0, 1], z))
+        pose = np.eye(4)
+        pose[:3] = np.stack([x, np.cross(z, x), z, eye], axis=-1)
+        poses.append(pose)
+    return np.stack(poses)
+
+
+POSES = ring()
+POINTS = np.random.default_rng(0).normal(size=(50, 3))
+
+
+def moved(world, points):
+    scale, turn, shift = WORLDS[world]
+    return scale * points @ turn.T + shift
+
+
+def written(folder, world):
+    """The scene in a world, as `transforms.json` with a PLY of double points and one depth map."""
+    scale, turn, _ = WORLDS[world]
+    frames = []
+    for index, pose in enumerate(POSES):
+        there = np.eye(4)
+        there[:3, :3], there[:3, 3] = turn @ pose[:3, :3], moved(world, pose[:3, 3])
+        frames.append({"file_path": f"images/{index}.png", "transform_matrix": (there @ FLIP).tolist()})
+        write_image(folder / f"images/{index}.png", np.full((30, 40, 3), 20 * index, np.uint8))
+    meta = {"w": 40, "h": 30, "fl_x": 50, "fl_y": 50, "cx": 20, "cy": 15, "ply_file_path": "points.ply"}
+    (folder / "transforms.json").write_text(json.dumps({**meta, "frames": frames}))
+    header = "ply\nformat binary_little_endian 1.0\nelement vertex 50\n"
+    header += "".join(f"property double {axis}\n" for axis in "xyz") + "end_header\n"
+    (folder / "points.ply").write_bytes(header.encode() + moved(world, POINTS).astype("<f8").tobytes())
+    (folder / "depth").mkdir()
+    np.savez(folder / "depth/0.npz", depth=np.full((30, 40), 3.0 * scale), label=np.ones((30, 40), np.uint8))
+    return folder
+
+
+def seen(viewmats, points):
+    """`[V, P, 2]` pixels, float64, of points before cameras; and the depths `[V, P]`."""
+    local = np.einsum("vij,pj->vpi", viewmats[:, :3, :3], points) + viewmats[:, None, :3, 3]
+    pixels = local @ K.T
+    return pixels[..., :2] / pixels[..., 2:], local[..., 2]
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_what_is_read_looks_the_same_in_every_world(world, tmp_path):
+    scene = load_scene(written(tmp_path, world))
+    viewmats = np.stack([frame.viewmat for frame in scene.frames])
+    assert viewmats.dtype == scene.points.dtype == np.float32
+    pixels, depths = seen(viewmats.astype(np.float64), scene.points.astype(np.float64))
+    expected, expected_depths = seen(np.linalg.inv(POSES), POINTS)
+    # Float32 coordinates within some tens of units: a few ten-thousandths of a pixel.
+    np.testing.assert_allclose(pixels, expected, atol=2e-3)
+    units = scene.similarity.scale * WORLDS[world][0]
+    np.testing.assert_allclose(depths, units * expected_depths, atol=2e-5)
+    np.testing.assert_allclose(scene.truth.depths["0.png"](), np.full((30, 40), 3.0 * units), rtol=1e-6)
+    centers = -np.einsum("vji,vj->vi", viewmats[:, :3, :3], viewmats[:, :3, 3])
+    assert np.abs(np.median(centers, axis=0)).max() <= 16.001
+    assert 1 <= similarities.spread(centers) < 4.001
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_random_points_of_the_synthetic_layout_lie_where_its_cameras_look(world, tmp_path):
+    written(tmp_path, world)
+    (tmp_path / "transforms.json").rename(tmp_path / "transforms_train.json")
+    scene = load_scene(tmp_path)
+    assert scene.source == "nerf-synthetic" and len(scene.points) > 25_000
+    places = scene.similarity.points_to_world(scene.points)
+    scale, _, shift = WORLDS[world]
+    assert np.abs(places.mean(axis=0) - shift).max() < 0.05 * scale
+    assert np.abs(places - shift).max() < (1.31 if world == "as it is" else 3.1 * scale)
+
+
+def test_a_usual_scene_keeps_every_number(tmp_path):
+    scene, raw = load_scene(written(tmp_path, "as it is")), load_scene(tmp_path, similarity=IDENTITY)
+    assert scene.similarity == IDENTITY
+    for frame, given in zip(scene.frames, raw.frames, strict=True):
+        np.testing.assert_array_equal(frame.viewmat, given.viewmat)
+    np.testing.assert_array_equal(scene.points, POINTS.astype(np.float32))
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_views_are_written_where_the_user_has_them_and_read_back(world, tmp_path):
+    scene = load_scene(written(tmp_path, world))
+    run = runs.create(tmp_path / "run", {"background": "black"}, scene=tmp_path, seed=0, similarity=scene.similarity)
+    write_views(run, scene.frames)
+    assert runs.read_similarity(run) == scene.similarity
+    records = json_files.read(run / "cameras.json")
+    centers = [-np.array(r["viewmat"])[:3, :3].T @ np.array(r["viewmat"])[:3, 3] for r in records]
+    np.testing.assert_allclose(centers, moved(world, POSES[:, :3, 3]), atol=1e-5 * WORLDS[world][0])
+    for frame, record in zip(scene.frames, records, strict=True):
+        again = recorded_camera(record, scene.similarity).viewmat
+        assert again.dtype == np.float32
+        np.testing.assert_allclose(again, frame.viewmat, atol=4e-6)
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_an_undistorted_data_set_lies_where_its_original_does(world, tmp_path):
+    scene = written(tmp_path / "scene", world)
+    undistort(scene, tmp_path / "out")
+    before, after = load_scene(scene), load_scene(tmp_path / "out")
+    for frame, again in zip(before.frames, after.frames, strict=True):
+        np.testing.assert_allclose(again.viewmat, frame.viewmat, atol=1e-5)
+    there = after.similarity.points_to_world(after.points)
+    np.testing.assert_allclose(there, moved(world, POINTS), atol=1e-5 * WORLDS[world][0])
+
+
+def gaussians_in(world):
+    """Gaussians at the origin, and the same in a world that is not turned, with float64 means."""
+    here = cloud(40)
+    log_scales = np.asarray(here.log_scales) + np.log(WORLDS[world][0])
+    return here, replace(here, means=moved(world, np.asarray(here.means, np.float64)), log_scales=log_scales)
+
+
+@pytest.mark.parametrize(("world", "kind"), [("as it is", "f4"), ("a thousandth", "f4"), ("utm", "f8")])
+def test_a_ply_is_double_only_where_float_would_lose_the_place(world, kind, tmp_path):
+    _, there = gaussians_in(world)
+    write_gaussians(tmp_path / "g.ply", there)
+    vertices = read_elements(tmp_path / "g.ply")[0]["vertex"]
+    assert {vertices.dtype[axis].str for axis in "xyz"} == {f"<{kind}"}
+    assert {vertices.dtype[name].str for name in vertices.dtype.names if name not in "xyz"} == {"<f4"}
+    found = read_gaussians(tmp_path / "g.ply")
+    assert found.means.dtype == np.dtype(kind)
+    np.testing.assert_allclose(found.means, there.means, atol=1e-6 * WORLDS[world][0])
+
+
+@pytest.mark.parametrize("world", ["utm", "a thousand", "a thousandth", "a millionth, far off"])
+def test_gaussians_come_back_to_the_same_local_ones(world, tmp_path):
+    here, there = gaussians_in(world)
+    similarity = similarities.of_points(np.asarray(there.means))
+    write_gaussians(tmp_path / "g.ply", similarity.gaussians_to_world(similarity.gaussians_to_local(there)))
+    result = open_result(tmp_path / "g.ply")
+    assert result.similarity == similarity
+    assert result.gaussians.means.dtype == result.gaussians.log_scales.dtype == np.float32
+    units = similarity.scale * WORLDS[world][0]
+    offset = np.median(result.gaussians.means - units * np.asarray(here.means), axis=0)
+    np.testing.assert_allclose(result.gaussians.means - offset, units * np.asarray(here.means), atol=2e-5)
+    np.testing.assert_allclose(result.gaussians.log_scales, np.asarray(here.log_scales) + np.log(units), atol=1e-5)
+
+
+def apart(found, given):
+    """The largest distance of means, in whatever order they were stored."""
+    distances = np.linalg.norm(found.means[:, None] - given.means, axis=-1)
+    nearest = distances.argmin(axis=0)
+    np.testing.assert_allclose(found.log_scales[nearest], given.log_scales, atol=0.04)
+    return distances.min(axis=0).max()
+
+
+@pytest.mark.parametrize("suffix", [".spz", ".compressed.ply"])
+def test_compressed_files_are_local_where_they_have_to_be_and_say_so(suffix, tmp_path):
+    file = tmp_path / f"g{suffix}"
+    form = gaussian_files.format_of(file)
+    usual = gaussians_in("as it is")[1]
+    form.write(file, usual)
+    alone = apart(form.read(file), usual)
+    assert [path.name for path in tmp_path.iterdir()] == [file.name]
+    for world in ("utm", "a thousandth"):
+        there = gaussians_in(world)[1]
+        assert form.write(file, there) == 0, "nothing is clipped"
+        assert json.loads((tmp_path / f"{file.name}.similarity.json").read_text())["scale"] in (1, 1024)
+        assert apart(form.read(file), there) / WORLDS[world][0] < 2 * alone + 1e-5
+    form.write(file, usual)
+    assert [path.name for path in tmp_path.iterdir()] == [file.name], "what told the other place is gone"
+
+
+@pytest.mark.parametrize("world", ["as it is", "utm", "a thousandth", "a millionth, far off"])
+@pytest.mark.parametrize("name", ["m.ply", "m.obj", "m.glb", "textured.obj", "textured.glb"])
+def test_meshes_keep_their_place(world, name, tmp_path):
+    faces = np.arange(48, dtype=np.int32).reshape(16, 3)
+    mesh = Mesh(moved(world, POINTS[:48]), faces, np.full((48, 3), 90, np.uint8))
+    if name.startswith("textured"):
+        uvs = np.random.default_rng(1).uniform(0.1, 0.9, (48, 2)).astype(np.float32)
+        atlas = Atlas(uvs, np.arange(48, dtype=np.int32), faces, 8, 0)
+        export.write_textured(tmp_path / name, TexturedMesh(mesh, atlas, np.full((8, 8, 3), 90, np.uint8)))
+    else:
+        export.write_mesh(tmp_path / name, mesh)
+    found = export.read_mesh(tmp_path / name)
+    assert found.vertices.dtype == (np.float32 if world in ("as it is", "a thousandth") else np.float64)
+    corners = found.vertices[found.faces].astype(np.float64)
+    np.testing.assert_allclose(corners, mesh.vertices[faces], atol=1e-6 * WORLDS[world][0])
+    for_browser = tmp_path / "browser.glb"
+    for_browser.write_bytes(export.glb_bytes(tmp_path / name))
+    corners = export.read_mesh(for_browser)
+    np.testing.assert_allclose(
+        corners.vertices[corners.faces], mesh.vertices[faces], atol=1e-6 * WORLDS[world][0]
+    )  # fmt: skip
+
+
+def test_lengths_and_poses_go_there_and_back():
+    similarity = Similarity(4.0, (500_000.0, -64.0, 32.0))
+    viewmat = np.linalg.inv(POSES[3])
+    world = similarity.viewmat_to_world(viewmat)
+    np.testing.assert_allclose(world[:3, :3] @ similarity.points_to_world(POINTS[0]) + world[:3, 3],
+                               (viewmat[:3, :3] @ POINTS[0] + viewmat[:3, 3]) / 4, atol=1e-9)  # fmt: skip
+    np.testing.assert_allclose(similarity.viewmat_to_local(world), viewmat, atol=1e-9)
+    report = {"cell": 2.0, "box": [1.0], "inner": {"cell": 8.0, "faces": 3}}
+    assert similarity.figures_to_world(report, {"cell"}) == {
+        "cell": 0.5,
+        "box": [1.0],
+        "inner": {"cell": 2.0, "faces": 3},
+    }
+
+
+def test_cameras_at_one_place_take_the_size_from_the_points():
+    poses = np.repeat(POSES[:1], 5, axis=0)
+    scale = similarities.of_cameras(np.linalg.inv(poses), 1e4 * POINTS).scale
+    assert 1 <= scale * similarities.spread(1e4 * POINTS, poses[0, :3, 3]) / similarities.FAR_POINTS < 4
+
+
+@pytest.mark.parametrize(
+    "kept", [{"scale": 0, "center": [0, 0, 0]}, {"scale": 1}, {"scale": 1, "center": ["x", 0, 0]}, []]
+)
+def test_a_damaged_similarity_is_one_line(kept, tmp_path):
+    json_files.write(tmp_path / "manifest.json", {"similarity": kept})
+    with pytest.raises(InputError, match=r"manifest\.json.*similarity"):
+        runs.read_similarity(tmp_path)

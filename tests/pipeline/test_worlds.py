@@ -1,0 +1,73 @@
+"""The same photos in other worlds: far off, or in other units, a run ends with the same scores, where its user is."""
+
+import shutil
+
+import numpy as np
+import pycolmap
+import pytest
+from trained_run import SETTINGS
+
+from gsjax import config, pipeline, runs
+from gsjax.io import json_files
+from gsjax.io.ply import read_gaussians
+from gsjax.mesh import Mesh
+from gsjax.meshing.export import read_mesh, write_mesh
+from gsjax.settings import Settings
+
+WORLDS = {"utm": (1.0, np.array([500_000.0, 4_500_000.0, 100.0])), "a thousandth": (1e-3, np.zeros(3))}
+
+
+def moved(scene, out, scale, shift):
+    """A copy of the built-in scene and its truth, every point p at `scale` p + `shift`."""
+    shutil.copytree(scene, out)
+    model = pycolmap.Reconstruction(out / "sparse/0")
+    for image in model.images.values():
+        pose = image.cam_from_world().matrix()
+        left, _, right = np.linalg.svd(pose[:, :3])  # Rotations of float32 are none at 4,500,000.
+        there = pycolmap.Rigid3d(pycolmap.Rotation3d(left @ right), scale * pose[:, 3] - left @ right @ shift)
+        image.frame.set_cam_from_world(image.camera_id, there)
+    for point in model.points3D.values():
+        point.xyz = scale * point.xyz + shift
+    model.write_binary(out / "sparse/0")
+    for file in (out / "depth").iterdir():
+        arrays = dict(np.load(file))
+        np.savez(file, **{**arrays, "depth": scale * arrays["depth"].astype(np.float64)})
+    arrays = dict(np.load(out / "gt_points.npz"))
+    np.savez(out / "gt_points.npz", **{**arrays, "points": scale * arrays["points"].astype(np.float64) + shift})
+    mesh = read_mesh(out / "gt_mesh.ply")
+    vertices = scale * mesh.vertices.astype(np.float64) + shift
+    write_mesh(out / "gt_mesh.ply", Mesh(vertices, mesh.faces, mesh.colors))
+    return out
+
+
+@pytest.mark.parametrize("world", WORLDS)
+def test_a_run_is_the_same_in_another_world_and_lies_where_its_photos_do(world, run, scene, tmp_path):
+    scale, shift = WORLDS[world]
+    there = moved(scene, tmp_path / "scene", scale, shift)
+    folder = tmp_path / "run"
+    summary = pipeline.train(there, folder, config.parse(Settings, SETTINGS))
+    manifest = json_files.read(run / "manifest.json")
+    assert summary["psnr"] == pytest.approx(manifest["psnr"], abs=0.1)
+    ours, theirs = (runs.read_metrics(each) for each in (folder, run))
+    assert [r["loss"] for r in ours] == pytest.approx([r["loss"] for r in theirs], rel=0.02)
+
+    expected = scale * read_gaussians(run / "gaussians.ply").means + shift
+    found = read_gaussians(folder / "gaussians.ply").means
+    assert len(found) == pytest.approx(len(expected), rel=0.02)
+    np.testing.assert_allclose(np.median(found, axis=0), np.median(expected, axis=0), atol=0.02 * scale)
+    for record, given in zip(*(json_files.read(each / "cameras.json") for each in (folder, run)), strict=True):
+        place, other = (-np.array(r["viewmat"])[:3, :3].T @ np.array(r["viewmat"])[:3, 3] for r in (record, given))
+        np.testing.assert_allclose(place, scale * other + shift, atol=1e-5 * scale)
+
+    options = {"level": 0.1, "points": 5000}
+    report, theirs = (pipeline.mesh(each, each / "asked.ply", **options) for each in (folder, run))
+    mesh, other = read_mesh(folder / "asked.ply"), read_mesh(run / "asked.ply")
+    low, high = (scale * end(other.vertices.astype(np.float64), axis=0) + shift for end in (np.min, np.max))
+    np.testing.assert_allclose(mesh.vertices.min(axis=0), low, atol=0.1 * scale)
+    np.testing.assert_allclose(mesh.vertices.max(axis=0), high, atol=0.1 * scale)
+    cell = report["foreground"]["cell"]
+    assert cell == pytest.approx(scale * theirs["foreground"]["cell"], rel=0.05)
+    ours, theirs = (pipeline.evaluate(each, mesh=each / "asked.ply") for each in (folder, run))
+    for name in ("chamfer", "depth_error", "threshold"):
+        assert ours[name] == pytest.approx(scale * theirs[name], rel=0.05), name
+    assert ours["floor"]["chamfer"] == pytest.approx(scale * theirs["floor"]["chamfer"], rel=0.05)
