@@ -86,6 +86,7 @@ def test_a_degree_above_what_there_is_keeps_what_there_is(cloud, tmp_path):
         "gaussians": 60,
         "left_out": 0,
         "clipped": 0,
+        "stored_at": None,
         "sh_degree": 3,
         "pixel_filter": "mip",
         "bytes": (tmp_path / "out.spz").stat().st_size,
