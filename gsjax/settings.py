@@ -258,11 +258,10 @@ FAST: dict[str, Any] = {
 }
 QUICK = {  # small photos and their image alone: a step takes less than half as long, and one program is all to compile
     **FAST,
-    "max_gaussians": 18_000,
-    "sh_every": 100,
-    "phases": [_phase("coarse", 600, image_scale=2, density_control=True)],
+    "sh_every": 150,
+    "phases": [_phase("coarse", 900, image_scale=2, density_control=True)],
     "rates": {**FAST["rates"], "sh_rest": 1e-3},
-    "density": {**FAST["density"], "start": 30, "stop": 420},
+    "density": {**FAST["density"], "start": 30, "stop": 630},
 }
 BALANCED = {
     "depth_mode": "front",

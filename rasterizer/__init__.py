@@ -5,7 +5,7 @@ from rasterizer.binning import TileGrid, TilePairs, count_pairs
 from rasterizer.capacity import capacity_bucket
 from rasterizer.compositing import Front
 from rasterizer.covariances import quat_scale_to_covar_preci
-from rasterizer.engines import Backend, bin_splats, blend, default_tile_size
+from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, prepare
 from rasterizer.exchange import Packed, exchange, pack, unpack
 from rasterizer.features import blended_depth, depth_channels, median_depth
 from rasterizer.harmonics import spherical_harmonics
@@ -47,6 +47,7 @@ __all__ = [
     "isect_tiles",
     "median_depth",
     "pack",
+    "prepare",
     "proj",
     "project",
     "quat_scale_to_covar_preci",

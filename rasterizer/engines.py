@@ -2,6 +2,7 @@
 
 import logging
 from functools import cache
+from threading import Thread
 from types import ModuleType
 from typing import Literal
 
@@ -31,6 +32,14 @@ def resolve(backend: Backend) -> Backend:
     if _has_gpu():
         return "pallas"
     return "native" if jax.default_backend() == "cpu" and _native_or_none() else "xla"
+
+
+def prepare() -> None:
+    """Begins, beside other work, to compile what "auto" stands for on this machine; what is on disk is only loaded.
+
+    Whoever needs it meanwhile waits for it.
+    """
+    Thread(target=resolve, args=("auto",), name="rasterizer", daemon=True).start()
 
 
 def _has_gpu() -> bool:

@@ -31,8 +31,8 @@ def stepper(placement: Any, state: Any, data: Any, optimizer: Any) -> Callable[[
     import jax
 
     from gsjax.settings import Weights
+    from gsjax.training.capacity import STILL
     from gsjax.training.growth.rules import RULES
-    from gsjax.training.loop import STILL
     from gsjax.training.step import BACKGROUNDS
     from gsjax.training.terms import weighed
 

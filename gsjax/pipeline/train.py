@@ -13,6 +13,7 @@ import numpy as np
 import optax
 from tqdm import tqdm
 
+import rasterizer
 from gsjax import config, runs
 from gsjax.effects.alignment import align
 from gsjax.effects.model import Effects
@@ -90,6 +91,7 @@ def train(
     if earlier is not None and runs.latest_checkpoint(earlier) is None:
         raise InputError(f"{earlier}: has no checkpoint to begin from")
     make_room()
+    rasterizer.prepare()
     with own_folder(out) as folder:
         known = Run.open(folder).plan if resume and is_first() else None
         planned = _planned(scene, settings, terms, count_devices(devices), known)

@@ -1,4 +1,4 @@
-"""How long the pair buffer of a step must be: every slot is sorted in every step, used or not."""
+"""How long the pair buffer of a step must be. The jnp engine sorts every slot in every step, used or not."""
 
 import jax
 from jax import Array
@@ -7,6 +7,18 @@ from gsjax import render, targets
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.targets import Views
+from rasterizer.engines import resolve
+
+GROWTH = 2.0  # how much longer the pair buffer is than needed while Gaussians multiply,
+STILL = 1.25  # and while they do not: a view that needs more costs another compilation
+FREE_GROWTH, FREE_STILL = 8.0, 2.0  # the same of the native loops, which write no slot that nobody needs
+
+
+def headroom(*, grows: bool) -> float:
+    """How much longer than needed to make the pair buffer of a phase."""
+    if resolve("auto") == "native":
+        return FREE_GROWTH if grows else FREE_STILL
+    return GROWTH if grows else STILL
 
 
 def largest_need(gaussians: Gaussians, data: Views) -> int:

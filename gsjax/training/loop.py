@@ -19,7 +19,7 @@ from gsjax.scene import Frame
 from gsjax.settings import Settings
 from gsjax.targets import Target, Views
 from gsjax.training import buffers
-from gsjax.training.capacity import chosen_capacity, rounded_capacity
+from gsjax.training.capacity import STILL, chosen_capacity, headroom, rounded_capacity
 from gsjax.training.growth import adaptive
 from gsjax.training.plan import Plan, PlannedPhase, plan
 from gsjax.training.state import TrainState, cull, densify, reset_opacities
@@ -31,8 +31,6 @@ S = TypeVar("S")  # A state of training.
 NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
 """Training so far -> an int8 normal map a frame, see `gsjax.targets.Target`."""
 
-GROWTH = 2.0  # How much longer the pair buffer is than needed while Gaussians multiply,
-STILL = 1.25  # and while they do not: a view that needs more costs another compilation.
 REFRESHED_EVERY = 500  # steps between two tables of a term that has one (SuGaR)
 
 
@@ -210,7 +208,7 @@ def advance(
     *,
     seed: int,
     capacity: int,
-    headroom: float = STILL,
+    room: float = STILL,
     view_share: float = 0.5,
     feed: Feed = one_view,
 ) -> S:
@@ -224,7 +222,7 @@ def advance(
         steps: Steps done so far, and at the end.
         seed: Of the order of views, and of the key that every step gets.
         capacity: Pair buffer to start with.
-        headroom: How much longer than needed the buffer is made where it was too short.
+        room: How much longer than needed the buffer is made where it was too short.
         view_share: Of the device's memory, for photos; beyond it they are streamed.
         feed: What a step compares with.
 
@@ -244,7 +242,7 @@ def advance(
         except jax.errors.JaxRuntimeError as error:
             raise _no_room(error, data, capacity) from error
         if overflowed:
-            capacity = rounded_capacity(int(metrics.needed), headroom)
+            capacity = rounded_capacity(int(metrics.needed), room)
             train_step = compiled(capacity)
             continue
         step += 1
@@ -268,7 +266,7 @@ def _run_phase(
 ) -> TrainState:
     plan, placement = work.plan, work.placement
     key = jax.random.key(plan.seed)
-    headroom = GROWTH if phase.rule else STILL
+    room = headroom(grows=phase.rule is not None)
 
     def compiled(capacity: int) -> TrainStep:
         make = partial(
@@ -304,8 +302,8 @@ def _run_phase(
         data,
         (done, phase.end),
         seed=plan.seed,
-        capacity=capacity or placement.chosen_capacity(state.gaussians, data, headroom=headroom),
-        headroom=headroom,
+        capacity=capacity or placement.chosen_capacity(state.gaussians, data, headroom=room),
+        room=room,
         view_share=plan.view_share,
         feed=placement.feed,
     )

@@ -18,8 +18,8 @@ from gsjax.cameras import Camera
 from gsjax.effects.model import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
 from gsjax.targets import Target, Views
-from gsjax.training.capacity import rounded_capacity
-from gsjax.training.loop import STILL, Placement, view_order
+from gsjax.training.capacity import STILL, rounded_capacity
+from gsjax.training.loop import Placement, view_order
 from gsjax.training.sharded import growth as sharded_density
 from gsjax.training.sharded.layout import AXIS, BY_ROWS, EVERYWHERE, specs
 from gsjax.training.sharded.step import make_sharded_step
