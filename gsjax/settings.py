@@ -243,21 +243,22 @@ FAST: dict[str, Any] = {
     "depth_mode": "front",  # thin things are not as deep as their far sides' light has them (docs/deviations.md)
     "effects": AUTO,
     "pixel_filter": "mip",  # right at other sizes and distances than the photos' too (docs/deviations.md)
-    "max_gaussians": 36_000,
+    "max_gaussians": 60_000,
     "far_points": 1_800,
     "cpu_pixels": 300_000,
     "sh_every": 300,
     "phases": [
-        _phase("coarse", 600, image_scale=2, density_control=True),
-        _phase("vanilla", 1400, density_control=True),
-        _phase("surface", 600, weights=_SURFACE_TERMS),
+        _phase("coarse", 900, image_scale=2, density_control=True),
+        _phase("vanilla", 700, density_control=True),
+        _phase("surface", 500, weights=_SURFACE_TERMS, surface_every=2),
     ],
     "rates": {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "quats": 0.003, "final_share": 0.2},
-    "density": {"rule": "error", "start": 50, "stop": 900, "every": 50, "full_by": 0.6, "reset_every": 0},
+    "density": {"rule": "error", "start": 50, "stop": 1000, "every": 50, "full_by": 0.6, "reset_every": 0},
     "logging": {"evaluate_every": 250, "checkpoint_every": 250},
 }
 QUICK = {  # small photos and their image alone: a step takes less than half as long, and one program is all to compile
     **FAST,
+    "max_gaussians": 36_000,
     "sh_every": 150,
     "phases": [_phase("coarse", 900, image_scale=2, density_control=True)],
     "rates": {**FAST["rates"], "sh_rest": 1e-3},

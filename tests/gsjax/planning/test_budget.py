@@ -65,9 +65,9 @@ def test_all_that_is_due_at_a_step_is_scaled_with_the_phases():
 
 def test_another_length_shares_its_time_between_gaussians_and_steps():
     quarter, four = (budget.resized(NAMED["fast"], factor) for factor in (0.25, 4.0))
-    assert (quarter.max_gaussians, four.max_gaussians) == (18_000, 72_000)
-    assert total_steps(quarter) == pytest.approx(0.25 * 2_600 / 0.65, abs=2)  # a step with half of them costs 0.65
-    assert total_steps(four) == pytest.approx(4 * 2_600 / 1.7, abs=2)
+    assert (quarter.max_gaussians, four.max_gaussians) == (30_000, 120_000)
+    assert total_steps(quarter) == pytest.approx(0.25 * 2_100 / 0.65, abs=2)  # a step with half of them costs 0.65
+    assert total_steps(four) == pytest.approx(4 * 2_100 / 1.7, abs=2)
     assert budget.resized(NAMED["fast"], 1.0) == NAMED["fast"]
 
 
@@ -114,17 +114,17 @@ def kept_and_cost(settings, whole):
     ("seconds", "expected"),
     [
         (90, "quick"),
-        (195, "quick"),
-        (205, "fast"),
-        (2400, "fast"),
-        (2420, "balanced"),
-        (7700, "balanced"),
-        (7750, "accurate"),
+        (105, "quick"),
+        (115, "fast"),
+        (1830, "fast"),
+        (1850, "balanced"),
+        (5040, "balanced"),
+        (5060, "accurate"),
         (1e7, "accurate"),
     ],
 )
 def test_the_preset_is_the_longest_of_which_two_fifths_fit(monkeypatch, seconds, expected):
-    # quick takes 30 s; by relative costs fast is guessed at 501, balanced at 6,030 and accurate at 19,300 s.
+    # quick takes 45 s; by relative costs fast is guessed at 275, balanced at 4,598 and accurate at 12,620 s.
     machine = Machine(monkeypatch, quick=0.05, fast=0.1, balanced=0.3, accurate=0.8)
     choice = machine.budgeted(seconds)
     assert [name for name, _ in machine.tried] == list(dict.fromkeys(["quick", expected]))
@@ -158,7 +158,7 @@ def test_a_run_whose_gaussians_stay_as_many_is_scaled_in_its_steps_alone(monkeyp
     machine = Machine(monkeypatch, fast=0.1)
     settings = machine.budgeted(10_000, {"fast": NAMED["fast"]}, lasting=budget.scaled).settings
     left = 9000 - budget.SCORING - machine.beside_steps("fast")
-    assert settings == budget.scaled(replace(NAMED["fast"], downscale=2.0), (left / 0.1 - 150) / 2600)
+    assert settings == budget.scaled(replace(NAMED["fast"], downscale=2.0), (left / 0.1 - 150) / 2100)
 
 
 @pytest.mark.parametrize(("seconds", "evidence", "tries"), [(1000, 1.2, True), (1000, 1.6, False), (100, 1.2, False)])
