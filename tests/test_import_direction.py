@@ -62,7 +62,7 @@ LAYERS = {
     "viewer": Layer(
         ("gsjax.viewer",),
         ("rasterizer", *CORE, *FILES, "scoring", "planning", "report", "pipeline"),
-        ("jax", "numpy", "scipy", "viser", "rich"),
+        ("jax", "numpy", "scipy", "viser", "rich", "websockets"),
     ),
     "cli": Layer(
         ("gsjax.cli", "gsjax.__main__"), (*CORE, *FILES, "scoring", "planning", "report", "pipeline", "viewer"), ()

@@ -2,12 +2,19 @@
 
 import ctypes
 import os
+import re
+import warnings
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from gsjax.io.machine import cpu_flags
 
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
+DAMAGED = re.compile(r"Error reading persistent compilation cache entry for '(.+?)': ")
+PROGRAM = re.compile(r"-[0-9a-f]+-(cache|atime)$")  # After a program's name, as jax calls the files of its cache.
 # mallopt of glibc: one arena, no block mapped by itself, nothing given back while the process lives.
 KEEP_MEMORY = {-8: 1, -3: 1 << 30, -1: (1 << 31) - 1}
 
@@ -27,6 +34,28 @@ def prepare() -> None:
             folder.mkdir(parents=True, exist_ok=True)
             os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
     keep_memory()
+    replace_damaged_programs()
+
+
+def replace_damaged_programs() -> None:
+    """Takes damaged programs out of the compilation cache as jax meets them, so that they are written anew.
+
+    Jax warns of one and compiles the program, but never writes over a file that is there: at every start for ever.
+    """
+    if getattr(warnings.showwarning, "func", None) is not _show_or_replace:
+        warnings.showwarning = partial(_show_or_replace, warnings.showwarning)
+
+
+def _show_or_replace(show: Callable[..., None], message: Warning | str, *about: Any, **more: Any) -> None:
+    damaged = DAMAGED.match(str(message))
+    folder = Path(os.environ.get("JAX_COMPILATION_CACHE_DIR", ""))
+    if damaged is None or not folder.is_absolute():
+        show(message, *about, **more)
+        return
+    with suppress(OSError):  # Of another user's: it stays damaged, and is only slower.
+        for file in folder.iterdir():
+            if PROGRAM.sub("", file.name) == damaged[1]:
+                file.unlink(missing_ok=True)
 
 
 def keep_memory() -> None:

@@ -9,6 +9,10 @@ from typing import Any
 
 from gsjax.errors import InputError
 from gsjax.io.files import atomic_path
+from gsjax.io.json_shapes import Shape, check
+
+MOST_DIGITS = 19  # of an integer: nothing that is counted has more, and floats hold it
+DEEPEST = 50  # levels of a file; whoever walks through one calls itself as often
 
 
 def write(path: str | Path, data: Any) -> None:
@@ -22,18 +26,59 @@ def write(path: str | Path, data: Any) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def read(path: str | Path) -> Any:
-    """What a JSON file holds.
+def read(path: str | Path, shape: Shape = object) -> Any:
+    """What a JSON file holds; a byte order mark before it is no fault.
+
+    Args:
+        path: The file.
+        shape: What it must look like, see `gsjax.io.json_shapes`.
 
     Raises:
-        InputError: The file is absent or is no JSON.
+        InputError: The file is absent, is no JSON, is nested deeper than `DEEPEST`, or has not the shape.
     """
     try:
-        return json.loads(Path(path).read_text(encoding="utf-8"))
+        return parsed(path, Path(path).read_text(encoding="utf-8-sig"), shape)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: is no JSON (not in UTF-8 from byte {error.start} on)") from error
+
+
+def parsed(where: object, text: str, shape: Shape = object) -> Any:
+    """What a JSON text holds; `where` names it in messages.
+
+    Raises:
+        InputError: It is no JSON, is nested deeper than `DEEPEST`, or has not the shape.
+    """
+    try:
+        value = json.loads(text, parse_int=_integer)
     except ValueError as error:
-        raise InputError(f"{path}: is no JSON ({str(error).splitlines()[0]})") from error
+        raise InputError(f"{where}: is no JSON ({str(error).splitlines()[0]})") from error
+    except RecursionError:
+        value, too_deep = None, True
+    else:
+        too_deep = _is_deeper(value, DEEPEST)
+    if too_deep:
+        raise InputError(f"{where}: is nested deeper than {DEEPEST} levels")
+    check(where, value, shape)
+    return value
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > MOST_DIGITS:
+        raise ValueError(f"an integer of {len(digits)} characters")
+    return int(digits)
+
+
+def _is_deeper(value: Any, levels: int) -> bool:
+    """Whether lists and tables lie in each other deeper than so many levels."""
+    layer = [value]
+    for _ in range(levels):
+        inner = (item.values() if isinstance(item, dict) else item for item in layer if isinstance(item, dict | list))
+        layer = [item for items in inner for item in items]
+        if not layer:
+            return False
+    return any(isinstance(item, dict | list) for item in layer)
 
 
 def plain(value: Any) -> Any:

@@ -23,6 +23,7 @@ from gsjax.render import gallery
 from gsjax.report.page import report as write_report
 from gsjax.report.panels import draw_panels
 from gsjax.report.pictures import mesh_picture, surface_picture, to_bytes
+from gsjax.runs.records import STATUS
 from gsjax.runs.result import open_result
 from gsjax.settings import Settings
 
@@ -109,7 +110,7 @@ def _begun(out: Path, asked: Mapping[str, Any]) -> dict[str, Any]:
     """The report so far of a scan that was begun with the same wishes, or a new one."""
     file = out / "report.json"
     if file.exists():
-        report = json_files.read(file)
+        report = json_files.read(file, {"asked": {str: object}, "stages": {str: {"seconds?": (None, float)}}})
         for key, value in asked.items():
             if report.get("asked", {}).get(key) != value:
                 raise InputError(f"{out}: was begun with another {key}; choose another folder with --out")
@@ -151,7 +152,7 @@ def _reconstruct(source: Path, scene: Path, frames: int | None) -> dict[str, Any
 
 def _is_finished(run: Path) -> bool:
     manifest = run / "manifest.json"
-    return manifest.exists() and json_files.read(manifest)["status"] == "done"
+    return manifest.exists() and json_files.read(manifest, STATUS)["status"] == "done"
 
 
 def _overview(out: Path) -> Path:

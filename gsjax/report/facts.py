@@ -4,12 +4,15 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import Any, Self
 
 import numpy as np
 
 from gsjax import tables
+from gsjax.io.json_shapes import check
 from gsjax.report.curves import Chart, Curve, chart
+from gsjax.runs.records import WHOLE_MANIFEST
 from gsjax.runs.run import Run
 
 AXES = {"steps": "step", "seconds": "seconds"}  # Name of an axis, and what a line of metrics calls it.
@@ -25,6 +28,9 @@ CHARTS = {
 CAME_OF_IT = ("registered", "points", "psnr", "ssim", "gaussians", "vertices", "faces", "seen_share")
 SPLITS = {"auto": "the data set's own split, else every 8th photo by name", "none": "asked for: all photos train"}
 
+REPORTED = {"hold_out": str, "effects": str, "seed": int, "normal_axes?": (None, str), "refinement?": {"seed": int}}
+LARGEST = 1e30  # that a chart can have on its axes
+
 Rows = list[tuple[str, ...]]
 
 
@@ -32,10 +38,22 @@ Rows = list[tuple[str, ...]]
 class RunFacts(Run):
     """One run folder, read for its report."""
 
+    @classmethod
+    def open(cls, folder: str | Path) -> Self:
+        """The run in a folder, whose manifest and settings tell what a report takes for granted.
+
+        Raises:
+            InputError: It is no run folder, or a file is damaged.
+        """
+        run = super().open(folder)
+        check(run.folder / "manifest.json", run.manifest, WHOLE_MANIFEST)
+        check(run.folder / "config.json", run.settings, REPORTED)
+        return run
+
     @cached_property
     def history(self) -> list[dict[str, Any]]:
         """The metrics, and the last score of the held-out views."""
-        if self.manifest.get("psnr") is None:
+        if not _is_told(self.manifest, "psnr", "steps", "train_seconds"):
             return self.metrics
         scores = {f"held_out_{n}": self.manifest[n] for n in ("psnr", "psnr_near_gains") if n in self.manifest}
         last = {"step": self.manifest["steps"], "seconds": self.manifest["train_seconds"], **scores}
@@ -163,7 +181,7 @@ def pooled(
 
 def phase_ends(run: RunFacts, axis: str) -> list[tuple[float, str]]:
     """Where, as far as was logged, each phase but the last ended, and its name."""
-    logged = [record for record in run.history if "phase" in record]
+    logged = [record for record in run.history if "phase" in record and _is_told(record, axis)]
     return [
         (float(before[axis]), before["phase"])
         for before, after in zip(logged, logged[1:], strict=False)
@@ -172,7 +190,7 @@ def phase_ends(run: RunFacts, axis: str) -> list[tuple[float, str]]:
 
 
 def _is_told(record: Mapping[str, Any], *keys: str) -> bool:
-    return all(isinstance(record.get(key), int | float) for key in keys)
+    return all(isinstance(record.get(key), int | float) and abs(record[key]) < LARGEST for key in keys)
 
 
 def _photos(run: RunFacts) -> str:
@@ -199,7 +217,7 @@ def _normals(run: RunFacts) -> tuple[str, str]:
         return "none", "no term of the loss looks at them"
     if run.plan["normals"] is None:
         return "of the Gaussians' own depth, smoothed", "no maps were given: --normals names them"
-    axes = run.settings["normal_axes"]
+    axes = run.settings.get("normal_axes")
     asked = f"axes asked for: {axes}" if axes else "axes as the maps' maker wrote them, or found by comparing"
     return run.plan["normals"], run.manifest.get("normals", asked)
 

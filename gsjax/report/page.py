@@ -46,7 +46,7 @@ def report(folder: str | Path) -> Path:
         chapter = _chapter(folder)
         return write_page(folder / FILE, "report.html", name=folder.resolve().name, stages=chapter["stages"],
             overview=None, chapters=[chapter])  # fmt: skip
-    told = json_files.read(folder / "report.json")
+    told = json_files.read(folder / "report.json", {"stages?": {str: {}}})
     if "stages" not in told:
         raise InputError(f"{folder}: is the folder of neither a run nor a scan")
     chapters = [_chapter(folder / part) for part in ("run", "refined") if (folder / part / "manifest.json").exists()]

@@ -9,7 +9,6 @@ import numpy as np
 
 from gsjax import runs
 from gsjax.cameras import Camera
-from gsjax.io import json_files
 from gsjax.io.files import atomic_path
 from gsjax.io.images import jpeg, resize
 from gsjax.meshing.export import read_mesh
@@ -18,6 +17,7 @@ from gsjax.meshing.rays import ray_caster
 from gsjax.normals.from_depth import depth_normals
 from gsjax.render.gallery import Picture
 from gsjax.report.pictures import normal_picture, to_bytes
+from gsjax.runs.records import read_views
 from gsjax.runs.result import frame_camera, recorded_camera
 from gsjax.scene import Frame
 
@@ -40,7 +40,7 @@ def keeper(run: Path) -> Callable[[Frame, np.ndarray, Picture], None]:
     Args:
         run: Run folder with its `cameras.json`.
     """
-    records = json_files.read(run / "cameras.json")
+    records = read_views(run)
     places = {records[index]["name"]: index for index in shown_views(records)}
 
     def keep(frame: Frame, target: np.ndarray, picture: Picture) -> None:

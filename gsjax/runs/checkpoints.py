@@ -4,7 +4,6 @@ Each leaf is stored under its path in the tree (`.gaussians.means`, `.opt_state[
 with plain numpy and says what it holds.
 """
 
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,9 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io.arrays import read_arrays
 from gsjax.io.files import atomic_path
-
-_UNREADABLE = (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile)
 
 
 def save(path: str | Path, tree: Any) -> None:
@@ -63,11 +61,12 @@ def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
     """
     if not Path(path).is_file():
         raise InputError(f"{path}: no such checkpoint")
+    if Path(path).suffix != ".npz":
+        raise InputError(f"{path}: truncated or damaged checkpoint (its name does not end in .npz)")
     try:
-        with open(path, "rb") as file, np.lib.npyio.NpzFile(file, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except _UNREADABLE as error:
-        raise InputError(f"{path}: truncated or damaged checkpoint ({str(error).splitlines()[0]})") from error
+        return read_arrays(Path(path))
+    except InputError as error:
+        raise InputError(f"{path}: truncated or damaged checkpoint ({str(error).removeprefix(f'{path}: ')})") from error
 
 
 def _named_leaves(tree: Any) -> list[tuple[str, Any]]:

@@ -36,6 +36,7 @@ from gsjax.io.files import atomic_path, make_folder, sweep, unwritable
 from gsjax.io.machine import machine, versions
 from gsjax.io.similarities import parsed_similarity
 from gsjax.runs import checkpoints
+from gsjax.runs.records import RECORD, SCENE, SETTINGS
 from gsjax.similarity import IDENTITY, Similarity
 
 EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic", "effects": "none"}
@@ -107,7 +108,7 @@ def reopen(
         InputError: It is no run folder, or the data set or a setting differs; the message names the first that does.
     """
     run = Path(run)
-    started, before = completed(read_settings(run)), json_files.read(run / "manifest.json")["scene"]
+    started, before = completed(read_settings(run)), json_files.read(run / "manifest.json", SCENE)["scene"]
     if before != str(Path(scene).resolve()):
         raise InputError(f"{run}: was started on {before}, not on {scene}; a resumed run keeps its data set")
     for key, (before, now) in _differences(started, json_files.plain({**EARLIER, **settings})).items():
@@ -134,7 +135,7 @@ def update_manifest(run: str | Path, **changes: Any) -> None:
     """Sets entries of the manifest (`status="done"`, `train_seconds=...`) and lists the files anew."""
     run = Path(run)
     files = sorted(p.relative_to(run).as_posix() for p in run.rglob("*") if p.is_file() and not p.name.startswith("."))
-    manifest = {**json_files.read(run / "manifest.json"), **changes, "updated": _now(), "files": files}
+    manifest = {**json_files.read(run / "manifest.json", {}), **changes, "updated": _now(), "files": files}
     json_files.write(run / "manifest.json", manifest)
 
 
@@ -145,7 +146,7 @@ def read_similarity(run: str | Path) -> Similarity:
         InputError: The manifest is damaged.
     """
     file = Path(run) / "manifest.json"
-    kept = json_files.read(file).get("similarity") if file.exists() else None
+    kept = json_files.read(file, {}).get("similarity") if file.exists() else None
     return IDENTITY if kept is None else parsed_similarity(kept, file)
 
 
@@ -203,17 +204,11 @@ def read_settings(run: str | Path) -> dict[str, Any]:
     Raises:
         InputError: The file is absent or is no JSON.
     """
-    return {**EARLIER, **json_files.read(Path(run) / "config.json")}
+    return {**EARLIER, **json_files.read(Path(run) / "config.json", SETTINGS)}
 
 
 def _record(line: str, where: str) -> dict[str, Any]:
-    try:
-        record = json.loads(line)
-    except ValueError as error:
-        raise InputError(f"{where}: is no JSON ({str(error).splitlines()[0]})") from error
-    if not isinstance(record, dict) or not isinstance(record.get("step"), int):
-        raise InputError(f"{where}: is no record of a step")
-    return record
+    return json_files.parsed(where, line, RECORD)
 
 
 def _checkpoints(run: str | Path) -> list[tuple[int, Path]]:

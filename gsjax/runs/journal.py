@@ -13,6 +13,7 @@ import numpy as np
 from tqdm import tqdm
 
 from gsjax import runs
+from gsjax.errors import InputError
 from gsjax.runs import checkpoints
 from gsjax.runs.compilations import Compilations
 from gsjax.training.step import Metrics
@@ -88,11 +89,21 @@ def beginning(run: Path, initial: Callable[[int | None], Any], earlier: Path | N
     if found is None:
         start = Beginning(initial(None), None, 0.0)
     else:
-        stored = checkpoints.load(found[1], lambda arrays: _checkpoint(initial(int(arrays["['rows']"])), 0, 0.0))
-        state = jax.tree.map(jnp.asarray, stored["state"])
-        start = Beginning(state, int(stored["capacity"]) or None, float(stored["seconds"]))
+        stored = checkpoints.load(found[1], lambda arrays: _checkpoint(initial(_rows(found[1], arrays)), 0, 0.0))
+        state, capacity, seconds = jax.tree.map(jnp.asarray, stored["state"]), stored["capacity"], stored["seconds"]
+        if not (0 <= capacity < 2**31 and 0 <= seconds < np.inf and state.step >= 0):
+            raise InputError(f"{found[1]}: damaged checkpoint, its step, capacity or seconds are none")
+        start = Beginning(state, int(capacity) or None, float(seconds))
     runs.truncate_metrics(run, int(start.state.step))
     return start
+
+
+def _rows(path: Path, arrays: dict[str, np.ndarray]) -> int:
+    """How many rows a checkpoint says it has; some array of it has as many."""
+    rows = arrays.get("['rows']", np.zeros(1))
+    if rows.shape or rows.dtype.kind not in "iu" or not any(a.shape[:1] == (int(rows),) for a in arrays.values()):
+        raise InputError(f"{path}: damaged checkpoint, it does not tell its number of rows")
+    return int(rows)
 
 
 def _checkpoint(state: Any, capacity: int, seconds: float) -> dict[str, Any]:

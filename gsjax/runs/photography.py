@@ -9,12 +9,18 @@ import numpy as np
 
 from gsjax.effects.appearance import Appearance, as_near_photos
 from gsjax.effects.poses import Move
+from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.runs.folder import read_similarity
 from gsjax.scene import Frame
 from gsjax.similarity import Similarity
 
 FILE, POSES, BACKGROUND = "effects.json", "poses.json", "background.json"
+SHAPES = {
+    Appearance: {"log_gains": [float, 3], "falloff": [float, 2]},
+    Move: {"turn": [float, 3], "shift": [float, 3], "focal": float},
+}
+COUNTS = [(degree + 1) ** 2 for degree in range(5)]
 T = TypeVar("T", Appearance, Move)
 _SAID = "cameras.json has the cameras after these moves of those of the data set: radians, scene units, a factor"
 _BEHIND = "behind all Gaussians: max(0, SH(direction of the ray in the world) + 0.5), as Gaussians' colours are"
@@ -63,7 +69,9 @@ def read_photography(run: Path) -> Photography:
         InputError: A file is damaged.
     """
     file = run / BACKGROUND
-    background = np.asarray(json_files.read(file)["sh"], np.float32) if file.exists() else None
+    background = np.asarray(json_files.read(file, {"sh": [[float, 3]]})["sh"], np.float32) if file.exists() else None
+    if background is not None and len(background) not in COUNTS:
+        raise InputError(f"{file}: sh has {len(background)} rows, degrees 0-4 have one of {COUNTS}")
     moves = _in_units(_read(run / POSES, Move), read_similarity(run).length_to_local)
     return Photography(_read(run / FILE, Appearance), moves, background)
 
@@ -94,7 +102,7 @@ def _read(file: Path, kind: type[T]) -> dict[str, T]:
     """Records of every photo by name; none where the file is absent."""
     if not file.exists():
         return {}
-    photos = json_files.read(file)["photos"]
+    photos = json_files.read(file, {"photos": {str: SHAPES[kind]}})["photos"]
     return {name: kind(*(_plain(record[field]) for field in kind._fields)) for name, record in photos.items()}  # pyright: ignore[reportAttributeAccessIssue]
 
 

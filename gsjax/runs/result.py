@@ -18,12 +18,14 @@ from gsjax.gaussians import Gaussians
 from gsjax.io import json_files
 from gsjax.io.gaussian_files import load_gaussians
 from gsjax.io.images import read_mask, write_image
+from gsjax.io.json_shapes import check
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import NONE
 from gsjax.render import DepthReading, gallery
 from gsjax.render.gallery import Picture
 from gsjax.runs import viewpoints
 from gsjax.runs.photography import refined
+from gsjax.runs.records import SCENE
 from gsjax.runs.run import Run
 from gsjax.scene import Frame, Scene, valid_pixels
 from gsjax.similarity import IDENTITY, Similarity
@@ -95,6 +97,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
         run = Run(source)
         gaussians = run.similarity.gaussians_to_local(gaussians)
         settings, learned, records = run.settings, run.photography.background, run.views
+        check(source / "config.json", settings, {"background": str, "depth_mode": str})
         return Result(
             source,
             gaussians,
@@ -172,6 +175,8 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0) -> Scene:
         InputError: It is no run folder, its data set cannot be used any more, or its photos are too small for `zoom`.
     """
     run = Run(folder)
+    check(folder / "manifest.json", run.manifest, SCENE)
+    check(folder / "config.json", run.settings, {"masks": str})
     if not 0 < zoom < math.inf:
         raise InputError(f"--zoom {zoom:g} is not a number above 0")
     downscale = run.downscale / zoom

@@ -8,7 +8,9 @@ from typing import Any, Self
 from gsjax import runs
 from gsjax.errors import InputError
 from gsjax.io import json_files
+from gsjax.io.json_shapes import check
 from gsjax.runs.photography import Photography, read_photography
+from gsjax.runs.records import MANIFEST, PLAN, WITHOUT_PLAN, read_views
 from gsjax.similarity import Similarity
 
 READ_NORMALS = "sdf_normal", "pixel_normal", "axis_normal"  # the terms of runs that wrote no plan
@@ -35,7 +37,7 @@ class Run:
     @cached_property
     def manifest(self) -> dict[str, Any]:
         """Scene, command, versions, state, and what each stage left."""
-        return json_files.read(self.folder / "manifest.json")
+        return json_files.read(self.folder / "manifest.json", MANIFEST)
 
     @cached_property
     def settings(self) -> dict[str, Any]:
@@ -47,7 +49,8 @@ class Run:
         """What runs, see `gsjax.training.plan.Plan.record`; of a run that wrote none, what its settings tell of it."""
         file = self.folder / "plan.json"
         if file.exists():
-            return json_files.read(file)
+            return json_files.read(file, PLAN)
+        check(self.folder / "config.json", self.settings, WITHOUT_PLAN)
         phases = [self._phase(phase) for phase in self.settings.get("phases", [])]
         if self.is_refinement:
             phases = [self._phase({"name": "refine", **self.settings["refinement"]})]
@@ -68,8 +71,7 @@ class Run:
     @cached_property
     def views(self) -> list[dict[str, Any]]:
         """The records of cameras.json; none before the run has finished."""
-        file = self.folder / "cameras.json"
-        return json_files.read(file) if file.exists() else []
+        return read_views(self.folder) if (self.folder / "cameras.json").exists() else []
 
     @cached_property
     def metrics(self) -> list[dict[str, Any]]:

@@ -1,3 +1,4 @@
+import inspect
 import json
 import os
 import signal
@@ -5,6 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from types import ModuleType, SimpleNamespace
@@ -380,6 +382,37 @@ def test_the_compilation_cache_is_the_users_or_their_choice(monkeypatch, tmp_pat
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "elsewhere")
     environment.prepare()
     assert os.environ["JAX_COMPILATION_CACHE_DIR"] == "elsewhere"
+
+
+def test_a_damaged_program_of_the_cache_is_taken_out_and_nobody_is_warned(monkeypatch, tmp_path):
+    """It is named as jax names its files and in jax's words, which the next test holds against jax."""
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
+    shown = []
+    monkeypatch.setattr(warnings, "showwarning", lambda message, *_, **__: shown.append(str(message)))
+    kept, gone = ("jit_step-2-0af3-cache", "jit_stepper-0af3-cache"), ("jit_step-0af3-cache", "jit_step-77-atime")
+    for name in (*kept, *gone):
+        (tmp_path / name).write_bytes(b"x")
+    environment.replace_damaged_programs()
+    environment.replace_damaged_programs()
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        environment.replace_damaged_programs()  # `catch_warnings` has put the usual function back.
+        for name in ("jit_step", "jit_other"):
+            warnings.warn(
+                f"Error reading persistent compilation cache entry for '{name}': XlaRuntimeError: x", stacklevel=1
+            )
+        warnings.warn("something else", stacklevel=1)
+    assert sorted(file.name for file in tmp_path.iterdir()) == sorted(kept)
+    assert shown == ["something else"]
+
+
+def test_jax_speaks_and_names_its_files_as_is_expected():
+    from jax._src import compiler, lru_cache
+
+    assert "Error reading persistent compilation cache entry for \"\n        f\"'{module_name}': " in inspect.getsource(
+        compiler._cache_read
+    )
+    assert (lru_cache._CACHE_SUFFIX, lru_cache._ATIME_SUFFIX) == ("-cache", "-atime")
 
 
 def test_no_room_for_the_cache_is_harmless(monkeypatch, tmp_path):

@@ -220,7 +220,7 @@ def test_a_scan_is_one_page_of_its_stages_and_runs(tmp_path):
     [
         ("nothing", "holds no manifest.json; it is no run folder"),
         ("metrics", "metrics.jsonl, line 2: is no JSON"),
-        ("record", "metrics.jsonl, line 2: is no record of a step"),
+        ("record", "metrics.jsonl, line 2: the whole is 7, expected a table"),
         ("cameras", "cameras.json: is no JSON"),
         ("scan", "is the folder of neither a run nor a scan"),
     ],

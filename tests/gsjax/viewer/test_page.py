@@ -18,6 +18,7 @@ from gsjax.viewer.desk import Desk
 from gsjax.viewer.page import BY_BROWSER, CAMERAS, SHOW, SIDE, News, Page, check_port
 from gsjax.viewer.page_camera import camera_of, page_camera, picture_size
 from gsjax.viewer.pictures import COLOR, DEPTH, Pictures
+from gsjax.viewer.same_origin import is_local
 from gsjax.viewer.subject import Subject
 
 SCENE = cloud(30)
@@ -189,6 +190,49 @@ def test_a_port_in_use_and_others_that_cannot_be_are_one_line(capsys, tmp_path):
         check_port("nowhere.invalid", 0)
     with pytest.raises(InputError, match="--host ..: is no name of a host"):
         check_port("..", 0)
+
+
+def answer(page, *lines):
+    """First line of what the server says to a request for a WebSocket."""
+    wanted = (
+        "Connection: Upgrade",
+        "Upgrade: websocket",
+        "Sec-WebSocket-Version: 13",
+        "Sec-WebSocket-Key: " + 22 * "A" + "==",
+    )
+    request = "\r\n".join(["GET / HTTP/1.1", *wanted, *lines, "", ""])
+    with socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=10) as connection:
+        connection.sendall(request.encode())
+        return connection.recv(200).split(b"\r\n")[0].decode()
+
+
+def test_no_page_but_its_own_reads_what_is_for_this_machine(monkeypatch):
+    with served(monkeypatch) as (page, _):
+        port = page.server.get_port()
+        own = f"Host: 127.0.0.1:{port}"
+        assert answer(page, own).startswith("HTTP/1.1 101 ")  # a program
+        assert answer(page, own, f"Origin: http://127.0.0.1:{port}").startswith("HTTP/1.1 101 ")
+        tunnel = "Host: localhost:9000", "Origin: http://localhost:9000"
+        assert answer(page, *tunnel).startswith("HTTP/1.1 101 ")
+        foreign = [
+            (own, "Origin: https://somewhere.example"),
+            (own, "Origin: null"),
+            (own, f"Origin: http://127.0.0.1:{port + 1}"),
+            ("Host: rebound.example", "Origin: http://rebound.example"),
+            ("Host: rebound.example",),
+            ("Host: 127.0.0.1.rebound.example",),
+            ("Host: [",),
+        ]
+        for lines in foreign:
+            assert answer(page, *lines).startswith("HTTP/1.1 403 "), lines
+
+
+@pytest.mark.parametrize(
+    ("host", "local"),
+    [("127.0.0.1", True), ("::1", True), ("localhost", True), ("127.9.9.9", True), ("0.0.0.0", False), ("a.b", False)],
+)
+def test_what_is_local(host, local):
+    assert is_local(host) == local
 
 
 def test_the_server_is_there_for_this_machine_alone_and_then_gone(monkeypatch):

@@ -1,0 +1,66 @@
+"""Who may open a page that is for this machine alone: the page itself, and programs that are no browser's.
+
+A browser lets any page that it has open talk to a WebSocket of this machine; the Origin tells which page it is. A name
+of somebody else's that is made to lead here shows in the Host.
+"""
+
+import http
+import ipaddress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+from urllib.parse import urlsplit
+
+from websockets.asyncio import server
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+
+def is_local(host: str) -> bool:
+    """Whether a name or address is this machine as only it can see itself."""
+    if host.lower().rstrip(".") == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def is_own(headers: Headers) -> bool:
+    """Whether a request to a local page names a local host, and comes from that very page or from no page at all."""
+    hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
+    if len(hosts) != 1 or len(origins) > 1:
+        return False
+    try:
+        if not is_local(urlsplit(f"//{hosts[0]}").hostname or ""):
+            return False
+        return not origins or urlsplit(origins[0]).netloc.lower() == hosts[0].lower()
+    except ValueError:  # Of an address that is none, such as an open bracket.
+        return False
+
+
+@contextmanager
+def own_pages_alone(host: str) -> Iterator[None]:
+    """While it lasts, servers that viser starts refuse requests of foreign pages, if `host` is local.
+
+    Viser hands on no option of the library beneath, so that library's function is exchanged for the moment.
+    """
+    if not is_local(host):
+        yield
+        return
+    serve = server.serve
+    server.serve = partial(_serve, serve)  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        yield
+    finally:
+        server.serve = serve  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _serve(serve: Callable[..., Any], *arguments: Any, process_request: Callable[..., Any], **options: Any) -> Any:
+    def checked(connection: Any, request: Request) -> Any:
+        if is_own(request.headers):
+            return process_request(connection, request)
+        return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", Headers({"Content-Length": "0"}), b"")
+
+    return serve(*arguments, process_request=checked, **options)

@@ -1,0 +1,101 @@
+"""JSON files: a fault is one line at its place, whatever the file holds."""
+
+import pytest
+from fuzzing import damaged_json, fuzz
+
+from gsjax.errors import InputError
+from gsjax.io import json_files
+
+SHAPE = {
+    "name": str,
+    "K": [[float, 2], 2],
+    "views": [{"width": int, "mask?": (None, str), "held_out": bool}],
+    "machine": {str: object},
+    "background": {"white", "black"},
+}
+RIGHT = {
+    "name": "garden",
+    "K": [[1, 2.5], [0, 1e9]],
+    "views": [{"width": 3, "held_out": False}, {"width": 4, "mask": None, "held_out": True, "more": 1}],
+    "machine": {"cpu": "some", "cores": 2},
+    "background": "white",
+    "not asked for": [1, None],
+}
+
+
+def changed(**parts):
+    return {**RIGHT, **parts}
+
+
+def test_what_has_the_shape_is_read(tmp_path):
+    json_files.write(tmp_path / "a.json", RIGHT)
+    assert json_files.read(tmp_path / "a.json", SHAPE) == RIGHT
+    (tmp_path / "b.json").write_bytes(b"\xef\xbb\xbf" + (tmp_path / "a.json").read_bytes())
+    assert json_files.read(tmp_path / "b.json", SHAPE) == RIGHT
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ([], "the whole is a list of 0, expected a table"),
+        ({"name": "x"}, "lacks 'K'"),
+        (changed(name=3), "name is 3, expected a text"),
+        (changed(name="a\0b"), "name is 'a\\x00b', expected a text"),
+        (changed(name="\ud800"), "name is '\\ud800', expected a text"),
+        (changed(K=[[1, 2], [3]]), "K.1 is a list of 1, expected a list of 2"),
+        (changed(K=[[1, 2], [3, None]]), "K.1.1 is None, expected a finite number"),
+        (changed(K=[[1, 2], [3, True]]), "K.1.1 is True, expected a finite number"),
+        (changed(K=[[1, 2], [3, float("inf")]]), "K.1.1 is inf, expected a finite number"),
+        (changed(views=[{"width": 1.5, "held_out": True}]), "views.0.width is 1.5, expected a whole number"),
+        (
+            changed(views=[{"width": 2**60, "held_out": True}]),
+            "views.0.width is an integer too large, expected",
+        ),
+        (changed(views=[{"width": 1, "held_out": 1}]), "views.0.held_out is 1, expected true or false"),
+        (changed(views=[{"held_out": True}]), "lacks 'views.0.width'"),
+        (changed(views=[{"width": 1, "held_out": True, "mask": []}]), "mask is a list of 0, expected null or a text"),
+        (changed(background="grey"), "background is 'grey', expected one of black, white"),
+        (changed(more=10**400), "is no JSON (an integer of 401 characters)"),
+    ],
+)
+def test_a_fault_is_named_at_its_place(tmp_path, data, message):
+    import json
+
+    (tmp_path / "a.json").write_text(json.dumps(data))
+    with pytest.raises(InputError) as caught:
+        json_files.read(tmp_path / "a.json", SHAPE)
+    assert str(caught.value).startswith(f"{tmp_path / 'a.json'}: ") and message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "is no JSON (Expecting value"),
+        (b"{", "is no JSON (Expecting property name"),
+        ("{}".encode("utf-16"), "is no JSON (not in UTF-8 from byte 0 on)"),
+        (b"[" * 1_000_000, "is nested deeper than 50 levels"),
+        (b"[" * 60 + b"]" * 60, "is nested deeper than 50 levels"),
+        (b"9" * 10_000, "is no JSON (an integer of 10000 characters)"),
+    ],
+    ids=["empty", "open", "utf-16", "deep", "rather deep", "long"],
+)
+def test_what_is_no_json_is_told(tmp_path, data, message):
+    (tmp_path / "a.json").write_bytes(data)
+    with pytest.raises(InputError) as caught:
+        json_files.read(tmp_path / "a.json")
+    assert str(caught.value).startswith(f"{tmp_path / 'a.json'}: {message}")
+
+
+def test_fifty_levels_are_read(tmp_path):
+    (tmp_path / "a.json").write_bytes(b"[" * 50 + b"]" * 50)
+    json_files.read(tmp_path / "a.json")
+
+
+def test_fuzz_json(tmp_path):
+    path = tmp_path / "a.json"
+
+    def attempt(random):
+        path.write_bytes(damaged_json(RIGHT, random))
+        json_files.read(path, SHAPE)
+
+    assert all(fuzz(attempt, usual=300))
