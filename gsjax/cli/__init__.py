@@ -25,6 +25,7 @@ from gsjax.cli import (
     undistort,
     view,
 )
+from gsjax.cli.stopping import ASKS, Stopping
 from gsjax.errors import InputError
 
 DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
@@ -66,22 +67,25 @@ def guarded(action: Callable[[], None]) -> int:
     """Prepares jax's environment, runs an action and turns what ended it into an exit code.
 
     Returns:
-        0 done, 2 unusable input (one line on stderr says which), 130 interrupted. Anything else is a bug and comes
-        up as the exception that it is. Asked to end (SIGTERM), it cleans up as after any other end, and leaves with
-        the code that shells give to it, 143.
+        0 done, 2 unusable input (one line on stderr says which). Asked to end, it cleans up as after any other end, and
+        leaves with the code that shells give to the signal: 130 after Ctrl-C, 143 after SIGTERM. Anything else is a bug
+        and comes up as the exception that it is.
     """
     environment.prepare()
-    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    stopping = Stopping()
     try:
-        action()
+        with stopping:
+            action()
     except InputError as error:
         print(f"gsjax: error: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print("gsjax: interrupted", file=sys.stderr)
-        return 130
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    except BaseException as error:
+        # Also what others have made of our exception, such as XLA of one in its callback.
+        asked = stopping.signal or (signal.SIGINT if isinstance(error, KeyboardInterrupt) else None)
+        if asked is None:
+            raise
+        print(f"gsjax: {ASKS[asked]}", file=sys.stderr)
+        return 128 + asked
     return 0
 
 

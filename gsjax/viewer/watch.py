@@ -31,10 +31,9 @@ def view(source: str | Path, *, mesh: str | Path | None = None, host: str = HOST
     """
     check_port(host, port)
     subject = open_subject(source, mesh=mesh, tell=_tell)
-    with Page(subject, host=host, port=port) as page:
+    with suppress(KeyboardInterrupt), Page(subject, host=host, port=port) as page:
         _tell(f"{page.address} shows {subject.name}; Ctrl-C ends it")
-        with suppress(KeyboardInterrupt):
-            page.work()
+        page.work()
 
 
 @contextmanager
