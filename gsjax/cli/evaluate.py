@@ -50,6 +50,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
+    from gsjax.runs.outputs import require_apart
 
     score = partial(
         pipeline.evaluate,
@@ -60,6 +61,8 @@ def _run(arguments: argparse.Namespace) -> None:
         zooms=arguments.zoom,
         **given(arguments, "lpips"),
     )
+    if arguments.json:
+        require_apart(arguments.json, arguments.run_folder, arguments.mesh, *(arguments.lpips or ()))
     figures = pipeline.noted(arguments.run_folder, "eval", score)
     if arguments.json:
         json_files.write(arguments.json, figures)

@@ -1,16 +1,13 @@
 """Writing so that a target is either the old whole or the new whole, never a half."""
 
 import os
-import re
-import secrets
-import tempfile
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gsjax.errors import InputError
-
-_TEMPORARY = re.compile(r"\..*-[0-9a-f]{8}(\.\w+)?")  # As `atomic_path` names them.
+from gsjax.io.temporaries import sweep_beside, temporary_beside
 
 
 @contextmanager
@@ -30,7 +27,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         InputError: The disk is full, read-only, or the like; one line with `path` and the system's reason.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
+    temporary = temporary_beside(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
@@ -50,10 +47,10 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 def atomic_folder(path: str | Path) -> Iterator[Path]:
     """An empty temporary folder beside `path`, renamed onto `path` when the block ends without an error.
 
-    After a failure nothing of the block remains.
+    After a failure nothing of the block remains; what one that was killed has left is removed by the next.
 
     Args:
-        path: Where the whole folder is to be; absent or empty so far.
+        path: Where the whole folder is to be; absent or empty so far, or a link to such a folder.
 
     Yields:
         The folder to write to.
@@ -62,16 +59,50 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
         InputError: `path` is in use, or the disk is full, read-only, or the like.
     """
     path = Path(path)
+    require_empty(path)
+    with workspace(path) as folder:
+        yield folder
+        put_in_place(folder, path)
+
+
+def require_empty(path: str | Path) -> None:
+    """Raises InputError unless a folder of this name can be made, or is there without anything in it."""
+    path = Path(path)
     if path.exists() and (not path.is_dir() or any(path.iterdir())):
         raise InputError(f"{path}: exists and is not empty; choose another folder")
+
+
+@contextmanager
+def workspace(path: str | Path) -> Iterator[Path]:
+    """A folder beside `path` for what is to become it, gone after the block whatever happens.
+
+    What killed ones have left there is removed first.
+
+    Raises:
+        InputError: The disk is full, read-only, or the like.
+    """
+    path = _behind_link(Path(path))
     make_folder(path.parent)
+    sweep_beside(path)
+    folder = temporary_beside(path)
     try:
-        with tempfile.TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as workspace:
-            folder = make_folder(Path(workspace) / path.name)
-            yield folder
-            os.replace(folder, path)
+        folder.mkdir()
+        yield folder
     except OSError as error:
         raise unwritable(path, error) from error
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def put_in_place(folder: Path, path: Path) -> None:
+    """Gives a whole folder its name, which is free, an empty folder's, or a link to one of these."""
+    target = _behind_link(path)
+    os.replace(folder, target)
+    flush(target.parent)
+
+
+def _behind_link(path: Path) -> Path:
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 @contextmanager
@@ -89,13 +120,6 @@ def folder_if_used(path: str | Path) -> Iterator[Path]:
         for folder in made:
             with suppress(OSError):  # Not empty, or never made.
                 folder.rmdir()
-
-
-def sweep(folder: str | Path) -> None:
-    """Removes, in a folder and those under it, the temporary files of writers that were killed."""
-    for path in Path(folder).rglob(".*"):
-        if _TEMPORARY.fullmatch(path.name) and path.is_file():
-            path.unlink(missing_ok=True)
 
 
 def unwritable(path: str | Path, error: OSError) -> InputError:

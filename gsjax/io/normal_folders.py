@@ -13,7 +13,8 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.io.files import atomic_path, sweep
+from gsjax.io.files import atomic_path
+from gsjax.io.temporaries import sweep
 
 MANIFEST = "normals.json"
 PREFIX = "normals_"

@@ -10,6 +10,7 @@ from gsjax.errors import InputError
 from gsjax.report import facts as run_facts
 from gsjax.report.facts import RunFacts, flat_settings
 from gsjax.report.page import write_page
+from gsjax.runs.outputs import require_apart
 
 SEEDS = ("seed", "refinement.seed")
 CHARTS = {
@@ -42,6 +43,7 @@ def compare(folders: Iterable[str | Path], out: str | Path) -> Path:
         raise InputError(
             f"there is nothing to compare {folders[0]} with" if folders else "there are no runs to compare"
         )
+    require_apart(out, *folders)
     resolved = [folder.resolve() for folder in folders]
     for folder in folders:
         if resolved.count(folder.resolve()) > 1:

@@ -26,6 +26,7 @@ from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.settling import settle
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
+from gsjax.runs.outputs import require_apart
 from gsjax.runs.prior import reduction_for
 from gsjax.runs.result import Result, open_result, scene_of_run, training_pictures
 from gsjax.scene import Frame
@@ -84,6 +85,7 @@ def mesh(
         InputError: Nothing to mesh, or a file cannot be read or written.
     """
     supported_suffix(Path(out))
+    require_apart(out, source, scene)
     _check(level=level, points=points, depth=depth, trim_quantile=trim_quantile, cell=cell, faces=faces)
     regions = _regions(bounds, background_bounds, foreground_only)
     result = open_result(source, scene=scene)

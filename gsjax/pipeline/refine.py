@@ -76,6 +76,9 @@ def refine(
     make_room()
     run = Path(run)
     trained = Run.open(run)
+    resume = resume and runs.is_to_resume(out)
+    if not resume:
+        runs.require_free(out)
     source = run / "mesh.ply" if mesh is None else Path(mesh)
     if mesh is None and not source.exists():
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
@@ -107,9 +110,15 @@ def refine(
     folder = (
         runs.reopen(out, asked, scene=scene.root)
         if resume
-        else runs.create(out, asked, scene=scene.root, seed=settings.seed, similarity=scene.similarity)
+        else runs.create(
+            out,
+            asked,
+            scene=scene.root,
+            seed=settings.seed,
+            similarity=scene.similarity,
+            plan=_plan(settings, trained),
+        )
     )
-    json_files.write(folder / "plan.json", _plan(settings, trained))
     optimizer = refining.make_optimizer(settings, size, coarse.num_vertices)
 
     def initial(rows: int | None) -> RefineState:
@@ -126,22 +135,24 @@ def refine(
         told.update(found)
         return replace(bound, vertices=jnp.asarray(mesh.vertices))
 
-    state, capacity, seconds = beginning(folder, initial)
-    with runs.begun(folder), _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
-        state = refining.refine(
-            settings,
-            mesh_graph(np.asarray(state.gaussians.bound.faces)),
-            data,
-            state,
-            optimizer,
-            background=BACKGROUNDS[background] if behind is None else lambda key: behind,
-            observe=journal.note,
-            settled=settled,
-            capacity=capacity,
-        )
-        summary = {"steps": settings.steps, "train_seconds": round(journal.seconds, 1), "taken_out": taken_out}
-        summary["settled"] = told or None
-        return _finish(folder, scene, background, found, state.gaussians, summary)
+    with runs.begun(folder):
+        json_files.write(folder / "plan.json", _plan(settings, trained))
+        state, capacity, seconds = beginning(folder, initial)
+        with _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
+            state = refining.refine(
+                settings,
+                mesh_graph(np.asarray(state.gaussians.bound.faces)),
+                data,
+                state,
+                optimizer,
+                background=BACKGROUNDS[background] if behind is None else lambda key: behind,
+                observe=journal.note,
+                settled=settled,
+                capacity=capacity,
+            )
+            summary = {"steps": settings.steps, "train_seconds": round(journal.seconds, 1), "taken_out": taken_out}
+            summary["settled"] = told or None
+            return _finish(folder, scene, background, found, state.gaussians, summary)
 
 
 def _plan(settings: Refinement, trained: Run) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from gsjax.io.files import make_folder
 from gsjax.io.images import write_image
 from gsjax.render import gallery
 from gsjax.report.pictures import depth_picture, surface_picture, to_bytes
+from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import open_result
 from gsjax.runs.viewpoints import circle
 
@@ -28,6 +29,7 @@ def render(run: str | Path, out: str | Path, *, which: Literal["all", "held_out"
     Raises:
         InputError: The run cannot be read or the pictures cannot be written.
     """
+    require_apart(out, run)
     result = open_result(run)
     if which == "turntable":
         cameras = circle(result.gaussians, result.cameras)

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,8 +12,10 @@ from gsjax.binding.refining import Refinement
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.files import make_folder
+from gsjax.io.locks import LOCK, locked
 from gsjax.io.machine import machine, peak_memory, restart_peak_memory, versions
 from gsjax.io.scenes import is_data_set
+from gsjax.io.temporaries import is_temporary, sweep
 from gsjax.meshing.export import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors
 from gsjax.pipeline.mesh import mesh
@@ -69,33 +72,40 @@ def scan(
         "settings": config.to_dict(settings),
         "refinement": config.to_dict(refinement),
     }
-    report = _begun(out, asked)
-    for stage in _stages(source, out, settings, refinement, frames):
-        if stage.is_done():
-            continue
-        progress(f"scan: {stage.name}")
-        started, before = time.perf_counter(), report["stages"].get(stage.name, {}).get("seconds", 0.0)
-        restart_peak_memory()
-        try:
-            figures = stage.run()
-        except InputError:
-            _forget_if_empty(out)
-            raise
-        report["stages"][stage.name] = {
-            **figures,
-            "seconds": round(before + time.perf_counter() - started, 1),
-            "peak_gib": round(peak_memory() / 2**30, 2),
+    _require_scan(out)  # Before anything of ours is in it.
+    with locked(make_folder(out)):
+        sweep(out)
+        report = _begun(out, asked)
+        for stage in _stages(source, out, settings, refinement, frames):
+            if not (stage.is_done() and stage.name in report["stages"]):
+                progress(f"scan: {stage.name}")
+                _do(stage, out, report)
+        report |= {
+            "mesh": str(out / "mesh.glb"),
+            "picture": str(_overview(out)),
+            "machine": machine(),
+            "versions": versions(),
         }
         json_files.write(out / "report.json", report)
-    report |= {
-        "mesh": str(out / "mesh.glb"),
-        "picture": str(_overview(out)),
-        "machine": machine(),
-        "versions": versions(),
+        write_report(out)
+        return report
+
+
+def _do(stage: Stage, out: Path, report: dict[str, Any]) -> None:
+    """One stage, and its entry in the report. What was killed between the two is done again, and leaves the same."""
+    started, before = time.perf_counter(), report["stages"].get(stage.name, {}).get("seconds", 0.0)
+    restart_peak_memory()
+    try:
+        figures = stage.run()
+    except InputError:
+        _forget_if_empty(out)
+        raise
+    report["stages"][stage.name] = {
+        **figures,
+        "seconds": round(before + time.perf_counter() - started, 1),
+        "peak_gib": round(peak_memory() / 2**30, 2),
     }
     json_files.write(out / "report.json", report)
-    write_report(out)
-    return report
 
 
 def table(report: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -104,6 +114,14 @@ def table(report: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return {
         stage: {name: figures[name] for name in shown if name in figures} for stage, figures in report["stages"].items()
     }
+
+
+def _require_scan(out: Path) -> None:
+    """Raises InputError where a folder holds what is no scan's."""
+    if out.is_dir() and not (out / "report.json").exists():
+        for path in out.iterdir():
+            if path.name != LOCK and not is_temporary(path):
+                raise InputError(f"{out}: this folder is not empty and holds no scan; choose another with --out")
 
 
 def _begun(out: Path, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -115,9 +133,6 @@ def _begun(out: Path, asked: Mapping[str, Any]) -> dict[str, Any]:
             if report.get("asked", {}).get(key) != value:
                 raise InputError(f"{out}: was begun with another {key}; choose another folder with --out")
         return report
-    if out.is_dir() and any(out.iterdir()):
-        raise InputError(f"{out}: this folder is not empty and holds no scan; choose another with --out")
-    make_folder(out)
     report = {"asked": dict(asked), "stages": {}}
     json_files.write(file, report)
     return report
@@ -125,16 +140,19 @@ def _begun(out: Path, asked: Mapping[str, Any]) -> dict[str, Any]:
 
 def _forget_if_empty(out: Path) -> None:
     """Removes the folder of a scan that came to nothing: the next try may be another."""
-    if [file.name for file in out.iterdir()] == ["report.json"]:
-        (out / "report.json").unlink()
-        out.rmdir()
+    if {file.name for file in out.iterdir()} == {LOCK, "report.json"}:
+        for name in (LOCK, "report.json"):
+            (out / name).unlink()
+        with suppress(OSError):  # A link.
+            out.rmdir()
 
 
 def _stages(source: Path, out: Path, settings: Settings, refinement: Refinement, frames: int | None) -> list[Stage]:
     scene = source if is_data_set(source) else out / "scene"
     run, refined, coarse, textured = out / "run", out / "refined", out / "run/mesh.ply", out / "mesh.glb"
+    sfm = [] if scene == source else [Stage("sfm", scene.exists, lambda: _reconstruct(source, scene, frames))]
     return [
-        Stage("sfm", scene.exists, lambda: _reconstruct(source, scene, frames)),
+        *sfm,
         Stage("train", lambda: _is_finished(run), lambda: train(scene, run, settings, resume=run.exists())),
         Stage("mesh", coarse.exists, lambda: mesh(run, coarse)),
         Stage(
@@ -147,6 +165,8 @@ def _stages(source: Path, out: Path, settings: Settings, refinement: Refinement,
 def _reconstruct(source: Path, scene: Path, frames: int | None) -> dict[str, Any]:
     from gsjax.io import sfm  # pycolmap: only where there is something to reconstruct.
 
+    if scene.exists():
+        return asdict(sfm.read_report(scene))
     return asdict(sfm.reconstruct(source, scene, **({} if frames is None else {"frames": frames})))
 
 

@@ -10,6 +10,7 @@ from gsjax.errors import InputError
 from gsjax.meshing.export import read_mesh, textured_writer, write_textured
 from gsjax.meshing.texture import texture_mesh
 from gsjax.meshing.texture_size import texture_side
+from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import open_result, training_pictures
 
 SIZES = (64, 8192)  # Browsers hold no larger texture.
@@ -36,6 +37,7 @@ def texture(
         InputError: A file cannot be read or written, or the texture is too small for the mesh.
     """
     textured_writer(Path(out))
+    require_apart(out, source, mesh, scene)
     if size is not None and not SIZES[0] <= size <= SIZES[1]:
         raise InputError(f"--size {size} is not between {SIZES[0]} and {SIZES[1]}")
     result = open_result(source, scene=scene)

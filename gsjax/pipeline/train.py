@@ -93,7 +93,9 @@ def train(
     make_room()
     rasterizer.prepare()
     with own_folder(out) as folder:
-        known = Run.open(folder).plan if resume and is_first() else None
+        if not resume:
+            runs.require_free(folder)
+        known = Run.open(folder).plan if resume and is_first() and runs.is_to_resume(folder) else None
         planned = _planned(scene, settings, terms, count_devices(devices), known)
         return _train(scene, folder, settings, planned, known, earlier, observe, devices)
 
@@ -149,35 +151,43 @@ def _train(
     run = (
         runs.reopen(out, as_dict, scene=scene, completed=_completed)
         if known
-        else runs.create(out, as_dict, scene=scene, seed=settings.seed, similarity=loaded.similarity)
+        else runs.create(
+            out,
+            as_dict,
+            scene=scene,
+            seed=settings.seed,
+            similarity=loaded.similarity,
+            plan=planned.record(),
+        )
     )
-    json_files.write(run / "plan.json", planned.record())
-    runs.update_manifest(run, photos=photos_line)
-    if chosen.evidence:
-        runs.update_manifest(run, effects=chosen.evidence)
-    degree = stored_degree(run, planned, settings.sh_degree) if known else settings.sh_degree
-    initial = partial(_initial_with_tables, loaded, replace(settings, sh_degree=degree), planned, optimizer, chosen)
-    state, capacity, seconds = beginning(run, initial, earlier)
-    state = spread.deal(_of_first(state, initial))
-    whole = spread.whole
-    with runs.begun(run), TrainingJournal(run, planned, loaded, int(state.step), seconds, chosen, whole) as journal:
+    with runs.begun(run):
+        json_files.write(run / "plan.json", planned.record())
+        runs.update_manifest(run, photos=photos_line)
+        if chosen.evidence:
+            runs.update_manifest(run, effects=chosen.evidence)
+        degree = stored_degree(run, planned, settings.sh_degree) if known else settings.sh_degree
+        initial = partial(_initial_with_tables, loaded, replace(settings, sh_degree=degree), planned, optimizer, chosen)
+        state, capacity, seconds = beginning(run, initial, earlier)
+        state = spread.deal(_of_first(state, initial))
+        whole = spread.whole
+        with TrainingJournal(run, planned, loaded, int(state.step), seconds, chosen, whole) as journal:
 
-        def told(progress: Progress) -> None:
-            observe(progress)
-            journal.note(progress)
+            def told(progress: Progress) -> None:
+                observe(progress)
+                journal.note(progress)
 
-        def normals(state: TrainState) -> list[np.ndarray]:
-            state = whole(state)
-            maps = prior(state.gaussians, refined(frames, chosen.photography(state.effects).moves))
-            return [from_first(each) for each in maps]
+            def normals(state: TrainState) -> list[np.ndarray]:
+                state = whole(state)
+                maps = prior(state.gaussians, refined(frames, chosen.photography(state.effects).moves))
+                return [from_first(each) for each in maps]
 
-        work = Work(planned, frames, size, optimizer, normals, told, chosen.effects, spread.placement)
-        # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.
-        capacity = capacity if spread.is_one else None
-        if chosen.tries_degrees:
-            state, capacity = with_needed_harmonics(run, work, state, capacity), None
-        state = whole(follow(work, state, capacity))
-        return _finish(run, planned, loaded, state, chosen.photography(state.effects), journal.seconds)
+            work = Work(planned, frames, size, optimizer, normals, told, chosen.effects, spread.placement)
+            # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.
+            capacity = capacity if spread.is_one else None
+            if chosen.tries_degrees:
+                state, capacity = with_needed_harmonics(run, work, state, capacity), None
+            state = whole(follow(work, state, capacity))
+            return _finish(run, planned, loaded, state, chosen.photography(state.effects), journal.seconds)
 
 
 def _of_first(state: TrainState, initial: Callable[[int], TrainState]) -> TrainState:

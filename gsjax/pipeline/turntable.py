@@ -10,6 +10,7 @@ from gsjax.meshing.export import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors, vertex_colors
 from gsjax.meshing.turntable import check_suffix, write_turntable
 from gsjax.meshing.turntable import turntable as pictures_around
+from gsjax.runs.outputs import require_apart
 from gsjax.similarity import of_points
 
 MOST_FRAMES, MOST_SIZE = 3600, 4096
@@ -40,6 +41,7 @@ def turntable(
         InputError: The mesh cannot be read, the pictures cannot be written, or an option is out of range.
     """
     check_suffix(out)
+    require_apart(out, mesh)
     for name, value, most in (("frames", frames, MOST_FRAMES), ("size", size, MOST_SIZE)):
         if not 1 <= value <= most:
             raise InputError(f"--{name} {value} is not between 1 and {most}")

@@ -9,7 +9,7 @@ from tqdm import tqdm
 
 from gsjax.errors import InputError
 from gsjax.io.colmap_writer import write_model
-from gsjax.io.files import atomic_folder
+from gsjax.io.files import atomic_folder, require_empty
 from gsjax.io.images import write_image
 from gsjax.io.photo_names import written_name
 from gsjax.io.scenes import load_scene
@@ -37,6 +37,7 @@ def undistort(
         InputError: The data set cannot be used, two frames would be written to one file, or `out` is in use or cannot
             be written.
     """
+    require_empty(out)
     loaded = load_scene(scene, downscale=downscale, images=images)
     written: dict[str, Frame] = {}
     masks = 0

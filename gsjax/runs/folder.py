@@ -15,16 +15,16 @@
     background.json    what is behind all Gaussians, where a run learns that
     masks/             0007.png of every training view with pixels that must not be used: 0 there, else 255
 
-`create` starts one, `reopen` continues one; every write is whole or not at all.
+`create` starts one, `reopen` continues one; both leave a whole run folder. `begun` keeps it for one process, by a lock
+(`.lock`) that ends with it. Every write is whole or not at all.
 """
 
 import json
 import re
 import shlex
-import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -32,9 +32,11 @@ from typing import Any
 
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.io.files import atomic_path, make_folder, sweep, unwritable
+from gsjax.io.files import atomic_folder, atomic_path, make_folder, unwritable
+from gsjax.io.locks import LOCK, locked
 from gsjax.io.machine import machine, versions
 from gsjax.io.similarities import parsed_similarity
+from gsjax.io.temporaries import is_temporary, sweep
 from gsjax.runs import checkpoints
 from gsjax.runs.records import RECORD, SCENE, SETTINGS
 from gsjax.similarity import IDENTITY, Similarity
@@ -44,10 +46,38 @@ EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic", "e
 KEPT_CHECKPOINTS = 2  # The newest and, should it turn out damaged, the one before.
 
 
+OF_A_BEGINNING = {"config.json", "plan.json", LOCK}
+"""What a folder may hold that was to become a run: without a manifest it is none."""
+
+
+def is_begun(run: str | Path) -> bool:
+    """Whether a folder holds a run."""
+    return (Path(run) / "manifest.json").is_file()
+
+
 def require_free(run: str | Path) -> None:
     """Raises InputError where the folder of a new run holds something already."""
-    if Path(run).is_dir() and any(Path(run).iterdir()):
+    run = Path(run)
+    if run.is_dir() and not all(map(_is_of_a_beginning, run.iterdir())):
         raise InputError(f"{run}: this folder is not empty; continue its run with --resume, or choose another")
+
+
+def is_to_resume(run: str | Path) -> bool:
+    """Whether there is a run to go on with. A line says where one was stopped before it had begun: it begins anew.
+
+    Raises:
+        InputError: There is no such folder, something else is in it, or another process is at work in it.
+    """
+    run = Path(run)
+    if is_begun(run):
+        with locked(run):
+            return True
+    if not run.is_dir():
+        raise InputError(f"{run}: there is no run to resume; without --resume one begins")
+    if not all(map(_is_of_a_beginning, run.iterdir())):
+        raise InputError(f"{run}: holds no manifest.json; it is no run folder")
+    print(f"{run}: a run was stopped as it began here; it begins anew", file=sys.stderr)
+    return False
 
 
 def create(
@@ -57,23 +87,23 @@ def create(
     scene: str | Path,
     seed: int,
     similarity: Similarity = IDENTITY,
+    plan: Mapping[str, Any] | None = None,
 ) -> Path:
-    """Makes the folder of a new run, with its config and manifest.
+    """Makes the folder of a new run, with its config, plan and manifest: whole, or not at all.
 
     Args:
-        run: A folder that is absent or empty.
+        run: A folder that is absent or empty, or a link to one.
         settings: The parsed settings as a nested dict (`gsjax.config.to_dict`).
         scene: The data set.
         seed: Seed of all random numbers of the run.
         similarity: To the run's own coordinates from those of the data set.
+        plan: What runs (`gsjax.training.plan.Plan.record`).
 
     Raises:
         InputError: The folder holds something already, or cannot be written.
     """
     run = Path(run)
     require_free(run)
-    make_folder(run / "checkpoints")
-    json_files.write(run / "config.json", settings)
     manifest = {
         "scene": str(Path(scene).resolve()),
         "command": shlex.join(sys.argv),
@@ -84,8 +114,29 @@ def create(
         "machine": machine(),
         "status": "started",
     }
-    json_files.write(run / "manifest.json", manifest)
+    files = {"config.json": settings, "plan.json": plan, "manifest.json": manifest}  # The last makes it a run.
+    if run.is_dir():  # It may be a mounted one, which has no beside.
+        with locked(run):
+            require_free(run)
+            _write_beginning(run, files)
+    else:
+        with atomic_folder(run) as folder:
+            _write_beginning(folder, files)
     return run
+
+
+def _write_beginning(run: Path, files: Mapping[str, Any]) -> None:
+    make_folder(run / "checkpoints")
+    for name, data in files.items():
+        if data is not None:
+            json_files.write(run / name, data)
+
+
+def _is_of_a_beginning(path: Path) -> bool:
+    """Whether a file or folder is what we leave in one that is to become a run."""
+    if path.name == "checkpoints" and path.is_dir():
+        return all(map(is_temporary, path.iterdir()))
+    return path.name in OF_A_BEGINNING or is_temporary(path)
 
 
 def reopen(
@@ -113,22 +164,52 @@ def reopen(
         raise InputError(f"{run}: was started on {before}, not on {scene}; a resumed run keeps its data set")
     for key, (before, now) in _differences(started, json_files.plain({**EARLIER, **settings})).items():
         raise InputError(f"{run}: was started with {key} = {before}, not {now}; a resumed run keeps its settings")
-    sweep(run)
     return run
 
 
 @contextmanager
 def begun(run: Path) -> Iterator[None]:
-    """While a run goes on: its folder goes away if bad input ends it before anything came of it.
+    """While a run goes on: its folder is this process's alone, and free of what killed ones have left.
 
-    Who tries again with other settings would be told otherwise that the folder is taken.
+    Its files go away if bad input ends it before anything came of it: who tries again with other settings would be told
+    otherwise that the folder is taken. Files of others stay.
+
+    Raises:
+        InputError: Another process is at work in it, or its only checkpoint is damaged.
     """
-    try:
-        yield
-    except InputError:
-        if not read_metrics(run) and latest_checkpoint(run) is None:
-            shutil.rmtree(run)
-        raise
+    with locked(run):
+        sweep(run)
+        _drop_damaged_checkpoints(run)
+        try:
+            yield
+        except InputError:
+            if not read_metrics(run) and latest_checkpoint(run) is None:
+                _forget(run)
+            raise
+
+
+def _drop_damaged_checkpoints(run: Path) -> None:
+    """Leaves the newest that is whole. One line says which are gone."""
+    while found := _checkpoints(run):
+        try:
+            checkpoints.load_arrays(found[-1][1])
+            return
+        except InputError as error:
+            if len(found) == 1:
+                raise InputError(f"{error}; without this file, --resume begins at the first step") from error
+            print(f"{error}; going on from {found[-2][1].name}", file=sys.stderr)
+            found[-1][1].unlink()
+
+
+def _forget(run: Path) -> None:
+    """Removes what is ours of a run that came to nothing; and the folder, if that was all and it is no link."""
+    maps = run / "normals"
+    files = [run / name for name in (*OF_A_BEGINNING, "manifest.json", "metrics.jsonl")]
+    for file in (*files, *maps.rglob("*.png")):
+        file.unlink(missing_ok=True)
+    for folder in (*(path for path in maps.rglob("*") if path.is_dir()), maps, run / "checkpoints", run):
+        with suppress(OSError):  # Not empty, absent, or a link.
+            folder.rmdir()
 
 
 def update_manifest(run: str | Path, **changes: Any) -> None:

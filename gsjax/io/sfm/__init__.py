@@ -1,22 +1,22 @@
 """Bare photos, or a video, to a COLMAP data set: SIFT, chosen pairs, incremental mapping, undistortion."""
 
 import os
-import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from tqdm import tqdm
 
 from gsjax.errors import InputError
+from gsjax.io import json_files
 from gsjax.io.child_process import run_in_child
-from gsjax.io.files import make_folder, unwritable
+from gsjax.io.files import make_folder, put_in_place, require_empty, unwritable, workspace
 
 DEFAULT_FRAMES = 100
+REPORT = "sfm.json"
 
-__all__ = ["DEFAULT_FRAMES", "SfmReport", "reconstruct"]
+__all__ = ["DEFAULT_FRAMES", "SfmReport", "read_report", "reconstruct"]
 
 
 @dataclass(frozen=True)
@@ -69,14 +69,29 @@ def reconstruct(
         raise InputError(f"--frames {frames}: at least 2 are needed")
     if frames is not None and photos.is_dir():
         raise InputError(f"{photos}: is a folder of photos, of which all are taken; --frames is for a video")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: exists and is not empty; choose another folder for the scene")
+    require_empty(out)
     threads = threads if threads > 0 else len(os.sched_getaffinity(0))
-    with _workspace(out) as workspace:
-        arguments = (photos, workspace, frames or DEFAULT_FRAMES, max_image_size, threads)
+    with workspace(out) as space:
+        arguments = (photos, space, frames or DEFAULT_FRAMES, max_image_size, threads)
         report = run_in_child(_build, *arguments, name=str(photos), progress=progress)
-        os.replace(workspace / "scene", out)
-    return SfmReport(**report, seconds=time.monotonic() - start)
+        report["seconds"] = time.monotonic() - start
+        json_files.write(space / "scene" / REPORT, report)  # Of a scene that is there, it can be read again.
+        put_in_place(space / "scene", out)
+    return SfmReport(**report)
+
+
+def read_report(scene: str | Path) -> SfmReport:
+    """What a reconstruction came to, of the data set that it made.
+
+    Raises:
+        InputError: The data set holds no report, or a damaged one.
+    """
+    file = Path(scene) / REPORT
+    report = json_files.read(file)
+    try:
+        return SfmReport(**report)
+    except TypeError as error:
+        raise InputError(f"{file}: is no report of a reconstruction") from error
 
 
 def _build(
@@ -123,14 +138,3 @@ def _frames_of(source: Path, folder: Path, count: int, progress: Callable[..., t
     if source.suffix.lower() in SUFFIXES:
         raise InputError(f"{source}: is one photo; give the folder that holds all of them")
     return video.write_sharpest_frames(source, folder, count, progress)
-
-
-@contextmanager
-def _workspace(out: Path) -> Iterator[Path]:
-    """A folder beside `out`, gone afterwards whatever happens."""
-    make_folder(out.parent)
-    try:
-        with tempfile.TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as folder:
-            yield Path(folder)
-    except OSError as error:
-        raise unwritable(out, error) from error

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.io import files
+from gsjax.io import files, temporaries
 
 
 def test_the_target_appears_whole_with_its_parents(tmp_path):
@@ -98,12 +98,47 @@ def test_what_a_killed_writer_left_is_swept_away_and_nothing_else(tmp_path):
     target = tmp_path / "a/step_0000001.npz"
     assert subprocess.run([sys.executable, "-c", killed, str(target)]).returncode == 9
     assert not target.exists()
-    (tmp_path / ".hidden-file").write_text("the user's")
-    (tmp_path / "step-0123abcd.npz").write_text("the user's")
+    mine = [".hidden-file", ".notes-0123abcd.npz", "step-0123abcd.npz", "step.gsjax-1-0123abcd.npz"]
+    for name in mine:
+        (tmp_path / name).write_text("the user's")
     assert len(os.listdir(target.parent)) == 1
-    files.sweep(tmp_path)
-    assert os.listdir(target.parent) == []
-    assert sorted(os.listdir(tmp_path)) == [".hidden-file", "a", "step-0123abcd.npz"]
+    with files.atomic_path(target) as living:
+        living.write_text("half")
+        temporaries.sweep(tmp_path)
+        assert os.listdir(target.parent) == [living.name], "of a process that lives"
+    assert os.listdir(target.parent) == [target.name]
+    assert sorted(os.listdir(tmp_path)) == [mine[0], mine[1], "a", *mine[2:]]
+
+
+def test_the_folder_of_a_killed_writer_goes_when_the_next_one_begins(tmp_path):
+    killed = (
+        "import os, sys\nfrom gsjax.io.files import workspace\n"
+        "with workspace(sys.argv[1]) as folder:\n    (folder / 'half').write_text('half')\n    os._exit(9)"
+    )
+    for name in ("scene", "other"):
+        assert subprocess.run([sys.executable, "-c", killed, str(tmp_path / name)]).returncode == 9
+    (tmp_path / ".scene-0123abcd").mkdir()
+    assert len(os.listdir(tmp_path)) == 3
+    with files.atomic_folder(tmp_path / "scene") as folder:
+        (folder / "whole").write_text("whole")
+    found = sorted(os.listdir(tmp_path))
+    assert found[0].startswith(".other.gsjax-"), "may be of a writer on another machine"
+    assert found[1:] == [".scene-0123abcd", "scene"] and os.listdir(tmp_path / "scene") == ["whole"]
+
+
+def test_a_folder_comes_to_where_a_link_leads(tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "scene").symlink_to(tmp_path / "disk/scene")
+    for _ in range(2):
+        with files.atomic_folder(tmp_path / "scene") as folder:
+            assert folder.parent == tmp_path / "disk"
+        assert (tmp_path / "scene").is_symlink() and os.listdir(tmp_path / "disk") == ["scene"]
+
+
+def test_a_name_may_be_as_long_as_the_system_allows(tmp_path):
+    with files.atomic_path(tmp_path / ("ä" * 125 + ".ply")) as temporary:
+        temporary.write_text("whole")
+    assert len(os.listdir(tmp_path)) == 1
 
 
 def test_a_folder_that_stays_empty_goes_with_the_parents_made_for_it(tmp_path):

@@ -11,6 +11,7 @@ from gsjax import cli, config, pipeline
 from gsjax.binding.refining import PRESETS, Refinement
 from gsjax.errors import InputError
 from gsjax.io import json_files
+from gsjax.io.locks import locked
 from gsjax.pipeline.scan import scan, table
 from gsjax.settings import PRESETS as TRAINING
 from gsjax.settings import Settings
@@ -21,6 +22,12 @@ scanning = importlib.import_module("gsjax.pipeline.scan")  # The package's attri
 @dataclass(frozen=True)
 class SfmReport:
     registered: int = 7
+
+
+SFM_REPORT = {
+    "images": 8, "registered": 7, "left_out": {}, "passed_over": {}, "points": 9, "mean_reprojection_error": 0.5,
+    "mean_track_length": 3.0, "seconds": 1.0,
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -38,6 +45,7 @@ def stages(monkeypatch):
         return run
 
     def run_folder(*arguments):
+        arguments[1].mkdir(parents=True, exist_ok=True)
         json_files.write(arguments[1] / "manifest.json", {"status": "done"})
         return {"psnr": 30.0}
 
@@ -107,6 +115,34 @@ def test_a_scan_goes_on_where_it_stopped_and_then_has_nothing_to_do(stages, phot
     calls.clear()
     scanned(photos, tmp_path / "scan")
     assert calls == []
+
+
+def test_what_was_killed_before_its_entry_is_told_after_all(stages, photos, tmp_path):
+    """The stage's work was there, the report did not say so yet."""
+    calls, _ = stages
+    whole = scanned(photos, tmp_path / "scan")["stages"]
+    file = tmp_path / "scan/report.json"
+    json_files.write(tmp_path / "scan/scene/sfm.json", {**SFM_REPORT, "registered": 7})
+    for stage in whole:
+        report = json_files.read(file)
+        del report["stages"][stage]
+        json_files.write(file, report)
+        calls.clear()
+        again = scanned(photos, tmp_path / "scan")["stages"]
+        assert set(again) == set(whole)
+        known = [name for name in whole[stage] if name not in ("seconds", "peak_gib")]
+        assert known and all(again[stage][name] == whole[stage][name] for name in known)
+        assert [call[0] for call in calls] == ([] if stage == "sfm" else [stage])
+
+
+def test_a_scan_killed_as_it_began_and_a_second_one_on_its_folder(stages, photos, tmp_path):
+    out = tmp_path / "scan"
+    out.mkdir()
+    (out / ".lock").write_text("")
+    (out / ".report.gsjax-1-0123abcd.json").write_text("{")
+    with locked(out), pytest.raises(InputError, match="scan: another process is at work in this folder"):
+        scanned(photos, out)
+    assert scanned(photos, out)["stages"]
 
 
 def test_a_data_set_with_poses_is_not_reconstructed(stages, tmp_path):

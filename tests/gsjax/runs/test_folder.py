@@ -40,10 +40,7 @@ def test_nothing_is_overwritten(run):
 
 def test_a_run_is_reopened_on_its_own_data_set_with_its_own_settings_only(run, tmp_path):
     scene = tmp_path / "nowhere" / ".." / "scene"  # the same place, named another way
-    leftover = run / "checkpoints/.step_0000001-0123abcd.npz"
-    leftover.write_text("half")
     assert runs.reopen(run, {"seed": 3, "train": {"steps": 100, "rates": (0.1, 0.2)}}, scene=scene) == run
-    assert not leftover.exists()
     with pytest.raises(InputError, match=r"run: was started with train\.steps = 100, not 50"):
         runs.reopen(run, {"seed": 3, "train": {"steps": 50, "rates": [0.1, 0.2]}}, scene=scene)
     with pytest.raises(InputError, match=r"was started with extra = null, not 1"):
@@ -76,6 +73,126 @@ def test_a_run_from_before_depth_could_be_chosen_keeps_the_depth_that_it_had(run
         runs.reopen(run, SETTINGS | {"depth_mode": "plane"}, scene=tmp_path / "scene")
     json_files.write(run / "config.json", SETTINGS | {"depth_mode": "plane"})
     assert runs.read_settings(run)["depth_mode"] == "plane"
+
+
+def left_by_the_dead(name):
+    """A temporary name as a writer that was killed leaves it."""
+    child = subprocess.Popen([sys.executable, "-c", ""])
+    child.wait()
+    return f".{name}.gsjax-{child.pid}-0123abcd.npz"
+
+
+def test_what_killed_writers_left_goes_when_a_run_goes_on(run):
+    leftover, mine = run / "checkpoints" / left_by_the_dead("step_0000001"), run / ".notes-0123abcd.npz"
+    for file in (leftover, mine):
+        file.write_text("half")
+    with runs.begun(run):
+        assert not leftover.exists() and mine.exists()
+
+
+def test_a_run_folder_appears_whole_wherever_its_making_is_killed(tmp_path):
+    """Killed at each of its writes in turn, it leaves no run, and the next try makes one; or it leaves a whole one."""
+    program = """
+import os, sys
+from gsjax import runs
+replace, kinds = os.replace, ("absent", "empty")
+def killed_at(count):
+    def replaced(*names):
+        nonlocal count
+        count -= 1
+        count < 0 and os._exit(9)
+        replace(*names)
+    return replaced
+for kind in kinds:
+    for count in range(6):
+        run = f"{sys.argv[1]}/{kind}_{count}"
+        kind == "empty" and os.mkdir(run)
+        child = os.fork()
+        if not child:
+            os.replace = killed_at(count)
+            runs.create(run, {"seed": 3}, scene="scene", seed=3, plan={"steps": 1})
+            os._exit(7)
+        print(kind, count, os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    done = subprocess.run([sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=True)
+    wanted, writes = {"config.json", "plan.json", "manifest.json", "checkpoints"}, {"absent": 4, "empty": 3}
+    for kind, count, code in map(str.split, done.stdout.splitlines()):
+        run = tmp_path / f"{kind}_{count}"
+        assert int(code) == (7 if int(count) >= writes[kind] else 9)
+        if code == "9":
+            assert not runs.is_begun(run)
+            assert kind == "absent" and not run.exists() or not runs.is_to_resume(run)
+            runs.create(run, {"seed": 3}, scene="scene", seed=3, plan={})
+        assert wanted <= set(os.listdir(run)) and json_files.read(run / "config.json") == {"seed": 3}
+    assert not [name for name in os.listdir(tmp_path) if name.startswith(".")], "the next has swept"
+
+
+def test_what_is_to_be_resumed_is_a_run(run, tmp_path, capsys):
+    assert runs.is_to_resume(run)
+    with pytest.raises(InputError, match="absent: there is no run to resume; without --resume one begins"):
+        runs.is_to_resume(tmp_path / "absent")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/notes.txt").write_text("kept")
+    with pytest.raises(InputError, match=r"mine: holds no manifest\.json; it is no run folder"):
+        runs.is_to_resume(tmp_path / "mine")
+    (tmp_path / "killed/checkpoints").mkdir(parents=True)
+    (tmp_path / "killed/config.json").write_text("{}")  # as versions before this one were killed
+    assert not runs.is_to_resume(tmp_path / "killed")
+    assert capsys.readouterr().err.endswith("killed: a run was stopped as it began here; it begins anew\n")
+    assert runs.create(tmp_path / "killed", SETTINGS, scene="scene", seed=3)
+
+
+def test_a_run_may_be_a_link(tmp_path):
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "disk/run")
+    assert runs.create(link, SETTINGS, scene="scene", seed=3) == link
+    assert link.is_symlink() and runs.is_begun(tmp_path / "disk/run")
+    with pytest.raises(InputError, match="no room"), runs.begun(link):
+        raise InputError("the device has no room")
+    assert link.is_symlink() and os.listdir(link) == []
+    runs.create(link, SETTINGS, scene="scene", seed=3)
+
+
+def test_two_processes_do_not_work_in_one_folder(run):
+    holding = (
+        "import sys, time\nfrom pathlib import Path\nfrom gsjax import runs\n"
+        "with runs.begun(Path(sys.argv[1])):\n    print(flush=True)\n    time.sleep(60)"
+    )
+    child = subprocess.Popen([sys.executable, "-c", holding, str(run)], stdout=subprocess.PIPE)
+    child.stdout.readline()
+    for attempt in (lambda: runs.begun(run).__enter__(), lambda: runs.is_to_resume(run)):
+        with pytest.raises(InputError, match="run: another process is at work in this folder"):
+            attempt()
+    assert runs.is_begun(run), "its files are the other's"
+    child.kill()
+    child.wait()
+    child.stdout.close()
+    with runs.begun(run):
+        pass
+
+
+def test_a_damaged_newest_checkpoint_gives_way_to_the_one_before(run, capsys):
+    for step in (5, 10):
+        runs.save_checkpoint(run, step, {"step": np.int32(step)})
+    newest = run / "checkpoints/step_0000010.npz"
+    newest.write_bytes(newest.read_bytes()[:-30])
+    with runs.begun(run):
+        assert runs.latest_checkpoint(run)[0] == 5
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1 and "step_0000010.npz: truncated or damaged" in line
+    assert line.endswith("going on from step_0000005.npz\n")
+    only = run / "checkpoints/step_0000005.npz"
+    only.write_bytes(b"")
+    with pytest.raises(InputError, match="step_0000005.npz: .*without this file, --resume begins at"), runs.begun(run):
+        pass
+    assert only.exists() and runs.is_begun(run)
+
+
+def test_files_of_others_stay_where_a_run_comes_to_nothing(run):
+    (run / "notes.txt").write_text("kept")
+    with pytest.raises(InputError, match="no room"), runs.begun(run):
+        raise InputError("the device has no room")
+    assert os.listdir(run) == ["notes.txt"]
 
 
 @pytest.mark.parametrize("left", ["nothing", "metrics", "checkpoint"])

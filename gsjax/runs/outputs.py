@@ -1,0 +1,50 @@
+"""What a command may write to: never what it reads."""
+
+import os
+from pathlib import Path
+
+from gsjax.errors import InputError
+from gsjax.runs.folder import is_begun
+from gsjax.runs.run import Run
+
+OF_RUN = {
+    "config.json", "plan.json", "manifest.json", "metrics.jsonl", "pictures", "report.html", "report.json",
+    "checkpoints", "gaussians.ply", "cameras.json", "effects.json", "poses.json", "background.json", "masks", "normals",
+}  # fmt: skip
+OF_REFINEMENT = {"mesh.ply", "mesh.glb"}
+OF_DATA_SET = {".bin", ".txt", ".npz", ".npy", ".ply"}  # suffixes, and transforms*.json
+
+
+def require_apart(out: str | Path, *inputs: str | Path | None) -> None:
+    """Refuses an output that is an input, or a part of one.
+
+    Args:
+        out: The file or folder that is to be written.
+        inputs: Files; run folders, whose own files and data sets are parts of them, but no mesh that was made of them;
+            and data sets, of which every file is a part that is there already and that a reader may look at. None: not
+            given.
+
+    Raises:
+        InputError: It is; the message names both.
+    """
+    place = Path(os.path.realpath(out))
+    for given in inputs:
+        if given is not None and any(_is_part(place, read) for read in _read(Path(os.path.realpath(given)))):
+            raise InputError(f"{out}: is what is read from {given}; choose another place for the output")
+
+
+def _read(given: Path) -> list[Path]:
+    """An input, and of a run its data set too."""
+    return [given, Path(os.path.realpath(Run(given).manifest["scene"]))] if is_begun(given) else [given]
+
+
+def _is_part(out: Path, given: Path) -> bool:
+    if out == given or (out.is_file() and given.is_file() and out.samefile(given)):
+        return True
+    if not given.is_dir() or not out.is_relative_to(given):
+        return False
+    first, *inner = out.relative_to(given).parts
+    if is_begun(given):
+        return first in (OF_RUN | OF_REFINEMENT if Run(given).is_refinement else OF_RUN)
+    is_read = first.startswith("transforms") or out.suffix.lower() in OF_DATA_SET
+    return out.is_file() and (bool(inner) or is_read)
