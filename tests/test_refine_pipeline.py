@@ -164,7 +164,7 @@ def test_without_free_gaussians_those_of_the_run_need_not_be_there(place, tmp_pa
 def test_the_editing_example_of_the_docs_moves_the_gaussians_with_the_mesh(refined, tmp_path, monkeypatch):
     (example,) = re.findall(r"```python\n(.*?)```", (DOCS / "refinement.md").read_text(), re.DOTALL)
     (tmp_path / "runs").mkdir()
-    (tmp_path / "runs/garden_refined").symlink_to(refined.out)
+    (tmp_path / "runs/refined").symlink_to(refined.out)
     monkeypatch.chdir(tmp_path)
     exec(example, {})
     before, after = read_mesh(refined.out / "mesh.ply"), read_mesh("edited.glb")
@@ -203,7 +203,7 @@ def test_what_cannot_be_refined_is_one_line_and_leaves_nothing(place, refined, t
         ([str(place.run), "--mesh", str(tmp_path / "broken.ply")], "broken.ply: not readable as a mesh"),
         ([str(place.run), "--mesh", str(tmp_path / "behind.ply")], "sees any of its 18 triangles"),
         ([str(bare)], f"{bare}/mesh.ply: no such mesh; `gsjax mesh {bare} --out {bare}/mesh.ply` makes it"),
-        ([str(tmp_path / "norun"), "--mesh", str(place.run / "mesh.ply")], "norun/config.json: No such file"),
+        ([str(tmp_path / "norun"), "--mesh", str(place.run / "mesh.ply")], "norun: holds no manifest.json"),
     ]
     for arguments, message in cases:
         assert cli.main(["refine", *arguments, "--out", str(tmp_path / "out")]) == 2

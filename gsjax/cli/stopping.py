@@ -56,6 +56,8 @@ class Stopping:
     def _raise(self, number: int, frame: FrameType | None) -> None:
         if not self._lasts:  # It has come out: the command ends.
             return
+        if self.signal is None and number not in ASKS:  # Somebody else's alarm.
+            return
         if self.signal is None:
             self.signal = signal.Signals(number)
             signal.setitimer(signal.ITIMER_REAL, AGAIN, AGAIN)

@@ -11,6 +11,7 @@ from scipy.special import expit
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io.gaussian_files import format_of, load_gaussians, save_gaussians, stored_similarity
+from gsjax.io.temporaries import sweep_beside
 from gsjax.runs.outputs import require_apart
 
 
@@ -45,6 +46,7 @@ def convert(
     source, out = Path(source), Path(out)
     format_of(out)
     require_apart(out, source)
+    sweep_beside(out)
     if sh_degree is not None and not 0 <= sh_degree <= 4:
         raise InputError(f"--sh-degree {sh_degree} is not between 0 and 4")
     if crop is not None and not all(low <= high for low, high in zip(crop[:3], crop[3:], strict=True)):

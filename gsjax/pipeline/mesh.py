@@ -15,6 +15,7 @@ from gsjax.errors import InputError
 from gsjax.gaussians import without_view_dependence
 from gsjax.io.machine import require_memory
 from gsjax.io.scenes import load_scene
+from gsjax.io.temporaries import sweep_beside
 from gsjax.meshing import boxes, level_set, trimming
 from gsjax.meshing.boxes import Box, Regions
 from gsjax.meshing.depth_points import NormalsOfDepth, depth_poisson
@@ -86,6 +87,7 @@ def mesh(
     """
     supported_suffix(Path(out))
     require_apart(out, source, scene)
+    sweep_beside(Path(out))
     _check(level=level, points=points, depth=depth, trim_quantile=trim_quantile, cell=cell, faces=faces)
     regions = _regions(bounds, background_bounds, foreground_only)
     result = open_result(source, scene=scene)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io.temporaries import sweep_beside
 from gsjax.meshing.export import read_mesh, textured_writer, write_textured
 from gsjax.meshing.texture import texture_mesh
 from gsjax.meshing.texture_size import texture_side
@@ -38,6 +39,7 @@ def texture(
     """
     textured_writer(Path(out))
     require_apart(out, source, mesh, scene)
+    sweep_beside(Path(out))
     if size is not None and not SIZES[0] <= size <= SIZES[1]:
         raise InputError(f"--size {size} is not between {SIZES[0]} and {SIZES[1]}")
     result = open_result(source, scene=scene)

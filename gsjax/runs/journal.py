@@ -99,9 +99,10 @@ def beginning(run: Path, initial: Callable[[int | None], Any], earlier: Path | N
 
 
 def _rows(path: Path, arrays: dict[str, np.ndarray]) -> int:
-    """How many rows a checkpoint says it has; some array of it has as many."""
+    """How many rows a checkpoint says it has: no more than its arrays have (bound and free Gaussians are in two)."""
     rows = arrays.get("['rows']", np.zeros(1))
-    if rows.shape or rows.dtype.kind not in "iu" or not any(a.shape[:1] == (int(rows),) for a in arrays.values()):
+    stored = sum(len(array) for array in arrays.values() if array.shape)
+    if rows.shape or rows.dtype.kind not in "iu" or not 0 <= rows <= stored:
         raise InputError(f"{path}: damaged checkpoint, it does not tell its number of rows")
     return int(rows)
 

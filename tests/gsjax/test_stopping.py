@@ -94,6 +94,10 @@ def test_what_is_done_when_the_signal_comes_is_done():
     assert stopping.signal is None
 
 
+def test_an_alarm_of_others_asks_nothing():
+    assert guarded(lambda: signal.raise_signal(signal.SIGALRM)) == 0
+
+
 def test_signals_are_given_back_and_ignored_ones_stay_ignored():
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
