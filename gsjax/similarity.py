@@ -11,15 +11,18 @@ The scale is a power of 4, and the centre a multiple of 32 local units: both are
 size at its origin keeps every number as it is.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gsjax.gaussians import Gaussians
-from gsjax.mesh import Mesh
+if TYPE_CHECKING:  # The vocabulary of scenes loads without jax.
+    from gsjax.gaussians import Gaussians
+    from gsjax.mesh import Mesh
 
 STEP = 4.0  # A size is brought to 1 or more and less than this, local units.
 GRID = 32.0  # Local units between the centres that are chosen from.

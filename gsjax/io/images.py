@@ -105,7 +105,7 @@ def upright_size(path: Path) -> tuple[int, int]:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
+def opened(path: str | Path) -> Iterator[Any]:
     """The file as Pillow opens it, of which only the header is read; for as long as the block lasts.
 
     Photos may be of any size: what is decoded is held to the memory that there is, not to Pillow's fixed limit.
@@ -116,7 +116,7 @@ def opened(path: Path) -> Iterator[Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Of metadata that nobody asked for.
-            with _open(path) as picture:
+            with _open(Path(path)) as picture:
                 yield picture
     except InputError:
         raise

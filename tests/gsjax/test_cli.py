@@ -8,7 +8,7 @@ import tempfile
 import time
 import warnings
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import ModuleType, SimpleNamespace
 
 import pytest
@@ -29,6 +29,7 @@ COMMANDS = (
 class SfmReport:
     registered: int
     left_out: dict[str, str]
+    passed_over: dict[str, str] = field(default_factory=dict)
 
 
 @pytest.fixture(autouse=True)
@@ -316,7 +317,7 @@ def test_the_other_commands_reach_their_functions(library, capsys):
     assert table[0] == ["psnr", "chamfer"]
     assert table[1:3] == [["vanilla", "30", "0.004"], ["surface", "31", "-"]]
     assert table[3] == ["true", "mesh", "(floor)", "-", "0.0001"]
-    assert "registered  45\nleft_out    3\n" in printed.out
+    assert "registered   45\nleft_out     3\npassed_over  0\n" in printed.out
     reasons = "gsjax: left out (blurred): a.jpg\ngsjax: left out (dark): b.jpg, c.jpg\n"
     assert printed.err == 2 * reasons
 

@@ -39,7 +39,9 @@ def test_fuzz_files_of_gaussians(tmp_path, name, write, read):
         if isinstance(found, Gaussians):
             assert all(np.isfinite(values).all() for values in vars(found).values() if not isinstance(values, str))
 
-    assert all(fuzz(attempt, usual=200))
+    read_whole, refused = fuzz(attempt, usual=200)
+    assert refused
+    assert read_whole or name.endswith(".spz"), "a checksum tells every damage of a packed file"
 
 
 def test_fuzz_the_inside_of_spz(tmp_path):
