@@ -20,13 +20,13 @@ from gsjax import config, tables
 from gsjax.cli import guarded
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.settings import Settings
+from gsjax.settings import PLAIN, Phase, Settings
 
 SCORES = ("psnr", "ssim", LPIPS, "gaussians", "views")
 
 
 def asked(scene: str, schedule: str, seed: int, assignments: Sequence[str], refinement: Sequence[str]) -> dict:
-    """What a run is to do, as plain data: `settings` of the training and of the `refinement`, None without one.
+    """What a run is to do, as plain data: `settings` of the training, of the `refinement` (None without), of the `mesh`.
 
     Raises:
         InputError: An assignment is wrong.
@@ -39,7 +39,8 @@ def asked(scene: str, schedule: str, seed: int, assignments: Sequence[str], refi
         chosen = {**PRESETS[preset], "seed": seed, "keep_free": False}
         whole = config.to_dict(config.parse(Refinement, chosen))
         refined = config.to_dict(config.parse(Refinement, config.override(whole, refinement), where="--refine"))
-    return {"settings": config.to_dict(settings_of(scene, schedule, seed, assignments)), "refinement": refined}
+    settings = config.to_dict(settings_of(scene, schedule, seed, assignments))
+    return {"settings": settings, "refinement": refined, "mesh": dict(SCHEDULES[schedule].mesh)}
 
 
 def begun(folder: Path, wishes: Mapping[str, Any], lpips: Sequence[str] = ()) -> dict[str, Any]:
@@ -53,7 +54,7 @@ def begun(folder: Path, wishes: Mapping[str, Any], lpips: Sequence[str] = ()) ->
         return {"asked": dict(wishes)}
     result = json_files.read(file)
     for part, wanted in wishes.items():
-        before = result["asked"][part] or {}
+        before = result["asked"].get(part) or {}
         for key, value in (wanted or {}).items():
             if before.get(key) != value:
                 raise InputError(f"{folder}: was begun with another {part}.{key}; choose another folder with --out")
@@ -83,8 +84,8 @@ def run(
     Args:
         scene: A name of `SCENES`.
         data: Its folder.
-        out: Folder of the run: `run/`, `run/mesh.ply`, `refined/`, `before.ply` (the Gaussians as the phase with R
-            found them), `sheet.png`, `result.json`.
+        out: Folder of the run: `run/`, `run/mesh.ply`, `refined/`, `before.ply` (the Gaussians as the phase with
+            the regulariser found them), `sheet.png`, `result.json`.
         schedule: A name of `SCHEDULES`.
         seed: Of training and refinement.
         assignments: key=value of the training.
@@ -98,7 +99,7 @@ def run(
 
     wishes = asked(scene, schedule, seed, assignments, refinement)
     result = begun(out, wishes, lpips)
-    stages = _stages(data, out, wishes, lpips)
+    stages = _stages(data, out, wishes, lpips, SCHEDULES[schedule].regulariser)
     for name in _stage_names(wishes):
         if name not in result:
             print(f"== {scene}, {schedule}, seed {seed}: {name}", flush=True)
@@ -113,7 +114,9 @@ def _stage_names(wishes: Mapping[str, Any]) -> tuple[str, ...]:
     return (*before, "sheet", "refine", "refined") if wishes["refinement"] else before
 
 
-def _stages(data: Path, out: Path, wishes: Mapping[str, Any], lpips: Sequence[str]) -> dict[str, Callable[[], Any]]:
+def _stages(
+    data: Path, out: Path, wishes: Mapping[str, Any], lpips: Sequence[str], regulariser: str | None
+) -> dict[str, Callable[[], Any]]:
     from paper.sheet import draw_sheet
 
     from gsjax import pipeline
@@ -123,8 +126,9 @@ def _stages(data: Path, out: Path, wishes: Mapping[str, Any], lpips: Sequence[st
     return {
         "train": lambda: _train(data, trained, config.parse(Settings, wishes["settings"])),
         "coarse": lambda: _scores(trained, lpips),
-        "mesh": lambda: pipeline.mesh(trained, trained / "mesh.ply", settled=False),  # The paper does not.
-        "sheet": lambda: draw_sheet(out),
+        # The paper's mesh does not settle.
+        "mesh": lambda: pipeline.mesh(trained, trained / "mesh.ply", settled=False, **wishes["mesh"]),
+        "sheet": lambda: draw_sheet(out, str(regulariser)),
         "refine": lambda: pipeline.refine(
             trained, refined, config.parse(Refinement, wishes["refinement"]), resume=_goes_on(refined)
         ),
@@ -133,10 +137,12 @@ def _stages(data: Path, out: Path, wishes: Mapping[str, Any], lpips: Sequence[st
 
 
 def _train(data: Path, folder: Path, settings: Settings) -> dict[str, Any]:
+    from terms import TERMS
+
     from gsjax import pipeline, runs
 
     keep = partial(_keep_before, folder.parent / "before.ply", settings)
-    summary = pipeline.train(data, folder, settings, resume=_goes_on(folder), observe=keep)
+    summary = pipeline.train(data, folder, settings, terms=TERMS, resume=_goes_on(folder), observe=keep)
     most = max((record["gaussians"] for record in runs.read_metrics(folder) if "gaussians" in record), default=0)
     cap = {"most_gaussians": most, "max_gaussians": settings.max_gaussians, "cap_bound": most >= settings.max_gaussians}
     if cap["cap_bound"]:
@@ -145,15 +151,19 @@ def _train(data: Path, folder: Path, settings: Settings) -> dict[str, Any]:
 
 
 def _keep_before(file: Path, settings: Settings, progress: Any) -> None:
-    """Writes the Gaussians at the end of the phase before the first that looks at normals."""
+    """Writes the Gaussians at the end of the phase before the first with a regulariser."""
     from gsjax.io.ply import write_gaussians
     from gsjax.pipeline.train import living
 
     if not progress.phase_done or settings.vanilla:
         return
-    first = next((i for i, phase in enumerate(settings.phases) if phase.weights.get("sdf_normal")), 0)
+    first = next((i for i, phase in enumerate(settings.phases) if _is_regularised(phase)), 0)
     if first and progress.step == sum(phase.steps for phase in settings.phases[:first]):
         write_gaussians(file, living(progress.state.gaussians))
+
+
+def _is_regularised(phase: Phase) -> bool:
+    return any(weight and name not in {*PLAIN, "entropy"} for name, weight in phase.weights.items())
 
 
 def _goes_on(folder: Path) -> bool:

@@ -1,6 +1,7 @@
 """Do we reach the paper's tables? One run a scene, schedule and seed of its data sets, each in its own process.
 
     python experiments/reproduce.py --data ROOT --out DIR [--seeds N] [--preset NAME ...] [--set KEY=VALUE ...]
+        [--set-scene NAME KEY=VALUE ...]
 
 Runs what it finds under a root. A finished run is not done again, a stopped one goes on, and one that fails leaves a
 dash. Writes OUT/tables.md, .tex and .csv beside the runs, OUT/SCENE/SCHEDULE_SEED each.
@@ -9,13 +10,13 @@ dash. Writes OUT/tables.md, .tex and .csv beside the runs, OUT/SCENE/SCHEDULE_SE
 import argparse
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from paper import report
 from paper.measured import found_runs, measurements, methods, run_folder
-from paper.scenes import DEFAULT_SCHEDULES, SCHEDULES, discover
+from paper.scenes import DEFAULT_SCHEDULES, SCENES, SCHEDULES, R, discover
 from paper_run import asked, begun, is_finished
 
 from gsjax.cli import guarded, parsers
@@ -36,11 +37,16 @@ class Job(NamedTuple):
 
 
 class Options(NamedTuple):
-    """What all runs share, as on the command line."""
+    """What all runs share, and what those of a scene share, as on the command line."""
 
     assignments: Sequence[str] = ()
     refinement: Sequence[str] = ()
     lpips: Sequence[str] = ()
+    of_scenes: Mapping[str, Sequence[str]] = {}  # assignments by the scene's name, after those of all
+
+    def of(self, scene: str) -> list[str]:
+        """The assignments of a scene's trainings."""
+        return [*self.assignments, *self.of_scenes.get(scene, ())]
 
 
 Start = Callable[[Job, Options], int]
@@ -99,7 +105,8 @@ def in_own_process(job: Job, options: Options) -> int:
     """Does one run by `paper_run.py`; what ends this process ends that one."""
     command = [sys.executable, str(Path(__file__).with_name("paper_run.py")), job.scene, str(job.data), str(job.out)]
     command += ["--schedule", job.schedule, "--seed", str(job.seed)]
-    command += ["--set", *options.assignments] if options.assignments else []
+    assignments = options.of(job.scene)
+    command += ["--set", *assignments] if assignments else []
     command += ["--refine", *options.refinement] if options.refinement else []
     command += [argument for file in options.lpips for argument in ("--lpips", str(file))]
     code = subprocess.run(command).returncode
@@ -109,7 +116,7 @@ def in_own_process(job: Job, options: Options) -> int:
 
 
 def _is_done(job: Job, options: Options) -> bool:
-    wishes = asked(job.scene, job.schedule, job.seed, options.assignments, options.refinement)
+    wishes = asked(job.scene, job.schedule, job.seed, options.of(job.scene), options.refinement)
     return is_finished(begun(job.out, wishes, options.lpips))
 
 
@@ -130,11 +137,25 @@ def remarks(found: Iterable[tuple[str, str, int, dict[str, Any]]]) -> dict[str, 
     said: dict[str, list[str]] = {}
     for scene, schedule, seed, result in found:
         lines, trained = said.setdefault(scene, []), result.get("train", {})
-        if schedule != "vanilla" and trained and trained.get("normals") is None:
+        if SCHEDULES[schedule].regulariser == R and trained and trained.get("normals") is None:
             lines.append("R with the run's own smoothed normals, not with a network's (the paper: Omnidata)")
         if trained.get("cap_bound"):
             lines.append(f"{schedule}, seed {seed}: growth was held at {trained['max_gaussians']:,} Gaussians")
     return {scene: f"{scene}: {'; '.join(dict.fromkeys(lines))}." for scene, lines in said.items() if lines}
+
+
+def by_scene(groups: Iterable[Sequence[str]]) -> dict[str, list[str]]:
+    """Assignments by scene, of groups that begin with a scene's name each.
+
+    Raises:
+        InputError: There is no such scene.
+    """
+    found: dict[str, list[str]] = {}
+    for name, *assignments in groups:
+        if name not in SCENES:
+            raise InputError(f"--set-scene {name}: none of {', '.join(SCENES)}")
+        found.setdefault(name, []).extend(assignments)
+    return found
 
 
 def main() -> None:
@@ -146,8 +167,11 @@ def main() -> None:
     add("--out", type=Path, required=True, metavar="DIR", help="folder for runs and tables; begun ones go on")
     add("--seeds", type=parsers.count, default=1, metavar="N", help="runs of every scene and schedule (default: 1)")
     add("--preset", nargs="+", choices=SCHEDULES, default=list(DEFAULT_SCHEDULES), help="schedules (default: the"
-        " paper's two); vanilla is plain 3DGS for as many steps, whose meshes the sheets then show too")  # fmt: skip
+        " paper's two); 3dgs_30k and sugar are the methods that it compares with; vanilla is the first without entropy,"
+        " cull and R, whose meshes the sheets then show too")  # fmt: skip
     add("--set", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the training by their dotted keys")
+    add("--set-scene", nargs="+", action="append", default=[], metavar=("NAME", "KEY=VALUE"), help="settings of the"
+        " training of one scene, such as phases.surface.weights.sdf_normal=0.3; may be repeated")  # fmt: skip
     add("--refine", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the refinement")
     add("--lpips", action="append", default=[], metavar="FILE", help="weights of LPIPS, as for `gsjax eval`; may be"
         " repeated (default: LPIPS is a dash)")  # fmt: skip
@@ -157,7 +181,7 @@ def main() -> None:
     for file in arguments.lpips:
         if not Path(file).is_file():
             raise InputError(f"{file}: no such file of weights")
-    options = Options(arguments.set, arguments.refine, arguments.lpips)
+    options = Options(arguments.set, arguments.refine, arguments.lpips, by_scene(arguments.set_scene))
     failed = reproduce(
         arguments.data, arguments.out, schedules=arguments.preset, seeds=arguments.seeds, options=options
     )

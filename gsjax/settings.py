@@ -330,5 +330,14 @@ PRESETS: dict[str, dict[str, Any]] = {
     "paper_6k_15k": PAPER_6K_15K,
     "paper_13k_7k": PAPER_13K_7K,
 }
+REFINED_BY = {
+    "quick": "fast",
+    "fast": "fast",
+    "balanced": "balanced",
+    "accurate": "long",
+    "paper_6k_15k": "long",
+    "paper_13k_7k": "medium",
+}
+"""Of every preset, that of `gsjax.binding.refining.PRESETS` by which its mesh is refined."""
 LENGTHS = ("quick", "fast", "balanced", "accurate")
 """Of the presets, what a budget of time chooses from, the shortest first."""

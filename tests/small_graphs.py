@@ -68,7 +68,7 @@ def color_network(file, *, name="normal", picture="image", shape=ANY, white=1.0,
     return graph.save(file)
 
 
-STRIDES = (1, 2, 4, 8, 16)
+STRIDES = (1, 2, 4, 8, 16, 16, 16)
 
 
 def small_lpips(file, kind="vgg", seed=0, sign=1.0):
@@ -80,7 +80,7 @@ def small_lpips(file, kind="vgg", seed=0, sign=1.0):
     rng, graph = np.random.default_rng(seed), SmallGraph()
     image = graph.input("image", (1, 3, "h", "w"))
     layers, weights = [], []
-    for index, (channels, stride) in enumerate(zip(CHANNELS[kind], STRIDES, strict=True)):
+    for index, (channels, stride) in enumerate(zip(CHANNELS[kind], STRIDES, strict=False)):
         kernel, bias = rng.normal(size=(channels, 3)), rng.normal(size=channels)
         kernel, bias = kernel.astype(np.float32), bias.astype(np.float32)
         value = graph.add("Conv", image, graph.constant(kernel[:, :, None, None]), graph.constant(bias),

@@ -1,6 +1,6 @@
 """How do LPIPS' features and weights become an ONNX file for `gsjax eval --lpips`?
 
-    python experiments/exports/lpips_features.py {vgg,alex} OUT.onnx
+    python experiments/exports/lpips_features.py {vgg,alex,squeeze} OUT.onnx
 
 Needs torch and the authors' package lpips (BSD-2-Clause), which fetches torchvision's backbones. Written from the
 package's source, and not run here.
@@ -16,14 +16,14 @@ def export(net: str, out: Path) -> None:
     import torch
 
     class Features(torch.nn.Module):
-        """A picture `[1, 3, H, W]` in -1..1 to the features of the five layers, then the five layers' weights."""
+        """A picture `[1, 3, H, W]` in -1..1 to the features of the layers, then the layers' weights."""
 
         def __init__(self):
             super().__init__()
             self.model = lpips.LPIPS(net=net).eval()
 
         def forward(self, picture: torch.Tensor) -> tuple[torch.Tensor, ...]:
-            """The ten outputs."""
+            """Two a layer."""
             features = self.model.net(self.model.scaling_layer(picture))
             return (*features, *[layer.model[-1].weight for layer in self.model.lins])
 
@@ -40,7 +40,7 @@ def export(net: str, out: Path) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("net", choices=("vgg", "alex"))
+    parser.add_argument("net", choices=("vgg", "alex", "squeeze"))
     parser.add_argument("out", type=Path)
     given = parser.parse_args()
     export(given.net, given.out)

@@ -1,4 +1,4 @@
-"""The contact sheet of a run: photo and render, normals before and after the phase with R and of the prior, meshes."""
+"""The contact sheet of a run: photo and render, normals before and after the regulariser and of the prior, meshes."""
 
 from pathlib import Path
 
@@ -16,8 +16,8 @@ from gsjax.runs.prior import read_map
 from gsjax.runs.result import Result, open_result, scene_of_run
 
 
-def draw_sheet(out: Path) -> list[str]:
-    """Draws OUT/sheet.png of a run whose mesh is there, and tells the titles of its panels.
+def draw_sheet(out: Path, regulariser: str = "R") -> list[str]:
+    """Draws OUT/sheet.png of a run whose mesh is there, and tells the titles of its panels, which name the regulariser.
 
     The view is the first that was trained on: held-out views have no prior. What the run does not have (its prior, the
     mesh of a `vanilla` run of the same seed beside it) has no panel.
@@ -31,16 +31,16 @@ def draw_sheet(out: Path) -> list[str]:
     panels = {f"photo, {frame.name}": frame.pixels().image, "render": to_bytes(after.colors)}
     if (out / "before.ply").exists():
         before = _drawn(result, read_gaussians(out / "before.ply"), camera)
-        panels["normals before R"] = surface_picture(before.depth, camera)
-    panels["normals after R"] = surface_picture(after.depth, camera)
+        panels[f"normals before {regulariser}"] = surface_picture(before.depth, camera)
+    panels[f"normals after {regulariser}"] = surface_picture(after.depth, camera)
     maps = map_places([f for f in frames if not f.held_out])
     prior = run / "normals" / f"{maps[frame.name]}.png"
     if prior.exists():
         panels["normals of the prior"] = normal_picture(read_map(prior, frame).astype(np.float32) / 127)
-    panels["mesh with R"] = mesh_picture(read_mesh(run / "mesh.ply"), camera)
+    panels[f"mesh with {regulariser}"] = mesh_picture(read_mesh(run / "mesh.ply"), camera)
     plain = out.with_name(f"vanilla_{out.name.rpartition('_')[2]}") / "run" / "mesh.ply"
     if plain.exists():
-        panels["mesh without R"] = mesh_picture(read_mesh(plain), camera)
+        panels[f"mesh without {regulariser}"] = mesh_picture(read_mesh(plain), camera)
     draw_panels(panels, out / "sheet.png", columns=min(4, len(panels)))
     return list(panels)
 

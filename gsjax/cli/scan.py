@@ -3,10 +3,7 @@
 import argparse
 
 from gsjax.cli.parsers import add_command, finite
-from gsjax.settings import PRESETS
-
-REFINED = {"quick": "fast", "fast": "fast", "balanced": "balanced"}
-"""How long the mesh of a training preset is refined; of any other, `long`."""
+from gsjax.settings import PRESETS, REFINED_BY
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -43,7 +40,7 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax.pipeline.scan import table
 
     settings = overridden(PRESETS[arguments.preset], arguments, "seed", "downscale", "hold_out")
-    length = REFINEMENTS[REFINED.get(arguments.preset, "long")]
+    length = REFINEMENTS[REFINED_BY[arguments.preset]]
     refinement = config.parse(Refinement, config.merge(length, {"seed": settings.seed}))
     report = pipeline.scan(arguments.source, arguments.out, settings, refinement, frames=arguments.frames)
     print(tables.compare(table(report)))

@@ -13,8 +13,12 @@ from gsjax.networks.onnx import Graph
 Measure = Callable[[np.ndarray, np.ndarray], float]
 """Two pictures `[H, W, 3]` in 0..1 -> their distance."""
 
-CHANNELS = {"vgg": (64, 128, 256, 512, 512), "alex": (64, 192, 384, 256, 256)}
-"""Of the five layers whose features count, which tell the two networks apart."""
+CHANNELS = {
+    "vgg": (64, 128, 256, 512, 512),
+    "alex": (64, 192, 384, 256, 256),
+    "squeeze": (64, 128, 256, 384, 384, 512, 512),
+}
+"""Of the layers whose features count, which tell the networks apart."""
 
 STANDARD = "lpips_vgg_3dgs"  # What tables of 3DGS and its kin call LPIPS.
 _TRIAL = 64  # Side of the picture that a file is tried on, pixels.
@@ -23,12 +27,13 @@ _TRIAL = 64  # Side of the picture that a file is tried on, pixels.
 def lpips_measures(files: Iterable[str | Path]) -> dict[str, Measure]:
     """The measures that files of weights allow, by name.
 
-    `lpips_vgg` and `lpips_alex` feed pictures in -1..1, as LPIPS is defined. `lpips_vgg_3dgs` feeds them in 0..1, as
-    the code behind the tables of 3DGS does: only it compares with those.
+    `lpips_vgg`, `lpips_alex` and `lpips_squeeze` feed pictures in -1..1, as LPIPS is defined. `lpips_vgg_3dgs` feeds
+    them in 0..1, as the code behind the tables of 3DGS does: only it compares with those.
 
     Args:
-        files: One ONNX file each. It takes one picture `[1, 3, H, W]`, RGB in -1..1, of any size, and gives ten
-            outputs: the five layers' features `[1, C, h, w]`, then their linear weights, of C numbers each.
+        files: One ONNX file each. It takes one picture `[1, 3, H, W]`, RGB in -1..1, of any size, and gives two outputs
+            a layer, of which VGG and AlexNet have five and SqueezeNet seven: the features `[1, C, h, w]` of all, then
+            their linear weights, of C numbers each.
 
     Raises:
         InputError: A file is no such graph.
@@ -70,10 +75,11 @@ def _features(graph: Graph, picture: np.ndarray) -> tuple[list[np.ndarray], list
 def _kind(graph: Graph) -> str:
     """Which network a file holds; tried on a grey picture."""
     shape = graph.inputs[0].shape
-    if len(graph.inputs) != 1 or len(graph.outputs) != 10 or len(shape) != 4 or shape[1] not in (None, 3):
+    counts = {2 * len(channels) for channels in CHANNELS.values()}
+    if len(graph.inputs) != 1 or len(graph.outputs) not in counts or len(shape) != 4 or shape[1] not in (None, 3):
         raise InputError(
-            f"{graph.file}: no features for LPIPS; it needs one input [1, 3, H, W] and ten outputs, "
-            f"not {len(graph.inputs)} and {len(graph.outputs)}"
+            f"{graph.file}: no features for LPIPS; it needs one input [1, 3, H, W] and "
+            f"{' or '.join(map(str, sorted(counts)))} outputs, not {len(graph.inputs)} and {len(graph.outputs)}"
         )
     features, weights = _features(graph, np.zeros((_TRIAL, _TRIAL, 3), np.float32))
     for name, channels in CHANNELS.items():
@@ -86,4 +92,4 @@ def _kind(graph: Graph) -> str:
 
 
 def _known() -> str:
-    return " and ".join(f"{name}, {' '.join(map(str, channels))} twice" for name, channels in CHANNELS.items())
+    return "; ".join(f"{name}, {' '.join(map(str, channels))} twice" for name, channels in CHANNELS.items())

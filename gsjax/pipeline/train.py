@@ -103,11 +103,13 @@ def train(
 def _planned(
     scene: str | Path, settings: Settings, terms: Mapping[str, Term], devices: int, known: Mapping[str, Any] | None
 ) -> Plan:
-    """The plan before anybody looked at the photos; a line says what these devices cannot run."""
+    """The plan before anybody looked at the photos; lines say what these devices cannot run, and whose normals serve."""
     planned = plan(settings, terms, devices)
     if planned.left_out:
         print(f"train: {', '.join(planned.left_out)} need one photo a step and are left out", file=sys.stderr)
     if settings.normals is None:
+        if "normals" in planned.needs:
+            print("train: no maps of normals (--normals): the run's own depth stands in for a network", file=sys.stderr)
         return planned
     return replace(planned, normals=known["normals"] if known else normal_folders.find(scene, settings.normals))
 
@@ -308,7 +310,7 @@ class TrainingJournal(Journal):
         """Begin at `step`; `whole` brings a state to one device."""
         super().__init__(run, "train", planned.steps, step, seconds)
         self.plan, self.scene, self.chosen = planned, scene, chosen
-        self._pace, self._whole = Pace(), whole
+        self._pace, self._whole, self._held = Pace(), whole, False
         self.evaluate_every = planned.logging.evaluate_every if scene.held_out_frames else 0
 
     def note(self, progress: Progress) -> None:
@@ -324,6 +326,7 @@ class TrainingJournal(Journal):
             if scored:
                 more |= self._held_out(self._whole(progress.state))
             self.log(progress.step, progress.metrics, f", {count:,} Gaussians", **more)
+            self._tell_held(progress, count)
         if progress.step % every.checkpoint_every == 0 or last:
             # The last step of a phase leaves the buffer's capacity to the next phase.
             self.save(progress.step, self._whole(progress.state), 0 if progress.phase_done else progress.capacity)
@@ -335,6 +338,15 @@ class TrainingJournal(Journal):
         found = found.with_near(self.scene.frames)._replace(looks={})  # the other ways are told at the end
         scores = score_images(state.gaussians, frames, planned.background, found=found, depth_mode=planned.depth_mode)
         return {f"held_out_{name}": score for name, score in scores.items() if name.startswith("psnr")}
+
+    def _tell_held(self, progress: Progress, count: int) -> None:
+        """Once, that no more Gaussians may grow, where a rule grows them without a budget in mind (3DGS)."""
+        if self._held or progress.phase.rule is not RULES["adc"] or count < self.plan.max_gaussians:
+            return
+        self._held = True
+        line = f"growth is held at max_gaussians={self.plan.max_gaussians:,} from step {progress.step:,} on"
+        self.bar.write(f"train: {line}", sys.stderr)
+        runs.update_manifest(self.run, growth=line)
 
     def _tell_pace(self, progress: Progress) -> None:
         """How long the rest will take, once a phase."""

@@ -186,12 +186,6 @@ def test_the_photos_and_their_split_are_chosen_on_the_command_line(library, tmp_
     assert settings.hold_out == str(tmp_path / "list.txt"), "read again from wherever the run is scored"
 
 
-def test_every_preset_is_offered_and_parses(library):
-    for preset in PRESETS:
-        settings, _ = train_settings(library, "--out", "r", "--preset", preset)
-        assert settings == config.parse(Settings, PRESETS[preset])
-
-
 def test_a_resumed_run_keeps_the_settings_that_it_was_started_with(library, tmp_path):
     started = Settings(seed=5, phases=(Phase("vanilla", 7),))
     (tmp_path / "config.json").write_text(json.dumps(config.to_dict(started)))

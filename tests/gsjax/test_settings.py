@@ -9,29 +9,11 @@ from gsjax.errors import InputError
 from gsjax.settings import LENGTHS, PRESETS, Rates, Settings, named_effects, total_steps
 
 
-def test_defaults_are_the_numbers_of_3dgs_and_of_the_paper():
-    defaults = Settings()
-    assert [(p.name, p.steps) for p in defaults.phases] == [("vanilla", 7000), ("entropy", 2000), ("surface", 6000)]
-    assert [p.density_control for p in defaults.phases] == [True, False, False]
-    assert defaults.phases[1].cull_below == 0.5
-    assert defaults.phases[2].weights["sdf_normal"] == 0.2
-    assert all((p.weights["l1"], p.weights["dssim"]) == (0.8, 0.2) for p in defaults.phases)
-    rates = defaults.rates
-    assert (rates.means, rates.means_final, rates.opacities, rates.scales) == (1.6e-4, 1.6e-6, 0.05, 0.005)
-    assert (rates.quats, rates.sh_dc, rates.sh_rest) == (1e-3, 2.5e-3, 2.5e-3 / 20)
-
-
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_preset_is_a_valid_difference_that_survives_a_round_trip(name):
     settings = parse(Settings, PRESETS[name])
     assert parse(Settings, to_dict(settings)) == settings
     assert ("sdf_normal" in settings.phases[-1].weights) == (name != "quick")  # which has no time for a surface
-
-
-def test_the_papers_budgets():
-    steps = {name: [p.steps for p in parse(Settings, PRESETS[name]).phases] for name in PRESETS}
-    assert steps["paper_6k_15k"] == [7000, 2000, 6000]
-    assert steps["paper_13k_7k"] == [7000, 2000, 13000]
 
 
 def test_each_of_the_lengths_is_longer_than_the_one_before_and_none_than_the_papers():

@@ -57,11 +57,12 @@ def test_the_two_ranges_of_vgg_are_named_apart(tmp_path):
     assert measures["lpips_vgg_3dgs"](image, image) == 0
 
 
-def test_alexnet_is_told_by_its_channels(tmp_path):
-    file, features, weights = small_lpips(tmp_path / "alex.onnx", "alex")
+@pytest.mark.parametrize("kind", ["alex", "squeeze"])
+def test_other_networks_are_told_by_their_channels(tmp_path, kind):
+    file, features, weights = small_lpips(tmp_path / "other.onnx", kind)
     image, target = pictures()
     (name, measure), = lpips_measures([file]).items()  # fmt: skip
-    assert name == "lpips_alex"
+    assert name == f"lpips_{kind}"
     expected = published(features(2 * image - 1), features(2 * target - 1), weights)
     np.testing.assert_allclose(measure(image, target), expected, rtol=1e-4)
     assert len(lpips_measures([file, small_lpips(tmp_path / "vgg.onnx")[0]])) == 3
@@ -72,7 +73,7 @@ def test_files_that_are_no_such_network_are_named(tmp_path):
         lpips_measures([tmp_path / "a.onnx"])
     graph = SmallGraph()
     graph.output(graph.input("in0"), "score")
-    with pytest.raises(InputError, match="s.onnx: no features for LPIPS; it needs .* ten outputs, not 1 and 1"):
+    with pytest.raises(InputError, match="s.onnx: no features for LPIPS; it needs .* 10 or 14 outputs, not 1 and 1"):
         lpips_measures([graph.save(tmp_path / "s.onnx")])
     with pytest.raises(InputError, match="n.onnx: has negative weights"):
         lpips_measures([small_lpips(tmp_path / "n.onnx", sign=-1.0)[0]])

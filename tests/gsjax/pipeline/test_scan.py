@@ -14,7 +14,7 @@ from gsjax.io import json_files
 from gsjax.io.locks import locked
 from gsjax.pipeline.scan import scan, table
 from gsjax.settings import PRESETS as TRAINING
-from gsjax.settings import Settings
+from gsjax.settings import REFINED_BY, Settings
 
 scanning = importlib.import_module("gsjax.pipeline.scan")  # The package's attribute of that name is the function.
 
@@ -180,8 +180,9 @@ def test_a_scan_that_comes_to_nothing_leaves_nothing(stages, photos, tmp_path):
 
 @pytest.mark.parametrize(
     ("preset", "length"),
-    [("quick", "fast"), ("fast", "fast"), ("balanced", "balanced"), ("accurate", "long"), ("paper_6k_15k", "long")],
-)
+    [("quick", "fast"), ("fast", "fast"), ("balanced", "balanced"), ("accurate", "long"), ("paper_6k_15k", "long"),
+     ("paper_13k_7k", "medium")],
+)  # fmt: skip
 def test_the_command_refines_as_long_as_it_trains(monkeypatch, preset, length):
     handed = []
     report = {"stages": {"mesh": {"faces": 12}}, "mesh": "m", "picture": "p"}
@@ -190,6 +191,11 @@ def test_the_command_refines_as_long_as_it_trains(monkeypatch, preset, length):
     [(_, _, training, refinement)] = handed
     assert refinement == config.parse(Refinement, {**PRESETS[length], "seed": 3})
     assert training == config.parse(Settings, {**TRAINING[preset], "seed": 3})
+
+
+def test_every_preset_of_the_training_names_one_of_the_refinement():
+    assert REFINED_BY.keys() == TRAINING.keys()
+    assert set(REFINED_BY.values()) <= PRESETS.keys()
 
 
 def test_panels_are_drawn_in_rows_under_their_titles(tmp_path):

@@ -1,0 +1,54 @@
+"""What `gsjax train` says of what it was not given, and of what it was held back by."""
+
+import importlib
+import json
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from gsjax.settings import Phase, Settings, Weights
+from gsjax.training.growth.rules import RULES
+from gsjax.training.plan import plan
+
+train = importlib.import_module("gsjax.pipeline.train")  # The package's attribute of that name is the function.
+STANDS_IN = "train: no maps of normals (--normals): the run's own depth stands in for a network\n"
+
+
+@pytest.mark.parametrize(("weights", "said"), [({"sdf_normal": 0.2}, STANDS_IN), ({}, "")])
+def test_without_maps_a_line_says_that_own_depth_stands_in_for_a_network(capsys, weights, said):
+    settings = Settings(phases=(Phase("surface", 1, Weights(**weights)),))
+    train._planned("no scene", settings, {}, 1, None)
+    assert capsys.readouterr().err == said
+
+
+@pytest.fixture
+def journal(tmp_path):
+    """One that has a run folder and a bar, and notes what the bar is told."""
+    (tmp_path / "manifest.json").write_text("{}")
+    journal, said = object.__new__(train.TrainingJournal), []
+    journal.run, journal.plan, journal._held = tmp_path, plan(Settings(max_gaussians=5_000)), False
+    journal.bar = SimpleNamespace(write=lambda line, file: said.append((line, file)))
+    return journal, said
+
+
+def progress(step, rule):
+    return SimpleNamespace(step=step, phase=SimpleNamespace(rule=rule))
+
+
+def test_a_run_that_may_not_grow_says_so_once(journal, tmp_path):
+    journal, said = journal
+    journal._tell_held(progress(1_900, RULES["adc"]), 4_999)
+    assert not said
+    for step in (2_000, 2_050):
+        journal._tell_held(progress(step, RULES["adc"]), 5_000)
+    line = "growth is held at max_gaussians=5,000 from step 2,000 on"
+    assert said == [(f"train: {line}", sys.stderr)]
+    assert json.loads((tmp_path / "manifest.json").read_text())["growth"] == line
+
+
+@pytest.mark.parametrize("rule", [RULES["error"], None])
+def test_a_full_budget_is_no_news_where_it_is_to_be_filled_or_nobody_grows(journal, rule):
+    journal, said = journal
+    journal._tell_held(progress(2_000, rule), 5_000)
+    assert not said

@@ -1,0 +1,202 @@
+"""The numbers of the paper and of what it builds on, each with its source and the place where this project has it.
+
+A number that the code has inside is read from what it does. "Paper" is its source text, "3DGS" the authors' code of
+3D Gaussian Splatting, "SuGaR" the code that the paper starts from.
+"""
+
+import importlib
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+from unittest import mock
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from small_scenes import cloud
+
+from gsjax import config, pipeline
+from gsjax.binding.refining import PRESETS as REFINEMENTS
+from gsjax.binding.refining import Refinement
+from gsjax.gaussians import opacities
+from gsjax.measures import images
+from gsjax.meshing.level_set import LevelSetOptions
+from gsjax.meshing.poisson import PoissonOptions
+from gsjax.runs.photography import Photography
+from gsjax.scene import Pixels, Scene, frame_of
+from gsjax.settings import PRESETS, REFINED_BY, Density, Rates, Settings
+from gsjax.training import initialize
+from gsjax.training.growth import adaptive
+from gsjax.training.optimizers import apply_gradients, make_optimizer
+from rasterizer.rules import INRIA
+
+
+class Constant(NamedTuple):
+    """A number, or several that belong together."""
+
+    name: str
+    value: Any
+    source: str
+    read: Callable[[], Any]  # what the project has
+
+
+class Budget(NamedTuple):
+    """A phase of training: its steps, whether the number of Gaussians changes, weights, and the opacity culled at."""
+
+    steps: int
+    density_control: bool
+    entropy: float
+    sdf_normal: float
+    cull_below: float
+
+
+def budgets(settings: Settings) -> list[Budget]:
+    """The phases of a run."""
+    return [
+        Budget(p.steps, p.density_control, p.weights.get("entropy", 0), p.weights.get("sdf_normal", 0), p.cull_below)
+        for p in settings.phases
+    ]
+
+
+def preset(name: str) -> Settings:
+    return config.parse(Settings, PRESETS[name])
+
+
+def refined(name: str) -> Refinement:
+    """The refinement that goes with a preset of the training."""
+    return config.parse(Refinement, REFINEMENTS[REFINED_BY[name]])
+
+
+def image_weights(settings: Settings) -> set[tuple[float, float]]:
+    return {(phase.weights["l1"], phase.weights["dssim"]) for phase in settings.phases}
+
+
+def rounded(value: Any) -> float:
+    """To six digits, which float32 has."""
+    return float(f"{float(value):.6g}")
+
+
+def adam_epsilon() -> float:
+    """From Adam's first step, rate * g / (g + epsilon), at a tiny gradient g."""
+    scene, tiny, rate = cloud(1), np.float32(1e-15), 2.0
+    optimizer = make_optimizer(Rates(opacities=rate), 1.0, 1)
+    gradients = jax.tree.map(lambda x: jnp.full_like(x, tiny), scene)
+    moved, _ = apply_gradients(optimizer, scene, optimizer.init(scene), gradients)
+    step = float(scene.logit_opacities[0] - moved.logit_opacities[0])
+    return float(f"{tiny * (rate / step - 1):.1g}")
+
+
+def first_opacity() -> float:
+    points = np.eye(3, dtype=np.float32)
+    first = initialize.from_points(points, np.zeros((3, 3), np.uint8), capacity=3, sh_degree=0)
+    return rounded(opacities(first)[0])
+
+
+def reset_to() -> float:
+    """What an opaque Gaussian is reset to by the default limit."""
+    return rounded(opacities(adaptive.reset_opacities(cloud(1), Density().reset_opacity))[0])
+
+
+def scored_while_training() -> list[str]:
+    """Names of the photos that `held_out_psnr` of `metrics.jsonl` is of."""
+    train = importlib.import_module("gsjax.pipeline.train")
+    pixels = Pixels(np.zeros((2, 3, 3), np.uint8))
+    frames = tuple(frame_of(n, np.eye(4), np.eye(3), pixels, held_out=n == "held_out") for n in ("held_out", "trained"))
+    journal = object.__new__(train.TrainingJournal)
+    journal.plan = SimpleNamespace(background=None, depth_mode="plane")
+    journal.scene = Scene(Path(), "colmap", frames, np.zeros((1, 3)), np.zeros((1, 3), np.uint8))
+    journal.chosen = SimpleNamespace(photography=lambda _: Photography())
+    with mock.patch.object(train, "score_images", return_value={"psnr": 1.0}) as score:
+        assert journal._held_out(SimpleNamespace(gaussians=None, effects=())) == {"held_out_psnr": 1.0}
+    return [frame.name for frame in score.call_args.args[1]]
+
+
+def meshed(schedule: str) -> dict[str, Any]:
+    """How the protocol asks for the coarse mesh."""
+    run, out = importlib.import_module("paper_run"), Path("run")
+    wishes = run.asked("room", schedule, 0, [], [])
+    with mock.patch.object(pipeline, "mesh") as mesh:
+        run._stages(out, out, wishes, (), "R")["mesh"]()
+    return mesh.call_args.kwargs
+
+
+def protocol(schedule: str) -> dict[str, Any]:
+    """The refinement that the protocol asks for."""
+    return importlib.import_module("paper_run").asked("room", schedule, 0, [], [])["refinement"]
+
+
+def asked_training(schedule: str) -> Settings:
+    """The training that the protocol asks for."""
+    return importlib.import_module("paper.scenes").settings_of("room", schedule, 0)
+
+
+VANILLA, ENTROPY = Budget(7000, True, 0, 0, 0), Budget(2000, False, 0.1, 0, 0.5)
+PAPER, DGS = "Paper, Implementation Details", "3DGS, arguments/__init__.py"
+
+CONSTANTS = (
+    # The paper's budgets; entropy's weight and the cull after it are SuGaR's, which the paper follows.
+    Constant("6,000 steps of R", [VANILLA, ENTROPY, Budget(6000, False, 0, 0.2, 0)], PAPER,
+             lambda: budgets(preset("paper_6k_15k"))),
+    Constant("13,000 steps of R", [VANILLA, ENTROPY, Budget(13000, False, 0, 0.2, 0)], PAPER,
+             lambda: budgets(preset("paper_13k_7k"))),
+    Constant("lambda_r where no scene has its own", 0.2, "Paper, after eq. 3: between 0.1 and 0.4",
+             lambda: importlib.import_module("paper.scenes").PaperScene("", "").lambda_r),
+    Constant("defaults are the first budget", [VANILLA, ENTROPY, Budget(6000, False, 0, 0.2, 0)], PAPER,
+             lambda: budgets(Settings())),
+    Constant("refined for", (15_000, 7_000), PAPER,
+             lambda: (refined("paper_6k_15k").steps, refined("paper_13k_7k").steps)),
+    Constant("refined by the protocol for", (15_000, 7_000), PAPER,
+             lambda: (protocol("paper_6k_15k")["steps"], protocol("paper_13k_7k")["steps"])),
+    Constant("weights of L1 and D-SSIM", {(0.8, 0.2)}, "Paper, after eq. 3; 3DGS for the 0.8 (docs/deviations.md)",
+             lambda: image_weights(Settings()) | image_weights(preset("paper_13k_7k"))),
+    Constant("the means' rate falls for", (30_000, 30_000), "Paper: 30,000 steps in all",
+             lambda: (preset("paper_6k_15k").rates.decay_steps, preset("paper_13k_7k").rates.decay_steps)),
+    Constant("Gaussians of the tables are on the mesh alone", False, "SuGaR, metrics of the refined model",
+             lambda: protocol("paper_6k_15k")["keep_free"]),
+    Constant("the coarse mesh is moved by nothing", False, "SuGaR, coarse_mesh.py", lambda: meshed("paper_6k_15k")["settled"]),
+    Constant("scored while training", ["held_out"], "3DGS, train.py", scored_while_training),
+    # 3DGS
+    Constant("rates of the means", (1.6e-4, 1.6e-6), DGS, lambda: (Rates().means, Rates().means_final)),
+    Constant("rates of colour", (2.5e-3, 2.5e-3 / 20), DGS, lambda: (Rates().sh_dc, Rates().sh_rest)),
+    Constant("rates of opacity, scale, rotation", (0.05, 0.005, 0.001), DGS,
+             lambda: (Rates().opacities, Rates().scales, Rates().quats)),
+    Constant("Adam's epsilon", 1e-15, "3DGS, scene/gaussian_model.py", adam_epsilon),
+    Constant("first opacity", 0.1, "3DGS, scene/gaussian_model.py", first_opacity),
+    Constant("harmonics", (3, 1000), DGS, lambda: (Settings().sh_degree, Settings().sh_every)),
+    Constant("densified from, until, every", (500, 15_000, 100), DGS,
+             lambda: (Density().start, Density().stop, Density().every)),
+    Constant("gradient that grows", 2e-4, DGS, lambda: Density().gradient),
+    Constant("extent that splits and that is pruned", (0.01, 0.1), DGS,
+             lambda: (Density().dense_share, Density().max_share)),
+    Constant("halves are smaller by", 0.8 * 2, "3DGS, densify_and_split", lambda: adaptive.SPLIT),
+    Constant("size prunes after", (False, True), "3DGS, train.py",
+             lambda: tuple(adaptive.prunes_large(Density(), step) for step in (3000, 3001))),
+    Constant("opacity that is pruned", 0.005, "3DGS, train.py", lambda: Density().min_opacity),
+    Constant("opacities are reset to", 0.01, "3DGS, reset_opacity", reset_to),
+    Constant("opacities are reset every", 3000, DGS, lambda: Density().reset_every),
+    Constant("alphas", (0.99, 1 / 255, 1e-4), "3DGS, forward.cu",
+             lambda: (INRIA.alpha_max, INRIA.alpha_min, INRIA.transmittance_min)),
+    Constant("SSIM's window", (11, 1.5), "3DGS, loss_utils.py",
+             lambda: (2 * images._WINDOW_RADIUS + 1, images._WINDOW_SIGMA)),
+    Constant("3DGS at full length", [Budget(30_000, True, 0, 0, 0)], DGS,
+             lambda: budgets(asked_training("3dgs_30k"))),
+    # SuGaR
+    Constant("SuGaR's phases", [VANILLA, ENTROPY, Budget(6000, False, 0, 0, 0)], "SuGaR, coarse_sdf.py",
+             lambda: budgets(asked_training("sugar"))),
+    Constant("weight of SuGaR's terms", 0.2, "SuGaR, coarse_sdf.py",
+             lambda: asked_training("sugar").phases[-1].weights["sugar_sdf"]),
+    Constant("SuGaR's mesh", {"level": 0.3, "points": 10_000_000, "depth": 10, "trim_quantile": 0.1, "settled": False},
+             "SuGaR, coarse_mesh.py", lambda: meshed("sugar")),
+    Constant("refinement's triangles, Gaussians a triangle, harmonics", (1_000_000, 1, 3), "SuGaR, refine.py",
+             lambda: (Refinement().faces, Refinement().per_triangle, Refinement().sh_degree)),
+    Constant("weight of normal consistency", 0.1, "SuGaR, refine.py",
+             lambda: Refinement().weights.normal_consistency),
+    Constant("short, medium, long", (2_000, 7_000, 15_000), "SuGaR, train.py",
+             lambda: tuple(REFINEMENTS[name]["steps"] for name in ("short", "medium", "long"))),
+    Constant("surface level, points, neighbours, samples", (0.3, 10_000_000, 16, 21), "SuGaR, coarse_mesh.py",
+             lambda: tuple(getattr(LevelSetOptions(), n) for n in ("level", "num_points", "neighbors", "samples"))),
+    Constant("opacity that makes a surface", 0.5, "SuGaR, coarse_mesh.py", lambda: LevelSetOptions().min_opacity),
+    Constant("outliers and scale of Poisson", (20, 20.0, 1.1), "SuGaR, coarse_mesh.py; Open3D's default",
+             lambda: (PoissonOptions().outlier_neighbors, PoissonOptions().outlier_ratio, PoissonOptions().scale)),
+)  # fmt: skip
