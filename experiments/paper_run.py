@@ -26,7 +26,7 @@ SCORES = ("psnr", "ssim", LPIPS, "gaussians", "views")
 
 
 def asked(scene: str, schedule: str, seed: int, assignments: Sequence[str], refinement: Sequence[str]) -> dict:
-    """What a run is to do, as plain data: `settings` of the training, of the `refinement` (None without), of the `mesh`.
+    """What a run is to do, as plain data: `settings` of the training, `refinement` (None: without), of the `mesh`.
 
     Raises:
         InputError: An assignment is wrong.

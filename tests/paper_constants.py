@@ -154,7 +154,8 @@ CONSTANTS = (
              lambda: (preset("paper_6k_15k").rates.decay_steps, preset("paper_13k_7k").rates.decay_steps)),
     Constant("Gaussians of the tables are on the mesh alone", False, "SuGaR, metrics of the refined model",
              lambda: protocol("paper_6k_15k")["keep_free"]),
-    Constant("the coarse mesh is moved by nothing", False, "SuGaR, coarse_mesh.py", lambda: meshed("paper_6k_15k")["settled"]),
+    Constant("the coarse mesh is moved by nothing", False, "SuGaR, coarse_mesh.py",
+             lambda: meshed("paper_6k_15k")["settled"]),
     Constant("scored while training", ["held_out"], "3DGS, train.py", scored_while_training),
     # 3DGS
     Constant("rates of the means", (1.6e-4, 1.6e-6), DGS, lambda: (Rates().means, Rates().means_final)),

@@ -13,7 +13,7 @@ TANKS, BLENDING = "Tanks & Temples", "Deep Blending"
 
 
 class PaperScene(NamedTuple):
-    """One scene: in which part of which table it counts, which of its published photos are looked at, and R's weight."""
+    """One scene: its part of a table, which of its published photos are looked at, and R's weight."""
 
     part: str
     images: str
@@ -50,7 +50,7 @@ class Schedule(NamedTuple):
     """A method of the tables: what differs from a preset of the training, and how its mesh differs from ours."""
 
     preset: str
-    regulariser: str | None  # what the last phase has beside the image's terms; None: nothing, and no refinement follows
+    regulariser: str | None  # what the last phase has beside the image's terms; None: nothing, and no refinement
     differences: Mapping[str, Any] = {}
     mesh: Mapping[str, Any] = {}  # options of `gsjax.pipeline.mesh`
 
@@ -88,7 +88,7 @@ def parts() -> dict[str, tuple[str, ...]]:
 
 
 def settings_of(scene: str, schedule: str, seed: int, assignments: Sequence[str] = ()) -> Settings:
-    """The training of one run: the schedule's, what all share, the scene's photos and lambda_r, `key=value` assignments.
+    """The training of one run: the schedule's, what all share, the scene's photos and lambda_r, then assignments.
 
     Raises:
         InputError: An assignment's key is unknown, or its value wrong.

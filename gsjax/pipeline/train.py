@@ -103,7 +103,7 @@ def train(
 def _planned(
     scene: str | Path, settings: Settings, terms: Mapping[str, Term], devices: int, known: Mapping[str, Any] | None
 ) -> Plan:
-    """The plan before anybody looked at the photos; lines say what these devices cannot run, and whose normals serve."""
+    """The plan before anybody looked at the photos; lines say what devices cannot run, and whose normals serve."""
     planned = plan(settings, terms, devices)
     if planned.left_out:
         print(f"train: {', '.join(planned.left_out)} need one photo a step and are left out", file=sys.stderr)

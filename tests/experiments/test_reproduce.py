@@ -12,8 +12,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gsjax import config, pipeline
 from gsjax.errors import InputError
 from gsjax.scene import Frame, Pixels, frame_of
+from gsjax.settings import Settings
+from gsjax.training.plan import plan
 
 
 def place(root: Path, scene: str, images: str) -> Path:
@@ -66,6 +69,42 @@ def test_schedules_are_the_papers(scripts, schedule, steps, refined):
 def test_a_vanilla_run_has_no_refinement(scripts):
     asked = scripts("paper_run").asked("truck", "vanilla", 0, [], [])
     assert asked["refinement"] is None and asked["settings"]["vanilla"] is True
+
+
+def test_the_methods_that_the_paper_compares_with(scripts):
+    paper_run, terms = scripts("paper_run"), scripts("terms").TERMS
+    plain, sugar = (paper_run.asked("room", name, 0, [], []) for name in ("3dgs_30k", "sugar"))
+    assert plain["refinement"] is None and sugar["refinement"]["steps"] == 15_000
+    phases = [plan(config.parse(Settings, each["settings"]), terms).phases[-1] for each in (plain, sugar)]
+    weights = [{each.name: each.weight for each in phase.terms} for phase in phases]
+    image = {"l1": 0.8, "dssim": 0.2, "alpha": 0.1}
+    assert weights == [image, {**image, "sugar_sdf": 0.2}]
+
+
+def test_every_run_knows_the_terms_that_experiments_hand_in(scripts, monkeypatch, tmp_path):
+    paper_run, handed = scripts("paper_run"), []
+    monkeypatch.setattr(pipeline, "train", lambda *_, terms, **__: handed.append(terms) or {})
+    (tmp_path / "config.json").write_text('{"normals": null}')
+    (tmp_path / "manifest.json").touch()
+    paper_run._train(tmp_path, tmp_path, Settings())
+    assert handed == [scripts("terms").TERMS]
+
+
+def test_lambda_r_and_other_settings_may_be_a_scenes_own(scripts, monkeypatch):
+    scenes, reproduce = scripts("paper.scenes"), scripts("reproduce")
+    monkeypatch.setitem(scenes.SCENES, "garden", scenes.SCENES["garden"]._replace(lambda_r=0.4))
+
+    def weight(scene, *assignments):
+        return scenes.settings_of(scene, "paper_13k_7k", 0, assignments).phases[-1].weights["sdf_normal"]
+
+    assert (weight("room"), weight("garden")) == (0.2, 0.4)
+    groups = [["garden", "phases.surface.weights.sdf_normal=0.3"], ["room", "sh_degree=2"], ["garden", "seed=4"]]
+    options = reproduce.Options(["seed=1"], of_scenes=reproduce.by_scene(groups))
+    assert options.of("garden") == ["seed=1", "phases.surface.weights.sdf_normal=0.3", "seed=4"]
+    assert (options.of("room"), options.of("truck")) == (["seed=1", "sh_degree=2"], ["seed=1"])
+    assert weight("garden", *options.of("garden")) == 0.3
+    with pytest.raises(InputError, match="--set-scene gardn: none of room, counter"):
+        reproduce.by_scene([["gardn", "seed=1"]])
 
 
 # What lies under a root
@@ -201,7 +240,12 @@ def test_the_process_of_a_run_is_told_all_and_its_end_is_seen(scripts, monkeypat
     script = tmp_path / "paper_run.py"
     script.write_text("import json, sys; json.dump(sys.argv[1:], open(sys.argv[3] + '.json', 'w')); sys.exit(5)")
     monkeypatch.setattr(reproduce, "__file__", str(tmp_path / "reproduce.py"))
-    assert reproduce.in_own_process(job, reproduce.Options(["a=1", "b=2"], ["steps=3"], ["vgg.onnx"])) == 5
+    assert (
+        reproduce.in_own_process(
+            job, reproduce.Options(["a=1"], ["steps=3"], ["vgg.onnx"], {"room": ["b=2"], "truck": ["c=3"]})
+        )
+        == 5
+    )
     told = ["room", str(tmp_path), str(job.out), "--schedule", "paper_13k_7k", "--seed", "3"]
     told += ["--set", "a=1", "b=2", "--refine", "steps=3", "--lpips", "vgg.onnx"]
     assert json.loads((tmp_path / "out.json").read_text()) == told

@@ -68,6 +68,19 @@ def test_other_networks_are_told_by_their_channels(tmp_path, kind):
     assert len(lpips_measures([file, small_lpips(tmp_path / "vgg.onnx")[0]])) == 3
 
 
+def test_the_real_squeezenet_knows_equal_pictures_and_how_much_noise_there_is(shared):
+    file = shared / "data" / "networks" / "lpips_squeeze_features.onnx"
+    if not file.is_file():
+        pytest.skip("needs the real network beside the data sets")
+    measure = lpips_measures([file])["lpips_squeeze"]
+    ramp = np.linspace(0, 1, 64, dtype=np.float32)
+    smooth = np.stack(np.broadcast_arrays(ramp[:, None], ramp[None], ramp[:, None] * ramp), axis=-1)
+    noise = np.random.default_rng(0).normal(size=smooth.shape).astype(np.float32)
+    distances = [measure(np.clip(smooth + level / 255 * noise, 0, 1), smooth) for level in (0, 5, 15, 30)]
+    assert distances[0] == 0
+    assert all(np.diff(distances) > 0.02), distances
+
+
 def test_files_that_are_no_such_network_are_named(tmp_path):
     with pytest.raises(InputError, match=r"a.onnx: no such file of weights"):
         lpips_measures([tmp_path / "a.onnx"])
