@@ -92,7 +92,7 @@ def read_gaussians(path: str | Path) -> Gaussians:
         as_needed(stacked(vertices, _MEANS, np.float64)),
         stacked(vertices, _QUATS),
         _with_thickness(stacked(vertices, scales)),
-        np.nan_to_num(stacked(vertices, ["opacity"]), nan=np.nan, posinf=_SURE, neginf=-_SURE),
+        _finite_logits(stacked(vertices, ["opacity"])),
         np.asarray(rgb_to_sh(_colors(vertices))) if in_rgb else stacked(vertices, _DC),
         stacked(vertices, rest),
     ]
@@ -108,6 +108,11 @@ def read_gaussians(path: str | Path) -> Gaussians:
     )
 
 
+def _finite_logits(logits: np.ndarray) -> np.ndarray:
+    """Opacities of 0 and 1, which files write as infinities, as numbers; what is no number stays so, to be counted."""
+    return np.where(np.isinf(logits), np.copysign(np.float32(_SURE), logits), logits)
+
+
 def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Points `[P, 3]` float64 and colours `[P, 3]` uint8 of a PLY; grey where it has no colours.
 
@@ -121,8 +126,9 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     points = stacked(vertices, _MEANS, np.float64)
     colors = np.full(points.shape, 128, np.uint8)
     if set(_RGB) <= set(names):
-        shares = np.nan_to_num(_colors(vertices), nan=0.5)
-        colors = np.rint(255 * np.clip(shares, 0, 1)).astype(np.uint8)
+        shares = _colors(vertices)
+        known = np.where(np.isnan(shares), 0.5, np.clip(shares, 0, 1))  # grey where a file tells no number
+        colors = np.rint(255 * known).astype(np.uint8)
     finite = is_float32(points).all(axis=1)
     if not finite.any():
         raise InputError(f"{path}: no points in it")

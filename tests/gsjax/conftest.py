@@ -136,3 +136,13 @@ def _exact_depth(camera: Camera, ground: float | None) -> np.ndarray:
         on_square = (on_plane > 0) & np.all(np.abs(where[..., :2]) < 2.5, axis=-1)
         depth = np.minimum(depth, np.where(on_square, on_plane, np.inf))
     return np.where(np.isfinite(depth), depth, 0).astype(np.float32)
+
+
+@pytest.fixture
+def own_environment(monkeypatch, tmp_path):
+    """What a command sets for jax stays inside the test."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("XLA_FLAGS", "")
+    monkeypatch.delenv("XLA_FLAGS")
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "")
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
