@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gsjax.io.colmap_writer import write_model
+from gsjax.io.images import write_image
 from gsjax.scene import Frame, Pixels, Scene, Tracks, frame_of, with_pixels
 
 SIZE, FOCAL = (96, 72), 80.0
@@ -27,6 +29,14 @@ def wall(num_photos: int = 12, *, num_points: int = 400, distances=(3.0,), seed:
     tracks = Tracks(tuple(f.name for f in frames), *(np.concatenate(part) for part in (photo, point, rays)))
     colors = np.full((num_points, 3), 128, np.uint8)
     return Scene(Path("wall"), "colmap", frames, points.astype(np.float32), colors, tracks=lambda: tracks)
+
+
+def written(scene: Scene, folder: Path) -> Path:
+    """The scene as a data set on disk: a COLMAP model and its photos."""
+    write_model(folder / "sparse/0", scene.frames, scene.points, scene.point_colors)
+    for frame in scene.frames:
+        write_image(folder / "images" / frame.name, frame.pixels().image)
+    return folder
 
 
 def relit(scene: Scene, stops) -> Scene:

@@ -11,6 +11,7 @@ from gsjax.io import json_files
 from gsjax.io.json_shapes import check
 from gsjax.runs.photography import Photography, read_photography
 from gsjax.runs.records import MANIFEST, PLAN, WITHOUT_PLAN, read_views
+from gsjax.settings import PLAIN
 from gsjax.similarity import Similarity
 
 READ_NORMALS = "sdf_normal", "pixel_normal", "axis_normal"  # the terms of runs that wrote no plan
@@ -64,7 +65,7 @@ class Run:
     def _phase(self, phase: dict[str, Any]) -> dict[str, Any]:
         terms = {name: weight for name, weight in phase["weights"].items() if weight}
         if self.settings.get("vanilla") and not self.is_refinement:
-            terms = {name: weight for name, weight in terms.items() if name in ("l1", "dssim", "alpha")}
+            terms = {name: weight for name, weight in terms.items() if name in PLAIN}
         needs = ["normals"] if any(name in terms for name in READ_NORMALS) else []
         return {"name": phase["name"], "steps": phase["steps"], "terms": terms, "needs": needs}
 

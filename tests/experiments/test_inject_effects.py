@@ -4,13 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from photographed_wall import wall
+from photographed_wall import wall, written
 from scipy.spatial.transform import Rotation
 
 from gsjax.colors import srgb_to_linear
 from gsjax.io import json_files
-from gsjax.io.colmap_writer import write_model
-from gsjax.io.images import write_image
 from gsjax.io.scenes import load_scene
 from gsjax.scene import Truth
 from gsjax.similarity import IDENTITY
@@ -24,9 +22,7 @@ def script(scripts):
 @pytest.fixture
 def scene(tmp_path):
     scene = wall(4)
-    write_model(tmp_path / "scene/sparse/0", scene.frames, scene.points, scene.point_colors)
-    for frame in scene.frames:
-        write_image(tmp_path / "scene/images" / frame.name, frame.pixels().image)
+    written(scene, tmp_path / "scene")
     return scene
 
 

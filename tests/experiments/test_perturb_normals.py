@@ -4,11 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from photographed_wall import wall
+from photographed_wall import wall, written
 
 from gsjax.errors import InputError
-from gsjax.io.colmap_writer import write_model
-from gsjax.io.images import write_image
 from gsjax.io.normals import normal_maps
 from gsjax.io.scenes import load_scene
 
@@ -22,9 +20,8 @@ def script(scripts):
 def scene(tmp_path):
     """A wall whose true normals slant more and more, with a stripe that has none."""
     made = wall(3)
-    write_model(tmp_path / "scene/sparse/0", made.frames, made.points, made.point_colors)
+    written(made, tmp_path / "scene")
     for frame in made.frames:
-        write_image(tmp_path / "scene/images" / frame.name, frame.pixels().image)
         slant = np.linspace(-1, 1, frame.width)[None, :, None] * np.ones((frame.height, 1, 1))
         normals = np.concatenate([slant, 0 * slant, -np.ones_like(slant)], -1)
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
