@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from gsjax.io.files import flush, make_folder
 from gsjax.io.packages import require
 from gsjax.scene import Frame
 from gsjax.similarity import IDENTITY, Similarity
+
+if TYPE_CHECKING:
+    import pycolmap
 
 
 def write_model(
@@ -74,13 +78,13 @@ def write_poses(folder: Path, viewmats: Mapping[str, np.ndarray]) -> None:
     write_whole(model, folder)
 
 
-def write_whole(model, folder: Path) -> None:
+def write_whole(model: "pycolmap.Reconstruction", folder: Path) -> None:
     """Writes a `pycolmap.Reconstruction` in binary, and sees that all of it has come onto the disk.
 
     pycolmap 4.2 does not tell when a disk is full.
 
     Args:
-        model: What to write.
+        model: The reconstruction to write.
         folder: Made where absent.
 
     Raises:
