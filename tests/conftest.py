@@ -51,15 +51,14 @@ class HardCases:
         from gsjax.io.machine import machine, versions
 
         backends = ("reference", "native", "xla", "pallas")
-        heads = [f"{name}, {what}" for name in backends for what in ("value", "gradient")]
         lines = [
             "# Hard cases",
             "",
             "Every row is rendered and differentiated in float32 by every backend and compared with the reference",
-            "in float64. *Value* is the largest error of a pixel or an alpha, relative to the largest colour.",
-            "*Gradient* is the largest relative L2 error of a gradient: means, quats, scales, opacities, colours,",
-            "camera matrices, intrinsics, backgrounds. The last column has the bounds of both that the tests",
-            "assert.",
+            "in float64. The first number of a cell is the largest error of a pixel or an alpha, relative to the",
+            "largest colour. The second is the largest relative L2 error of a gradient: means, quats, scales,",
+            "opacities, colours, camera matrices, intrinsics, backgrounds. The last column has the bounds of both",
+            "that the tests assert.",
             "",
             "A *hidden* Gaussian must change no bit of the rest, so its errors are differences from the image",
             "without it. *Planes* are the depth of the same Gaussians with the slopes of their splats, *in front*",
@@ -69,13 +68,13 @@ class HardCases:
             "",
             "    python -m pytest tests/rasterizer/test_edge_cases.py --numprocesses 0 --hard-cases docs/hard_cases.md",
             "",
-            "| Case | " + " | ".join(heads) + " | Bounds |",
-            "|---" * (len(heads) + 2) + "|",
+            "| Case | " + " | ".join(backends) + " | Bounds |",
+            "|---" * (len(backends) + 2) + "|",
         ]
         for case, row in self._merged().items():
-            errors = [f"{error:.0e}" if error else "0" for name in backends for error in row.get(name, ())]
-            bounds = ", ".join(f"{bound:.0e}" if bound else "0" for bound in row["bounds"])
-            lines.append(f"| {case} | " + " | ".join(errors) + f" | {bounds} |")
+            cells = (row.get(name, ()) for name in (*backends, "bounds"))
+            pairs = [", ".join(f"{error:.0e}" if error else "0" for error in cell) for cell in cells]
+            lines.append(f"| {case} | " + " | ".join(pairs) + " |")
         everything = {**machine(), **versions()}
         about = {name: everything[name] for name in ("cpu", "cores", "python", "jax", "jaxlib", "numpy", "commit")}
         return "\n".join([*lines, "", ", ".join(f"{name} {value}" for name, value in about.items()), ""])
