@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from train import claim, load_settings
 
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.errors import InputError
 from gsjax.io import json_files
 
@@ -176,4 +176,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

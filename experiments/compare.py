@@ -21,7 +21,7 @@ from configs import CONFIGS
 from train import claim, load_config, nearest
 
 from gsjax import config, tables
-from gsjax.cli import guarded, parsers
+from gsjax.cli import parsers, run_guarded
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.settings import Settings
@@ -196,4 +196,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 
 if TYPE_CHECKING:  # They import jax.
     from gsjax.binding.hybrid import Hybrid
@@ -77,4 +77,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

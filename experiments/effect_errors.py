@@ -77,7 +77,7 @@ def of_sky(truth: Truth) -> float:
     result, share = open_result(truth.run), truth.told.get("sky", 0.0)
     found = []
     for frame in truth.clean.held_out_frames:
-        behind = np.asarray(backdrop.behind(jnp.asarray(result.background, jnp.float32), frame_camera(frame)))
+        behind = np.asarray(backdrop.color_behind(jnp.asarray(result.background, jnp.float32), frame_camera(frame)))
         is_sky = truth.clean.truth.labels[frame.name]() == 0  # pyright: ignore[reportOptionalMemberAccess]
         off = np.abs(np.broadcast_to(behind, (*is_sky.shape, 3)) - sky_color(frame, share))
         found.append(off[is_sky])
@@ -96,7 +96,9 @@ def of_masks(truth: Truth) -> float:
     for before, after, picture in zip(truth.clean.train_frames, frames, drawn, strict=True):
         photo = after.pixels().image
         pasted = (photo != before.pixels().image).any(-1)
-        trusted = transients.trusted(jnp.asarray(threshold), picture.colors, jnp.asarray(photo, jnp.float32) / 255)
+        trusted = transients.trusted_pixels(
+            jnp.asarray(threshold), picture.colors, jnp.asarray(photo, jnp.float32) / 255
+        )
         for there, off in ((True, trusted), (False, ~trusted)):
             wrong[there].append(np.asarray(off)[pasted == there])
     return float(max(np.concatenate(each).mean() for each in wrong.values() if np.concatenate(each).size))

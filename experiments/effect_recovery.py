@@ -22,7 +22,7 @@ import numpy as np
 from inject_effects import inject
 
 from gsjax import config, tables
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.cli.parsers import count
 from gsjax.io import json_files
 from gsjax.io.machine import machine
@@ -91,7 +91,7 @@ def scored(truth: "Truth", background: str, *, aligned: bool) -> dict[str, Any]:
     from gsjax.effects.alignment import align
     from gsjax.meshing.export import read_mesh
     from gsjax.pipeline.evaluate import score_mesh
-    from gsjax.runs.photography import Photography, read_photography, refined
+    from gsjax.runs.photography import Photography, read_photography, with_moved_cameras
     from gsjax.runs.result import open_result
     from gsjax.scoring.images import score_images
 
@@ -103,7 +103,7 @@ def scored(truth: "Truth", background: str, *, aligned: bool) -> dict[str, Any]:
         frames = [replace(frame, viewmat=true[frame.name]) for frame in photos.held_out_frames]
         scores = score_images(
             result.gaussians,
-            refined(tuple(frames), found.moves),
+            with_moved_cameras(tuple(frames), found.moves),
             background,
             found=Photography(background=found.background),
             align=align if aligned else None,
@@ -125,9 +125,9 @@ def row(out: Path, clean: Path, effect: str, strength: float, given: argparse.Na
 
     from gsjax.io.scenes import load_scene
     from gsjax.pipeline.train import first_state
+    from gsjax.planning.effect_trials import gains
     from gsjax.planning.effects import choose_effects
     from gsjax.planning.sizes import training_extent
-    from gsjax.planning.trials import gains
     from gsjax.training.plan import plan
 
     case, scene = CASES[effect], clean
@@ -172,7 +172,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         pairs = [", ".join(_pooled([row[f"{k}, {name}"] for row in seeds], k) for name in NAMES) for k in keys]
         pairs[3] += f" {CASES[effect].unit}"
         said = ", ".join(dict.fromkeys(row["decision"] for row in seeds))
-        evidence = tables.shown(float(np.mean([row["evidence"] for row in seeds])))
+        evidence = tables.format_value(float(np.mean([row["evidence"] for row in seeds])))
         lines.append("| " + " | ".join([f"`{effect}`", f"{strength:g}", evidence, said, *pairs]) + " |")
     return "\n".join(lines) + "\n"
 
@@ -181,7 +181,7 @@ def _pooled(values: list[float | None], key: str) -> str:
     found = [value for value in values if value is not None]
     if not found:
         return "-"
-    mean = tables.shown(float(np.mean(found)))
+    mean = tables.format_value(float(np.mean(found)))
     return f"{mean} ({min(found):.2f}-{max(found):.2f})" if key == "psnr" and len(found) > 1 else mean
 
 
@@ -211,4 +211,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.io import json_files
 from gsjax.io.files import atomic_folder
 from gsjax.scene import Frame, Scene, with_pixels
@@ -127,7 +127,7 @@ def _displaced(scene: Scene, turn: float, shift: float, rng: np.random.Generator
     import jax.numpy as jnp
 
     from gsjax.cameras import Camera, viewmat_center
-    from gsjax.effects.twists import gauge, moved
+    from gsjax.effects.twists import apply_twist, gauge
 
     frames = scene.frames
     depths = np.concatenate([scene.points @ f.viewmat[2, :3] + f.viewmat[2, 3] for f in frames])
@@ -138,7 +138,7 @@ def _displaced(scene: Scene, turn: float, shift: float, rng: np.random.Generator
     fixed, own = gauge(centers, unit), twists[trained].reshape(-1)
     twists[trained] = (own - fixed @ (fixed.T @ own)).reshape(-1, 6)
     cameras = [Camera(jnp.asarray(f.viewmat), jnp.asarray(f.K), f.width, f.height) for f in frames]
-    wrong = [moved(c, jnp.asarray(t, jnp.float32), unit).viewmat for c, t in zip(cameras, twists, strict=True)]
+    wrong = [apply_twist(c, jnp.asarray(t, jnp.float32), unit).viewmat for c, t in zip(cameras, twists, strict=True)]
     return {frame.name: np.asarray(viewmat, np.float64) for frame, viewmat in zip(frames, wrong, strict=True)}
 
 
@@ -159,4 +159,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

@@ -17,7 +17,7 @@ from paper.measured import LPIPS
 from paper.scenes import SCENES, SCHEDULES, settings_of
 
 from gsjax import config, tables
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.settings import PLAIN, Phase, Settings
@@ -153,13 +153,13 @@ def _train(data: Path, folder: Path, settings: Settings) -> dict[str, Any]:
 def _keep_before(file: Path, settings: Settings, progress: Any) -> None:
     """Writes the Gaussians at the end of the phase before the first with a regulariser."""
     from gsjax.io.ply import write_gaussians
-    from gsjax.pipeline.train import living
+    from gsjax.pipeline.train import living_gaussians
 
     if not progress.phase_done or settings.vanilla:
         return
     first = next((i for i, phase in enumerate(settings.phases) if _is_regularised(phase)), 0)
     if first and progress.step == sum(phase.steps for phase in settings.phases[:first]):
-        write_gaussians(file, living(progress.state.gaussians))
+        write_gaussians(file, living_gaussians(progress.state.gaussians))
 
 
 def _is_regularised(phase: Phase) -> bool:
@@ -199,4 +199,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.io.files import atomic_folder
 
 Wrong = Callable[[np.ndarray, np.random.Generator], np.ndarray]
@@ -73,7 +73,7 @@ def run(scene: str, out: str, seed: int = 0) -> list[Path]:
     Raises:
         InputError: The data set has no true normals, or a folder cannot be written.
     """
-    from gsjax.io.normals import map_places, normal_maps  # Here, and not above: they import jax and OpenCV.
+    from gsjax.io.normal_maps import map_places, normal_maps  # Here, and not above: they import jax and OpenCV.
     from gsjax.io.scenes import load_scene
 
     frames = load_scene(scene).frames
@@ -108,4 +108,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

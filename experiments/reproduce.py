@@ -19,7 +19,7 @@ from paper.measured import found_runs, measurements, methods, run_folder
 from paper.scenes import DEFAULT_SCHEDULES, SCENES, SCHEDULES, R, discover
 from paper_run import asked, begun, is_finished
 
-from gsjax.cli import guarded, parsers
+from gsjax.cli import parsers, run_guarded
 from gsjax.errors import InputError
 
 
@@ -192,4 +192,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

@@ -16,7 +16,7 @@ from typing import Any
 from paper.scenes import SCHEDULES
 
 from gsjax import tables
-from gsjax.cli import guarded, parsers
+from gsjax.cli import parsers, run_guarded
 from gsjax.io import json_files
 
 BUDGETS = ("paper_6k_15k", "paper_13k_7k")
@@ -97,4 +97,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

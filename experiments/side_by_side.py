@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.errors import InputError
 from gsjax.report.panels import draw_panels
 from gsjax.scene import Frame, Truth
@@ -105,4 +105,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

@@ -23,7 +23,7 @@ from configs import CONFIGS
 from train import load_settings
 
 from gsjax import tables
-from gsjax.cli import guarded, parsers
+from gsjax.cli import parsers, run_guarded
 from gsjax.io import json_files
 from gsjax.io.machine import peak_memory
 
@@ -165,4 +165,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

@@ -16,7 +16,7 @@ from typing import Any
 from configs import CONFIGS
 
 from gsjax import config, tables
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.settings import Settings
@@ -24,7 +24,7 @@ from gsjax.settings import Settings
 
 def run(name: str, scene: str, out: str, assignments: Sequence[str] = ()) -> dict:
     """Trains `scene` with a config, extracts the mesh, scores both; `OUT/evaluation.json` holds what is returned."""
-    from gsjax import pipeline  # Here, and not above: it imports jax, whose environment `guarded` settles first.
+    from gsjax import pipeline  # Here, and not above: it imports jax, whose environment `run_guarded` settles first.
 
     pipeline.train(scene, out, load_settings(name, assignments))
     mesh = Path(out) / "mesh.ply"
@@ -87,4 +87,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

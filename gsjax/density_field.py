@@ -54,7 +54,7 @@ def take(field: Kernels, neighbors: Array) -> Kernels:
     return jax.tree.map(lambda x: x[neighbors], field)
 
 
-def around(field: Kernels, ids: Array) -> Kernels:
+def kernels_around(field: Kernels, ids: Array) -> Kernels:
     """The kernels of a row of `gsjax.nearest`, `[k]` ids whose first is its own; that one again stands for none."""
     again = (ids == ids[0]).at[0].set(False)
     nearby = take(field, ids)

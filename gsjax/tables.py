@@ -11,24 +11,26 @@ FLOOR = "true mesh (floor)"
 
 def record(values: Mapping[str, Any]) -> str:
     """Two columns, name and value; nested mappings get dotted names."""
-    return aligned([[name, shown(value)] for name, value in flat(values)])
+    return align_columns([[name, format_value(value)] for name, value in flatten(values)])
 
 
 def compare(variants: Mapping[str, Mapping[str, Any]]) -> str:
     """One row per variant, one column per quantity that any of them has."""
     names = list(dict.fromkeys(name for values in variants.values() for name in values))
-    rows = [[variant, *(shown(values.get(name)) for name in names)] for variant, values in variants.items()]
-    return aligned([["", *names], *rows], right=range(1, len(names) + 1))
+    rows = [[variant, *(format_value(values.get(name)) for name in names)] for variant, values in variants.items()]
+    return align_columns([["", *names], *rows], right=range(1, len(names) + 1))
 
 
 def spread(rows: Sequence[Mapping[str, float]]) -> dict[str, str]:
     """Mean of every quantity over rows that all have it, a row a seed; where they are several also least and most."""
     found = {name: np.array([row[name] for row in rows], float) for name in rows[0]}
-    told = {name: [shown(float(v)) for v in (each.mean(), each.min(), each.max())] for name, each in found.items()}
+    told = {
+        name: [format_value(float(v)) for v in (each.mean(), each.min(), each.max())] for name, each in found.items()
+    }
     return {name: f"{mean} [{least} {most}]" if len(rows) > 1 else mean for name, (mean, least, most) in told.items()}
 
 
-def aligned(rows: list[list[str]], right: Collection[int] = ()) -> str:
+def align_columns(rows: list[list[str]], right: Collection[int] = ()) -> str:
     """Rows of cells in columns; those numbered in `right` end at one edge."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
 
@@ -39,15 +41,15 @@ def aligned(rows: list[list[str]], right: Collection[int] = ()) -> str:
     return "\n".join(map(line, rows))
 
 
-def flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+def flatten(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
     """Pairs of name and value; nested mappings get dotted names."""
     pairs = []
     for name, value in values.items():
-        pairs += flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else [(f"{prefix}{name}", value)]
+        pairs += flatten(value, f"{prefix}{name}.") if isinstance(value, Mapping) else [(f"{prefix}{name}", value)]
     return pairs
 
 
-def shown(value: Any) -> str:
+def format_value(value: Any) -> str:
     """A value as tables show it: four digits, thousands apart, a dash for None."""
     if value is None:
         return "-"

@@ -35,7 +35,7 @@ class Target:
 
 
 @dataclass(frozen=True)
-class Views:
+class Targets:
     """V photos in host memory, alike in size and in what they hold: one compiled step serves every one."""
 
     targets: tuple[Target, ...]
@@ -76,7 +76,7 @@ class Batch:
     photo: Array | None = None  # [] int32, see `Target`
 
 
-def views_of(frames: Sequence[Frame], *, scale: int = 1) -> Views:
+def read_targets(frames: Sequence[Frame], *, scale: int = 1) -> Targets:
     """Read the pixels of frames.
 
     Args:
@@ -85,7 +85,7 @@ def views_of(frames: Sequence[Frame], *, scale: int = 1) -> Views:
             are weighted by matte and validity, so what an unused pixel happens to hold never bleeds in.
 
     Returns:
-        `Views` of the largest (reduced) width and height. A photo of that size that is not reduced is not copied.
+        `Targets` of the largest (reduced) width and height. A photo of that size that is not reduced is not copied.
 
     Raises:
         InputError: The reduced photos have no pixels, or a photo cannot be read.
@@ -96,10 +96,10 @@ def views_of(frames: Sequence[Frame], *, scale: int = 1) -> Views:
             f"image_scale={scale}: nothing is left of a photo of {frames[0].width}x{frames[0].height} pixels"
         )
     targets = [_target(frame, scale, width, height) for frame in frames]
-    return Views(tuple(_alike(_alike(targets, "matte"), "valid")))
+    return Targets(tuple(_alike(_alike(targets, "matte"), "valid")))
 
 
-def with_normals(views: Views, maps: Sequence[np.ndarray]) -> Views:
+def with_normals(views: Targets, maps: Sequence[np.ndarray]) -> Targets:
     """The same views with int8 normal maps `[H, W, 3]` (see `Target`), each of its photo's size."""
     width, height = views.size
     pairs = zip(views.targets, maps, strict=True)
@@ -107,13 +107,13 @@ def with_normals(views: Views, maps: Sequence[np.ndarray]) -> Views:
     return replace(views, targets=tuple(targets))
 
 
-def numbered(views: Views) -> Views:
+def with_photo_numbers(views: Targets) -> Targets:
     """The same views, each told which of them it is."""
     targets = (replace(target, photo=np.int32(index)) for index, target in enumerate(views.targets))
     return replace(views, targets=tuple(targets))
 
 
-def feed(views: Views, *, room: int) -> Callable[[Sequence[int], Sequence[int]], list[Target]]:
+def feed(views: Targets, *, room: int) -> Callable[[Sequence[int], Sequence[int]], list[Target]]:
     """How targets reach the device: all at once where they fit, else each in its turn, the next ones meanwhile.
 
     Args:
@@ -146,7 +146,7 @@ def device_room(share: float) -> int:
     return int(share * memory["bytes_limit"]) if memory else 0
 
 
-def cameras(views: Views) -> Camera:
+def stack_cameras(views: Targets) -> Camera:
     """The cameras of all views, their matrices stacked along a leading axis."""
     viewmats, Ks = (np.stack([getattr(target, name) for target in views.targets]) for name in ("viewmat", "K"))
     return Camera(jnp.asarray(viewmats), jnp.asarray(Ks), *views.size)

@@ -30,7 +30,7 @@ def make_train_step(optimizer, terms, *, capacity, background, sh_every, rule, d
         losses = {each.name: each.term.loss(gaussians, view, batch) for each in terms}
         total = sum(each.weight * losses[each.name] for each in terms)
         if rule:
-            total += rule.probed(view, batch)
+            total += rule.probe_loss(view, batch)
         mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
         return total, (losses, mse, view.splats.projection, view.splats.pairs)
 

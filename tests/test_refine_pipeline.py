@@ -21,11 +21,11 @@ from gsjax.io.ply import read_gaussians, write_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.export import read_mesh, write_mesh
-from gsjax.pipeline.refine import halved_where_seen, prepared
+from gsjax.pipeline.refine import halved_where_seen, prepare_mesh
 from gsjax.runs.result import open_result, write_views
 from gsjax.scene import Pixels, frame_of
 from gsjax.settings import Settings
-from gsjax.targets import views_of
+from gsjax.targets import read_targets
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 SETTINGS = Refinement(steps=4, per_triangle=3, sh_degree=1, thickness=1e-3, settle_at=0.75)
@@ -102,25 +102,25 @@ def test_the_parts_of_a_mesh_stay_and_what_goes_is_said(capsys):
     corners = np.concatenate([sheet().vertices, rest.vertices[[0, 1, 4]]])
     faces = np.concatenate([sheet().faces, [[16, 17, 18]], [[0, 0, 1], [16, 17, 18]]])
     given = Mesh(corners, faces.astype(np.int32), np.zeros((19, 3), np.uint8))
-    mesh, taken_out = prepared(given, 1000)
+    mesh, taken_out = prepare_mesh(given, 1000)
     assert mesh.num_faces == 19 and mesh.vertices[:, 2].max() > 8, "a part of one triangle stays"
     assert taken_out == {"degenerate": 1, "duplicate": 1, "non_manifold": 0, "decimated": 0}
     assert capsys.readouterr().err == "refine: 19 of 21 triangles are left; 1 degenerate, 1 duplicate\n"
-    fewer, taken_out = prepared(sheet(), 10)
+    fewer, taken_out = prepare_mesh(sheet(), 10)
     assert fewer.num_faces <= 10 and taken_out["decimated"] == 18 - fewer.num_faces
     assert "decimated" in capsys.readouterr().err
-    prepared(sheet(), 1000)
+    prepare_mesh(sheet(), 1000)
     assert not capsys.readouterr().err
 
 
 def test_triangles_are_halved_where_pixels_see_them_and_are_not_masked(capsys):
-    coarse, taken_out = prepared(sheet(), 16, halved_share=0.5)
+    coarse, taken_out = prepare_mesh(sheet(), 16, halved_share=0.5)
     assert coarse.num_faces <= 8 and taken_out["decimated"] == 18 - coarse.num_faces
     camera = camera_at(size=(64, 48), focal=80.0)
     right = np.zeros((48, 64), np.uint8)
     right[:, 40:] = 255
     pixels = Pixels(np.zeros((48, 64, 3), np.uint8), valid=right)
-    seen = views_of([frame_of("0.png", np.asarray(camera.viewmat), np.asarray(camera.K), pixels)])
+    seen = read_targets([frame_of("0.png", np.asarray(camera.viewmat), np.asarray(camera.K), pixels)])
     halved = halved_where_seen(coarse, seen, 100)
     assert 99 <= halved.num_faces <= 100
     middles = halved.vertices[halved.faces].mean(axis=1)

@@ -22,7 +22,7 @@ from gsjax.training import initialize, optimizers
 from gsjax.training.loop import advance
 from gsjax.training.state import initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
-from gsjax.training.terms import weighed
+from gsjax.training.terms import weigh_terms
 
 # %% [markdown]
 # ## A scene
@@ -42,7 +42,7 @@ def as_frame(index):
 held_out = range(0, 12, 4)
 frames = [as_frame(index) for index in range(12) if index not in held_out]
 size = extent(tuple(frames))
-photos_to_train_on = targets.views_of(frames)
+photos_to_train_on = targets.read_targets(frames)
 
 rng = np.random.default_rng(0)
 low, high = np.array(solids.BOUNDS)
@@ -70,7 +70,7 @@ def program(capacity):
     """The compiled step, the same one in every run: otherwise each would be compiled anew."""
     return make_train_step(
         optimizer,
-        weighed(Weights(alpha=0.0)),
+        weigh_terms(Weights(alpha=0.0)),
         capacity=capacity,
         background=BACKGROUNDS["white"],
         sh_every=1000,

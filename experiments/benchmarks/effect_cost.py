@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gsjax import tables
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.io.machine import machine, versions
 
 
@@ -33,17 +33,17 @@ def measure(run: Path, rounds: int) -> dict[str, dict[str, Any]]:
     from gsjax.training.optimizers import make_optimizer
     from gsjax.training.state import initial_state
     from gsjax.training.step import BACKGROUNDS, make_train_step
-    from gsjax.training.terms import weighed
+    from gsjax.training.terms import weigh_terms
 
     gaussians, scene = open_result(run).gaussians, scene_of_run(run)
     found = diagnose(scene)
-    counted, data = found.record()["effects"], targets.numbered(targets.views_of(scene.train_frames))
+    counted, data = found.record()["effects"], targets.with_photo_numbers(targets.read_targets(scene.train_frames))
     optimizer, rule, key = make_optimizer(Rates(), 1.0, 1000), RULES["error"], jax.random.key(0)
     options = {"capacity": chosen_capacity(gaussians, data), "background": BACKGROUNDS["black"], "sh_every": 1}
     steppers, target = {}, jax.device_put(data.targets[0])
     for names in ((), *((name,) for name in SIMULATED)):
         effects = simulations(start(found.seen, names), names, lambda **_: optax.constant_schedule(0.0))
-        step = make_train_step(optimizer, weighed(Weights(alpha=0.0)), rule=rule, effects=effects, **options)
+        step = make_train_step(optimizer, weigh_terms(Weights(alpha=0.0)), rule=rule, effects=effects, **options)
         state = initial_state(jax.tree.map(jax.numpy.asarray, gaussians), optimizer, rule, effects)
         steppers["".join(names)] = step, step(state, target, key)[0]
     times: dict[str, list[float]] = {name: [] for name in steppers}
@@ -78,4 +78,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 
 
 def compare(run: str, out: Path, *, views: int) -> None:
@@ -52,4 +52,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gsjax import tables
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.errors import InputError
 
 # What XLA wants to know of an H100 SXM; public figures of the device.
@@ -159,4 +159,4 @@ def main(chosen: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

@@ -19,7 +19,7 @@ from typing import Any
 from workloads import GOLDEN, HEAVY, WORKLOADS, milliseconds, scene_named
 
 from gsjax import tables
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.io.machine import peak_memory
 
 # A process keeps its luck with memory and neighbours from the first call to the last, up to a factor of two.
@@ -175,4 +175,4 @@ def main(chosen: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

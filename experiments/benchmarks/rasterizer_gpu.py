@@ -14,7 +14,7 @@ from typing import Any
 from workloads import Scene, Workload, make_scene, milliseconds
 
 from gsjax import tables
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.errors import InputError
 
 COUNTS = {"100k": 100_000, "1M": 1_000_000, "3M": 3_000_000}
@@ -147,4 +147,4 @@ def main(chosen: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

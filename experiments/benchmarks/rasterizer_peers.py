@@ -21,7 +21,7 @@ from peers import TILE, Peer, Splats, Task, peer_named, tasks_of_ours
 from workloads import GOLDEN, HEAVY, seen
 
 from gsjax import tables
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.errors import InputError
 
 NAMES = ("golden: 10k, 256x256, radius 6", "100k, 512x512, radius 3", HEAVY)
@@ -105,4 +105,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

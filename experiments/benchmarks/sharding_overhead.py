@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from gsjax import tables
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.io.machine import machine, versions
 
 WARM = 3  # steps that are not timed: they compile, the second too where the first began with a state from the host
@@ -34,12 +34,12 @@ def stepper(placement: Any, state: Any, data: Any, optimizer: Any) -> Callable[[
     from gsjax.training.capacity import STILL
     from gsjax.training.growth.rules import RULES
     from gsjax.training.step import BACKGROUNDS
-    from gsjax.training.terms import weighed
+    from gsjax.training.terms import weigh_terms
 
     capacity = placement.chosen_capacity(state.gaussians, data, headroom=STILL)
     step = placement.make_step(
         optimizer,
-        weighed(Weights(alpha=0.0)),
+        weigh_terms(Weights(alpha=0.0)),
         capacity=capacity,
         background=BACKGROUNDS["black"],
         sh_every=1,
@@ -81,15 +81,15 @@ def prepare(run: Path, count: int) -> None:
     from gsjax.training.state import initial_state
 
     global once  # what this process is there for
-    gaussians, data = open_result(run).gaussians, targets.views_of(scene_of_run(run).train_frames)
+    gaussians, data = open_result(run).gaussians, targets.read_targets(scene_of_run(run).train_frames)
     optimizer = make_optimizer(Rates(), 1.0, 1000)
     state = initial_state(jax.tree.map(jnp.asarray, gaussians), optimizer, RULES["error"])
     if not count:
         once = stepper(one_device(), state, data, optimizer)
         return
     mesh = sharding.mesh_of(jax.devices()[:count])
-    whole = buffers.lengthened(state, optimizer, -(-gaussians.num_gaussians // count) * count)
-    once = stepper(several.placement(mesh, count), sharding.dealt(whole, mesh), data, optimizer)
+    whole = buffers.lengthen(state, optimizer, -(-gaussians.num_gaussians // count) * count)
+    once = stepper(several.placement(mesh, count), sharding.deal_rows(whole, mesh), data, optimizer)
 
 
 def timed() -> float:
@@ -131,4 +131,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from gsjax import tables
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.io.machine import machine, versions
 
 COUNTS = (1, 2, 4, 8)
@@ -78,7 +78,7 @@ def compiled(load: Load, devices: int) -> dict[str, Any]:
     from gsjax.training.sharded.step import make_sharded_step
     from gsjax.training.state import initial_state
     from gsjax.training.step import BACKGROUNDS
-    from gsjax.training.terms import weighed
+    from gsjax.training.terms import weigh_terms
 
     mesh = sharding.mesh_of(jax.devices()[:devices])
     optimizer = make_optimizer(Rates(), 1.0, 1000)
@@ -109,7 +109,7 @@ def compiled(load: Load, devices: int) -> dict[str, Any]:
     )
     step = make_sharded_step(
         optimizer,
-        weighed(Weights(alpha=0.0)),
+        weigh_terms(Weights(alpha=0.0)),
         mesh=mesh,
         splat_capacity=load.splat_capacity(devices),
         capacity=load.pairs,
@@ -180,4 +180,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

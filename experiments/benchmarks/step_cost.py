@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from gsjax import tables
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.io.machine import machine, versions
 
 
@@ -39,7 +39,7 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
     facing = [np.tile(np.array([0, 0, -127], np.int8), (frame.height, frame.width, 1)) for frame in frames]
     taken = {}
     for phase in plan(settings).phases:
-        data = with_neighbors(targets.views_of(frames, scale=phase.scale), extent)
+        data = with_neighbors(targets.read_targets(frames, scale=phase.scale), extent)
         if "normals" in phase.needs:
             data = targets.with_normals(data, facing)
         rule = RULES[settings.density.rule]
@@ -120,4 +120,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from gsjax import tables
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.io.machine import machine, versions
 
 ENGINES = ("native", "xla")
@@ -59,7 +59,7 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
     scene = scene_of_run(run)
     finished = jax.tree.map(np.asarray, open_result(run).gaussians)  # Steps donate what they begin from.
     gaussians = jax.tree.map(jnp.asarray, finished)
-    data = targets.views_of(scene.train_frames)
+    data = targets.read_targets(scene.train_frames)
     batch = targets.batch(one_view(data, 0, 0.5)(0), jnp.ones(3, jnp.float32))
     camera, capacity, grid = batch.camera, chosen_capacity(gaussians, data), render.tile_grid(batch.camera)
 
@@ -153,4 +153,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

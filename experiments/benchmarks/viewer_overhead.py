@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gsjax import config, tables
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 from gsjax.settings import Settings
 
 if TYPE_CHECKING:  # It imports jax.
@@ -109,4 +109,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

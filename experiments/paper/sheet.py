@@ -6,7 +6,7 @@ import numpy as np
 
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
-from gsjax.io.normals import map_places
+from gsjax.io.normal_maps import map_places
 from gsjax.io.ply import read_gaussians
 from gsjax.meshing import read_mesh
 from gsjax.render import gallery

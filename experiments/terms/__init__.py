@@ -15,7 +15,7 @@ from gsjax.normals.sdf import misalignment
 from gsjax.render import MIN_COVERAGE, View
 from gsjax.targets import Batch
 from gsjax.training.terms import Kept, Term
-from gsjax.training.terms.losses import aligned
+from gsjax.training.terms.losses import alignment_term
 from terms import density, slopes, sugar
 from terms.surroundings import nearest
 
@@ -34,9 +34,9 @@ def _along_density(estimator) -> Term:
 
 _OF_DEPTH = {"depth", "normals", "gaussians"}
 TERMS: Mapping[str, Term] = {
-    "sdf_central": Term(aligned(slopes.sdf_central_map), _OF_DEPTH),
-    "sdf_bicubic": Term(aligned(slopes.sdf_bicubic_map), _OF_DEPTH),
-    "sdf_offset": Term(aligned(slopes.sdf_offset_map), _OF_DEPTH),
+    "sdf_central": Term(alignment_term(slopes.sdf_central_map), _OF_DEPTH),
+    "sdf_bicubic": Term(alignment_term(slopes.sdf_bicubic_map), _OF_DEPTH),
+    "sdf_offset": Term(alignment_term(slopes.sdf_offset_map), _OF_DEPTH),
     "density_center": _along_density(density.density_center_map),
     "density_offset": _along_density(density.density_offset_map),
     "density_sample": _along_density(density.density_sample_map),

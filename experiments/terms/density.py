@@ -12,7 +12,7 @@ from jax import Array
 from gsjax import density_field
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, scales
-from gsjax.normals.sdf import composited
+from gsjax.normals.sdf import composite_directions
 from gsjax.render import View
 from gsjax.training.terms import Kept
 from terms import places
@@ -41,9 +41,9 @@ def _density_gradient_map(gaussians: Gaussians, view: View, camera: Camera, kept
     thickness = jax.lax.stop_gradient(scales(gaussians).min(-1))
 
     def outward(place: Array, ids: Array, unit: Array) -> Array:
-        return -unit * density_field.density_gradient(place, density_field.around(field, ids))
+        return -unit * density_field.density_gradient(place, density_field.kernels_around(field, ids))
 
     rows = at(gaussians, camera, kept), kept.table, thickness
     world = density_field.at_each(outward, *rows)
     visible = view.splats.projection.visible[0, :, None]
-    return composited(jnp.where(visible, world, 0), gaussians, view, camera)
+    return composite_directions(jnp.where(visible, world, 0), gaussians, view, camera)

@@ -13,7 +13,7 @@ from jax import Array
 from gsjax import cameras
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, rotation_matrices, scales, smallest_axes
-from gsjax.normals.sdf import facing
+from gsjax.normals.sdf import face_camera
 from gsjax.training.terms import Kept
 
 Places = Callable[[Gaussians, Camera, Kept | None], Array]
@@ -34,7 +34,7 @@ def before(gaussians: Gaussians, camera: Camera, kept: Kept | None = None, *, de
     Differentiable to means, rotations and scales; not through which side it is.
     """
     del kept
-    normals = facing(smallest_axes(gaussians), cameras.center(camera)[None] - gaussians.means)
+    normals = face_camera(smallest_axes(gaussians), cameras.center(camera)[None] - gaussians.means)
     return gaussians.means + deviations * scales(gaussians).min(-1, keepdims=True) * normals
 
 

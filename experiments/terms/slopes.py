@@ -9,7 +9,7 @@ from jax import Array
 from gsjax import cameras
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
-from gsjax.normals.sdf import composited, in_front, reads_depth
+from gsjax.normals.sdf import composite_directions, in_front, reads_depth
 from gsjax.render import View
 from gsjax.render.sampling import sample_bilinear
 from terms import places
@@ -63,4 +63,4 @@ def _gradient_map(
         return read(depth, cameras.project(in_camera, camera)) - in_camera[2]
 
     world = jax.vmap(jax.grad(estimate), in_axes=(0, None))(points, view.depth)
-    return composited(jnp.where(usable, world, 0), gaussians, view, camera)
+    return composite_directions(jnp.where(usable, world, 0), gaussians, view, camera)

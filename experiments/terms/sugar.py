@@ -17,7 +17,7 @@ from gsjax.cameras import Camera
 from gsjax.density_field import Kernels
 from gsjax.gaussians import Gaussians, rotation_matrices, scales, smallest_axes
 from gsjax.normals import sdf
-from gsjax.normals.sdf import facing
+from gsjax.normals.sdf import face_camera
 from gsjax.numerics import masked_mean, safe_normalize
 from gsjax.render import View
 from gsjax.targets import Batch
@@ -101,7 +101,7 @@ def _means(misfit: Misfit, gaussians: Gaussians, kept: Kept, among: Array) -> tu
     def of_one(owner: Array, noise: Array) -> tuple[Array, Array, Array]:
         ids = kept.table[owner]
         point = gaussians.means[owner] + SPREAD * turned(axes[owner], noise * deviations[owner])
-        nearby = density_field.around(field, ids)
+        nearby = density_field.kernels_around(field, ids)
         sample = Sample(point, gaussians.means[owner], normals[owner], nearby, jnp.mean(thickness[ids]))
         return *misfit(sample), _disagreement(sample, normals[ids], thickness[ids])
 
@@ -115,7 +115,7 @@ def _disagreement(sample: Sample, normals: Array, thickness: Array) -> Array:
 
     The weights are those with which flat Gaussians make the density's gradient, and carry no gradient themselves.
     """
-    normals = facing(normals, sample.normal[None])
+    normals = face_camera(normals, sample.normal[None])
     held = jax.lax.stop_gradient
     off_plane = held(jnp.abs(jnp.sum((sample.point[None] - sample.nearby.means) * normals, axis=-1)))
     density = held(density_field.contributions(sample.point, sample.nearby))

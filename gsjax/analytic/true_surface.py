@@ -31,7 +31,9 @@ def mesh(spacing: float) -> Mesh:
     return Mesh(np.asarray(vertices), faces, np.rint(255 * np.asarray(_albedo_all(vertices))).astype(np.uint8))
 
 
-def samples(surface: Mesh, num_solids: int, num_table: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sample_points(
+    surface: Mesh, num_solids: int, num_table: int, seed: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points spread evenly over the solids, and others over the upper side of the table.
 
     Args:

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from gsjax import render, targets
 from gsjax.gaussians import Gaussians
 from gsjax.render import DepthReading
-from gsjax.targets import Target, Views
+from gsjax.targets import Target, Targets
 from gsjax.training.capacity import chosen_capacity
 
 AT_BORDER = 2.0  # Standard deviations within which a Gaussian reaches over a border of the mesh.
@@ -22,7 +22,7 @@ SAME_SURFACE = 0.05  # Share of its depth by which the mesh may lie before or be
 
 def beyond_mesh(
     gaussians: Gaussians,
-    data: Views,
+    data: Targets,
     mesh_depths: Iterable[np.ndarray],
     border: np.ndarray,
     *,

@@ -26,7 +26,7 @@ from gsjax.gaussians import PixelFilter
 from gsjax.numerics import masked_mean
 from gsjax.render import backdrop
 from gsjax.settings import FAST, Rates, check_lowest, check_seed
-from gsjax.targets import Batch, Target, Views
+from gsjax.targets import Batch, Target, Targets
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
 from gsjax.training.loop import advance
@@ -156,7 +156,7 @@ class RefineProgress(NamedTuple):
 def refine(
     settings: Refinement,
     graph: MeshGraph,
-    data: Views,
+    data: Targets,
     state: RefineState,
     optimizer: optax.GradientTransformation,
     *,
@@ -233,7 +233,7 @@ def make_refine_step(
             gaussians,
             batch.camera,
             capacity=capacity,
-            background=backdrop.behind(color, batch.camera),
+            background=backdrop.color_behind(color, batch.camera),
             active_degree=active_degrees(gaussians, state.step // sh_every),
             with_depth=with_depth,
         )

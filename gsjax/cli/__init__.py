@@ -54,16 +54,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Arguments without the program's name; None reads `sys.argv`.
 
     Returns:
-        The exit code, as `guarded` has it; 2 for wrong arguments too.
+        The exit code, as `run_guarded` has it; 2 for wrong arguments too.
     """
     try:
         arguments = parser().parse_args(argv)
     except SystemExit as stop:  # After --help, or with argparse's own message about the arguments.
         return int(stop.code or 0)
-    return guarded(lambda: arguments.run(arguments))
+    return run_guarded(lambda: arguments.run(arguments))
 
 
-def guarded(action: Callable[[], None]) -> int:
+def run_guarded(action: Callable[[], None]) -> int:
     """Prepares jax's environment, runs an action and turns what ended it into an exit code.
 
     Returns:

@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from gsjax.cli.parsers import add_command, given
+from gsjax.cli.parsers import add_command, given_options
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -31,7 +31,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
 
-    options = given(arguments, "sh_degree", "crop", "min_opacity")
+    options = given_options(arguments, "sh_degree", "crop", "min_opacity")
     figures = pipeline.convert(arguments.source, arguments.out, **options)
     if figures["clipped"]:
         print(f"{arguments.out}: {figures['clipped']} of {figures['gaussians']} Gaussians hold values beyond what the"

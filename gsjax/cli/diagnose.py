@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, finite, given
+from gsjax.cli.parsers import add_command, finite, given_options
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -31,5 +31,5 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax import tables
     from gsjax.pipeline.diagnose import diagnose, rows
 
-    record = diagnose(arguments.scene, **given(arguments, "json", "downscale", "images"))
-    print(tables.aligned(rows(record)))
+    record = diagnose(arguments.scene, **given_options(arguments, "json", "downscale", "images"))
+    print(tables.align_columns(rows(record)))

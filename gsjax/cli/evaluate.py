@@ -4,7 +4,7 @@ import argparse
 import sys
 from functools import partial
 
-from gsjax.cli.parsers import add_command, finite, given
+from gsjax.cli.parsers import add_command, finite, given_options
 from gsjax.io import json_files
 
 
@@ -59,7 +59,7 @@ def _run(arguments: argparse.Namespace) -> None:
         three_ways=arguments.three_ways,
         aligned=arguments.aligned,
         zooms=arguments.zoom,
-        **given(arguments, "lpips"),
+        **given_options(arguments, "lpips"),
     )
     if arguments.json:
         require_apart(arguments.json, arguments.run_folder, arguments.mesh, *(arguments.lpips or ()))

@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, finite, given
+from gsjax.cli.parsers import add_command, finite, given_options
 
 BOX = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
 
@@ -48,7 +48,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
 
-    options = given(
+    options = given_options(
         arguments, "method", "depth", "trim_quantile", "cell", "level", "points", "bounds", "background_bounds",
         "foreground_only", "faces", "scene", "settled",
     )  # fmt: skip

@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, finite, given
+from gsjax.cli.parsers import add_command, finite, given_options
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -34,6 +34,6 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
 
-    options = given(arguments, "downscale", "images")
+    options = given_options(arguments, "downscale", "images")
     report = pipeline.normals(arguments.scene, arguments.network, arguments.weights, arguments.out, **options)
     print(tables.record(report))

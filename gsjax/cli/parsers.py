@@ -33,7 +33,7 @@ def add_command(
     return parser
 
 
-def given(arguments: argparse.Namespace, *names: str) -> dict:
+def given_options(arguments: argparse.Namespace, *names: str) -> dict:
     """The named options that the user gave: the defaults of the others are the library's."""
     return {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
 

@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, given
+from gsjax.cli.parsers import add_command, given_options
 
 PRESETS = ("fast", "balanced", "short", "medium", "long")
 
@@ -49,7 +49,7 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax import config, pipeline, tables
     from gsjax.binding.refining import PRESETS, SETTLE_AT, Refinement
 
-    options = given(arguments, "steps", "faces", "per_triangle", "keep_free", "seed")
+    options = given_options(arguments, "steps", "faces", "per_triangle", "keep_free", "seed")
     if arguments.settled is not None:
         options["settle_at"] = SETTLE_AT if arguments.settled else 1.0
     chosen = config.merge(PRESETS[arguments.preset or "fast"], options)

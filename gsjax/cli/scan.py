@@ -36,10 +36,10 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax import config, pipeline, tables
     from gsjax.binding.refining import PRESETS as REFINEMENTS
     from gsjax.binding.refining import Refinement
-    from gsjax.cli.train import overridden
+    from gsjax.cli.train import override_settings
     from gsjax.pipeline.scan import table
 
-    settings = overridden(PRESETS[arguments.preset], arguments, "seed", "downscale", "hold_out")
+    settings = override_settings(PRESETS[arguments.preset], arguments, "seed", "downscale", "hold_out")
     length = REFINEMENTS[REFINED_BY[arguments.preset]]
     refinement = config.parse(Refinement, config.merge(length, {"seed": settings.seed}))
     report = pipeline.scan(arguments.source, arguments.out, settings, refinement, frames=arguments.frames)

@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, given
+from gsjax.cli.parsers import add_command, given_options
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -35,7 +35,7 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax import tables
     from gsjax.io import sfm
 
-    report = sfm.reconstruct(arguments.photos, arguments.out, **given(arguments, "frames"))
+    report = sfm.reconstruct(arguments.photos, arguments.out, **given_options(arguments, "frames"))
     for what, files in (("left out", report.left_out), ("passed over", report.passed_over)):
         for reason in dict.fromkeys(files.values()):
             names = [name for name, why in files.items() if why == reason]

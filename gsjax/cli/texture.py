@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, given
+from gsjax.cli.parsers import add_command, given_options
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -30,5 +30,5 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
 
-    options = given(arguments, "size", "scene")
+    options = given_options(arguments, "size", "scene")
     print(tables.record(pipeline.texture(arguments.source, arguments.mesh, arguments.out, **options)))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gsjax import config
-from gsjax.cli.parsers import add_command, finite, given, seconds
+from gsjax.cli.parsers import add_command, finite, given_options, seconds
 from gsjax.cli.view import add_address
 from gsjax.errors import InputError
 from gsjax.settings import LENGTHS, PRESETS, Settings
@@ -80,7 +80,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    address, places = given(arguments, "port", "host"), given(arguments, "processes", "process")
+    address, places = given_options(arguments, "port", "host"), given_options(arguments, "processes", "process")
     if address and not arguments.view:
         raise InputError(f"--{next(iter(address))} goes with --view")
     if places and arguments.coordinator is None:
@@ -92,7 +92,7 @@ def _run(arguments: argparse.Namespace) -> None:
         return
     from gsjax.runs import processes
 
-    with processes.joined(arguments.coordinator, **places):
+    with processes.join_processes(arguments.coordinator, **places):
         summary = _train(arguments, address)
         if processes.is_first():
             print(tables.record(summary))
@@ -141,21 +141,21 @@ def settings(arguments: argparse.Namespace) -> Settings:
     started = Path(arguments.out) / "config.json"
     if arguments.resume and started.exists():
         base = config.merge(runs.read_settings(started.parent), PRESETS.get(arguments.preset, {}))
-        return overridden(base, arguments, *OPTIONS)
+        return override_settings(base, arguments, *OPTIONS)
     if budget is None:
-        return overridden(PRESETS[arguments.preset or "fast"], arguments, *OPTIONS)
+        return override_settings(PRESETS[arguments.preset or "fast"], arguments, *OPTIONS)
     runs.require_free(arguments.out)
     names = (arguments.preset,) if arguments.preset else LENGTHS
-    candidates = {name: overridden(PRESETS[name], arguments, *OPTIONS) for name in names}
+    candidates = {name: override_settings(PRESETS[name], arguments, *OPTIONS) for name in names}
     is_set = any(one.startswith("max_gaussians=") for group in arguments.assignments for one in group)
     choice = pipeline.budgeted(arguments.scene, candidates, budget, pipeline.scaled if is_set else pipeline.resized)
     print(f"budget of {arguments.budget}: {choice.line}", file=sys.stderr)
     return choice.settings
 
 
-def overridden(base: Mapping[str, Any], arguments: argparse.Namespace, *names: str) -> Settings:
+def override_settings(base: Mapping[str, Any], arguments: argparse.Namespace, *names: str) -> Settings:
     """Settings with the named options where they were given, then what `--set` says."""
-    options = given(arguments, *names)
+    options = given_options(arguments, *names)
     if Path(options.get("hold_out", "")).is_file():  # As an absolute path, later commands find it from anywhere.
         options["hold_out"] = str(Path(options["hold_out"]).resolve())
     # Parsed before the overrides too, so that `--set` reaches into defaults that are lists.

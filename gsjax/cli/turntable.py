@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, finite, given
+from gsjax.cli.parsers import add_command, finite, given_options
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -30,4 +30,5 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline
 
-    print(f"pictures: {pipeline.turntable(arguments.mesh, arguments.out, **given(arguments, 'frames', 'size', 'up'))}")
+    options = given_options(arguments, "frames", "size", "up")
+    print(f"pictures: {pipeline.turntable(arguments.mesh, arguments.out, **options)}")

@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, finite, given
+from gsjax.cli.parsers import add_command, finite, given_options
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -29,5 +29,5 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
 
-    report = pipeline.undistort(arguments.scene, arguments.out, **given(arguments, "downscale", "images"))
+    report = pipeline.undistort(arguments.scene, arguments.out, **given_options(arguments, "downscale", "images"))
     print(tables.record(report))

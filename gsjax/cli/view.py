@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, given
+from gsjax.cli.parsers import add_command, given_options
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -36,4 +36,4 @@ def add_address(parser: argparse.ArgumentParser) -> None:
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import viewer
 
-    viewer.view(arguments.source, **given(arguments, "mesh", "port", "host"))
+    viewer.view(arguments.source, **given_options(arguments, "mesh", "port", "host"))

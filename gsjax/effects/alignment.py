@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from gsjax.cameras import Camera
-from gsjax.effects.twists import moved
+from gsjax.effects.twists import apply_twist
 from gsjax.render.gallery import Picture
 
 BLURS = (0.01, 0.005, 0.0025, 0.0, 0.0, 0.0)  # of the width: standard deviations, one a round
@@ -52,7 +52,7 @@ def align(camera: Camera, photo: np.ndarray, valid: np.ndarray, draw: Draw) -> C
     return best
 
 
-_moved = jax.jit(moved)
+_moved = jax.jit(apply_twist)
 
 
 def _step(

@@ -11,8 +11,8 @@ import optax
 from gsjax.cameras import Camera, viewmat_center
 from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.effects.gains import fit, table
-from gsjax.effects.model import Effects, EffectState
 from gsjax.effects.observations import Observations
+from gsjax.effects.simulation import Effects, EffectState
 from gsjax.scene import Frame, with_pixels
 from gsjax.settings import SIMULATED
 
@@ -78,7 +78,7 @@ def start(seen: Observations, chosen: Collection[str]) -> Start:
         falloff.astype(np.float32),
         np.stack([_stands(frame)[:3] for frame in frames]),
         _median_depth(seen),
-        poses.told_by_tracks(seen) if "poses" in chosen else np.zeros((len(frames), 6)),
+        poses.twists_from_tracks(seen) if "poses" in chosen else np.zeros((len(frames), 6)),
         background.initial(seen),
         seen.tracked,
     )
@@ -100,15 +100,15 @@ def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax
     Args:
         begun: Where they start.
         chosen: Their names.
-        rate: The schedule of the run by `peak`, `hold` and `share`, see `gsjax.effects.model.learning_rate`.
+        rate: The schedule of the run by `peak`, `hold` and `share`, see `gsjax.effects.simulation.learning_rate`.
     """
     whose, count = begun.camera[begun.trained], len(begun.falloff)
     # What tracks have told is near: less of what a young scene cannot show yet is then laid to it.
     gains, cameras = (each.RATE_KNOWN if begun.tracked else each.RATE for each in (exposure, poses))
     effects = {
-        "exposure": lambda: exposure.simulated(begun.log_gains[begun.trained], rate(peak=gains)),
-        "vignetting": lambda: vignetting.simulated(begun.falloff, whose, rate()),
-        "poses": lambda: poses.simulated(
+        "exposure": lambda: exposure.make_effect(begun.log_gains[begun.trained], rate(peak=gains)),
+        "vignetting": lambda: vignetting.make_effect(begun.falloff, whose, rate()),
+        "poses": lambda: poses.make_effect(
             begun.centers[begun.trained],
             begun.distance,
             whose,
@@ -116,8 +116,8 @@ def simulations(begun: Start, chosen: Collection[str], rate: Callable[..., optax
             rate(peak=cameras, hold=poses.HOLD, share=poses.HOLD_SHARE),
             begun.twists[begun.trained],
         ),
-        "background": lambda: background.simulated(begun.background, rate(peak=background.RATE, hold=0)),
-        "transients": lambda: transients.simulated(rate(peak=transients.RATE, hold=0, final=1.0)),
+        "background": lambda: background.make_effect(begun.background, rate(peak=background.RATE, hold=0)),
+        "transients": lambda: transients.make_effect(rate(peak=transients.RATE, hold=0, final=1.0)),
     }
     return {name: effects[name]() for name in SIMULATED if name in chosen}
 
@@ -183,7 +183,7 @@ def moves(begun: Start, state: EffectState) -> dict[str, poses.Move]:
     return dict(zip(begun.names, found, strict=True))
 
 
-def fitted(colors: np.ndarray, image: np.ndarray, valid: np.ndarray) -> np.ndarray:
+def fit_colors(colors: np.ndarray, image: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """`[H, W, 3]` colours after the affine map that brings them nearest to an image's over the valid pixels."""
     ones = np.ones((*colors.shape[:2], 1))
     basis = np.concatenate([colors, ones], axis=-1, dtype=np.float64)
@@ -193,7 +193,7 @@ def fitted(colors: np.ndarray, image: np.ndarray, valid: np.ndarray) -> np.ndarr
     return (basis @ weights).astype(np.float32)
 
 
-def relit(frame: Frame, look: Appearance) -> Frame:
+def without_appearance(frame: Frame, look: Appearance) -> Frame:
     """The frame with its photo divided by what its camera did, in memory: as the mean photo would show it.
 
     Pixels that this makes brighter than white are clipped, as the photo would have.

@@ -4,8 +4,8 @@ import numpy as np
 import optax
 
 from gsjax.effects.evidence import Evidence, photo_cost, unknown
-from gsjax.effects.model import Effect
 from gsjax.effects.observations import Observations
+from gsjax.effects.simulation import Effect
 from gsjax.render import backdrop
 
 THRESHOLD = 0.25  # of the photos
@@ -45,10 +45,10 @@ def initial(seen: Observations) -> np.ndarray:
     """
     is_open = [facts for facts in seen.facts if facts.sky_share > OPEN]
     if not is_open:
-        return backdrop.constant(np.full(3, 0.5), 0)
+        return backdrop.constant_coefficients(np.full(3, 0.5), 0)
     colors = np.stack([facts.sky_color for facts in is_open])
     spread = np.hypot(colors.std(0).max(), np.mean([facts.sky_spread for facts in is_open]))
-    return backdrop.constant(colors.mean(0), 0 if spread < _ONE_COLOR else DEGREE)
+    return backdrop.constant_coefficients(colors.mean(0), 0 if spread < _ONE_COLOR else DEGREE)
 
 
 def is_one(seen: Observations, color: float, most: np.ndarray, least: np.ndarray) -> bool:
@@ -71,11 +71,11 @@ def is_one(seen: Observations, color: float, most: np.ndarray, least: np.ndarray
     return bool(off < _ONE_COLOR)
 
 
-def simulated(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:
+def make_effect(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:
     """A colour by direction stands behind all Gaussians, see `gsjax.render.backdrop`. No surface is made of it.
 
     Args:
         coefficients: `[(L + 1)^2, 3]` to start with.
         rate: See `Effect`.
     """
-    return Effect(np.asarray(coefficients, np.float32), rate, behind=backdrop.behind)
+    return Effect(np.asarray(coefficients, np.float32), rate, behind=backdrop.color_behind)

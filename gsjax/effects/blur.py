@@ -22,13 +22,13 @@ def judge(seen: Observations) -> Evidence:
         more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
         note = (
             f"blurred: {', '.join(names[:_SHOWN])}{more}; {int((lost > DROP).sum())} by more than {100 * DROP:.0f} %,"
-            f" training leaves {len(left_out(seen)) or 'none'} out"
+            f" training leaves {len(photos_to_leave_out(seen)) or 'none'} out"
         )
     spread = float(1.4826 * np.median(np.abs(lost - np.median(lost))))
     return Evidence(bool(names), float(lost.max()), "of median sharpness lost", spread, THRESHOLD, COST, note)
 
 
-def left_out(seen: Observations) -> tuple[str, ...]:
+def photos_to_leave_out(seen: Observations) -> tuple[str, ...]:
     """Names of the photos that are too blurred to be trained on and that nothing depends on.
 
     Nine tenths of what was matched in such a photo must be seen by two sharper ones that are trained on; without tracks

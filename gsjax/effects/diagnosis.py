@@ -63,7 +63,7 @@ def diagnose(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fra
         InputError: A photo or the tracks cannot be read.
     """
     seen = observe(scene, progress=progress)
-    gains, steps = exposure.estimate(seen), poses.steps(seen)
+    gains, steps = exposure.estimate(seen), poses.gauss_newton_steps(seen)
     effects = {
         "exposure": exposure.judge(seen, gains),
         "vignetting": vignetting.judge(seen, gains),

@@ -8,17 +8,17 @@ import optax
 from jax import Array
 
 from gsjax.colors import srgb_to_linear
-from gsjax.effects import model
+from gsjax.effects import simulation
 from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.gains import Fit, Table, fit, held_out_ratio, table
-from gsjax.effects.model import LIMIT, Effect
 from gsjax.effects.observations import Observations
+from gsjax.effects.simulation import LIMIT, Effect
 from gsjax.targets import Batch
 
 THRESHOLD = 0.05  # EV, of the exposure's or the white balance's standard deviation: 0.26 dB of PSNR at 30 dB
 HELD_OUT = 0.95  # Gains must lower the error of points that they were not fitted to at least to this share,
 SPATIAL = 0.6  # and both halves of the scene must give the same ones: a correlation.
-RATE, RATE_KNOWN = model.RATE, 5e-4  # Adam's learning rate of gains; of those that tracks have told
+RATE, RATE_KNOWN = simulation.RATE, 5e-4  # Adam's learning rate of gains; of those that tracks have told
 PASSES = 6  # two products, a choice, and back
 _FEWEST = 20  # observations of a photo in each half of the scene, to be compared
 
@@ -75,7 +75,7 @@ def judge(seen: Observations, gains: Gains | None) -> Evidence:
     return Evidence(bool(on), spread, "EV", gains.noise, THRESHOLD, cost, note)
 
 
-def simulated(initial: np.ndarray, rate: optax.Schedule) -> Effect:
+def make_effect(initial: np.ndarray, rate: optax.Schedule) -> Effect:
     """Every photo multiplies the display-coded channels by its own factors, whose logarithms have mean zero.
 
     A factor of light is a factor of display-coded values to the power 1 / 2.2, up to toe and clipping. The mean is

@@ -11,9 +11,9 @@ from jax import Array
 
 from gsjax.cameras import Camera
 from gsjax.effects.evidence import Evidence, gaussian_cost, unknown
-from gsjax.effects.model import Effect
 from gsjax.effects.observations import Observations
-from gsjax.effects.twists import gauge, moved
+from gsjax.effects.simulation import Effect
+from gsjax.effects.twists import apply_twist, gauge
 from gsjax.scene import Frame
 
 THRESHOLD = 0.3  # pixels
@@ -41,7 +41,7 @@ class Step(NamedTuple):
         return self.shift > SIGNIFICANT * self.error
 
 
-def steps(seen: Observations) -> tuple[Step | None, ...]:
+def gauss_newton_steps(seen: Observations) -> tuple[Step | None, ...]:
     """The robust Gauss-Newton step of every photo on its reprojection errors, points fixed; None of too few points."""
     return tuple(_step(seen, index) for index in range(len(seen.frames)))
 
@@ -68,23 +68,23 @@ class Move(NamedTuple):
     shift: tuple[float, float, float]  # of its centre, scene units
     focal: float  # factor of both focal lengths
 
-    def refined(self, frame: Frame) -> Frame:
+    def apply(self, frame: Frame) -> Frame:
         """The frame as taken by the camera so moved."""
         given = Camera(jnp.asarray(frame.viewmat), jnp.asarray(frame.K), frame.width, frame.height)
         camera = _moved_and_zoomed(given, jnp.asarray([*self.turn, *self.shift], jnp.float32), jnp.float32(self.focal))
         return replace(frame, viewmat=np.asarray(camera.viewmat), K=np.asarray(camera.K))
 
 
-def told_by_tracks(seen: Observations) -> np.ndarray:
+def twists_from_tracks(seen: Observations) -> np.ndarray:
     """`[V, 6]` turns (radians) and shifts (scene units) that tracks ask of the photos' cameras; zero where not sure."""
     found = np.zeros((len(seen.frames), 6))
-    for index, step in enumerate(steps(seen)):
+    for index, step in enumerate(gauss_newton_steps(seen)):
         if step is not None and step.is_sure:
             found[index] = *step.turn, *step.move
     return found
 
 
-def simulated(
+def make_effect(
     centers: np.ndarray,
     unit: float,
     whose: np.ndarray,
@@ -113,7 +113,7 @@ def simulated(
 
     def camera(numbers: Any, given: Camera, photo: Array) -> Camera:
         focal = jnp.exp(log_focals(numbers)[jnp.asarray(whose)[photo]])
-        return zoomed(moved(given, twists(numbers, fixed)[photo], unit), focal)
+        return zoom_camera(apply_twist(given, twists(numbers, fixed)[photo], unit), focal)
 
     return Effect(begun, rate, camera=camera)
 
@@ -130,7 +130,7 @@ def log_focals(numbers: Any) -> Array:
     return jnp.clip(numbers["log_focals"], -LIMIT, LIMIT)
 
 
-def zoomed(camera: Camera, focal: Array) -> Camera:
+def zoom_camera(camera: Camera, focal: Array) -> Camera:
     """The camera with both focal lengths times `focal`."""
     factors = jnp.stack([focal, focal, jnp.ones_like(focal)])
     scaled = camera.K * jnp.where(jnp.eye(3, dtype=bool), factors[:, None], 1)
@@ -139,7 +139,7 @@ def zoomed(camera: Camera, focal: Array) -> Camera:
 
 @jax.jit
 def _moved_and_zoomed(given: Camera, twist: Array, focal: Array) -> Camera:
-    return zoomed(moved(given, twist, 1.0), focal)
+    return zoom_camera(apply_twist(given, twist, 1.0), focal)
 
 
 def moves(numbers: Any, centers: np.ndarray, unit: float, trained: np.ndarray, whose: np.ndarray) -> tuple[Move, ...]:
@@ -148,7 +148,7 @@ def moves(numbers: Any, centers: np.ndarray, unit: float, trained: np.ndarray, w
     Args:
         numbers: As optimised, of the photos that are trained on.
         centers: `[V, 3]` camera centres as given, world.
-        unit: As in `simulated`.
+        unit: As in `make_effect`.
         trained: `[V]` bool.
         whose: `[V]` whose camera took which photo.
     """

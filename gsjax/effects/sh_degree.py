@@ -14,7 +14,7 @@ COST = gaussian_cost(6 * 45, 45, "what degree 3 has beyond degree 0")
 _RIDGE = 1e-3
 
 
-def explained(seen: Observations, gains: Gains) -> float | None:
+def explained_variance(seen: Observations, gains: Gains) -> float | None:
     """Share of the variance within tracks, left out in turn, that a linear function of the direction explains.
 
     Median squares, after gains; None where no track is long enough.
@@ -43,7 +43,7 @@ def explained(seen: Observations, gains: Gains) -> float | None:
 
 def judge(seen: Observations, gains: Gains | None) -> Evidence:
     """On where direction explains more than foreshortening does."""
-    share = None if gains is None else explained(seen, gains)
+    share = None if gains is None else explained_variance(seen, gains)
     if share is None:
         return unknown("share of variance", THRESHOLD, COST, f"needs points that {SHORTEST} photos see")
     note = "colours change with direction" if share > THRESHOLD else "no more than patches of a matt surface do"

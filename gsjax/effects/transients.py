@@ -15,8 +15,8 @@ from jax import Array
 
 from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.exposure import Gains
-from gsjax.effects.model import Effect
 from gsjax.effects.observations import Observations
+from gsjax.effects.simulation import Effect
 from gsjax.numerics import masked_mean
 from gsjax.settings import Density
 from gsjax.targets import Batch
@@ -43,7 +43,7 @@ def judge(seen: Observations, gains: Gains | None) -> Evidence:
     return Evidence(value > THRESHOLD, value, "share of observations", FLOOR, THRESHOLD, cost, note)
 
 
-def simulated(rate: optax.Schedule) -> Effect:
+def make_effect(rate: optax.Schedule) -> Effect:
     """Pixels that are far off are left out of the loss, and out of what new Gaussians are made for.
 
     The logarithm of the quantile starts at 0, a difference of 1, which no pixel exceeds, and sinks to where it belongs:
@@ -55,7 +55,7 @@ def simulated(rate: optax.Schedule) -> Effect:
     return Effect(np.float32(0), rate, trusts=trusts)
 
 
-def patient(density: Density, steps: int) -> Density:
+def delay_growth(density: Density, steps: int) -> Density:
     """Growth that waits until masks stand, and ends as much later (RobustSplat, Fu et al. 2025).
 
     What grew before to show a stranger, close before the one camera that saw it, no other photo would take away again.
@@ -74,10 +74,10 @@ def trusts(log_quantile: Array, colors: Array, batch: Batch) -> tuple[Array, Arr
     off = residuals(colors, batch.image)
     slope = masked_mean(jnp.where(off > jnp.exp(log_quantile), -QUANTILE, 1 - QUANTILE), batch.valid)
     still = jax.lax.stop_gradient(log_quantile)
-    return trusted(still, colors, batch.image), jax.lax.stop_gradient(slope) * (log_quantile - still)
+    return trusted_pixels(still, colors, batch.image), jax.lax.stop_gradient(slope) * (log_quantile - still)
 
 
-def trusted(log_quantile: Array, colors: Array, image: Array) -> Array:
+def trusted_pixels(log_quantile: Array, colors: Array, image: Array) -> Array:
     """`[H, W]` bool: most pixels of the window about it are near enough to the photo."""
     near = residuals(colors, image) <= REACH * jnp.exp(log_quantile)
     votes, voters = (

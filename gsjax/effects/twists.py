@@ -15,7 +15,7 @@ from gsjax.cameras import Camera
 _SMALL = 1e-6  # of a squared angle, below which sines are their series: to 14 digits
 
 
-def moved(camera: Camera, twist: Array, unit: float) -> Camera:
+def apply_twist(camera: Camera, twist: Array, unit: float) -> Camera:
     """The camera after a twist. Differentiable everywhere, at none at all and at half turns too.
 
     A twist of zero gives back the same numbers: what is added to the camera's own is zero.

@@ -9,8 +9,8 @@ from gsjax.cameras import Camera
 from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.exposure import Gains
 from gsjax.effects.gains import Fit, Table, project
-from gsjax.effects.model import LIMIT, Effect
 from gsjax.effects.observations import Observations
+from gsjax.effects.simulation import LIMIT, Effect
 from gsjax.targets import Batch
 
 THRESHOLD = 0.1  # EV at the corner
@@ -65,7 +65,7 @@ def judge(seen: Observations, gains: Gains | None) -> Evidence:
     return Evidence(bool(on), -slope, "EV", error, THRESHOLD, cost, note)
 
 
-def simulated(initial: np.ndarray, camera: np.ndarray, rate: optax.Schedule) -> Effect:
+def make_effect(initial: np.ndarray, camera: np.ndarray, rate: optax.Schedule) -> Effect:
     """Every camera's light falls off by a polynomial of the squared tangent of the angle to its axis.
 
     Args:

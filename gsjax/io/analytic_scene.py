@@ -87,7 +87,7 @@ def _write_parts(folder: Path, num_views: int, size: tuple[int, int], seed: int,
             _write_view(folder, f"{index:03d}", camera, solids.trace(camera))
             bar.update()
     surface = true_surface.mesh(MESH_SPACING)
-    (folder / "gt_mesh.ply").write_bytes(mesh_ply.encoded(surface))
+    (folder / "gt_mesh.ply").write_bytes(mesh_ply.encode_ply(surface))
     samples = _seen_samples(surface, cameras, seed)
     np.savez_compressed(folder / "gt_points.npz", **_truth_points(samples))
     _write_model(folder / "sparse/0", samples, cameras, seed)
@@ -119,7 +119,7 @@ def _write_view(folder: Path, name: str, camera: Camera, view: solids.Trace) -> 
 def _seen_samples(surface: Mesh, cameras: list[Camera], seed: int) -> _Samples:
     """Three times as many as the truth needs: the table reaches beyond it, and views miss some."""
     num_solids, num_table = (3 * count for count in TRUTH_SAMPLES)
-    points, normals, on_table = true_surface.samples(surface, num_solids, num_table, seed)
+    points, normals, on_table = true_surface.sample_points(surface, num_solids, num_table, seed)
     seen = np.stack([np.asarray(_visible_all(points, camera)) for camera in cameras])
     return _Samples(points, normals, on_table, seen)
 

@@ -12,7 +12,7 @@ from gsjax.errors import InputError
 from gsjax.io.colmap_model import Model, PosedImage, read_model
 from gsjax.io.image_folders import found_files
 from gsjax.io.lenses import is_float32, pycolmap_camera
-from gsjax.io.photo_names import local_names, short
+from gsjax.io.photo_names import local_names, short_name
 from gsjax.io.photos import Capture, Photo
 from gsjax.io.random_points import points_in_view, tell_of_random_points
 from gsjax.scene import Tracks
@@ -32,7 +32,7 @@ def read_capture(root: Path, model: Path) -> Capture:
     places = _image_places(root, model)
     listed = [image.name for image in read.images]
     names = local_names(listed, lambda name: any(os.path.isfile(place / name) for place in places), model)
-    names = [name if name == before else short(name) for name, before in zip(names, listed, strict=True)]
+    names = [name if name == before else short_name(name) for name, before in zip(names, listed, strict=True)]
     folder = max(places, key=lambda place: sum(map(os.path.isfile, found_files([place / name for name in names]))))
     photos = tuple(
         Photo(name, folder / name, image.viewmat, read.cameras[image.camera])

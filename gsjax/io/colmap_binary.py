@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.colmap_records import KEYPOINT, ImageRecord, camera_models, decoded, read_bytes
+from gsjax.io.colmap_records import KEYPOINT, ImageRecord, camera_models, decode_text, read_bytes
 from gsjax.io.lenses import Lens
 
 _COUNT, _CAMERA, _IMAGE = struct.Struct("<Q"), struct.Struct("<IiQQ"), struct.Struct("<I7dI")
@@ -103,7 +103,7 @@ def _image_at(data: bytes, at: int) -> tuple[ImageRecord, int]:
     after = start + KEYPOINT.itemsize * count
     if after > len(data):
         raise struct.error
-    name = decoded(data[at + _IMAGE.size : end])
+    name = decode_text(data[at + _IMAGE.size : end])
     return ImageRecord(name, pose, camera, np.frombuffer(data, KEYPOINT, count, start)), after
 
 

@@ -15,7 +15,7 @@ from gsjax.errors import InputError
 from gsjax.io import colmap_binary, colmap_text
 from gsjax.io.colmap_records import ImageRecord
 from gsjax.io.lenses import Lens, check_lens, is_float32
-from gsjax.io.notices import say
+from gsjax.io.notices import print_once
 from gsjax.io.ply import read_points
 
 PLACES = ("sparse/*", "sparse", "colmap/sparse/*", ".")  # Where models are looked for; the first with one is taken.
@@ -108,7 +108,7 @@ def _largest(models: Sequence[Path]) -> Path:
     counts = {model: _count_images(model) for model in models}
     best = max(models, key=lambda model: counts[model])
     others = ", ".join(f"{model.name} with {counts[model]}" for model in models if model != best)
-    say(f"COLMAP: {best} with {counts[best]} photos is taken; beside it lie {others}")
+    print_once(f"COLMAP: {best} with {counts[best]} photos is taken; beside it lie {others}")
     return best
 
 

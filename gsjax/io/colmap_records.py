@@ -43,7 +43,7 @@ def read_bytes(file: Path) -> bytes:
         raise InputError(f"{file}: cannot be read ({error.strerror})") from error
 
 
-def decoded(text: bytes) -> str:
+def decode_text(text: bytes) -> str:
     """UTF-8; or Latin-1, as older programs on Windows write it."""
     try:
         return text.decode()

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.colmap_records import KEYPOINT, NO_POINT, ImageRecord, camera_models, decoded, read_bytes
+from gsjax.io.colmap_records import KEYPOINT, NO_POINT, ImageRecord, camera_models, decode_text, read_bytes
 from gsjax.io.lenses import Lens, is_float32
 
 _POINT = np.dtype([("id", "<i8"), ("xyz", "<f8", 3), ("color", "<f8", 3)])
@@ -53,7 +53,7 @@ def _lines(file: Path) -> Iterator[tuple[int, str]]:
     """Number and content of the lines that are no comments."""
     for number, line in enumerate(read_bytes(file).removeprefix(b"\xef\xbb\xbf").split(b"\n"), 1):
         if not line.startswith(b"#"):
-            yield number, decoded(line).strip()
+            yield number, decode_text(line).strip()
 
 
 def _camera(file: Path, number: int, line: str) -> tuple[int, Lens]:

@@ -16,10 +16,10 @@ from gsjax.gaussians import SH_C0, Gaussians
 from gsjax.io.files import atomic_path
 from gsjax.io.packing import (
     check_packable,
-    drawn_in,
     logits_of_bytes,
     of_smallest_three,
     opacity_bytes,
+    pull_in_outliers,
     smallest_three,
     unit_quats,
 )
@@ -27,10 +27,10 @@ from gsjax.io.ply_elements import (
     filter_comments,
     from_rest_columns,
     read_elements,
+    read_filter,
     rest_columns,
     rest_names,
-    stacked,
-    told_filter,
+    stack_columns,
 )
 
 _CHUNK = 256
@@ -40,7 +40,7 @@ _IN_SPACE, _OF_ROTATIONS, _OF_COLORS = (11, 10, 11), (10, 10, 10), (8, 8, 8)  # 
 _MOST_LOG_SCALE = 20.0  # One Gaussian without thickness must not take the precision of its chunk.
 _MOST_REST = 4.0
 _MOST_COLOR = 4.0  # from black, which is 0; white is 1
-_REACH = 16.0  # Of a chunk, see `drawn_in`: a scene's own chunks stay as they are.
+_REACH = 16.0  # Of a chunk, see `pull_in_outliers`: a scene's own chunks stay as they are.
 _REACH_OF_ORDER = 256.0  # Of all, where the curve's cells are as fine as the scene.
 
 
@@ -55,7 +55,7 @@ def write_compressed_ply(path: str | Path, gaussians: Gaussians) -> int:
         InputError: Values are not finite, harmonics are of degree 4, or the target cannot be written.
     """
     check_packable(path, gaussians)
-    order = _morton_order(drawn_in(np.asarray(gaussians.means, np.float64), _REACH_OF_ORDER)[0])
+    order = _morton_order(pull_in_outliers(np.asarray(gaussians.means, np.float64), _REACH_OF_ORDER)[0])
     means, quats, log_scales, logits, dc, rest = (
         np.asarray(values)[order]
         for values in (
@@ -112,7 +112,7 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
     lacks_packed = not set(_PACKED) <= set(vertices.dtype.names or ()) or packed != {"u4"}
     if not bounds <= set(chunks.dtype.names or ()) or lacks_packed:
         raise InputError(f"{path}: not a compressed PLY of Gaussians")
-    if not np.isfinite(stacked(chunks, list(chunks.dtype.names or ()))).all():
+    if not np.isfinite(stack_columns(chunks, list(chunks.dtype.names or ()))).all():
         raise InputError(f"{path}: bounds of a chunk are not finite")
     count = len(vertices)
     harmonics = elements.get("sh", np.empty(count, []))  # None where the degree is 0.
@@ -122,7 +122,7 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
         )
 
     def unpacked(codes: np.ndarray, names: tuple[str, ...], bits: tuple[int, ...]) -> np.ndarray:
-        low, high = (stacked(chunks, end).astype(np.float64) for end in _bounds(names))
+        low, high = (stack_columns(chunks, end).astype(np.float64) for end in _bounds(names))
         units, chunk = _unpack(codes, bits), np.arange(count) // _CHUNK
         return low[chunk] * (1 - units) + high[chunk] * units
 
@@ -130,7 +130,7 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
     colors = vertices["packed_color"] >> 8
     with_bounds = {name for end in _bounds(_COLORS) for name in end} <= set(chunks.dtype.names or ())
     colors = unpacked(colors, _COLORS, _OF_COLORS) if with_bounds else _unpack(colors, _OF_COLORS)
-    rest = stacked(harmonics, rest_names(path, harmonics.dtype.names or ()))
+    rest = stack_columns(harmonics, rest_names(path, harmonics.dtype.names or ()))
     inside = (rest > 0) & (rest < 255)
     read = Gaussians(
         means=unpacked(vertices["packed_position"], _MEANS, _IN_SPACE),
@@ -139,7 +139,7 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
         logit_opacities=logits_of_bytes(vertices["packed_color"] & 255),
         sh_dc=((colors - 0.5) / SH_C0)[:, None],
         sh_rest=from_rest_columns((np.where(inside, (rest + 0.5) / 256, rest / 255) - 0.5) * 2 * _MOST_REST),
-        pixel_filter=told_filter(header),
+        pixel_filter=read_filter(header),
     )
     with np.errstate(over="ignore"):
         read = jax.tree.map(lambda values: values.astype(np.float32), read)
@@ -170,9 +170,9 @@ def _bounds(names: tuple[str, ...]) -> tuple[list[str], list[str]]:
 
 
 def _drawn_into_chunks(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """`drawn_in` of one chunk after the other."""
+    """`pull_in_outliers` of one chunk after the other."""
     starts = range(_CHUNK, len(means), _CHUNK)
-    inner, far = zip(*(drawn_in(chunk, _REACH) for chunk in np.split(means, starts)), strict=True)
+    inner, far = zip(*(pull_in_outliers(chunk, _REACH) for chunk in np.split(means, starts)), strict=True)
     return np.concatenate(inner), np.concatenate(far)
 
 

@@ -9,14 +9,14 @@ from pathlib import Path
 
 from gsjax.errors import InputError
 from gsjax.io.images import SUFFIXES
-from gsjax.io.notices import say
-from gsjax.io.photo_names import inside, spellings
+from gsjax.io.notices import print_once
+from gsjax.io.photo_names import path_inside, spellings
 from gsjax.io.photos import Photo
 
 REDUCED = ("images_2", "images_4", "images_8")  # Copies of reduced size, as benchmarks bring them, largest first.
 
 
-def located(root: Path, photos: Sequence[Photo], images: str | None) -> list[Photo]:
+def locate_photos(root: Path, photos: Sequence[Photo], images: str | None) -> list[Photo]:
     """The photos with the paths of the files that there are; what is not found keeps the path where it should be.
 
     Args:
@@ -40,7 +40,7 @@ def located(root: Path, photos: Sequence[Photo], images: str | None) -> list[Pho
     best = max(range(len(REDUCED)), key=lambda index: _count(reduced[index]))
     if not _count(reduced[best]):
         return found
-    say(f"images: none where {root} says; {root / REDUCED[best]} is taken")
+    print_once(f"images: none where {root} says; {root / REDUCED[best]} is taken")
     return reduced[best]
 
 
@@ -75,7 +75,9 @@ def found_files(paths: Sequence[Path]) -> list[Path]:
 
 def _in_folder(photos: Sequence[Photo], folder: Path) -> list[Photo]:
     names = [Path(photo.name) for photo in photos]  # Absolute where a data set lists photos outside its folder.
-    return _with_files(photos, [folder / (name.name if name.is_absolute() else inside(str(name))) for name in names])
+    return _with_files(
+        photos, [folder / (name.name if name.is_absolute() else path_inside(str(name))) for name in names]
+    )
 
 
 def _with_files(photos: Sequence[Photo], paths: Sequence[Path]) -> list[Photo]:

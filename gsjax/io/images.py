@@ -76,7 +76,7 @@ def write_image(path: str | Path, image: np.ndarray) -> None:
         temporary.write_bytes(encoded.getbuffer())
 
 
-def jpeg(image: np.ndarray) -> bytes:
+def jpeg_bytes(image: np.ndarray) -> bytes:
     """`[H, W, 3]` uint8 pixels as a JPEG for the screen, at 85."""
     stream = BytesIO()
     Image.fromarray(np.ascontiguousarray(image)).save(stream, "JPEG", quality=85)
@@ -89,7 +89,7 @@ def image_size(path: Path) -> tuple[int, int]:
     Raises:
         InputError: The file is missing or no image.
     """
-    with opened(path) as picture:
+    with open_image(path) as picture:
         return picture.size
 
 
@@ -99,13 +99,13 @@ def upright_size(path: Path) -> tuple[int, int]:
     Raises:
         InputError: The file is missing or no image.
     """
-    with opened(path) as picture:
+    with open_image(path) as picture:
         width, height = picture.size
         return (height, width) if picture.getexif().get(_ORIENTATION) in _QUARTER_TURNS else (width, height)
 
 
 @contextmanager
-def opened(path: str | Path) -> Iterator[Any]:
+def open_image(path: str | Path) -> Iterator[Any]:
     """The file as Pillow opens it, of which only the header is read; for as long as the block lasts.
 
     Photos may be of any size: what is decoded is held to the memory that there is, not to Pillow's fixed limit.
@@ -144,7 +144,7 @@ def resize(array: np.ndarray, width: int, height: int) -> np.ndarray:
     return cv2.resize(array, (width, height), interpolation=cv2.INTER_AREA)
 
 
-def resampled(image: np.ndarray, width: int, height: int) -> np.ndarray:
+def resample(image: np.ndarray, width: int, height: int) -> np.ndarray:
     """`image` (`[H, W]` or `[H, W, C]`, uint8 or float32) at any size: averaged where it shrinks, else bilinear."""
     if width <= image.shape[1] and height <= image.shape[0]:
         return resize(image, width, height)
@@ -176,7 +176,7 @@ def filter_straight(
 
 
 def _decode(path: Path):
-    with opened(path) as picture:
+    with open_image(path) as picture:
         width, height = picture.size
         if width * height > _ALWAYS_ROOM:
             require_memory(f"{path}: a photo of {width}x{height} pixels", _DECODED * width * height)

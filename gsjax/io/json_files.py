@@ -37,14 +37,14 @@ def read(path: str | Path, shape: Shape = object) -> Any:
         InputError: The file is absent, is no JSON, is nested deeper than `DEEPEST`, or has not the shape.
     """
     try:
-        return parsed(path, Path(path).read_text(encoding="utf-8-sig"), shape)
+        return parse(path, Path(path).read_text(encoding="utf-8-sig"), shape)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is no JSON (not in UTF-8 from byte {error.start} on)") from error
 
 
-def parsed(where: object, text: str, shape: Shape = object) -> Any:
+def parse(where: object, text: str, shape: Shape = object) -> Any:
     """What a JSON text holds; `where` names it in messages.
 
     Raises:

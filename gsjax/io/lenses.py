@@ -81,7 +81,7 @@ def check_lens(lens: Lens, where: str | Path) -> Lens:
     raise InputError(f"{where} ({lens.model} {lens.width}x{lens.height} with {numbers}) has {fault}")
 
 
-def resized(lens: Lens, width: int, height: int) -> Lens:
+def resize_lens(lens: Lens, width: int, height: int) -> Lens:
     """The lens of the same photo resized to `width` x `height` pixels.
 
     Focal lengths and the principal point are scaled per axis; distortion acts on the ray and stays. Where the axes'

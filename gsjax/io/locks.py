@@ -13,7 +13,7 @@ LOCK = ".lock"
 
 
 @contextmanager
-def locked(folder: str | Path) -> Iterator[None]:
+def lock_folder(folder: str | Path) -> Iterator[None]:
     """Keeps a folder for this process until the block ends, or the process does, however that ends.
 
     On a file system that has no locks, nothing is kept.

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
-from gsjax.io.photo_names import inside
+from gsjax.io.photo_names import path_inside
 
 
 def masks_in(folder: Path, names: Iterable[str]) -> dict[str, Path]:
@@ -14,7 +14,7 @@ def masks_in(folder: Path, names: Iterable[str]) -> dict[str, Path]:
     A mask has the photo's name, that name with `.png` after it, or its stem with `.png`; within the same subfolders, or
     in the folder itself where no other photo's file is called the same.
     """
-    within = {name: inside(name) for name in names}
+    within = {name: path_inside(name) for name in names}
     alike = Counter(path.name for path in within.values())
     places = {
         name: [path] if alike[path.name] > 1 else [path, PurePosixPath(path.name)] for name, path in within.items()

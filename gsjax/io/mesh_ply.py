@@ -6,7 +6,7 @@ from gsjax.mesh import Mesh
 from gsjax.similarity import loses_in_float32
 
 
-def encoded(mesh: Mesh) -> bytes:
+def encode_ply(mesh: Mesh) -> bytes:
     """The file: vertices with their colours, then faces. Positions are double where float would lose their place."""
     kind, stored = ("double", "<f8") if loses_in_float32(mesh.vertices) else ("float", "<f4")
     vertices = np.empty(mesh.num_vertices, [("position", stored, 3), ("color", "u1", 3)])

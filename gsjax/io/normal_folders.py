@@ -25,7 +25,7 @@ def is_recorded(folder: str | Path) -> bool:
     return (Path(folder) / MANIFEST).is_file()
 
 
-def maker(folder: str | Path) -> str | None:
+def network_of(folder: str | Path) -> str | None:
     """The network that made a folder's maps, by its name; None where they came from elsewhere.
 
     Raises:

@@ -5,6 +5,6 @@ from functools import cache
 
 
 @cache
-def say(line: str) -> None:
+def print_once(line: str) -> None:
     """Prints a line; once, however often a command loads the data set."""
     print(line.encode(errors="backslashreplace").decode(), file=sys.stderr)

@@ -33,7 +33,7 @@ def check_packable(path: str | Path, gaussians: Gaussians) -> None:
         )
 
 
-def drawn_in(means: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+def pull_in_outliers(means: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Positions of which a far one takes no precision from the others.
 
     The mass are those within `reach` times the distance that nine tenths keep from the middle, the distance being the

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
-from gsjax.io.notices import say
+from gsjax.io.notices import print_once
 
 _AS_JPEG = (".heic", ".heif", ".hif", ".avif", ".webp")  # Of photos that have lost more than a JPEG at 95 loses.
 _DRIVE = re.compile(r"[A-Za-z]:/|//")  # Of Windows, once its separators are those of everybody else.
@@ -34,11 +34,11 @@ def local_names(listed: Sequence[str], exists: Callable[[str], bool], place: obj
     ends = {name: _end(name, exists) or _below(name, shared) for name in foreign}
     if len(set(ends.values())) < len(ends):  # Two photos would be one.
         ends = {name: _below(name, shared) for name in foreign}
-    say(f"images: {place} lists paths of another machine, as {foreign[0]}; it is taken for {ends[foreign[0]]}")
+    print_once(f"images: {place} lists paths of another machine, as {foreign[0]}; it is taken for {ends[foreign[0]]}")
     return [ends.get(name, name) for name in spelled]
 
 
-def inside(name: str) -> PurePosixPath:
+def path_inside(name: str) -> PurePosixPath:
     """A name as a path within a folder: parts that would lead out of it are left out."""
     path = PurePosixPath(name)
     return PurePosixPath(*[part for part in path.parts if part not in (path.anchor, "..")])
@@ -49,14 +49,14 @@ def written_name(name: str, has_matte: bool) -> str:
 
     A matte makes a PNG of any. Photos of iPhones and of the web become JPEGs.
     """
-    path = inside(name)
+    path = path_inside(name)
     suffix = path.suffix.lower()
     if suffix in (".jpg", ".jpeg") and not has_matte:
         return str(path)
     return str(path.with_suffix(".jpg" if suffix in _AS_JPEG and not has_matte else ".png"))
 
 
-def short(name: str) -> str:
+def short_name(name: str) -> str:
     """A name without the folder `images/`, in which photos mostly lie, and without detours."""
     name = posixpath.normpath(name)
     return name.removeprefix("images/") or name

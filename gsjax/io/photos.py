@@ -18,7 +18,7 @@ from gsjax.io.images import (
     same_shape,
     upright_size,
 )
-from gsjax.io.lenses import Lens, PinholeView, pinhole_views, resized
+from gsjax.io.lenses import Lens, PinholeView, pinhole_views, resize_lens
 from gsjax.scene import Frame, Origin, Pixels, Tracks
 
 MASK_USES = ("valid", "matte")
@@ -66,7 +66,7 @@ def frames_of(photo: Photo, downscale: float, folder_masks: str) -> list[Frame]:
     return [_frame(photo, index, downscale, folder_masks) for index in range(len(pinhole_views(photo.lens)))]
 
 
-def listed(what: str, names: list[str]) -> str:
+def list_of_names(what: str, names: list[str]) -> str:
     """The end of a message: `3 images missing: a, b, c`, shortened after five names."""
     shown = ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
     return f"{len(names)} {what}{'s' * (len(names) > 1)} missing: {shown}"
@@ -79,7 +79,7 @@ def _lens_of_file(photo: Photo) -> Lens:
     if found == camera:
         return lens
     if same_shape(found, camera):
-        return resized(lens, *found)
+        return resize_lens(lens, *found)
     turned = upright_size(photo.path)
     if turned != found and same_shape(turned, camera):
         raise InputError(

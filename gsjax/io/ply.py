@@ -8,15 +8,15 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, rgb_to_sh
 from gsjax.io.files import atomic_path
 from gsjax.io.lenses import is_float32
-from gsjax.io.notices import say
+from gsjax.io.notices import print_once
 from gsjax.io.ply_elements import (
     filter_comments,
     from_rest_columns,
     read_elements,
+    read_filter,
     rest_columns,
     rest_names,
-    stacked,
-    told_filter,
+    stack_columns,
 )
 from gsjax.similarity import as_needed, loses_in_float32
 
@@ -89,22 +89,22 @@ def read_gaussians(path: str | Path) -> Gaussians:
     if missing:
         raise InputError(f"{path}: not a PLY of Gaussians, it lacks {', '.join(missing)}")
     columns = [
-        as_needed(stacked(vertices, _MEANS, np.float64)),
-        stacked(vertices, _QUATS),
-        _with_thickness(stacked(vertices, scales)),
-        _finite_logits(stacked(vertices, ["opacity"])),
-        np.asarray(rgb_to_sh(_colors(vertices))) if in_rgb else stacked(vertices, _DC),
-        stacked(vertices, rest),
+        as_needed(stack_columns(vertices, _MEANS, np.float64)),
+        stack_columns(vertices, _QUATS),
+        _with_thickness(stack_columns(vertices, scales)),
+        _finite_logits(stack_columns(vertices, ["opacity"])),
+        np.asarray(rgb_to_sh(_colors(vertices))) if in_rgb else stack_columns(vertices, _DC),
+        stack_columns(vertices, rest),
     ]
     fine = is_float32(np.concatenate(columns, axis=1)).all(axis=1)
     if not fine.all():
         told = f"{path}: {(~fine).sum()} of {len(fine)} Gaussians hold values that are not finite"
         if not fine.any():
             raise InputError(told)
-        say(f"{told}; they are left out")
+        print_once(f"{told}; they are left out")
     means, quats, log_scales, logits, dc, rest = (column[fine] for column in columns)
     return Gaussians(
-        means, quats, log_scales, logits[:, 0], dc[:, None], from_rest_columns(rest), pixel_filter=told_filter(header)
+        means, quats, log_scales, logits[:, 0], dc[:, None], from_rest_columns(rest), pixel_filter=read_filter(header)
     )
 
 
@@ -123,7 +123,7 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     names = vertices.dtype.names or ()
     if not set(_MEANS) <= set(names):
         raise InputError(f"{path}: not a PLY of points, it lacks {', '.join(n for n in _MEANS if n not in names)}")
-    points = stacked(vertices, _MEANS, np.float64)
+    points = stack_columns(vertices, _MEANS, np.float64)
     colors = np.full(points.shape, 128, np.uint8)
     if set(_RGB) <= set(names):
         shares = _colors(vertices)
@@ -147,7 +147,7 @@ def _with_thickness(log_scales: np.ndarray) -> np.ndarray:
 
 def _colors(vertices: np.ndarray) -> np.ndarray:
     """`[N, 3]` float32 in 0..1: red, green and blue of any type; floats beyond 1 are those of a byte."""
-    colors, kind = stacked(vertices, _RGB), vertices.dtype[_RGB[0]]
+    colors, kind = stack_columns(vertices, _RGB), vertices.dtype[_RGB[0]]
     if kind.kind in "iu":
         return colors / np.float32(np.iinfo(kind).max if kind.itemsize < 4 else 255)
     return colors / np.float32(255) if np.nanmax(colors, initial=0) > 1 else colors

@@ -73,7 +73,7 @@ def from_rest_columns(columns: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(columns.reshape(count, 3, width // 3).transpose(0, 2, 1))
 
 
-def stacked(rows: np.ndarray, names: list[str], dtype: type = np.float32) -> np.ndarray:
+def stack_columns(rows: np.ndarray, names: list[str], dtype: type = np.float32) -> np.ndarray:
     """`[N, K]` of K columns, in the order of `names`; what `dtype` cannot hold is infinite."""
     with np.errstate(over="ignore"):
         columns = np.array([rows[name] for name in names], dtype)
@@ -85,7 +85,7 @@ def filter_comments(pixel_filter: PixelFilter) -> list[str]:
     return ["comment SplatRenderMode: mip"] if pixel_filter == "mip" else []
 
 
-def told_filter(header: str) -> PixelFilter:
+def read_filter(header: str) -> PixelFilter:
     """What the comments say, the last of them where they disagree."""
     told = ["".join(either).lower() for either in _FILTER_COMMENT.findall(header)]
     return "mip" if told and told[-1] in ("mip", "1") else "classic"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsjax.io.notices import say
+from gsjax.io.notices import print_once
 
 COUNT = 30_000
 _SYNTHETIC_HALF_WIDTH = 1.3  # 3DGS, Blender scenes
@@ -45,7 +45,7 @@ def points_in_synthetic_cube(viewmats: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def tell_of_random_points(place: object) -> None:
     """One line: where points were looked for, and what is taken instead."""
-    say(f"points: {place} has none; training starts from {COUNT:,} random ones where the cameras look")
+    print_once(f"points: {place} has none; training starts from {COUNT:,} random ones where the cameras look")
 
 
 def _centers(viewmats: np.ndarray) -> np.ndarray:

@@ -11,10 +11,10 @@ import numpy as np
 from gsjax import similarity as similarities
 from gsjax.errors import InputError
 from gsjax.io import colmap, colmap_model, transforms
-from gsjax.io.image_folders import located
+from gsjax.io.image_folders import locate_photos
 from gsjax.io.mask_folders import masks_in
-from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, listed
-from gsjax.io.splits import AUTO, split
+from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, list_of_names
+from gsjax.io.splits import AUTO, mark_held_out
 from gsjax.io.truth import load_truth
 from gsjax.scene import Scene
 from gsjax.similarity import Similarity
@@ -44,7 +44,7 @@ def load_scene(
         folder_masks: What masks from files mean: "valid", pixels that are 0 are ignored; "matte", the object's
             coverage.
         images: Folder of the photos, absolute or in `root`; None looks for them.
-        hold_out: Which photos are for scoring only, see `gsjax.io.splits.split`.
+        hold_out: Which photos are for scoring only, see `gsjax.io.splits.mark_held_out`.
         similarity: From the coordinates of the files to those of the scene. None: by its cameras
             (`gsjax.similarity.of_cameras`); it changes nothing of a scene of usual size at its origin.
 
@@ -57,7 +57,7 @@ def load_scene(
     if folder_masks not in MASK_USES:
         raise InputError(f"folder_masks must be one of {', '.join(MASK_USES)}, not {folder_masks!r}")
     capture = _read_capture(root)
-    photos = split(_checked_photos(root, located(root, capture.photos, images)), hold_out, root)
+    photos = mark_held_out(_checked_photos(root, locate_photos(root, capture.photos, images)), hold_out, root)
     photos = _with_folder_masks(photos, root / "masks")
     if similarity is None:
         similarity = similarities.of_cameras(np.stack([photo.viewmat for photo in photos]), capture.points)
@@ -101,7 +101,7 @@ def _checked_photos(root: Path, photos: Sequence[Photo]) -> list[Photo]:
     if missing:
         first = missing[0]
         folder = str(first.path).removesuffix(first.name).rstrip("/") or root
-        raise InputError(f"{folder}: {listed('image', [photo.name for photo in missing])}")
+        raise InputError(f"{folder}: {list_of_names('image', [photo.name for photo in missing])}")
     return photos
 
 

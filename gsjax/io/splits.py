@@ -13,7 +13,7 @@ EVERY = 8
 OWN_LIST = "hold_out.txt"  # In a data set's folder: its own split.
 
 
-def split(photos: Sequence[Photo], hold_out: str, root: Path) -> list[Photo]:
+def mark_held_out(photos: Sequence[Photo], hold_out: str, root: Path) -> list[Photo]:
     """Marks the photos that are held out.
 
     Args:

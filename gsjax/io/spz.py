@@ -25,10 +25,10 @@ from gsjax.io.machine import require_memory
 from gsjax.io.packages import require
 from gsjax.io.packing import (
     check_packable,
-    drawn_in,
     logits_of_bytes,
     of_smallest_three,
     opacity_bytes,
+    pull_in_outliers,
     smallest_three,
     unit_quats,
 )
@@ -62,7 +62,7 @@ class _Header(NamedTuple):
 def write_spz(path: str | Path, gaussians: Gaussians) -> int:
     """Writes Gaussians as SPZ version 3. Positions get as many fractional bits as the farthest leaves, 23 at most.
 
-    The farthest of the mass: the few that lie so far out that no other had its precision come in (`drawn_in`).
+    The farthest of the mass: the few that lie so far out that no other had its precision come in (`pull_in_outliers`).
 
     The steps: logs of scales 1/16, from -10 to 95/16; opacities 1/255; degree 0 0.0261, from -3.33 to 3.33; degree 1
     1/16, higher ones 1/8, from -1 to 127/128; quaternions 0.0014. The mip filter is the format's flag for antialiasing.
@@ -76,7 +76,7 @@ def write_spz(path: str | Path, gaussians: Gaussians) -> int:
     """
     check_packable(path, gaussians)
     turned = half_turned(jax.tree.map(lambda values: np.asarray(values, np.float64), gaussians))
-    means, far = drawn_in(np.ascontiguousarray(turned.means), _REACH)
+    means, far = pull_in_outliers(np.ascontiguousarray(turned.means), _REACH)
     farthest = float(np.abs(means).max(initial=2.0**-23))
     bits = min(23, math.floor(math.log2(_MOST_FIXED / farthest)))
     if bits < 0:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.photo_names import local_names, short
-from gsjax.io.photos import Capture, Photo, listed
+from gsjax.io.photo_names import local_names, short_name
+from gsjax.io.photos import Capture, Photo, list_of_names
 from gsjax.io.ply import read_points
 from gsjax.io.random_points import points_in_synthetic_cube, points_in_view
 from gsjax.io.transforms_cameras import has_size, lens_of, viewmat_of
@@ -88,7 +88,7 @@ def _photos(file: Path, meta: dict[str, Any], held_out: bool = False) -> tuple[P
     found = [os.path.isfile(path) or has_size(entry) for path, entry in zip(paths, entries, strict=True)]
     if not all(found):
         missing = [name for name, there in zip(names, found, strict=True) if not there]
-        raise InputError(f"{file}: {listed('image', missing)}")
+        raise InputError(f"{file}: {list_of_names('image', missing)}")
     return tuple(
         Photo(
             name=_name(file.parent, name, path),
@@ -113,7 +113,7 @@ def _name(root: Path, name: str, path: Path) -> str:
     name += path.name.removeprefix(Path(name).name)
     for folder in (os.path.abspath(root), os.path.realpath(root)):
         name = name.removeprefix(f"{folder}/")
-    return short(name)
+    return short_name(name)
 
 
 def _file_in(file: Path, entry: dict[str, Any], key: str) -> Path | None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gsjax.errors import InputError
-from gsjax.io.notices import say
+from gsjax.io.notices import print_once
 
 TRAINED_ON, HELD_OUT, LEFT_OUT = "trained on", "held out", "left out"
 _TRAIN, _SCORE = "train_filenames", ("test_filenames", "val_filenames")
@@ -53,7 +53,9 @@ def frames_and_uses(file: Path, meta: dict[str, Any]) -> tuple[list[dict[str, An
     uses = [use(index) for index in range(len(frames))]
     if LEFT_OUT in uses:
         bad = sum(frame.get("is_bad") is True for frame in frames)
-        say(f"{file}: {bad} of its frames are left out as bad, {uses.count(LEFT_OUT) - bad} as being in no list of it")
+        print_once(
+            f"{file}: {bad} of its frames are left out as bad, {uses.count(LEFT_OUT) - bad} as being in no list of it"
+        )
     return [{**shared, **frame} for frame in frames], uses
 
 

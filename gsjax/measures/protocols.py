@@ -96,7 +96,7 @@ def dtu(points: np.ndarray, truth: np.ndarray, mask: ObservationMask, plane: np.
     Raises:
         InputError: No point counts in one of the directions.
     """
-    kept = thinned(points, DTU_SPACING, seed)
+    kept = thin_points(points, DTU_SPACING, seed)
     kept = kept[mask.is_near(kept)]
     above = truth[truth @ plane[:3] + plane[3] > 0]
     observed = kept[mask.contains(kept)] if len(kept) else kept
@@ -146,7 +146,7 @@ def vertices_and_centers(mesh: Mesh) -> np.ndarray:
     return np.concatenate([vertices, vertices[mesh.faces].mean(axis=1)])
 
 
-def thinned(points: np.ndarray, spacing: float, seed: int) -> np.ndarray:
+def thin_points(points: np.ndarray, spacing: float, seed: int) -> np.ndarray:
     """A part of `[P, 3]` points, no two of them within `spacing`, and every other within it of one that stays."""
     shuffled = np.random.default_rng(seed).permutation(points)
     tree, stays = KDTree(shuffled), np.ones(len(shuffled), bool)

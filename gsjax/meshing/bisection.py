@@ -8,7 +8,7 @@ from gsjax.meshing.topology import edge_table
 NEAR_LARGEST = 0.5  # Triangles of this share of the largest weight and more are halved in one round.
 
 
-def bisected(mesh: Mesh, weights: np.ndarray, count: int) -> Mesh:
+def bisect_triangles(mesh: Mesh, weights: np.ndarray, count: int) -> Mesh:
     """Halve the heaviest triangles at their longest edges, and again, until there are `count`.
 
     A triangle's halves have half of its weight each. The surface stays where it is, and without cracks: a neighbour

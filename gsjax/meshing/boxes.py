@@ -100,7 +100,7 @@ def near_and_far(points: np.ndarray) -> Regions:
     core, whole = robust_box(points, CORE, CORE_MARGIN), robust_box(points)
     if whole.longest < FAR * core.longest:
         return {"foreground": Region(whole)}
-    return fixed(core, core.scaled(BACKGROUND_FACTOR))
+    return fixed_boxes(core, core.scaled(BACKGROUND_FACTOR))
 
 
 def near_only(points: np.ndarray) -> Regions:
@@ -108,7 +108,7 @@ def near_only(points: np.ndarray) -> Regions:
     return {"foreground": near_and_far(points)["foreground"]}
 
 
-def fixed(foreground: Box, background: Box | None = None) -> Regions:
+def fixed_boxes(foreground: Box, background: Box | None = None) -> Regions:
     """Boxes that the caller knows: the far part is what is in the second and not in the first."""
     return {"foreground": Region(foreground)} | (
         {} if background is None else {"background": Region(background, without=foreground)}

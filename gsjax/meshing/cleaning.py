@@ -57,7 +57,7 @@ def clean(
     )
 
 
-def joined(meshes: Sequence[Mesh]) -> Mesh:
+def concatenate_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """Several meshes as one, side by side: nothing is stitched."""
     starts = np.cumsum([0, *(mesh.num_vertices for mesh in meshes[:-1])])
     return Mesh(

@@ -23,7 +23,7 @@ from gsjax.mesh import Mesh
 from gsjax.meshing import glb
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.libraries import load_trimesh
-from gsjax.meshing.part_colors import has_picture, joined, parts_of, picture_of, sampled
+from gsjax.meshing.part_colors import has_picture, merge_parts, parts_of, picture_of, sample_texture
 from gsjax.similarity import as_needed, loses_in_float32, spread
 
 SUFFIXES = (".ply", ".obj", ".glb")
@@ -123,12 +123,12 @@ def glb_bytes(path: str | Path) -> bytes:
         return path.read_bytes()
 
     if _picture(surface) is None:
-        return glb.encoded(Mesh(*_triangles(surface), _vertex_colors(surface)), unlit=True)
+        return glb.encode_glb(Mesh(*_triangles(surface), _vertex_colors(surface)), unlit=True)
     surface.vertices, offset = glb.about_offset(np.asarray(surface.vertices))
 
     def completed(tree: dict) -> None:
         glb.mark_unlit(tree)
-        glb.place(tree, offset)
+        glb.shift_meshes(tree, offset)
 
     return surface.export(file_type="glb", tree_postprocessor=completed)
 
@@ -147,7 +147,7 @@ def _encoded_obj(mesh: Mesh) -> bytes:
     return surface.export(file_type="obj", digits=max(DIGITS, DIGITS - math.floor(math.log10(size)))).encode()
 
 
-_WRITERS = {".ply": mesh_ply.encoded, ".obj": _encoded_obj, ".glb": glb.encoded}
+_WRITERS = {".ply": mesh_ply.encode_ply, ".obj": _encoded_obj, ".glb": glb.encode_glb}
 
 
 def _write_textured_obj(path: Path, textured: TexturedMesh) -> None:
@@ -180,7 +180,7 @@ def _write_textured_glb(path: Path, textured: TexturedMesh) -> None:
 
     def completed(tree: dict) -> None:
         glb.mark_unlit(tree)
-        glb.place(tree, offset)
+        glb.shift_meshes(tree, offset)
 
     with atomic_path(path) as temporary:
         temporary.write_bytes(surface.export(file_type="glb", include_normals=False, tree_postprocessor=completed))
@@ -220,7 +220,7 @@ def _as_one(path: Path, scene):
     if all(has_picture(part) for part in parts):
         return scene.to_mesh()
     if len(parts) > 1 or parts[0].visual.kind in ("face", "texture"):
-        return joined(parts, linear=is_glb)
+        return merge_parts(parts, linear=is_glb)
     (surface,) = parts
     if is_glb and surface.visual.kind == "vertex":
         surface.visual.vertex_colors = _glb_colors(path, surface)
@@ -237,7 +237,7 @@ def _vertex_colors(surface) -> np.ndarray:
     if surface.visual.kind == "vertex":
         return np.asarray(surface.visual.vertex_colors[:, :3], np.uint8)
     if has_picture(surface):
-        return sampled(surface)
+        return sample_texture(surface)
     return np.full((len(surface.vertices), 3), 128, np.uint8)
 
 

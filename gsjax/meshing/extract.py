@@ -10,9 +10,9 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, without_view_dependence
 from gsjax.mesh import Mesh
 from gsjax.meshing.boxes import Region, Regions, near_and_far
-from gsjax.meshing.cleaning import clean, joined
+from gsjax.meshing.cleaning import clean, concatenate_meshes
 from gsjax.meshing.methods import Method, Sighting, level_set_poisson
-from gsjax.meshing.orientation import outward
+from gsjax.meshing.orientation import orient_outward
 from gsjax.meshing.topology import topology
 from gsjax.render import gallery
 from gsjax.render.gallery import Picture
@@ -73,7 +73,7 @@ def extract_mesh(
             faults.append(f"{name}: {fault}")
     if not parts:
         raise InputError("; ".join(faults))
-    mesh, facing = outward(joined(parts), cameras)
+    mesh, facing = orient_outward(concatenate_meshes(parts), cameras)
     report = {"seen": seen.report, **reports, "topology": asdict(topology(mesh)), "facing_share": facing}
     return mesh, similarity.figures_to_world(report, LENGTHS)
 
@@ -91,7 +91,7 @@ def _part(
             f"which span {first} to {last}"
         )
     rough, chosen = seen.build(region)
-    mesh, cleaning = clean(cut(rough, region), min_component_share=min_component_share, max_faces=max_faces)
+    mesh, cleaning = clean(cut_to_region(rough, region), min_component_share=min_component_share, max_faces=max_faces)
     return mesh, {"box": region.corners(similarity), "points_seen": count, **chosen, "cleaning": asdict(cleaning)}
 
 
@@ -99,7 +99,7 @@ def _rounded(point: np.ndarray) -> list[float]:
     return point.round(3).tolist()
 
 
-def cut(mesh: Mesh, region: Region) -> Mesh:
+def cut_to_region(mesh: Mesh, region: Region) -> Mesh:
     """The triangles with a corner in the region, so that parts overlap by a triangle and leave no crack."""
     corners = mesh.vertices[mesh.faces]
     kept = region.contains(corners.reshape(-1, 3)).reshape(-1, 3).any(axis=1)

@@ -18,7 +18,7 @@ COMPONENTS = {5121: np.dtype("u1"), 5123: np.dtype("<u2"), 5126: np.dtype("<f4")
 CHANNELS = {"VEC3": 3, "VEC4": 4}
 
 
-def encoded(mesh: Mesh, *, unlit: bool = False) -> bytes:
+def encode_glb(mesh: Mesh, *, unlit: bool = False) -> bytes:
     """A mesh as a GLB, its colours linear.
 
     Args:
@@ -35,7 +35,7 @@ def encoded(mesh: Mesh, *, unlit: bool = False) -> bytes:
         primitive = tree["meshes"][0]["primitives"][0]
         primitive["attributes"]["COLOR_0"] = primitive["attributes"].pop(OWN)
         tree["accessors"][primitive["attributes"]["COLOR_0"]]["normalized"] = True
-        place(tree, offset)
+        shift_meshes(tree, offset)
         if unlit:
             mark_unlit(tree)
 
@@ -48,7 +48,7 @@ def about_offset(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return vertices - offset.astype(vertices.dtype), offset
 
 
-def place(tree: dict, offset: np.ndarray) -> None:
+def shift_meshes(tree: dict, offset: np.ndarray) -> None:
     """Moves the meshes of a glTF tree by `offset` `[3]`, where that is not zero."""
     for node in tree["nodes"]:
         if "mesh" in node and offset.any():

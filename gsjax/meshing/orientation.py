@@ -29,7 +29,7 @@ def facing_share(mesh: Mesh, cameras: Sequence[Camera]) -> float:
     return float(found.mean()) if len(found) else 1.0
 
 
-def outward(mesh: Mesh, cameras: Sequence[Camera]) -> tuple[Mesh, float]:
+def orient_outward(mesh: Mesh, cameras: Sequence[Camera]) -> tuple[Mesh, float]:
     """The mesh, its faces turned about if most of them look away from the views, and its facing share then."""
     share = facing_share(mesh, cameras)
     if share < 1 - share:

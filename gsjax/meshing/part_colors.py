@@ -35,7 +35,7 @@ def picture_of(part: Part) -> Any:
     return getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
 
 
-def joined(parts: Sequence[Part], *, linear: bool) -> Part:
+def merge_parts(parts: Sequence[Part], *, linear: bool) -> Part:
     """The parts as one mesh with colours of vertices; vertices between faces of other colours are doubled.
 
     Args:
@@ -50,7 +50,7 @@ def joined(parts: Sequence[Part], *, linear: bool) -> Part:
     return load_trimesh().Trimesh(vertices, faces, vertex_colors=colors, process=False)
 
 
-def sampled(part: Part) -> np.ndarray:
+def sample_texture(part: Part) -> np.ndarray:
     """`[V, 3]` uint8, the texture at each vertex."""
     picture = np.asarray(picture_of(part).convert("RGB"))
     uvs = np.asarray(part.visual.uv, np.float64) * [1, -1] + [0, 1]  # trimesh counts from below.
@@ -62,7 +62,7 @@ def _colors(part: Part, linear: bool) -> np.ndarray:
     if part.visual.kind == "vertex":
         return _srgb(np.asarray(part.visual.vertex_colors)[:, :3], linear)
     if has_picture(part):
-        return sampled(part)
+        return sample_texture(part)
     material = getattr(part.visual, "material", None)
     color = getattr(material, "baseColorFactor", None)
     color = getattr(material, "diffuse", None) if color is None else color

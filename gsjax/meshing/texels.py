@@ -60,7 +60,7 @@ def barycentrics(corners: np.ndarray, where: np.ndarray, size: int) -> np.ndarra
     return inside / inside.sum(axis=-1, keepdims=True)
 
 
-def painted(texels: Texels, colors: np.ndarray, size: int) -> np.ndarray:
+def paint_texture(texels: Texels, colors: np.ndarray, size: int) -> np.ndarray:
     """`[size, size, 3]` uint8 picture of the texels' `colors` `[M, 3]`; every other texel has its nearest one's.
 
     So nothing foreign shows where sampling or a mipmap reads beyond the border of a chart.

@@ -14,7 +14,7 @@ from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.atlas import TexturedMesh, Unwrap, unwrap
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
-from gsjax.meshing.texels import Texels, painted, texels_of
+from gsjax.meshing.texels import Texels, paint_texture, texels_of
 from gsjax.render import MIN_COVERAGE
 from gsjax.render.gallery import Picture
 
@@ -52,13 +52,13 @@ def texture_mesh(
     """
     atlas = unwrap(mesh, size)
     texels = texels_of(mesh, atlas)
-    colors, is_seen = composited(mesh, texels, cameras, pictures)
-    texture = painted(texels, np.where(is_seen[:, None], colors, texels.colors), size)
+    colors, is_seen = composite_views(mesh, texels, cameras, pictures)
+    texture = paint_texture(texels, np.where(is_seen[:, None], colors, texels.colors), size)
     report = {"charts": atlas.num_charts, "texels": len(texels.where), "seen_share": float(np.mean(is_seen))}
     return TexturedMesh(mesh, atlas, texture), report
 
 
-def composited(
+def composite_views(
     mesh: Mesh, texels: Texels, cameras: Sequence[Camera], pictures: Iterable[Picture]
 ) -> tuple[np.ndarray, np.ndarray]:
     """`[M, 3]` uint8 weighted means over the views, and `[M]` whether any view sees the texel.

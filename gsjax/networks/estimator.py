@@ -5,19 +5,19 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.images import resampled, same_shape
-from gsjax.io.normals import resized
+from gsjax.io.images import resample, same_shape
+from gsjax.io.normal_maps import resize_normals
 from gsjax.networks.onnx import FLOATS, Graph, Port
 from gsjax.networks.records import (
+    CanvasFit,
     Confidence,
     Network,
     Output,
-    Placement,
-    decoded,
+    canvas_fit,
+    decode_normals,
     input_intrinsics,
-    normalised,
-    placement,
-    reliable,
+    is_reliable,
+    normalize_picture,
     token_count,
 )
 from gsjax.scene import Frame, Pixels
@@ -56,18 +56,18 @@ class Estimator:
             InputError: The photo cannot be read, or the graph does not give normals for it.
         """
         pixels = frame.pixels()
-        place = placement(self.network.size, frame.width, frame.height, self.fixed)
+        place = canvas_fit(self.network.size, frame.width, frame.height, self.fixed)
         outputs = self.graph(self._feeds(frame, pixels, place), self._names())
         raw = self._shown(outputs[0], 3, place)
         known = np.ones(raw.shape[:2], bool)
         if self._confidence is not None and self.network.confidence is not None:
             confidence = self._finite(self._shown(outputs[1], 1, place), known, frame)
-            known = reliable(self.network.confidence, confidence[..., 0])
-        unit = decoded(self.network, np.where(known[..., None], self._finite(raw, known, frame), 0))
-        return resized(unit, frame.width, frame.height) * _usable(pixels)[..., None]
+            known = is_reliable(self.network.confidence, confidence[..., 0])
+        unit = decode_normals(self.network, np.where(known[..., None], self._finite(raw, known, frame), 0))
+        return resize_normals(unit, frame.width, frame.height) * _usable(pixels)[..., None]
 
-    def _feeds(self, frame: Frame, pixels: Pixels, place: Placement) -> dict[str, np.ndarray]:
-        picture = normalised(self.network, _on_canvas(_over_white(pixels), self.network, place))
+    def _feeds(self, frame: Frame, pixels: Pixels, place: CanvasFit) -> dict[str, np.ndarray]:
+        picture = normalize_picture(self.network, _on_canvas(_over_white(pixels), self.network, place))
         feeds = {self._picture.name: picture.transpose(2, 0, 1)[None] if self.layout == "NCHW" else picture[None]}
         for port, kind in self._extra:
             if kind == "tokens":
@@ -80,7 +80,7 @@ class Estimator:
     def _names(self) -> list[str]:
         return [self._normals] if self._confidence is None else [self._normals, self._confidence]
 
-    def _shown(self, output: np.ndarray, channels: int, place: Placement) -> np.ndarray:
+    def _shown(self, output: np.ndarray, channels: int, place: CanvasFit) -> np.ndarray:
         """The part of an output that shows the photo, `[h, w, channels]` float32."""
         height, width = place.canvas
         field = _field(output, channels)
@@ -90,7 +90,7 @@ class Estimator:
                 f"{self.graph.file}: gives {list(output.shape)} for a photo of {width}x{height}, not {what} a pixel"
             )
         if field.shape[:2] != place.canvas:
-            field = resampled(field, width, height).reshape(height, width, channels)
+            field = resample(field, width, height).reshape(height, width, channels)
         return field[place.top : place.top + place.height, place.left : place.left + place.width]
 
     def _finite(self, values: np.ndarray, where: np.ndarray, frame: Frame) -> np.ndarray:
@@ -163,9 +163,9 @@ def _over_white(pixels: Pixels) -> np.ndarray:
     return np.rint(pixels.image * coverage + WHITE * (1 - coverage)).astype(np.uint8)
 
 
-def _on_canvas(image: np.ndarray, network: Network, place: Placement) -> np.ndarray:
+def _on_canvas(image: np.ndarray, network: Network, place: CanvasFit) -> np.ndarray:
     """The photo at its size on the network's input, with what surrounds it."""
-    inner = resampled(image, place.width, place.height)
+    inner = resample(image, place.width, place.height)
     before, (height, width) = (place.top, place.left), place.canvas
     after = height - place.top - place.height, width - place.left - place.width
     if network.size.border == "reflect":

@@ -127,7 +127,7 @@ NETWORKS: dict[str, Network] = {
 """The networks that are known by name; any other has a record of its own."""
 
 
-class Placement(NamedTuple):
+class CanvasFit(NamedTuple):
     """Where a photo lies in a network's input, pixels."""
 
     canvas: tuple[int, int]  # height and width of the input
@@ -137,17 +137,17 @@ class Placement(NamedTuple):
     width: int
 
 
-def placement(size: Size, width: int, height: int, fixed: tuple[int | None, int | None] = (None, None)) -> Placement:
+def canvas_fit(size: Size, width: int, height: int, fixed: tuple[int | None, int | None] = (None, None)) -> CanvasFit:
     """Where a photo of `width` x `height` pixels goes; `fixed` are the height and width that a graph insists on."""
     scale = 1.0 if size.longest is None else size.longest / max(width, height)
     wanted = _canvas(size, width, height, scale)
     canvas = (fixed[0] or wanted[0], fixed[1] or wanted[1])
     if size.fit == "stretch":
-        return Placement(canvas, 0, 0, *canvas)
+        return CanvasFit(canvas, 0, 0, *canvas)
     if size.rule != "multiple" or canvas != wanted:
         scale = min(canvas[0] / height, canvas[1] / width)
     inner = [min(max(1, round(scale * side)), most) for side, most in zip((height, width), canvas, strict=True)]
-    return Placement(canvas, (canvas[0] - inner[0]) // 2, (canvas[1] - inner[1]) // 2, *inner)
+    return CanvasFit(canvas, (canvas[0] - inner[0]) // 2, (canvas[1] - inner[1]) // 2, *inner)
 
 
 def _canvas(size: Size, width: int, height: int, scale: float) -> tuple[int, int]:
@@ -173,7 +173,7 @@ def token_count(size: Size, canvas: tuple[int, int]) -> int:
     return max(1, round(canvas[0] * canvas[1] / size.multiple**2))
 
 
-def input_intrinsics(K: np.ndarray, width: int, height: int, place: Placement, pixel_center: float) -> np.ndarray:
+def input_intrinsics(K: np.ndarray, width: int, height: int, place: CanvasFit, pixel_center: float) -> np.ndarray:
     """`[3, 3]` float32 K of the input, from the photo's `[3, 3]` K in pixels with centres at +0.5."""
     scale = np.array([place.width / width, place.height / height, 1.0])
     moved = K.astype(np.float64) * scale[:, None]
@@ -181,13 +181,13 @@ def input_intrinsics(K: np.ndarray, width: int, height: int, place: Placement, p
     return moved.astype(np.float32)
 
 
-def normalised(network: Network, picture: np.ndarray) -> np.ndarray:
+def normalize_picture(network: Network, picture: np.ndarray) -> np.ndarray:
     """`[H, W, 3]` uint8 as the `[H, W, 3]` float32 that the network wants."""
     mean, std = np.float32(network.mean), np.float32(network.std)
     return (picture.astype(np.float32) * np.float32(network.white / 255) - mean) / std
 
 
-def decoded(network: Network, raw: np.ndarray) -> np.ndarray:
+def decode_normals(network: Network, raw: np.ndarray) -> np.ndarray:
     """The network's `[H, W, 3]` float32 as unit normals in our axes (x right, y down, z forward); a zero stays one."""
     directions = 2 * np.clip(raw, 0, 1) - 1 if network.range == "unit" else raw
     length = np.linalg.norm(directions, axis=-1, keepdims=True)
@@ -195,7 +195,7 @@ def decoded(network: Network, raw: np.ndarray) -> np.ndarray:
     return apply_axes(unit.astype(np.float32), axis_signs(network.axes))
 
 
-def reliable(confidence: Confidence, values: np.ndarray) -> np.ndarray:
+def is_reliable(confidence: Confidence, values: np.ndarray) -> np.ndarray:
     """Bool of the values' shape: where the network stands by its normals."""
     if confidence.kind == "probability":
         return values > confidence.bound

@@ -37,11 +37,11 @@ def depth_sdf(point: Array, depth: Array, camera: Camera) -> Array:
     return sample_bilinear(depth, cameras.project(point_cam, camera)) - point_cam[2]
 
 
-def composited(world: Array, gaussians: Gaussians, view: View, camera: Camera) -> Array:
+def composite_directions(world: Array, gaussians: Gaussians, view: View, camera: Camera) -> Array:
     """`[H, W, 3]` world directions `[N, 3]`, made unit, turned into the camera and to face it, composited on zero."""
     in_camera = jnp.sum(world[:, None, :] * cameras.rotation(camera)[None], axis=-1)
     position = jax.vmap(cameras.world_to_camera, in_axes=(0, None))(jax.lax.stop_gradient(gaussians.means), camera)
-    return render.features(view.splats, facing(safe_normalize(in_camera), -position))[0]
+    return render.features(view.splats, face_camera(safe_normalize(in_camera), -position))[0]
 
 
 def sdf_gradient_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
@@ -55,7 +55,7 @@ def sdf_gradient_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
     # What is not usable is read at a harmless place, so that nothing odd enters the gradient.
     points = jnp.where(usable, gaussians.means, jax.lax.stop_gradient(in_front(camera))[None])
     world = jax.vmap(jax.grad(depth_sdf), in_axes=(0, None, None))(points, view.depth, camera)
-    return composited(jnp.where(usable, world, 0), gaussians, view, camera)
+    return composite_directions(jnp.where(usable, world, 0), gaussians, view, camera)
 
 
 def pixel_depth_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
@@ -76,7 +76,7 @@ def pixel_depth_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
 
 def smallest_axis_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
     """`[H, W, 3]` baseline (DN-Splatter): each Gaussian's smallest axis, composited."""
-    return composited(smallest_axes(gaussians), gaussians, view, camera)
+    return composite_directions(smallest_axes(gaussians), gaussians, view, camera)
 
 
 def misalignment(directions: Array, normals: Array, valid: Array) -> Array:
@@ -99,7 +99,7 @@ def misalignment(directions: Array, normals: Array, valid: Array) -> Array:
     return masked_mean(1 - jnp.abs(jnp.sum(unit * target, axis=-1)), usable)
 
 
-def facing(directions: Array, towards_camera: Array) -> Array:
+def face_camera(directions: Array, towards_camera: Array) -> Array:
     """Flip directions whose dot product with `towards_camera` is negative; the sign carries no gradient."""
     side = jnp.sum(jax.lax.stop_gradient(directions * towards_camera), axis=-1, keepdims=True)
     return jnp.where(side < 0, -directions, directions)

@@ -91,7 +91,7 @@ def scores(pools: Mapping[str, Sequence[RunFacts]]) -> dict[str, list[str]]:
         values = [run.manifest.get(name) for run in pool]
         if None in values:
             return "-"
-        mean, least, most = (tables.shown(of(values)) for of in (fmean, min, max))
+        mean, least, most = (tables.format_value(of(values)) for of in (fmean, min, max))
         return mean if least == most else f"{mean} [{least} {most}]"
 
     table: dict[str, Any] = {name: [told(pool, name) for pool in pools.values()] for name in MEASURED}

@@ -11,7 +11,7 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.files import atomic_path
 from gsjax.io.scenes import load_scene
-from gsjax.planning.effects import diagnosed
+from gsjax.planning.effects import diagnose_scene
 from gsjax.runs.outputs import require_apart
 
 CHANNELS = ("red", "green", "blue")
@@ -41,7 +41,7 @@ def diagnose(
         raise InputError(f"--json {json}: the name of the file must end in .json, its pictures will end in .png")
     for written in () if json is None else (Path(json), Path(json).with_suffix(".png")):
         require_apart(written, scene, images)
-    found = diagnosed(load_scene(scene, downscale=downscale, images=images))
+    found = diagnose_scene(load_scene(scene, downscale=downscale, images=images))
     if json is not None:
         json_files.write(json, found.record())
         draw(found, Path(json).with_suffix(".png"))

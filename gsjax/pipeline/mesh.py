@@ -179,7 +179,7 @@ def _regions(
     given = (near,) if foreground_only or far is None else (near, far)
 
     def local(similarity: Similarity) -> Callable[[np.ndarray], Regions]:
-        return lambda _: boxes.fixed(*(boxes.to_local(box, similarity) for box in given))
+        return lambda _: boxes.fixed_boxes(*(boxes.to_local(box, similarity) for box in given))
 
     return local
 

@@ -12,7 +12,7 @@ from gsjax import config
 from gsjax.errors import InputError
 from gsjax.io import json_files, normal_folders
 from gsjax.io.files import folder_if_used
-from gsjax.io.normals import map_places
+from gsjax.io.normal_maps import map_places
 from gsjax.io.scenes import load_scene
 from gsjax.networks.estimator import Estimator
 from gsjax.networks.records import NETWORKS, Network

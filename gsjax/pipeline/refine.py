@@ -18,14 +18,14 @@ from gsjax.binding.hybrid import Hybrid, all_gaussians, with_free
 from gsjax.binding.mesh_terms import mesh_graph
 from gsjax.binding.refining import Refinement, RefineProgress, RefineState
 from gsjax.effects.alignment import align
-from gsjax.effects.appearance import relit
+from gsjax.effects.appearance import without_appearance
 from gsjax.errors import InputError
 from gsjax.gaussians import take
 from gsjax.io import json_files
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.mesh import Mesh
-from gsjax.meshing.bisection import bisected
+from gsjax.meshing.bisection import bisect_triangles
 from gsjax.meshing.cleaning import clean
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.meshing.pictures import depth_of_mesh, faces_of_pixels
@@ -33,7 +33,7 @@ from gsjax.meshing.rays import ray_caster
 from gsjax.meshing.settling import MOST_VIEWS, settle
 from gsjax.meshing.topology import border
 from gsjax.report.page import report
-from gsjax.report.shown_views import keeper
+from gsjax.report.shown_views import picture_keeper
 from gsjax.runs.compilations import make_room
 from gsjax.runs.journal import Journal, beginning
 from gsjax.runs.photography import Photography, write_photography
@@ -41,7 +41,7 @@ from gsjax.runs.result import DEPTH_OF_DISCS, QUIET, Result, open_result, scene_
 from gsjax.runs.run import Run
 from gsjax.scene import Scene, extent, in_memory
 from gsjax.scoring.images import score_images
-from gsjax.targets import Views, batch, views_of
+from gsjax.targets import Targets, batch, read_targets
 from gsjax.training.capacity import largest_need
 from gsjax.training.step import BACKGROUNDS
 
@@ -84,13 +84,13 @@ def refine(
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
     scene, result = scene_of_run(run), open_result(run) if settings.keep_free else None
     given = scene.similarity.mesh_to_local(read_mesh(source))
-    coarse, taken_out = prepared(given, settings.faces, settings.halved_share)
+    coarse, taken_out = prepare_mesh(given, settings.faces, settings.halved_share)
     # Held-out photos are read when they are scored, one by one.
     scene = replace(scene, frames=tuple(frame if frame.held_out else in_memory(frame) for frame in scene.frames))
     # The Gaussians and the mesh are those of the mean photo: what each camera did is taken off its photo.
     found = trained.photography
-    frames = tuple(relit(f, found.looks[f.name]) if found.looks else f for f in scene.train_frames)
-    data, size = views_of(frames), extent(frames)
+    frames = tuple(without_appearance(f, found.looks[f.name]) if found.looks else f for f in scene.train_frames)
+    data, size = read_targets(frames), extent(frames)
     if taken_out["decimated"] and settings.halved_share:
         coarse = halved_where_seen(coarse, data, settings.faces)
     behind = None if found.background is None else jnp.asarray(found.background)
@@ -135,7 +135,7 @@ def refine(
         told.update(found)
         return replace(bound, vertices=jnp.asarray(mesh.vertices))
 
-    with runs.begun(folder):
+    with runs.claim_run(folder):
         json_files.write(folder / "plan.json", _plan(settings, trained))
         state, capacity, seconds = beginning(folder, initial)
         with _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
@@ -162,7 +162,7 @@ def _plan(settings: Refinement, trained: Run) -> dict[str, Any]:
     return {"steps": settings.steps, "phases": [phase], "downscale": trained.downscale, "normals": None}
 
 
-def prepared(given: Mesh, most_faces: int, halved_share: float = 0.0) -> tuple[Mesh, dict[str, int]]:
+def prepare_mesh(given: Mesh, most_faces: int, halved_share: float = 0.0) -> tuple[Mesh, dict[str, int]]:
     """A mesh that Gaussians can be bound to: without triangles that spoil it, decimated where it has too many.
 
     Parts stay, however small: what to leave out was decided when the mesh was made. One line says what went.
@@ -193,7 +193,7 @@ def prepared(given: Mesh, most_faces: int, halved_share: float = 0.0) -> tuple[M
     return mesh, taken_out
 
 
-def halved_where_seen(mesh: Mesh, data: Views, count: int) -> Mesh:
+def halved_where_seen(mesh: Mesh, data: Targets, count: int) -> Mesh:
     """The mesh with `count` triangles, where more pixels see it more: decimation goes by shape alone."""
     cast, seen = ray_caster(mesh), np.zeros(mesh.num_faces)
     chosen = np.unique(np.linspace(0, data.num_views - 1, min(MOST_VIEWS, data.num_views)).astype(int))
@@ -201,12 +201,12 @@ def halved_where_seen(mesh: Mesh, data: Views, count: int) -> Mesh:
         faces = faces_of_pixels(mesh, target.viewmat, target.K, *data.size, cast=cast)
         usable = np.asarray(batch(target, jnp.zeros(3)).valid)
         seen += np.bincount(faces[usable & (faces >= 0)], minlength=mesh.num_faces)
-    halved = bisected(mesh, seen, count)
+    halved = bisect_triangles(mesh, seen, count)
     print(f"refine: {halved.num_faces:,} triangles after halving those that most pixels see", file=sys.stderr)
     return halved
 
 
-def _kept(result: Result, mesh: Mesh, data: Views) -> np.ndarray:
+def _kept(result: Result, mesh: Mesh, data: Targets) -> np.ndarray:
     """`[N]` bool: the Gaussians of a run that show what the mesh does not. One line says how many."""
     cast = ray_caster(mesh)
     targets = tqdm(data.targets, desc="free Gaussians", unit="view", delay=QUIET)
@@ -238,7 +238,7 @@ def _finish(
             found=found.with_near(scene.frames),
             align=align if found.moves else None,
             depth_mode=DEPTH_OF_DISCS,
-            observe=keeper(folder),
+            observe=picture_keeper(folder),
         ),
         "vertices": refined.num_vertices,
         "faces": refined.num_faces,

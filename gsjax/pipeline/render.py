@@ -12,7 +12,7 @@ from gsjax.render import gallery
 from gsjax.report.pictures import depth_picture, surface_picture, to_bytes
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import open_result
-from gsjax.runs.viewpoints import circle
+from gsjax.runs.viewpoints import camera_circle
 
 
 def render(run: str | Path, out: str | Path, *, which: Literal["all", "held_out", "turntable"] = "all") -> Path:
@@ -32,7 +32,7 @@ def render(run: str | Path, out: str | Path, *, which: Literal["all", "held_out"
     require_apart(out, run)
     result = open_result(run)
     if which == "turntable":
-        cameras = circle(result.gaussians, result.cameras)
+        cameras = camera_circle(result.gaussians, result.cameras)
         names = [f"turn_{i:03d}" for i in range(len(cameras))]
     else:
         chosen = [i for i, held_out in enumerate(result.held_out) if held_out or which == "all"]

@@ -12,7 +12,7 @@ from gsjax.binding.refining import Refinement
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.files import make_folder
-from gsjax.io.locks import LOCK, locked
+from gsjax.io.locks import LOCK, lock_folder
 from gsjax.io.machine import machine, peak_memory, restart_peak_memory, versions
 from gsjax.io.scenes import is_data_set
 from gsjax.io.temporaries import is_temporary, sweep
@@ -73,7 +73,7 @@ def scan(
         "refinement": config.to_dict(refinement),
     }
     _require_scan(out)  # Before anything of ours is in it.
-    with locked(make_folder(out)):
+    with lock_folder(make_folder(out)):
         sweep(out)
         report = _begun(out, asked)
         for stage in _stages(source, out, settings, refinement, frames):

@@ -16,23 +16,23 @@ from tqdm import tqdm
 import rasterizer
 from gsjax import config, runs
 from gsjax.effects.alignment import align
-from gsjax.effects.model import Effects
+from gsjax.effects.simulation import Effects
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import json_files, normal_folders
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
-from gsjax.planning.effects import ChosenEffects, choose_effects, looked_at
+from gsjax.planning.effect_trials import gains
+from gsjax.planning.effects import ChosenEffects, choose_effects, look_for_effects
 from gsjax.planning.hardware import Devices, count_devices, effects_asked, hardware
 from gsjax.planning.harmonics import stored_degree, with_needed_harmonics
-from gsjax.planning.pace import Pace, seconds_left, spoken
+from gsjax.planning.pace import Pace, duration_text, seconds_left
 from gsjax.planning.sizes import at_size, training_extent
-from gsjax.planning.trials import gains
 from gsjax.report.page import report
-from gsjax.report.shown_views import keeper
+from gsjax.report.shown_views import picture_keeper
 from gsjax.runs.compilations import make_room
 from gsjax.runs.journal import Journal, beginning
-from gsjax.runs.photography import Photography, moves_line, refined, write_photography
+from gsjax.runs.photography import Photography, moves_line, with_moved_cameras, write_photography
 from gsjax.runs.prior import RunPrior
 from gsjax.runs.processes import from_first, is_first, own_folder
 from gsjax.runs.result import write_views
@@ -134,7 +134,7 @@ def _train(
     photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
     loaded = replace(loaded, frames=tuple(map(in_memory, photos)))
     asked = effects_asked(settings, devices)
-    looked = looked_at(asked, loaded)
+    looked = look_for_effects(asked, loaded)
     loaded, frames = looked.scene, looked.scene.train_frames
     size = training_extent(loaded)
     prior = RunPrior(
@@ -162,7 +162,7 @@ def _train(
             plan=planned.record(),
         )
     )
-    with runs.begun(run):
+    with runs.claim_run(run):
         json_files.write(run / "plan.json", planned.record())
         runs.update_manifest(run, photos=photos_line)
         if chosen.evidence:
@@ -180,7 +180,7 @@ def _train(
 
             def normals(state: TrainState) -> list[np.ndarray]:
                 state = whole(state)
-                maps = prior(state.gaussians, refined(frames, chosen.photography(state.effects).moves))
+                maps = prior(state.gaussians, with_moved_cameras(frames, chosen.photography(state.effects).moves))
                 return [from_first(each) for each in maps]
 
             work = Work(planned, frames, size, optimizer, normals, told, chosen.effects, spread.placement)
@@ -257,7 +257,7 @@ def _initial_with_tables(
     return with_tables(first_state(scene, settings, optimizer, chosen.effects, rows), planned)
 
 
-def living(gaussians: Gaussians) -> Gaussians:
+def living_gaussians(gaussians: Gaussians) -> Gaussians:
     """The Gaussians without the free rows of their buffers, numpy."""
     return jax.tree.map(np.asarray, take(gaussians, np.asarray(adaptive.is_alive(gaussians))))
 
@@ -265,8 +265,8 @@ def living(gaussians: Gaussians) -> Gaussians:
 def _finish(
     run: Path, planned: Plan, scene: Scene, state: TrainState, found: Photography, seconds: float
 ) -> dict[str, Any]:
-    scene = replace(scene, frames=refined(scene.frames, found.moves))
-    gaussians = living(state.gaussians)
+    scene = replace(scene, frames=with_moved_cameras(scene.frames, found.moves))
+    gaussians = living_gaussians(state.gaussians)
     write_gaussians(run / "gaussians.ply", scene.similarity.gaussians_to_world(gaussians))
     write_views(run, scene.frames)
     write_photography(run, found)
@@ -281,7 +281,7 @@ def _finish(
         found=found.with_near(scene.frames),
         align=align if found.moves else None,
         depth_mode=planned.depth_mode,
-        observe=keeper(run),
+        observe=picture_keeper(run),
     )
     summary = {
         **scores,
@@ -334,7 +334,7 @@ class TrainingJournal(Journal):
     def _held_out(self, state: TrainState) -> dict[str, float]:
         """PSNR of the views that are held out, of the render as it is and, with effects on light, as photos near it."""
         planned, found = self.plan, self.chosen.photography(state.effects)
-        frames = refined(self.scene.held_out_frames, found.moves)
+        frames = with_moved_cameras(self.scene.held_out_frames, found.moves)
         found = found.with_near(self.scene.frames)._replace(looks={})  # the other ways are told at the end
         scores = score_images(state.gaussians, frames, planned.background, found=found, depth_mode=planned.depth_mode)
         return {f"held_out_{name}": score for name, score in scores.items() if name.startswith("psnr")}
@@ -353,4 +353,6 @@ class TrainingJournal(Journal):
         pace = self._pace.seconds_per_step(progress.phase)
         if pace is not None:
             left = seconds_left(self.plan, progress.step, progress.phase, pace)
-            self.bar.write(f"{progress.phase.name}: {1e3 * pace:.0f} ms a step, about {spoken(left)} to go", sys.stderr)
+            self.bar.write(
+                f"{progress.phase.name}: {1e3 * pace:.0f} ms a step, about {duration_text(left)} to go", sys.stderr
+            )

@@ -11,11 +11,11 @@ import numpy as np
 from scipy.optimize import root_scalar
 
 from gsjax.errors import InputError
-from gsjax.planning.effects import diagnosed
+from gsjax.planning.effect_trials import SCORED, STEPS, is_near, is_worthwhile
+from gsjax.planning.effects import diagnose_scene
 from gsjax.planning.pace import FIXED_COST, image_cost, relative_cost
 from gsjax.planning.sizes import at_size
-from gsjax.planning.timed_steps import Clock, Trial, largest_scale, step_cost, tried
-from gsjax.planning.trials import SCORED, STEPS, is_near, is_worthwhile
+from gsjax.planning.timed_steps import Clock, StepTimes, largest_scale, step_cost, time_steps
 from gsjax.scene import Scene
 from gsjax.settings import AUTO, LENGTHS, NONE, SIMULATED, Settings, total_steps
 from gsjax.training.plan import plan
@@ -112,26 +112,26 @@ def budgeted(
         loaded, downscale, _ = at_size(scene, settings, total_steps(settings))
         scenes[name] = loaded, replace(settings, downscale=downscale)
     first = next(iter(scenes))
-    trial = tried(*scenes[first], most=TRIED_SHARE * seconds, clock=clock)
-    lengths = {other: _predicted(trial, scenes[first][1], settings) for other, (_, settings) in scenes.items()}
+    times = time_steps(*scenes[first], most=TRIED_SHARE * seconds, clock=clock)
+    lengths = {other: _predicted(times, scenes[first][1], settings) for other, (_, settings) in scenes.items()}
     fitting = (other for other in scenes if SHORTENED * lengths[other] <= seconds)
     name = max(fitting, key=lengths.__getitem__, default=first)
     loaded, sized = scenes[name]
     if name != first:
-        trial = tried(loaded, sized, most=TRIED_SHARE * seconds, clock=clock)
+        times = time_steps(loaded, sized, most=TRIED_SHARE * seconds, clock=clock)
     looking, near = _looked(loaded, sized, clock)
-    left = (1 - RESERVED) * seconds - SCORING - (clock() - started) - trial.overhead - looking
-    left -= _mapping(loaded, sized, trial)
-    part = _part(trial, sized, left)
+    left = (1 - RESERVED) * seconds - SCORING - (clock() - started) - times.overhead - looking
+    left -= _mapping(loaded, sized, times)
+    part = _part(times, sized, left)
     if near and is_worthwhile(total_steps(lasting(sized, part))):
-        left -= _trying(near, trial)
-        part = _part(trial, sized, left)
+        left -= _trying(near, times)
+        part = _part(times, sized, left)
     if name == LENGTHS[-1]:
         part = min(part, 1.0)
     chosen = lasting(sized, part)
     if total_steps(chosen) < FEWEST_STEPS:
         before = (1 - RESERVED) * seconds - left
-        least = (before + _least_part(sized, lasting) * _short_length(trial, sized)) / (1 - RESERVED)
+        least = (before + _least_part(sized, lasting) * _short_length(times, sized)) / (1 - RESERVED)
         is_plain = plan(sized).phases == plan(replace(sized, vanilla=True)).phases
         plainer = "" if is_plain else "; --vanilla has no surface phase to compile and needs less"
         raise InputError(
@@ -140,7 +140,7 @@ def budgeted(
         )
     cost = step_cost(chosen.max_gaussians / sized.max_gaussians)
     paces = " + ".join(f"{phase.steps:,} at {1e3 * cost * pace:.0f} ms" for phase, pace in zip(
-        chosen.phases, trial.seconds_per_step, strict=True))  # fmt: skip
+        chosen.phases, times.seconds_per_step, strict=True))  # fmt: skip
     return Choice(chosen, f"{name}, {part:.2g} times as long: {chosen.max_gaussians:,} Gaussians, steps {paces}")
 
 
@@ -149,28 +149,28 @@ def _looked(scene: Scene, settings: Settings, clock: Clock) -> tuple[float, list
     if settings.effects == NONE:
         return 0.0, []
     began = clock()
-    found = diagnosed(scene)
+    found = diagnose_scene(scene)
     near = [name for name in SIMULATED if settings.effects == AUTO and is_near(name, found.effects[name])]
     return clock() - began, near
 
 
-def _trying(near: Sequence[str], trial: Trial) -> float:
+def _trying(near: Sequence[str], times: StepTimes) -> float:
     """Seconds of trials of effects, on photos of half the size."""
     steps = (2 + len(near)) * (STEPS + SCORED)
-    return (1 + len(near)) * trial.plain_program + steps * trial.plain_step * image_cost(2)
+    return (1 + len(near)) * times.plain_program + steps * times.plain_step * image_cost(2)
 
 
-def _mapping(scene: Scene, settings: Settings, trial: Trial) -> float:
+def _mapping(scene: Scene, settings: Settings, times: StepTimes) -> float:
     """Seconds of making the normal maps of the run's own depth, if a phase asks for them."""
     if settings.normals is not None or "normals" not in plan(settings).needs:
         return 0.0
-    return OWN_PROGRAMS * trial.plain_program + OWN_MAP * trial.plain_step * len(scene.train_frames)
+    return OWN_PROGRAMS * times.plain_program + OWN_MAP * times.plain_step * len(scene.train_frames)
 
 
-def _part(trial: Trial, settings: Settings, left: float) -> float:
+def _part(times: StepTimes, settings: Settings, left: float) -> float:
     """How many times its own time so many seconds are to a run; 0 at least."""
-    wider = (left - WIDER_STEPS * _first_step(trial, settings)) / _length(trial, settings)
-    return max(left / _short_length(trial, settings), wider, 0.0)
+    wider = (left - WIDER_STEPS * _first_step(times, settings)) / _length(times, settings)
+    return max(left / _short_length(times, settings), wider, 0.0)
 
 
 def _least_part(settings: Settings, lasting: Lasting) -> float:
@@ -182,27 +182,27 @@ def _least_part(settings: Settings, lasting: Lasting) -> float:
     return root_scalar(missing, bracket=(0, FEWEST_STEPS**2), method="bisect").root
 
 
-def _first_step(trial: Trial, settings: Settings) -> float:
+def _first_step(times: StepTimes, settings: Settings) -> float:
     """Seconds of a step of the image alone on the run's largest photos."""
-    return trial.plain_step * image_cost(largest_scale(plan(settings)))
+    return times.plain_step * image_cost(largest_scale(plan(settings)))
 
 
-def _length(trial: Trial, settings: Settings) -> float:
+def _length(times: StepTimes, settings: Settings) -> float:
     """Seconds of all steps."""
-    return sum(phase.steps * pace for phase, pace in zip(settings.phases, trial.seconds_per_step, strict=True))
+    return sum(phase.steps * pace for phase, pace in zip(settings.phases, times.seconds_per_step, strict=True))
 
 
-def _short_length(trial: Trial, settings: Settings) -> float:
+def _short_length(times: StepTimes, settings: Settings) -> float:
     """Seconds of all steps, were they of a run so short that Gaussians are wide for much of it."""
-    return _length(trial, settings) + WIDER_SHARE * total_steps(settings) * _first_step(trial, settings)
+    return _length(times, settings) + WIDER_SHARE * total_steps(settings) * _first_step(times, settings)
 
 
-def _predicted(trial: Trial, settings: Settings, other: Settings) -> float:
+def _predicted(times: StepTimes, settings: Settings, other: Settings) -> float:
     """Seconds of all steps of another run on the same photos, from those of one that was tried; both name a size."""
     if other == settings:
-        return _length(trial, settings)
+        return _length(times, settings)
     costs = [relative_cost(phase) for phase in plan(settings).phases]
-    unit = float(np.median(np.divide(trial.seconds_per_step, costs)))
+    unit = float(np.median(np.divide(times.seconds_per_step, costs)))
     assert settings.downscale and other.downscale
     pixels = (settings.downscale / other.downscale) ** 2
     gaussians = other.max_gaussians / settings.max_gaussians

@@ -22,10 +22,10 @@ from gsjax.effects.appearance import (
 from gsjax.effects.diagnosis import Diagnosis
 from gsjax.effects.diagnosis import diagnose as look
 from gsjax.effects.evidence import Evidence
-from gsjax.effects.model import Effects, EffectState, learning_rate
 from gsjax.effects.observations import observe
+from gsjax.effects.simulation import Effects, EffectState, learning_rate
 from gsjax.errors import InputError
-from gsjax.planning.trials import WORTH, Trial, is_near, is_worthwhile
+from gsjax.planning.effect_trials import WORTH, EffectTrial, is_near, is_worthwhile
 from gsjax.runs.photography import Photography
 from gsjax.scene import Scene
 from gsjax.settings import AUTO, NONE, SIMULATED, named_effects
@@ -34,7 +34,7 @@ from gsjax.training.plan import Plan
 _PLAIN = {"black": 0.0, "white": 1.0}  # what `Settings.background` lays under the renders
 
 
-def diagnosed(scene: Scene) -> Diagnosis:
+def diagnose_scene(scene: Scene) -> Diagnosis:
     """The diagnosis of a loaded data set, a bar meanwhile."""
     return look(scene, progress=lambda frames: tqdm(list(frames), desc="diagnose", unit="photo", leave=False))
 
@@ -47,7 +47,7 @@ class Looked(NamedTuple):
     left_out: tuple[str, ...] = ()  # names
 
 
-def looked_at(asked: str, scene: Scene) -> Looked:
+def look_for_effects(asked: str, scene: Scene) -> Looked:
     """The data set as the run trains on it, and what its photos show if the run asks; one line says what was left out.
 
     Raises:
@@ -55,14 +55,14 @@ def looked_at(asked: str, scene: Scene) -> Looked:
     """
     if asked == NONE:
         return Looked(scene)
-    found = diagnosed(scene)
+    found = diagnose_scene(scene)
     is_asked = asked == AUTO or "blur" in named_effects(asked)
-    names = blur.left_out(found.seen) if is_asked else ()
+    names = blur.photos_to_leave_out(found.seen) if is_asked else ()
     if not names:
         return Looked(scene, found)
     print(f"train: too blurred, left out: {', '.join(names)}", file=sys.stderr)
     sharp = replace(scene, frames=tuple(frame for frame in scene.frames if frame.name not in names))
-    again = diagnosed(sharp)
+    again = diagnose_scene(sharp)
     return Looked(sharp, replace(again, effects=again.effects | {"blur": found.effects["blur"]}), names)
 
 
@@ -91,7 +91,7 @@ def choose_effects(
     asked: str,
     plan: Plan,
     scene: Scene,
-    trial: Trial | None = None,
+    trial: EffectTrial | None = None,
     looked: Looked | None = None,
     *,
     sh_degree: int = 3,
@@ -103,7 +103,7 @@ def choose_effects(
         plan: The run, without effects.
         scene: Its data set, at the size that is trained on.
         trial: Decides, of "auto", where evidence is near its threshold. None, or a short run: the threshold does.
-        looked: What `looked_at` found, if it was asked.
+        looked: What `look_for_effects` found, if it was asked.
         sh_degree: Of the run's Gaussians.
 
     Raises:
@@ -111,7 +111,7 @@ def choose_effects(
     """
     if asked == NONE:
         return ChosenEffects()
-    looked = looked or looked_at(asked, scene)
+    looked = looked or look_for_effects(asked, scene)
     scene, found = looked.scene, looked.found
     assert found is not None, "somebody looked"
     wanted = set(named_effects(asked))
@@ -152,7 +152,7 @@ def choose_effects(
     return ChosenEffects(simulations(begun, chosen, rate), begun, evidence, tries_degrees)
 
 
-def _tried(found: Diagnosis, near: list[str], trial: Trial) -> dict[str, Evidence]:
+def _tried(found: Diagnosis, near: list[str], trial: EffectTrial) -> dict[str, Evidence]:
     """The evidence of effects that are near their threshold, decided by what a trial of each brings."""
     on = [name for name in SIMULATED if found.effects[name].on and name not in near]
     gains = trial(found.seen, on, near) if near else {}

@@ -66,9 +66,9 @@ def hardware(devices: Devices, views: int, optimizer: optax.GradientTransformati
 
     def deal(state: TrainState) -> TrainState:
         total = -(-state.gaussians.num_gaussians // count) * count
-        return sharding.dealt(buffers.lengthened(state, optimizer, total), mesh)
+        return sharding.deal_rows(buffers.lengthen(state, optimizer, total), mesh)
 
-    return Hardware(several.placement(mesh, views), deal, partial(sharding.gathered, mesh=mesh), is_one=False)
+    return Hardware(several.placement(mesh, views), deal, partial(sharding.gather_rows, mesh=mesh), is_one=False)
 
 
 def effects_asked(settings: Settings, devices: Devices) -> str:

@@ -30,12 +30,12 @@ def with_needed_harmonics(run: Path, work: Work, state: TrainState, capacity: in
     if int(state.step) > growing.steps:
         return state
     state = follow(replace(work, plan=growing), state, capacity)
-    found = harmonics.degrees_tried(work.plan, growing.phases[-1], work.frames, state, work.extent, work.effects)
-    degree = harmonics.smallest(found)
+    found = harmonics.score_degrees(work.plan, growing.phases[-1], work.frames, state, work.extent, work.effects)
+    degree = harmonics.smallest_good_degree(found)
     told = ", ".join(f"{psnr:.2f}" for psnr in found.values())
     print(f"train: harmonics of degree {degree} go on: {told} dB with 0 to {max(found)}", file=sys.stderr)
     runs.update_manifest(run, **{ENTRY: {"degree": degree, "psnr": found}})
-    return harmonics.cut(state, work.optimizer, degree)
+    return harmonics.cut_bands(state, work.optimizer, degree)
 
 
 def stored_degree(run: Path, plan: Plan, degree: int) -> int:

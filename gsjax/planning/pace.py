@@ -51,7 +51,7 @@ def seconds_left(plan: Plan, step: int, phase: PlannedPhase, seconds_per_step: f
     return sum(max(each.end - max(step, each.begin), 0) * relative_cost(each) * unit for each in plan.phases)
 
 
-def spoken(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
     """A duration as one says it: `40 s`, `12 min`, `3.5 h`."""
     if seconds < 90:
         return f"{seconds:.0f} s"

@@ -36,7 +36,7 @@ PER_GAUSSIAN = 0.7  # of a step's time, what grows with the number of Gaussians 
 Clock = Callable[[], float]
 
 
-class Trial(NamedTuple):
+class StepTimes(NamedTuple):
     """What the phases of a run take on this machine."""
 
     seconds_per_step: tuple[float, ...]  # on average, while Gaussians multiply
@@ -45,7 +45,7 @@ class Trial(NamedTuple):
     plain_program: float  # seconds that compiling one takes
 
 
-def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.perf_counter) -> Trial:
+def time_steps(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.perf_counter) -> StepTimes:
     """Times the first steps of every kind of phase, each for `most` seconds at the longest.
 
     All at the largest size that the run's phases have.
@@ -77,7 +77,7 @@ def tried(scene: Scene, settings: Settings, *, most: float, clock: Clock = time.
     again = max((seconds for phase, seconds in compiling.items() if phase.rule), default=0.0)
     plain_pace, plain_program = min(at_largest.values())
     plain_step = plain_pace / image_cost(scale)
-    return Trial(tuple(paces), sum(compiling.values()) + again, plain_step, plain_program)
+    return StepTimes(tuple(paces), sum(compiling.values()) + again, plain_step, plain_program)
 
 
 def shares_alive(plan: Plan, points: int) -> list[float]:

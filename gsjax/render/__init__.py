@@ -18,10 +18,10 @@ from gsjax.render.viewing import (
     of_each,
     owners,
     projected,
-    shown,
     splat,
     tile_grid,
     view,
+    view_splats,
 )
 
 __all__ = [
@@ -42,7 +42,7 @@ __all__ = [
     "of_each",
     "owners",
     "projected",
-    "shown",
+    "view_splats",
     "splat",
     "tile_grid",
     "view",

@@ -9,7 +9,7 @@ from gsjax.cameras import Camera, pixel_rays, rotation
 from gsjax.gaussians import SH_C0
 
 
-def behind(background: Array, camera: Camera) -> Array:
+def color_behind(background: Array, camera: Camera) -> Array:
     """`[3]` or `[H, W, 3]`: what a camera sees where nothing is in front, for the background of a render.
 
     Args:
@@ -26,7 +26,7 @@ def behind(background: Array, camera: Camera) -> Array:
     return jnp.maximum(rasterizer.spherical_harmonics(degree, directions, background[None, None]) + 0.5, 0)
 
 
-def constant(color: np.ndarray, degree: int) -> np.ndarray:
+def constant_coefficients(color: np.ndarray, degree: int) -> np.ndarray:
     """`[(degree + 1)^2, 3]` float32 coefficients of one colour `[3]` in all directions."""
     coefficients = np.zeros(((degree + 1) ** 2, 3), np.float32)
     coefficients[0] = (color - 0.5) / SH_C0

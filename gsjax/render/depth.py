@@ -9,13 +9,13 @@ from gsjax.numerics import safe_divide
 from gsjax.render import MIN_COVERAGE, Splats, features
 
 
-def expected(splats: Splats) -> tuple[Array, Array]:
+def expected_depth(splats: Splats) -> tuple[Array, Array]:
     """`[H, W]` expected depth and `[H, W]` alphas, as `gsjax.render.view` has them, without colours."""
     image, alphas = features(splats, _planes(splats))
     return safe_divide(_read(image), alphas, alphas > MIN_COVERAGE), alphas
 
 
-def moments(splats: Splats, center: Array) -> tuple[Array, Array]:
+def depth_moments(splats: Splats, center: Array) -> tuple[Array, Array]:
     """`[H, W]` sums over every pixel's splats of weight times (z - center), and of weight times (z - center)^2.
 
     z is a splat's depth at the pixel, on its plane where the splats have slopes, else its mean's. A square of planes is

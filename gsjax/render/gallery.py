@@ -47,7 +47,7 @@ def pictures(
         yield Picture(*(np.asarray(x)[: own.height, : own.width] for x in shown))
 
 
-def masked(pictures: Iterable[Picture], valid: Iterable[np.ndarray | None]) -> Iterator[Picture]:
+def mask_pictures(pictures: Iterable[Picture], valid: Iterable[np.ndarray | None]) -> Iterator[Picture]:
     """The same pictures with nothing in them, in colour, depth, coverage and owners, where their photos say nothing.
 
     Args:
@@ -77,7 +77,7 @@ def _shown(
     depth_mode: DepthReading,
     with_owners: bool,
 ) -> tuple[jax.Array, ...]:
-    under = backdrop.behind(background, camera)
+    under = backdrop.color_behind(background, camera)
     view = render.view(gaussians, camera, capacity=capacity, background=under, with_depth=True, depth_mode=depth_mode)
     assert view.depth is not None  # as asked for
     shown = jnp.clip(view.colors, 0, 1), view.depth, view.alphas

@@ -261,7 +261,7 @@ def view(
     """
     scene, reading = drawable(gaussians), depth_mode if with_depth else None
     splats = _splat(scene, camera, capacity, means2d_probe, of_each(reading), backend)
-    return shown(splats, colors(scene, camera, active_degree), background, reading=reading, extra=extra)
+    return view_splats(splats, colors(scene, camera, active_degree), background, reading=reading, extra=extra)
 
 
 def of_each(reading: DepthReading | None) -> DepthMode:
@@ -269,7 +269,7 @@ def of_each(reading: DepthReading | None) -> DepthMode:
     return "center" if reading in (None, "center") else "plane"
 
 
-def shown(
+def view_splats(
     splats: Splats, colors: Array, background: Array, *, reading: DepthReading | None = None, extra: Array | None = None
 ) -> View:
     """What splats of `[N, 3]` colours show, and their depth if it is read; the rest as in `view`."""

@@ -103,7 +103,7 @@ def effects(run: RunFacts) -> Rows:
         (
             name,
             "simulated" if name in found["simulated"] else "called for" if each["on"] else "no",
-            *(f"{tables.shown(each[key])} {each['unit'] if each[key] is not None else ''}".strip()
+            *(f"{tables.format_value(each[key])} {each['unit'] if each[key] is not None else ''}".strip()
               for key in ("evidence", "noise", "threshold")),
             each["note"],
         )
@@ -117,7 +117,7 @@ def scores(run: RunFacts) -> Rows:
     sizes = {name: run.manifest[name] for name in ("views", "gaussians", "vertices", "faces") if name in run.manifest}
     evaluated = run.manifest.get("stages", {}).get("eval", {})
     figures = {**named, **sizes, **{k: v for k, v in evaluated.items() if k not in ("seconds", "peak_gib")}}
-    return [(name, tables.shown(value)) for name, value in tables.flat(figures)]
+    return [(name, tables.format_value(value)) for name, value in tables.flatten(figures)]
 
 
 def stage_rows(stages: Mapping[str, Mapping[str, Any]]) -> Rows:
@@ -125,9 +125,11 @@ def stage_rows(stages: Mapping[str, Mapping[str, Any]]) -> Rows:
     return [
         (
             name,
-            tables.shown(figures.get("seconds")),
-            tables.shown(figures.get("peak_gib")),
-            ", ".join(f"{key} {tables.shown(figures[key])}" for key in CAME_OF_IT if figures.get(key) is not None),
+            tables.format_value(figures.get("seconds")),
+            tables.format_value(figures.get("peak_gib")),
+            ", ".join(
+                f"{key} {tables.format_value(figures[key])}" for key in CAME_OF_IT if figures.get(key) is not None
+            ),
         )
         for name, figures in stages.items()
     ]
@@ -156,7 +158,7 @@ def charts(
     alone, drawn = len(pools) == 1, []
     for title, lines in titles.items():
         curves = [
-            Curve(name if alone else label, *pooled(pool, key, AXES[axis]), color, name != [*lines][-1])
+            Curve(name if alone else label, *pool_curves(pool, key, AXES[axis]), color, name != [*lines][-1])
             for color, (label, pool) in enumerate(pools.items())
             for name, key in lines.items()
         ]
@@ -165,7 +167,7 @@ def charts(
     return [each for each in drawn if each]
 
 
-def pooled(
+def pool_curves(
     pool: Sequence[RunFacts], key: str, axis: str
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
     """The x and the mean y at the steps that all runs logged `key` at; of several runs also least and most."""

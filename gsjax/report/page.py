@@ -13,7 +13,7 @@ from gsjax import runs
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.files import atomic_path
-from gsjax.io.images import jpeg, read_image, resize
+from gsjax.io.images import jpeg_bytes, read_image, resize
 from gsjax.io.machine import peak_memory, restart_peak_memory
 from gsjax.report import curves, shown_views
 from gsjax.report import facts as run_facts
@@ -146,7 +146,7 @@ def _views(run: RunFacts) -> list[dict[str, Any]]:
         _render(run, {record["name"] for record in records})
     meshes = shown_views.mesh_pictures(run.folder, records)
     found = [
-        {"name": record["name"], "pictures": {**shown_views.kept(run.folder, place), **mesh}}
+        {"name": record["name"], "pictures": {**shown_views.kept_pictures(run.folder, place), **mesh}}
         for place, record, mesh in zip(places, records, meshes, strict=True)
     ]
     return [each for each in found if each["pictures"]]
@@ -156,7 +156,7 @@ def _render(run: RunFacts, names: set[str]) -> None:
     """Keeps the pictures of a run that was scored without keeping any."""
     result, scene = open_result(run.folder), scene_of_run(run.folder)
     frames = tuple(frame for frame in scene.held_out_frames if frame.name in names)
-    background, keep = run.settings["background"], shown_views.keeper(run.folder)
+    background, keep = run.settings["background"], shown_views.picture_keeper(run.folder)
     found = Photography(background=read_photography(run.folder).background)
     score_images(result.gaussians, frames, background, found=found, depth_mode=result.depth_mode, observe=keep)
 
@@ -166,4 +166,4 @@ def _overview(file: Path) -> bytes | None:
         return None
     image, _ = read_image(file)
     width = min(OVERVIEW_WIDTH, image.shape[1])
-    return jpeg(resize(image, width, round(image.shape[0] * width / image.shape[1])))
+    return jpeg_bytes(resize(image, width, round(image.shape[0] * width / image.shape[1])))

@@ -10,7 +10,7 @@ import numpy as np
 from gsjax import runs
 from gsjax.cameras import Camera
 from gsjax.io.files import atomic_path
-from gsjax.io.images import jpeg, resize
+from gsjax.io.images import jpeg_bytes, resize
 from gsjax.meshing.export import read_mesh
 from gsjax.meshing.pictures import headlight, render_mesh, vertex_colors
 from gsjax.meshing.rays import ray_caster
@@ -34,7 +34,7 @@ def shown_views(records: Sequence[dict[str, Any]]) -> list[int]:
     return [some[place] for place in np.unique(places)]
 
 
-def keeper(run: Path) -> Callable[[Frame, np.ndarray, Picture], None]:
+def picture_keeper(run: Path) -> Callable[[Frame, np.ndarray, Picture], None]:
     """What is told of each frame as it is scored, and keeps pictures of those that the report shows.
 
     Args:
@@ -50,12 +50,12 @@ def keeper(run: Path) -> Callable[[Frame, np.ndarray, Picture], None]:
         shown = to_bytes(target), to_bytes(picture.colors), normal_picture(normals)
         for kind, image in zip(KINDS, shown, strict=True):
             with atomic_path(_file(run, places[frame.name], kind)) as temporary:
-                temporary.write_bytes(jpeg(resize(image, *_reduced(frame.width, frame.height))))
+                temporary.write_bytes(jpeg_bytes(resize(image, *_reduced(frame.width, frame.height))))
 
     return keep
 
 
-def kept(run: Path, index: int) -> dict[str, bytes]:
+def kept_pictures(run: Path, index: int) -> dict[str, bytes]:
     """The JPEGs that were kept of a view, by kind; those that there are."""
     files = {kind: _file(run, index, kind) for kind in KINDS}
     return {kind: file.read_bytes() for kind, file in files.items() if file.exists()}
@@ -77,7 +77,7 @@ def mesh_pictures(run: Path, records: Sequence[dict[str, Any]]) -> list[dict[str
         camera = _small_camera(recorded_camera(record, similarity))
         shadings = {"mesh": headlight, "mesh colours": vertex_colors}
         return {
-            kind: jpeg(
+            kind: jpeg_bytes(
                 render_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height, shading=shading, cast=cast)
             )
             for kind, shading in shadings.items()

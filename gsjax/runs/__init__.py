@@ -2,7 +2,7 @@
 
 from gsjax.runs.folder import (
     append_metrics,
-    begun,
+    claim_run,
     create,
     is_begun,
     is_to_resume,
@@ -19,7 +19,7 @@ from gsjax.runs.folder import (
 
 __all__ = [
     "append_metrics",
-    "begun",
+    "claim_run",
     "create",
     "is_begun",
     "is_to_resume",

@@ -15,8 +15,8 @@
     background.json    what is behind all Gaussians, where a run learns that
     masks/             0007.png of every training view with pixels that must not be used: 0 there, else 255
 
-`create` starts one, `reopen` continues one; both leave a whole run folder. `begun` keeps it for one process, by a lock
-(`.lock`) that ends with it. Every write is whole or not at all.
+`create` starts one, `reopen` continues one; both leave a whole run folder. `claim_run` keeps it for one process, by a
+lock (`.lock`) that ends with it. Every write is whole or not at all.
 """
 
 import json
@@ -33,7 +33,7 @@ from typing import Any
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.files import atomic_folder, atomic_path, make_folder, unwritable
-from gsjax.io.locks import LOCK, locked
+from gsjax.io.locks import LOCK, lock_folder
 from gsjax.io.machine import machine, versions
 from gsjax.io.similarities import parsed_similarity
 from gsjax.io.temporaries import is_temporary, sweep
@@ -70,7 +70,7 @@ def is_to_resume(run: str | Path) -> bool:
     """
     run = Path(run)
     if is_begun(run):
-        with locked(run):
+        with lock_folder(run):
             return True
     if not run.is_dir():
         raise InputError(f"{run}: there is no run to resume; without --resume one begins")
@@ -116,7 +116,7 @@ def create(
     }
     files = {"config.json": settings, "plan.json": plan, "manifest.json": manifest}  # The last makes it a run.
     if run.is_dir():  # It may be a mounted one, which has no beside.
-        with locked(run):
+        with lock_folder(run):
             require_free(run)
             _write_beginning(run, files)
     else:
@@ -168,7 +168,7 @@ def reopen(
 
 
 @contextmanager
-def begun(run: Path) -> Iterator[None]:
+def claim_run(run: Path) -> Iterator[None]:
     """While a run goes on: its folder is this process's alone, and free of what killed ones have left.
 
     Its files go away if bad input ends it before anything came of it: who tries again with other settings would be told
@@ -177,7 +177,7 @@ def begun(run: Path) -> Iterator[None]:
     Raises:
         InputError: Another process is at work in it, or its only checkpoint is damaged.
     """
-    with locked(run):
+    with lock_folder(run):
         sweep(run)
         _drop_damaged_checkpoints(run)
         try:
@@ -289,7 +289,7 @@ def read_settings(run: str | Path) -> dict[str, Any]:
 
 
 def _record(line: str, where: str) -> dict[str, Any]:
-    return json_files.parsed(where, line, RECORD)
+    return json_files.parse(where, line, RECORD)
 
 
 def _checkpoints(run: str | Path) -> list[tuple[int, Path]]:

@@ -41,9 +41,9 @@ class Photography(NamedTuple):
         return self._replace(near=as_near_photos(frames, self.looks)) if self.looks else self
 
 
-def refined(frames: tuple[Frame, ...], moves: Mapping[str, Move]) -> tuple[Frame, ...]:
+def with_moved_cameras(frames: tuple[Frame, ...], moves: Mapping[str, Move]) -> tuple[Frame, ...]:
     """The frames with their cameras where training moved them; as they are without moves."""
-    return tuple(moves[frame.name].refined(frame) if frame.name in moves else frame for frame in frames)
+    return tuple(moves[frame.name].apply(frame) if frame.name in moves else frame for frame in frames)
 
 
 def write_photography(run: Path, found: Photography) -> None:

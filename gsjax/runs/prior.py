@@ -13,12 +13,12 @@ from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io.images import read_image, write_image
-from gsjax.io.normal_folders import maker
-from gsjax.io.normals import map_places, normal_maps
+from gsjax.io.normal_folders import network_of
+from gsjax.io.normal_maps import map_places, normal_maps
 from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
 from gsjax.render import DepthReading, gallery
-from gsjax.runs.result import BACKGROUNDS, frame_camera
+from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame
 
 CLEAR_SCORE, CLEAR_MARGIN = 0.5, 0.02  # Below either, the axes of foreign maps are doubtful (method: A8).
@@ -66,7 +66,7 @@ class RunPrior:
             raise InputError(f"--normal-axes {axes}: there are no maps whose axes these are, --normals DIR names them")
         self.depth_mode: DepthReading = depth_mode
         self.tell = tell
-        self.network = None if folder is None else maker(folder)
+        self.network = None if folder is None else network_of(folder)
         self.given = None if folder is None else normal_maps(folder, frames)
 
     def __call__(self, gaussians: Gaussians, frames: tuple[Frame, ...]) -> list[np.ndarray]:
@@ -135,7 +135,7 @@ def reduction_for(gaussians: Gaussians, cameras: Sequence[Camera], depth_mode: D
 
 def _views(gaussians: Gaussians, cameras: Sequence[Camera], depth_mode: DepthReading) -> Iterator[tuple]:
     """Depth, alphas and camera of one view after the other."""
-    pictures = gallery.pictures(gaussians, cameras, BACKGROUNDS["black"], depth_mode)
+    pictures = gallery.pictures(gaussians, cameras, BACKGROUND_COLORS["black"], depth_mode)
     for picture, camera in zip(pictures, cameras, strict=True):
         yield jnp.asarray(picture.depth), jnp.asarray(picture.alphas), camera
 

@@ -25,7 +25,7 @@ PATIENCE = (
 
 
 @contextmanager
-def joined(coordinator: str, processes: int | None = None, process: int | None = None) -> Iterator[None]:
+def join_processes(coordinator: str, processes: int | None = None, process: int | None = None) -> Iterator[None]:
     """While this process is one of several that train one run: all are started alike, each with its own number.
 
     Args:

@@ -24,13 +24,17 @@ from gsjax.io.splits import NONE
 from gsjax.render import DepthReading, gallery
 from gsjax.render.gallery import Picture
 from gsjax.runs import viewpoints
-from gsjax.runs.photography import refined
+from gsjax.runs.photography import with_moved_cameras
 from gsjax.runs.records import SCENE
 from gsjax.runs.run import Run
 from gsjax.scene import Frame, Scene, valid_pixels
 from gsjax.similarity import IDENTITY, Similarity
 
-BACKGROUNDS = {"white": np.ones(3, np.float32), "black": np.zeros(3, np.float32), "random": np.zeros(3, np.float32)}
+BACKGROUND_COLORS = {
+    "white": np.ones(3, np.float32),
+    "black": np.zeros(3, np.float32),
+    "random": np.zeros(3, np.float32),
+}
 """Colour that pictures and scores are made over; a run trained on random ones is scored over black."""
 
 DEPTH_OF_DISCS: DepthReading = "discs"  # The far side of a mesh shows through its discs, and is in any whole mean.
@@ -105,7 +109,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             names=tuple(record["name"] for record in records),
             held_out=tuple(bool(record["held_out"]) for record in records),
             valid=tuple(partial(_read_mask, source, record) for record in records),
-            background=BACKGROUNDS[settings["background"]] if learned is None else learned,
+            background=BACKGROUND_COLORS[settings["background"]] if learned is None else learned,
             depth_mode=DEPTH_OF_DISCS if run.is_refinement else settings["depth_mode"],
             similarity=run.similarity,
         )
@@ -114,7 +118,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             raise InputError(f"{source}: holds no Gaussians, there is nothing to look at")
         similarity = similarities.of_points(np.asarray(gaussians.means))
         gaussians = similarity.gaussians_to_local(gaussians)
-        cameras = viewpoints.around(gaussians)
+        cameras = viewpoints.cameras_around(gaussians)
         return Result(
             source,
             gaussians,
@@ -122,7 +126,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             names=tuple(f"around_{index:02d}" for index in range(len(cameras))),
             held_out=(False,) * len(cameras),
             valid=(lambda: None,) * len(cameras),
-            background=BACKGROUNDS["black"],
+            background=BACKGROUND_COLORS["black"],
             similarity=similarity,
         )
     loaded = load_scene(scene)
@@ -134,7 +138,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
         names=tuple(f.name for f in frames),
         held_out=tuple(f.held_out for f in frames),
         valid=tuple(partial(valid_pixels, f) for f in frames),
-        background=BACKGROUNDS["black"],
+        background=BACKGROUND_COLORS["black"],
         similarity=loaded.similarity,
     )
 
@@ -159,7 +163,7 @@ def training_pictures(
     cameras = [result.cameras[index] for index in chosen]
     drawn = gallery.pictures(gaussians, cameras, background, result.depth_mode, with_owners=with_owners)
     pictures = tqdm(drawn, total=len(cameras), desc="views", unit="view", delay=QUIET)
-    return cameras, gallery.masked(pictures, (result.valid[index]() for index in chosen))
+    return cameras, gallery.mask_pictures(pictures, (result.valid[index]() for index in chosen))
 
 
 def scene_of_run(folder: Path, *, zoom: float = 1.0) -> Scene:
@@ -193,7 +197,7 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0) -> Scene:
         similarity=run.similarity,
     )
     frames = tuple(replace(f, held_out=held_out[f.name]) for f in scene.frames if f.name in held_out)
-    return replace(scene, frames=refined(frames, run.photography.moves))
+    return replace(scene, frames=with_moved_cameras(frames, run.photography.moves))
 
 
 def frame_camera(frame: Frame) -> Camera:

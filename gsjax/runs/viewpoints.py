@@ -19,7 +19,7 @@ PROBE_SIZE = 64  # Of the small views by which a place to stand is chosen.
 MUCH_BETTER = 1.5  # So many times as many Gaussians must be seen for an inner place to be preferred.
 
 
-def around(gaussians: Gaussians) -> tuple[Camera, ...]:
+def cameras_around(gaussians: Gaussians) -> tuple[Camera, ...]:
     """32 cameras that see the opaque Gaussians: an object from outside, or a room from within.
 
     Three places are tried with small views: a wide sphere about the robust middle, looking in; a close one, between the
@@ -77,7 +77,7 @@ def _count_seen(gaussians: Gaussians, means: np.ndarray, radii: np.ndarray, came
     return int(np.any(directions_to_viewers(means, near, cameras, pictures) != 0, axis=1).sum())
 
 
-def circle(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Camera]:
+def camera_circle(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Camera]:
     """A circle of cameras at the mean height and distance of the run's own, around the middle of the opaque part."""
     middle = opaque_middle(gaussians)
     views = np.stack([np.asarray(c.viewmat) for c in cameras])

@@ -11,14 +11,14 @@ import numpy as np
 
 from gsjax.cameras import Camera
 from gsjax.effects.alignment import Draw
-from gsjax.effects.appearance import Appearance, fitted
+from gsjax.effects.appearance import Appearance, fit_colors
 from gsjax.gaussians import Gaussians
 from gsjax.measures.images import psnr, ssim
 from gsjax.networks.perceptual import Measure
 from gsjax.render import DepthReading, gallery
 from gsjax.render.gallery import Picture
 from gsjax.runs.photography import Photography
-from gsjax.runs.result import BACKGROUNDS, frame_camera
+from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame
 
 NOTHING = Photography()
@@ -63,7 +63,7 @@ def score_images(
     names = [f"{score}{way}{pose}" for pose in poses for way in ways for score in ("psnr", "ssim")]
     if not frames:
         return {**dict.fromkeys((*names, *measures)), "views": 0}
-    color = BACKGROUNDS[background] if found.background is None else found.background
+    color = BACKGROUND_COLORS[background] if found.background is None else found.background
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     draw = partial(gallery.pictures, gaussians, background=color, depth_mode=depth_mode)
     scores = []
@@ -83,7 +83,7 @@ def score_images(
         for each in shown:
             of_way = {"": each.colors, **{way: taken(each).colors for way, taken in lit.items() if way in ways}}
             if found.looks:
-                of_way["_fitted"] = np.clip(fitted(each.colors, target, valid), 0, 1)
+                of_way["_fitted"] = np.clip(fit_colors(each.colors, target, valid), 0, 1)
             renders += [of_way[way] for way in ways]
         pair = [np.clip(colors, 0, 1) * valid[..., None] for colors in (picture.colors, target)]
         scores.append(

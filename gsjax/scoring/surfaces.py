@@ -13,7 +13,7 @@ from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
 from gsjax.normals.from_depth import depth_normals
 from gsjax.render import DepthReading, gallery
-from gsjax.runs.result import BACKGROUNDS, frame_camera
+from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame, Truth
 
 SKY, GROUND = 0, 255  # Labels of the truth; everything between is an object.
@@ -29,7 +29,7 @@ def score_surface(
     if not frames:
         return {}
     cameras = [frame_camera(f) for f in frames]
-    pictures = gallery.pictures(gaussians, cameras, BACKGROUNDS["black"], depth_mode)
+    pictures = gallery.pictures(gaussians, cameras, BACKGROUND_COLORS["black"], depth_mode)
     return _score_depths((picture.depth for picture in pictures), frames, truth)
 
 

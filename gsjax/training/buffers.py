@@ -30,7 +30,7 @@ def bucket(count: int, most: int) -> int:
     return rows
 
 
-def lengthened(state: TrainState, optimizer: optax.GradientTransformation, rows: int) -> TrainState:
+def lengthen(state: TrainState, optimizer: optax.GradientTransformation, rows: int) -> TrainState:
     """The same state in longer buffers; the new rows are free. With no more rows than now, the state itself."""
     extra = rows - state.gaussians.num_gaussians
     if extra <= 0:
@@ -55,7 +55,7 @@ def lengthened(state: TrainState, optimizer: optax.GradientTransformation, rows:
 
 @partial(jax.jit, static_argnames=("density", "budget"))
 def _wanted(state: TrainState, *, density: Density, budget: int) -> Array:
-    wanted = RULES[density.rule].wanted
+    wanted = RULES[density.rule].wanted_count
     return wanted(state.gaussians, state.statistics, density, step=state.step, budget=budget)
 
 
@@ -68,7 +68,7 @@ def with_room_to_densify(
     density: Density,
     most: int,
     *,
-    lengthen: Lengthen = lengthened,
+    lengthen: Lengthen = lengthen,
 ) -> TrainState:
     """The state in buffers that hold what the next densification makes of it, as far as `most` allows."""
     rows = state.gaussians.num_gaussians

@@ -6,7 +6,7 @@ from jax import Array
 from gsjax import render, targets
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
-from gsjax.targets import Views
+from gsjax.targets import Targets
 from rasterizer.engines import resolve
 
 GROWTH = 2.0  # how much longer the pair buffer is than needed while Gaussians multiply,
@@ -21,12 +21,12 @@ def headroom(*, grows: bool) -> float:
     return GROWTH if grows else STILL
 
 
-def largest_need(gaussians: Gaussians, data: Views) -> int:
+def largest_need(gaussians: Gaussians, data: Targets) -> int:
     """Pair capacity that serves every one of the views."""
-    return int(_largest_need(gaussians, targets.cameras(data)))
+    return int(_largest_need(gaussians, targets.stack_cameras(data)))
 
 
-def chosen_capacity(gaussians: Gaussians, data: Views, *, headroom: float = 1.25) -> int:
+def chosen_capacity(gaussians: Gaussians, data: Targets, *, headroom: float = 1.25) -> int:
     """Pair capacity that holds every view with room to grow; tighter than the buckets of the front door."""
     return rounded_capacity(largest_need(gaussians, data), headroom)
 

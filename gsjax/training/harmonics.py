@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import optax
 
 from gsjax import targets
-from gsjax.effects.model import Effects
+from gsjax.effects.simulation import Effects
 from gsjax.scene import Frame
 from gsjax.settings import Rates
 from gsjax.training import optimizers, trial
@@ -22,7 +22,7 @@ HURRY = 4.0  # times the rate of the constant band: enough for so few steps
 _STILL = 1e-12  # a rate that moves nothing
 
 
-def degrees_tried(
+def score_degrees(
     plan: Plan, phase: PlannedPhase, frames: Sequence[Frame], state: TrainState, extent: float, effects: Effects
 ) -> dict[int, float]:
     """PSNR of photos that were kept from the colours, by the degree of their harmonics.
@@ -45,21 +45,21 @@ def degrees_tried(
     optimizer = optimizers.make_optimizer(_of_colors(plan.rates), extent, 1)
     steps = max(1, min(STEPS, round(SHARE * plan.steps)))
     # At full size: at half of it splats are blurred otherwise, which colours by direction would learn to make up for.
-    shown, kept = trial.by_photo(targets.numbered(targets.views_of(frames, scale=phase.scale)))
+    shown, kept = trial.by_photo(targets.with_photo_numbers(targets.read_targets(frames, scale=phase.scale)))
     anew = replace(state.gaussians, sh_rest=jnp.zeros_like(state.gaussians.sh_rest))
     begun = replace(state, gaussians=anew, opt_state=optimizer.init(anew), tables={})
     # One program for all: its ramp opens a band every so many steps, and each degree starts where its own are open.
     weights = {each.name: each.weight for each in phase.terms}
-    make = trial.maker(plan, weights, optimizer, shown, effects=effects, sh_every=steps)
+    make = trial.step_factory(plan, weights, optimizer, shown, effects=effects, sh_every=steps)
 
     def psnr(degree: int) -> float:
         at = replace(begun, step=jnp.asarray(degree * steps, jnp.int32))
-        return trial.tried(make, at, shown, kept, steps, seed=plan.seed)[1]
+        return trial.run_trial(make, at, shown, kept, steps, seed=plan.seed)[1]
 
     return {degree: psnr(degree) for degree in range(state.gaussians.sh_degree + 1)}
 
 
-def smallest(found: dict[int, float]) -> int:
+def smallest_good_degree(found: dict[int, float]) -> int:
     """The smallest degree within `MARGIN` of the best."""
     return min(degree for degree, psnr in found.items() if psnr >= max(found.values()) - MARGIN)
 
@@ -70,7 +70,7 @@ def _of_colors(rates: Rates) -> Rates:
     return replace(rates, **still, sh_dc=HURRY * rates.sh_dc, sh_rest=HURRY * rates.sh_dc, final_share=1.0)
 
 
-def cut(state: TrainState, optimizer: optax.GradientTransformation, degree: int) -> TrainState:
+def cut_bands(state: TrainState, optimizer: optax.GradientTransformation, degree: int) -> TrainState:
     """The state without the bands above a degree: not in the Gaussians, nor in the moments."""
     bands, before = (degree + 1) ** 2 - 1, state.gaussians.sh_rest.shape
 

@@ -13,11 +13,11 @@ import optax
 from jax import Array
 
 from gsjax import targets
-from gsjax.effects.model import Effects
+from gsjax.effects.simulation import Effects
 from gsjax.errors import InputError
 from gsjax.scene import Frame
 from gsjax.settings import Settings
-from gsjax.targets import Target, Views
+from gsjax.targets import Target, Targets
 from gsjax.training import buffers
 from gsjax.training.capacity import STILL, chosen_capacity, headroom, rounded_capacity
 from gsjax.training.growth import adaptive
@@ -34,7 +34,7 @@ NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
 REFRESHED_EVERY = 500  # steps between two tables of a term that has one (SuGaR)
 
 
-Feed = Callable[[Views, int, float], Callable[[int], Target]]
+Feed = Callable[[Targets, int, float], Callable[[int], Target]]
 """(photos, seed of their order, share of the device's memory) -> steps done -> what the next step compares with."""
 
 
@@ -67,7 +67,7 @@ def view_order(seed: int, step: int, num_views: int) -> int:
     return int(np.random.default_rng((seed, epoch)).permutation(num_views)[position])
 
 
-def one_view(data: Views, seed: int, view_share: float) -> Callable[[int], Target]:
+def one_view(data: Targets, seed: int, view_share: float) -> Callable[[int], Target]:
     """A `Feed` of one device: the view of each step in `view_order`, the next one on its way meanwhile.
 
     Where the views have neighbours, one of them stands beside each.
@@ -187,11 +187,11 @@ def with_tables(state: TrainState, plan: Plan) -> TrainState:
     return replace(state, tables=tables)
 
 
-def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
+def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Targets:
     """What the phase compares with."""
-    data = targets.views_of(work.frames, scale=phase.scale)
+    data = targets.read_targets(work.frames, scale=phase.scale)
     if work.effects:
-        data = targets.numbered(data)
+        data = targets.with_photo_numbers(data)
     if "normals" in phase.needs:
         data = targets.with_normals(data, work.prior(state))
     if "neighbor" in phase.needs:
@@ -203,7 +203,7 @@ def advance(
     compiled: Callable[[int], Callable[[S, Target, Array], tuple[S, Metrics]]],
     after: Callable[[int, S, Metrics, int], S],
     state: S,
-    data: Views,
+    data: Targets,
     steps: tuple[int, int],
     *,
     seed: int,
@@ -250,7 +250,7 @@ def advance(
     return state
 
 
-def _no_room(error: Exception, data: Views, capacity: int) -> Exception:
+def _no_room(error: Exception, data: Targets, capacity: int) -> Exception:
     """The one line for a device whose memory is full; any other error is a bug and stays what it is."""
     if "RESOURCE_EXHAUSTED" not in str(error):
         return error
@@ -262,7 +262,7 @@ def _no_room(error: Exception, data: Views, capacity: int) -> Exception:
 
 
 def _run_phase(
-    work: Work, phase: PlannedPhase, data: Views, state: TrainState, done: int, capacity: int | None
+    work: Work, phase: PlannedPhase, data: Targets, state: TrainState, done: int, capacity: int | None
 ) -> TrainState:
     plan, placement = work.plan, work.placement
     key = jax.random.key(plan.seed)
@@ -309,7 +309,7 @@ def _run_phase(
     )
 
 
-def _shown(terms: tuple[Weighed, ...], data: Views) -> tuple[Weighed, ...]:
+def _shown(terms: tuple[Weighed, ...], data: Targets) -> tuple[Weighed, ...]:
     """The terms that these photos can serve: without an alpha channel there is nothing to compare alphas with."""
     return terms if data.has_mattes else tuple(each for each in terms if each.name != "alpha")
 

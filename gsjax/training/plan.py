@@ -13,7 +13,7 @@ from gsjax.effects import transients
 from gsjax.errors import InputError
 from gsjax.settings import PLAIN, Density, Logging, Phase, Rates, Settings
 from gsjax.training.growth.rules import RULES, Rule
-from gsjax.training.terms import TERMS, Term, Weighed, needs, weighed
+from gsjax.training.terms import TERMS, Term, Weighed, needs, weigh_terms
 
 RATES = "means", "means_final", "sh_dc", "sh_rest", "opacities", "scales", "quats"
 """The fields of `Rates` that are rates."""
@@ -92,7 +92,7 @@ class Plan:
     def with_effects(self, names: Iterable[str]) -> Self:
         """The plan of a run that simulates these effects: masks of transients make growth wait."""
         growing = sum(phase.steps for phase in self.phases if phase.rule)
-        density = transients.patient(self.density, growing) if "transients" in names else self.density
+        density = transients.delay_growth(self.density, growing) if "transients" in names else self.density
         return replace(self, effects=tuple(names), density=density)
 
     def until(self, count: int) -> Self:
@@ -191,7 +191,7 @@ def plan(
 def _weighed(settings: Settings, phase: Phase, terms: Mapping[str, Term]) -> tuple[Weighed, ...]:
     """The terms of a phase; of plain 3DGS those of the image alone."""
     try:
-        wanted = weighed(phase.weights, terms)
+        wanted = weigh_terms(phase.weights, terms)
     except InputError as error:
         raise InputError(f"phases.{phase.name}.{error}") from error
     return tuple(each for each in wanted if each.name in PLAIN) if settings.vanilla else wanted

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
-from gsjax.effects import model
-from gsjax.effects.model import NO_EFFECTS, Effects, EffectState
+from gsjax.effects import simulation
+from gsjax.effects.simulation import NO_EFFECTS, Effects, EffectState
 from gsjax.gaussians import Gaussians
 from gsjax.settings import Density
 from gsjax.training import optimizers
@@ -46,7 +46,7 @@ def initial_state(
         optimizer.init(gaussians),  # pyright: ignore[reportArgumentType]
         rule.empty_statistics(gaussians.num_gaussians),
         jnp.zeros((), jnp.int32),
-        model.initial_state(effects),
+        simulation.initial_state(effects),
         dict(tables),
     )
 
@@ -64,7 +64,7 @@ def densify(
 ) -> TrainState:
     """Densify by the rule within `budget` Gaussians; moments follow their Gaussian, statistics start anew."""
     rule = RULES[density.rule]
-    count = rule.wanted(state.gaussians, state.statistics, density, step=state.step, budget=budget)
+    count = rule.wanted_count(state.gaussians, state.statistics, density, step=state.step, budget=budget)
     gaussians, moved = rule.densify(
         state.gaussians,
         state.statistics,

@@ -12,8 +12,8 @@ from jax import Array
 
 import rasterizer
 from gsjax import render, targets
-from gsjax.effects import model
-from gsjax.effects.model import NO_EFFECTS, Effects
+from gsjax.effects import simulation
+from gsjax.effects.simulation import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import masked_mean
 from gsjax.render import View
@@ -105,7 +105,7 @@ def make_train_step(
 
     Args:
         optimizer: Over `Gaussians`.
-        terms: Of the loss, see `gsjax.training.terms.weighed`.
+        terms: Of the loss, see `gsjax.training.terms.weigh_terms`.
         capacity: Of the pair buffer. A view that needs more leaves the state untouched and says so.
         background: Colour under the images.
         sh_every: Steps between the bands of the SH ramp.
@@ -122,26 +122,26 @@ def make_train_step(
 
     def objective(free: _Free, state: TrainState, batch: Batch, beside: Batch | None, color: Array, key: Array):
         gaussians, probe, numbers = free
-        batch = replace(batch, camera=model.aimed(effects, numbers, batch.camera, batch.photo))
+        batch = replace(batch, camera=simulation.move_camera(effects, numbers, batch.camera, batch.photo))
         view = render.view(
             gaussians,
             batch.camera,
             capacity=capacity,
-            background=model.behind(effects, numbers, batch.camera, color),
+            background=simulation.light_behind(effects, numbers, batch.camera, color),
             active_degree=state.step // sh_every,
             with_depth="depth" in needed,
             depth_mode=depth_mode,
             **({rule.probes: probe} if rule else {}),
         )
-        view = model.photographed(effects, numbers, view, batch, color)
-        batch, added = model.trusted(effects, numbers, view, batch)
+        view = simulation.photograph(effects, numbers, view, batch, color)
+        batch, added = simulation.mask_untrusted(effects, numbers, view, batch)
         pairs = view.splats.pairs
         if beside is not None:
-            beside = replace(beside, camera=model.aimed(effects, numbers, beside.camera, beside.photo))
-            neighbor = multi_view.rendered(gaussians, beside, capacity, depth_mode)
+            beside = replace(beside, camera=simulation.move_camera(effects, numbers, beside.camera, beside.photo))
+            neighbor = multi_view.render_neighbor(gaussians, beside, capacity, depth_mode)
             view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
         kept = {name: Kept(table, jax.random.fold_in(key, 2), extent) for name, table in state.tables.items()}
-        total, losses, mse = lost(terms, rule, gaussians, view, batch, kept)
+        total, losses, mse = weighted_loss(terms, rule, gaussians, view, batch, kept)
         total = total if added is None else total + added
         return total, (losses, mse, view.splats.projection, pairs)
 
@@ -165,7 +165,7 @@ def make_train_step(
             seen = in_photo(projection, target.size)
             distances = jnp.where(seen, projection.depths[0], 0) / extent
             statistics = rule.accumulate(statistics, gradients.probe, seen, distances, target.size)
-        looks = model.updated(effects, state.effects, gradients.numbers)
+        looks = simulation.update_effects(effects, state.effects, gradients.numbers)
         return TrainState(gaussians, opt_state, statistics, state.step + 1, looks, state.tables)
 
     step = guarded_step(differentiate, update, background)
@@ -178,7 +178,7 @@ def make_train_step(
     return train_step
 
 
-def lost(
+def weighted_loss(
     terms: Sequence[Weighed],
     rule: Rule | None,
     gaussians: Gaussians,
@@ -195,7 +195,7 @@ def lost(
     losses = {each.name: loss(each) for each in terms}
     total = sum(each.weight * losses[each.name] for each in terms)
     if rule:
-        total += rule.probed(view, batch)
+        total += rule.probe_loss(view, batch)
     mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
     return total, losses, mse
 

@@ -10,27 +10,27 @@ import numpy as np
 import optax
 
 from gsjax import targets
-from gsjax.effects.model import Effects
+from gsjax.effects.simulation import Effects
 from gsjax.scene import Frame
 from gsjax.settings import PLAIN
-from gsjax.targets import Target, Views
+from gsjax.targets import Target, Targets
 from gsjax.training.capacity import chosen_capacity
 from gsjax.training.loop import advance, kept_step
 from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep
-from gsjax.training.terms import weighed
+from gsjax.training.terms import weigh_terms
 
 SCALE = 2  # of the photos: trials look at smaller ones
 KEPT = 8  # One in so many photos, or blocks of pixels, is kept from a trial,
 BLOCKS = 16  # blocks across the longer side of a photo
 
 
-def tried(
+def run_trial(
     make: Callable[[int], TrainStep],
     state: TrainState,
-    shown: Views,
-    kept: Views,
+    shown: Targets,
+    kept: Targets,
     steps: int,
     *,
     seed: int,
@@ -39,7 +39,7 @@ def tried(
     """So many steps from a state, and how well they predict what they were not shown.
 
     Args:
-        make: Pair capacity -> the step of the trial, see `maker`.
+        make: Pair capacity -> the step of the trial, see `step_factory`.
         state: Where to start; it is left as it is.
         shown: What is trained on.
         kept: What is scored, before a step could learn from it. Sizes as in `shown`: one program serves both.
@@ -67,41 +67,41 @@ def tried(
     return end, float(np.mean(reported))
 
 
-def maker(
+def step_factory(
     plan: Plan,
     weights: Mapping[str, float],
     optimizer: optax.GradientTransformation,
-    data: Views,
+    data: Targets,
     *,
     effects: Effects,
     sh_every: int,
 ) -> Callable[[int], TrainStep]:
     """Pair capacity -> a step of the image alone: no term of the surface, no density control. Compiled once for all."""
-    image = weighed({name: weights.get(name, 0.0) for name in PLAIN if name != "alpha" or data.has_mattes})
+    image = weigh_terms({name: weights.get(name, 0.0) for name in PLAIN if name != "alpha" or data.has_mattes})
     options = {"background": BACKGROUNDS[plan.background], "sh_every": sh_every, "depth_mode": plan.depth_mode}
     return cache(lambda capacity: kept_step(optimizer, image, capacity=capacity, rule=None, effects=effects, **options))
 
 
-def small_views(frames: Sequence[Frame]) -> Views:
+def small_views(frames: Sequence[Frame]) -> Targets:
     """The photos as trials see them: smaller, where that leaves anything, each told which it is."""
     smallest = min(min(frame.width, frame.height) for frame in frames)
-    data = targets.views_of(frames, scale=SCALE if smallest >= SCALE * BLOCKS else 1)
-    return targets.numbered(data)
+    data = targets.read_targets(frames, scale=SCALE if smallest >= SCALE * BLOCKS else 1)
+    return targets.with_photo_numbers(data)
 
 
-def by_photo(data: Views) -> tuple[Views, Views]:
+def by_photo(data: Targets) -> tuple[Targets, Targets]:
     """All but every `KEPT`-th photo, and those; of few photos the last alone is kept."""
     kept = [index % KEPT == KEPT // 2 for index in range(data.num_views)]
     kept[-1] |= not any(kept)
     return tuple(
-        Views(tuple(t for t, is_kept in zip(data.targets, kept, strict=True) if is_kept == side))
+        Targets(tuple(t for t, is_kept in zip(data.targets, kept, strict=True) if is_kept == side))
         for side in (False, True)
     )  # pyright: ignore[reportReturnType]
 
 
-def by_block(data: Views) -> tuple[Views, Views]:
+def by_block(data: Targets) -> tuple[Targets, Targets]:
     """All photos without every `KEPT`-th of their square blocks, and with these alone."""
-    return tuple(Views(tuple(_with_blocks(t, kept=side) for t in data.targets)) for side in (False, True))  # pyright: ignore[reportReturnType]
+    return tuple(Targets(tuple(_with_blocks(t, kept=side) for t in data.targets)) for side in (False, True))  # pyright: ignore[reportReturnType]
 
 
 def _with_blocks(target: Target, *, kept: bool) -> Target:

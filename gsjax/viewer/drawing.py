@@ -90,14 +90,14 @@ def _too_much(size: tuple[int, int]) -> InputError:
     return InputError(f"there is no room for what this view shows at {size[0]}x{size[1]}; step back or draw it smaller")
 
 
-def bare(background: np.ndarray, camera: Camera) -> np.ndarray:
+def bare_background(background: np.ndarray, camera: Camera) -> np.ndarray:
     """`[H, W, 3]` float32 0..1: what a camera sees where there are no Gaussians."""
     camera = Camera(jnp.asarray(camera.viewmat), jnp.asarray(camera.K), camera.width, camera.height)
     seen = _behind(jnp.asarray(background, jnp.float32), camera)
     return np.broadcast_to(np.clip(np.asarray(seen), 0, 1), (camera.height, camera.width, 3))
 
 
-_needed, _behind = jax.jit(render.needed_capacity), jax.jit(backdrop.behind)
+_needed, _behind = jax.jit(render.needed_capacity), jax.jit(backdrop.color_behind)
 
 
 @partial(jax.jit, static_argnames=("capacity", "with_surface", "depth_mode"))
@@ -110,7 +110,7 @@ def _drawn(
     with_surface: bool,
     depth_mode: DepthReading,
 ) -> tuple[Drawing, jax.Array]:
-    under = backdrop.behind(background, camera)
+    under = backdrop.color_behind(background, camera)
     view = render.view(
         gaussians, camera, capacity=capacity, background=under, with_depth=with_surface, depth_mode=depth_mode
     )

@@ -18,7 +18,7 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.report.pictures import to_bytes
 from gsjax.viewer.desk import Desk, Order
-from gsjax.viewer.drawing import bare
+from gsjax.viewer.drawing import bare_background
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera, picture_size
 from gsjax.viewer.pictures import Pictures
 from gsjax.viewer.same_origin import own_pages_alone
@@ -187,7 +187,7 @@ class Page:
             behind = camera_of(order.camera, picture_size(order.camera, BEHIND_SIDE))
             if order.is_full and behind is not None:
                 self._say(self._line)
-                _send(client, to_bytes(bare(self._background, behind)), "png")
+                _send(client, to_bytes(bare_background(self._background, behind)), "png")
             return
         self._scenery.hide_splats()
         longest = int(self.switches[SIDE].value) // (1 if order.is_full else COARSER)

@@ -12,7 +12,7 @@ from gsjax.gaussians import Gaussians
 from gsjax.io.gaussian_files import FORMATS
 from gsjax.meshing.export import SUFFIXES, read_mesh
 from gsjax.render import DepthReading
-from gsjax.runs.result import BACKGROUNDS, Result, frame_camera, open_result, scene_of_run
+from gsjax.runs.result import BACKGROUND_COLORS, Result, frame_camera, open_result, scene_of_run
 from gsjax.runs.viewpoints import opaque_middle
 from gsjax.scene import Frame, Scene
 from gsjax.similarity import IDENTITY, Similarity, of_points
@@ -34,7 +34,7 @@ class Subject:
     photos: Mapping[str, Frame] = field(default_factory=dict)  # those that are at hand
     mesh: Path | None = None
     background: np.ndarray = field(
-        default_factory=lambda: BACKGROUNDS["black"]
+        default_factory=lambda: BACKGROUND_COLORS["black"]
     )  # [3] or SH, see `gsjax.render.backdrop`
     depth_mode: DepthReading = "plane"
     similarity: Similarity = IDENTITY  # to all of this, which is local, from the mesh in its file
@@ -88,7 +88,7 @@ def subject_of_scene(name: str, scene: Scene, background: str, depth_mode: Depth
         **_seen_from(list(cameras.values()), middle),
         cameras=cameras,
         photos={frame.name: frame for frame in scene.frames},
-        background=BACKGROUNDS[background],
+        background=BACKGROUND_COLORS[background],
         depth_mode=depth_mode,
     )
 

@@ -7,7 +7,7 @@ import pytest
 from photographed_wall import wall, written
 
 from gsjax.errors import InputError
-from gsjax.io.normals import normal_maps
+from gsjax.io.normal_maps import normal_maps
 from gsjax.io.scenes import load_scene
 
 

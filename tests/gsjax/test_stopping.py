@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import pytest
 
-from gsjax.cli import environment, guarded
+from gsjax.cli import environment, run_guarded
 from gsjax.cli.stopping import AGAIN, Stopping
 
 SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143}
@@ -63,7 +63,7 @@ def where_another_is_made_of_it(number):
     "work", [in_the_garbage_collector, in_a_finalizer, where_all_is_caught, where_another_is_made_of_it]
 )
 def test_what_loses_the_exception_does_not_lose_the_signal(work, number, capsys):
-    assert guarded(lambda: work(number)) == SIGNALS[number]
+    assert run_guarded(lambda: work(number)) == SIGNALS[number]
     told = {signal.SIGINT: "gsjax: interrupted\n", signal.SIGTERM: "gsjax: asked to end\n"}
     assert capsys.readouterr().err == told[number]
 
@@ -82,12 +82,12 @@ def test_what_cleans_up_is_left_to_finish_and_is_not_asked_twice():
             signal.raise_signal(signal.SIGINT)
             cleaned.append(True)
 
-    assert guarded(work) == 143
+    assert run_guarded(work) == 143
     assert cleaned == [True]
 
 
 def test_what_is_done_when_the_signal_comes_is_done():
-    assert guarded(lambda: None) == 0
+    assert run_guarded(lambda: None) == 0
     with Stopping() as stopping:
         pass
     stopping._raise(signal.SIGTERM, None)  # as between the end of the work and the return of the signals
@@ -95,17 +95,17 @@ def test_what_is_done_when_the_signal_comes_is_done():
 
 
 def test_an_alarm_of_others_asks_nothing():
-    assert guarded(lambda: signal.raise_signal(signal.SIGALRM)) == 0
+    assert run_guarded(lambda: signal.raise_signal(signal.SIGALRM)) == 0
 
 
 def test_signals_are_given_back_and_ignored_ones_stay_ignored():
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        assert guarded(lambda: signal.raise_signal(signal.SIGINT)) == 0
+        assert run_guarded(lambda: signal.raise_signal(signal.SIGINT)) == 0
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGINT, before)
     handlers = [signal.getsignal(number) for number in (*SIGNALS, signal.SIGALRM)]
-    assert guarded(lambda: signal.raise_signal(signal.SIGTERM)) == 143
+    assert run_guarded(lambda: signal.raise_signal(signal.SIGTERM)) == 143
     assert [signal.getsignal(number) for number in (*SIGNALS, signal.SIGALRM)] == handlers
     assert signal.getitimer(signal.ITIMER_REAL) == (0, 0)

@@ -26,7 +26,7 @@ def frame(width, height, *, matte=None, valid=None, name="a.png"):
 
 def test_mixed_sizes_are_padded_right_and_below_and_the_padding_is_invalid():
     frames = (frame(12, 6), frame(8, 10))
-    data = targets.views_of(frames)
+    data = targets.read_targets(frames)
     assert data.num_views == 2 and data.size == (12, 10) and not data.has_mattes
     wide, tall = (targets.batch(target, BLACK) for target in data.targets)
     assert_close(data.targets[0].image[:6], frames[0].pixels().image)
@@ -39,10 +39,10 @@ def test_mixed_sizes_are_padded_right_and_below_and_the_padding_is_invalid():
 
 def test_what_photos_lack_is_not_stored_and_a_whole_photo_is_not_copied():
     photo = frame(12, 6)
-    (target,) = targets.views_of((photo,)).targets
+    (target,) = targets.read_targets((photo,)).targets
     assert target.valid is None and target.matte is None and target.normals is None
     assert target.image is photo.pixels().image
-    assert targets.views_of((photo, photo)).num_bytes == 2 * (12 * 6 * 3 + 16 * 4 + 9 * 4 + 2 * 4)
+    assert targets.read_targets((photo, photo)).num_bytes == 2 * (12 * 6 * 3 + 16 * 4 + 9 * 4 + 2 * 4)
 
 
 def test_the_loss_of_a_padded_photo_is_that_of_the_photo_alone():
@@ -54,15 +54,15 @@ def test_the_loss_of_a_padded_photo_is_that_of_the_photo_alone():
         view = View(colors, colors[..., 0], None, None)
         return losses.l1(None, view, batch), losses.dssim(None, view, batch)
 
-    alone = targets.batch(targets.views_of((small,)).targets[0], BLACK)
-    padded = targets.batch(targets.views_of((large, small)).targets[1], BLACK)
+    alone = targets.batch(targets.read_targets((small,)).targets[0], BLACK)
+    padded = targets.batch(targets.read_targets((large, small)).targets[1], BLACK)
     assert padded.image.shape == (18, 16, 3)
     assert_close(terms(padded, rendered), terms(alone, rendered[:14, :12]))
 
 
 def test_reduction_is_the_mean_over_blocks_and_scales_the_camera():
     photo = frame(9, 6)
-    data = targets.views_of((photo,), scale=2)
+    data = targets.read_targets((photo,), scale=2)
     blocks = photo.pixels().image[:6, :8].astype(np.float64).reshape(3, 2, 4, 2, 3).mean((1, 3))
     assert data.size == (4, 3)
     assert_close(data.targets[0].image, np.rint(blocks).astype(np.uint8))
@@ -72,7 +72,7 @@ def test_reduction_is_the_mean_over_blocks_and_scales_the_camera():
 
 def test_a_reduction_that_leaves_no_pixel_is_one_line():
     with pytest.raises(InputError, match="image_scale=8: nothing is left of a photo of 9x6 pixels"):
-        targets.views_of((frame(9, 6),), scale=8)
+        targets.read_targets((frame(9, 6),), scale=8)
 
 
 def test_what_transparent_or_invalid_pixels_hold_does_not_bleed_into_a_reduced_photo():
@@ -84,19 +84,19 @@ def test_what_transparent_or_invalid_pixels_hold_does_not_bleed_into_a_reduced_p
         shown = photo.pixels()
         poisoned = with_pixels(photo, shown._replace(image=np.where(coverage[..., None] > 0, shown.image, 255)))
         assert_close(
-            targets.views_of((poisoned,), scale=2).targets[0].image[:, :1],
-            targets.views_of((photo,), scale=2).targets[0].image[:, :1],
+            targets.read_targets((poisoned,), scale=2).targets[0].image[:, :1],
+            targets.read_targets((photo,), scale=2).targets[0].image[:, :1],
         )
     weights = coverage[:2, :2, None] / 255
     expected = np.rint((photo.pixels().image[:2, :2] * weights).sum((0, 1)) / weights.sum((0, 1)))
-    assert_close(targets.views_of((photo,), scale=2).targets[0].image[0, 0], expected.astype(np.uint8))
+    assert_close(targets.read_targets((photo,), scale=2).targets[0].image[0, 0], expected.astype(np.uint8))
 
 
 def test_mattes_lay_the_photo_over_the_background():
     matte = RNG.integers(0, 256, (5, 7), dtype=np.uint8)
     photo = frame(7, 5, matte=matte)
     background = np.array([0.2, 0.5, 0.9])
-    batch = targets.batch(targets.views_of((photo,)).targets[0], jnp.asarray(background, jnp.float32))
+    batch = targets.batch(targets.read_targets((photo,)).targets[0], jnp.asarray(background, jnp.float32))
     a = matte[..., None] / 255
     assert_close(batch.image, photo.pixels().image / 255 * a + (1 - a) * background)
     assert_close(batch.matte, matte / 255)
@@ -104,7 +104,7 @@ def test_mattes_lay_the_photo_over_the_background():
 
 def test_a_photo_without_a_matte_among_others_is_opaque():
     photos = (frame(7, 5, matte=np.zeros((5, 7), np.uint8)), frame(7, 5))
-    absent, opaque = (targets.batch(target, WHITE).image for target in targets.views_of(photos).targets)
+    absent, opaque = (targets.batch(target, WHITE).image for target in targets.read_targets(photos).targets)
     assert_close(absent, np.ones((5, 7, 3)))
     assert_close(opaque, photos[1].pixels().image / 255)
 
@@ -113,13 +113,13 @@ def test_a_photo_without_a_matte_among_others_is_opaque():
 def test_masks_decide_what_is_valid(scale):
     mask = np.zeros((4, 6), np.uint8)
     mask[:, :2], mask[0, 2:4] = 255, 255  # whole, and half a block
-    (target,) = targets.views_of((frame(6, 4, valid=mask),), scale=scale).targets
+    (target,) = targets.read_targets((frame(6, 4, valid=mask),), scale=scale).targets
     majority = mask > 0 if scale == 1 else np.array([[1, 1, 0], [1, 0, 0]], bool)
     assert_close(targets.batch(target, BLACK).valid, majority)
 
 
 def test_normal_maps_are_padded_with_nothing_and_read_back_in_float32():
-    data = targets.views_of((frame(6, 4), frame(4, 3)))
+    data = targets.read_targets((frame(6, 4), frame(4, 3)))
     maps = [RNG.integers(-127, 128, (4, 6, 3), np.int8), RNG.integers(-127, 128, (3, 4, 3), np.int8)]
     batch = targets.batch(targets.with_normals(data, maps).targets[1], BLACK)
     assert batch.normals.dtype == jnp.float32
@@ -130,7 +130,9 @@ def test_normal_maps_are_padded_with_nothing_and_read_back_in_float32():
 
 @pytest.mark.parametrize("room", [0, 1 << 20])
 def test_targets_reach_the_device_with_the_same_bits_in_any_order(room):
-    data = targets.views_of(tuple(frame(6, 4, matte=RNG.integers(0, 256, (4, 6), dtype=np.uint8)) for _ in range(4)))
+    data = targets.read_targets(
+        tuple(frame(6, 4, matte=RNG.integers(0, 256, (4, 6), dtype=np.uint8)) for _ in range(4))
+    )
     view, order = targets.feed(data, room=room), [2, 0, 0, 3, 1, 2]
     for index, following in zip(order, [*order[1:], 1], strict=True):
         (fed,) = view([index], [following])
@@ -139,7 +141,7 @@ def test_targets_reach_the_device_with_the_same_bits_in_any_order(room):
 
 
 def test_what_does_not_fit_is_sent_one_view_ahead_and_not_kept(monkeypatch):
-    data = targets.views_of(tuple(frame(6, 4) for _ in range(3)))
+    data = targets.read_targets(tuple(frame(6, 4) for _ in range(3)))
     sent, put = [], jax.device_put
 
     def noted(target):

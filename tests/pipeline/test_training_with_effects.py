@@ -90,10 +90,12 @@ def test_a_run_goes_on_with_fewer_harmonics_and_they_are_nowhere(run, scene, tmp
     """Stopped where they are tried again, and where not: it ends with the bits of the run that was not stopped."""
     settings = config.parse(Settings, {**SETTINGS, "effects": "sh_degree"})
     with monkeypatch.context() as patched:
-        patched.setattr(harmonics, "smallest", max)  # Where all are needed, that they were tried leaves no trace.
+        patched.setattr(
+            harmonics, "smallest_good_degree", max
+        )  # Where all are needed, that they were tried leaves no trace.
         pipeline.train(scene, tmp_path / "all", settings)
     assert (tmp_path / "all/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
-    monkeypatch.setattr(harmonics, "smallest", min)
+    monkeypatch.setattr(harmonics, "smallest_good_degree", min)
     whole = tmp_path / "whole"
     pipeline.train(scene, whole, settings)
     found = json_files.read(whole / "manifest.json")["harmonics"]

@@ -25,7 +25,7 @@ def projected(gaussians, camera, depth_mode):
 
 def drawn(projection, opacities, colors, camera):
     splats = render.binned(projection, opacities, camera, PAIRS)
-    view = render.shown(splats, colors, jnp.ones(3), reading="plane")
+    view = render.view_splats(splats, colors, jnp.ones(3), reading="plane")
     return view.colors, view.depth
 
 

@@ -47,7 +47,7 @@ def fitted(frames, num_devices, *, settings=SETTINGS, state=None, capacity=None)
     told = []
 
     def observe(progress):
-        told.append(progress._replace(state=sharding.gathered(progress.state, mesh)))
+        told.append(progress._replace(state=sharding.gather_rows(progress.state, mesh)))
 
     if state is None:
         state = initial_state(cloud(ALIVE, capacity=CAPACITY, seed=1), OPTIMIZER, RULES[settings.density.rule])
@@ -61,8 +61,8 @@ def fitted(frames, num_devices, *, settings=SETTINGS, state=None, capacity=None)
         observe,
         placement=several.placement(mesh, VIEWS),
     )
-    final = follow(work, sharding.dealt(state, mesh), capacity)
-    return SimpleNamespace(final=sharding.gathered(final, mesh), told=told)
+    final = follow(work, sharding.deal_rows(state, mesh), capacity)
+    return SimpleNamespace(final=sharding.gather_rows(final, mesh), told=told)
 
 
 @pytest.fixture(scope="module")
@@ -97,20 +97,20 @@ def test_a_densification_by_rows_is_that_of_one_device(rule):
     density = Density(rule=rule, start=0, stop=2, every=2, gradient=0.2, dense_share=0.25, max_share=9.0)
     arguments = jax.random.key(1), jnp.float32(EXTENT), jnp.asarray(False)
     how = {"optimizer": OPTIMIZER, "density": density, "budget": CAPACITY}
-    by_rows = sharded_density.densify(sharding.dealt(state, mesh), *arguments, mesh=mesh, **how)
+    by_rows = sharded_density.densify(sharding.deal_rows(state, mesh), *arguments, mesh=mesh, **how)
     alive = [
         int((part > 0.5 * DEAD_LOGIT).sum()) for part in np.split(np.asarray(by_rows.gaussians.logit_opacities), 4)
     ]
     assert max(alive) - min(alive) <= 1 and sum(alive) > ALIVE
     expected = densify(state, *arguments, **how)
-    jax.tree.map(np.testing.assert_array_equal, sharding.gathered(by_rows, mesh), jax.tree.map(np.asarray, expected))
+    jax.tree.map(np.testing.assert_array_equal, sharding.gather_rows(by_rows, mesh), jax.tree.map(np.asarray, expected))
 
 
 def test_buffers_grow_by_rows_as_on_one_device():
     mesh = sharding.mesh_of(jax.devices()[:4])
     state = initial_state(cloud(ALIVE, capacity=32, seed=1), OPTIMIZER, RULES["error"])
     density = Density(rule="error", start=0, stop=2, every=2)
-    by_rows = sharded_density.with_room_to_densify(sharding.dealt(state, mesh), OPTIMIZER, density, 48, mesh=mesh)
+    by_rows = sharded_density.with_room_to_densify(sharding.deal_rows(state, mesh), OPTIMIZER, density, 48, mesh=mesh)
     expected = with_room_to_densify(state, OPTIMIZER, density, 48)
     assert expected.gaussians.num_gaussians == 48
-    jax.tree.map(np.testing.assert_array_equal, sharding.gathered(by_rows, mesh), jax.tree.map(np.asarray, expected))
+    jax.tree.map(np.testing.assert_array_equal, sharding.gather_rows(by_rows, mesh), jax.tree.map(np.asarray, expected))

@@ -20,7 +20,7 @@ from gsjax.training.sharded import layout as sharding
 from gsjax.training.sharded.step import make_sharded_step
 from gsjax.training.state import initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
-from gsjax.training.terms import weighed
+from gsjax.training.terms import weigh_terms
 
 ALIVE, ROWS, PAIRS, SPLATS = 60, 64, 4096, 32
 SIZE = (32, 24)
@@ -35,14 +35,16 @@ RECORDER = optax.GradientTransformation(
 )
 """An optimiser that moves nothing and keeps the gradient."""
 
-SURFACE = weighed(Weights(alpha=0.1, entropy=0.1, thickness=0.1, sdf_normal=0.2, pixel_normal=0.2, depth_normal=0.1))
-CASES = {"adc": (weighed(Weights(alpha=0.1)), 2), "error": (SURFACE, 4)}
+SURFACE = weigh_terms(
+    Weights(alpha=0.1, entropy=0.1, thickness=0.1, sdf_normal=0.2, pixel_normal=0.2, depth_normal=0.1)
+)
+CASES = {"adc": (weigh_terms(Weights(alpha=0.1)), 2), "error": (SURFACE, 4)}
 """The terms and the devices that a rule is tested with: two views for each, and a view for each with everything on."""
 
 
 @pytest.fixture(scope="module")
 def data():
-    found = targets.views_of(photographed(cloud(80, seed=5), CAMERAS, with_mattes=True))
+    found = targets.read_targets(photographed(cloud(80, seed=5), CAMERAS, with_mattes=True))
     normals = np.zeros((*SIZE[::-1], 3), np.int8)
     normals[..., 2] = -targets.NORMAL_UNIT
     return targets.with_normals(found, [normals] * 4)
@@ -93,8 +95,8 @@ def together(rule, gaussians, data, **more):
     mesh, step = several_devices(rule, **more)
     by_device = jax.NamedSharding(mesh, sharding.BY_ROWS)
     targets = jax.tree.map(lambda *leaves: jax.device_put(np.stack(leaves), by_device), *data.targets)
-    state, metrics, exchange = step(sharding.dealt(start(rule, gaussians), mesh), targets, KEY)
-    return sharding.gathered(state, mesh), jax.tree.map(np.asarray, metrics), jax.tree.map(np.asarray, exchange)
+    state, metrics, exchange = step(sharding.deal_rows(start(rule, gaussians), mesh), targets, KEY)
+    return sharding.gather_rows(state, mesh), jax.tree.map(np.asarray, metrics), jax.tree.map(np.asarray, exchange)
 
 
 def on_first_device_alone(rule):

@@ -124,7 +124,7 @@ def _built(
         "images": len(taken),
         "registered": model.num_reg_images(),
         "left_out": left_out,
-        "passed_over": shots.passed_over(folder),
+        "passed_over": shots.unused_files(folder),
         "points": model.num_points3D(),
         "mean_reprojection_error": model.compute_mean_reprojection_error(),
         "mean_track_length": model.compute_mean_track_length(),

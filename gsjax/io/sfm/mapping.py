@@ -14,10 +14,10 @@ from tqdm import tqdm
 from gsjax.errors import InputError
 from gsjax.io.colmap_writer import write_whole
 from gsjax.io.files import make_folder
-from gsjax.io.images import Image, opened
+from gsjax.io.images import Image, open_image
 from gsjax.io.packages import require
 from gsjax.io.sfm.features import Features, Region, along_lines, at_spots, match
-from gsjax.io.sfm.pairs import Pair, bridging_pairs, choose_pairs, likeliest
+from gsjax.io.sfm.pairs import Pair, bridging_pairs, choose_pairs, likeliest_pairs
 from gsjax.io.sfm.shots import Shot
 
 pycolmap = require("pycolmap", "pip install pycolmap")
@@ -59,7 +59,7 @@ def _guess(shot: Shot):
     """COLMAP's camera of a photo, by its EXIF."""
     with suppress(ValueError):  # Of formats that COLMAP does not read.
         return pycolmap.infer_camera_from_image(shot.path)
-    with tempfile.NamedTemporaryFile(suffix=".jpg") as blank, opened(shot.path) as picture:
+    with tempfile.NamedTemporaryFile(suffix=".jpg") as blank, open_image(shot.path) as picture:
         Image.new("L", picture.size).save(blank, "JPEG", exif=picture.getexif())
         blank.flush()
         return pycolmap.infer_camera_from_image(blank.name)
@@ -149,7 +149,7 @@ def map_photos(material: Material, workspace: Path, progress: Callable[..., tqdm
     model = max(models, key=lambda model: (model.num_reg_images(), model.num_points3D()))
     inside = _registered(model)
     outside = {photo for pair in geometries for photo in pair} - inside
-    more = likeliest(material.scores, outside, inside, tried) if outside else set()
+    more = likeliest_pairs(material.scores, outside, inside, tried) if outside else set()
     if more and (found := match_pairs(material, more, "matching the rest", progress)):
         write_whole(model, workspace / "largest")
         again = _map(material, geometries | found, workspace / "second", workspace / "largest", progress)

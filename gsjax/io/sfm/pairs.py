@@ -45,10 +45,10 @@ def choose_pairs(scores: np.ndarray) -> set[Pair]:
     """
     everything = range(len(scores))
     following = {(i, j) for i, j in combinations(everything, 2) if j - i <= _NEXT_BY_NAME}
-    return following | likeliest(scores, everything, everything, set())
+    return following | likeliest_pairs(scores, everything, everything, set())
 
 
-def likeliest(scores: np.ndarray, photos: Iterable[int], among: Iterable[int], tried: set[Pair]) -> set[Pair]:
+def likeliest_pairs(scores: np.ndarray, photos: Iterable[int], among: Iterable[int], tried: set[Pair]) -> set[Pair]:
     """For each of `photos` the pairs with those `among` others that are most like it, pairs `tried` left out."""
     among = np.fromiter(among, np.int64)
     chosen = set()
@@ -65,7 +65,7 @@ def bridging_pairs(scores: np.ndarray, matched: Iterable[Pair], tried: set[Pair]
     largest = np.bincount(parts).argmax()
     chosen = set()
     for part in np.unique(parts[parts != largest]):
-        chosen |= likeliest(scores, np.flatnonzero(parts == part).tolist(), np.flatnonzero(parts != part), tried)
+        chosen |= likeliest_pairs(scores, np.flatnonzero(parts == part).tolist(), np.flatnonzero(parts != part), tried)
     return chosen
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.images import SUFFIXES, cv2, image_size, opened, read_image, read_mask, same_shape
+from gsjax.io.images import SUFFIXES, cv2, image_size, open_image, read_image, read_mask, same_shape
 from gsjax.io.mask_folders import masks_in
 from gsjax.io.photos import says_nothing
 
@@ -94,7 +94,7 @@ def list_shots(folder: Path) -> list[Shot]:
     return [_shot(file, name, masks.get(name)) for name, file in photos.items()]
 
 
-def passed_over(folder: Path) -> dict[str, str]:
+def unused_files(folder: Path) -> dict[str, str]:
     """The other files of a folder of photos, by name, and why they are not taken; hidden ones do not count."""
     root = _photo_folder(folder)
     others = [file for file in _files(root) if not _is_photo(file)]
@@ -151,7 +151,7 @@ def _shot(path: Path, name: str, mask_path: Path | None) -> Shot:
 
 def _exif(path: Path) -> tuple[str, str, str, int]:
     """Make, model, focal lengths and orientation; empty, and 1, where the file does not say."""
-    with opened(path) as picture:
+    with open_image(path) as picture:
         try:
             tags = picture.getexif()
             details = tags.get_ifd(_DETAILS)

@@ -82,7 +82,9 @@ def accumulate(
     )
 
 
-def wanted(gaussians: Gaussians, statistics: GrowthStatistics, density: Density, *, step: Array, budget: int) -> Array:
+def wanted_count(
+    gaussians: Gaussians, statistics: GrowthStatistics, density: Density, *, step: Array, budget: int
+) -> Array:
     """`[]` int32 Gaussians that the densification after this step asks for; within the budget it gets them."""
     del step, budget
     alive = is_alive(gaussians)

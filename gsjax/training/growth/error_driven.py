@@ -40,7 +40,7 @@ def empty_statistics(capacity: int) -> ErrorStatistics:
     return ErrorStatistics(*(jnp.zeros(capacity, jnp.float32) for _ in range(4)))
 
 
-def probed(view: View, batch: Batch) -> Array:
+def probe_loss(view: View, batch: Batch) -> Array:
     """`[]` zero, whose gradient to two channels of zeros is what each Gaussian has of the error and of the photo."""
     assert view.extra is not None, "the probe is rendered as two more channels"
     error = jnp.mean(jnp.abs(view.colors - batch.image), -1)
@@ -51,7 +51,7 @@ def probed(view: View, batch: Batch) -> Array:
 def accumulate(
     statistics: ErrorStatistics, shares: Array, visible: Array, distances: Array, size: Array
 ) -> ErrorStatistics:
-    """Add one view: the `[N, 2]` gradient of `probed`, less of what is nearer than a camera extent.
+    """Add one view: the `[N, 2]` gradient of `probe_loss`, less of what is nearer than a camera extent.
 
     There the pixels of one photo are so many that whatever floats before it would outbid all that others see as well:
     they count by the area that they cover in the scene (as gradients do in Pixel-GS, Zhang et al. 2024).
@@ -66,7 +66,9 @@ def accumulate(
     )
 
 
-def wanted(gaussians: Gaussians, statistics: ErrorStatistics, density: Density, *, step: Array, budget: int) -> Array:
+def wanted_count(
+    gaussians: Gaussians, statistics: ErrorStatistics, density: Density, *, step: Array, budget: int
+) -> Array:
     """`[]` int32 Gaussians after the densification of this step, on the way to the whole budget.
 
     The same factor in every densification fills it at `density.full_by` of the steps from `start` to `stop`. A scene
@@ -101,7 +103,7 @@ def densify(
         density: Thresholds.
         extent: Camera extent, scene units.
         prune_large: Whether size prunes; may be traced.
-        count: `[]` int32 Gaussians that there shall be, at most N; see `wanted`.
+        count: `[]` int32 Gaussians that there shall be, at most N; see `wanted_count`.
 
     Returns:
         The Gaussians and how rows moved, for the optimiser's moments: both halves of a split start with none.
@@ -135,14 +137,14 @@ def densify(
     logits = jnp.where(stays, gaussians.logit_opacities, DEAD_LOGIT)
     moved = take(replace(gaussians, logit_opacities=logits), source)
     is_half = is_child | is_parent
-    halves = split(moved, jnp.where(is_child, 1.0, -1.0))
+    halves = split_half(moved, jnp.where(is_child, 1.0, -1.0))
     densified = jax.tree.map(
         lambda half, whole: jnp.where(is_half.reshape(-1, *[1] * (whole.ndim - 1)), half, whole), halves, moved
     )
     return densified, Moves(source, is_half | ~is_alive(densified))
 
 
-def split(gaussians: Gaussians, side: Array) -> Gaussians:
+def split_half(gaussians: Gaussians, side: Array) -> Gaussians:
     """The half of each Gaussian on the `side` `[N]` (-1 or 1) of its longest axis.
 
     Both together have its mean and, without overlap, its covariance; and their opacity is the one with which a view

@@ -19,11 +19,11 @@ class Rule(NamedTuple):
     """
 
     probes: str  # the argument of `gsjax.render.view` that the probe is
-    probed: Callable[[View, Batch], Array | float]  # what is added to the loss for the probe's sake: zero
+    probe_loss: Callable[[View, Batch], Array | float]  # what is added to the loss for the probe's sake: zero
     empty_statistics: Callable[[int], Any]  # rows -> sums of nothing
     # (sums, gradient, `[N]` visible, `[N]` depths in camera extents, `[2]` size of the photo) -> sums
     accumulate: Callable[[Any, Array, Array, Array, Array], Any]
-    wanted: Callable[..., Array]  # how many there shall be, see `density_control.wanted`
+    wanted_count: Callable[..., Array]  # how many there shall be, see `density_control.wanted_count`
     densify: Callable[..., tuple[Gaussians, density_control.Moves]]  # see `density_control.densify`
 
 
@@ -33,15 +33,15 @@ RULES = {
         lambda view, batch: 0.0,
         density_control.empty_statistics,
         density_control.accumulate,
-        density_control.wanted,
+        density_control.wanted_count,
         density_control.densify,
     ),
     "error": Rule(
         "extra",
-        error_driven.probed,
+        error_driven.probe_loss,
         error_driven.empty_statistics,
         error_driven.accumulate,
-        error_driven.wanted,
+        error_driven.wanted_count,
         error_driven.densify,
     ),
 }

@@ -19,7 +19,7 @@ from jax.sharding import Mesh
 from gsjax.settings import Density
 from gsjax.training import buffers, optimizers, state
 from gsjax.training.growth.rules import RULES
-from gsjax.training.sharded.layout import all_rows, fetched, on_shards, own_rows
+from gsjax.training.sharded.layout import all_rows, fetch_rows, on_shards, own_rows
 from gsjax.training.state import TrainState
 
 
@@ -42,7 +42,7 @@ def densify(
         own = state.gaussians
         outlines = all_rows(replace(own, sh_dc=own.sh_dc[:, :0], sh_rest=own.sh_rest[:, :0]))
         statistics = all_rows(state.statistics)
-        count = rule.wanted(outlines, statistics, density, step=state.step, budget=budget)
+        count = rule.wanted_count(outlines, statistics, density, step=state.step, budget=budget)
         decided = rule.densify(
             outlines,
             statistics,
@@ -53,7 +53,7 @@ def densify(
             count=count,
         )
         outlines, moved = own_rows(decided)
-        colors = fetched({"sh_dc": own.sh_dc, "sh_rest": own.sh_rest}, moved.source)
+        colors = fetch_rows({"sh_dc": own.sh_dc, "sh_rest": own.sh_rest}, moved.source)
         # What comes from another row has moments of its own: none.
         stay = jnp.arange(own.num_gaussians, dtype=jnp.int32)
         opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, stay, moved.fresh)
@@ -83,7 +83,7 @@ def with_room_to_densify(
     """`gsjax.training.buffers.with_room_to_densify` of a state by rows; the rows stay a multiple of the devices."""
 
     def lengthen(sharded: TrainState, optimizer: optax.GradientTransformation, total: int) -> TrainState:
-        of_shard = partial(buffers.lengthened, optimizer=optimizer, rows=-(-total // mesh.size))
+        of_shard = partial(buffers.lengthen, optimizer=optimizer, rows=-(-total // mesh.size))
         return jax.jit(partial(on_shards, of_shard, mesh))(sharded)
 
     return buffers.with_room_to_densify(sharded, optimizer, density, most, lengthen=lengthen)

@@ -37,7 +37,7 @@ def on_shards(f: Callable[..., T], mesh: Mesh, state: Any, *rest: Any) -> T:
     return jax.shard_map(f, mesh=mesh, in_specs=in_specs, out_specs=specs(state), check_vma=False)(state, *rest)
 
 
-def dealt(state: T, mesh: Mesh) -> T:
+def deal_rows(state: T, mesh: Mesh) -> T:
     """A state of one device, its rows a multiple of the devices, on the mesh. Every process holds the same state."""
 
     def placed(leaf: Array) -> Array:
@@ -51,8 +51,8 @@ def dealt(state: T, mesh: Mesh) -> T:
     return jax.tree.map(placed, state)
 
 
-def gathered(state: T, mesh: Mesh) -> T:
-    """What `dealt` was given, numpy. All processes take part, and all get it."""
+def gather_rows(state: T, mesh: Mesh) -> T:
+    """What `deal_rows` was given, numpy. All processes take part, and all get it."""
 
     def whole(leaf: Array) -> np.ndarray:
         rows = np.asarray(leaf if leaf.is_fully_addressable else multihost_utils.process_allgather(leaf, tiled=True))
@@ -80,7 +80,7 @@ def own_rows(everyone: T) -> T:
     return jax.tree.map(lambda leaf: leaf.reshape(leaf.shape[0] // count, count, *leaf.shape[1:])[:, place], everyone)
 
 
-def fetched(own: T, source: Array) -> T:
+def fetch_rows(own: T, source: Array) -> T:
     """Inside `jax.shard_map`: rows by their numbers, whoever has them.
 
     The shards go round once, so no device ever holds more than two.

@@ -15,9 +15,9 @@ from jax.sharding import Mesh, NamedSharding
 import rasterizer
 from gsjax import render
 from gsjax.cameras import Camera
-from gsjax.effects.model import NO_EFFECTS, Effects
+from gsjax.effects.simulation import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
-from gsjax.targets import Target, Views
+from gsjax.targets import Target, Targets
 from gsjax.training.capacity import STILL, rounded_capacity
 from gsjax.training.loop import Placement, view_order
 from gsjax.training.sharded import growth as sharded_density
@@ -61,7 +61,7 @@ def placement(mesh: Mesh, views_per_step: int) -> Placement:
 
 
 def _stacked_views(
-    data: Views, seed: int, view_share: float, *, mesh: Mesh, views_per_step: int
+    data: Targets, seed: int, view_share: float, *, mesh: Mesh, views_per_step: int
 ) -> Callable[[int], Target]:
     """A `Feed`: the views that one device would take one by one, so many at a time, each on its device.
 
@@ -115,7 +115,7 @@ def _make_step(
     return train_step
 
 
-def _chosen_capacity(gaussians: Gaussians, data: Views, *, headroom: float, mesh: Mesh, room: Room) -> int:
+def _chosen_capacity(gaussians: Gaussians, data: Targets, *, headroom: float, mesh: Mesh, room: Room) -> int:
     """Pair capacity that holds every view with room to grow; the exchange gets its room too."""
     viewmats, Ks = (np.stack([getattr(target, name) for target in data.targets]) for name in ("viewmat", "K"))
     pairs, splats = _largest_needs(gaussians, Camera(viewmats, Ks, *data.size), mesh=mesh)

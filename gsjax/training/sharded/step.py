@@ -25,7 +25,7 @@ from gsjax.training import optimizers
 from gsjax.training.growth.rules import Rule
 from gsjax.training.sharded.layout import AXIS, BY_ROWS, EVERYWHERE, specs
 from gsjax.training.state import TrainState
-from gsjax.training.step import Background, Metrics, Outcome, guarded_step, in_decibels, in_photo, lost
+from gsjax.training.step import Background, Metrics, Outcome, guarded_step, in_decibels, in_photo, weighted_loss
 from gsjax.training.terms import Weighed, needs
 
 
@@ -108,9 +108,9 @@ def make_sharded_step(
         projection, opacities, features = unpack(rasterizer.exchange(rows, AXIS))
         splats = render.binned(projection, opacities, batch.camera, capacity)
         extra = features[:, -2:] if rule and rule.probes == "extra" else None
-        view = render.shown(splats, features[:, :3], color, reading=reading, extra=extra)
+        view = render.view_splats(splats, features[:, :3], color, reading=reading, extra=extra)
         shown = _shaped(features[:, 3:14]) if with_shapes else _Undeclared()
-        total, losses, mse = lost(terms, rule, shown, view, batch)  # pyright: ignore[reportArgumentType]
+        total, losses, mse = weighted_loss(terms, rule, shown, view, batch)  # pyright: ignore[reportArgumentType]
         return total, (_Seen(total, losses, in_decibels(mse), splats.pairs.needed, jnp.max(packed.needed)), packed)
 
     def counted(rule: Rule, statistics: Any, shares: Array, packed: rasterizer.Packed, sizes: Array):

@@ -95,7 +95,7 @@ TERMS: Mapping[str, Term] = {
 """The library's own: of the image (3DGS), of the paper (`sdf_normal` is its R), and those of other mesh makers."""
 
 
-def weighed(weights: Mapping[str, float], terms: Mapping[str, Term] = TERMS) -> tuple[Weighed, ...]:
+def weigh_terms(weights: Mapping[str, float], terms: Mapping[str, Term] = TERMS) -> tuple[Weighed, ...]:
     """The terms of non-zero weight, in the order of `terms`; only these are compiled.
 
     Raises:

@@ -68,7 +68,7 @@ def coverage(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     return masked_mean(1 - view.alphas, batch.valid & is_surface)
 
 
-def aligned(estimator: sdf.Estimator) -> Loss:
+def alignment_term(estimator: sdf.Estimator) -> Loss:
     """The term that aligns what an estimator composites with the normals (the paper's R, with its own estimator)."""
 
     def term(gaussians: Gaussians, view: View, batch: Batch) -> Array:
@@ -78,6 +78,6 @@ def aligned(estimator: sdf.Estimator) -> Loss:
     return term
 
 
-sdf_normal = aligned(sdf.sdf_gradient_map)
-pixel_normal = aligned(sdf.pixel_depth_map)
-axis_normal = aligned(sdf.smallest_axis_map)
+sdf_normal = alignment_term(sdf.sdf_gradient_map)
+pixel_normal = alignment_term(sdf.pixel_depth_map)
+axis_normal = alignment_term(sdf.smallest_axis_map)

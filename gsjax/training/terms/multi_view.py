@@ -19,7 +19,7 @@ from gsjax.measures.images import window_means
 from gsjax.numerics import masked_mean, safe_divide
 from gsjax.render import DepthReading, Neighbor, View, depth
 from gsjax.render.sampling import reads_within, sample_bilinear
-from gsjax.targets import Batch, Views
+from gsjax.targets import Batch, Targets
 
 NEAREST = 8  # views that a neighbour is drawn from (PGSR),
 WIDEST = 30.0  # degrees between their axes (PGSR),
@@ -116,11 +116,11 @@ def _in_front(point: Array) -> tuple[Array, Array]:
     return jnp.where(in_front, point, jnp.array([0, 0, 1], point.dtype)), in_front
 
 
-def rendered(gaussians: Gaussians, beside: Batch, capacity: int, depth_mode: DepthReading) -> Neighbor:
+def render_neighbor(gaussians: Gaussians, beside: Batch, capacity: int, depth_mode: DepthReading) -> Neighbor:
     """What the terms need of the second view."""
     splats = render.splat(gaussians, beside.camera, capacity, depth_mode=render.of_each(depth_mode))
     front = render.IN_FRONT.get(depth_mode)
-    found = render.front_depth(splats, front) if front else depth.expected(splats)[0]
+    found = render.front_depth(splats, front) if front else depth.expected_depth(splats)[0]
     return Neighbor(beside.camera, found, splats.pairs, beside.image, beside.valid)
 
 
@@ -129,17 +129,17 @@ def drawn_beside(neighbors: np.ndarray, seed: int, step: int) -> int:
     return int(np.random.default_rng((seed, step, 1)).choice(neighbors))
 
 
-def with_neighbors(views: Views, extent: float) -> Views:
+def with_neighbors(views: Targets, extent: float) -> Targets:
     """The same views, each with its `NEAREST` neighbours; where there are fewer, they repeat.
 
     Args:
         views: The photos.
         extent: Camera extent, scene units.
     """
-    return replace(views, neighbors=nearest(np.stack([target.viewmat for target in views.targets]), extent))
+    return replace(views, neighbors=nearest_views(np.stack([target.viewmat for target in views.targets]), extent))
 
 
-def nearest(viewmats: np.ndarray, extent: float) -> np.ndarray:
+def nearest_views(viewmats: np.ndarray, extent: float) -> np.ndarray:
     """`[V, NEAREST]` indices of each view's neighbours among `[V, 4, 4]` viewmats, the nearest first, repeated.
 
     Neighbours look the same way to within `WIDEST` and stand `APART`. A view without any is its own neighbour: its

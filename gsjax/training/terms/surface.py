@@ -32,7 +32,7 @@ def distortion(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     assert view.depth is not None, "the term reads the rendered depth"
     here = jax.lax.stop_gradient(view.depth)
     covered = batch.valid & (here > 0)
-    first, second = depth.moments(view.splats, masked_mean(here, here > 0))
+    first, second = depth.depth_moments(view.splats, masked_mean(here, here > 0))
     spread = view.alphas * second - first * first
     return masked_mean(safe_divide(spread, here * here, covered), covered)
 

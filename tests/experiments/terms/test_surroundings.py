@@ -12,7 +12,7 @@ from terms import TERMS, surroundings
 
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
 from gsjax.training import loop
-from gsjax.training.buffers import lengthened
+from gsjax.training.buffers import lengthen
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
 from gsjax.training.state import initial_state
@@ -108,6 +108,6 @@ def test_other_gaussians_ask_for_another_table():
 
 
 def test_longer_buffers_have_a_row_of_the_table_each():
-    longer = table(lengthened(start(), OPTIMIZER, ROWS + 9))
+    longer = table(lengthen(start(), OPTIMIZER, ROWS + 9))
     np.testing.assert_array_equal(longer[:ROWS], surroundings.none_yet(ROWS))
     assert longer.shape == (ROWS + 9, surroundings.NEAREST)

@@ -75,7 +75,7 @@ def test_distance_to_the_open_table_is_the_height():
 
 
 def test_normals_equal_central_differences(surface):
-    points, _, _ = true_surface.samples(surface, 2_000, 100, seed=0)
+    points, _, _ = true_surface.sample_points(surface, 2_000, 100, seed=0)
     with jax.enable_x64(True):
         sdf = jax.vmap(solids.scene_sdf)
         steps = 1e-6 * np.eye(3)
@@ -252,7 +252,7 @@ def test_the_mesh_is_closed_outward_and_on_the_surface(surface):
 
 
 def test_samples_are_spread_evenly_and_exactly_on_the_surface(surface):
-    points, normals, on_table = true_surface.samples(surface, 5_000, 20_000, seed=0)
+    points, normals, on_table = true_surface.sample_points(surface, 5_000, 20_000, seed=0)
     assert np.abs(SDF(points)).max() < 1e-4
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
     table, up, solids = points[on_table], normals[on_table], points[~on_table]

@@ -62,7 +62,7 @@ def scene():
         for i, (c, p) in enumerate(zip(cameras, photos, strict=True))
     )
     return SimpleNamespace(
-        truth=truth, rough=rough, frames=frames, data=targets.views_of(frames), graph=mesh_graph(truth.faces)
+        truth=truth, rough=rough, frames=frames, data=targets.read_targets(frames), graph=mesh_graph(truth.faces)
     )
 
 
@@ -288,7 +288,7 @@ def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):
     monkeypatch.setattr(refining, "make_refine_step", make_refine_step)
     state, optimizer = started(scene)
     solid = tuple(with_pixels(f, f.pixels()._replace(matte=np.full((48, 48), 255, np.uint8))) for f in scene.frames)
-    for data in (scene.data, targets.views_of(solid)):
+    for data in (scene.data, targets.read_targets(solid)):
         refining.refine(
             replace(SETTINGS, steps=1),
             scene.graph,

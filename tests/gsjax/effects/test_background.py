@@ -34,25 +34,25 @@ def rays(camera):
 
 
 def test_a_sky_is_a_function_of_the_direction_in_the_world():
-    coefficients = backdrop.constant(np.array([0.2, 0.5, 0.9]), 4)
+    coefficients = backdrop.constant_coefficients(np.array([0.2, 0.5, 0.9]), 4)
     coefficients[1:4] = np.random.default_rng(0).normal(size=(3, 3)) * 0.1
     x, y, z = np.moveaxis(rays(CAMERA), -1, 0)[..., None]
     expected = np.array([0.2, 0.5, 0.9]) + C1 * (-y * coefficients[1] + z * coefficients[2] - x * coefficients[3])
-    found = backdrop.behind(jnp.asarray(coefficients), CAMERA)
+    found = backdrop.color_behind(jnp.asarray(coefficients), CAMERA)
     assert_close(found, np.float32(expected), atol=1e-6, rtol=0, why="sums of single numbers")
 
 
 def test_one_colour_is_three_numbers():
-    assert_close(backdrop.behind(jnp.asarray(backdrop.constant(np.array([0.2, 0.5, 0.9]), 0)), CAMERA),
-                 np.float32([0.2, 0.5, 0.9]))  # fmt: skip
+    one = np.array([0.2, 0.5, 0.9])
+    assert_close(backdrop.color_behind(jnp.asarray(backdrop.constant_coefficients(one, 0)), CAMERA), np.float32(one))
     color = jnp.array([0.1, 0.2, 0.3])
-    assert backdrop.behind(color, CAMERA) is color
+    assert backdrop.color_behind(color, CAMERA) is color
 
 
 def shown(coefficients, viewmat, alphas, camera):
     """Over a picture that covers so much: what the loss sees of a sky."""
     weights = jnp.asarray(np.random.default_rng(1).normal(size=(6, 8, 3)), coefficients.dtype)
-    under = backdrop.behind(coefficients, Camera(viewmat, camera.K, camera.width, camera.height))
+    under = backdrop.color_behind(coefficients, Camera(viewmat, camera.K, camera.width, camera.height))
     return jnp.sum((1 - alphas)[..., None] * under * weights)
 
 
@@ -60,7 +60,7 @@ def test_gradients_to_sky_and_camera_are_finite_differences(x64):
     rng = np.random.default_rng(2)
     viewmat, K = (jnp.asarray(np.asarray(m), jnp.float64) for m in (CAMERA.viewmat, CAMERA.K))
     camera, alphas = Camera(viewmat, K, 8, 6), jnp.asarray(rng.random((6, 8)))
-    coefficients = jnp.asarray(0.1 * rng.normal(size=(25, 3)) + backdrop.constant(np.full(3, 0.5), 4))
+    coefficients = jnp.asarray(0.1 * rng.normal(size=(25, 3)) + backdrop.constant_coefficients(np.full(3, 0.5), 4))
     value = jax.jit(lambda c, v: shown(c, v, alphas, camera))
     slopes = jax.jit(jax.grad(lambda c, v: shown(c, v, alphas, camera), (0, 1)))(coefficients, viewmat)
     for _ in range(4):
@@ -73,7 +73,7 @@ def test_gradients_to_sky_and_camera_are_finite_differences(x64):
 @pytest.mark.parametrize("degree", [0, 4])
 def test_hard_cases_in_value_and_gradient(degree):
     """Nothing open gives a sky no gradient at all; a photo of nothing but sky gives it one; black and beyond holds."""
-    coefficients = jnp.asarray(backdrop.constant(np.full(3, 0.5), degree))
+    coefficients = jnp.asarray(backdrop.constant_coefficients(np.full(3, 0.5), degree))
     value = jax.jit(jax.value_and_grad(lambda c, a: shown(c, CAMERA.viewmat, a, CAMERA)))
     total, slopes = value(coefficients, jnp.ones((6, 8)))
     assert total == 0 and not np.any(slopes)
@@ -82,7 +82,7 @@ def test_hard_cases_in_value_and_gradient(degree):
     for size in (-1e3, -1e30, 1e30):
         total, slopes = value(coefficients * 0 + jnp.float32(size), jnp.full((6, 8), 0.5))
         assert np.isfinite(total) and np.isfinite(slopes).all()
-    total, slopes = value(jnp.asarray(backdrop.constant(np.full(3, -1.0), degree)), jnp.zeros((6, 8)))
+    total, slopes = value(jnp.asarray(backdrop.constant_coefficients(np.full(3, -1.0), degree)), jnp.zeros((6, 8)))
     assert total == 0 and not np.any(slopes)  # Light is never less than none.
 
 
@@ -104,7 +104,7 @@ def painted(sky):
 def test_a_sky_starts_as_the_photos_show_it():
     flat = background.initial(observe(painted(lambda y, x: np.array([200, 220, 250]))))
     assert flat.shape == (1, 3)
-    assert_close(backdrop.behind(jnp.asarray(flat), CAMERA), np.float32([200, 220, 250]) / 255, rtol=0, atol=5e-3,
+    assert_close(backdrop.color_behind(jnp.asarray(flat), CAMERA), np.float32([200, 220, 250]) / 255, rtol=0, atol=5e-3,
                  why="a place of the grid may hold an edge")  # fmt: skip
     shaded = background.initial(observe(painted(lambda y, x: (200 + y[..., None]) * np.array([1.0, 1.0, 1.1]))))
     assert shaded.shape == (25, 3)

@@ -7,9 +7,9 @@ import pytest
 from photographed_wall import wall
 from scipy import ndimage
 
-from gsjax.effects.blur import judge, left_out
+from gsjax.effects.blur import judge, photos_to_leave_out
 from gsjax.effects.observations import observe
-from gsjax.planning.effects import looked_at
+from gsjax.planning.effects import look_for_effects
 from gsjax.scene import with_pixels
 
 
@@ -41,16 +41,17 @@ def test_a_blurred_photo_is_named():
 
 def test_photos_are_left_out_where_others_see_what_they_see():
     scene = blurred(4, 7)
-    assert left_out(observe(scene)) == ("04.png", "07.png")
-    assert left_out(observe(blurred())) == ()
+    assert photos_to_leave_out(observe(scene)) == ("04.png", "07.png")
+    assert photos_to_leave_out(observe(blurred())) == ()
     held = [replace(frame, held_out=frame.name == "07.png") for frame in scene.frames]
-    assert left_out(observe(replace(scene, frames=tuple(held)))) == ("04.png",), "held-out photos are not trained on"
+    scene = replace(scene, frames=tuple(held))
+    assert photos_to_leave_out(observe(scene)) == ("04.png",), "held-out photos are not trained on"
 
 
 @pytest.mark.parametrize(("share", "expected"), [(0.05, ("04.png",)), (0.2, ())])
 def test_a_photo_stays_where_nobody_else_sees_so_much_of_it(share, expected):
     alone = with_tracks(blurred(4), lambda photo, point: (photo == 4) | (point % 100 >= 100 * share))
-    assert left_out(observe(alone)) == expected
+    assert photos_to_leave_out(observe(alone)) == expected
 
 
 def test_blurred_photos_do_not_vouch_for_each_other_and_one_sharp_one_is_too_few():
@@ -60,17 +61,17 @@ def test_blurred_photos_do_not_vouch_for_each_other_and_one_sharp_one_is_too_few
     for witnesses, expected in (((), ()), ((0,), ()), ((0, 1), ("04.png", "07.png"))):
         chosen = (4, 7, *witnesses)
         seen = with_tracks(scene, lambda photo, point, c=chosen: np.isin(photo, c) & np.isin(point, shared))
-        assert left_out(observe(seen)) == expected
+        assert photos_to_leave_out(observe(seen)) == expected
 
 
 def test_without_tracks_nobody_knows_and_no_photo_is_left_out():
-    assert left_out(observe(with_tracks(blurred(4), lambda photo, _: photo < 0))) == ()
+    assert photos_to_leave_out(observe(with_tracks(blurred(4), lambda photo, _: photo < 0))) == ()
 
 
 @pytest.mark.parametrize(("effects", "expected"), [("auto", ("04.png",)), ("poses,blur", ("04.png",)), ("poses", ())])
 def test_who_asks_for_it_gets_a_scene_without_and_a_diagnosis_of_that_scene(effects, expected, capsys):
     scene = blurred(4)
-    looked = looked_at(effects, scene)
+    looked = look_for_effects(effects, scene)
     assert looked.left_out == expected
     names = tuple(frame.name for frame in scene.frames if frame.name not in expected)
     assert tuple(frame.name for frame in looked.scene.frames) == names
@@ -81,6 +82,6 @@ def test_who_asks_for_it_gets_a_scene_without_and_a_diagnosis_of_that_scene(effe
 
 def test_nobody_looks_where_nothing_is_asked():
     scene = blurred(4)
-    looked = looked_at("none", scene)
+    looked = look_for_effects("none", scene)
     assert looked.scene is scene
     assert looked.found is None

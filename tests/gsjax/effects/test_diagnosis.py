@@ -14,7 +14,7 @@ from gsjax.effects.diagnosis import diagnose
 from gsjax.effects.exposure import estimate
 from gsjax.effects.gains import fit, table
 from gsjax.effects.observations import observe
-from gsjax.effects.poses import Move, told_by_tracks
+from gsjax.effects.poses import Move, twists_from_tracks
 from gsjax.io.images import read_image
 from gsjax.io.scenes import load_scene
 from gsjax.scene import Origin, Pixels, with_pixels
@@ -144,11 +144,11 @@ def test_wrong_poses_show_against_the_tracks():
     assert np.median([step.shift for step in found.steps]) == pytest.approx(1.18 * np.radians(0.5) * 80, rel=0.5)
     assert diagnose(scene).effects["poses"].value < 0.01
     # What tracks ask of each camera brings it back: to second order in a turn of half a degree.
-    asked = told_by_tracks(observe(off))
+    asked = twists_from_tracks(observe(off))
     for frame, true, twist in zip(off.frames, scene.frames, asked, strict=True):
-        found = Move(tuple(twist[:3]), tuple(twist[3:]), 1.0).refined(frame).viewmat
+        found = Move(tuple(twist[:3]), tuple(twist[3:]), 1.0).apply(frame).viewmat
         assert np.abs(found - true.viewmat).max() < 0.05 * np.abs(frame.viewmat - true.viewmat).max()
-    assert np.abs(told_by_tracks(observe(scene))).max() < 1e-5  # rounding of the keypoints
+    assert np.abs(twists_from_tracks(observe(scene))).max() < 1e-5  # rounding of the keypoints
 
 
 def test_the_span_of_sampling_is_the_ratio_of_distances():

@@ -14,8 +14,16 @@ from small_scenes import cloud
 from gsjax import render, targets
 from gsjax.effects import exposure
 from gsjax.effects.appearance import simulations, start
-from gsjax.effects.model import LIMIT, aimed, behind, initial_state, photographed, trusted, updated
 from gsjax.effects.observations import observe
+from gsjax.effects.simulation import (
+    LIMIT,
+    initial_state,
+    light_behind,
+    mask_untrusted,
+    move_camera,
+    photograph,
+    update_effects,
+)
 from gsjax.numerics import masked_mean
 from gsjax.scene import Pixels, with_pixels
 from gsjax.settings import SIMULATED
@@ -76,11 +84,11 @@ def effects_of(scene):
 
 
 def objective(effects, numbers, gaussians, batch):
-    batch = replace(batch, camera=aimed(effects, numbers, batch.camera, batch.photo))
-    under = behind(effects, numbers, batch.camera, BLACK)
+    batch = replace(batch, camera=move_camera(effects, numbers, batch.camera, batch.photo))
+    under = light_behind(effects, numbers, batch.camera, BLACK)
     view = render.view(gaussians, batch.camera, capacity=16384, background=under)
-    view = photographed(effects, numbers, view, batch, BLACK)
-    batch, added = trusted(effects, numbers, view, batch)
+    view = photograph(effects, numbers, view, batch, BLACK)
+    batch, added = mask_untrusted(effects, numbers, view, batch)
     return masked_mean(jnp.mean(jnp.abs(view.colors - batch.image), -1), batch.valid) + added
 
 
@@ -101,12 +109,12 @@ def test_values_gradients_and_a_step_are_finite(name, of_twelve):
     state = initial_state(effects)
     assert set(state.numbers) == set(SIMULATED)
     assert np.abs(exposure.log_gains(state.numbers["exposure"])).max() <= LIMIT
-    target = targets.numbered(targets.views_of(scene.frames)).targets[0]
+    target = targets.with_photo_numbers(targets.read_targets(scene.frames)).targets[0]
     target = replace(target, valid=np.ones(target.image.shape[:2], bool) if target.valid is None else target.valid)
     other_gauge = name in ("one photo", "cameras in one place")
     slopes_of = program(effects) if other_gauge else of_twelve
     value, (slopes, of_gaussians) = slopes_of(state.numbers, CLOUD, targets.batch(target, BLACK))
-    after = updated(effects, state, slopes)
+    after = update_effects(effects, state, slopes)
     for leaf in jax.tree.leaves((value, slopes, of_gaussians, after.numbers)):
         assert np.isfinite(leaf).all()
     if name == "nothing valid":

@@ -12,7 +12,7 @@ from gsjax.cameras import Camera, center, project, world_to_camera
 from gsjax.effects import poses
 from gsjax.effects.alignment import align
 from gsjax.effects.poses import Move
-from gsjax.effects.twists import gauge, moved
+from gsjax.effects.twists import apply_twist, gauge
 from gsjax.render import gallery
 
 CAMERA = camera_at((0.4, -0.3, 0.2), (0.0, 0.1, 4.0), size=(32, 24))
@@ -37,7 +37,7 @@ TWISTS = np.stack([np.append(turn, [0.01, -0.02, 0.03]) for turn in TURNS.values
 
 def test_a_twist_turns_about_the_centre_and_shifts_it_along_the_axes_of_the_world(x64):
     camera = double(CAMERA)
-    viewmats = jax.jit(jax.vmap(lambda twist: moved(camera, twist, 4.0).viewmat))(jnp.asarray(TWISTS))
+    viewmats = jax.jit(jax.vmap(lambda twist: apply_twist(camera, twist, 4.0).viewmat))(jnp.asarray(TWISTS))
     for name, twist, viewmat in zip(TURNS, TWISTS, np.asarray(viewmats), strict=True):
         turn = Rotation.from_rotvec(twist[:3]).as_matrix()
         expected = np.asarray(camera.viewmat)[:3, :3] @ turn.T
@@ -50,7 +50,7 @@ def test_a_twist_turns_about_the_centre_and_shifts_it_along_the_axes_of_the_worl
 
 def total(numbers, camera):
     """Of six numbers of a twist and a focal length: where points are in the picture, and in the camera's frame."""
-    camera = poses.zoomed(moved(camera, numbers[:6], 4.0), numbers[6])
+    camera = poses.zoom_camera(apply_twist(camera, numbers[:6], 4.0), numbers[6])
     local = jnp.stack([world_to_camera(jnp.asarray(point, numbers.dtype), camera) for point in POINTS])
     pixels = jnp.stack([project(point, camera) for point in local])
     weights = jnp.asarray(np.random.default_rng(0).normal(size=(3, 5)), numbers.dtype)
@@ -77,7 +77,7 @@ def test_gradients_are_finite_differences_at_every_turn(x64):
 CENTERS = np.random.default_rng(1).normal(size=(5, 3)) + [10.0, 0, 0]
 
 
-EFFECT = poses.simulated(CENTERS, 2.0, np.array([0, 0, 1, 1, 1]), 2, lambda step: jnp.float32(0))
+EFFECT = poses.make_effect(CENTERS, 2.0, np.array([0, 0, 1, 1, 1]), 2, lambda step: jnp.float32(0))
 camera_of = jax.jit(EFFECT.camera)
 
 
@@ -153,7 +153,7 @@ def test_held_out_photos_keep_their_pose_and_share_their_cameras_focal_length():
     assert found[1] == Move((0, 0, 0), (0, 0, 0), pytest.approx(np.exp(0.1), rel=1e-6))
     (frame,) = photographed(cloud(20), [CAMERA])
     same = camera_of(numbers, CAMERA, jnp.int32(2))  # The fourth photo is the third that is trained on.
-    refined = found[3].refined(frame)
+    refined = found[3].apply(frame)
     assert_close(refined.viewmat, np.asarray(same.viewmat))
     assert_close(refined.K, np.asarray(same.K))
 
@@ -175,7 +175,7 @@ def corners(camera):
 def test_a_photo_is_aligned_with_gaussians_as_they_are(draw, degrees):
     (picture,) = draw([CAMERA])
     turn, shift = np.array([0.6, -0.8, 0.3]), np.array([-0.5, 0.2, 0.4])
-    wrong = moved(CAMERA, jnp.asarray(np.float32(np.radians(degrees) * np.append(turn, shift))), 4.0)
+    wrong = apply_twist(CAMERA, jnp.asarray(np.float32(np.radians(degrees) * np.append(turn, shift))), 4.0)
     found = align(wrong, picture.colors, np.ones((24, 32), bool), draw)
     right, before, after = (corners(camera) for camera in (CAMERA, wrong, found))
     assert np.abs(after - right).mean() < 0.05 * np.abs(before - right).mean()
@@ -184,7 +184,7 @@ def test_a_photo_is_aligned_with_gaussians_as_they_are(draw, degrees):
 def test_nothing_to_align_with_leaves_the_pose(draw):
     (picture,) = draw([CAMERA])
     assert align(CAMERA, picture.colors, np.zeros((24, 32), bool), draw) is CAMERA
-    away = moved(CAMERA, jnp.asarray([0.0, np.pi, 0, 0, 0, 0], jnp.float32), 1.0)
+    away = apply_twist(CAMERA, jnp.asarray([0.0, np.pi, 0, 0, 0, 0], jnp.float32), 1.0)
     assert align(away, picture.colors, np.ones((24, 32), bool), draw) is away
     # Nothing explains it, and no move may make it worse.
     inverted = 1 - picture.colors

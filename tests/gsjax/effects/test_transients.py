@@ -11,15 +11,15 @@ from small_scenes import camera_at
 from tolerances import assert_close
 
 from gsjax.effects import transients
-from gsjax.effects.model import initial_state as effects_state
-from gsjax.effects.model import trusted, updated
+from gsjax.effects.simulation import initial_state as effects_state
+from gsjax.effects.simulation import mask_untrusted, update_effects
 from gsjax.render import View
 from gsjax.settings import Density
 from gsjax.targets import Batch
 
 CAMERA = camera_at(size=(32, 24))
 RATE = optax.constant_schedule(transients.RATE)
-EFFECTS = {"transients": transients.simulated(RATE)}
+EFFECTS = {"transients": transients.make_effect(RATE)}
 
 
 def batch(image, valid=None):
@@ -39,18 +39,18 @@ def test_a_square_is_left_out_and_single_pixels_stay():
     photo = grey()
     photo[6:14, 8:18] = 0.9
     photo[20, 3], photo[0, 0], photo[23, 31] = 0.0, 1.0, 1.0
-    shown = np.asarray(transients.trusted(np.float32(np.log(0.05)), jnp.asarray(grey()), jnp.asarray(photo)))
+    shown = np.asarray(transients.trusted_pixels(np.float32(np.log(0.05)), jnp.asarray(grey()), jnp.asarray(photo)))
     square = np.zeros((24, 32), bool)
     square[6:14, 8:18] = True
     # Its four corners, of whose windows it fills 9 of 25, are kept; what is beside it never goes.
     assert not shown[7:13, 9:17].any()
     assert shown[~square].all()
     assert (~shown).sum() == square.sum() - 4 * 3
-    assert transients.trusted(np.float32(np.log(0.2)), jnp.asarray(grey()), jnp.asarray(photo)).all()
+    assert transients.trusted_pixels(np.float32(np.log(0.2)), jnp.asarray(grey()), jnp.asarray(photo)).all()
 
 
 def test_at_the_start_everything_is_trusted():
-    shown = transients.trusted(EFFECTS["transients"].initial, jnp.asarray(grey(0.0)), jnp.asarray(grey(1.0)))
+    shown = transients.trusted_pixels(EFFECTS["transients"].initial, jnp.asarray(grey(0.0)), jnp.asarray(grey(1.0)))
     assert shown.all()
 
 
@@ -61,7 +61,7 @@ def test_the_gradient_leads_to_the_quantile_and_the_value_is_zero():
     off = np.abs(photo - 0.5).mean(-1)[valid]
 
     def added(number):
-        return trusted(EFFECTS, {"transients": number}, view(grey()), batch(photo, valid))[1]
+        return mask_untrusted(EFFECTS, {"transients": number}, view(grey()), batch(photo, valid))[1]
 
     for quantile in (0.05, 0.2, 0.29):
         value, slope = jax.value_and_grad(added)(jnp.float32(np.log(quantile)))
@@ -73,7 +73,7 @@ def test_the_gradient_leads_to_the_quantile_and_the_value_is_zero():
     state = effects_state(EFFECTS)
     for _ in range(300):
         gradients = {"transients": jax.grad(added)(state.numbers["transients"])}
-        state = updated(EFFECTS, state, gradients)
+        state = update_effects(EFFECTS, state, gradients)
     found = np.exp(state.numbers["transients"])
     assert found == pytest.approx(np.quantile(off, transients.QUANTILE), rel=0.1)
 
@@ -83,7 +83,7 @@ def test_masks_of_the_user_come_first():
     photo[6:14, 8:18] = 0.9
     valid = np.ones((24, 32), bool)
     valid[:, 20:] = False
-    left, _ = trusted(EFFECTS, {"transients": jnp.float32(np.log(0.05))}, view(grey()), batch(photo, valid))
+    left, _ = mask_untrusted(EFFECTS, {"transients": jnp.float32(np.log(0.05))}, view(grey()), batch(photo, valid))
     assert not left.valid[:, 20:].any()
     assert not left.valid[8:12, 10:16].any()
     assert left.valid[:5, :20].all()
@@ -99,7 +99,7 @@ def test_hard_cases_in_value_and_gradient(number, photo, is_valid):
     seen = batch(grey(photo), np.full((24, 32), is_valid))
 
     def added(number, colors):
-        return trusted(EFFECTS, {"transients": number}, view(colors), seen)[1]
+        return mask_untrusted(EFFECTS, {"transients": number}, view(colors), seen)[1]
 
     value, slopes = jax.value_and_grad(added, (0, 1))(jnp.float32(number), jnp.asarray(colors))
     assert value == 0
@@ -109,7 +109,7 @@ def test_hard_cases_in_value_and_gradient(number, photo, is_valid):
 
 def test_growth_waits_for_the_masks():
     growth = Density(start=100, stop=500)
-    assert transients.patient(growth, 1000) == replace(growth, start=300, stop=700)
-    assert transients.patient(growth, 600) == replace(growth, start=300, stop=600)
-    assert transients.patient(Density(start=500, stop=15000), 7000) == Density(start=3750, stop=15000)
-    assert transients.patient(Density(start=500, stop=400), 1000) == Density(start=500, stop=400)
+    assert transients.delay_growth(growth, 1000) == replace(growth, start=300, stop=700)
+    assert transients.delay_growth(growth, 600) == replace(growth, start=300, stop=600)
+    assert transients.delay_growth(Density(start=500, stop=15000), 7000) == Density(start=3750, stop=15000)
+    assert transients.delay_growth(Density(start=500, stop=400), 1000) == Density(start=500, stop=400)

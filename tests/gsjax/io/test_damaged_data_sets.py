@@ -13,7 +13,7 @@ from PIL import Image
 from gsjax.errors import InputError
 from gsjax.io.arrays import headers, read_arrays
 from gsjax.io.images import image_size, read_image, read_mask
-from gsjax.io.normals import normal_maps
+from gsjax.io.normal_maps import normal_maps
 from gsjax.io.scenes import load_scene
 from gsjax.io.truth import load_truth
 

@@ -4,7 +4,7 @@ import pycolmap
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.io.lenses import Lens, check_lens, pinhole_views, resized
+from gsjax.io.lenses import Lens, check_lens, pinhole_views, resize_lens
 
 WIDTH, HEIGHT = 160, 120
 CENTER = (78.0, 61.5)
@@ -104,7 +104,7 @@ def test_a_resized_lens_records_every_ray_at_the_resized_place(model, size):
         camera = pycolmap.Camera(model=lens.model, width=lens.width, height=lens.height, params=list(lens.params))
         return np.asarray(camera.img_from_cam(rays))
 
-    smaller = resized(lens, *size)
+    smaller = resize_lens(lens, *size)
     assert (smaller.width, smaller.height) == size
     np.testing.assert_allclose(recorded(smaller), recorded(lens) * factors, rtol=1e-12, atol=1e-10)
     if factors[0] == factors[1]:

@@ -269,7 +269,7 @@ def test_photos_of_every_format_are_found_and_other_files_named(tmp_path):
     for name in (".DS_Store", ".hidden/x.jpg", "notes", "raw/IMG_1.CR2", "clip.mov"):
         (tmp_path / name).write_bytes(b"x")
     assert [shot.name for shot in shots.list_shots(tmp_path)] == ["a.JPG", "b.webp", "c.tiff", "d.bmp", "e.avif"]
-    assert shots.passed_over(tmp_path) == {
+    assert shots.unused_files(tmp_path) == {
         "clip.mov": ".mov is no format of photos that is read",
         "notes": "no ending is no format of photos that is read",
         "raw/IMG_1.CR2": ".cr2 is no format of photos that is read",

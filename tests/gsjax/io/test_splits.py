@@ -7,7 +7,7 @@ import pytest
 from gsjax.errors import InputError
 from gsjax.io.lenses import Lens
 from gsjax.io.photos import Photo
-from gsjax.io.splits import split
+from gsjax.io.splits import mark_held_out
 
 NAMES = [f"{i:03d}.jpg" for i in range(18)]
 LENS = Lens("PINHOLE", 4, 3, (5.0, 5.0, 2.0, 1.5))
@@ -15,7 +15,7 @@ PHOTOS = [Photo(name, Path(name), np.eye(4), LENS) for name in NAMES]
 
 
 def held_out(hold_out, root, photos=PHOTOS):
-    marked = split(photos, hold_out, root)
+    marked = mark_held_out(photos, hold_out, root)
     assert [photo.name for photo in marked] == [photo.name for photo in photos]
     return [photo.name for photo in marked if photo.held_out]
 
@@ -62,5 +62,5 @@ def test_what_is_no_split_is_one_line(tmp_path, monkeypatch, hold_out, content, 
     monkeypatch.chdir(tmp_path)
     (tmp_path / "list.txt").write_bytes(content.encode() if isinstance(content, str) else content)
     with pytest.raises(InputError) as error:
-        split(PHOTOS, hold_out, tmp_path)
+        mark_held_out(PHOTOS, hold_out, tmp_path)
     assert str(error.value).startswith(message) and "\n" not in str(error.value)

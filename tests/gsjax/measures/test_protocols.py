@@ -70,7 +70,7 @@ def test_nothing_near_the_scan_is_one_line():
 
 def test_thinned_points_keep_their_distance_and_cover_the_rest():
     points = np.random.default_rng(0).uniform(0, 1, (3000, 3))
-    kept = protocols.thinned(points, 0.1, seed=1)
+    kept = protocols.thin_points(points, 0.1, seed=1)
     apart = np.linalg.norm(kept[:, None] - kept[None], axis=-1)
     assert apart[~np.eye(len(kept), dtype=bool)].min() > 0.1
     assert np.linalg.norm(points[:, None] - kept[None], axis=-1).min(axis=1).max() <= 0.1

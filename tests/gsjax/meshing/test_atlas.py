@@ -12,7 +12,7 @@ from gsjax.errors import InputError
 from gsjax.mesh import Mesh
 from gsjax.meshing import atlas as atlases
 from gsjax.meshing.atlas import cells, charts, texel_corners, unwrap
-from gsjax.meshing.texels import painted, texels_of
+from gsjax.meshing.texels import paint_texture, texels_of
 
 SIZE = 256
 
@@ -115,7 +115,7 @@ def test_bilinear_sampling_at_borders_reads_the_inner_colour_alone(mesh, layout,
     texels = texels_of(mesh, atlas)
     _, labels = charts_of(atlas)
     palette = np.random.default_rng(1).integers(0, 256, (labels.max() + 1, 3))
-    image = painted(texels, palette[labels[atlas.faces[texels.faces, 0]]], size).astype(float)
+    image = paint_texture(texels, palette[labels[atlas.faces[texels.faces, 0]]], size).astype(float)
     corners = texel_corners(atlas)
     weights = np.random.default_rng(2).dirichlet([0.3, 0.3, 0.3], (20, len(corners)))  # many near edges and corners
     for weight in [*weights, *np.eye(3)[:, None].repeat(len(corners), 1)]:

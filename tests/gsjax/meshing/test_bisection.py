@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from gsjax.mesh import Mesh, signed_volume
-from gsjax.meshing.bisection import bisected
+from gsjax.meshing.bisection import bisect_triangles
 from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.topology import edge_table, topology
 
@@ -31,7 +31,7 @@ def weights_at(mesh: Mesh, place) -> np.ndarray:
 
 def test_the_surface_stays_closed_and_where_it_was(ball_mesh):
     place = ball_mesh.vertices[0]
-    halved = bisected(ball_mesh, weights_at(ball_mesh, place), 4 * ball_mesh.num_faces)
+    halved = bisect_triangles(ball_mesh, weights_at(ball_mesh, place), 4 * ball_mesh.num_faces)
     assert 4 * ball_mesh.num_faces - 1 <= halved.num_faces <= 4 * ball_mesh.num_faces
     assert edge_table(halved.faces).faces.max() == 2
     found, before = topology(halved), topology(ball_mesh)
@@ -44,7 +44,7 @@ def test_the_surface_stays_closed_and_where_it_was(ball_mesh):
 
 def test_triangles_are_smaller_where_weights_are_larger(ball_mesh):
     place = ball_mesh.vertices[0]
-    halved = bisected(ball_mesh, weights_at(ball_mesh, place), 4 * ball_mesh.num_faces)
+    halved = bisect_triangles(ball_mesh, weights_at(ball_mesh, place), 4 * ball_mesh.num_faces)
     distance = np.linalg.norm(halved.vertices[halved.faces].mean(axis=1) - place, axis=1)
     near, far = (np.median(areas(halved)[chosen]) for chosen in (distance < 0.4, distance > 1.5))
     assert near < far / 8
@@ -58,11 +58,11 @@ def test_an_open_border_keeps_its_length_and_colours_are_means():
         np.array([[0, 1, 2], [0, 2, 3]], np.int32),
         np.array([[0, 0, 0], [200, 0, 0], [100, 0, 0], [0, 0, 0]], np.uint8),
     )
-    once = bisected(square, np.array([1.0, 0.0]), 4)
+    once = bisect_triangles(square, np.array([1.0, 0.0]), 4)
     assert once.num_faces == 4  # The diagonal is the longest edge of both.
     np.testing.assert_allclose(once.vertices[4], [0.5, 0.5, 0])
     np.testing.assert_array_equal(once.colors[4], [50, 0, 0])
-    many = bisected(square, np.array([1.0, 0.1]), 101)
+    many = bisect_triangles(square, np.array([1.0, 0.1]), 101)
     assert 100 <= many.num_faces <= 101
     assert topology(many).boundary_length == pytest.approx(4, rel=1e-6)
     assert areas(many).sum() == pytest.approx(1, rel=1e-6)
@@ -72,5 +72,5 @@ def test_an_open_border_keeps_its_length_and_colours_are_means():
 def test_what_needs_no_halving_stays(weights):
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
     square = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32), np.zeros((4, 3), np.uint8))
-    same = bisected(square, weights, 100 if not weights.any() else 2)
+    same = bisect_triangles(square, weights, 100 if not weights.any() else 2)
     np.testing.assert_array_equal(same.faces, square.faces)

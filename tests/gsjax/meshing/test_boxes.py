@@ -75,7 +75,7 @@ def test_a_long_tail_is_a_background_of_its_own():
 
 
 def test_given_boxes_are_taken_as_they_are():
-    regions = boxes.fixed(UNIT, UNIT.scaled(2))
+    regions = boxes.fixed_boxes(UNIT, UNIT.scaled(2))
     assert regions["foreground"].corners() == [[-1.0] * 3, [1.0] * 3]
     assert regions["background"].corners() == [[-2.0] * 3, [2.0] * 3]
-    assert set(boxes.fixed(UNIT)) == {"foreground"}
+    assert set(boxes.fixed_boxes(UNIT)) == {"foreground"}

@@ -7,7 +7,7 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.mesh import Mesh, signed_volume
-from gsjax.meshing.cleaning import clean, joined
+from gsjax.meshing.cleaning import clean, concatenate_meshes
 from gsjax.meshing.topology import edge_table, face_components, topology
 
 
@@ -70,7 +70,7 @@ def test_a_fin_on_an_edge_goes():
 
 def test_small_pieces_go_by_their_share():
     square, crumb = wavy_square(20), tetrahedron((5.0, 0, 0))
-    both = joined([square, crumb])
+    both = concatenate_meshes([square, crumb])
     assert sorted(face_components(both.faces, edge_table(both.faces))[1]) == [4, 722]
     result, report = clean(both, min_component_share=0.01)
     assert (report.small_components, report.small_component_faces) == (1, 4)
@@ -95,7 +95,7 @@ def test_decimation_keeps_shape_and_colour():
 
 
 def test_cleaning_twice_changes_nothing():
-    once, _ = clean(joined([wavy_square(10), tetrahedron((3.0, 0, 0))]), min_component_share=0.0)
+    once, _ = clean(concatenate_meshes([wavy_square(10), tetrahedron((3.0, 0, 0))]), min_component_share=0.0)
     twice, report = clean(once, min_component_share=0.0)
     np.testing.assert_array_equal(once.vertices, twice.vertices)
     np.testing.assert_array_equal(once.faces, twice.faces)

@@ -11,7 +11,7 @@ from gsjax.measures import geometry
 from gsjax.mesh import Mesh, face_normals, signed_volume
 from gsjax.meshing import boxes, depth_of_mesh, extract_mesh
 from gsjax.meshing.boxes import Box, Region
-from gsjax.meshing.extract import cut
+from gsjax.meshing.extract import cut_to_region
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.methods import level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
@@ -83,7 +83,7 @@ def test_ball_on_ground_renders_to_the_depth_it_came_from(ball_on_ground):
 def test_a_given_box_is_taken_as_it_is(ball):
     upper = Box((-2, -2, 0), (2, 2, 2))
     mesh, report = extract_mesh(
-        ball.gaussians, *ball.views, method=through(5_000, depth=6), regions=lambda _: boxes.fixed(upper)
+        ball.gaussians, *ball.views, method=through(5_000, depth=6), regions=lambda _: boxes.fixed_boxes(upper)
     )
     assert mesh.vertices[:, 2].min() > -0.05  # The triangles on the border stick out.
     assert mesh.vertices[:, 2].max() == pytest.approx(1, abs=0.05)
@@ -96,7 +96,7 @@ def test_a_given_box_is_taken_as_it_is(ball):
 def test_two_regions_meet_without_a_crack_and_each_has_its_report(ball):
     near, far = Box((-2, -2, 0), (2, 2, 2)), Box((-2, -2, -2), (2, 2, 2))
     mesh, report = extract_mesh(
-        ball.gaussians, *ball.views, method=through(8_000, depth=6), regions=lambda _: boxes.fixed(near, far)
+        ball.gaussians, *ball.views, method=through(8_000, depth=6), regions=lambda _: boxes.fixed_boxes(near, far)
     )
     assert report["topology"]["components"] == 2
     assert report["foreground"]["points_seen"] + report["background"]["points_seen"] == report["seen"]["points"]
@@ -112,7 +112,7 @@ def test_two_regions_meet_without_a_crack_and_each_has_its_report(ball):
 def test_an_empty_region_is_said_and_the_other_is_kept(ball):
     near, far = Box((-2, -2, -2), (2, 2, 2)), Box((-9, -9, -9), (9, 9, 9))
     mesh, report = extract_mesh(
-        ball.gaussians, *ball.views, method=through(5_000), regions=lambda _: boxes.fixed(near, far)
+        ball.gaussians, *ball.views, method=through(5_000), regions=lambda _: boxes.fixed_boxes(near, far)
     )
     assert report["topology"]["watertight"]
     assert "holds none of" in report["background"]["empty"]
@@ -122,7 +122,7 @@ def test_an_empty_region_is_said_and_the_other_is_kept(ball):
 def test_a_box_with_nothing_in_it_is_one_line(ball):
     nowhere = Box((5, 5, 5), (6, 6, 6))
     with pytest.raises(InputError, match=r"foreground: no mesh: the box .* holds none of .* surface points") as caught:
-        extract_mesh(ball.gaussians, *ball.views, method=through(500), regions=lambda _: boxes.fixed(nowhere))
+        extract_mesh(ball.gaussians, *ball.views, method=through(500), regions=lambda _: boxes.fixed_boxes(nowhere))
     assert "\n" not in str(caught.value)
 
 
@@ -147,8 +147,8 @@ def test_the_border_belongs_to_both_sides_of_a_cut():
     faces = np.int32([[0, 1, 2], [1, 3, 2], [3, 5, 4], [6, 6, 6]])
     mesh = Mesh(vertices, faces, np.zeros((7, 3), np.uint8))
     inner, outer = Box((-1, -1, -1), (1.2, 2, 1)), Box((-9, -9, -9), (9, 9, 9))
-    np.testing.assert_array_equal(cut(mesh, Region(inner)).faces, faces[:2])
-    np.testing.assert_array_equal(cut(mesh, Region(outer, without=inner)).faces, faces[1:3])
+    np.testing.assert_array_equal(cut_to_region(mesh, Region(inner)).faces, faces[:2])
+    np.testing.assert_array_equal(cut_to_region(mesh, Region(outer, without=inner)).faces, faces[1:3])
 
 
 def test_regions_are_a_function_of_the_points(ball):

@@ -39,7 +39,7 @@ def repacked(tree, binary):
 @pytest.mark.parametrize("unlit", [False, True])
 def test_the_file_holds_light_in_normalized_16_bits(unlit):
     mesh = every_value()
-    tree, binary = parts(glb.encoded(mesh, unlit=unlit))
+    tree, binary = parts(glb.encode_glb(mesh, unlit=unlit))
     (primitive,) = tree["meshes"][0]["primitives"]
     accessor = tree["accessors"][primitive["attributes"]["COLOR_0"]]
     assert (accessor["componentType"], accessor["normalized"], accessor["type"]) == (5123, True, "VEC4")
@@ -63,7 +63,7 @@ def test_every_value_comes_back_as_it_was(tmp_path):
 def test_files_of_others_hold_light_too_in_floats_or_in_8_bits(tmp_path, component, kind, unit, atol):
     """8 bits of light are few where it is dark: sRGB 12 and 13 are one of them."""
     mesh = every_value()
-    tree, binary = parts(glb.encoded(mesh))
+    tree, binary = parts(glb.encode_glb(mesh))
     values = unit * light(mesh.colors).reshape(-1, 3)
     stored = np.ones((256, 4), kind)
     stored[:, :3] = values if component == 5126 else np.rint(values)

@@ -14,7 +14,7 @@ from gsjax.meshing.boxes import Box, Region
 from gsjax.meshing.depth_points import LEAST_FACING, depth_poisson
 from gsjax.meshing.marching_cubes import density_grid, marching_cubes
 from gsjax.meshing.methods import centers_poisson
-from gsjax.meshing.orientation import facing_share, outward
+from gsjax.meshing.orientation import facing_share, orient_outward
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
 from gsjax.render.gallery import Picture
@@ -82,7 +82,7 @@ def test_fused_surfaces_lie_at_the_depth_and_not_half_a_voxel_beside(ball_on_gro
         ball_on_ground.gaussians,
         *ball_on_ground.views,
         method=tsdf(voxel=0.1),
-        regions=lambda _: boxes.fixed(Box((1.5, -2, -2), (2.4, 2, 0))),
+        regions=lambda _: boxes.fixed_boxes(Box((1.5, -2, -2), (2.4, 2, 0))),
     )
     assert abs(np.median(mesh.vertices[:, 2]) + 1) < 0.01
 
@@ -183,7 +183,7 @@ def test_faces_that_look_away_from_the_views_are_turned_about(ball):
     inside_out = Mesh(mesh.vertices, mesh.faces[:, ::-1].copy(), mesh.colors)
     assert facing_share(mesh, ball.cameras) == 1
     assert facing_share(inside_out, ball.cameras) == 0
-    turned, share = outward(inside_out, ball.cameras)
+    turned, share = orient_outward(inside_out, ball.cameras)
     assert share == 1
     np.testing.assert_allclose(face_normals(turned), face_normals(mesh), atol=1e-12)
     nowhere = Mesh(mesh.vertices + np.float32(100), mesh.faces, mesh.colors)
@@ -194,4 +194,4 @@ def test_faces_that_look_away_from_the_views_are_turned_about(ball):
 def test_a_box_with_nothing_in_it_is_one_line_for_all(ball, method):
     nowhere = Box((5, 5, 5), (6, 6, 6))
     with pytest.raises(InputError, match=r"the box .* holds none of"):
-        extract_mesh(ball.gaussians, *ball.views, method=method, regions=partial(lambda _: boxes.fixed(nowhere)))
+        extract_mesh(ball.gaussians, *ball.views, method=method, regions=partial(lambda _: boxes.fixed_boxes(nowhere)))

@@ -10,10 +10,10 @@ from gsjax.cameras import Camera
 from gsjax.mesh import Mesh
 from gsjax.meshing import texture
 from gsjax.meshing.atlas import Atlas, cells, texel_corners
-from gsjax.meshing.cleaning import joined
+from gsjax.meshing.cleaning import concatenate_meshes
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.texels import texels_of
-from gsjax.meshing.texture import composited, texture_mesh
+from gsjax.meshing.texture import composite_views, texture_mesh
 from gsjax.render.gallery import Picture
 
 WIDTH, HEIGHT, FOCAL = 96, 80, 90.0
@@ -81,7 +81,7 @@ def pattern(xy):
 def seen_of(mesh, views, pictures, size=40):
     """Texels of the square's own layout, their colours, and whether they are seen."""
     texels = texels_of(mesh, flat_layout(mesh, size))
-    return texels, *composited(mesh, texels, views, pictures)
+    return texels, *composite_views(mesh, texels, views, pictures)
 
 
 def test_a_pattern_on_a_plane_comes_back_from_views_at_an_angle():
@@ -106,7 +106,7 @@ def test_a_pattern_on_a_plane_comes_back_from_views_at_an_angle():
 
 def test_a_hidden_wall_does_not_receive_the_colour_of_the_one_before_it():
     front, back = square(z=1.0, half=0.4), square(z=0.0, half=1.0)
-    mesh = joined([front, back])
+    mesh = concatenate_meshes([front, back])
     views = [camera((0.4 * np.cos(a), 0.4 * np.sin(a), 3.0)) for a in (0.0, 1.3, 2.9, 4.4)]
     pictures = []
     for view in views:
@@ -115,7 +115,7 @@ def test_a_hidden_wall_does_not_receive_the_colour_of_the_one_before_it():
         depth = np.where(is_front, near_depth, far_depth)
         pictures.append(picture(np.where(is_front[..., None], [1.0, 0, 0], [0, 0, 1.0]), depth))
     texels = texels_of(mesh, cells(mesh, 256))
-    colors, is_seen = composited(mesh, texels, views, pictures)
+    colors, is_seen = composite_views(mesh, texels, views, pictures)
     on_back = texels.points[:, 2] < 0.5
     assert np.all(colors[is_seen & on_back] == [0, 0, 255]), "red bled onto the wall behind"
     assert np.all(colors[is_seen & ~on_back] == [255, 0, 0]), "blue bled onto the wall before"
@@ -197,7 +197,7 @@ def test_chunks_change_nothing(monkeypatch):
 def test_triangles_left_out_beforehand_would_not_have_been_seen(monkeypatch):
     """Walls on all sides, one of them facing away, cut by the image's border and by the plane of the camera."""
     low, high, away = square(z=-1.0, half=3.0, per_side=5), square(z=0.5, half=1.0, turned=True), square(z=2.0)
-    mesh = joined([low, high, away])
+    mesh = concatenate_meshes([low, high, away])
     views = [camera((0.4, 0.1, 1.0)), camera((2.5, 0, 0.0), target=(0, 0.3, 0.2)), camera((0, 0, 1.0), (0.1, 0, 2.0))]
     maps = [depth_of_mesh(mesh, view.viewmat, view.K, WIDTH, HEIGHT) for view in views]
     pictures = [picture([0.2 * k, 0.5, 0.1], depth, (depth > 0) * np.float32(1)) for k, depth in enumerate(maps)]
@@ -205,7 +205,7 @@ def test_triangles_left_out_beforehand_would_not_have_been_seen(monkeypatch):
     expected, everywhere = [], lambda mesh, normals, camera: np.ones(mesh.num_faces, bool)
     for may_be_seen in (texture.may_be_seen, everywhere):
         monkeypatch.setattr(texture, "may_be_seen", may_be_seen)
-        expected.append(composited(mesh, texels, views, pictures))
+        expected.append(composite_views(mesh, texels, views, pictures))
     for few, all_of_them in zip(*expected, strict=True):
         np.testing.assert_array_equal(few, all_of_them)
     assert 0.05 < expected[0][1].mean() < 0.9

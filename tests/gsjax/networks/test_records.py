@@ -12,12 +12,12 @@ from gsjax.networks.records import (
     Confidence,
     Network,
     Size,
-    decoded,
+    canvas_fit,
+    decode_normals,
     expected_error_degrees,
     input_intrinsics,
-    normalised,
-    placement,
-    reliable,
+    is_reliable,
+    normalize_picture,
     token_count,
 )
 
@@ -42,13 +42,13 @@ PADDED, LONGEST = Size("multiple", multiple=32), Size("multiple", multiple=28, l
     ],
 )
 def test_where_a_photo_goes(size, photo, fixed, expected):
-    assert tuple(placement(size, *photo, fixed)) == expected
+    assert tuple(canvas_fit(size, *photo, fixed)) == expected
 
 
 def test_tokens_are_the_squares_of_the_input():
     """The grid that MoGe makes of them, sqrt(tokens / aspect) rows, is then the one the photo was resized for."""
     for width, height in [(1600, 1067), (270, 480), (500, 500), (1000, 300)]:
-        canvas = placement(TOKENS, width, height).canvas
+        canvas = canvas_fit(TOKENS, width, height).canvas
         tokens, aspect = token_count(TOKENS, canvas), canvas[1] / canvas[0]
         assert (round((tokens / aspect) ** 0.5) * 14, round((tokens * aspect) ** 0.5) * 14) == canvas
         assert abs(tokens / 1800 - 1) < 0.03
@@ -56,7 +56,7 @@ def test_tokens_are_the_squares_of_the_input():
 
 def test_intrinsics_take_a_point_where_the_photo_is_in_the_input():
     K = np.array([[500.0, 0, 310], [0, 480, 245], [0, 0, 1]], np.float32)
-    place = placement(FIXED, 640, 480)
+    place = canvas_fit(FIXED, 640, 480)
     moved = input_intrinsics(K, 640, 480, place, 0.5)
     for point in np.array([[0.1, -0.2, 1], [-0.4, 0.3, 1]]):
         x, y, _ = K @ point
@@ -75,8 +75,8 @@ def test_expected_errors_are_the_mean_angles_of_the_distribution(kappa):
 
 
 def test_confidence_is_above_its_bound_and_error_below():
-    np.testing.assert_array_equal(reliable(Confidence((), "probability", 0.5), np.array([0.4, 0.5, 0.6])), [0, 0, 1])
-    np.testing.assert_array_equal(reliable(Confidence((), "kappa", 45.0), np.array([0.01, 1.0, 3.0])), [0, 0, 1])
+    np.testing.assert_array_equal(is_reliable(Confidence((), "probability", 0.5), np.array([0.4, 0.5, 0.6])), [0, 0, 1])
+    np.testing.assert_array_equal(is_reliable(Confidence((), "kappa", 45.0), np.array([0.01, 1.0, 3.0])), [0, 0, 1])
 
 
 def test_colours_and_normals_in_closed_form():
@@ -87,15 +87,15 @@ def test_colours_and_normals_in_closed_form():
         ("omnidata", [0, 0, 0], [1, 1, 1]),
         ("dsine", [-2.1179, -2.0357, -1.8044], [2.2489, 2.4286, 2.6400]),
     ]:
-        np.testing.assert_allclose(normalised(NETWORKS[name], black)[0, 0], low, atol=1e-4)
-        np.testing.assert_allclose(normalised(NETWORKS[name], white)[0, 0], high, atol=1e-4)
+        np.testing.assert_allclose(normalize_picture(NETWORKS[name], black)[0, 0], low, atol=1e-4)
+        np.testing.assert_allclose(normalize_picture(NETWORKS[name], white)[0, 0], high, atol=1e-4)
     # A wall straight ahead, as each network writes it; then a wall on the left and a floor as one of them does.
     walls = {"moge2": (0, 0, -1), "metric3d": (0, 0, -2), "omnidata": (0.5, 0.5, 0), "dsine": (0, 0, 1)}
     for name, wall in walls.items():
-        np.testing.assert_allclose(decoded(NETWORKS[name], np.float32([[wall]]))[0, 0], [0, 0, -1], atol=1e-6)
-    left_and_floor = decoded(NETWORKS["dsine"], np.float32([[[-1, 0, 0], [0, 1, 0]]]))
+        np.testing.assert_allclose(decode_normals(NETWORKS[name], np.float32([[wall]]))[0, 0], [0, 0, -1], atol=1e-6)
+    left_and_floor = decode_normals(NETWORKS["dsine"], np.float32([[[-1, 0, 0], [0, 1, 0]]]))
     np.testing.assert_allclose(left_and_floor[0], [[1, 0, 0], [0, -1, 0]])
-    np.testing.assert_array_equal(decoded(NETWORKS["moge2"], np.zeros((1, 1, 3), np.float32)), 0)
+    np.testing.assert_array_equal(decode_normals(NETWORKS["moge2"], np.zeros((1, 1, 3), np.float32)), 0)
 
 
 def test_the_page_shows_a_record_to_copy_every_network_and_every_key():

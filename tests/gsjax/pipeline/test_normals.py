@@ -15,7 +15,7 @@ from tqdm import tqdm
 from gsjax import cli, config, pipeline
 from gsjax.errors import InputError
 from gsjax.io import normal_folders
-from gsjax.io.normals import normal_maps
+from gsjax.io.normal_maps import normal_maps
 from gsjax.io.scenes import load_scene
 from gsjax.networks.records import IMAGENET_MEAN, IMAGENET_STD, NETWORKS, Network
 from gsjax.normals.axes import axis_signs

@@ -11,7 +11,7 @@ from gsjax import cli, config, pipeline
 from gsjax.binding.refining import PRESETS, Refinement
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.io.locks import locked
+from gsjax.io.locks import lock_folder
 from gsjax.pipeline.scan import scan, table
 from gsjax.settings import PRESETS as TRAINING
 from gsjax.settings import REFINED_BY, Settings
@@ -140,7 +140,7 @@ def test_a_scan_killed_as_it_began_and_a_second_one_on_its_folder(stages, photos
     out.mkdir()
     (out / ".lock").write_text("")
     (out / ".report.gsjax-1-0123abcd.json").write_text("{")
-    with locked(out), pytest.raises(InputError, match="scan: another process is at work in this folder"):
+    with lock_folder(out), pytest.raises(InputError, match="scan: another process is at work in this folder"):
         scanned(photos, out)
     assert scanned(photos, out)["stages"]
 

@@ -12,7 +12,7 @@ from gsjax.config import parse
 from gsjax.effects.evidence import Cost, Evidence
 from gsjax.errors import InputError
 from gsjax.planning import budget, timed_steps
-from gsjax.planning.timed_steps import Trial
+from gsjax.planning.timed_steps import StepTimes
 from gsjax.settings import LENGTHS, PRESETS, SIMULATED, Density, Phase, Rates, Settings, total_steps
 
 NAMED = {name: parse(Settings, PRESETS[name]) for name in LENGTHS}
@@ -93,7 +93,7 @@ class Machine:
         name = next(name for name, each in NAMED.items() if each.phases == settings.phases)
         self.tried.append((name, most))
         self.now += 4.0
-        return Trial((self.paces[name],) * len(settings.phases), 6.0, self.paces[name], 2.0)
+        return StepTimes((self.paces[name],) * len(settings.phases), 6.0, self.paces[name], 2.0)
 
     def beside_steps(self, name):
         """Seconds for one that was tried: 3 of looking, twice; for a surface two programs and 20 maps of 1.4 steps."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsjax.planning import pace
-from gsjax.planning.pace import Pace, seconds_left, spoken
+from gsjax.planning.pace import Pace, duration_text, seconds_left
 from gsjax.planning.sizes import chosen_downscale, size_line
 from gsjax.scene import Frame
 from gsjax.settings import Phase, Settings, Weights
@@ -71,4 +71,4 @@ def test_a_phase_is_timed_once_after_its_first_steps(monkeypatch):
     ("seconds", "words"), [(8.2, "8 s"), (89, "89 s"), (90, "2 min"), (1500, "25 min"), (9000, "2.5 h")]
 )
 def test_durations_read_as_one_says_them(seconds, words):
-    assert spoken(seconds) == words
+    assert duration_text(seconds) == words

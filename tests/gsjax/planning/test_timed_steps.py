@@ -48,20 +48,20 @@ def test_a_trial_takes_the_median_of_a_few_steps_of_every_kind_of_phase(monkeypa
             work.observe(None)
 
     monkeypatch.setattr(timed_steps.loop, "follow", follow)
-    trial = timed_steps.tried(photos, SETTINGS, most=1e9, clock=lambda: now[0])
+    times = timed_steps.time_steps(photos, SETTINGS, most=1e9, clock=lambda: now[0])
     half = timed_steps.image_cost(2)  # of a step at full size: at half the size it is not tried
-    assert 0.25 < half < 1 and trial.seconds_per_step == (half, 1.0, 1.0, 2.0)
+    assert 0.25 < half < 1 and times.seconds_per_step == (half, 1.0, 1.0, 2.0)
     # a, b and d are programs of their own, b and c one; of the first 2 steps one compiles.
     # One that multiplies once more, for a longer list of pairs.
-    assert trial.overhead == pytest.approx(3 * (20 - 1.0) + (20 - 2.0))
-    assert (trial.plain_step, trial.plain_program) == (1.0, pytest.approx(20 - 1.0))
+    assert times.overhead == pytest.approx(3 * (20 - 1.0) + (20 - 2.0))
+    assert (times.plain_step, times.plain_program) == (1.0, pytest.approx(20 - 1.0))
     assert seen == [((10, 8), (300, 300))] * 2
     growing = replace(SETTINGS, density=Density(rule="error", start=800, stop=1_000, full_by=1.0))
-    slower = timed_steps.tried(photos, growing, most=1e9, clock=lambda: now[0]).seconds_per_step
+    slower = timed_steps.time_steps(photos, growing, most=1e9, clock=lambda: now[0]).seconds_per_step
     # 40 points of 300 until step 800, all from step 1,000 on.
     least = 1 - timed_steps.PER_GAUSSIAN * (1 - 40 / 300)
     assert slower[0] == pytest.approx(half * least)
-    assert least < slower[1] < 1 and slower[2:] == trial.seconds_per_step[2:]
+    assert least < slower[1] < 1 and slower[2:] == times.seconds_per_step[2:]
 
 
 def test_where_all_photos_are_small_no_larger_one_is_tried(monkeypatch, photos):
@@ -75,11 +75,11 @@ def test_where_all_photos_are_small_no_larger_one_is_tried(monkeypatch, photos):
 
     monkeypatch.setattr(timed_steps.loop, "follow", follow)
     phases = (Phase("a", 100, image_scale=4), Phase("b", 100, image_scale=2))
-    trial = timed_steps.tried(photos, replace(SETTINGS, phases=phases), most=1e9, clock=lambda: now[0])
+    times = timed_steps.time_steps(photos, replace(SETTINGS, phases=phases), most=1e9, clock=lambda: now[0])
     quarter, half = (timed_steps.image_cost(phase.image_scale) for phase in phases)
     assert scales == [2]
-    assert trial.seconds_per_step == pytest.approx((3.0 * quarter / half, 3.0))
-    assert trial.plain_step == pytest.approx(3.0 / half)  # as it would be at full size
+    assert times.seconds_per_step == pytest.approx((3.0 * quarter / half, 3.0))
+    assert times.plain_step == pytest.approx(3.0 / half)  # as it would be at full size
 
 
 @pytest.mark.parametrize("points", [1_000, 9_000, 60_000, 80_000])
@@ -106,20 +106,22 @@ def test_slow_steps_are_tried_no_longer_than_asked(monkeypatch, photos):
             work.observe(None)
 
     monkeypatch.setattr(timed_steps.loop, "follow", follow)
-    trial = timed_steps.tried(photos, replace(SETTINGS, phases=SETTINGS.phases[1:2]), most=5.0, clock=lambda: now[0])
+    times = timed_steps.time_steps(
+        photos, replace(SETTINGS, phases=SETTINGS.phases[1:2]), most=5.0, clock=lambda: now[0]
+    )
     assert steps == [4]  # two that may compile, two that are timed
-    assert trial.seconds_per_step == (30.0,)
+    assert times.seconds_per_step == (30.0,)
 
 
 def test_cameras_at_one_place_and_no_photos_are_one_line(photos):
     held_out = replace(photos, frames=tuple(replace(frame, held_out=True) for frame in photos.frames))
     with pytest.raises(InputError, match="wall: all 20 photos are held out"):
-        timed_steps.tried(held_out, SETTINGS, most=1.0)
+        timed_steps.time_steps(held_out, SETTINGS, most=1.0)
     with pytest.raises(InputError, match="all 1 training cameras are at one place"):
-        timed_steps.tried(replace(photos, frames=photos.frames[:1]), SETTINGS, most=1.0)
+        timed_steps.time_steps(replace(photos, frames=photos.frames[:1]), SETTINGS, most=1.0)
     two = (held_out.frames[0], photos.frames[1])
     with pytest.raises(InputError, match="of its 2 photos one is left to train on.*; --hold-out none trains on all"):
-        timed_steps.tried(replace(photos, frames=two), SETTINGS, most=1.0)
+        timed_steps.time_steps(replace(photos, frames=two), SETTINGS, most=1.0)
 
 
 def test_what_grows_freely_is_tried_at_ten_times_the_cloud(photos):

@@ -82,7 +82,7 @@ def test_colours_are_clipped_and_numpy_scenes_will_do():
 
 def test_masked_pictures_show_nothing_where_the_photo_does_not_count(shown):
     valid = np.random.default_rng(0).random((20, 24)) > 0.4
-    first, second = gallery.masked(iter(shown[1]), iter([valid, None]))
+    first, second = gallery.mask_pictures(iter(shown[1]), iter([valid, None]))
     for before, after, nothing in zip(shown[1][0], first, (0, 0, 0, -1), strict=True):
         assert after.dtype == before.dtype and (before[~valid] != nothing).any()
         np.testing.assert_array_equal(after[valid], before[valid])

@@ -88,7 +88,7 @@ def made_run(folder, *, seed=0, losses=(0.5, 0.25, 0.125), psnr=25.0, done=True,
         for index, name in enumerate(NAMES[:views])
     ]
     json_files.write(folder / "cameras.json", records)
-    keep = shown_views.keeper(folder)
+    keep = shown_views.picture_keeper(folder)
     for index, record in enumerate(records):
         photo = np.full((SIZE[1], SIZE[0], 3), 20 * index, np.uint8)
         frame = frame_of(record["name"], VIEWMAT.astype(np.float32), K.astype(np.float32), Pixels(photo))
@@ -187,7 +187,7 @@ def test_what_a_stage_measured_is_told(run):
     page = Page(run / "report.html")
     assert page.cells["psnr"] == ["26.5"] and page.cells["floor.chamfer"] == ["0.001"]
     stage = json_files.read(run / "manifest.json")["stages"]["eval"]
-    assert page.cells["eval"][:2] == [tables.shown(stage["seconds"]), tables.shown(stage["peak_gib"])]
+    assert page.cells["eval"][:2] == [tables.format_value(stage["seconds"]), tables.format_value(stage["peak_gib"])]
     assert noted(run / "mesh.ply", "mesh", lambda: figures) == figures, "of no run nothing is noted"
 
 

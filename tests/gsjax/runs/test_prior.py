@@ -7,7 +7,7 @@ from small_scenes import angles, camera_at, plane
 
 from gsjax.errors import InputError
 from gsjax.io import normal_folders
-from gsjax.io.normals import normal_maps
+from gsjax.io.normal_maps import normal_maps
 from gsjax.runs import prior
 from gsjax.runs.prior import RunPrior, read_map, write_map
 from gsjax.scene import Pixels, frame_of

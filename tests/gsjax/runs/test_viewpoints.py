@@ -28,7 +28,7 @@ def sphere(count, radius):
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (70.0, -20.0, 5.0)])
 def test_an_object_is_looked_at_from_all_around(place):
-    chosen = viewpoints.around(cloud(sphere(600, 1.0) + place))
+    chosen = viewpoints.cameras_around(cloud(sphere(600, 1.0) + place))
     eyes = np.array([np.asarray(cams.center(c)) for c in chosen]) - place
     assert np.linalg.norm(eyes, axis=1).min() > 1.5
     directions = eyes / np.linalg.norm(eyes, axis=1, keepdims=True)
@@ -42,7 +42,7 @@ def test_what_its_surroundings_hide_is_looked_at_from_within_them(count, hidden_
     walls = 1900 - count  # One shape, one compilation.
     room = cloud(np.concatenate([sphere(walls, 4.0), sphere(count, hidden_at)]))
     room.log_scales[walls:] = np.log(size)
-    eyes = np.array([np.asarray(cams.center(c)) for c in viewpoints.around(room)])
+    eyes = np.array([np.asarray(cams.center(c)) for c in viewpoints.cameras_around(room)])
     assert np.linalg.norm(eyes, axis=1).max() < within
 
 
@@ -51,6 +51,6 @@ def test_faint_and_broken_gaussians_do_not_move_the_cameras():
     stray = cloud(np.concatenate([sphere(1295, 50.0), np.full((5, 3), np.nan)]))
     stray.logit_opacities[:] = -4.0
     both = jax.tree.map(lambda *parts: np.concatenate(parts), thing, stray)
-    alone, together = viewpoints.around(thing), viewpoints.around(both)
+    alone, together = viewpoints.cameras_around(thing), viewpoints.cameras_around(both)
     for a, b in zip(alone, together, strict=True):
         np.testing.assert_allclose(np.asarray(a.viewmat), np.asarray(b.viewmat), atol=1e-5)

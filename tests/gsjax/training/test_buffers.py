@@ -8,7 +8,7 @@ import pytest
 
 from gsjax.settings import Density, Rates
 from gsjax.training import buffers
-from gsjax.training.buffers import bucket, lengthened, with_room_to_densify
+from gsjax.training.buffers import bucket, lengthen, with_room_to_densify
 from gsjax.training.growth.adaptive import GrowthStatistics
 from gsjax.training.growth.error_driven import ErrorStatistics
 from gsjax.training.growth.rules import RULES
@@ -51,9 +51,9 @@ def test_buckets_are_halves_of_the_budget(monkeypatch):
 
 
 def test_a_lengthened_state_is_the_one_that_was_long_from_the_start():
-    assert_identical(lengthened(trained(SHORT), OPTIMIZER, LONG), trained(LONG))
+    assert_identical(lengthen(trained(SHORT), OPTIMIZER, LONG), trained(LONG))
     state = trained(LONG)
-    assert lengthened(state, OPTIMIZER, SHORT) is state
+    assert lengthen(state, OPTIMIZER, SHORT) is state
 
 
 @pytest.mark.parametrize("rule", RULES)
@@ -67,7 +67,7 @@ def test_density_control_gives_the_same_bits_in_a_buffer_that_grows_as_in_one_of
     grown, whole = ended
     assert SHORT < grown.gaussians.num_gaussians == 32 < LONG
     assert int(count_alive(whole.gaussians)) == ALIVE + 10 > SHORT
-    assert_identical(lengthened(grown, OPTIMIZER, LONG), whole)
+    assert_identical(lengthen(grown, OPTIMIZER, LONG), whole)
 
 
 @pytest.mark.parametrize("most", [SHORT, LONG])

@@ -9,7 +9,7 @@ import pytest
 from small_scenes import camera_at, cloud, photographed
 
 from gsjax import targets
-from gsjax.effects.model import NO_EFFECTS, Effect
+from gsjax.effects.simulation import NO_EFFECTS, Effect
 from gsjax.errors import InputError
 from gsjax.gaussians import opacities
 from gsjax.scene import with_pixels
@@ -21,7 +21,7 @@ from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
 from gsjax.training.state import count_alive, initial_state
 from gsjax.training.step import BACKGROUNDS
-from gsjax.training.terms import TERMS, Term, weighed
+from gsjax.training.terms import TERMS, Term, weigh_terms
 
 PLAIN = Weights(dssim=0.0)
 EXTENT, ALIVE, CAPACITY = 1.0, 30, 48
@@ -157,8 +157,8 @@ def entered(monkeypatch):
         phases.append((phase.name, scales[-1], (done, phase.end), capacity))
         return state
 
-    unreduced = targets.views_of
-    monkeypatch.setattr(targets, "views_of", stacked)
+    unreduced = targets.read_targets
+    monkeypatch.setattr(targets, "read_targets", stacked)
     monkeypatch.setattr(loop, "_run_phase", run_phase)
     return phases
 
@@ -267,9 +267,9 @@ def test_error_driven_densification_fills_the_budget_and_resumes_to_the_same_bit
 def test_the_next_run_of_the_same_settings_finds_its_programs():
     """Other numbers anywhere are another program; effects hold numbers of their run."""
     how = {"capacity": 128, "background": BACKGROUNDS["white"], "sh_every": 4, "rule": RULES["error"], "extent": EXTENT}
-    plain = weighed(PLAIN)
+    plain, alike = weigh_terms(PLAIN), weigh_terms(Weights(dssim=0.0))
     step = loop.kept_step(OPTIMIZER, plain, effects=NO_EFFECTS, **how)
-    assert loop.kept_step(make_optimizer(Rates(), EXTENT, 11), weighed(Weights(dssim=0.0)), effects={}, **how) is step
+    assert loop.kept_step(make_optimizer(Rates(), EXTENT, 11), alike, effects={}, **how) is step
     for other in ({"capacity": 256}, {"extent": 2.0}, {"rule": None}, {"sh_every": 5}):
         assert loop.kept_step(OPTIMIZER, plain, effects=NO_EFFECTS, **{**how, **other}) is not step
     assert loop.kept_step(make_optimizer(Rates(means=1.0), EXTENT, 11), plain, effects=NO_EFFECTS, **how) is not step
@@ -280,7 +280,7 @@ def test_a_term_that_was_edited_is_another_program():
     how = {"capacity": 128, "background": BACKGROUNDS["white"], "sh_every": 4, "rule": None, "effects": NO_EFFECTS}
 
     def step_with(loss):
-        own = weighed(Weights(dssim=0.0, own=0.1), {**TERMS, "own": Term(loss)})
+        own = weigh_terms(Weights(dssim=0.0, own=0.1), {**TERMS, "own": Term(loss)})
         return loop.kept_step(OPTIMIZER, own, **how)
 
     def first(gaussians, view, batch):

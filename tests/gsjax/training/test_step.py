@@ -20,7 +20,7 @@ from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import count_alive, cull, densify, initial_state, reset_opacities
 from gsjax.training.step import BACKGROUNDS, in_photo, make_train_step
-from gsjax.training.terms import TERMS, weighed
+from gsjax.training.terms import TERMS, weigh_terms
 
 ALIVE, CAPACITY, PAIRS = 180, 200, 8192
 SIZE = (32, 32)
@@ -36,13 +36,13 @@ def setup(empty_caches):
     optimizer = make_optimizer(Rates(means=2e-3, means_final=2e-4), 1.0, 60)
     step = make_train_step(
         optimizer,
-        weighed(Weights(alpha=0.1)),
+        weigh_terms(Weights(alpha=0.1)),
         capacity=PAIRS,
         background=BACKGROUNDS["random"],
         sh_every=SH_EVERY,
         rule=RULES["adc"],
     )
-    data = targets.views_of(photographed(cloud(200, seed=5), CAMERAS, with_mattes=True))
+    data = targets.read_targets(photographed(cloud(200, seed=5), CAMERAS, with_mattes=True))
     return SimpleNamespace(optimizer=optimizer, step=step, data=data)
 
 
@@ -124,7 +124,7 @@ def test_an_overflowing_step_leaves_every_bit_and_says_what_it_needs(setup):
     state, _ = run(setup, start(setup), 2)
     narrow = make_train_step(
         setup.optimizer,
-        weighed(Weights(alpha=0.1)),
+        weigh_terms(Weights(alpha=0.1)),
         capacity=64,
         background=BACKGROUNDS["random"],
         sh_every=SH_EVERY,
@@ -260,7 +260,7 @@ def test_a_cull_kills_the_faint_and_leaves_the_others(setup):
 
 
 def test_only_terms_of_weight_are_active():
-    active = weighed(Weights(dssim=0.0, alpha=0.0, entropy=0.1))
+    active = weigh_terms(Weights(dssim=0.0, alpha=0.0, entropy=0.1))
     assert [(each.name, each.weight) for each in active] == [("l1", 0.8), ("entropy", 0.1)]
 
 
@@ -278,7 +278,7 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     normals[0, 0] = 0  # a hole
     data = targets.with_normals(setup.data, [normals] * 3)
     # One of the readings of R that are composited stands for the others, each of which is another pass to compile.
-    terms = weighed({name: 0.1 for name in TERMS if name != "axis_normal"})
+    terms = weigh_terms({name: 0.1 for name in TERMS if name != "axis_normal"})
     capacity = int(1.1 * largest_need(start(setup).gaussians, data))
     step = make_train_step(
         setup.optimizer,

@@ -14,22 +14,22 @@ from tolerances import assert_close
 from gsjax import targets
 from gsjax.cameras import center
 from gsjax.effects import background, exposure, poses, vignetting
-from gsjax.effects.model import learning_rate
-from gsjax.effects.twists import gauge, moved
+from gsjax.effects.simulation import learning_rate
+from gsjax.effects.twists import apply_twist, gauge
 from gsjax.render import backdrop, gallery
 from gsjax.settings import Rates, Weights
 from gsjax.training.growth.rules import RULES
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
-from gsjax.training.terms import weighed
+from gsjax.training.terms import weigh_terms
 
 CAMERAS = [
     camera_at(eye, (0.0, 0.0, 4.0), size=(32, 32)) for eye in ((0.0, 0.0, 0.0), (1.0, 0.0, 0.3), (0.0, -1.0, 0.0))
 ]
 CENTERS = np.stack([center(camera) for camera in CAMERAS])
-PHOTOS = weighed(Weights(alpha=0.0))
-SKY = backdrop.constant(np.array([0.4, 0.6, 0.8]), 2)
+PHOTOS = weigh_terms(Weights(alpha=0.0))
+SKY = backdrop.constant_coefficients(np.array([0.4, 0.6, 0.8]), 2)
 SKY[1] = [0.3, 0.2, -0.2]
 SKY[3] = [-0.2, 0.1, 0.1]
 KEY = jax.random.key(0)
@@ -48,7 +48,7 @@ def start(effects=None, rule="adc"):
 
 @pytest.fixture(scope="module")
 def data():
-    return targets.numbered(targets.views_of(photographed(cloud(200, seed=5), CAMERAS)))
+    return targets.with_photo_numbers(targets.read_targets(photographed(cloud(200, seed=5), CAMERAS)))
 
 
 def program(step, state, target) -> str:
@@ -56,10 +56,10 @@ def program(step, state, target) -> str:
 
 
 @pytest.mark.parametrize(
-    ("rule", "terms"), [("adc", PHOTOS), ("error", PHOTOS), (None, weighed(Weights(alpha=0.0, entropy=0.1)))]
+    ("rule", "terms"), [("adc", PHOTOS), ("error", PHOTOS), (None, weigh_terms(Weights(alpha=0.0, entropy=0.1)))]
 )
 def test_a_step_without_effects_is_that_of_a_program_that_never_heard_of_them(rule, terms):
-    (target,) = targets.views_of(photographed(cloud(200, seed=5), CAMERAS[:1])).targets
+    (target,) = targets.read_targets(photographed(cloud(200, seed=5), CAMERAS[:1])).targets
     state = start(rule=rule or "adc")
     ours = program(make_train_step(OPTIMIZER, terms, **options(rule)), state, target)
     theirs = program(step_without_effects.make_train_step(OPTIMIZER, terms, **options(rule)), state, target)
@@ -73,7 +73,7 @@ def names(tree) -> set[str]:
 def test_what_is_absent_has_no_array():
     assert not [name for name in names(start()) if "effects" in name]
     rate = learning_rate(100)
-    only = {"exposure": exposure.simulated(np.zeros((3, 3)), rate)}
+    only = {"exposure": exposure.make_effect(np.zeros((3, 3)), rate)}
     added = names(start(only)) - names(start())
     assert {name for name in added if ".numbers" in name} == {".effects.numbers['exposure']"}
     assert all("vignetting" not in name for name in added)
@@ -83,10 +83,10 @@ def test_held_effects_leave_the_others_as_they_were(data):
     """At gains of one, a factor of exactly 1, and a rate of zero: only the order of roundings may differ."""
     rate = learning_rate(3000)
     effects = {
-        "exposure": exposure.simulated(np.zeros((3, 3)), rate),
-        "vignetting": vignetting.simulated(np.zeros((1, 2)), np.zeros(3), rate),
-        "poses": poses.simulated(CENTERS, 4.0, np.zeros(3), 1, rate),
-        "background": background.simulated(backdrop.constant(np.zeros(3), 4), rate),
+        "exposure": exposure.make_effect(np.zeros((3, 3)), rate),
+        "vignetting": vignetting.make_effect(np.zeros((1, 2)), np.zeros(3), rate),
+        "poses": poses.make_effect(CENTERS, 4.0, np.zeros(3), 1, rate),
+        "background": background.make_effect(backdrop.constant_coefficients(np.zeros(3), 4), rate),
     }
     step = make_train_step(OPTIMIZER, PHOTOS, **options("adc"), effects=effects)
     plain = make_train_step(OPTIMIZER, PHOTOS, **options("adc"))
@@ -111,14 +111,16 @@ def retaken(data):
     pictures = gallery.pictures(cloud(200, seed=5), CAMERAS, SKY)
     for target, picture, gain, camera, twist in zip(data.targets, pictures, gains, CAMERAS, twists, strict=True):
         image = np.rint(np.clip(255 * picture.colors * np.exp(gain), 0, 255)).astype(np.uint8)
-        wrong = moved(camera, jnp.asarray(-twist), 4.0)
+        wrong = apply_twist(camera, jnp.asarray(-twist), 4.0)
         targets.append(replace(target, image=image, viewmat=wrong.viewmat))
     effects = {
-        "exposure": exposure.simulated(np.zeros((3, 3)), lambda step: jnp.float32(0.01)),
-        "poses": poses.simulated(CENTERS, 4.0, np.zeros(3), 1, lambda step: jnp.float32(1e-3) * 0.98**step),
-        "background": background.simulated(backdrop.constant(np.full(3, 0.5), 2), lambda step: jnp.float32(0.02)),
+        "exposure": exposure.make_effect(np.zeros((3, 3)), lambda step: jnp.float32(0.01)),
+        "poses": poses.make_effect(CENTERS, 4.0, np.zeros(3), 1, lambda step: jnp.float32(1e-3) * 0.98**step),
+        "background": background.make_effect(
+            backdrop.constant_coefficients(np.full(3, 0.5), 2), lambda step: jnp.float32(0.02)
+        ),
     }
-    step = make_train_step(OPTIMIZER, weighed(Weights(dssim=0.0, alpha=0.0)), **options("adc"), effects=effects)
+    step = make_train_step(OPTIMIZER, weigh_terms(Weights(dssim=0.0, alpha=0.0)), **options("adc"), effects=effects)
     return targets, effects, step, gains
 
 
@@ -153,9 +155,9 @@ def test_cameras_go_where_their_photos_were_taken(learned, retaken):
     given = [replace(camera, viewmat=target.viewmat) for camera, target in zip(CAMERAS, targets, strict=True)]
     moves = poses.moves(learned["poses"], CENTERS, 4.0, np.full(3, True), np.zeros(3, int))
     np.testing.assert_allclose(gauge(CENTERS, 4.0).T @ in_units(moves), 0, atol=1e-6)
-    found = [moved(camera, jnp.asarray(in_units([move])), 4.0) for camera, move in zip(given, moves, strict=True)]
+    found = [apply_twist(camera, jnp.asarray(in_units([move])), 4.0) for camera, move in zip(given, moves, strict=True)]
     with_world = [
-        corners([moved(c, jnp.asarray(1e-3 * t), 4.0) for c, t in zip(CAMERAS, mode.reshape(3, 6), strict=True)])
+        corners([apply_twist(c, jnp.asarray(1e-3 * t), 4.0) for c, t in zip(CAMERAS, mode.reshape(3, 6), strict=True)])
         for mode in gauge(CENTERS, 4.0).T
     ]
     slopes = (np.stack(with_world, -1) - corners(CAMERAS)[:, None]) / 1e-3
@@ -173,7 +175,9 @@ def test_the_sky_is_learned_where_it_is_open(learned, retaken):
     """Gains that are a little off make up for a sky that is: as the mean photo has it."""
     pictures = list(gallery.pictures(cloud(200, seed=5), CAMERAS, np.zeros(3)))
     for camera, picture in zip(CAMERAS, pictures, strict=True):
-        sky, found = (np.asarray(backdrop.behind(jnp.asarray(each), camera)) for each in (SKY, learned["background"]))
+        sky, found = (
+            np.asarray(backdrop.color_behind(jnp.asarray(each), camera)) for each in (SKY, learned["background"])
+        )
         assert np.abs((1 - picture.alphas)[..., None] * (found - sky)).mean() < 0.02
 
 

@@ -13,7 +13,7 @@ from gsjax.render import backdrop, gallery
 from gsjax.report.pictures import to_bytes
 from gsjax.scene import Pixels, frame_of
 from gsjax.viewer import drawing
-from gsjax.viewer.drawing import Drawer, bare
+from gsjax.viewer.drawing import Drawer, bare_background
 from gsjax.viewer.page_camera import camera_of, page_camera
 from gsjax.viewer.pictures import COLOR, DEPTH, ERROR, NORMALS, Pictures
 from gsjax.viewer.subject import Subject
@@ -53,10 +53,10 @@ def test_a_known_pose_shows_the_renderers_picture_and_another_pose_another(drawe
 
 def test_a_sky_stands_behind_the_gaussians_and_where_there_are_none(drawer):
     sky = np.random.default_rng(0).normal(0, 0.3, (4, 3)).astype(np.float32)
-    seen = np.clip(np.asarray(backdrop.behind(jnp.asarray(sky), camera(0))), 0, 1)
+    seen = np.clip(np.asarray(backdrop.color_behind(jnp.asarray(sky), camera(0))), 0, 1)
     assert seen.std(axis=(0, 1)).max() > 0.02
-    assert_close(bare(sky, camera(0)), seen)
-    np.testing.assert_array_equal(bare(BACKGROUND, camera(0)), np.broadcast_to(BACKGROUND, seen.shape))
+    assert_close(bare_background(sky, camera(0)), seen)
+    np.testing.assert_array_equal(bare_background(BACKGROUND, camera(0)), np.broadcast_to(BACKGROUND, seen.shape))
     (expected,) = gallery.pictures(SCENE, [camera(0)], sky)
     assert_close(Drawer().draw(SCENE, camera(0), sky).colors, expected.colors)
 
@@ -118,5 +118,5 @@ def test_every_kind_is_the_picture_that_its_name_says():
 
 
 def test_without_photos_there_is_no_error_to_show():
-    bare = Subject("s", Camera(np.eye(4), np.eye(3), 2, 2), np.zeros(3), np.ones(3), 1.0)
-    assert Pictures(bare).kinds == (COLOR, DEPTH, NORMALS)
+    bare_background = Subject("s", Camera(np.eye(4), np.eye(3), 2, 2), np.zeros(3), np.ones(3), 1.0)
+    assert Pictures(bare_background).kinds == (COLOR, DEPTH, NORMALS)

@@ -114,7 +114,7 @@ def test_news_are_asked_for_only_while_somebody_looks_and_kept_to_their_share(mo
 def test_news_bring_the_background_that_is_learned_and_only_the_full_picture(monkeypatch):
     """One colour in all directions, as coefficients: what the browser draws its splats over."""
     behind = np.array([0.2, 0.4, 0.8], np.float32)
-    news = [News(SCENE, "step 1 of 2", backdrop.constant(behind, 0))]
+    news = [News(SCENE, "step 1 of 2", backdrop.constant_coefficients(behind, 0))]
     monkeypatch.setattr(pages, "PATIENCE", 0.01)
     monkeypatch.setattr(Desk, "again", lambda desk, *, only_full=False: asked.append(only_full))
     asked, begun = [], threading.Event()

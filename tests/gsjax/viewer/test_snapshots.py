@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from small_scenes import cloud
 
-from gsjax.effects.model import EffectState
+from gsjax.effects.simulation import EffectState
 from gsjax.gaussians import opacities
 from gsjax.viewer.browser_splats import browser_splats
 from gsjax.viewer.snapshots import Snapshots

@@ -45,7 +45,7 @@ def run(tmp_path):
 @pytest.fixture
 def placed(monkeypatch):
     """Cameras around Gaussians without any, placed without the pictures that choosing takes."""
-    monkeypatch.setattr(viewpoints, "around", lambda gaussians: tuple(CAMERAS))
+    monkeypatch.setattr(viewpoints, "cameras_around", lambda gaussians: tuple(CAMERAS))
 
 
 def test_a_run_brings_its_cameras_and_its_mesh_and_says_why_there_are_no_photos(run):

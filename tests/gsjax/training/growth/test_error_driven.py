@@ -22,7 +22,7 @@ from gsjax.training.initialize import DEAD_LOGIT, far_points, from_points
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
-from gsjax.training.terms import weighed
+from gsjax.training.terms import weigh_terms
 
 KEY = jax.random.key(0)
 ROWS, ALIVE = 40, 20
@@ -76,7 +76,7 @@ def test_both_halves_show_the_same_line_integral_mean_and_spread_as_the_whole(op
         sh_dc=jnp.zeros((1, 1, 3)),
         sh_rest=jnp.zeros((1, 0, 3)),
     )
-    halves = [error_driven.split(whole, jnp.array([side])) for side in (-1.0, 1.0)]
+    halves = [error_driven.split_half(whole, jnp.array([side])) for side in (-1.0, 1.0)]
     axes = np.asarray(rotation_matrices(whole.quats)[0])
     places = np.stack([(np.asarray(half.means)[0] - np.asarray(whole.means)[0]) @ axes for half in halves])
     np.testing.assert_allclose(places.sum(0), 0, atol=1e-12)
@@ -113,7 +113,7 @@ def test_the_count_is_reached_and_the_largest_errors_split():
     for field in ("means", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest"):
         np.testing.assert_array_equal(np.asarray(getattr(after, field))[kept], np.asarray(getattr(before, field))[kept])
     for side, index in ((-1.0, parents), (1.0, free[::-1])):
-        expected = error_driven.split(rows_of(before, parents), jnp.full(13, side))
+        expected = error_driven.split_half(rows_of(before, parents), jnp.full(13, side))
         assert_close(rows_of(after, index), rows_of(expected, slice(None)))
 
 
@@ -205,7 +205,7 @@ def counts(density, start, budget, died=0):
     for step in range(1, 101):
         if densifies(density, step):
             rows = cloud(count - died, capacity=ROWS)
-            count = int(error_driven.wanted(rows, None, density, step=jnp.int32(step), budget=budget))
+            count = int(error_driven.wanted_count(rows, None, density, step=jnp.int32(step), budget=budget))
             found.append(count)
     return found
 
@@ -227,12 +227,12 @@ EXTENT = 4.2  # Of the cameras: half of the cloud is nearer.
 def setup():
     optimizer = make_optimizer(Rates(), 1.0, 60)
     cameras = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-0.6, 0.6)]
-    data = targets.views_of(photographed(cloud(50, seed=5), cameras))
+    data = targets.read_targets(photographed(cloud(50, seed=5), cameras))
 
     def step(rule):
         return make_train_step(
             optimizer,
-            weighed(Weights(alpha=0.0)),
+            weigh_terms(Weights(alpha=0.0)),
             capacity=4096,
             background=BACKGROUNDS["black"],
             sh_every=10,

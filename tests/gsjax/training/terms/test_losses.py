@@ -142,6 +142,6 @@ def test_a_normal_term_counts_only_valid_covered_pixels_that_have_a_normal():
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     normals[:, :4] = 0
     batch = Batch(camera_at(), None, jnp.asarray(VALID), None, jnp.asarray(normals, jnp.float32))
-    term = losses.aligned(lambda gaussians, view, camera: jnp.broadcast_to(jnp.array([0.0, 0, -2]), (12, 14, 3)))
+    term = losses.alignment_term(lambda gaussians, view, camera: jnp.broadcast_to(jnp.array([0.0, 0, -2]), (12, 14, 3)))
     counts = VALID & (ALPHAS > 0.5) & (np.arange(14) >= 4)
     assert_close(term(None, view_of(IMAGE), batch), (1 - np.abs(normals[..., 2]))[counts].mean())

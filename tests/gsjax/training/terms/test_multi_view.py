@@ -252,18 +252,18 @@ def around(degrees):
 
 
 def test_neighbours_look_the_same_way_and_stand_apart():
-    found = multi_view.nearest(around(np.array([0, 0.01, 10, 21, 45, 180])), extent=4.0)
+    found = multi_view.nearest_views(around(np.array([0, 0.01, 10, 21, 45, 180])), extent=4.0)
     assert found.shape == (6, multi_view.NEAREST)
     # Twice the same place is no baseline; 45 degrees are too wide from everywhere but 21.
     assert [list(dict.fromkeys(row)) for row in found.tolist()] == [[2, 3], [2, 3], [1, 0, 3], [2, 1, 0, 4], [3], [5]]
     assert np.bincount(found[3]).tolist() == [2, 2, 2, 0, 2]  # repeated in turn
-    near = multi_view.nearest(around(np.array([0, 10, 21])), extent=2.0)
+    near = multi_view.nearest_views(around(np.array([0, 10, 21])), extent=2.0)
     assert [set(row) for row in near.tolist()] == [{1}, {0, 2}, {1}]  # 21 degrees are 1.46 apart: over half of 2
 
 
 def test_every_step_has_a_neighbour_of_its_view_beside_it():
-    data = targets.numbered(multi_view.with_neighbors(targets.views_of(PHOTOS), 8.0))
-    rows = multi_view.nearest(np.stack([target.viewmat for target in data.targets]), 8.0)
+    data = targets.with_photo_numbers(multi_view.with_neighbors(targets.read_targets(PHOTOS), 8.0))
+    rows = multi_view.nearest_views(np.stack([target.viewmat for target in data.targets]), 8.0)
     target, beside = loop.one_view(data, 0, 0.5), [set() for _ in PHOTOS]
     for step in range(90):
         here = target(step)

@@ -34,7 +34,7 @@ FACING = (0.0, 0.0, -1.0)
 def shown(gaussians, depth_mode="plane"):
     """All of the view but its colours, which no term reads."""
     splats = render.splat(gaussians, CAMERA, 2048, depth_mode=depth_mode)
-    expected, alphas = depth.expected(splats)
+    expected, alphas = depth.expected_depth(splats)
     return View(None, alphas, expected, splats)
 
 

@@ -8,8 +8,8 @@ from small_scenes import camera_at
 from tolerances import assert_close
 
 from gsjax.effects import exposure, vignetting
-from gsjax.effects.appearance import Appearance, fitted, relit
-from gsjax.effects.model import FINAL, HOLD, LIMIT, RATE, WARM_UP, learning_rate, photographed
+from gsjax.effects.appearance import Appearance, fit_colors, without_appearance
+from gsjax.effects.simulation import FINAL, HOLD, LIMIT, RATE, WARM_UP, learning_rate, photograph
 from gsjax.render import View
 from gsjax.scene import Pixels, frame_of
 from gsjax.targets import Batch
@@ -18,8 +18,8 @@ CAMERA = camera_at(size=(32, 24))
 GAINS = np.array([[0.2, -0.1, 0.0], [0.1, 0.3, -0.4]], np.float32)
 RATE_OF_A_RUN = learning_rate(3000)
 EFFECTS = {
-    "exposure": exposure.simulated(GAINS, RATE_OF_A_RUN),
-    "vignetting": vignetting.simulated([[-0.5, 0.1]], np.zeros(2), RATE_OF_A_RUN),
+    "exposure": exposure.make_effect(GAINS, RATE_OF_A_RUN),
+    "vignetting": vignetting.make_effect([[-0.5, 0.1]], np.zeros(2), RATE_OF_A_RUN),
 }
 NUMBERS = {name: jnp.asarray(effect.initial) for name, effect in EFFECTS.items()}
 
@@ -37,7 +37,7 @@ def view(seed=0):
 
 def test_a_photo_is_the_light_times_its_gains_and_the_fall_off():
     seen, black = view(), jnp.zeros(3, jnp.float32)
-    shown = photographed(EFFECTS, NUMBERS, seen, batch(), black).colors
+    shown = photograph(EFFECTS, NUMBERS, seen, batch(), black).colors
     K = np.asarray(CAMERA.K)
     x, y = np.meshgrid(np.arange(32) + 0.5, np.arange(24) + 0.5)
     tangent2 = ((x - K[0, 2]) / K[0, 0]) ** 2 + ((y - K[1, 2]) / K[1, 1]) ** 2
@@ -46,15 +46,17 @@ def test_a_photo_is_the_light_times_its_gains_and_the_fall_off():
     look = Appearance(tuple((GAINS - GAINS.mean(0))[1].tolist()), (-0.5, 0.1))
     frame = frame_of("0.png", np.asarray(CAMERA.viewmat), K, Pixels(np.full((24, 32, 3), 100, np.uint8)))
     assert_close(look.factor(frame), factor.astype(np.float32))
-    assert_close(relit(frame, look).pixels().image, np.clip(np.rint(100 / factor), 0, 255).astype(np.uint8))
+    assert_close(
+        without_appearance(frame, look).pixels().image, np.clip(np.rint(100 / factor), 0, 255).astype(np.uint8)
+    )
 
 
 def test_a_background_that_mattes_put_there_was_in_front_of_no_camera():
     white = jnp.ones(3, jnp.float32)
     seen = view()._replace(colors=jnp.ones((24, 32, 3), jnp.float32), alphas=jnp.zeros((24, 32), jnp.float32))
     matte = jnp.zeros((24, 32), jnp.float32)
-    assert_close(photographed(EFFECTS, NUMBERS, seen, batch(matte=matte), white).colors, seen.colors)
-    assert not np.allclose(photographed(EFFECTS, NUMBERS, seen, batch(), white).colors, seen.colors)
+    assert_close(photograph(EFFECTS, NUMBERS, seen, batch(matte=matte), white).colors, seen.colors)
+    assert not np.allclose(photograph(EFFECTS, NUMBERS, seen, batch(), white).colors, seen.colors)
 
 
 def test_a_white_pixel_bounds_the_light_from_below_only():
@@ -69,7 +71,7 @@ def test_a_white_pixel_bounds_the_light_from_below_only():
     white = Batch(white.camera, jnp.asarray(photo), white.valid, None, None, white.photo)
 
     def shown(numbers):
-        return photographed(gains, {"exposure": numbers}, seen, white, jnp.zeros(3, jnp.float32)).colors
+        return photograph(gains, {"exposure": numbers}, seen, white, jnp.zeros(3, jnp.float32)).colors
 
     factor = np.exp((GAINS - GAINS.mean(0))[1])
     expected = colors * factor
@@ -81,7 +83,7 @@ def test_a_white_pixel_bounds_the_light_from_below_only():
 
 
 def brightness(numbers):
-    return jnp.sum(photographed(EFFECTS, numbers, view(), batch(), jnp.zeros(3, jnp.float32)).colors)
+    return jnp.sum(photograph(EFFECTS, numbers, view(), batch(), jnp.zeros(3, jnp.float32)).colors)
 
 
 def test_what_all_photos_share_is_no_gain():
@@ -95,7 +97,7 @@ def test_what_all_photos_share_is_no_gain():
 @pytest.mark.parametrize("size", [1e2, 1e10, 1e30])
 def test_numbers_beyond_their_bounds_give_finite_values_and_gradients(size):
     numbers = jax.tree.map(lambda leaf: leaf * jnp.float32(size), NUMBERS)
-    shown = photographed(EFFECTS, numbers, view(), batch(), jnp.zeros(3, jnp.float32)).colors
+    shown = photograph(EFFECTS, numbers, view(), batch(), jnp.zeros(3, jnp.float32)).colors
     assert np.isfinite(shown).all()
     assert np.max(shown) <= np.exp(2 * LIMIT)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(jax.grad(brightness)(numbers)))
@@ -123,5 +125,5 @@ def test_the_fitted_colours_are_the_affine_map_where_there_is_one():
     colors, map_ = rng.random((8, 9, 3)).astype(np.float32), rng.random((3, 3))
     image = (colors @ map_ + [0.1, 0.2, 0.3]).astype(np.float32)
     valid = rng.random((8, 9)) < 0.5
-    assert_close(fitted(colors, np.where(valid[..., None], image, 9).astype(np.float32), valid), image)
-    assert_close(fitted(colors, image, np.zeros((8, 9), bool)), colors)
+    assert_close(fit_colors(colors, np.where(valid[..., None], image, 9).astype(np.float32), valid), image)
+    assert_close(fit_colors(colors, image, np.zeros((8, 9), bool)), colors)

@@ -11,7 +11,7 @@ from gsjax.errors import InputError
 from gsjax.io.arrays import headers, read_arrays
 from gsjax.io.images import cv2, image_size, same_shape
 from gsjax.io.normal_folders import is_recorded
-from gsjax.io.photos import listed, scaled_size
+from gsjax.io.photos import list_of_names, scaled_size
 from gsjax.scene import Frame, Origin
 
 _SUFFIXES = (".npy", ".npz", ".png")
@@ -49,7 +49,7 @@ def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, C
     files = _files(directory, frames)
     missing = [frame.name for frame in frames if frame.name not in files]
     if missing:
-        raise InputError(f"{directory}: {listed('normal map', missing)}")
+        raise InputError(f"{directory}: {list_of_names('normal map', missing)}")
     undistorted = is_recorded(directory)
     return {frame.name: _reader(files[frame.name], frame, undistorted) for frame in frames}
 
@@ -64,7 +64,7 @@ def map_places(frames: Sequence[Frame]) -> dict[str, PurePosixPath]:
     return {name: path if shared[path.with_suffix("")] > 1 else path.with_suffix("") for name, path in inside.items()}
 
 
-def resized(unit: np.ndarray, width: int, height: int) -> np.ndarray:
+def resize_normals(unit: np.ndarray, width: int, height: int) -> np.ndarray:
     """A map `[h, w, 3]` of unit vectors at another size: unit again, and zero where the nearest vector is."""
     unit = _shrunk(unit, width, height)
     if unit.shape[:2] == (height, width):
@@ -133,7 +133,7 @@ def _shows_photo(file: Path, size: tuple[int, int], frame: Frame, origin: Origin
 
 def _read_resized(file: Path, frame: Frame) -> np.ndarray:
     """A map of what the frame shows, at the frame's size."""
-    return resized(_unit(_read(file)), frame.width, frame.height)
+    return resize_normals(_unit(_read(file)), frame.width, frame.height)
 
 
 def _read_undistorted(file: Path, frame: Frame, origin: Origin) -> np.ndarray:

@@ -9,12 +9,12 @@ from tqdm import tqdm
 
 from gsjax.effects.appearance import simulations, start
 from gsjax.effects.evidence import Evidence
-from gsjax.effects.model import RATE, Effects, EffectState
-from gsjax.effects.model import initial_state as state_of
 from gsjax.effects.observations import Observations
+from gsjax.effects.simulation import RATE, Effects, EffectState
+from gsjax.effects.simulation import initial_state as state_of
 from gsjax.scene import Frame
 from gsjax.settings import PLAIN
-from gsjax.targets import Views
+from gsjax.targets import Targets
 from gsjax.training import trial
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import Plan
@@ -27,7 +27,7 @@ STEPS, SHARE = 60, 0.05  # before and after the ways part, each; of the run, at 
 FEWEST_STEPS = 1000  # of a run: in a shorter one a trial is too short to tell anything, and evidence decides
 SCORED = 16  # photos whose kept blocks are scored, spread evenly
 
-Trial = Callable[[Observations, Sequence[str], Sequence[str]], dict[str, float]]
+EffectTrial = Callable[[Observations, Sequence[str], Sequence[str]], dict[str, float]]
 """(photos, effects that are on, effects to be tried) -> decibels that each of the latter brings."""
 
 
@@ -70,15 +70,15 @@ def gains(
     """
     optimizer = make_optimizer(plan.rates, extent, plan.steps)
     shown, kept = trial.by_block(trial.small_views(frames))
-    kept = Views(kept.targets[:: -(-kept.num_views // SCORED)])
+    kept = Targets(kept.targets[:: -(-kept.num_views // SCORED)])
     steps = max(1, min(STEPS, round(SHARE * plan.steps)))
 
     every = (2 + len(near)) * (steps + kept.num_views)
     bar = tqdm(total=every, desc=f"trying {', '.join(near)}", unit="step", leave=False)
 
     def steps_with(effects: Effects) -> Callable[[TrainState], tuple[TrainState, float]]:
-        make = trial.maker(plan, PLAIN, optimizer, shown, effects=effects, sh_every=plan.sh_every)
-        return partial(trial.tried, make, shown=shown, kept=kept, steps=steps, seed=plan.seed, observe=bar.update)
+        make = trial.step_factory(plan, PLAIN, optimizer, shown, effects=effects, sh_every=plan.sh_every)
+        return partial(trial.run_trial, make, shown=shown, kept=kept, steps=steps, seed=plan.seed, observe=bar.update)
 
     def chosen(names: Sequence[str]) -> Effects:
         return simulations(start(seen, names), names, lambda peak=RATE, **_: optax.constant_schedule(peak))

@@ -7,7 +7,7 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.io import normal_folders
-from gsjax.io.normals import map_places, normal_maps, resized
+from gsjax.io.normal_maps import map_places, normal_maps, resize_normals
 from gsjax.io.scenes import load_scene
 from gsjax.scene import Pixels, frame_of
 
@@ -266,7 +266,7 @@ def test_distorted_maps_whose_size_does_not_tell_what_they_show_are_refused(dist
 def test_resized_maps_are_unit_and_zero_where_the_nearest_is(size):
     normals = smooth_normals()
     normals[:, :6] = 0
-    resized_map = resized(normals, *size)
+    resized_map = resize_normals(normals, *size)
     known = resized_map.any(axis=-1)
     assert resized_map.shape == (*size[::-1], 3)
     np.testing.assert_allclose(np.linalg.norm(resized_map[known], axis=-1), 1, atol=1e-6)
@@ -298,7 +298,7 @@ def test_maps_are_found_where_they_were_placed(tmp_path):
         assert degrees(loaded, np.roll(smooth_normals(), index, axis=1)).max() < 0.03, "half precision"
     (tmp_path / "normals.json").write_text('{"maps": {}}')
     with pytest.raises(InputError, match="normals.json: does not say what made the maps"):
-        normal_folders.maker(tmp_path)
+        normal_folders.network_of(tmp_path)
 
 
 def test_headers_are_read_at_once_and_maps_one_by_one(tmp_path):

@@ -64,7 +64,7 @@ def initial_state(effects: Effects) -> EffectState | None:
     return EffectState(numbers, {name: _adam(effects[name]).init(value) for name, value in numbers.items()})
 
 
-def aimed(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, photo: Array | None) -> Camera:
+def move_camera(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, photo: Array | None) -> Camera:
     """The camera of a photo as the effects have it; the given one where there are none.
 
     Args:
@@ -81,7 +81,7 @@ def aimed(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, phot
     return camera
 
 
-def behind(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, color: Array) -> Array:
+def light_behind(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, color: Array) -> Array:
     """`[3]` or `[H, W, 3]` light that comes from no Gaussian; the given `[3]` colour where no effect knows better."""
     if numbers is None:
         return color
@@ -91,7 +91,7 @@ def behind(effects: Effects, numbers: dict[str, Any] | None, camera: Camera, col
     return color
 
 
-def photographed(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch, background: Array) -> View:
+def photograph(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch, background: Array) -> View:
     """What the camera makes of a view.
 
     Where photos have mattes, the background is laid under them by us, after any camera: it stays as it is. A white
@@ -122,7 +122,9 @@ def photographed(effects: Effects, numbers: dict[str, Any] | None, view: View, b
     return view._replace(colors=jnp.where((batch.image > SATURATED) & (colors > most), most, colors))
 
 
-def trusted(effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch) -> tuple[Batch, Array | None]:
+def mask_untrusted(
+    effects: Effects, numbers: dict[str, Any] | None, view: View, batch: Batch
+) -> tuple[Batch, Array | None]:
     """The view with those pixels left out that an effect does not trust, and what it adds to the loss; None of none."""
     added = None
     if numbers is None:
@@ -134,7 +136,7 @@ def trusted(effects: Effects, numbers: dict[str, Any] | None, view: View, batch:
     return batch, added
 
 
-def updated(effects: Effects, state: EffectState | None, gradients: dict[str, Any] | None) -> EffectState | None:
+def update_effects(effects: Effects, state: EffectState | None, gradients: dict[str, Any] | None) -> EffectState | None:
     """One Adam step of every effect."""
     if state is None or gradients is None:
         return None
