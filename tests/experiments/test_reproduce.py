@@ -284,7 +284,7 @@ def test_stages_are_done_once_and_go_on_after_the_one_that_failed(scripts, monke
 @pytest.mark.parametrize(("step", "is_end", "kept"), [(9000, True, True), (7000, True, False), (8999, False, False)])
 def test_the_gaussians_are_kept_as_the_phase_with_normals_has_them(scripts, monkeypatch, tmp_path, step, is_end, kept):
     train = importlib.import_module("gsjax.pipeline.train")
-    monkeypatch.setattr(train, "living", lambda gaussians: gaussians)
+    monkeypatch.setattr(train, "living_gaussians", lambda gaussians: gaussians)
     monkeypatch.setattr("gsjax.io.ply.write_gaussians", lambda file, gaussians: file.write_text(gaussians))
     settings = scripts("paper.scenes").settings_of("room", "paper_6k_15k", 0)
     progress = SimpleNamespace(step=step, phase_done=is_end, state=SimpleNamespace(gaussians="these"))

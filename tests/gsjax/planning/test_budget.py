@@ -77,8 +77,8 @@ class Machine:
     def __init__(self, monkeypatch, *, evidence=0.0, **paces):
         self.now, self.paces, self.tried, self.evidence = 0.0, paces, [], evidence
         monkeypatch.setattr(budget, "at_size", self.at_size)
-        monkeypatch.setattr(budget, "tried", self.try_out)
-        monkeypatch.setattr(budget, "diagnosed", self.diagnosed)
+        monkeypatch.setattr(budget, "time_steps", self.try_out)
+        monkeypatch.setattr(budget, "diagnose_scene", self.diagnosed)
 
     def at_size(self, scene, settings, steps):
         photos = SimpleNamespace(train_frames=(None,) * 20)

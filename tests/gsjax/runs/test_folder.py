@@ -86,7 +86,7 @@ def test_what_killed_writers_left_goes_when_a_run_goes_on(run):
     leftover, mine = run / "checkpoints" / left_by_the_dead("step_0000001"), run / ".notes-0123abcd.npz"
     for file in (leftover, mine):
         file.write_text("half")
-    with runs.begun(run):
+    with runs.claim_run(run):
         assert not leftover.exists() and mine.exists()
 
 
@@ -147,7 +147,7 @@ def test_a_run_may_be_a_link(tmp_path):
     link.symlink_to(tmp_path / "disk/run")
     assert runs.create(link, SETTINGS, scene="scene", seed=3) == link
     assert link.is_symlink() and runs.is_begun(tmp_path / "disk/run")
-    with pytest.raises(InputError, match="no room"), runs.begun(link):
+    with pytest.raises(InputError, match="no room"), runs.claim_run(link):
         raise InputError("the device has no room")
     assert link.is_symlink() and os.listdir(link) == []
     runs.create(link, SETTINGS, scene="scene", seed=3)
@@ -156,18 +156,18 @@ def test_a_run_may_be_a_link(tmp_path):
 def test_two_processes_do_not_work_in_one_folder(run):
     holding = (
         "import sys, time\nfrom pathlib import Path\nfrom gsjax import runs\n"
-        "with runs.begun(Path(sys.argv[1])):\n    print(flush=True)\n    time.sleep(60)"
+        "with runs.claim_run(Path(sys.argv[1])):\n    print(flush=True)\n    time.sleep(60)"
     )
     child = subprocess.Popen([sys.executable, "-c", holding, str(run)], stdout=subprocess.PIPE)
     child.stdout.readline()
-    for attempt in (lambda: runs.begun(run).__enter__(), lambda: runs.is_to_resume(run)):
+    for attempt in (lambda: runs.claim_run(run).__enter__(), lambda: runs.is_to_resume(run)):
         with pytest.raises(InputError, match="run: another process is at work in this folder"):
             attempt()
     assert runs.is_begun(run), "its files are the other's"
     child.kill()
     child.wait()
     child.stdout.close()
-    with runs.begun(run):
+    with runs.claim_run(run):
         pass
 
 
@@ -176,28 +176,28 @@ def test_a_damaged_newest_checkpoint_gives_way_to_the_one_before(run, capsys):
         runs.save_checkpoint(run, step, {"step": np.int32(step)})
     newest = run / "checkpoints/step_0000010.npz"
     newest.write_bytes(newest.read_bytes()[:-30])
-    with runs.begun(run):
+    with runs.claim_run(run):
         assert runs.latest_checkpoint(run)[0] == 5
     line = capsys.readouterr().err
     assert line.count("\n") == 1 and "step_0000010.npz: truncated or damaged" in line
     assert line.endswith("going on from step_0000005.npz\n")
     only = run / "checkpoints/step_0000005.npz"
     only.write_bytes(b"")
-    with pytest.raises(InputError, match="step_0000005.npz: .*without this file, --resume begins at"), runs.begun(run):
+    with pytest.raises(InputError, match="step_0000005.npz: .*without this file, --resume begins at"), runs.claim_run(run):
         pass
     assert only.exists() and runs.is_begun(run)
 
 
 def test_files_of_others_stay_where_a_run_comes_to_nothing(run):
     (run / "notes.txt").write_text("kept")
-    with pytest.raises(InputError, match="no room"), runs.begun(run):
+    with pytest.raises(InputError, match="no room"), runs.claim_run(run):
         raise InputError("the device has no room")
     assert os.listdir(run) == ["notes.txt"]
 
 
 @pytest.mark.parametrize("left", ["nothing", "metrics", "checkpoint"])
 def test_a_run_of_which_nothing_came_leaves_its_place_free(run, left):
-    with pytest.raises(InputError, match="no room"), runs.begun(run):
+    with pytest.raises(InputError, match="no room"), runs.claim_run(run):
         if left == "metrics":
             runs.append_metrics(run, {"step": 5})
         if left == "checkpoint":
@@ -207,7 +207,7 @@ def test_a_run_of_which_nothing_came_leaves_its_place_free(run, left):
 
 
 def test_a_run_that_is_interrupted_stays(run):
-    with pytest.raises(KeyboardInterrupt), runs.begun(run):
+    with pytest.raises(KeyboardInterrupt), runs.claim_run(run):
         raise KeyboardInterrupt
     assert (run / "manifest.json").exists()
 
