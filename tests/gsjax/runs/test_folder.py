@@ -183,7 +183,8 @@ def test_a_damaged_newest_checkpoint_gives_way_to_the_one_before(run, capsys):
     assert line.endswith("going on from step_0000005.npz\n")
     only = run / "checkpoints/step_0000005.npz"
     only.write_bytes(b"")
-    with pytest.raises(InputError, match="step_0000005.npz: .*without this file, --resume begins at"), runs.claim_run(run):
+    told = "step_0000005.npz: .*without this file, --resume begins at"
+    with pytest.raises(InputError, match=told), runs.claim_run(run):
         pass
     assert only.exists() and runs.is_begun(run)
 
