@@ -66,9 +66,9 @@ def test_real_photos_get_the_poses_of_the_reference_model(fox, shared):
     check_poses(scene, shared)  # six photos fix the focal length, and with it the angles, to a few per cent only
 
 
-def test_the_result_is_an_undistorted_data_set_and_nothing_else(fox):
+def test_the_result_is_an_undistorted_data_set_and_a_report_of_it(fox):
     scene, report, _ = fox
-    assert sorted(p.name for p in scene.iterdir()) == ["images", "sparse"]
+    assert sorted(p.name for p in scene.iterdir()) == ["images", "sfm.json", "sparse"]
     model = pycolmap.Reconstruction(scene / "sparse/0")
     assert {camera.model_name for camera in model.cameras.values()} == {"PINHOLE"}
     assert (model.num_reg_images(), model.num_points3D()) == (report.registered, report.points)
