@@ -25,6 +25,7 @@ from gsjax.cli import (
     undistort,
     view,
 )
+from gsjax.cli.printing import Printing
 from gsjax.cli.stopping import ASKS, Stopping
 from gsjax.errors import InputError
 
@@ -68,13 +69,13 @@ def run_guarded(action: Callable[[], None]) -> int:
 
     Returns:
         0 done, 2 unusable input (one line on stderr says which). Asked to end, it cleans up as after any other end, and
-        leaves with the code that shells give to the signal: 130 after Ctrl-C, 143 after SIGTERM. Anything else is a bug
-        and comes up as the exception that it is.
+        leaves with the code that shells give to the signal: 130 after Ctrl-C, 143 after SIGTERM; 141 where a pipe that
+        it prints to was closed. Anything else is a bug and comes up as the exception that it is.
     """
     environment.prepare()
-    stopping = Stopping()
+    stopping, printing = Stopping(), Printing()
     try:
-        with stopping:
+        with stopping, printing:
             action()
     except InputError as error:
         print(f"gsjax: error: {error}", file=sys.stderr)
@@ -83,6 +84,8 @@ def run_guarded(action: Callable[[], None]) -> int:
         # Also what others have made of our exception, such as XLA of one in its callback.
         asked = stopping.signal or (signal.SIGINT if isinstance(error, KeyboardInterrupt) else None)
         if asked is None:
+            if (code := printing.exit_code(error)) is not None:
+                return code
             raise
         print(f"gsjax: {ASKS[asked]}", file=sys.stderr)
         return 128 + asked
