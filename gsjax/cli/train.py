@@ -106,14 +106,16 @@ def _train(arguments: argparse.Namespace, address: dict[str, Any]) -> dict[str, 
         for name in ("budget", "view"):
             if getattr(arguments, name):
                 raise InputError(f"--{name}: needs one device and --views-per-step 1")
+    if arguments.view:
+        from gsjax import viewer
+
+        viewer.check_port(**address)  # Before a budget is measured.
     if devices != 1 and arguments.views_per_step is None and not arguments.resume:
         arguments.views_per_step = pipeline.count_devices(devices)
     plan, spread = settings(arguments), {"devices": devices} if devices != 1 else {}
     train = partial(pipeline.train, arguments.scene, arguments.out, plan, resume=arguments.resume, **spread)
     if not arguments.view:
         return train()
-    from gsjax import viewer
-
     with viewer.watch(arguments.scene, plan, **address) as observe:
         return train(observe=observe)
 

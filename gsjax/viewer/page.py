@@ -25,6 +25,7 @@ from gsjax.viewer.same_origin import own_pages_alone
 from gsjax.viewer.scenery import MESH_COLORS, MESH_OFF, MESH_SHAPE, Scenery
 from gsjax.viewer.subject import Subject
 
+HOST, PORT = "127.0.0.1", 8080
 SHOW, SIDE, MESH, CAMERAS = "Show", "Longest side", "Mesh", "Cameras"
 BY_BROWSER = "colour, drawn by the browser"
 LONGEST, COARSER = ("480", "960", "1920"), 3  # Sides of full pictures; coarse ones are so much smaller.
@@ -219,7 +220,7 @@ class Page:
             self.desk.again(only_full=True)
 
 
-def check_port(host: str, port: int) -> None:
+def check_port(host: str = HOST, port: int = PORT) -> None:
     """InputError unless a server could listen there."""
     if not 0 <= port < 65536:
         raise InputError(f"--port {port} is not between 0 and 65535")

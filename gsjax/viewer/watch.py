@@ -9,11 +9,10 @@ from threading import Thread
 from gsjax.io.scenes import load_scene
 from gsjax.settings import Settings, total_steps
 from gsjax.training.loop import Progress
-from gsjax.viewer.page import Page, check_port
+from gsjax.viewer.page import HOST, PORT, Page, check_port
 from gsjax.viewer.snapshots import Snapshots
 from gsjax.viewer.subject import open_subject, subject_of_scene
 
-HOST, PORT = "127.0.0.1", 8080
 SHARE = 0.03  # Of a training's time, what its page may take.
 
 

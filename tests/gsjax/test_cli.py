@@ -59,7 +59,7 @@ def library(monkeypatch):
         calls.append(("watch", args, kwargs))
         yield "told of every step"
 
-    install("gsjax.viewer", view=recorded("view", None), watch=watch)
+    install("gsjax.viewer", view=recorded("view", None), watch=watch, check_port=lambda **address: None)
     return calls
 
 
@@ -229,6 +229,12 @@ def test_a_training_is_watched_where_it_is_asked_for(library, capsys):
     assert cli.main(["train", "scene", "--out", "r", "--port", "81"]) == 2
     assert capsys.readouterr().err == "gsjax: error: --port goes with --view\n"
     assert len(library) == 2
+
+
+def test_an_address_of_no_host_is_refused_before_a_budget_is_measured(capsys):
+    arguments = ["--out", "r", "--budget", "9m", "--view", "--host", "nowhere.invalid"]
+    assert cli.main(["train", "no/scene", *arguments]) == 2
+    assert capsys.readouterr().err.startswith("gsjax: error: --host nowhere.invalid: ")
 
 
 def test_eval_writes_json_and_prints_a_table(library, tmp_path, capsys):
