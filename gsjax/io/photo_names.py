@@ -47,13 +47,19 @@ def path_inside(name: str) -> PurePosixPath:
 def written_name(name: str, has_matte: bool) -> str:
     """A photo's name where it is written anew, within a folder: a JPEG stays one, others become PNGs.
 
-    A matte makes a PNG of any. Photos of iPhones and of the web become JPEGs.
+    A matte makes a PNG of any. Photos of iPhones and of the web become JPEGs. What no list of names can hold, such as
+    the end of a line, becomes an underscore.
     """
-    path = path_inside(name)
+    path = path_inside(printable_name(name))
     suffix = path.suffix.lower()
     if suffix in (".jpg", ".jpeg") and not has_matte:
         return str(path)
     return str(path.with_suffix(".jpg" if suffix in _AS_JPEG and not has_matte else ".png"))
+
+
+def printable_name(name: str) -> str:
+    """A name with underscores in place of what is no part of a line: ends of lines, tabs, broken characters."""
+    return "".join(character if character.isprintable() else "_" for character in name)
 
 
 def short_name(name: str) -> str:

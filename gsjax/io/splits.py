@@ -47,16 +47,18 @@ def _held_out(photos: Sequence[Photo], hold_out: str, root: Path) -> set[str]:
 def _listed(file: Path, names: Sequence[str]) -> set[str]:
     """The names in a text file, all of which must be among `names`."""
     try:
-        lines = [line.strip() for line in file.read_text(encoding="utf-8-sig").splitlines()]
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
     except FileNotFoundError as error:
         raise InputError(f"{file}: no such list of photos; --hold-out takes a number, none, or a file") from error
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: cannot be read as a list of photos ({error})") from error
-    wanted = {number: line for number, line in enumerate(lines, 1) if line and not line.startswith("#")}
+    known = set(names)  # A name may begin with what else is a comment, or end in a space.
+    named = [line if line in known else line.strip() for line in lines]
+    wanted = {n: name for n, name in enumerate(named, 1) if name in known or (name and not name.startswith("#"))}
     if not wanted:
         raise InputError(f"{file}: names no photo; --hold-out none holds none out")
     for number, name in wanted.items():
-        if name not in names:
+        if name not in known:
             (nearest,) = difflib.get_close_matches(name, names, n=1, cutoff=0.0)
             raise InputError(f"{file}, line {number}: there is no photo {name}; the nearest name is {nearest}")
     return set(wanted.values())

@@ -11,7 +11,7 @@ from gsjax.io.colmap_writer import write_whole
 from gsjax.io.images import filter_straight, write_image
 from gsjax.io.lenses import Lens, PinholeView, pinhole_views
 from gsjax.io.packages import require
-from gsjax.io.photo_names import written_name
+from gsjax.io.photo_names import printable_name, written_name
 from gsjax.io.photos import valid_of
 from gsjax.io.sfm.shots import Shot, turned_pinhole, turned_points, turned_pose
 
@@ -91,6 +91,6 @@ def _gather_colors(sums: dict[int, np.ndarray], image, colors: np.ndarray, xy: n
 def _unused(name: str, listed: str, names: set[str]) -> str:
     """The name to write, or where another photo has it, one made of all of the listed name; it is used from now on."""
     if name in names:
-        name = f"{listed}{Path(name).suffix}"
+        name = f"{printable_name(listed)}{Path(name).suffix}"
     names.add(name)
     return name
