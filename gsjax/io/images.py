@@ -199,7 +199,8 @@ def _open(path: Path):
 
 def _in_bytes(path: Path, picture) -> np.ndarray:
     """`[H, W]` uint8 of a picture of one channel that is not of bytes: of shares of 1, bytes after all, or 16 bits."""
-    values = np.asarray(picture, np.float64)
+    with np.errstate(invalid="ignore"):  # Of NaNs that signal; all are looked for below.
+        values = np.asarray(picture, np.float64)
     least, largest = float(values.min()), float(values.max())
     whole = bool(np.isfinite(values).all()) and not (values % 1).any()
     if least >= 0 and largest <= 1 and picture.mode == "F":
@@ -223,6 +224,8 @@ def _format(path: Path) -> str:
 def _unreadable(path: Path, error: Exception) -> InputError:
     if isinstance(error, FileNotFoundError):
         return InputError(f"{path}: no such image")
+    if path.is_file() and not path.stat().st_size:
+        return InputError(f"{path}: not a whole image (it is empty)")
     if isinstance(error, Image.UnidentifiedImageError):
         return InputError(
             f"{path}: not a whole image (of no format that is read here; TIFFs of floats have one channel)"

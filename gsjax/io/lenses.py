@@ -26,6 +26,7 @@ _WITH_TWO_FOCALS = {
     "RADIAL_FISHEYE": ("OPENCV_FISHEYE", 2),
 }
 _LARGEST_SIDE = 2**31  # pixels
+_FARTHEST_MIDDLE = 100  # sides of the photo
 _LONGEST_REMAPPED = 32_766  # pixels: OpenCV counts them in 16 bits
 _MAPPED = 100  # bytes a pixel while a lens's map is made
 _NO_REMAP_BELOW = 0.01  # pixels: a lens that moves nothing farther is read as it is
@@ -75,10 +76,21 @@ def check_lens(lens: Lens, where: str | Path) -> Lens:
         fault = "a parameter that is not finite"
     elif min(focals) <= 0:
         fault = "a focal length that is not positive"
+    elif not _sees_middle(lens):
+        fault = f"a principal point that lies {_FARTHEST_MIDDLE} times its size away"
     else:
         return lens
     numbers = ", ".join(f"{value:.6g}" for value in lens.params)
     raise InputError(f"{where} ({lens.model} {lens.width}x{lens.height} with {numbers}) has {fault}")
+
+
+def _sees_middle(lens: Lens) -> bool:
+    """Whether the principal point lies in the photo, or not so far off as no crop of a larger one has it."""
+    if lens.model == "EQUIRECTANGULAR":
+        return True
+    first = 1 if lens.model in _WITH_TWO_FOCALS else 2
+    (x, y), (width, height) = lens.params[first : first + 2], (lens.width, lens.height)
+    return max(abs(x / width - 0.5), abs(y / height - 0.5)) < _FARTHEST_MIDDLE
 
 
 def resize_lens(lens: Lens, width: int, height: int) -> Lens:

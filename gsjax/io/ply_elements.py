@@ -74,8 +74,8 @@ def from_rest_columns(columns: np.ndarray) -> np.ndarray:
 
 
 def stack_columns(rows: np.ndarray, names: list[str], dtype: type = np.float32) -> np.ndarray:
-    """`[N, K]` of K columns, in the order of `names`; what `dtype` cannot hold is infinite."""
-    with np.errstate(over="ignore"):
+    """`[N, K]` of K columns, in the order of `names`; what `dtype` cannot hold is infinite, and any NaN stays one."""
+    with np.errstate(over="ignore", invalid="ignore"):
         columns = np.array([rows[name] for name in names], dtype)
     return np.ascontiguousarray(columns.reshape(len(names), len(rows)).T)
 
@@ -101,6 +101,8 @@ def _parse_header(path: Path, header: str) -> tuple[str, list[tuple[str, int, li
             elif words[:1] == ["element"]:
                 elements.append((words[1], int(words[2]), []))
             elif words[:2] == ["property", "list"]:
+                if elements[-1][0] == "vertex":
+                    raise ValueError("its vertices have lists, which are not read")
                 del elements[-1]
                 break
             elif words[:1] == ["property"]:

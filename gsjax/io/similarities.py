@@ -7,6 +7,9 @@ from typing import Any
 from gsjax.errors import InputError
 from gsjax.similarity import Similarity
 
+LARGEST_SCALE = 2.0**100  # Of both ways, beside which float32 has room for the places themselves.
+FARTHEST = 2.0**60  # local units from the world's origin: float64 tells places there no longer apart
+
 
 def parsed_similarity(kept: Any, file: Path) -> Similarity:
     """The similarity that a file holds.
@@ -19,6 +22,7 @@ def parsed_similarity(kept: Any, file: Path) -> Similarity:
         similarity = Similarity(float(kept["scale"]), (x, y, z))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{file}: holds no similarity of a scale and a center ({str(kept)[:80]})") from error
-    if not (similarity.scale > 0 and all(map(math.isfinite, (similarity.scale, x, y, z)))):
-        raise InputError(f"{file}: a similarity of scale {similarity.scale:g} and center {x:g} {y:g} {z:g} is none")
+    scale, farthest = similarity.scale, max(map(abs, (x, y, z))) * similarity.scale
+    if not (1 / LARGEST_SCALE <= scale <= LARGEST_SCALE and all(map(math.isfinite, (x, y, z))) and farthest < FARTHEST):
+        raise InputError(f"{file}: a similarity of scale {scale:g} and center {x:g} {y:g} {z:g} is none")
     return similarity

@@ -205,6 +205,8 @@ def _loaded(path: Path):
         scene = trimesh.load(path, force="scene", process=False, maintain_order=not has_places)
         surface = _as_one(path, scene)
         _triangles(surface)
+    except InputError:
+        raise
     except Exception as error:  # Readers raise whatever the broken bytes lead to.
         raise InputError(f"{path}: not readable as a mesh ({type(error).__name__}: {error})".splitlines()[0]) from error
     if not len(surface.faces):
@@ -216,7 +218,7 @@ def _as_one(path: Path, scene):
     """The parts of a file as one trimesh, with the texture where all of them have one, else with vertex colours."""
     parts, is_glb = parts_of(scene), path.suffix.lower() == ".glb"
     if not parts:
-        raise InputError("holds no triangles")
+        raise InputError(f"{path}: holds no triangles")
     if all(has_picture(part) for part in parts):
         return scene.to_mesh()
     if len(parts) > 1 or parts[0].visual.kind in ("face", "texture"):

@@ -133,6 +133,7 @@ def _train(
     # Read once, and before the run begins: a damaged photo is found now.
     photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
     loaded = replace(loaded, frames=tuple(map(in_memory, photos)))
+    _require_pixels(loaded)
     asked = effects_asked(settings, devices)
     looked = look_for_effects(asked, loaded)
     loaded, frames = looked.scene, looked.scene.train_frames
@@ -190,6 +191,13 @@ def _train(
                 state, capacity = with_needed_harmonics(run, work, state, capacity), None
             state = whole(follow(work, state, capacity))
             return _finish(run, planned, loaded, state, chosen.photography(state.effects), journal.seconds)
+
+
+def _require_pixels(scene: Scene) -> None:
+    """Refuses masks that leave nothing to train on."""
+    masks = [frame.pixels().valid for frame in scene.train_frames]
+    if not any(mask is None or mask.any() for mask in masks):
+        raise InputError(f"{scene.root}: its masks leave no pixel of any photo; what is not 0 in a mask is used")
 
 
 def _of_first(state: TrainState, initial: Callable[[int], TrainState]) -> TrainState:

@@ -16,6 +16,7 @@ from gsjax.io.images import write_image
 from gsjax.io.ply import read_gaussians, write_gaussians
 from gsjax.io.ply_elements import read_elements
 from gsjax.io.scenes import load_scene
+from gsjax.io.similarities import parsed_similarity
 from gsjax.mesh import Mesh
 from gsjax.meshing import export
 from gsjax.meshing.atlas import Atlas, TexturedMesh
@@ -226,6 +227,21 @@ def test_meshes_keep_their_place(world, name, tmp_path):
     np.testing.assert_allclose(
         corners.vertices[corners.faces], mesh.vertices[faces], atol=1e-6 * WORLDS[world][0]
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "kept",
+    [
+        {"scale": 1e308, "center": [0, 0, 0]},
+        {"scale": 1e-308, "center": [0, 0, 0]},
+        {"scale": 0, "center": [0, 0, 0]},
+        {"scale": 4.0, "center": [1e300, 0, 0]},
+        {"scale": 4.0, "center": [float("nan"), 0, 0]},
+    ],
+)
+def test_a_similarity_that_no_scene_has_is_refused(kept, tmp_path):
+    with pytest.raises(InputError, match=r"m.json: a similarity of scale .* is none$"):
+        parsed_similarity(kept, tmp_path / "m.json")
 
 
 def test_lengths_and_poses_go_there_and_back():

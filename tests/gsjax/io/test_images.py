@@ -134,7 +134,10 @@ def test_tiffs_of_floats_and_of_more_bits_are_read_as_what_they_hold(tmp_path):
     np.testing.assert_array_equal(read_mask(tmp_path / "mask.tif"), 255 * (grey > 99))
 
 
-@pytest.mark.parametrize("beyond", [-0.1, 1.5, np.nan, np.inf, 1e9])
+SIGNALLING = np.array([0x7FA00000], np.uint32).view(np.float32)[0]  # A NaN that numpy warns of where it is cast.
+
+
+@pytest.mark.parametrize("beyond", [-0.1, 1.5, np.nan, SIGNALLING, np.inf, 1e9])
 def test_floats_of_no_known_range_are_refused(tmp_path, beyond):
     pixels = np.full((6, 4), 0.5, np.float32)
     pixels[2, 2] = beyond
@@ -187,6 +190,12 @@ def test_a_full_disk_is_told_and_leaves_no_part_of_an_image(tmp_path, monkeypatc
         write_image(tmp_path / name, noise(50, 70, 3))
     assert [file.name for file in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_bytes() == b"the old one"
+
+
+def test_an_empty_file_is_told(tmp_path):
+    (tmp_path / "a.png").touch()
+    with pytest.raises(InputError, match=r"a.png: not a whole image \(it is empty\)$"):
+        read_image(tmp_path / "a.png")
 
 
 def test_a_suffix_of_no_format_is_told(tmp_path):

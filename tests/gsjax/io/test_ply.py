@@ -141,9 +141,12 @@ def test_truncated_files_are_named(tmp_path, form, share):
     assert "\n" not in str(error.value)
 
 
+SIGNALLING = np.array([0x7FA00000], np.uint32).view(np.float32)[0]  # A NaN that numpy warns of where it is cast.
+
+
 def test_rows_that_are_not_finite_are_left_out_and_counted(tmp_path, capsys):
     gaussians = some_gaussians(9)
-    gaussians.means[2, 1] = np.nan
+    gaussians.means[2, 1] = SIGNALLING
     gaussians.sh_rest[2, 1, 0] = np.inf
     gaussians.logit_opacities[5] = np.nan
     gaussians.log_scales[7] = np.inf
@@ -202,6 +205,7 @@ def test_bad_headers_are_named(tmp_path):
         ),
         (b"vertex 3", b"vertex 999999999999999999", "truncated, 999999999999999999 rows of 'vertex' need"),
         (b"vertex 3", b"vertex -3", "header not understood"),
+        (b"property float y\n", b"property list uchar int y\n", r"not understood \(its vertices have lists"),
         (b"vertex 3", b"vertex " + 5000 * b"9", "header not understood"),
         (b"property float y\n", b"property int y\n", None),
     ):

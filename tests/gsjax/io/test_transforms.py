@@ -231,6 +231,7 @@ def test_lego_mattes_are_silhouettes_of_one_solid(shared):
         (lambda m: m.update(fl_x=None, camera_angle_x=7), "camera_angle_x 7, which is no angle"),
         (lambda m: m["frames"][3].update(transform_matrix=(np.eye(4) * np.nan).tolist()), "not a finite 4x4 matrix"),
         (lambda m: m.pop("fl_x"), "neither fl_x nor camera_angle_x"),
+        (lambda m: m.update(cx=-9e6), "has a principal point that lies 100 times its size away"),
         (lambda m: m.update(fl_x=-5.0), "(PINHOLE 40x30 with -5, -5, 20, 15) has a focal length that is not positive"),
         (lambda m: m.update(fl_x="wide"), "wide"),
         (lambda m: m.update(camera_model="LENSBABY"), "unknown camera_model 'LENSBABY'"),

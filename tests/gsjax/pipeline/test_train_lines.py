@@ -3,10 +3,15 @@
 import importlib
 import json
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from photographed_wall import wall
 
+from gsjax.errors import InputError
+from gsjax.scene import with_pixels
 from gsjax.settings import Phase, Settings, Weights
 from gsjax.training.growth.rules import RULES
 from gsjax.training.plan import plan
@@ -52,3 +57,11 @@ def test_a_full_budget_is_no_news_where_it_is_to_be_filled_or_nobody_grows(journ
     journal, said = journal
     journal._tell_held(progress(2_000, rule), 5_000)
     assert not said
+
+
+def test_masks_that_leave_nothing_are_refused():
+    scene = wall(3)
+    bare = [with_pixels(f, f.pixels()._replace(valid=np.zeros((f.height, f.width), np.uint8))) for f in scene.frames]
+    train._require_pixels(replace(scene, frames=(*bare[:2], scene.frames[2])))
+    with pytest.raises(InputError, match="wall: its masks leave no pixel of any photo"):
+        train._require_pixels(replace(scene, frames=tuple(bare)))
