@@ -1,12 +1,15 @@
 """Damaged files for the readers' tests: seeded mutations, and what every reader owes to whoever hands it one.
 
 Each test tries a few hundred of them; `GSJAX_FUZZ=50000 python -m pytest -k fuzz` tries as many of each kind.
+`GSJAX_FUZZ_DAMAGES=30` damages each in up to so many places instead of three; `GSJAX_FUZZ_LOG=FILE` appends to a file
+what every test has come to, one JSON object a line.
 """
 
 import json
 import os
 import re
 from collections.abc import Callable
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -19,6 +22,7 @@ ODD_VALUES = (
     [], {}, [[]], [None], [1, 2, 3], {"x": 1},
 )  # fmt: skip
 ODD_NUMBERS = b"0 -1 1 255 256 65536 2147483648 4294967296 18446744073709551616 1e308 1e999 -1e999 nan inf x".split()
+PLACES = int(os.environ.get("GSJAX_FUZZ_DAMAGES", 3))
 NUMBER = re.compile(rb"-?\d+(\.\d+)?(e-?\d+)?")
 
 
@@ -34,17 +38,28 @@ def fuzz(attempt: Callable[[np.random.Generator], Any], *, usual: int) -> tuple[
     Returns:
         How many were read, and how many refused.
     """
-    counts = [0, 0]
-    for seed in range(int(os.environ.get("GSJAX_FUZZ", usual))):
-        try:
-            attempt(np.random.default_rng(seed))
-            counts[0] += 1
-        except InputError as error:
-            assert is_one_line(str(error)), f"seed {seed}: not one line of readable length: {str(error)!r}"
-            counts[1] += 1
-        except Exception as error:
-            raise AssertionError(f"seed {seed}: {type(error).__name__}: {error}") from error
+    counts, tried = [0, 0], int(os.environ.get("GSJAX_FUZZ", usual))
+    try:
+        for seed in range(tried):
+            try:
+                attempt(np.random.default_rng(seed))
+                counts[0] += 1
+            except InputError as error:
+                assert is_one_line(str(error)), f"seed {seed}: not one line of readable length: {str(error)!r}"
+                counts[1] += 1
+            except Exception as error:
+                raise AssertionError(f"seed {seed}: {type(error).__name__}: {error}") from error
+    finally:
+        _log(tried, *counts)
     return counts[0], counts[1]
+
+
+def _log(tried: int, read: int, refused: int) -> None:
+    """What a test has come to, for who counts; the first that is neither read nor refused ends it."""
+    if file := os.environ.get("GSJAX_FUZZ_LOG"):
+        test = os.environ["PYTEST_CURRENT_TEST"].partition(" ")[0]
+        with open(file, "a", encoding="utf-8") as log:
+            log.write(json.dumps({"test": test, "tried": tried, "read": read, "refused": refused}) + "\n")
 
 
 def is_one_line(message: str) -> bool:
@@ -55,7 +70,7 @@ def is_one_line(message: str) -> bool:
 def damaged(whole: bytes, random: np.random.Generator) -> bytes:
     """A file that a disk, a network or an editor has damaged: bits, bytes, numbers, a part gone, twice or moved."""
     data = bytearray(whole)
-    for _ in range(random.integers(1, 4)):
+    for _ in range(random.integers(1, 1 + PLACES)):
         if data:
             _DAMAGES[random.integers(len(_DAMAGES))](data, random)
     return bytes(data)
@@ -64,7 +79,7 @@ def damaged(whole: bytes, random: np.random.Generator) -> bytes:
 def damaged_json(value: Any, random: np.random.Generator) -> bytes:
     """The text of a JSON value of which a few parts have another type, size or name, or are absent, twice or deep."""
     value = json.loads(json.dumps(value))
-    for _ in range(random.integers(1, 4)):
+    for _ in range(random.integers(1, 1 + PLACES)):
         value = _with_an_odd_part(value, random)
     text = json.dumps(value).encode("utf-8", "surrogatepass")
     kind = random.integers(20)
@@ -83,13 +98,13 @@ def _with_an_odd_part(value: Any, random: np.random.Generator) -> Any:
     """`value` with one part of it, at any depth, exchanged."""
     keys = list(value) if isinstance(value, dict) else list(range(len(value))) if isinstance(value, list) else []
     if not keys or random.random() < 0.15:
-        return ODD_VALUES[random.integers(len(ODD_VALUES))]
+        return deepcopy(ODD_VALUES[random.integers(len(ODD_VALUES))])
     key = keys[random.integers(len(keys))]
     what = random.integers(8)
     if what == 0:
         del value[key]
     elif what == 1 and isinstance(value, list):
-        value.append(value[key])
+        value.append(deepcopy(value[key]))
     elif what == 1 and isinstance(value, dict):
         value[f"{key}x"] = value.pop(key)
     else:
