@@ -1,6 +1,8 @@
 """Bare photos, or a video, to a COLMAP data set: SIFT, chosen pairs, incremental mapping, undistortion."""
 
+import errno
 import os
+import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,6 +17,7 @@ from gsjax.io.files import make_folder, put_in_place, require_empty, unwritable,
 
 DEFAULT_FRAMES = 100
 REPORT = "sfm.json"
+_LITTLE_ROOM = 2**24  # bytes: of a full disk that many may be free again, once what did not fit is gone
 
 __all__ = ["DEFAULT_FRAMES", "SfmReport", "read_report", "reconstruct"]
 
@@ -102,6 +105,10 @@ def _build(
         return _built(source, workspace, frames, max_image_size, threads, progress)
     except OSError as error:
         raise unwritable(workspace, error) from error
+    except RuntimeError as error:  # Also of COLMAP's database, which tells of a full disk in words of its own.
+        if shutil.disk_usage(workspace).free > _LITTLE_ROOM:
+            raise
+        raise unwritable(workspace, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))) from error
 
 
 def _built(

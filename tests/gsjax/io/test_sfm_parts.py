@@ -2,6 +2,7 @@
 
 import io
 from functools import partial
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ from PIL import Image, ImageOps
 from tqdm import tqdm
 
 from gsjax.errors import InputError
+from gsjax.io import sfm
 from gsjax.io.scenes import load_scene
 from gsjax.io.sfm import features as sift
 from gsjax.io.sfm import mapping, pairs, publishing, shots, video
@@ -317,3 +319,14 @@ def test_mattes_and_masks_are_published(tmp_path, monkeypatch):
     np.testing.assert_array_equal(frames["c.jpg"].pixels().valid, mask)
     assert all(frames[name].pixels().matte is None for name in ("a.tif.png", "b.jpg", "c.jpg"))
     assert all(frames[name].pixels().valid is None for name in ("a.png", "a.tif.png", "b.jpg"))
+
+
+@pytest.mark.parametrize(("free", "told"), [(3 * 2**20, InputError), (3 * 2**30, RuntimeError)])
+def test_what_colmaps_database_says_of_a_full_disk_is_told_as_one(tmp_path, monkeypatch, free, told):
+    def fail(*arguments):
+        raise RuntimeError("[database_sqlite.cc:1350] SQLite error: database or disk is full")
+
+    monkeypatch.setattr(sfm, "_built", fail)
+    monkeypatch.setattr(sfm.shutil, "disk_usage", lambda folder: SimpleNamespace(free=free))
+    with pytest.raises(told, match="No space left on device" if told is InputError else "SQLite error"):
+        sfm._build(tmp_path, tmp_path / "work", 2, 1600, 1, quietly)
