@@ -22,7 +22,7 @@ SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".heic", 
 _ORIENTATION, _QUARTER_TURNS = 0x0112, (5, 6, 7, 8)  # EXIF: the tag, and its values that swap the sides.
 _JPEG_QUALITY = 95
 _OPENING = threading.Lock()
-_DECODED = 8  # bytes a pixel: Pillow's copy and ours
+_DECODED, _DECODED_DEEP = 14, 40  # bytes a pixel, most at a time: Pillow's copies, at four each, and ours
 _ALWAYS_ROOM = 10**7  # pixels
 
 
@@ -40,12 +40,12 @@ def read_image(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
             has room for.
     """
     picture = _decode(path)
-    if picture.mode.startswith("I") or picture.mode == "F":
+    if _is_deep(picture):
         grey = _in_bytes(path, picture)
         return np.repeat(grey[..., None], 3, axis=-1), None
     if picture.mode not in ("RGBA", "LA", "PA") and "transparency" not in picture.info:
-        return np.array(picture.convert("RGB")), None
-    pixels = np.array(picture.convert("RGBA"))
+        return np.array(_in_mode(picture, "RGB")), None
+    pixels = np.array(_in_mode(picture, "RGBA"))
     return pixels[..., :3], pixels[..., 3]
 
 
@@ -179,7 +179,8 @@ def _decode(path: Path):
     with open_image(path) as picture:
         width, height = picture.size
         if width * height > _ALWAYS_ROOM:
-            require_memory(f"{path}: a photo of {width}x{height} pixels", _DECODED * width * height)
+            a_pixel = _DECODED_DEEP if _is_deep(picture) else _DECODED
+            require_memory(f"{path}: a photo of {width}x{height} pixels", a_pixel * width * height)
         picture.load()
         return picture
 
@@ -195,6 +196,16 @@ def _open(path: Path):
             return Image.open(path)
         finally:
             Image.MAX_IMAGE_PIXELS = limit
+
+
+def _is_deep(picture) -> bool:
+    """Whether a picture is of one channel that counts to more than 255, or of floats."""
+    return picture.mode.startswith("I") or picture.mode == "F"
+
+
+def _in_mode(picture, mode: str):
+    """The picture itself where it is of that mode: Pillow would copy it."""
+    return picture if picture.mode == mode else picture.convert(mode)
 
 
 def _in_bytes(path: Path, picture) -> np.ndarray:

@@ -1,3 +1,7 @@
+import subprocess
+import sys
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -169,12 +173,34 @@ def test_photos_are_held_to_memory_and_not_to_a_fixed_number_of_pixels(tmp_path,
     assert image_size(tmp_path / "panorama.png") == (40, 30)
     assert read_image(tmp_path / "panorama.png")[0].shape == (30, 40, 3)
     assert Image.MAX_IMAGE_PIXELS == 100
-    Image.new("1", (30_000, 30_000)).save(tmp_path / "panorama.png")
+    Image.new("1", (12_000, 12_000)).save(tmp_path / "panorama.png")
     monkeypatch.setattr("gsjax.io.machine.free_memory", lambda: 2**30)
     with pytest.raises(
-        InputError, match=r"panorama.png: a photo of 30000x30000 pixels takes 6.71 GiB of memory; 1 are"
+        InputError, match=r"panorama.png: a photo of 12000x12000 pixels takes 1.88 GiB of memory; 1 are"
     ):
         read_image(tmp_path / "panorama.png")
+
+
+READING = """
+import sys
+from pathlib import Path
+from gsjax.io import images
+from gsjax.io.machine import peak_memory, restart_peak_memory
+restart_peak_memory()
+before = peak_memory()
+images.read_image(Path(sys.argv[1]))
+print((peak_memory() - before) / 6e6, *(images._DECODED, images._DECODED_DEEP))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="Linux tells the most that was taken")
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "I;16"])
+def test_a_photo_takes_no_more_memory_than_it_is_held_to(tmp_path, mode):
+    file = tmp_path / "a.png"
+    Image.new(mode, (3_000, 2_000), 7).save(file, compress_level=1)
+    asked = [sys.executable, "-c", READING, str(file)]
+    taken, usual, deep = map(float, subprocess.run(asked, check=True, capture_output=True, text=True).stdout.split())
+    assert 3 < taken < (deep if mode == "I;16" else usual) + 1, "a megabyte or so is none of the photo's"
 
 
 @pytest.mark.parametrize("name", ["a.jpg", "a.png", "a.tif", "a.webp"])
