@@ -1,8 +1,10 @@
 """The tile engine as two GPU kernels (Pallas, Triton backend). The only module that knows Pallas.
 
-One program per tile walks the tile's list, one splat after the other: its numbers are scalars for the whole program,
-its pixels a vector in registers. The backward kernel sums each pair's moments over the pixels and stores them; no
-atomics. The blend is the text that the xla engine runs.
+The forward kernel has one program per tile, the deepest first. It walks the tile's list, one splat after the other: its
+numbers are scalars for the whole program, its pixels a vector in registers. At every border of a *segment* of the list
+it keeps the light left and what the segment's splats showed. From there the backward kernel starts: one program per
+segment, so that no program walks a whole deep list back. It sums each pair's moments over the pixels and stores them;
+no atomics. The blend is the text that the xla engine runs.
 """
 
 from functools import cache, partial
@@ -11,14 +13,32 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.experimental import pallas as pl
-from jax.experimental.pallas import triton
 
 from rasterizer.blending import blend_splat, cut_alpha, front_weight, splat_sigma, unblend_splat
 from rasterizer.compositing import Blended, Engine, Static, chain_to_rows, moment_basis
 
 CHUNK = 16  # Splats between two looks at whether every pixel has stopped: the look is a reduction over the program.
+SEGMENT = 256  # Splats that one program of the backward pass walks.
 FORWARD_WARPS = 2
 BACKWARD_WARPS = 1  # Reductions within one warp need no barrier.
+
+
+def require_triton() -> None:
+    """Raises ImportError where this jax has no Triton backend of Pallas, which it calls deprecated."""
+    from jax.experimental.pallas import triton  # noqa: F401
+
+
+def _segments(offsets: Array, capacity: int, size: int) -> tuple[Array, Array]:
+    """The lists cut in segments of at most `size` splats, which are numbered tile by tile.
+
+    Returns:
+        `[S]` the tile of every segment, the last tile's beyond the segments that there are, and `[T]` the first segment
+        of every tile.
+    """
+    pieces = -(-(offsets[1:] - offsets[:-1]) // size)
+    tiles = jnp.arange(pieces.shape[0], dtype=jnp.int32)
+    most = pieces.shape[0] + capacity // size
+    return jnp.repeat(tiles, pieces, total_repeat_length=most), jnp.cumsum(pieces, dtype=jnp.int32) - pieces
 
 
 def _pixels(static: Static) -> tuple[Array, Array]:
@@ -50,15 +70,31 @@ def _alpha(rows, splat, dx, dy, rules) -> tuple[Array, Array]:
     return unclamped, cut_alpha(unclamped, sigma, rules)
 
 
-def _forward_kernel(rows, splats, offsets, features, transmittance, last_index, *marks, static: Static):
-    tile = pl.program_id(0)
-    start, end = offsets[tile], offsets[tile + 1]
+def _forward_kernel(
+    rows,
+    splats,
+    offsets,
+    order,
+    first_segments,
+    features,
+    transmittance,
+    last_index,
+    kept_light,
+    kept_features,
+    *marks,
+    static: Static,
+    segment_size: int,
+):
+    tile = order[pl.program_id(0)]
+    start, end, first_segment = offsets[tile], offsets[tile + 1], first_segments[tile]
     pixels, center = _pixels(static), _center(tile, static)
     channels, front = features.shape[1], static.front
     first_in_front = channels - (front.channels if front else 0)
+    blank = jnp.zeros_like(pixels[0])
+    nothing = jnp.full(blank.shape, -1, jnp.int32)
 
     def blend_one(k, state):
-        signed_t, image, last, median = state
+        signed_t, image, last, median, crossing = state
         splat = splats[k]
         _, alpha = _alpha(rows, splat, *_offsets(rows, splat, pixels, center), static.rules)
         weight, left = blend_splat(signed_t, alpha, static.rules)
@@ -68,25 +104,42 @@ def _forward_kernel(rows, splats, offsets, features, transmittance, last_index, 
         last = jnp.where(weight > 0, k - start, last)
         if static.with_median:
             median = jnp.where((weight > 0) & (signed_t > 0.5), k - start, median)
-        return left, image, last, median
+        if front:
+            crossing = jnp.where((in_front > 0) & (in_front < weight), k - start, crossing)
+        return left, image, last, median, crossing
 
-    def blend_chunk(state):
-        k, *pixel_state = state
-        stop = jnp.minimum(k + CHUNK, end)
-        return stop, *jax.lax.fori_loop(k, stop, blend_one, tuple(pixel_state))
+    def blend_segment(state):
+        segment, signed_t, image, *indices = state
+        begin = start + segment * segment_size
+        stop = jnp.minimum(begin + segment_size, end)
 
-    blank = jnp.zeros_like(pixels[0])
-    nothing = jnp.full(blank.shape, -1, jnp.int32)
-    state = start, blank + 1, (blank,) * channels, nothing, nothing if static.with_median else None
-    _, signed_t, image, last, median = jax.lax.while_loop(
-        lambda state: (state[0] < end) & (jnp.max(state[1]) > 0), blend_chunk, state
+        def blend_chunk(state):
+            k, *pixel_state = state
+            after = jnp.minimum(k + CHUNK, stop)
+            return after, *jax.lax.fori_loop(k, after, blend_one, tuple(pixel_state))
+
+        _, signed_t, shown, *indices = jax.lax.while_loop(
+            lambda state: (state[0] < stop) & (jnp.max(state[1]) > 0),
+            blend_chunk,
+            (begin, signed_t, (blank,) * channels, *indices),
+        )
+        place = first_segment + segment
+        kept_light[place, :] = jnp.abs(signed_t)
+        for i in range(channels):
+            kept_features[place, i, :] = shown[i]
+        return segment + 1, signed_t, tuple(a + b for a, b in zip(image, shown, strict=True)), *indices
+
+    state = jnp.int32(0), blank + 1, (blank,) * channels, nothing
+    state = *state, nothing if static.with_median else None, nothing if front else None
+    _, signed_t, image, last, *indices = jax.lax.while_loop(
+        lambda state: (start + state[0] * segment_size < end) & (jnp.max(state[1]) > 0), blend_segment, state
     )
     for i in range(channels):
         features[tile, i, :] = image[i]
     transmittance[tile, :] = jnp.abs(signed_t)
     last_index[tile, :] = last
-    if static.with_median:
-        marks[0][tile, :] = median
+    for mark, index in zip(marks, [index for index in indices if index is not None], strict=True):
+        mark[tile, :] = index
 
 
 def _backward_kernel(
@@ -97,32 +150,43 @@ def _backward_kernel(
     last_index,
     d_features,
     d_transmittance,
-    zeros,
-    gradients,
-    *,
+    tiles,
+    first_segments,
+    kept_light,
+    kept_features,
+    *others,
     static: Static,
+    segment_size: int,
 ):
-    del zeros  # Aliased to the output.
-    tile = pl.program_id(0)
-    start = offsets[tile]
+    *crossings, _, gradients = others  # Zeros, aliased to the output, stand before it.
+    segment = pl.program_id(0)
+    tile = tiles[segment]
+    start, first_segment = offsets[tile], first_segments[tile]
     pixels, center = _pixels(static), _center(tile, static)
     last = last_index[tile, :]
     channels, front = d_features.shape[1], static.front
     first_in_front = channels - (front.channels if front else 0)
     count = jnp.max(last) + 1
+    begin = (segment - first_segment) * segment_size
+    stop = jnp.minimum(begin + segment_size, count)
+
+    def lit_by(values, channel_range):
+        return sum(values(c) * d_features[tile, c, :] for c in channel_range)
+
+    def add_segment(behind, light):
+        return light + lit_by(lambda c: kept_features[behind, c, :], range(channels))
 
     def unblend_one(i, state):
         t, behind = state
-        k = count - 1 - i
+        k = stop - 1 - i
         splat = splats[start + k]
         dx, dy = _offsets(rows, splat, pixels, center)
         unclamped, alpha = _alpha(rows, splat, dx, dy, static.rules)
         alpha = jnp.where(k <= last, alpha, 0)
-        lit = sum(rows[splat, 6 + c] * d_features[tile, c, :] for c in range(first_in_front))
+        lit = lit_by(lambda c: rows[splat, 6 + c], range(first_in_front))
         in_front = None
         if front:
-            lit_in_front = sum(rows[splat, 6 + c] * d_features[tile, c, :] for c in range(first_in_front, channels))
-            in_front = lit_in_front, front.stop_after
+            in_front = lit_by(lambda c: rows[splat, 6 + c], range(first_in_front, channels)), front.stop_after
         d_sigma, weight, t, behind = unblend_splat(t, behind, lit, alpha, unclamped, static.rules, in_front)
         for column, power in enumerate(moment_basis(dx, dy)):
             gradients[start + k, column] = jnp.sum(d_sigma * power)
@@ -132,45 +196,79 @@ def _backward_kernel(
             gradients[start + k, 6 + c] = jnp.sum(counted * d_features[tile, c, :])
         return t, behind
 
-    t = transmittance[tile, :]
-    jax.lax.fori_loop(0, count, unblend_one, (t, t * d_transmittance[tile, :]))
+    seen = first_segment + (count + segment_size - 1) // segment_size
+    light_behind = transmittance[tile, :] * d_transmittance[tile, :]
+    light_behind = jax.lax.fori_loop(segment + 1, seen, add_segment, light_behind)
+    if front:
+        # Of the splat that uses the light up all of it counts (`unblend_splat`); the image has what is over stop_after.
+        crossing = crossings[0][tile, :]
+        is_behind = crossing >= stop
+        splat = splats[jnp.where(is_behind, start + crossing, 0)]
+        lit = lit_by(lambda c: rows[splat, 6 + c], range(first_in_front, channels))
+        light_behind += jnp.where(is_behind, front.stop_after * lit, 0)
+    jax.lax.fori_loop(0, stop - begin, unblend_one, (kept_light[segment, :], light_behind))
 
 
-def _call(kernel, static: Static, shapes, warps: int, interpret: bool, **options):
-    return pl.pallas_call(
-        partial(kernel, static=static),
-        out_shape=shapes,
-        grid=(static.grid.num_tiles,),
-        compiler_params=triton.CompilerParams(num_warps=warps, num_stages=1),
-        interpret=interpret,
-        **options,
-    )
+def _call(kernel, programs: int, shapes, warps: int, interpret: bool, **options):
+    if not interpret:
+        from jax.experimental.pallas import triton
+
+        options["compiler_params"] = triton.CompilerParams(num_warps=warps, num_stages=1)
+    return pl.pallas_call(kernel, out_shape=shapes, grid=(programs,), interpret=interpret, **options)
 
 
-def _forward(static: Static, rows: Array, splats: Array, offsets: Array, *, interpret: bool) -> Blended:
+def _forward(
+    static: Static, rows: Array, splats: Array, offsets: Array, *, interpret: bool, segment_size: int
+) -> Blended:
     tiles, pixels, channels = static.grid.num_tiles, static.grid.tile_size**2, rows.shape[1] - 6
+    segments = _segments(offsets, splats.shape[0], segment_size)
+    # A program that begins late and walks long would be the only one left at the end.
+    order = jnp.argsort(offsets[:-1] - offsets[1:]).astype(jnp.int32)
+    many = segments[0].shape[0]
     indices = jax.ShapeDtypeStruct((tiles, pixels), jnp.int32)
     shapes = [
         jax.ShapeDtypeStruct((tiles, channels, pixels), jnp.float32),
         jax.ShapeDtypeStruct((tiles, pixels), jnp.float32),
-        *[indices] * (1 + static.with_median),
+        indices,
+        jax.ShapeDtypeStruct((many, pixels), jnp.float32),
+        jax.ShapeDtypeStruct((many, channels, pixels), jnp.float32),
+        *[indices] * (static.with_median + bool(static.front)),
     ]
-    features, t, last, *marks = _call(_forward_kernel, static, shapes, FORWARD_WARPS, interpret)(rows, splats, offsets)
-    return Blended(features, t, last, marks[0] if static.with_median else None)
+    kernel = partial(_forward_kernel, static=static, segment_size=segment_size)
+    call = _call(kernel, tiles, shapes, FORWARD_WARPS, interpret)
+    features, t, last, light, shown, *marks = call(rows, splats, offsets, order, segments[1])
+    median, crossings = (marks[0], marks[1:]) if static.with_median else (None, marks)
+    return Blended(features, t, last, median, (*segments, light, shown, *crossings))
 
 
-def _backward(static: Static, rows, splats, offsets, t, last, d_features, d_t, *, interpret: bool) -> Array:
+def _backward(
+    static: Static,
+    rows: Array,
+    splats: Array,
+    offsets: Array,
+    t: Array,
+    last: Array,
+    d_features: Array,
+    d_t: Array,
+    *kept: Array,
+    interpret: bool,
+    segment_size: int,
+) -> Array:
     # The kernel writes the pairs that some pixel saw; the rest stay the zeros that come in.
     zeros = jnp.zeros((splats.shape[0], rows.shape[1]), jnp.float32)
-    shapes = jax.ShapeDtypeStruct(zeros.shape, zeros.dtype)
-    kernel = _call(_backward_kernel, static, shapes, BACKWARD_WARPS, interpret, input_output_aliases={7: 0})
-    gradients = kernel(rows, splats, offsets, t, last, d_features, d_t, zeros)
+    arguments = rows, splats, offsets, t, last, d_features, d_t, *kept, zeros
+    kernel = partial(_backward_kernel, static=static, segment_size=segment_size)
+    shapes, aliases = jax.ShapeDtypeStruct(zeros.shape, zeros.dtype), {len(arguments) - 1: 0}
+    call = _call(kernel, kept[0].shape[0], shapes, BACKWARD_WARPS, interpret, input_output_aliases=aliases)
+    gradients = call(*arguments)
     d_rows = chain_to_rows(rows[splats], gradients[:, :6], gradients[:, 6:])
-    used = jnp.arange(splats.shape[0], dtype=jnp.int32) < offsets[-1]
-    return jnp.zeros_like(rows).at[splats].add(jnp.where(used[:, None], d_rows, 0))
+    # A GPU adds by atomics, and zeros of a whole buffer to one row wait for each other: their index is past all rows.
+    written = jnp.any(gradients != 0, -1)
+    return jnp.zeros_like(rows).at[jnp.where(written, splats, rows.shape[0])].add(d_rows, mode="drop")
 
 
 @cache
-def engine(interpret: bool) -> Engine:
+def engine(interpret: bool, segment_size: int = SEGMENT) -> Engine:
     """The kernels, or, without a GPU, their interpretation: as slow as it is faithful."""
-    return Engine(partial(_forward, interpret=interpret), partial(_backward, interpret=interpret))
+    how = {"interpret": interpret, "segment_size": segment_size}
+    return Engine(partial(_forward, **how), partial(_backward, **how))

@@ -36,6 +36,7 @@ class Blended(NamedTuple):
     transmittance: Array  # [T, P]
     last: Array  # [T, P] int32 last contributing splat, -1 for none
     median: Array | None  # [T, P] int32 last contributing splat with more than half the light left in front of it
+    kept: tuple[Array, ...] = ()  # what the engine's own backward pass reads besides
 
 
 class Engine(NamedTuple):
@@ -43,7 +44,7 @@ class Engine(NamedTuple):
 
     # (static, rows, splats, offsets) -> Blended. rows [M, 6 + D] of `_splat_rows`; lists of `binning.TilePairs`.
     forward: Callable[..., Blended]
-    # (static, rows, splats, offsets, transmittance, last, d_features, d_transmittance) -> [M, 6 + D], dL/drows.
+    # (static, rows, splats, offsets, transmittance, last, d_features, d_transmittance, *kept) -> [M, 6 + D], dL/drows.
     backward: Callable[..., Array]
     lists: Callable[..., TilePairs] = bin_splats
 
@@ -161,14 +162,15 @@ def _composite_fwd(static, means2d, conics, opacities, features, splats, offsets
     if blended.median is not None:
         listed = splats[offsets[:-1, None] + jnp.maximum(blended.median, 0)]
         median = to_image(jnp.where(blended.median >= 0, listed, -1)[:, None], static.grid)[..., 0]
-    residuals = rows, splats, offsets, blended.transmittance, blended.last
+    residuals = rows, splats, offsets, blended.transmittance, blended.last, blended.kept
     return (image[..., :-1], image[..., -1:], median), residuals
 
 
 def _composite_bwd(static, residuals, cotangents):
-    rows, splats, offsets, t, last = residuals
+    rows, splats, offsets, t, last, kept = residuals
     d_tiles = to_tiles(jnp.concatenate(cotangents[:2], -1), static.grid)
-    d_rows = static.engine.backward(static, rows, splats, offsets, t, last, d_tiles[:, :-1], d_tiles[:, -1])
+    d_image = d_tiles[:, :-1], d_tiles[:, -1]
+    d_rows = static.engine.backward(static, rows, splats, offsets, t, last, *d_image, *kept)
     return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:], None, None
 
 

@@ -14,6 +14,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -79,14 +80,19 @@ def compile_to_ptx(variant: Variant, mesh, dump: Path) -> str:
     lists = array(rows, 6 + CHANNELS), array(capacity, dtype=jnp.int32), array(tiles + 1, dtype=jnp.int32)
     images = (array(tiles, pixels), array(tiles, pixels, dtype=jnp.int32), array(tiles, CHANNELS, pixels))
     _pallas.FORWARD_WARPS = _pallas.BACKWARD_WARPS = variant.warps
-    if variant.kernel == "forward":
-        program, arguments = lambda *a: static.engine.forward(static, *a)[:3], lists
-    else:
-        program, arguments = lambda *a: static.engine.backward(static, *a), (*lists, *images, array(tiles, pixels))
-    program.__name__ = "_".join(map(str, variant))
+    arguments = lists
+    if variant.kernel == "backward":
+        kept = jax.eval_shape(partial(static.engine.forward, static), *lists).kept
+        arguments = *lists, *images, array(tiles, pixels), *(array(*each.shape, dtype=each.dtype) for each in kept)
+    name = "_".join(map(str, variant))
+
+    def named(*arguments):
+        return getattr(static.engine, variant.kernel)(static, *arguments)
+
+    named.__name__ = name
     with jax.sharding.use_abstract_mesh(mesh.abstract_mesh):
-        jax.jit(program).lower(*arguments).compile()
-    texts = [path.read_text() for path in dump.glob(f"*{program.__name__}*.ptx")]
+        jax.jit(named).lower(*arguments).compile()
+    texts = [path.read_text() for path in dump.glob(f"*{name}*.ptx")]
     return next(text for text in texts if f"_{variant.kernel}_kernel" in text)
 
 

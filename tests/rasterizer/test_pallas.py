@@ -1,15 +1,17 @@
 """The GPU kernels without a GPU: interpreted against their twins, and lowered for CUDA."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
+import jax.extend
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scenes import cloud, evaluate, relative_errors, stacks
 from tolerances import assert_close
 
-from rasterizer import GSPLAT, INRIA, Front, TileGrid, _pallas, engines
+from rasterizer import GSPLAT, INRIA, Front, TileGrid, _pallas, _reference, bin_splats, project
 from rasterizer.compositing import Static, composite
 
 CASES = {
@@ -51,6 +53,92 @@ def test_a_pair_buffer_that_is_too_short_is_reported_and_stays_finite(backend):
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
 
 
+@pytest.fixture(scope="module")
+def passes():
+    """(what the interpreted engine's backward pass reads of a scene, and that pass)."""
+    scene = stacks()
+    shape = scene.means, scene.quats, scene.scales, scene.opacities
+    projection = project(*shape, scene.viewmats, scene.Ks, scene.width, scene.height)
+    grid, engine = TileGrid(1, scene.width, scene.height, 16), _pallas.engine(interpret=True)
+    static, pairs = (
+        Static(grid, GSPLAT, engine),
+        bin_splats(projection, scene.opacities, grid, 512, GSPLAT, backend="xla"),
+    )
+    splats = projection.means2d[0], projection.conics[0], scene.opacities[:, None], scene.colors
+    lists = jnp.concatenate(splats, -1), pairs.splats, pairs.offsets
+    blended = engine.forward(static, *lists)
+    slopes = (jnp.asarray(np.random.default_rng(1).normal(size=x.shape), jnp.float32) for x in blended[:2])
+    return (*lists, blended.transmittance, blended.last, *slopes, *blended.kept), partial(engine.backward, static)
+
+
+def test_a_slot_without_a_gradient_is_scattered_past_the_rows(passes):
+    """Zeros added to one row by a GPU's atomics wait for each other; here they are read off the traced program."""
+    arguments, backward = passes
+    rows, splats, offsets = arguments[:3]
+    program = jax.make_jaxpr(backward)(*arguments)
+    scatter = next(e for e in program.eqns if e.primitive.name == "scatter-add")
+    assert scatter.params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP
+    info = program.jaxpr.debug_info._replace(result_paths=None)
+    read = program.jaxpr.replace(outvars=scatter.invars[1:], debug_info=info)
+    index, added = jax.extend.core.jaxpr_as_fun(jax.extend.core.ClosedJaxpr(read, program.consts))(*arguments)
+    index, added = np.asarray(index)[:, 0], np.asarray(added)
+    kept = index < len(rows)
+    assert kept.any() and not kept[int(offsets[-1]) :].any()
+    np.testing.assert_array_equal(index, np.where(added.any(-1), splats, len(rows)))
+    # Bit by bit what adding all of them gives, in the order of the slots.
+    everything = np.zeros_like(rows)
+    np.add.at(everything, np.asarray(splats), np.where(np.arange(len(splats))[:, None] < offsets[-1], added, 0))
+    np.testing.assert_array_equal(backward(*arguments), everything)
+
+
+@pytest.mark.parametrize("front", [None, Front(2, 0.2)], ids=["all", "in front"])
+def test_lists_cut_in_segments_equal_the_reference(front):
+    """Lists of up to 40 splats in segments of 16: values and gradients pass their borders."""
+    scene = stacks()
+    shape = scene.means, scene.quats, scene.scales, scene.opacities
+    projection = project(*shape, scene.viewmats, scene.Ks, scene.width, scene.height)
+    grid = TileGrid(1, scene.width, scene.height, 16)
+    pairs = bin_splats(projection, scene.opacities, grid, 512, GSPLAT, backend="xla")
+    assert np.diff(pairs.offsets).max() > 32
+    rng = np.random.default_rng(3)
+    features = jnp.asarray(rng.normal(size=(len(scene.means), 4)), jnp.float32)
+    weights = jnp.asarray(rng.normal(size=(1, scene.height, scene.width, 5)), jnp.float32)
+
+    def dense(means2d, conics, opacities, features):
+        splats = projection._replace(means2d=means2d[None], conics=conics[None])
+        return _reference.composite(splats, opacities[None], features[None], *grid[1:3], GSPLAT, front)
+
+    def tiles(segment_size, *splats):
+        engine = _pallas.engine(interpret=True, segment_size=segment_size)
+        return composite(Static(grid, GSPLAT, engine, True, front), *splats, pairs.splats, pairs.offsets)
+
+    def weighed(blended, *splats):
+        image, left, median = blended(*splats)
+        return jnp.sum(jnp.concatenate([image, left], -1) * weights), (image, left, median)
+
+    splats = projection.means2d[0], projection.conics[0], scene.opacities, features
+    results = [
+        jax.jit(jax.value_and_grad(partial(weighed, blended), (0, 1, 2, 3), has_aux=True))(*splats)
+        for blended in (partial(tiles, 256), partial(tiles, 16), dense)
+    ]
+    (((_, shown), slopes), ((_, shown_in_parts), slopes_in_parts), ((_, right), expected_slopes)) = results
+    assert_close(shown_in_parts[:2], right[:2])
+    jax.tree.map(np.testing.assert_array_equal, shown_in_parts[1:], shown[1:])
+    np.testing.assert_array_equal(shown_in_parts[2], right[2])
+    names = "means2d", "conics", "opacities", "features"
+    for name, a, b, c in zip(names, slopes_in_parts, expected_slopes, slopes, strict=True):
+        assert np.linalg.norm(a - b) < 1e-5 * np.linalg.norm(b), name
+        assert np.linalg.norm(a - c) < 1e-5 * np.linalg.norm(c), name
+
+
+def test_deep_tiles_come_first_and_every_segment_knows_its_tile():
+    offsets = jnp.asarray([0, 3, 3, 12, 16], jnp.int32)
+    tiles, first = _pallas._segments(offsets, capacity=20, size=4)
+    np.testing.assert_array_equal(first, [0, 1, 1, 4])
+    np.testing.assert_array_equal(tiles[:5], [0, 2, 2, 2, 3])
+    assert len(tiles) == 4 + 20 // 4 and (np.asarray(tiles[5:]) == 3).all()
+
+
 def lowered_for_cuda(program, *arguments):
     """The program's text for a GPU, on a machine without one."""
     traced = jax.jit(program).trace(*arguments)
@@ -84,29 +172,18 @@ def test_both_kernels_lower_for_cuda(tile_size, channels):
 
 
 def test_the_sort_by_tile_is_a_pair_with_a_short_key_on_a_gpu():
-    from rasterizer.binning import bin_splats
-    from rasterizer.projection import project
-
     scene = cloud()
 
     def program(s):
         arrays = s.means, s.quats, s.scales, s.opacities, s.viewmats, s.Ks
         projection = project(*arrays, s.width, s.height)
-        return bin_splats(projection, s.opacities, TileGrid(1, s.width, s.height, 16), 512, GSPLAT)
+        grid = TileGrid(1, s.width, s.height, 16)
+        return bin_splats(projection, s.opacities, grid, 512, GSPLAT, backend="xla")
 
     text = lowered_for_cuda(program, scene)
     # XLA hands these two shapes of sort to CUB: one u64 alone, and an i32 key with its value.
     assert text.count('"stablehlo.sort"') == 2
     assert "(tensor<512xi32>, tensor<512xi32>)" in text and "tensor<40xui64>" in text
-
-
-def test_the_engine_follows_the_device(monkeypatch):
-    assert engines.resolve("auto") == "native" and engines.default_tile_size() == 8
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert engines.resolve("auto") == "pallas" and engines.default_tile_size() == 16
-    assert engines.resolve("xla") == "xla"
-    monkeypatch.setattr(jax, "default_backend", lambda: "tpu")
-    assert engines.resolve("auto") == "xla"
 
 
 def test_a_tile_that_is_no_power_of_two_is_refused_by_the_kernels_alone():
