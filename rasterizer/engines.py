@@ -13,6 +13,7 @@ from jax import Array
 from rasterizer import _pallas, _reference, _xla
 from rasterizer.binning import TileGrid, TilePairs
 from rasterizer.compositing import Engine, Front, Static, composite
+from rasterizer.devices import default_device, why_no_kernels
 from rasterizer.projection import Projection
 from rasterizer.reverse_mode import reverse_only
 from rasterizer.rules import GSPLAT, Rules
@@ -26,12 +27,21 @@ logger = logging.getLogger("rasterizer")
 
 
 def resolve(backend: Backend) -> Backend:
-    """The backend that "auto" stands for on this machine."""
+    """The backend that "auto" stands for on jax's default device."""
     if backend != "auto":
         return backend
-    if _has_gpu():
-        return "pallas"
-    return "native" if jax.default_backend() == "cpu" and _native_or_none() else "xla"
+    device = default_device()
+    if device.platform == "cpu":
+        return "native" if _native_or_none() else "xla"
+    reason = why_no_kernels(device)
+    return "pallas" if reason is None else _in_jnp(reason)
+
+
+@cache
+def _in_jnp(reason: str) -> Backend:
+    """Says why, once."""
+    logger.warning("the rasterizer runs in jnp: %s", reason)
+    return "xla"
 
 
 def prepare() -> None:
@@ -40,10 +50,6 @@ def prepare() -> None:
     Whoever needs it meanwhile waits for it.
     """
     Thread(target=resolve, args=("auto",), name="rasterizer", daemon=True).start()
-
-
-def _has_gpu() -> bool:
-    return jax.default_backend() == "gpu"
 
 
 def _native() -> ModuleType:
@@ -70,7 +76,13 @@ def _engine(backend: Backend) -> Engine:
     kind = resolve(backend)
     if kind == "native":
         return _native().ENGINE
-    return _pallas.engine(interpret=not _has_gpu()) if kind == "pallas" else _xla.ENGINE
+    if kind != "pallas":
+        return _xla.ENGINE
+    device = default_device()
+    reason = why_no_kernels(device)
+    if reason and device.platform == "gpu":
+        raise ValueError(f"backend='pallas': {reason}")
+    return _pallas.engine(interpret=reason is not None)
 
 
 def default_tile_size(backend: Backend = "auto") -> int:

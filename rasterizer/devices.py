@@ -1,0 +1,32 @@
+"""Where jax computes, and whether the GPU kernels run there."""
+
+import re
+
+import jax
+
+from rasterizer import _pallas
+
+LEAST_CAPABILITY = 8, 0  # Ampere: Pallas' Triton compiles for nothing older.
+
+
+def default_device() -> jax.Device:
+    """The device that jax computes on unless an array says otherwise: that of `jax.default_device`, else the first."""
+    chosen = jax.config.jax_default_device
+    if chosen is None or isinstance(chosen, str):
+        return jax.local_devices(backend=chosen)[0]
+    return chosen
+
+
+def why_no_kernels(device: jax.Device) -> str | None:
+    """Why the GPU kernels do not run on a device; None where they do."""
+    capability = str(getattr(device, "compute_capability", ""))  # "9.0"; of AMD's a name, such as "gfx90a"
+    if not re.fullmatch(r"\d+\.\d+", capability):
+        return f"its kernels are for NVIDIA's GPUs, and this is {device.device_kind}"
+    least = ".".join(map(str, LEAST_CAPABILITY))
+    if tuple(map(int, capability.split("."))) < LEAST_CAPABILITY:
+        return f"its kernels need compute capability {least}, and {device.device_kind} has {capability}"
+    try:
+        _pallas.require_triton()
+    except ImportError as error:
+        return f"its kernels need Pallas' Triton backend, which jax {jax.__version__} has not ({error})"
+    return None

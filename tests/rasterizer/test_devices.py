@@ -1,0 +1,77 @@
+"""Which engine "auto" stands for: faked devices, and a jax without Pallas' Triton backend."""
+
+import logging
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import jax
+import pytest
+
+from rasterizer import devices, engines
+
+H100 = SimpleNamespace(platform="gpu", device_kind="NVIDIA H100 80GB HBM3", compute_capability="9.0")
+T4 = SimpleNamespace(platform="gpu", device_kind="Tesla T4", compute_capability="7.5")
+AMD = SimpleNamespace(platform="gpu", device_kind="AMD Instinct MI300X", compute_capability="gfx942")
+TPU = SimpleNamespace(platform="tpu", device_kind="TPU v5e")
+
+
+@pytest.fixture
+def on(monkeypatch):
+    """A function that makes a device jax's default one."""
+    engines._in_jnp.cache_clear()
+    return lambda device: monkeypatch.setattr(engines, "default_device", lambda: device)
+
+
+def test_kernels_run_on_a_gpu_that_they_compile_for(on):
+    assert engines.resolve("auto") == "native" and engines.default_tile_size() == 8
+    on(H100)
+    assert engines.resolve("auto") == "pallas" and engines.default_tile_size() == 16
+    assert engines.resolve("xla") == "xla"
+    assert not engines._engine("pallas").forward.keywords["interpret"]
+
+
+@pytest.mark.parametrize(
+    ("device", "reason"),
+    [
+        (T4, "its kernels need compute capability 8.0, and Tesla T4 has 7.5"),
+        (AMD, "its kernels are for NVIDIA's GPUs, and this is AMD Instinct MI300X"),
+        (TPU, "its kernels are for NVIDIA's GPUs, and this is TPU v5e"),
+    ],
+)
+def test_another_device_takes_jnp_and_one_line_says_why(device, reason, on, caplog):
+    on(device)
+    with caplog.at_level(logging.WARNING, "rasterizer"):
+        assert [engines.resolve("auto") for _ in range(3)] == ["xla"] * 3
+        assert engines.default_tile_size() == 8
+    assert [record.getMessage() for record in caplog.records] == ["the rasterizer runs in jnp: " + reason]
+    if device.platform == "gpu":
+        with pytest.raises(ValueError, match=f"backend='pallas': {reason}"):
+            engines._engine("pallas")
+
+
+def test_a_gpu_beside_the_default_device_is_not_asked(monkeypatch):
+    """As under `jax.default_device(cpu)` on a machine with a GPU."""
+    cpu = jax.devices("cpu")[0]
+    monkeypatch.setattr(jax, "local_devices", lambda backend=None: [H100 if backend is None else cpu])
+    assert devices.default_device() is H100 and engines.resolve("auto") == "pallas"
+    for chosen in (cpu, "cpu"):
+        with jax.default_device(chosen):
+            assert devices.default_device() is cpu and engines.resolve("auto") == "native"
+
+
+def test_a_jax_without_triton_imports_and_takes_jnp():
+    """The backend is deprecated since jax 0.11: the day it is gone, nothing but the kernels may go with it."""
+    program = """
+import sys
+sys.modules["jax.experimental.pallas.triton"] = None
+import rasterizer
+from rasterizer import _pallas, engines
+from types import SimpleNamespace
+engines.default_device = lambda: SimpleNamespace(platform="gpu", device_kind="H100", compute_capability="9.0")
+print(engines.resolve("auto"), engines.resolve("auto"), _pallas.engine(interpret=True).forward.keywords["interpret"])
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout.split() == ["xla", "xla", "True"], done.stderr
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("the rasterizer runs in jnp: its kernels need Pallas' Triton backend, which jax ")
