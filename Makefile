@@ -1,16 +1,21 @@
 # `make demo` and `make test` set up everything they need: a virtual environment, the packages, and the system
-# libraries that Open3D loads. Python >= 3.11 with its venv module is all they start from.
+# libraries that Open3D loads. Python >= 3.11 with its venv module is all they start from. For an NVIDIA GPU:
+# `make demo EXTRAS=cuda13`, or cuda12, by the CUDA version that the driver supports.
 
 VENV ?= .venv
+EXTRAS ?=
 PYTHON ?= $(firstword $(foreach name,python3 python3.13 python3.12 python3.11,$(shell \
 	$(name) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $(name))) python3)
 BIN := $(VENV)/bin
+comma := ,
+INSTALLED := $(VENV)/.installed$(subst $(comma),-,$(EXTRAS:%=-%))
+PYTHONS ?= 3.11 3.12 3.13
 IN_PARALLEL := --numprocesses auto --dist loadfile --no-loadscope-reorder
 OPEN3D_LIBRARIES := libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 libidn2-0
 
-.PHONY: demo test check lint docs wheel words libraries clean
+.PHONY: demo test check lint docs wheel matrix rasterizer words libraries clean
 
-demo: $(VENV)/.installed
+demo: $(INSTALLED)
 	$(BIN)/gsjax demo --out runs/demo
 
 test: lint
@@ -20,22 +25,36 @@ test: lint
 check: lint
 	$(BIN)/python -m pytest $(IN_PARALLEL) --quick
 
-lint: $(VENV)/.installed-test
+lint: $(INSTALLED)-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	@if $(BIN)/pyright --version >/dev/null 2>&1; then echo $(BIN)/pyright; $(BIN)/pyright --pythonpath $(BIN)/python; \
 	else echo "pyright cannot start on this machine: types are not checked"; fi
 
-docs: $(VENV)/.installed-docs
+docs: $(INSTALLED)-docs
 	$(BIN)/mkdocs build --strict
 
 # The package as others install it: built, put into a folder outside the checkout, and asked from there.
-wheel: $(VENV)/.installed
+wheel: $(INSTALLED)
 	@folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && root=$$PWD && \
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir "$$folder" . && \
 	$(BIN)/python -m pip install --quiet --no-deps --target "$$folder/installed" "$$folder"/*.whl && \
 	python=$$(cd $(BIN) && pwd)/python && cd "$$folder" && \
 	PYTHONPATH="$$folder/installed" "$$python" "$$root/tests/installed_wheel.py" "$$root"
+
+# The tests of the rasterizer, on each Python of this machine with the newest jax that pyproject.toml lets it take.
+matrix:
+	@failed=; for version in $(PYTHONS); do \
+		python=$$(for name in python$$version "$$HOME"/.pyenv/versions/$$version.*/bin/python; do \
+			"$$name" -c 'import venv' >/dev/null 2>&1 && echo "$$name" && break; done); \
+		if [ -z "$$python" ]; then echo "Python $$version: not on this machine"; continue; fi; \
+		$(MAKE) --no-print-directory VENV=$(VENV)-$$version PYTHON="$$python" rasterizer \
+		|| failed="$$failed $$version"; \
+	done; [ -z "$$failed" ] || { echo "failed on Python$$failed" >&2; exit 1; }
+
+rasterizer: $(INSTALLED)-test
+	@$(BIN)/python -c 'import jax, platform; print("Python", platform.python_version(), "with jax", jax.__version__)'
+	$(BIN)/python -m pytest $(IN_PARALLEL) tests/rasterizer
 
 # What Open3D loads from the system, for who installs it otherwise.
 libraries:
@@ -46,20 +65,20 @@ words:
 	@find README.md docs -name '*.md' | sort | xargs wc -w
 
 clean:
-	rm -rf $(VENV) site dist build .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(PYTHONS:%=$(VENV)-%) site dist build .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # A stamp is newer than pyproject.toml where what it asks for is installed.
-$(VENV)/.installed: $(BIN)/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --editable .
+$(INSTALLED): $(BIN)/python pyproject.toml
+	$(BIN)/python -m pip install --quiet --editable '.$(EXTRAS:%=[%])'
 	@$(load_open3d)
 	@touch $@
 
-$(VENV)/.installed-test: $(VENV)/.installed
+$(INSTALLED)-test: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --editable '.[test,dev]'
 	@touch $@
 
-$(VENV)/.installed-docs: $(VENV)/.installed
+$(INSTALLED)-docs: $(INSTALLED)
 	$(BIN)/python -m pip install --quiet --editable '.[docs]'
 	@touch $@
 

@@ -72,9 +72,10 @@ def run_guarded(action: Callable[[], None]) -> int:
         leaves with the code that shells give to the signal: 130 after Ctrl-C, 143 after SIGTERM; 141 where a pipe that
         it prints to was closed. Anything else is a bug and comes up as the exception that it is.
     """
-    environment.prepare()
     stopping, printing = Stopping(), Printing()
     try:
+        environment.require_unix()
+        environment.prepare()
         with stopping, printing:
             action()
     except InputError as error:

@@ -3,6 +3,7 @@
 import ctypes
 import os
 import re
+import sys
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
@@ -10,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from gsjax.errors import InputError
 from gsjax.io.machine import cpu_flags
 
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
@@ -19,11 +21,19 @@ PROGRAM = re.compile(r"-[0-9a-f]+-(cache|atime)$")  # After a program's name, as
 KEEP_MEMORY = {-8: 1, -3: 1 << 30, -1: (1 << 31) - 1}
 
 
+def require_unix() -> None:
+    """Raises InputError on Windows itself, which has neither the file locks nor the process limits that are used."""
+    if sys.platform == "win32":
+        raise InputError("Windows itself is not supported; gsjax runs there in WSL2: https://aka.ms/wsl")
+
+
 def prepare() -> None:
     """Full-width vectors where the CPU has them, memory that is kept, a compilation cache that outlives the process.
 
-    What the user has set in XLA_FLAGS, JAX_COMPILATION_CACHE_DIR or glibc's MALLOC_ variables stays.
+    And of a GPU's memory what is used, where jax would take three quarters at its start. What the user has set in
+    XLA_FLAGS, XLA_PYTHON_CLIENT_PREALLOCATE, JAX_COMPILATION_CACHE_DIR or glibc's MALLOC_ variables stays.
     """
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     flags = os.environ.get("XLA_FLAGS", "")
     # XLA prefers 256 bits by default; with 512 the rasterizer's forward pass ran 1.3-2x faster (AMD EPYC, jax 0.10.2).
     if VECTOR_WIDTH not in flags and "avx512f" in cpu_flags():

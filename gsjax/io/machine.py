@@ -3,7 +3,6 @@
 import os
 import platform
 import re
-import resource
 import subprocess
 from contextlib import suppress
 from importlib import metadata
@@ -49,6 +48,8 @@ def peak_memory(path: str | Path = "/proc/self/status") -> int:
     match = re.search(r"^VmHWM:\s*(\d+) kB$", _text(path), re.MULTILINE)
     if match:
         return 1024 * int(match[1])
+    import resource  # Which Windows has not.
+
     unit = 1 if platform.system() == "Darwin" else 1024
     return unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 

@@ -45,6 +45,26 @@ def test_the_compilation_cache_is_the_users_or_their_choice(monkeypatch, tmp_pat
     assert os.environ["JAX_COMPILATION_CACHE_DIR"] == "elsewhere"
 
 
+def test_a_gpus_memory_is_taken_as_it_is_used_unless_the_user_says_otherwise(monkeypatch):
+    monkeypatch.delenv("XLA_PYTHON_CLIENT_PREALLOCATE", raising=False)
+    environment.prepare()
+    assert os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"] == "false"
+    monkeypatch.setenv("XLA_PYTHON_CLIENT_PREALLOCATE", "true")
+    environment.prepare()
+    assert os.environ["XLA_PYTHON_CLIENT_PREALLOCATE"] == "true"
+
+
+def test_windows_itself_is_refused_in_one_line():
+    """Its Python has no modules of these names."""
+    program = (
+        "import sys; sys.modules |= {'resource': None, 'fcntl': None}\n"
+        "import gsjax.cli; sys.platform = 'win32'; sys.exit(gsjax.cli.main(['train', 'scene', '--out', 'run']))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    line = "gsjax: error: Windows itself is not supported; gsjax runs there in WSL2: https://aka.ms/wsl"
+    assert (done.returncode, done.stderr.splitlines()) == (2, [line])
+
+
 def test_a_damaged_program_of_the_cache_is_taken_out_and_nobody_is_warned(monkeypatch, tmp_path):
     """It is named as jax names its files and in jax's words, which the next test holds against jax."""
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
