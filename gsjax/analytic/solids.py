@@ -65,7 +65,7 @@ def trace(camera: Camera, *, samples: int = 3) -> Trace:
     light = sum(_light_of_rays(camera, x, y) for y in offsets for x in offsets) / samples**2
     return Trace(
         depth=jnp.where(hit, depth, 0.0),
-        normals=jnp.where(hit[..., None], normals.reshape(*hit.shape, 3) @ rotation(camera).T, 0.0),
+        normals=jnp.where(hit[..., None], _turned(normals, rotation(camera)).reshape(*hit.shape, 3), 0.0),
         colors=linear_to_srgb(light).reshape(*hit.shape, 3),
         labels=jnp.where(hit, labels.reshape(hit.shape), 0).astype(jnp.uint8),
     )
@@ -98,8 +98,13 @@ def _world_rays(camera: Camera, offset_x: float, offset_y: float) -> tuple[Array
     """`[H W, 3]` origins and unit directions of the rays through all pixels, off their centres by so many pixels."""
     offset = jnp.stack([offset_x / camera.K[0, 0], offset_y / camera.K[1, 1], jnp.zeros_like(camera.K[0, 0])])
     rays = (pixel_rays(camera) + offset[None, None]).reshape(-1, 3)
-    directions = rays / jnp.linalg.norm(rays, axis=-1, keepdims=True) @ rotation(camera)
+    directions = _turned(rays / jnp.linalg.norm(rays, axis=-1, keepdims=True), rotation(camera).T)
     return jnp.broadcast_to(center(camera), directions.shape), directions
+
+
+def _turned(vectors: Array, rotation: Array) -> Array:
+    """`[R, 3]` vectors by a `[3, 3]` rotation, as sums: a GPU's matrix units would round to ten bits."""
+    return jnp.sum(vectors[:, None] * rotation, axis=-1)
 
 
 def cast(origin: Array, direction: Array) -> Array:
@@ -326,7 +331,7 @@ _FINE_WAVES = _waves(0.06, 0.14, 14, seed=2)
 def _grain(point: Array, waves: tuple[np.ndarray, np.ndarray]) -> Array:
     """`[]` noise of unit variance at a point: plane waves, so its band is exactly theirs."""
     vectors, phases = (jnp.asarray(w, jnp.float32) for w in waves)
-    return jnp.sqrt(2.0 / len(phases)) * jnp.sum(jnp.cos(vectors @ point + phases))
+    return jnp.sqrt(2.0 / len(phases)) * jnp.sum(jnp.cos(jnp.sum(vectors * point, axis=-1) + phases))
 
 
 def _wave(cycles: Array) -> Array:

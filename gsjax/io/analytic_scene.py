@@ -110,9 +110,9 @@ def _write_view(folder: Path, name: str, camera: Camera, view: solids.Trace) -> 
     Image = require("PIL.Image", "pip install pillow")
     Image.fromarray(_to_bytes(view.colors)).save(folder / "images" / f"{name}.png")
     np.savez_compressed(folder / "depth" / f"{name}.npz", depth=view.depth, label=view.labels)
-    normals = {"cam": view.normals, "world": view.normals @ rotation(camera)}
+    seen, turn = np.asarray(view.normals), np.asarray(rotation(camera))
     np.savez_compressed(
-        folder / "normals" / f"{name}.npz", **{k: np.asarray(v).astype(np.float16) for k, v in normals.items()}
+        folder / "normals" / f"{name}.npz", cam=seen.astype(np.float16), world=(seen @ turn).astype(np.float16)
     )
 
 

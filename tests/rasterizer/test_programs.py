@@ -6,24 +6,13 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
+from jaxprs import equations
 from scenes import cloud, loss, render
 
 import rasterizer
 from rasterizer import INRIA
 
 COUNT = 41  # Like no other size in the program.
-CALLS = {"jit", "pjit", "custom_vjp_call"}
-
-
-def equations(jaxpr):
-    """All equations of a program, those of its inner programs too; calls, which compute nothing, left out."""
-    for equation in jaxpr.eqns:
-        if equation.primitive.name not in CALLS:
-            yield equation
-        for value in equation.params.values():
-            for item in value if isinstance(value, (tuple, list)) else [value]:
-                if hasattr(item, "eqns"):
-                    yield from equations(getattr(item, "jaxpr", item))
 
 
 def forward(scene, capacity=2048, **options):

@@ -1,0 +1,150 @@
+"""No product of the package is left to a GPU's matrix units at their default precision, ten bits of a float32.
+
+Products are sums written out, or ask for the highest precision; here they are read off the traced programs.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxprs import equations
+from scenes import cloud as rasterizer_scene
+from scenes import loss
+from small_scenes import camera_at, cloud, photographed
+
+import rasterizer
+from gsjax import density_field, gaussians, render, targets
+from gsjax.analytic import solids
+from gsjax.binding import bound as binding
+from gsjax.cameras import center
+from gsjax.effects import background, exposure, poses, transients, vignetting
+from gsjax.measures import images
+from gsjax.normals import from_depth
+from gsjax.render import backdrop
+from gsjax.settings import Density, Rates
+from gsjax.training.growth.rules import RULES
+from gsjax.training.optimizers import make_optimizer
+from gsjax.training.state import densify, initial_state
+from gsjax.training.step import BACKGROUNDS, make_train_step
+from gsjax.training.terms import TERMS, weighed
+
+PRODUCTS = "dot_general", "conv_general_dilated"
+CAMERAS = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-1.0, 0.0, 1.0)]
+OPTIMIZER = make_optimizer(Rates(), 1.0, 10)
+
+
+def rough_products(function, *arguments):
+    """The products of floats in a traced program that take whatever precision the device prefers."""
+    program = list(equations(jax.make_jaxpr(function)(*arguments).jaxpr))
+    assert program
+    return [
+        str(equation)
+        for equation in program
+        if equation.primitive.name in PRODUCTS
+        and jnp.issubdtype(equation.outvars[0].aval.dtype, jnp.floating)
+        and equation.params["precision"] != (jax.lax.Precision.HIGHEST,) * 2
+    ]
+
+
+def test_a_plain_product_is_found_wherever_it_stands():
+    square = jnp.eye(3)
+    plain = jax.jit(lambda x: jax.lax.fori_loop(0, 2, lambda _, y: y @ x, x))
+    assert len(rough_products(plain, square)) == 1
+    assert len(rough_products(jax.grad(lambda x: jnp.sum(x @ x)), square)) == 3
+    assert len(rough_products(lambda x: jnp.convolve(x, x), square[0])) == 1
+    assert not rough_products(lambda x: jnp.dot(x, x, precision="highest"), square)
+
+
+@pytest.mark.parametrize("backend", ["xla", "pallas"])
+def test_the_rasterizer(backend):
+    scene = rasterizer_scene(sh_degree=2)
+    options = {
+        "sh_degree": 2,
+        "render_mode": "RGB+ED",
+        "depth_mode": "plane",
+        "rasterize_mode": "antialiased",
+        "return_normals": True,
+        "backgrounds": None,
+    }
+    program = partial(loss, backend=backend, capacity=2048, return_median_depth=True, **options)
+    assert not rough_products(jax.grad(lambda s: program(s)[0]), scene)
+
+
+def test_the_stages_of_the_rasterizer():
+    scene = rasterizer_scene()
+    size = scene.width, scene.height
+
+    def stages(s):
+        covars, _ = rasterizer.quat_scale_to_covar_preci(s.quats, s.scales)
+        in_camera = rasterizer.world_to_cam(s.means, covars, s.viewmats)
+        flat = rasterizer.proj(*in_camera, s.Ks, *size)
+        shape = s.means, None, s.quats, s.scales, s.viewmats, s.Ks
+        radii, means2d, depths, conics, _ = rasterizer.fully_fused_projection(*shape, *size)
+        _, ids, splats = rasterizer.isect_tiles(means2d, radii, depths, 8, 5, 4, capacity=512)
+        offsets = rasterizer.isect_offset_encode(ids, 1, 5, 4)
+        colors, opacities = s.colors[None], s.opacities[None]
+        drawn = (means2d, conics, colors, opacities, *size, 8, offsets, splats)
+        return flat, rasterizer.rasterize_to_pixels(*drawn, backend="xla")
+
+    assert not rough_products(stages, scene)
+
+
+@pytest.fixture(scope="module")
+def target():
+    return targets.numbered(targets.views_of(photographed(cloud(50, seed=5), CAMERAS, with_mattes=True))).targets
+
+
+def test_a_training_step_of_all_terms_and_effects_and_the_growth_after_it(target):
+    def rate(step):
+        return jnp.float32(0.01)
+
+    centers = np.stack([center(camera) for camera in CAMERAS])
+    effects = {
+        "exposure": exposure.simulated(np.zeros((3, 3)), rate),
+        "vignetting": vignetting.simulated(np.zeros((1, 2)), np.zeros(3), rate),
+        "poses": poses.simulated(centers, 4.0, np.zeros(3), 1, rate),
+        "background": background.simulated(backdrop.constant(np.zeros(3), 2), rate),
+        "transients": transients.simulated(rate),
+    }
+    terms = weighed(dict.fromkeys(TERMS, 0.1))
+    how = {"capacity": 4096, "background": BACKGROUNDS["random"], "sh_every": 4, "rule": RULES["error"]}
+    step = make_train_step(OPTIMIZER, terms, effects=effects, depth_mode="front", **how)
+    state = initial_state(cloud(30, capacity=48, seed=1), OPTIMIZER, RULES["error"], effects)
+    here = targets.replace(target[0], beside=target[1], normals=np.full((24, 32, 3), 40, np.int8))
+    assert not rough_products(step, state, here, jax.random.key(0))
+    for rule in RULES:
+        grown = partial(densify, optimizer=OPTIMIZER, density=Density(rule=rule), budget=48)
+        state = initial_state(cloud(30, capacity=48, seed=1), OPTIMIZER, RULES[rule])
+        assert not rough_products(grown, state, jax.random.key(0), jnp.float32(1.0), jnp.array(True))
+
+
+FEW, DEPTH = cloud(30, seed=1), jnp.full((24, 32), 3.0)
+PHOTO = jnp.full((24, 32, 3), 0.5)
+FUNCTIONS = {
+    "view": lambda: (partial(render.view, capacity=4096, background=PHOTO[0, 0], with_depth=True), FEW, CAMERAS[0]),
+    "covariances": lambda: (gaussians.covariances, FEW),
+    "smallest axes": lambda: (gaussians.smallest_axes, FEW),
+    "depth normals": lambda: (from_depth.depth_normals, DEPTH, CAMERAS[0]),
+    "smoothed depth normals": lambda: (from_depth.smoothed_depth_normals, DEPTH, 0 * DEPTH + 1, CAMERAS[0]),
+    "density": lambda: (density_field.density_gradient, FEW.means[0], density_field.kernels(FEW)),
+    "ssim": lambda: (jax.grad(images.ssim), PHOTO, 0.9 * PHOTO),
+    "psnr": lambda: (images.psnr, PHOTO, 0.9 * PHOTO),
+    "covariances on a mesh": lambda: (binding.covariances, bound_sheet()),
+    "the built-in scene": lambda: (partial(solids.trace, samples=1), CAMERAS[0]),
+}
+
+
+def bound_sheet():
+    from gsjax.mesh import Mesh
+
+    corners = np.float32([[0, 0, 4], [1, 0, 4], [0, 1, 4], [1, 1, 4]])
+    mesh = Mesh(corners, np.int32([[0, 1, 2], [1, 3, 2]]), np.full((4, 3), 128, np.uint8))
+    return binding.bind(mesh, per_triangle=1, thickness=1e-3, sh_degree=0)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_functions_of_the_library(name):
+    function, *arguments = FUNCTIONS[name]()
+    assert not rough_products(function, *arguments)
