@@ -32,6 +32,7 @@ class Target:
     normals: Array | None = None  # [H, W, 3] int8, camera frame, times `NORMAL_UNIT`; zero where there is none
     photo: Array | None = None  # [] int32, which of the run's photos it is, where an effect has numbers for each
     beside: "Target | None" = None  # another view of the same step, where a term compares two
+    turn: Array | None = None  # [] int32, the steps before it: a state of another step is left as it is. None: of any
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,7 @@ from gsjax.training.loop import Progress, Work, follow, with_tables
 from gsjax.training.plan import Plan, plan
 from gsjax.training.state import TrainState, count_alive, initial_state
 from gsjax.training.terms import Term
+from rasterizer.devices import default_device
 
 FAR_SHARE = 10  # Of the budget no more than one in so many is far around the cloud at the start.
 
@@ -60,7 +61,7 @@ def train(
     terms: Mapping[str, Term] = MappingProxyType({}),
     resume: bool = False,
     earlier: str | Path | None = None,
-    observe: Callable[[Progress], None] = lambda _: None,
+    observe: Callable[[Progress], None] | None = None,
     devices: Devices = 1,
 ) -> dict[str, Any]:
     """Train Gaussians on a data set.
@@ -121,7 +122,7 @@ def _train(
     planned: Plan,
     known: Mapping[str, Any] | None,
     earlier: Path | None,
-    observe: Callable[[Progress], None],
+    observe: Callable[[Progress], None] | None,
     devices: Devices,
 ) -> dict[str, Any]:
     begun_in = out if known else earlier  # whose checkpoint is in coordinates of its own
@@ -176,7 +177,8 @@ def _train(
         with TrainingJournal(run, planned, loaded, int(state.step), seconds, chosen, whole) as journal:
 
             def told(progress: Progress) -> None:
-                observe(progress)
+                if observe is not None:
+                    observe(progress)
                 journal.note(progress)
 
             def normals(state: TrainState) -> list[np.ndarray]:
@@ -184,7 +186,10 @@ def _train(
                 maps = prior(state.gaussians, with_moved_cameras(frames, chosen.photography(state.effects).moves))
                 return [from_first(each) for each in maps]
 
-            work = Work(planned, frames, size, optimizer, normals, told, chosen.effects, spread.placement)
+            # A CPU computes all the while, and has no step's memory to spare.
+            waits = observe is not None or not spread.is_one or default_device().platform == "cpu"
+            looks = None if waits else journal.looks
+            work = Work(planned, frames, size, optimizer, normals, told, chosen.effects, spread.placement, looks)
             # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.
             capacity = capacity if spread.is_one else None
             if chosen.tries_degrees:
@@ -323,21 +328,30 @@ class TrainingJournal(Journal):
 
     def note(self, progress: Progress) -> None:
         """What the loop tells after every step."""
-        every, last = self.plan.logging, progress.step == self.steps
         self.bar.set_description(progress.phase.name, refresh=False)
         self.bar.update()
         self._tell_pace(progress)
-        scored = self.evaluate_every > 0 and progress.step % self.evaluate_every == 0 and not last
-        if scored or last or progress.step % every.metrics_every == 0:
+        scored, logged, saved = self._due(progress.step)
+        if logged:
             count = int(count_alive(progress.state.gaussians))
             more: dict[str, Any] = {"phase": progress.phase.name, "gaussians": count}
             if scored:
                 more |= self._held_out(self._whole(progress.state))
             self.log(progress.step, progress.metrics, f", {count:,} Gaussians", **more)
             self._tell_held(progress, count)
-        if progress.step % every.checkpoint_every == 0 or last:
+        if saved:
             # The last step of a phase leaves the buffer's capacity to the next phase.
             self.save(progress.step, self._whole(progress.state), 0 if progress.phase_done else progress.capacity)
+
+    def looks(self, step: int) -> bool:
+        """Whether the state after so many steps is looked at."""
+        return any(self._due(step))
+
+    def _due(self, step: int) -> tuple[bool, bool, bool]:
+        """Whether held-out views are scored after so many steps, figures logged, and a checkpoint saved."""
+        every, last = self.plan.logging, step == self.steps
+        scored = self.evaluate_every > 0 and step % self.evaluate_every == 0 and not last
+        return scored, scored or last or step % every.metrics_every == 0, last or step % every.checkpoint_every == 0
 
     def _held_out(self, state: TrainState) -> dict[str, float]:
         """PSNR of the views that are held out, of the render as it is and, with effects on light, as photos near it."""

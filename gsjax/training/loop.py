@@ -1,5 +1,6 @@
 """The host loop over the phases: which view, when to densify, when a buffer must grow."""
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
@@ -31,6 +32,8 @@ S = TypeVar("S")  # A state of training.
 NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
 """Training so far -> an int8 normal map a frame, see `gsjax.targets.Target`."""
 
+logger = logging.getLogger("gsjax")
+
 REFRESHED_EVERY = 500  # steps between two tables of a term that has one (SuGaR)
 
 
@@ -55,7 +58,7 @@ class Progress(NamedTuple):
 
     step: int  # steps done, all phases together
     phase: PlannedPhase
-    state: TrainState  # valid until the next step, which takes its buffers
+    state: TrainState  # valid until the next step, which takes its buffers; a later one where nobody looks
     metrics: Metrics
     capacity: int  # of the pair buffer
     phase_done: bool  # this was the last step of its phase
@@ -117,6 +120,7 @@ class Work:
     observe: Callable[[Progress], None]  # called after every step
     effects: Effects = field(default_factory=dict)  # the state must be made for them, their photos be `frames`
     placement: Placement = field(default_factory=one_device)  # where the state lies
+    looks: Callable[[int], bool] | None = None  # at whose state `observe` looks, see `advance`; for one device
 
 
 def fit(
@@ -211,6 +215,7 @@ def advance(
     room: float = STILL,
     view_share: float = 0.5,
     feed: Feed = one_view,
+    looks: Callable[[int], bool] | None = None,
 ) -> S:
     """Take the steps of one program, each with its view, and make room where a view needs it.
 
@@ -223,8 +228,11 @@ def advance(
         seed: Of the order of views, and of the key that every step gets.
         capacity: Pair buffer to start with.
         room: How much longer than needed the buffer is made where it was too short.
-        view_share: Of the device's memory, for photos; beyond it they are streamed.
+        view_share: Of the device's memory, for photos; beyond it, and where the device is full, they are streamed.
         feed: What a step compares with.
+        looks: Steps done -> whether `after` looks at their state. After others the next step is begun before it is
+            known whether this one overflowed, so that a GPU never waits, and `after` gets a later state. The numbers
+            are the same. None: it always looks.
 
     Returns:
         The state after the last step.
@@ -232,27 +240,50 @@ def advance(
     Raises:
         InputError: The device has no room.
     """
-    key, target = jax.random.key(seed), feed(data, seed, view_share)
-    train_step = compiled(capacity)
-    step, end = steps
-    while step < end:
+    key, target, train_step = jax.random.key(seed), None, compiled(capacity)
+    done, end = steps
+    ahead = None if looks is None else int(state.step) - done  # pyright: ignore[reportAttributeAccessIssue]
+    begun: list[Metrics] = []  # of the steps after `done`
+    while done < end:
+        step = done + len(begun)
         try:
-            state, metrics = train_step(state, target(step), key)
-            overflowed = bool(metrics.overflowed)
+            target = target or feed(data, seed, view_share)
+            here = target(step) if ahead is None else replace(target(step), turn=np.int32(step + ahead))
+            state, metrics = train_step(state, here, key)
+            begun.append(metrics)
+            is_seen = looks is None or step + 1 == end or looks(step + 1)
+            known = begun if is_seen else begun[:-1]
+            taken = next((index for index, each in enumerate(known) if each.overflowed), len(known))
         except jax.errors.JaxRuntimeError as error:
-            raise _no_room(error, data, capacity) from error
-        if overflowed:
-            capacity = rounded_capacity(int(metrics.needed), room)
-            train_step = compiled(capacity)
+            if not _is_full(error) or not _can_stream(state, data, view_share):
+                raise _no_room(error, data, capacity) from error
+            logger.warning("the device is full: photos are sent to it one by one from here on")
+            target, view_share = None, 0.0
             continue
-        step += 1
-        state = after(step, state, metrics, capacity)
+        for metrics in known[:taken]:
+            done += 1
+            state = after(done, state, metrics, capacity)
+        if taken < len(known):  # What was begun after it has left the state as it was, too.
+            capacity = rounded_capacity(int(known[taken].needed), room)
+            train_step, begun = compiled(capacity), []
+        else:
+            begun = begun[taken:]
     return state
+
+
+def _is_full(error: Exception) -> bool:
+    return "RESOURCE_EXHAUSTED" in str(error)
+
+
+def _can_stream(state: Any, data: Targets, view_share: float) -> bool:
+    """Whether the photos lie on the device, and the step that had no room has left the state there."""
+    resident = 0 < data.num_bytes <= targets.device_room(view_share)
+    return resident and not any(leaf.is_deleted() for leaf in jax.tree.leaves(state) if isinstance(leaf, Array))
 
 
 def _no_room(error: Exception, data: Targets, capacity: int) -> Exception:
     """The one line for a device whose memory is full; any other error is a bug and stays what it is."""
-    if "RESOURCE_EXHAUSTED" not in str(error):
+    if not _is_full(error):
         return error
     width, height = data.size
     return InputError(
@@ -295,6 +326,13 @@ def _run_phase(
         work.observe(Progress(step, phase, state, metrics, capacity, is_last))
         return state
 
+    def looks(step: int) -> bool:
+        grows = phase.rule is not None and (
+            adaptive.densifies(plan.density, step) or adaptive.resets_opacities(plan.density, step, plan.background)
+        )
+        tabled = bool(phase.tables) and _moves_neighbors(plan, phase, step)
+        return grows or tabled or (work.looks is not None and work.looks(step))
+
     return advance(
         compiled,
         after,
@@ -306,6 +344,7 @@ def _run_phase(
         room=room,
         view_share=plan.view_share,
         feed=placement.feed,
+        looks=looks if work.looks else None,
     )
 
 
@@ -318,8 +357,8 @@ def _every(count: int, due: TrainStep, between: TrainStep) -> TrainStep:
     """The last of every `count` steps is `due`, counted from the run's beginning; the others are `between`."""
 
     def train_step(state: TrainState, target: Target, key: Array):
-        step = due if (int(state.step) + 1) % count == 0 else between
-        return step(state, target, key)
+        done = int(state.step if target.turn is None else target.turn)
+        return (due if (done + 1) % count == 0 else between)(state, target, key)
 
     return train_step
 

@@ -76,7 +76,10 @@ def guarded_step(
         key = jax.random.fold_in(key, state.step)  # pyright: ignore[reportAttributeAccessIssue]
         gradients, outcome = differentiate(state, target, background(key), key)
         proposed = update(state, gradients, outcome, target)
-        return jax.tree.map(lambda old, new: jnp.where(outcome.overflowed, old, new), state, proposed), outcome
+        is_left = outcome.overflowed
+        if target.turn is not None:  # An earlier step overflowed, which the host did not know yet.
+            is_left |= state.step != target.turn  # pyright: ignore[reportAttributeAccessIssue]
+        return jax.tree.map(lambda old, new: jnp.where(is_left, old, new), state, proposed), outcome
 
     return step
 
