@@ -49,6 +49,7 @@ from gsjax.training.plan import Plan, plan
 from gsjax.training.state import TrainState, count_alive, initial_state
 from gsjax.training.terms import Term
 from rasterizer.devices import default_device
+from rasterizer.engines import resolve
 
 FAR_SHARE = 10  # Of the budget no more than one in so many is far around the cloud at the start.
 
@@ -104,15 +105,23 @@ def train(
 def _planned(
     scene: str | Path, settings: Settings, terms: Mapping[str, Term], devices: int, known: Mapping[str, Any] | None
 ) -> Plan:
-    """The plan before anybody looked at the photos; lines say what devices cannot run, and whose normals serve."""
+    """The plan before anybody looked at the photos."""
     planned = plan(settings, terms, devices)
-    if planned.left_out:
-        print(f"train: {', '.join(planned.left_out)} need one photo a step and are left out", file=sys.stderr)
     if settings.normals is None:
-        if "normals" in planned.needs:
-            print("train: no maps of normals (--normals): the run's own depth stands in for a network", file=sys.stderr)
         return planned
     return replace(planned, normals=known["normals"] if known else normal_folders.find(scene, settings.normals))
+
+
+def _beginning_lines(planned: Plan, settings: Settings, photos_line: str) -> list[str]:
+    """Where the run computes and with which engine, on what, and what of the plan may surprise."""
+    device = default_device()
+    place = "the CPU" if device.platform == "cpu" else device.device_kind
+    lines = [f"on {place} with the {resolve('auto')} rasterizer", photos_line]
+    if planned.left_out:
+        lines.append(f"{', '.join(planned.left_out)} need one photo a step and are left out")
+    if settings.normals is None and "normals" in planned.needs:
+        lines.append("no maps of normals (--normals): the run's own depth stands in for a network")
+    return lines
 
 
 def _train(
@@ -130,7 +139,8 @@ def _train(
     loaded, downscale, photos_line = at_size(
         scene, settings, planned.steps, known and known["downscale"], similarity=similarity
     )
-    print(f"train: {photos_line}", file=sys.stderr)
+    for line in _beginning_lines(planned, settings, photos_line):
+        print(f"train: {line}", file=sys.stderr)
     # Read once, and before the run begins: a damaged photo is found now.
     photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
     loaded = replace(loaded, frames=tuple(map(in_memory, photos)))

@@ -17,14 +17,25 @@ from gsjax.training.growth.rules import RULES
 from gsjax.training.plan import plan
 
 train = importlib.import_module("gsjax.pipeline.train")  # The package's attribute of that name is the function.
-STANDS_IN = "train: no maps of normals (--normals): the run's own depth stands in for a network\n"
+STANDS_IN = "no maps of normals (--normals): the run's own depth stands in for a network"
+H100 = SimpleNamespace(platform="gpu", device_kind="NVIDIA H100 80GB HBM3", compute_capability="9.0")
 
 
-@pytest.mark.parametrize(("weights", "said"), [({"sdf_normal": 0.2}, STANDS_IN), ({}, "")])
-def test_without_maps_a_line_says_that_own_depth_stands_in_for_a_network(capsys, weights, said):
+@pytest.mark.parametrize(("weights", "said"), [({"sdf_normal": 0.2}, [STANDS_IN]), ({}, [])])
+def test_without_maps_a_line_says_that_own_depth_stands_in_for_a_network(weights, said):
     settings = Settings(phases=(Phase("surface", 1, Weights(**weights)),))
-    train._planned("no scene", settings, {}, 1, None)
-    assert capsys.readouterr().err == said
+    planned = train._planned("no scene", settings, {}, 1, None)
+    lines = train._beginning_lines(planned, settings, "9 photos")
+    assert lines == ["on the CPU with the native rasterizer", "9 photos", *said]
+
+
+def test_the_first_line_names_device_and_engine(monkeypatch):
+    from rasterizer import engines
+
+    for module in (train, engines):
+        monkeypatch.setattr(module, "default_device", lambda: H100)
+    first, *_ = train._beginning_lines(plan(Settings()), Settings(), "9 photos")
+    assert first == "on NVIDIA H100 80GB HBM3 with the pallas rasterizer"
 
 
 @pytest.fixture
