@@ -23,11 +23,6 @@ FORWARD_WARPS = 2
 BACKWARD_WARPS = 1  # Reductions within one warp need no barrier.
 
 
-def require_triton() -> None:
-    """Raises ImportError where this jax has no Triton backend of Pallas, which it calls deprecated."""
-    from jax.experimental.pallas import triton  # noqa: F401
-
-
 def _segments(offsets: Array, capacity: int, size: int) -> tuple[Array, Array]:
     """The lists cut in segments of at most `size` splats, which are numbered tile by tile.
 

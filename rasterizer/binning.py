@@ -68,11 +68,21 @@ def count_pairs(projection: Projection, grid: TileGrid) -> Array:
 
 
 def _depth_order(depths: Array, visible: Array) -> Array:
-    """`[M]` int32 splats front to back. One packed integer key: XLA's CPU sort is 6-10x slower on a pair."""
+    """`[M]` int32 splats front to back; of equal depth, by their number."""
     bits = jax.lax.bitcast_convert_type(jnp.where(visible, depths, jnp.inf).astype(jnp.float32), jnp.uint32)
+    return jax.lax.platform_dependent(bits, cpu=_order_on_cpu, default=_order)
+
+
+def _order(keys: Array) -> Array:
+    """`[M]` int32 places of rising uint32 keys. A GPU's radix sort passes once over every byte of a key."""
+    return jax.lax.sort((keys, jnp.arange(keys.shape[0], dtype=jnp.int32)), num_keys=1, is_stable=True)[1]
+
+
+def _order_on_cpu(keys: Array) -> Array:
+    """`_order` by one packed integer key: XLA's CPU sort is 6-10x slower on a pair."""
     with jax.enable_x64(True):
-        key = (bits.astype(jnp.uint64) << np.uint64(32)) | jnp.arange(depths.shape[0], dtype=jnp.uint64)
-        return (jnp.sort(key) & np.uint64(0xFFFFFFFF)).astype(jnp.int32)
+        packed = (keys.astype(jnp.uint64) << np.uint64(32)) | jnp.arange(keys.shape[0], dtype=jnp.uint64)
+        return (jnp.sort(packed) & np.uint64(0xFFFFFFFF)).astype(jnp.int32)
 
 
 def _lists(tiles: Array, ranks: Array, num_tiles: int) -> tuple[Array, Array]:
@@ -80,9 +90,12 @@ def _lists(tiles: Array, ranks: Array, num_tiles: int) -> tuple[Array, Array]:
 
     The ranks come in rising.
     """
-    # A GPU's radix sort wants one short key beside its value.
-    tiles, ranks = jax.lax.sort((tiles, ranks), num_keys=1, is_stable=True)
-    return ranks, jnp.searchsorted(tiles, jnp.arange(num_tiles + 1, dtype=jnp.int32)).astype(jnp.int32)
+    # As few bytes as hold a tile's number, see `_order`.
+    key = jnp.uint16 if num_tiles < 1 << 16 else jnp.int32
+    tiles, ranks = jax.lax.sort((tiles.astype(key), ranks), num_keys=1, is_stable=True)
+    first = jnp.arange(num_tiles + 1, dtype=jnp.int32)
+    # Unrolled: as a loop it would be 24 launches of a kernel, one after the other.
+    return ranks, jnp.searchsorted(tiles.astype(jnp.int32), first, method="scan_unrolled").astype(jnp.int32)
 
 
 def _lists_on_cpu(tiles: Array, ranks: Array, num_tiles: int) -> tuple[Array, Array]:

@@ -4,8 +4,6 @@ import re
 
 import jax
 
-from rasterizer import _pallas
-
 LEAST_CAPABILITY = 8, 0  # Ampere: Pallas' Triton compiles for nothing older.
 
 
@@ -26,7 +24,7 @@ def why_no_kernels(device: jax.Device) -> str | None:
     if tuple(map(int, capability.split("."))) < LEAST_CAPABILITY:
         return f"its kernels need compute capability {least}, and {device.device_kind} has {capability}"
     try:
-        _pallas.require_triton()
+        from jax.experimental.pallas import triton  # noqa: F401
     except ImportError as error:
         return f"its kernels need Pallas' Triton backend, which jax {jax.__version__} has not ({error})"
     return None

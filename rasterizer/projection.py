@@ -4,7 +4,8 @@ Written in components, each one array over all cameras and Gaussians: XLA's CPU 
 slower.
 """
 
-from typing import Literal, NamedTuple
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +24,7 @@ from rasterizer.covariances import (
     tilt_from_triangle,
     upper_triangle,
 )
+from rasterizer.devices import default_device
 from rasterizer.rules import GSPLAT, Rules
 
 RasterizeMode = Literal["classic", "antialiased"]
@@ -174,6 +176,19 @@ def require_shape(quats: Array | None, scales: Array | None, covars: Array | Non
         raise ValueError("a Gaussian's shape is missing: pass quats and scales, or covars")
 
 
+def _walled(function: Callable[..., _Splats], is_wanted: Array, *inputs: Any) -> _Splats:
+    """The function's value behind a wall to XLA's fusion where that helps, on a CPU; zeros where it is not wanted.
+
+    A branch is such a wall. Without it the stacking of components is fused into their computation, and the derivative
+    takes ten times as long on a CPU. A GPU would wait for the host to take the branch.
+    """
+    if default_device().platform != "cpu":
+        return function(*inputs)
+    nothing = jax.eval_shape(function, *inputs)
+    zeros = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), nothing)
+    return jax.lax.cond(is_wanted, function, lambda *_: zeros, *inputs)
+
+
 @takes_arrays
 def project(
     means: Array,
@@ -246,15 +261,8 @@ def project(
             rules=rules,
         )
 
-    nothing = jax.eval_shape(project_all, *inputs)
-    # A branch is a wall to XLA's fusion: without it the stacking of components is fused into their computation, and
-    # the derivative takes ten times as long on a CPU. The recomputation keeps the wall's inputs alone in memory.
-    splats = jax.lax.cond(
-        jnp.any(opacities >= rules.alpha_min),
-        jax.checkpoint(project_all),
-        lambda *_: jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), nothing),
-        *inputs,
-    )
+    # Recomputed on the way back: the inputs alone are kept in memory.
+    splats = _walled(jax.checkpoint(project_all), jnp.any(opacities >= rules.alpha_min), *inputs)
     return Projection(
         jnp.stack(splats.mean2d, -1),
         splats.depth,

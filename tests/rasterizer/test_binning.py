@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes import cloud
 
-from rasterizer import GSPLAT, Projection, TileGrid, TilePairs, bin_splats, count_pairs, project
+from rasterizer import GSPLAT, Projection, TileGrid, TilePairs, bin_splats, binning, count_pairs, project
 
 GRID = TileGrid(2, 37, 29, 8)
 CAPACITY = 4096
@@ -162,3 +162,25 @@ def test_a_session_of_float64_lists_the_same(lists):
 
 def in_float64(x):
     return x.astype(jnp.float64) if x.dtype == jnp.float32 else x
+
+
+@pytest.mark.parametrize("num_tiles", [12, 1 << 16])
+def test_a_gpus_sorts_make_the_lists_of_a_cpus(num_tiles):
+    """The keys are of two bytes where they hold every tile and what is left over."""
+    rng = np.random.default_rng(0)
+    tiles = jnp.asarray(np.append(rng.integers(num_tiles - 12, num_tiles + 1, 300), num_tiles), jnp.int32)
+    ranks = jnp.sort(jnp.asarray(rng.integers(0, 90, 301), jnp.int32))
+    (lists, offsets), (expected, expected_offsets) = (
+        make(tiles, ranks, num_tiles) for make in (binning._lists, binning._lists_on_cpu)
+    )
+    np.testing.assert_array_equal(offsets, expected_offsets)
+    listed = int(offsets[-1])
+    assert 0 < listed < 301
+    np.testing.assert_array_equal(lists[:listed], expected[:listed])
+
+
+def test_a_gpus_order_by_depth_is_a_cpus():
+    depths = jnp.asarray(np.random.default_rng(0).choice([0.5, 1e-3, 1e30, np.inf], 200), jnp.float32)
+    bits = jax.lax.bitcast_convert_type(depths, jnp.uint32)
+    np.testing.assert_array_equal(binning._order(bits), np.argsort(depths, kind="stable"))
+    np.testing.assert_array_equal(binning._order_on_cpu(bits), np.argsort(depths, kind="stable"))

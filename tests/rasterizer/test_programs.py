@@ -2,15 +2,18 @@
 
 from collections import Counter
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxprs import equations
 from scenes import cloud, loss, render
+from tolerances import assert_close
 
 import rasterizer
-from rasterizer import INRIA
+from rasterizer import INRIA, projection
 
 COUNT = 41  # Like no other size in the program.
 
@@ -119,6 +122,24 @@ def test_a_plain_call_has_none_of_it():
         if e.primitive.name == "while"
     ]
     assert max(carried) == 6 and max(with_median) == 7
+
+
+def test_the_projection_branches_on_a_cpu_alone(monkeypatch):
+    """There the branch is a wall to fusion; a GPU would wait for it."""
+    scene = transparent(cloud(COUNT))
+    shape = scene.means, scene.quats, scene.scales, scene.opacities, scene.viewmats, scene.Ks
+
+    def branches():
+        def total(*arrays):
+            return jnp.sum(rasterizer.project(*arrays, scene.width, scene.height).conics)
+
+        return operations(equations(jax.make_jaxpr(jax.grad(total))(*shape).jaxpr))["cond"], total(*shape)
+
+    on_cpu, expected = branches()
+    monkeypatch.setattr(projection, "default_device", lambda: SimpleNamespace(platform="gpu"))
+    on_gpu, found = branches()
+    assert on_cpu >= 2 and on_gpu == 0
+    assert_close(found, expected, rtol=1e-5, atol=0, why="a sum of conics that differ by a rounding")
 
 
 def test_covariances_leave_the_quaternions_out():
