@@ -1,17 +1,24 @@
-"""One strict session for all tests: CPU, no silent promotion of dtypes."""
+"""One strict session for all tests: CPU, no silent promotion of dtypes.
+
+With GSJAX_TEST_GPU=1 jax chooses the platform, and the tests marked `device` run alone: backends, hard cases, golden.
+"""
 
 import gc
 import os
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 
-os.environ["JAX_PLATFORMS"] = "cpu"
+if os.environ.get("GSJAX_TEST_GPU") != "1":
+    os.environ["JAX_PLATFORMS"] = "cpu"
 # Tests compile much and run little: XLA's older emitters, and LLVM without its optimisations, take a third of the time
 # for the first and are slower at the second. Programs in one piece take two thirds of the memory mappings, which run
 # out (below). `XLA_FLAGS= make test` tests the programs that users run. An XLA that does not know a flag ends the
 # process, so only where it was seen to.
-if version("jaxlib").startswith("0.10."):
+if os.environ.get("GSJAX_TEST_GPU") == "1":  # Some tests compare bits: sums by atomics come in any order.
+    os.environ.setdefault("XLA_FLAGS", "--xla_gpu_deterministic_ops=true")
+elif version("jaxlib").startswith("0.10."):
     quick = "cpu_use_fusion_emitters=false", "backend_optimization_level=0", "llvm_disable_expensive_passes=true"
     whole = "cpu_parallel_codegen_split_count=1"
     os.environ.setdefault("XLA_FLAGS", " ".join(f"--xla_{flag}" for flag in (*quick, whole)))
@@ -20,6 +27,7 @@ import jax
 import pytest
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+ON_DEVICE = os.environ.get("GSJAX_TEST_GPU") == "1"
 
 
 def pytest_addoption(parser):
@@ -133,9 +141,20 @@ def pytest_collection_modifyitems(config, items):
     folder = Path(__file__).parent
     turns = {folder / f"{name}.py": turn for turn, name in enumerate(LONGEST)}
     items.sort(key=lambda item: min(turns.get(item.path, FIRST), FIRST))
+    if ON_DEVICE:
+        _keep(config, items, lambda item: item.get_closest_marker("device") and _runs_on_device(item))
     if config.getoption("--quick"):
-        config.hook.pytest_deselected(items=[item for item in items if item.path in turns])
-        items[:] = [item for item in items if item.path not in turns]
+        _keep(config, items, lambda item: item.path not in turns)
+
+
+def _keep(config, items, is_kept):
+    config.hook.pytest_deselected(items=[item for item in items if not is_kept(item)])
+    items[:] = [item for item in items if is_kept(item)]
+
+
+def _runs_on_device(item):
+    """The native loops are the CPU's."""
+    return jax.default_backend() == "cpu" or "native" not in getattr(item, "callspec", SimpleNamespace(id="")).id
 
 
 SHARED = Path(__file__).resolve().parents[1] / "../shared"

@@ -30,6 +30,8 @@ class Scene:
     height: int = field(metadata={"static": True})
 
 
+# The native loops are the CPU's; with GSJAX_TEST_GPU=1 the tests may run elsewhere.
+BACKENDS = ("reference", *(["native"] if jax.default_backend() == "cpu" else []), "xla", "pallas")
 GAUSSIAN_FIELDS = ("means", "quats", "scales", "opacities", "colors")
 
 

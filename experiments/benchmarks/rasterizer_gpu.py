@@ -1,8 +1,10 @@
-"""How long does the rasterizer take on a GPU, beside gsplat where it is installed?
+"""Is the rasterizer right on this GPU, and how long does it take, beside gsplat where that is installed?
 
-    python experiments/benchmarks/rasterizer_gpu.py [--counts 100k 1M] [--sizes 1080p 4K]
+    python experiments/benchmarks/rasterizer_gpu.py [--counts 100k 1M] [--sizes 1080p 4K] [--run RUN]
 
-First its image and gradients are compared with those of the reference.
+First its images and gradients are compared with those of the reference; where they differ it ends there. Then come the
+parts of a pass over seeded Gaussians; and with RUN, a finished run, a whole training step of every phase of the preset
+`fast` from its Gaussians, beside gsplat's passes over the same view.
 """
 
 import argparse
@@ -20,6 +22,8 @@ from gsjax.errors import InputError
 COUNTS = {"100k": 100_000, "1M": 1_000_000, "3M": 3_000_000}
 SIZES = {"1080p": (1920, 1080), "4K": (3840, 2160)}
 RADIUS = 6.0  # Mean projected 3-sigma radius at 1080p, pixels.
+IMAGE_BOUND = 5e-3  # A splat of which rounding decides whether it passes the cut moves a pixel by 1/255.
+GRADIENT_BOUND = 1e-3  # Relative; roundings alone make 1e-5.
 
 
 def workload(count: int, size: tuple[int, int]) -> Scene:
@@ -30,17 +34,26 @@ def workload(count: int, size: tuple[int, int]) -> Scene:
     return Scene((*gaussians, viewmats, Ks.at[0, 1, 2].set(height / 2)), width, height)
 
 
-def errors_against_reference(backend: str) -> dict[str, float]:
-    """Largest error of an image and its relative error of every gradient on a scene that the reference can do."""
+def small_scenes() -> dict[str, Scene]:
+    """What the reference can do: ordinary Gaussians, and faint ones, so deep that every pixel walks whole lists."""
+    plain, (means, quats, scales, opacities, *rest), width, height = (
+        make_scene(Workload(2000, 128, 8.0)),
+        *make_scene(Workload(6000, 64, 10.0)),
+    )
+    return {"plain": plain, "deep": Scene((means, quats, scales, 0.02 * opacities, *rest), width, height)}
+
+
+def errors_against_reference(scene: Scene, backend: str) -> dict[str, float]:
+    """Largest error of an image and relative error of every gradient."""
     import jax
     import jax.numpy as jnp
 
     import rasterizer
 
-    arrays, width, height = make_scene(Workload(2000, 128, 8.0))
+    arrays, width, height = scene
 
     def loss(arrays, backend):
-        image, alphas, _ = rasterizer.rasterization(*arrays, width, height, capacity=1 << 16, backend=backend)
+        image, alphas, _ = rasterizer.rasterization(*arrays, width, height, capacity=1 << 17, backend=backend)
         return jnp.sum(image**2) + jnp.sum(alphas), image
 
     run = jax.jit(jax.value_and_grad(loss, has_aux=True), static_argnums=1)
@@ -51,6 +64,18 @@ def errors_against_reference(backend: str) -> dict[str, float]:
         for n, g, e in zip(names, gradient[:5], expected[:5], strict=True)
     }
     return {"image": float(jnp.abs(image - expected_image).max()), **{n: float(r) for n, r in relative.items()}}
+
+
+def require_right(errors: dict[str, dict[str, float]]) -> None:
+    """Raises InputError where an error is no rounding: nobody wants to know how fast that was."""
+    wrong = [
+        f"{scene}, {name}: {error:.2g}"
+        for scene, row in errors.items()
+        for name, error in row.items()
+        if not error < (IMAGE_BOUND if name == "image" else GRADIENT_BOUND)
+    ]
+    if wrong:
+        raise InputError(f"the kernels differ from the reference ({'; '.join(wrong)}): nothing is timed")
 
 
 def measure(scene: Scene, backend: str) -> dict[str, float]:
@@ -64,6 +89,14 @@ def measure(scene: Scene, backend: str) -> dict[str, float]:
     _, _, info = rasterizer.rasterization(*arrays, width, height, backend=backend)
     capacity, pairs = int(info["splats"].shape[0]), int(info["offsets"][-1])
 
+    grid = rasterizer.TileGrid(1, width, height, rasterizer.default_tile_size(backend))
+
+    def projected(arrays):
+        return rasterizer.project(*arrays[:4], *arrays[5:], width, height)
+
+    def listed(arrays):
+        return rasterizer.bin_splats(projected(arrays), arrays[3], grid, capacity, rasterizer.GSPLAT, backend=backend)
+
     def image(arrays):
         return rasterizer.rasterization(*arrays, width, height, capacity=capacity, backend=backend)[0]
 
@@ -71,9 +104,11 @@ def measure(scene: Scene, backend: str) -> dict[str, float]:
     _, forward = milliseconds(jax.jit(image), arrays)
     _, both = milliseconds(gradient, arrays[:5])
     temporary = gradient.lower(arrays[:5]).compile().memory_analysis().temp_size_in_bytes
-    pixel_pairs = pairs * rasterizer.default_tile_size(backend) ** 2
+    pixel_pairs = pairs * grid.tile_size**2
     return {
         "pairs": pairs,
+        "projection_ms": milliseconds(jax.jit(projected), arrays)[1],
+        "with_lists_ms": milliseconds(jax.jit(listed), arrays)[1],
         "forward_ms": forward,
         "forward_backward_ms": both,
         "forward_backward_ns": 1e6 * both / pixel_pairs,
@@ -118,6 +153,29 @@ def gsplat_of(scene: Scene) -> Callable[[], dict[str, float]] | None:
     return run
 
 
+def steps_of(run: Path) -> dict[str, dict[str, float]]:
+    """Milliseconds of a whole training step of every phase from a run's Gaussians, and of gsplat over one view."""
+    import jax
+    import jax.numpy as jnp
+    from step_cost import steppers
+
+    from gsjax import config, gaussians, render
+    from gsjax.planning.sizes import training_extent
+    from gsjax.runs.result import open_result, scene_of_run
+    from gsjax.settings import PRESETS, Settings
+
+    result, scene = open_result(run), scene_of_run(run)
+    taken = steppers(
+        config.parse(Settings, PRESETS["fast"]), result.gaussians, scene.train_frames, training_extent(scene)
+    )
+    rows = {f"a step, {phase}": {"step_ms": milliseconds(once)[1]} for phase, once in taken.items()}
+    cloud, camera = jax.tree.map(jnp.asarray, (result.gaussians, result.cameras[result.held_out.index(False)]))
+    colors = render.colors(render.drawable(cloud), camera)
+    shape = cloud.means, cloud.quats, gaussians.scales(cloud), gaussians.opacities(cloud), colors
+    peer = gsplat_of(Scene((*shape, camera.viewmat[None], camera.K[None]), camera.width, camera.height))
+    return rows if peer is None else {**rows, "gsplat, one view": peer()}
+
+
 def main(chosen: Sequence[str] | None = None) -> None:
     """Compare, measure and print."""
     # A script beside this one has the name of the package.
@@ -126,6 +184,7 @@ def main(chosen: Sequence[str] | None = None) -> None:
     parser.add_argument("--backend", choices=("pallas", "xla"), default="pallas", help="engine to time")
     parser.add_argument("--counts", nargs="+", choices=COUNTS, default=list(COUNTS), help="numbers of Gaussians")
     parser.add_argument("--sizes", nargs="+", choices=SIZES, default=list(SIZES), help="image sizes")
+    parser.add_argument("--run", type=Path, metavar="RUN", help="a finished run, whose training steps are timed too")
     arguments = parser.parse_args(chosen)
     import jax
 
@@ -133,8 +192,10 @@ def main(chosen: Sequence[str] | None = None) -> None:
 
     if jax.default_backend() != "gpu":
         raise InputError(f"no GPU: jax runs on {jax.default_backend()!r} here")
-    print(tables.record(errors_against_reference(arguments.backend)))
-    rows = {}
+    errors = {name: errors_against_reference(scene, arguments.backend) for name, scene in small_scenes().items()}
+    print(tables.compare(errors))
+    require_right(errors)
+    rows: dict[str, dict[str, float]] = {}
     for count in arguments.counts:
         for size in arguments.sizes:
             scene = workload(COUNTS[count], SIZES[size])
@@ -143,6 +204,8 @@ def main(chosen: Sequence[str] | None = None) -> None:
             if peer is not None:
                 rows[f"{count}, {size}, gsplat"] = peer()
     print(tables.compare(rows))
+    if arguments.run is not None:
+        print(tables.compare(steps_of(arguments.run)))
     print(tables.record({**machine(), **versions()}))
 
 

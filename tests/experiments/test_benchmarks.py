@@ -11,6 +11,7 @@ from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
 from gsjax import render
+from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
 from rasterizer._native.compiled import cache_folder
@@ -81,3 +82,35 @@ def test_both_of_our_engines_draw_a_run_as_its_first_training_camera_sees_it(scr
     assert_close(image(), expected)
     assert_close(jnp_image(), expected)
     assert_close(gradient(), jnp_gradient(), kind="gradient")
+
+
+@pytest.fixture
+def gpu_scripts(scripts, monkeypatch):
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    return scripts
+
+
+def test_kernels_that_are_wrong_are_not_timed(gpu_scripts):
+    rasterizer_gpu = gpu_scripts("rasterizer_gpu")
+    right = {"image": 1e-3, "means": 1e-5}
+    rasterizer_gpu.require_right({"plain": right, "deep": right})
+    for wrong in (0.1, float("nan")):
+        with pytest.raises(InputError, match=rf"deep, means: {wrong:.2g}\): nothing is timed"):
+            rasterizer_gpu.require_right({"plain": right, "deep": {**right, "means": wrong}})
+
+
+def test_the_estimate_shares_a_multiprocessor_and_keeps_its_work(gpu_scripts):
+    estimate = gpu_scripts("gpu_estimate")
+    kernel = estimate.Kernel(instructions=50.0, programs=8)
+    alone = 1000 * 50 * 256 / 32 / (estimate.CLOCK * estimate.LONE)
+    assert estimate.seconds([1000], kernel) == pytest.approx(alone)
+    assert estimate.seconds([1000] * estimate.SMS, kernel) == pytest.approx(alone)
+    # As many as there is room for: they share what a multiprocessor does in a cycle.
+    many = estimate.seconds([1000] * estimate.SMS * 8, kernel)
+    assert many == pytest.approx(alone * 8 * estimate.LONE / (4 * estimate.PEAK_SHARE))
+    assert estimate.seconds([1000] * estimate.SMS * 16, kernel) == pytest.approx(2 * many)
+    # A deep list is hidden behind the others where it is begun first, and in segments it costs what its splats do.
+    others = [100] * estimate.SMS * 40
+    last, first = estimate.seconds([*others, 4000], kernel), estimate.seconds([4000, *others], kernel)
+    assert first < 0.95 * last and estimate.seconds(estimate.cut([*others, 4000]), kernel) < first
+    assert estimate.cut([600, 0, 256]) == [256, 256, 88, 256]

@@ -12,6 +12,8 @@ from tolerances import assert_close
 
 from rasterizer import GSPLAT, INRIA, Front, TileGrid, _reference, bin_splats, blend, project, spherical_harmonics
 
+pytestmark = pytest.mark.device
+
 # name -> (scene, options): each is two programs to compile, so that few cases cover much.
 CASES = {
     "RGB": (cloud(), {}),

@@ -11,6 +11,7 @@ from tolerances import assert_close
 import rasterizer
 from rasterizer import GSPLAT, _reference
 
+pytestmark = pytest.mark.device
 FIELDS = ("means", "quats", "scales", "opacities", "colors")
 
 

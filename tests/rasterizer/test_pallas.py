@@ -22,6 +22,7 @@ CASES = {
 }
 
 
+@pytest.mark.device
 @pytest.mark.parametrize("name", CASES)
 def test_kernels_equal_the_reference(name):
     scene, options = CASES[name]
