@@ -28,7 +28,7 @@ from gsjax.training.growth.rules import RULES
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import densify, initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
-from gsjax.training.terms import TERMS, weighed
+from gsjax.training.terms import TERMS, weigh_terms
 
 PRODUCTS = "dot_general", "conv_general_dilated"
 CAMERAS = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-1.0, 0.0, 1.0)]
@@ -93,7 +93,8 @@ def test_the_stages_of_the_rasterizer():
 
 @pytest.fixture(scope="module")
 def target():
-    return targets.numbered(targets.views_of(photographed(cloud(50, seed=5), CAMERAS, with_mattes=True))).targets
+    photos = photographed(cloud(50, seed=5), CAMERAS, with_mattes=True)
+    return targets.with_photo_numbers(targets.read_targets(photos)).targets
 
 
 def test_a_training_step_of_all_terms_and_effects_and_the_growth_after_it(target):
@@ -102,13 +103,13 @@ def test_a_training_step_of_all_terms_and_effects_and_the_growth_after_it(target
 
     centers = np.stack([center(camera) for camera in CAMERAS])
     effects = {
-        "exposure": exposure.simulated(np.zeros((3, 3)), rate),
-        "vignetting": vignetting.simulated(np.zeros((1, 2)), np.zeros(3), rate),
-        "poses": poses.simulated(centers, 4.0, np.zeros(3), 1, rate),
-        "background": background.simulated(backdrop.constant(np.zeros(3), 2), rate),
-        "transients": transients.simulated(rate),
+        "exposure": exposure.make_effect(np.zeros((3, 3)), rate),
+        "vignetting": vignetting.make_effect(np.zeros((1, 2)), np.zeros(3), rate),
+        "poses": poses.make_effect(centers, 4.0, np.zeros(3), 1, rate),
+        "background": background.make_effect(backdrop.constant_coefficients(np.zeros(3), 2), rate),
+        "transients": transients.make_effect(rate),
     }
-    terms = weighed(dict.fromkeys(TERMS, 0.1))
+    terms = weigh_terms(dict.fromkeys(TERMS, 0.1))
     how = {"capacity": 4096, "background": BACKGROUNDS["random"], "sh_every": 4, "rule": RULES["error"]}
     step = make_train_step(OPTIMIZER, terms, effects=effects, depth_mode="front", **how)
     state = initial_state(cloud(30, capacity=48, seed=1), OPTIMIZER, RULES["error"], effects)

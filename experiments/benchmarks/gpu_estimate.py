@@ -19,7 +19,7 @@ import numpy as np
 from workloads import HEAVY, Seen, seen
 
 from gsjax import tables
-from gsjax.cli import guarded
+from gsjax.cli import run_guarded
 
 TILE = 16  # pixels
 SEGMENT = 256  # splats
@@ -152,4 +152,4 @@ def main(chosen: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(main))
+    sys.exit(run_guarded(main))

@@ -287,7 +287,7 @@ def toy_steps(data, capacity, **how):
 
 def test_a_flag_that_is_read_a_step_late_changes_no_bit(frames):
     """Two steps overflow, and the next photo would fit: the step that was begun with it must leave no trace."""
-    data = targets.views_of(frames)
+    data = targets.read_targets(frames)
     seen, step, told, looked = toy_steps(data, 64)
     assert step == 49 and [each[0] for each in told] == list(range(1, 10))
     assert sorted({capacity for _, capacity, _ in told}) == [4096, 12288], "at the first step and a later one"
@@ -298,7 +298,7 @@ def test_a_flag_that_is_read_a_step_late_changes_no_bit(frames):
 
 
 def test_a_full_device_is_sent_its_photos_one_by_one(frames, monkeypatch, caplog):
-    data, fed = targets.views_of(frames), []
+    data, fed = targets.read_targets(frames), []
     expected = toy_steps(data, 1 << 16)
 
     def feed(data, seed, view_share):
