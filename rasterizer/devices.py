@@ -1,21 +1,23 @@
 """Where jax computes, and whether the GPU kernels run there."""
 
 import re
+from typing import Any
 
 import jax
 
 LEAST_CAPABILITY = 8, 0  # Ampere: Pallas' Triton compiles for nothing older.
 
 
-def default_device() -> jax.Device:
-    """The device that jax computes on unless an array says otherwise: that of `jax.default_device`, else the first."""
-    chosen = jax.config.jax_default_device
+def default_device() -> Any:
+    """The `jax.Device` that is computed on unless an array says otherwise: `jax.default_device`'s, else the first."""
+    config: Any = jax.config  # Its fields are made when it is loaded.
+    chosen = config.jax_default_device
     if chosen is None or isinstance(chosen, str):
         return jax.local_devices(backend=chosen)[0]
     return chosen
 
 
-def why_no_kernels(device: jax.Device) -> str | None:
+def why_no_kernels(device: Any) -> str | None:
     """Why the GPU kernels do not run on a device; None where they do."""
     capability = str(getattr(device, "compute_capability", ""))  # "9.0"; of AMD's a name, such as "gfx90a"
     if not re.fullmatch(r"\d+\.\d+", capability):
