@@ -19,6 +19,7 @@ GROUND_LABEL = 255
 TABLE_RADIUS = 1.6
 BOUNDS = ((-1.65, -1.65, -0.12), (1.65, 1.65, 0.95))  # of everything solid, world units
 
+_EXACT = jax.lax.Precision.HIGHEST  # of products: a GPU's matrix units would round their factors to ten bits
 _TABLE_THICKNESS = 0.08
 _SHADOW_STEPS = 22
 _FAR = 8.0  # where a ray has left the world
@@ -103,8 +104,8 @@ def _world_rays(camera: Camera, offset_x: float, offset_y: float) -> tuple[Array
 
 
 def _turned(vectors: Array, rotation: Array) -> Array:
-    """`[R, 3]` vectors by a `[3, 3]` rotation, as sums: a GPU's matrix units would round to ten bits."""
-    return jnp.sum(vectors[:, None] * rotation, axis=-1)
+    """`[R, 3]` vectors by a `[3, 3]` rotation."""
+    return jnp.matmul(vectors, rotation.T, precision=_EXACT)
 
 
 def cast(origin: Array, direction: Array) -> Array:
@@ -331,7 +332,7 @@ _FINE_WAVES = _waves(0.06, 0.14, 14, seed=2)
 def _grain(point: Array, waves: tuple[np.ndarray, np.ndarray]) -> Array:
     """`[]` noise of unit variance at a point: plane waves, so its band is exactly theirs."""
     vectors, phases = (jnp.asarray(w, jnp.float32) for w in waves)
-    return jnp.sqrt(2.0 / len(phases)) * jnp.sum(jnp.cos(jnp.sum(vectors * point, axis=-1) + phases))
+    return jnp.sqrt(2.0 / len(phases)) * jnp.sum(jnp.cos(jnp.matmul(vectors, point, precision=_EXACT) + phases))
 
 
 def _wave(cycles: Array) -> Array:
