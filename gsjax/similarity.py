@@ -16,9 +16,12 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from gsjax.errors import InputError
 
 if TYPE_CHECKING:  # The vocabulary of scenes loads without jax.
     from gsjax.gaussians import Gaussians
@@ -28,6 +31,8 @@ STEP = 4.0  # A size is brought to 1 or more and less than this, local units.
 GRID = 32.0  # Local units between the centres that are chosen from.
 FAR_POINTS = 100.0  # Cameras so many times closer together than points are away say nothing of the size.
 LOST = 1e-5  # Of a thing's size, the most that float32 may round its coordinates by.
+LARGEST_SCALE = 2.0**100  # Of both ways, beside which float32 has room for the places themselves.
+FARTHEST = 2.0**60  # Local units from the world's origin: float64 tells places there no longer apart.
 
 
 @dataclass(frozen=True)
@@ -163,6 +168,23 @@ def spread(points: np.ndarray, middle: np.ndarray | None = None) -> float:
         return 0.0
     middle = np.median(points, axis=0) if middle is None else middle
     return float(np.median(np.linalg.norm(points - middle, axis=1)))
+
+
+def parse_similarity(kept: Any, file: Path) -> Similarity:
+    """The similarity that a JSON file holds, as `dataclasses.asdict` has it.
+
+    Raises:
+        InputError: What it holds is none; names the file.
+    """
+    try:
+        x, y, z = (float(number) for number in kept["center"])
+        similarity = Similarity(float(kept["scale"]), (x, y, z))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{file}: holds no similarity of a scale and a center ({str(kept)[:80]})") from error
+    scale, farthest = similarity.scale, max(map(abs, (x, y, z))) * similarity.scale
+    if not (1 / LARGEST_SCALE <= scale <= LARGEST_SCALE and all(map(math.isfinite, (x, y, z))) and farthest < FARTHEST):
+        raise InputError(f"{file}: a similarity of scale {scale:g} and center {x:g} {y:g} {z:g} is none")
+    return similarity
 
 
 def _about(middle: np.ndarray, size: float) -> Similarity:

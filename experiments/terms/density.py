@@ -15,26 +15,26 @@ from gsjax.gaussians import Gaussians, scales
 from gsjax.normals.sdf import composite_directions
 from gsjax.render import View
 from gsjax.training.terms import Kept
-from terms import places
-from terms.places import Places
+from terms import evaluation_points
+from terms.evaluation_points import EvaluationPoints
 
 
 def density_center_map(gaussians: Gaussians, view: View, camera: Camera, kept: Kept) -> Array:
     """`[H, W, 3]` at the means: on a plane of Gaussians it lies in the plane, and asks for the wrong thing."""
-    return _density_gradient_map(gaussians, view, camera, kept, places.centers)
+    return _density_gradient_map(gaussians, view, camera, kept, evaluation_points.centers)
 
 
 def density_offset_map(gaussians: Gaussians, view: View, camera: Camera, kept: Kept) -> Array:
     """`[H, W, 3]` one smallest standard deviation before the means."""
-    return _density_gradient_map(gaussians, view, camera, kept, places.before)
+    return _density_gradient_map(gaussians, view, camera, kept, evaluation_points.before)
 
 
 def density_sample_map(gaussians: Gaussians, view: View, camera: Camera, kept: Kept) -> Array:
-    """`[H, W, 3]` at places drawn about the means, as SuGaR draws them."""
-    return _density_gradient_map(gaussians, view, camera, kept, places.drawn)
+    """`[H, W, 3]` at points drawn about the means, as SuGaR draws them."""
+    return _density_gradient_map(gaussians, view, camera, kept, evaluation_points.random_points)
 
 
-def _density_gradient_map(gaussians: Gaussians, view: View, camera: Camera, kept: Kept, at: Places) -> Array:
+def _density_gradient_map(gaussians: Gaussians, view: View, camera: Camera, kept: Kept, at: EvaluationPoints) -> Array:
     """`[H, W, 3]` minus the density's gradient, unit and facing the camera, composited; zero where there is none."""
     field = density_field.kernels(gaussians)
     # In units of the Gaussian's own thickness: the direction stays, and the length no longer knows the scene's unit.

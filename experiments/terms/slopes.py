@@ -12,8 +12,8 @@ from gsjax.gaussians import Gaussians
 from gsjax.normals.sdf import composite_directions, in_front, reads_depth
 from gsjax.render import View
 from gsjax.render.sampling import sample_bilinear
-from terms import places
-from terms.places import Places
+from terms import evaluation_points
+from terms.evaluation_points import EvaluationPoints
 from terms.sampling import Read, sample_bicubic, sample_central, shrunk
 
 
@@ -29,7 +29,7 @@ def sdf_bicubic_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
 
 def sdf_offset_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
     """`[H, W, 3]` the same one smallest standard deviation before the means, on the smallest axis."""
-    return _gradient_map(gaussians, view, camera, at=places.before)
+    return _gradient_map(gaussians, view, camera, at=evaluation_points.before)
 
 
 def _gradient_map(
@@ -37,7 +37,7 @@ def _gradient_map(
     view: View,
     camera: Camera,
     *,
-    at: Places = places.centers,
+    at: EvaluationPoints = evaluation_points.centers,
     read: Read = sample_bilinear,
     covers: Callable[[Array], Array] = lambda covered: covered,
 ) -> Array:
@@ -47,7 +47,7 @@ def _gradient_map(
         gaussians: The scene.
         view: Its render, with depth.
         camera: Of the view.
-        at: The places.
+        at: The points.
         read: How depth is read there.
         covers: `[H, W]` pixels with depth -> those about which all has depth that `read` blends.
     """

@@ -22,7 +22,7 @@ from gsjax.numerics import masked_mean, safe_normalize
 from gsjax.render import View
 from gsjax.targets import Batch
 from gsjax.training.terms import Kept
-from terms.places import SPREAD, turned
+from terms.evaluation_points import SPREAD, rotate
 
 MOST_SAMPLES = 1_000_000  # points in a step; no more than there are Gaussians
 CLOSE = 2.0  # standard deviations towards the camera between a mean and the rendered depth, to be drawn from (sdf)
@@ -100,7 +100,7 @@ def _means(misfit: Misfit, gaussians: Gaussians, kept: Kept, among: Array) -> tu
 
     def of_one(owner: Array, noise: Array) -> tuple[Array, Array, Array]:
         ids = kept.table[owner]
-        point = gaussians.means[owner] + SPREAD * turned(axes[owner], noise * deviations[owner])
+        point = gaussians.means[owner] + SPREAD * rotate(axes[owner], noise * deviations[owner])
         nearby = density_field.kernels_around(field, ids)
         sample = Sample(point, gaussians.means[owner], normals[owner], nearby, jnp.mean(thickness[ids]))
         return *misfit(sample), _disagreement(sample, normals[ids], thickness[ids])
@@ -137,7 +137,7 @@ def _close_to_depth(gaussians: Gaussians, view: View, depth: Array, camera: Came
     reads = jax.vmap(sdf.reads_depth, in_axes=(0, None, None))(means, depth > 0, camera)
     apart = jnp.abs(jax.vmap(sdf.depth_sdf, in_axes=(0, None, None))(means, depth, camera))
     towards = safe_normalize(cameras.center(camera)[None] - means)
-    along = turned(jnp.swapaxes(rotation_matrices(gaussians.quats), 1, 2), towards)
+    along = rotate(jnp.swapaxes(rotation_matrices(gaussians.quats), 1, 2), towards)
     deviation = jnp.sqrt(jnp.sum(jnp.square(scales(gaussians) * along), axis=-1))
     return jax.lax.stop_gradient(view.splats.projection.visible[0] & reads & (apart < CLOSE * deviation))
 

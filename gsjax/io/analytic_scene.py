@@ -25,7 +25,7 @@ from tqdm import tqdm
 from gsjax.analytic import solids, true_surface
 from gsjax.cameras import Camera, project, rotation, world_to_camera
 from gsjax.colors import linear_to_srgb
-from gsjax.io import mesh_ply
+from gsjax.io import ply
 from gsjax.io.files import atomic_folder
 from gsjax.io.packages import require
 from gsjax.mesh import Mesh
@@ -87,7 +87,7 @@ def _write_parts(folder: Path, num_views: int, size: tuple[int, int], seed: int,
             _write_view(folder, f"{index:03d}", camera, solids.trace(camera))
             bar.update()
     surface = true_surface.mesh(MESH_SPACING)
-    (folder / "gt_mesh.ply").write_bytes(mesh_ply.encode_ply(surface))
+    (folder / "gt_mesh.ply").write_bytes(ply.encode_mesh(surface))
     samples = _seen_samples(surface, cameras, seed)
     np.savez_compressed(folder / "gt_points.npz", **_truth_points(samples))
     _write_model(folder / "sparse/0", samples, cameras, seed)

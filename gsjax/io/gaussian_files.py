@@ -15,8 +15,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io import compressed_ply, json_files, ply, spz
-from gsjax.io.similarities import parsed_similarity
-from gsjax.similarity import IDENTITY, Similarity, loses_in_float32, of_points
+from gsjax.similarity import IDENTITY, Similarity, loses_in_float32, of_points, parse_similarity
 
 USUAL_SCALES = 1 / 64, 64.0  # Of a similarity: a compressed file needs no other units of its own.
 _ABOUT = "local = scale * (world - center); the file beside holds local coordinates"
@@ -41,7 +40,7 @@ def stored_similarity(path: str | Path) -> Similarity:
         InputError: That is damaged.
     """
     file = _beside(path)
-    return parsed_similarity(json_files.read(file), file) if file.exists() else IDENTITY
+    return parse_similarity(json_files.read(file), file) if file.exists() else IDENTITY
 
 
 def _local(form: Format) -> Format:

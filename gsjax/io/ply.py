@@ -1,4 +1,4 @@
-"""3D Gaussians as the PLY that viewers open (the layout of the original 3DGS code), and coloured points as PLY."""
+"""PLY files: 3D Gaussians in the layout of the original 3DGS code, coloured points, and coloured triangles."""
 
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from gsjax.io.ply_elements import (
     rest_names,
     stack_columns,
 )
+from gsjax.mesh import Mesh
 from gsjax.similarity import as_needed, loses_in_float32
 
 _MEANS = ["x", "y", "z"]
@@ -158,3 +159,26 @@ def _read_vertices(path: Path) -> tuple[np.ndarray, str]:
     if "vertex" not in elements:
         raise InputError(f"{path}: has no element 'vertex', only {', '.join(elements)}")
     return elements["vertex"], header
+
+
+def encode_mesh(mesh: Mesh) -> bytes:
+    """Coloured triangles as a binary PLY: vertices with their colours, then faces.
+
+    Positions are double where float would lose their place.
+    """
+    kind, stored = ("double", "<f8") if loses_in_float32(mesh.vertices) else ("float", "<f4")
+    vertices = np.empty(mesh.num_vertices, [("position", stored, 3), ("color", "u1", 3)])
+    vertices["position"], vertices["color"] = mesh.vertices, mesh.colors
+    faces = np.empty(mesh.num_faces, [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, mesh.faces
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(vertices)}",
+        *(f"property {kind} {axis}" for axis in "xyz"),
+        *(f"property uchar {channel}" for channel in ("red", "green", "blue")),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header\n",
+    ]
+    return "\n".join(header).encode() + vertices.tobytes() + faces.tobytes()

@@ -11,8 +11,7 @@ import numpy as np
 from gsjax import similarity as similarities
 from gsjax.errors import InputError
 from gsjax.io import colmap, colmap_model, transforms
-from gsjax.io.image_folders import locate_photos
-from gsjax.io.mask_folders import masks_in
+from gsjax.io.image_folders import locate_photos, masks_in
 from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, list_of_names
 from gsjax.io.splits import AUTO, mark_held_out
 from gsjax.io.truth import load_truth

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io import mesh_ply
+from gsjax.io import ply
 from gsjax.io.files import atomic_path
 from gsjax.mesh import Mesh
 from gsjax.meshing import glb
@@ -147,7 +147,7 @@ def _encoded_obj(mesh: Mesh) -> bytes:
     return surface.export(file_type="obj", digits=max(DIGITS, DIGITS - math.floor(math.log10(size)))).encode()
 
 
-_WRITERS = {".ply": mesh_ply.encode_ply, ".obj": _encoded_obj, ".glb": glb.encode_glb}
+_WRITERS = {".ply": ply.encode_mesh, ".obj": _encoded_obj, ".glb": glb.encode_glb}
 
 
 def _write_textured_obj(path: Path, textured: TexturedMesh) -> None:

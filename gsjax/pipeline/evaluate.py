@@ -11,7 +11,7 @@ from gsjax.measures import geometry
 from gsjax.mesh import Mesh
 from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.export import read_mesh
-from gsjax.networks.perceptual import STANDARD, lpips_measures
+from gsjax.networks.lpips import STANDARD, lpips_measures
 from gsjax.pipeline.mesh import mesh as extract
 from gsjax.planning.effects import appearances_of_tracks
 from gsjax.runs.photography import Photography
@@ -35,7 +35,7 @@ def evaluate(
     Args:
         run: Run folder.
         mesh: Mesh to score against the true surface. None: `RUN/mesh.ply`, extracted now if it is absent.
-        lpips: Files of weights, see `gsjax.networks.perceptual.lpips_measures`.
+        lpips: Files of weights, see `gsjax.networks.lpips.lpips_measures`.
         three_ways: Score pictures in all ways of `score_images` even if the run simulated no effects.
         aligned: Score pictures from the poses that fit the photos best too, even if the run moved no cameras.
         zooms: Score pictures at so many times the size of training as well: at 0.5 against photos of half the size.

@@ -43,6 +43,7 @@ from gsjax.scene import Scene, extent, in_memory
 from gsjax.scoring.images import score_images
 from gsjax.targets import Targets, batch, read_targets
 from gsjax.training.capacity import largest_need
+from gsjax.training.plan import phase_record, plan_record
 from gsjax.training.step import BACKGROUNDS
 
 LOGGED_EVERY, SAVED_EVERY = 50, 500  # steps
@@ -156,10 +157,9 @@ def refine(
 
 
 def _plan(settings: Refinement, trained: Run) -> dict[str, Any]:
-    """What will run, as `gsjax.training.plan.Plan.record` tells of a training."""
+    """What will run, as `plan.json` has it."""
     terms = {name: weight for name, weight in vars(settings.weights).items() if weight}
-    phase = {"name": "refine", "steps": settings.steps, "begin": 0, "end": settings.steps, "terms": terms, "needs": []}
-    return {"steps": settings.steps, "phases": [phase], "downscale": trained.downscale, "normals": None}
+    return plan_record([phase_record("refine", settings.steps, terms, ())], trained.downscale, None)
 
 
 def prepare_mesh(given: Mesh, most_faces: int, halved_share: float = 0.0) -> tuple[Mesh, dict[str, int]]:

@@ -13,8 +13,8 @@ from gsjax.errors import InputError
 from gsjax.settings import AUTO, NONE, Settings
 from gsjax.training import buffers
 from gsjax.training.loop import Placement, one_device
-from gsjax.training.sharded import layout as sharding
-from gsjax.training.sharded import placement as several
+from gsjax.training.sharded import layout
+from gsjax.training.sharded.placement import placement
 from gsjax.training.state import TrainState
 
 Devices = int | Literal["all"]
@@ -62,13 +62,13 @@ def hardware(devices: Devices, views: int, optimizer: optax.GradientTransformati
         return Hardware(one_device(), lambda state: state, lambda state: state, is_one=True)
     if views % count:
         raise InputError(f"--views-per-step {views}: is no multiple of {count} devices")
-    mesh = sharding.mesh_of(jax.devices()[:count])
+    mesh = layout.mesh_of(jax.devices()[:count])
 
     def deal(state: TrainState) -> TrainState:
         total = -(-state.gaussians.num_gaussians // count) * count
-        return sharding.deal_rows(buffers.lengthen(state, optimizer, total), mesh)
+        return layout.deal_rows(buffers.lengthen(state, optimizer, total), mesh)
 
-    return Hardware(several.placement(mesh, views), deal, partial(sharding.gather_rows, mesh=mesh), is_one=False)
+    return Hardware(placement(mesh, views), deal, partial(layout.gather_rows, mesh=mesh), is_one=False)
 
 
 def effects_asked(settings: Settings, devices: Devices) -> str:

@@ -1,28 +1,20 @@
 """Gaussians and a camera to images; where light behind them comes from; images read between their pixels."""
 
-from gsjax.render.viewing import (
-    IN_FRONT,
-    MIN_COVERAGE,
+from gsjax.render.depth import IN_FRONT, MIN_COVERAGE, DepthReading, splat_depth_mode
+from gsjax.render.splats import (
     PIXEL_FILTERS,
-    DepthReading,
     Drawable,
-    Neighbor,
     Splats,
-    View,
     binned,
-    colors,
     drawable,
     features,
-    front_depth,
     needed_capacity,
-    of_each,
     owners,
     projected,
     splat,
     tile_grid,
-    view,
-    view_splats,
 )
+from gsjax.render.viewing import Neighbor, View, colors, view, view_splats
 
 __all__ = [
     "IN_FRONT",
@@ -37,13 +29,12 @@ __all__ = [
     "colors",
     "drawable",
     "features",
-    "front_depth",
     "needed_capacity",
-    "of_each",
+    "splat_depth_mode",
     "owners",
     "projected",
-    "view_splats",
     "splat",
     "tile_grid",
     "view",
+    "view_splats",
 ]

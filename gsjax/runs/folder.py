@@ -35,11 +35,10 @@ from gsjax.io import json_files
 from gsjax.io.files import atomic_folder, atomic_path, make_folder, unwritable
 from gsjax.io.locks import LOCK, lock_folder
 from gsjax.io.machine import machine, versions
-from gsjax.io.similarities import parsed_similarity
 from gsjax.io.temporaries import is_temporary, sweep
 from gsjax.runs import checkpoints
 from gsjax.runs.records import RECORD, SCENE, SETTINGS
-from gsjax.similarity import IDENTITY, Similarity
+from gsjax.similarity import IDENTITY, Similarity, parse_similarity
 
 EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic", "effects": "none"}
 """What runs did before they could choose."""
@@ -228,7 +227,7 @@ def read_similarity(run: str | Path) -> Similarity:
     """
     file = Path(run) / "manifest.json"
     kept = json_files.read(file, {}).get("similarity") if file.exists() else None
-    return IDENTITY if kept is None else parsed_similarity(kept, file)
+    return IDENTITY if kept is None else parse_similarity(kept, file)
 
 
 def save_checkpoint(run: str | Path, step: int, tree: Any) -> Path:

@@ -13,6 +13,7 @@ from gsjax.runs.photography import Photography, read_photography
 from gsjax.runs.records import MANIFEST, PLAN, WITHOUT_PLAN, read_views
 from gsjax.settings import PLAIN
 from gsjax.similarity import Similarity
+from gsjax.training.plan import phase_record, plan_record
 
 READ_NORMALS = "sdf_normal", "pixel_normal", "axis_normal"  # the terms of runs that wrote no plan
 
@@ -47,7 +48,7 @@ class Run:
 
     @cached_property
     def plan(self) -> dict[str, Any]:
-        """What runs, see `gsjax.training.plan.Plan.record`; of a run that wrote none, what its settings tell of it."""
+        """What runs, see `gsjax.training.plan.plan_record`; of a run that wrote none, what its settings tell of it."""
         file = self.folder / "plan.json"
         if file.exists():
             return json_files.read(file, PLAN)
@@ -55,19 +56,14 @@ class Run:
         phases = [self._phase(phase) for phase in self.settings.get("phases", [])]
         if self.is_refinement:
             phases = [self._phase({"name": "refine", **self.settings["refinement"]})]
-        return {
-            "phases": phases,
-            "steps": sum(phase["steps"] for phase in phases),
-            "downscale": self.settings.get("downscale") or 1.0,
-            "normals": self.settings.get("normals"),
-        }
+        return plan_record(phases, self.settings.get("downscale") or 1.0, self.settings.get("normals"))
 
     def _phase(self, phase: dict[str, Any]) -> dict[str, Any]:
         terms = {name: weight for name, weight in phase["weights"].items() if weight}
         if self.settings.get("vanilla") and not self.is_refinement:
             terms = {name: weight for name, weight in terms.items() if name in PLAIN}
         needs = ["normals"] if any(name in terms for name in READ_NORMALS) else []
-        return {"name": phase["name"], "steps": phase["steps"], "terms": terms, "needs": needs}
+        return phase_record(phase["name"], phase["steps"], terms, needs)
 
     @cached_property
     def views(self) -> list[dict[str, Any]]:

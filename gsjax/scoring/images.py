@@ -14,7 +14,7 @@ from gsjax.effects.alignment import Draw
 from gsjax.effects.appearance import Appearance, fit_colors
 from gsjax.gaussians import Gaussians
 from gsjax.measures.images import psnr, ssim
-from gsjax.networks.perceptual import Measure
+from gsjax.networks.lpips import Measure
 from gsjax.render import DepthReading, gallery
 from gsjax.render.gallery import Picture
 from gsjax.runs.photography import Photography

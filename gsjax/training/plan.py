@@ -4,7 +4,7 @@ Loop, budget, pace, report and resume read a plan; settings stay as they were as
 """
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Self
@@ -101,29 +101,59 @@ class Plan:
 
     def record(self) -> dict[str, Any]:
         """The plan as `RUN/plan.json` has it."""
-        return {
-            "steps": self.steps,
-            "views_per_step": self.views_per_step,
-            "left_out": self.left_out,
-            "downscale": self.downscale,
-            "normals": self.normals,
-            "effects": self.effects,
-            "phases": [
-                {
-                    "name": phase.name,
-                    "steps": phase.steps,
-                    "begin": phase.begin,
-                    "end": phase.end,
-                    "scale": phase.scale,
-                    "terms": {each.name: each.weight for each in phase.terms},
-                    "needs": sorted(phase.needs),
-                    "surface_every": phase.surface_every,
-                    "density_control": phase.rule is not None,
-                    "cull_below": phase.cull_below,
-                }
-                for phase in self.phases
-            ],
-        }
+        phases = [
+            phase_record(
+                phase.name,
+                phase.steps,
+                {each.name: each.weight for each in phase.terms},
+                phase.needs,
+                begin=phase.begin,
+                end=phase.end,
+                scale=phase.scale,
+                surface_every=phase.surface_every,
+                density_control=phase.rule is not None,
+                cull_below=phase.cull_below,
+            )
+            for phase in self.phases
+        ]
+        return plan_record(
+            phases,
+            self.downscale,
+            self.normals,
+            views_per_step=self.views_per_step,
+            left_out=self.left_out,
+            effects=self.effects,
+        )
+
+
+def phase_record(
+    name: str, steps: int, terms: Mapping[str, float], needs: Iterable[str], **more: Any
+) -> dict[str, Any]:
+    """A phase as `plan.json` has it, of a training or a refinement: what every reader relies on, then what is known.
+
+    Args:
+        name: Of the phase.
+        steps: How many it has.
+        terms: Weights of the terms of its loss.
+        needs: What they need, words of `gsjax.training.terms.NEEDS`.
+        more: What else is known of it.
+    """
+    return {"name": name, "steps": steps, "terms": dict(terms), "needs": sorted(needs), **more}
+
+
+def plan_record(
+    phases: Sequence[Mapping[str, Any]], downscale: float, normals: str | None, **more: Any
+) -> dict[str, Any]:
+    """What `plan.json` holds, see `phase_record`; `gsjax.runs.records.PLAN` is the shape that it is read in.
+
+    Args:
+        phases: Their records, in order.
+        downscale: Photos are so many times smaller than they were taken.
+        normals: Folder of the normal maps, if any are given.
+        more: What else is known of the run.
+    """
+    steps = sum(phase["steps"] for phase in phases)
+    return {"steps": steps, "downscale": downscale, "normals": normals, **more, "phases": list(phases)}
 
 
 def plan(

@@ -2,15 +2,18 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import viser
 
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians
+from gsjax.gaussians import SH_C0, Gaussians, covariances, opacities
 from gsjax.io.images import resize
 from gsjax.meshing.export import glb_bytes, read_mesh
-from gsjax.viewer.browser_splats import browser_splats
+from gsjax.training.growth.adaptive import is_alive
 from gsjax.viewer.page_camera import page_camera
 from gsjax.viewer.subject import Subject
 
@@ -112,3 +115,28 @@ class Scenery:
         node = self._scene.get_handle_by_name(name)
         if node is not None and node.visible != visible:
             node.visible = visible
+
+
+class BrowserSplats(NamedTuple):
+    """Gaussians as a browser draws them: without harmonics, filters or depth, but at once.
+
+    The arrays that viser takes, numpy float32, of the Gaussians that are alive.
+    """
+
+    centers: np.ndarray  # [N, 3] world
+    covariances: np.ndarray  # [N, 3, 3] world, scene units squared
+    rgbs: np.ndarray  # [N, 3] 0..1, degree 0
+    opacities: np.ndarray  # [N, 1] 0..1
+
+
+def browser_splats(gaussians: Gaussians) -> BrowserSplats:
+    """What a browser needs of Gaussians; free rows of a training's buffers are left out."""
+    alive, *arrays = (np.asarray(x) for x in _linear(gaussians))
+    return BrowserSplats(*(array[alive] for array in arrays))
+
+
+@jax.jit
+def _linear(gaussians: Gaussians) -> tuple[jax.Array, ...]:
+    """For the whole buffer, so that one program serves however many rows are alive."""
+    rgbs = jnp.clip(SH_C0 * gaussians.sh_dc[:, 0] + 0.5, 0, 1)
+    return is_alive(gaussians), gaussians.means, covariances(gaussians), rgbs, opacities(gaussians)[:, None]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax.cameras import Camera, look_at
+from gsjax.cameras import Camera, look_at, viewmat_center
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io.gaussian_files import FORMATS
@@ -142,7 +142,7 @@ def _seen_from(cameras: list[Camera], middle: np.ndarray) -> dict:
     views = np.stack([np.asarray(camera.viewmat, np.float64) for camera in cameras])
     up = -views[:, 1, :3].mean(0)
     length = np.linalg.norm(up)
-    eye = -views[0, :3, :3].T @ views[0, :3, 3]
+    eye = viewmat_center(views[0])
     return {
         "start": cameras[0],
         "middle": np.asarray(middle, np.float64),

@@ -16,7 +16,7 @@ from gsjax.io.images import write_image
 from gsjax.io.ply import read_gaussians, write_gaussians
 from gsjax.io.ply_elements import read_elements
 from gsjax.io.scenes import load_scene
-from gsjax.io.similarities import parsed_similarity
+from gsjax.similarity import parse_similarity
 from gsjax.mesh import Mesh
 from gsjax.meshing import export
 from gsjax.meshing.atlas import Atlas, TexturedMesh
@@ -241,7 +241,7 @@ def test_meshes_keep_their_place(world, name, tmp_path):
 )
 def test_a_similarity_that_no_scene_has_is_refused(kept, tmp_path):
     with pytest.raises(InputError, match=r"m.json: a similarity of scale .* is none$"):
-        parsed_similarity(kept, tmp_path / "m.json")
+        parse_similarity(kept, tmp_path / "m.json")
 
 
 def test_lengths_and_poses_go_there_and_back():

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io.image_folders import masks_in
 from gsjax.io.images import SUFFIXES, cv2, image_size, open_image, read_image, read_mask, same_shape
-from gsjax.io.mask_folders import masks_in
 from gsjax.io.photos import says_nothing
 
 _MASKS = "masks"  # the folder's name
@@ -79,7 +79,7 @@ def list_shots(folder: Path) -> list[Shot]:
     """The photos of a folder and its subfolders, by name, with their masks.
 
     Where all photos lie in a subfolder `images/`, that is their folder. A folder `masks/` in it or beside it holds
-    masks (`gsjax.io.mask_folders`), no photos.
+    masks (`gsjax.io.image_folders`), no photos.
 
     Raises:
         InputError: No folder, fewer than two photos, or one that is no image (named).

@@ -85,7 +85,7 @@ def make_sharded_step(
     """
     needed = needs(terms)
     reading = depth_mode if "depth" in needed else None
-    splat_depth = render.of_each(reading)
+    splat_depth = render.splat_depth_mode(reading)
     with_shapes = "gaussians" in needed
     unpack = partial(rasterizer.unpack, with_slopes=splat_depth == "plane")
 

@@ -118,9 +118,8 @@ def _in_front(point: Array) -> tuple[Array, Array]:
 
 def render_neighbor(gaussians: Gaussians, beside: Batch, capacity: int, depth_mode: DepthReading) -> Neighbor:
     """What the terms need of the second view."""
-    splats = render.splat(gaussians, beside.camera, capacity, depth_mode=render.of_each(depth_mode))
-    front = render.IN_FRONT.get(depth_mode)
-    found = render.front_depth(splats, front) if front else depth.expected_depth(splats)[0]
+    splats = render.splat(gaussians, beside.camera, capacity, depth_mode=render.splat_depth_mode(depth_mode))
+    found, _ = depth.expected_depth(splats, depth_mode)
     return Neighbor(beside.camera, found, splats.pairs, beside.image, beside.valid)
 
 

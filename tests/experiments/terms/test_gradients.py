@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import expit
 from small_scenes import angles, camera_at, cloud, plane
-from terms import density, places, slopes, surroundings
+from terms import density, evaluation_points, slopes, surroundings
 from tolerances import assert_close
 
 from gsjax import cameras, render
@@ -147,7 +147,7 @@ def test_places_that_blend_a_pixel_without_depth_have_no_direction(x64):
     for reading, where, reach in (
         (CENTRAL, wall.means, 1),
         (BICUBIC, wall.means, 1),
-        (OFFSET, places.before(wall, CAMERA), 0),
+        (OFFSET, evaluation_points.before(wall, CAMERA), 0),
     ):
         points = (np.asarray(where) - CENTER) @ TURN.T
         expected = []

@@ -9,7 +9,7 @@ from small_scenes import cloud
 
 from gsjax.effects.simulation import EffectState
 from gsjax.gaussians import opacities
-from gsjax.viewer.browser_splats import browser_splats
+from gsjax.viewer.scenery import browser_splats
 from gsjax.viewer.snapshots import Snapshots
 
 

@@ -16,10 +16,10 @@ from gsjax.gaussians import Gaussians, rotation_matrices, scales, smallest_axes
 from gsjax.normals.sdf import face_camera
 from gsjax.training.terms import Kept
 
-Places = Callable[[Gaussians, Camera, Kept | None], Array]
+EvaluationPoints = Callable[[Gaussians, Camera, Kept | None], Array]
 """(Gaussians, Camera, what the term keeps) -> `[N, 3]` world positions."""
 
-SPREAD = 1.5  # standard deviations of the places drawn about a Gaussian, in its own (SuGaR)
+SPREAD = 1.5  # standard deviations of the points drawn about a Gaussian, in its own (SuGaR)
 
 
 def centers(gaussians: Gaussians, camera: Camera, kept: Kept | None = None) -> Array:
@@ -38,14 +38,14 @@ def before(gaussians: Gaussians, camera: Camera, kept: Kept | None = None, *, de
     return gaussians.means + deviations * scales(gaussians).min(-1, keepdims=True) * normals
 
 
-def drawn(gaussians: Gaussians, camera: Camera, kept: Kept | None) -> Array:
-    """One place of each Gaussian, drawn anew in every step: normal about the mean, `SPREAD` times as wide as it is."""
+def random_points(gaussians: Gaussians, camera: Camera, kept: Kept | None) -> Array:
+    """One point of each Gaussian, drawn anew in every step: normal about the mean, `SPREAD` times as wide as it is."""
     del camera
-    assert kept is not None, "places are drawn with the step's key"
+    assert kept is not None, "points are drawn with the step's key"
     noise = jax.random.normal(kept.key, gaussians.means.shape, gaussians.means.dtype)
-    return gaussians.means + SPREAD * turned(rotation_matrices(gaussians.quats), noise * scales(gaussians))
+    return gaussians.means + SPREAD * rotate(rotation_matrices(gaussians.quats), noise * scales(gaussians))
 
 
-def turned(rotations: Array, vectors: Array) -> Array:
+def rotate(rotations: Array, vectors: Array) -> Array:
     """`[..., 3]` vectors turned by `[..., 3, 3]` rotations."""
     return jnp.sum(rotations * vectors[..., None, :], axis=-1)

@@ -1,0 +1,165 @@
+"""The splats of one view: Gaussians of any kind, projected and binned once for as many passes as are asked for."""
+
+from dataclasses import dataclass, field
+from functools import singledispatch
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+import rasterizer
+from gsjax.cameras import Camera
+from gsjax.gaussians import Gaussians, PixelFilter, opacities, scales, sh_coefficients
+from rasterizer import DepthMode
+
+PIXEL_FILTERS: dict[PixelFilter, dict[str, Any]] = {
+    "classic": {"eps2d": 0.3},
+    "mip": {"eps2d": 0.1, "rasterize_mode": "antialiased"},
+}
+"""Blur of a projected Gaussian, pixels squared: the one of 3DGS, which makes small splats larger than they are, and the
+one of Mip-Splatting (and of Brush's mip mode), which dims them in return."""
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Drawable:
+    """What a renderer needs of Gaussians of any kind. The shape is `quats` and `scales`, or else `covars`."""
+
+    means: Array  # [N, 3] world
+    opacities: Array  # [N]
+    sh: Array  # [N, (L+1)^2, 3]
+    quats: Array | None = None  # [N, 4] (w, x, y, z)
+    scales: Array | None = None  # [N, 3] standard deviations, scene units
+    covars: Array | None = None  # [N, 3, 3] world, scene units squared
+    pixel_filter: PixelFilter = field(default="classic", metadata={"static": True})
+
+
+@singledispatch
+def drawable(gaussians: Any) -> Drawable:
+    """The `Drawable` of a kind of Gaussians; a kind of its own registers how: `drawable.register`."""
+    raise TypeError(f"no way to draw a {type(gaussians).__name__} is registered")
+
+
+@drawable.register
+def _(gaussians: Drawable) -> Drawable:
+    return gaussians
+
+
+@drawable.register
+def _(gaussians: Gaussians) -> Drawable:
+    return Drawable(
+        means=gaussians.means,
+        opacities=opacities(gaussians),
+        sh=sh_coefficients(gaussians),
+        quats=gaussians.quats,
+        scales=scales(gaussians),
+        pixel_filter=gaussians.pixel_filter,
+    )
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Splats:
+    """A scene's splats in one view, binned: what every pass over that view shares."""
+
+    projection: rasterizer.Projection  # one camera
+    opacities: Array  # [N] as the pixels see them: dimmed by the filter where it dims
+    pairs: rasterizer.TilePairs
+    grid: rasterizer.TileGrid = field(metadata={"static": True})
+    backend: rasterizer.Backend = field(default="auto", metadata={"static": True})  # that listed and blends them
+
+
+def splat(
+    gaussians: Any,
+    camera: Camera,
+    capacity: int,
+    means2d_probe: Array | None = None,
+    depth_mode: DepthMode = "center",
+    backend: rasterizer.Backend = "auto",
+) -> Splats:
+    """Project and bin.
+
+    Args:
+        gaussians: The scene, of any kind that `drawable` knows.
+        camera: The view.
+        capacity: Length of the (tile, splat) buffer. Static. `pairs.overflowed` says that it was too short.
+        means2d_probe: `[N, 2]` zeros added to the projected means: the gradient to it is the one to the 2D means.
+        depth_mode: "plane" gives the splats slopes, see `rasterizer.project`. Static.
+        backend: What lists the splats, and blends them in every pass, see `rasterizer.rasterization`. Static.
+
+    Returns:
+        `Splats` of this view.
+    """
+    projection, opacities = projected(drawable(gaussians), camera, depth_mode)
+    if means2d_probe is not None:
+        projection = projection._replace(means2d=projection.means2d + means2d_probe[None])
+    return binned(projection, opacities, camera, capacity, backend)
+
+
+def needed_capacity(gaussians: Any, camera: Camera, backend: rasterizer.Backend = "auto") -> Array:
+    """`[]` int32 length of the pair buffer that this view needs."""
+    return rasterizer.count_pairs(_project(drawable(gaussians), camera), tile_grid(camera, backend))
+
+
+def projected(scene: Drawable, camera: Camera, depth_mode: DepthMode) -> tuple[rasterizer.Projection, Array]:
+    """The splats of one view, and `[N]` their opacities as its pixels see them."""
+    projection = _project(scene, camera, depth_mode)
+    opacities = scene.opacities
+    if projection.compensations is not None:
+        opacities = opacities * projection.compensations[0]
+    return projection, opacities
+
+
+def binned(
+    projection: rasterizer.Projection,
+    opacities: Array,
+    camera: Camera,
+    capacity: int,
+    backend: rasterizer.Backend = "auto",
+) -> Splats:
+    """The splats of one view (see `projected`) with their lists; `capacity` and `backend` as in `splat`."""
+    grid = tile_grid(camera, backend)
+    pairs = rasterizer.bin_splats(projection, opacities, grid, capacity, rasterizer.GSPLAT, backend=backend)
+    return Splats(projection, opacities, pairs, grid, backend)
+
+
+def _project(scene: Drawable, camera: Camera, depth_mode: DepthMode = "center") -> rasterizer.Projection:
+    return rasterizer.project(
+        scene.means,
+        scene.quats,
+        scene.scales,
+        scene.opacities,
+        camera.viewmat[None],
+        camera.K[None],
+        camera.width,
+        camera.height,
+        covars=scene.covars,
+        depth_mode=depth_mode,
+        **PIXEL_FILTERS[scene.pixel_filter],
+    )
+
+
+def tile_grid(camera: Camera, backend: rasterizer.Backend = "auto") -> rasterizer.TileGrid:
+    """The tiles of a view."""
+    return rasterizer.TileGrid(1, camera.width, camera.height, rasterizer.default_tile_size(backend))
+
+
+def features(splats: Splats, values: Array, front: rasterizer.Front | None = None) -> tuple[Array, Array]:
+    """`[H, W, D]` per-Gaussian `values` `[N, D]` composited on zero, and `[H, W]` alphas."""
+    values = jnp.where(splats.projection.visible[0, :, None], values, 0)
+    to_blend = splats.projection, splats.opacities, values[None], splats.pairs, splats.grid
+    image, left, _ = rasterizer.blend(*to_blend, backend=splats.backend, front=front)
+    return image[0], 1 - left[0, ..., 0]
+
+
+def owners(splats: Splats) -> Array:
+    """`[H, W]` int32: the Gaussian in which the light of each pixel falls to one half, or the last one that shows.
+
+    -1 where none does. Not differentiable.
+    """
+    nothing = jnp.zeros((1, len(splats.opacities), 1), splats.opacities.dtype)
+    to_blend = splats.projection, splats.opacities, nothing, splats.pairs, splats.grid
+    _, _, median = rasterizer.blend(*to_blend, backend=splats.backend, with_median=True)
+    assert median is not None  # as asked for
+    return median[0]
