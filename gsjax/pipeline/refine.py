@@ -159,7 +159,8 @@ def refine(
 def _plan(settings: Refinement, trained: Run) -> dict[str, Any]:
     """What will run, as `plan.json` has it."""
     terms = {name: weight for name, weight in vars(settings.weights).items() if weight}
-    return plan_record([phase_record("refine", settings.steps, terms, ())], trained.downscale, None)
+    phase = phase_record("refine", settings.steps, terms, (), begin=0, end=settings.steps)
+    return plan_record([phase], trained.downscale, None)
 
 
 def prepare_mesh(given: Mesh, most_faces: int, halved_share: float = 0.0) -> tuple[Mesh, dict[str, int]]:

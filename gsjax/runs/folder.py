@@ -96,7 +96,7 @@ def create(
         scene: The data set.
         seed: Seed of all random numbers of the run.
         similarity: To the run's own coordinates from those of the data set.
-        plan: What runs (`gsjax.training.plan.Plan.record`).
+        plan: What runs (`gsjax.training.plan.plan_record`).
 
     Raises:
         InputError: The folder holds something already, or cannot be written.
