@@ -1,4 +1,7 @@
-"""The pages keep their word: commands parse, settings exist, code runs as it stands, names are those of the source."""
+"""The pages keep their word: commands parse, settings exist, code runs as it stands, names are those of the source.
+
+Studies tell how their figures came about.
+"""
 
 import importlib
 import importlib.util
@@ -25,6 +28,7 @@ from gsjax.settings import PRESETS, Settings
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BESIDE = [ROOT / "CONTRIBUTING.md", ROOT / "experiments/README.md"]  # no part of the site, held to the same
+STUDIES = sorted((ROOT / "experiments/results").glob("*.md"))
 PYTHON = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -99,6 +103,68 @@ def test_code_runs_as_it_stands(page, readers_folder, monkeypatch):
         above = text.count("\n", 0, block.start(1))  # Tracebacks then name the page's own line.
         with few_samples():
             exec(compile("\n" * above + block[1], str(page), "exec"), names)
+
+
+def test_the_tests_that_the_map_of_the_paper_names_exist():
+    tests = re.findall(r"`(tests/[\w/]+\.py)(?:::(\w+))?`", (ROOT / "docs/paper_map.md").read_text())
+    assert tests
+    for file, name in tests:
+        assert (ROOT / file).is_file(), file
+        assert f"def {name}" in (ROOT / file).read_text(), f"{file}::{name}"
+
+
+def test_every_study_script_and_picture_has_its_command():
+    text = (ROOT / "docs/reproducing.md").read_text()
+    scripts = {named(file) for file in (ROOT / "experiments").rglob("*.py") if "__main__" in file.read_text()}
+    called = set(re.findall(r"`python\s(experiments/[\w/]+\.py)", text))
+    assert called == scripts
+    studies = {file.stem for file in (ROOT / "experiments/studies").glob("*.py")}
+    assert studies == set(re.findall(r"`COMPARE (\w+)", text))
+    assert {"methods", "length"} == set(re.findall(r"`REMESH (\w+)", text))
+    assert not [file.name for file in (ROOT / "docs/assets").iterdir() if file.name not in text]
+
+
+@pytest.mark.parametrize("page", PAGES + BESIDE, ids=named)
+def test_the_commands_of_a_page_are_those_of_today(page):
+    assert not gone(page.read_text())
+
+
+@pytest.mark.parametrize("page", STUDIES, ids=named)
+def test_a_page_of_results_whose_command_is_gone_tells_the_one_of_today(page):
+    """Its command is that of its commit."""
+    text = page.read_text()
+    assert not gone("\n".join(re.findall(r"^\| Command.*$", text, re.MULTILINE))) or "| Command today |" in text
+
+
+def gone(text: str) -> set[str]:
+    """The scripts and studies that a text calls and that there are not."""
+    scripts = set(re.findall(r"python (experiments/[\w/]+\.py)", text))
+    called = set(re.findall(r"(?:compare|sweep|step_cost|remesh)\.py ([a-z]\w*)", text))
+    studies = {file.stem for file in (ROOT / "experiments/studies").glob("*.py")} | {"methods", "length"}
+    return {script for script in scripts if not (ROOT / script).is_file()} | (called - studies)
+
+
+def test_what_is_gone_is_found():
+    assert gone("`python experiments/handled.py RUN`, `compare.py growth --scene A`, `remesh.py rates RUN`") == {
+        "experiments/handled.py",
+        "rates",
+    }
+
+
+@pytest.mark.parametrize("page", [page for page in STUDIES if page.name != "README.md"], ids=named)
+def test_a_study_names_its_command_its_machine_and_its_commit(page):
+    text = page.read_text()
+    assert re.search(r"^ {4}(python|gsjax|make) |`(python|pytest|gsjax|make) ", text, re.MULTILINE), "no command"
+    assert re.search(r"\b(CPU|EPYC|Xeon|H100)\b", text), "no machine"
+    assert re.search(r"\b(?=[0-9a-f]*\d)[0-9a-f]{7}\b", text), "no commit"
+    assert re.search(r"^\|(---\|)+$", text, re.MULTILINE), "no table"
+
+
+@pytest.mark.parametrize("page", STUDIES, ids=named)
+def test_links_of_a_study_lead_to_files(page):
+    text = page.read_text()
+    targets = re.findall(r"\]\(([^)#\s]+)", text) + re.findall(r"^\[[\w-]+\]: (\S+)$", text, re.MULTILINE)
+    assert not [target for target in targets if "://" not in target and not (page.parent / target).exists()]
 
 
 DOTTED = re.compile(r"(?<![\w/.])(?:gsjax|rasterizer)(?:\.[A-Za-z]\w*)+")

@@ -1,4 +1,3 @@
-import importlib
 import inspect
 import re
 from pathlib import Path
@@ -23,18 +22,3 @@ def test_every_public_name_is_documented_and_listed(package, name):
 def test_a_name_that_does_not_exist_is_an_attribute_error():
     with pytest.raises(AttributeError, match="module 'gsjax' has no attribute 'Nothing'"):
         _ = gsjax.Nothing
-
-
-def test_what_the_map_of_the_paper_points_to_exists():
-    text = (DOCS / "paper_map.md").read_text()
-    functions = re.findall(r"`(gsjax(?:\.\w+)+)`", text)
-    tests = re.findall(r"`(tests/[\w/]+\.py)(?:::(\w+))?`", text)
-    assert functions
-    assert tests
-    for dotted in functions:
-        module, _, name = dotted.rpartition(".")
-        assert hasattr(importlib.import_module(module), name), dotted
-    for file, name in tests:
-        path = DOCS.parent / file
-        assert path.is_file(), file
-        assert f"def {name}" in path.read_text(), f"{file}::{name}"

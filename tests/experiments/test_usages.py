@@ -1,7 +1,6 @@
-"""Every script tells how it is called before anything heavy is imported, and has its row in docs/reproducing.md."""
+"""Every script tells its question and how it is called, before anything heavy is imported."""
 
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -59,45 +58,3 @@ def test_a_script_tells_its_question_and_how_it_is_called(usages, script):
     assert said.startswith(f"usage: {Path(script).name}"), said
     assert "?" in said, "the question that it answers"
     assert f"    python {script}" in said
-
-
-def test_every_study_script_and_picture_has_its_command():
-    text = (ROOT / "docs/reproducing.md").read_text()
-    named = set(re.findall(r"`python\s(experiments/[\w/]+\.py)", text))
-    assert named == set(SCRIPTS)
-    studies = {file.stem for file in (EXPERIMENTS / "studies").glob("*.py")}
-    assert studies == set(re.findall(r"`COMPARE (\w+)", text))
-    assert {"methods", "length"} == set(re.findall(r"`REMESH (\w+)", text))
-    assert not [file.name for file in (ROOT / "docs/assets").iterdir() if file.name not in text]
-
-
-PAGES = [ROOT / "README.md", EXPERIMENTS / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_the_commands_of_a_page_are_those_of_today(page):
-    assert not gone(page.read_text())
-
-
-@pytest.mark.parametrize("page", sorted((EXPERIMENTS / "results").glob("*.md")), ids=lambda page: page.stem)
-def test_a_page_of_results_whose_command_is_gone_tells_the_one_of_today(page):
-    """Its command is that of its commit."""
-    text = page.read_text()
-    assert not gone("\n".join(re.findall(r"^\| Command.*$", text, re.MULTILINE))) or "| Command today |" in text
-
-
-def gone(text: str) -> set[str]:
-    """The scripts and studies that a text calls and that there are not."""
-    scripts = {
-        script for script in re.findall(r"python (experiments/[\w/]+\.py)", text) if not (ROOT / script).is_file()
-    }
-    called = re.findall(r"(?:compare|sweep|step_cost|remesh)\.py ([a-z]\w*)", text)
-    missing = {script for script in scripts if not (ROOT / script).is_file()}
-    return missing | (set(called) - {"methods", "length"} - {f.stem for f in (EXPERIMENTS / "studies").glob("*.py")})
-
-
-def test_what_is_gone_is_found():
-    assert gone("`python experiments/handled.py RUN`, `compare.py growth --scene A`, `remesh.py rates RUN`") == {
-        "experiments/handled.py",
-        "rates",
-    }
