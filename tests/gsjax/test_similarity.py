@@ -16,13 +16,12 @@ from gsjax.io.images import write_image
 from gsjax.io.ply import read_gaussians, write_gaussians
 from gsjax.io.ply_elements import read_elements
 from gsjax.io.scenes import load_scene
-from gsjax.similarity import parse_similarity
 from gsjax.mesh import Mesh
 from gsjax.meshing import export
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.pipeline.undistort import undistort
 from gsjax.runs.result import open_result, recorded_camera, write_views
-from gsjax.similarity import IDENTITY, Similarity
+from gsjax.similarity import IDENTITY, Similarity, parse_similarity
 
 TURN = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
 WORLDS = {
