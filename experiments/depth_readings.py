@@ -66,7 +66,7 @@ def main() -> None:
     parser.add_argument("--view", type=int, default=0, metavar="N", help="of the held-out ones (default: 0)")
     arguments = parser.parse_args()
     from gsjax.render import DepthReading
-    from gsjax.report.pictures import draw_panels
+    from gsjax.report.panels import draw_panels
     from gsjax.runs.result import open_result
 
     known: tuple[DepthReading, ...] = get_args(DepthReading)

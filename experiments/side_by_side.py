@@ -17,7 +17,7 @@ import numpy as np
 
 from gsjax.cli import run_guarded
 from gsjax.errors import InputError
-from gsjax.report.pictures import draw_panels
+from gsjax.report.panels import draw_panels
 from gsjax.scene import Frame, Truth
 
 if TYPE_CHECKING:  # It imports jax.

@@ -10,7 +10,8 @@ from gsjax.io.normal_maps import map_places
 from gsjax.io.ply import read_gaussians
 from gsjax.meshing import read_mesh
 from gsjax.render import gallery
-from gsjax.report.pictures import draw_panels, mesh_picture, normal_picture, surface_picture, to_bytes
+from gsjax.report.panels import draw_panels
+from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
 from gsjax.runs.prior import read_map
 from gsjax.runs.result import Result, open_result, scene_of_run
 

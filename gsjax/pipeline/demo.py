@@ -11,7 +11,8 @@ from gsjax.io.machine import machine, versions
 from gsjax.io.scenes import load_scene
 from gsjax.meshing.export import read_mesh
 from gsjax.render import gallery
-from gsjax.report.pictures import draw_panels, mesh_picture, normal_picture, surface_picture, to_bytes
+from gsjax.report.panels import draw_panels
+from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
 from gsjax.runs.result import Result, open_result
 from gsjax.settings import DEMO, Settings
 

@@ -24,7 +24,8 @@ from gsjax.pipeline.texture import texture
 from gsjax.pipeline.train import train
 from gsjax.render import gallery
 from gsjax.report.page import report as write_report
-from gsjax.report.pictures import draw_panels, mesh_picture, surface_picture, to_bytes
+from gsjax.report.panels import draw_panels
+from gsjax.report.pictures import mesh_picture, surface_picture, to_bytes
 from gsjax.runs.records import STATUS
 from gsjax.runs.result import open_result
 from gsjax.settings import Settings
