@@ -1,6 +1,7 @@
 """The command line: one small file per command, each calling one function of the library."""
 
 import argparse
+import errno
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -28,6 +29,9 @@ from gsjax.cli import (
 from gsjax.cli.printing import Printing
 from gsjax.cli.stopping import ASKS, Stopping
 from gsjax.errors import InputError
+
+OF_A_NAME = {errno.ENAMETOOLONG, errno.EACCES, errno.EPERM}
+"""What the system says of files and folders that nobody may look at, or that cannot be."""
 
 DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
 
@@ -85,6 +89,9 @@ def run_guarded(action: Callable[[], None]) -> int:
         # Also what others have made of our exception, such as XLA of one in its callback.
         asked = stopping.signal or (signal.SIGINT if isinstance(error, KeyboardInterrupt) else None)
         if asked is None:
+            if isinstance(error, OSError) and error.errno in OF_A_NAME and error.filename is not None:
+                print(f"gsjax: error: {InputError(f'{error.filename}: {error.strerror}')}", file=sys.stderr)
+                return 2
             if (code := printing.exit_code(error)) is not None:
                 return code
             raise

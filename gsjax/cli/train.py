@@ -1,6 +1,7 @@
 """`gsjax train`: a data set to Gaussians."""
 
 import argparse
+import os
 import sys
 from collections.abc import Mapping
 from functools import partial
@@ -158,7 +159,7 @@ def settings(arguments: argparse.Namespace) -> Settings:
 def override_settings(base: Mapping[str, Any], arguments: argparse.Namespace, *names: str) -> Settings:
     """Settings with the named options where they were given, then what `--set` says."""
     options = given_options(arguments, *names)
-    if Path(options.get("hold_out", "")).is_file():  # As an absolute path, later commands find it from anywhere.
+    if os.path.isfile(options.get("hold_out", "")):  # As an absolute path, later commands find it from anywhere.
         options["hold_out"] = str(Path(options["hold_out"]).resolve())
     # Parsed before the overrides too, so that `--set` reaches into defaults that are lists.
     whole = config.to_dict(config.parse(Settings, config.merge(base, options), where="settings"))

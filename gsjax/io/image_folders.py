@@ -30,7 +30,7 @@ def locate_photos(root: Path, photos: Sequence[Photo], images: str | None) -> li
         InputError: The folder that is asked for does not exist.
     """
     if images is not None:
-        if not (root / images).is_dir():
+        if not os.path.isdir(root / images):
             raise InputError(f"{root / images}: no such folder of images")
         return _in_folder(photos, root / images)
     found = _with_files(photos, [photo.path for photo in photos])

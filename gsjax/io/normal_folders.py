@@ -5,6 +5,7 @@ is no normal: half precision turns a normal by at most 0.03 degrees. They show t
 """
 
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -92,7 +93,7 @@ def find(scene: str | Path, given: str) -> str:
         InputError: "auto", and there is none, or more than one.
     """
     scene = Path(scene)
-    if Path(given).is_dir():
+    if os.path.isdir(given):
         return given
     if given == "auto":
         found = sorted(path.parent for path in scene.glob(f"*/{MANIFEST}"))
@@ -101,7 +102,7 @@ def find(scene: str | Path, given: str) -> str:
             raise InputError(f"--normals: {scene} holds {names}; name one, or make one with gsjax normals")
         return str(found[0].resolve())
     places = (scene / given, scene / f"{PREFIX}{given}")
-    return next((str(place.resolve()) for place in places if place.is_dir()), given)
+    return next((str(place.resolve()) for place in places if os.path.isdir(place)), given)
 
 
 def _read(folder: Path) -> dict[str, Any]:

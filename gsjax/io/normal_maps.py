@@ -1,5 +1,6 @@
 """Normal maps from a folder: the monocular prior, as any network may have written it."""
 
+import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -44,7 +45,7 @@ def normal_maps(directory: str | Path, frames: tuple[Frame, ...]) -> dict[str, C
             it where the map is damaged or holds values that are not finite.
     """
     directory = Path(directory)
-    if not directory.is_dir():
+    if not os.path.isdir(directory):
         raise InputError(f"{directory}: no such folder of normal maps")
     files = _files(directory, frames)
     missing = [frame.name for frame in frames if frame.name not in files]

@@ -75,7 +75,7 @@ def is_data_set(root: str | Path) -> bool:
 
 
 def _read_capture(root: Path) -> Capture:
-    if not root.is_dir():
+    if not os.path.isdir(root):  # Unlike Path, also of a name that is too long.
         raise InputError(f"{root}: no such folder")
     model = colmap_model.find_model(root)
     if model is not None:

@@ -1,4 +1,6 @@
+import errno
 import json
+import os
 import signal
 import sys
 import tempfile
@@ -335,6 +337,16 @@ def test_a_command_that_is_asked_to_end_cleans_up_first(library, monkeypatch, tm
     assert cli.main(["eval", "run"]) == 128 + signal.SIGTERM
     assert not list(tmp_path.glob("half-written-*"))
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+@pytest.mark.parametrize("number", [errno.ENAMETOOLONG, errno.EACCES])
+def test_a_name_that_the_system_does_not_take_is_told(library, monkeypatch, capsys, number):
+    def fail(*args, **kwargs):
+        raise OSError(number, os.strerror(number), "runs/long")
+
+    monkeypatch.setattr(gsjax.pipeline, "evaluate", fail)
+    assert cli.main(["eval", "run"]) == 2
+    assert capsys.readouterr().err == f"gsjax: error: runs/long: {os.strerror(number)}\n"
 
 
 def test_a_bug_is_not_dressed_up_as_bad_input(library, monkeypatch):

@@ -132,8 +132,9 @@ def test_the_folder_asked_for_is_taken(colmap_scene, tmp_path, capsys):
     for folder in ("elsewhere/half", str(root / "elsewhere/half")):
         assert {(f.width, f.height) for f in load_scene(root, images=folder).frames} == {(20, 15)}
     assert capsys.readouterr().err == ""
-    with pytest.raises(InputError, match="nowhere: no such folder of images"):
-        load_scene(root, images="nowhere")
+    for name in ("nowhere", 300 * "x"):
+        with pytest.raises(InputError, match=f"{name}: no such folder of images"):
+            load_scene(root, images=name)
     (root / "elsewhere/half/001.png").unlink()
     with pytest.raises(InputError, match=r"elsewhere/half: 1 image missing: 001.png"):
         load_scene(root, images="elsewhere/half")
@@ -321,8 +322,9 @@ def test_truncated_images_are_named(colmap_scene, share, suffix):
 def test_a_folder_that_is_no_data_set_is_told_what_is_looked_for(tmp_path):
     with pytest.raises(InputError, match=r"no data set; looked for sparse/0/cameras.bin .*transforms_train.json"):
         load_scene(tmp_path)
-    with pytest.raises(InputError, match="no such folder"):
-        load_scene(tmp_path / "nowhere")
+    for name in ("nowhere", 300 * "x"):
+        with pytest.raises(InputError, match="no such folder"):
+            load_scene(tmp_path / name)
     assert not is_data_set(tmp_path) and not is_data_set(tmp_path / "nowhere")
     (tmp_path / "transforms.json").touch()
     assert is_data_set(tmp_path)
