@@ -32,6 +32,7 @@ ON_DEVICE = os.environ.get("GSJAX_TEST_GPU") == "1"
 
 def pytest_addoption(parser):
     parser.addoption("--quick", action="store_true", help="leave out the files that compile much")
+    parser.addoption("--long", action="store_true", help="the tests marked `long` as well")
     parser.addoption("--hard-cases", metavar="FILE", help="write the errors measured on the hard cases as a table")
 
 
@@ -145,6 +146,8 @@ def pytest_collection_modifyitems(config, items):
         _keep(config, items, lambda item: item.get_closest_marker("device") and _runs_on_device(item))
     if config.getoption("--quick"):
         _keep(config, items, lambda item: item.path not in turns)
+    if not config.getoption("--long"):
+        _keep(config, items, lambda item: item.get_closest_marker("long") is None)
 
 
 def _keep(config, items, is_kept):
@@ -172,13 +175,17 @@ def shared() -> Path:
 def _room_for_programs():
     """Forgets after every file what nobody holds, whose programs take the room of others in jax's own cache.
 
-    And all programs before the system refuses more memory mappings.
+    And all programs before the system refuses more memory mappings. What a file leaves behind is not searched again:
+    searching all of it after every file took a tenth of the session.
     """
-    from gsjax.runs.compilations import make_room
+    from gsjax.runs.compilations import is_crowded, make_room
 
     yield
     gc.collect()
-    make_room()
+    if is_crowded():
+        gc.unfreeze()
+        make_room()
+    gc.freeze()
 
 
 @pytest.fixture(scope="module")

@@ -44,13 +44,18 @@ class Compilations:
             self._seen.append({"program": program, "seconds": round(seconds, 2)})
 
 
+def is_crowded() -> bool:
+    """Whether the system will soon refuse more memory mappings. Known on Linux alone."""
+    mappings = Path("/proc/self/maps")
+    return mappings.exists() and len(mappings.read_bytes().splitlines()) > MOST_MAPPINGS
+
+
 def make_room() -> None:
     """Forgets compiled programs before the system refuses more memory mappings, which XLA does not survive.
 
     Every program takes about six, and jax keeps them: some thirty runs of different settings end a process. Elsewhere
     than on Linux nothing is known and nothing forgotten.
     """
-    mappings = Path("/proc/self/maps")
-    if mappings.exists() and len(mappings.read_bytes().splitlines()) > MOST_MAPPINGS:
+    if is_crowded():
         jax.clear_caches()
         gc.collect()

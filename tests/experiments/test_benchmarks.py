@@ -27,6 +27,7 @@ def run(script, *arguments, folder):
     return subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment)
 
 
+@pytest.mark.long
 def test_the_benchmark_runs_as_a_script_although_it_has_the_packages_name(tmp_path):
     done = run("rasterizer.py", "--only", "10k, 256x256, radius 6", "--processes", "1", folder=tmp_path)
     assert done.returncode == 0, done.stderr

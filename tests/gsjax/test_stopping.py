@@ -15,7 +15,11 @@ SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143}
 
 @pytest.fixture(autouse=True)
 def own_environment(monkeypatch):
+    """Nothing is prepared, and no signal is ignored, as it is in a session that a shell put into the background."""
     monkeypatch.setattr(environment, "prepare", lambda: None)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def go_on(seconds=10 * AGAIN):

@@ -104,6 +104,7 @@ def test_a_benchmark_folder_with_reduced_photos_only_trains_and_scores_the_same(
         pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS), resume=True)
 
 
+@pytest.mark.long
 def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scene, tmp_path):
     """On the photos that the other runs train on: their programs, compiled once."""
     model = pycolmap.Reconstruction(scene / "sparse/0")

@@ -86,6 +86,7 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     assert stored[0] == stored[1] == {name for name in stored[2] if "effects" not in name} < stored[2]
 
 
+@pytest.mark.long
 def test_a_run_goes_on_with_fewer_harmonics_and_they_are_nowhere(run, scene, tmp_path, monkeypatch):
     """Stopped where they are tried again, and where not: it ends with the bits of the run that was not stopped."""
     settings = config.parse(Settings, {**SETTINGS, "effects": "sh_degree"})

@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from jax.test_util import check_grads
 from scenes import NO_THRESHOLDS, in_float64, render, smooth
 
@@ -19,6 +20,7 @@ def image_of(scene, **arrays):
     return jnp.concatenate([image, alphas], -1)
 
 
+@pytest.mark.long
 def test_both_modes_to_second_order(x64):
     scene = in_float64(smooth())
     # One random functional of the image: the checks difference it along random directions, in both modes and orders.
@@ -42,6 +44,7 @@ def test_a_hessian_is_symmetric_and_gives_the_products(x64):
     np.testing.assert_allclose(product.ravel(), hessian @ np.asarray(direction).ravel(), rtol=1e-9)
 
 
+@pytest.mark.long
 def test_gauss_newton_products_without_the_jacobian(x64):
     scene = in_float64(smooth())
 

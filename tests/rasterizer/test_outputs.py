@@ -245,7 +245,7 @@ def test_a_masked_tile_is_background_and_the_rest_keeps_its_bits(backend):
         np.testing.assert_array_equal(getattr(nothing, field), 0)
 
 
-@pytest.mark.parametrize("channels", [17, 128])
+@pytest.mark.parametrize("channels", [17, pytest.param(128, marks=pytest.mark.long)])
 def test_many_channels_are_those_rendered_alone(channels):
     base = cloud(channels=128)
     scene = replace(base, colors=base.colors[:, :channels], backgrounds=base.backgrounds[:, :channels])

@@ -70,6 +70,7 @@ def runs(frames):
     return {count: fitted(frames, count) for count in (2, 4)}
 
 
+@pytest.mark.long
 def test_gaussians_are_the_same_on_any_number_of_devices(runs):
     alive = {count: [int(count_alive(told.state.gaussians)) for told in run.told] for count, run in runs.items()}
     assert alive[2] == alive[4]
@@ -77,6 +78,7 @@ def test_gaussians_are_the_same_on_any_number_of_devices(runs):
     assert_close(runs[2].final.gaussians, runs[4].final.gaussians, **ROUNDED)
 
 
+@pytest.mark.long
 def test_a_run_that_stopped_goes_on_with_another_number_of_devices(frames, runs):
     begun = jax.tree.map(jnp.asarray, runs[4].told[3].state)
     resumed = fitted(frames, 2, state=begun, capacity=64)

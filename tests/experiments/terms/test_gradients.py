@@ -17,6 +17,8 @@ from gsjax.gaussians import rotation_matrices, smallest_axes
 from gsjax.render import View
 from gsjax.training.terms import Kept
 
+pytestmark = pytest.mark.long  # what studies alone hand in
+
 COUNT = 64  # of every scene here: one program in float64, and one in float32
 CAMERA = camera_at((0.6, -0.4, -0.5), (0.1, 0.2, 4.0), size=(40, 36), focal=36.0)
 TURN = np.asarray(CAMERA.viewmat, np.float64)[:3, :3]

@@ -19,6 +19,8 @@ from gsjax.render import View
 from gsjax.targets import Batch
 from gsjax.training.terms import Kept
 
+pytestmark = pytest.mark.long  # what studies alone hand in
+
 COUNT, DISTANCE, EXTENT = 36, 4.0, 2.5
 CAMERA = camera_at(size=(40, 36), focal=36.0)
 KEY = jax.random.key(3)

@@ -47,6 +47,7 @@ def both(tmp_path):
         process.wait()
 
 
+@pytest.mark.long
 def test_a_lost_process_ends_the_run_with_one_line_and_the_last_checkpoint_whole(both, tmp_path):
     run, deadline = tmp_path / "run", time.monotonic() + PATIENCE
     while runs.latest_checkpoint(run) is None and time.monotonic() < deadline:
