@@ -1,4 +1,4 @@
-"""The tile engine as two GPU kernels (Pallas, Triton backend). The only module that knows Pallas.
+"""The tile engine as two GPU kernels (Pallas), launched by its Triton backend; `rasterizer._mosaic` has another launch.
 
 The forward kernel has one program per tile, the deepest first. It walks the tile's list, one splat after the other: its
 numbers are scalars for the whole program, its pixels a vector in registers. At every border of a *segment* of the list
@@ -7,7 +7,9 @@ segment, so that no program walks a whole deep list back. It sums each pair's mo
 no atomics. The blend is the text that the xla engine runs.
 """
 
+from collections.abc import Callable
 from functools import cache, partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -66,6 +68,7 @@ def _alpha(rows, splat, dx, dy, rules) -> tuple[Array, Array]:
 
 
 def _forward_kernel(
+    program,
     rows,
     splats,
     offsets,
@@ -80,7 +83,7 @@ def _forward_kernel(
     static: Static,
     segment_size: int,
 ):
-    tile = order[pl.program_id(0)]
+    tile = order[program]
     start, end, first_segment = offsets[tile], offsets[tile + 1], first_segments[tile]
     pixels, center = _pixels(static), _center(tile, static)
     channels, front = features.shape[1], static.front
@@ -138,6 +141,7 @@ def _forward_kernel(
 
 
 def _backward_kernel(
+    segment,
     rows,
     splats,
     offsets,
@@ -153,8 +157,7 @@ def _backward_kernel(
     static: Static,
     segment_size: int,
 ):
-    *crossings, _, gradients = others  # Zeros, aliased to the output, stand before it.
-    segment = pl.program_id(0)
+    *crossings, gradients = others
     tile = tiles[segment]
     start, first_segment = offsets[tile], first_segments[tile]
     pixels, center = _pixels(static), _center(tile, static)
@@ -204,16 +207,36 @@ def _backward_kernel(
     jax.lax.fori_loop(0, stop - begin, unblend_one, (kept_light[segment, :], light_behind))
 
 
-def _call(kernel, programs: int, shapes, warps: int, interpret: bool, **options):
+Launch = Callable[..., Any]
+"""(kernel, programs, shapes, warps, interpret, arguments, zeros) -> what the programs of a kernel write.
+
+A kernel is called with its program's number and the arrays, those that it writes last; where there are `zeros`, it
+writes into these.
+"""
+
+
+def launch(
+    kernel, programs: int, shapes, warps: int, interpret: bool, arguments: tuple[Array, ...], zeros: Array | None = None
+):
+    """A `Launch` by the Triton backend."""
+    options: dict[str, Any] = {"out_shape": shapes, "interpret": interpret, "name": kernel.func.__name__}
     if not interpret:
         from jax.experimental.pallas import triton
 
         options["compiler_params"] = triton.CompilerParams(num_warps=warps, num_stages=1)
-    return pl.pallas_call(kernel, out_shape=shapes, grid=(programs,), interpret=interpret, **options)
+    if zeros is None:
+        return pl.pallas_call(lambda *refs: kernel(pl.program_id(0), *refs), grid=(programs,), **options)(*arguments)
+    count = len(arguments)
+    return pl.pallas_call(
+        lambda *refs: kernel(pl.program_id(0), *refs[:count], refs[-1]),
+        grid=(programs,),
+        input_output_aliases={count: 0},
+        **options,
+    )(*arguments, zeros)
 
 
 def _forward(
-    static: Static, rows: Array, splats: Array, offsets: Array, *, interpret: bool, segment_size: int
+    static: Static, rows: Array, splats: Array, offsets: Array, *, launch: Launch, interpret: bool, segment_size: int
 ) -> Blended:
     tiles, pixels, channels = static.grid.num_tiles, static.grid.tile_size**2, rows.shape[1] - 6
     segments = _segments(offsets, splats.shape[0], segment_size)
@@ -230,8 +253,8 @@ def _forward(
         *[indices] * (static.with_median + bool(static.front)),
     ]
     kernel = partial(_forward_kernel, static=static, segment_size=segment_size)
-    call = _call(kernel, tiles, shapes, FORWARD_WARPS, interpret)
-    features, t, last, light, shown, *marks = call(rows, splats, offsets, order, segments[1])
+    arguments = rows, splats, offsets, order, segments[1]
+    features, t, last, light, shown, *marks = launch(kernel, tiles, shapes, FORWARD_WARPS, interpret, arguments)
     median, crossings = (marks[0], marks[1:]) if static.with_median else (None, marks)
     return Blended(features, t, last, median, (*segments, light, shown, *crossings))
 
@@ -246,16 +269,16 @@ def _backward(
     d_features: Array,
     d_t: Array,
     *kept: Array,
+    launch: Launch,
     interpret: bool,
     segment_size: int,
 ) -> Array:
     # The kernel writes the pairs that some pixel saw; the rest stay the zeros that come in.
     zeros = jnp.zeros((splats.shape[0], rows.shape[1]), jnp.float32)
-    arguments = rows, splats, offsets, t, last, d_features, d_t, *kept, zeros
+    arguments = rows, splats, offsets, t, last, d_features, d_t, *kept
     kernel = partial(_backward_kernel, static=static, segment_size=segment_size)
-    shapes, aliases = jax.ShapeDtypeStruct(zeros.shape, zeros.dtype), {len(arguments) - 1: 0}
-    call = _call(kernel, kept[0].shape[0], shapes, BACKWARD_WARPS, interpret, input_output_aliases=aliases)
-    gradients = call(*arguments)
+    shape = jax.ShapeDtypeStruct(zeros.shape, zeros.dtype)
+    gradients = launch(kernel, kept[0].shape[0], shape, BACKWARD_WARPS, interpret, arguments, zeros)
     d_rows = chain_to_rows(rows[splats], gradients[:, :6], gradients[:, 6:])
     # A GPU adds by atomics, and zeros of a whole buffer to one row wait for each other: their index is past all rows.
     written = jnp.any(gradients != 0, -1)
@@ -263,7 +286,7 @@ def _backward(
 
 
 @cache
-def engine(interpret: bool, segment_size: int = SEGMENT) -> Engine:
+def engine(interpret: bool, segment_size: int = SEGMENT, launch: Launch = launch) -> Engine:
     """The kernels, or, without a GPU, their interpretation: as slow as it is faithful."""
-    how = {"interpret": interpret, "segment_size": segment_size}
+    how = {"launch": launch, "interpret": interpret, "segment_size": segment_size}
     return Engine(partial(_forward, **how), partial(_backward, **how))

@@ -7,6 +7,8 @@ import jax
 
 LEAST_CAPABILITY = 8, 0  # Ampere: Pallas' Triton compiles for nothing older.
 
+LEAST_JAX_OF_MOSAIC = 0, 12  # That of jax 0.11 compiles for Hopper alone.
+
 
 def default_device() -> Any:
     """The `jax.Device` that is computed on unless an array says otherwise: `jax.default_device`'s, else the first."""
@@ -25,8 +27,24 @@ def why_no_kernels(device: Any) -> str | None:
     least = ".".join(map(str, LEAST_CAPABILITY))
     if tuple(map(int, capability.split("."))) < LEAST_CAPABILITY:
         return f"its kernels need compute capability {least}, and {device.device_kind} has {capability}"
+    if not has_triton() and not has_mosaic():
+        return f"its kernels need Pallas' Triton or Mosaic backend, and jax {jax.__version__} has neither"
+    return None
+
+
+def has_triton() -> bool:
+    """Whether jax has Pallas' Triton backend, which it calls deprecated since 0.11."""
     try:
         from jax.experimental.pallas import triton  # noqa: F401
-    except ImportError as error:
-        return f"its kernels need Pallas' Triton backend, which jax {jax.__version__} has not ({error})"
-    return None
+    except ImportError:
+        return False
+    return True
+
+
+def has_mosaic() -> bool:
+    """Whether jax has a Mosaic GPU backend that compiles for all devices on which the kernels run."""
+    try:
+        from jax.experimental.pallas import mosaic_gpu
+    except ImportError:
+        return False
+    return jax.__version_info__ >= LEAST_JAX_OF_MOSAIC and hasattr(mosaic_gpu, "InterpretGPUParams")

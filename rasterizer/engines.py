@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from rasterizer import _pallas, _reference, _xla
+from rasterizer import _mosaic, _pallas, _reference, _xla
 from rasterizer.binning import TileGrid, TilePairs
 from rasterizer.compositing import Engine, Front, Static, composite
-from rasterizer.devices import default_device, why_no_kernels
+from rasterizer.devices import default_device, has_triton, why_no_kernels
 from rasterizer.projection import Projection
 from rasterizer.reverse_mode import reverse_only
 from rasterizer.rules import GSPLAT, Rules
@@ -82,7 +82,8 @@ def _engine(backend: Backend) -> Engine:
     reason = why_no_kernels(device)
     if reason and device.platform == "gpu":
         raise ValueError(f"backend='pallas': {reason}")
-    return _pallas.engine(interpret=reason is not None)
+    kernels = _pallas if reason or has_triton() else _mosaic
+    return kernels.engine(interpret=reason is not None)
 
 
 def default_tile_size(backend: Backend = "auto") -> int:

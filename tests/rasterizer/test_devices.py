@@ -60,18 +60,25 @@ def test_a_gpu_beside_the_default_device_is_not_asked(monkeypatch):
             assert devices.default_device() is cpu and engines.resolve("auto") == "native"
 
 
-def test_a_jax_without_triton_imports_and_takes_jnp():
-    """The backend is deprecated since jax 0.11: the day it is gone, nothing but the kernels may go with it."""
-    program = """
+PROGRAM = """
 import sys
-sys.modules["jax.experimental.pallas.triton"] = None
+sys.modules |= dict.fromkeys(["jax.experimental.pallas." + name for name in sys.argv[1:]])
 import rasterizer
-from rasterizer import _pallas, engines
+from rasterizer import _mosaic, _pallas, engines
 from types import SimpleNamespace
 engines.default_device = lambda: SimpleNamespace(platform="gpu", device_kind="H100", compute_capability="9.0")
-print(engines.resolve("auto"), engines.resolve("auto"), _pallas.engine(interpret=True).forward.keywords["interpret"])
+chosen = engines.resolve("auto")
+print(chosen, engines.resolve("auto"), _pallas.engine(interpret=True).forward.keywords["interpret"])
+print(engines._engine(chosen) is _mosaic.engine(interpret=False))
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.stdout.split() == ["xla", "xla", "True"], done.stderr
-    (line,) = done.stderr.splitlines()
-    assert line.startswith("the rasterizer runs in jnp: its kernels need Pallas' Triton backend, which jax ")
+
+
+@pytest.mark.parametrize("missing", [["triton"], ["triton", "mosaic_gpu"]], ids=" and ".join)
+def test_a_jax_without_triton_imports_and_takes_mosaic_or_jnp(missing):
+    """The backend is deprecated since jax 0.11: the day it is gone, nothing but the kernels may go with it."""
+    done = subprocess.run([sys.executable, "-c", PROGRAM, *missing], capture_output=True, text=True)
+    by_mosaic = missing == ["triton"] and jax.__version_info__ >= devices.LEAST_JAX_OF_MOSAIC
+    chosen = "pallas" if by_mosaic else "xla"
+    assert done.stdout.split() == [chosen, chosen, "True", str(by_mosaic)], done.stderr
+    reason = "the rasterizer runs in jnp: its kernels need Pallas' Triton or Mosaic backend, and jax "
+    assert [line.startswith(reason) for line in done.stderr.splitlines()] == [] if by_mosaic else [True]

@@ -1,0 +1,52 @@
+"""The kernels of `rasterizer._pallas` launched by Pallas' Mosaic GPU backend, for a jax without a Triton one.
+
+A program is a warpgroup, 128 threads. What Mosaic cannot do is left to the xla engine: tiles of fewer pixels than that,
+and channels that end in front, whose way back reads another splat for every pixel.
+"""
+
+from functools import cache
+
+import jax
+from jax import Array
+
+from rasterizer import _pallas, _xla
+from rasterizer.compositing import Blended, Engine, Static
+
+THREADS = 128
+
+
+def launch(
+    kernel, programs: int, shapes, warps: int, interpret: bool, arguments: tuple[Array, ...], zeros: Array | None = None
+):
+    """A `rasterizer._pallas.Launch`."""
+    from jax.experimental.pallas import mosaic_gpu
+
+    del warps
+    params = mosaic_gpu.InterpretGPUParams() if interpret else None
+    how = {"grid": (programs,), "grid_names": ("program",), "interpret": params}
+
+    def body(*refs):
+        kernel(jax.lax.axis_index("program"), *refs)
+
+    if zeros is None:
+        return mosaic_gpu.kernel(body, out_type=shapes, **how)(*arguments)
+    written = jax.new_ref(zeros)
+    mosaic_gpu.kernel(body, out_type=(), **how)(*arguments, written)
+    return jax.freeze(written)
+
+
+@cache
+def engine(interpret: bool, segment_size: int = _pallas.SEGMENT) -> Engine:
+    """As `rasterizer._pallas.engine`; interpreted, a tile of a few splats takes seconds."""
+    kernels = _pallas.engine(interpret, segment_size, launch)
+
+    def of(static: Static) -> Engine:
+        return _xla.ENGINE if static.front or static.grid.tile_size**2 < THREADS else kernels
+
+    def forward(static: Static, *lists: Array) -> Blended:
+        return of(static).forward(static, *lists)
+
+    def backward(static: Static, *arguments: Array) -> Array:
+        return of(static).backward(static, *arguments)
+
+    return Engine(forward, backward)
