@@ -10,6 +10,7 @@ BIN := $(VENV)/bin
 comma := ,
 INSTALLED := $(VENV)/.installed$(subst $(comma),-,$(EXTRAS:%=-%))
 PYTHONS ?= 3.11 3.12 3.13
+MATRIX_TESTS ?= tests/rasterizer
 IN_PARALLEL := --numprocesses auto --dist loadfile --no-loadscope-reorder
 OPEN3D_LIBRARIES := libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 libidn2-0
 
@@ -58,7 +59,7 @@ matrix:
 
 rasterizer: $(INSTALLED)-test
 	@$(BIN)/python -c 'import jax, platform; print("Python", platform.python_version(), "with jax", jax.__version__)'
-	$(BIN)/python -m pytest $(IN_PARALLEL) tests/rasterizer
+	$(BIN)/python -m pytest $(IN_PARALLEL) $(MATRIX_TESTS)
 
 # What Open3D loads from the system, for who installs it otherwise.
 libraries:

@@ -5,6 +5,7 @@ and channels that end in front, whose way back reads another splat for every pix
 """
 
 from functools import cache
+from typing import Any
 
 import jax
 from jax import Array
@@ -22,16 +23,17 @@ def launch(
     from jax.experimental.pallas import mosaic_gpu
 
     del warps
-    params = mosaic_gpu.InterpretGPUParams() if interpret else None
+    mosaic: Any = mosaic_gpu  # An older jax's has not all that is used.
+    params = mosaic.InterpretGPUParams() if interpret else None
     how = {"grid": (programs,), "grid_names": ("program",), "interpret": params}
 
     def body(*refs):
         kernel(jax.lax.axis_index("program"), *refs)
 
     if zeros is None:
-        return mosaic_gpu.kernel(body, out_type=shapes, **how)(*arguments)
+        return mosaic.kernel(body, out_type=shapes, **how)(*arguments)
     written = jax.new_ref(zeros)
-    mosaic_gpu.kernel(body, out_type=(), **how)(*arguments, written)
+    mosaic.kernel(body, out_type=(), **how)(*arguments, written)
     return jax.freeze(written)
 
 
