@@ -11,6 +11,7 @@ axis lying on its side, and it is still the same numbers as the cameras' and the
 """
 
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -158,8 +159,8 @@ def _write_textured_obj(path: Path, textured: TexturedMesh) -> None:
     # Left in the opposite order: when the .obj appears, what it names is there.
     with atomic_path(path) as obj, atomic_path(material) as mtl, atomic_path(picture) as png:
         _image(textured.texture).save(png)
-        mtl.write_text(MATERIAL.format(picture=picture.name))
-        with obj.open("w") as file:
+        mtl.write_bytes(os.fsencode(MATERIAL.format(picture=picture.name)))
+        with obj.open("w", encoding="utf-8", errors="surrogateescape") as file:  # As names of files are.
             file.write(f"mtllib {material.name}\nusemtl surface\n")
             place = " ".join([f"%.{17 if loses_in_float32(mesh.vertices) else DIGITS}g"] * 3)
             np.savetxt(file, np.hstack([mesh.vertices, mesh.colors / 255.0]), f"v {place} %.4f %.4f %.4f")

@@ -113,7 +113,7 @@ def write_page(path: Path, template: str, **content: Any) -> Path:
     )
     page = environment.get_template(template).render(**content)
     with atomic_path(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+        temporary.write_text(page, encoding="utf-8", errors="backslashreplace")  # Names may hold bytes of Latin-1.
     return path
 
 

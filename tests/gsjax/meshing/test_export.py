@@ -1,4 +1,5 @@
 import json
+import os
 import struct
 
 import numpy as np
@@ -159,6 +160,13 @@ def test_open3d_reads_the_same_texture_from_obj(tmp_path, textured):
     ours = textured.atlas.uvs[textured.atlas.faces].reshape(-1, 2)
     # Open3D turns the picture over where its places count from below.
     np.testing.assert_array_equal(nearest(picture, uvs), nearest(textured.texture, ours))
+
+
+def test_an_obj_of_any_name_says_what_lies_beside_it(tmp_path, textured):
+    name = b"k\xfcche"  # in Latin-1
+    write_textured(tmp_path / os.fsdecode(name + b".obj"), textured)
+    assert (tmp_path / os.fsdecode(name + b".obj")).read_bytes().startswith(b"mtllib " + name + b".mtl\n")
+    assert name + b".png" in (tmp_path / os.fsdecode(name + b".mtl")).read_bytes()
 
 
 def test_obj_keeps_the_vertices_and_their_colours_beside_the_texture(tmp_path, textured):

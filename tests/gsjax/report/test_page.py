@@ -148,6 +148,13 @@ def test_nothing_of_a_name_becomes_markup_and_nothing_is_loaded(run):
     assert "http:" not in (text := (run / "report.html").read_text()) and "https:" not in text
 
 
+def test_bytes_of_a_name_that_are_no_text_are_shown_as_such(run):
+    settings = json_files.read(run / "config.json")
+    json_files.write(run / "config.json", settings | {"normals": "k\udcfcche"})
+    assert r"k\udcfcche" in report(run).read_text(encoding="utf-8")
+    json_files.write(run / "config.json", settings)
+
+
 def test_the_lines_are_the_metrics(run):
     """Three charts against steps, then against seconds; the last score of the held-out views ends its line."""
     page = Page(report(run))
