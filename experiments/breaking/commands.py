@@ -1,0 +1,163 @@
+"""The commands of gsjax on scenes of a few photos: what each reads, what it writes, and what of that is compared."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[2]
+Rows = Mapping[str, Sequence[Callable[[], list[str]]]]
+"""By what is tried: measurements, each of which gives a cell or more of the row."""
+
+STEPS = "max_gaussians=600", "sh_degree=0", "logging.checkpoint_every=10", "logging.metrics_every=5"
+SMALL = ("--preset", "quick", "--set", "phases.0.steps=40", *STEPS)
+ANEW, RESUME, NEVER = "anew", "resume", "never"
+"""How a command that was stopped is called again: as before, with `--resume`, or not at all (a server)."""
+
+DEMO = """
+import sys
+from gsjax.cli import run_guarded
+from gsjax.pipeline import demo
+demo.NUM_VIEWS, demo.SIZE = 9, (32, 32)
+demo.DEMO = {**demo.DEMO, "max_gaussians": 600, "phases": [{"name": "short", "steps": 20}], "density": {}}
+sys.exit(run_guarded(lambda: demo.run(sys.argv[-1]) and None))
+"""
+
+
+class Command(NamedTuple):
+    """One that is tried."""
+
+    arguments: tuple[str, ...]  # all but the last, which names the output
+    out: str  # a file or a folder
+    products: tuple[str, ...] = ("",)  # globs within `out`; "" is `out` itself
+    needs: tuple[str, ...] = ()  # commands whose outputs it reads
+    again: str = ANEW
+    program: tuple[str, ...] = ("-m", "gsjax")
+
+
+COMMANDS = {
+    "sfm": Command(("sfm", "photos", "--out"), "placed", ("images/*", "sparse/0/*")),
+    "train": Command(
+        ("train", "scene", *SMALL, "--effects", "none", "--out"), "run", ("gaussians.ply", "cameras.json"), again=RESUME
+    ),
+    "mesh": Command(("mesh", "run", "--points", "4000", "--depth", "6", "--out"), "mesh.ply", needs=("train",)),
+    "refine": Command(
+        ("refine", "run", "--mesh", "mesh.ply", "--steps", "40", "--faces", "800", "--out"),
+        "refined",
+        ("gaussians.ply", "mesh.ply", "mesh.glb"),
+        ("train", "mesh"),
+        RESUME,
+    ),
+    "texture": Command(("texture", "run", "--mesh", "mesh.ply", "--out"), "textured.glb", needs=("train", "mesh")),
+    "scan": Command(
+        ("scan", "scene", *SMALL, "effects=none", "--out"),
+        "scan",
+        ("run/gaussians.ply", "run/mesh.ply", "refined/mesh.ply", "mesh.glb", "overview.png"),
+    ),
+    "eval": Command(("eval", "run", "--json"), "eval.json", needs=("train",)),
+    "render": Command(("render", "run", "--out"), "pictures", ("*",), ("train",)),
+    "report": Command(("report",), "run", ("report.html",), ("train",)),
+    "compare": Command(("compare", "run", "--out"), "compared.html", needs=("train",)),
+    "turntable": Command(("turntable", "mesh.ply", "--frames", "4", "--out"), "turns.gif", needs=("mesh",)),
+    "convert": Command(("convert", "run"), "gaussians.spz", needs=("train",)),
+    "undistort": Command(("undistort", "scene", "--out"), "pinhole", ("images/*", "sparse/0/*", "hold_out.txt")),
+    "diagnose": Command(("diagnose", "scene", "--json"), "diagnosis.json"),
+    "demo": Command(("demo",), "demo", ("*/gaussians.ply", "*/mesh.ply", "comparison.png"), program=("-c", DEMO)),
+    "view": Command(("view", "--port", "0"), "run", (), ("train",), NEVER),
+}
+COMPILING = 8
+"""Seconds: of a call that takes longer, compilation may be a part, and a second one tells how long it takes without."""
+MATERIAL = """
+import sys
+from pathlib import Path
+import cv2
+import numpy as np
+from gsjax.io import analytic_scene
+
+analytic_scene.write("scene", num_views=8, size=(64, 48))
+rng = np.random.default_rng(0)
+noise = lambda height, width: rng.integers(0, 256, (height, width, 3)).astype(np.uint8)
+def painted():
+    coarse = cv2.resize(noise(150, 200), (800, 600), interpolation=cv2.INTER_CUBIC)
+    return cv2.addWeighted(coarse, 0.7, cv2.GaussianBlur(noise(600, 800), (0, 0), 1.5), 0.6, 0)
+far, near = painted(), painted()
+Path("photos").mkdir()
+for index in range(6):  # A wall, and before it three squares, which move twice as fast.
+    x, y = 15 * (index % 3), 15 * (index // 3)
+    photo = far[100 + y : 340 + y, 100 + x : 420 + x].copy()
+    for top, left in (60, 60), (150, 40), (90, 200):
+        photo[top - y : top - y + 70, left - x : left - x + 70] = near[top : top + 70, left : left + 70]
+    cv2.imwrite(f"photos/{index}.png", photo)
+Path("whole").touch()
+"""
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """That of every call: this checkout, and programs that are compiled once."""
+    return {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(folder / "cache"), "COLUMNS": "200"}
+
+
+def begun(folder: Path, command: Command, out: str, *more: str, before: tuple[str, ...] = ()) -> subprocess.Popen:
+    """The command, started in a folder with what it reads."""
+    return subprocess.Popen(
+        [*before, sys.executable, *command.program, *command.arguments, out, *more],
+        cwd=folder,
+        env=environment(folder),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+    )
+
+
+def finished(process: subprocess.Popen) -> tuple[int, str]:
+    """Exit code and what was told, without the steps of progress bars."""
+    told = process.communicate()[1]
+    return process.returncode, "\n".join(line.rpartition("\r")[2] for line in told.split("\n"))
+
+
+def products(folder: Path, command: Command, out: str) -> dict[str, bytes]:
+    """The bytes of what is compared, by name."""
+    place = folder / out
+    files = [file for name in command.products for file in (sorted(place.glob(name)) if name else [place])]
+    assert files or not command.products, f"{place} has none of {command.products}"
+    return {file.relative_to(place).as_posix(): file.read_bytes() for file in files}
+
+
+def whole(folder: Path, name: str) -> float:
+    """Leaves in a folder what an undisturbed call of a command writes, and what it reads.
+
+    Returns:
+        How long the call takes once its programs are compiled, seconds.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if not (folder / "whole").exists():
+        subprocess.run([sys.executable, "-c", MATERIAL], cwd=folder, env=environment(folder), check=True)
+    command, file = COMMANDS[name], folder / "seconds.json"
+    for need in command.needs:
+        whole(folder, need)
+    known = json.loads(file.read_text()) if file.exists() else {}
+    if name not in known and command.again != NEVER:
+        known[name] = _called(folder, name, command.out)
+        if known[name] > COMPILING and name != "report":
+            known[name] = _called(folder, name, f"again_{command.out}")
+            assert products(folder, command, f"again_{command.out}") == products(folder, command, command.out), name
+        file.write_text(json.dumps(known))
+    return known.get(name, 10.0)
+
+
+def _called(folder: Path, name: str, out: str) -> float:
+    """Calls a command, which has to end well; seconds."""
+    began = time.monotonic()
+    code, told = finished(begun(folder, COMMANDS[name], out))
+    assert code == 0, f"{name} ended with {code}: {told[-2000:]}"
+    return time.monotonic() - began
+
+
+def leftovers(folder: Path) -> list[Path]:
+    """What is not whole, of writers that are no more."""
+    return [path for path in folder.rglob(".*.gsjax-*") if "cache" not in path.relative_to(folder).parts]

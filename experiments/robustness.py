@@ -1,0 +1,59 @@
+"""Does anything break it? Stops, full disks, damaged files, other worlds, large files: each tried and counted.
+
+    python experiments/robustness.py --out DIR [PART ...] [--minutes M]
+
+Commands run on built-in scenes of a few photos. They are stopped at random moments by SIGKILL, SIGTERM and SIGINT and
+called again; their disk is full before they are done; readers meet damaged files, those of their own tests. Prints the
+tables of docs/robustness.md. Called again it goes on after what is done; with --minutes it begins nothing after them.
+Disks need Linux and its user namespaces. All parts take an hour or more on 2 cores.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+from breaking import PARTS, Part
+
+
+def measured(part: Part, file: Path, folder: Path, until: float) -> dict[str, list[str]]:
+    """The whole rows of a part: those of a file, and what is measured until a moment, which the file keeps."""
+    kept: dict[str, list[list[str]]] = json.loads(file.read_text()) if file.exists() else {}
+    rows = part.rows(folder)
+    for tried, measurements in rows.items():
+        done = kept.setdefault(tried, [])
+        for measure in measurements[len(done) :]:
+            if time.monotonic() > until:
+                break
+            done.append(measure())
+            file.write_text(json.dumps(kept, indent=1))
+            print(f"{tried}: {', '.join(done[-1])}", file=sys.stderr)
+    return {tried: sum(kept[tried], []) for tried in rows if len(kept[tried]) == len(rows[tried])}
+
+
+def table(part: Part, rows: dict[str, list[str]]) -> str:
+    """As Markdown."""
+    lines = [part.columns, ["---"] * len(part.columns), *([tried, *cells] for tried, cells in rows.items())]
+    return f"## {part.title}\n\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def main() -> None:
+    """Reads the arguments, measures and prints the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", metavar="PART", nargs="*", help=f"of {', '.join(PARTS)}; all where none is named")
+    parser.add_argument("--out", type=Path, required=True, help="folder to work in")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no row after so many")
+    given = parser.parse_args()
+    unknown = [name for name in given.parts if name not in PARTS]
+    if unknown:
+        parser.error(f"no part {unknown[0]}; there are {', '.join(PARTS)}")
+    until = time.monotonic() + 60 * given.minutes
+    folder = given.out.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in given.parts or PARTS:
+        print(table(PARTS[name], measured(PARTS[name], folder / f"{name}.json", folder, until)), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+"""What was measured is not measured again, whole rows alone are shown, and every part has its columns."""
+
+import time
+from math import inf
+
+import pytest
+
+
+@pytest.fixture
+def part(scripts):
+    """A part of two rows, which notes what is measured."""
+    asked = []
+
+    def measurement(name, *cells):
+        def measure():
+            asked.append(name)
+            return list(cells)
+
+        return measure
+
+    rows = {"a": [measurement("a0", "1"), measurement("a1", "2")], "b": [measurement("b", "3", "4")]}
+    return scripts("breaking").Part("Tried", ("What", "Here", "There"), lambda folder: rows), asked
+
+
+def test_a_part_goes_on_where_it_was_stopped(scripts, part, tmp_path):
+    robustness, (part, asked) = scripts("robustness"), part
+    file = tmp_path / "part.json"
+    assert robustness.measured(part, file, tmp_path, until=-inf) == {} and not asked
+    file.write_text('{"a": [["1"]]}')
+    assert robustness.measured(part, file, tmp_path, until=-inf) == {}
+    rows = robustness.measured(part, file, tmp_path, until=time.monotonic() + 60)
+    assert (rows, asked) == ({"a": ["1", "2"], "b": ["3", "4"]}, ["a1", "b"])
+    assert robustness.measured(part, file, tmp_path, until=inf) == rows and len(asked) == 2
+    assert robustness.table(part, rows) == (
+        "## Tried\n\n| What | Here | There |\n| --- | --- | --- |\n| a | 1 | 2 |\n| b | 3 | 4 |\n"
+    )
+
+
+def test_every_part_tells_its_rows_before_it_measures(scripts, tmp_path):
+    for name, part in scripts("breaking").PARTS.items():
+        rows = part.rows(tmp_path)
+        assert rows and part.title and len(part.columns) > 1, name
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_damaged_are_tests_that_there_are(scripts):
+    damage = scripts("breaking.damage")
+    for tests in damage.KINDS.values():
+        file, _, test = tests.partition(" ")[0].partition("::")
+        assert f"def {test or 'test_fuzz'}" in (damage.ROOT / file).read_text(), tests
+
+
+def test_programs_name_what_there_is(scripts):
+    modules = [scripts(f"breaking.{name}") for name in ("commands", "helps", "memory", "worlds")]
+    programs = [text for module in modules for text in vars(module).values() if isinstance(text, str) and "\n" in text]
+    imports = {line for program in programs for line in program.splitlines() if line.startswith("from gsjax")}
+    assert len(imports) > 9
+    for line in imports:
+        exec(line)
