@@ -3,6 +3,7 @@
 Products are sums written out, or ask for the highest precision; here they are read off the traced programs.
 """
 
+import dataclasses
 from functools import partial
 
 import jax
@@ -18,6 +19,9 @@ import rasterizer
 from gsjax import density_field, gaussians, render, targets
 from gsjax.analytic import solids
 from gsjax.binding import bound as binding
+from gsjax.binding import refining
+from gsjax.binding.hybrid import Hybrid
+from gsjax.binding.mesh_terms import mesh_graph
 from gsjax.cameras import center
 from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.measures import images
@@ -119,6 +123,20 @@ def test_a_training_step_of_all_terms_and_effects_and_the_growth_after_it(target
         grown = partial(densify, optimizer=OPTIMIZER, density=Density(rule=rule), budget=48)
         state = initial_state(cloud(30, capacity=48, seed=1), OPTIMIZER, RULES[rule])
         assert not rough_products(grown, state, jax.random.key(0), jnp.float32(1.0), jnp.array(True))
+
+
+def test_a_step_of_the_refinement(target):
+    sheet = bound_sheet()
+    settings = refining.Refinement()
+    optimizer = refining.make_optimizer(settings, 1.0, len(sheet.vertices))
+    how = {"capacity": 4096, "background": BACKGROUNDS["white"], "sh_every": 4}
+    weights = refining.RefinementWeights(
+        **{field.name: 0.1 for field in dataclasses.fields(refining.RefinementWeights)}
+    )
+    step = refining.make_refine_step(optimizer, weights, **how)
+    state = refining.initial_state(Hybrid(sheet), optimizer)
+    here = targets.replace(target[0], normals=np.full((24, 32, 3), 40, np.int8))
+    assert not rough_products(step, mesh_graph(np.asarray(sheet.faces)), state, here, jax.random.key(0))
 
 
 FEW, DEPTH = cloud(30, seed=1), jnp.full((24, 32), 3.0)
