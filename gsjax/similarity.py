@@ -144,6 +144,11 @@ def of_points(points: np.ndarray) -> Similarity:
     return _about(middle, spread(points, middle))
 
 
+def is_float32(values: np.ndarray) -> np.ndarray:
+    """Whether each float64 value is finite, and still is as float32."""
+    return np.abs(values) <= np.finfo(np.float32).max
+
+
 def loses_in_float32(points: np.ndarray) -> bool:
     """Whether float32 would round `[P, 3]` positions by more than a hundred thousandth of the size of the whole."""
     if points.dtype != np.float64:

@@ -11,11 +11,12 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.colmap_model import Model, PosedImage, read_model
 from gsjax.io.image_folders import found_files
-from gsjax.io.lenses import is_float32, pycolmap_camera
+from gsjax.io.lenses import pycolmap_camera
 from gsjax.io.photo_names import local_names, short_name
 from gsjax.io.photos import Capture, Photo
 from gsjax.io.random_points import points_in_view, tell_of_random_points
 from gsjax.scene import Tracks
+from gsjax.similarity import is_float32
 
 
 def read_capture(root: Path, model: Path) -> Capture:

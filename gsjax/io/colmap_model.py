@@ -14,9 +14,10 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io import colmap_binary, colmap_text
 from gsjax.io.colmap_records import ImageRecord
-from gsjax.io.lenses import Lens, check_lens, is_float32
+from gsjax.io.lenses import Lens, check_lens
 from gsjax.io.notices import print_once
 from gsjax.io.ply import read_points
+from gsjax.similarity import is_float32
 
 PLACES = ("sparse/*", "sparse", "colmap/sparse/*", ".")  # Where models are looked for; the first with one is taken.
 _READERS = {".bin": colmap_binary, ".txt": colmap_text}

@@ -11,7 +11,8 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.colmap_records import KEYPOINT, NO_POINT, ImageRecord, camera_models, decode_text, read_bytes
-from gsjax.io.lenses import Lens, is_float32
+from gsjax.io.lenses import Lens
+from gsjax.similarity import is_float32
 
 _POINT = np.dtype([("id", "<i8"), ("xyz", "<f8", 3), ("color", "<f8", 3)])
 _NO_KEYPOINTS = np.empty(0, KEYPOINT)

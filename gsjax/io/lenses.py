@@ -14,6 +14,7 @@ from gsjax.errors import InputError
 from gsjax.io.images import cv2
 from gsjax.io.machine import require_memory
 from gsjax.io.packages import require
+from gsjax.similarity import is_float32
 
 # Models of one focal length: the same model with two, and how many coefficients that one has more, all zero.
 _WITH_TWO_FOCALS = {
@@ -111,11 +112,6 @@ def resize_lens(lens: Lens, width: int, height: int) -> Lens:
     model, zeros = _WITH_TWO_FOCALS[lens.model]
     params = (focal * across, focal * down, cx * across, cy * down, *distortion, *[0.0] * zeros)
     return Lens(model, width, height, params)
-
-
-def is_float32(values: np.ndarray) -> np.ndarray:
-    """Whether each float64 value is finite, and still is as float32."""
-    return np.abs(values) <= np.finfo(np.float32).max
 
 
 def pycolmap_camera(lens: Lens):

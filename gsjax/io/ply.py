@@ -7,7 +7,6 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, rgb_to_sh
 from gsjax.io.files import atomic_path
-from gsjax.io.lenses import is_float32
 from gsjax.io.notices import print_once
 from gsjax.io.ply_elements import (
     filter_comments,
@@ -19,7 +18,7 @@ from gsjax.io.ply_elements import (
     stack_columns,
 )
 from gsjax.mesh import Mesh
-from gsjax.similarity import as_needed, loses_in_float32
+from gsjax.similarity import as_needed, is_float32, loses_in_float32
 
 _MEANS = ["x", "y", "z"]
 _DC = [f"f_dc_{i}" for i in range(3)]

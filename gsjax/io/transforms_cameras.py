@@ -11,7 +11,8 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.images import image_size
-from gsjax.io.lenses import Lens, check_lens, is_float32
+from gsjax.io.lenses import Lens, check_lens
+from gsjax.similarity import is_float32
 
 # For each `camera_model`, in capitals: COLMAP's model and the coefficients that it takes after fx, fy, cx, cy.
 _RADIAL_AND_TANGENTIAL = ("FULL_OPENCV", ("k1", "k2", "p1", "p2", "k3", "", "", ""))

@@ -155,6 +155,8 @@ def test_six_threads_at_once_neither_hang_nor_differ():
 def test_an_interrupt_ends_a_run_of_steps_at_once():
     program = STRESS.replace("threads = [", "work()\nthreads = [").replace('print("ready", flush=True)', "")
     program = program.replace("until =", 'print("ready", flush=True)\nuntil =')
+    # Programs begun by a session in the background ignore the signal.
+    program = f"import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n{program}"
     process = subprocess.Popen([sys.executable, "-c", program, "60"], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
                                text=True, cwd=engines_root())  # fmt: skip
     assert process.stdout.readline().strip() == "ready"
