@@ -137,7 +137,8 @@ def refine(
         return replace(bound, vertices=jnp.asarray(mesh.vertices))
 
     with runs.claim_run(folder):
-        json_files.write(folder / "plan.json", _plan(settings, trained))
+        if resume:  # An earlier version left none.
+            json_files.write(folder / "plan.json", _plan(settings, trained))
         state, capacity, seconds = beginning(folder, initial)
         with _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
             state = refining.refine(

@@ -139,12 +139,13 @@ def _train(
     loaded, downscale, photos_line = at_size(
         scene, settings, planned.steps, known and known["downscale"], similarity=similarity
     )
-    for line in _beginning_lines(planned, settings, photos_line):
-        print(f"train: {line}", file=sys.stderr)
     # Read once, and before the run begins: a damaged photo is found now.
     photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
     loaded = replace(loaded, frames=tuple(map(in_memory, photos)))
     _require_pixels(loaded)
+    # Only now: what the engine needs was compiled meanwhile.
+    for line in _beginning_lines(planned, settings, photos_line):
+        print(f"train: {line}", file=sys.stderr)
     asked = effects_asked(settings, devices)
     looked = look_for_effects(asked, loaded)
     loaded, frames = looked.scene, looked.scene.train_frames
@@ -175,7 +176,8 @@ def _train(
         )
     )
     with runs.claim_run(run):
-        json_files.write(run / "plan.json", planned.record())
+        if known:  # An earlier version left none.
+            json_files.write(run / "plan.json", planned.record())
         runs.update_manifest(run, photos=photos_line)
         if chosen.evidence:
             runs.update_manifest(run, effects=chosen.evidence)
