@@ -2,10 +2,12 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -102,7 +104,7 @@ def environment(folder: Path) -> dict[str, str]:
 
 
 def begun(folder: Path, command: Command, out: str, *more: str, before: tuple[str, ...] = ()) -> subprocess.Popen:
-    """The command, started in a folder with what it reads."""
+    """The command, started in a folder with what it reads; it hears Ctrl-C even where a shell told this one not to."""
     return subprocess.Popen(
         [*before, sys.executable, *command.program, *command.arguments, out, *more],
         cwd=folder,
@@ -111,6 +113,7 @@ def begun(folder: Path, command: Command, out: str, *more: str, before: tuple[st
         stderr=subprocess.PIPE,
         text=True,
         errors="replace",
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
     )
 
 
