@@ -1,5 +1,6 @@
 """PLY files: 3D Gaussians in the layout of the original 3DGS code, coloured points, and coloured triangles."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ _DC = [f"f_dc_{i}" for i in range(3)]
 _SCALES = [f"scale_{i}" for i in range(3)]
 _QUATS = [f"rot_{i}" for i in range(4)]  # w first
 _RGB = ["red", "green", "blue"]
+_RGB_NAMES = [_RGB, [f"diffuse_{name}" for name in _RGB], ["r", "g", "b"]]
 _OF_DISCS = 1e-4  # Of the thinner of a disc's other two deviations: where a file gives it no thickness.
 _SURE = 88.0  # Logit of an opacity that is 0 or 1 in float32; its exponential is still a number.
 
@@ -93,7 +95,7 @@ def read_gaussians(path: str | Path) -> Gaussians:
         stack_columns(vertices, _QUATS),
         _with_thickness(stack_columns(vertices, scales)),
         _finite_logits(stack_columns(vertices, ["opacity"])),
-        np.asarray(rgb_to_sh(_colors(vertices))) if in_rgb else stack_columns(vertices, _DC),
+        np.asarray(rgb_to_sh(_colors(vertices, _RGB))) if in_rgb else stack_columns(vertices, _DC),
         stack_columns(vertices, rest),
     ]
     fine = is_float32(np.concatenate(columns, axis=1)).all(axis=1)
@@ -125,14 +127,22 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(f"{path}: not a PLY of points, it lacks {', '.join(n for n in _MEANS if n not in names)}")
     points = stack_columns(vertices, _MEANS, np.float64)
     colors = np.full(points.shape, 128, np.uint8)
-    if set(_RGB) <= set(names):
-        shares = _colors(vertices)
-        known = np.where(np.isnan(shares), 0.5, np.clip(shares, 0, 1))  # grey where a file tells no number
-        colors = np.rint(255 * known).astype(np.uint8)
+    if (rgb := _color_names(names)) is not None:
+        colors = _in_bytes(_colors(vertices, rgb))
     finite = is_float32(points).all(axis=1)
     if not finite.any():
         raise InputError(f"{path}: no points in it")
     return points[finite], colors[finite]
+
+
+def read_vertex_colors(path: Path) -> np.ndarray | None:
+    """`[V, 3]` uint8 colours of a PLY's vertices, of numbers of any type; None where it has none that are read here."""
+    try:
+        vertices, _ = _read_vertices(path)
+    except InputError:  # Of vertices with lists.
+        return None
+    rgb = _color_names(vertices.dtype.names or ())
+    return None if rgb is None else _in_bytes(_colors(vertices, rgb))
 
 
 def _with_thickness(log_scales: np.ndarray) -> np.ndarray:
@@ -145,12 +155,22 @@ def _with_thickness(log_scales: np.ndarray) -> np.ndarray:
         return np.where(flat, thinnest + np.float32(np.log(_OF_DISCS)), log_scales)
 
 
-def _colors(vertices: np.ndarray) -> np.ndarray:
-    """`[N, 3]` float32 in 0..1: red, green and blue of any type; floats beyond 1 are those of a byte."""
-    colors, kind = stack_columns(vertices, _RGB), vertices.dtype[_RGB[0]]
+def _color_names(names: Sequence[str]) -> list[str] | None:
+    """The columns of red, green and blue, as programs call them; None where there are none."""
+    return next((rgb for rgb in _RGB_NAMES if set(rgb) <= set(names)), None)
+
+
+def _colors(vertices: np.ndarray, rgb: list[str]) -> np.ndarray:
+    """`[N, 3]` float32 in 0..1 of columns of red, green and blue of any type; floats beyond 1 are those of a byte."""
+    colors, kind = stack_columns(vertices, rgb), vertices.dtype[rgb[0]]
     if kind.kind in "iu":
         return colors / np.float32(np.iinfo(kind).max if kind.itemsize < 4 else 255)
     return colors / np.float32(255) if np.nanmax(colors, initial=0) > 1 else colors
+
+
+def _in_bytes(shares: np.ndarray) -> np.ndarray:
+    """The uint8 values of shares of 1; grey where a file tells no number."""
+    return np.rint(255 * np.where(np.isnan(shares), 0.5, np.clip(shares, 0, 1))).astype(np.uint8)
 
 
 def _read_vertices(path: Path) -> tuple[np.ndarray, str]:

@@ -12,6 +12,7 @@ axis lying on its side, and it is still the same numbers as the cameras' and the
 
 import math
 import os
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from gsjax.meshing import glb
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.libraries import load_trimesh
 from gsjax.meshing.part_colors import has_picture, merge_parts, parts_of, picture_of, sample_texture
-from gsjax.similarity import as_needed, loses_in_float32, spread
+from gsjax.similarity import as_needed, is_float32, loses_in_float32, spread
 
 SUFFIXES = (".ply", ".obj", ".glb")
 DIGITS = 9  # Significant ones of a coordinate in text: no float32 is rounded.
@@ -131,7 +132,8 @@ def glb_bytes(path: str | Path) -> bytes:
         glb.mark_unlit(tree)
         glb.shift_meshes(tree, offset)
 
-    return surface.export(file_type="glb", tree_postprocessor=completed)
+    with np.errstate(over="ignore"):  # Of what a file holds beside its triangles.
+        return surface.export(file_type="glb", tree_postprocessor=completed)
 
 
 def supported_suffix(path: Path) -> str:
@@ -201,18 +203,37 @@ def _loaded(path: Path):
         raise InputError(f"{path}: no such mesh file")
     trimesh = load_trimesh()
     try:
-        # Where order is kept, places in the texture that share a vertex of an .obj become one.
-        has_places = path.suffix.lower() == ".obj" and b"\nvt " in path.read_bytes()
-        scene = trimesh.load(path, force="scene", process=False, maintain_order=not has_places)
-        surface = _as_one(path, scene)
-        _triangles(surface)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Of numbers that are none, which are looked for afterwards.
+            # Where order is kept, places in the texture that share a vertex of an .obj become one.
+            has_places = path.suffix.lower() == ".obj" and b"\nvt " in path.read_bytes()
+            if path.suffix.lower() == ".glb" and (unread := glb.unread_part(path.read_bytes())):
+                raise InputError(f"{path}: {unread}")
+            scene = trimesh.load(path, force="scene", process=False, maintain_order=not has_places)
+            surface = _as_one(path, scene)
+            vertices, faces = _triangles(surface)
     except InputError:
         raise
     except Exception as error:  # Readers raise whatever the broken bytes lead to.
         raise InputError(f"{path}: not readable as a mesh ({type(error).__name__}: {error})".splitlines()[0]) from error
-    if not len(surface.faces):
-        raise InputError(f"{path}: holds no triangles")
+    if (fault := _fault(vertices, faces, np.asarray(surface.visual.uv) if has_picture(surface) else None)) is not None:
+        raise InputError(f"{path}: {fault}")
     return surface
+
+
+def _fault(vertices: np.ndarray, faces: np.ndarray, uvs: np.ndarray | None) -> str | None:
+    """What keeps triangles, or their places in a texture, from being drawn; None: nothing."""
+    if not len(faces):
+        return "holds no triangles"
+    if vertices.shape[1:] != (3,):
+        return "its vertices do not have three coordinates"
+    if not 0 <= faces.min() <= faces.max() < len(vertices):
+        return f"a triangle of it has a vertex that is not among its {len(vertices)}"
+    if not (fine := is_float32(vertices).all(axis=1)).all():
+        return f"{(~fine).sum()} of {len(fine)} vertices are not finite"
+    if uvs is not None and (uvs.shape[1] < 2 or not is_float32(uvs).all()):
+        return "places in its texture are no pairs of finite numbers"
+    return None
 
 
 def _as_one(path: Path, scene):
@@ -227,6 +248,8 @@ def _as_one(path: Path, scene):
     (surface,) = parts
     if is_glb and surface.visual.kind == "vertex":
         surface.visual.vertex_colors = _glb_colors(path, surface)
+    if path.suffix.lower() == ".ply" and (colors := ply.read_vertex_colors(path)) is not None:
+        surface.visual.vertex_colors = colors
     return surface
 
 

@@ -16,6 +16,7 @@ from gsjax.similarity import loses_in_float32, of_points
 OWN = "_color"  # What trimesh takes along untouched; it would write colours of its own in 8 bits.
 COMPONENTS = {5121: np.dtype("u1"), 5123: np.dtype("<u2"), 5126: np.dtype("<f4")}
 CHANNELS = {"VEC3": 3, "VEC4": 4}
+HARMLESS = ("KHR_materials_", "EXT_materials_")  # Extensions of materials, without which the triangles are the same.
 
 
 def encode_glb(mesh: Mesh, *, unlit: bool = False) -> bytes:
@@ -62,10 +63,20 @@ def mark_unlit(tree: dict) -> None:
     tree["meshes"][0]["primitives"][0].setdefault("material", 0)
 
 
+def unread_part(content: bytes) -> str | None:
+    """What of a GLB's triangles trimesh would take for zeros: compressed ones, and numbers that are not in the file."""
+    tree = _tree(content)
+    needed = [name for name in tree.get("extensionsRequired", ()) if not name.startswith(HARMLESS)]
+    if needed:
+        return f"needs {', '.join(needed)}, which is not read; save it without"
+    if any("bufferView" not in accessor for accessor in tree.get("accessors", ())):
+        return "promises numbers that are not in it"
+    return None
+
+
 def vertex_colors(content: bytes) -> np.ndarray | None:
     """`[V, 3]` uint8 sRGB of a GLB that is one primitive with vertex colours; None where it is not."""
-    length = int.from_bytes(content[12:16], "little")
-    tree = json.loads(content[20 : 20 + length])
+    length, tree = _length(content), _tree(content)
     primitives = [primitive for mesh in tree["meshes"] for primitive in mesh["primitives"]]
     if len(primitives) != 1 or "COLOR_0" not in primitives[0]["attributes"]:
         return None
@@ -83,6 +94,15 @@ def vertex_colors(content: bytes) -> np.ndarray | None:
     )
     largest = 1 if kind.kind == "f" else np.iinfo(kind).max
     return srgb_bytes(stored[:, :3] / largest)
+
+
+def _length(content: bytes) -> int:
+    """Of the JSON, bytes."""
+    return int.from_bytes(content[12:16], "little")
+
+
+def _tree(content: bytes) -> dict:
+    return json.loads(content[20 : 20 + _length(content)])
 
 
 def srgb_bytes(linear: np.ndarray) -> np.ndarray:

@@ -274,3 +274,53 @@ def test_coloured_materials_of_an_obj_are_its_colours(tmp_path):
     }
     np.testing.assert_array_equal(colors[0.33, 0.33, 0.0], [[204, 26, 51]] * 3)
     np.testing.assert_array_equal(colors[0.67, 0.67, 0.0], [[0, 0, 255]] * 3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "names", "stored"),
+    [
+        ("uchar", ("red", "green", "blue"), (255, 128, 0)),
+        ("float", ("red", "green", "blue"), (1, 0.502, 0)),
+        ("float", ("red", "green", "blue"), (255, 128, 0)),
+        ("ushort", ("red", "green", "blue"), (65535, 32896, 0)),
+        ("uchar", ("diffuse_red", "diffuse_green", "diffuse_blue"), (255, 128, 0)),
+        ("uchar", ("r", "g", "b"), (255, 128, 0)),
+    ],
+)
+def test_colours_of_any_type_and_name_are_read(tmp_path, kind, names, stored):
+    columns = [*(f"float {axis}" for axis in "xyz"), *(f"{kind} {name}" for name in names)]
+    header = ["ply", "format ascii 1.0", "element vertex 3", *(f"property {column}" for column in columns)]
+    header += ["element face 1", "property list uchar int vertex_indices", "end_header"]
+    rows = [f"{place} {' '.join(map(str, stored))}" for place in ("0 0 0", "1 0 0", "0 1 0")]
+    (tmp_path / "m.ply").write_text("\n".join([*header, *rows, "3 0 1 2\n"]))
+    np.testing.assert_array_equal(read_mesh(tmp_path / "m.ply").colors, [[255, 128, 0]] * 3)
+
+
+def _without_view(tree):
+    del tree["accessors"][0]["bufferView"]
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        (lambda tree: tree.update(extensionsRequired=["KHR_draco_mesh_compression"]), "needs KHR_draco"),
+        (lambda tree: tree.update(extensionsRequired=["EXT_meshopt_compression"]), "needs EXT_meshopt"),
+        (lambda tree: tree.update(extensionsRequired=["KHR_materials_unlit"]), None),
+        (_without_view, "promises numbers"),
+    ],
+)
+def test_a_glb_whose_triangles_are_not_in_it_is_refused(tmp_path, mesh, change, fault):
+    write_mesh(tmp_path / "m.glb", mesh)
+    content = (tmp_path / "m.glb").read_bytes()
+    length = struct.unpack("<I", content[12:16])[0]
+    tree = json.loads(content[20 : 20 + length])
+    change(tree)
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    parts = struct.pack("<I4s", len(text), b"JSON") + text + content[20 + length :]
+    (tmp_path / "m.glb").write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(parts)) + parts)
+    if fault is None:
+        np.testing.assert_array_equal(read_mesh(tmp_path / "m.glb").faces, mesh.faces)
+    else:
+        with pytest.raises(InputError, match=fault):
+            read_mesh(tmp_path / "m.glb")
