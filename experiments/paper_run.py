@@ -1,4 +1,4 @@
-"""What does one run of the paper's protocol reach on one scene? Trains, scores, meshes, refines, scores, draws.
+"""What does one run of the paper's protocol reach on one scene? Trains, meshes, textures, draws, refines and scores.
 
     python experiments/paper_run.py SCENE DATA OUT [--schedule NAME] [--seed N]
 
@@ -85,7 +85,7 @@ def run(
         scene: A name of `SCENES`.
         data: Its folder.
         out: Folder of the run: `run/`, `run/mesh.ply`, `refined/`, `before.ply` (the Gaussians as the phase with
-            the regulariser found them), `sheet.png`, `result.json`.
+            the regulariser found them), `textured.glb`, `sheet.png`, `result.json`.
         schedule: A name of `SCHEDULES`.
         seed: Of training and refinement.
         assignments: key=value of the training.
@@ -111,7 +111,7 @@ def run(
 
 def _stage_names(wishes: Mapping[str, Any]) -> tuple[str, ...]:
     before = ("train", "coarse", "mesh")
-    return (*before, "sheet", "refine", "refined") if wishes["refinement"] else before
+    return (*before, "texture", "sheet", "refine", "refined") if wishes["refinement"] else before
 
 
 def _stages(
@@ -128,6 +128,7 @@ def _stages(
         "coarse": lambda: _scores(trained, lpips),
         # The paper's mesh does not settle.
         "mesh": lambda: pipeline.mesh(trained, trained / "mesh.ply", settled=False, **wishes["mesh"]),
+        "texture": lambda: pipeline.texture(trained, trained / "mesh.ply", out / "textured.glb"),
         "sheet": lambda: draw_sheet(out, str(regulariser)),
         "refine": lambda: pipeline.refine(
             trained, refined, config.parse(Refinement, wishes["refinement"]), resume=_goes_on(refined)

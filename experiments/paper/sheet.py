@@ -1,4 +1,4 @@
-"""The contact sheet of a run: photo and render, normals before and after the regulariser and of the prior, meshes."""
+"""The contact sheet of a run: photo, render, normals before and after the regulariser and of the prior, meshes."""
 
 from pathlib import Path
 
@@ -8,7 +8,8 @@ from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.io.normal_maps import map_places
 from gsjax.io.ply import read_gaussians
-from gsjax.meshing import read_mesh
+from gsjax.meshing import read_mesh, read_textured
+from gsjax.meshing.pictures import texture_colors
 from gsjax.render import gallery
 from gsjax.report.panels import draw_panels
 from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
@@ -17,7 +18,7 @@ from gsjax.runs.result import Result, open_result, scene_of_run
 
 
 def draw_sheet(out: Path, regulariser: str = "R") -> list[str]:
-    """Draws OUT/sheet.png of a run whose mesh is there, and tells the titles of its panels, which name the regulariser.
+    """Draws OUT/sheet.png of a run that has its meshes, and tells the titles of its panels, which name the regulariser.
 
     The view is the first that was trained on: held-out views have no prior. What the run does not have (its prior, the
     mesh of a `vanilla` run of the same seed beside it) has no panel.
@@ -38,6 +39,9 @@ def draw_sheet(out: Path, regulariser: str = "R") -> list[str]:
     if prior.exists():
         panels["normals of the prior"] = normal_picture(read_map(prior, frame).astype(np.float32) / 127)
     panels[f"mesh with {regulariser}"] = mesh_picture(read_mesh(run / "mesh.ply"), camera)
+    textured = read_textured(out / "textured.glb")
+    assert textured is not None, "it was painted"
+    panels["textured mesh"] = mesh_picture(textured.mesh, camera, texture_colors(textured))
     plain = out.with_name(f"vanilla_{out.name.rpartition('_')[2]}") / "run" / "mesh.ply"
     if plain.exists():
         panels[f"mesh without {regulariser}"] = mesh_picture(read_mesh(plain), camera)

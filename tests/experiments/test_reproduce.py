@@ -268,7 +268,7 @@ def test_stages_are_done_once_and_go_on_after_the_one_that_failed(scripts, monke
         done.append(name)
         return {"psnr": 30.0}
 
-    names = ("train", "coarse", "mesh", "sheet", "refine", "refined")
+    names = ("train", "coarse", "mesh", "texture", "sheet", "refine", "refined")
     monkeypatch.setattr(paper_run, "_stages", lambda *_: {name: partial(stage, name) for name in names})
     once = partial(paper_run.run, "room", tmp_path, tmp_path / "out", schedule="paper_6k_15k", seed=0)
     with pytest.raises(InputError, match="nothing to mesh"):
@@ -307,7 +307,9 @@ def test_a_sheet_shows_what_the_run_has(scripts, monkeypatch, tmp_path, has_all)
     monkeypatch.setattr(sheet, "_drawn", lambda result, gaussians, camera: SimpleNamespace(colors=picture, depth=0))
     monkeypatch.setattr(sheet, "surface_picture", lambda depth, camera: picture)
     monkeypatch.setattr(sheet, "read_mesh", lambda file: file.relative_to(tmp_path))
-    monkeypatch.setattr(sheet, "mesh_picture", lambda mesh, camera: f"{mesh} from {camera}")
+    monkeypatch.setattr(sheet, "read_textured", lambda file: SimpleNamespace(mesh=file.relative_to(tmp_path)))
+    monkeypatch.setattr(sheet, "texture_colors", lambda textured: "painted")
+    monkeypatch.setattr(sheet, "mesh_picture", lambda mesh, camera, *how: f"{mesh} from {camera}, {how or 'grey'}")
     monkeypatch.setattr(sheet, "read_map", lambda file, frame: picture)
     monkeypatch.setattr(sheet, "read_gaussians", lambda file: 0)
     monkeypatch.setattr(sheet, "draw_panels", lambda panels, path, columns: drawn.update(panels))
@@ -317,10 +319,12 @@ def test_a_sheet_shows_what_the_run_has(scripts, monkeypatch, tmp_path, has_all)
             file.parent.mkdir(parents=True, exist_ok=True)
             file.touch()
     own = ["normals before R", "normals of the prior", "mesh without R"] if has_all else []
-    always = {"photo, b.png", "render", "normals after R", "mesh with R"}
+    always = {"photo, b.png", "render", "normals after R", "mesh with R", "textured mesh"}
     assert set(sheet.draw_sheet(out)) == set(drawn) == always | set(own)
-    assert drawn["mesh with R"] == "paper_6k_15k_3/run/mesh.ply from B", "the view is one that was trained on"
-    assert not has_all or drawn["mesh without R"] == "vanilla_3/run/mesh.ply from B"
+    grey = "paper_6k_15k_3/run/mesh.ply from B, grey"
+    assert drawn["mesh with R"] == grey, "the view is one that was trained on"
+    assert drawn["textured mesh"] == "paper_6k_15k_3/textured.glb from B, ('painted',)"
+    assert not has_all or drawn["mesh without R"] == "vanilla_3/run/mesh.ply from B, grey"
 
 
 # Tables

@@ -58,6 +58,16 @@ def test_without_side_walls_x_cannot_be_told():
     assert axes_verdict(np.zeros((7, 2), int)).count(",") == 6, "nothing to tell by"
 
 
+def test_of_mirrorings_that_serve_about_as_well_the_one_with_fewer_signs_is_named():
+    votes = np.zeros((7, 2), int)
+    two, one = (OTHER_SIGNS.tolist().index(signs) for signs in ([1, -1, -1], [-1, 1, 1]))
+    assert two < one
+    votes[two, 1], votes[one, 1] = 1000, 950
+    assert axes_verdict(votes).startswith("doubtful: mirrored by -x+y+z 950 of the 950 ")
+    votes[one, 1] = 890
+    assert axes_verdict(votes).startswith("doubtful: mirrored by +x-y-z 1,000 of the 1,000 ")
+
+
 def test_few_side_walls_are_enough_for_the_comparison_with_depth():
     """Walls at the side on 4 percent of the view: of a plain sample of the pixels they are nearly nothing."""
     reference = corridor(walls=False)
