@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gsjax.errors import InputError
 from gsjax.similarity import IDENTITY, Similarity
 
 
@@ -121,6 +122,25 @@ class Scene:
     def held_out_frames(self) -> tuple[Frame, ...]:
         """Frames kept for scoring."""
         return tuple(f for f in self.frames if f.held_out)
+
+
+def tracks_by_name(scene: Scene) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Photo's name -> `[O]` int64 indices of the points matched in it, and `[O, 2]` float64 rays (`Tracks`).
+
+    Raises:
+        InputError: The tracks cannot be read, or name points that the scene does not have.
+    """
+    if scene.tracks is None:
+        return {}
+    tracks = scene.tracks()
+    if len(tracks.point) and tracks.point.max() >= len(scene.points):
+        raise InputError(f"{scene.root}: its tracks name points that it does not have")
+    rows = [np.flatnonzero(tracks.photo == index) for index in range(len(tracks.names))]
+    return {
+        name: (tracks.point[row].astype(np.int64), tracks.rays[row].astype(np.float64))
+        for name, row in zip(tracks.names, rows, strict=True)
+        if len(row)
+    }
 
 
 def extent(frames: tuple[Frame, ...]) -> float:

@@ -15,15 +15,16 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         description="""
             Runs a monocular network on every photo as training sees it (undistorted) and writes a map
             a photo into DIR, for `gsjax train SCENE --normals NETWORK`. What the same weights have made
-            before is kept, so a stopped run goes on. No weights come with gsjax: docs/normals.md says
+            before is kept, so a stopped run goes on. Depth of a network for depth is fitted to the tracks of
+            structure from motion, and its normals are taken. No weights come with gsjax: docs/normals.md says
             where each network's are, under which licence, and how a record describes another network.
         """,
         example="gsjax normals scenes/garden --network moge2 --weights moge-2-vitb-normal.onnx",
     )
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")
-    add("--network", metavar="NAME", required=True, help="moge2, metric3d, omnidata, dsine, or a JSON file that"
-        " describes another one")  # fmt: skip
+    add("--network", metavar="NAME", required=True, help="moge2, metric3d, omnidata, dsine; for depth midas,"
+        " depth_anything_v2; or a JSON file that describes another one")  # fmt: skip
     add("--weights", metavar="FILE", required=True, help="the network as an ONNX file")
     add("--out", metavar="DIR", help="folder of the maps (default: SCENE/normals_NETWORK)")
     add("--downscale", type=finite, metavar="K", help="make the maps K times smaller than the photos (default: to 1600"

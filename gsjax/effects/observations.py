@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from gsjax.errors import InputError
-from gsjax.scene import Frame, Scene
+from gsjax.scene import Frame, Scene, tracks_by_name
 
 BLUR = 0.7  # pixels, standard deviation: wider windows mix what lies behind an edge into it, more so in small photos
 DARKEST, BRIGHTEST = 12, 243  # Beyond, a pixel is clipped or nearly so, and tells no ratio:
@@ -78,7 +77,7 @@ def observe(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fram
     Raises:
         InputError: A photo cannot be read.
     """
-    by_name = _tracks_by_name(scene)
+    by_name = tracks_by_name(scene)
     chosen = _chosen(len(scene.points), max(MOST_POINTS, POINTS_PER_PHOTO * len(scene.frames)))
     losses: dict[tuple, float] = {}
     facts, parts = [], []
@@ -94,20 +93,6 @@ def observe(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fram
     return Observations(
         scene.frames, tuple(facts), scene.points.astype(np.float64), photo, point, pixels, colors, bool(len(photo))
     )
-
-
-def _tracks_by_name(scene: Scene) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    if scene.tracks is None:
-        return {}
-    tracks = scene.tracks()
-    if len(tracks.point) and tracks.point.max() >= len(scene.points):
-        raise InputError(f"{scene.root}: its tracks name points that it does not have")
-    rows = [np.flatnonzero(tracks.photo == index) for index in range(len(tracks.names))]
-    return {
-        name: (tracks.point[row].astype(np.int64), tracks.rays[row].astype(np.float64))
-        for name, row in zip(tracks.names, rows, strict=True)
-        if len(row)
-    }
 
 
 def _chosen(count: int, most: int) -> np.ndarray:

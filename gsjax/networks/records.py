@@ -1,4 +1,4 @@
-"""Networks that see normals in a single photo: what each is fed and what it gives back, as data."""
+"""Networks that see normals or depth in a single photo: what each is fed and what it gives back, as data."""
 
 import math
 from collections.abc import Mapping
@@ -56,15 +56,12 @@ class Confidence:
     place: int | None = None  # as in `Output`
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Network:
-    """One network's contract: photo in, normals out. Where a record is silent, the defaults below hold."""
+    """What a network is fed; where a record is silent, the defaults hold. The kinds of networks add what they give."""
 
     licence: str  # one line, shown at every run
     size: Size
-    normals: Output
-    axes: str  # of its normals: three signs such as +x-y-z, or a name of `gsjax.normals.axes.NAMED_AXES`
-    range: Literal["signed", "unit"]  # components in -1..1; or in 0..1 and decoded as 2v - 1
     white: float = 1.0  # what a white pixel is before `mean` and `std`: 1 or 255
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)  # RGB, subtracted
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)  # RGB, divided by
@@ -72,20 +69,41 @@ class Network:
     picture: str | None = None  # the input for the photo; None, or none of that name: the first of a picture's shape
     extra: Mapping[str, Literal["tokens", "intrinsics"]] = field(default_factory=dict)  # further inputs, if it has them
     pixel_center: float = 0.5  # intrinsics: where the first pixel's centre is in the K that it wants, 0.5 or 0
-    confidence: Confidence | None = None
 
     def __post_init__(self):
         """Check values that types cannot."""
-        axis_signs(self.axes)
         if min(self.std) <= 0 or self.white <= 0:
             raise ValueError(f"white={self.white} and std={self.std} must be positive")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NormalNetwork(Network):
+    """A network that gives normals."""
+
+    normals: Output
+    axes: str  # of its normals: three signs such as +x-y-z, or a name of `gsjax.normals.axes.NAMED_AXES`
+    range: Literal["signed", "unit"]  # components in -1..1; or in 0..1 and decoded as 2v - 1
+    confidence: Confidence | None = None
+
+    def __post_init__(self):
+        """Check the axes besides."""
+        super().__post_init__()
+        axis_signs(self.axes)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DepthNetwork(Network):
+    """A network that gives depth up to a scale and a shift, which the tracks of structure from motion settle."""
+
+    kind: Literal["disparity", "depth"]  # one over the camera z, or the camera z
+    depth: Output
 
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 RESEARCH_ONLY = "weights for research, not for commercial use"
 
-NETWORKS: dict[str, Network] = {
-    "moge2": Network(
+NETWORKS: dict[str, NormalNetwork] = {
+    "moge2": NormalNetwork(
         licence="MoGe-2: MIT, its DINOv2 part Apache-2.0",
         size=Size("tokens", fit="stretch", multiple=14, tokens=1800),
         normals=Output(("normal",), 1),
@@ -95,7 +113,7 @@ NETWORKS: dict[str, Network] = {
         extra={"num_tokens": "tokens"},
         confidence=Confidence(("mask",), "probability", 0.5, 2),
     ),
-    "metric3d": Network(
+    "metric3d": NormalNetwork(
         licence="Metric3D v2: code BSD-2-Clause, ONNX files tagged CC0; its authors ask commercial users to write",
         size=Size("multiple", multiple=28, longest=1064, border=(124, 116, 104)),
         normals=Output(("predicted_normal",), 1),
@@ -105,14 +123,14 @@ NETWORKS: dict[str, Network] = {
         picture="pixel_values",
         confidence=Confidence(("normal_confidence",), "kappa", 45.0, 2),
     ),
-    "omnidata": Network(
+    "omnidata": NormalNetwork(
         licence=f"Omnidata v2: {RESEARCH_ONLY}",
         size=Size("fixed", sides=(384, 384), border="reflect"),
         normals=Output((), 0),
         axes="opencv",
         range="unit",
     ),
-    "dsine": Network(
+    "dsine": NormalNetwork(
         licence=f"DSINE: Imperial College London, {RESEARCH_ONLY}, no redistribution",
         size=Size("multiple", multiple=32),
         normals=Output(("normal",), -1),
@@ -124,7 +142,25 @@ NETWORKS: dict[str, Network] = {
         pixel_center=0.0,
     ),
 }
-"""The networks that are known by name; any other has a record of its own."""
+"""The networks for normals that are known by name; any other has a record of its own."""
+
+DEPTH_NETWORKS: dict[str, DepthNetwork] = {
+    "midas": DepthNetwork(
+        licence="MiDaS: MIT",
+        size=Size("multiple", fit="stretch", multiple=32, longest=384),
+        kind="disparity",
+        depth=Output((), 0),
+    ),
+    "depth_anything_v2": DepthNetwork(
+        licence="Depth Anything V2: the small model Apache-2.0, the others CC BY-NC 4.0 (not for commercial use)",
+        size=Size("multiple", fit="stretch", multiple=14, longest=686),
+        mean=IMAGENET_MEAN,
+        std=IMAGENET_STD,
+        kind="disparity",
+        depth=Output(("predicted_depth", "depth"), 0),
+    ),
+}
+"""The networks for depth that are known by name."""
 
 
 class CanvasFit(NamedTuple):
@@ -187,7 +223,7 @@ def normalize_picture(network: Network, picture: np.ndarray) -> np.ndarray:
     return (picture.astype(np.float32) * np.float32(network.white / 255) - mean) / std
 
 
-def decode_normals(network: Network, raw: np.ndarray) -> np.ndarray:
+def decode_normals(network: NormalNetwork, raw: np.ndarray) -> np.ndarray:
     """The network's `[H, W, 3]` float32 as unit normals in our axes (x right, y down, z forward); a zero stays one."""
     directions = 2 * np.clip(raw, 0, 1) - 1 if network.range == "unit" else raw
     length = np.linalg.norm(directions, axis=-1, keepdims=True)

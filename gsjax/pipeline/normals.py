@@ -1,7 +1,7 @@
 """Normal maps for a data set's photos, from a network that the user has as an ONNX file."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +14,17 @@ from gsjax.io import json_files, normal_folders
 from gsjax.io.files import folder_if_used
 from gsjax.io.normal_maps import map_places
 from gsjax.io.scenes import load_scene
-from gsjax.networks.estimator import Estimator
-from gsjax.networks.records import NETWORKS, Network
+from gsjax.networks.depth_estimator import DepthEstimator
+from gsjax.networks.depth_normals import DepthNormals
+from gsjax.networks.estimator import NormalEstimator
+from gsjax.networks.records import DEPTH_NETWORKS, NETWORKS, DepthNetwork, NormalNetwork
 from gsjax.normals.axes import axes_verdict, facing_votes
+from gsjax.normals.fitted_depth import DepthFit
 from gsjax.planning.sizes import chosen_downscale
-from gsjax.scene import Frame
+from gsjax.scene import Frame, Scene
 from gsjax.settings import Settings
+
+SHOWN = 5  # rejected photos that a report names
 
 
 def normals(
@@ -33,11 +38,13 @@ def normals(
 ) -> dict[str, Any]:
     """Estimate a normal map for every photo; those that the same model made before are kept.
 
-    The network sees the frames as training does, undistorted, one at a time. Maps have the frames' size.
+    The network sees the frames as training does, undistorted, one at a time. Maps have the frames' size. What a network
+    for depth sees is fitted to the tracks of every photo first; where that fails, its map is zero.
 
     Args:
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
-        network: A name of `gsjax.networks.records.NETWORKS`, or a JSON file with a record of one's own.
+        network: A name of `gsjax.networks.records.NETWORKS` or `DEPTH_NETWORKS`, or a JSON file with a record of one's
+            own.
         weights: The network as an ONNX file.
         out: Folder of the maps, see `gsjax.io.normal_folders`. None: `normals_NETWORK` in the data set, where NETWORK
             is the name, or the file's without its suffix.
@@ -47,7 +54,8 @@ def normals(
 
     Returns:
         `maps`, and `made`: how many there are, and how many of them are new; `known`: mean share of pixels that have a
-        normal; `axes`: what the maps themselves say for the record's axes; `provider`: what the network ran on, as
+        normal; `axes`: what the maps themselves say for the record's axes, or of a network for depth `fit`: how well it
+        fits the tracks, and `rejected`: the photos where it does not, and why; `provider`: what the network ran on, as
         onnxruntime calls it; `seconds_per_map` (None where nothing was new); `licence`; `folder`.
 
     Raises:
@@ -55,8 +63,11 @@ def normals(
             stay, and the next run goes on with the rest.
     """
     name, record = read_network(network)
-    estimator = Estimator(record, weights)
-    frames, downscale = _frames(scene, downscale, images)
+    is_depth = isinstance(record, DepthNetwork)
+    estimator = DepthEstimator(record, weights) if is_depth else NormalEstimator(record, weights)
+    taken, downscale = _sized(scene, downscale, images)
+    frames = taken.frames
+    estimate = DepthNormals(estimator, taken) if isinstance(estimator, DepthEstimator) else _unfitted(estimator)
     folder = Path(scene) / f"{normal_folders.PREFIX}{name}" if out is None else Path(out)
     made_by = {
         "network": name,
@@ -71,16 +82,20 @@ def normals(
         began = time.perf_counter()
         places = map_places(frames)
         for frame in tqdm(missing, desc=f"{name} on {estimator.graph.device}", unit="photo", leave=bool(missing)):
-            found = estimator(frame)
+            found, fit = estimate(frame)
             file = Path(f"{places[frame.name]}.npz")
-            normal_folders.add(folder, manifest, frame.name, file, found, _about(frame, found))
+            normal_folders.add(folder, manifest, frame.name, file, found, _about(frame, found, fit))
         seconds = time.perf_counter() - began
     maps = [manifest["maps"][frame.name] for frame in frames]
     return {
         "maps": len(maps),
         "made": len(missing),
         "known": float(np.mean([one["known"] for one in maps])),
-        "axes": axes_verdict(np.sum([one["votes"] for one in maps], axis=0)),
+        **(
+            _fits(manifest["maps"], frames)
+            if is_depth
+            else {"axes": axes_verdict(np.sum([one["votes"] for one in maps], axis=0))}
+        ),
         "provider": estimator.graph.provider,
         "seconds_per_map": seconds / len(missing) if missing else None,
         "licence": record.licence,
@@ -88,30 +103,36 @@ def normals(
     }
 
 
-def read_network(network: str | Path) -> tuple[str, Network]:
+def read_network(network: str | Path) -> tuple[str, NormalNetwork | DepthNetwork]:
     """A network's name and record.
 
     Raises:
         InputError: It is neither a known name nor a file, or the file is no such record; names the key.
     """
-    if str(network) in NETWORKS:
-        return str(network), NETWORKS[str(network)]
+    known = {**NETWORKS, **DEPTH_NETWORKS}
+    if str(network) in known:
+        return str(network), known[str(network)]
     file = Path(network)
     if not file.is_file():
-        known = ", ".join(NETWORKS)
-        raise InputError(f"--network {network}: neither a known network ({known}) nor a file that describes one")
+        raise InputError(
+            f"--network {network}: neither a known network ({', '.join(known)}) nor a file that describes one"
+        )
     data = json_files.read(file)
     if not isinstance(data, Mapping):
         raise InputError(f"{file}: holds no table of keys that describes a network")
-    return file.stem, config.parse(Network, data, where=str(file))
+    return file.stem, config.parse(DepthNetwork if "kind" in data else NormalNetwork, data, where=str(file))
 
 
-def _frames(scene: str | Path, downscale: float | None, images: str | None) -> tuple[tuple[Frame, ...], float]:
-    """The frames at the size of their maps, and how many times smaller than the photos that is."""
-    taken = load_scene(scene, images=images).frames
+def _sized(scene: str | Path, downscale: float | None, images: str | None) -> tuple[Scene, float]:
+    """The data set with frames of the size of their maps, and how many times smaller than the photos that is."""
+    taken = load_scene(scene, images=images)
     # Not asking jax for its device: a GPU's memory is the network's here.
-    factor = chosen_downscale(Settings(downscale=downscale), taken, on_cpu=False)
-    return (taken if factor == 1 else load_scene(scene, downscale=factor, images=images).frames), factor
+    factor = chosen_downscale(Settings(downscale=downscale), taken.frames, on_cpu=False)
+    return (taken if factor == 1 else load_scene(scene, downscale=factor, images=images)), factor
+
+
+def _unfitted(estimator: NormalEstimator) -> Callable[[Frame], tuple[np.ndarray, None]]:
+    return lambda frame: (estimator(frame), None)
 
 
 def _missing(folder: Path, manifest: Mapping[str, Any], frames: tuple[Frame, ...]) -> list[Frame]:
@@ -129,10 +150,27 @@ def _missing(folder: Path, manifest: Mapping[str, Any], frames: tuple[Frame, ...
     return missing
 
 
-def _about(frame: Frame, found: np.ndarray) -> dict[str, Any]:
+def _about(frame: Frame, found: np.ndarray, fit: DepthFit | None) -> dict[str, Any]:
     """What the manifest holds of a map."""
-    known = round(float(np.any(found, axis=-1).mean()), 4)
-    return {"camera": _camera(frame), "known": known, "votes": facing_votes(found, frame.K).tolist()}
+    about = {"camera": _camera(frame), "known": round(float(np.any(found, axis=-1).mean()), 4)}
+    if fit is None:
+        return about | {"votes": facing_votes(found, frame.K).tolist()}
+    # JSON has no infinity: the error of a photo without points.
+    numbers = {name: value for name, value in fit._asdict().items() if np.isfinite(value)}
+    return about | {"fit": numbers, "rejected": fit.fault}
+
+
+def _fits(maps: Mapping[str, Any], frames: tuple[Frame, ...]) -> dict[str, str]:
+    """How well a network for depth fits the tracks, and which photos it does not fit."""
+    rejected = [(frame.name, why) for frame in frames if (why := maps[frame.name]["rejected"])]
+    fits = [maps[frame.name]["fit"] for frame in frames if not maps[frame.name]["rejected"]]
+    told = "none"
+    if fits:
+        error, explained = (np.median([fit[name] for fit in fits]) for name in ("error", "explained"))
+        told = f"{100 * error:.1f} % off the tracks' depth, explains {explained:.2f} of it (medians)"
+    named = "; ".join(f"{name} ({why})" for name, why in rejected[:SHOWN])
+    more = f"; and {len(rejected) - SHOWN} more" if len(rejected) > SHOWN else ""
+    return {"fit": told, "rejected": f"{len(rejected)} of {len(frames)}" + (f": {named}{more}" if rejected else "")}
 
 
 def _camera(frame: Frame) -> list[float]:

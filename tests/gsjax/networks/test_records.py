@@ -8,9 +8,11 @@ from scipy.integrate import quad
 
 from gsjax import config
 from gsjax.networks.records import (
+    DEPTH_NETWORKS,
     NETWORKS,
     Confidence,
-    Network,
+    DepthNetwork,
+    NormalNetwork,
     Size,
     canvas_fit,
     decode_normals,
@@ -101,8 +103,9 @@ def test_colours_and_normals_in_closed_form():
 def test_the_page_shows_a_record_to_copy_every_network_and_every_key():
     page = (Path(__file__).parents[3] / "docs/normals.md").read_text()
     (shown,) = (json.loads(block) for block in re.findall(r"```json\n(.*?)```", page, re.DOTALL))
-    assert config.parse(Network, shown, where="page") == NETWORKS["moge2"]
+    assert config.parse(NormalNetwork, shown, where="page") == NETWORKS["moge2"]
     assert all(f"| `{name}` |" in page for name in NETWORKS)
-    for cls in (Network, Size, Confidence):
+    assert all(f"| `{name}` (depth) |" in page for name in DEPTH_NETWORKS)
+    for cls in (NormalNetwork, DepthNetwork, Size, Confidence):
         for key in cls.__dataclass_fields__:
             assert f"`{key}`" in page, key

@@ -1,0 +1,83 @@
+"""Normals of frames from a depth network, whose scale and shift a photo the tracks of structure from motion settle."""
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import jax.numpy as jnp
+import numpy as np
+
+from gsjax.cameras import Camera
+from gsjax.errors import InputError
+from gsjax.io.normal_maps import resize_normals
+from gsjax.networks.depth_estimator import DepthEstimator, SeenDepth
+from gsjax.normals.fitted_depth import DepthFit, fit_depth, fitted_depth, normals_of_depth, surface
+from gsjax.normals.from_depth import chosen_reduction
+from gsjax.scene import Frame, Scene, tracks_by_name
+
+VIEWS_FOR_NOISE = 4  # whose fitted depth says how wide the windows of the normals are
+
+
+class DepthNormals:
+    """Makes the normals of a data set's frames, one after the other."""
+
+    def __init__(self, estimator: DepthEstimator, scene: Scene):
+        """Reads the tracks.
+
+        Raises:
+            InputError: The data set has none.
+        """
+        self.estimator, self.frames, self.points = estimator, scene.frames, scene.points
+        self.tracks = tracks_by_name(scene)
+        if not self.tracks:
+            raise InputError(
+                f"{scene.root}: has no tracks of structure from motion, which tell scale and shift of a depth network"
+            )
+
+    def __call__(self, frame: Frame) -> tuple[np.ndarray, DepthFit]:
+        """`[H, W, 3]` float32 normals of the frame's size, and the fit; all zero where that has a fault.
+
+        A pixel is zero where the photo shows nothing that counts, where the depth has an edge, and where no plane fits.
+
+        Raises:
+            InputError: The photo cannot be read, or the graph does not serve it.
+        """
+        seen, fit = self._fitted(frame)
+        if fit.fault is not None:
+            return np.zeros((frame.height, frame.width, 3), np.float32), fit
+        normals = normals_of_depth(self._depth(seen, fit), _camera(frame, seen), self.reduction)
+        return resize_normals(normals, frame.width, frame.height), fit
+
+    @cached_property
+    def reduction(self) -> int:
+        """The windows of the normals: as wide as the noise of some photos asks for, see `chosen_reduction`."""
+        views = []
+        for frame in _spread(self.frames):
+            seen, fit = self._fitted(frame)
+            if fit.fault is None and len(views) < VIEWS_FOR_NOISE:
+                depth, camera = jnp.asarray(self._depth(seen, fit)), _camera(frame, seen)
+                views.append((depth, surface(depth, camera), camera))
+        return chosen_reduction(views)
+
+    def _fitted(self, frame: Frame) -> tuple[SeenDepth, DepthFit]:
+        seen = self.estimator(frame)
+        points, rays = self.tracks.get(frame.name, (np.zeros(0, np.int64), np.zeros((0, 2))))
+        depths = self.points[points] @ frame.viewmat[2, :3] + frame.viewmat[2, 3]
+        height, width = seen.values.shape
+        x, y = np.floor(rays * seen.K[[0, 1], [0, 1]] + seen.K[:2, 2]).astype(int).T
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (depths > 0)
+        inside[inside] &= seen.known[y[inside], x[inside]]
+        return seen, fit_depth(seen.values[y[inside], x[inside]], depths[inside], self.estimator.network.kind)
+
+    def _depth(self, seen: SeenDepth, fit: DepthFit) -> np.ndarray:
+        return fitted_depth(seen.values, fit, self.estimator.network.kind) * seen.known
+
+
+def _camera(frame: Frame, seen: SeenDepth) -> Camera:
+    height, width = seen.values.shape
+    return Camera(jnp.asarray(frame.viewmat), jnp.asarray(seen.K), width, height)
+
+
+def _spread(frames: Sequence[Frame]) -> list[Frame]:
+    """Twice `VIEWS_FOR_NOISE` frames, evenly spread: the fit of some may fail."""
+    places = np.linspace(0, len(frames) - 1, min(2 * VIEWS_FOR_NOISE, len(frames)))
+    return [frames[int(place)] for place in places.round()]
