@@ -1,10 +1,11 @@
 """Does anything break it? Stops, full disks, damaged files, other worlds, large files: each tried and counted.
 
-    python experiments/robustness.py --out DIR [PART ...] [--minutes M]
+    python experiments/robustness.py --out DIR [PART ...] [--only WORD ...] [--minutes M]
 
 Commands run on built-in scenes of a few photos. They are stopped at random moments by SIGKILL, SIGTERM and SIGINT and
 called again; their disk is full before they are done; readers meet damaged files, those of their own tests. Prints the
-tables of docs/robustness.md. Called again it goes on after what is done; with --minutes it begins nothing after them.
+tables of docs/robustness.md. Called again it goes on after what is done; with --minutes it begins nothing after them,
+with --only no row that has none of the words in its name.
 Disks need Linux and its user namespaces. All parts take an hour or more on 2 cores.
 """
 
@@ -12,18 +13,23 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from breaking import PARTS, Part
 
 
-def measured(part: Part, file: Path, folder: Path, until: float) -> dict[str, list[str]]:
-    """The whole rows of a part: those of a file, and what is measured until a moment, which the file keeps."""
+def measured(part: Part, file: Path, folder: Path, until: float, only: Sequence[str] = ("",)) -> dict[str, list[str]]:
+    """The whole rows of a part: those of a file, and what is measured until a moment, which the file keeps.
+
+    Only rows are measured that have one of the words `only` in their names.
+    """
     kept: dict[str, list[list[str]]] = json.loads(file.read_text()) if file.exists() else {}
     rows = part.rows(folder)
     for tried, measurements in rows.items():
         done = kept.setdefault(tried, [])
-        for measure in measurements[len(done) :]:
+        wanted = any(word in tried for word in only)
+        for measure in measurements[len(done) :] if wanted else ():
             if time.monotonic() > until:
                 break
             done.append(measure())
@@ -44,6 +50,7 @@ def main() -> None:
     parser.add_argument("parts", metavar="PART", nargs="*", help=f"of {', '.join(PARTS)}; all where none is named")
     parser.add_argument("--out", type=Path, required=True, help="folder to work in")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no row after so many")
+    parser.add_argument("--only", metavar="WORD", nargs="+", default=[""], help="measure rows with a word in the name")
     given = parser.parse_args()
     unknown = [name for name in given.parts if name not in PARTS]
     if unknown:
@@ -52,7 +59,7 @@ def main() -> None:
     folder = given.out.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     for name in given.parts or PARTS:
-        print(table(PARTS[name], measured(PARTS[name], folder / f"{name}.json", folder, until)), flush=True)
+        print(table(PARTS[name], measured(PARTS[name], folder / f"{name}.json", folder, until, given.only)), flush=True)
 
 
 if __name__ == "__main__":

@@ -67,6 +67,9 @@ COMMANDS = {
     "turntable": Command(("turntable", "mesh.ply", "--frames", "4", "--out"), "turns.gif", needs=("mesh",)),
     "convert": Command(("convert", "run"), "gaussians.spz", needs=("train",)),
     "undistort": Command(("undistort", "scene", "--out"), "pinhole", ("images/*", "sparse/0/*", "hold_out.txt")),
+    "normals": Command(
+        ("normals", "scene", "--network", "net.json", "--weights", "net.onnx", "--out"), "maps", ("*.npz",)
+    ),
     "diagnose": Command(("diagnose", "scene", "--json"), "diagnosis.json"),
     "demo": Command(("demo",), "demo", ("*/gaussians.ply", "*/mesh.ply", "comparison.png"), program=("-c", DEMO)),
     "view": Command(("view", "--port", "0"), "run", (), ("train",), NEVER),
@@ -74,13 +77,19 @@ COMMANDS = {
 COMPILING = 8
 """Seconds: of a call that takes longer, compilation may be a part, and a second one tells how long it takes without."""
 MATERIAL = """
-import sys
+import json
 from pathlib import Path
 import cv2
 import numpy as np
+from onnx import TensorProto, helper, save
 from gsjax.io import analytic_scene
 
 analytic_scene.write("scene", num_views=8, size=(64, 48))
+about = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ("b", 3, "h", "w")) for name in ("photo", "normal")]
+graph = helper.make_graph([helper.make_node("Identity", ["photo"], ["normal"])], "colours", about[:1], about[1:])
+save(helper.make_model(graph, ir_version=8, opset_imports=[helper.make_opsetid("", 17)]), "net.onnx")
+record = {"licence": "none", "size": {"rule": "multiple"}, "normals": {"place": 0}, "axes": "opengl", "range": "unit"}
+Path("net.json").write_text(json.dumps(record))
 rng = np.random.default_rng(0)
 noise = lambda height, width: rng.integers(0, 256, (height, width, 3)).astype(np.uint8)
 def painted():

@@ -3,7 +3,6 @@
 import argparse
 import errno
 import signal
-import sys
 from collections.abc import Callable, Sequence
 
 from gsjax.cli import (
@@ -26,7 +25,7 @@ from gsjax.cli import (
     undistort,
     view,
 )
-from gsjax.cli.printing import Printing
+from gsjax.cli.printing import Printing, open_closed_streams, tell
 from gsjax.cli.stopping import ASKS, Stopping
 from gsjax.errors import InputError
 
@@ -76,6 +75,7 @@ def run_guarded(action: Callable[[], None]) -> int:
         leaves with the code that shells give to the signal: 130 after Ctrl-C, 143 after SIGTERM; 141 where a pipe that
         it prints to was closed. Anything else is a bug and comes up as the exception that it is.
     """
+    open_closed_streams()
     stopping, printing = Stopping(), Printing()
     try:
         environment.require_unix()
@@ -83,19 +83,19 @@ def run_guarded(action: Callable[[], None]) -> int:
         with stopping, printing:
             action()
     except InputError as error:
-        print(f"gsjax: error: {error}", file=sys.stderr)
+        tell(f"gsjax: error: {error}")
         return 2
     except BaseException as error:
         # Also what others have made of our exception, such as XLA of one in its callback.
         asked = stopping.signal or (signal.SIGINT if isinstance(error, KeyboardInterrupt) else None)
         if asked is None:
             if isinstance(error, OSError) and error.errno in OF_A_NAME and error.filename is not None:
-                print(f"gsjax: error: {InputError(f'{error.filename}: {error.strerror}')}", file=sys.stderr)
+                tell(f"gsjax: error: {InputError(f'{error.filename}: {error.strerror}')}")
                 return 2
             if (code := printing.exit_code(error)) is not None:
                 return code
             raise
-        print(f"gsjax: {ASKS[asked]}", file=sys.stderr)
+        tell(f"gsjax: {ASKS[asked]}")
         return 128 + asked
     return 0
 

@@ -3,8 +3,26 @@
 import os
 import signal
 import sys
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self
+
+
+def open_closed_streams() -> None:
+    """Puts the null device in the place of stdin, stdout and stderr where they are closed (`>&-`).
+
+    Else the next file that is opened would have the number of one, and what others print would come into it.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            handle = os.open(os.devnull, os.O_RDWR)  # The lowest number that is free.
+            setattr(sys, name, os.fdopen(handle, "w" if number else "r"))
+
+
+def tell(line: str) -> None:
+    """Prints a line on stderr, if anybody takes it."""
+    with suppress(OSError):
+        print(line, file=sys.stderr)
 
 
 class Printing:
@@ -59,5 +77,5 @@ class Printing:
         os.dup2(os.open(os.devnull, os.O_WRONLY), self.stream.fileno())
         if isinstance(error, BrokenPipeError):
             return 128 + signal.SIGPIPE
-        print(f"gsjax: error: what is printed cannot be written: {self.failure.strerror}", file=sys.stderr)
+        tell(f"gsjax: error: what is printed cannot be written: {self.failure.strerror}")
         return 2

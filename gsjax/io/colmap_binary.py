@@ -11,7 +11,8 @@ from typing import TypeVar
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.colmap_records import KEYPOINT, ImageRecord, camera_models, decode_text, read_bytes
+from gsjax.io.colmap_records import KEYPOINT, ImageRecord, by_id, camera_models, decode_text
+from gsjax.io.files import read_bytes
 from gsjax.io.lenses import Lens
 
 _COUNT, _CAMERA, _IMAGE = struct.Struct("<Q"), struct.Struct("<IiQQ"), struct.Struct("<I7dI")
@@ -21,19 +22,20 @@ Record = TypeVar("Record")
 
 
 def count_images(file: Path) -> int:
-    """How many images `images.bin` promises."""
+    """How many images `images.bin` promises, of those that have room in it."""
     with file.open("rb") as stream:
         head = stream.read(_COUNT.size)
-    return _COUNT.unpack(head)[0] if len(head) == _COUNT.size else 0
+    room = file.stat().st_size // (_IMAGE.size + _COUNT.size)
+    return min(_COUNT.unpack(head)[0], room) if len(head) == _COUNT.size else 0
 
 
 def read_cameras(file: Path) -> dict[int, Lens]:
     """The cameras by their ids; their numbers are not checked.
 
     Raises:
-        InputError: The file is truncated, or has a model that COLMAP does not know.
+        InputError: The file is truncated, has a model that COLMAP does not know, or two cameras of one id.
     """
-    return dict(_records(file, _camera_at))
+    return by_id(file, _records(file, _camera_at))
 
 
 def read_images(file: Path) -> list[ImageRecord]:

@@ -1,5 +1,6 @@
 """What the files of a COLMAP model hold, binary or text alike, one record a camera, an image and a point."""
 
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -7,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io.lenses import Lens
 from gsjax.io.packages import require
 
 KEYPOINT = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
@@ -31,16 +33,17 @@ def camera_models() -> dict[str, tuple[int, int]]:
     return {name: (known[name], counts[name]) for name in known}
 
 
-def read_bytes(file: Path) -> bytes:
-    """All of a file.
+def by_id(file: Path, cameras: Iterable[tuple[int, Lens]]) -> dict[int, Lens]:
+    """The cameras of a file by their ids.
 
     Raises:
-        InputError: It cannot be read.
+        InputError: Two that differ have one id.
     """
-    try:
-        return file.read_bytes()
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror})") from error
+    found: dict[int, Lens] = {}
+    for camera, lens in cameras:
+        if found.setdefault(camera, lens) != lens:
+            raise InputError(f"{file}: camera {camera} is there twice, and not the same")
+    return found
 
 
 def decode_text(text: bytes) -> str:

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.colmap_records import KEYPOINT, NO_POINT, ImageRecord, camera_models, decode_text, read_bytes
+from gsjax.io.colmap_records import KEYPOINT, NO_POINT, ImageRecord, by_id, camera_models, decode_text
+from gsjax.io.files import read_bytes
 from gsjax.io.lenses import Lens
 from gsjax.similarity import is_float32
 
@@ -27,9 +28,9 @@ def read_cameras(file: Path) -> dict[int, Lens]:
     """The cameras by their ids; their numbers are not checked.
 
     Raises:
-        InputError: A line is no camera, or of a model that COLMAP does not know.
+        InputError: A line is no camera, or of a model that COLMAP does not know; or two cameras have one id.
     """
-    return dict(_camera(file, number, line) for number, line in _lines(file) if line)
+    return by_id(file, (_camera(file, number, line) for number, line in _lines(file) if line))
 
 
 def read_images(file: Path) -> list[ImageRecord]:

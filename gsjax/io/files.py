@@ -1,13 +1,19 @@
-"""Writing so that a target is either the old whole or the new whole, never a half."""
+"""Files read whole, and written so that a target is either the old whole or the new whole, never a half."""
 
+import errno
 import os
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from gsjax.errors import InputError
-from gsjax.io.temporaries import sweep_beside, temporary_beside
+from gsjax.io.machine import require_memory
+from gsjax.io.temporaries import behind_link, sweep_beside, temporary_beside
+
+_ALWAYS_ROOM = 2**26  # bytes
+_COPIES = 3  # of a file, at least, while what it says becomes arrays
 
 
 @contextmanager
@@ -15,27 +21,32 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     """A temporary name beside `path`, renamed onto `path` when the block ends without an error.
 
     The temporary name keeps the target's suffix, so writers that choose a format by suffix work. Its bytes are on
-    the disk before the rename. The parent folder is created; after a failure nothing of the block remains.
+    the disk before the rename. The parent folder is created; after a failure nothing of the block remains. Where
+    `path` is a link, it stays one, and the file is where it leads.
 
     Args:
         path: Where the whole file is to be.
 
     Yields:
-        The name to write to. A block that does not write it raises FileNotFoundError: a bug of the caller.
+        The name to write to. A block that does not write it raises AssertionError: a bug of the caller.
 
     Raises:
-        InputError: The disk is full, read-only, or the like; one line with `path` and the system's reason.
+        InputError: The disk is full, read-only, or the like, or `path` is a folder, a device or a pipe; one line with
+            `path` and the system's reason.
     """
     path = Path(path)
-    temporary = temporary_beside(path)
+    _require_replaceable(path)
+    place = behind_link(path)
+    temporary = temporary_beside(place)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        place.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
+        assert os.path.lexists(temporary), f"{temporary} was not written"
         flush(temporary)
-        os.replace(temporary, path)
-        flush(path.parent)
+        os.replace(temporary, place)
+        flush(place.parent)
     except OSError as error:
-        if _is_about_another_file(error, temporary, path):
+        if _is_about_another_file(error, temporary, place):
             raise
         raise unwritable(path, error) from error
     finally:
@@ -65,6 +76,23 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
         put_in_place(folder, path)
 
 
+def read_bytes(path: str | Path) -> bytes:
+    """All of a file.
+
+    Raises:
+        InputError: It cannot be read, is a pipe or a device, or has no room in memory.
+    """
+    try:
+        if stat.S_ISREG((status := os.stat(path)).st_mode):
+            if status.st_size > _ALWAYS_ROOM:
+                require_memory(f"{path}: a file of {status.st_size / 2**30:.3g} GiB", _COPIES * status.st_size)
+        elif not stat.S_ISDIR(status.st_mode):
+            raise InputError(f"{path}: cannot be read (a pipe or a device, not a file)")
+        return Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+
+
 def require_empty(path: str | Path) -> None:
     """Raises InputError unless a folder of this name can be made, or is there without anything in it."""
     path = Path(path)
@@ -81,7 +109,7 @@ def workspace(path: str | Path) -> Iterator[Path]:
     Raises:
         InputError: The disk is full, read-only, or the like.
     """
-    path = _behind_link(Path(path))
+    path = behind_link(Path(path))
     make_folder(path.parent)
     sweep_beside(path)
     folder = temporary_beside(path)
@@ -96,13 +124,9 @@ def workspace(path: str | Path) -> Iterator[Path]:
 
 def put_in_place(folder: Path, path: Path) -> None:
     """Gives a whole folder its name, which is free, an empty folder's, or a link to one of these."""
-    target = _behind_link(path)
+    target = behind_link(path)
     os.replace(folder, target)
     flush(target.parent)
-
-
-def _behind_link(path: Path) -> Path:
-    return Path(os.path.realpath(path)) if path.is_symlink() else path
 
 
 @contextmanager
@@ -141,12 +165,18 @@ def make_folder(path: str | Path) -> Path:
 
 
 def _is_about_another_file(error: OSError, temporary: Path, path: Path) -> bool:
-    """Whether the block failed on a file of its own, or never wrote: not a fault of the target."""
+    """Whether the block failed on a file of its own: not a fault of the target."""
     if error.filename is None:
         return False
-    named = Path(os.fsdecode(error.filename))
-    unwritten = isinstance(error, FileNotFoundError) and named == temporary and path.parent.is_dir()
-    return unwritten or named not in (temporary, path, *path.parents)
+    return Path(os.fsdecode(error.filename)) not in (temporary, path, *path.parents)
+
+
+def _require_replaceable(path: Path) -> None:
+    """Raises InputError where a name stands for something that no file may take the place of."""
+    if os.path.isdir(path):
+        raise unwritable(path, IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR)))
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise InputError(f"cannot write {path}: it is a pipe or a device, not a file")
 
 
 def flush(path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gsjax.errors import InputError
-from gsjax.io.files import atomic_path
+from gsjax.io.files import atomic_path, read_bytes
 from gsjax.io.json_shapes import Shape, check
 
 MOST_DIGITS = 19  # of an integer: nothing that is counted has more, and floats hold it
@@ -37,9 +37,7 @@ def read(path: str | Path, shape: Shape = object) -> Any:
         InputError: The file is absent, is no JSON, is nested deeper than `DEEPEST`, or has not the shape.
     """
     try:
-        return parse(path, Path(path).read_text(encoding="utf-8-sig"), shape)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
+        return parse(path, read_bytes(path).decode("utf-8-sig"), shape)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: is no JSON (not in UTF-8 from byte {error.start} on)") from error
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.gaussians import PixelFilter
+from gsjax.io.files import read_bytes
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -26,13 +27,10 @@ def read_elements(path: Path) -> tuple[dict[str, np.ndarray], str]:
     Raises:
         InputError: The file cannot be read, is no PLY, has no element without lists, or is truncated.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    end = data.find(b"end_header")
+    data = read_bytes(path)
+    end = data.find(b"\nend_header") + 1
     start = data.find(b"\n", end) + 1
-    if not data.startswith(b"ply") or end < 0 or start == 0:
+    if not data.startswith((b"ply", b"\xef\xbb\xbfply")) or 0 in (start, end):
         raise InputError(f"{path}: not a PLY file")
     header = data[:end].decode("ascii", "replace")
     form, elements = _parse_header(path, header)

@@ -1,11 +1,13 @@
 """Which photos are held out for scoring: the data set's own split, every N-th, those of a list, or none."""
 
 import difflib
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from gsjax.errors import InputError
+from gsjax.io.files import read_bytes
 from gsjax.io.photos import Photo
 
 AUTO, NONE = "auto", "none"
@@ -46,11 +48,11 @@ def _held_out(photos: Sequence[Photo], hold_out: str, root: Path) -> set[str]:
 
 def _listed(file: Path, names: Sequence[str]) -> set[str]:
     """The names in a text file, all of which must be among `names`."""
+    if not os.path.lexists(file):
+        raise InputError(f"{file}: no such list of photos; --hold-out takes a number, none, or a file")
     try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError as error:
-        raise InputError(f"{file}: no such list of photos; --hold-out takes a number, none, or a file") from error
-    except (OSError, ValueError) as error:
+        lines = read_bytes(file).decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
         raise InputError(f"{file}: cannot be read as a list of photos ({error})") from error
     known = set(names)  # A name may begin with what else is a comment, or end in a space.
     named = [line if line in known else line.strip() for line in lines]

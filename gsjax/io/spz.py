@@ -20,7 +20,7 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.io.files import atomic_path
+from gsjax.io.files import atomic_path, read_bytes
 from gsjax.io.machine import require_memory
 from gsjax.io.packages import require
 from gsjax.io.packing import (
@@ -123,10 +123,7 @@ def read_spz(path: str | Path) -> Gaussians:
         InputError: The file is no SPZ, is of another version, has axes of its own, or is truncated or damaged.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
+    data = read_bytes(path)
     if data[:2] == b"\x1f\x8b":
         header, arrays, extensions = _read_gzip(path, data)
     elif data[:4] == _MAGIC.to_bytes(4, "little"):

@@ -16,6 +16,11 @@ def temporary_beside(path: Path) -> Path:
     return path.with_name(f"{_beginning(path)}{os.getpid()}-{secrets.token_hex(4)}{path.suffix}")
 
 
+def behind_link(path: Path) -> Path:
+    """Where a link leads, whether or not anything is there; any other path itself."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path
+
+
 def is_temporary(path: Path) -> bool:
     """Whether a name is one that `temporary_beside` gives."""
     return _NAMES.fullmatch(path.name) is not None
@@ -29,7 +34,8 @@ def sweep(folder: str | Path) -> None:
 
 
 def sweep_beside(path: Path) -> None:
-    """Removes the temporary files and folders that killed writers of `path` have left beside it."""
+    """Removes the temporary files and folders that killed writers of `path` have left beside it, or where it leads."""
+    path = behind_link(path)
     for left in path.parent.glob(f"{glob.escape(_beginning(path))}*{glob.escape(path.suffix)}"):
         if not _is_left(left):
             continue

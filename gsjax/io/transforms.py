@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io.files import read_bytes
 from gsjax.io.photo_names import local_names, short_name
 from gsjax.io.photos import Capture, Photo, list_of_names
 from gsjax.io.ply import read_points
@@ -59,15 +60,15 @@ def read_synthetic(root: Path) -> Capture:
 
 def _read_json(file: Path) -> dict[str, Any]:
     """With or without a byte order mark; text that is no UTF is Latin-1."""
+    data = read_bytes(file)
     try:
-        data = file.read_bytes()
         try:
             meta = json.loads(data)
         except UnicodeDecodeError:
             meta = json.loads(data.decode("latin-1"))
     except RecursionError:
         raise InputError(f"{file}: cannot be read as JSON (it is nested too deeply)") from None
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         raise InputError(f"{file}: cannot be read as JSON ({error})") from error
     if not isinstance(meta, dict) or not isinstance(meta.get("frames"), list) or not meta["frames"]:
         raise InputError(f'{file}: has no list "frames"')

@@ -102,16 +102,23 @@ def _size(where: str, entry: dict[str, Any], path: Path) -> tuple[int, int]:
 
 def _focal_lengths(where: str, entry: dict[str, Any], width: int, height: int) -> tuple[float, float]:
     """From `fl_x`, `fl_y`, or the angles of view; where one axis is missing, pixels are square."""
-    fx = _number(where, entry, "fl_x") or _focal_of_angle(where, entry, "camera_angle_x", width)
-    fy = _number(where, entry, "fl_y") or _focal_of_angle(where, entry, "camera_angle_y", height)
-    if not fx and not fy:
+    fx = _focal_length(where, entry, "fl_x", "camera_angle_x", width)
+    fy = _focal_length(where, entry, "fl_y", "camera_angle_y", height)
+    either = fy if fx is None else fx
+    if either is None:
         raise InputError(f"{where} has neither fl_x nor camera_angle_x")
-    return fx or fy or 0.0, fy or fx or 0.0
+    return either if fx is None else fx, either if fy is None else fy
+
+
+def _focal_length(where: str, entry: dict[str, Any], key: str, angle_key: str, side: int) -> float | None:
+    """A focal length, pixels, as it is stated or as the angle of view says; None where neither is there."""
+    stated = _number(where, entry, key)
+    return _focal_of_angle(where, entry, angle_key, side) if stated is None else stated
 
 
 def _focal_of_angle(where: str, entry: dict[str, Any], key: str, side: int) -> float | None:
     angle = _number(where, entry, key)
-    if not angle:
+    if angle is None:
         return None
     if not 0 < angle < math.pi:
         raise InputError(f"{where} has {key} {angle:g}, which is no angle of view in radians")

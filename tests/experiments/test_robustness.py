@@ -26,6 +26,7 @@ def test_a_part_goes_on_where_it_was_stopped(scripts, part, tmp_path):
     robustness, (part, asked) = scripts("robustness"), part
     file = tmp_path / "part.json"
     assert robustness.measured(part, file, tmp_path, until=-inf) == {} and not asked
+    assert robustness.measured(part, file, tmp_path, until=inf, only=["nothing"]) == {} and not asked
     file.write_text('{"a": [["1"]]}')
     assert robustness.measured(part, file, tmp_path, until=-inf) == {}
     rows = robustness.measured(part, file, tmp_path, until=time.monotonic() + 60)

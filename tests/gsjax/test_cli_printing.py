@@ -30,3 +30,23 @@ def test_a_full_disk_under_what_is_printed_is_told(length):
     with open("/dev/full", "w") as full:
         told = "gsjax: error: what is printed cannot be written: No space left on device\n"
         assert ended(full, length) == (2, told)
+
+
+@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_streams_that_are_closed_take_no_files_number(tmp_path, closed):
+    program = "import os, sys; from gsjax.cli import run_guarded\n"
+    program += (
+        "def work():\n    with open(sys.argv[1], 'w') as file:\n        print('a line')\n        os.write(1, b'x')\n"
+    )
+    program += "        file.write(str(file.fileno() > 2))\nsys.exit(run_guarded(work))"
+    asked = ["sh", "-c", f'exec "$0" "$@" {closed}', sys.executable, "-c", program, str(tmp_path / "file")]
+    done = subprocess.run(asked, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "file").read_text() == "True"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux's full device")
+def test_an_error_that_nobody_can_read_keeps_its_code():
+    program = "import sys; from gsjax import cli; sys.exit(cli.main(['convert', 'absent.ply', 'x.spz']))"
+    with open("/dev/full", "w") as full:
+        assert subprocess.run([sys.executable, "-c", program], stderr=full).returncode == 2

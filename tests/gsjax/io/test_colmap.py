@@ -212,6 +212,32 @@ def test_of_several_models_the_largest_is_taken_and_told(colmap_scene, capsys):
     assert find_model(root) == large
 
 
+def test_a_model_that_promises_more_than_it_holds_is_not_the_largest(colmap_scene):
+    root = colmap_scene(count=3)
+    shutil.copytree(root / "sparse/0", root / "sparse/1")
+    (root / "sparse/1/images.bin").write_bytes(b"\xff" * 8)
+    assert find_model(root) == root / "sparse/0"
+
+
+@pytest.mark.parametrize("text", [True, False])
+@pytest.mark.parametrize("is_same", [True, False])
+def test_two_cameras_of_one_id_are_refused_unless_they_are_the_same(colmap_scene, text, is_same):
+    root = colmap_scene(count=3, text=text)
+    file = root / "sparse/0" / ("cameras.txt" if text else "cameras.bin")
+    whole = file.read_bytes()
+    if text:
+        line = whole.splitlines()[-1]
+        file.write_bytes(whole + (line if is_same else line + b"9") + b"\n")
+    else:
+        assert whole[:8] == struct.pack("<Q", 1)
+        file.write_bytes(struct.pack("<Q", 2) + whole[8:] + (whole[8:] if is_same else whole[8:-1] + b"\x41"))
+    if is_same:
+        assert len(load_scene(root).frames) == 3
+    else:
+        with pytest.raises(InputError, match="camera 1 is there twice"):
+            load_scene(root)
+
+
 def edit_images(root, change):
     """Changes the lines of `images.txt`; an image has two, the second blank."""
     file = root / "sparse/0/images.txt"

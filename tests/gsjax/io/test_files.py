@@ -1,5 +1,6 @@
 import errno
 import os
+import stat
 import subprocess
 import sys
 
@@ -59,11 +60,49 @@ def test_a_sick_disk_is_one_line_with_the_path_and_the_reason(tmp_path, number):
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs the always-full device of Linux")
 def test_a_full_device_as_the_system_reports_it(tmp_path):
     target = tmp_path / "state.npz"
-    target.symlink_to("/dev/full")
     with pytest.raises(InputError, match="No space left on device"), files.atomic_path(target) as temporary:
         temporary.symlink_to("/dev/full")
         temporary.write_bytes(b"x" * 10)
-    assert os.listdir(tmp_path) == ["state.npz"]
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_file_comes_to_where_a_link_leads(tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "mesh.ply").symlink_to(tmp_path / "disk/of_today.ply")
+    for text in ("first", "second"):
+        with files.atomic_path(tmp_path / "mesh.ply") as temporary:
+            temporary.write_text(text)
+        assert (tmp_path / "mesh.ply").is_symlink()
+        assert (tmp_path / "disk/of_today.ply").read_text() == text
+    assert os.listdir(tmp_path / "disk") == ["of_today.ply"]
+
+
+@pytest.mark.parametrize("through_link", [False, True])
+def test_nothing_takes_the_place_of_a_pipe_or_is_read_from_it(tmp_path, through_link):
+    pipe = tmp_path / "pipe.json"
+    os.mkfifo(pipe)
+    if through_link:
+        (tmp_path / "link.json").symlink_to(pipe)
+        pipe = tmp_path / "link.json"
+    with pytest.raises(InputError, match="is a pipe or a device"), files.atomic_path(pipe):
+        pass
+    with pytest.raises(InputError, match="a pipe or a device, not a file"):
+        files.read_bytes(pipe)
+    assert stat.S_ISFIFO(os.stat(pipe).st_mode)
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="needs the folder of Linux in which nobody makes files")
+def test_a_folder_in_which_no_file_can_be_made_is_one_line():
+    fault = pytest.raises(InputError, match=r"cannot write /proc/x\.json: No such file")
+    with fault, files.atomic_path("/proc/x.json") as temporary:
+        temporary.write_text("x")
+
+
+def test_a_file_larger_than_memory_is_refused_before_it_is_read(tmp_path):
+    with (tmp_path / "huge.ply").open("wb") as file:
+        os.truncate(file.fileno(), 1 << 43)
+    with pytest.raises(InputError, match="huge.ply: a file of .* GiB takes"):
+        files.read_bytes(tmp_path / "huge.ply")
 
 
 def test_a_file_in_place_of_the_parent_folder(tmp_path):
@@ -86,7 +125,7 @@ def test_an_error_about_another_file_is_passed_on(tmp_path):
 
 
 def test_forgetting_to_write_is_a_bug_and_not_bad_input(tmp_path):
-    with pytest.raises(FileNotFoundError), files.atomic_path(tmp_path / "x.txt"):
+    with pytest.raises(AssertionError, match="was not written"), files.atomic_path(tmp_path / "x.txt"):
         pass
 
 

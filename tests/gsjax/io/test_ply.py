@@ -115,6 +115,17 @@ def test_the_pixel_filter_is_written_for_other_programs(tmp_path, pixel_filter):
     assert read_gaussians(tmp_path / "g.ply").pixel_filter == pixel_filter
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [(b"ply\n", b"\xef\xbb\xbfply\n"), (b"element", b"comment end_header comes below\nelement"), (b"ply", b"ply\r")],
+)
+def test_byte_order_marks_comments_and_line_ends_change_nothing(tmp_path, old, new):
+    write_gaussians(tmp_path / "g.ply", some_gaussians())
+    whole = (tmp_path / "g.ply").read_bytes()
+    (tmp_path / "g.ply").write_bytes(whole.replace(old, new, 1))
+    np.testing.assert_array_equal(read_gaussians(tmp_path / "g.ply").means, some_gaussians().means)
+
+
 def test_missing_columns_are_named(tmp_path):
     write_gaussians(tmp_path / "g.ply", some_gaussians())
     names, rows = table_of(tmp_path / "g.ply")

@@ -233,6 +233,8 @@ def test_lego_mattes_are_silhouettes_of_one_solid(shared):
         (lambda m: m.pop("fl_x"), "neither fl_x nor camera_angle_x"),
         (lambda m: m.update(cx=-9e6), "has a principal point that lies 100 times its size away"),
         (lambda m: m.update(fl_x=-5.0), "(PINHOLE 40x30 with -5, -5, 20, 15) has a focal length that is not positive"),
+        (lambda m: m.update(fl_x=0, fl_y=50.0), "(PINHOLE 40x30 with 0, 50, 20, 15) has a focal length"),
+        (lambda m: m.update(fl_y=0.0), "(PINHOLE 40x30 with 50, 0, 20, 15) has a focal length"),
         (lambda m: m.update(fl_x="wide"), "wide"),
         (lambda m: m.update(camera_model="LENSBABY"), "unknown camera_model 'LENSBABY'"),
         (lambda m: m.update(k4=0.1), "takes no k4"),

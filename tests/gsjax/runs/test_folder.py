@@ -45,7 +45,7 @@ def test_a_run_is_reopened_on_its_own_data_set_with_its_own_settings_only(run, t
         runs.reopen(run, {"seed": 3, "train": {"steps": 50, "rates": [0.1, 0.2]}}, scene=scene)
     with pytest.raises(InputError, match=r"was started with extra = null, not 1"):
         runs.reopen(run, SETTINGS | {"extra": 1}, scene=scene)
-    with pytest.raises(InputError, match=r"config\.json: No such file or directory"):
+    with pytest.raises(InputError, match=r"config\.json: cannot be read \(No such file or directory\)"):
         runs.reopen(run / "nothing", SETTINGS, scene=scene)
     with pytest.raises(InputError, match=r"run: was started on .*/scene, not on .*/other; a resumed run keeps"):
         runs.reopen(run, SETTINGS, scene=tmp_path / "other")
