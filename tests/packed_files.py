@@ -4,12 +4,15 @@ import struct
 
 import numpy as np
 import pytest
+from hypothesis import strategies as st
 
 from gsjax.gaussians import Gaussians
 from gsjax.io.compressed_ply import read_compressed_ply, write_compressed_ply
+from gsjax.io.sog import read_sog, write_sog
 from gsjax.io.spz import read_spz, write_spz
 
 READ_WRITE = {
+    "g.sog": (read_sog, write_sog),
     "g.spz": (read_spz, write_spz),
     "g.compressed.ply": (read_compressed_ply, write_compressed_ply),
 }
@@ -40,6 +43,27 @@ def some_gaussians(count, degree, seed=0, extent=1.0, offset=0.0):
 
 def number_scales(count):
     return -6 + 0.01 * np.arange(count)
+
+
+ROUNDING = 4e-7  # Of float32 results, relative to the numbers that they are made of.
+
+
+def turns_apart(quats, others):
+    """Largest difference of a component of unit quaternions, of either sign."""
+    norm = np.linalg.norm(quats, axis=1, keepdims=True)
+    unit = np.where(norm > 0, quats / np.where(norm > 0, norm, 1), [1, 0, 0, 0])
+    signs = np.where(np.sum(unit * others, axis=1, keepdims=True) < 0, -1, 1)
+    return np.abs(unit - signs * others).max(initial=0)
+
+
+clouds = st.builds(
+    some_gaussians,
+    count=st.sampled_from([0, 1, 2, 255, 256, 257, 600]),
+    degree=st.integers(0, 3),
+    seed=st.integers(0, 2**32 - 1),
+    extent=st.sampled_from([0.0, 1e-6, 1.0, 3e3, 1e6]),
+    offset=st.sampled_from([0.0, -5e3, 4e6]),
+)
 
 
 DC_BYTES = [0, 128, 255]

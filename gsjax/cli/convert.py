@@ -14,14 +14,14 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         _run,
         summary="write Gaussians as a file for other programs, or read theirs",
         description="""
-            Reads and writes by suffix: .ply as 3DGS has it, .compressed.ply of PlayCanvas, .spz of Niantic
-            (written as version 3, read as 2, 3 and 4). The pixel filter goes along in each of them.
+            Reads and writes by suffix: .ply as 3DGS has it, .compressed.ply and .sog of PlayCanvas, .spz of
+            Niantic (written as version 3, read as 2, 3 and 4). The pixel filter goes along in each of them.
         """,
         example="gsjax convert runs/garden garden.spz --min-opacity 0.02",
     )
     add = parser.add_argument
     add("source", metavar="IN", help="file of Gaussians, or folder that `gsjax train` made")
-    add("out", metavar="OUT", help=".ply, .compressed.ply or .spz")
+    add("out", metavar="OUT", help=".ply, .compressed.ply, .sog or .spz")
     add("--sh-degree", type=int, metavar="N", help="leave out harmonics above this degree, 0-4")
     box = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
     add("--crop", type=float, nargs=6, metavar=box, help="only Gaussians whose means lie in this box of the world")

@@ -21,7 +21,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     )
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians (.ply,"
-        " .compressed.ply, .spz) or of a mesh (.ply, .obj, .glb)")  # fmt: skip
+        " .compressed.ply, .sog, .spz) or of a mesh (.ply, .obj, .glb)")  # fmt: skip
     add("--mesh", metavar="FILE", help="mesh to show over the Gaussians (default: RUN/mesh.ply, if there is one)")
     add_address(parser)
 

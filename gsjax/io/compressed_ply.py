@@ -17,6 +17,7 @@ from gsjax.io.files import atomic_path
 from gsjax.io.packing import (
     check_packable,
     logits_of_bytes,
+    morton_order,
     of_smallest_three,
     opacity_bytes,
     pull_in_outliers,
@@ -55,7 +56,7 @@ def write_compressed_ply(path: str | Path, gaussians: Gaussians) -> int:
         InputError: Values are not finite, harmonics are of degree 4, or the target cannot be written.
     """
     check_packable(path, gaussians)
-    order = _morton_order(pull_in_outliers(np.asarray(gaussians.means, np.float64), _REACH_OF_ORDER)[0])
+    order = morton_order(pull_in_outliers(np.asarray(gaussians.means, np.float64), _REACH_OF_ORDER)[0])
     means, quats, log_scales, logits, dc, rest = (
         np.asarray(values)[order]
         for values in (
@@ -200,14 +201,3 @@ def _unpack(packed: np.ndarray, bits: tuple[int, ...]) -> np.ndarray:
     """`[N, K]` float64 of what `_pack` gives; higher bits than `bits` are not looked at."""
     shifts = [sum(bits[place + 1 :]) for place in range(len(bits))]
     return np.stack([(packed >> s & 2**b - 1) / (2**b - 1) for s, b in zip(shifts, bits, strict=True)], axis=-1)
-
-
-def _morton_order(means: np.ndarray) -> np.ndarray:
-    """`[N]` indices that sort positions along a Z-order curve."""
-    low, span = means.min(axis=0, initial=np.inf), np.ptp(means, axis=0) if len(means) else np.ones(3)
-    cells = ((means - low) / np.where(span > 0, span, 1) * (2**21 - 1)).astype(np.uint64)
-    codes = np.zeros(len(means), np.uint64)
-    for bit in range(21):
-        for axis in range(3):
-            codes |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
-    return np.argsort(codes, kind="stable")

@@ -1,4 +1,4 @@
-"""Files of Gaussians by suffix: the plain PLY of 3DGS, PlayCanvas's compressed PLY, and SPZ; and the one of a run.
+"""Files of Gaussians by suffix: 3DGS's plain PLY, PlayCanvas's compressed PLY and SOG, and SPZ; and that of a run.
 
 The compressed ones have few bits for positions and sizes. Gaussians that lie far off their origin, or are very small or
 large in their units, are stored in local coordinates (`gsjax.similarity`), and a JSON file beside tells which:
@@ -14,7 +14,7 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.io import compressed_ply, json_files, ply, spz
+from gsjax.io import compressed_ply, json_files, ply, sog, spz
 from gsjax.similarity import IDENTITY, Similarity, loses_in_float32, of_points, parse_similarity
 
 USUAL_SCALES = 1 / 64, 64.0  # Of a similarity: a compressed file needs no other units of its own.
@@ -77,6 +77,7 @@ def _beside(path: str | Path) -> Path:
 FORMATS = {
     ".compressed.ply": _local(Format(compressed_ply.read_compressed_ply, compressed_ply.write_compressed_ply)),
     ".ply": Format(ply.read_gaussians, _write_plain),
+    ".sog": _local(Format(sog.read_sog, sog.write_sog)),
     ".spz": _local(Format(spz.read_spz, spz.write_spz)),
 }
 
@@ -94,7 +95,7 @@ def format_of(path: str | Path) -> Format:
 
 
 def load_gaussians(path: str | Path) -> Gaussians:
-    """The Gaussians of a file (`.ply`, `.compressed.ply`, `.spz`), or of a run folder, as numpy arrays.
+    """The Gaussians of a file (`.ply`, `.compressed.ply`, `.sog`, `.spz`), or of a run folder, as numpy arrays.
 
     They lie where the file has them, the means in float64 where float32 would lose that place. `gsjax.Scene.similarity`
     brings them to the coordinates of a loaded scene (`gaussians_to_local`).
@@ -114,7 +115,7 @@ def load_gaussians(path: str | Path) -> Gaussians:
 
 
 def save_gaussians(gaussians: Gaussians, path: str | Path) -> int:
-    """Writes a file of the kind that the suffix says (`.ply`, `.compressed.ply`, `.spz`).
+    """Writes a file of the kind that the suffix says (`.ply`, `.compressed.ply`, `.sog`, `.spz`).
 
     Returns:
         How many Gaussians hold values that the format cannot reach, and were clipped to it; none in a `.ply`.

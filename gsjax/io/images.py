@@ -83,6 +83,38 @@ def jpeg_bytes(image: np.ndarray) -> bytes:
     return stream.getvalue()
 
 
+def lossless_webp(image: np.ndarray) -> bytes:
+    """`[H, W, 3]` or `[H, W, 4]` uint8 pixels as a WebP that keeps every byte, under an alpha of 0 too."""
+    stream = BytesIO()
+    Image.fromarray(np.ascontiguousarray(image)).save(stream, "WEBP", lossless=True, exact=True)
+    return stream.getvalue()
+
+
+def decode_rgba(where: str, content: bytes, *, most: int) -> np.ndarray:
+    """`[H, W, 4]` uint8 pixels of a WebP or PNG in memory.
+
+    Args:
+        where: What to call it in messages.
+        content: Its bytes.
+        most: Pixels; an image of more is not decoded.
+
+    Raises:
+        InputError: It is no such image, is damaged, or has more pixels.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(BytesIO(content), formats=("WEBP", "PNG")) as picture:
+                width, height = picture.size
+                if width * height > most:
+                    raise InputError(f"{where}: {width}x{height} pixels, more than the {most} that it could need")
+                return np.array(_in_mode(picture, "RGBA"))
+    except InputError:
+        raise
+    except Exception as error:  # Pillow's decoders raise whatever the broken bytes lead to.
+        raise InputError(f"{where}: not a whole image") from error
+
+
 def image_size(path: Path) -> tuple[int, int]:
     """Width and height in pixels, from the header only.
 

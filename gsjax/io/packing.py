@@ -1,4 +1,4 @@
-"""What the compressed files of Gaussians share: opacities in 8 bits, rotations by the three smallest components."""
+"""What compressed files of Gaussians share: opacities in 8 bits, rotations by the smallest components, an order."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -57,6 +57,17 @@ def pull_in_outliers(means: np.ndarray, reach: float) -> tuple[np.ndarray, np.nd
     shares = distances[~far].max() / distances[far]
     moved[far] = np.clip(middle + shares[:, None] * offsets[far], mass.min(axis=0), mass.max(axis=0))
     return moved, far
+
+
+def morton_order(means: np.ndarray) -> np.ndarray:
+    """`[N]` indices that sort positions along a Z-order curve."""
+    low, span = means.min(axis=0, initial=np.inf), np.ptp(means, axis=0) if len(means) else np.ones(3)
+    cells = ((means - low) / np.where(span > 0, span, 1) * (2**21 - 1)).astype(np.uint64)
+    codes = np.zeros(len(means), np.uint64)
+    for bit in range(21):
+        for axis in range(3):
+            codes |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    return np.argsort(codes, kind="stable")
 
 
 def opacity_bytes(logits: np.ndarray) -> np.ndarray:

@@ -71,8 +71,19 @@ def write_spz(path: str | Path, gaussians: Gaussians) -> int:
         How many Gaussians hold values that the format cannot reach.
 
     Raises:
-        InputError: Values are not finite, the mass is beyond 2^23 scene units, harmonics are of degree 4, or the target
-            cannot be written.
+        InputError: As of `spz_bytes`, or the target cannot be written.
+    """
+    packed, clipped = spz_bytes(gaussians, path)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(packed)
+    return clipped
+
+
+def spz_bytes(gaussians: Gaussians, path: str | Path) -> tuple[bytes, int]:
+    """The file that `write_spz` writes, and what it returns; `path` is what messages call it.
+
+    Raises:
+        InputError: Values are not finite, the mass is beyond 2^23 scene units, or harmonics are of degree 4.
     """
     check_packable(path, gaussians)
     turned = half_turned(jax.tree.map(lambda values: np.asarray(values, np.float64), gaussians))
@@ -103,12 +114,10 @@ def write_spz(path: str | Path, gaussians: Gaussians) -> int:
     )
     header = _HEADER.pack(_MAGIC, 3, len(fixed), turned.sh_degree, bits, flags, 0)
     body = header + b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(gzip.compress(body, 6, mtime=0))
     # A value that rounds to the last step is reached, and so is 1 of a harmonic, whose last step is one of 127/128.
     tops = {"colors": 255.5, "scales": 255.5, "rest": 256}
     beyond = [((v < -0.5) | (v > tops[name])).any(axis=tuple(range(1, v.ndim))) for name, v in numbers.items()]
-    return int(np.any([far, *beyond], axis=0).sum())
+    return gzip.compress(body, 6, mtime=0), int(np.any([far, *beyond], axis=0).sum())
 
 
 def read_spz(path: str | Path) -> Gaussians:

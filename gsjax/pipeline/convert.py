@@ -26,7 +26,7 @@ def convert(
     """Read Gaussians, keep what is wanted, write them; both formats as the suffixes tell.
 
     Args:
-        source: .ply, .compressed.ply or .spz; a run folder stands for its gaussians.ply.
+        source: .ply, .compressed.ply, .sog or .spz; a run folder stands for its gaussians.ply.
         out: Likewise, but for the folder.
         sh_degree: Harmonics above this degree, 0-4, are left out. None: all are kept.
         crop: `(x0, y0, z0, x1, y1, z1)`: only Gaussians whose means lie in this box of the world, scene units, its

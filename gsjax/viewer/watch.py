@@ -20,7 +20,7 @@ def view(source: str | Path, *, mesh: str | Path | None = None, host: str = HOST
     """Serve a page that shows a result, until it is interrupted.
 
     Args:
-        source: A run folder; a file of Gaussians (.ply, .compressed.ply, .spz); or a mesh (.ply, .obj, .glb).
+        source: A run folder; a file of Gaussians (.ply, .compressed.ply, .sog, .spz); or a mesh (.ply, .obj, .glb).
         mesh: A mesh to show over Gaussians; None: `mesh.ply` of a run that has one.
         host: Address to listen on; 127.0.0.1 is this machine alone.
         port: 0 takes a free one.

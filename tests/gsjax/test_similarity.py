@@ -188,7 +188,7 @@ def apart(found, given):
     return distances.min(axis=0).max()
 
 
-@pytest.mark.parametrize("suffix", [".spz", ".compressed.ply"])
+@pytest.mark.parametrize("suffix", [".spz", ".sog", ".compressed.ply"])
 def test_compressed_files_are_local_where_they_have_to_be_and_say_so(suffix, tmp_path):
     file = tmp_path / f"g{suffix}"
     form = gaussian_files.format_of(file)

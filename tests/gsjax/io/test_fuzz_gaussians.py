@@ -1,13 +1,17 @@
 """Damaged files of Gaussians and points: read, or refused in one line."""
 
+import json
+import zipfile
+
 import numpy as np
 import pytest
-from fuzzing import damaged, fuzz
+from fuzzing import damaged, damaged_json, fuzz
 from small_scenes import cloud
 
 from gsjax.gaussians import Gaussians
 from gsjax.io.compressed_ply import read_compressed_ply, write_compressed_ply
 from gsjax.io.ply import read_gaussians, read_points, write_gaussians
+from gsjax.io.sog import read_sog, write_sog
 from gsjax.io.spz import read_spz, write_spz
 
 ASCII = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty double y\nproperty int z\n"
@@ -27,6 +31,7 @@ def written(write, path):
         ("p.ply", write_gaussians, read_points),
         ("g.compressed.ply", write_compressed_ply, read_compressed_ply),
         ("g.spz", write_spz, read_spz),
+        ("g.sog", write_sog, read_sog),
     ],
 )
 def test_fuzz_files_of_gaussians(tmp_path, name, write, read):
@@ -41,7 +46,7 @@ def test_fuzz_files_of_gaussians(tmp_path, name, write, read):
 
     read_whole, refused = fuzz(attempt, usual=200)
     assert refused
-    assert read_whole or name.endswith(".spz"), "a checksum tells every damage of a packed file"
+    assert read_whole or name.endswith((".spz", ".sog")), "a checksum tells every damage of a packed file"
 
 
 def test_fuzz_the_inside_of_spz(tmp_path):
@@ -54,6 +59,25 @@ def test_fuzz_the_inside_of_spz(tmp_path):
     def attempt(random):
         path.write_bytes(gzip.compress(damaged(whole, random)))
         read_spz(path)
+
+    assert all(fuzz(attempt, usual=200))
+
+
+def test_fuzz_the_inside_of_sog(tmp_path):
+    """Its images and its meta.json, in an archive whose checksums fit."""
+    path = tmp_path / "g.sog"
+    written(write_sog, path)
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+
+    def attempt(random):
+        changed, name = dict(parts), random.choice(sorted(parts))
+        is_meta = name == "meta.json"
+        changed[name] = damaged_json(json.loads(parts[name]), random) if is_meta else damaged(parts[name], random)
+        with zipfile.ZipFile(path, "w") as archive:
+            for member, content in changed.items():
+                archive.writestr(member, content)
+        assert all(np.isfinite(values).all() for values in vars(read_sog(path)).values() if not isinstance(values, str))
 
     assert all(fuzz(attempt, usual=200))
 

@@ -6,9 +6,14 @@ from small_scenes import cloud
 
 import gsjax
 from gsjax.errors import InputError
-from gsjax.io import compressed_ply, ply, spz
+from gsjax.io import compressed_ply, ply, sog, spz
 
-READERS = {"g.ply": ply.read_gaussians, "g.compressed.PLY": compressed_ply.read_compressed_ply, "g.SPZ": spz.read_spz}
+READERS = {
+    "g.ply": ply.read_gaussians,
+    "g.compressed.PLY": compressed_ply.read_compressed_ply,
+    "g.sog": sog.read_sog,
+    "g.SPZ": spz.read_spz,
+}
 
 
 @pytest.mark.parametrize("name", READERS)
@@ -35,5 +40,5 @@ def test_what_holds_no_gaussians_is_one_line(tmp_path):
         gsjax.load_gaussians(tmp_path)
     (tmp_path / "scene.obj").write_text("")
     for attempt in (gsjax.load_gaussians, lambda path: gsjax.save_gaussians(cloud(2), path)):
-        with pytest.raises(InputError, match="files of Gaussians end in .compressed.ply, .ply, .spz"):
+        with pytest.raises(InputError, match="files of Gaussians end in .compressed.ply, .ply, .sog, .spz"):
             attempt(tmp_path / "scene.obj")

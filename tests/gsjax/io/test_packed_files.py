@@ -7,15 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from hypothesis import strategies as st
 from packed_files import (
     DC_BYTES,
     FIELDS,
     READ_WRITE,
     REST,
     ROTATIONS,
+    ROUNDING,
     by_hand,
+    clouds,
     some_gaussians,
+    turns_apart,
     version_4,
 )
 from scipy.special import expit
@@ -25,26 +27,6 @@ from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0
 from gsjax.io.compressed_ply import read_compressed_ply, write_compressed_ply
 from gsjax.io.spz import read_spz, write_spz
-
-ROUNDING = 4e-7  # Of float32 results, relative to the numbers that they are made of.
-
-
-def turns_apart(quats, others):
-    """Largest difference of a component of unit quaternions, of either sign."""
-    norm = np.linalg.norm(quats, axis=1, keepdims=True)
-    unit = np.where(norm > 0, quats / np.where(norm > 0, norm, 1), [1, 0, 0, 0])
-    signs = np.where(np.sum(unit * others, axis=1, keepdims=True) < 0, -1, 1)
-    return np.abs(unit - signs * others).max(initial=0)
-
-
-clouds = st.builds(
-    some_gaussians,
-    count=st.sampled_from([0, 1, 2, 255, 256, 257, 600]),
-    degree=st.integers(0, 3),
-    seed=st.integers(0, 2**32 - 1),
-    extent=st.sampled_from([0.0, 1e-6, 1.0, 3e3, 1e6]),
-    offset=st.sampled_from([0.0, -5e3, 4e6]),
-)
 
 
 @settings(max_examples=60, deadline=None)
@@ -227,7 +209,7 @@ def test_huge_values_are_clipped_without_a_warning(tmp_path, name):
     gaussians = some_gaussians(4, 1)
     for field in ("quats", "log_scales", "sh_rest", "sh_dc"):
         getattr(gaussians, field)[:] *= np.float32(1e38) / np.abs(getattr(gaussians, field)).max()
-    assert write(tmp_path / name, gaussians) == 4
+    assert write(tmp_path / name, gaussians) == (0 if name == "g.sog" else 4)  # whose codebooks hold any value
     assert all(np.isfinite(getattr(read(tmp_path / name), field)).all() for field in FIELDS)
 
 

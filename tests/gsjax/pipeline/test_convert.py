@@ -60,7 +60,7 @@ def test_suffixes_tell_the_format():
     names = {"a.PLY": ".ply", "a.b.spz": ".spz", "a.Compressed.ply": ".compressed.ply", "compressed.ply": ".ply"}
     for name, suffix in names.items():
         assert format_of(name) is FORMATS[suffix]
-    with pytest.raises(InputError, match=r"a.splat: files of Gaussians end in .compressed.ply, .ply, .spz"):
+    with pytest.raises(InputError, match=r"a.splat: files of Gaussians end in .compressed.ply, .ply, .sog, .spz"):
         format_of("a.splat")
 
 
@@ -103,7 +103,7 @@ def test_a_file_without_gaussians_is_one_of_each_format(tmp_path, cloud, suffix)
 @pytest.mark.parametrize(
     ("source", "out", "options", "message"),
     [
-        ("in.ply", "out.splat", [], "out.splat: files of Gaussians end in .compressed.ply, .ply, .spz"),
+        ("in.ply", "out.splat", [], "out.splat: files of Gaussians end in .compressed.ply, .ply, .sog, .spz"),
         ("in.glb", "out.ply", [], "in.glb: no such file or folder"),
         ("no_run", "out.ply", [], "no_run: no such file or folder"),
         ("photo.glb", "out.ply", [], "photo.glb: files of Gaussians end in"),
