@@ -3,10 +3,11 @@
 Where float32 would lose their place, vertices are doubles in a PLY, have all digits in an OBJ, and stand about the
 translation of their node in a GLB. Such vertices are read as float64, all others as float32.
 
-A texture goes into OBJ, with an MTL and a PNG of the same name beside it, or into GLB. The textured OBJ has vertex
-colours too; the textured GLB has none, since glTF would multiply them with the texture.
+A texture goes into OBJ, with an MTL and a PNG of the same name beside it, into GLB, or into USDZ, which is written
+only. The textured OBJ has vertex colours too; the textured GLB has none, since glTF would multiply them with the
+texture.
 
-No axis is turned on the way out or in. glTF calls y "up": a viewer of the GLB may show a scene whose up is another
+No axis is turned on the way out or in. glTF and USD call y "up": their viewers may show a scene whose up is another
 axis lying on its side, and it is still the same numbers as the cameras' and the Gaussians'.
 """
 
@@ -14,6 +15,7 @@ import math
 import os
 import warnings
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +24,7 @@ from gsjax.errors import InputError
 from gsjax.io import ply
 from gsjax.io.files import atomic_path
 from gsjax.mesh import Mesh
-from gsjax.meshing import glb
+from gsjax.meshing import glb, usdz
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.libraries import load_trimesh
 from gsjax.meshing.part_colors import has_picture, merge_parts, parts_of, picture_of, sample_texture
@@ -59,7 +61,7 @@ def write_textured(path: str | Path, textured: TexturedMesh) -> None:
     """Writes a mesh with its texture, whole or not at all; of three files, the .obj that names the others comes last.
 
     Args:
-        path: .glb or .obj; to the latter belong a .mtl and a .png of the same name, which are replaced too.
+        path: .glb, .usdz or .obj; to the latter belong a .mtl and a .png of the same name, which are replaced too.
         textured: What to write.
 
     Raises:
@@ -71,7 +73,7 @@ def write_textured(path: str | Path, textured: TexturedMesh) -> None:
 
 def textured_writer(path: Path) -> Callable[[Path, TexturedMesh], None]:
     """What writes textures to files of this suffix; InputError where nothing does."""
-    writers = {".obj": _write_textured_obj, ".glb": _write_textured_glb}
+    writers = {".obj": _write_textured_obj, ".glb": _write_textured_glb, ".usdz": _write_textured_usdz}
     if path.suffix.lower() not in writers:
         raise InputError(f"{path}: meshes with a texture end in {', '.join(writers)}")
     return writers[path.suffix.lower()]
@@ -187,6 +189,16 @@ def _write_textured_glb(path: Path, textured: TexturedMesh) -> None:
 
     with atomic_path(path) as temporary:
         temporary.write_bytes(surface.export(file_type="glb", include_normals=False, tree_postprocessor=completed))
+
+
+def _write_textured_usdz(path: Path, textured: TexturedMesh) -> None:
+    """One vertex a place in the texture, as in a GLB."""
+    mesh, atlas, png = textured.mesh, textured.atlas, BytesIO()
+    _image(textured.texture).save(png, "PNG")
+    vertices, offset = glb.about_offset(mesh.vertices[atlas.vertices])
+    places = atlas.uvs * [1.0, -1.0] + [0.0, 1.0]
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(usdz.encode_usdz(vertices, atlas.faces, places, png.getvalue(), offset))
 
 
 def _image(pixels: np.ndarray):

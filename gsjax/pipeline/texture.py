@@ -26,7 +26,7 @@ def texture(
     Args:
         source: Run folder, or a file of Gaussians.
         mesh: .ply, .obj or .glb in the same coordinates.
-        out: .glb, or .obj with .mtl and .png beside it.
+        out: .glb, .usdz, or .obj with .mtl and .png beside it.
         size: Side of the texture, texels. None: as many as the photos tell apart, 4096 at most
             (`gsjax.meshing.texture_size`).
         scene: Data set whose cameras to use with a file. None: cameras around the Gaussians, or within them.

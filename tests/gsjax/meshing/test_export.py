@@ -1,9 +1,12 @@
 import json
 import os
+import re
 import struct
+import zipfile
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from gsjax.errors import InputError
 from gsjax.mesh import Mesh
@@ -324,3 +327,34 @@ def test_a_glb_whose_triangles_are_not_in_it_is_refused(tmp_path, mesh, change, 
     else:
         with pytest.raises(InputError, match=fault):
             read_mesh(tmp_path / "m.glb")
+
+
+def test_a_usdz_is_what_its_document_says(tmp_path):
+    """Files stored as they are, at multiples of 64 bytes, the scene first; the numbers are those of the mesh."""
+    random = np.random.default_rng(0)
+    faces = np.arange(12, dtype=np.int32).reshape(4, 3)
+    mesh = Mesh(random.normal(size=(12, 3)).astype(np.float32), faces, np.full((12, 3), 90, np.uint8))
+    uvs = random.uniform(size=(12, 2)).astype(np.float32)
+    texture = random.integers(0, 256, (8, 8, 3), np.uint8)
+    path = tmp_path / "m.usdz"
+    write_textured(path, TexturedMesh(mesh, Atlas(uvs, np.arange(12, dtype=np.int32), faces, 8, 0), texture))
+    whole = path.read_bytes()
+    with zipfile.ZipFile(path) as archive:
+        scene, picture = archive.infolist()
+        for entry in (scene, picture):
+            name, extra = struct.unpack_from("<HH", whole, entry.header_offset + 26)
+            assert (entry.header_offset + 30 + name + extra) % 64 == 0
+            assert entry.compress_type == zipfile.ZIP_STORED
+        text = archive.read(scene).decode()
+        assert scene.filename == "scene.usda" and f"@{picture.filename}@" in text
+        np.testing.assert_array_equal(np.asarray(Image.open(archive.open(picture))), texture)
+
+    def numbers(name):
+        (found,) = re.findall(rf"{re.escape(name)} = \[(.*?)\]", text)
+        return np.array(re.findall(r"[-\d.e+]+", found), np.float64)
+
+    np.testing.assert_array_equal(numbers("points").astype(np.float32).reshape(-1, 3), mesh.vertices)
+    np.testing.assert_array_equal(numbers("faceVertexIndices").reshape(-1, 3), faces)
+    np.testing.assert_allclose(numbers("primvars:st").reshape(-1, 2), uvs * [1, -1] + [0, 1], atol=1e-7)
+    with pytest.raises(InputError, match="m.ply: meshes with a texture end in .obj, .glb, .usdz"):
+        write_textured(tmp_path / "m.ply", TexturedMesh(mesh, Atlas(uvs, faces.ravel(), faces, 8, 0), texture))
