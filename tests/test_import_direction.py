@@ -54,9 +54,10 @@ LAYERS = {
     "report": Layer(
         ("gsjax.report",), (*CORE, "io", "meshing", "runs", "scoring"), ("jax", "numpy", "tqdm", "matplotlib", "jinja2")
     ),
+    "sharing": Layer(("gsjax.sharing",), ("vocabulary", "io"), ("numpy", "jinja2")),
     "pipeline": Layer(
         ("gsjax.pipeline",),
-        ("rasterizer", *CORE, *FILES, "scoring", "planning", "report"),
+        ("rasterizer", *CORE, *FILES, "scoring", "planning", "report", "sharing"),
         ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "jinja2"),
     ),
     "viewer": Layer(

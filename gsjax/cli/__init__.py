@@ -19,6 +19,7 @@ from gsjax.cli import (
     report,
     scan,
     sfm,
+    share,
     texture,
     train,
     turntable,
@@ -42,12 +43,13 @@ DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
                                     |---eval---> figures
                                     |--render--> pictures
                                     |--report--> one page that shows it; --compare--> several runs on one
+                                    |--share---> one page to send, that opens anywhere
                                     `--view----> a page to walk through it; of files and meshes too
 
   scene --diagnose--> which effects its photos call for
   scene --normals--> a normal map a photo, from a network, for training
   scene --undistort--> scene of pinhole photos, for other programs
-  run or file of Gaussians --convert--> .ply, .compressed.ply or .spz
+  run or file of Gaussians --convert--> .ply, .compressed.ply, .sog or .spz
 """
 
 
@@ -119,6 +121,7 @@ def parser() -> argparse.ArgumentParser:
         compare,
         turntable,
         view,
+        share,
         *beside_training,
     ):
         command.add_to(commands)

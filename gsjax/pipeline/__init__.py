@@ -4,11 +4,13 @@ from gsjax.pipeline.compare import compare
 from gsjax.pipeline.convert import convert
 from gsjax.pipeline.diagnose import diagnose
 from gsjax.pipeline.evaluate import evaluate
+from gsjax.pipeline.film import film
 from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.normals import normals
 from gsjax.pipeline.refine import refine
 from gsjax.pipeline.render import render
 from gsjax.pipeline.scan import scan
+from gsjax.pipeline.share import share
 from gsjax.pipeline.texture import texture
 from gsjax.pipeline.train import train
 from gsjax.pipeline.turntable import turntable
@@ -24,6 +26,7 @@ __all__ = [
     "count_devices",
     "diagnose",
     "evaluate",
+    "film",
     "mesh",
     "normals",
     "noted",
@@ -33,6 +36,7 @@ __all__ = [
     "resized",
     "scaled",
     "scan",
+    "share",
     "texture",
     "train",
     "turntable",

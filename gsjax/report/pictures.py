@@ -14,14 +14,23 @@ def to_bytes(image: np.ndarray) -> np.ndarray:
     return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
-def depth_picture(depth: np.ndarray) -> np.ndarray:
-    """`[H, W, 3]` uint8 grey: near is light, far is dark, nothing is black."""
-    seen = depth > 0
-    if not seen.any():
-        return np.zeros((*depth.shape, 3), np.uint8)
-    near, far = np.quantile(depth[seen], [0.01, 0.99])
-    grey = np.where(seen, 1 - 0.85 * np.clip((depth - near) / max(far - near, 1e-6), 0, 1), 0)
+def depth_picture(depth: np.ndarray, span: tuple[float, float] | None = None) -> np.ndarray:
+    """`[H, W, 3]` uint8 grey: near is light, far is dark, nothing is black.
+
+    Args:
+        depth: `[H, W]` camera z, 0 where nothing is.
+        span: What is lightest and what darkest; None: `depth_span` of this picture.
+    """
+    near, far = span or depth_span(depth)
+    grey = np.where(depth > 0, 1 - 0.85 * np.clip((depth - near) / max(far - near, 1e-6), 0, 1), 0)
     return to_bytes(np.repeat(grey[..., None], 3, -1))
+
+
+def depth_span(depths: np.ndarray) -> tuple[float, float]:
+    """The depths that all but the nearest and the farthest hundredth lie between; 0 and 1 where there are none."""
+    seen = depths[depths > 0]
+    near, far = np.quantile(seen, [0.01, 0.99]) if len(seen) else (0.0, 1.0)
+    return float(near), float(far)
 
 
 def normal_picture(normals: np.ndarray) -> np.ndarray:

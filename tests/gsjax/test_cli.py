@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("own_environment")
 
 COMMANDS = (
     "demo", "scan", "sfm", "normals", "train", "mesh", "refine", "texture", "eval", "render", "report", "compare",
-    "turntable", "view", "undistort", "convert",
+    "turntable", "view", "share", "undistort", "convert",
 )  # fmt: skip
 
 

@@ -1,0 +1,41 @@
+"""`gsjax share`: one page that shows a result anywhere."""
+
+import argparse
+import sys
+
+from gsjax.cli.parsers import add_command, count, given_options
+
+LARGE = 100_000_000  # bytes of a page that mail and many browsers have trouble with
+
+
+def add_to(commands: argparse._SubParsersAction) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands,
+        "share",
+        _run,
+        summary="write one page that shows the result in any browser",
+        description="""
+            Writes one HTML file with a viewer, the Gaussians, a dozen of the photos' cameras, and the mesh of the
+            run behind a switch. It needs no network and no server: open it, or send it.
+        """,
+        example="gsjax share runs/garden --out garden.html",
+    )
+    add = parser.add_argument
+    add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
+    add("--out", metavar="PAGE.html", required=True, help="the page")
+    add("--title", metavar="TEXT", help="title of the page; default: the name of the run or file")
+    add("--mesh", metavar="FILE", help=".ply, .obj or .glb to show as well; default: the mesh in the run, if any")
+    add("--max-gaussians", type=count, metavar="N", help="only the N Gaussians that cover most, for a smaller page")
+    add("--sh-degree", type=int, metavar="N", help="leave out harmonics above this degree, 0-3, for a smaller page")
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from gsjax import pipeline, tables
+
+    options = given_options(arguments, "title", "mesh", "max_gaussians", "sh_degree")
+    figures = pipeline.share(arguments.source, arguments.out, **options)
+    if figures["bytes"] > LARGE:
+        print(f"{arguments.out}: is {figures['bytes'] / 1e6:.0f} MB, which many browsers and mail programs refuse;"
+            " --max-gaussians N or --sh-degree 0 make it smaller", file=sys.stderr)  # fmt: skip
+    print(tables.record(figures))

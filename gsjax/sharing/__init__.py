@@ -1,0 +1,1 @@
+"""One file that shows a result in any browser, without a network."""

@@ -1,0 +1,94 @@
+"""Films come back picture by picture, and paths that are none are refused in one line."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from fuzzing import damaged_json, fuzz
+
+from gsjax.errors import InputError
+from gsjax.io import films
+
+POSES = [
+    {"viewmat": np.eye(4).tolist(), "fov": 50.0},
+    {"viewmat": [[0, -1, 0, 2], [1, 0, 0, 3], [0, 0, 1, 4.5], [0, 0, 0, 1]], "fov": 60},
+    {"viewmat": np.diag([1, -1, -1, 1]).tolist(), "fov": 40.0},
+]
+
+
+@pytest.mark.parametrize("name", ["film.mp4", "film.webm", "ü %03d.MP4"])
+def test_a_film_comes_back(tmp_path, name):
+    ramp = np.linspace(0, 255, 64).astype(np.uint8)[None, :, None] * np.ones((48, 1, 1), np.uint8)
+    shades = [ramp * np.uint8([1, 0, 0]), ramp * np.uint8([0, 1, 0]), ramp * np.uint8([0, 0, 1])] * 4
+    with films.film_writer(tmp_path / name, 24.0, 64, 48) as add:
+        for shade in shades:
+            add(shade)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    film = cv2.VideoCapture(str(tmp_path / name), cv2.CAP_FFMPEG)
+    assert film.get(cv2.CAP_PROP_FPS) == 24
+    for shade in shades:
+        there, picture = film.read()
+        assert there and np.abs(picture[..., ::-1].astype(int) - shade).mean() < 12
+    assert not film.read()[0]
+
+
+def test_a_film_that_is_stopped_or_cannot_be_written_leaves_nothing(tmp_path):
+    with pytest.raises(KeyboardInterrupt), films.film_writer(tmp_path / "film.mp4", 24.0, 64, 48) as add:
+        add(np.zeros((48, 64, 3), np.uint8))
+        raise KeyboardInterrupt
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "file").write_text("")
+    with (
+        pytest.raises(InputError, match="cannot write .*film.mp4"),
+        films.film_writer(tmp_path / "file" / "film.mp4", 24.0, 64, 48),
+    ):
+        pass
+    with pytest.raises(InputError, match=r"--out film.gif: a film ends in .mp4 or .webm"):
+        films.check_film("film.gif")
+
+
+def test_a_film_that_lacks_pictures_is_refused(tmp_path, monkeypatch):
+    """As a full disk leaves it."""
+    monkeypatch.setattr(films, "_count_frames", lambda path: 1)
+    with (
+        pytest.raises(InputError, match="not all of its 2 pictures are in it"),
+        films.film_writer(tmp_path / "film.mp4", 24.0, 64, 48) as add,
+    ):
+        add(np.zeros((48, 64, 3), np.uint8))
+        add(np.zeros((48, 64, 3), np.uint8))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_path_is_read_as_it_was_written(tmp_path):
+    (tmp_path / "path.json").write_text(json.dumps({"closed": True, "keyframes": POSES}))
+    keyframes = films.read_path(tmp_path / "path.json")
+    assert keyframes.closed
+    np.testing.assert_array_equal(keyframes.viewmats, [pose["viewmat"] for pose in POSES])
+    np.testing.assert_allclose(np.degrees(keyframes.fovs), [50, 60, 40])
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ([], "the whole is a list of 0, expected a table"),
+        ({"keyframes": POSES[:1]}, "1 keyframes; a path has 2 or more"),
+        ({"closed": True, "keyframes": POSES[:2]}, "2 keyframes; a path has 3 or more"),
+        ({"keyframes": [POSES[0], {"viewmat": np.eye(4).tolist()}]}, "lacks 'keyframes.1.fov'"),
+        ({"keyframes": [POSES[0], POSES[1] | {"fov": 0}]}, "keyframes.1.fov 0 is not between 1 and 170"),
+        ({"keyframes": [POSES[0], POSES[1] | {"viewmat": np.diag([1, 1, -1, 1]).tolist()}]}, "keyframes.1.view"),
+        ({"keyframes": [POSES[0], POSES[1] | {"viewmat": np.eye(3).tolist()}]}, "keyframes.1.viewmat is a list of 3"),
+    ],
+)  # fmt: skip
+def test_what_is_no_path_is_one_line(tmp_path, told, message):
+    (tmp_path / "path.json").write_text(json.dumps(told))
+    with pytest.raises(InputError, match=rf"path.json: {message}"):
+        films.read_path(tmp_path / "path.json")
+
+
+def test_fuzz_paths(tmp_path):
+    def attempt(random):
+        (tmp_path / "path.json").write_bytes(damaged_json({"closed": False, "keyframes": POSES}, random))
+        assert np.isfinite(films.read_path(tmp_path / "path.json").viewmats).all()
+
+    assert all(fuzz(attempt, usual=200))

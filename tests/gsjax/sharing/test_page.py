@@ -1,0 +1,140 @@
+"""The shared page: what is inside comes back whole, and nothing that is named in it becomes a program."""
+
+import json
+import shutil
+import subprocess
+from base64 import b64decode
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from small_scenes import camera_at, cloud
+
+from gsjax import cli, pipeline
+from gsjax.gaussians import opacities
+from gsjax.io import json_files
+from gsjax.io.ply import write_gaussians
+from gsjax.io.spz import read_spz
+from gsjax.mesh import Mesh
+from gsjax.meshing.export import read_mesh, write_mesh
+from gsjax.pipeline.share import most_visible
+from gsjax.runs.result import write_views
+from gsjax.scene import Pixels, frame_of
+from gsjax.sharing.page import LIBRARIES
+
+HOSTILE = "</script><script>alert(1)</script><!-- <b onload='x'>&\""
+FAR = np.array([5e6, -2e6, 300.0])
+
+
+class Page(HTMLParser):
+    """The elements of a page by their ids (else by their tags), and how many of each tag there are."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.texts, self.counts, self._open = {}, {}, "none"
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self._open = dict(attributes).get("id") or tag
+        self.counts[tag] = self.counts.get(tag, 0) + 1
+
+    def handle_data(self, data):
+        self.texts[self._open] = self.texts.get(self._open, "") + data
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Of 30 Gaussians and 20 cameras, with a mesh, and photos that are named to do harm."""
+    image, folder = np.zeros((20, 24, 3), np.uint8), tmp_path / "run"
+    cameras = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0), size=(24, 20)) for x in np.linspace(-1, 1, 20)]
+    frames = [
+        frame_of(f"{HOSTILE}{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image))
+        for k, c in enumerate(cameras)
+    ]
+    json_files.write(folder / "config.json", {"background": "white"})
+    write_gaussians(folder / "gaussians.ply", cloud(30))
+    write_views(folder, tuple(frames))
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float32)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
+    write_mesh(folder / "mesh.ply", Mesh(corners, faces, np.full((4, 3), 188, np.uint8)))
+    return folder
+
+
+def test_what_is_inside_comes_back(run, tmp_path):
+    figures = pipeline.share(run, tmp_path / "page.html", title=HOSTILE, sh_degree=0)
+    text = (tmp_path / "page.html").read_text()
+    assert figures["bytes"] == len(text.encode()) and figures["gaussians"] == 30 and figures["bookmarks"] == 12
+    page = Page(text)
+    (tmp_path / "inside.spz").write_bytes(b64decode(page.texts["splats"]))
+    read, given = read_spz(tmp_path / "inside.spz"), cloud(30)
+    assert read.sh_degree == 0 and read.pixel_filter == given.pixel_filter
+    np.testing.assert_allclose(read.means, given.means, atol=1e-5)
+    (tmp_path / "inside.glb").write_bytes(b64decode(page.texts["mesh"]))
+    assert read_mesh(tmp_path / "inside.glb").num_faces == 4
+    assert b64decode(page.texts["libraries"]) == LIBRARIES.read_bytes()
+    view = json.loads(page.texts["view"])
+    assert view["background"] == "#ffffff" and view["is_mip"] == (given.pixel_filter == "mip")
+    first, last = view["bookmarks"][0], view["bookmarks"][-1]
+    assert (first["name"], last["name"]) == (f"{HOSTILE}0.jpg", f"{HOSTILE}19.jpg")
+    assert np.reshape(first["viewmat"], (4, 4)).T[:3, 3] == pytest.approx(
+        camera_at((-1, 0, 0), (0, 0, 4)).viewmat[:3, 3]
+    )
+    assert first["slopes"] == pytest.approx([12 / 30, 10 / 33])
+    np.testing.assert_allclose(view["up"], [0, -1, 0], atol=1e-6)
+
+
+def test_titles_and_names_stay_text(run, tmp_path):
+    pipeline.share(run, tmp_path / "page.html", title=HOSTILE)
+    page = Page((tmp_path / "page.html").read_text())
+    assert page.texts["title"].strip() == page.texts["h1"].strip() == HOSTILE
+    assert page.counts["script"] == 5 and "b" not in page.counts  # the view, three parts and the viewer
+    assert "connect-src blob: data:" in (tmp_path / "page.html").read_text(), "no network"
+
+
+def test_the_viewer_is_javascript(run, tmp_path):
+    node = shutil.which("node") or pytest.skip("needs node")
+    pipeline.share(run, tmp_path / "page.html")
+    (tmp_path / "viewer.js").write_text(Page((tmp_path / "page.html").read_text()).texts["script"])
+    subprocess.run([node, "--check", tmp_path / "viewer.js"], check=True)
+
+
+def test_those_that_cover_most_stay_in_their_order():
+    gaussians = cloud(30)
+    area = np.prod(np.sort(np.exp(gaussians.log_scales), axis=1)[:, 1:], axis=1) * np.asarray(opacities(gaussians))
+    kept = most_visible(gaussians, 7)
+    wanted = np.sort(np.argsort(area)[-7:])
+    np.testing.assert_array_equal(kept.means, np.asarray(gaussians.means)[wanted])
+    assert most_visible(gaussians, 30) is gaussians and most_visible(gaussians, None) is gaussians
+
+
+def test_a_far_run_is_shared_about_its_own_middle(run, tmp_path):
+    """What saved paths and the mesh are brought by is in the page, in double precision."""
+    similarity = {"scale": 0.25, "center": FAR.tolist()}
+    json_files.write(run / "manifest.json", {"scene": "nowhere", "similarity": similarity})
+    gaussians = cloud(30)
+    write_gaussians(run / "gaussians.ply", gaussians)
+    pipeline.share(run, tmp_path / "page.html")
+    assert json.loads(Page((tmp_path / "page.html").read_text()).texts["view"])["similarity"] == similarity
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--out", "page.txt"], "--out page.txt: a page ends in .html"),
+        (["--out", "no/such/page.html", "--mesh", "no.ply"], "no.ply: "),
+        (["--out", "page.html", "--sh-degree", "4"], "--sh-degree 4 is not between 0 and 3"),
+    ],
+)
+def test_what_cannot_be_shared_is_one_line(run, tmp_path, monkeypatch, capsys, options, message):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["share", "run", *options]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.glob("*.html"))
+
+
+def test_a_large_page_says_how_to_make_it_smaller(run, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("gsjax.cli.share.LARGE", 1_000_000)
+    assert cli.main(["share", str(run), "--out", str(tmp_path / "page.html"), "--max-gaussians", "9"]) == 0
+    told = capsys.readouterr()
+    assert "which many browsers and mail programs refuse; --max-gaussians N or --sh-degree 0" in told.err
+    assert "gaussians  9\n" in told.out
