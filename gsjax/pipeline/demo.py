@@ -24,7 +24,7 @@ REPORTED = ("psnr", "ssim", "normal_error_deg", "normal_error_median_deg", "norm
 
 
 def run(out: str | Path = "runs/demo") -> dict[str, Any]:
-    """Make the scene, train both variants from the same start for the same steps, mesh, score, and draw.
+    """Make the scene, train both variants for the same steps, the first of them once, mesh, score, and draw.
 
     The true normals of the scene play the part of the monocular ones.
 
@@ -44,10 +44,10 @@ def run(out: str | Path = "runs/demo") -> dict[str, Any]:
     make_folder(out)
     scene = analytic_scene.write(out / "scene", num_views=NUM_VIEWS, size=SIZE)
     report: dict[str, Any] = {}
-    for name, vanilla in (("vanilla", True), ("surface", False)):
+    for name, vanilla, earlier in (("vanilla", True, None), ("surface", False, out / "vanilla")):
         settings = {**DEMO, "vanilla": vanilla, "normals": str(scene / "normals")}
         print(f"demo: training the {name} variant")
-        trained = pipeline.train(scene, out / name, config.parse(Settings, settings))
+        trained = pipeline.train(scene, out / name, config.parse(Settings, settings), earlier=earlier)
         pipeline.mesh(out / name, out / name / "mesh.ply")
         figures = pipeline.evaluate(out / name)
         report[name] = {key: figures[key] for key in REPORTED} | {"seconds": trained["train_seconds"]}

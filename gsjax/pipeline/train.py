@@ -45,7 +45,7 @@ from gsjax.training.buffers import bucket
 from gsjax.training.growth import adaptive
 from gsjax.training.growth.rules import RULES
 from gsjax.training.loop import Progress, Work, follow, with_tables
-from gsjax.training.plan import Plan, plan
+from gsjax.training.plan import Plan, plan, steps_in_common
 from gsjax.training.state import TrainState, count_alive, initial_state
 from gsjax.training.terms import Term
 from rasterizer.devices import default_device
@@ -75,8 +75,8 @@ def train(
         settings: The run. A phase gives terms of the loss their weights by name.
         terms: The run's own terms of the loss by name, beside those of `gsjax.training.terms.TERMS` or in their place.
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
-        earlier: Another run folder, of the same settings as far as it went, where this run begins: what several have in
-            common is then trained once. None: at the first step.
+        earlier: Another run folder, of the same settings until the phases part: this run begins at its last checkpoint
+            before that, so what both have in common is trained once. None: at the first step.
         observe: Told after every step, before its checkpoint is written.
         devices: How many the Gaussians are spread over, or "all". More than one, or several views a step, know no
             effects ("auto" looks for none) and no terms with tables; those that compare views are left out. A line says
@@ -110,6 +110,13 @@ def _planned(
     if settings.normals is None:
         return planned
     return replace(planned, normals=known["normals"] if known else normal_folders.find(scene, settings.normals))
+
+
+def _steps_in_common(earlier: Path, planned: Plan) -> int:
+    steps = steps_in_common(Run.open(earlier).plan, planned.record())
+    if runs.latest_checkpoint(earlier, steps) is None:
+        raise InputError(f"{earlier}: has no checkpoint of the {steps} steps that this run has in common with it")
+    return steps
 
 
 def _beginning_lines(planned: Plan, settings: Settings, photos_line: str) -> list[str]:
@@ -162,6 +169,7 @@ def _train(
     spread = hardware(devices, planned.views_per_step, optimizer)
     if (chosen.effects or chosen.tries_degrees) and not spread.is_one:
         raise InputError(f"--effects {settings.effects}: effects need one device and --views-per-step 1")
+    in_common = None if earlier is None else _steps_in_common(earlier, planned)
     as_dict = config.to_dict(settings)
     run = (
         runs.reopen(out, as_dict, scene=scene, completed=_completed)
@@ -183,7 +191,7 @@ def _train(
             runs.update_manifest(run, effects=chosen.evidence)
         degree = stored_degree(run, planned, settings.sh_degree) if known else settings.sh_degree
         initial = partial(_initial_with_tables, loaded, replace(settings, sh_degree=degree), planned, optimizer, chosen)
-        state, capacity, seconds = beginning(run, initial, earlier)
+        state, capacity, seconds = beginning(run, initial, earlier, in_common)
         state = spread.deal(_of_first(state, initial))
         whole = spread.whole
         with TrainingJournal(run, planned, loaded, int(state.step), seconds, chosen, whole) as journal:

@@ -239,9 +239,9 @@ def save_checkpoint(run: str | Path, step: int, tree: Any) -> Path:
     return path
 
 
-def latest_checkpoint(run: str | Path) -> tuple[int, Path] | None:
-    """Step and path of the newest checkpoint, or None before the first."""
-    found = _checkpoints(run)
+def latest_checkpoint(run: str | Path, until: int | None = None) -> tuple[int, Path] | None:
+    """Step and path of the newest checkpoint (after at most `until` steps), or None before the first."""
+    found = [(step, path) for step, path in _checkpoints(run) if until is None or step <= until]
     return found[-1] if found else None
 
 

@@ -126,6 +126,10 @@ class Plan:
         )
 
 
+LENGTH = {"steps", "end"}
+"""What is known of a phase only because it is so long."""
+
+
 def phase_record(
     name: str, steps: int, terms: Mapping[str, float], needs: Iterable[str], **more: Any
 ) -> dict[str, Any]:
@@ -154,6 +158,22 @@ def plan_record(
     """
     steps = sum(phase["steps"] for phase in phases)
     return {"steps": steps, "downscale": downscale, "normals": normals, **more, "phases": list(phases)}
+
+
+def steps_in_common(one: Mapping[str, Any], other: Mapping[str, Any]) -> int:
+    """After how many steps two runs part, by their plans' records (see `plan_record`): where their phases first differ.
+
+    Of the last phase in common the shorter of both counts.
+    """
+    steps = 0
+    for phases in zip(one["phases"], other["phases"], strict=False):
+        mine, others = ({key: value for key, value in phase.items() if key not in LENGTH} for phase in phases)
+        if mine != others:
+            break
+        steps += min(phase["steps"] for phase in phases)
+        if phases[0]["steps"] != phases[1]["steps"]:
+            break
+    return steps
 
 
 def plan(

@@ -77,6 +77,20 @@ def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_pa
     pipeline.train(scene, whole, config.parse(Settings, SETTINGS), earlier=begun)
     assert (whole / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
     assert [record["step"] for record in runs.read_metrics(whole)] == [5, 10, 12, 15, 20, 25, 30]
+
+    plan = json_files.read(run / "plan.json")
+    plan["phases"][1]["terms"]["entropy"] = 0.2  # So they part after 12 steps, and later checkpoints will not do.
+    json_files.write(begun / "plan.json", plan)
+    early = list((begun / "checkpoints").iterdir())
+    for later in (run / "checkpoints").iterdir():
+        shutil.copy(later, begun / "checkpoints")
+    pipeline.train(scene, tmp_path / "parted", config.parse(Settings, SETTINGS), earlier=begun)
+    assert (tmp_path / "parted/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+    for file in early:
+        file.unlink()
+    with pytest.raises(InputError, match="begun: has no checkpoint of the 12 steps that this run has in common"):
+        pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), earlier=begun)
+
     shutil.rmtree(begun / "checkpoints")
     with pytest.raises(InputError, match="begun: has no checkpoint to begin from"):
         pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), earlier=begun)
