@@ -36,6 +36,9 @@ def pytest_addoption(parser):
     parser.addoption("--hard-cases", metavar="FILE", help="write the errors measured on the hard cases as a table")
 
 
+COMMAND = "python -m pytest tests/rasterizer/test_edge_cases.py -n 0 --long --hard-cases docs/hard_cases.md"
+
+
 class HardCases:
     """Errors by case and backend, as the tests measure them, and the page that they make."""
 
@@ -75,7 +78,7 @@ class HardCases:
             "Photos that say nothing are tested with the [effects](effects.md#hard-cases). One command",
             "measures, asserts and writes this page:",
             "",
-            "    python -m pytest tests/rasterizer/test_edge_cases.py --numprocesses 0 --hard-cases docs/hard_cases.md",
+            f"    {COMMAND}",
             "",
             "| Case | " + " | ".join(backends) + " | Bounds |",
             "|---" * (len(backends) + 2) + "|",

@@ -24,6 +24,7 @@ CASES = {
     "ED, one pixel": (cloud(20, size=(1, 1), channels=1), {"render_mode": "ED"}),
     "degree 0, one Gaussian, 1 channel": (cloud(1, size=(9, 7), sh_degree=0, channels=1), {"sh_degree": 0}),
 }
+OF_BOTH = {"pixels that stop", "RGB+ED, degree 4, 7 channels", "RGB+ED of planes, two cameras"}
 
 
 def with_background_for_mode(scene, render_mode="RGB", **_):
@@ -32,8 +33,13 @@ def with_background_for_mode(scene, render_mode="RGB", **_):
     return replace(scene, backgrounds=padded)
 
 
-@pytest.mark.parametrize("backend", ["native", "xla"])
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    ("name", "backend"),
+    [
+        *((name, "native") for name in CASES),
+        *(pytest.param(name, "xla", marks=() if name in OF_BOTH else pytest.mark.long) for name in CASES),
+    ],
+)
 def test_tiles_equal_the_reference(name, backend):
     scene, options = CASES[name]
     scene = with_background_for_mode(scene, **options)
@@ -135,7 +141,7 @@ def listed(scene, side=16):
 
 
 @pytest.mark.parametrize("backend", ["native", "xla", "pallas"])
-@pytest.mark.parametrize("channels", [5, 17])
+@pytest.mark.parametrize("channels", [pytest.param(5, marks=pytest.mark.long), 17])
 def test_channels_in_front_are_those_of_the_reference(backend, channels):
     """And so are the others, the light left and the median; 17 take more than one pass."""
     scene, front = stacks(), Front(2, 0.2)

@@ -23,7 +23,7 @@ def golden(shared):
     return dict(np.load(path))
 
 
-@pytest.fixture(scope="module", params=["native", "xla", "pallas", "reference"])
+@pytest.fixture(scope="module", params=["native", "xla", "pallas", pytest.param("reference", marks=pytest.mark.long)])
 def rendered(golden, request):
     """Image, alphas, info and gradients of the golden loss from one backend in float32."""
     width, height = int(golden["width"]), int(golden["height"])

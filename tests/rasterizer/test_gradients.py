@@ -56,7 +56,7 @@ def dot(a, b):
 
 
 @pytest.mark.parametrize("name", FIELDS)
-@pytest.mark.parametrize("depth", DEPTHS)
+@pytest.mark.parametrize("depth", ["center", pytest.param("plane", marks=pytest.mark.long), "plane, flatter"])
 def test_reverse_mode_against_central_differences(x64, scene, directions, depth, name):
     value = jax.jit(objective, static_argnums=1)
     slope = difference(lambda s: value(s, depth), scene, directions[name])
@@ -99,6 +99,7 @@ def assert_second_order(function, inputs, direction):
     return product
 
 
+@pytest.mark.long
 def test_second_order_of_the_projection(x64, scene, directions):
     everywhere = jax.tree.map(lambda *x: sum(x), *directions.values())
     assert_second_order(lambda s: projected(s)[1], scene, everywhere)

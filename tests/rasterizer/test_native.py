@@ -167,10 +167,8 @@ def listed(scene, side, masks=None, capacity=4096):
     return projection, grid, *(bin_splats(*args, backend=backend) for backend in ("native", "xla"))
 
 
-@settings(max_examples=20, deadline=None)
-@given(
-    seed=st.integers(0, 2**31), side=st.sampled_from([1, 3, 8, 12, 16, 32]), spread=st.sampled_from([0.02, 0.3, 2.0])
-)
+@settings(max_examples=12, deadline=None)
+@given(seed=st.integers(0, 2**31), side=st.sampled_from([1, 8, 12, 32]), spread=st.sampled_from([0.02, 0.3, 2.0]))
 def test_lists_are_those_of_the_other_engine_to_the_last_entry(seed, side, spread):
     scene = cloud(60, cameras=2, seed=seed)
     scene = replace(scene, scales=spread * scene.scales)
@@ -209,7 +207,7 @@ def test_whole_tiles_equal_the_other_engines(seed, side, channels, ending, rules
         return jnp.sum(image * weights) + jnp.sum(left), (image, left, median)
 
     numbers = projection.means2d, projection.conics, scene.opacities, features
-    run = jax.value_and_grad(weighed, has_aux=True)
+    run = jax.jit(jax.value_and_grad(weighed, has_aux=True), static_argnums=1)
     (_, found), slopes = run(numbers, "native")
     (_, expected), right = run(numbers, "xla")
     assert_close(found[:2], expected[:2], rtol=1e-5, atol=2e-5, why="sums of up to 40 roundings, in another order")
@@ -220,8 +218,8 @@ def test_whole_tiles_equal_the_other_engines(seed, side, channels, ending, rules
 
 def test_a_session_of_float64_renders_float32_and_refuses_float64(x64):
     scene = cloud()
-    expected = evaluate(scene, "xla")[0]
-    assert_close(evaluate(scene, "native")[0], expected)
+    expected = render(scene, capacity=4096, backend="xla")[0]
+    assert_close(render(scene, capacity=4096, backend="native")[0], expected)
     projection, grid, pairs, _ = listed(scene, 8)
     finer = jax.tree.map(lambda x: x.astype(jnp.float64) if x.dtype == jnp.float32 else x, projection)
     colors = scene.colors[None].astype(jnp.float64)

@@ -14,6 +14,7 @@ import rasterizer
 from rasterizer import GSPLAT, INRIA
 
 BACKENDS = ("reference", "native", "xla", "pallas")
+FIRST = [each if each in ("native", "pallas") else pytest.param(each, marks=pytest.mark.long) for each in BACKENDS]
 TILE = 16
 SCENE = cloud(cameras=2)
 
@@ -46,7 +47,7 @@ def with_masks():
     return masks, masks.repeat(TILE, 1).repeat(TILE, 2)[:, : SCENE.height, : SCENE.width]
 
 
-@pytest.mark.parametrize("backend", ["native", "xla", "pallas"])
+@pytest.mark.parametrize("backend", ["native", "pallas", pytest.param("xla", marks=pytest.mark.long)])
 def test_everything_at_once_equals_the_reference(backend):
     scene = replace(SCENE, backgrounds=jnp.pad(SCENE.backgrounds, ((0, 0), (0, 1)), constant_values=0.5))
     extra = {"masks": jnp.asarray(with_masks()[0])}
@@ -164,23 +165,27 @@ def test_antialiasing_keeps_the_energy_of_what_is_smaller_than_a_pixel():
     np.testing.assert_allclose(fair / classic, 0.9927, atol=1e-4)
 
 
-@pytest.mark.parametrize("backend", ["reference", "native", "xla"])
+@pytest.mark.parametrize("backend", ["native", pytest.param("xla", marks=pytest.mark.long)])
 def test_covariances_in_place_of_quats_and_scales(backend):
     expected_image, _, _, _ = outputs(SCENE, {}, "reference")
     covars, _ = rasterizer.quat_scale_to_covar_preci(SCENE.quats, SCENE.scales, compute_preci=False)
     s = SCENE
 
-    def image(covars):
-        return rasterizer.rasterization(
+    @jax.jit
+    @partial(jax.grad, has_aux=True)
+    def drawn(covars):
+        image = rasterizer.rasterization(
             s.means, None, None, s.opacities, s.colors, s.viewmats, s.Ks, s.width, s.height,
             covars=covars, backgrounds=s.backgrounds, capacity=4096, backend=backend,
         )[0]  # fmt: skip
+        return jnp.sum(image**2), image
 
-    assert_close(image(covars), expected_image, rtol=1e-4, atol=1e-4, why="products of float32 covariances")
+    gradient, image = drawn(covars)
+    assert_close(image, expected_image, rtol=1e-4, atol=1e-4, why="products of float32 covariances")
     # Only the upper triangle is read.
     lower = jnp.asarray(np.tril(np.ones((3, 3)), -1), jnp.float32)
-    np.testing.assert_array_equal(image(covars + 7 * lower), image(covars))
-    gradient = np.asarray(jax.grad(lambda c: jnp.sum(image(c) ** 2))(covars))
+    np.testing.assert_array_equal(drawn(covars + 7 * lower)[1], image)
+    gradient = np.asarray(gradient)
     assert np.isfinite(gradient).all() and np.all(
         gradient[:, np.tril_indices(3, -1)[0], np.tril_indices(3, -1)[1]] == 0
     )
@@ -229,7 +234,7 @@ def test_odd_covariances_are_drawn_or_hidden_but_never_disturb(name, covar):
     assert bool(visible[0, -1]) == (name in ("zero", "rank one"))
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", FIRST)
 def test_a_masked_tile_is_background_and_the_rest_keeps_its_bits(backend):
     masks, drawn = with_masks()
     # One program for both: in another one the same sums may be taken in another order.
