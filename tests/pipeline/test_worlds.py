@@ -40,7 +40,7 @@ def moved(scene, out, scale, shift):
     return out
 
 
-@pytest.mark.parametrize("world", WORLDS)
+@pytest.mark.parametrize("world", ["utm", pytest.param("a thousandth", marks=pytest.mark.long)])
 def test_a_run_is_the_same_in_another_world_and_lies_where_its_photos_do(world, run, scene, tmp_path):
     scale, shift = WORLDS[world]
     there = moved(scene, tmp_path / "scene", scale, shift)

@@ -23,7 +23,10 @@ def golden(shared):
     return dict(np.load(path))
 
 
-@pytest.fixture(scope="module", params=["native", "xla", "pallas", pytest.param("reference", marks=pytest.mark.long)])
+@pytest.fixture(
+    scope="module",
+    params=["native", "pallas", *(pytest.param(name, marks=pytest.mark.long) for name in ("xla", "reference"))],
+)
 def rendered(golden, request):
     """Image, alphas, info and gradients of the golden loss from one backend in float32."""
     width, height = int(golden["width"]), int(golden["height"])

@@ -47,7 +47,7 @@ def test_two_runs_give_the_same_bits_and_a_batch_is_its_cameras():
         assert_close((both[0][i], both[1][i]), first[:2])
 
 
-@pytest.mark.parametrize("backend", ["native", "xla", "pallas"])
+@pytest.mark.parametrize("backend", ["native", pytest.param("xla", marks=pytest.mark.long), "pallas"])
 def test_a_pair_buffer_that_is_too_short_is_reported_and_stays_finite(backend):
     _, _, info, gradient = evaluate(stacks(), backend, capacity=64)
     assert info["overflowed"]

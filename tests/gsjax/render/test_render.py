@@ -84,7 +84,7 @@ def in_front_of_reference(gaussians, reading):
     return jnp.where(is_covered, image[0, ..., 1], 0) / jnp.where(is_covered, image[0, ..., 0], 1)
 
 
-@pytest.mark.parametrize("reading", ["front", "discs"])
+@pytest.mark.parametrize("reading", ["front", pytest.param("discs", marks=pytest.mark.long)])
 def test_depth_in_front_is_the_references_and_so_is_its_gradient(reading):
     def weighed(depth):
         return jnp.sum(depth * jnp.linspace(0.5, 1.5, depth.size).reshape(depth.shape)), depth
@@ -249,7 +249,7 @@ def test_without_depth_there_is_no_depth_in_the_program():
     assert most_channels(with_depth=True) == without + 3
 
 
-@pytest.mark.parametrize("backend", ["xla", "reference"])
+@pytest.mark.parametrize("backend", [pytest.param("xla", marks=pytest.mark.long), "reference"])
 def test_any_backend_shows_the_same(backend):
     how = {"capacity": CAPACITY, "background": BACKGROUND, "with_depth": True, "depth_mode": "front"}
     of_it, usual = render.view(SCENE, CAMERA, backend=backend, **how), shown(SCENE, depth_mode="front")
