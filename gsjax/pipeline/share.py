@@ -13,7 +13,7 @@ from gsjax.io.temporaries import sweep_beside
 from gsjax.meshing.export import glb_bytes
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result
-from gsjax.runs.viewpoints import opaque_middle
+from gsjax.runs.viewpoints import mean_up, opaque_middle
 from gsjax.sharing.page import Shared, write_shared
 
 MOST_BOOKMARKS = 12
@@ -68,6 +68,7 @@ def share(
             gaussians=replace(kept, sh_rest=kept.sh_rest[:, :bands]),
             bookmarks=(bookmarks := thinned(result)),
             middle=opaque_middle(result.gaussians),
+            up=mean_up(result.cameras),
             background=np.asarray(result.background),
             similarity=result.similarity,
             glb=glb,

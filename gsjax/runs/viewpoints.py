@@ -82,8 +82,7 @@ def camera_circle(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Camer
     middle = opaque_middle(gaussians)
     views = np.stack([np.asarray(c.viewmat) for c in cameras])
     centers = -np.einsum("vji,vj->vi", views[:, :3, :3], views[:, :3, 3])
-    up = -views[:, 1, :3].mean(0)
-    up /= np.linalg.norm(up)
+    up = mean_up(cameras)
     offsets = centers - middle
     height = float((offsets @ up).mean())
     flat = offsets - (offsets @ up)[:, None] * up
@@ -101,6 +100,16 @@ def camera_circle(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Camer
         )  # pyright: ignore[reportArgumentType]
         for a in angles
     ]
+
+
+def mean_up(cameras: Sequence[Camera]) -> np.ndarray:
+    """`[3]` unit float64, world: what is up in the pictures of cameras, on average.
+
+    Of cameras that lie in all directions there is no such thing; theirs is that of the first.
+    """
+    ups = -np.stack([np.asarray(camera.viewmat, np.float64)[1, :3] for camera in cameras])
+    length = np.linalg.norm(ups.mean(axis=0))
+    return ups.mean(axis=0) / length if length > 1e-6 else ups[0]
 
 
 def opaque_middle(gaussians: Gaussians) -> np.ndarray:

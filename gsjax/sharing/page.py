@@ -30,6 +30,7 @@ class Shared:
     gaussians: Gaussians  # numpy, harmonics of degree 3 at most
     bookmarks: Sequence[tuple[str, Camera]]  # names and cameras; the page begins at the first
     middle: np.ndarray  # [3]: what the page turns around
+    up: np.ndarray  # [3] unit
     background: np.ndarray  # [3] or SH, see `gsjax.render.backdrop`
     similarity: Similarity  # to local coordinates from those of the mesh and of saved paths
     glb: bytes | None = None  # the mesh
@@ -70,11 +71,9 @@ def write_shared(path: str | Path, shared: Shared) -> dict[str, int]:
 def _view(shared: Shared) -> Any:
     """What `share.js` reads, in JSON's own types."""
     viewmats = np.stack([np.asarray(camera.viewmat, np.float64) for _, camera in shared.bookmarks])
-    up = -viewmats[:, 1, :3].mean(0)
-    up = up if np.linalg.norm(up) > 1e-6 else -viewmats[0, 1, :3]  # Cameras that lie in all directions have no up.
     return json_files.plain(
         {
-            "up": up / np.linalg.norm(up),
+            "up": shared.up,
             "middle": shared.middle,
             "scale": float(np.linalg.norm(viewmat_center(viewmats[0]) - shared.middle)) or 1.0,
             "background": _hex(shared.background),

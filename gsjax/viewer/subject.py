@@ -13,7 +13,7 @@ from gsjax.io.gaussian_files import FORMATS
 from gsjax.meshing.export import SUFFIXES, read_mesh
 from gsjax.render import DepthReading
 from gsjax.runs.result import BACKGROUND_COLORS, Result, frame_camera, open_result, scene_of_run
-from gsjax.runs.viewpoints import opaque_middle
+from gsjax.runs.viewpoints import mean_up, opaque_middle
 from gsjax.scene import Frame, Scene
 from gsjax.similarity import IDENTITY, Similarity, of_points
 
@@ -139,14 +139,11 @@ def _of_mesh(path: Path) -> Subject:
 
 def _seen_from(cameras: list[Camera], middle: np.ndarray) -> dict:
     """Where a page begins: at the first camera."""
-    views = np.stack([np.asarray(camera.viewmat, np.float64) for camera in cameras])
-    up = -views[:, 1, :3].mean(0)
-    length = np.linalg.norm(up)
-    eye = viewmat_center(views[0])
+    eye = viewmat_center(np.asarray(cameras[0].viewmat, np.float64))
     return {
         "start": cameras[0],
         "middle": np.asarray(middle, np.float64),
-        "up": up / length if length > 1e-6 else -views[0, 1, :3],  # Cameras that lie in all directions have no up.
+        "up": mean_up(cameras),
         "scale": float(np.linalg.norm(eye - middle)) or 1.0,
     }
 

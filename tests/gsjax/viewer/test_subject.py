@@ -51,7 +51,7 @@ def placed(monkeypatch):
 def test_a_run_brings_its_cameras_and_its_mesh_and_says_why_there_are_no_photos(run):
     told = []
     subject = open_subject(run, tell=told.append)
-    assert told == [f"no photos: {run}/manifest.json: No such file or directory"]
+    assert told == [f"no photos: {run}/manifest.json: cannot be read (No such file or directory)"]
     assert list(subject.cameras) == ["0.jpg", "1.jpg"] and not subject.photos and subject.mesh is None
     np.testing.assert_array_equal(subject.background, [1, 1, 1])
     np.testing.assert_array_equal(subject.start.viewmat, CAMERAS[0].viewmat)
@@ -133,7 +133,7 @@ def test_what_cannot_be_shown_is_one_line(tmp_path, run, placed):
         "absent": "no such file or folder",
         "empty": "holds no gaussians.ply; it is no run folder",
         "run": "holds no Gaussians, there is nothing to show",
-        "notes.txt": "is no run folder, and no file of Gaussians (.compressed.ply, .ply, .spz) or of a mesh (.ply, "
+        "notes.txt": "is no run folder, and no file of Gaussians (.compressed.ply, .ply, .sog, .spz) or of a mesh (.ply, "
         ".obj, .glb)",
         "broken.ply": "not a PLY file",
         "points.ply": "not a PLY of Gaussians, it lacks",
