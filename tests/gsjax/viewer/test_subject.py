@@ -133,8 +133,8 @@ def test_what_cannot_be_shown_is_one_line(tmp_path, run, placed):
         "absent": "no such file or folder",
         "empty": "holds no gaussians.ply; it is no run folder",
         "run": "holds no Gaussians, there is nothing to show",
-        "notes.txt": "is no run folder, and no file of Gaussians (.compressed.ply, .ply, .sog, .spz) or of a mesh (.ply, "
-        ".obj, .glb)",
+        "notes.txt": "is no run folder, and no file of Gaussians (.compressed.ply, .ply, .sog, .spz) "
+        "or of a mesh (.ply, .obj, .glb)",
         "broken.ply": "not a PLY file",
         "points.ply": "not a PLY of Gaussians, it lacks",
         "broken.spz": "",
