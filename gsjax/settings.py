@@ -190,6 +190,10 @@ class Settings:
     hold_out: str = "auto"  # every N-th photo, "none", a file of names, or "auto" (`gsjax.io.splits`)
     normals: str | None = None  # folder of maps (`gsjax.io.normal_folders.find`); None: smoothed normals of own depth
     normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: found by comparing with the rendered depth
+    depth: str | None = None  # folder of measured depth (`gsjax.io.depth_maps`), within the data set or anywhere
+    depth_unit: Literal["mm", "cm", "m", "scene"] | None = None  # of those maps; None: as depth.json beside them says
+    depth_weight: float = 0.2  # of the term `measured_depth`, where there are such maps and a phase sets no other
+    points: str | None = None  # PLY of points to start from, in the data set's coordinates; None: the data set's own
     background: Literal["white", "black", "random"] = "black"
     masks: Literal["valid", "matte"] = "valid"
     depth_mode: Literal["plane", "front", "center"] = "plane"  # how depth is read, see `gsjax.render.view`
@@ -216,6 +220,11 @@ class Settings:
         named_effects(self.effects)
         if self.downscale is not None and not 1 <= self.downscale < math.inf:
             raise ValueError(f"downscale={self.downscale} is not a number of at least 1")
+        check_lowest(self, depth_weight=0)
+        if self.depth is None and self.depth_unit is not None:
+            raise ValueError(f"depth_unit={self.depth_unit} is the unit of no maps: depth names their folder")
+        if self.depth is not None and self.vanilla:
+            raise ValueError("vanilla is plain 3DGS, which has no term for depth: leave one of the two out")
         if self.cpu_pixels is not None and self.cpu_pixels < 1:
             raise ValueError(f"cpu_pixels={self.cpu_pixels} is below 1")
         if not 0 <= self.view_share <= 1:

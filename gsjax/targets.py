@@ -30,6 +30,8 @@ class Target:
     valid: Array | None  # [H, W] bool; None: all of the photo
     matte: Array | None  # [H, W] uint8
     normals: Array | None = None  # [H, W, 3] int8, camera frame, times `NORMAL_UNIT`; zero where there is none
+    depth: Array | None = None  # [H, W] float32 camera z that was measured, scene units; zero where nothing was
+    trust: Array | None = None  # [H, W] uint8, how far that is trusted, of 255
     photo: Array | None = None  # [] int32, which of the run's photos it is, where an effect has numbers for each
     beside: "Target | None" = None  # another view of the same step, where a term compares two
     turn: Array | None = None  # [] int32, the steps before it: a state of another step is left as it is. None: of any
@@ -75,6 +77,8 @@ class Batch:
     matte: Array | None  # [H, W] 0..1
     normals: Array | None  # [H, W, 3] camera frame, zero where there is none
     photo: Array | None = None  # [] int32, see `Target`
+    depth: Array | None = None  # [H, W] camera z that was measured, scene units; zero where nothing was
+    trust: Array | None = None  # [H, W] 0..1, how far that is trusted
 
 
 def read_targets(frames: Sequence[Frame], *, scale: int = 1) -> Targets:
@@ -106,6 +110,13 @@ def with_normals(views: Targets, maps: Sequence[np.ndarray]) -> Targets:
     pairs = zip(views.targets, maps, strict=True)
     targets = (replace(target, normals=_padded(normals, width, height)) for target, normals in pairs)
     return replace(views, targets=tuple(targets))
+
+
+def with_depths(views: Targets, depths: Sequence[tuple[np.ndarray, np.ndarray]]) -> Targets:
+    """The same views with measured depth and its confidence (see `Target`), each pair of its photo's size."""
+    padded = ([_padded(array, *views.size) for array in pair] for pair in depths)
+    pairs = zip(views.targets, padded, strict=True)
+    return replace(views, targets=tuple(replace(target, depth=depth, trust=trust) for target, (depth, trust) in pairs))
 
 
 def with_photo_numbers(views: Targets) -> Targets:
@@ -167,7 +178,9 @@ def batch(target: Target, background: Array) -> Batch:
     if target.valid is not None:
         valid &= target.valid
     normals = None if target.normals is None else target.normals.astype(jnp.float32) / NORMAL_UNIT
-    return Batch(Camera(target.viewmat, target.K, width, height), image, valid, matte, normals, target.photo)
+    trust = None if target.trust is None else target.trust.astype(jnp.float32) / 255
+    camera = Camera(target.viewmat, target.K, width, height)
+    return Batch(camera, image, valid, matte, normals, target.photo, target.depth, trust)
 
 
 def _target(frame: Frame, scale: int, width: int, height: int) -> Target:

@@ -15,8 +15,8 @@ from gsjax.errors import InputError
 from gsjax.settings import LENGTHS, PRESETS, Settings
 
 OPTIONS = (
-    "seed", "downscale", "images", "hold_out", "normals", "normal_axes", "background", "masks", "effects", "vanilla",
-    "views_per_step",
+    "seed", "downscale", "images", "hold_out", "normals", "normal_axes", "depth", "depth_unit", "points", "background",
+    "masks", "effects", "vanilla", "views_per_step",
 )  # fmt: skip
 
 
@@ -58,6 +58,12 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--normal-axes", metavar="SIGNS", help="what brings the maps' axes to ours (x right, y down, z forward): three"
         " signs, as in --normal-axes=+x-y-z, or opencv, opengl, dsine, pytorch3d (default: found by"
         " comparing)")  # fmt: skip
+    add("--depth", metavar="DIR", nargs="?", const="depth", help="folder of measured depth, .png of 16 bits or .npy"
+        " named as the photos, within SCENE or anywhere; without a value, SCENE/depth")  # fmt: skip
+    add("--depth-unit", choices=("mm", "cm", "m", "scene"), help="unit of that depth (default: as depth.json beside the"
+        " maps says)")  # fmt: skip
+    add("--points", metavar="FILE", help="PLY of points to start from, as of a LiDAR scan, in the coordinates of SCENE"
+        " (default: the data set's own)")  # fmt: skip
     add("--background", choices=("white", "black", "random"), help="colour behind the Gaussians (default: black)")
     add("--masks", choices=("valid", "matte"), help="what the masks/ folder means: pixels to use, or the object's"
         " coverage over the background (default: valid)")  # fmt: skip
@@ -159,8 +165,9 @@ def settings(arguments: argparse.Namespace) -> Settings:
 def override_settings(base: Mapping[str, Any], arguments: argparse.Namespace, *names: str) -> Settings:
     """Settings with the named options where they were given, then what `--set` says."""
     options = given_options(arguments, *names)
-    if os.path.isfile(options.get("hold_out", "")):  # As an absolute path, later commands find it from anywhere.
-        options["hold_out"] = str(Path(options["hold_out"]).resolve())
+    for name, exists in (("hold_out", os.path.isfile), ("points", os.path.isfile), ("depth", os.path.isdir)):
+        if exists(options.get(name, "")):  # As an absolute path, later commands find it from anywhere.
+            options[name] = str(Path(options[name]).resolve())
     # Parsed before the overrides too, so that `--set` reaches into defaults that are lists.
     whole = config.to_dict(config.parse(Settings, config.merge(base, options), where="settings"))
     assignments = [one for group in arguments.assignments for one in group]

@@ -22,10 +22,12 @@ from gsjax.gaussians import Gaussians, take
 from gsjax.io import json_files, normal_folders
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
+from gsjax.io.point_clouds import read_points
 from gsjax.planning.effect_trials import gains
 from gsjax.planning.effects import ChosenEffects, choose_effects, look_for_effects
 from gsjax.planning.hardware import Devices, count_devices, effects_asked, hardware
 from gsjax.planning.harmonics import stored_degree, with_needed_harmonics
+from gsjax.planning.measured_depth import measured_depth
 from gsjax.planning.pace import Pace, duration_text, seconds_left
 from gsjax.planning.sizes import at_size, training_extent
 from gsjax.report.page import report
@@ -160,7 +162,10 @@ def _train(
     prior = RunPrior(
         out, planned.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
     )
-    trial = partial(gains, planned, frames, size, partial(first_state, loaded, settings))
+    measured, started = measured_depth(loaded, settings), _with_given_points(loaded, settings)
+    if measured is not None:
+        print(f"train: depth {measured.line}", file=sys.stderr)
+    trial = partial(gains, planned, frames, size, partial(first_state, started, settings))
     chosen = choose_effects(asked, planned, loaded, trial, looked, sh_degree=settings.sh_degree)
     planned = replace(planned.with_effects(chosen.effects), downscale=downscale)
     optimizer = optimizers.make_optimizer(
@@ -190,7 +195,9 @@ def _train(
         if chosen.evidence:
             runs.update_manifest(run, effects=chosen.evidence)
         degree = stored_degree(run, planned, settings.sh_degree) if known else settings.sh_degree
-        initial = partial(_initial_with_tables, loaded, replace(settings, sh_degree=degree), planned, optimizer, chosen)
+        initial = partial(
+            _initial_with_tables, started, replace(settings, sh_degree=degree), planned, optimizer, chosen
+        )
         state, capacity, seconds = beginning(run, initial, earlier, in_common)
         state = spread.deal(_of_first(state, initial))
         whole = spread.whole
@@ -209,7 +216,10 @@ def _train(
             # A CPU computes all the while, and has no step's memory to spare.
             waits = observe is not None or not spread.is_one or default_device().platform == "cpu"
             looks = None if waits else journal.looks
-            work = Work(planned, frames, size, optimizer, normals, told, chosen.effects, spread.placement, looks)
+            depths = None if measured is None else measured.depths
+            work = Work(
+                planned, frames, size, optimizer, normals, told, chosen.effects, spread.placement, depths, looks
+            )
             # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.
             capacity = capacity if spread.is_one else None
             if chosen.tries_degrees:
@@ -244,6 +254,14 @@ def _tell_normals(run: str | Path, line: str) -> None:
     """What became of the normal maps, on the screen and in the manifest."""
     tqdm.write(f"normals: {line}", file=sys.stderr)
     runs.update_manifest(run, normals=line)
+
+
+def _with_given_points(scene: Scene, settings: Settings) -> Scene:
+    """The scene with the cloud that the settings name, which only the start of training looks at."""
+    if settings.points is None:
+        return scene
+    points, colors = read_points(settings.points)
+    return replace(scene, points=scene.similarity.points_to_local(points), point_colors=colors, tracks=None)
 
 
 def _starting_points(scene: Scene, settings: Settings) -> tuple[np.ndarray, np.ndarray]:

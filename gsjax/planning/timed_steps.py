@@ -122,8 +122,13 @@ def _moments(
     def facing(_: object) -> list[np.ndarray]:
         return [np.tile(np.int8([0, 0, -NORMAL_UNIT]), (frame.height, frame.width, 1)) for frame in frames]
 
+    def far(scale: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        shapes = [(frame.height // scale, frame.width // scale) for frame in frames]
+        return [(np.ones(shape, np.float32), np.full(shape, 255, np.uint8)) for shape in shapes]
+
     with contextlib.suppress(_EnoughError):
-        loop.follow(loop.Work(replace(plan, density=still), frames, size, optimizer, facing, note), state)
+        still_plan = replace(plan, density=still)
+        loop.follow(loop.Work(still_plan, frames, size, optimizer, facing, note, depths=far), state)
     return moments
 
 

@@ -37,6 +37,9 @@ logger = logging.getLogger("gsjax")
 REFRESHED_EVERY = 500  # steps between two tables of a term that has one (SuGaR)
 
 
+Depths = Callable[[int], Sequence[tuple[np.ndarray, np.ndarray]]]
+"""How many times smaller photos are -> measured depth and its confidence of each frame, see `gsjax.targets.Target`."""
+
 Feed = Callable[[Targets, int, float], Callable[[int], Target]]
 """(photos, seed of their order, share of the device's memory) -> steps done -> what the next step compares with."""
 
@@ -120,6 +123,7 @@ class Work:
     observe: Callable[[Progress], None]  # called after every step
     effects: Effects = field(default_factory=dict)  # the state must be made for them, their photos be `frames`
     placement: Placement = field(default_factory=one_device)  # where the state lies
+    depths: Depths | None = None  # where a term needs measured depth
     looks: Callable[[int], bool] | None = None  # at whose state `observe` looks, see `advance`; for one device
 
 
@@ -133,6 +137,7 @@ def fit(
     prior: NormalsPrior,
     observe: Callable[[Progress], None],
     terms: Mapping[str, Term] = MappingProxyType({}),
+    depths: Depths | None = None,
     capacity: int | None = None,
 ) -> TrainState:
     """Plan a run on one device and follow the plan from `state.step` on.
@@ -146,6 +151,7 @@ def fit(
         prior: As in `Work`.
         observe: As in `Work`.
         terms: The run's own terms of the loss, see `gsjax.training.plan.plan`.
+        depths: As in `Work`.
         capacity: Pair buffer to continue with; None counts.
 
     Returns:
@@ -154,7 +160,7 @@ def fit(
     Raises:
         InputError: A weight has no term, or the device has no room for so many Gaussians at this size.
     """
-    work = Work(plan(settings, terms), frames, extent, optimizer, prior, observe)
+    work = Work(plan(settings, terms), frames, extent, optimizer, prior, observe, depths=depths)
     return follow(work, state if state.tables else with_tables(state, work.plan), capacity)
 
 
@@ -198,6 +204,9 @@ def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Targets:
         data = targets.with_photo_numbers(data)
     if "normals" in phase.needs:
         data = targets.with_normals(data, work.prior(state))
+    if "measured" in phase.needs:
+        assert work.depths is not None, "the plan has such a term only where there is measured depth"
+        data = targets.with_depths(data, work.depths(phase.scale))
     if "neighbor" in phase.needs:
         data = with_neighbors(data, work.extent)
     return data

@@ -211,6 +211,9 @@ def plan(
         for each in wanted:
             if each.term.refresh is not None and not is_one:
                 raise InputError(f"phase {phase.name}: {each.name} needs one device and --views-per-step 1")
+        if settings.depth is None and "measured" in needs(wanted):
+            named = next(each.name for each in wanted if "measured" in needs([each]))
+            raise InputError(f"phases.{phase.name}.weights.{named}: needs measured depth, --depth DIR")
         if phase.image_scale > 1 and "normals" in needs(wanted):
             raise InputError(
                 f"phase {phase.name}: image_scale={phase.image_scale} with a term that needs normals: normal maps serve"
@@ -240,8 +243,9 @@ def plan(
 
 def _weighed(settings: Settings, phase: Phase, terms: Mapping[str, Term]) -> tuple[Weighed, ...]:
     """The terms of a phase; of plain 3DGS those of the image alone."""
+    everywhere = {} if settings.depth is None else {"measured_depth": settings.depth_weight}
     try:
-        wanted = weigh_terms(phase.weights, terms)
+        wanted = weigh_terms({**everywhere, **phase.weights}, terms)
     except InputError as error:
         raise InputError(f"phases.{phase.name}.{error}") from error
     return tuple(each for each in wanted if each.name in PLAIN) if settings.vanilla else wanted

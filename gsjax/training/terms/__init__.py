@@ -17,6 +17,7 @@ from gsjax.training.terms import losses, multi_view, surface
 NEEDS = {
     "depth": "the rendered depth, `View.depth`",
     "normals": "the normal map of the photo, `Batch.normals`",
+    "measured": "depth that was measured beside the photo, `Batch.depth`",
     "neighbor": "a second view beside the first, `View.neighbor`",
     "gaussians": "the Gaussians themselves, not their picture alone; on several devices those that show in the view",
 }
@@ -90,6 +91,7 @@ TERMS: Mapping[str, Term] = {
     "depth_normal": Term(surface.depth_normal, {"depth", "gaussians"}),
     "multi_view": Term(multi_view.multi_view, {"depth", "neighbor"}),
     "photometric": Term(multi_view.photometric, {"depth", "neighbor"}),
+    "measured_depth": Term(losses.measured_depth, {"depth", "measured"}),
     "alpha": Term(losses.alpha),
 }
 """The library's own: of the image (3DGS), of the paper (`sdf_normal` is its R), and those of other mesh makers."""

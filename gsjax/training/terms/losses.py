@@ -68,6 +68,19 @@ def coverage(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     return masked_mean(1 - view.alphas, batch.valid & is_surface)
 
 
+def measured_depth(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+    """Mean |log(rendered depth / measured depth)|, weighed by the measurement's confidence.
+
+    A share, not a length: it means the same in any unit and at any distance, as the errors of a depth camera grow with
+    what it measures. Over valid pixels that have both depths. Differentiable to the rendered depth.
+    """
+    del gaussians
+    assert view.depth is not None and batch.depth is not None and batch.trust is not None
+    known = batch.valid & jnp.isfinite(batch.depth) & (batch.depth > 0) & (view.depth > 0)
+    off = jnp.log(jnp.where(known, view.depth, 1)) - jnp.log(jnp.where(known, batch.depth, 1))
+    return masked_mean(jnp.abs(off), jnp.where(known, batch.trust, 0))
+
+
 def alignment_term(estimator: sdf.Estimator) -> Loss:
     """The term that aligns what an estimator composites with the normals (the paper's R, with its own estimator)."""
 

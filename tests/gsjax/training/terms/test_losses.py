@@ -145,3 +145,23 @@ def test_a_normal_term_counts_only_valid_covered_pixels_that_have_a_normal():
     term = losses.alignment_term(lambda gaussians, view, camera: jnp.broadcast_to(jnp.array([0.0, 0, -2]), (12, 14, 3)))
     counts = VALID & (ALPHAS > 0.5) & (np.arange(14) >= 4)
     assert_close(term(None, view_of(IMAGE), batch), (1 - np.abs(normals[..., 2]))[counts].mean())
+
+
+def test_measured_depth_is_the_share_that_it_is_off_weighed_by_trust(x64):
+    rendered, measured = RNG.uniform(1, 5, (12, 14)), RNG.uniform(1, 5, (12, 14))
+    trust = RNG.random((12, 14))
+    rendered[0, :4], measured[1, :4], measured[2, :3] = 0, 0, (np.nan, np.inf, -1)
+    known = VALID & (rendered > 0) & np.isfinite(measured) & (measured > 0)
+    batch = replace(batch_of(), depth=jnp.asarray(measured), trust=jnp.asarray(trust))
+
+    @jax.jit
+    def term(rendered):
+        return losses.measured_depth(None, View(None, None, rendered, None), batch)
+
+    off = np.abs(np.log(np.where(known, rendered, 1) / np.where(known, measured, 1)))
+    assert_close(term(jnp.asarray(rendered)), (off * trust)[known].sum() / trust[known].sum())
+    assert np.isfinite(np.asarray(jax.grad(term)(jnp.asarray(rendered)))).all()
+    inner = jnp.asarray(np.where(known, rendered, 3.0))  # Where there is no depth, none may step over zero.
+    check_grads(term, (inner,), order=1, modes=["rev"])
+    nothing = replace(batch, depth=jnp.zeros((12, 14)))
+    assert float(losses.measured_depth(None, View(None, None, inner, None), nothing)) == 0

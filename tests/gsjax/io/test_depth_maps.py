@@ -1,0 +1,164 @@
+"""Measured depth: what files hold, in their unit, at the pixels of a frame; and clouds of points to start from."""
+
+import json
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsjax.errors import InputError
+from gsjax.io.depth_maps import on_grid, open_depth_maps
+from gsjax.io.point_clouds import read_points
+from gsjax.scene import Origin, Pixels, frame_of
+
+WIDTH, HEIGHT = 12, 8
+FRAMES = tuple(
+    frame_of(f"{name}.jpg", np.eye(4, dtype=np.float32), np.eye(3, dtype=np.float32),
+             Pixels(np.zeros((HEIGHT, WIDTH, 3), np.uint8)))
+    for name in "ab"
+)  # fmt: skip
+RAMP = (1000 + np.arange(WIDTH * HEIGHT)).reshape(HEIGHT, WIDTH).astype(np.uint16)  # of millimetres
+
+
+def write_png(file, values):
+    file.parent.mkdir(exist_ok=True, parents=True)
+    Image.fromarray(values).save(file)
+    return file
+
+
+def opened(scene, unit="mm", frames=FRAMES):
+    return open_depth_maps(scene, "depth", unit, frames)
+
+
+def test_pngs_and_arrays_are_read_in_their_unit_with_their_confidence(tmp_path):
+    write_png(tmp_path / "depth/a.png", RAMP)
+    np.save(tmp_path / "depth/b.npy", RAMP.astype(np.float64))
+    (tmp_path / "depth/depth.json").write_text(json.dumps({"unit": "cm"}))
+    levels = np.full((HEIGHT, WIDTH), 200, np.uint8)
+    levels[0] = 10
+    write_png(tmp_path / "confidence/b.png", levels)
+    maps = opened(tmp_path, None)
+    assert (maps.unit, opened(tmp_path).unit, sorted(maps.read)) == ("cm", "mm", ["a.jpg", "b.jpg"])
+    depth, trust = maps.read["a.jpg"]()
+    np.testing.assert_array_equal(depth, RAMP)
+    np.testing.assert_array_equal(trust, 255)
+    depth, trust = maps.read["b.jpg"]()
+    np.testing.assert_array_equal(depth, RAMP)
+    np.testing.assert_array_equal(trust, levels)
+
+
+def test_arkits_levels_are_nothing_half_and_all(tmp_path):
+    write_png(tmp_path / "depth/a.png", RAMP)
+    write_png(tmp_path / "confidence/a.png", (np.arange(WIDTH * HEIGHT) % 3).reshape(HEIGHT, WIDTH).astype(np.uint8))
+    _, trust = opened(tmp_path).read["a.jpg"]()
+    np.testing.assert_array_equal(trust.reshape(-1)[:6], [0, 127, 255] * 2)
+
+
+def test_zero_and_what_is_not_finite_is_unknown_without_confidence(tmp_path):
+    values = RAMP.astype(np.float64)
+    values[0, :5] = 0, np.nan, np.inf, -3, 1e300
+    (tmp_path / "depth").mkdir()
+    np.save(tmp_path / "depth/a.npy", values)
+    depth, trust = opened(tmp_path).read["a.jpg"]()
+    assert not depth[0, :5].any() and not trust[0, :5].any()
+    np.testing.assert_array_equal(depth[1:], RAMP[1:])
+    assert depth.dtype == np.float32 and (trust[1:] == 255).all()
+
+
+@pytest.mark.parametrize("scale", [1, 2, 3])
+def test_a_larger_map_gives_every_pixel_the_value_at_its_centre(scale):
+    fine = np.arange(24 * 36, dtype=np.float32).reshape(24, 36) + 1  # three to a pixel
+    depth, _ = on_grid((fine, np.full(fine.shape, 255, np.uint8)), FRAMES[0], scale)
+    rows, columns = ((np.arange(side // scale) + 0.5) * scale for side in (HEIGHT, WIDTH))
+    expected = fine[(3 * rows[:, None]).astype(int), (3 * columns).astype(int)]
+    np.testing.assert_array_equal(depth, expected)
+
+
+def test_of_a_smaller_map_each_value_goes_to_the_pixel_that_holds_it_and_nowhere_else():
+    coarse = np.arange(1, 7, dtype=np.float32).reshape(2, 3)  # four to a value
+    depth, trust = on_grid((coarse, np.full((2, 3), 9, np.uint8)), FRAMES[0], 1)
+    expected = np.zeros((HEIGHT, WIDTH), np.float32)
+    expected[2::4, 2::4] = coarse
+    np.testing.assert_array_equal(depth, expected)
+    np.testing.assert_array_equal(trust, 9 * (expected > 0))
+    np.testing.assert_array_equal(on_grid((coarse, trust[2::4, 2::4]), FRAMES[0], 4)[0], coarse)
+
+
+def test_of_a_distorted_photo_values_come_from_where_its_pixels_lie():
+    """The frame shows the right half of the photo, and one column beyond it."""
+    x, y = np.meshgrid(0.5 + (np.arange(WIDTH) + 0.5) / (2 * WIDTH - 2), (np.arange(HEIGHT) + 0.5) / HEIGHT)
+    positions = np.where(x[..., None] > 1, -1, np.stack([x, y], -1))
+    origin = Origin((2 * WIDTH - 2, HEIGHT), (WIDTH, HEIGHT), lambda: positions)
+    photo = np.tile(np.arange(1, 2 * WIDTH - 1, dtype=np.float32), (HEIGHT, 1))
+    depth, trust = on_grid((photo, np.full(photo.shape, 255, np.uint8)), replace(FRAMES[0], origin=origin), 1)
+    np.testing.assert_array_equal(depth[:, :-1], photo[:, WIDTH - 1 :])
+    assert not depth[:, -1].any() and not trust[:, -1].any()
+
+
+def faulty(tmp_path, fault):
+    folder = tmp_path / "depth"
+    if fault == "no folder":
+        return
+    write_png(folder / "a.png", RAMP if fault != "8 bits" else RAMP.astype(np.uint8))
+    if fault == "size":
+        write_png(folder / "a.png", RAMP[:, :-3])
+    elif fault == "no map":
+        (folder / "a.png").rename(folder / "z.png")
+    elif fault == "unknown unit":
+        (folder / "depth.json").write_text('{"unit": "inch"}')
+    elif fault == "confidence":
+        write_png(tmp_path / "confidence/a.png", np.zeros((HEIGHT // 2, WIDTH // 2), np.uint8))
+    elif fault == "array":
+        (folder / "a.png").unlink()
+        np.save(folder / "a.npy", np.zeros((HEIGHT, WIDTH, 3), np.float32))
+    elif fault == "truncated":
+        (folder / "a.png").write_bytes((folder / "a.png").read_bytes()[:60])
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("no folder", "--depth depth: no such folder of depth maps, in .* or here"),
+        ("8 bits", "depth/a.png: a picture of 8 bits; a depth map has 16"),
+        ("size", "depth/a.png: depth map is 9x8, its photo 12x8"),
+        ("no map", "depth: no depth map in it has the name of a photo, as a.png"),
+        ("no unit", "depth: the unit of its depth is not stated; --depth-unit mm, or depth.json in it"),
+        ("unknown unit", "depth/depth.json: unit"),
+        ("confidence", "confidence/a.png: confidence is 6x4 of uint8, its depth map 12x8"),
+        ("array", r"depth/a.npy: an array of shape \[8, 12, 3\] and type float32, not a depth map"),
+        ("truncated", "depth/a.png: not a whole picture of one channel"),
+    ],
+)
+def test_what_cannot_serve_is_one_line(tmp_path, fault, message, capfd):
+    faulty(tmp_path, fault)
+    with pytest.raises(InputError, match=message) as caught:
+        opened(tmp_path, None if "unit" in fault else "mm").read["a.jpg"]()
+    assert "\n" not in str(caught.value)
+
+
+def write_ply(file, columns, rows):
+    header = "".join(f"property {kind} {name}\n" for name, kind in columns.items())
+    body = "\n".join(" ".join(map(str, row)) for row in rows)
+    file.write_text(f"ply\nformat ascii 1.0\nelement vertex {len(rows)}\n{header}end_header\n{body}\n")
+    return file
+
+
+def test_a_cloud_with_colours_of_bytes_of_shares_and_without(tmp_path):
+    write = partial(write_ply, tmp_path / "cloud.ply")
+    xyz = dict.fromkeys("xyz", "double")
+    points, colors = read_points(write(xyz, [(1, 2, 3.5), (4, 5, 6)]))
+    np.testing.assert_array_equal(points, [[1, 2, 3.5], [4, 5, 6]])
+    np.testing.assert_array_equal(colors, 128)
+    rgb = ("red", "green", "blue")
+    rows = [(1, 2, 3, 0, 128, 255), (4, 5, 6, 9, 8, 7)]
+    np.testing.assert_array_equal(read_points(write(xyz | dict.fromkeys(rgb, "uchar"), rows))[1][0], [0, 128, 255])
+    rows = [(1, 2, 3, 0, 0.5, 1), (4, 5, 6, 0, 0, 0)]
+    np.testing.assert_array_equal(read_points(write(xyz | dict.fromkeys(rgb, "float"), rows))[1][0], [0, 128, 255])
+    with pytest.raises(InputError, match=r"cloud.ply: has no points \(an element vertex with x, y and z\)"):
+        read_points(write({"x": "float", "y": "float"}, [(1, 2), (3, 4)]))
+    with pytest.raises(InputError, match="cloud.ply: 1 of its 2 points are not finite"):
+        read_points(write(xyz, [(1, 2, "nan"), (4, 5, 6)]))
+    with pytest.raises(InputError, match="cloud.ply: 1 points in it, at least 2 are needed"):
+        read_points(write(xyz, [(1, 2, 3)]))
