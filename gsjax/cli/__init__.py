@@ -12,6 +12,7 @@ from gsjax.cli import (
     diagnose,
     environment,
     evaluate,
+    masks,
     mesh,
     normals,
     refine,
@@ -48,6 +49,7 @@ DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
 
   scene --diagnose--> which effects its photos call for
   scene --normals--> a normal map a photo, from a network, for training
+  photos or scene --masks--> what to leave out of each photo, from a network
   scene --undistort--> scene of pinhole photos, for other programs
   run or file of Gaussians --convert--> .ply, .compressed.ply, .sog or .spz
 """
@@ -106,7 +108,7 @@ def parser() -> argparse.ArgumentParser:
     """The parser of all commands; `arguments.run(arguments)` runs the one that was given."""
     top = _Parser(prog="gsjax", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
-    beside_training = diagnose, normals, undistort, convert
+    beside_training = diagnose, normals, masks, undistort, convert
     for command in (
         demo,
         scan,

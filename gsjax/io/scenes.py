@@ -68,6 +68,16 @@ def load_scene(
     return Scene(root, capture.source, frames, points, capture.point_colors, truth, capture.tracks, similarity)
 
 
+def list_photos(root: str | Path, images: str | None = None) -> list[Photo]:
+    """The photos of a data set by name, with the files that they lie in.
+
+    Raises:
+        InputError: As of `load_scene`.
+    """
+    root = Path(root)
+    return _checked_photos(root, locate_photos(root, _read_capture(root).photos, images))
+
+
 def is_data_set(root: str | Path) -> bool:
     """Whether a folder is laid out as one that `load_scene` reads; what the files hold is not looked at."""
     root = Path(root)

@@ -1,4 +1,4 @@
-"""Networks that see normals or depth in a single photo: what each is fed and what it gives back, as data."""
+"""Networks that see normals, depth or things in a single photo: what each is fed and what it gives back, as data."""
 
 import math
 from collections.abc import Mapping
@@ -99,6 +99,26 @@ class DepthNetwork(Network):
     depth: Output
 
 
+@dataclass(frozen=True, kw_only=True)
+class MaskNetwork(Network):
+    """A network that tells what each pixel shows."""
+
+    kind: Literal["scores", "labels", "probability"]  # of every class; the class's place in `classes`; of the only one
+    output: Output
+    classes: tuple[str, ...]  # in the order of the scores or labels
+    bound: float = 0.5  # probability: above it, the pixel shows the class
+
+    def __post_init__(self):
+        """Check the classes besides."""
+        super().__post_init__()
+        if self.kind == "probability" and len(self.classes) != 1:
+            raise ValueError(f"a probability is of one class, not of {len(self.classes)}: {', '.join(self.classes)}")
+        if not self.classes or len(set(self.classes)) < len(self.classes):
+            raise ValueError(f"classes={', '.join(self.classes)} are none, or one of them is named twice")
+        if "intrinsics" in self.extra.values():
+            raise ValueError("a network for masks is fed photos without known intrinsics")
+
+
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 RESEARCH_ONLY = "weights for research, not for commercial use"
 
@@ -161,6 +181,39 @@ DEPTH_NETWORKS: dict[str, DepthNetwork] = {
     ),
 }
 """The networks for depth that are known by name."""
+
+BACKGROUND = "background"
+
+
+def _u2net(licence: str, thing: str, bound: float = 0.5) -> MaskNetwork:
+    """A network of the shape of U2-Net, which gives the probability of one thing."""
+    size = Size("fixed", fit="stretch", sides=(320, 320))
+    return MaskNetwork(
+        licence=licence,
+        size=size,
+        mean=IMAGENET_MEAN,
+        std=IMAGENET_STD,
+        kind="probability",
+        output=Output((), 0),
+        classes=(thing,),
+        bound=bound,
+    )
+
+
+MASK_NETWORKS: dict[str, MaskNetwork] = {
+    "pphumanseg": MaskNetwork(
+        licence="PP-HumanSeg of OpenCV's model zoo: Apache-2.0",
+        size=Size("fixed", fit="stretch", sides=(192, 192)),
+        mean=(0.5, 0.5, 0.5),
+        std=(0.5, 0.5, 0.5),
+        kind="scores",
+        output=Output((), 0),
+        classes=(BACKGROUND, "person"),
+    ),
+    "u2net": _u2net("U2-Net: Apache-2.0", "foreground"),
+    "skyseg": _u2net("Sky-Segmentation-and-Post-processing: MIT", "sky", 0.125),
+}
+"""The networks for masks that are known by name."""
 
 
 class CanvasFit(NamedTuple):

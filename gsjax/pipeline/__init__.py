@@ -5,6 +5,7 @@ from gsjax.pipeline.convert import convert
 from gsjax.pipeline.diagnose import diagnose
 from gsjax.pipeline.evaluate import evaluate
 from gsjax.pipeline.film import film
+from gsjax.pipeline.masks import masks
 from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.normals import normals
 from gsjax.pipeline.refine import refine
@@ -27,6 +28,7 @@ __all__ = [
     "diagnose",
     "evaluate",
     "film",
+    "masks",
     "mesh",
     "normals",
     "noted",

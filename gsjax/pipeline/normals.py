@@ -10,13 +10,14 @@ from tqdm import tqdm
 
 from gsjax import config
 from gsjax.errors import InputError
-from gsjax.io import json_files, normal_folders
+from gsjax.io import normal_folders
 from gsjax.io.files import folder_if_used
 from gsjax.io.normal_maps import map_places
 from gsjax.io.scenes import load_scene
 from gsjax.networks.depth_estimator import DepthEstimator
 from gsjax.networks.depth_normals import DepthNormals
 from gsjax.networks.estimator import NormalEstimator
+from gsjax.networks.record_files import read_record
 from gsjax.networks.records import DEPTH_NETWORKS, NETWORKS, DepthNetwork, NormalNetwork
 from gsjax.normals.axes import axes_verdict, facing_votes
 from gsjax.normals.fitted_depth import DepthFit
@@ -109,18 +110,8 @@ def read_network(network: str | Path) -> tuple[str, NormalNetwork | DepthNetwork
     Raises:
         InputError: It is neither a known name nor a file, or the file is no such record; names the key.
     """
-    known = {**NETWORKS, **DEPTH_NETWORKS}
-    if str(network) in known:
-        return str(network), known[str(network)]
-    file = Path(network)
-    if not file.is_file():
-        raise InputError(
-            f"--network {network}: neither a known network ({', '.join(known)}) nor a file that describes one"
-        )
-    data = json_files.read(file)
-    if not isinstance(data, Mapping):
-        raise InputError(f"{file}: holds no table of keys that describes a network")
-    return file.stem, config.parse(DepthNetwork if "kind" in data else NormalNetwork, data, where=str(file))
+    known: dict[str, NormalNetwork | DepthNetwork] = {**NETWORKS, **DEPTH_NETWORKS}
+    return read_record(network, known, lambda data: DepthNetwork if "kind" in data else NormalNetwork)
 
 
 def _sized(scene: str | Path, downscale: float | None, images: str | None) -> tuple[Scene, float]:

@@ -18,8 +18,8 @@ from gsjax.settings import LENGTHS, PRESETS, Phase, Settings
 pytestmark = pytest.mark.usefixtures("own_environment")
 
 COMMANDS = (
-    "demo", "scan", "sfm", "normals", "train", "mesh", "refine", "texture", "eval", "render", "report", "compare",
-    "turntable", "view", "share", "undistort", "convert",
+    "demo", "scan", "sfm", "normals", "masks", "train", "mesh", "refine", "texture", "eval", "render", "report",
+    "compare", "turntable", "view", "share", "undistort", "convert",
 )  # fmt: skip
 
 
@@ -48,7 +48,7 @@ def library(monkeypatch):
 
         return function
 
-    names = ("train", "mesh", "normals", "evaluate", "render", "undistort", "report", "compare")
+    names = ("train", "mesh", "normals", "masks", "evaluate", "render", "undistort", "report", "compare")
     functions = {name: recorded(name, {"psnr": 29.5, "views": 7}) for name in names}
     install("gsjax.pipeline", **functions, noted=lambda run, stage, work: work())
     left_out = {"a.jpg": "blurred", "b.jpg": "dark", "c.jpg": "dark"}
@@ -267,6 +267,17 @@ def test_normals_are_a_folder_a_name_or_whatever_the_scene_holds(library):
     for given, meant in ((["maps"], "maps"), (["moge2"], "moge2"), ([], "auto")):
         assert train_settings(library, "--out", "r", "--normals", *given)[0].normals == meant
     assert train_settings(library, "--out", "r")[0].normals is None
+
+
+def test_masks_hands_over_only_what_was_given(library, capsys):
+    basic = ["masks", "photos", "--network", "u2net", "--weights", "m.onnx"]
+    assert cli.main(basic) == 0
+    assert cli.main([*basic, "--classes", "person, sky", "--invert", "--out", "o", "--images", "images_4"]) == 0
+    more = {"classes": ["person", "sky"], "invert": True, "images": "images_4"}
+    assert library == [
+        ("masks", ("photos", "u2net", "m.onnx", None), {}),
+        ("masks", ("photos", "u2net", "m.onnx", "o"), more),
+    ]
 
 
 def test_normals_hands_over_only_what_was_given(library, capsys):

@@ -41,10 +41,10 @@ class Features:
 def find_features(
     shots: list[Shot], max_image_size: int, threads: int, progress: Callable[..., tqdm]
 ) -> list[Features]:
-    """The features of every photo, sought at a longer side of at most `max_image_size` pixels.
+    """The features of every photo, sought at a longer side of at most `max_image_size` pixels, where its mask is on.
 
     Raises:
-        InputError: A photo is damaged; it is named.
+        InputError: A photo or its mask is damaged; it is named.
     """
     cv2.setNumThreads(1)  # Photos side by side use the cores better than parts of one photo.
     with (
@@ -52,7 +52,7 @@ def find_features(
         progress(total=len(shots), desc="features", unit="photo") as bar,
     ):
         found = []
-        for features in pool.map(lambda shot: _features(shot.read()[0], max_image_size), shots):
+        for features in pool.map(lambda shot: _features(shot.read()[0], shot.read_mask(), max_image_size), shots):
             found.append(features)
             bar.update(1)
     return found
@@ -141,13 +141,14 @@ def _homogeneous(xy: np.ndarray) -> np.ndarray:
     return np.c_[xy, np.ones(len(xy))]
 
 
-def _features(colors: np.ndarray, max_image_size: int) -> Features:
+def _features(colors: np.ndarray, mask: np.ndarray | None, max_image_size: int) -> Features:
     grey = cv2.cvtColor(colors, cv2.COLOR_RGB2GRAY)
     height, width = grey.shape
     reduced = max(1.0, max(width, height) / max_image_size)
     grey = resize(grey, max(1, round(width / reduced)), max(1, round(height / reduced)))
     sift = cv2.SIFT_create(contrastThreshold=_CONTRAST, enable_precise_upscale=True)
-    keypoints = sorted(sift.detect(grey, None), key=lambda keypoint: -keypoint.size)[:_MOST_FEATURES]
+    allowed = None if mask is None else _usable(mask, *grey.shape[::-1])
+    keypoints = sorted(sift.detect(grey, allowed), key=lambda keypoint: -keypoint.size)[:_MOST_FEATURES]
     if not keypoints:
         return Features(np.empty((0, 2)), np.empty((0, 128), np.uint8))
     keypoints, histograms = sift.compute(grey, keypoints)
@@ -155,6 +156,12 @@ def _features(colors: np.ndarray, max_image_size: int) -> Features:
     scale = np.array([width / grey.shape[1], height / grey.shape[0]])
     xy = (np.array([keypoint.pt for keypoint in keypoints], np.float64) + 0.5) * scale
     return Features(xy, np.minimum(np.rint(np.sqrt(histograms) * 512), 255).astype(np.uint8))
+
+
+def _usable(mask: np.ndarray, width: int, height: int) -> np.ndarray:
+    """`[height, width]` uint8, 255 where all that a pixel of the reduced photo is the mean of may be used, else 0."""
+    on = np.where(mask >= 128, np.float32(255), np.float32(0))
+    return np.where(resize(on, width, height) > 254.5, np.uint8(255), np.uint8(0))
 
 
 def _nearest(a: np.ndarray, b: np.ndarray, region: Region | None) -> np.ndarray:

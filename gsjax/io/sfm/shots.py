@@ -74,6 +74,19 @@ class Shot:
         """Pixels `[H, W, ...]` of the sensor's frame, turned as the photo is looked at."""
         return np.rot90(colors, -self.to_upright)
 
+    def read_upright(self) -> np.ndarray:
+        """`[H, W, 3]` uint8 as the photo is looked at.
+
+        Raises:
+            InputError: The file is damaged.
+        """
+        return np.ascontiguousarray(self.upright(self._in_sensor(read_image(self.path)[0])))
+
+    def as_stored(self, upright: np.ndarray) -> np.ndarray:
+        """Pixels `[H, W, ...]` of the picture as it is looked at, turned as the file holds them."""
+        stored = np.rot90(upright, self.to_upright - self.to_sensor)
+        return stored[:, ::-1] if self.mirrored else stored
+
 
 def list_shots(folder: Path) -> list[Shot]:
     """The photos of a folder and its subfolders, by name, with their masks.
@@ -91,7 +104,7 @@ def list_shots(folder: Path) -> list[Shot]:
     if len(photos) < 2:
         raise InputError(f"{folder}: needs at least 2 photos ({', '.join(SUFFIXES)}), has {len(photos)}")
     masks = masks_in(root / _MASKS if (root / _MASKS).is_dir() else root.parent / _MASKS, photos)
-    return [_shot(file, name, masks.get(name)) for name, file in photos.items()]
+    return [shot_of(file, name, masks.get(name)) for name, file in photos.items()]
 
 
 def unused_files(folder: Path) -> dict[str, str]:
@@ -140,7 +153,12 @@ def turned_pinhole(
     return (fx, fy, cx, cy), *((width, height) if turns % 2 == 0 else (height, width))
 
 
-def _shot(path: Path, name: str, mask_path: Path | None) -> Shot:
+def shot_of(path: Path, name: str, mask_path: Path | None = None) -> Shot:
+    """The photo in a file, which the data set calls `name`.
+
+    Raises:
+        InputError: The file is missing or no image.
+    """
     width, height = image_size(path)
     make, model, focal, orientation = _exif(path)
     mirrored, turns = _ORIENTATIONS.get(orientation, (0, 0))

@@ -1,0 +1,88 @@
+"""Masks of photos that leave out what a network finds in them, such as people or the sky."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from gsjax.errors import InputError
+from gsjax.io.files import atomic_folder, require_empty
+from gsjax.io.images import write_image
+from gsjax.io.photo_names import path_inside
+from gsjax.io.scenes import is_data_set, list_photos
+from gsjax.io.sfm.shots import Shot, list_shots, shot_of
+from gsjax.networks.record_files import read_record
+from gsjax.networks.records import MASK_NETWORKS, MaskNetwork
+from gsjax.networks.segmenter import Segmenter, chosen_classes
+
+
+def masks(
+    photos: str | Path,
+    network: str | Path,
+    weights: str | Path,
+    out: str | Path | None = None,
+    *,
+    classes: Sequence[str] | None = None,
+    invert: bool = False,
+    images: str | None = None,
+) -> dict[str, Any]:
+    """Write a mask for every photo: 0 where it shows one of the classes, 255 elsewhere.
+
+    The network sees each photo upright, as its EXIF orientation has it; the mask lies as the file's pixels do, as
+    `gsjax.io.scenes` and `gsjax.io.sfm` read masks.
+
+    Args:
+        photos: Folder of photos, see `gsjax.io.sfm.shots.list_shots`, or of a data set.
+        network: A name of `gsjax.networks.records.MASK_NETWORKS`, or a JSON file with a record of one's own.
+        weights: The network as an ONNX file.
+        out: Folder to make, absent or empty; appears when everything is done. None: `masks` in `photos`, where the
+            other commands look for it.
+        classes: What to leave out, of the record's classes. None: the only one beside the background.
+        invert: Leave out everything else instead.
+        images: Of a data set, the folder of the photos, absolute or in `photos`. None: looked for.
+
+    Returns:
+        `masks`: how many; `classes`; `left_out`: mean share of pixels that are 0; `photos_without`: how many show none
+        of the classes; `provider`: what the network ran on, as onnxruntime calls it; `seconds_per_photo`; `licence`;
+        `folder`.
+
+    Raises:
+        InputError: The photos, the record, a class, the weights or the folder cannot be used.
+    """
+    _, record = read_record(network, MASK_NETWORKS, lambda data: MaskNetwork)
+    chosen = chosen_classes(record, classes)
+    folder = Path(photos) / "masks" if out is None else Path(out)
+    require_empty(folder)
+    shots = _shots(Path(photos), images)
+    segmenter = Segmenter(record, weights, chosen)
+    left_out, without = [], 0
+    began = time.perf_counter()
+    with atomic_folder(folder) as made:
+        for shot in tqdm(shots, desc=f"masks on {segmenter.graph.device}", unit="photo"):
+            shows = segmenter(shot.read_upright(), shot.name)
+            without += not shows.any()
+            is_out = shows != invert
+            left_out.append(is_out.mean())
+            mask = np.where(is_out, np.uint8(0), np.uint8(255))
+            write_image(made / f"{path_inside(shot.name)}.png", shot.as_stored(mask))
+    return {
+        "masks": len(shots),
+        "classes": ", ".join(chosen),
+        "left_out": float(np.mean(left_out)),
+        "photos_without": without,
+        "provider": segmenter.graph.provider,
+        "seconds_per_photo": (time.perf_counter() - began) / len(shots),
+        "licence": record.licence,
+        "folder": str(folder),
+    }
+
+
+def _shots(photos: Path, images: str | None) -> list[Shot]:
+    if is_data_set(photos):
+        return [shot_of(photo.path, photo.name) for photo in list_photos(photos, images)]
+    if images is not None:
+        raise InputError(f"--images {images}: goes with a data set, and {photos} is a folder of photos")
+    return list_shots(photos)
