@@ -10,17 +10,20 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Literal
 
+MOST_COUNT = 2**31 - 1  # of the integers of compiled programs
 MOST_SEED = 2**32 - 1  # of jax's random keys and numpy's generators alike
 
 
 def check_lowest(record: Any, **lowest: float) -> None:
-    """Raise ValueError for the first field that is under its lowest value or is not finite."""
+    """Raise ValueError for the first field that is under its lowest value, not finite, or a count that is too high."""
     for name, low in lowest.items():
         value = getattr(record, name)
         if value < low:
             raise ValueError(f"{name}={value} is below {low}")
         if not value < math.inf:
             raise ValueError(f"{name}={value} is not a finite number")
+        if isinstance(value, int) and value > MOST_COUNT:
+            raise ValueError(f"{name}={value} is above {MOST_COUNT}")
 
 
 def check_seed(seed: int) -> None:

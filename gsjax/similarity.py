@@ -48,6 +48,12 @@ class Similarity:
         return self == IDENTITY
 
     @property
+    def is_possible(self) -> bool:
+        """Whether float64 tells places of the world apart that local coordinates tell apart."""
+        farthest = max(map(abs, self.center)) * self.scale
+        return 1 / LARGEST_SCALE <= self.scale <= LARGEST_SCALE and farthest < FARTHEST
+
+    @property
     def told(self) -> str:
         """The map in words, with all digits."""
         x, y, z = self.center
@@ -186,9 +192,8 @@ def parse_similarity(kept: Any, file: Path) -> Similarity:
         similarity = Similarity(float(kept["scale"]), (x, y, z))
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{file}: holds no similarity of a scale and a center ({str(kept)[:80]})") from error
-    scale, farthest = similarity.scale, max(map(abs, (x, y, z))) * similarity.scale
-    if not (1 / LARGEST_SCALE <= scale <= LARGEST_SCALE and all(map(math.isfinite, (x, y, z))) and farthest < FARTHEST):
-        raise InputError(f"{file}: a similarity of scale {scale:g} and center {x:g} {y:g} {z:g} is none")
+    if not (all(map(math.isfinite, (x, y, z))) and similarity.is_possible):
+        raise InputError(f"{file}: a similarity of scale {similarity.scale:g} and center {x:g} {y:g} {z:g} is none")
     return similarity
 
 

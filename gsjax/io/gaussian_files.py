@@ -15,6 +15,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io import compressed_ply, json_files, ply, sog, spz
+from gsjax.io.files import atomic_path
 from gsjax.similarity import IDENTITY, Similarity, loses_in_float32, of_points, parse_similarity
 
 USUAL_SCALES = 1 / 64, 64.0  # Of a similarity: a compressed file needs no other units of its own.
@@ -57,9 +58,12 @@ def _local(form: Format) -> Format:
             clipped = form.write(path, gaussians)
             _beside(path).unlink(missing_ok=True)
             return clipped
-        clipped = form.write(path, similarity.gaussians_to_local(gaussians))
-        json_files.write(_beside(path), {"about": _ABOUT, **asdict(similarity)})
-        return clipped
+        if not similarity.is_possible:
+            raise InputError(f"{path}: Gaussians that lie so far off have no place in it ({similarity.told})")
+        # Both are written before either has its name: no file of local coordinates is without what tells them.
+        with atomic_path(_beside(path)) as beside:
+            json_files.write(beside, {"about": _ABOUT, **asdict(similarity)})
+            return form.write(path, similarity.gaussians_to_local(gaussians))
 
     return Format(read, write)
 

@@ -21,6 +21,7 @@ Image: Any = require("PIL.Image", "pip install pillow")
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".heif", ".hif", ".avif")  # Of photos.
 _ORIENTATION, _QUARTER_TURNS = 0x0112, (5, 6, 7, 8)  # EXIF: the tag, and its values that swap the sides.
 _JPEG_QUALITY = 95
+_LABELS = 32  # A mask that is darker tells things apart by number.
 _OPENING = threading.Lock()
 _DECODED, _DECODED_DEEP = 14, 40  # bytes a pixel, most at a time: Pillow's copies, at four each, and ours
 _ALWAYS_ROOM = 10**7  # pixels
@@ -50,7 +51,9 @@ def read_image(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def read_mask(path: Path) -> np.ndarray:
-    """`[H, W]` uint8 mask, 255 where the mask is on; files that count 0/1 instead of 0/255 are understood.
+    """`[H, W]` uint8 mask, 255 where the mask is on.
+
+    A file of small numbers counts, 0 and 1, or has labels: what is not 0 is on.
 
     A file with an alpha channel that is not constant gives its alpha.
 
@@ -59,7 +62,7 @@ def read_mask(path: Path) -> np.ndarray:
     """
     colors, alpha = read_image(path)
     mask = colors.max(axis=-1) if alpha is None or alpha.min() == alpha.max() else alpha
-    return mask * np.uint8(255) if mask.max() == 1 else mask
+    return np.where(mask > 0, np.uint8(255), np.uint8(0)) if mask.max() < _LABELS else mask
 
 
 def write_image(path: str | Path, image: np.ndarray) -> None:

@@ -60,6 +60,8 @@ def load_scene(
     photos = _with_folder_masks(photos, root / "masks")
     if similarity is None:
         similarity = similarities.of_cameras(np.stack([photo.viewmat for photo in photos]), capture.points)
+    if not similarity.is_possible:
+        raise InputError(f"{root}: its cameras stand too far off, or together, for float64 ({similarity.told})")
     photos = [replace(photo, viewmat=similarity.viewmat_to_local(photo.viewmat)) for photo in photos]
     points = similarity.points_to_local(capture.points)
     frames = [frame for photo in photos for frame in frames_of(photo, downscale, folder_masks)]

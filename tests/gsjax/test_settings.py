@@ -37,6 +37,8 @@ def test_presets_of_ours_look_for_effects_and_the_papers_have_none():
         ({"sh_every": 0}, "sh_every=0 is below 1"),
         ({"downscale": 0}, "downscale=0.0 is not a number of at least 1"),
         ({"max_gaussians": 0}, "max_gaussians=0 is below 1"),
+        ({"max_gaussians": 10**12}, "max_gaussians=1000000000000 is above 2147483647"),
+        ({"phases": [{"name": "a", "steps": 10**10}]}, "steps=10000000000 is above 2147483647"),
         ({"phases": []}, "there are no phases"),
         ({"seed": -1}, "seed=-1 is not between 0 and 4294967295"),
         ({"seed": 2**32}, "seed=4294967296 is not between 0 and 4294967295"),

@@ -271,3 +271,17 @@ def test_a_damaged_similarity_is_one_line(kept, tmp_path):
     json_files.write(tmp_path / "manifest.json", {"similarity": kept})
     with pytest.raises(InputError, match=r"manifest\.json.*similarity"):
         runs.read_similarity(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("similarity", "expected"),
+    [
+        (Similarity(), True),
+        (Similarity(4.0**-20, (4.5e6, 5e5, 0.0)), True),
+        (Similarity(4.0, (1e30, 0.0, 0.0)), False),
+        (Similarity(4.0**60), False),
+        (Similarity(4.0**-60), False),
+    ],
+)
+def test_similarities_that_float64_cannot_follow_are_none(similarity, expected):
+    assert similarity.is_possible == expected

@@ -1,12 +1,19 @@
 """Files of Gaussians by suffix, as `gsjax.load_gaussians` and `gsjax.save_gaussians` find them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from small_scenes import cloud
 
 import gsjax
 from gsjax.errors import InputError
-from gsjax.io import compressed_ply, ply, sog, spz
+from gsjax.io import compressed_ply, gaussian_files, ply, sog, spz
+
+
+def full(*_):
+    raise InputError("cannot write: No space left on device")
+
 
 READERS = {
     "g.ply": ply.read_gaussians,
@@ -42,3 +49,18 @@ def test_what_holds_no_gaussians_is_one_line(tmp_path):
     for attempt in (gsjax.load_gaussians, lambda path: gsjax.save_gaussians(cloud(2), path)):
         with pytest.raises(InputError, match="files of Gaussians end in .compressed.ply, .ply, .sog, .spz"):
             attempt(tmp_path / "scene.obj")
+
+
+@pytest.mark.parametrize("name", ["g.spz", "g.compressed.ply", "g.sog"])
+def test_a_file_of_local_coordinates_is_never_without_what_tells_them(tmp_path, monkeypatch, name):
+    """The disk is full when the similarity is written, and the Gaussians lie where nobody could tell."""
+    far = replace(cloud(30), means=np.asarray(cloud(30).means, np.float64) + 4.5e6)
+    monkeypatch.setattr(gaussian_files.json_files, "write", full)
+    with pytest.raises(InputError, match="No space left"):
+        gsjax.save_gaussians(far, tmp_path / name)
+    monkeypatch.undo()
+    with pytest.raises(InputError, match=f"{name}: Gaussians that lie so far off have no place in it"):
+        gsjax.save_gaussians(replace(far, means=far.means * [0, 1, 1] + [1e30, 0, 0]), tmp_path / name)
+    assert not list(tmp_path.iterdir())
+    gsjax.save_gaussians(far, tmp_path / name)
+    np.testing.assert_allclose(gsjax.load_gaussians(tmp_path / name).means.mean(0), far.means.mean(0), atol=1e-2)

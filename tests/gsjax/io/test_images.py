@@ -58,6 +58,7 @@ def test_masks_of_every_kind(tmp_path):
     for name, stored in {
         "grey": mask,
         "ones": mask // 255,
+        "labels": np.where(mask > 0, np.arange(24, dtype=np.uint8).reshape(6, 4), 0),
         "alpha": np.dstack([np.full_like(mask, 9)] * 3 + [mask]),
         "opaque": np.dstack([mask] * 3 + [np.full_like(mask, 255)]),
     }.items():

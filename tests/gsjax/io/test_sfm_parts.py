@@ -235,10 +235,10 @@ def test_masks_are_masks_of_photos_and_no_photos(tmp_path, place):
         photo(folder / name)
     (masks / "sub").mkdir(parents=True)
     for name in ("a.png", "sub/a.png", "b.jpg.png"):
-        Image.fromarray(np.full((20, 40), len(name), np.uint8)).save(masks / name)
+        Image.fromarray(np.full((20, 40), 100 + len(name), np.uint8)).save(masks / name)
     found = shots.list_shots(tmp_path / "photos" if place == "inner" else folder)
     assert [shot.name for shot in found] == ["a.png", "b.jpg", "sub/a.png"]
-    assert [int(shot.read_mask()[0, 0]) for shot in found] == [5, 9, 9]
+    assert [int(shot.read_mask()[0, 0]) for shot in found] == [105, 109, 109]
 
 
 @pytest.mark.parametrize("orientation", [1, 5, 6])
