@@ -1,5 +1,6 @@
 """The Gaussians of a scene as one pytree, and the maps from its free parameters to what a renderer needs."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -81,6 +82,11 @@ def rgb_to_sh(rgb: Array) -> Array:
 def take(gaussians: Gaussians, index: Array | np.ndarray | slice) -> Gaussians:
     """The rows that `index` (integers, a boolean mask or a slice) names."""
     return jax.tree.map(lambda x: x[index], gaussians)
+
+
+def concatenate(parts: Sequence[Gaussians]) -> Gaussians:
+    """All rows of several, numpy; harmonics of the same degree, one pixel filter."""
+    return jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves]), *parts)
 
 
 def rotation_matrices(quats: Array) -> Array:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.place import UNPLACED, Place
 from gsjax.similarity import IDENTITY, Similarity
 
 
@@ -111,7 +112,8 @@ class Scene:
     point_colors: np.ndarray  # [P, 3] uint8
     truth: Truth | None = None
     tracks: Callable[[], Tracks] | None = None  # reads them; None: nobody matched these points in these photos
-    similarity: Similarity = IDENTITY  # to all of this from the coordinates of the files
+    similarity: Similarity = IDENTITY  # to all of this from the coordinates of the world
+    place: Place = UNPLACED  # to the world from the coordinates of the files, which it is unless this moves them
 
     @property
     def train_frames(self) -> tuple[Frame, ...]:

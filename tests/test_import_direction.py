@@ -37,7 +37,11 @@ LAYERS = {
         ("gsjax.training",), ("rasterizer", "vocabulary", "measures", "normals", "effects"), CORE_PACKAGES
     ),
     "binding": Layer(("gsjax.binding",), ("vocabulary", "training"), CORE_PACKAGES),
-    "io": Layer(("gsjax.io",), ("vocabulary", "analytic"), ("jax", "numpy", "scipy", "tqdm", "cv2", "PIL", "pycolmap")),
+    "io": Layer(
+        ("gsjax.io",),
+        ("vocabulary", "analytic"),
+        ("jax", "numpy", "scipy", "tqdm", "cv2", "PIL", "pycolmap", "packaging"),
+    ),
     "networks": Layer(
         ("gsjax.networks",), ("vocabulary", "measures", "normals", "io"), ("jax", "numpy", "cv2", "onnxruntime")
     ),

@@ -6,10 +6,12 @@ import signal
 from collections.abc import Callable, Sequence
 
 from gsjax.cli import (
+    clean,
     compare,
     convert,
     demo,
     diagnose,
+    doctor,
     environment,
     evaluate,
     masks,
@@ -18,6 +20,7 @@ from gsjax.cli import (
     refine,
     render,
     report,
+    scale,
     scan,
     sfm,
     share,
@@ -47,10 +50,12 @@ DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
                                     |--share---> one page to send, that opens anywhere
                                     `--view----> a page to walk through it; of files and meshes too
 
+  scene or run --scale--> the same in metres, by a known length
   scene --diagnose--> which effects its photos call for
   scene --normals--> a normal map a photo, from a network, for training
   photos or scene --masks--> what to leave out of each photo, from a network
   scene --undistort--> scene of pinhole photos, for other programs
+  run or file of Gaussians --clean--> the same without floaters, crumbs and giants
   run or file of Gaussians --convert--> .ply, .compressed.ply, .sog or .spz
 """
 
@@ -71,13 +76,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run_guarded(lambda: arguments.run(arguments))
 
 
-def run_guarded(action: Callable[[], None]) -> int:
+def run_guarded(action: Callable[[], int | None]) -> int:
     """Prepares jax's environment, runs an action and turns what ended it into an exit code.
 
     Returns:
-        0 done, 2 unusable input (one line on stderr says which). Asked to end, it cleans up as after any other end, and
-        leaves with the code that shells give to the signal: 130 after Ctrl-C, 143 after SIGTERM; 141 where a pipe that
-        it prints to was closed. Anything else is a bug and comes up as the exception that it is.
+        0 done, or what the action returns, 2 unusable input (one line on stderr says which). Asked to end, it cleans up
+        as after any other end, and leaves with the code that shells give to the signal: 130 after Ctrl-C, 143 after
+        SIGTERM; 141 where a pipe that it prints to was closed. Anything else is a bug and comes up as the exception
+        that it is.
     """
     open_closed_streams()
     stopping, printing = Stopping(), Printing()
@@ -85,7 +91,7 @@ def run_guarded(action: Callable[[], None]) -> int:
         environment.require_unix()
         environment.prepare()
         with stopping, printing:
-            action()
+            code = action()
     except InputError as error:
         tell(f"gsjax: error: {error}")
         return 2
@@ -101,18 +107,20 @@ def run_guarded(action: Callable[[], None]) -> int:
             raise
         tell(f"gsjax: {ASKS[asked]}")
         return 128 + asked
-    return 0
+    return code or 0
 
 
 def parser() -> argparse.ArgumentParser:
     """The parser of all commands; `arguments.run(arguments)` runs the one that was given."""
     top = _Parser(prog="gsjax", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
+    top.add_argument("--version", action=_Version, help="say versions, device and engine, and exit")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Parser)
-    beside_training = diagnose, normals, masks, undistort, convert
+    beside_training = diagnose, normals, masks, undistort, convert, doctor
     for command in (
         demo,
         scan,
         sfm,
+        scale,
         train,
         mesh,
         refine,
@@ -121,6 +129,7 @@ def parser() -> argparse.ArgumentParser:
         render,
         report,
         compare,
+        clean,
         turntable,
         view,
         share,
@@ -128,6 +137,19 @@ def parser() -> argparse.ArgumentParser:
     ):
         command.add_to(commands)
     return top
+
+
+class _Version(argparse.Action):
+    """Says versions, device and engine without loading jax."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, help: str | None = None):
+        super().__init__(option_strings, dest, nargs=0, help=help)
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from gsjax.io.installation import version_line
+
+        print(version_line())
+        parser.exit()
 
 
 class _Parser(argparse.ArgumentParser):

@@ -9,18 +9,19 @@ from collections.abc import Callable
 from gsjax.errors import InputError
 
 UNITS = {"s": 1, "m": 60, "h": 3600}
+LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3, "in": 0.0254, "ft": 0.3048}
 
 
 def add_command(
     commands: argparse._SubParsersAction,
     name: str,
-    run: Callable[[argparse.Namespace], None],
+    run: Callable[[argparse.Namespace], int | None],
     *,
     summary: str,
     description: str,
     example: str,
 ) -> argparse.ArgumentParser:
-    """Adds a command that `run` carries out; the caller adds its arguments to the returned parser."""
+    """Adds a command that `run` carries out, whose exit code may be its own; the caller adds its arguments."""
     parser = commands.add_parser(
         name,
         help=summary,
@@ -61,6 +62,19 @@ def finite(text: str) -> float:
         number = math.nan
     if not math.isfinite(number):
         raise argparse.ArgumentTypeError(f"{text}: not a finite number")
+    return number
+
+
+def metres(text: str) -> float:
+    """Metres of a length such as `1.25m`, `80cm` or `3ft`; as the `type` of an argument.
+
+    Raises:
+        argparse.ArgumentTypeError: It is none, or nothing.
+    """
+    found = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)\s*([a-z]+)", text.strip())
+    number = float(found[1]) * LENGTHS.get(found[2], 0.0) if found else 0.0
+    if not 0 < number < math.inf:
+        raise argparse.ArgumentTypeError(f"{text}: not a length, such as 1.25m, 80cm or 3ft")
     return number
 
 

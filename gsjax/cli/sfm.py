@@ -17,7 +17,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             distortion, turns the photos upright and writes SCENE/images and SCENE/sparse/0. Of a video
             the sharpest frame of every stretch is taken. Prints images registered, points, reprojection
             error; names the photos left out and the files passed over, and why. Mattes (alpha) and masks
-            (PHOTOS/masks) are kept.
+            (PHOTOS/masks) are kept. Where GPS in the photos (EXIF) tells it, the scene is in metres,
+            x east, y north, z up, and SCENE/place.json says about which origin.
         """,
         example="gsjax sfm photos/ --out scenes/garden",
     )
@@ -36,9 +37,13 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax.io import sfm
 
     report = sfm.reconstruct(arguments.photos, arguments.out, **given_options(arguments, "frames"))
-    for what, files in (("left out", report.left_out), ("passed over", report.passed_over)):
+    for what, files in (
+        ("left out", report.left_out),
+        ("passed over", report.passed_over),
+        ("GPS not followed", report.gps_unused),
+    ):
         for reason in dict.fromkeys(files.values()):
             names = [name for name, why in files.items() if why == reason]
             print(f"gsjax: {what} ({reason}): {', '.join(names)}", file=sys.stderr)
-    counts = {"left_out": len(report.left_out), "passed_over": len(report.passed_over)}
+    counts = {name: len(getattr(report, name)) for name in ("left_out", "passed_over", "gps_unused")}
     print(tables.record(asdict(report) | counts))

@@ -24,6 +24,7 @@ from gsjax.io.packing import (
     smallest_three,
     unit_quats,
 )
+from gsjax.io.place_files import place_comments
 from gsjax.io.ply_elements import (
     filter_comments,
     from_rest_columns,
@@ -33,6 +34,7 @@ from gsjax.io.ply_elements import (
     rest_names,
     stack_columns,
 )
+from gsjax.place import UNPLACED, Place
 
 _CHUNK = 256
 _MEANS, _SCALES, _COLORS = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")
@@ -45,7 +47,7 @@ _REACH = 16.0  # Of a chunk, see `pull_in_outliers`: a scene's own chunks stay a
 _REACH_OF_ORDER = 256.0  # Of all, where the curve's cells are as fine as the scene.
 
 
-def write_compressed_ply(path: str | Path, gaussians: Gaussians) -> int:
+def write_compressed_ply(path: str | Path, gaussians: Gaussians, place: Place = UNPLACED) -> int:
     """Writes Gaussians in the order of a space-filling curve, so that chunks, and the steps in them, are small.
 
     Returns:
@@ -56,6 +58,7 @@ def write_compressed_ply(path: str | Path, gaussians: Gaussians) -> int:
         InputError: Values are not finite, harmonics are of degree 4, or the target cannot be written.
     """
     check_packable(path, gaussians)
+    comments = filter_comments(gaussians.pixel_filter) + place_comments(place)
     order = morton_order(pull_in_outliers(np.asarray(gaussians.means, np.float64), _REACH_OF_ORDER)[0])
     means, quats, log_scales, logits, dc, rest = (
         np.asarray(values)[order]
@@ -81,9 +84,7 @@ def write_compressed_ply(path: str | Path, gaussians: Gaussians) -> int:
     colors_opacities = packed[2] << 8 | opacity_bytes(logits)
     harmonics = np.clip(np.floor((rest.astype(np.float64) / (2 * _MOST_REST) + 0.5) * 256), 0, 255).astype(np.uint8)
     with atomic_path(path) as temporary, temporary.open("wb") as file:
-        file.write(
-            "\n".join(_header(len(harmonics), harmonics.shape[1], filter_comments(gaussians.pixel_filter))).encode()
-        )
+        file.write("\n".join(_header(len(harmonics), harmonics.shape[1], comments)).encode())
         file.write(np.concatenate(bounds, axis=1).astype("<f4").tobytes())
         file.write(np.stack([packed[0], rotations, packed[1], colors_opacities], axis=1).astype("<u4").tobytes())
         file.write(harmonics.tobytes())

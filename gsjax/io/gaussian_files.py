@@ -16,6 +16,8 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io import compressed_ply, json_files, ply, sog, spz
 from gsjax.io.files import atomic_path
+from gsjax.io.place_files import state_beside
+from gsjax.place import UNPLACED, Place
 from gsjax.similarity import IDENTITY, Similarity, loses_in_float32, of_points, parse_similarity
 
 USUAL_SCALES = 1 / 64, 64.0  # Of a similarity: a compressed file needs no other units of its own.
@@ -26,12 +28,23 @@ class Format(NamedTuple):
     """How a kind of file is read, and written; writing tells how many Gaussians it had to clip to what it can hold."""
 
     read: Callable[[Path], Gaussians]
-    write: Callable[[Path, Gaussians], int]
+    write: Callable[[Path, Gaussians, Place], int]
 
 
-def _write_plain(path: Path, gaussians: Gaussians) -> int:
-    ply.write_gaussians(path, gaussians)
+def _write_plain(path: Path, gaussians: Gaussians, place: Place) -> int:
+    ply.write_gaussians(path, gaussians, place)
     return 0
+
+
+def _stated_beside(write: Callable[[Path, Gaussians], int]) -> Callable[[Path, Gaussians, Place], int]:
+    """Writing to a format that cannot hold the place, which a file beside then tells."""
+
+    def stated(path: Path, gaussians: Gaussians, place: Place) -> int:
+        clipped = write(path, gaussians)
+        state_beside(path, place)
+        return clipped
+
+    return stated
 
 
 def stored_similarity(path: str | Path) -> Similarity:
@@ -52,10 +65,10 @@ def _local(form: Format) -> Format:
         gaussians = form.read(path)
         return gaussians if similarity.is_identity else similarity.gaussians_to_world(gaussians)
 
-    def write(path: Path, gaussians: Gaussians) -> int:
+    def write(path: Path, gaussians: Gaussians, place: Place) -> int:
         similarity = _needed(np.asarray(gaussians.means, np.float64))
         if similarity.is_identity:
-            clipped = form.write(path, gaussians)
+            clipped = form.write(path, gaussians, place)
             _beside(path).unlink(missing_ok=True)
             return clipped
         if not similarity.is_possible:
@@ -63,7 +76,7 @@ def _local(form: Format) -> Format:
         # Both are written before either has its name: no file of local coordinates is without what tells them.
         with atomic_path(_beside(path)) as beside:
             json_files.write(beside, {"about": _ABOUT, **asdict(similarity)})
-            return form.write(path, similarity.gaussians_to_local(gaussians))
+            return form.write(path, similarity.gaussians_to_local(gaussians), place)
 
     return Format(read, write)
 
@@ -81,8 +94,8 @@ def _beside(path: str | Path) -> Path:
 FORMATS = {
     ".compressed.ply": _local(Format(compressed_ply.read_compressed_ply, compressed_ply.write_compressed_ply)),
     ".ply": Format(ply.read_gaussians, _write_plain),
-    ".sog": _local(Format(sog.read_sog, sog.write_sog)),
-    ".spz": _local(Format(spz.read_spz, spz.write_spz)),
+    ".sog": _local(Format(sog.read_sog, _stated_beside(sog.write_sog))),
+    ".spz": _local(Format(spz.read_spz, _stated_beside(spz.write_spz))),
 }
 
 
@@ -118,8 +131,13 @@ def load_gaussians(path: str | Path) -> Gaussians:
     return format_of(path).read(path)
 
 
-def save_gaussians(gaussians: Gaussians, path: str | Path) -> int:
+def save_gaussians(gaussians: Gaussians, path: str | Path, place: Place = UNPLACED) -> int:
     """Writes a file of the kind that the suffix says (`.ply`, `.compressed.ply`, `.sog`, `.spz`).
+
+    Args:
+        gaussians: What to write.
+        path: Where.
+        place: What is known of the world that they lie in: stated by a comment of a PLY, and else in a file beside.
 
     Returns:
         How many Gaussians hold values that the format cannot reach, and were clipped to it; none in a `.ply`.
@@ -127,4 +145,4 @@ def save_gaussians(gaussians: Gaussians, path: str | Path) -> int:
     Raises:
         InputError: The suffix is not known, the format cannot hold these Gaussians, or the file cannot be written.
     """
-    return format_of(path).write(Path(path), gaussians)
+    return format_of(path).write(Path(path), gaussians, place)

@@ -9,6 +9,7 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, rgb_to_sh
 from gsjax.io.files import atomic_path
 from gsjax.io.notices import print_once
+from gsjax.io.place_files import place_comments
 from gsjax.io.ply_elements import (
     filter_comments,
     from_rest_columns,
@@ -19,6 +20,7 @@ from gsjax.io.ply_elements import (
     stack_columns,
 )
 from gsjax.mesh import Mesh
+from gsjax.place import UNPLACED, Place
 from gsjax.similarity import as_needed, is_float32, loses_in_float32
 
 _MEANS = ["x", "y", "z"]
@@ -31,11 +33,12 @@ _OF_DISCS = 1e-4  # Of the thinner of a disc's other two deviations: where a fil
 _SURE = 88.0  # Logit of an opacity that is 0 or 1 in float32; its exponential is still a number.
 
 
-def write_gaussians(path: str | Path, gaussians: Gaussians) -> None:
+def write_gaussians(path: str | Path, gaussians: Gaussians, place: Place = UNPLACED) -> None:
     """Writes Gaussians as a binary little-endian 3DGS PLY: opacities as logits, scales as logs, quaternions w first.
 
     Means are float, as all viewers expect, but double where float would lose their place (`loses_in_float32`).
-    A pixel filter other than the classic one is told by a comment, as Brush and splat-transform have it.
+    A pixel filter other than the classic one is told by a comment, as Brush and splat-transform have it; so is what is
+    known of the place that they lie in.
     The coefficients `f_rest_*` run channel by channel. Normals are written as zeros, as viewers expect the columns.
 
     Raises:
@@ -57,6 +60,7 @@ def write_gaussians(path: str | Path, gaussians: Gaussians) -> None:
     table = np.empty(count, [("means", "<f8" if types else "<f4", 3), ("rest", "<f4", len(fields) - 3)])
     table["means"], table["rest"] = means, np.concatenate([np.asarray(c, "<f4") for c in columns], axis=1)
     header = ["ply", "format binary_little_endian 1.0", *filter_comments(gaussians.pixel_filter)]
+    header += place_comments(place)
     header += [f"element vertex {count}"] + [f"property {types.get(name, 'float')} {name}" for name in fields]
     header += ["end_header", ""]
     with atomic_path(path) as temporary, temporary.open("wb") as file:
@@ -180,10 +184,10 @@ def _read_vertices(path: Path) -> tuple[np.ndarray, str]:
     return elements["vertex"], header
 
 
-def encode_mesh(mesh: Mesh) -> bytes:
+def encode_mesh(mesh: Mesh, place: Place = UNPLACED) -> bytes:
     """Coloured triangles as a binary PLY: vertices with their colours, then faces.
 
-    Positions are double where float would lose their place.
+    Positions are double where float would lose them. A comment states what is known of the place that they lie in.
     """
     kind, stored = ("double", "<f8") if loses_in_float32(mesh.vertices) else ("float", "<f4")
     vertices = np.empty(mesh.num_vertices, [("position", stored, 3), ("color", "u1", 3)])
@@ -193,6 +197,7 @@ def encode_mesh(mesh: Mesh) -> bytes:
     header = [
         "ply",
         "format binary_little_endian 1.0",
+        *place_comments(place),
         f"element vertex {len(vertices)}",
         *(f"property {kind} {axis}" for axis in "xyz"),
         *(f"property uchar {channel}" for channel in ("red", "green", "blue")),

@@ -13,8 +13,10 @@ from gsjax.errors import InputError
 from gsjax.io import colmap, colmap_model, transforms
 from gsjax.io.image_folders import locate_photos, masks_in
 from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, list_of_names
+from gsjax.io.place_files import read_place
 from gsjax.io.splits import AUTO, mark_held_out
 from gsjax.io.truth import load_truth
+from gsjax.place import Place
 from gsjax.scene import Scene
 from gsjax.similarity import Similarity
 
@@ -27,6 +29,7 @@ def load_scene(
     images: str | None = None,
     hold_out: str = AUTO,
     similarity: Similarity | None = None,
+    place: Place | None = None,
 ) -> Scene:
     """Loads a data set: COLMAP, `transforms.json` (instant-ngp, nerfstudio) or NeRF-synthetic.
 
@@ -44,8 +47,10 @@ def load_scene(
             coverage.
         images: Folder of the photos, absolute or in `root`; None looks for them.
         hold_out: Which photos are for scoring only, see `gsjax.io.splits.mark_held_out`.
-        similarity: From the coordinates of the files to those of the scene. None: by its cameras
+        similarity: From the coordinates of the world to those of the scene. None: by its cameras
             (`gsjax.similarity.of_cameras`); it changes nothing of a scene of usual size at its origin.
+        place: Which world the files' coordinates are brought to. None: as `place.json` in the folder says, without
+            which it is that of the files.
 
     Raises:
         InputError: The folder is no data set, or a file in it is unusable; one line naming the file and the fault.
@@ -58,6 +63,9 @@ def load_scene(
     capture = _read_capture(root)
     photos = mark_held_out(_checked_photos(root, locate_photos(root, capture.photos, images)), hold_out, root)
     photos = _with_folder_masks(photos, root / "masks")
+    place = read_place(root) if place is None else place
+    photos = [replace(photo, viewmat=place.viewmat_to_world(photo.viewmat)) for photo in photos]
+    capture = replace(capture, points=place.points_to_world(capture.points))
     if similarity is None:
         similarity = similarities.of_cameras(np.stack([photo.viewmat for photo in photos]), capture.points)
     if not similarity.is_possible:
@@ -66,8 +74,8 @@ def load_scene(
     points = similarity.points_to_local(capture.points)
     frames = [frame for photo in photos for frame in frames_of(photo, downscale, folder_masks)]
     frames = tuple(sorted(frames, key=lambda frame: frame.name))
-    truth = load_truth(root, frames, similarity)
-    return Scene(root, capture.source, frames, points, capture.point_colors, truth, capture.tracks, similarity)
+    truth = load_truth(root, frames, similarity, place)
+    return Scene(root, capture.source, frames, points, capture.point_colors, truth, capture.tracks, similarity, place)
 
 
 def list_photos(root: str | Path, images: str | None = None) -> list[Photo]:

@@ -9,11 +9,14 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.arrays import headers, read_arrays
 from gsjax.io.images import same_shape
+from gsjax.place import UNPLACED, Place
 from gsjax.scene import Frame, Truth
 from gsjax.similarity import IDENTITY, Similarity
 
 
-def load_truth(root: str | Path, frames: tuple[Frame, ...], similarity: Similarity = IDENTITY) -> Truth | None:
+def load_truth(
+    root: str | Path, frames: tuple[Frame, ...], similarity: Similarity = IDENTITY, place: Place = UNPLACED
+) -> Truth | None:
     """What there is of `depth/STEM.npz`, `normals/STEM.npz`, `gt_points.npz` and `gt_mesh.ply`; None of nothing.
 
     `depth` holds `depth` [H, W] (camera z, scene units, 0 where nothing) and `label` [H, W] (0 sky, 255 ground, else
@@ -26,7 +29,8 @@ def load_truth(root: str | Path, frames: tuple[Frame, ...], similarity: Similari
     Args:
         root: Folder of the data set.
         frames: The frames whose maps are wanted.
-        similarity: From the coordinates of the files to those of the frames.
+        similarity: From the coordinates of the world to those of the frames.
+        place: From the coordinates of the files to those of the world.
 
     Raises:
         InputError: A file is damaged, lacks an array, or does not fit its frame; names the file. Reading a map raises
@@ -38,25 +42,25 @@ def load_truth(root: str | Path, frames: tuple[Frame, ...], similarity: Similari
         stem = str(PurePosixPath(frame.name).with_suffix(".npz"))
         if (file := root / "depth" / stem).is_file():
             _check(file, frame, "depth", "label")
-            depths[frame.name] = partial(_read_depth, file, frame, similarity)
+            depths[frame.name] = partial(_read_depth, file, frame, similarity.scale * place.scale)
             labels[frame.name] = partial(_read, file, "label", frame, np.uint8)
         if (file := root / "normals" / stem).is_file():
             _check(file, frame, "cam")
             normals[frame.name] = partial(_read_normals, file, frame)
-    surface = _surface(root, similarity)
+    surface = _surface(root, similarity, place)
     if not (depths or normals or surface):
         return None
     return Truth(depths, normals, labels, **surface)
 
 
-def _surface(root: Path, similarity: Similarity) -> dict[str, Any]:
+def _surface(root: Path, similarity: Similarity, place: Place) -> dict[str, Any]:
     file, mesh = root / "gt_points.npz", root / "gt_mesh.ply"
     if not file.is_file():
         return {}
     arrays = read_arrays(file, "points", "normals", "label")
     return {
-        "points": similarity.points_to_local(arrays["points"]),
-        "point_normals": _unit_or_zero(arrays["normals"].astype(np.float32)),
+        "points": similarity.points_to_local(place.points_to_world(arrays["points"])),
+        "point_normals": _unit_or_zero(place.directions_to_world(arrays["normals"]).astype(np.float32)),
         "point_labels": arrays["label"].astype(np.uint8),
         "mesh": mesh if mesh.is_file() else None,
     }
@@ -71,8 +75,8 @@ def _check(file: Path, frame: Frame, *keys: str) -> None:
             raise InputError(f"{file}: map is {width}x{height} but {frame.name} is {frame.width}x{frame.height}")
 
 
-def _read_depth(file: Path, frame: Frame, similarity: Similarity) -> np.ndarray:
-    return similarity.length_to_local(_read(file, "depth", frame, np.float64)).astype(np.float32)
+def _read_depth(file: Path, frame: Frame, scale: float) -> np.ndarray:
+    return (scale * _read(file, "depth", frame, np.float64)).astype(np.float32)
 
 
 def _read_normals(file: Path, frame: Frame) -> np.ndarray:

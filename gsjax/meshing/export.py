@@ -23,11 +23,13 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io import ply
 from gsjax.io.files import atomic_path
+from gsjax.io.place_files import state_beside
 from gsjax.mesh import Mesh
 from gsjax.meshing import glb, usdz
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.libraries import load_trimesh
 from gsjax.meshing.part_colors import has_picture, merge_parts, parts_of, picture_of, sample_texture
+from gsjax.place import UNPLACED, Place
 from gsjax.similarity import as_needed, is_float32, loses_in_float32, spread
 
 SUFFIXES = (".ply", ".obj", ".glb")
@@ -41,12 +43,13 @@ map_Kd {picture}
 """
 
 
-def write_mesh(path: str | Path, mesh: Mesh) -> None:
+def write_mesh(path: str | Path, mesh: Mesh, place: Place = UNPLACED) -> None:
     """Writes a mesh, whole or not at all.
 
     Args:
         path: Its suffix says the format: .ply, .obj or .glb.
         mesh: What to write.
+        place: What is known of the world that it lies in: stated in the file, or beside an OBJ.
 
     Raises:
         InputError: Unknown suffix, or the file cannot be written.
@@ -54,24 +57,27 @@ def write_mesh(path: str | Path, mesh: Mesh) -> None:
     path = Path(path)
     suffix = supported_suffix(path)
     with atomic_path(path) as temporary:
-        temporary.write_bytes(_WRITERS[suffix](mesh))
+        temporary.write_bytes(_WRITERS[suffix](mesh, place))
+    if suffix == ".obj":
+        state_beside(path, place)
 
 
-def write_textured(path: str | Path, textured: TexturedMesh) -> None:
+def write_textured(path: str | Path, textured: TexturedMesh, place: Place = UNPLACED) -> None:
     """Writes a mesh with its texture, whole or not at all; of three files, the .obj that names the others comes last.
 
     Args:
         path: .glb, .usdz or .obj; to the latter belong a .mtl and a .png of the same name, which are replaced too.
         textured: What to write.
+        place: As of `write_mesh`.
 
     Raises:
         InputError: Another suffix, or a file cannot be written.
     """
     path = Path(path)
-    textured_writer(path)(path, textured)
+    textured_writer(path)(path, textured, place)
 
 
-def textured_writer(path: Path) -> Callable[[Path, TexturedMesh], None]:
+def textured_writer(path: Path) -> Callable[[Path, TexturedMesh, Place], None]:
     """What writes textures to files of this suffix; InputError where nothing does."""
     writers = {".obj": _write_textured_obj, ".glb": _write_textured_glb, ".usdz": _write_textured_usdz}
     if path.suffix.lower() not in writers:
@@ -146,7 +152,7 @@ def supported_suffix(path: Path) -> str:
     return suffix
 
 
-def _encoded_obj(mesh: Mesh) -> bytes:
+def _encoded_obj(mesh: Mesh, _: Place) -> bytes:
     surface = load_trimesh().Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False)
     size = spread(mesh.vertices) or 1.0
     return surface.export(file_type="obj", digits=max(DIGITS, DIGITS - math.floor(math.log10(size)))).encode()
@@ -155,7 +161,7 @@ def _encoded_obj(mesh: Mesh) -> bytes:
 _WRITERS = {".ply": ply.encode_mesh, ".obj": _encoded_obj, ".glb": glb.encode_glb}
 
 
-def _write_textured_obj(path: Path, textured: TexturedMesh) -> None:
+def _write_textured_obj(path: Path, textured: TexturedMesh, place: Place) -> None:
     """Vertices as in the mesh, places in the texture apart from them. OBJ counts from 1 and v from below."""
     mesh, atlas = textured.mesh, textured.atlas
     material, picture = path.with_suffix(".mtl"), path.with_suffix(".png")
@@ -166,13 +172,14 @@ def _write_textured_obj(path: Path, textured: TexturedMesh) -> None:
         mtl.write_bytes(os.fsencode(MATERIAL.format(picture=picture.name)))
         with obj.open("w", encoding="utf-8", errors="surrogateescape") as file:  # As names of files are.
             file.write(f"mtllib {material.name}\nusemtl surface\n")
-            place = " ".join([f"%.{17 if loses_in_float32(mesh.vertices) else DIGITS}g"] * 3)
-            np.savetxt(file, np.hstack([mesh.vertices, mesh.colors / 255.0]), f"v {place} %.4f %.4f %.4f")
+            digits = " ".join([f"%.{17 if loses_in_float32(mesh.vertices) else DIGITS}g"] * 3)
+            np.savetxt(file, np.hstack([mesh.vertices, mesh.colors / 255.0]), f"v {digits} %.4f %.4f %.4f")
             np.savetxt(file, atlas.uvs * [1.0, -1.0] + [0.0, 1.0], "vt %.9g %.9g")
             np.savetxt(file, corners, "f %d/%d %d/%d %d/%d")
+    state_beside(path, place)
 
 
-def _write_textured_glb(path: Path, textured: TexturedMesh) -> None:
+def _write_textured_glb(path: Path, textured: TexturedMesh, place: Place) -> None:
     """One vertex a place in the texture. Unlit, as photos hold their light already."""
     mesh, atlas = textured.mesh, textured.atlas
     trimesh = load_trimesh()
@@ -186,12 +193,13 @@ def _write_textured_glb(path: Path, textured: TexturedMesh) -> None:
     def completed(tree: dict) -> None:
         glb.mark_unlit(tree)
         glb.shift_meshes(tree, offset)
+        glb.state_place(tree, place)
 
     with atomic_path(path) as temporary:
         temporary.write_bytes(surface.export(file_type="glb", include_normals=False, tree_postprocessor=completed))
 
 
-def _write_textured_usdz(path: Path, textured: TexturedMesh) -> None:
+def _write_textured_usdz(path: Path, textured: TexturedMesh, place: Place) -> None:
     """One vertex a place in the texture, as in a GLB."""
     mesh, atlas, png = textured.mesh, textured.atlas, BytesIO()
     _image(textured.texture).save(png, "PNG")
@@ -199,6 +207,7 @@ def _write_textured_usdz(path: Path, textured: TexturedMesh) -> None:
     places = atlas.uvs * [1.0, -1.0] + [0.0, 1.0]
     with atomic_path(path) as temporary:
         temporary.write_bytes(usdz.encode_usdz(vertices, atlas.faces, places, png.getvalue(), offset))
+    state_beside(path, place)
 
 
 def _image(pixels: np.ndarray):

@@ -9,8 +9,11 @@ import json
 import numpy as np
 
 from gsjax.colors import linear_to_srgb, srgb_to_linear
+from gsjax.io.json_files import plain
+from gsjax.io.place_files import EXTRAS
 from gsjax.mesh import Mesh
 from gsjax.meshing.libraries import load_trimesh
+from gsjax.place import UNPLACED, Place
 from gsjax.similarity import loses_in_float32, of_points
 
 OWN = "_color"  # What trimesh takes along untouched; it would write colours of its own in 8 bits.
@@ -19,11 +22,12 @@ CHANNELS = {"VEC3": 3, "VEC4": 4}
 HARMLESS = ("KHR_materials_", "EXT_materials_")  # Extensions of materials, without which the triangles are the same.
 
 
-def encode_glb(mesh: Mesh, *, unlit: bool = False) -> bytes:
+def encode_glb(mesh: Mesh, place: Place = UNPLACED, *, unlit: bool = False) -> bytes:
     """A mesh as a GLB, its colours linear.
 
     Args:
         mesh: What to write.
+        place: What is known of the world that it lies in, for the extras of the asset.
         unlit: Whether viewers are told to show the colours as they are: photos hold their light.
     """
     linear = np.ones((mesh.num_vertices, 4))
@@ -37,6 +41,7 @@ def encode_glb(mesh: Mesh, *, unlit: bool = False) -> bytes:
         primitive["attributes"]["COLOR_0"] = primitive["attributes"].pop(OWN)
         tree["accessors"][primitive["attributes"]["COLOR_0"]]["normalized"] = True
         shift_meshes(tree, offset)
+        state_place(tree, place)
         if unlit:
             mark_unlit(tree)
 
@@ -54,6 +59,12 @@ def shift_meshes(tree: dict, offset: np.ndarray) -> None:
     for node in tree["nodes"]:
         if "mesh" in node and offset.any():
             node["translation"] = offset.tolist()
+
+
+def state_place(tree: dict, place: Place) -> None:
+    """Says in the extras of a glTF tree's asset what is known of its place."""
+    if place.is_known:
+        tree["asset"].setdefault("extras", {})[EXTRAS] = plain(place.statement())
 
 
 def mark_unlit(tree: dict) -> None:

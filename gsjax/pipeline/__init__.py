@@ -1,5 +1,6 @@
 """The whole road as plain functions: what the command line and notebooks call."""
 
+from gsjax.pipeline.clean import clean
 from gsjax.pipeline.compare import compare
 from gsjax.pipeline.convert import convert
 from gsjax.pipeline.diagnose import diagnose
@@ -10,6 +11,7 @@ from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.normals import normals
 from gsjax.pipeline.refine import refine
 from gsjax.pipeline.render import render
+from gsjax.pipeline.scale import scale
 from gsjax.pipeline.scan import scan
 from gsjax.pipeline.share import share
 from gsjax.pipeline.texture import texture
@@ -22,6 +24,7 @@ from gsjax.report.page import noted, report
 
 __all__ = [
     "budgeted",
+    "clean",
     "compare",
     "convert",
     "count_devices",
@@ -36,6 +39,7 @@ __all__ = [
     "render",
     "report",
     "resized",
+    "scale",
     "scaled",
     "scan",
     "share",

@@ -1,6 +1,7 @@
 """Scores of a run: held-out images, and geometry wherever there is truth beside the images."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.export import read_mesh
 from gsjax.networks.lpips import STANDARD, lpips_measures
 from gsjax.pipeline.mesh import mesh as extract
+from gsjax.place import Place
 from gsjax.planning.effects import appearances_of_tracks
 from gsjax.runs.photography import Photography
 from gsjax.runs.result import open_result, scene_of_run
@@ -87,12 +89,16 @@ def evaluate(
         if given is None and not own.exists():
             extract(run, own)
         scored = similarity.mesh_to_local(read_mesh(own) if given is None else given)
-        true = None if truth.mesh is None else similarity.mesh_to_local(read_mesh(truth.mesh))
+        true = None if truth.mesh is None else similarity.mesh_to_local(_in_world(read_mesh(truth.mesh), scene.place))
         surface |= score_mesh(scored, truth.points, truth.point_normals, true)
         surface |= score_mesh_views(scored, scene.held_out_frames, truth)
         if true is not None:
             surface["floor"] |= score_mesh_views(true, scene.held_out_frames, truth)
     return figures | similarity.figures_to_world(surface, LENGTHS)
+
+
+def _in_world(mesh: Mesh, place: Place) -> Mesh:
+    return replace(mesh, vertices=place.points_to_world(mesh.vertices))
 
 
 def score_mesh(mesh: Mesh, seen_points: np.ndarray, seen_normals: np.ndarray, true_mesh: Mesh | None) -> dict[str, Any]:

@@ -111,7 +111,7 @@ def mesh(
     photos = _photos(Path(source), scene) if settled else ()
     if photos:
         surface, report["settled"] = settle(surface, photos)
-    write_mesh(out, similarity.mesh_to_world(surface))
+    write_mesh(out, similarity.mesh_to_world(surface), result.place)
     return {"vertices": len(surface.vertices), "faces": len(surface.faces), "settled": None, **report}
 
 

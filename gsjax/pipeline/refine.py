@@ -117,6 +117,7 @@ def refine(
             scene=scene.root,
             seed=settings.seed,
             similarity=scene.similarity,
+            place=scene.place,
             plan=_plan(settings, trained),
         )
     )
@@ -228,8 +229,8 @@ def _finish(
 ) -> dict[str, Any]:
     refined, gaussians = to_mesh(hybrid.bound), all_gaussians(hybrid)
     for name in ("mesh.ply", "mesh.glb"):
-        write_mesh(folder / name, scene.similarity.mesh_to_world(refined))
-    write_gaussians(folder / "gaussians.ply", scene.similarity.gaussians_to_world(gaussians))
+        write_mesh(folder / name, scene.similarity.mesh_to_world(refined), scene.place)
+    write_gaussians(folder / "gaussians.ply", scene.similarity.gaussians_to_world(gaussians), scene.place)
     write_views(folder, scene.frames)
     write_photography(folder, found)
     summary = {

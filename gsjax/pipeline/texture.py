@@ -47,5 +47,5 @@ def texture(
     cameras, pictures = training_pictures(result, result.gaussians, np.zeros(3, np.float32))
     side = size or texture_side(surface, cameras, least=SIZES[0], most=MOST_CHOSEN)
     textured, report = texture_mesh(surface, cameras, pictures, size=side)
-    write_textured(out, replace(textured, mesh=result.similarity.mesh_to_world(textured.mesh)))
+    write_textured(out, replace(textured, mesh=result.similarity.mesh_to_world(textured.mesh)), result.place)
     return {"vertices": surface.num_vertices, "faces": surface.num_faces, "size": side, **report}

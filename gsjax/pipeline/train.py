@@ -144,9 +144,14 @@ def _train(
     devices: Devices,
 ) -> dict[str, Any]:
     begun_in = out if known else earlier  # whose checkpoint is in coordinates of its own
-    similarity = None if begun_in is None else runs.read_similarity(begun_in)
+    begun = None if begun_in is None else Run(begun_in)
     loaded, downscale, photos_line = at_size(
-        scene, settings, planned.steps, known and known["downscale"], similarity=similarity
+        scene,
+        settings,
+        planned.steps,
+        known and known["downscale"],
+        similarity=begun and begun.similarity,
+        place=begun and begun.place,
     )
     # Read once, and before the run begins: a damaged photo is found now.
     photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
@@ -185,6 +190,7 @@ def _train(
             scene=scene,
             seed=settings.seed,
             similarity=loaded.similarity,
+            place=loaded.place,
             plan=planned.record(),
         )
     )
@@ -318,7 +324,7 @@ def _finish(
 ) -> dict[str, Any]:
     scene = replace(scene, frames=with_moved_cameras(scene.frames, found.moves))
     gaussians = living_gaussians(state.gaussians)
-    write_gaussians(run / "gaussians.ply", scene.similarity.gaussians_to_world(gaussians))
+    write_gaussians(run / "gaussians.ply", scene.similarity.gaussians_to_world(gaussians), scene.place)
     write_views(run, scene.frames)
     write_photography(run, found)
     if found.moves:

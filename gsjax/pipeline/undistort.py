@@ -12,6 +12,7 @@ from gsjax.io.colmap_writer import write_model
 from gsjax.io.files import atomic_folder, require_empty
 from gsjax.io.images import write_image
 from gsjax.io.photo_names import written_name
+from gsjax.io.place_files import write_place
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import OWN_LIST
 from gsjax.scene import Frame, Pixels
@@ -56,6 +57,7 @@ def undistort(
         (folder / OWN_LIST).write_text("".join(f"{name}\n" for name in held_out), encoding="utf-8")
         frames = tuple(written.values())
         write_model(folder / "sparse" / "0", frames, loaded.points, loaded.point_colors, loaded.similarity)
+        write_place(folder, loaded.place.reached)
     return {"images": len(written), "held_out": len(held_out), "masks": masks, "points": len(loaded.points)}
 
 

@@ -9,6 +9,7 @@ import jax
 
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
+from gsjax.place import Place
 from gsjax.scene import Frame, Scene, extent
 from gsjax.settings import Settings
 from gsjax.similarity import Similarity
@@ -21,6 +22,7 @@ def at_size(
     downscale: float | None = None,
     *,
     similarity: Similarity | None = None,
+    place: Place | None = None,
 ) -> tuple[Scene, float, str]:
     """The data set at the size that a run looks at, how many times smaller that is, and the line that says it.
 
@@ -30,6 +32,7 @@ def at_size(
         steps: That it takes, for the line.
         downscale: What was chosen before; None: it is chosen now.
         similarity: As of `gsjax.io.scenes.load_scene`.
+        place: Likewise.
     """
     opened = partial(
         load_scene,
@@ -38,6 +41,7 @@ def at_size(
         images=settings.images,
         hold_out=settings.hold_out,
         similarity=similarity,
+        place=place,
     )
     taken = opened()
     factor = chosen_downscale(settings, taken.frames) if downscale is None else downscale

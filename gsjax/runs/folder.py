@@ -4,6 +4,8 @@
     plan.json          what runs: phases with steps, terms and weights, and what the run found out for itself
     manifest.json      scene, command, versions, machine, seed, dates, status, the list of files, and the `similarity`
                        to the coordinates of the checkpoints from those of all other files (`gsjax.similarity`)
+    place.json         where that is known: the unit of those other files, which way is up, and where on Earth they are
+                       counted from (`gsjax.place`)
     metrics.jsonl      one line per logged step
     pictures/          a few held-out views, as the report shows them
     report.html        all of this to look at (`gsjax.report.page`)
@@ -31,11 +33,12 @@ from pathlib import Path
 from typing import Any
 
 from gsjax.errors import InputError
-from gsjax.io import json_files
+from gsjax.io import json_files, place_files
 from gsjax.io.files import atomic_folder, atomic_path, make_folder, unwritable
 from gsjax.io.locks import LOCK, lock_folder
 from gsjax.io.machine import machine, versions
 from gsjax.io.temporaries import is_temporary, sweep
+from gsjax.place import UNPLACED, Place
 from gsjax.runs import checkpoints
 from gsjax.runs.records import RECORD, SCENE, SETTINGS
 from gsjax.similarity import IDENTITY, Similarity, parse_similarity
@@ -45,7 +48,7 @@ EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic", "e
 KEPT_CHECKPOINTS = 2  # The newest and, should it turn out damaged, the one before.
 
 
-OF_A_BEGINNING = {"config.json", "plan.json", LOCK}
+OF_A_BEGINNING = {"config.json", "plan.json", place_files.FILE, LOCK}
 """What a folder may hold that was to become a run: without a manifest it is none."""
 
 
@@ -86,6 +89,7 @@ def create(
     scene: str | Path,
     seed: int,
     similarity: Similarity = IDENTITY,
+    place: Place = UNPLACED,
     plan: Mapping[str, Any] | None = None,
 ) -> Path:
     """Makes the folder of a new run, with its config, plan and manifest: whole, or not at all.
@@ -95,7 +99,8 @@ def create(
         settings: The parsed settings as a nested dict (`gsjax.config.to_dict`).
         scene: The data set.
         seed: Seed of all random numbers of the run.
-        similarity: To the run's own coordinates from those of the data set.
+        similarity: To the run's own coordinates from those of the world.
+        place: To the world from the coordinates of the data set.
         plan: What runs (`gsjax.training.plan.plan_record`).
 
     Raises:
@@ -117,15 +122,16 @@ def create(
     if run.is_dir():  # It may be a mounted one, which has no beside.
         with lock_folder(run):
             require_free(run)
-            _write_beginning(run, files)
+            _write_beginning(run, files, place)
     else:
         with atomic_folder(run) as folder:
-            _write_beginning(folder, files)
+            _write_beginning(folder, files, place)
     return run
 
 
-def _write_beginning(run: Path, files: Mapping[str, Any]) -> None:
+def _write_beginning(run: Path, files: Mapping[str, Any], place: Place) -> None:
     make_folder(run / "checkpoints")
+    place_files.write_place(run, place)
     for name, data in files.items():
         if data is not None:
             json_files.write(run / name, data)

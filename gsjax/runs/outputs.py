@@ -8,8 +8,9 @@ from gsjax.runs.folder import is_begun
 from gsjax.runs.run import Run
 
 OF_RUN = {
-    "config.json", "plan.json", "manifest.json", "metrics.jsonl", "pictures", "report.html", "report.json",
-    "checkpoints", "gaussians.ply", "cameras.json", "effects.json", "poses.json", "background.json", "masks", "normals",
+    "config.json", "plan.json", "manifest.json", "place.json", "metrics.jsonl", "pictures", "report.html",
+    "report.json", "checkpoints", "gaussians.ply", "cameras.json", "effects.json", "poses.json", "background.json",
+    "masks", "normals",
 }  # fmt: skip
 OF_REFINEMENT = {"mesh.ply", "mesh.glb"}
 OF_DATA_SET = {".bin", ".txt", ".npz", ".npy", ".ply"}  # suffixes, and transforms*.json

@@ -19,8 +19,10 @@ from gsjax.io import json_files
 from gsjax.io.gaussian_files import load_gaussians
 from gsjax.io.images import read_mask, write_image
 from gsjax.io.json_shapes import check
+from gsjax.io.place_files import stated_place
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import NONE
+from gsjax.place import UNPLACED, Place
 from gsjax.render import DepthReading, gallery
 from gsjax.render.gallery import Picture
 from gsjax.runs import viewpoints
@@ -55,7 +57,8 @@ class Result:
     ]  # reads [H, W] bool, where the photo may be used; None: all of it
     background: np.ndarray  # [3], or as SH coefficients of the direction, see `gsjax.render.backdrop`
     depth_mode: DepthReading = "plane"  # as depth was read in training, or `DEPTH_OF_DISCS`, see `gsjax.render.view`
-    similarity: Similarity = IDENTITY  # to Gaussians and cameras from the coordinates of files
+    similarity: Similarity = IDENTITY  # to Gaussians and cameras from the coordinates of the world
+    place: Place = UNPLACED  # what is known of that world
 
 
 def write_views(run: Path, frames: tuple[Frame, ...]) -> None:
@@ -112,6 +115,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             background=BACKGROUND_COLORS[settings["background"]] if learned is None else learned,
             depth_mode=DEPTH_OF_DISCS if run.is_refinement else settings["depth_mode"],
             similarity=run.similarity,
+            place=run.place,
         )
     if scene is None:
         if not gaussians.num_gaussians:
@@ -128,6 +132,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
             valid=(lambda: None,) * len(cameras),
             background=BACKGROUND_COLORS["black"],
             similarity=similarity,
+            place=stated_place(source),
         )
     loaded = load_scene(scene)
     frames = loaded.frames
@@ -140,6 +145,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
         valid=tuple(partial(valid_pixels, f) for f in frames),
         background=BACKGROUND_COLORS["black"],
         similarity=loaded.similarity,
+        place=loaded.place,
     )
 
 
@@ -195,6 +201,7 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0) -> Scene:
         images=run.settings.get("images"),  # Absent from folders of runs that could not choose.
         hold_out=NONE,
         similarity=run.similarity,
+        place=run.place,
     )
     frames = tuple(replace(f, held_out=held_out[f.name]) for f in scene.frames if f.name in held_out)
     return replace(scene, frames=with_moved_cameras(frames, run.photography.moves))

@@ -9,6 +9,8 @@ from gsjax import runs
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.json_shapes import check
+from gsjax.io.place_files import read_place
+from gsjax.place import Place
 from gsjax.runs.photography import Photography, read_photography
 from gsjax.runs.records import MANIFEST, PLAN, WITHOUT_PLAN, read_views
 from gsjax.settings import PLAIN
@@ -84,6 +86,11 @@ class Run:
     def similarity(self) -> Similarity:
         """To the coordinates of its checkpoints from those of its other files."""
         return runs.read_similarity(self.folder)
+
+    @cached_property
+    def place(self) -> Place:
+        """To the world, which its other files are in, from the coordinates of its data set."""
+        return read_place(self.folder)
 
     @property
     def is_refinement(self) -> bool:

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.usefixtures("own_environment")
 
 COMMANDS = (
     "demo", "scan", "sfm", "normals", "masks", "train", "mesh", "refine", "texture", "eval", "render", "report",
-    "compare", "turntable", "view", "share", "undistort", "convert",
+    "compare", "turntable", "view", "share", "undistort", "convert", "scale", "clean", "doctor",
 )  # fmt: skip
 
 
@@ -28,6 +28,7 @@ class SfmReport:
     registered: int
     left_out: dict[str, str]
     passed_over: dict[str, str] = field(default_factory=dict)
+    gps_unused: dict[str, str] = field(default_factory=dict)
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from tqdm import tqdm
@@ -14,6 +14,7 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.child_process import run_in_child
 from gsjax.io.files import make_folder, put_in_place, require_empty, unwritable, workspace
+from gsjax.io.place_files import write_place
 
 DEFAULT_FRAMES = 100
 REPORT = "sfm.json"
@@ -34,6 +35,8 @@ class SfmReport:
     mean_reprojection_error: float  # pixels of the photos
     mean_track_length: float  # photos a point is seen in
     seconds: float
+    place: str = ""  # what the photos' GPS told: of metres, up and origin
+    gps_unused: dict[str, str] = field(default_factory=dict)  # names of photos, and why their GPS is not followed
 
 
 def reconstruct(
@@ -50,7 +53,8 @@ def reconstruct(
     Photos of one make, model, focal length and size are taken to come from one camera, held upright or across; what
     is written is upright, with mattes (alpha) and masks (from a folder `masks/`). Each photo is matched with the twenty
     most like it, whatever their order, and with the next by name; the largest model is kept. The work is done in a
-    process of its own.
+    process of its own. Where the photos' GPS tells it, the model is in metres, x east, y north, z up, and `place.json`
+    says about which origin (`gsjax.place`).
 
     Args:
         photos: Folder of photos, subfolders included; or a video, of which the sharpest frame of every stretch is
@@ -114,7 +118,7 @@ def _build(
 def _built(
     source: Path, workspace: Path, frames: int, max_image_size: int, threads: int, progress: Callable[..., tqdm]
 ) -> dict:
-    from gsjax.io.sfm import features, mapping, pairs, publishing, shots
+    from gsjax.io.sfm import features, georeference, mapping, pairs, publishing, shots
 
     mapping.pycolmap.set_random_seed(0)
     folder = _frames_of(source, workspace / "frames", frames, progress) if source.is_file() else source
@@ -126,7 +130,9 @@ def _built(
         model, left_out = mapping.map_photos(material, workspace, progress)
     except InputError as error:
         raise InputError(f"{source}: {error}") from error
+    placed = georeference.place_model(model, taken)
     publishing.write_dataset(model, taken, make_folder(workspace / "scene"), progress)
+    write_place(workspace / "scene", placed.place)
     return {
         "images": len(taken),
         "registered": model.num_reg_images(),
@@ -135,6 +141,9 @@ def _built(
         "points": model.num_points3D(),
         "mean_reprojection_error": model.compute_mean_reprojection_error(),
         "mean_track_length": model.compute_mean_track_length(),
+        "place": placed.told,
+        "gps_unused": {shot.name: shot.fix for shot in taken if isinstance(shot.fix, str)}
+        | {taken[photo].name: f"{metres:.0f} m from the photo's place" for photo, metres in placed.off.items()},
     }
 
 

@@ -14,6 +14,7 @@ from gsjax.errors import InputError
 from gsjax.io.image_folders import masks_in
 from gsjax.io.images import SUFFIXES, cv2, image_size, open_image, read_image, read_mask, same_shape
 from gsjax.io.photos import says_nothing
+from gsjax.io.sfm import gps
 
 _MASKS = "masks"  # the folder's name
 _MAKE, _MODEL, _ORIENTATION, _DETAILS, _FOCAL, _FOCAL_35 = 0x010F, 0x0110, 0x0112, 0x8769, 0x920A, 0xA405
@@ -32,6 +33,7 @@ class Shot:
     to_sensor: int  # quarter turns anticlockwise, from the stored pixels to the sensor's frame
     to_upright: int  # quarter turns clockwise, from the sensor's frame to upright
     mask_path: Path | None = None
+    fix: gps.Fix | str | None = None  # where it was taken by GPS; words for what is wrong with that; None: not said
 
     @property
     def size(self) -> tuple[int, int]:
@@ -160,20 +162,24 @@ def shot_of(path: Path, name: str, mask_path: Path | None = None) -> Shot:
         InputError: The file is missing or no image.
     """
     width, height = image_size(path)
-    make, model, focal, orientation = _exif(path)
+    make, model, focal, orientation, fix = _exif(path)
     mirrored, turns = _ORIENTATIONS.get(orientation, (0, 0))
     standing = int(height > width)
     camera = (make, model, focal, max(width, height), min(width, height))
-    return Shot(name, path, camera, bool(mirrored), standing, (turns + standing) % 4, mask_path)
+    return Shot(name, path, camera, bool(mirrored), standing, (turns + standing) % 4, mask_path, fix)
 
 
-def _exif(path: Path) -> tuple[str, str, str, int]:
-    """Make, model, focal lengths and orientation; empty, and 1, where the file does not say."""
+def _exif(path: Path) -> tuple[str, str, str, int, gps.Fix | str | None]:
+    """Make, model, focal lengths, orientation and GPS; empty, 1 and None where the file does not say."""
     with open_image(path) as picture:
         try:
             tags = picture.getexif()
             details = tags.get_ifd(_DETAILS)
         except Exception:  # Pillow's many ways to say "damaged".
-            return "", "", "", 1
+            return "", "", "", 1, None
+        try:
+            fix = gps.read_fix(tags.get_ifd(gps.TAG))
+        except Exception:
+            fix = "its table of GPS is damaged"
     focal = f"{details.get(_FOCAL, '')} {details.get(_FOCAL_35, '')}"
-    return str(tags.get(_MAKE, "")), str(tags.get(_MODEL, "")), focal, tags.get(_ORIENTATION, 1)
+    return str(tags.get(_MAKE, "")), str(tags.get(_MODEL, "")), focal, tags.get(_ORIENTATION, 1), fix

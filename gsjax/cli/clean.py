@@ -1,0 +1,43 @@
+"""`gsjax clean`: Gaussians without what hovers about them."""
+
+import argparse
+
+from gsjax.cli.parsers import add_command, finite, given_options
+
+
+def add_to(commands: argparse._SubParsersAction) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands,
+        "clean",
+        _run,
+        summary="take floaters, crumbs and giants out of Gaussians, or what lies outside a box",
+        description="""
+            Giants fill the picture of the nearest camera; floaters are small clusters that hover before
+            the surface, or that hardly a view shows; crumbs are other small clusters that hang on
+            nothing. Prints how many of each were taken out. They lie in FILE.removed.ply, from where
+            --undo brings them back, and FILE.cleaned.png shows before and after.
+        """,
+        example="gsjax clean runs/garden --crop-to-cameras",
+    )
+    add = parser.add_argument
+    add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
+    add("--out", metavar="FILE", help="what to write (default: the file itself, of a run its gaussians.ply)")
+    add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a file is given")
+    add("--crop-to-cameras", action="store_const", const=True, help="keep only the sphere that cameras stand around")
+    box = ("X0", "Y0", "Z0", "X1", "Y1", "Z1")
+    add("--box", type=finite, nargs=6, metavar=box, help="keep only what lies in this box, scene coordinates")
+    add("--sphere", type=finite, nargs=4, metavar=("X", "Y", "Z", "R"), help="keep only what lies in this sphere")
+    add("--undo", action="store_true", help="bring back what was taken out of RUN_OR_FILE")
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from gsjax import pipeline, tables
+    from gsjax.errors import InputError
+    from gsjax.pipeline.clean import undo
+
+    options = given_options(arguments, "out", "scene", "crop_to_cameras", "box", "sphere")
+    if arguments.undo and options:
+        raise InputError("--undo goes without other options: it brings back all that was taken out of RUN_OR_FILE")
+    report = undo(arguments.source) if arguments.undo else pipeline.clean(arguments.source, **options)
+    print(tables.record(report))

@@ -1,0 +1,48 @@
+"""`gsjax scale`: a known length to the unit of a scene or a run."""
+
+import argparse
+
+from gsjax.cli.parsers import add_command, finite, metres
+
+
+def add_to(commands: argparse._SubParsersAction) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands,
+        "scale",
+        _run,
+        summary="measure between two pixels, and bring a scene or a run to metres by a known length",
+        description="""
+            Takes what two photos show at two pixels, as the triangulated points of a scene or the
+            rendered depth of a run have it, and prints the distance. With --is, lengths are in metres
+            from then on: a scene is also turned upright by its cameras (SCENE/place.json, no other file
+            changes), the files of a run are written anew. Without --is nothing is changed.
+        """,
+        example="gsjax scale scenes/garden --between 0001.jpg 310 722 0001.jpg 840 715 --is 1.25m",
+    )
+    spots = ("PHOTO", "X", "Y", "PHOTO", "X", "Y")
+    parser.add_argument("source", metavar="SCENE_OR_RUN", help="folder of a data set, or that `gsjax train` made")
+    parser.add_argument(
+        "--between",
+        nargs=6,
+        metavar=spots,
+        required=True,
+        help="two spots: a photo, and a pixel in it from its corner",
+    )
+    parser.add_argument(
+        "--is", dest="metres", type=metres, metavar="LENGTH", help="their real distance: 1.25m, 80cm, 12mm, 3ft, 5in"
+    )
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from gsjax import pipeline, tables
+    from gsjax.errors import InputError
+    from gsjax.runs.spots import Spot
+
+    texts, spots = arguments.between, []
+    for photo, x, y in (texts[:3], texts[3:]):
+        try:
+            spots.append(Spot(photo, finite(x), finite(y)))
+        except argparse.ArgumentTypeError:
+            raise InputError(f"--between: {photo} {x} {y} is not a photo and a pixel") from None
+    print(tables.record(pipeline.scale(arguments.source, spots, arguments.metres)))

@@ -1,0 +1,184 @@
+"""Whether what gsjax needs is installed and fits, and what to type where it does not.
+
+Only the standard library is imported here, so that a broken installation can be looked at too.
+"""
+
+import importlib
+import importlib.util
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+from gsjax.io.machine import free_memory
+
+MODULES = {"pillow": "PIL", "pillow-heif": "pillow_heif", "opencv-contrib-python-headless": "cv2"}
+"""Of packages that are not imported by their own names."""
+HINTS = {"open3d": "; sudo apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 libidn2-0"}
+LEAST_MEMORY, LEAST_DISK = 3, 2  # GiB, below which a usual scene does not train, and a run has no room
+GIB = 2**30
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was looked at."""
+
+    name: str
+    is_fine: bool
+    told: str  # what was found
+    remedy: str = ""  # what to type where it is not fine
+
+
+def examine(folder: str | Path = ".") -> Iterator[Finding]:
+    """Look at libraries, the device, the rasterizer's engine, memory, disk, and the cache of compiled programs.
+
+    Args:
+        folder: Where runs are to be written.
+
+    Yields:
+        What was found, as it is found.
+    """
+    broken = set()
+    for finding in check_libraries():
+        broken |= set() if finding.is_fine else {finding.name}
+        yield finding
+    if not broken & {"jax", "numpy", "packaging"}:
+        yield from check_device()
+    yield check_memory()
+    yield check_disk(Path(folder))
+    yield check_cache()
+
+
+def version() -> str:
+    """Of gsjax, as it was installed; of a checkout that is not, `pyproject.toml`'s."""
+    try:
+        return metadata.version("gsjax")
+    except metadata.PackageNotFoundError:
+        return str(_project()["version"])
+
+
+def requirements() -> list[str]:
+    """What gsjax needs, with bounds of versions, extras left out."""
+    try:
+        listed = metadata.requires("gsjax") or []
+    except metadata.PackageNotFoundError:
+        listed = _project()["dependencies"]
+    return [line.replace(" ", "") for line in listed if "extra ==" not in line]
+
+
+def check_libraries() -> Iterator[Finding]:
+    """Python, and each library: is it there, does it fit, does it load."""
+    python = ".".join(map(str, sys.version_info[:3]))
+    yield Finding("python", sys.version_info >= (3, 11), python, "install Python 3.11 or newer")
+    try:
+        from packaging.requirements import Requirement
+    except ImportError:
+        yield Finding("packaging", False, "is not installed", "pip install packaging")
+        return
+    for line in requirements():
+        wanted = Requirement(line)
+        remedy = f"pip install '{line}'{HINTS.get(wanted.name, '')}"
+        try:
+            found = metadata.version(wanted.name)
+        except metadata.PackageNotFoundError:
+            yield Finding(wanted.name, False, "is not installed", remedy)
+            continue
+        if not wanted.specifier.contains(found, prereleases=True):
+            yield Finding(wanted.name, False, f"{found} does not fit {wanted.specifier}", remedy)
+            continue
+        try:
+            importlib.import_module(MODULES.get(wanted.name, wanted.name))
+        except Exception as error:  # Whatever a broken library raises while it loads.
+            why = (str(error).splitlines() or [type(error).__name__])[0]
+            yield Finding(wanted.name, False, f"{found} does not load: {why}", remedy)
+        else:
+            yield Finding(wanted.name, True, found)
+
+
+def check_device() -> Iterator[Finding]:
+    """What jax computes on, and with which engine the rasterizer draws there."""
+    from gsjax.devices import engine_here
+
+    try:
+        engine = engine_here()
+    except RuntimeError as error:
+        yield Finding("device", False, str(error).splitlines()[0], "unset JAX_PLATFORMS")
+        return
+    unused = gpu_name() if engine.is_on_cpu and os.environ.get("JAX_PLATFORMS") != "cpu" else None
+    told = engine.device if unused is None else f"{engine.device}, and {unused} is not used"
+    yield Finding("device", unused is None, told, "pip install 'gsjax[cuda13]', or cuda12 where the driver is older")
+    remedy = "pip install --force-reinstall numba" if engine.is_on_cpu else "pip install --upgrade 'jax[cuda13]'"
+    yield Finding("engine", not engine.why, f"{engine.name} {engine.why}".strip(), remedy)
+
+
+def check_memory() -> Finding:
+    """Whether there is room for a usual scene."""
+    free = free_memory() / GIB
+    remedy = "close other programs, or train smaller photos: gsjax train --downscale 4"
+    return Finding("memory", free >= LEAST_MEMORY, f"{free:.1f} GiB free", remedy)
+
+
+def check_disk(folder: Path) -> Finding:
+    """Whether a folder has room for a run."""
+    free = shutil.disk_usage(folder).free / GIB
+    told = f"{free:.1f} GiB free in {folder.resolve()}"
+    return Finding("disk", free >= LEAST_DISK, told, "cd FOLDER, one on a disk with more room")
+
+
+def check_cache() -> Finding:
+    """Whether compiled programs can be kept."""
+    folder = os.environ.get("JAX_COMPILATION_CACHE_DIR", "")
+    remedy = "export JAX_COMPILATION_CACHE_DIR=FOLDER, a folder that can be written"
+    if not folder:
+        return Finding("cache", False, "no folder for compiled programs: each start compiles anew", remedy)
+    if not os.access(folder, os.W_OK):
+        return Finding("cache", False, f"{folder} cannot be written: each start compiles anew", remedy)
+    size = sum(file.stat().st_size for file in Path(folder).iterdir() if file.is_file())
+    return Finding("cache", True, f"{size / 2**20:.0f} MiB of compiled programs in {folder}")
+
+
+def likely_device() -> str:
+    """What jax will compute on, judged without loading it: a GPU's name, "an NVIDIA GPU" or "the CPU"."""
+    if os.environ.get("JAX_PLATFORMS") == "cpu" or not _has_cuda():
+        return "the CPU"
+    return gpu_name() or "the CPU"
+
+
+def gpu_name() -> str | None:
+    """The NVIDIA GPU that the system shows, whether jax can use it or not; None of none."""
+    for file in sorted(Path("/proc/driver/nvidia/gpus").glob("*/information")):
+        for line in file.read_text(errors="replace").splitlines():
+            if line.startswith("Model:"):
+                return line.removeprefix("Model:").strip()
+    return "an NVIDIA GPU" if Path("/dev/nvidia0").exists() else None
+
+
+def version_line() -> str:
+    """Versions, the device and the engine, told without loading jax: what `gsjax doctor` makes sure of."""
+    device = likely_device()
+    on_cpu = "native" if importlib.util.find_spec("numba") else "xla"
+    try:
+        jax = metadata.version("jax")
+    except metadata.PackageNotFoundError:
+        jax = "is missing"
+    return f"gsjax {version()}, jax {jax}, {on_cpu if device == 'the CPU' else 'pallas'} rasterizer on {device}"
+
+
+def _has_cuda() -> bool:
+    for plugin in ("jax-cuda13-plugin", "jax-cuda12-plugin"):
+        try:
+            metadata.version(plugin)
+        except metadata.PackageNotFoundError:
+            continue
+        return True
+    return False
+
+
+def _project() -> dict:
+    import tomllib
+
+    file = Path(__file__).resolve().parents[2] / "pyproject.toml"
+    return tomllib.loads(file.read_text(encoding="utf-8"))["project"]

@@ -1,0 +1,231 @@
+"""A reconstruction to metres, upright and on Earth, by the GPS of its photos.
+
+GPS errs by metres, and now and then by streets. So the similarity is that of the smallest median of distances (least
+median of squares), and the photos near it decide. Heights by GPS are the worst of all, and photos along a line leave
+the turn about that line open: where the cameras themselves, held level, know better which way is up, GPS tells only the
+heading, the scale and the place.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gsjax.io.packages import require
+from gsjax.io.sfm.gps import Fix
+from gsjax.io.sfm.shots import Shot, turned_pose
+from gsjax.place import Place, turn_upright, up_of_cameras
+
+pycolmap = require("pycolmap", "pip install pycolmap")
+
+FEWEST = 3  # photos with GPS, of which one may be wrong only from four on
+_HELD_LEVEL = math.radians(1.0)  # what cameras are held level to, all of them alike
+_SURE = math.radians(10.0)  # of a direction that is worth its name
+_TOLD_APART = 0.5  # of the photos' spread: GPS that errs by more tells no scale
+_TRIALS = 500
+_NEAR = 2.5 * 1.4826  # median distances from the fit, within which a photo's GPS is taken for right
+_FLOOR = 1e-3  # of the photos' spread: closer than that, any fit is right
+_SEED = 0
+
+
+class Georeference(NamedTuple):
+    """What the GPS of photos comes to."""
+
+    place: Place  # from the model to the world; unknown where GPS does not tell it
+    told: str  # that in words
+    off: dict[int, float]  # metres between a photo and its GPS, of the photos whose GPS is wrong, by their index
+
+
+class _Motion(NamedTuple):
+    """A similarity: world = scale * rotation @ model + shift."""
+
+    scale: float
+    rotation: np.ndarray
+    shift: np.ndarray
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return self.scale * points @ self.rotation.T + self.shift
+
+
+def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None]) -> Georeference:
+    """The place of a model.
+
+    Args:
+        viewmats: `[V, 3, 4]` world to camera, of the photos as they stand upright.
+        fixes: Of each of them; None where its photo has no GPS.
+    """
+    having = np.array([index for index, fix in enumerate(fixes) if fix is not None], int)
+    if len(having) < FEWEST:
+        having_it = f"GPS in {len(having)} of {len(fixes)} photos" if len(having) else "no GPS in the photos"
+        return _unknown(f"unit not known: {having_it}, where {FEWEST} would tell metres; `gsjax scale` sets it")
+    degrees = np.array([fix for fix in fixes if fix is not None], float)
+    centers = -np.einsum("vji,vj->vi", viewmats[:, :, :3], viewmats[:, :, 3])[having]
+    up, up_error = up_of_cameras(viewmats)
+    up_error = math.hypot(up_error, _HELD_LEVEL)
+    has_heights = np.isfinite(degrees[:, 2])
+    origin, places = _plane(degrees, has_heights)
+
+    trusted, motion, tilt_error = np.zeros(0, int), None, math.inf
+    if has_heights.sum() >= FEWEST:
+        rows = np.flatnonzero(has_heights)
+        found = _least_median(_rigid, 3, centers[rows], places[rows])
+        if found is not None:
+            motion, trusted = found[0], rows[found[1]]
+            tilt_error = _tilt_error(motion, centers[trusted], places[trusted])
+    by_cameras = motion is None or up_error < tilt_error
+    if by_cameras:
+        flat = np.where(has_heights[:, None], places, places * [1, 1, 0])
+        found = _least_median(_level(turn_upright(up), has_heights), 2, centers, flat)
+        if found is None or min(up_error, tilt_error) > _SURE:
+            return _unknown("the GPS of the photos does not tell which way is up, nor do the cameras")
+        motion, trusted = found
+    assert motion is not None
+    across = places[trusted] - places[trusted].mean(0)
+    axes = 2 if by_cameras else 3
+    residual = np.linalg.norm((motion(centers) - places)[:, :axes], axis=1)
+    spread = math.sqrt((across[:, :axes] ** 2).sum())
+    if math.sqrt((residual[trusted] ** 2).sum()) > _TOLD_APART * spread:
+        return _unknown(f"the photos lie within {_length(2 * spread / math.sqrt(len(trusted)))} of each other by GPS,"
+                        " which is not told apart from its errors")  # fmt: skip
+    wrong = sorted(set(range(len(having))) - set(trusted.tolist()))
+    off = {int(having[row]): float(residual[row]) for row in wrong}
+    altitude = origin[2] if has_heights.any() else None
+    known_by = f"GPS of {len(trusted)} photos"
+    place = Place(
+        known_by,
+        up=(0.0, 0.0, 1.0),
+        origin=(origin[0], origin[1], altitude),
+        scale=motion.scale,
+        rotation=tuple(map(tuple, motion.rotation.tolist())),  # pyright: ignore[reportArgumentType]
+        shift=tuple(motion.shift.tolist()),  # pyright: ignore[reportArgumentType]
+    )
+    told = f"metres by the {known_by}, which lie {_length(float(np.median(residual[trusted])))} from it (median)"
+    told += f"; up by the {_up_told(tilt_error, altitude) if by_cameras else 'GPS'}; origin {_degrees(origin)}"
+    return Georeference(place, told, off)
+
+
+def place_model(model: Any, shots: Sequence[Shot]) -> Georeference:
+    """The place of a model by the GPS of its photos; where that is known, the model is brought there.
+
+    Args:
+        model: `pycolmap.Reconstruction` in the sensors' frames, changed in place; image ids count `shots` from 1.
+        shots: The photos.
+
+    Returns:
+        The place of the model as it is now: its coordinates are the world's.
+    """
+    numbers = sorted(model.reg_image_ids())
+    taken = [shots[number - 1] for number in numbers]
+    poses = [model.image(number).cam_from_world().matrix() for number in numbers]
+    viewmats = np.stack([turned_pose(pose, shot.to_upright) for pose, shot in zip(poses, taken, strict=True)])
+    found = georeference(viewmats, [shot.fix if isinstance(shot.fix, Fix) else None for shot in taken])
+    place = found.place
+    if place.is_known:
+        model.transform(pycolmap.Sim3d(place.scale, pycolmap.Rotation3d(np.array(place.rotation)), place.shift))
+    return found._replace(place=place.reached, off={numbers[row] - 1: metres for row, metres in found.off.items()})
+
+
+def _unknown(why: str) -> Georeference:
+    return Georeference(Place(), why, {})
+
+
+def _up_told(tilt_error: float, altitude: float | None) -> str:
+    """Why up is the cameras', in words."""
+    if altitude is None:
+        return "cameras (no altitudes)"
+    sure = "not at all" if tilt_error > math.pi / 4 else f"to {math.degrees(tilt_error):.1f} degrees"
+    return f"cameras (the GPS tells it {sure})"
+
+
+def _degrees(origin: tuple[float, float, float]) -> str:
+    latitude, longitude, _ = origin
+    return f"{abs(latitude):.7f} {'NS'[latitude < 0]} {abs(longitude):.7f} {'EW'[longitude < 0]}"
+
+
+def _length(metres: float) -> str:
+    return f"{metres:.2g} m" if metres < 10 else f"{metres:.0f} m"
+
+
+def _plane(degrees: np.ndarray, has_heights: np.ndarray) -> tuple[tuple[float, float, float], np.ndarray]:
+    """The origin, in the photos' middle, and `[N, 3]` metres east, north and up of it."""
+    first = degrees[0, 1]
+    longitudes = first + (degrees[:, 1] - first + 180) % 360 - 180  # so that 179 E and 179 W are neighbours
+    height = float(np.median(degrees[has_heights, 2])) if has_heights.any() else 0.0
+    latitude, longitude = float(np.median(degrees[:, 0])), float(np.median(longitudes))
+    heights = np.where(has_heights, degrees[:, 2], height)
+    earth = pycolmap.GPSTransform(pycolmap.GPSTransformEllipsoid.WGS84)
+    places = earth.ellipsoid_to_enu(np.c_[degrees[:, 0], longitudes, heights], latitude, longitude, height)
+    return (latitude, (longitude + 180) % 360 - 180, height), np.asarray(places)
+
+
+Fit = Callable[[np.ndarray, np.ndarray, np.ndarray], _Motion | None]
+"""Rows, all positions in the model, all in the world -> the best motion of those rows; None where there is none."""
+
+
+def _rigid(rows: np.ndarray, model: np.ndarray, world: np.ndarray) -> _Motion | None:
+    """The similarity of least squares (Umeyama)."""
+    found: Any = pycolmap.estimate_sim3d(model[rows], world[rows])
+    if found is None or not found.scale > 0:
+        return None
+    return _Motion(found.scale, found.rotation.matrix(), np.asarray(found.translation))
+
+
+def _level(upright: np.ndarray, has_heights: np.ndarray) -> Fit:
+    """The same where a rotation is known that brings up to z: scale, heading and place are left."""
+
+    def fit(rows: np.ndarray, model: np.ndarray, world: np.ndarray) -> _Motion | None:
+        stood, seen = (model[rows] @ upright.T), world[rows]
+        here, there = ((each[:, 0] + 1j * each[:, 1]) for each in (stood, seen))
+        here, there = here - here.mean(), there - there.mean()
+        if not np.abs(here).any():
+            return None
+        turn = (here.conj() @ there) / (here.conj() @ here)
+        scale = abs(turn)
+        if not scale > 0:
+            return None
+        c, s = turn.real / scale, turn.imag / scale
+        rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ upright
+        shift = seen.mean(0) - scale * model[rows].mean(0) @ rotation.T
+        heights = scale * model @ rotation[2]
+        known = rows[has_heights[rows]]
+        shift[2] = np.median((world[:, 2] - heights)[known]) if len(known) else -np.median(heights)
+        return _Motion(scale, rotation, shift)
+
+    return fit
+
+
+def _least_median(fit: Fit, minimal: int, model: np.ndarray, world: np.ndarray) -> tuple[_Motion, np.ndarray] | None:
+    """The motion of the photos that agree, and which these are; None where no sample of them gives one.
+
+    Distances are horizontal where two photos suffice: heights then take no part.
+    """
+    axes = minimal
+    random, every = np.random.default_rng(_SEED), np.arange(len(model))
+    floor = _FLOOR * float(np.median(np.linalg.norm(world - np.median(world, axis=0), axis=1)))
+
+    def distances(motion: _Motion) -> np.ndarray:
+        return np.linalg.norm((motion(model) - world)[:, :axes], axis=1)
+
+    samples = [every] + [random.choice(every, minimal, replace=False) for _ in range(_TRIALS)]
+    motions = [motion for rows in samples if (motion := fit(rows, model, world)) is not None]
+    if not motions:
+        return None
+    best = min(motions, key=lambda motion: float(np.median(distances(motion))))
+    trusted = every
+    for _ in range(3):
+        off = distances(best)
+        trusted = np.flatnonzero(off <= max(_NEAR * float(np.median(off)), floor))
+        again = fit(trusted, model, world)
+        if again is None:
+            break
+        best = again
+    return best, trusted
+
+
+def _tilt_error(motion: _Motion, model: np.ndarray, world: np.ndarray) -> float:
+    """Standard error of the direction up, radians: what GPS errs by, over how far the photos lie from a line."""
+    off = motion(model) - world
+    error = math.sqrt((off**2).sum() / max(3 * len(model) - 7, 1))
+    widths = np.linalg.svd(motion(model) - motion(model).mean(0), compute_uv=False)
+    return math.inf if len(model) < FEWEST or widths[1] < 1e-6 * widths[0] else error / float(widths[1])

@@ -1,0 +1,76 @@
+"""Where a photo's EXIF says that it was taken."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+TAG = 0x8825  # of the table of GPS in EXIF
+_LATITUDE_SIDE, _LATITUDE, _LONGITUDE_SIDE, _LONGITUDE, _ALTITUDE_SIDE, _ALTITUDE, _STATUS = 1, 2, 3, 4, 5, 6, 9
+_FARTHEST = 100_000.0  # metres above or below the sea, beyond which nobody takes photos with a camera's GPS
+
+
+class Fix(NamedTuple):
+    """A place by GPS, WGS 84."""
+
+    latitude: float  # degrees north
+    longitude: float  # degrees east
+    altitude: float  # metres, above what the device takes for zero; NaN where it does not say
+
+
+def read_fix(tags: Mapping[int, Any]) -> Fix | str | None:
+    """The place that the table of GPS tells; words for what is wrong with it; None where it tells none.
+
+    Receivers without a fix write 0, 0 or the status V: that is none. An altitude that cannot be read is left out.
+    """
+    if _LATITUDE not in tags and _LONGITUDE not in tags:
+        return None
+    if str(tags.get(_STATUS, "A")).strip("\0 ").upper() == "V":
+        return None
+    sides = {}
+    for name, tag, side, positive, negative, limit in (
+        ("latitude", _LATITUDE, _LATITUDE_SIDE, "N", "S", 90),
+        ("longitude", _LONGITUDE, _LONGITUDE_SIDE, "E", "W", 180),
+    ):
+        letter = _letter(tags.get(side))
+        degrees = _degrees(tags.get(tag))
+        if letter not in (positive, negative):
+            return f"its {name} does not say {positive} or {negative}"
+        if not abs(degrees) <= limit:  # Also of no number.
+            return f"its {name} is no angle"
+        sides[name] = degrees if letter == positive else -degrees
+    if sides["latitude"] == 0 and sides["longitude"] == 0:
+        return None
+    return Fix(sides["latitude"], sides["longitude"], _altitude(tags))
+
+
+def _letter(side: Any) -> str:
+    text = side.decode("ascii", "replace") if isinstance(side, bytes) else str(side or "")
+    return text.strip("\0 ").upper()[:1]
+
+
+def _degrees(parts: Any) -> float:
+    """Of degrees, minutes and seconds, the last of which may be absent; NaN where they are none."""
+    try:
+        numbers = [_number(part) for part in parts]
+    except TypeError:
+        return math.nan
+    if not 1 <= len(numbers) <= 3 or not all(number >= 0 for number in numbers):
+        return math.nan
+    return sum(number / unit for number, unit in zip(numbers, (1, 60, 3600), strict=False))
+
+
+def _altitude(tags: Mapping[int, Any]) -> float:
+    altitude = _number(tags.get(_ALTITUDE))
+    if not abs(altitude) < _FARTHEST:
+        return math.nan
+    side = tags.get(_ALTITUDE_SIDE, b"\0")
+    is_below = side in (1, b"\x01", "\x01", "1")
+    return -altitude if is_below else altitude
+
+
+def _number(rational: Any) -> float:
+    """NaN of what is none, such as a fraction over zero."""
+    try:
+        return float(rational)
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        return math.nan

@@ -1,0 +1,230 @@
+"""Gaussians without what hovers about them: floaters, crumbs, giants; what is taken out is kept, and can come back."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsjax import stray
+from gsjax.cameras import Camera
+from gsjax.errors import InputError
+from gsjax.gaussians import Gaussians, concatenate, take
+from gsjax.io import json_files
+from gsjax.io.gaussian_files import format_of, load_gaussians, save_gaussians
+from gsjax.io.place_files import stated_place
+from gsjax.io.temporaries import sweep_beside
+from gsjax.render import gallery
+from gsjax.report.panels import draw_panels
+from gsjax.report.pictures import to_bytes
+from gsjax.runs.folder import is_begun
+from gsjax.runs.outputs import require_apart
+from gsjax.runs.result import Result, open_result
+
+KINDS = "giants", "floaters", "crumbs", "cropped"
+MOST_VIEWS = 24  # that are drawn
+MARGIN = 0.1  # of the surface's depth, before which something hovers
+FEWEST_VIEWS = 3  # that must show what is no floater
+BEFORE = 0.25  # of the views that show it: a floater stands before the surface in so many
+UNSEEN = -88.0  # A logit: the opacity is 0 in float32, and no other program is compiled.
+
+
+def clean(
+    source: str | Path,
+    out: str | Path | None = None,
+    *,
+    scene: str | Path | None = None,
+    crop_to_cameras: bool = False,
+    box: Sequence[float] | None = None,
+    sphere: Sequence[float] | None = None,
+) -> dict[str, Any]:
+    """Take out of Gaussians what is no part of the scene.
+
+    *Giants* fill the picture of the nearest camera. A small cluster that hangs on nothing is a *floater* where a
+    quarter of the views that show it have the surface well behind it, or where fewer than three show it, and else a
+    *crumb*.
+    Without cameras all such clusters are crumbs, and giants are as large as the scene. *Cropped* is what lies outside
+    what is asked for.
+
+    Args:
+        source: Run folder, or a file of Gaussians.
+        out: File to write, of any format. None: the file itself, of a run `gaussians.ply`.
+        scene: Data set whose cameras to look from, where a file is given.
+        crop_to_cameras: Keep only what lies in the sphere that the cameras stand around.
+        box: `(x0, y0, z0, x1, y1, z1)`: keep only what lies in it, world.
+        sphere: `(x, y, z, radius)`: likewise.
+
+    Returns:
+        `gaussians` that are left; how many were taken out: `giants`, `floaters`, `crumbs`, `cropped`; `removed`, the
+        file that holds them (`OUT.removed.ply`), and `picture` (`OUT.cleaned.png`): before, after, and what was taken
+        out, from where that differs most. None where nothing was taken out or no camera is known.
+
+    Raises:
+        InputError: A file cannot be read or written, was cleaned before, or nothing would be left.
+    """
+    source = Path(source)
+    out = _file_of(source) if out is None else Path(out)
+    format_of(out)
+    if out.resolve() != _file_of(source).resolve():
+        require_apart(out, source, scene)
+    if _beside(out).exists():
+        raise InputError(f"{out}: was cleaned before; `gsjax clean {out} --undo` brings back {_beside(out)}")
+    _check_numbers(box, sphere)
+    sweep_beside(out)
+    whole = load_gaussians(source)
+    result = open_result(source, scene=scene) if is_begun(source) or scene is not None else None
+    kinds = _judged(whole, result)
+    kinds["cropped"] = _outside(whole, result, source, crop_to_cameras, box, sphere) & ~np.any(list(kinds.values()), 0)
+    taken = np.any(list(kinds.values()), axis=0)
+    if taken.all():
+        raise InputError(f"{source}: none of its {len(taken)} Gaussians would be left")
+    report: dict[str, Any] = {"gaussians": int((~taken).sum()), **{kind: int(kinds[kind].sum()) for kind in KINDS}}
+    place = stated_place(_file_of(source))
+    if taken.any():
+        # What is taken out is on the disk before it is gone elsewhere.
+        save_gaussians(take(whole, taken), _beside(out), place)
+        rows = {kind: np.flatnonzero(kinds[kind]) for kind in KINDS}
+        json_files.write(_rows_beside(out), {"about": "rows of the Gaussians before", "count": len(taken), **rows})
+    save_gaussians(take(whole, ~taken), out, place)
+    picture = _picture(result, taken, out) if result is not None and taken.any() else None
+    return report | {"removed": str(_beside(out)) if taken.any() else None, "picture": picture}
+
+
+def undo(source: str | Path) -> dict[str, Any]:
+    """Bring back what `clean` has taken out, each Gaussian to its row.
+
+    Args:
+        source: The file that it wrote, or the run folder.
+
+    Returns:
+        `gaussians`, and how many of them came `back`.
+
+    Raises:
+        InputError: Nothing was taken out, or the file is another one by now.
+    """
+    file = _file_of(Path(source))
+    if not _beside(file).exists():
+        raise InputError(f"{file}: nothing was taken out of it; there is no {_beside(file)}")
+    shape = {"count": int, **{kind: [int] for kind in KINDS}}
+    told = json_files.read(_rows_beside(file), shape)
+    left, removed = load_gaussians(file), load_gaussians(_beside(file))
+    rows = np.sort(np.concatenate([np.array(told[kind], int) for kind in KINDS]))
+    count = left.num_gaussians + removed.num_gaussians
+    if count != told["count"] or len(np.unique(rows)) != removed.num_gaussians or rows[-1] >= count or rows[0] < 0:
+        raise InputError(f"{file}: is not the file any more that {_beside(file)} was taken out of")
+    order = np.empty(count, int)
+    order[rows] = left.num_gaussians + np.arange(len(rows))
+    order[np.setdiff1d(np.arange(count), rows)] = np.arange(left.num_gaussians)
+    save_gaussians(take(concatenate([left, removed]), order), file, stated_place(file))
+    for gone in (_beside(file), _rows_beside(file)):
+        gone.unlink()
+    return {"gaussians": count, "back": len(rows)}
+
+
+def _file_of(source: Path) -> Path:
+    return source / "gaussians.ply" if source.is_dir() else source
+
+
+def _beside(file: Path) -> Path:
+    return Path(f"{file}.removed.ply")
+
+
+def _rows_beside(file: Path) -> Path:
+    return Path(f"{file}.removed.json")
+
+
+def _check_numbers(box: Sequence[float] | None, sphere: Sequence[float] | None) -> None:
+    if box is not None and not all(low <= high for low, high in zip(box[:3], box[3:], strict=True)):
+        raise InputError(f"--box {' '.join(f'{side:g}' for side in box)}: a lower side is above its upper one")
+    if sphere is not None and not sphere[3] > 0:
+        raise InputError(f"--sphere: its radius {sphere[3]:g} is not above 0")
+
+
+def _judged(whole: Gaussians, result: Result | None) -> dict[str, np.ndarray]:
+    """`[N]` bool by kind."""
+    means = np.asarray(whole.means, np.float64)
+    cameras = [] if result is None else _cameras(result)
+    if result is not None:
+        means = np.asarray(result.gaussians.means, np.float64)  # the cameras' own coordinates
+        whole = result.gaussians
+    viewmats = np.array([np.asarray(camera.viewmat, np.float64) for camera in cameras])
+    centers = -np.einsum("vji,vj->vi", viewmats[:, :3, :3], viewmats[:, :3, 3]) if cameras else None
+    is_giant = stray.giants(means, np.exp(np.asarray(whole.log_scales, np.float64)), centers)
+    hangs_alone = np.zeros(len(means), bool)
+    hangs_alone[~is_giant] = stray.cluster_sizes(means[~is_giant]) <= stray.most_of_small(len(means))
+    is_floater = _hovers(result, cameras, hangs_alone, is_giant) if result is not None else np.zeros(len(means), bool)
+    return {"giants": is_giant, "floaters": is_floater, "crumbs": hangs_alone & ~is_floater}
+
+
+def _cameras(result: Result) -> list[Camera]:
+    """Those of the training views, evenly chosen."""
+    training = [camera for camera, held_out in zip(result.cameras, result.held_out, strict=True) if not held_out]
+    if not training:
+        raise InputError(f"{result.source}: has no training views to look from")
+    chosen = np.unique(np.linspace(0, len(training) - 1, min(MOST_VIEWS, len(training))).astype(int))
+    return [training[index] for index in chosen]
+
+
+def _hovers(result: Result, cameras: Sequence[Camera], alone: np.ndarray, is_giant: np.ndarray) -> np.ndarray:
+    """`[N]` bool: which of those that hang on nothing hover before the surface that the others make."""
+    if not alone.any():
+        return alone
+    points = np.asarray(result.gaussians.means, np.float64)[alone]
+    shown, before = np.zeros(len(points), int), np.zeros(len(points), int)
+    pictures = gallery.pictures(_hidden(result.gaussians, alone | is_giant), cameras, result.background, "plane")
+    for camera, picture in zip(cameras, pictures, strict=True):
+        seen, nearer = stray.in_front(points, camera, picture.depth, MARGIN)
+        shown, before = shown + seen, before + nearer
+    found = np.zeros(len(alone), bool)
+    found[alone] = (shown < min(FEWEST_VIEWS, len(cameras))) | (before >= BEFORE * shown)
+    return found
+
+
+def _hidden(gaussians: Gaussians, hidden: np.ndarray) -> Gaussians:
+    """As many Gaussians, of which some do not show."""
+    logits = np.where(hidden, np.float32(UNSEEN), np.asarray(gaussians.logit_opacities))
+    return replace(gaussians, logit_opacities=logits)  # pyright: ignore[reportArgumentType]
+
+
+def _outside(
+    whole: Gaussians,
+    result: Result | None,
+    source: Path,
+    crop_to_cameras: bool,
+    box: Sequence[float] | None,
+    sphere: Sequence[float] | None,
+) -> np.ndarray:
+    """`[N]` bool: whose means lie outside what is asked for."""
+    means = np.asarray(whole.means, np.float64)
+    outside = np.zeros(len(means), bool)
+    if box is not None:
+        outside |= ((means < box[:3]) | (means > box[3:])).any(axis=1)
+    if sphere is not None:
+        outside |= np.linalg.norm(means - sphere[:3], axis=1) > sphere[3]
+    if crop_to_cameras:
+        if result is None:
+            raise InputError(f"{source}: comes without cameras; --crop-to-cameras needs a run, or --scene")
+        found = stray.looked_at(_cameras(result))
+        if found is None:
+            raise InputError(f"{source}: its cameras do not look at one place; give --box or --sphere")
+        middle, radius = found
+        outside |= np.linalg.norm(np.asarray(result.gaussians.means, np.float64) - middle, axis=1) > radius
+    return outside
+
+
+def _picture(result: Result, taken: np.ndarray, out: Path) -> str:
+    """Before, after and what was taken out, from the view where that shows most."""
+    cameras = _cameras(result)
+
+    def drawn(hidden: np.ndarray) -> list[np.ndarray]:
+        seen = _hidden(result.gaussians, hidden)
+        return [picture.colors for picture in gallery.pictures(seen, cameras, result.background, "plane")]
+
+    before, after = drawn(np.zeros(len(taken), bool)), drawn(taken)
+    most = int(np.argmax([np.abs(a - b).mean() for a, b in zip(before, after, strict=True)]))
+    alone = drawn(~taken)[most]
+    panels = {"before": before[most], "after": after[most], "taken out": alone}
+    return str(
+        draw_panels({title: to_bytes(each) for title, each in panels.items()}, Path(f"{out}.cleaned.png"), columns=3)
+    )

@@ -1,0 +1,69 @@
+"""A known length to the unit of a data set or a run: the distance of what photos show at two pixels."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsjax.errors import InputError
+from gsjax.io.place_files import write_place
+from gsjax.io.scenes import load_scene
+from gsjax.place import LARGEST, Place, turn_upright, up_of_cameras
+from gsjax.runs.folder import is_begun
+from gsjax.runs.rescaling import stretch_run
+from gsjax.runs.run import Run
+from gsjax.runs.spots import Spot, points_of_run, points_of_scene
+from gsjax.scene import Scene
+
+
+def scale(source: str | Path, between: Sequence[Spot], metres: float | None = None) -> dict[str, Any]:
+    """Measure between two points of the surface, and make their distance a known one.
+
+    In a data set a point is as far away as the triangulated point that the photo shows nearest to its pixel; in a run,
+    as far away as the rendered depth. With `metres` the world of a data set is from then on in metres, and upright by
+    its cameras unless it is known to be upright: `place.json` in it says so, and no other file of it changes. A run
+    keeps its axes, and its files (Gaussians, cameras, meshes) are written anew in metres.
+
+    Args:
+        source: Folder of a data set, or of a finished run.
+        between: Two spots, in one photo or in two.
+        metres: What their distance really is. None: it is only measured.
+
+    Returns:
+        `distance` before; `unit` of it, "metre" or "scene unit"; `factor`, what all lengths were multiplied by, None
+        where nothing was changed.
+
+    Raises:
+        InputError: There is no such photo or pixel, nothing is seen there, or the source cannot be read or written.
+    """
+    source = Path(source)
+    first, second = between
+    if metres is not None and not 1 / LARGEST < metres < LARGEST:
+        raise InputError(f"--is: {metres:g} m is no length of a scene")
+    scene = None if is_begun(source) else load_scene(source)
+    point_at, place = (
+        (points_of_run(source), Run.open(source).place) if scene is None else (points_of_scene(scene), scene.place)
+    )
+    distance = float(np.linalg.norm(point_at(first) - point_at(second)))
+    report = {"distance": distance, "unit": "metre" if place.is_known else "scene unit", "factor": None}
+    if metres is None:
+        return report
+    if not distance > 0:
+        raise InputError(f"--between: {first} and {second} show one point; two are needed for a length")
+    factor = metres / distance
+    placed = place.stretched(factor, f"{metres:g} m between {first} and {second}")
+    if scene is None:
+        stretch_run(source, factor, placed)
+    else:
+        write_place(source, _upright(placed, scene))
+    return report | {"factor": factor}
+
+
+def _upright(place: Place, scene: Scene) -> Place:
+    """The place turned so that its cameras are level, where it is not known to be upright."""
+    if place.up is not None:
+        return place
+    viewmats = np.stack([scene.similarity.viewmat_to_world(frame.viewmat) for frame in scene.frames])
+    up, _ = up_of_cameras(viewmats)
+    return place.turned(turn_upright(up))

@@ -1,0 +1,81 @@
+"""A finished run in another unit: what it computes with stays, what its files say is multiplied."""
+
+from contextlib import ExitStack
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+
+from gsjax.io import json_files, place_files
+from gsjax.io.files import atomic_path
+from gsjax.io.gaussian_files import load_gaussians
+from gsjax.io.locks import lock_folder
+from gsjax.io.ply import write_gaussians
+from gsjax.meshing.export import read_mesh, read_textured, write_mesh, write_textured
+from gsjax.place import Place
+from gsjax.runs.photography import POSES
+from gsjax.runs.run import Run
+from gsjax.similarity import Similarity
+
+MESHES = "mesh.ply", "mesh.glb"
+
+
+def stretch_run(folder: Path, factor: float, place: Place) -> None:
+    """Writes the files of a run with all lengths `factor` times as long, and what that makes of their world.
+
+    Checkpoints are in the run's own coordinates, which stay: a resumed run goes on with the same numbers. The files are
+    written beside the old ones first, and put in their place when all are there.
+
+    Args:
+        folder: Of the finished run; `gaussians.ply`, `cameras.json`, `poses.json`, meshes, `manifest.json` and
+            `place.json` change.
+        factor: New units in one of the old.
+        place: What is known of the world afterwards.
+
+    Raises:
+        InputError: It is no finished run, another process works in it, or a file cannot be read or written.
+    """
+    run = Run.open(folder)
+    center = tuple(factor * side for side in run.similarity.center)
+    similarity = Similarity(run.similarity.scale / factor, center)  # pyright: ignore[reportArgumentType]
+    gaussians = load_gaussians(folder)
+    means = factor * np.asarray(gaussians.means, np.float64)
+    log_scales = np.asarray(gaussians.log_scales) + np.float32(np.log(factor))
+    views = [{**view, "viewmat": _stretched(view["viewmat"], factor)} for view in run.views]
+    with lock_folder(folder), ExitStack() as all_there:
+
+        def new(name: str) -> Path:
+            return all_there.enter_context(atomic_path(folder / name))
+
+        json_files.write(new("manifest.json"), {**run.manifest, "similarity": asdict(similarity)})
+        json_files.write(new(place_files.FILE), place.record())
+        json_files.write(new("cameras.json"), views)
+        write_gaussians(new("gaussians.ply"), replace(gaussians, means=means, log_scales=log_scales), place)  # pyright: ignore[reportArgumentType]
+        if (folder / POSES).exists():
+            json_files.write(new(POSES), _stretched_moves(json_files.read(folder / POSES), factor))
+        for name in MESHES:
+            if (folder / name).exists():
+                _write_stretched_mesh(folder / name, new(name), factor, place)
+
+
+def _stretched(viewmat: list, factor: float) -> np.ndarray:
+    matrix = np.array(viewmat, np.float64)
+    matrix[:3, 3] *= factor
+    return matrix
+
+
+def _stretched_moves(poses: dict, factor: float) -> dict:
+    photos = {
+        name: {**move, "shift": [factor * side for side in move["shift"]]} for name, move in poses["photos"].items()
+    }
+    return {**poses, "photos": photos}
+
+
+def _write_stretched_mesh(old: Path, new: Path, factor: float, place: Place) -> None:
+    textured = read_textured(old)
+    mesh = read_mesh(old) if textured is None else textured.mesh
+    mesh = replace(mesh, vertices=factor * mesh.vertices)
+    if textured is None:
+        write_mesh(new, mesh, place)
+    else:
+        write_textured(new, replace(textured, mesh=mesh), place)

@@ -1,0 +1,129 @@
+"""The point of the surface that a photo shows at a pixel: by triangulated points, or by a run's rendered depth."""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+import numpy as np
+
+from gsjax.cameras import Camera
+from gsjax.errors import InputError
+from gsjax.render import gallery
+from gsjax.runs.result import open_result, scene_of_run
+from gsjax.runs.run import Run
+from gsjax.scene import Frame, Scene
+from gsjax.similarity import Similarity
+
+NEAR = 0.04  # of a photo's longer side: a triangulated point farther from a pixel does not tell its depth
+
+
+class Spot(NamedTuple):
+    """A pixel of a photo."""
+
+    photo: str  # its name in the data set; its file's name, or that without ending, where one photo alone has it
+    x: float  # pixels of the photo as it lies in the data set, from its left edge
+    y: float  # from its upper edge
+
+    def __str__(self) -> str:
+        return f"{self.photo} {self.x:g} {self.y:g}"
+
+
+PointAt = Callable[[Spot], np.ndarray]
+"""A spot -> the point `[3]` float64 of the world that it shows; InputError where that is not known."""
+
+
+def points_of_scene(scene: Scene) -> PointAt:
+    """Points on the rays of pixels, as far away as the triangulated point that the photo shows nearest to each.
+
+    Raises:
+        InputError: The data set has no triangulated points.
+    """
+    if scene.tracks is None:
+        raise InputError(f"{scene.root}: holds no triangulated points that photos see; train on it, and scale the run")
+    tracks, frames = scene.tracks(), {frame.name: frame for frame in scene.frames}
+
+    def point_at(spot: Spot) -> np.ndarray:
+        frame = frames[_name_of(spot.photo, frames, scene.root)]
+        ray = _ray(frame, *_pixel_of(frame, spot, 1.0))
+        seen = tracks.photo == (tracks.names.index(frame.name) if frame.name in tracks.names else -1)
+        if not seen.any():
+            raise InputError(f"{scene.root}: no triangulated point is seen in {frame.name}")
+        off = np.linalg.norm((tracks.rays[seen] - ray) * frame.K[[0, 1], [0, 1]], axis=1)
+        nearest, most = int(off.argmin()), NEAR * max(frame.width, frame.height)
+        if off[nearest] > most:
+            raise InputError(
+                f"{spot}: no triangulated point is seen within {most:.0f} pixels, the nearest is"
+                f" {off[nearest]:.0f} away; choose a spot with more texture"
+            )
+        point = scene.points[tracks.point[seen][nearest]]
+        return _in_world(scene.similarity, frame, ray, float(frame.viewmat[2, :3] @ point + frame.viewmat[2, 3]))
+
+    return point_at
+
+
+def points_of_run(folder: Path) -> PointAt:
+    """Points on the rays of pixels, as far away as the run's Gaussians show a surface.
+
+    Raises:
+        InputError: It is no finished run.
+    """
+    result, run = open_result(folder), Run.open(folder)
+    cameras = dict(zip(result.names, result.cameras, strict=True))
+    try:
+        frames = {frame.name: frame for frame in scene_of_run(folder).frames}
+    except InputError:  # Its photos are gone, and with them what their lens did to pixels.
+        frames = {}
+
+    def point_at(spot: Spot) -> np.ndarray:
+        name = _name_of(spot.photo, cameras, folder)
+        camera = cameras[name]
+        x, y = _pixel_of(frames.get(name, camera), spot, run.downscale)
+        (picture,) = gallery.pictures(result.gaussians, [camera], result.background, result.depth_mode)
+        depth = float(picture.depth[int(y), int(x)])
+        if not depth > 0:
+            raise InputError(f"{spot}: the run shows no surface there")
+        return _in_world(result.similarity, camera, _ray(camera, x, y), depth)
+
+    return point_at
+
+
+def _name_of(given: str, names: Iterable[str], where: Path) -> str:
+    """The one photo that is meant."""
+    paths = [PurePosixPath(name) for name in names]
+    for meant in (
+        [path for path in paths if str(path) == given],
+        [path for path in paths if path.name == PurePosixPath(given).name],
+        [path for path in paths if path.stem == given],
+    ):
+        if len(meant) == 1:
+            return str(meant[0])
+        if meant:
+            raise InputError(f"{where}: {len(meant)} photos are called {given}: {', '.join(map(str, meant[:3]))}")
+    raise InputError(f"{where}: has no photo {given}; one is called {paths[0]}")
+
+
+def _pixel_of(view: Frame | Camera, spot: Spot, downscale: float) -> tuple[float, float]:
+    """Where a frame or a camera of a run shows what the photo shows at a spot, pixels."""
+    if isinstance(view, Frame) and view.origin is not None:
+        shares = np.array([spot.x, spot.y]) / view.origin.photo
+        off = np.linalg.norm(view.origin.positions() - shares, axis=-1)
+        row, column = np.unravel_index(int(off.argmin()), off.shape)
+        inside = off.min() < 2 / min(view.width, view.height)
+        x, y = column + 0.5, row + 0.5
+    else:
+        x, y = spot.x / downscale, spot.y / downscale
+        inside = 0 <= x < view.width and 0 <= y < view.height
+    if not inside:
+        raise InputError(f"{spot}: lies outside the photo")
+    return float(x), float(y)
+
+
+def _ray(view: Frame | Camera, x: float, y: float) -> np.ndarray:
+    """`[2]` x/z and y/z of a pixel, camera axes."""
+    K = np.asarray(view.K, np.float64)
+    return (np.array([x, y]) - K[:2, 2]) / K[[0, 1], [0, 1]]
+
+
+def _in_world(similarity: Similarity, view: Frame | Camera, ray: np.ndarray, depth: float) -> np.ndarray:
+    viewmat = np.asarray(view.viewmat, np.float64)
+    return similarity.points_to_world((depth * np.array([*ray, 1.0]) - viewmat[:3, 3]) @ viewmat[:3, :3])

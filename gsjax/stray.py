@@ -1,0 +1,105 @@
+"""Gaussians that are no part of a scene: giants, and small clusters that hang on nothing.
+
+Nothing here needs cameras; where there are some, `gsjax.pipeline.clean` looks with them at what hangs on nothing.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from gsjax.cameras import Camera
+
+NEIGHBORS = 12  # of a Gaussian that it may hang on
+SPACING = 3  # The distance to so many-th of them is how close Gaussians lie to each other there,
+REACH = 2.5  # and so many times that far apart, two Gaussians hang together.
+SMALL = 0.002  # of all Gaussians: a cluster of fewer is small
+FEWEST = 8  # Of a small scene too, fewer make no thing.
+WIDE = 0.4  # of its distance from the nearest camera: a Gaussian of a larger deviation fills the picture
+WIDE_ALONE = 0.5  # of the size of the whole, where no camera is known
+CONVERGING = 0.9  # of the cameras must see the point that they look at
+
+
+def cluster_sizes(means: np.ndarray) -> np.ndarray:
+    """`[N]` how many Gaussians hang together with each, itself included.
+
+    Two hang together where they are among each other's nearest and no farther apart than a few times the spacing around
+    either of them; a dense object and a sparse background may be apart, and both be large.
+
+    Args:
+        means: `[N, 3]` finite.
+    """
+    count = len(means)
+    if count <= SPACING:
+        return np.full(count, count)
+    distances, others = map(np.asarray, KDTree(means).query(means, k=min(NEIGHBORS + 1, count)))
+    reach = REACH * distances[:, SPACING]
+    rows = np.repeat(np.arange(count), others.shape[1])
+    columns, apart = others.ravel(), distances.ravel()
+    near = apart <= np.minimum(reach[rows], reach[columns])
+    graph = coo_matrix((near[near], (rows[near], columns[near])), shape=(count, count))
+    _, labels = connected_components(graph, directed=False)
+    return np.bincount(labels)[labels]
+
+
+def most_of_small(count: int) -> int:
+    """How many Gaussians a small cluster has at most, in a scene of `count`."""
+    return max(FEWEST, math.floor(SMALL * count))
+
+
+def giants(means: np.ndarray, scales: np.ndarray, centers: np.ndarray | None) -> np.ndarray:
+    """`[N]` bool: which Gaussians are so large that they can show nothing.
+
+    Args:
+        means: `[N, 3]`.
+        scales: `[N, 3]` standard deviations.
+        centers: `[V, 3]` of the cameras. None: the size of the whole is the measure.
+    """
+    largest = scales.max(axis=1)
+    if centers is None:
+        middle = np.median(means, axis=0)
+        return largest > WIDE_ALONE * np.quantile(np.linalg.norm(means - middle, axis=1), 0.9)
+    nearest, _ = KDTree(centers).query(means)
+    return largest > WIDE * nearest
+
+
+def looked_at(cameras: Sequence[Camera]) -> tuple[np.ndarray, float] | None:
+    """The sphere that cameras stand around: the point nearest to all their axes, and their median distance from it.
+
+    Returns:
+        Its middle `[3]` and radius; None where fewer than nine in ten cameras have that point in front of them.
+    """
+    viewmats = np.stack([np.asarray(camera.viewmat, np.float64) for camera in cameras])
+    rotations, axes = viewmats[:, :3, :3], viewmats[:, 2, :3]
+    centers = -np.einsum("vji,vj->vi", rotations, viewmats[:, :3, 3])
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    middle = np.linalg.lstsq(across.sum(0), np.einsum("vij,vj->i", across, centers), rcond=None)[0]
+    ahead = np.einsum("vi,vi->v", middle - centers, axes)
+    if (ahead > 0).mean() < CONVERGING:
+        return None
+    return middle, float(np.median(np.linalg.norm(centers - middle, axis=1)))
+
+
+def in_front(points: np.ndarray, camera: Camera, depth: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray]:
+    """Which points a camera has in its picture, and which of them lie before what is rendered there.
+
+    Args:
+        points: `[N, 3]`.
+        camera: From where.
+        depth: `[H, W]` camera z of the surface, 0 where there is none: nothing is before that.
+        margin: Of the surface's depth, that a point must be nearer by.
+
+    Returns:
+        `[N]` bool twice.
+    """
+    viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
+    local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+    ahead = local[:, 2] > 0
+    z = np.where(ahead, local[:, 2], 1.0)
+    pixels = np.floor(local[:, :2] / z[:, None] * K[[0, 1], [0, 1]] + K[:2, 2])
+    seen = ahead & ((pixels >= 0) & (pixels < [camera.width, camera.height])).all(axis=1)
+    columns, rows = np.where(seen[:, None], pixels, 0).astype(int).T
+    return seen, seen & (local[:, 2] < (1 - margin) * depth[rows, columns])

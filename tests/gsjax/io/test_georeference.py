@@ -1,0 +1,169 @@
+"""GPS of photos: what EXIF says of it, and the place of a reconstruction that comes of it."""
+
+from fractions import Fraction
+from types import SimpleNamespace
+
+import numpy as np
+import pycolmap
+import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+from scipy.spatial.transform import Rotation
+
+from gsjax.io.place_files import read_place, write_place
+from gsjax.io.sfm import gps, shots
+from gsjax.io.sfm.georeference import georeference, place_model
+from gsjax.io.sfm.gps import Fix
+
+COUNT = 40
+MUNICH, SANTIAGO, FIJI = (48.1, 11.5, 520.0), (-33.45, -70.66, 570.0), (-17.8, 179.9999, 5.0)
+EARTH = pycolmap.GPSTransform(pycolmap.GPSTransformEllipsoid.WGS84)
+
+
+def write_photo(path, latitude, longitude, altitude=None, **changed):
+    """A photo with GPS in degrees, minutes and seconds; `changed` replaces tags by their number: `t2=...`."""
+    exif = Image.Exif()
+    table = exif.get_ifd(gps.TAG)
+    table[1], table[3] = "NS"[latitude < 0], "EW"[longitude < 0]
+    table[2], table[4] = sexagesimal(latitude), sexagesimal(longitude)
+    if altitude is not None:
+        table[5], table[6] = bytes([altitude < 0]), IFDRational(Fraction(abs(altitude)).limit_denominator(1000))
+    for name, value in changed.items():
+        table[int(name[1:])] = value
+    Image.new("RGB", (40, 20)).save(path, exif=exif)
+
+
+def sexagesimal(degrees):
+    seconds = Fraction(abs(degrees) * 3600).limit_denominator(10**5)
+    whole, left = divmod(seconds, 3600)
+    return tuple(IFDRational(part) for part in (whole, left // 60, left % 60))
+
+
+def fix_of(folder, *place, **changed):
+    write_photo(folder / "a.jpg", *place, **changed)
+    write_photo(folder / "b.jpg", *place, **changed)
+    return shots.list_shots(folder)[0].fix
+
+
+@pytest.mark.parametrize("place", [MUNICH, SANTIAGO, FIJI, (31.5, 35.5, -430.0)])
+def test_gps_is_read_on_every_side_of_the_earth_and_below_the_sea(tmp_path, place):
+    np.testing.assert_allclose(fix_of(tmp_path, *place), place, atol=1e-6)
+
+
+def test_without_an_altitude_or_with_one_over_zero_the_place_is_kept(tmp_path):
+    assert np.isnan(fix_of(tmp_path, 48.1, 11.5).altitude)
+    assert np.isnan(fix_of(tmp_path, *MUNICH, t6=IFDRational(5, 0)).altitude)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"t2": (IFDRational(48), IFDRational(6, 0), IFDRational(0))}, "latitude is no angle"),
+        ({"t4": (IFDRational(1150), IFDRational(0), IFDRational(0))}, "longitude is no angle"),
+        ({"t1": "X"}, "latitude does not say N or S"),
+        ({"t3": ""}, "longitude does not say E or W"),
+    ],
+)
+def test_damaged_gps_is_told_in_words(tmp_path, changed, told):
+    assert told in fix_of(tmp_path, *MUNICH, **changed)
+
+
+def test_a_receiver_that_had_no_fix_says_nothing(tmp_path):
+    assert fix_of(tmp_path, *MUNICH, t9="V") is None
+    assert fix_of(tmp_path, 0.0, 0.0) is None
+
+
+def flight(around, noise, path="ring", roll=2.0, seed=0):
+    """Poses in a model of its own turn, size and place, the GPS of every photo, and the true places in metres."""
+    rng = np.random.default_rng(seed)
+    turn = np.linspace(0, 2 * np.pi, COUNT, endpoint=False)
+    places = {
+        "ring": np.c_[40 * np.cos(turn), 30 * np.sin(turn), 5 * np.sin(3 * turn)],
+        "line": np.c_[40 * np.cos(turn), 20 * np.cos(turn), 0 * turn],
+        "spot": np.zeros((COUNT, 3)),
+    }[path]
+    rotation, viewmats = Rotation.from_rotvec([1.0, 2.0, 0.5]).as_matrix(), []
+    for place in places:
+        forward = rng.normal(size=3) * [1, 1, 0.3] if path == "spot" else rng.normal(size=3) - place - [0, 0, 15]
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0, 0, 1.0])
+        right /= np.linalg.norm(right)
+        held = Rotation.from_rotvec(np.radians(roll) * rng.normal() * forward).as_matrix()
+        axes = np.stack([held @ right, held @ np.cross(forward, right), forward]) @ rotation.T
+        center = (rotation @ place + [1, 2, 3]) / 7.3
+        viewmats.append(np.c_[axes, -axes @ center])
+    degrees = EARTH.enu_to_ellipsoid(places + noise * rng.normal(size=places.shape), *around)
+    return np.stack(viewmats), [Fix(*row) for row in degrees], places
+
+
+def errors(viewmats, place, places):
+    """Degrees of tilt, and the largest distance from the true places in shares of their extent."""
+    found = place.points_to_world(-np.einsum("vji,vj->vi", viewmats[:, :, :3], viewmats[:, :, 3]))
+    turn = Rotation.from_rotvec([1.0, 2.0, 0.5]).as_matrix()
+    up = np.array(place.rotation) @ turn @ [0, 0, 1.0]
+    off = found - found.mean(0) - places + places.mean(0)
+    return np.degrees(np.arccos(min(up[2], 1.0))), np.linalg.norm(off, axis=1).max() / np.ptp(places, axis=0).max()
+
+
+@pytest.mark.parametrize("around", [MUNICH, SANTIAGO, FIJI])
+def test_a_flight_comes_out_level_and_true_to_scale(around):
+    viewmats, fixes, places = flight(around, noise=0.3)
+    found = georeference(viewmats, fixes)
+    tilt, off = errors(viewmats, found.place, places)
+    assert tilt < 1 and off < 0.01
+    assert found.off == {} and found.place.is_known
+    middle = EARTH.ellipsoid_to_enu(np.array([found.place.origin]), *around)[0]
+    assert np.linalg.norm(middle - np.median(places, axis=0)) < 0.5
+
+
+def test_wrong_gps_is_told_apart_and_not_followed():
+    viewmats, fixes, places = flight(MUNICH, noise=0.3)
+    fixes[3] = fixes[3]._replace(latitude=fixes[3].latitude + 0.01)
+    fixes[9], fixes[11] = Fix(12.0, 13.0, 14.0), None
+    found = georeference(viewmats, fixes)
+    tilt, off = errors(viewmats, found.place, places)
+    assert tilt < 1 and off < 0.01
+    assert list(found.off) == [3, 9] and found.off[3] == pytest.approx(1112, rel=0.01)
+
+
+def test_gps_on_a_line_leaves_up_to_the_cameras_and_says_so():
+    viewmats, fixes, places = flight(MUNICH, noise=0.3, path="line")
+    found = georeference(viewmats, fixes)
+    tilt, off = errors(viewmats, found.place, places)
+    assert "up by the cameras (the GPS tells it" in found.told
+    assert tilt < 2 and off < 0.03  # What is held to 2 degrees by each of 40 hands.
+
+
+def test_without_altitudes_up_is_the_cameras_and_the_origin_has_no_height():
+    viewmats, fixes, places = flight(MUNICH, noise=0.3)
+    found = georeference(viewmats, [fix._replace(altitude=np.nan) for fix in fixes])
+    tilt, off = errors(viewmats, found.place, places)
+    assert "no altitudes" in found.told and found.place.origin[2] is None
+    assert tilt < 1 and off < 0.02
+
+
+@pytest.mark.parametrize(("path", "kept", "told"), [("spot", COUNT, "told apart"), ("ring", 2, "in 2 of 40 photos")])
+def test_gps_that_tells_no_scale_is_not_followed(path, kept, told):
+    viewmats, fixes, _ = flight(MUNICH, noise=3.0, path=path)
+    found = georeference(viewmats, [*fixes[:kept], *[None] * (COUNT - kept)])
+    assert not found.place.is_known and told in found.told
+
+
+def test_a_model_is_brought_to_its_place_with_its_points(tmp_path):
+    viewmats, fixes, places = flight(SANTIAGO, noise=0.0)
+    model = pycolmap.Reconstruction()
+    model.add_camera_with_trivial_rig(pycolmap.Camera.create_from_model_name(1, "PINHOLE", 30, 40, 20))
+    for number, pose in enumerate(viewmats, start=1):
+        image = pycolmap.Image(name=f"{number}.jpg", camera_id=1, image_id=number)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
+    beacon = np.array([3.0, -4.0, 2.0])
+    turn = Rotation.from_rotvec([1.0, 2.0, 0.5]).as_matrix()
+    point = model.add_point3D((turn @ beacon + [1, 2, 3]) / 7.3, pycolmap.Track(), np.zeros(3, np.uint8))
+    found = place_model(model, [SimpleNamespace(fix=fix, to_upright=0) for fix in fixes])
+    origin = EARTH.ellipsoid_to_enu(np.array([found.place.origin]), *SANTIAGO)[0]
+    np.testing.assert_allclose(model.point3D(point).xyz + origin, beacon, atol=1e-3)
+    centers = np.stack([model.image(number).projection_center() for number in range(1, COUNT + 1)])
+    np.testing.assert_allclose(centers + origin, places, atol=1e-3)
+    assert not found.place.moves  # What is written is in the world already.
+    write_place(tmp_path, found.place)
+    assert read_place(tmp_path) == found.place

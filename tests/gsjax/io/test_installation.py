@@ -1,0 +1,97 @@
+"""What `gsjax --version` and `gsjax doctor` say of an installation, sound and broken."""
+
+import json
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+from gsjax import cli
+from gsjax.io import installation
+from gsjax.io.installation import Finding, check_cache, check_device, check_disk, check_libraries
+
+PROJECT = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())["project"]
+pytestmark = pytest.mark.usefixtures("own_environment")
+
+
+@pytest.fixture
+def needs(monkeypatch):
+    """Stands in for what gsjax needs."""
+
+    def set_to(*lines):
+        monkeypatch.setattr(installation, "requirements", lambda: list(lines))
+        return {finding.name: finding for finding in check_libraries()}
+
+    return set_to
+
+
+def test_the_version_is_told_without_loading_jax(capsys, monkeypatch):
+    monkeypatch.setenv("JAX_PLATFORMS", "cpu")
+    monkeypatch.setitem(sys.modules, "jax", None)  # Whoever imports it now fails.
+    assert cli.main(["--version"]) == 0
+    line = capsys.readouterr().out
+    expected = f"gsjax {PROJECT['version']}, jax {metadata.version('jax')}, native rasterizer on the CPU\n"
+    assert line == expected
+
+
+def test_bounds_are_those_of_the_project(monkeypatch):
+    def absent(_):
+        raise metadata.PackageNotFoundError
+
+    monkeypatch.setattr(metadata, "requires", absent)
+    assert installation.requirements() == [line.replace(" ", "") for line in PROJECT["dependencies"]]
+
+
+def test_a_library_is_absent_or_too_old_or_does_not_load_or_is_fine(needs, tmp_path, monkeypatch):
+    (tmp_path / "broken_one-1.0.dist-info").mkdir()
+    (tmp_path / "broken_one-1.0.dist-info/METADATA").write_text(
+        "Metadata-Version: 2.1\nName: broken-one\nVersion: 1.0\n"
+    )
+    (tmp_path / "broken-one.py").write_text("raise OSError('libGL.so.1: cannot open shared object file')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    found = needs("numpy>=2.2", "scipy>=99", "not-there>=1", "broken-one")
+    assert found["numpy"] == Finding("numpy", True, metadata.version("numpy"))
+    assert found["scipy"].told == f"{metadata.version('scipy')} does not fit >=99"
+    assert found["scipy"].remedy == "pip install 'scipy>=99'"
+    assert found["not-there"].told == "is not installed"
+    assert found["broken-one"].told == "1.0 does not load: libGL.so.1: cannot open shared object file"
+    assert [name for name, finding in found.items() if not finding.is_fine] == ["scipy", "not-there", "broken-one"]
+
+
+def test_the_device_and_the_engine_are_those_that_train():
+    from gsjax.devices import engine_here
+
+    device, engine = check_device()
+    here = engine_here()
+    assert device.told.startswith(here.device) and engine.told.split()[0] == here.name
+    assert engine.is_fine == (here.why == "")
+
+
+def test_a_full_disk_and_a_folder_nobody_may_write_are_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(installation.shutil, "disk_usage", lambda folder: type("U", (), {"free": 2**20})())
+    assert not check_disk(tmp_path).is_fine and "0.0 GiB free" in check_disk(tmp_path).told
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "absent"))
+    assert not check_cache().is_fine
+    (tmp_path / "program").write_bytes(bytes(2**21))
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
+    assert check_cache() == Finding("cache", True, f"2 MiB of compiled programs in {tmp_path}")
+
+
+@pytest.mark.parametrize(("is_fine", "code"), [(True, 0), (False, 1)])
+def test_the_doctor_s_code_and_json_say_whether_all_is_well(is_fine, code, monkeypatch, capsys):
+    monkeypatch.setattr(installation, "examine", lambda: iter([Finding("disk", is_fine, "little", "cd ELSEWHERE")]))
+    assert cli.main(["doctor"]) == code
+    assert ("type: cd ELSEWHERE" in capsys.readouterr().out) != is_fine
+    assert cli.main(["doctor", "--json"]) == code
+    told = json.loads(capsys.readouterr().out)
+    assert told["is_well"] == is_fine and told["findings"][0]["name"] == "disk"
+
+
+def test_both_packages_are_typed():
+    import gsjax
+    import rasterizer
+
+    for package in (gsjax, rasterizer):
+        assert (Path(package.__file__).parent / "py.typed").exists()

@@ -1,0 +1,138 @@
+"""What is planted about a known scene is found, by its kind; nothing of the scene is lost; and it can come back."""
+
+import numpy as np
+import pytest
+from small_scenes import camera_at, discs
+from tolerances import assert_close
+
+from gsjax import cli, stray
+from gsjax.errors import InputError
+from gsjax.gaussians import concatenate
+from gsjax.io import json_files
+from gsjax.io.gaussian_files import load_gaussians
+from gsjax.io.ply import write_gaussians
+from gsjax.pipeline.clean import clean, undo
+from gsjax.runs.result import write_views
+from gsjax.scene import Pixels, frame_of
+
+RADIUS, RING = 1.0, 4.0
+EYES = [RING * np.array([np.cos(a), np.sin(a), 0.2]) for a in 2 * np.pi * np.arange(6) / 6]
+
+
+def cluster(middle, count=4):
+    """A few discs close together that face nobody in particular."""
+    rng = np.random.default_rng(abs(int(1000 * sum(middle))))
+    return discs(np.asarray(middle) + 0.03 * rng.normal(size=(count, 3)), np.tile([0.0, 0, 1], (count, 1)), 0.05)
+
+
+def planted():
+    """A ball, and about it floaters before the ball, crumbs above it, and giants; with the kind of every row."""
+    index = np.arange(900)
+    height, angle = 1 - 2 * (index + 0.5) / 900, np.pi * (3 - np.sqrt(5)) * index
+    ring = np.sqrt(1 - height**2)
+    points = RADIUS * np.stack([ring * np.cos(angle), ring * np.sin(angle), height], -1)
+    ball = discs(points, points, 0.08)
+    floaters = [cluster(0.5 * np.asarray(eye)) for eye in EYES[:3]]
+    crumbs = [cluster((0.0, 0.0, 1.4)), cluster((0.2, 0.1, -1.7))]
+    giants = discs(np.array([[1.5, 2.0, 0], [0, 0, 3.0]]), np.array([[0.0, 0, 1], [0, 0, 1]]), 4.0, opacity=0.02)
+    parts = [ball, *floaters, *crumbs, giants]
+    kinds = ["scene"] + ["floaters"] * len(floaters) + ["crumbs"] * len(crumbs) + ["giants"]
+    rows = np.repeat(kinds, [part.num_gaussians for part in parts])
+    order = np.random.default_rng(0).permutation(len(rows))
+    whole = concatenate(parts)
+    return type(whole)(*(np.asarray(x)[order] for x in leaves(whole)), pixel_filter=whole.pixel_filter), rows[order]
+
+
+def leaves(gaussians):
+    return (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities, gaussians.sh_dc,
+            gaussians.sh_rest)  # fmt: skip
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A run of what is planted, seen from six sides."""
+    image = np.zeros((40, 48, 3), np.uint8)
+    cameras = [camera_at(eye, (0.0, 0.0, 0.0), size=(48, 40), focal=50.0) for eye in EYES]
+    frames = tuple(
+        frame_of(f"{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image)) for k, c in enumerate(cameras)
+    )
+    json_files.write(tmp_path / "config.json", {"background": "white"})
+    json_files.write(tmp_path / "manifest.json", {"scene": "gone", "status": "done"})
+    write_gaussians(tmp_path / "gaussians.ply", planted()[0])
+    write_views(tmp_path, frames)
+    return tmp_path
+
+
+def test_planted_dirt_is_found_by_its_kind_nothing_else_is_and_all_of_it_comes_back(run):
+    gaussians, kinds = planted()
+    file = run / "gaussians.ply"
+    before = file.read_bytes()
+    report = clean(run)
+    told = json_files.read(run / "gaussians.ply.removed.json")
+    for kind in ("floaters", "crumbs", "giants"):
+        expected = np.flatnonzero(kinds == kind)
+        assert told[kind] == expected.tolist(), kind  # Precision and recall are 1.
+        assert report[kind] == len(expected)
+    assert report["cropped"] == 0
+    assert_close(load_gaussians(file).means, np.asarray(gaussians.means)[kinds == "scene"])
+    assert (run / "gaussians.ply.cleaned.png").stat().st_size > 1000
+    with pytest.raises(InputError, match="was cleaned before; `gsjax clean .* --undo` brings back"):
+        clean(run)
+    assert undo(run) == {"gaussians": len(kinds), "back": int((kinds != "scene").sum())}
+    assert file.read_bytes() == before
+    with pytest.raises(InputError, match="nothing was taken out of it"):
+        undo(run)
+
+
+def test_a_file_without_cameras_loses_what_hangs_on_nothing(run, tmp_path):
+    gaussians, kinds = planted()
+    bare, out = tmp_path / "bare.ply", tmp_path / "clean.ply"
+    write_gaussians(bare, gaussians)
+    report = clean(bare, out)
+    loose = np.isin(kinds, ["floaters", "crumbs"]).sum()
+    assert (report["crumbs"], report["floaters"], report["giants"]) == (loose, 0, 2)
+    assert load_gaussians(bare).num_gaussians == len(kinds)
+    assert load_gaussians(out).num_gaussians == (kinds == "scene").sum()
+    assert report["picture"] is None
+    with pytest.raises(InputError, match="comes without cameras; --crop-to-cameras needs a run, or --scene"):
+        clean(bare, tmp_path / "other.ply", crop_to_cameras=True)
+
+
+def test_crops_keep_what_lies_inside(tmp_path):
+    gaussians, _ = planted()
+    bare, means = tmp_path / "bare.ply", np.asarray(gaussians.means)
+    write_gaussians(bare, gaussians)
+    clean(bare, tmp_path / "half.ply", box=(-9, -9, 0, 9, 9, 9))
+    assert (load_gaussians(tmp_path / "half.ply").means[:, 2] >= 0).all()
+    report = clean(bare, tmp_path / "cap.ply", sphere=(0, 0, 1, 0.25))
+    inside = np.linalg.norm(means - [0, 0, 1], axis=1) <= 0.25
+    assert_close(load_gaussians(tmp_path / "cap.ply").means, means[inside])
+    assert report["cropped"] == (~inside).sum() - report["crumbs"] - report["giants"]
+    for wrong, told in (
+        ({"sphere": (9, 9, 9, 1)}, "none of its .* would be left"),
+        ({"box": (1, 0, 0, 0, 1, 1)}, "--box 1"),
+    ):
+        with pytest.raises(InputError, match=told):
+            clean(bare, tmp_path / "none.ply", **wrong)
+    assert not (tmp_path / "none.ply").exists()
+
+
+def test_cameras_look_at_one_place_or_they_do_not():
+    middle, radius = stray.looked_at([camera_at(eye, (0.0, 0.0, 0.0)) for eye in EYES])
+    assert_close(middle, np.zeros(3), atol=1e-5, rtol=0, why="float32 poses")
+    assert radius == pytest.approx(np.linalg.norm(EYES[0]), rel=1e-5)
+    assert stray.looked_at([camera_at(eye, 2 * eye) for eye in EYES]) is None
+
+
+def test_undo_refuses_what_became_another_file(run):
+    clean(run)
+    write_gaussians(run / "gaussians.ply", planted()[0])
+    with pytest.raises(InputError, match="is not the file any more that"):
+        undo(run)
+    assert cli.main(["clean", str(run), "--undo", "--box", "0", "0", "0", "1", "1", "1"]) == 2
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 40])
+def test_a_sheet_of_gaussians_hangs_together(count):
+    points = np.stack([np.arange(count), np.zeros(count), np.zeros(count)], -1).astype(float)
+    assert (stray.cluster_sizes(points) == count).all()

@@ -1,0 +1,139 @@
+"""Distances between what two pixels show, and the unit that a known one gives to a data set or a run."""
+
+import importlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from photographed_wall import FOCAL, wall, written
+from small_scenes import camera_at, plane
+from tolerances import assert_close
+
+from gsjax import cli
+from gsjax.errors import InputError
+from gsjax.io import json_files
+from gsjax.io.gaussian_files import load_gaussians
+from gsjax.io.place_files import read_place, stated_place
+from gsjax.io.ply import write_gaussians
+from gsjax.io.scenes import load_scene
+from gsjax.mesh import Mesh
+from gsjax.meshing.export import read_mesh, write_mesh
+from gsjax.pipeline import scale
+from gsjax.runs.result import open_result, write_views
+from gsjax.runs.spots import Spot, points_of_scene
+from gsjax.scene import Pixels, frame_of
+
+scaling = importlib.import_module("gsjax.pipeline.scale")  # The package's attribute of that name is the function.
+WALL = wall(6, num_points=3000)
+SPOTS = Spot("00.png", 20.0, 30.0), Spot("00.png", 60.0, 30.0)
+TRUE = 40 * 3 / FOCAL  # of the wall, which is 3 away
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    """The wall on disk; its tracks, which its files do not keep, in memory."""
+    root = written(WALL, tmp_path / "scene")
+    monkeypatch.setattr(scaling, "load_scene", lambda source: replace(WALL, root=root))
+    return root
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A wall of Gaussians, 4 away from its two cameras."""
+    cameras = [camera_at((x, 0.0, 0.0), (x, 0.0, 4.0), size=(48, 40)) for x in (-0.2, 0.3)]
+    image = np.zeros((40, 48, 3), np.uint8)
+    frames = tuple(
+        frame_of(f"{k}.jpg", np.asarray(c.viewmat), np.asarray(c.K), Pixels(image)) for k, c in enumerate(cameras)
+    )
+    folder = tmp_path / "run"
+    json_files.write(folder / "config.json", {"background": "white"})
+    json_files.write(folder / "manifest.json", {"scene": "gone", "status": "done"})
+    json_files.write(folder / "plan.json", {"phases": [], "steps": 1, "downscale": 2.0})
+    write_gaussians(folder / "gaussians.ply", plane((0.0, 0.0, -1.0)))
+    write_views(folder, frames)
+    triangle = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), np.full((3, 3), 90, np.uint8))
+    write_mesh(folder / "mesh.ply", triangle)
+    return folder
+
+
+def test_a_scene_is_measured_along_the_rays_of_its_pixels(scene):
+    report = scale(scene, SPOTS)
+    assert report["distance"] == pytest.approx(TRUE, rel=1e-4)
+    assert (report["unit"], report["factor"]) == ("scene unit", None)
+    assert not (scene / "place.json").exists()
+    points = [points_of_scene(replace(WALL, root=scene))(Spot(name, 40.0, 40.0)) for name in ("01.png", "02")]
+    assert_close(np.stack(points)[:, 2], np.zeros(2), atol=1e-5, rtol=0, why="float32 poses; the wall is z = 0")
+
+
+def test_a_scene_of_a_known_length_is_in_metres_and_upright(scene):
+    assert scale(scene, SPOTS, 6.0)["factor"] == pytest.approx(6.0 / TRUE, rel=1e-4)
+    place = read_place(scene)
+    assert place.known_by == "6 m between 00.png 20 30 and 00.png 60 30"
+    placed, plain = load_scene(scene), WALL
+    found, before = placed.similarity.points_to_world(placed.points), plain.points.astype(np.float64)
+    assert_close(np.ptp(found[:, 0]), 6.0 / TRUE * np.ptp(before[:, 0]), rtol=1e-4, atol=0, why="float32 poses")
+    # Cameras look along z with y down: up is -y, and becomes z.
+    assert_close(found[:, 2], -6.0 / TRUE * before[:, 1], rtol=0, atol=1e-3, why="float32 poses")
+
+
+def test_a_run_of_a_known_length_has_files_in_metres_and_computes_what_it_did(run):
+    spots = Spot("0.jpg", 2 * 12.0, 2 * 20.0), Spot("0.jpg", 2 * 36.0, 2 * 20.0)  # of photos twice the size
+    true = 24 * 4 / 30
+    report = scale(run, spots, 2.0)
+    assert report["distance"] == pytest.approx(true, rel=0.02)  # Gaussians have some thickness.
+    before, gaussians, factor = plane((0.0, 0.0, -1.0)), load_gaussians(run), report["factor"]
+    assert_close(gaussians.means, factor * np.asarray(before.means))
+    assert_close(np.exp(gaussians.log_scales), factor * np.exp(before.log_scales))
+    assert_close(read_mesh(run / "mesh.ply").vertices, factor * np.eye(3, dtype=np.float32))
+    for file in ("gaussians.ply", "mesh.ply"):
+        assert stated_place(run / file) == read_place(run).reached and read_place(run).is_known
+    result = open_result(run)
+    assert_close(result.gaussians.means, np.asarray(before.means))
+    assert_close(result.cameras[1].viewmat, np.asarray(camera_at((0.3, 0.0, 0.0), (0.3, 0.0, 4.0)).viewmat))
+    again = scale(run, spots)
+    assert (again["unit"], again["distance"]) == ("metre", pytest.approx(2.0, rel=1e-5))
+
+
+@pytest.mark.parametrize(
+    ("spot", "told"),
+    [
+        (Spot("7.jpg", 1.0, 1.0), "has no photo 7.jpg; one is called 0.jpg"),
+        (Spot("0.jpg", 96.5, 1.0), "0.jpg 96.5 1: lies outside the photo"),
+        (Spot("0.jpg", 48.0, 40.0), "show one point"),
+    ],
+)
+def test_what_cannot_be_measured_in_a_run_is_one_line_and_changes_nothing(run, spot, told):
+    before = {file: file.read_bytes() for file in run.rglob("*") if file.is_file()}
+    with pytest.raises(InputError, match=told):
+        scale(run, (Spot("0.jpg", 48.0, 40.0), spot), 1.0)
+    assert before == {file: file.read_bytes() for file in before}
+
+
+def test_where_the_run_shows_nothing_there_is_no_length(run):
+    with pytest.raises(InputError, match="0.jpg 0.2 40: the run shows no surface there"):
+        scale(run, (Spot("0.jpg", 48.0, 40.0), Spot("0.jpg", 0.2, 40.0)))
+
+
+def test_where_nothing_was_triangulated_there_is_no_length(scene, monkeypatch):
+    empty = replace(wall(6, num_points=4), root=scene)
+    monkeypatch.setattr(scaling, "load_scene", lambda source: empty)
+    with pytest.raises(InputError, match="no triangulated point is seen (within 4 pixels|in 00.png)"):
+        scale(scene, SPOTS, 1.0)
+    monkeypatch.setattr(scaling, "load_scene", lambda source: replace(empty, tracks=None))
+    with pytest.raises(InputError, match="holds no triangulated points that photos see"):
+        scale(scene, SPOTS, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--between", "a", "1", "2", "b", "3", "4", "--is", "1.5"], "1.5: not a length, such as 1.25m"),
+        (["--between", "a", "1", "2", "b", "3", "4", "--is", "0m"], "0m: not a length"),
+        (["--between", "a", "1", "2", "b", "3", "left"], "--between: b 3 left is not a photo and a pixel"),
+        (["--between", "a", "1", "2", "b", "3", "nan"], "--between: b 3 nan is not a photo and a pixel"),
+    ],
+)
+def test_wrong_options_are_one_line(arguments, told, capsys):
+    assert cli.main(["scale", "nowhere", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert told in error and error.count("\n") == 1
