@@ -53,19 +53,15 @@ def examine(folder: str | Path = ".") -> Iterator[Finding]:
 
 
 def version() -> str:
-    """Of gsjax, as it was installed; of a checkout that is not, `pyproject.toml`'s."""
-    try:
-        return metadata.version("gsjax")
-    except metadata.PackageNotFoundError:
-        return str(_project()["version"])
+    """Of gsjax, as it was installed; of a checkout, `pyproject.toml`'s."""
+    project = _project()
+    return metadata.version("gsjax") if project is None else str(project["version"])
 
 
 def requirements() -> list[str]:
     """What gsjax needs, with bounds of versions, extras left out."""
-    try:
-        listed = metadata.requires("gsjax") or []
-    except metadata.PackageNotFoundError:
-        listed = _project()["dependencies"]
+    project = _project()
+    listed = metadata.requires("gsjax") or [] if project is None else project["dependencies"]
     return [line.replace(" ", "") for line in listed if "extra ==" not in line]
 
 
@@ -177,8 +173,9 @@ def _has_cuda() -> bool:
     return False
 
 
-def _project() -> dict:
+def _project() -> dict | None:
+    """The table of `pyproject.toml` in a checkout, which what was installed of it may lag behind; None elsewhere."""
     import tomllib
 
     file = Path(__file__).resolve().parents[2] / "pyproject.toml"
-    return tomllib.loads(file.read_text(encoding="utf-8"))["project"]
+    return tomllib.loads(file.read_text(encoding="utf-8"))["project"] if file.is_file() else None

@@ -36,12 +36,11 @@ def test_the_version_is_told_without_loading_jax(capsys, monkeypatch):
     assert line == expected
 
 
-def test_bounds_are_those_of_the_project(monkeypatch):
-    def absent(_):
-        raise metadata.PackageNotFoundError
-
-    monkeypatch.setattr(metadata, "requires", absent)
+def test_bounds_are_those_of_the_project_or_of_what_was_installed(monkeypatch):
     assert installation.requirements() == [line.replace(" ", "") for line in PROJECT["dependencies"]]
+    monkeypatch.setattr(installation, "_project", lambda: None)
+    monkeypatch.setattr(metadata, "requires", lambda name: ["numpy >=2.2", "jax[cuda13] ; extra == 'cuda13'"])
+    assert installation.requirements() == ["numpy>=2.2"]
 
 
 def test_a_library_is_absent_or_too_old_or_does_not_load_or_is_fine(needs, tmp_path, monkeypatch):
