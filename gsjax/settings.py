@@ -193,6 +193,7 @@ class Settings:
     hold_out: str = "auto"  # every N-th photo, "none", a file of names, or "auto" (`gsjax.io.splits`)
     normals: str | None = None  # folder of maps (`gsjax.io.normal_folders.find`); None: smoothed normals of own depth
     normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: found by comparing with the rendered depth
+    normal_gate: bool = False  # a normal counts as far as photos of the same place agree (`gsjax.normals.agreement`)
     depth: str | None = None  # folder of measured depth (`gsjax.io.depth_maps`), within the data set or anywhere
     depth_unit: Literal["mm", "cm", "m", "scene"] | None = None  # of those maps; None: as depth.json beside them says
     depth_weight: float = 0.2  # of the term `measured_depth`, where there are such maps and a phase sets no other
@@ -254,6 +255,7 @@ _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, 
 FAST: dict[str, Any] = {
     "depth_mode": "front",  # thin things are not as deep as their far sides' light has them (docs/deviations.md)
     "effects": AUTO,
+    "normal_gate": True,
     "pixel_filter": "mip",  # right at other sizes and distances than the photos' too (docs/deviations.md)
     "max_gaussians": 60_000,
     "far_points": 1_800,
@@ -279,6 +281,7 @@ QUICK = {  # small photos and their image alone: a step takes less than half as 
 BALANCED = {
     "depth_mode": "front",
     "effects": AUTO,
+    "normal_gate": True,
     "pixel_filter": "mip",
     "max_gaussians": 120_000,
     "far_points": 1_800,

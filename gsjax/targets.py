@@ -29,7 +29,7 @@ class Target:
     image: Array  # [H, W, 3] uint8, straight
     valid: Array | None  # [H, W] bool; None: all of the photo
     matte: Array | None  # [H, W] uint8
-    normals: Array | None = None  # [H, W, 3] int8, camera frame, times `NORMAL_UNIT`; zero where there is none
+    normals: Array | None = None  # [H, W, 3] int8, camera frame, times `NORMAL_UNIT` and confidence; zero: none
     depth: Array | None = None  # [H, W] float32 camera z that was measured, scene units; zero where nothing was
     trust: Array | None = None  # [H, W] uint8, how far that is trusted, of 255
     photo: Array | None = None  # [] int32, which of the run's photos it is, where an effect has numbers for each
@@ -75,7 +75,7 @@ class Batch:
     image: Array  # [H, W, 3] 0..1, already over the background
     valid: Array  # [H, W] bool
     matte: Array | None  # [H, W] 0..1
-    normals: Array | None  # [H, W, 3] camera frame, zero where there is none
+    normals: Array | None  # [H, W, 3] camera frame, as long as they are trusted; zero where there is none
     photo: Array | None = None  # [] int32, see `Target`
     depth: Array | None = None  # [H, W] camera z that was measured, scene units; zero where nothing was
     trust: Array | None = None  # [H, W] 0..1, how far that is trusted

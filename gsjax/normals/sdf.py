@@ -87,7 +87,8 @@ def misalignment(directions: Array, normals: Array, valid: Array) -> Array:
 
     Args:
         directions: `[H, W, 3]` composited SDF gradients, camera frame, any length.
-        normals: `[H, W, 3]` monocular normals, camera frame; zero where there is none.
+        normals: `[H, W, 3]` monocular normals, camera frame; zero where there is none. A length under 1 is a
+            confidence: the pixel counts by so much in the mean.
         valid: `[H, W]` bool, the pixels that may count.
 
     Returns:
@@ -96,7 +97,8 @@ def misalignment(directions: Array, normals: Array, valid: Array) -> Array:
     unit = safe_normalize(directions, eps=1e-6)
     target = safe_normalize(normals)
     usable = valid & (jnp.sum(unit * unit, -1) > 0.5) & (jnp.sum(target * target, -1) > 0.5)
-    return masked_mean(1 - jnp.abs(jnp.sum(unit * target, axis=-1)), usable)
+    confidence = jnp.minimum(jnp.sqrt(jnp.maximum(jnp.sum(normals * normals, -1), 1e-12)), 1)
+    return masked_mean(1 - jnp.abs(jnp.sum(unit * target, axis=-1)), jnp.where(usable, confidence, 0))
 
 
 def face_camera(directions: Array, towards_camera: Array) -> Array:

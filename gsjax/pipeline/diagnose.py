@@ -8,10 +8,11 @@ import numpy as np
 from gsjax.effects import vignetting
 from gsjax.effects.diagnosis import Diagnosis
 from gsjax.errors import InputError
-from gsjax.io import json_files
+from gsjax.io import json_files, normal_folders
 from gsjax.io.files import atomic_path
 from gsjax.io.scenes import load_scene
 from gsjax.planning.effects import diagnose_scene
+from gsjax.runs.normal_gate import judge_folder
 from gsjax.runs.outputs import require_apart
 
 CHANNELS = ("red", "green", "blue")
@@ -32,7 +33,8 @@ def diagnose(
         `effects`: by name `on`, `evidence` (None: no means to judge), `unit`, `noise`, `threshold`, `cost` (`ms` a step
         and `bytes`, both counted, and a `note`), `note`;
         `photos`: `name`, `gains` (EV in red, green, blue against the mean photo, or None), `sharpness`,
-        `pose_step_px` (or None).
+        `pose_step_px` (or None);
+        `normals`: by folder of maps that `gsjax normals` made there, see `gsjax.runs.normal_gate.record`.
 
     Raises:
         InputError: The data set cannot be used, or a file not be written.
@@ -41,17 +43,32 @@ def diagnose(
         raise InputError(f"--json {json}: the name of the file must end in .json, its pictures will end in .png")
     for written in () if json is None else (Path(json), Path(json).with_suffix(".png")):
         require_apart(written, scene, images)
-    found = diagnose_scene(load_scene(scene, downscale=downscale, images=images))
+    loaded = load_scene(scene, downscale=downscale, images=images)
+    found = diagnose_scene(loaded)
+    folders = sorted(path.parent for path in Path(scene).glob(f"*/{normal_folders.MANIFEST}"))
+    record = found.record() | {"normals": {folder.name: judge_folder(folder, loaded) for folder in folders}}
     if json is not None:
-        json_files.write(json, found.record())
+        json_files.write(json, record)
         draw(found, Path(json).with_suffix(".png"))
-    return found.record()
+    return record
 
 
 def rows(record: dict[str, Any]) -> list[list[str]]:
     """The table of a diagnosis, its heads first."""
     heads = ["effect", "decision", "evidence", "threshold", "cost", "note"]
     return [heads, *([name, *_cells(effect)] for name, effect in record["effects"].items())]
+
+
+def normals_rows(record: dict[str, Any]) -> list[list[str]]:
+    """The table of the folders of normal maps, its heads first; empty where there are none."""
+    if not record["normals"]:
+        return []
+    rows = []
+    for name, found in record["normals"].items():
+        evidence = "-" if found["evidence"] is None else f"{found['evidence']:.2f} +-{found['noise']:.2g}"
+        decision, share = "kept" if found["kept"] else "rejected", f"{100 * found['share']:.0f} %"
+        rows.append([name, decision, evidence, f"{found['threshold']:g}", share, found["note"]])
+    return [["normals", "decision", "evidence", "threshold", "counts", "note"], *rows]
 
 
 def draw(found: Diagnosis, path: Path) -> Path:

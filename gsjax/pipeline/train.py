@@ -34,6 +34,7 @@ from gsjax.report.page import report
 from gsjax.report.shown_views import picture_keeper
 from gsjax.runs.compilations import make_room
 from gsjax.runs.journal import Journal, beginning
+from gsjax.runs.normal_gate import gate
 from gsjax.runs.photography import Photography, moves_line, with_moved_cameras, write_photography
 from gsjax.runs.prior import RunPrior
 from gsjax.runs.processes import from_first, is_first, own_folder
@@ -216,7 +217,11 @@ def _train(
 
             def normals(state: TrainState) -> list[np.ndarray]:
                 state = whole(state)
-                maps = prior(state.gaussians, with_moved_cameras(frames, chosen.photography(state.effects).moves))
+                seen = with_moved_cameras(frames, chosen.photography(state.effects).moves)
+                maps = prior(state.gaussians, seen)
+                if settings.normal_gate:
+                    tell = partial(_tell_normals, out)
+                    maps = gate(prior.folder, state.gaussians, seen, maps, settings.depth_mode, tell=tell)
                 return [from_first(each) for each in maps]
 
             # A CPU computes all the while, and has no step's memory to spare.
@@ -257,9 +262,10 @@ def _completed(started: dict[str, Any]) -> dict[str, Any]:
 
 
 def _tell_normals(run: str | Path, line: str) -> None:
-    """What became of the normal maps, on the screen and in the manifest."""
+    """What became of the normal maps, on the screen and, after what was told before, in the manifest."""
     tqdm.write(f"normals: {line}", file=sys.stderr)
-    runs.update_manifest(run, normals=line)
+    before = json_files.read(Path(run) / "manifest.json", {}).get("normals")
+    runs.update_manifest(run, normals=f"{before}; {line}" if before else line)
 
 
 def _with_given_points(scene: Scene, settings: Settings) -> Scene:

@@ -218,7 +218,8 @@ def _normals(run: RunFacts) -> tuple[str, str]:
     if run.is_refinement or not any("normals" in phase["needs"] for phase in run.plan["phases"]):
         return "none", "no term of the loss looks at them"
     if run.plan["normals"] is None:
-        return "of the Gaussians' own depth, smoothed", "no maps were given: --normals names them"
+        why = "no maps were given: --normals names them"
+        return "of the Gaussians' own depth, smoothed", run.manifest.get("normals", why)
     axes = run.settings.get("normal_axes")
     asked = f"axes asked for: {axes}" if axes else "axes as the maps' maker wrote them, or found by comparing"
     return run.plan["normals"], run.manifest.get("normals", asked)

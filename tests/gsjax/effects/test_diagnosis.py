@@ -1,7 +1,9 @@
 """Every detector on a wall painted in closed form, on the built-in scene and on real photos."""
 
 import json
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,13 +12,16 @@ from scipy.spatial.transform import Rotation
 from small_scenes import built_in
 
 from gsjax import cli
+from gsjax.cameras import pixel_rays
 from gsjax.effects.diagnosis import diagnose
 from gsjax.effects.exposure import estimate
 from gsjax.effects.gains import fit, table
 from gsjax.effects.observations import observe
 from gsjax.effects.poses import Move, twists_from_tracks
+from gsjax.io import normal_folders
 from gsjax.io.images import read_image
 from gsjax.io.scenes import load_scene
+from gsjax.runs.result import frame_camera
 from gsjax.scene import Origin, Pixels, with_pixels
 
 EFFECTS = ["exposure", "vignetting", "sh_degree", "background", "poses", "transients", "mip", "blur", "distortion"]
@@ -252,3 +257,23 @@ def test_the_command_prints_the_table_and_writes_file_and_pictures(scene_folder,
     assert read_image(target.with_suffix(".png"))[0].std() > 10
     assert cli.main(["diagnose", str(scene_folder), "--json", str(tmp_path / "found.png")]) == 2
     assert "must end in .json" in capsys.readouterr().err
+
+
+def test_maps_of_normals_are_judged_by_whether_photos_agree(scene_folder, tmp_path, capsys):
+    """True ones are kept; those that face their cameras everywhere look plausible, and say nothing."""
+    copied = Path(shutil.copytree(scene_folder, tmp_path / "scene"))
+    scene = load_scene(copied)
+    for name in ("true", "facing"):
+        folder = copied / f"normals_{name}"
+        folder.mkdir()
+        manifest = normal_folders.begin(folder, {"network": name})
+        for frame in scene.frames:
+            facing = -np.asarray(pixel_rays(frame_camera(frame)))
+            normals = scene.truth.normals[frame.name]() if name == "true" else facing
+            normal_folders.add(folder, manifest, frame.name, Path(frame.name).with_suffix(".npz"), normals, {})
+    assert cli.main(["diagnose", str(copied), "--json", str(tmp_path / "found.json")]) == 0
+    rows = [line.split()[:2] for line in capsys.readouterr().out.splitlines()[-3:]]
+    assert rows == [["normals", "decision"], ["normals_facing", "rejected"], ["normals_true", "kept"]]
+    found = json.loads((tmp_path / "found.json").read_text())["normals"]
+    assert found["normals_true"]["share"] > 0.95 and found["normals_facing"]["share"] == 0
+    assert all(photo["kept"] > 0.8 for photo in found["normals_true"]["photos"].values())

@@ -278,9 +278,17 @@ def test_misalignment_is_the_mean_of_one_minus_the_unsigned_cosine():
     valid = rng.random(50) > 0.4
     cosine = np.sum(directions * normals, -1) / np.linalg.norm(directions, axis=-1) / np.linalg.norm(normals, axis=-1)
     value, gradient = misaligned(directions, normals, valid)
-    assert_close(value, (1 - np.abs(cosine))[valid].mean())
+    counted = np.minimum(np.linalg.norm(normals, axis=-1), 1) * valid
+    assert_close(value, np.sum((1 - np.abs(cosine)) * counted) / counted.sum())
     assert 0 < float(value) < 1
     assert not np.any(np.asarray(gradient)[0, ~valid]) and np.all(np.any(np.asarray(gradient)[0, valid], -1))
+
+
+def test_a_normal_counts_by_its_length():
+    """Half as long, half as much; longer than one, no more than one."""
+    directions = jnp.zeros((1, 3, 3)).at[..., 2].set(1.0)
+    normals = jnp.array([[[0, 0, 0.5], [1, 0, 0], [0, 2, 0]]], jnp.float32)
+    assert float(sdf.misalignment(directions, normals, jnp.ones((1, 3), bool))) == pytest.approx(2 / 2.5, abs=1e-6)
 
 
 def test_the_gradient_of_misalignment_equals_finite_differences(x64):

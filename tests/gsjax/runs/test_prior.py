@@ -1,3 +1,4 @@
+import json
 from pathlib import Path
 
 import cv2
@@ -9,6 +10,7 @@ from gsjax.errors import InputError
 from gsjax.io import normal_folders
 from gsjax.io.normal_maps import normal_maps
 from gsjax.runs import prior
+from gsjax.runs.normal_gate import gate
 from gsjax.runs.prior import RunPrior, read_map, write_map
 from gsjax.scene import Pixels, frame_of
 
@@ -160,3 +162,20 @@ def test_a_stored_map_of_another_size_is_named(tmp_path):
     write_map(tmp_path / "b.png", np.zeros((8, 8, 3)))
     with pytest.raises(InputError, match=r"b.png: normal map is 8x8, its frame 40x32"):
         read_map(tmp_path / "b.png", FRAMES[1])
+
+
+def test_the_gate_makes_short_what_photos_do_not_agree_about_and_judges_once(tilted, tmp_path):
+    maps = RunPrior(tmp_path, None, None, FRAMES)(tilted, FRAMES)
+    wrong = [m.copy() for m in maps]
+    wrong[0][8:20, 8:20] = np.int8([0, -127, 0])
+    lines = []
+    gated = gate(tmp_path / "normals", tilted, FRAMES, wrong, "plane", tell=lines.append)
+    lengths = [np.linalg.norm(m.astype(np.float32), axis=-1) / 127 for m in gated]
+    assert lengths[0][9:19, 9:19].max() < 0.1 and lengths[0][22:28, 22:36].min() > 0.9
+    assert all(length[np.any(m, -1)].mean() > 0.95 for length, m in zip(lengths[1:], maps[1:], strict=True))
+    again = gate(tmp_path / "normals", None, FRAMES, wrong, "plane", tell=lines.append)
+    np.testing.assert_array_equal(again, gated)
+    (line,) = lines
+    assert line.endswith("cannot be judged: 0 photos show enough of others from another direction")
+    verdict = json.loads((tmp_path / "normals/gate.json").read_text())
+    assert verdict["kept"] and [*verdict["photos"]] == [frame.name for frame in FRAMES]

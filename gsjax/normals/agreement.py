@@ -1,0 +1,275 @@
+"""Whether the normal maps of several photos agree: what one says of a place in the world, seen from the others.
+
+A network sees one photo at a time, so its errors differ from photo to photo, and the truth does not. Poses and depth
+are known: every pixel of a map is carried into neighbouring photos, where their maps say a direction for the same
+place. All arrays are numpy's, at a working size of some ten thousand pixels a view.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+LONGEST = 128  # pixels of a view's longer side at the working size
+NEIGHBORS = 6  # views that each is compared with
+WIDEST = 70.0  # degrees between two rays to a place, beyond which views show too little of each other
+GOOD_ANGLE = 25.0  # degrees between the rays, from which on two views differ enough to tell
+TOLD_ANGLE = 10.0  # degrees, under which a map that says nothing would agree as well
+SAME_DEPTH = 0.02  # relative difference of depth up to which two pixels show the same place
+SURE, DOUBTFUL = 15.0, 25.0  # degrees of a pixel's error: up to one it counts whole, from the other on not at all
+LEAST_EVIDENCE = 0.1  # of a photo and of a whole set of maps
+OWN_VOTE = 0.5  # of a pixel's own normal beside its neighbours'
+FEWEST = 100  # pairs of pixels that a photo is judged by
+FEWEST_PHOTOS = 3  # that a set of maps is judged by
+
+_PROBES = 300  # pixels of a view by which its neighbours are chosen
+_ROUNDS = 6  # of the geometric median
+_SMOOTH = 0.04  # of the longer side: deviation of the window that tells unjudged pixels what is around them
+
+
+class View(NamedTuple):
+    """One photo's map at the working size."""
+
+    normals: np.ndarray  # [h, w, 3] float32 unit, camera frame, zero where there is none
+    depth: np.ndarray  # [h, w] float32 camera z, zero where it is not known
+    viewmat: np.ndarray  # [4, 4] world to camera
+    K: np.ndarray  # [3, 3] pixels of the working size, centres at +0.5
+
+
+class Judged(NamedTuple):
+    """What its neighbours say of one photo's map."""
+
+    confidence: np.ndarray  # [h, w] float32 in 0..1, zero where there is no normal
+    kept: float  # mean confidence over the pixels that have a normal; 0 where there is none
+    evidence: float | None  # 1 - (median disagreement / that of a map which only faces its camera); None: cannot tell
+    noise: float | None  # of the evidence, from one neighbour to the next
+
+
+class Verdict(NamedTuple):
+    """What follows for a whole set of maps."""
+
+    kept: bool
+    evidence: float | None  # median of the photos'; None: cannot be judged
+    noise: float | None  # of that median
+    threshold: float  # `kept` needs more, by the noise
+    share: float  # of the known pixels, mean confidence after the verdict
+    rejected: tuple[int, ...]  # photos that are left out whole
+    note: str
+
+
+def thinned(normals: np.ndarray, depth: np.ndarray, viewmat: np.ndarray, K: np.ndarray) -> View:
+    """A `View` of every so many pixels of a map `[H, W, 3]`, of any length but zero, and of its depth `[H, W]`."""
+    stride = stride_of(depth.shape)
+    first = stride // 2
+    small = normals[first::stride, first::stride].astype(np.float32)
+    length = np.linalg.norm(small, axis=-1, keepdims=True)
+    small = np.where(length > 0, small / np.where(length > 0, length, 1), 0)
+    return View(small, depth[first::stride, first::stride].astype(np.float32), viewmat, thinned_K(K, stride))
+
+
+def stride_of(shape: Sequence[int]) -> int:
+    """Every so many pixels of a `[H, W]` view make its working size."""
+    return max(1, -(-max(shape[:2]) // LONGEST))
+
+
+def thinned_K(K: np.ndarray, stride: int) -> np.ndarray:
+    """Intrinsics `[3, 3]` of the pixels that are kept."""
+    small = K.astype(np.float64).copy()
+    small[:2, 2] -= stride // 2 + 0.5
+    small[:2] /= stride
+    small[:2, 2] += 0.5
+    return small
+
+
+def judge(
+    views: Sequence[View], *, progress: Callable[[Iterable[int]], Iterable[int]] = iter
+) -> tuple[list[Judged], Verdict]:
+    """Compare every view with its neighbours.
+
+    Args:
+        views: All photos of a set of maps.
+        progress: Wraps the photos' numbers, for a bar.
+
+    Returns:
+        One `Judged` a photo, with confidence zero for photos and sets that are rejected; and the `Verdict`.
+    """
+    points = [_world_points(view) for view in views]
+    beside = _neighbors(views, points)
+    judged = [_judge_view(index, views, points, beside[index]) for index in progress(range(len(views)))]
+    verdict = _verdict(judged, views)
+    out = [*range(len(views))] if not verdict.kept else verdict.rejected
+    for index in out:
+        judged[index] = judged[index]._replace(confidence=np.zeros_like(judged[index].confidence), kept=0.0)
+    return judged, verdict
+
+
+def full_size(confidence: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """A confidence `[h, w]` of the working size at that of the map it was thinned from, `[H, W]`."""
+    stride = stride_of(shape)
+    grown = np.repeat(np.repeat(confidence, stride, axis=0), stride, axis=1)
+    missing = [(0, max(0, side - have)) for side, have in zip(shape, grown.shape, strict=True)]
+    return np.pad(grown, missing, mode="edge")[: shape[0], : shape[1]]
+
+
+def _world_points(view: View) -> np.ndarray:
+    """`[h, w, 3]` float64 world positions of the pixels."""
+    height, width = view.depth.shape
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    rays = np.stack([(x - view.K[0, 2]) / view.K[0, 0], (y - view.K[1, 2]) / view.K[1, 1], np.ones_like(x)], -1)
+    return (rays * view.depth[..., None] - view.viewmat[:3, 3]) @ view.viewmat[:3, :3]
+
+
+def _center(view: View) -> np.ndarray:
+    return -view.viewmat[:3, :3].T @ view.viewmat[:3, 3]
+
+
+def _landing(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Row and column `[...]` of the pixel of a view that world points `[..., 3]` land on, and whether it shows them."""
+    in_camera = points @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
+    z = np.where(in_camera[..., 2] > 1e-9, in_camera[..., 2], 1.0)
+    x, y = (np.floor(in_camera[..., a] / z * view.K[a, a] + view.K[a, 2]) for a in (0, 1))
+    height, width = view.depth.shape
+    shown = (in_camera[..., 2] > 1e-9) & (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    column, row = np.where(shown, x, 0).astype(int), np.where(shown, y, 0).astype(int)
+    there = view.depth[row, column]
+    return row, column, shown & (there > 0) & (np.abs(there - z) < SAME_DEPTH * z)
+
+
+def _degrees_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """`[...]` degrees between unit vectors `[..., 3]`."""
+    return np.degrees(np.arccos(np.clip(np.sum(a * b, axis=-1), -1, 1)))
+
+
+def _towards(view: View, points: np.ndarray) -> np.ndarray:
+    """`[..., 3]` unit directions from points `[..., 3]` to a view's camera."""
+    away = _center(view) - points
+    return away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-12)
+
+
+def _neighbors(views: Sequence[View], points: Sequence[np.ndarray]) -> list[list[int]]:
+    """For every view the others that show most of it from a direction that differs enough to tell."""
+    rng = np.random.default_rng(0)
+    chosen = []
+    for index, view in enumerate(views):
+        known = points[index][(view.depth > 0) & np.any(view.normals, axis=-1)]
+        probes = known[rng.permutation(len(known))[:_PROBES]]
+        scores = np.zeros(len(views))
+        for other, there in enumerate(views):
+            if other == index or not len(probes):
+                continue
+            shown = _landing(probes, there)[2]
+            angles = _degrees_between(_towards(view, probes), _towards(there, probes))[shown]
+            scores[other] = np.sum(np.where(angles < WIDEST, np.minimum(angles / GOOD_ANGLE, 1), 0)) / len(probes)
+        best = np.argsort(-scores, kind="stable")[:NEIGHBORS]
+        chosen.append([int(other) for other in best if scores[other] > 0])
+    return chosen
+
+
+def _judge_view(index: int, views: Sequence[View], points: Sequence[np.ndarray], beside: Sequence[int]) -> Judged:
+    view = views[index]
+    known = np.any(view.normals, axis=-1)
+    carried = known & (view.depth > 0)
+    place = points[index][carried]
+    own = (view.normals @ view.viewmat[:3, :3])[carried]
+    others, shown, apart, chance = [], [], [], []
+    for other in beside:
+        there = views[other]
+        row, column, visible = _landing(place, there)
+        normals = (there.normals @ there.viewmat[:3, :3])[row, column]
+        others.append(normals)
+        shown.append(visible & np.any(normals, axis=-1))
+        apart.append(_degrees_between(own, normals))
+        chance.append(_degrees_between(_towards(view, place), _towards(there, place)))
+    if not others or not np.any(shown):
+        return Judged(known.astype(np.float32), float(known.any()), None, None)
+    others, shown, apart, chance = map(np.stack, (others, shown, apart, chance))
+    error = np.full(known.shape, np.nan)
+    error[carried] = _error(own, others, shown, apart)
+    confidence = _filled(np.clip((DOUBTFUL - error) / (DOUBTFUL - SURE), 0, 1)) * known
+    kept = float(confidence[known].mean()) if known.any() else 0.0
+    return Judged(confidence.astype(np.float32), kept, *_evidence(apart, chance, shown))
+
+
+def _error(own: np.ndarray, others: np.ndarray, shown: np.ndarray, apart: np.ndarray) -> np.ndarray:
+    """`[P]` degrees that a pixel's normal is likely off by; NaN where no neighbour shows it.
+
+    The larger of two that hold where errors are independent: how far it is from the geometric median of the
+    neighbours' normals, itself with `OWN_VOTE` to break a tie; and the (lower) median disagreement with one of them,
+    over the root of two, as both may be wrong. The median normal alone would agree with a map that only faces its
+    camera, where cameras stand around it.
+
+    Args:
+        own: `[P, 3]` world normals of the pixels.
+        others: `[M, P, 3]` of the neighbours at the same places.
+        shown: `[M, P]` bool, where a neighbour shows the place and has a normal.
+        apart: `[M, P]` degrees between the two.
+    """
+    seen = shown.any(axis=0)
+    votes = np.concatenate([shown, np.full((1, len(own)), OWN_VOTE)])
+    middle = _geometric_median(np.concatenate([others, own[None]]), votes)
+    ranked = np.sort(np.where(shown, apart, np.inf), axis=0)
+    lower_median = np.take_along_axis(ranked, np.maximum((shown.sum(axis=0) - 1) // 2, 0)[None], axis=0)[0]
+    error = np.maximum(_degrees_between(own, middle), lower_median / np.sqrt(2))
+    return np.where(seen, error, np.nan)
+
+
+def _geometric_median(directions: np.ndarray, counted: np.ndarray) -> np.ndarray:
+    """`[P, 3]` unit vectors with the least sum, weighted by `[M, P]`, of distances to `[M, P, 3]` (Weiszfeld)."""
+    weights = counted
+    for _ in range(_ROUNDS):
+        middle = np.sum(weights[..., None] * directions, axis=0)
+        middle /= np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), 1e-12)
+        weights = counted / np.maximum(np.linalg.norm(directions - middle, axis=-1), 0.02)
+    return middle
+
+
+def _evidence(apart: np.ndarray, chance: np.ndarray, shown: np.ndarray) -> tuple[float | None, float | None]:
+    """How much nearer normals are to each other than those of maps that only face their cameras, and the noise of it.
+
+    Args:
+        apart: `[M, P]` degrees between the normals of two views.
+        chance: `[M, P]` degrees between the directions to their cameras.
+        shown: `[M, P]` which of them count.
+    """
+    tells = shown & (chance > TOLD_ANGLE)
+    if tells.sum() < FEWEST:
+        return None, None
+    each = [1 - np.median(a[t]) / np.median(c[t]) for a, c, t in zip(apart, chance, tells, strict=True) if t.sum() > 9]
+    noise = float(np.std(each) / np.sqrt(len(each))) if len(each) > 1 else 1.0
+    return float(1 - np.median(apart[tells]) / np.median(chance[tells])), noise
+
+
+def _filled(confidence: np.ndarray) -> np.ndarray:
+    """`[h, w]` with what is around in place of NaN, and the mean of the photo where nothing is near."""
+    told = np.isfinite(confidence)
+    if not told.any():
+        return np.ones_like(confidence)
+    values = np.where(told, confidence, 0)
+    width = _SMOOTH * max(confidence.shape)
+    weight = ndimage.gaussian_filter(told.astype(np.float64), width)
+    around = (ndimage.gaussian_filter(values, width) + 0.01 * values.sum() / told.sum()) / (weight + 0.01)
+    return np.where(told, values, around)
+
+
+def _verdict(judged: Sequence[Judged], views: Sequence[View]) -> Verdict:
+    told = [(index, each) for index, each in enumerate(judged) if each.evidence is not None]
+    areas = np.array([float(np.any(view.normals, axis=-1).sum()) for view in views])
+    kept = np.array([each.kept for each in judged])
+    empty = int((areas == 0).sum())
+    if len(told) < FEWEST_PHOTOS:
+        why = f"cannot be judged: {len(told)} photos show enough of others from another direction"
+        return Verdict(True, None, None, LEAST_EVIDENCE, _share(kept, areas), (), why)
+    values = np.array([each.evidence for _, each in told])
+    middle = float(np.median(values))
+    noise = float(1.4826 * np.median(np.abs(values - middle)) / np.sqrt(len(values)))
+    rejected = tuple(index for index, each in told if each.evidence + each.noise < LEAST_EVIDENCE)
+    is_kept = middle - noise > LEAST_EVIDENCE and empty < len(views) / 2
+    kept[list(rejected)] = 0
+    note = f"{len(rejected)} of {len(told)} photos rejected" + (f", {empty} have no normals" if empty else "")
+    share = _share(kept, areas) if is_kept else 0.0
+    return Verdict(is_kept, middle, noise, LEAST_EVIDENCE, share, rejected, note)
+
+
+def _share(kept: np.ndarray, areas: np.ndarray) -> float:
+    return float(np.sum(kept * areas) / max(float(areas.sum()), 1.0))

@@ -1,0 +1,118 @@
+"""The gate between normal maps and training: what photos that see the same place do not agree about does not count.
+
+In a run the depth is what the Gaussians show when the surface phase begins; before any run it is that of the tracks.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from gsjax.gaussians import Gaussians
+from gsjax.io import json_files
+from gsjax.io.arrays import read_arrays
+from gsjax.io.files import atomic_path
+from gsjax.io.normal_maps import normal_maps
+from gsjax.normals.agreement import Judged, Verdict, View, full_size, judge, stride_of, thinned, thinned_K
+from gsjax.normals.sparse_depth import sparse_depth
+from gsjax.render import DepthReading, gallery
+from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
+from gsjax.scene import Frame, Scene, tracks_by_name
+
+CONFIDENCE, VERDICT = "confidence.npz", "gate.json"  # in the run's folder of maps
+
+
+def gate(
+    folder: Path,
+    gaussians: Gaussians,
+    frames: Sequence[Frame],
+    maps: Sequence[np.ndarray],
+    depth_mode: DepthReading,
+    *,
+    tell: Callable[[str], None],
+) -> list[np.ndarray]:
+    """The maps of a run with lengths that say how far each normal is trusted, from 0 to 127.
+
+    Confidences are judged once and kept in `folder`, so that a resumed run goes on with the same numbers.
+
+    Args:
+        folder: Exists; gets `confidence.npz` and `gate.json`.
+        gaussians: As the surface phase begins.
+        frames: The photos.
+        maps: `[H, W, 3]` int8 a photo, 127 times the unit normal.
+        depth_mode: What the Gaussians' depth is, see `gsjax.render.view`.
+        tell: Told the verdict in one line.
+
+    Raises:
+        InputError: The files are damaged, or cannot be written.
+    """
+    file = folder / CONFIDENCE
+    if not file.is_file():
+        cameras = [frame_camera(frame) for frame in frames]
+        pictures = gallery.pictures(gaussians, cameras, BACKGROUND_COLORS["black"], depth_mode)
+        drawn = zip(maps, pictures, frames, strict=True)
+        views = [thinned(normals, picture.depth, frame.viewmat, frame.K) for normals, picture, frame in drawn]
+        judged, verdict = _judge(views)
+        json_files.write(folder / VERDICT, record(judged, verdict, frames))
+        with atomic_path(file) as temporary:
+            confidences = {str(index): np.rint(255 * one.confidence) for index, one in enumerate(judged)}
+            np.savez_compressed(temporary, **{name: each.astype(np.uint8) for name, each in confidences.items()})
+        tell(told(verdict))
+    confidences = read_arrays(file)
+    pairs = ((normals, confidences[str(index)]) for index, normals in enumerate(maps))
+    return [np.rint(m * (full_size(c, m.shape[:2])[..., None] / np.float32(255))).astype(np.int8) for m, c in pairs]
+
+
+def judge_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:
+    """The `record` of a folder of maps, whose depth is that of planes through the tracks' points.
+
+    Raises:
+        InputError: A map is missing or damaged, or the tracks cannot be read.
+    """
+    tracks, readers = tracks_by_name(scene), normal_maps(folder, scene.frames)
+    views = [
+        _tracked_view(frame, readers[frame.name](), scene.points, tracks.get(frame.name))
+        for frame in tqdm(scene.frames, desc=Path(folder).name, unit="map", leave=False)
+    ]
+    return record(*_judge(views), scene.frames)
+
+
+def record(judged: Sequence[Judged], verdict: Verdict, frames: Sequence[Frame]) -> dict[str, Any]:
+    """Plain values for a file: the verdict on all maps, and each photo's `evidence`, `noise`, `kept`, `rejected`."""
+    return {
+        **{name: value for name, value in verdict._asdict().items() if name != "rejected"},
+        "photos": {
+            frame.name: {"evidence": one.evidence, "noise": one.noise, "kept": one.kept, "rejected": not one.kept}
+            for frame, one in zip(frames, judged, strict=True)
+        },
+    }
+
+
+def told(verdict: Verdict) -> str:
+    """The verdict as one line."""
+    decision = f"{100 * verdict.share:.0f} % of the normals count" if verdict.kept else "no normal counts"
+    if verdict.evidence is None:
+        return f"{decision}: {verdict.note}"
+    return (
+        f"{decision}: photos agree by {verdict.evidence:.2f} +-{verdict.noise:.2f} (1 is wholly, 0 as maps that face"
+        f" their cameras, needed {verdict.threshold:g}), {verdict.note}"
+    )
+
+
+def _judge(views: Sequence[View]) -> tuple[list[Judged], Verdict]:
+    return judge(views, progress=lambda numbers: tqdm(numbers, desc="normals gate", unit="photo", leave=False))
+
+
+def _tracked_view(
+    frame: Frame, normals: np.ndarray, points: np.ndarray, tracked: tuple[np.ndarray, np.ndarray] | None
+) -> View:
+    view = thinned(normals, np.zeros(normals.shape[:2]), frame.viewmat, frame.K)
+    if tracked is None:
+        return view
+    indices, rays = tracked
+    depths = points[indices] @ frame.viewmat[2, :3] + frame.viewmat[2, 3]
+    ahead = depths > 0
+    K = thinned_K(frame.K, stride_of(normals.shape))
+    return view._replace(depth=sparse_depth(rays[ahead], depths[ahead], K, view.depth.shape))

@@ -1,0 +1,166 @@
+"""The gate on a ball above ground, whose depth and normals are known in every view."""
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+from tolerances import assert_close
+
+from gsjax.cameras import look_at
+from gsjax.normals.agreement import LONGEST, View, full_size, judge, stride_of, thinned
+from gsjax.normals.sparse_depth import sparse_depth
+
+WIDTH, HEIGHT = 64, 48
+K = np.array([[70.0, 0, 31.5], [0, 72.0, 24.5], [0, 0, 1]])
+BALL, RADIUS = np.array([0.0, 0.0, 1.0]), 0.8
+
+
+def rays_of(width=WIDTH, height=HEIGHT, K=K):
+    x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    return np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1)
+
+
+def seen_from(eye, rays) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Depth, normals in the camera, and the viewmat."""
+    viewmat = look_at(np.array(eye), np.array([0, 0, 0.5]), np.array([0.0, 0, 1])).astype(np.float64)
+    center, directions = -viewmat[:3, :3].T @ viewmat[:3, 3], rays @ viewmat[:3, :3]
+    along, squared = directions @ (BALL - center), np.sum(directions**2, -1)
+    root = along**2 - squared * ((center - BALL) @ (center - BALL) - RADIUS**2)
+    on_ball = root > 0
+    down = directions[..., 2] < -1e-3
+    ground = np.where(down, -center[2] / np.where(down, directions[..., 2], -1), 0)
+    depth = np.where(on_ball, (along - np.sqrt(np.maximum(root, 0))) / squared, ground)
+    normals = np.where(on_ball[..., None], (center + directions * depth[..., None] - BALL) / RADIUS, [0, 0, 1])
+    return depth, np.where((depth > 0)[..., None], normals @ viewmat[:3, :3].T, 0), viewmat
+
+
+def ring(count=10):
+    angles = 2 * np.pi * np.arange(count) / count
+    eyes = [(4 * np.cos(a), 4 * np.sin(a), 2.0 + 0.5 * (i % 2)) for i, a in enumerate(angles)]
+    rays = rays_of()
+    return [View(n.astype(np.float32), d.astype(np.float32), v, K) for d, n, v in (seen_from(e, rays) for e in eyes)]
+
+
+VIEWS = ring()
+FACING = -rays_of() / np.linalg.norm(rays_of(), axis=-1, keepdims=True)
+
+
+def with_maps(maps):
+    return [view._replace(normals=np.float32(normals)) for view, normals in zip(VIEWS, maps, strict=True)]
+
+
+def smooth(rng, width=6.0):
+    return gaussian_filter(rng.normal(size=(HEIGHT, WIDTH)), width, mode="wrap")
+
+
+def blob(rng):
+    """`[H, W]` bool, a fifth of the pixels."""
+    field = smooth(rng)
+    return field > np.quantile(field, 0.8)
+
+
+def turned(normals, rng, degrees):
+    """Turned by smooth fields, by so many degrees in the mean; and by how many at each pixel."""
+    field = np.stack([smooth(rng) for _ in range(3)], -1)
+    sideways = field - np.sum(field * normals, -1, keepdims=True) * normals
+    off = np.linalg.norm(sideways, axis=-1, keepdims=True)
+    angle = np.radians(degrees) * off / off.mean()
+    return np.cos(angle) * normals + np.sin(angle) * sideways / off, np.degrees(angle[..., 0])
+
+
+def test_true_normals_are_kept():
+    judged, verdict = judge(VIEWS)
+    assert verdict.kept and verdict.rejected == () and verdict.share > 0.95
+    assert verdict.evidence is not None and verdict.evidence > 0.95
+    assert all(np.all(one.confidence[~np.any(v.normals, -1)] == 0) for one, v in zip(judged, VIEWS, strict=True))
+
+
+def test_maps_that_only_face_their_cameras_say_nothing():
+    judged, verdict = judge(with_maps([FACING] * len(VIEWS)))
+    assert not verdict.kept and verdict.share == 0 and abs(verdict.evidence or 1) < 0.1
+    assert not any(one.confidence.any() for one in judged)
+
+
+def test_maps_of_random_directions_are_rejected():
+    rng = np.random.default_rng(0)
+    noise = [rng.normal(size=(HEIGHT, WIDTH, 3)) for _ in VIEWS]
+    _, verdict = judge(with_maps([n / np.linalg.norm(n, axis=-1, keepdims=True) for n in noise]))
+    assert not verdict.kept and (verdict.evidence or 1) < 0
+
+
+def test_a_fifth_of_every_map_made_wrong_is_found():
+    rng = np.random.default_rng(1)
+    wrong = [blob(rng) & np.any(view.normals, -1) for view in VIEWS]
+    directions = rng.normal(size=(len(VIEWS), 3))
+    directions *= -np.sign(directions[:, 2:]) / np.linalg.norm(directions, axis=-1, keepdims=True)
+    maps = [np.where(w[..., None], d, v.normals) for w, d, v in zip(wrong, directions, VIEWS, strict=True)]
+    judged, verdict = judge(with_maps(maps))
+    angles = [np.degrees(np.arccos(np.clip(v.normals @ d, -1, 1))) for v, d in zip(VIEWS, directions, strict=True)]
+    confidence = np.stack([one.confidence for one in judged])
+    clearly = np.stack(wrong) & (np.stack(angles) > 30)
+    right = ~np.stack(wrong) & np.stack([np.any(v.normals, -1) for v in VIEWS])
+    assert verdict.kept and confidence[clearly].mean() < 0.1 and confidence[right].mean() > 0.85
+
+
+def test_smooth_errors_of_twenty_degrees_are_rejected_where_they_are_large():
+    rng = np.random.default_rng(2)
+    pairs = [turned(view.normals.astype(np.float64), rng, 20) for view in VIEWS]
+    judged, verdict = judge(with_maps([normals for normals, _ in pairs]))
+    confidence, off = np.stack([one.confidence for one in judged]), np.stack([degrees for _, degrees in pairs])
+    known = np.stack([np.any(v.normals, -1) for v in VIEWS])
+    assert verdict.kept and 0.1 < verdict.share < 0.7
+    assert confidence[known & (off < 10)].mean() > 2 * confidence[known & (off > 30)].mean()
+
+
+def test_one_photo_that_is_wrong_whole_is_named_and_the_others_stay():
+    maps = [view.normals for view in VIEWS]
+    maps[3] = np.where(np.any(maps[3], -1, keepdims=True), [0.8, 0, -0.6], 0)
+    judged, verdict = judge(with_maps(maps))
+    assert verdict.kept and verdict.rejected == (3,) and verdict.note == "1 of 10 photos rejected"
+    assert not judged[3].confidence.any() and min(one.kept for i, one in enumerate(judged) if i != 3) > 0.85
+
+
+def test_without_depth_or_others_nothing_is_judged_and_all_stays():
+    blind = [view._replace(depth=0 * view.depth) for view in VIEWS]
+    for views in (VIEWS[:1], blind):
+        judged, verdict = judge(views)
+        assert verdict.kept and verdict.evidence is None and "cannot be judged" in verdict.note
+        assert_close(verdict.share, 1.0)
+        assert np.all(judged[0].confidence == np.any(VIEWS[0].normals, -1))
+
+
+def test_maps_that_are_mostly_empty_are_rejected():
+    """As those of a network for depth are, where most photos do not fit."""
+    maps = [view.normals if index < 4 else 0 * view.normals for index, view in enumerate(VIEWS)]
+    _, verdict = judge(with_maps(maps))
+    assert not verdict.kept and "6 have no normals" in verdict.note
+
+
+@pytest.mark.parametrize("size", [(300, 200), (257, 129), (100, 128), (128, 64)])
+def test_a_view_at_its_working_size_sees_the_same_places(size):
+    width, height = size
+    large = K * np.array([[width / WIDTH], [height / HEIGHT], [1]])
+    depth, normals, viewmat = seen_from((4.0, 0.5, 2.0), rays_of(width, height, large))
+    view = thinned(np.rint(127 * normals).astype(np.int8), depth, viewmat, large)
+    small_height, small_width = view.depth.shape
+    assert max(view.depth.shape) <= LONGEST and (stride_of((height, width)) > 1) == (max(size) > LONGEST)
+    again, _, _ = seen_from((4.0, 0.5, 2.0), rays_of(small_width, small_height, view.K))
+    assert_close(view.depth, again)
+    assert full_size(view.depth, (height, width)).shape == (height, width)
+    inner = full_size(view.depth, (height, width))[-20:-10, 10:20]
+    assert np.median(np.abs(inner / depth[-20:-10, 10:20] - 1)) < 0.02
+
+
+def test_depth_between_points_of_a_plane_is_the_planes_and_at_an_edge_there_is_none():
+    rng = np.random.default_rng(0)
+    rays = rays_of()
+    normal = np.array([0.4, -0.3, -1])
+    plane = 3 * normal[2] / (rays @ normal)
+    y, x = rng.integers(0, HEIGHT, 400), rng.integers(0, WIDTH, 400)
+    found = sparse_depth(rays[y, x, :2], plane[y, x], K, (HEIGHT, WIDTH))
+    assert (found > 0).mean() > 0.9
+    assert np.abs(found / plane - 1)[found > 0].max() < 2e-3
+    stepped = np.where(np.arange(WIDTH) < 32, plane, 2 * plane)
+    found = sparse_depth(rays[y, x, :2], stepped[y, x], K, (HEIGHT, WIDTH))
+    off = np.minimum(np.abs(found / plane - 1), np.abs(found / (2 * plane) - 1))[found > 0]
+    assert (found[:, 31:33] > 0).mean() < 0.5 and (found[:, :26] > 0).mean() > 0.8 and np.quantile(off, 0.97) < 0.02
+    assert not sparse_depth(rays[y, x, :2][:10], plane[y, x][:10], K, (HEIGHT, WIDTH)).any()
