@@ -253,17 +253,17 @@ def _filled(confidence: np.ndarray) -> np.ndarray:
 
 
 def _verdict(judged: Sequence[Judged], views: Sequence[View]) -> Verdict:
-    told = [(index, each) for index, each in enumerate(judged) if each.evidence is not None]
+    told = [(index, each.evidence, each.noise or 0.0) for index, each in enumerate(judged) if each.evidence is not None]
     areas = np.array([float(np.any(view.normals, axis=-1).sum()) for view in views])
     kept = np.array([each.kept for each in judged])
     empty = int((areas == 0).sum())
     if len(told) < FEWEST_PHOTOS:
         why = f"cannot be judged: {len(told)} photos show enough of others from another direction"
         return Verdict(True, None, None, LEAST_EVIDENCE, _share(kept, areas), (), why)
-    values = np.array([each.evidence for _, each in told])
+    values = np.array([evidence for _, evidence, _ in told])
     middle = float(np.median(values))
     noise = float(1.4826 * np.median(np.abs(values - middle)) / np.sqrt(len(values)))
-    rejected = tuple(index for index, each in told if each.evidence + each.noise < LEAST_EVIDENCE)
+    rejected = tuple(index for index, evidence, off in told if evidence + off < LEAST_EVIDENCE)
     is_kept = middle - noise > LEAST_EVIDENCE and empty < len(views) / 2
     kept[list(rejected)] = 0
     note = f"{len(rejected)} of {len(told)} photos rejected" + (f", {empty} have no normals" if empty else "")

@@ -34,9 +34,8 @@ from gsjax.report.page import report
 from gsjax.report.shown_views import picture_keeper
 from gsjax.runs.compilations import make_room
 from gsjax.runs.journal import Journal, beginning
-from gsjax.runs.normal_gate import gate
 from gsjax.runs.photography import Photography, moves_line, with_moved_cameras, write_photography
-from gsjax.runs.prior import RunPrior
+from gsjax.runs.prior import RunPrior, note_normals
 from gsjax.runs.processes import from_first, is_first, own_folder
 from gsjax.runs.result import write_views
 from gsjax.runs.run import Run
@@ -165,8 +164,9 @@ def _train(
     looked = look_for_effects(asked, loaded)
     loaded, frames = looked.scene, looked.scene.train_frames
     size = training_extent(loaded)
+    tell = partial(note_normals, out)
     prior = RunPrior(
-        out, planned.normals, settings.normal_axes, frames, settings.depth_mode, tell=partial(_tell_normals, out)
+        out, planned.normals, settings.normal_axes, frames, settings.depth_mode, settings.normal_gate, tell=tell
     )
     measured, started = measured_depth(loaded, settings), _with_given_points(loaded, settings)
     if measured is not None:
@@ -217,11 +217,7 @@ def _train(
 
             def normals(state: TrainState) -> list[np.ndarray]:
                 state = whole(state)
-                seen = with_moved_cameras(frames, chosen.photography(state.effects).moves)
-                maps = prior(state.gaussians, seen)
-                if settings.normal_gate:
-                    tell = partial(_tell_normals, out)
-                    maps = gate(prior.folder, state.gaussians, seen, maps, settings.depth_mode, tell=tell)
+                maps = prior(state.gaussians, with_moved_cameras(frames, chosen.photography(state.effects).moves))
                 return [from_first(each) for each in maps]
 
             # A CPU computes all the while, and has no step's memory to spare.
@@ -259,13 +255,6 @@ def _completed(started: dict[str, Any]) -> dict[str, Any]:
     for phase in started["phases"]:
         phase["weights"] = {name: weight for name, weight in phase["weights"].items() if weight or name in PLAIN}
     return config.to_dict(config.parse(Settings, started, where="config.json"))
-
-
-def _tell_normals(run: str | Path, line: str) -> None:
-    """What became of the normal maps, on the screen and, after what was told before, in the manifest."""
-    tqdm.write(f"normals: {line}", file=sys.stderr)
-    before = json_files.read(Path(run) / "manifest.json", {}).get("normals")
-    runs.update_manifest(run, normals=f"{before}; {line}" if before else line)
 
 
 def _with_given_points(scene: Scene, settings: Settings) -> Scene:

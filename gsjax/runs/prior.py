@@ -12,12 +12,15 @@ from tqdm import tqdm
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
+from gsjax.io import json_files
 from gsjax.io.images import read_image, write_image
 from gsjax.io.normal_folders import network_of
 from gsjax.io.normal_maps import map_places, normal_maps
 from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
 from gsjax.render import DepthReading, gallery
+from gsjax.runs.folder import update_manifest
+from gsjax.runs.normal_gate import gate
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame
 
@@ -43,6 +46,7 @@ class RunPrior:
         axes: str | None,
         frames: tuple[Frame, ...],
         depth_mode: DepthReading = "plane",
+        gated: bool = False,
         *,
         tell: Callable[[str], None] = lambda line: tqdm.write(f"normals: {line}", file=sys.stderr),
     ):
@@ -55,7 +59,8 @@ class RunPrior:
                 normals` made them, else found by comparing with the Gaussians.
             frames: Whose normals will be asked for.
             depth_mode: What the Gaussians' depth is, see `gsjax.render.view`.
-            tell: Told in one line which axes foreign maps have, and how that was found.
+            gated: Whether normals count only as far as photos agree, see `gsjax.runs.normal_gate`.
+            tell: Told in one line which axes foreign maps have, and how that was found; and what the gate found.
 
         Raises:
             InputError: A map is missing, or the axes are none.
@@ -65,6 +70,7 @@ class RunPrior:
         if folder is None and axes is not None:
             raise InputError(f"--normal-axes {axes}: there are no maps whose axes these are, --normals DIR names them")
         self.depth_mode: DepthReading = depth_mode
+        self.gated = gated
         self.tell = tell
         self.network = None if folder is None else network_of(folder)
         self.given = None if folder is None else normal_maps(folder, frames)
@@ -73,7 +79,8 @@ class RunPrior:
         """The maps, made of the Gaussians so far where the user gave none.
 
         Returns:
-            `[H, W, 3]` int8 a frame: 127 times the unit normal in the camera frame, zero where there is none.
+            `[H, W, 3]` int8 a frame: 127 times the unit normal in the camera frame, times the gate's confidence; zero
+            where there is none.
 
         Raises:
             InputError: A map is damaged, or cannot be written.
@@ -85,7 +92,8 @@ class RunPrior:
             shown = tqdm(zip(missing, maps, strict=True), total=len(missing), desc="normals prior", unit="view")
             for frame, normals in shown:
                 write_map(files[frame.name], normals)
-        return [read_map(files[frame.name], frame) for frame in frames]
+        read = [read_map(files[frame.name], frame) for frame in frames]
+        return gate(self.folder, gaussians, frames, read, self.depth_mode, tell=self.tell) if self.gated else read
 
     def _foreign(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
         assert self.given is not None
@@ -126,6 +134,13 @@ class RunPrior:
     def _rendered(self, gaussians: Gaussians, frames: Sequence[Frame]) -> Iterator[tuple]:
         """Depth, alphas and camera of one frame after the other."""
         return _views(gaussians, [frame_camera(frame) for frame in frames], self.depth_mode)
+
+
+def note_normals(run: str | Path, line: str) -> None:
+    """What became of the normal maps, on the screen and, after what was told before, in the run's manifest."""
+    tqdm.write(f"normals: {line}", file=sys.stderr)
+    before = json_files.read(Path(run) / "manifest.json", {}).get("normals")
+    update_manifest(run, normals=f"{before}; {line}" if before else line)
 
 
 def reduction_for(gaussians: Gaussians, cameras: Sequence[Camera], depth_mode: DepthReading) -> int:
