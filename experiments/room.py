@@ -138,7 +138,7 @@ def icp(mesh: Mesh, start: Alignment, targets: np.ndarray) -> Alignment:
         near = (distances < max(WITHIN, 2 * float(np.median(distances)))) & (distances < FARTHEST)
         if near.sum() < 4:
             raise InputError("the mesh lies nowhere near the truth after its cameras were aligned")
-        found = similarity(points[nearest[near]], targets[near])
+        found = similarity(points[np.asarray(nearest)[near]], targets[near])
     return found
 
 

@@ -81,8 +81,8 @@ def test_the_truth_itself_scores_as_its_floor_and_a_missing_wall_costs_its_share
     whole, opened, floor, aligned = found.values()
     assert [*found][2:] == ["floor: drawn anew", "floor: aligned anew"]
     for name in ("accuracy_cm", "completeness_cm", "F10", "normal_error_deg"):
-        assert whole[name] == pytest.approx(floor[name], rel=0.1, abs=0.05), name
-        assert aligned[name] == pytest.approx(floor[name], rel=0.1, abs=0.05), name
+        assert whole[name] == pytest.approx(floor[name], rel=0.1, abs=0.2), name
+        assert aligned[name] == pytest.approx(floor[name], rel=0.1, abs=0.2), name
     assert floor["F10"] > 0.99 and floor["accuracy_cm"] < 2
     recall = 1 - SIZE[1] * SIZE[2] / (2 * (SIZE[0] * SIZE[1] + SIZE[0] * SIZE[2] + SIZE[1] * SIZE[2]))
     assert opened["F10"] == pytest.approx(2 * recall / (1 + recall), abs=0.03)
