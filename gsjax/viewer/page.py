@@ -21,12 +21,13 @@ from gsjax.viewer.desk import Desk, Order
 from gsjax.viewer.drawing import bare_background
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera, picture_size
 from gsjax.viewer.pictures import Pictures
+from gsjax.viewer.ruler import Ruler
 from gsjax.viewer.same_origin import own_pages_alone
 from gsjax.viewer.scenery import MESH_COLORS, MESH_OFF, MESH_SHAPE, Scenery
 from gsjax.viewer.subject import Subject
 
 HOST, PORT = "127.0.0.1", 8080
-SHOW, SIDE, MESH, CAMERAS = "Show", "Longest side", "Mesh", "Cameras"
+SHOW, SIDE, MESH, CAMERAS, MEASURE = "Show", "Longest side", "Mesh", "Cameras", "Measure by two clicks"
 BY_BROWSER = "colour, drawn by the browser"
 LONGEST, COARSER = ("480", "960", "1920"), 3  # Sides of full pictures; coarse ones are so much smaller.
 BEHIND_SIDE = 64  # Longest side of the picture of what is behind the browser's own splats: a colour, or a smooth sky.
@@ -148,6 +149,10 @@ class Page:
             }
             for switch in self.switches.values():
                 switch.on_update(lambda _: self.desk.again())
+            measure = gui.add_checkbox(MEASURE, initial_value=False)
+            measure.on_update(lambda _: self._measure(measure.value))
+            self.switches[MEASURE], self._measured = measure, gui.add_markdown("")
+            self.ruler = Ruler(self.server, subject, self._say_measured)
             self.server.on_client_connect(self._come)
             self.server.on_client_disconnect(self._leave)
         if subject.mesh is not None:
@@ -160,6 +165,25 @@ class Page:
             cameras = gui.add_checkbox(CAMERAS, initial_value=False)
             cameras.on_update(lambda _: self._soon(lambda: self._scenery.show_cameras(cameras.value)))
             self.switches[CAMERAS] = cameras
+
+    def _measure(self, wanted: bool) -> None:
+        """Takes clicks for ends of lengths, or leaves them to the browser."""
+        scene = self.server.scene
+        scene.remove_click_callback()
+        self._soon(self.ruler.forget)
+        if wanted:
+            scene.on_click()(lambda click: self._soon(lambda: self._clicked(click)))
+
+    def _clicked(self, click: Any) -> None:
+        if self._gaussians is not None and self.switches[MEASURE].value:
+            try:
+                self.ruler.click(click.client.client_id, self._gaussians, click.ray_origin, click.ray_direction)
+            except InputError as error:
+                self._say_measured(str(error))
+
+    def _say_measured(self, line: str) -> None:
+        with _whoever_is_left():
+            self._measured.content = line
 
     async def _come(self, client: viser.ClientHandle) -> None:
         """A browser is there: what it looks at is noted from now on."""
