@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, given_options
+from gsjax.cli.parsers import add_command, finite, given_options
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -26,6 +26,10 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         "photos", metavar="PHOTOS_OR_VIDEO", help="folder of overlapping photos of one still scene, or a video of it"
     )
     parser.add_argument("--out", metavar="SCENE", required=True, help="folder to make: the data set for `gsjax train`")
+    parser.add_argument("--panoramas", action="store_true", default=None, help="the photos, or the video, are"
+        " equirectangular: 360 degrees across, 180 down")  # fmt: skip
+    parser.add_argument("--mask-below", metavar="DEGREES", type=finite, help="of panoramas, mask what is so far and"
+        " farther below the horizon, where the operator is")  # fmt: skip
     parser.add_argument("--frames", metavar="N", type=int, help="frames to take of a video (default: 100)")
 
 
@@ -36,7 +40,8 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax import tables
     from gsjax.io import sfm
 
-    report = sfm.reconstruct(arguments.photos, arguments.out, **given_options(arguments, "frames"))
+    options = given_options(arguments, "frames", "panoramas", "mask_below")
+    report = sfm.reconstruct(arguments.photos, arguments.out, **options)
     for what, files in (
         ("left out", report.left_out),
         ("passed over", report.passed_over),

@@ -24,6 +24,13 @@ __all__ = ["DEFAULT_FRAMES", "SfmReport", "read_report", "reconstruct"]
 
 
 @dataclass(frozen=True)
+class Panoramas:
+    """That photos are equirectangular."""
+
+    mask_below: float | None  # degrees below the horizon from which on they are masked; None: nowhere
+
+
+@dataclass(frozen=True)
 class SfmReport:
     """What a reconstruction came to."""
 
@@ -44,6 +51,8 @@ def reconstruct(
     out: str | Path,
     *,
     frames: int | None = None,
+    panoramas: bool = False,
+    mask_below: float | None = None,
     max_image_size: int = 1600,
     threads: int = -1,
     progress: Callable[..., tqdm] = tqdm,
@@ -61,6 +70,9 @@ def reconstruct(
             taken.
         out: Folder to make; appears when everything is done. Must not exist, or be empty.
         frames: How many frames to take of a video, None for 100; a shorter video gives all that it has.
+        panoramas: The photos, or the video's frames, are equirectangular: 360 degrees across, 180 down. They are
+            written whole, with the camera model EQUIRECTANGULAR, which `gsjax.io.scenes` reads as six pinhole faces.
+        mask_below: Of panoramas: mask what is so many degrees and more below the horizon, where the operator is.
         max_image_size: Features are sought in photos whose longer side is reduced to this, pixels; the photos
             written are not reduced.
         threads: Threads to use, -1 for all cores.
@@ -76,10 +88,13 @@ def reconstruct(
         raise InputError(f"--frames {frames}: at least 2 are needed")
     if frames is not None and photos.is_dir():
         raise InputError(f"{photos}: is a folder of photos, of which all are taken; --frames is for a video")
+    if mask_below is not None and not (panoramas and 0 <= mask_below < 90):
+        raise InputError(f"--mask-below {mask_below:g}: takes 0 to 90 degrees below the horizon, with --panoramas")
     require_empty(out)
     threads = threads if threads > 0 else len(os.sched_getaffinity(0))
     with workspace(out) as space:
-        arguments = (photos, space, frames or DEFAULT_FRAMES, max_image_size, threads)
+        kind = Panoramas(mask_below) if panoramas else None
+        arguments = (photos, space, frames or DEFAULT_FRAMES, kind, max_image_size, threads)
         report = run_in_child(_build, *arguments, name=str(photos), progress=progress)
         report["seconds"] = time.monotonic() - start
         json_files.write(space / "scene" / REPORT, report)  # Of a scene that is there, it can be read again.
@@ -102,11 +117,17 @@ def read_report(scene: str | Path) -> SfmReport:
 
 
 def _build(
-    source: Path, workspace: Path, frames: int, max_image_size: int, threads: int, progress: Callable[..., tqdm]
+    source: Path,
+    workspace: Path,
+    frames: int,
+    panoramas: Panoramas | None,
+    max_image_size: int,
+    threads: int,
+    progress: Callable[..., tqdm],
 ) -> dict:
     """The reconstruction, as it runs in its own process: leaves `workspace/scene`, returns the report."""
     try:
-        return _built(source, workspace, frames, max_image_size, threads, progress)
+        return _built(source, workspace, frames, panoramas, max_image_size, threads, progress)
     except OSError as error:
         raise unwritable(workspace, error) from error
     except RuntimeError as error:  # Also of COLMAP's database, which tells of a full disk in words of its own.
@@ -116,13 +137,21 @@ def _build(
 
 
 def _built(
-    source: Path, workspace: Path, frames: int, max_image_size: int, threads: int, progress: Callable[..., tqdm]
+    source: Path,
+    workspace: Path,
+    frames: int,
+    panoramas: Panoramas | None,
+    max_image_size: int,
+    threads: int,
+    progress: Callable[..., tqdm],
 ) -> dict:
     from gsjax.io.sfm import features, georeference, mapping, pairs, publishing, shots
 
     mapping.pycolmap.set_random_seed(0)
     folder = _frames_of(source, workspace / "frames", frames, progress) if source.is_file() else source
     taken = shots.list_shots(folder)
+    if panoramas is not None:
+        taken = shots.as_panoramas(taken, panoramas.mask_below)
     found = features.find_features(taken, max_image_size, threads, progress)
     scores = pairs.likeness(found, threads, progress)
     material = mapping.Material(taken, found, scores, mapping.guess_cameras(taken), threads)

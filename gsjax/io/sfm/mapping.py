@@ -28,6 +28,7 @@ _BRIDGING_ROUNDS = 2
 _FULL_LENS_FROM = 5  # photos of one camera that pin two focal lengths and four numbers of distortion down
 _SELF_CALIBRATE_FROM = 20  # registered photos of one camera that pin its principal point down
 _SEED = 0
+PANORAMA = "EQUIRECTANGULAR"  # COLMAP's camera of 360 x 180 degrees, in which nothing is to be found out
 
 
 @dataclass(frozen=True)
@@ -47,12 +48,21 @@ def guess_cameras(shots: list[Shot]) -> list:
     cameras = {}
     for number, kind in enumerate(kinds, start=1):
         members = [shot for shot in shots if shot.camera == kind]
+        if members[0].is_panorama:
+            cameras[kind] = _panorama(number, *members[0].size)
+            continue
         guess = _guess(members[0])
         model = "OPENCV" if len(members) >= _FULL_LENS_FROM else "SIMPLE_RADIAL"
         camera = pycolmap.Camera.create_from_model_name(number, model, guess.mean_focal_length(), *members[0].size)
         camera.has_prior_focal_length = guess.has_prior_focal_length
         cameras[kind] = camera
     return [cameras[shot.camera] for shot in shots]
+
+
+def _panorama(number: int, width: int, height: int):
+    camera = pycolmap.Camera(camera_id=number, model=PANORAMA, width=width, height=height, params=[width, height])
+    camera.has_prior_focal_length = True
+    return camera
 
 
 def _guess(shot: Shot):
@@ -119,6 +129,8 @@ def match_pairs(material: Material, pairs: set[Pair], title: str, progress: Call
 def _regions(geometry, a: Features, b: Features, first, second) -> tuple[Region, Region] | None:
     """Where the features of two photos may lie in the other one: along lines, or at a spot where a plane fills both."""
     kinds = pycolmap.TwoViewGeometryConfiguration
+    if PANORAMA in (first.model_name, second.model_name):  # Their epipolar lines are no lines.
+        return None
     if geometry.config == kinds.UNCALIBRATED:
         return along_lines(a, b, geometry.F)
     if geometry.config == kinds.CALIBRATED:
@@ -214,7 +226,11 @@ def _write_database(path: Path, material: Material, geometries: Mapping[Pair, An
 def _self_calibrate(model) -> None:
     """Lets principal points go as well, which mapping holds at the centre: phones are off by a percent or more."""
     shares = [model.image(image).camera_id for image in model.reg_image_ids()]
-    few = [camera for camera in set(shares) if shares.count(camera) < _SELF_CALIBRATE_FROM]
+    few = [
+        camera
+        for camera in set(shares)
+        if shares.count(camera) < _SELF_CALIBRATE_FROM or model.camera(camera).model_name == PANORAMA
+    ]
     if len(few) == len(set(shares)):
         return
     options = pycolmap.BundleAdjustmentOptions()

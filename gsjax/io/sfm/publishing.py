@@ -13,13 +13,14 @@ from gsjax.io.lenses import Lens, PinholeView, pinhole_views
 from gsjax.io.packages import require
 from gsjax.io.photo_names import printable_name, written_name
 from gsjax.io.photos import valid_of
+from gsjax.io.sfm.mapping import PANORAMA
 from gsjax.io.sfm.shots import Shot, turned_pinhole, turned_points, turned_pose
 
 pycolmap = require("pycolmap", "pip install pycolmap")
 
 
 def write_dataset(model: Any, shots: list[Shot], folder: Path, progress: Callable[..., tqdm]) -> None:
-    """Writes `images/` and `sparse/0` (PINHOLE), the layout that 3DGS programs read.
+    """Writes `images/` and `sparse/0` (PINHOLE), the layout that 3DGS programs read; panoramas stay whole.
 
     Mattes become the alpha of PNGs; masks, and pixels that the undistorted photo does not cover, `masks/`.
 
@@ -38,16 +39,17 @@ def write_dataset(model: Any, shots: list[Shot], folder: Path, progress: Callabl
     with progress(total=len(images), desc="undistortion", unit="photo") as bar:
         for number in images:
             image, shot = model.image(number), shots[number - 1]
-            (view,) = pinhole_views(_lens(image.camera))
+            view = _whole(image.camera) if shot.is_panorama else pinhole_views(_lens(image.camera))[0]
             key = (image.camera_id, shot.to_upright)
             if key not in cameras:
                 cameras[key] = len(cameras) + 1
-                upright.add_camera_with_trivial_rig(_camera(cameras[key], view, shot.to_upright))
+                camera = _panorama if shot.is_panorama else _camera
+                upright.add_camera_with_trivial_rig(camera(cameras[key], view, shot.to_upright))
             colors, matte = shot.read()
             if view.source_xy is not None:
                 colors, matte = filter_straight(colors, matte, view.warp)
             name = _unused(written_name(shot.name, matte is not None), shot.name, names)
-            xy = _undistorted(image, view)
+            xy = _keypoints(image) if shot.is_panorama else _undistorted(image, view)
             _gather_colors(sums, image, colors, xy)
             picture = colors if matte is None else np.dstack([colors, matte])
             write_image(folder / "images" / name, shot.upright(picture))
@@ -75,10 +77,24 @@ def _camera(number: int, view: PinholeView, turns: int):
     return pycolmap.Camera(camera_id=number, model="PINHOLE", width=width, height=height, params=params)
 
 
+def _whole(camera) -> PinholeView:
+    """A panorama as it is: it is no pinhole view, so there is no K."""
+    return PinholeView("", np.eye(3), np.full((3, 3), np.nan), camera.width, camera.height, None, None)
+
+
+def _panorama(number: int, view: PinholeView, turns: int):
+    assert turns == 0, "panoramas are upright"
+    width, height = view.width, view.height
+    return pycolmap.Camera(camera_id=number, model=PANORAMA, width=width, height=height, params=[width, height])
+
+
+def _keypoints(image) -> np.ndarray:
+    return np.array([point.xy for point in image.points2D]).reshape(-1, 2)
+
+
 def _undistorted(image, view: PinholeView) -> np.ndarray:
     """`[N, 2]` pixels of the view where the photo's features lie."""
-    xy = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
-    return image.camera.cam_from_img(xy) * view.K[[0, 1], [0, 1]] + view.K[:2, 2]
+    return image.camera.cam_from_img(_keypoints(image)) * view.K[[0, 1], [0, 1]] + view.K[:2, 2]
 
 
 def _gather_colors(sums: dict[int, np.ndarray], image, colors: np.ndarray, xy: np.ndarray) -> None:

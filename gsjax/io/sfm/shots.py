@@ -5,7 +5,7 @@ one camera share their intrinsics. What is written at the end is upright.
 """
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +34,8 @@ class Shot:
     to_upright: int  # quarter turns clockwise, from the sensor's frame to upright
     mask_path: Path | None = None
     fix: gps.Fix | str | None = None  # where it was taken by GPS; words for what is wrong with that; None: not said
+    is_panorama: bool = False  # equirectangular: 360 degrees across, 180 down
+    mask_below: float | None = None  # of a panorama, degrees: what is that far and farther below the horizon is masked
 
     @property
     def size(self) -> tuple[int, int]:
@@ -50,13 +52,24 @@ class Shot:
         return self._in_sensor(colors), None if alpha is None or says_nothing(alpha) else self._in_sensor(alpha)
 
     def read_mask(self) -> np.ndarray | None:
-        """`[H, W]` uint8 in the sensor's frame; None where the photo has no mask.
+        """`[H, W]` uint8 in the sensor's frame, 0 where a panorama shows who took it; None where nothing is masked.
 
-        The mask is turned as the photo's pixels are stored, or as the photo is looked at; its shape tells.
+        The mask of a file is turned as the photo's pixels are stored, or as the photo is looked at; its shape tells.
 
         Raises:
             InputError: The file is damaged, or of another shape than the photo.
         """
+        mask, below = self._file_mask(), self._mask_below()
+        return mask if below is None else below if mask is None else np.minimum(mask, below)
+
+    def _mask_below(self) -> np.ndarray | None:
+        if self.mask_below is None:
+            return None
+        width, height = self.size
+        degrees = 180 * (np.arange(height) + 0.5) / height - 90  # below the horizon
+        return np.repeat(np.where(degrees < self.mask_below, np.uint8(255), np.uint8(0))[:, None], width, axis=1)
+
+    def _file_mask(self) -> np.ndarray | None:
         if self.mask_path is None:
             return None
         mask, (width, height) = read_mask(self.mask_path), self.size
@@ -107,6 +120,21 @@ def list_shots(folder: Path) -> list[Shot]:
         raise InputError(f"{folder}: needs at least 2 photos ({', '.join(SUFFIXES)}), has {len(photos)}")
     masks = masks_in(root / _MASKS if (root / _MASKS).is_dir() else root.parent / _MASKS, photos)
     return [shot_of(file, name, masks.get(name)) for name, file in photos.items()]
+
+
+def as_panoramas(shots: list[Shot], mask_below: float | None) -> list[Shot]:
+    """The photos as equirectangular panoramas, masked from `mask_below` degrees below the horizon on; None: not masked.
+
+    Raises:
+        InputError: One of them is not twice as broad as high, or lies on its side.
+    """
+    for shot in shots:
+        width, height = shot.size
+        if abs(width - 2 * height) > 1:
+            raise InputError(f"{shot.path}: is {width}x{height}; a panorama of 360 degrees is twice as broad as high")
+        if shot.to_sensor or shot.to_upright or shot.mirrored:
+            raise InputError(f"{shot.path}: is a panorama that its EXIF orientation turns; save it upright")
+    return [replace(shot, is_panorama=True, mask_below=mask_below) for shot in shots]
 
 
 def unused_files(folder: Path) -> dict[str, str]:
