@@ -262,7 +262,8 @@ def _with_given_points(scene: Scene, settings: Settings) -> Scene:
     if settings.points is None:
         return scene
     points, colors = read_points(settings.points)
-    return replace(scene, points=scene.similarity.points_to_local(points), point_colors=colors, tracks=None)
+    local = scene.similarity.points_to_local(scene.place.points_to_world(points))
+    return replace(scene, points=local, point_colors=colors, tracks=None)
 
 
 def _starting_points(scene: Scene, settings: Settings) -> tuple[np.ndarray, np.ndarray]:

@@ -76,11 +76,11 @@ def _factor(scene: Scene, maps: DepthMaps) -> tuple[float, str]:
             " are the maps of these photos, and is it depth along the camera's axis?"
         )
     if maps.unit not in METRES:
-        return own, "taken as it is"
+        return own * scene.place.scale, "taken as it is"
     metres = METRES[maps.unit]
     if len(ratios.values) < FEWEST:
         return own * metres, "no points tell the scale of the scene, which is taken to be in metres"
-    scale = ratios.middle / (own * metres)  # units of the data set to a metre
+    scale = ratios.middle / (own * metres)  # units of the world to a metre
     told = f"{len(ratios.values):,} points differ from it by {100 * ratios.spread:.1f} %"
     if abs(scale - 1) < ALIKE:
         return own * metres, f"the scene is in metres: {told}"

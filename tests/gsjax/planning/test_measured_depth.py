@@ -10,6 +10,7 @@ from small_scenes import camera_at, plane
 
 from gsjax import render
 from gsjax.errors import InputError
+from gsjax.place import Place
 from gsjax.planning.measured_depth import measured_depth
 from gsjax.render import depth
 from gsjax.scene import Pixels, Scene, Tracks, frame_of
@@ -83,9 +84,10 @@ def test_a_scene_in_metres_or_without_tracks_takes_the_unit_at_its_word(tmp_path
         measured = measured_depth(scene, Settings(depth="depth", depth_unit="mm"))
         assert measured is not None and said in measured.line
         np.testing.assert_allclose(measured.depths(1)[0][0], true_depth(CAMERAS[0]), rtol=1e-5)
-    own = measured_depth(tracked, Settings(depth="depth", depth_unit="scene"))
+    placed = replace(tracked, place=Place(scale=3.0))  # a unit of the files is three metres
+    own = measured_depth(placed, Settings(depth="depth", depth_unit="scene"))
     assert own is not None
-    np.testing.assert_allclose(own.depths(1)[0][0], 2 * 500 * true_depth(CAMERAS[0]), rtol=1e-5)
+    np.testing.assert_allclose(own.depths(1)[0][0], 2 * 3 * 500 * true_depth(CAMERAS[0]), rtol=1e-5)
 
 
 def test_maps_of_something_else_are_refused(tmp_path, frames):
