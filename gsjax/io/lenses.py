@@ -30,6 +30,8 @@ _LARGEST_SIDE = 2**31  # pixels
 _FARTHEST_MIDDLE = 100  # sides of the photo
 _LONGEST_REMAPPED = 32_766  # pixels: OpenCV counts them in 16 bits
 _MAPPED = 100  # bytes a pixel while a lens's map is made
+_WIDEST = np.radians(60.0)  # from the axis, at a fisheye photo's corners: beyond, one plane loses too much of it
+_ALIKE = np.radians(0.1)  # between a ray and that which the lens gives back for its pixel; a fold gives another
 _NO_REMAP_BELOW = 0.01  # pixels: a lens that moves nothing farther is read as it is
 
 
@@ -122,7 +124,10 @@ def pycolmap_camera(lens: Lens):
 
 @lru_cache(maxsize=2)
 def pinhole_views(lens: Lens) -> tuple[PinholeView, ...]:
-    """The pinhole views of a lens: one, or the six faces of a cube for a full panorama (EQUIRECTANGULAR).
+    """The pinhole views of a lens: one, or faces of a cube, each of 90 degrees.
+
+    A full panorama (EQUIRECTANGULAR) has all six; a fisheye photo whose corners lie farther than 60 degrees from the
+    axis has the front one, and of those at the sides, above and below what it covers.
 
     The one view keeps the lens's focal lengths and principal point, and its size less the rows and columns at the
     border that the photo does not cover; pixels inside which it does not cover are 0 in `valid`.
@@ -140,6 +145,8 @@ def pinhole_views(lens: Lens) -> tuple[PinholeView, ...]:
         K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         return (PinholeView("", np.eye(3), K, lens.width, lens.height, None, None),)
     camera = pycolmap_camera(lens)
+    if "FISHEYE" in lens.model and _corner_angle(camera) > _WIDEST:
+        return _fisheye_faces(lens)
     K = np.asarray(camera.calibration_matrix())
     target = _pixel_centres(lens.width, lens.height)
     source = _project(camera, _rays(target, K))
@@ -182,6 +189,49 @@ def _cube_faces(lens: Lens) -> tuple[PinholeView, ...]:
         source = _project(camera, rays @ rotation).astype(np.float32)
         faces.append(PinholeView(f"_{name}", rotation, K, side, side, source, None))
     return tuple(faces)
+
+
+def _corner_angle(camera) -> float:
+    """Radians between the axis and the farthest of a photo's corners; infinite where the lens does not reach one."""
+    corners = np.array([[x, y] for x in (0.0, camera.width) for y in (0.0, camera.height)])
+    rays = np.asarray(camera.cam_ray_from_img(image_points=corners))
+    return float(np.arccos(np.clip(rays[:, 2], -1, 1)).max()) if np.isfinite(rays).all() else np.inf
+
+
+def _fisheye_faces(lens: Lens) -> tuple[PinholeView, ...]:
+    """The faces that the photo covers, cut to what it covers of each; their pixels are as dense as the photo's middle.
+
+    Raises:
+        InputError: It covers nothing of any.
+    """
+    camera = pycolmap_camera(lens)
+    focal = camera.mean_focal_length()
+    side = max(2, round(2 * focal))
+    K = np.array([[side / 2, 0, side / 2], [0, side / 2, side / 2], [0, 0, 1]])
+    rays = _rays(_pixel_centres(side, side), K)
+    faces = []
+    for name, rotation in _face_rotations().items():
+        source = _project(camera, rays @ rotation)
+        valid = _recorded(camera, source, rays @ rotation)
+        if not valid.any():
+            continue
+        rows, columns = (slice(at.min(), at.max() + 1) for at in np.nonzero(valid))
+        cut, valid = K - np.array([[0, 0, columns.start], [0, 0, rows.start], [0, 0, 0]]), valid[rows, columns]
+        source_xy = np.where(valid[..., None], source[rows, columns], -1.0).astype(np.float32)
+        mask = None if valid.all() else valid.astype(np.uint8) * np.uint8(255)
+        faces.append(PinholeView(f"_{name}", rotation, cut, valid.shape[1], valid.shape[0], source_xy, mask))
+    if not faces:
+        raise InputError(f"camera {lens.model} with params {list(lens.params)} gives no image")
+    return tuple(faces)
+
+
+def _recorded(camera, source: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """`[H, W]` bool: the photo has the pixel of a ray `[H, W, 3]`, and the lens gives that ray back for it."""
+    inside = np.isfinite(source).all(-1) & (source >= 0).all(-1) & (source <= [camera.width, camera.height]).all(-1)
+    wanted = rays[inside] / np.linalg.norm(rays[inside], axis=-1, keepdims=True)
+    back = np.asarray(camera.cam_ray_from_img(image_points=np.ascontiguousarray(source[inside]))).reshape(-1, 3)
+    inside[inside] = np.linalg.norm(np.where(np.isfinite(back), back, 0) - wanted, axis=-1) < _ALIKE
+    return inside
 
 
 def _face_rotations() -> dict[str, np.ndarray]:
