@@ -17,7 +17,8 @@ from gsjax.io.files import make_folder
 from gsjax.io.images import Image, open_image
 from gsjax.io.packages import require
 from gsjax.io.sfm.features import Features, Region, along_lines, at_spots, match
-from gsjax.io.sfm.pairs import Pair, bridging_pairs, choose_pairs, likeliest_pairs
+from gsjax.io.sfm.gps import Fix
+from gsjax.io.sfm.pairs import Pair, bridging_pairs, choose_pairs, likeliest_pairs, nearby_pairs
 from gsjax.io.sfm.shots import Shot
 
 pycolmap = require("pycolmap", "pip install pycolmap")
@@ -76,12 +77,13 @@ def _guess(shot: Shot):
 
 
 def match_photos(material: Material, progress: Callable[..., tqdm]) -> tuple[dict[Pair, Any], set[Pair]]:
-    """Matches the chosen pairs, then others as long as they may join parts that do not hang together.
+    """Matches the chosen pairs and those near by GPS, then others that may join parts which do not hang together.
 
     Returns:
         The geometry (`pycolmap.TwoViewGeometry`) of the pairs that match, and all pairs that were tried.
     """
-    tried = choose_pairs(material.scores)
+    fixes = [shot.fix if isinstance(shot.fix, Fix) else None for shot in material.shots]
+    tried = choose_pairs(material.scores) | nearby_pairs(fixes)
     geometries = match_pairs(material, tried, "matching", progress)
     for _ in range(_BRIDGING_ROUNDS):
         more = bridging_pairs(material.scores, geometries, tried)

@@ -1,20 +1,23 @@
 """Which photos are worth matching with which: a cheap look at few features of each tells."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import combinations
 
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 from tqdm import tqdm
 
 from gsjax.io.sfm.features import Features, match
+from gsjax.io.sfm.gps import Fix
 
 Pair = tuple[int, int]  # photos by their place in the list, the smaller first
 
 _FEW_FEATURES = 400  # the largest of each photo, for the first look
 _PARTNERS = 20  # photos that each is matched with
+_NEAREST_BY_GPS = 10  # photos taken nearest to each, which a walk's few features in common may not tell
 _NEXT_BY_NAME = 3  # photos that follow in name order: mostly, and in a video always, the next ones taken
 
 
@@ -46,6 +49,25 @@ def choose_pairs(scores: np.ndarray) -> set[Pair]:
     everything = range(len(scores))
     following = {(i, j) for i, j in combinations(everything, 2) if j - i <= _NEXT_BY_NAME}
     return following | likeliest_pairs(scores, everything, everything, set())
+
+
+def nearby_pairs(fixes: Sequence[Fix | None]) -> set[Pair]:
+    """Each photo with those that were taken nearest to it, as far as GPS tells where; heights, which err most, aside.
+
+    Args:
+        fixes: Of the photos; None where GPS says nothing.
+    """
+    having = [photo for photo, fix in enumerate(fixes) if fix is not None]
+    if len(having) < 2:
+        return set()
+    degrees = np.array([fix[:2] for fix in fixes if fix is not None])
+    latitude, longitude = np.radians(degrees).T
+    on_globe = np.stack(
+        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
+    )
+    _, nearest = KDTree(on_globe).query(on_globe, k=range(1, min(_NEAREST_BY_GPS + 1, len(having)) + 1))
+    pairs = ((having[i], having[j]) for i, row in enumerate(nearest) for j in row if i != j)
+    return {(min(pair), max(pair)) for pair in pairs}
 
 
 def likeliest_pairs(scores: np.ndarray, photos: Iterable[int], among: Iterable[int], tried: set[Pair]) -> set[Pair]:

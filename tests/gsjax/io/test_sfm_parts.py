@@ -15,7 +15,7 @@ from gsjax.errors import InputError
 from gsjax.io import sfm
 from gsjax.io.scenes import load_scene
 from gsjax.io.sfm import features as sift
-from gsjax.io.sfm import mapping, pairs, publishing, shots, video
+from gsjax.io.sfm import gps, mapping, pairs, publishing, shots, video
 from gsjax.io.sfm.features import Features, along_lines, at_spots, match
 
 quietly = partial(tqdm, disable=True)
@@ -330,3 +330,18 @@ def test_what_colmaps_database_says_of_a_full_disk_is_told_as_one(tmp_path, monk
     monkeypatch.setattr(sfm.shutil, "disk_usage", lambda folder: SimpleNamespace(free=free))
     with pytest.raises(told, match="No space left on device" if told is InputError else "SQLite error"):
         sfm._build(tmp_path, tmp_path / "work", 2, None, 1600, 1, quietly)
+
+
+def test_photos_are_paired_with_those_taken_next_to_them_whatever_their_names():
+    """A walk along a parallel, over the line where longitudes jump, its names shuffled; two photos have no GPS."""
+    steps = np.random.default_rng(0).permutation(40)  # of the walk, by photo
+    longitudes = 179.999 + 1e-4 * steps
+    fixes = [gps.Fix(10.0, longitude - 360 * (longitude > 180), float("nan")) for longitude in longitudes]
+    silent = np.isin(steps, (7, 25))
+    chosen = pairs.nearby_pairs([None if is_silent else fix for fix, is_silent in zip(fixes, silent, strict=True)])
+    apart = np.abs(steps[:, None] - steps)
+    near = (apart <= 4) & ~silent[:, None] & ~silent & np.triu(np.ones((40, 40), bool), 1)
+    assert set(zip(*map(np.ndarray.tolist, np.nonzero(near)), strict=True)) <= chosen
+    assert max(apart[pair] for pair in chosen) <= 11
+    assert not any(silent[photo] for pair in chosen for photo in pair)
+    assert pairs.nearby_pairs([None, gps.Fix(0.0, 1.0, 0.0), None]) == set()
