@@ -22,6 +22,7 @@ from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame, Scene, tracks_by_name
 
 CONFIDENCE, VERDICT = "confidence.npz", "gate.json"  # in the run's folder of maps
+NAMED = 5  # rejected photos that a note names
 
 
 def gate(
@@ -55,6 +56,7 @@ def gate(
         drawn = zip(maps, pictures, frames, strict=True)
         views = [thinned(normals, picture.depth, frame.viewmat, frame.K) for normals, picture, frame in drawn]
         judged, verdict = _judge(views)
+        verdict = with_names(verdict, frames)
         json_files.write(folder / VERDICT, record(judged, verdict, frames))
         with atomic_path(file) as temporary:
             confidences = {str(index): np.rint(255 * one.confidence) for index, one in enumerate(judged)}
@@ -76,7 +78,8 @@ def judge_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:
         _tracked_view(frame, readers[frame.name](), scene.points, tracks.get(frame.name))
         for frame in tqdm(scene.frames, desc=Path(folder).name, unit="map", leave=False)
     ]
-    return record(*_judge(views), scene.frames)
+    judged, verdict = _judge(views)
+    return record(judged, with_names(verdict, scene.frames), scene.frames)
 
 
 def record(judged: Sequence[Judged], verdict: Verdict, frames: Sequence[Frame]) -> dict[str, Any]:
@@ -99,6 +102,15 @@ def told(verdict: Verdict) -> str:
         f"{decision}: photos agree by {verdict.evidence:.2f} +-{verdict.noise:.2f} (1 is wholly, 0 as maps that face"
         f" their cameras, needed {verdict.threshold:g}), {verdict.note}"
     )
+
+
+def with_names(verdict: Verdict, frames: Sequence[Frame]) -> Verdict:
+    """The same with the names of the first photos that are rejected in its note."""
+    if not verdict.rejected:
+        return verdict
+    names = ", ".join(frames[index].name for index in verdict.rejected[:NAMED])
+    more = len(verdict.rejected) - NAMED
+    return verdict._replace(note=f"{verdict.note}: {names}" + (f" and {more} more" if more > 0 else ""))
 
 
 def _judge(views: Sequence[View]) -> tuple[list[Judged], Verdict]:

@@ -9,8 +9,9 @@ from small_scenes import angles, camera_at, plane
 from gsjax.errors import InputError
 from gsjax.io import normal_folders
 from gsjax.io.normal_maps import normal_maps
+from gsjax.normals.agreement import Verdict
 from gsjax.runs import prior
-from gsjax.runs.normal_gate import gate
+from gsjax.runs.normal_gate import gate, with_names
 from gsjax.runs.prior import RunPrior, read_map, write_map
 from gsjax.scene import Pixels, frame_of
 
@@ -179,3 +180,11 @@ def test_the_gate_makes_short_what_photos_do_not_agree_about_and_judges_once(til
     assert line.endswith("cannot be judged: 0 photos show enough of others from another direction")
     verdict = json.loads((tmp_path / "normals/gate.json").read_text())
     assert verdict["kept"] and [*verdict["photos"]] == [frame.name for frame in FRAMES]
+
+
+def test_a_verdict_names_the_first_of_the_photos_that_it_rejects():
+    photo = Pixels(np.zeros((2, 2, 3), np.uint8))
+    frames = [frame_of(f"{index}.jpg", np.eye(4), np.eye(3), photo) for index in range(9)]
+    verdict = Verdict(True, 0.5, 0.1, 0.1, 0.4, (0, 2, 3, 4, 5, 6, 8), "7 of 9 photos rejected")
+    assert with_names(verdict, frames).note == "7 of 9 photos rejected: 0.jpg, 2.jpg, 3.jpg, 4.jpg, 5.jpg and 2 more"
+    assert with_names(verdict._replace(rejected=(3,), note="1"), frames).note == "1: 3.jpg"
