@@ -13,7 +13,9 @@ from scipy import sparse
 ROUNDS = 10  # of reweighting
 OUTLIER = 1.5  # standard deviations beyond which a residual counts linearly (Huber)
 SHORTEST_TRACK = 3
+SHARED = 10  # observations of a photo err alike, because neighbouring keypoints lie on one surface
 _PULL = 1e-3  # observations of gain zero that every photo has besides its own: decides where nothing else does
+_GREY_AND_TINTS = np.array([[1, 1, 1], [1, -1, 0], [1, 1, -2]]).T / np.sqrt([3, 2, 6])  # orthonormal columns
 
 
 class Table(NamedTuple):
@@ -34,8 +36,8 @@ class Table(NamedTuple):
 class Fit(NamedTuple):
     """What a robust fit gives."""
 
-    gains: np.ndarray  # [V, C], mean zero over the photos that have any observation; zero of the others
-    residuals: np.ndarray  # [N, C]
+    gains: np.ndarray  # [V, 3], mean zero over the photos that have any observation; zero of the others
+    residuals: np.ndarray  # [N, 3]
     weights: np.ndarray  # [N] 0..1
     sigma: float  # of the residuals, robust
 
@@ -50,7 +52,11 @@ def table(values: np.ndarray, photo: np.ndarray, point: np.ndarray, num_photos: 
 
 
 def fit(data: Table) -> Fit:
-    """Gains by iteratively reweighted least squares."""
+    """Gains of red, green and blue by iteratively reweighted least squares, drawn to the mean photo's by their noise.
+
+    A photo of few or doubtful observations has the gain of the mean photo rather than one that its tracks do not tell:
+    see `_drawn_to_mean`.
+    """
     weights = np.ones(len(data.photo))
     residuals, gains, sigma = data.values, np.zeros((data.num_photos, data.values.shape[1])), 0.0
     for _ in range(ROUNDS if len(data.photo) else 0):
@@ -60,12 +66,32 @@ def fit(data: Table) -> Fit:
         weights = np.minimum(1.0, OUTLIER * sigma / np.maximum(size, 1e-12))
     seen = np.bincount(data.photo, minlength=data.num_photos) > 0
     if seen.any():
+        gains = _drawn_to_mean(data, weights, gains, residuals)
         gains = np.where(seen[:, None], gains - gains[seen].mean(0), 0.0)
     return Fit(gains, residuals, weights, sigma)
 
 
-def project(values: np.ndarray, data: Table, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Photo effects `[V, C]` of weighted least squares of any `[N, C]` values, and what both effects leave `[N, C]`."""
+def _drawn_to_mean(data: Table, weights: np.ndarray, gains: np.ndarray, residuals: np.ndarray) -> np.ndarray:
+    """`[V, 3]` the most likely gains where those of all photos are spread as these `[V, 3]` are, grey and tints apart.
+
+    A photo's exposure is often far from the mean, its white balance rarely: with the same few observations a tint is
+    therefore believed less.
+    """
+    counts = np.bincount(data.photo, weights, data.num_photos)
+    centered = (gains - np.average(gains, axis=0, weights=counts)) @ _GREY_AND_TINTS
+    spread2 = np.average(np.square(centered), axis=0, weights=counts)
+    noise2 = np.square(1.4826 * np.median(np.abs(residuals @ _GREY_AND_TINTS), axis=0))
+    pulls = np.maximum(SHARED * noise2 / np.maximum(spread2, 1e-12), _PULL)
+    values = data.values @ _GREY_AND_TINTS
+    drawn = [project(values[:, k : k + 1], data, weights, pull)[0] for k, pull in enumerate(pulls)]
+    return np.concatenate(drawn, axis=1) @ _GREY_AND_TINTS.T
+
+
+def project(values: np.ndarray, data: Table, weights: np.ndarray, pull: float = _PULL) -> tuple[np.ndarray, np.ndarray]:
+    """Photo effects `[V, C]` of weighted least squares of any `[N, C]` values, and what both effects leave `[N, C]`.
+
+    `pull` is the number of observations of effect zero that every photo has besides its own.
+    """
     shape = (int(data.point.max()) + 1, data.num_photos)
     seen = sparse.csr_matrix((weights, (data.point, data.photo)), shape)
     per_point = np.maximum(np.asarray(seen.sum(1)).ravel(), 1e-12)
@@ -75,7 +101,7 @@ def project(values: np.ndarray, data: Table, weights: np.ndarray) -> tuple[np.nd
 
     photo_sums = np.stack([np.bincount(data.photo, weights * column, shape[1]) for column in values.T], -1)
     shares = sparse.diags(1 / per_point) @ seen
-    system = np.diag(np.asarray(seen.sum(0)).ravel() + _PULL) - (seen.T @ shares).toarray()
+    system = np.diag(np.asarray(seen.sum(0)).ravel() + pull) - (seen.T @ shares).toarray()
     photos = np.linalg.solve(system, photo_sums - shares.T @ point_sums(values))
     left = values - photos[data.photo]
     points = point_sums(left) / per_point[:, None]

@@ -101,6 +101,23 @@ def test_the_robust_fit_is_the_least_squares_one_without_outliers():
     np.testing.assert_allclose(fit(table(values, photo, point, 5)).gains, true - true.mean(0), atol=0.02)
 
 
+def test_a_photo_that_few_tracks_tell_of_is_not_tinted():
+    """Fifteen photos that many points tell of, one with five keypoints on a wall that shines red, and one with none."""
+    rng = np.random.default_rng(0)
+    photo, point = (part.ravel() for part in np.meshgrid(np.arange(16), np.arange(200)))
+    kept = (photo < 15) | (point < 5)
+    photo, point = photo[kept], point[kept]
+    exposure, balance = 0.3 * rng.normal(size=16), 0.02 * rng.normal(size=(16, 3))
+    true = exposure[:, None] + balance
+    values = true[photo] + rng.normal(size=(200, 3))[point] + 0.05 * rng.normal(size=(len(photo), 3))
+    values[photo == 15] += [0.25, 0.0, 0.0]
+    found = fit(table(values, photo, point, 17)).gains
+    np.testing.assert_array_equal(found[16], 0)
+    assert np.ptp(found[15]) < 0.05, "tinted by what five keypoints say"
+    true = true[:15] - true[:15].mean(0)
+    np.testing.assert_allclose(found[:15] - found[:15].mean(0), true, atol=0.02)
+
+
 def test_colours_that_turn_with_the_direction_want_harmonics():
     scene = wall(24)
 
