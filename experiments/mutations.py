@@ -43,10 +43,13 @@ NEAREST: dict[str, tuple[str, ...]] = {
     "rasterizer/refusals": ("rasterizer/test_stages", "rasterizer/test_gsplat_arguments"),
     "rasterizer/reverse_mode": ("rasterizer/test_any_order", "rasterizer/test_gradients"),
     "rasterizer/rules": ("rasterizer/test_properties", CONSTANTS),
+    "gsjax/normals/fitted_depth": ("gsjax/networks/test_depth_normals",),
+    "gsjax/normals/sparse_depth": ("gsjax/normals/test_agreement",),
     "gsjax/training/capacity": ("gsjax/training/test_step",),
     "gsjax/training/growth/adaptive": ("gsjax/training/growth/test_adaptive", CONSTANTS),
     "gsjax/training/growth/rules": ("gsjax/training/test_loop",),
     "gsjax/training/initialize": ("gsjax/training/test_initialize", CONSTANTS),
+    "gsjax/training/loop": ("gsjax/training/test_loop", "experiments/terms/test_surroundings"),
     "gsjax/training/optimizers": ("gsjax/training/test_optimizers", CONSTANTS),
     "gsjax/training/sharded": ("gsjax/training/sharded/test_placement", "test_several_devices"),
     "gsjax/training/state": ("gsjax/training/test_step",),
@@ -66,12 +69,14 @@ class Outcome(NamedTuple):
 
 
 def nearest(file: str) -> tuple[str, ...]:
-    """The test files that are run for a source file: those of `NEAREST`, or the one with its name."""
+    """The test files run for a source file: those of `NEAREST`, else the one with its name, else all of its folder."""
     stem = file.removesuffix(".py")
     folder, _, name = stem.rpartition("/")
     own = f"{folder}/test_{name.lstrip('_')}"
-    found = NEAREST.get(stem) or ((own,) if (ROOT / f"tests/{own}.py").is_file() else NEAREST.get(folder, ()))
-    return tuple(f"tests/{test}.py" for test in found)
+    found = NEAREST.get(stem) or ((own,) if (ROOT / f"tests/{own}.py").is_file() else NEAREST.get(folder))
+    if found:
+        return tuple(f"tests/{test}.py" for test in found)
+    return tuple(sorted(str(test.relative_to(ROOT)) for test in (ROOT / "tests" / folder).glob("test_*.py")))
 
 
 def sample(within: Sequence[str], count: int, seed: int) -> list[Fault]:
