@@ -117,7 +117,8 @@ def test_a_training_step_of_all_terms_and_effects_and_the_growth_after_it(target
     how = {"capacity": 4096, "background": BACKGROUNDS["random"], "sh_every": 4, "rule": RULES["error"]}
     step = make_train_step(OPTIMIZER, terms, effects=effects, depth_mode="front", **how)
     state = initial_state(cloud(30, capacity=48, seed=1), OPTIMIZER, RULES["error"], effects)
-    here = targets.replace(target[0], beside=target[1], normals=np.full((24, 32, 3), 40, np.int8))
+    maps = {"normals": np.full((24, 32, 3), 40, np.int8), "depth": np.full((24, 32), 2, np.float32)}
+    here = targets.replace(target[0], beside=target[1], trust=np.full((24, 32), 255, np.uint8), **maps)
     assert not rough_products(step, state, here, jax.random.key(0))
     for rule in RULES:
         grown = partial(densify, optimizer=OPTIMIZER, density=Density(rule=rule), budget=48)
