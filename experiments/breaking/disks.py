@@ -41,7 +41,12 @@ def _held(folder: Path, name: str, room: int) -> bool:
     code, told = finished(begun(folder, COMMANDS[name], f"full/{COMMANDS[name].out}", before=before))
     told, _, left = told.rpartition("\n\n")
     last = told.rstrip().rpartition("\n")[2]
-    held = code == 2 and last.startswith("gsjax: error:") and "No space left" in last and not left.strip()
+    held = (
+        code == 2
+        and last.startswith("gsjax: error:")
+        and ("No space left" in last or "bytes left" in last)
+        and not left.strip()
+    )
     if not held:
         print(f"{name}, {room} bytes: code {code}, left {left}\n{told[-3000:]}", file=sys.stderr)
     return held

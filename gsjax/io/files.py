@@ -21,8 +21,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     """A temporary name beside `path`, renamed onto `path` when the block ends without an error.
 
     The temporary name keeps the target's suffix, so writers that choose a format by suffix work. Its bytes are on
-    the disk before the rename. The parent folder is created; after a failure nothing of the block remains. Where
-    `path` is a link, it stays one, and the file is where it leads.
+    the disk before the rename. The parent folder is created; after a failure nothing of the block remains, and what
+    a killed writer of `path` has left goes first. Where `path` is a link, it stays one, and the file is where it leads.
 
     Args:
         path: Where the whole file is to be.
@@ -37,6 +37,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     _require_replaceable(path)
     place = behind_link(path)
+    sweep_beside(place)
     temporary = temporary_beside(place)
     try:
         place.parent.mkdir(parents=True, exist_ok=True)

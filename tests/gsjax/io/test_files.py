@@ -149,6 +149,15 @@ def test_what_a_killed_writer_left_is_swept_away_and_nothing_else(tmp_path):
     assert sorted(os.listdir(tmp_path)) == [mine[0], mine[1], "a", *mine[2:]]
 
 
+def test_what_a_killed_writer_of_a_file_left_goes_when_it_is_written_again(tmp_path):
+    left, other = tmp_path / ".turns.gsjax-999999999-0123abcd.gif", tmp_path / ".other.gsjax-999999999-0123abcd.gif"
+    for file in (left, other):
+        file.write_text("half")
+    with files.atomic_path(tmp_path / "turns.gif") as temporary:
+        temporary.write_text("whole")
+    assert sorted(os.listdir(tmp_path)) == [other.name, "turns.gif"]
+
+
 def test_the_folder_of_a_killed_writer_goes_when_the_next_one_begins(tmp_path):
     killed = (
         "import os, sys\nfrom gsjax.io.files import workspace\n"
