@@ -27,7 +27,7 @@ from gsjax.viewer.scenery import MESH_COLORS, MESH_OFF, MESH_SHAPE, Scenery
 from gsjax.viewer.subject import Subject
 
 HOST, PORT = "127.0.0.1", 8080
-SHOW, SIDE, MESH, CAMERAS, MEASURE = "Show", "Longest side", "Mesh", "Cameras", "Measure by two clicks"
+SHOW, SIDE, MESH, CAMERAS, MEASURE = "Show", "Longest side", "Mesh", "Cameras", "Measure"
 BY_BROWSER = "colour, drawn by the browser"
 LONGEST, COARSER = ("480", "960", "1920"), 3  # Sides of full pictures; coarse ones are so much smaller.
 BEHIND_SIDE = 64  # Longest side of the picture of what is behind the browser's own splats: a colour, or a smooth sky.
@@ -149,7 +149,7 @@ class Page:
             }
             for switch in self.switches.values():
                 switch.on_update(lambda _: self.desk.again())
-            measure = gui.add_checkbox(MEASURE, initial_value=False)
+            measure = gui.add_checkbox(MEASURE, initial_value=False, hint="Click on two points of the surface.")
             measure.on_update(lambda _: self._measure(measure.value))
             self.switches[MEASURE], self._measured = measure, gui.add_markdown("")
             self.ruler = Ruler(self.server, subject, self._say_measured)

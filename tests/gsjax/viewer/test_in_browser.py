@@ -19,7 +19,7 @@ from gsjax.viewer.subject import Subject
 
 EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"
 SIZE = 720, 480  # Of the page, and of its full picture: no pixel is resampled.
-FREE = slice(180, 475), slice(5, 715)  # Rows and columns that no panel covers.
+FREE = slice(215, 475), slice(5, 715)  # Rows and columns that no panel covers.
 CLOSE, FAR = 40.0, 25.0  # dB: the same picture, but for PNG's rounding; another one.
 PATIENCE, AGAIN = 90.0, 4.0  # Seconds until it fails, and between two tries.
 FIRST = camera_at((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), size=SIZE, focal=500.0)
