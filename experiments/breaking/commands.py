@@ -62,6 +62,8 @@ COMMANDS = {
     ),
     "eval": Command(("eval", "run", "--json"), "eval.json", needs=("train",)),
     "render": Command(("render", "run", "--out"), "pictures", ("*",), ("train",)),
+    "film": Command(("render", "run", "--orbit", "--seconds", "1", "--out"), "film.mp4", needs=("train",)),
+    "share": Command(("share", "run", "--out"), "page.html", needs=("train",)),
     "report": Command(("report",), "run", ("report.html",), ("train",)),
     "compare": Command(("compare", "run", "--out"), "compared.html", needs=("train",)),
     "turntable": Command(("turntable", "mesh.ply", "--frames", "4", "--out"), "turns.gif", needs=("mesh",)),
