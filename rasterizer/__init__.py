@@ -8,7 +8,7 @@ from rasterizer.covariances import quat_scale_to_covar_preci
 from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, prepare
 from rasterizer.exchange import Packed, exchange, pack, unpack
 from rasterizer.features import blended_depth, depth_channels, median_depth
-from rasterizer.harmonics import spherical_harmonics
+from rasterizer.harmonics import spherical_harmonics, spherical_harmonics_l0, spherical_harmonics_l1_plus
 from rasterizer.normals import camera_normals
 from rasterizer.projection import DepthMode, Projection, project
 from rasterizer.rules import GSPLAT, GSPLAT_1_5, INRIA, Rules
@@ -54,6 +54,8 @@ __all__ = [
     "rasterization",
     "rasterize_to_pixels",
     "spherical_harmonics",
+    "spherical_harmonics_l0",
+    "spherical_harmonics_l1_plus",
     "unpack",
     "world_to_cam",
 ]

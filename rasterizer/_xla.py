@@ -7,6 +7,9 @@ recovers transmittance by division, and reduces over a tile's pixels by one prod
 1, x, y, x^2, xy, y^2 (moments).
 """
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -90,24 +93,47 @@ def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blen
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[place], done)
 
 
-def _backward(
-    static: Static, rows: Array, splats: Array, offsets: Array, final_t, last, d_features, d_final_t
+class _Pairs(NamedTuple):
+    """One splat of each of g tiles, at P pixels, on the way back."""
+
+    row: Array  # [g, 6 + D]
+    center: Array  # [g, 2] of the tile, pixels
+    dx: Array  # [g, P] mean - pixel
+    dy: Array
+    d_sigma: Array  # [g, P] dL/dsigma
+    weight: Array  # [g, P]
+    t: Array  # [g, P] transmittance in front of it
+    d_feature: Array  # [g, c, P] dL/dimage of the channels that go on
+    d_front: Array  # [g, c, P] of those that end in front
+
+
+def _sum_over_pairs(
+    of_pairs: Callable[[_Pairs], Array],
+    width: int,
+    static: Static,
+    rows: Array,
+    splats: Array,
+    offsets: Array,
+    final_t,
+    last,
+    d_features,
+    d_final_t,
 ) -> Array:
+    """`[M, width]` sums, splat by splat, of what `of_pairs` says of its pairs, `[g, width]`, back to front."""
     pixel_x, pixel_y = pixel_centers(static.grid)
-    basis = jnp.stack(moment_basis(pixel_x, pixel_y), -1)
     counts = jnp.minimum(offsets[1:] - offsets[:-1], last.max(-1) + 1)
     all_counts, all_starts = _with_empty_tile(counts), _with_empty_tile(offsets[:-1])
     all_t, all_last, all_df, all_dt = map(_with_empty_tile, (final_t, last, d_features, d_final_t))
     channels, front = rows.shape[1] - 6, static.front
     first_in_front = channels - (front.channels if front else 0)
 
-    def group(d_rows: Array, tiles: Array):
+    def group(sums: Array, tiles: Array):
         start, count, center = all_starts[tiles], all_counts[tiles], tile_centers(tiles, static.grid)
         last_index = all_last[tiles]
         d_feature, d_front = jnp.split(all_df[tiles], [first_in_front], 1)
 
         def body(state):
-            k, t, behind, d_rows = state
+            k, t, behind, sums = state
             live = k < count
             splat = splats[start + k]
             row = rows[splat]
@@ -122,19 +148,43 @@ def _backward(
                 lit_in_front = sum(row[:, 6 + first_in_front + i, None] * d_front[:, i] for i in range(front.channels))
                 in_front = lit_in_front, front.stop_after
             d_sigma, weight, t, behind = unblend_splat(t, behind, lit, alpha, unclamped, static.rules, in_front)
-            moments = jnp.dot(d_sigma, basis, precision=jax.lax.Precision.HIGHEST)
-            d_pair = _summed(weight, d_feature)
-            if front:
-                counted = front_weight(t, weight, front.stop_after)
-                d_pair = jnp.concatenate([d_pair, _summed(counted, d_front)], 1)
-            d_row = chain_to_rows(row, moments_about_means(row, center, moments), d_pair)
-            d_rows = d_rows.at[jnp.where(live, splat, rows.shape[0])].add(d_row, mode="drop")
-            return k - 1, t, behind, d_rows
+            of_each = of_pairs(_Pairs(row, center, dx, dy, d_sigma, weight, t, d_feature, d_front))
+            sums = sums.at[jnp.where(live, splat, rows.shape[0])].add(of_each, mode="drop")
+            return k - 1, t, behind, sums
 
-        state = (count.max() - 1, all_t[tiles], all_t[tiles] * all_dt[tiles], d_rows)
+        state = (count.max() - 1, all_t[tiles], all_t[tiles] * all_dt[tiles], sums)
         return jax.lax.while_loop(lambda s: s[0] >= 0, body, state)[3], None
 
-    return jax.lax.scan(group, jnp.zeros_like(rows), _groups(counts))[0]
+    return jax.lax.scan(group, jnp.zeros((rows.shape[0], width), rows.dtype), _groups(counts))[0]
+
+
+def _backward(static: Static, rows: Array, *others: Array) -> Array:
+    basis = jnp.stack(moment_basis(*pixel_centers(static.grid)), -1)
+    front = static.front
+
+    def gradient(pairs: _Pairs) -> Array:
+        moments = jnp.dot(pairs.d_sigma, basis, precision=jax.lax.Precision.HIGHEST)
+        d_pair = _summed(pairs.weight, pairs.d_feature)
+        if front:
+            counted = front_weight(pairs.t, pairs.weight, front.stop_after)
+            d_pair = jnp.concatenate([d_pair, _summed(counted, pairs.d_front)], 1)
+        return chain_to_rows(pairs.row, moments_about_means(pairs.row, pairs.center, moments), d_pair)
+
+    return _sum_over_pairs(gradient, rows.shape[1], static, rows, *others)
+
+
+def absolute_gradients(static: Static, rows: Array, *others: Array) -> Array:
+    """`[M, 2]` absolute gradients to the splats' means, summed over pixels (AbsGS); arguments as of `Engine.backward`.
+
+    Of all engines: it reads nothing that an engine keeps for itself.
+    """
+
+    def absolute(pairs: _Pairs) -> Array:
+        xx, xy, yy = (pairs.row[:, i, None] for i in (2, 3, 4))
+        slopes = xx * pairs.dx + xy * pairs.dy, xy * pairs.dx + yy * pairs.dy
+        return jnp.stack([jnp.sum(jnp.abs(pairs.d_sigma * slope), -1) for slope in slopes], -1)
+
+    return _sum_over_pairs(absolute, 2, static, rows, *others)
 
 
 def _summed(weights: Array, d_features: Array) -> Array:

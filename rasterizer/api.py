@@ -10,9 +10,19 @@ from jax import Array
 
 from rasterizer import _reference
 from rasterizer.arrays import takes_arrays
+from rasterizer.batches import maps_over_batches
 from rasterizer.binning import TileGrid
+from rasterizer.camera_models import CameraModelName
 from rasterizer.capacity import choose_capacity
-from rasterizer.checks import check_arrays, check_counts, check_masks, check_modes, check_sizes
+from rasterizer.checks import (
+    absgrad_zeros,
+    check_arrays,
+    check_counts,
+    check_lenses,
+    check_masks,
+    check_modes,
+    check_sizes,
+)
 from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, resolve
 from rasterizer.features import (
     RenderMode,
@@ -63,8 +73,10 @@ class Arrays(NamedTuple):
     viewmats: Array
     Ks: Array
     covars: Array | None
+    radial_coeffs: Array | None
     backgrounds: Array | None
     masks: Array | None
+    absgrad: Array | None
 
 
 @dataclass(frozen=True)
@@ -77,6 +89,7 @@ class Options:
     sh_degree: int | None
     render_mode: RenderMode
     depth_mode: DepthMode
+    camera_model: CameraModelName
     return_median_depth: bool
     return_normals: bool
     projected: tuple[tuple[str, Any], ...]  # thresholds and filter of the projection, by their names
@@ -85,16 +98,25 @@ class Options:
 
 @partial(jax.jit, static_argnames="options")
 def _rasterize(arrays: Arrays, options: Options):
-    means, quats, scales, opacities, colors, viewmats, Ks, covars, backgrounds, masks = arrays
+    means, quats, scales, opacities, colors, viewmats, Ks, covars, radial_coeffs, backgrounds, masks, absgrad = arrays
     grid, render_mode, rules = options.grid, options.render_mode, options.rules
     sh_degree, capacity, backend = options.sh_degree, options.capacity, options.backend
     if "RGB" in render_mode:
         opacities = jnp.where(drawable(colors, sh_degree), opacities, 0)
     gaussians = means, quats, scales, opacities
     has_depth = render_mode != "RGB"
-    how = {"depth_mode": options.depth_mode if has_depth or options.return_median_depth else "center", "rules": rules}
     projection = project(
-        *gaussians, viewmats, Ks, grid.width, grid.height, covars=covars, **dict(options.projected), **how
+        *gaussians,
+        viewmats,
+        Ks,
+        grid.width,
+        grid.height,
+        covars=covars,
+        radial_coeffs=radial_coeffs,
+        camera_model=options.camera_model,
+        depth_mode=options.depth_mode if has_depth or options.return_median_depth else "center",
+        rules=rules,
+        **dict(options.projected),
     )
     if projection.compensations is not None:
         opacities = opacities * projection.compensations
@@ -104,7 +126,7 @@ def _rasterize(arrays: Arrays, options: Options):
         depths = center_channels(projection) if dense else depth_channels(projection, grid.width, grid.height)
     features = image_features(means, colors, viewmats, projection, depths, sh_degree, render_mode)
     if options.return_normals:
-        normals = camera_normals(means, quats, scales, viewmats, projection.visible)
+        normals = camera_normals(means, quats, scales, viewmats, projection.visible, options.camera_model)
         features = jnp.concatenate([normals, features], -1)
 
     info = projection._asdict() | {"radii": _gsplat_radii(projection)}
@@ -112,7 +134,7 @@ def _rasterize(arrays: Arrays, options: Options):
         image, left, median = _blend_densely(projection, opacities, features, grid, masks, rules)
     else:
         pairs = bin_splats(projection, opacities, grid, capacity, rules, masks, backend=backend)
-        asked = {"backend": backend, "with_median": options.return_median_depth}
+        asked = {"backend": backend, "with_median": options.return_median_depth, "absgrad": absgrad}
         image, left, median = blend(projection, opacities, features, pairs, grid, rules, **asked)
         info |= pairs._asdict()
         if depths is not None:
@@ -132,6 +154,7 @@ def _rasterize(arrays: Arrays, options: Options):
 
 
 @takes_arrays
+@maps_over_batches
 def rasterization(
     means: Array,
     quats: Array | None,
@@ -145,6 +168,7 @@ def rasterization(
     *,
     near_plane: float = 0.01,
     far_plane: float = 1e10,
+    radius_clip: float = 0.0,
     eps2d: float = 0.3,
     sh_degree: int | None = None,
     backgrounds: Array | None = None,
@@ -153,8 +177,11 @@ def rasterization(
     render_mode: RenderMode = "RGB",
     rasterize_mode: RasterizeMode = "classic",
     depth_mode: DepthMode = "center",
+    camera_model: CameraModelName = "pinhole",
+    radial_coeffs: Array | None = None,
     return_median_depth: bool = False,
     return_normals: bool = False,
+    absgrad: Array | bool = False,
     tile_size: int | None = None,
     capacity: int | None = None,
     backend: Backend = "auto",
@@ -164,8 +191,8 @@ def rasterization(
     """Render N Gaussians into C cameras.
 
     Arrays are JAX's or numpy's, or lists of numbers.
-    Array arguments are differentiable (means, quats, scales, covars, opacities, colors, viewmats, Ks, backgrounds);
-    the rest is static, a new value compiles anew. Camera matrices are traced: a new camera does not.
+    Array arguments are differentiable (means, quats, scales, covars, opacities, colors, viewmats, Ks, radial_coeffs,
+    backgrounds); the rest is static, a new value compiles anew. Camera matrices are traced: a new camera does not.
 
     Args:
         means: `[N, 3]` world positions.
@@ -180,6 +207,7 @@ def rasterization(
         height: Image height in pixels.
         near_plane: Gaussians at or nearer than this camera z are culled.
         far_plane: Gaussians at or beyond this camera z are culled.
+        radius_clip: Gaussians whose radii are both at most this are culled, pixels.
         eps2d: Added to both variances of a splat, pixels^2 (the low-pass filter of 3DGS).
         sh_degree: Degree of the harmonics in `colors`, 0 to 4; None where colors are colours.
         backgrounds: `[C, X]` blended under each image; or `[C, D]`, those of the colours alone: depth then has zero.
@@ -192,10 +220,16 @@ def rasterization(
         depth_mode: What a splat's depth is: "center" that of its mean, at every pixel; "plane" where the Gaussian is
             densest along the pixel's ray, a plane over the splat (see `rasterizer.project`). In all depth modes, and
             in the median depth. Gradients then reach quats and scales too.
+        camera_model: "pinhole"; "ortho", a parallel projection, `fx` and `fy` in pixels per scene unit; "fisheye",
+            equidistant, up to 90 degrees off the axis. The affine map of a splat is that of its mean.
+        radial_coeffs: `[C, 4]` k1 to k4 of a fisheye lens (Kannala and Brandt, OpenCV's order). What lies past the
+            angle at which its image stops to grow is culled.
         return_median_depth: Adds `median_depths` `[C, H, W, 1]`: depth of the splat in which a pixel's light falls to
             one half, of the last one that shows where it does not, 0 where none does.
         return_normals: Adds `normals` `[C, H, W, 3]`: the Gaussians' smallest axes in the camera's frame, facing it,
             blended like colours over zero.
+        absgrad: `[C, N, 2]` zeros: the image does not depend on them, and their gradient is what gsplat's
+            `absgrad=True` writes to `means2d.absgrad`, the sum over pixels of absolute gradients to `means2d`.
         tile_size: Side of a tile in pixels; None for what suits the backend, `rasterizer.default_tile_size(backend)`.
         capacity: Length of the buffer of (tile, Gaussian) pairs. None counts first and chooses a bucket, which works
             eagerly, under `grad` and under `vmap`; inside `jit` a number must be given.
@@ -203,7 +237,7 @@ def rasterization(
             kernels, "reference" the dense oracle (any dtype, any order of derivatives), "auto" the fastest on this
             machine.
         rules: Thresholds of compositing; presets `rasterizer.GSPLAT` and `rasterizer.INRIA`.
-        **gsplat_only: What else gsplat 1.6 takes (`packed`, `absgrad`, `camera_model`, ...), at the values that ask for
+        **gsplat_only: What else gsplat 1.6 takes (`packed`, `sparse_grad`, `with_ut`, ...), at the values that ask for
             nothing.
 
     Returns:
@@ -218,17 +252,21 @@ def rasterization(
         TypeError: On an argument that gsplat has not either, and on what is no array, such as a tensor of torch. In
             forward mode or differentiated twice, unless the backend is "reference".
     """
-    check_modes(render_mode, rasterize_mode, depth_mode, backend)
+    check_modes(render_mode, rasterize_mode, depth_mode, camera_model, backend)
     check_counts(means, viewmats, colors)
     if backgrounds is not None and backgrounds.ndim == 0:
         behind = colors.shape[-1] if colors is not None and "RGB" in render_mode else 1
         backgrounds = jnp.broadcast_to(backgrounds, (viewmats.shape[0], behind))
     gaussians = means, quats, scales, covars, opacities
     check_arrays(*gaussians, colors, viewmats, Ks, backgrounds, masks, sh_degree, render_mode, backend)
+    check_lenses(radial_coeffs, viewmats.shape[0], camera_model, near_plane, means.dtype)
     check_sizes(width=width, height=height, tile_size=tile_size, capacity=capacity)
     refuse_at_the_door(gsplat_only)
     if return_normals and covars is not None:
         raise ValueError("return_normals needs quats and scales: a covariance does not name its axes")
+    zeros = absgrad_zeros(absgrad, (viewmats.shape[0], means.shape[0], 2))
+    if zeros is not None and backend == "reference":
+        raise ValueError("absgrad needs a tile backend, not 'reference'")
     backend = resolve(backend)
     grid = TileGrid(viewmats.shape[0], width, height, tile_size or default_tile_size(backend))
     check_masks(masks, (grid.num_cameras, grid.tiles_y, grid.tiles_x))
@@ -236,12 +274,16 @@ def rasterization(
         "eps2d": eps2d,
         "near_plane": near_plane,
         "far_plane": far_plane,
+        "radius_clip": radius_clip,
         "rasterize_mode": rasterize_mode,
     }
-    arrays = Arrays(means, quats, scales, opacities, colors, viewmats, Ks, covars, backgrounds, masks)
     if capacity is None and backend != "reference":
-        counted = {**projected, "rules": rules}
-        capacity = choose_capacity(means, quats, scales, opacities, viewmats, Ks, covars, grid, counted)
+        options = (*projected.items(), ("camera_model", camera_model))
+        named_arrays = {"covars": covars, "radial_coeffs": radial_coeffs}
+        capacity = choose_capacity((means, quats, scales, opacities, viewmats, Ks), named_arrays, grid, options, rules)
+    arrays = Arrays(
+        means, quats, scales, opacities, colors, viewmats, Ks, covars, radial_coeffs, backgrounds, masks, zeros
+    )
     options = Options(
         grid,
         backend,
@@ -249,6 +291,7 @@ def rasterization(
         sh_degree,
         render_mode,
         depth_mode,
+        camera_model,
         return_median_depth,
         return_normals,
         tuple(projected.items()),

@@ -9,6 +9,7 @@ from jax import Array
 
 from rasterizer.binning import TileGrid, count_pairs
 from rasterizer.projection import project
+from rasterizer.rules import Rules
 
 
 @jax.custom_batching.custom_vmap
@@ -35,21 +36,31 @@ def capacity_bucket(needed: int) -> int:
     return power * 3 // 4 if needed <= power * 3 // 4 else power
 
 
-@partial(jax.jit, static_argnames=("grid", "eps2d", "near_plane", "far_plane", "rasterize_mode", "rules"))
-def _count(means, quats, scales, opacities, viewmats, Ks, covars, grid, **options):
-    gaussians = means, quats, scales, opacities
-    projection = project(*gaussians, viewmats, Ks, grid.width, grid.height, covars=covars, **options)
+Shapes = tuple[Array, Array | None, Array | None, Array, Array, Array]
+"""Means, quats, scales, opacities, viewmats and Ks, as `project` takes them."""
+
+
+@partial(jax.jit, static_argnames=("grid", "options", "rules"))
+def _count(arrays: Shapes, named_arrays: dict, grid: TileGrid, options: tuple, rules: Rules) -> Array:
+    projection = project(*arrays, grid.width, grid.height, **named_arrays, **dict(options), rules=rules)
     return count_pairs(projection, grid)
 
 
-def choose_capacity(means, quats, scales, opacities, viewmats, Ks, covars, grid: TileGrid, options: dict) -> int:
+def choose_capacity(arrays: Shapes, named_arrays: dict, grid: TileGrid, options: tuple, rules: Rules) -> int:
     """The bucket for this scene and these cameras; under `vmap`, the largest of the batch.
+
+    Args:
+        arrays: Gaussians and cameras.
+        named_arrays: The arrays that `project` takes by name.
+        grid: The tiles.
+        options: What else `project` takes, `(name, value)` each.
+        rules: Decides the extents.
 
     Raises:
         ValueError: Inside `jit`, where the number of pairs is not known.
     """
-    arrays = jax.lax.stop_gradient((means, quats, scales, opacities, viewmats, Ks, covars))
-    count = _count(*arrays, grid, **options)
+    arrays, named_arrays = jax.lax.stop_gradient((arrays, named_arrays))
+    count = _count(arrays, named_arrays, grid, options, rules)
     try:
         return capacity_bucket(int(_largest(count)))
     except jax.errors.ConcretizationTypeError:

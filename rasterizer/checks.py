@@ -6,20 +6,24 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from rasterizer.camera_models import CameraModelName
 from rasterizer.engines import Backend
 from rasterizer.features import RenderMode, num_channels
 from rasterizer.projection import DepthMode, RasterizeMode, require_shape
 
 
-def check_modes(render_mode, rasterize_mode, depth_mode, backend) -> None:
+def check_modes(render_mode, rasterize_mode, depth_mode, camera_model, backend) -> None:
     """Raise ValueError where a mode is none."""
-    modes = {
-        "render_mode": (RenderMode, render_mode),
-        "rasterize_mode": (RasterizeMode, rasterize_mode),
-        "depth_mode": (DepthMode, depth_mode),
-        "backend": (Backend, backend),
-    }
-    for name, (kind, value) in modes.items():
+    check_mode(RenderMode, render_mode=render_mode)
+    check_mode(RasterizeMode, rasterize_mode=rasterize_mode)
+    check_mode(DepthMode, depth_mode=depth_mode)
+    check_mode(CameraModelName, camera_model=camera_model)
+    check_mode(Backend, backend=backend)
+
+
+def check_mode(kind, **modes) -> None:
+    """Raise ValueError where a mode is none of its kind, a `Literal`."""
+    for name, value in modes.items():
         if value not in get_args(kind):
             raise ValueError(f"{name}={value!r} is not one of {get_args(kind)}")
 
@@ -29,6 +33,33 @@ def check_sizes(**sizes: int | None) -> None:
     for name, size in sizes.items():
         if size is not None and size < 1:
             raise ValueError(f"{name}={size}, expected at least 1")
+
+
+def check_lenses(radial_coeffs, num_cameras, camera_model, near_plane, dtype) -> None:
+    """Raise ValueError where a lens has other coefficients than its model reads, or splats could lie behind it."""
+    if near_plane < 0:
+        raise ValueError(f"{near_plane=}, expected at least 0: splats are sorted by their depth in front of the camera")
+    if radial_coeffs is None:
+        return
+    if camera_model != "fisheye":
+        raise ValueError(f"radial_coeffs need camera_model='fisheye', not {camera_model!r}: undistort the photos")
+    given, wanted = (jax.dtypes.canonicalize_dtype(each) for each in (radial_coeffs.dtype, dtype))
+    if radial_coeffs.shape != (num_cameras, 4) or given != wanted:
+        raise ValueError(f"{radial_coeffs.shape=} of {given}, expected {(num_cameras, 4)} of {wanted}")
+
+
+def absgrad_zeros(absgrad, shape: tuple[int, ...]) -> Array | None:
+    """The array whose gradient takes what gsplat writes to `means2d.absgrad`; None where that is not wanted.
+
+    Raises:
+        ValueError: It is True, which a function without side effects cannot answer to, or of another shape.
+    """
+    if absgrad is True or (absgrad is not False and absgrad is not None and absgrad.shape != shape):
+        given = "True" if absgrad is True else f"[{', '.join(map(str, absgrad.shape))}]"
+        raise ValueError(
+            f"absgrad={given}: pass zeros of shape {shape}, whose gradient is what gsplat writes to means2d.absgrad"
+        )
+    return None if absgrad is False else absgrad
 
 
 def check_counts(means, viewmats, colors) -> None:

@@ -57,6 +57,8 @@ class Static(NamedTuple):
     engine: Engine
     with_median: bool = False
     front: Front | None = None
+    # (static, rows, ..., d_transmittance) -> [M, 2] absolute gradients to means, summed over pixels; None: not wanted
+    absolute: Callable[..., Array] | None = None
 
 
 def pixel_centers(grid: TileGrid) -> tuple[Array, Array]:
@@ -135,26 +137,38 @@ def chain_to_rows(rows: Array, moments: Array, d_features: Array) -> Array:
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
-def composite(static: Static, means2d: Array, conics: Array, opacities: Array, features: Array, splats, offsets):
+def composite(
+    static: Static,
+    means2d: Array,
+    conics: Array,
+    opacities: Array,
+    features: Array,
+    splats: Array,
+    offsets: Array,
+    absgrad: Array | None = None,
+):
     """Blend the listed splats front to back.
 
     Args:
-        static: Tile grid, rules, engine, whether the median splat is wanted, and which channels end in front.
+        static: Tile grid, rules, engine, whether the median splat is wanted, which channels end in front, and what
+            sums absolute gradients.
         means2d: `[M, 2]` pixels.
         conics: `[M, 3]`.
         opacities: `[M]`.
         features: `[M, D]` any channels.
         splats: `[capacity]` sorted pairs from `binning`.
         offsets: `[num_tiles + 1]`.
+        absgrad: `[M, 2]` anything, with `static.absolute`: nothing depends on it, and its gradient are those sums.
 
     Returns:
         `[C, H, W, D]` blended features on nothing, `[C, H, W, 1]` transmittance left, and `[C, H, W]` int32 the splat
         in which the light falls to one half (the last one that shows, where it does not; -1 for none), or None.
     """
-    return _composite_fwd(static, means2d, conics, opacities, features, splats, offsets)[0]
+    return _composite_fwd(static, means2d, conics, opacities, features, splats, offsets, absgrad)[0]
 
 
-def _composite_fwd(static, means2d, conics, opacities, features, splats, offsets):
+def _composite_fwd(static, means2d, conics, opacities, features, splats, offsets, absgrad):
+    del absgrad
     rows = _splat_rows(means2d, conics, opacities, features)
     blended = static.engine.forward(static, rows, splats, offsets)
     image = to_image(jnp.concatenate([blended.features, blended.transmittance[:, None]], 1), static.grid)
@@ -170,8 +184,10 @@ def _composite_bwd(static, residuals, cotangents):
     rows, splats, offsets, t, last, kept = residuals
     d_tiles = to_tiles(jnp.concatenate(cotangents[:2], -1), static.grid)
     d_image = d_tiles[:, :-1], d_tiles[:, -1]
-    d_rows = static.engine.backward(static, rows, splats, offsets, t, last, *d_image, *kept)
-    return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:], None, None
+    arguments = rows, splats, offsets, t, last, *d_image
+    d_rows = static.engine.backward(static, *arguments, *kept)
+    absolute = static.absolute(static, *arguments) if static.absolute else None
+    return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:], None, None, absolute
 
 
 composite.defvjp(_composite_fwd, _composite_bwd)

@@ -129,6 +129,7 @@ def blend(
     backend: Backend = "auto",
     with_median: bool = False,
     front: Front | None = None,
+    absgrad: Array | None = None,
 ) -> tuple[Array, Array, Array | None]:
     """Blend any channels over lists that are already there: one binning serves several passes.
 
@@ -142,6 +143,8 @@ def blend(
         backend: "reference" looks at no list: every splat is blended at every pixel. Static.
         with_median: Whether the median splats are wanted. Static.
         front: How many of the last channels end with the first layers, and where. Static.
+        absgrad: `[C, N, 2]` zeros: nothing depends on them, and their gradient is the sum over pixels of *absolute*
+            gradients to `means2d`, which AbsGS splits by. One more pass over the pairs, in jnp whatever the backend.
 
     Returns:
         `[C, H, W, D]` features blended on nothing, `[C, H, W, 1]` transmittance left, and `[C, H, W]` int32 the splat
@@ -149,7 +152,8 @@ def blend(
         none), or None. Differentiable to `means2d` and `conics` of the projection, opacities and features.
 
     Raises:
-        ValueError: If the tiles do not suit the backend, or there is no camera or no channel.
+        ValueError: If the tiles do not suit the backend, there is no camera or no channel, or `absgrad` is given to
+            "reference" or for more channels than one pass has.
         TypeError: In forward mode, or differentiated a second time, unless the backend is "reference".
     """
     channels, side = features.shape[2], grid.tile_size
@@ -160,6 +164,8 @@ def blend(
         raise ValueError(f"tile_size={side} is not a power of two, as backend='pallas' needs it")
     if kind == "native" and side > _native().MAX_SIDE:
         raise ValueError(f"tile_size={side} is over {_native().MAX_SIDE}, the most that backend='native' holds")
+    if absgrad is not None and (kind == "reference" or channels > CHANNEL_CHUNK):
+        raise ValueError(f"absgrad needs a tile backend and at most {CHANNEL_CHUNK} channels, not {kind}, {channels}")
     if features.shape[1] == 0:
         shape = (grid.num_cameras, grid.height, grid.width)
         median = jnp.full(shape, -1, jnp.int32) if with_median else None
@@ -174,7 +180,8 @@ def blend(
         image, left, median = blend(projection, opacities, others[0], pairs, grid, rules, **how)
         ended, *_ = blend(projection, opacities, others[1], pairs, grid, rules, backend=backend, front=front)
         return jnp.concatenate([image, ended], -1), left, median
-    static = Static(grid, rules, _engine(backend), with_median, front)
+    absolute = None if absgrad is None else _xla.absolute_gradients
+    static = Static(grid, rules, _engine(backend), with_median, front, absolute)
     splats = (
         reverse_only(projection.means2d.reshape(-1, 2)),
         reverse_only(projection.conics.reshape(-1, 3)),
@@ -182,7 +189,8 @@ def blend(
     )
     flat = reverse_only(features.reshape(-1, channels))
     if channels <= CHANNEL_CHUNK:
-        return composite(static, *splats, flat, pairs.splats, pairs.offsets)
+        probe = None if absgrad is None else reverse_only(absgrad.reshape(-1, 2))
+        return composite(static, *splats, flat, pairs.splats, pairs.offsets, probe)
     # Equal chunks of one compiled pass; the light left and the median come from the first.
     num_chunks = -(-channels // CHANNEL_CHUNK)
     width = -(-channels // num_chunks)

@@ -5,12 +5,20 @@ import jax.numpy as jnp
 from jax import Array
 
 from rasterizer.arrays import takes_arrays
+from rasterizer.camera_models import CAMERA_MODELS, CameraModelName
 from rasterizer.covariances import components, dot, matrix_rows, rotation
 from rasterizer.projection import camera_position
 
 
 @takes_arrays
-def camera_normals(means: Array, quats: Array, scales: Array, viewmats: Array, visible: Array) -> Array:
+def camera_normals(
+    means: Array,
+    quats: Array,
+    scales: Array,
+    viewmats: Array,
+    visible: Array,
+    camera_model: CameraModelName = "pinhole",
+) -> Array:
     """Unit normals of N Gaussians in C camera frames (OpenCV axes), facing the camera.
 
     Args:
@@ -19,6 +27,7 @@ def camera_normals(means: Array, quats: Array, scales: Array, viewmats: Array, v
         scales: `[N, 3]`; they only decide which axis is the smallest.
         viewmats: `[C, 4, 4]` world to camera.
         visible: `[C, N]` bool; the others get zero, with zero gradient, whatever they hold.
+        camera_model: Decides which way a Gaussian is seen from, and so the sign. Static.
 
     Returns:
         `[C, N, 3]`, differentiable to quats and viewmats.
@@ -31,5 +40,6 @@ def camera_normals(means: Array, quats: Array, scales: Array, viewmats: Array, v
     axis = [jnp.where(smallest == 0, x, jnp.where(smallest == 1, y, z)) for x, y, z in rotation(components(quats))]
     viewmat = [[entry[:, None] for entry in row] for row in matrix_rows(viewmats)]
     in_camera = [dot(viewmat[i], axis) for i in range(3)]
-    away = jax.lax.stop_gradient(dot(in_camera, camera_position(components(means), viewmat))) > 0
+    ray = CAMERA_MODELS[camera_model].ray(camera_position(components(means), viewmat))
+    away = jax.lax.stop_gradient(dot(in_camera, ray)) > 0
     return jnp.stack([jnp.where(visible, jnp.where(away, -part, part), 0) for part in in_camera], -1)

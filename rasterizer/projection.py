@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from rasterizer.arrays import takes_arrays
+from rasterizer.camera_models import CAMERA_MODELS, CameraModel, CameraModelName, Lens
 from rasterizer.covariances import (
     Matrix,
     Vector,
@@ -63,19 +64,6 @@ def camera_position(mean: Vector, viewmat: Matrix) -> Vector:
     return [dot(viewmat[i], mean) + viewmat[i][3] for i in range(3)]
 
 
-def image_map(point: Vector, viewmat: Matrix, K: Matrix, size: tuple[int, int]) -> tuple[Vector, Vector]:
-    """Rows of J W: what a small step in the world does in the image, pixels per scene unit; `point` in the camera."""
-    x, y, z = point
-    fx, fy, cx, cy = K[0][0], K[1][1], K[0][2], K[1][2]
-    width, height = size
-    # The affine approximation explodes far outside the image: it is taken at most 30 % of half a field of view out.
-    slope_x = jnp.clip(x / z, -cx / fx - 0.15 * width / fx, (width - cx) / fx + 0.15 * width / fx)
-    slope_y = jnp.clip(y / z, -cy / fy - 0.15 * height / fy, (height - cy) / fy + 0.15 * height / fy)
-    row_x = [fx / z * (viewmat[0][j] - slope_x * viewmat[2][j]) for j in range(3)]
-    row_y = [fy / z * (viewmat[1][j] - slope_y * viewmat[2][j]) for j in range(3)]
-    return row_x, row_y
-
-
 def _compensation(det: Array, blurred: Array, rules: Rules) -> Array:
     """What the blur spread a splat's energy by, undone: the root of the determinants' ratio (Mip-Splatting, eq. 9)."""
     ratio = det / blurred
@@ -99,12 +87,14 @@ def _project_components(
     shape: tuple[Vector, ...],
     opacity: Array,
     viewmat: Matrix,
-    K: Matrix,
+    lens: Lens,
     *,
+    model: CameraModel,
     size: tuple[int, int],
     eps2d: float,
     near_plane: float,
     far_plane: float,
+    radius_clip: float,
     rasterize_mode: RasterizeMode,
     depth_mode: DepthMode,
     rules: Rules,
@@ -118,7 +108,8 @@ def _project_components(
     def splat(mean, shape):
         x, y, z = camera_position(mean, viewmat)
         z_safe = jnp.where(z > near_plane, z, 1)
-        rows = image_map([x, y, z_safe], viewmat, K, size)
+        mean2d, row_x, row_y = model.image_point([x, y, z_safe], viewmat, lens, size)
+        rows = row_x, row_y
         xx, xy, yy, sharp = seen(*rows, *shape)
         # det(S + eps 1) = det S + eps tr S + eps^2.
         xx, yy, det = xx + eps2d, yy + eps2d, sharp + eps2d * (xx + yy) + eps2d * eps2d
@@ -131,7 +122,6 @@ def _project_components(
             xz, yz, slope_x, slope_y = tilted(*rows, viewmat[2][:3], *shape)
             slope = [(part + eps2d * c) * inverse_root * inverse_root for part, c in ((slope_x, xz), (slope_y, yz))]
             slope = _within_reach(slope, [xz, yz], z_safe - near_plane)
-        mean2d = [K[0][0] * x / z_safe + K[0][2], K[1][1] * y / z_safe + K[1][2]]
         return mean2d, z, conic, slope, [xx, yy], det, sharp
 
     # First look, without gradient: whatever overflows or is not a number is swapped for a harmless Gaussian *before*
@@ -163,9 +153,11 @@ def _project_components(
         sigmas = jnp.minimum(sigmas, jnp.sqrt(2 * jnp.log(jnp.maximum(ratio, 1))))
     extent = [jax.lax.stop_gradient(sigmas * jnp.sqrt(variance)) for variance in variances]
     visible = usable
-    for center, reach, limit in zip(jax.lax.stop_gradient(mean2d), extent, size, strict=True):
-        # Rounded up to whole pixels, as gsplat's radii are.
-        visible &= (center + jnp.ceil(reach) > 0) & (center - jnp.ceil(reach) < limit)
+    radii = [jnp.ceil(reach) for reach in extent]  # Whole pixels, as gsplat's are.
+    if radius_clip > 0:
+        visible &= (radii[0] > radius_clip) | (radii[1] > radius_clip)
+    for center, radius, limit in zip(jax.lax.stop_gradient(mean2d), radii, size, strict=True):
+        visible &= (center + radius > 0) & (center - radius < limit)
     extent = [jnp.where(visible, reach, 0) for reach in extent]
     return _Splats(mean2d, z, conic, extent, visible, compensation, slope)
 
@@ -204,8 +196,11 @@ def project(
     eps2d: float = 0.3,
     near_plane: float = 0.01,
     far_plane: float = 1e10,
+    radius_clip: float = 0.0,
     rasterize_mode: RasterizeMode = "classic",
     depth_mode: DepthMode = "center",
+    camera_model: CameraModelName = "pinhole",
+    radial_coeffs: Array | None = None,
     rules: Rules = GSPLAT,
 ) -> Projection:
     """Project N Gaussians into C cameras (EWA splatting; conventions of gsplat 1.6).
@@ -224,16 +219,20 @@ def project(
         eps2d: Added to both variances of the 2D covariance, pixels^2.
         near_plane: Gaussians at or nearer than this camera z are culled.
         far_plane: Gaussians at or beyond this camera z are culled.
+        radius_clip: Gaussians whose extents, rounded up to whole pixels, are both at most this are culled.
         rasterize_mode: "antialiased" also computes `compensations`, and sizes extents by the compensated opacity.
         depth_mode: "plane" also computes `slopes`: at a pixel u a splat's depth is `depths + slopes . (u - means2d)`,
             the mean of camera z given u under the linearised camera, blur included. Wherever the splat can pass an
             alpha cut of 1/255 that is within 3.33 standard deviations of its centre's depth, and not behind
             `near_plane`: a steeper plane is made flatter.
+        camera_model: How a point comes into the image: "pinhole"; "ortho", a parallel projection with `fx`, `fy` in
+            pixels per scene unit; "fisheye", equidistant. Depth is camera z with all. Static.
+        radial_coeffs: `[C, 4]` k1 to k4 of the fisheye lens (Kannala and Brandt; OpenCV's order); None for zeros.
         rules: Decides extents and the opacity below which nothing shows.
 
     Returns:
         `Projection`; `means2d`, `depths`, `conics`, `compensations` and `slopes` are differentiable to means, quats,
-        scales, covars, viewmats and Ks.
+        scales, covars, viewmats, Ks and radial_coeffs.
 
     Raises:
         ValueError: There are neither quats and scales nor covars.
@@ -246,16 +245,21 @@ def project(
         tuple(components(shape) for shape in shapes),
         opacities,
         [[entry[:, None] for entry in row] for row in matrix_rows(viewmats)],
-        [[entry[:, None] for entry in row] for row in matrix_rows(Ks)],
+        Lens(
+            [[entry[:, None] for entry in row] for row in matrix_rows(Ks)],
+            None if radial_coeffs is None else [part[:, None] for part in components(radial_coeffs)],
+        ),
     )
 
     def project_all(*inputs):
         return _project_components(
             *inputs,
+            model=CAMERA_MODELS[camera_model],
             size=(width, height),
             eps2d=eps2d,
             near_plane=near_plane,
             far_plane=far_plane,
+            radius_clip=radius_clip,
             rasterize_mode=rasterize_mode,
             depth_mode=depth_mode,
             rules=rules,

@@ -4,18 +4,13 @@ from typing import Any
 
 # What each is in gsplat where it asks for nothing (1.6; of the arguments of `rasterization` and of the stages).
 _NOTHING = {
-    "radius_clip": 0.0,
-    "packed": False,
     "sparse_grad": False,
-    "absgrad": False,
     "distributed": False,
-    "camera_model": "pinhole",
     "segmented": False,
     "with_ut": False,
     "with_eval3d": False,
     "global_z_order": True,
     "rays": None,
-    "radial_coeffs": None,
     "tangential_coeffs": None,
     "thin_prism_coeffs": None,
     "ftheta_coeffs": None,
@@ -29,15 +24,10 @@ _NOTHING = {
     "renderer_config": None,
 }
 _REASONS = {
-    "radius_clip": "only `fully_fused_projection` has it",
-    "packed": "its row count depends on the data, a compiled program's shapes do not",
-    "sparse_grad": "gradients here are dense",
-    "absgrad": "differentiate to zeros added to means2d, and sum their absolute values yourself",
+    "sparse_grad": "jax's gradients are dense",
     "distributed": "a call renders on one device",
-    "camera_model": "only 'pinhole' is",
     "segmented": "there is one sort",
     "global_z_order": "splats are sorted by camera z",
-    "radial_coeffs": "undistort the photos",
     "tangential_coeffs": "undistort the photos",
     "thin_prism_coeffs": "undistort the photos",
     "extra_signals": "pass further channels of `colors`",

@@ -5,6 +5,7 @@ lists are per-tile exact and its buffers have a static size; this is the way to 
 """
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +14,12 @@ from jax import Array
 
 from rasterizer.arrays import takes_arrays
 from rasterizer.binning import TileGrid, TilePairs
+from rasterizer.camera_models import CAMERA_MODELS, CameraModelName, Lens
+from rasterizer.checks import absgrad_zeros, check_mode
 from rasterizer.covariances import Matrix, components, dot, matrix_rows
 from rasterizer.engines import Backend, blend
-from rasterizer.projection import Projection, camera_position, image_map, project
+from rasterizer.packed_rows import pack_rows
+from rasterizer.projection import Projection, camera_position, project
 from rasterizer.refusals import refuse
 from rasterizer.rules import GSPLAT, Rules
 
@@ -49,7 +53,7 @@ def world_to_cam(means: Array, covars: Array, viewmats: Array) -> tuple[Array, A
 
 @takes_arrays
 def proj(
-    means: Array, covars: Array, Ks: Array, width: int, height: int, camera_model: str = "pinhole"
+    means: Array, covars: Array, Ks: Array, width: int, height: int, camera_model: CameraModelName = "pinhole"
 ) -> tuple[Array, Array]:
     """Affine projection of Gaussians that are in their cameras' frames.
 
@@ -57,9 +61,9 @@ def proj(
         means: `[..., C, N, 3]` camera frame, in front of the camera.
         covars: `[..., C, N, 3, 3]` camera frame.
         Ks: `[..., C, 3, 3]` pixels.
-        width: Image width, pixels: decides how far outside the image the affine map is still followed.
+        width: Image width, pixels: decides how far outside the image a pinhole's affine map is still followed.
         height: Image height, pixels.
-        camera_model: "pinhole".
+        camera_model: "pinhole", "ortho" or "fisheye", as in `rasterization`.
 
     Returns:
         Means `[..., C, N, 2]` and covariances `[..., C, N, 2, 2]`, pixels.
@@ -67,15 +71,13 @@ def proj(
     Raises:
         ValueError: On another camera model.
     """
-    refuse(camera_model=camera_model)
-    K, mean, rows = _of_cameras(Ks), components(means), matrix_rows(covars)
+    check_mode(CameraModelName, camera_model=camera_model)
+    lens, mean, rows = Lens(_of_cameras(Ks)), components(means), matrix_rows(covars)
     identity = [[jnp.asarray(float(i == j), means.dtype) for j in range(3)] for i in range(3)]
-    jacobian = image_map(mean, identity, K, (width, height))
-    x, y, z = mean
-    means2d = jnp.stack([K[0][0] * x / z + K[0][2], K[1][1] * y / z + K[1][2]], -1)
+    mean2d, *jacobian = CAMERA_MODELS[camera_model].image_point(mean, identity, lens, (width, height))
     spread = [[dot(row, step) for row in rows] for step in jacobian]
     covars2d = [jnp.stack([dot(a, b) for b in spread], -1) for a in jacobian]
-    return means2d, jnp.stack(covars2d, -2)
+    return jnp.stack(mean2d, -1), jnp.stack(covars2d, -2)
 
 
 @takes_arrays
@@ -95,11 +97,12 @@ def fully_fused_projection(
     packed: bool = False,
     sparse_grad: bool = False,
     calc_compensations: bool = False,
-    camera_model: str = "pinhole",
+    camera_model: CameraModelName = "pinhole",
     opacities: Array | None = None,
     *,
+    capacity: int | None = None,
     rules: Rules = GSPLAT,
-) -> tuple[Array, Array, Array, Array, Array | None]:
+) -> tuple[Any, ...]:
     """Project Gaussians into cameras.
 
     Args:
@@ -115,21 +118,26 @@ def fully_fused_projection(
         near_plane: Gaussians at or nearer than this camera z are culled.
         far_plane: Gaussians at or beyond this camera z are culled.
         radius_clip: Gaussians whose radii are both at most this are culled, pixels.
-        packed: Refused.
+        packed: Whether only what shows is returned, as rows. Static.
         sparse_grad: Refused.
         calc_compensations: Whether the antialiasing factors are returned.
-        camera_model: "pinhole".
+        camera_model: "pinhole", "ortho" or "fisheye", as in `rasterization`.
         opacities: `[..., N]`; where given, a faint Gaussian's radii shrink and one under the cut is culled.
+        capacity: n, how many packed rows there are. None counts on the host, which `jit` cannot: there a number must
+            be given; rows left over have the indices -1 and radii of 0.
         rules: Extents and alpha cut.
 
     Returns:
         Radii `[..., C, N, 2]` int32, 0 where culled; means2d `[..., C, N, 2]`, depths `[..., C, N]`, conics
         `[..., C, N, 3]`, and compensations `[..., C, N]` or None. Rows of culled Gaussians hold harmless values.
+        Packed, int32 indices of batch, camera and Gaussian `[n]` and `[B * C + 1]` where each image's rows begin (the
+        last is the number needed) come first, and the five are `[n, *]`.
 
     Raises:
-        ValueError: On what is refused.
+        ValueError: On what is refused, and packed inside `jit` without a capacity.
     """
-    refuse(packed=packed, sparse_grad=sparse_grad, camera_model=camera_model)
+    refuse(sparse_grad=sparse_grad)
+    check_mode(CameraModelName, camera_model=camera_model)
     if opacities is None:
         rules = replace(rules, opacity_extent=False)
         opacities = jnp.ones(means.shape[:-1], means.dtype)
@@ -152,16 +160,20 @@ def fully_fused_projection(
             eps2d=eps2d,
             near_plane=near_plane,
             far_plane=far_plane,
+            radius_clip=radius_clip,
+            camera_model=camera_model,
             rasterize_mode="antialiased" if calc_compensations else "classic",
             rules=rules,
         )
-        reach = jnp.ceil(projection.extents)
-        radii = jnp.where((reach > radius_clip).any(-1, keepdims=True), reach, 0).astype(jnp.int32)
+        radii = jnp.ceil(projection.extents).astype(jnp.int32)
         return radii, projection.means2d, projection.depths, projection.conics, projection.compensations
 
     for _ in means.shape[:-2]:
         one_batch = jax.vmap(one_batch)
-    return one_batch(means, covars, quats, scales, opacities, viewmats, Ks)
+    radii, *others = one_batch(means, covars, quats, scales, opacities, viewmats, Ks)
+    if not packed:
+        return radii, *others
+    return pack_rows((radii > 0).all(-1), (radii, *others), capacity)
 
 
 def _tile_bits(num_tiles: int) -> int:
@@ -188,7 +200,7 @@ def isect_tiles(
     """List the tiles that the box of each splat's radii overlaps.
 
     Args:
-        means2d: `[..., N, 2]` pixels.
+        means2d: `[..., N, 2]` pixels; packed, here and below `[n, *]`.
         radii: `[..., N, 2]` pixels; 0 along either axis lists nothing.
         depths: `[..., N]`, positive.
         tile_size: Side of a tile, pixels.
@@ -196,9 +208,9 @@ def isect_tiles(
         tile_height: Rows of tiles.
         sort: Whether the intersections are sorted by image, tile and depth.
         segmented: Refused.
-        packed: Refused, and with it the three that follow.
+        packed: Whether the splats are packed rows, of any image each. Static.
         n_images: Unused.
-        image_ids: Unused.
+        image_ids: `[n]` image of each packed row, batch x cameras + camera; read where packed.
         gaussian_ids: Unused.
         capacity: Length of the lists. None counts on the host, which `jit` cannot: there a number must be given;
             slots left over hold `PADDING` and -1, intersections beyond it are lost.
@@ -210,10 +222,12 @@ def isect_tiles(
     Raises:
         ValueError: On what is refused, and inside `jit` without a capacity.
     """
-    del n_images, image_ids, gaussian_ids
-    refuse(packed=packed, segmented=segmented)
+    del n_images, gaussian_ids
+    refuse(segmented=segmented)
+    if packed and image_ids is None:
+        raise ValueError("packed=True needs image_ids, the image of each row")
     means2d, radii, depths = (jax.lax.stop_gradient(x) for x in (means2d, radii, depths))
-    images, count = means2d.shape[:-2], means2d.shape[-2]
+    count = 0 if packed else means2d.shape[-2]
     limit = jnp.array([tile_width, tile_height], means2d.dtype)
     reach = radii.astype(means2d.dtype)
     low = jnp.clip(jnp.floor((means2d - reach) / tile_size), 0, limit).astype(jnp.int32)
@@ -232,7 +246,7 @@ def isect_tiles(
     index = slot - (jnp.cumsum(flat) - flat)[splat]
     tile = (low[splat, 1] + index // width[splat]) * tile_width + low[splat, 0] + index % width[splat]
     bits = jax.lax.bitcast_convert_type(depths.astype(jnp.float32).reshape(-1), jnp.uint32)[splat]
-    image = splat // max(count, 1) if images else jnp.zeros_like(splat)
+    image = jnp.asarray(image_ids, jnp.int32)[splat] if packed else splat // max(count, 1)
     used = slot < flat.sum()
     with jax.enable_x64(True):
         high_bits = (image.astype(jnp.int64) << _tile_bits(tile_width * tile_height)) | tile.astype(jnp.int64)
@@ -280,7 +294,7 @@ def rasterize_to_pixels(
     backgrounds: Array | None = None,
     masks: Array | None = None,
     packed: bool = False,
-    absgrad: bool = False,
+    absgrad: Array | bool = False,
     *,
     backend: Backend = "auto",
     rules: Rules = GSPLAT,
@@ -288,7 +302,7 @@ def rasterize_to_pixels(
     """Blend listed splats.
 
     Args:
-        means2d: `[..., N, 2]` pixels.
+        means2d: `[..., N, 2]` pixels; packed, here and below `[n, *]`.
         conics: `[..., N, 3]` inverse 2D covariances (xx, xy, yy).
         colors: `[..., N, D]` any channels.
         opacities: `[..., N]`.
@@ -299,8 +313,9 @@ def rasterize_to_pixels(
         flatten_ids: `[n]` of `isect_tiles`.
         backgrounds: `[..., D]` blended under each image, or a number.
         masks: `[..., tile_height, tile_width]` bool; a tile that is False is not rendered: background, alpha 0.
-        packed: Refused.
-        absgrad: Refused.
+        packed: Whether the splats are packed rows. Static.
+        absgrad: Zeros of the shape of `means2d`: the image does not depend on them, and their gradient is what gsplat's
+            `absgrad=True` writes to `means2d.absgrad`.
         backend: A tile backend. Static.
         rules: Thresholds of compositing. Static.
 
@@ -311,8 +326,8 @@ def rasterize_to_pixels(
     Raises:
         ValueError: On what is refused, and where there is no image or no channel.
     """
-    refuse(packed=packed, absgrad=absgrad)
-    images, count = means2d.shape[:-2], means2d.shape[-2]
+    probe = absgrad_zeros(absgrad, means2d.shape)
+    images, count = isect_offsets.shape[:-2] if packed else means2d.shape[:-2], means2d.shape[-2]
     num_images = int(np.prod(images, dtype=int))
     grid = TileGrid(num_images, image_width, image_height, tile_size)
     total = jnp.sum(flatten_ids >= 0, dtype=jnp.int32)
@@ -324,11 +339,13 @@ def rasterize_to_pixels(
         pairs = _keep_masked(pairs, masks.reshape(-1))
 
     def flat(x: Array) -> Array:
-        return x.reshape(num_images, count, *x.shape[len(images) + 1 :])
+        # A packed splat is in the image whose tiles list it.
+        return x.reshape(1 if packed else num_images, count, *x.shape[means2d.ndim - 1 :])
 
-    everywhere = jnp.ones((num_images, count), bool)
+    everywhere = jnp.ones((1 if packed else num_images, count), bool)
     projection = Projection(flat(means2d), flat(opacities), flat(conics), flat(means2d), everywhere)
-    image, left, _ = blend(projection, flat(opacities), flat(colors), pairs, grid, rules, backend=backend)
+    asked = {"backend": backend, "absgrad": None if probe is None else flat(probe)}
+    image, left, _ = blend(projection, flat(opacities), flat(colors), pairs, grid, rules, **asked)
     if backgrounds is not None:
         behind = jnp.broadcast_to(backgrounds, (*images, colors.shape[-1]))
         image = image + left * behind.reshape(num_images, 1, 1, -1)

@@ -172,6 +172,7 @@ def loss(scene, **options):
         "near_plane",
         "rasterize_mode",
         "depth_mode",
+        "camera_model",
         "tile_size",
     ),
 )

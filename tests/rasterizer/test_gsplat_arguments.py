@@ -17,19 +17,15 @@ RollingShutter = Enum("RollingShutter", ["ROLLING_TOP_TO_BOTTOM", "GLOBAL"])
 
 # The signature of gsplat 1.6, without what this front door has itself.
 DEFAULTS = {
-    "radius_clip": 0.0,
     "packed": True,
     "sparse_grad": False,
-    "absgrad": False,
     "channel_chunk": 32,
     "distributed": False,
-    "camera_model": "pinhole",
     "segmented": False,
     "with_ut": False,
     "with_eval3d": False,
     "global_z_order": True,
     "rays": None,
-    "radial_coeffs": None,
     "tangential_coeffs": None,
     "thin_prism_coeffs": None,
     "ftheta_coeffs": None,
@@ -57,17 +53,13 @@ def test_at_their_defaults_they_change_nothing():
 
 
 REFUSED = {
-    "radius_clip": (2.0, "only `fully_fused_projection` has it"),
-    "sparse_grad": (True, "gradients here are dense"),
-    "absgrad": (True, "zeros added to means2d"),
+    "sparse_grad": (True, "gradients are dense"),
     "distributed": (True, "one device"),
-    "camera_model": ("fisheye", "only 'pinhole'"),
     "segmented": (True, "there is one sort"),
     "with_ut": (True, ""),
     "with_eval3d": (True, ""),
     "global_z_order": (False, "camera z"),
     "rays": (np.zeros((1, 29, 37, 6)), ""),
-    "radial_coeffs": (np.zeros((1, 6)), "undistort"),
     "tangential_coeffs": (np.zeros((1, 2)), "undistort"),
     "thin_prism_coeffs": (np.zeros((1, 4)), "undistort"),
     "ftheta_coeffs": (SimpleNamespace(), ""),

@@ -150,12 +150,21 @@ def test_compensations_and_the_clip_of_small_radii():
     assert np.any(clipped > 0)
 
 
+def packed_projection(viewmats, Ks, *scenes, **options):
+    """The scene's Gaussians in the given cameras, packed; with leading dimensions of that many scenes."""
+    s = jax.tree.map(lambda x: jnp.stack([x] * len(scenes)) if scenes else x, SCENE)
+    gaussians = s.means, None, s.quats, s.scales
+    return rasterizer.fully_fused_projection(*gaussians, viewmats, Ks, *SIZE, packed=True, **options)
+
+
 @pytest.mark.parametrize(
     "call, message",
     [
-        (lambda: refuse(packed=True), "packed=True is not supported: its row count depends on the data"),
-        (lambda: refuse(absgrad=True), "absgrad=True .* zeros added to means2d"),
-        (lambda: refuse(camera_model="fisheye"), "camera_model='fisheye' is not supported: only 'pinhole' is"),
+        (lambda: refuse(sparse_grad=True), "sparse_grad=True is not supported: jax's gradients are dense"),
+        (
+            lambda: jax.jit(lambda *cameras: packed_projection(*cameras)[0])(SCENE.viewmats, SCENE.Ks),
+            "inside jit the number of packed rows is not known: pass capacity=",
+        ),
         (
             lambda: jax.jit(lambda m, r, d: rasterizer.isect_tiles(m, r, d, TILE, *TILES))(
                 jnp.ones((1, 3, 2)), jnp.ones((1, 3, 2), jnp.int32), jnp.ones((1, 3))
