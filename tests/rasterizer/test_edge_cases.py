@@ -203,7 +203,9 @@ def test_what_can_show_agrees_with_float64(name, agree_with_float64):
 @pytest.mark.parametrize(("model", "backend"), IN_WHICH)
 def test_other_camera_models_agree_with_float64(model, backend, name, agree_with_float64):
     scene, options = odd(SEEN_OTHERWISE[name]), OTHER_MODELS[model]
-    agree_with_float64(f"{model}: {name}", scene, backends=[backend], **options)
+    # In parallel the needle is not shortened by distance: 33 pixels a sigma. Measured 9e-6.
+    bound = 3e-5 if (model, name) == ("ortho", "needle 1e6") else 1e-5
+    agree_with_float64(f"{model}: {name}", scene, value_bound=bound, backends=[backend], **options)
 
 
 @pytest.mark.parametrize(("model", "backend"), IN_WHICH)
