@@ -230,8 +230,9 @@ def _recorded(camera, source: np.ndarray, rays: np.ndarray) -> np.ndarray:
     inside = np.isfinite(source).all(-1) & (source >= 0).all(-1) & (source <= [camera.width, camera.height]).all(-1)
     wanted = rays[inside] / np.linalg.norm(rays[inside], axis=-1, keepdims=True)
     back = np.asarray(camera.cam_ray_from_img(image_points=np.ascontiguousarray(source[inside]))).reshape(-1, 3)
-    inside[inside] = np.linalg.norm(np.where(np.isfinite(back), back, 0) - wanted, axis=-1) < _ALIKE
-    return inside
+    recorded = np.zeros(source.shape[:2], bool)
+    recorded[inside] = np.linalg.norm(np.where(np.isfinite(back), back, 0) - wanted, axis=-1) < _ALIKE
+    return recorded
 
 
 def _face_rotations() -> dict[str, np.ndarray]:
