@@ -124,10 +124,10 @@ def row(out: Path, clean: Path, effect: str, strength: float, given: argparse.Na
     from effect_errors import ERRORS, Truth
 
     from gsjax.io.scenes import load_scene
-    from gsjax.pipeline.train import first_state
     from gsjax.planning.effect_trials import gains
     from gsjax.planning.effects import choose_effects
     from gsjax.planning.sizes import training_extent
+    from gsjax.planning.start import first_state
     from gsjax.training.plan import plan
 
     case, scene = CASES[effect], clean

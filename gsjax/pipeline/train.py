@@ -10,19 +10,16 @@ from typing import Any
 
 import jax
 import numpy as np
-import optax
 from tqdm import tqdm
 
 import rasterizer
 from gsjax import config, runs
 from gsjax.effects.alignment import align
-from gsjax.effects.simulation import Effects
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import json_files, normal_folders
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
-from gsjax.io.point_clouds import read_points
 from gsjax.planning.effect_trials import gains
 from gsjax.planning.effects import ChosenEffects, choose_effects, look_for_effects
 from gsjax.planning.hardware import Devices, count_devices, effects_asked, hardware
@@ -30,6 +27,7 @@ from gsjax.planning.harmonics import stored_degree, with_needed_harmonics
 from gsjax.planning.measured_depth import measured_depth
 from gsjax.planning.pace import Pace, duration_text, seconds_left
 from gsjax.planning.sizes import at_size, training_extent
+from gsjax.planning.start import first_state, first_state_with_tables, with_given_points
 from gsjax.report.page import report
 from gsjax.report.shown_views import picture_keeper
 from gsjax.runs.compilations import make_room
@@ -42,18 +40,15 @@ from gsjax.runs.run import Run
 from gsjax.scene import Scene, in_memory
 from gsjax.scoring.images import score_images
 from gsjax.settings import PLAIN, Settings
-from gsjax.training import initialize, optimizers
-from gsjax.training.buffers import bucket
+from gsjax.training import optimizers
 from gsjax.training.growth import adaptive
 from gsjax.training.growth.rules import RULES
-from gsjax.training.loop import Progress, Work, follow, with_tables
+from gsjax.training.loop import Progress, Work, follow
 from gsjax.training.plan import Plan, plan, steps_in_common
-from gsjax.training.state import TrainState, count_alive, initial_state
+from gsjax.training.state import TrainState, count_alive
 from gsjax.training.terms import Term
 from rasterizer.devices import default_device
 from rasterizer.engines import resolve
-
-FAR_SHARE = 10  # Of the budget no more than one in so many is far around the cloud at the start.
 
 
 def train(
@@ -168,7 +163,7 @@ def _train(
     prior = RunPrior(
         out, planned.normals, settings.normal_axes, frames, settings.depth_mode, settings.normal_gate, tell=tell
     )
-    measured, started = measured_depth(loaded, settings), _with_given_points(loaded, settings)
+    measured, started = measured_depth(loaded, settings), with_given_points(loaded, settings)
     if measured is not None:
         print(f"train: depth {measured.line}", file=sys.stderr)
     trial = partial(gains, planned, frames, size, partial(first_state, started, settings))
@@ -203,7 +198,7 @@ def _train(
             runs.update_manifest(run, effects=chosen.evidence)
         degree = stored_degree(run, planned, settings.sh_degree) if known else settings.sh_degree
         initial = partial(
-            _initial_with_tables, started, replace(settings, sh_degree=degree), planned, optimizer, chosen
+            first_state_with_tables, started, replace(settings, sh_degree=degree), planned, optimizer, chosen
         )
         state, capacity, seconds = beginning(run, initial, earlier, in_common)
         state = spread.deal(_of_first(state, initial))
@@ -255,59 +250,6 @@ def _completed(started: dict[str, Any]) -> dict[str, Any]:
     for phase in started["phases"]:
         phase["weights"] = {name: weight for name, weight in phase["weights"].items() if weight or name in PLAIN}
     return config.to_dict(config.parse(Settings, started, where="config.json"))
-
-
-def _with_given_points(scene: Scene, settings: Settings) -> Scene:
-    """The scene with the cloud that the settings name, which only the start of training looks at."""
-    if settings.points is None:
-        return scene
-    points, colors = read_points(settings.points)
-    local = scene.similarity.points_to_local(scene.place.points_to_world(points))
-    return replace(scene, points=local, point_colors=colors, tracks=None)
-
-
-def _starting_points(scene: Scene, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
-    """The cloud and its colours, with grey points far around it unless what is behind all is laid there by us."""
-    frames, count = scene.train_frames, min(settings.far_points, settings.max_gaussians // FAR_SHARE)
-    if not count or settings.background == "white" or any(frame.pixels().matte is not None for frame in frames):
-        return scene.points, scene.point_colors
-    far = initialize.far_points(scene.points, frames, count)
-    # Of a cloud larger than the budget some stay out: the far ones must not be among them.
-    room = min(settings.max_gaussians - len(far), len(scene.points))
-    kept = np.linspace(0, len(scene.points) - 1, room).astype(int)
-    grey = np.full((len(far), 3), 128, np.uint8)
-    return np.concatenate([scene.points[kept], far]), np.concatenate([scene.point_colors[kept], grey])
-
-
-def first_state(
-    scene: Scene,
-    settings: Settings,
-    optimizer: optax.GradientTransformation,
-    effects: Effects,
-    rows: int | None = None,
-) -> TrainState:
-    """Step 0 in a buffer of so many rows; None: of those that the points take."""
-    points, colors = _starting_points(scene, settings)
-    first = initialize.from_points(
-        points,
-        colors,
-        capacity=rows or bucket(len(points), settings.max_gaussians),
-        sh_degree=settings.sh_degree,
-        pixel_filter=settings.pixel_filter,
-    )
-    return initial_state(first, optimizer, RULES[settings.density.rule], effects)
-
-
-def _initial_with_tables(
-    scene: Scene,
-    settings: Settings,
-    planned: Plan,
-    optimizer: optax.GradientTransformation,
-    chosen: ChosenEffects,
-    rows: int | None,
-) -> TrainState:
-    """The same with the tables of the plan's terms."""
-    return with_tables(first_state(scene, settings, optimizer, chosen.effects, rows), planned)
 
 
 def living_gaussians(gaussians: Gaussians) -> Gaussians:

@@ -11,10 +11,10 @@ from small_scenes import built_in
 from gsjax.effects.evidence import Cost, Evidence, unknown
 from gsjax.effects.observations import observe
 from gsjax.io.scenes import load_scene
-from gsjax.pipeline.train import first_state
 from gsjax.planning.effect_trials import FEWEST_STEPS, NEAR, gains, is_near
 from gsjax.planning.effects import choose_effects
 from gsjax.planning.sizes import training_extent
+from gsjax.planning.start import first_state
 from gsjax.settings import Phase, Settings
 from gsjax.training.plan import plan
 

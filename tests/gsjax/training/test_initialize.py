@@ -1,4 +1,3 @@
-import importlib
 from pathlib import Path
 
 import jax
@@ -9,13 +8,12 @@ from small_scenes import camera_at
 from tolerances import assert_close
 
 from gsjax.gaussians import SH_C0, opacities, scales
+from gsjax.planning import start
 from gsjax.scene import Pixels, Scene, frame_of
 from gsjax.settings import Settings
 from gsjax.training.buffers import with_room_to_densify
 from gsjax.training.initialize import DEAD_LOGIT, SHELLS, far_points, from_points
 from gsjax.training.optimizers import make_optimizer
-
-training = importlib.import_module("gsjax.pipeline.train")  # The package's attribute of that name is the function.
 
 RNG = np.random.default_rng(0)
 POINTS, COLORS = RNG.normal(size=(20, 3)), RNG.integers(0, 256, (20, 3), dtype=np.uint8)
@@ -72,7 +70,7 @@ def test_a_run_starts_with_the_pixel_filter_of_its_settings_and_growing_keeps_it
     scene = Scene(Path("scene"), "colmap", (), POINTS.astype(np.float32), COLORS)
     settings = Settings(pixel_filter=pixel_filter, max_gaussians=40, sh_degree=0)
     optimizer = make_optimizer(settings.rates, 1.0, 10)
-    state = training.first_state(scene, settings, optimizer, {})
+    state = start.first_state(scene, settings, optimizer, {})
     assert state.gaussians.pixel_filter == pixel_filter
     assert with_room_to_densify(state, optimizer, settings.density, 40).gaussians.pixel_filter == pixel_filter
 
@@ -117,9 +115,9 @@ def test_training_starts_with_far_points_within_its_budget_unless_photos_have_ma
     frames = looking((9.0, 0.5, 0.0), (0.0, 1.0, -7.0), matte=matte)
     scene = Scene(Path("s"), "colmap", frames, POINTS.astype(np.float32), COLORS)
     for budget in (1000, 60, 12):
-        points, colors = training._starting_points(scene, Settings(max_gaussians=budget, far_points=900))
+        points, colors = start.starting_points(scene, Settings(max_gaussians=budget, far_points=900))
         far = len(far_points(POINTS, frames, budget // 10))
         assert len(points) == len(colors) == (far + min(20, budget - far) if matte is None else 20)
     for without in (Settings(max_gaussians=1000), Settings(far_points=900, background="white")):
-        points, _ = training._starting_points(scene, without)
+        points, _ = start.starting_points(scene, without)
         np.testing.assert_array_equal(points, scene.points)

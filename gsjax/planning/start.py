@@ -1,0 +1,73 @@
+"""Where a training starts: from which points, and the state at step 0."""
+
+from dataclasses import replace
+
+import numpy as np
+import optax
+
+from gsjax.effects.simulation import Effects
+from gsjax.io.point_clouds import read_points
+from gsjax.planning.effects import ChosenEffects
+from gsjax.scene import Scene
+from gsjax.settings import Settings
+from gsjax.training import initialize
+from gsjax.training.buffers import bucket
+from gsjax.training.growth.rules import RULES
+from gsjax.training.loop import with_tables
+from gsjax.training.plan import Plan
+from gsjax.training.state import TrainState, initial_state
+
+FAR_SHARE = 10  # Of the budget no more than one in so many is far around the cloud at the start.
+
+
+def with_given_points(scene: Scene, settings: Settings) -> Scene:
+    """The scene with the cloud that the settings name, which only the start of training looks at."""
+    if settings.points is None:
+        return scene
+    points, colors = read_points(settings.points)
+    local = scene.similarity.points_to_local(scene.place.points_to_world(points))
+    return replace(scene, points=local, point_colors=colors, tracks=None)
+
+
+def starting_points(scene: Scene, settings: Settings) -> tuple[np.ndarray, np.ndarray]:
+    """The cloud and its colours, with grey points far around it unless what is behind all is laid there by us."""
+    frames, count = scene.train_frames, min(settings.far_points, settings.max_gaussians // FAR_SHARE)
+    if not count or settings.background == "white" or any(frame.pixels().matte is not None for frame in frames):
+        return scene.points, scene.point_colors
+    far = initialize.far_points(scene.points, frames, count)
+    # Of a cloud larger than the budget some stay out: the far ones must not be among them.
+    room = min(settings.max_gaussians - len(far), len(scene.points))
+    kept = np.linspace(0, len(scene.points) - 1, room).astype(int)
+    grey = np.full((len(far), 3), 128, np.uint8)
+    return np.concatenate([scene.points[kept], far]), np.concatenate([scene.point_colors[kept], grey])
+
+
+def first_state(
+    scene: Scene,
+    settings: Settings,
+    optimizer: optax.GradientTransformation,
+    effects: Effects,
+    rows: int | None = None,
+) -> TrainState:
+    """Step 0 in a buffer of so many rows; None: of those that the points take."""
+    points, colors = starting_points(scene, settings)
+    first = initialize.from_points(
+        points,
+        colors,
+        capacity=rows or bucket(len(points), settings.max_gaussians),
+        sh_degree=settings.sh_degree,
+        pixel_filter=settings.pixel_filter,
+    )
+    return initial_state(first, optimizer, RULES[settings.density.rule], effects)
+
+
+def first_state_with_tables(
+    scene: Scene,
+    settings: Settings,
+    planned: Plan,
+    optimizer: optax.GradientTransformation,
+    chosen: ChosenEffects,
+    rows: int | None,
+) -> TrainState:
+    """The same as `first_state` with the effects of a run, and with the tables of its plan's terms."""
+    return with_tables(first_state(scene, settings, optimizer, chosen.effects, rows), planned)
