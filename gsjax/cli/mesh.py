@@ -42,6 +42,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--faces", type=int, metavar="N", help="most triangles, of the foreground and of the background each")
     add("--unsettled", dest="settled", action="store_const", const=False,
         help="leave the surface where the Gaussians have it; opens no photo")  # fmt: skip
+    add("--fill-holes", dest="holes_filled", action="store_const", const=True,
+        help="close holes where two views show a surface; what nobody saw stays open")  # fmt: skip
     add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a file is given")
 
 
@@ -50,7 +52,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
     options = given_options(
         arguments, "method", "depth", "trim_quantile", "cell", "level", "points", "bounds", "background_bounds",
-        "foreground_only", "faces", "scene", "settled",
+        "foreground_only", "faces", "scene", "settled", "holes_filled",
     )  # fmt: skip
     figures = pipeline.noted(
         arguments.source, "mesh", lambda: pipeline.mesh(arguments.source, arguments.out, **options)

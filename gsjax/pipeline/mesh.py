@@ -3,7 +3,7 @@
 import math
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,12 +21,15 @@ from gsjax.meshing.boxes import Box, Regions
 from gsjax.meshing.depth_points import NormalsOfDepth, depth_poisson
 from gsjax.meshing.export import supported_suffix, write_mesh
 from gsjax.meshing.extract import extract_mesh
+from gsjax.meshing.holes import fill_holes
 from gsjax.meshing.marching_cubes import marching_cubes
 from gsjax.meshing.methods import Method, centers_poisson, level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.settling import settle
+from gsjax.meshing.topology import topology
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
+from gsjax.render.shown_depths import ShownDepth, noting
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.prior import reduction_for
 from gsjax.runs.result import Result, open_result, scene_of_run, training_pictures
@@ -54,6 +57,7 @@ def mesh(
     faces: int = 1_000_000,
     scene: str | Path | None = None,
     settled: bool = True,
+    holes_filled: bool = False,
 ) -> dict[str, Any]:
     """Extract the mesh of a run, or of any file of Gaussians.
 
@@ -77,10 +81,11 @@ def mesh(
         faces: Most triangles of the foreground, and of the background.
         scene: Data set whose cameras to use with a file. None: cameras around the Gaussians, or within them.
         settled: Whether vertices move to where the photos agree.
+        holes_filled: Whether holes are closed where the views show a surface (`gsjax.meshing.holes`).
 
     Returns:
-        A report of plain numbers: `vertices`, `faces`, what `extract_mesh` says, and `settled`: what `settle` says, or
-        None where it was not done.
+        A report of plain numbers: `vertices`, `faces`, what `extract_mesh` says, and `settled` and `holes`: what
+        `settle` and `fill_holes` say, or None where it was not done.
 
     Raises:
         InputError: Nothing to mesh, or a file cannot be read or written.
@@ -99,20 +104,27 @@ def mesh(
     cameras, pictures = training_pictures(
         result, without_view_dependence(result.gaussians), result.background, with_owners=True
     )
+    shown: list[ShownDepth] = []
+    noted = noting(cameras, pictures, shown) if holes_filled else pictures
     surface, report = extract_mesh(
         result.gaussians,
         cameras,
-        pictures,
+        noted,
         method=_method(method, result, cameras, level, points, depth, trim_quantile, cell),
         regions=regions(similarity),
         max_faces=faces,
         similarity=similarity,
     )
+    if holes_filled:
+        for _ in noted:  # What the method has not looked at.
+            pass
+        surface, closed = fill_holes(surface, shown)
+        report |= {"holes": asdict(closed), "topology": asdict(topology(surface))}
     photos = _photos(Path(source), scene) if settled else ()
     if photos:
         surface, report["settled"] = settle(surface, photos)
     write_mesh(out, similarity.mesh_to_world(surface), result.place)
-    return {"vertices": len(surface.vertices), "faces": len(surface.faces), "settled": None, **report}
+    return {"vertices": len(surface.vertices), "faces": len(surface.faces), "settled": None, "holes": None, **report}
 
 
 def _photos(source: Path, scene: str | Path | None) -> Sequence[Frame]:

@@ -40,6 +40,15 @@ def test_any_ply_becomes_a_mesh_without_cameras(file, method, tmp_path):
         assert signed_volume(found) == pytest.approx(4 / 3 * np.pi, rel=0.06)
 
 
+def test_a_closed_ball_has_no_holes_and_a_cut_one_keeps_its_rim(file, tmp_path):
+    """Nobody sees a surface where the box cuts the ball, and the views see its inside through the opening."""
+    whole = mesh(file, tmp_path / "mesh.ply", method="marching-cubes", holes_filled=True)
+    assert whole["holes"] == {"patches": 0, "closed": 0, "closed_faces": 0}
+    box = {"bounds": [-2.0, -2, 0, 2, 2, 2], "foreground_only": True}
+    cut = mesh(file, tmp_path / "mesh.ply", method="tsdf", holes_filled=True, **box)
+    assert cut["topology"]["boundary_loops"] >= 1
+
+
 def test_a_box_and_a_number_of_faces_are_kept(file, tmp_path):
     box = [-2.0, -2, 0, 2, 2, 2]
     report = mesh(file, tmp_path / "mesh.ply", bounds=box, faces=500)

@@ -1,0 +1,96 @@
+"""Holes of a mesh where views saw a surface are closed; what nobody saw, and what views look through, stays open."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gsjax.mesh import Mesh, face_area_vectors
+from gsjax.meshing.libraries import load_open3d
+from gsjax.meshing.topology import edge_table, face_components
+from gsjax.render.shown_depths import SAME_SURFACE, ShownDepth, depths_at
+
+WIDEST = 0.05  # Radius of a hole, of the diagonal of the mesh's box: what is wider is an opening.
+PER_PATCH = 32  # Points at which the views are asked about a patch.
+SUPPORTING = 2  # Views that show a surface at such a point: one alone may be wrong.
+
+
+@dataclass(frozen=True)
+class HoleReport:
+    """What was closed."""
+
+    patches: int  # over holes that are no wider than `WIDEST`
+    closed: int  # those that views support
+    closed_faces: int  # with so many triangles
+
+
+def fill_holes(mesh: Mesh, views: Sequence[ShownDepth]) -> tuple[Mesh, HoleReport]:
+    """Closes a hole where at most of its points at least two views show a surface, and no fewer than look through it.
+
+    A view supports a point whose depth is within `SAME_SURFACE` of the one that it shows there, and looks through the
+    point where it shows a greater one. The patches are Open3D's (VTK's): triangles between vertices of the rim.
+
+    Args:
+        mesh: Oriented, clean.
+        views: What the Gaussians show, see `gsjax.render.shown_depths`.
+
+    Returns:
+        The mesh with the same vertices and more triangles, oriented like those around them; and what was closed.
+    """
+    patches = _patches(mesh)
+    if not len(patches):
+        return mesh, HoleReport(0, 0, 0)
+    labels, sizes = face_components(patches, edge_table(patches))
+    kept = _are_seen(mesh, patches, labels, len(sizes), views)[labels]
+    added = _oriented_like(mesh.faces, patches[kept], labels[kept], len(sizes))
+    whole = Mesh(mesh.vertices, np.concatenate([mesh.faces, added]).astype(np.int32), mesh.colors)
+    return whole, HoleReport(len(sizes), len(np.unique(labels[kept])), len(added))
+
+
+def _patches(mesh: Mesh) -> np.ndarray:
+    """`[F, 3]` triangles that close every hole that is not too wide."""
+    o3d = load_open3d()
+    vertices = np.ascontiguousarray(mesh.vertices, np.float64)
+    surface = o3d.t.geometry.TriangleMesh(o3d.core.Tensor(vertices), o3d.core.Tensor(mesh.faces.astype(np.int64)))
+    radius = WIDEST * float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    # They follow the triangles that were there.
+    return surface.fill_holes(hole_size=radius).triangle.indices.numpy()[mesh.num_faces :]
+
+
+def _are_seen(
+    mesh: Mesh, patches: np.ndarray, labels: np.ndarray, count: int, views: Sequence[ShownDepth]
+) -> np.ndarray:
+    """`[count]` bool: whether views support most of each patch."""
+    rng = np.random.default_rng(0)
+    areas = np.linalg.norm(face_area_vectors(Mesh(mesh.vertices, patches, mesh.colors)), axis=1)
+    # Every patch is asked at `PER_PATCH` points, spread over its area.
+    order = np.argsort(labels, kind="stable")
+    running = np.cumsum(areas[order] + 1e-12 * areas.max() + np.finfo(float).tiny)
+    ends = running[np.searchsorted(labels[order], np.arange(count), side="right") - 1]
+    begins = np.concatenate([[0.0], ends[:-1]])
+    at = begins[:, None] + rng.random((count, PER_PATCH)) * (ends - begins)[:, None]
+    faces = patches[order[np.minimum(np.searchsorted(running, at.ravel()), len(order) - 1)]]
+    weights = rng.dirichlet(np.ones(3), len(faces))
+    points = np.einsum("pk,pkd->pd", weights, mesh.vertices.astype(np.float64)[faces])
+    supporting, through = np.zeros((2, len(points)), np.int32)
+    for view in views:
+        depths, shown = depths_at(points, view)
+        supporting += (shown > 0) & (np.abs(depths - shown) <= SAME_SURFACE * shown)
+        through += (shown > 0) & (depths < (1 - SAME_SURFACE) * shown)
+    backed = (supporting >= SUPPORTING) & (supporting >= through)
+    return backed.reshape(count, PER_PATCH).mean(axis=1) > 0.5
+
+
+def _oriented_like(faces: np.ndarray, patches: np.ndarray, labels: np.ndarray, count: int) -> np.ndarray:
+    """The patches, turned about where they run along the rim in the direction in which the triangles there do."""
+    base = int(faces.max()) + 1
+    along = {side: _directed(part, base) for side, part in (("rim", faces), ("patch", patches))}
+    same = np.isin(along["patch"], along["rim"]).reshape(-1, 3).sum(axis=1)
+    turned = np.bincount(labels, same, count) > 0
+    return np.where(turned[labels][:, None], patches[:, ::-1], patches)
+
+
+def _directed(faces: np.ndarray, base: int) -> np.ndarray:
+    """`[3 F]` one integer a directed edge."""
+    starts, ends = faces.astype(np.int64), np.roll(faces, -1, axis=1).astype(np.int64)
+    return (starts * base + ends).ravel()

@@ -1,0 +1,61 @@
+"""Holes of a flat sheet: one where views show the sheet, a window that they look through, and one that nobody saw."""
+
+import numpy as np
+
+from gsjax.cameras import Camera
+from gsjax.mesh import Mesh, face_area_vectors
+from gsjax.meshing.holes import fill_holes
+from gsjax.meshing.topology import topology
+from gsjax.render.shown_depths import ShownDepth
+
+SIDE, AWAY = 40, 40.0
+HOLES = {"shown": (6, 6), "window": (24, 6), "unseen": (6, 24)}  # Lowest cells; each is three cells wide.
+
+
+def sheet(without=("shown", "window", "unseen")):
+    """`SIDE` by `SIDE` cells at z = 0, facing +z, less some squares of three by three cells."""
+    x, y = np.meshgrid(np.arange(SIDE + 1), np.arange(SIDE + 1))
+    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=-1).astype(np.float32)
+    gone = {(i + a, j + b) for i, j in (HOLES[name] for name in without) for a in range(3) for b in range(3)}
+    corner = np.array([j * (SIDE + 1) + i for j in range(SIDE) for i in range(SIDE) if (i, j) not in gone])
+    faces = np.r_[
+        np.stack([corner, corner + 1, corner + SIDE + 1], -1),
+        np.stack([corner + 1, corner + SIDE + 2, corner + SIDE + 1], -1),
+    ].astype(np.int32)
+    return Mesh(vertices, faces, np.full((len(vertices), 3), 90, np.uint8))
+
+
+def views(count=3):
+    """From above, a pixel a cell: the sheet at `AWAY`, the window twice as far, and nothing of what is unseen."""
+    viewmat = np.diag([1.0, -1, -1, 1]).astype(np.float32)
+    viewmat[:3, 3] = -SIDE / 2, SIDE / 2, AWAY
+    K = np.array([[AWAY, 0, SIDE / 2], [0, AWAY, SIDE / 2], [0, 0, 1]], np.float32)
+    depth = np.full((SIDE, SIDE), AWAY, np.float32)
+    for name, value in (("window", 2 * AWAY), ("unseen", 0)):
+        i, j = HOLES[name]
+        depth[SIDE - j - 3 : SIDE - j, i : i + 3] = value
+    return [ShownDepth(Camera(viewmat, K, SIDE, SIDE), depth)] * count
+
+
+def test_a_hole_is_closed_where_views_show_a_surface():
+    mesh = sheet()
+    found, report = fill_holes(mesh, views())
+    assert (report.patches, report.closed, report.closed_faces) == (3, 1, found.num_faces - mesh.num_faces)
+    added = face_area_vectors(Mesh(mesh.vertices, found.faces[mesh.num_faces :], mesh.colors))
+    np.testing.assert_allclose(added.sum(axis=0), [0, 0, 9], atol=1e-4)
+    middles = mesh.vertices[found.faces[mesh.num_faces :]].mean(axis=1)[:, :2]
+    assert ((middles > 6) & (middles < 9)).all()
+    before, after = topology(mesh), topology(found)
+    assert (before.boundary_loops, after.boundary_loops) == (4, 3)
+    assert after.oriented
+
+
+def test_one_view_alone_closes_nothing():
+    assert fill_holes(sheet(), views(1))[1].closed == 0
+
+
+def test_a_sheet_without_holes_stays():
+    mesh = sheet(())
+    found, report = fill_holes(mesh, views())
+    assert found is mesh
+    assert report.patches == 0
