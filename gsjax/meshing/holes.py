@@ -20,7 +20,7 @@ class HoleReport:
     """What was closed."""
 
     patches: int  # over holes that are no wider than `WIDEST`
-    closed: int  # those that views support
+    closed: int  # those that views support, and whose triangles fit between those that were there
     closed_faces: int  # with so many triangles
 
 
@@ -42,9 +42,12 @@ def fill_holes(mesh: Mesh, views: Sequence[ShownDepth]) -> tuple[Mesh, HoleRepor
         return mesh, HoleReport(0, 0, 0)
     labels, sizes = face_components(patches, edge_table(patches))
     kept = _are_seen(mesh, patches, labels, len(sizes), views)[labels]
-    added = _oriented_like(mesh.faces, patches[kept], labels[kept], len(sizes))
+    patches, labels = patches[kept], labels[kept]
+    added = _oriented_like(mesh.faces, patches, labels, len(sizes))
+    fits = ~np.isin(labels, labels[_conflicts(mesh.faces, added)])
+    added, labels = added[fits], labels[fits]
     whole = Mesh(mesh.vertices, np.concatenate([mesh.faces, added]).astype(np.int32), mesh.colors)
-    return whole, HoleReport(len(sizes), len(np.unique(labels[kept])), len(added))
+    return whole, HoleReport(len(sizes), len(np.unique(labels)), len(added))
 
 
 def _patches(mesh: Mesh) -> np.ndarray:
@@ -88,6 +91,15 @@ def _oriented_like(faces: np.ndarray, patches: np.ndarray, labels: np.ndarray, c
     same = np.isin(along["patch"], along["rim"]).reshape(-1, 3).sum(axis=1)
     turned = np.bincount(labels, same, count) > 0
     return np.where(turned[labels][:, None], patches[:, ::-1], patches)
+
+
+def _conflicts(faces: np.ndarray, added: np.ndarray) -> np.ndarray:
+    """`[A]` bool: added triangles with an edge that another triangle has in the same direction."""
+    both = np.concatenate([faces, added])
+    if not len(both):
+        return np.zeros(0, bool)
+    _, places, counts = np.unique(_directed(both, int(both.max()) + 1), return_inverse=True, return_counts=True)
+    return np.any(counts[places].reshape(-1, 3) > 1, axis=1)[len(faces) :]
 
 
 def _directed(faces: np.ndarray, base: int) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Holes of a flat sheet: one where views show the sheet, a window that they look through, and one that nobody saw."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from gsjax.cameras import Camera
@@ -59,3 +61,13 @@ def test_a_sheet_without_holes_stays():
     found, report = fill_holes(mesh, views())
     assert found is mesh
     assert report.patches == 0
+
+
+def test_a_torn_sheet_gets_no_edge_with_three_triangles():
+    shown = [view._replace(depth=np.full((SIDE, SIDE), AWAY, np.float32)) for view in views()]
+    whole = sheet(())
+    torn = replace(whole, faces=whole.faces[np.random.default_rng(1).random(whole.num_faces) > 0.4])
+    found, report = fill_holes(torn, shown)
+    assert 0 < report.closed < report.patches, "one of the patches has an edge that the sheet has"
+    assert topology(torn).oriented and topology(found).oriented
+    assert topology(found).boundary_loops < topology(torn).boundary_loops
