@@ -1,4 +1,4 @@
-"""The one exception that means: the input is at fault, and here is how."""
+"""The exception that means: the input is at fault, and here is how."""
 
 MOST_CHARACTERS = 900  # of a message; names and values come from files, and may be of any length
 
@@ -15,3 +15,7 @@ class InputError(ValueError):
         line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(message))
         half = MOST_CHARACTERS // 2
         super().__init__(line if len(line) <= MOST_CHARACTERS else f"{line[: half - 5]} ... {line[-half:]}")
+
+
+class NoSurfaceError(InputError):
+    """No surface where one is looked for, as of a poor run: no file is damaged, and other figures can still be told."""

@@ -96,12 +96,12 @@ class Similarity:
         return length / self.scale
 
     def figures_to_world(self, figures: Mapping[str, Any], lengths: Collection[str]) -> dict[str, Any]:
-        """A report, and those within it, with what is named in `lengths` in the world's units."""
+        """A report, and those within it, with what is named in `lengths` in the world's units; None stays."""
 
         def in_world(name: str, value: Any) -> Any:
             if isinstance(value, Mapping):
                 return self.figures_to_world(value, lengths)
-            return self.length_to_world(value) if name in lengths else value
+            return self.length_to_world(value) if name in lengths and value is not None else value
 
         return {name: in_world(name, value) for name, value in figures.items()}
 

@@ -8,11 +8,15 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial import KDTree
 
-from gsjax.errors import InputError
+from gsjax.errors import InputError, NoSurfaceError
 from gsjax.mesh import Mesh, face_area_vectors, face_normals, unit_or_zero
 
 THRESHOLD_SHARE = 0.01  # Of the diagonal of the truth's box: the F-score's default threshold.
 REACH_SHARE = 0.99  # Of the points that cameras saw, those that have another one within reach.
+
+SCORES = ("chamfer", "accuracy", "completeness", "precision", "recall", "fscore", "fscore_quarter", "fscore_half",
+          "fscore_double", "normal_consistency", "outward_share", "threshold")  # fmt: skip
+"""What `compare_to_truth` and `compare_to_surface` tell of a mesh."""
 
 Closest = Callable[[Mesh, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """(mesh, `[P, 3]` queries) -> `[P, 3]` nearest points of its surface and `[P]` the triangles that they lie on."""
@@ -58,7 +62,7 @@ def sample_surface(mesh: Mesh, count: int, seed: int) -> tuple[np.ndarray, np.nd
     areas = face_area_vectors(mesh)
     weights = np.linalg.norm(areas, axis=1)
     if not weights.sum() > 0:
-        raise InputError(f"cannot sample a mesh without area ({mesh.num_faces} faces)")
+        raise NoSurfaceError(f"cannot sample a mesh without area ({mesh.num_faces} faces)")
     rng = np.random.default_rng(seed)
     faces = rng.choice(mesh.num_faces, count, p=weights / weights.sum())
     u, v = rng.random((2, count, 1))
@@ -99,7 +103,7 @@ def compare_to_truth(
         `threshold`.
 
     Raises:
-        InputError: No surface of the mesh lies in the box.
+        NoSurfaceError: No surface of the mesh lies in the box.
     """
     low, high, threshold = _box(truth_points, threshold)
     points, normals = _samples_in_box(mesh, low, high, samples, seed)
@@ -142,7 +146,7 @@ def compare_to_surface(
         As of `compare_to_truth`; normals are those of the triangles, and `seen_normals`.
 
     Raises:
-        InputError: No surface of the mesh lies in the box, or none of it where cameras saw something.
+        NoSurfaceError: No surface of the mesh lies in the box, or none of it where cameras saw something.
     """
     low, high, threshold = _box(seen_points, threshold)
     mesh, truth = _with_area(mesh), _with_area(truth)
@@ -150,7 +154,7 @@ def compare_to_surface(
     feet, there = closest(truth, points)
     seen = nearest(feet, seen_points)[0] <= _reach(seen_points)
     if not seen.any():
-        raise InputError(f"no surface of the mesh ({mesh.num_faces} faces) lies where cameras saw the truth")
+        raise NoSurfaceError(f"no surface of the mesh ({mesh.num_faces} faces) lies where cameras saw the truth")
     touched, back = closest(mesh, seen_points)
     return _scores(
         np.linalg.norm(points - feet, axis=1)[seen],
@@ -255,4 +259,4 @@ def _samples_in_box(mesh: Mesh, low: np.ndarray, high: np.ndarray, count: int, s
         inside = np.all((points >= low) & (points <= high), axis=1)
         if inside.any():
             return points[inside], normals[inside]
-    raise InputError(f"no surface of the mesh ({mesh.num_faces} faces) lies in the truth's box {low} to {high}")
+    raise NoSurfaceError(f"no surface of the mesh ({mesh.num_faces} faces) lies in the truth's box {low} to {high}")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gsjax.errors import InputError
+from gsjax.errors import NoSurfaceError
 from gsjax.mesh import Mesh, face_area_vectors
 from gsjax.meshing.libraries import load_open3d
 from gsjax.meshing.topology import edge_table, face_components
@@ -37,7 +37,7 @@ def clean(
         The mesh without unused vertices, and what was done.
 
     Raises:
-        InputError: Nothing is left.
+        NoSurfaceError: Nothing is left.
     """
     merged, degenerate, duplicate = _distinct_faces(_merge_vertices(mesh))
     manifold = _manifold(merged)
@@ -45,7 +45,7 @@ def clean(
     decimated = _decimate(kept, max_faces)
     result = _without_unused_vertices(decimated)
     if not result.num_faces:
-        raise InputError(f"no mesh: nothing of {mesh.num_faces} triangles is left after cleaning")
+        raise NoSurfaceError(f"no mesh: nothing of {mesh.num_faces} triangles is left after cleaning")
 
     return result, CleaningReport(
         degenerate_faces=degenerate,

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from gsjax.cameras import Camera
-from gsjax.errors import InputError
+from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
 from gsjax.meshing.methods import Method, Sighting, poisson_through
@@ -46,7 +46,7 @@ def depth_poisson(
             for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True))
         ]
         if not sum(len(points) for points, _, _ in views):
-            raise InputError(
+            raise NoSurfaceError(
                 f"no surface to extract: no pixel of {len(views)} views has alpha > {min_alpha} and a normal"
             )
         points, normals, colors = (np.concatenate(parts) for parts in zip(*views, strict=True))

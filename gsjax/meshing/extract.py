@@ -6,7 +6,7 @@ from dataclasses import asdict
 import numpy as np
 
 from gsjax.cameras import Camera
-from gsjax.errors import InputError
+from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians, without_view_dependence
 from gsjax.mesh import Mesh
 from gsjax.meshing.boxes import Region, Regions, near_and_far
@@ -72,7 +72,7 @@ def extract_mesh(
             reports[name] = {"box": region.corners(similarity), "empty": str(fault)}
             faults.append(f"{name}: {fault}")
     if not parts:
-        raise InputError("; ".join(faults))
+        raise NoSurfaceError("; ".join(faults))
     mesh, facing = orient_outward(concatenate_meshes(parts), cameras)
     report = {"seen": seen.report, **reports, "topology": asdict(topology(mesh)), "facing_share": facing}
     return mesh, similarity.figures_to_world(report, LENGTHS)
@@ -81,12 +81,12 @@ def extract_mesh(
 def _part(
     seen: Sighting, region: Region, min_component_share: float, max_faces: int | None, similarity: Similarity
 ) -> tuple[Mesh, dict]:
-    """The clean mesh of one region; InputError where there is none."""
+    """The clean mesh of one region; NoSurfaceError where there is none."""
     count = int(region.contains(seen.points).sum())
     if not count:
         low, high = region.corners(similarity)
         first, last = (_rounded(similarity.points_to_world(end(seen.points, axis=0))) for end in (np.min, np.max))
-        raise InputError(
+        raise NoSurfaceError(
             f"no mesh: the box {low} to {high} holds none of {len(seen.points)} surface points, "
             f"which span {first} to {last}"
         )

@@ -17,7 +17,7 @@ from gsjax import cameras as cams
 from gsjax import density_field
 from gsjax import gaussians as gs
 from gsjax.cameras import Camera
-from gsjax.errors import InputError
+from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing.level_crossing import march_rays
 from gsjax.meshing.neighborhood import Neighborhood
@@ -126,7 +126,7 @@ def surface_points(
     points, normals, crossed = _march(kept, rays, options)
     ids = np.flatnonzero(crossed)
     if not len(ids):
-        raise InputError(
+        raise NoSurfaceError(
             f"the level set is empty: none of {len(crossed)} rays crosses density {options.level} "
             f"({kept.num_gaussians} of {gaussians.num_gaussians} Gaussians kept); train longer or lower the level"
         )
@@ -162,7 +162,7 @@ def opaque_ids(gaussians: Gaussians, min_opacity: float, fewest: int) -> np.ndar
     opaque = finite & (np.asarray(gs.opacities(gaussians)) > min_opacity)
     kept = np.flatnonzero(opaque if opaque.sum() >= fewest else finite)
     if not len(kept):
-        raise InputError(f"no surface to extract: none of {gaussians.num_gaussians} Gaussians is usable")
+        raise NoSurfaceError(f"no surface to extract: none of {gaussians.num_gaussians} Gaussians is usable")
     return kept
 
 
@@ -202,7 +202,7 @@ def _draw_rays(cameras, pictures, place: np.ndarray, rays_per_view: int, min_alp
     ]
     rays = [np.concatenate(parts) for parts in zip(*views, strict=True)] if views else [np.zeros((0, 3))]
     if not len(rays[0]):
-        raise InputError(
+        raise NoSurfaceError(
             f"no surface to extract: no pixel of {len(views)} views has alpha > {min_alpha}, a depth,"
             " and an owner that is opaque"
         )

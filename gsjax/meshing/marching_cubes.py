@@ -13,7 +13,7 @@ from gsjax import density_field
 from gsjax import gaussians as gs
 from gsjax.cameras import Camera
 from gsjax.density_field import Kernels
-from gsjax.errors import InputError
+from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.io.machine import require_memory
 from gsjax.mesh import Mesh
@@ -53,7 +53,7 @@ def marching_cubes(*, level: float = 0.3, cell: float | None = None, min_opacity
             samples = density_grid(kept, region.box, step)
             vertices, faces = _isosurface(samples, level)
             if not len(faces):
-                raise InputError(f"no mesh: the density stays under {level} on a grid of {step:.4g}")
+                raise NoSurfaceError(f"no mesh: the density stays under {level} on a grid of {step:.4g}")
             vertices = (region.box.low + step * vertices).astype(np.float32)
             nearest = np.asarray(KDTree(centers).query(vertices, workers=-1)[1])
             return Mesh(vertices, faces, base_colors(kept)[nearest]), {"cell": step, "samples": samples.size}

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from gsjax import gaussians as gs
 from gsjax.cameras import Camera, viewmat_center
-from gsjax.errors import InputError
+from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.mesh import Mesh, unit_or_zero
 from gsjax.meshing import level_set, poisson
@@ -88,7 +88,7 @@ def centers_poisson(
         towards = directions_to_viewers(centers, reach, cameras, pictures)
         seen = np.any(towards != 0, axis=1)
         if not seen.any():
-            raise InputError(f"no surface to extract: no view sees the centre of any of {len(centers)} Gaussians")
+            raise NoSurfaceError(f"no surface to extract: no view sees the centre of any of {len(centers)} Gaussians")
         normals = plane_normals(centers, min(neighbors, len(centers)))
         normals *= np.where(np.sum(normals * towards, axis=1, keepdims=True) < 0, -1, 1)
         colors = base_colors(kept)

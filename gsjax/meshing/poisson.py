@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from gsjax.errors import InputError
+from gsjax.errors import NoSurfaceError
 from gsjax.mesh import Mesh
 from gsjax.meshing.libraries import load_open3d
 from gsjax.meshing.topology import edge_table
@@ -62,13 +62,13 @@ def reconstruct(
         An oriented mesh with the points' colours, counter-clockwise seen from outside, and what was chosen.
 
     Raises:
-        InputError: Fewer than 100 points, or nothing is left after trimming.
+        NoSurfaceError: Fewer than 100 points, or nothing is left after trimming.
     """
     options = PoissonOptions() if options is None else options
     cloud = _without_outliers(_as_cloud(points, normals, colors), options)
     kept = np.asarray(cloud.points)
     if len(kept) < MIN_POINTS:
-        raise InputError(f"no mesh: {len(kept)} surface points, Poisson reconstruction needs {MIN_POINTS}")
+        raise NoSurfaceError(f"no mesh: {len(kept)} surface points, Poisson reconstruction needs {MIN_POINTS}")
     gap, extent = spacing(kept), float(np.ptp(kept, axis=0).max())
     if options.depth is None:
         depth, scale = octree_for_cell(extent, max(2 * gap, smallest_cell), options.scale)
@@ -83,7 +83,7 @@ def reconstruct(
     cut = options.trim(Support(distances, densities, edges, near=far / 2, far=far))
     surface.remove_vertices_by_mask(cut.vertices)
     if not len(surface.triangles):
-        raise InputError(f"no mesh: no Poisson vertex is supported by the {len(kept)} points (within {far:.4g})")
+        raise NoSurfaceError(f"no mesh: no Poisson vertex is supported by the {len(kept)} points (within {far:.4g})")
     mesh = Mesh(
         vertices=np.asarray(surface.vertices, np.float32),
         faces=np.asarray(surface.triangles, np.int32),

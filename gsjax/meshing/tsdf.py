@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gsjax.cameras import Camera
-from gsjax.errors import InputError
+from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.io.machine import require_memory
 from gsjax.mesh import Mesh
@@ -60,7 +60,7 @@ def tsdf(*, voxel: float | None = None, min_alpha: float = 0.5, seed: int = 0) -
             points.append(level_set.world_points(camera, depth, rows[drawn], columns[drawn])[0])
         points = np.concatenate(points)
         if not len(points):
-            raise InputError(
+            raise NoSurfaceError(
                 f"no surface to extract: no pixel of {len(views)} views has alpha > {min_alpha} and a depth"
             )
 
@@ -95,7 +95,7 @@ def _fused(views: Sequence[DepthView], region: Region, voxel: float) -> Mesh:
     surface = grid.extract_triangle_mesh(weight_threshold=SEEN_ONCE)
     faces = surface.triangle.indices.numpy() if "indices" in surface.triangle else np.zeros((0, 3))
     if not len(faces):
-        raise InputError(f"no mesh: the depth of {len(views)} views leaves no surface at voxels of {voxel:.4g}")
+        raise NoSurfaceError(f"no mesh: the depth of {len(views)} views leaves no surface at voxels of {voxel:.4g}")
     return Mesh(
         vertices=surface.vertex.positions.numpy(),
         faces=faces.astype(np.int32),

@@ -1,13 +1,16 @@
 """Scores of a run: held-out images, and geometry wherever there is truth beside the images."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gsjax.effects.alignment import align as aligned_camera
+from gsjax.errors import NoSurfaceError
 from gsjax.measures import geometry
 from gsjax.mesh import Mesh
 from gsjax.meshing.closest import closest_on_mesh
@@ -19,6 +22,7 @@ from gsjax.planning.effects import appearances_of_tracks
 from gsjax.runs.photography import Photography
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.runs.run import Run
+from gsjax.scene import Frame, Truth
 from gsjax.scoring.images import score_images
 from gsjax.scoring.surfaces import LENGTHS, score_mesh_views, score_surface
 
@@ -48,8 +52,10 @@ def evaluate(
         `psnr_zoom_0.5` and `ssim_zoom_0.5` (with that number); with true
         normals `normal_error_deg` and `normal_error_median_deg` of the rendered depth over object pixels and
         `normal_error_all_deg` over all surface pixels; with true depth `depth_error` (mean absolute, object pixels,
-        scene units), both in held-out views; with true surface points what `score_mesh` returns, and the same errors of
-        the mesh's own depth as `mesh_normal_error_deg` and so on, in `floor` those of the true mesh.
+        scene units), both in held-out views; with true surface points what `score_mesh` returns, the same errors of
+        the mesh's own depth as `mesh_normal_error_deg` and so on, and `distances`, "point to surface" or, without true
+        triangles, "point to point"; with true triangles `floor`: the same scores of the true mesh itself. The scores of
+        a mesh without surface where cameras saw the truth, as of a poor run, are None, and a line on stderr says so.
 
     Raises:
         InputError: The run, its data set, the mesh or the weights cannot be read.
@@ -85,23 +91,41 @@ def evaluate(
         return figures
     surface = score_surface(result.gaussians, scene.held_out_frames, truth, result.depth_mode)
     if truth.points is not None and truth.point_normals is not None:
-        own = run / "mesh.ply"
-        if given is None and not own.exists():
-            extract(run, own)
-        scored = similarity.mesh_to_local(read_mesh(own) if given is None else given)
         true = None if truth.mesh is None else similarity.mesh_to_local(_in_world(read_mesh(truth.mesh), scene.place))
-        surface |= score_mesh(scored, truth.points, truth.point_normals, true)
-        surface |= score_mesh_views(scored, scene.held_out_frames, truth)
+        names = (*geometry.SCORES, *(f"mesh_{name}" for name in surface))
+        score = partial(_score_mesh, frames=scene.held_out_frames, truth=truth, true_mesh=true)
+        try:
+            surface |= score(similarity.mesh_to_local(_own_mesh(run) if given is None else given))
+        except NoSurfaceError as fault:
+            print(f"{run}: its mesh is not scored: {fault}", file=sys.stderr)
+            surface |= dict.fromkeys(names)
+        surface["distances"] = "point to point" if true is None else "point to surface"
         if true is not None:
-            surface["floor"] |= score_mesh_views(true, scene.held_out_frames, truth)
+            surface["floor"] = score(true)
     return figures | similarity.figures_to_world(surface, LENGTHS)
+
+
+def _own_mesh(run: Path) -> Mesh:
+    """The run's mesh, which is extracted now if it is absent."""
+    file = run / "mesh.ply"
+    if not file.exists():
+        extract(run, file)
+    return read_mesh(file)
 
 
 def _in_world(mesh: Mesh, place: Place) -> Mesh:
     return replace(mesh, vertices=place.points_to_world(mesh.vertices))
 
 
-def score_mesh(mesh: Mesh, seen_points: np.ndarray, seen_normals: np.ndarray, true_mesh: Mesh | None) -> dict[str, Any]:
+def _score_mesh(mesh: Mesh, frames: tuple[Frame, ...], truth: Truth, true_mesh: Mesh | None) -> dict[str, Any]:
+    """Of its surface, and of its depth in these frames."""
+    assert truth.points is not None and truth.point_normals is not None, "nothing else is scored here"
+    return score_mesh(mesh, truth.points, truth.point_normals, true_mesh) | score_mesh_views(mesh, frames, truth)
+
+
+def score_mesh(
+    mesh: Mesh, seen_points: np.ndarray, seen_normals: np.ndarray, true_mesh: Mesh | None
+) -> dict[str, float]:
     """How far a mesh is from the true surface: from its triangles where they are known, else from its points.
 
     Args:
@@ -111,17 +135,11 @@ def score_mesh(mesh: Mesh, seen_points: np.ndarray, seen_normals: np.ndarray, tr
         true_mesh: The true triangles, where they are known.
 
     Returns:
-        `chamfer`, `accuracy`, `completeness`, `fscore`, `normal_consistency` and the rest that
-        `gsjax.measures.geometry.compare_to_surface` tells; `distances`, "point to surface" or, without true triangles,
-        "point to point"; with true triangles also `floor`: the same scores of the true mesh itself.
+        `gsjax.measures.geometry.SCORES`: `chamfer`, `accuracy`, `completeness`, `fscore`, `normal_consistency`, ...
 
     Raises:
-        InputError: Nothing of the mesh lies where cameras saw something.
+        NoSurfaceError: Nothing of the mesh lies where cameras saw something.
     """
     if true_mesh is None:
-        return geometry.compare_to_truth(mesh, seen_points, seen_normals) | {"distances": "point to point"}
-    found, floor = (
-        geometry.compare_to_surface(each, true_mesh, seen_points, seen_normals, closest_on_mesh)
-        for each in (mesh, true_mesh)
-    )
-    return found | {"distances": "point to surface", "floor": floor}
+        return geometry.compare_to_truth(mesh, seen_points, seen_normals)
+    return geometry.compare_to_surface(mesh, true_mesh, seen_points, seen_normals, closest_on_mesh)

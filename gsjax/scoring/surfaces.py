@@ -24,7 +24,10 @@ LENGTHS = frozenset({"chamfer", "accuracy", "completeness", "threshold", "depth_
 def score_surface(
     gaussians: Gaussians, frames: tuple[Frame, ...], truth: Truth, depth_mode: DepthReading = "plane"
 ) -> dict[str, Any]:
-    """Errors of the rendered depth and of its normals against true maps, pooled over the pixels of all frames."""
+    """Errors of the rendered depth and of its normals against true maps, pooled over the pixels of all frames.
+
+    None is the error of a depth that has no pixel in common with the true one.
+    """
     frames = _with_maps(frames, truth)
     if not frames:
         return {}
@@ -71,5 +74,6 @@ def _score_depths(depths: Iterable[np.ndarray], frames: tuple[Frame, ...], truth
             "normal_error_all_deg": anywhere["mean"],
         }
     if depth_errors:
-        figures["depth_error"] = float(np.concatenate(depth_errors).mean())
+        errors = np.concatenate(depth_errors)
+        figures["depth_error"] = float(errors.mean()) if len(errors) else None
     return figures

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,7 +15,8 @@ from gsjax import cli, pipeline
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.images import image_size, read_image
-from gsjax.meshing.export import read_mesh
+from gsjax.measures import geometry
+from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline import demo
 from gsjax.runs import viewpoints
 from gsjax.runs.result import open_result, scene_of_run
@@ -59,6 +61,20 @@ def test_the_true_mesh_is_its_own_floor(run, scene):
     # Differences of depth over two pixels see the truth's own curves and edges.
     assert floor["mesh_normal_error_median_deg"] < 8 and floor["mesh_depth_error"] < 5e-3
     assert floor["mesh_normal_error_deg"] < 0.5 * figures["normal_error_deg"]
+
+
+def test_a_mesh_away_from_the_truth_loses_no_other_figure(run, scene, tmp_path, capsys):
+    true = read_mesh(scene / "gt_mesh.ply")
+    write_mesh(tmp_path / "far.ply", replace(true, vertices=true.vertices + np.float32([100, 0, 0])))
+    json_files.write(tmp_path / "before.json", expected := pipeline.evaluate(run, mesh=scene / "gt_mesh.ply"))
+    assert cli.main(["eval", str(run), "--mesh", str(tmp_path / "far.ply"), "--json", str(tmp_path / "e.json")]) == 0
+    found, printed = json_files.read(tmp_path / "e.json"), capsys.readouterr()
+    lost = {*geometry.SCORES, "mesh_normal_error_deg", "mesh_normal_error_median_deg", "mesh_normal_error_all_deg",
+            "mesh_depth_error"}  # fmt: skip
+    assert found == {**json_files.read(tmp_path / "before.json"), **dict.fromkeys(lost)} and lost < set(expected)
+    lines = [line for line in printed.err.splitlines() if "is not scored: no surface of the mesh" in line]
+    assert len(lines) == 1 and lines[0].startswith(f"{run}: its mesh ")
+    assert ["chamfer", "-"] in [line.split() for line in printed.out.splitlines()]
 
 
 def test_a_run_is_scored_at_other_sizes_of_its_photos(run):

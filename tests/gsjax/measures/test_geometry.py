@@ -86,6 +86,7 @@ def test_comparing_a_mesh_with_its_own_samples_is_near_perfect():
     assert found["threshold"] == pytest.approx(0.01 * np.sqrt(3), rel=1e-3)
     # Nearest neighbours of a random pattern: a share exp(-pi r^2 density) has none within r.
     assert found["fscore"] == pytest.approx(1 - np.exp(-np.pi * found["threshold"] ** 2 * 20_000 / 6), abs=0.01)
+    assert tuple(found) == geometry.SCORES
     assert found["chamfer"] < 0.01  # The mean gap of samples at that density.
     assert found["chamfer"] == pytest.approx((found["accuracy"] + found["completeness"]) / 2)
     assert found["normal_consistency"] > 0.98  # Beside an edge the nearest sample may lie round the corner.
