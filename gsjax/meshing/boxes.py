@@ -37,6 +37,10 @@ class Box:
         """`[P]` bool for `[P, 3]` points."""
         return np.all((points >= self.low) & (points <= self.high), axis=1)
 
+    def distances(self, points: np.ndarray) -> np.ndarray:
+        """`[P]` distance of `[P, 3]` points from the box, scene units; 0 inside."""
+        return np.linalg.norm(points - np.clip(points, self.low, self.high), axis=1)
+
     def grown(self, margin: float) -> "Box":
         """The box with every side moved outwards by `margin`, scene units; never shrunk to nothing."""
         middle, half = (self.low + self.high) / 2, (self.high - self.low) / 2

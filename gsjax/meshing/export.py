@@ -28,6 +28,8 @@ from gsjax.mesh import Mesh
 from gsjax.meshing import glb, usdz
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.libraries import load_trimesh
+from gsjax.meshing.named_files import NamedFiles
+from gsjax.meshing.obj import prepared_obj
 from gsjax.meshing.part_colors import has_picture, merge_parts, parts_of, picture_of, sample_texture
 from gsjax.place import UNPLACED, Place
 from gsjax.similarity import as_needed, is_float32, loses_in_float32, spread
@@ -226,11 +228,17 @@ def _loaded(path: Path):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Of numbers that are none, which are looked for afterwards.
+            content = _content(path)
             # Where order is kept, places in the texture that share a vertex of an .obj become one.
-            has_places = path.suffix.lower() == ".obj" and b"\nvt " in path.read_bytes()
-            if path.suffix.lower() == ".glb" and (unread := glb.unread_part(path.read_bytes())):
-                raise InputError(f"{path}: {unread}")
-            scene = trimesh.load(path, force="scene", process=False, maintain_order=not has_places)
+            has_places = path.suffix.lower() == ".obj" and b"\nvt " in content
+            scene = trimesh.load(
+                BytesIO(content),
+                file_type=path.suffix.lower()[1:],
+                resolver=NamedFiles(path),
+                force="scene",
+                process=False,
+                maintain_order=not has_places,
+            )
             surface = _as_one(path, scene)
             vertices, faces = _triangles(surface)
     except InputError:
@@ -240,6 +248,14 @@ def _loaded(path: Path):
     if (fault := _fault(vertices, faces, np.asarray(surface.visual.uv) if has_picture(surface) else None)) is not None:
         raise InputError(f"{path}: {fault}")
     return surface
+
+
+def _content(path: Path) -> bytes:
+    """The file as trimesh reads it; InputError where it would be misread."""
+    content, suffix = path.read_bytes(), path.suffix.lower()
+    if suffix == ".glb" and (unread := glb.unread_part(content)):
+        raise InputError(f"{path}: {unread}")
+    return prepared_obj(path, content) if suffix == ".obj" else content
 
 
 def _fault(vertices: np.ndarray, faces: np.ndarray, uvs: np.ndarray | None) -> str | None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.gaussians import without_view_dependence
+from gsjax.gaussians import Gaussians, without_view_dependence
 from gsjax.io.machine import require_memory
 from gsjax.io.scenes import load_scene
 from gsjax.io.temporaries import sweep_beside
@@ -36,6 +36,7 @@ from gsjax.runs.result import Result, open_result, scene_of_run, training_pictur
 from gsjax.scene import Frame
 from gsjax.similarity import Similarity
 
+REACH = 3.0  # standard deviations of a Gaussian, within which it may make surface in a box
 MOST_CELLS = 2**16  # along a side; of a surface alone they are tens of gigabytes
 BYTES_PER_POINT = 24  # of the surface: place and normal, at the least
 METHODS = ("poisson", "depth", "tsdf", "centers", "marching-cubes")
@@ -94,9 +95,12 @@ def mesh(
     require_apart(out, source, scene)
     sweep_beside(Path(out))
     _check(level=level, points=points, depth=depth, trim_quantile=trim_quantile, cell=cell, faces=faces)
-    regions = _regions(bounds, background_bounds, foreground_only)
+    given = _given_boxes(bounds, background_bounds, foreground_only)
     result = open_result(source, scene=scene)
     similarity = result.similarity
+    kept = tuple(boxes.to_local(box, similarity) for box in given)
+    if kept:
+        _require_reached(kept, result.gaussians, similarity)
     if cell is not None:
         means = similarity.points_to_world(np.asarray(result.gaussians.means))
         _check_cell(cell, means if bounds is None else np.reshape(bounds, (2, 3)))
@@ -111,7 +115,7 @@ def mesh(
         cameras,
         noted,
         method=_method(method, result, cameras, level, points, depth, trim_quantile, cell),
-        regions=regions(similarity),
+        regions=_regions(kept, foreground_only),
         max_faces=faces,
         similarity=similarity,
     )
@@ -173,14 +177,12 @@ def _smoothed_normals(result: Result, cameras: Sequence[Camera]) -> NormalsOfDep
     return partial(smoothed_depth_normals, reduction=reduction)
 
 
-def _regions(
-    bounds: list[float] | None, background: list[float] | None, foreground_only: bool
-) -> Callable[[Similarity], Callable[[np.ndarray], Regions]]:
-    """From a similarity to the function from points to regions that the options, which are of the world, ask for."""
+def _given_boxes(bounds: list[float] | None, background: list[float] | None, foreground_only: bool) -> tuple[Box, ...]:
+    """The boxes of the foreground and of the background that the options ask for, in the world; none: any."""
     if bounds is None:
         if background is not None:
             raise InputError("--background-bounds needs --bounds: the background is what lies around that box")
-        return lambda _: boxes.near_only if foreground_only else boxes.near_and_far
+        return ()
     for name, corners in (("bounds", bounds), ("background-bounds", background)):
         if corners is not None and not np.isfinite(corners).all():
             raise InputError(f"--{name} {' '.join(f'{side:g}' for side in corners)}: not all of its sides are finite")
@@ -188,12 +190,28 @@ def _regions(
         None if corners is None else Box(*np.split(np.asarray(corners), 2)) for corners in (bounds, background)
     )
     assert near is not None
-    given = (near,) if foreground_only or far is None else (near, far)
+    return (near,) if foreground_only or far is None else (near, far)
 
-    def local(similarity: Similarity) -> Callable[[np.ndarray], Regions]:
-        return lambda _: boxes.fixed_boxes(*(boxes.to_local(box, similarity) for box in given))
 
-    return local
+def _require_reached(kept: tuple[Box, ...], gaussians: Gaussians, similarity: Similarity) -> None:
+    """Before views are drawn: raises InputError where no Gaussian reaches into any of the boxes, local coordinates."""
+    means = np.asarray(gaussians.means)
+    reach = REACH * np.exp(np.asarray(gaussians.log_scales)).max(axis=1)
+    if any((box.distances(means) <= reach).any() for box in kept):
+        return
+    low, high = (similarity.points_to_world(end(means, axis=0)).round(3).tolist() for end in (np.min, np.max))
+    corners = similarity.points_to_world(np.stack([kept[-1].low, kept[-1].high])).round(3).tolist()
+    raise InputError(
+        f"--bounds: the box {corners[0]} to {corners[1]} holds none of {len(means)} Gaussians, "
+        f"which span {low} to {high}"
+    )
+
+
+def _regions(kept: tuple[Box, ...], foreground_only: bool) -> Callable[[np.ndarray], Regions]:
+    """From points to regions: the boxes, or what the points ask for where there are none."""
+    if kept:
+        return lambda _: boxes.fixed_boxes(*kept)
+    return boxes.near_only if foreground_only else boxes.near_and_far
 
 
 def _check_cell(cell: float, places: np.ndarray) -> None:

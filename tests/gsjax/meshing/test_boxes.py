@@ -18,6 +18,11 @@ def test_a_box_that_is_none_is_one_line(low, high):
     assert "\n" not in str(caught.value)
 
 
+def test_distances_are_to_the_nearest_point_of_the_box():
+    points = np.array([[0.0, 0.5, -1.0], [1.0, 1.0, 3.0], [4.0, 5.0, 0.0]])
+    np.testing.assert_allclose(UNIT.distances(points), [0.0, 2.0, 5.0])
+
+
 def test_growing_and_scaling_keep_the_middle():
     box = Box((0, 0, 0), (2, 4, 6))
     grown, scaled = box.grown(0.5), box.scaled(4)

@@ -299,6 +299,60 @@ def test_colours_of_any_type_and_name_are_read(tmp_path, kind, names, stored):
     np.testing.assert_array_equal(read_mesh(tmp_path / "m.ply").colors, [[255, 128, 0]] * 3)
 
 
+TRIANGLES = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\n"
+
+
+@pytest.mark.parametrize(
+    ("faces", "fault"),
+    [
+        ("f 1 2 3\nf 0 1 2\n", "m.obj, line 10: a face has an index 0; OBJ counts from 1"),
+        ("f 1 2 3\nf 1 2 3 0", "m.obj, line 10: a face has an index 0; OBJ counts from 1"),
+        ("f\t1/1\t2/00 3/3\r\n", "m.obj, line 9: a face has an index 0; OBJ counts from 1"),
+        ("f 1 2 -5\n", "m.obj, line 9: a face has an index -5, but only 4 come before it"),
+        ("f 1 2 -x\n", "m.obj, line 9: invalid literal"),
+    ],
+)
+def test_an_obj_with_an_index_that_is_none_is_refused(tmp_path, faces, fault):
+    (tmp_path / "m.obj").write_text(TRIANGLES + faces)
+    with pytest.raises(InputError, match=fault):
+        read_mesh(tmp_path / "m.obj")
+
+
+@pytest.mark.parametrize(
+    ("faces", "expected"),
+    [
+        ("f 1 2 3\n", [[0, 1, 2]]),
+        ("f -4 -3 -2 # -1\nv 5 5 5\nf -1 1 -2\n", [[0, 1, 2], [4, 0, 3]]),
+        ("# f 0 0 0\nf 1//1 2//1 3//1\n" + "v 9 9 9\n" * 6 + "f 10 1 2\n", [[0, 1, 2], [9, 0, 1]]),
+    ],
+)
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+def test_indices_of_an_obj_are_those_of_the_format(tmp_path, faces, expected, mark):
+    vertices = TRIANGLES[: TRIANGLES.index("vt")]
+    (tmp_path / "m.obj").write_text(mark + vertices + faces, encoding="utf-8")
+    found = read_mesh(tmp_path / "m.obj")
+    corners = [line.split()[1:] for line in (vertices + faces).splitlines() if line.startswith("v ")]
+    np.testing.assert_array_equal(found.vertices[found.faces], np.array(corners, np.float32)[expected])
+
+
+@pytest.mark.parametrize(
+    ("material", "fault"),
+    [
+        (None, "k.mtl, which it names, is not in its folder"),
+        ("newmtl r\nmap_Kd gone.png\n", "gone.png, which it names, is not in its folder"),
+        ("newmtl r\nmap_Kd k.obj\n", "k.obj, which it names, is no picture that can be read"),
+        ("newmtl r\nmap_Kd ../k.png\n", "../k.png, which it names, is not in its folder"),
+    ],
+)
+def test_an_obj_says_which_colours_are_missing(tmp_path, capsys, material, fault):
+    if material is not None:
+        (tmp_path / "k.mtl").write_text(material)
+    (tmp_path / "k.obj").write_text(f"mtllib k.mtl\n{TRIANGLES}usemtl r\nf 1/1 2/2 3/3\n")
+    assert read_mesh(tmp_path / "k.obj").num_faces == 1
+    told = f"{tmp_path / 'k.obj'}: {fault}; the colours that it would give are missing\n"
+    assert capsys.readouterr().err == told
+
+
 def _without_view(tree):
     del tree["accessors"][0]["bufferView"]
 

@@ -115,7 +115,7 @@ def test_where_photos_are_masked_no_triangle_grows(lumpy, method, tmp_path):
         ({"cell": 1e-9}, "--cell 1e-09: makes "),
         ({"cell": float("inf")}, "--cell inf is not a number above 0"),
         ({"points": 10**13}, "--points 10000000000000 takes 2.24e"),
-        ({"bounds": [5, 5, 5, 6, 6, 6]}, "holds none of"),
+        ({"bounds": [5, 5, 5, 6, 6, 6]}, "holds none of 2000 Gaussians, which span"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
@@ -124,3 +124,19 @@ def test_what_cannot_be_done_is_one_line_and_nothing_is_written(file, tmp_path, 
         mesh(file, tmp_path / "mesh.ply", **options)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "mesh.ply").exists()
+
+
+@pytest.mark.parametrize(("background", "told"), [(None, "[5.0, 5.0, 5.0]"), ([4, 4, 4, 7, 7, 7], "[4.0, 4.0, 4.0]")])
+def test_a_box_that_no_gaussian_reaches_is_refused_before_views_are_drawn(
+    lumpy, tmp_path, monkeypatch, background, told
+):
+    def drawn(*_, **__):
+        raise AssertionError("a view is drawn")
+
+    monkeypatch.setattr(gallery, "pictures", drawn)
+    with pytest.raises(InputError) as caught:
+        mesh(lumpy["masked"], tmp_path / "mesh.ply", bounds=[5, 5, 5, 6, 6, 6], background_bounds=background)
+    assert str(caught.value).startswith(f"--bounds: the box {told} to ")
+    assert " holds none of 2000 Gaussians, which span " in str(caught.value)
+    with pytest.raises(AssertionError, match="a view is drawn"):  # A splat that reaches in from outside counts.
+        mesh(lumpy["masked"], tmp_path / "mesh.ply", bounds=[1.05, -1, -1, 2, 1, 1])
