@@ -221,22 +221,23 @@ def _image(pixels: np.ndarray):
 
 def _loaded(path: Path):
     """The file as one trimesh with vertices in their order; InputError where it is none."""
-    supported_suffix(path)
+    suffix = supported_suffix(path)
     if not path.is_file():
         raise InputError(f"{path}: no such mesh file")
     trimesh = load_trimesh()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Of numbers that are none, which are looked for afterwards.
-            content = _content(path)
-            # Where order is kept, places in the texture that share a vertex of an .obj become one.
-            has_places = path.suffix.lower() == ".obj" and b"\nvt " in content
+            source, has_places = prepared_obj(path) if suffix == ".obj" else (path, False)
+            if suffix == ".glb" and (unread := glb.unread_part(path.read_bytes())):
+                raise InputError(f"{path}: {unread}")
             scene = trimesh.load(
-                BytesIO(content),
-                file_type=path.suffix.lower()[1:],
+                source,
+                file_type=suffix[1:],
                 resolver=NamedFiles(path),
                 force="scene",
                 process=False,
+                # Where order is kept, places in the texture that share a vertex of an .obj become one.
                 maintain_order=not has_places,
             )
             surface = _as_one(path, scene)
@@ -248,14 +249,6 @@ def _loaded(path: Path):
     if (fault := _fault(vertices, faces, np.asarray(surface.visual.uv) if has_picture(surface) else None)) is not None:
         raise InputError(f"{path}: {fault}")
     return surface
-
-
-def _content(path: Path) -> bytes:
-    """The file as trimesh reads it; InputError where it would be misread."""
-    content, suffix = path.read_bytes(), path.suffix.lower()
-    if suffix == ".glb" and (unread := glb.unread_part(content)):
-        raise InputError(f"{path}: {unread}")
-    return prepared_obj(path, content) if suffix == ".obj" else content
 
 
 def _fault(vertices: np.ndarray, faces: np.ndarray, uvs: np.ndarray | None) -> str | None:

@@ -103,8 +103,10 @@ def vertex_colors(content: bytes) -> np.ndarray | None:
         28 + length + view.get("byteOffset", 0) + accessor.get("byteOffset", 0),  # Behind two headers of chunks.
         (view.get("byteStride", channels * kind.itemsize), kind.itemsize),
     )
-    largest = 1 if kind.kind == "f" else np.iinfo(kind).max
-    return srgb_bytes(stored[:, :3] / largest)
+    if kind.kind == "f":
+        return srgb_bytes(stored[:, :3])
+    largest = np.iinfo(kind).max
+    return srgb_bytes(np.arange(largest + 1) / largest)[stored[:, :3]]
 
 
 def _length(content: bytes) -> int:

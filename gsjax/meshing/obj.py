@@ -3,32 +3,38 @@
 import codecs
 import re
 from collections.abc import Iterable
+from io import BytesIO
 from pathlib import Path
 
 from gsjax.errors import InputError
+from gsjax.io.files import read_bytes
 
 # Possessive, so that millions of lines take a second.
 _FROM_THE_END = re.compile(rb"\nf(?:[ \t/]++[0-9]++)*+[ \t/]++-")
 _ZERO = re.compile(rb"\nf(?:[ \t/]++0*+[1-9][0-9]*+)*+[ \t/]++0++(?![0-9])")
 
 
-def prepared_obj(path: Path, content: bytes) -> bytes:
-    """The content without a byte order mark, with faces that count all vertices from 1 on.
+def prepared_obj(path: Path) -> tuple[Path | BytesIO, bool]:
+    """What trimesh may read: the file itself, or what it holds without a byte order mark and with indices from 1 on.
 
     Args:
-        path: Of the file, for messages.
-        content: What it holds. A face's index of -1 means the last vertex before that face.
+        path: An .obj. A face's index of -1 means the last vertex before that face.
+
+    Returns:
+        What to read, and whether the file has places in a texture.
 
     Raises:
-        InputError: An index of a face is 0, leads before the first, or is no number; its line is named.
+        InputError: An index of a face is 0, leads before the first, or is no number, and its line is named; or the
+            file cannot be read.
     """
-    content = content.removeprefix(codecs.BOM_UTF8)
+    stored = read_bytes(path)
+    content = stored.removeprefix(codecs.BOM_UTF8)
     if _FROM_THE_END.search(content):
         content = b"\n".join(_from_the_start(path, content.split(b"\n")))
     if (zero := _ZERO.search(content)) is not None:
         line = 2 + content.count(b"\n", 0, zero.start())
         raise InputError(f"{path}, line {line}: a face has an index 0; OBJ counts from 1")
-    return content
+    return path if content is stored else BytesIO(content), b"\nvt " in content
 
 
 def _from_the_start(path: Path, lines: Iterable[bytes]) -> Iterable[bytes]:

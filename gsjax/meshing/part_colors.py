@@ -13,14 +13,19 @@ _GREY = 128  # of what has no colour
 
 
 def parts_of(scene) -> list[Part]:
-    """The meshes of a `trimesh.Scene`, each where its node places it."""
+    """The meshes of a `trimesh.Scene`, each where its node places it; those that stand there already are its own."""
     parts = []
+    for part in scene.geometry.values():
+        part.metadata.pop("_ply_raw", None)  # All of the file once more.
     for node in scene.graph.nodes_geometry:
         transform, name = scene.graph[node]
-        part = scene.geometry[name].copy()
-        if hasattr(part, "faces"):
+        part = scene.geometry[name]
+        if not hasattr(part, "faces"):
+            continue
+        if not np.array_equal(transform, np.eye(4)):
+            part = part.copy()
             part.apply_transform(transform)
-            parts.append(part)
+        parts.append(part)
     return parts
 
 

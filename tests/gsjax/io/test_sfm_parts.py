@@ -321,6 +321,32 @@ def test_mattes_and_masks_are_published(tmp_path, monkeypatch):
     assert all(frames[name].pixels().valid is None for name in ("a.png", "a.tif.png", "b.jpg"))
 
 
+def test_a_matte_is_undistorted_with_its_photo(tmp_path):
+    """A disc that is cut out; at its rim, 20 pixels, the lens has r (1 - 0.3 r^2) = 1 / 3, which says how large it gets."""
+    rows, columns = np.mgrid[:64, :64] + 0.5
+    inside = np.hypot(rows - 32, columns - 32) < 20
+    rgba = np.where(inside[..., None], np.uint8([250, 20, 30, 255]), np.uint8(0))
+    (tmp_path / "photos").mkdir()
+    for name in ("a.png", "b.png"):
+        Image.fromarray(rgba).save(tmp_path / "photos" / name)
+    taken = shots.list_shots(tmp_path / "photos")
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera(camera_id=1, model="SIMPLE_RADIAL", width=64, height=64, params=[60.0, 32.0, 32.0, -0.3])
+    model.add_camera_with_trivial_rig(camera)
+    for number, shot in enumerate(taken, 1):
+        image = pycolmap.Image(shot.name, np.empty((0, 2)), 1, number)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
+    model.add_point3D(np.array([0, 0, 5.0]), pycolmap.Track(), np.zeros(3, np.uint8))
+    publishing.write_dataset(model, taken, tmp_path / "scene", quietly)
+    frame = load_scene(tmp_path / "scene").frames[0]
+    pixels = frame.pixels()
+    radius = min(np.roots([-0.3, 0, 1, -1 / 3]).real, key=lambda root: abs(root - 1 / 3))
+    area = pixels.matte.sum() / 255
+    assert area == pytest.approx(np.pi * (radius * frame.K[0, 0]) ** 2, rel=0.01) and area > 1.05 * inside.sum()
+    opaque = pixels.matte == 255
+    assert opaque.sum() > 0.9 * area and np.abs(pixels.image[opaque].astype(int) - [250, 20, 30]).max() <= 1
+
+
 @pytest.mark.parametrize(("free", "told"), [(3 * 2**20, InputError), (3 * 2**30, RuntimeError)])
 def test_what_colmaps_database_says_of_a_full_disk_is_told_as_one(tmp_path, monkeypatch, free, told):
     def fail(*arguments):
