@@ -322,7 +322,7 @@ def test_mattes_and_masks_are_published(tmp_path, monkeypatch):
 
 
 def test_a_matte_is_undistorted_with_its_photo(tmp_path):
-    """A disc that is cut out; at its rim, 20 pixels, the lens has r (1 - 0.3 r^2) = 1 / 3, which says how large it gets."""
+    """A disc that is cut out; at its rim, 20 pixels out, r (1 - 0.3 r^2) = 1 / 3, which says how large it becomes."""
     rows, columns = np.mgrid[:64, :64] + 0.5
     inside = np.hypot(rows - 32, columns - 32) < 20
     rgba = np.where(inside[..., None], np.uint8([250, 20, 30, 255]), np.uint8(0))
