@@ -24,6 +24,7 @@ _JPEG_QUALITY = 95
 _LABELS = 32  # A mask that is darker tells things apart by number.
 _OPENING = threading.Lock()
 _DECODED, _DECODED_DEEP = 14, 40  # bytes a pixel, most at a time: Pillow's copies, at four each, and ours
+_WITH_MATTE = 24  # the same of a photo with alpha until it is reduced: weighted colours are floats
 _ALWAYS_ROOM = 10**7  # pixels
 
 
@@ -44,7 +45,7 @@ def read_image(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     if _is_deep(picture):
         grey = _in_bytes(path, picture)
         return np.repeat(grey[..., None], 3, axis=-1), None
-    if picture.mode not in ("RGBA", "LA", "PA") and "transparency" not in picture.info:
+    if not _has_alpha(picture):
         return np.array(_in_mode(picture, "RGB")), None
     pixels = np.array(_in_mode(picture, "RGBA"))
     return pixels[..., :3], pixels[..., 3]
@@ -203,10 +204,11 @@ def filter_straight(
     """
     if alpha is None:
         return warp(colors), None
-    coverage = alpha.astype(np.float32) / np.float32(255)
+    coverage, weighted = alpha.astype(np.float32), colors.astype(np.float32)
+    coverage /= 255  # In place, as the next line: a photo may have hundreds of megapixels.
+    weighted *= coverage[..., None]
     filtered = warp(coverage)
-    weighted = warp(colors.astype(np.float32) * coverage[..., None])
-    straight = weighted / np.maximum(filtered, 1e-6)[..., None]
+    straight = warp(weighted) / np.maximum(filtered, 1e-6)[..., None]
     return _to_bytes(straight), _to_bytes(255 * filtered)
 
 
@@ -214,7 +216,7 @@ def _decode(path: Path):
     with open_image(path) as picture:
         width, height = picture.size
         if width * height > _ALWAYS_ROOM:
-            a_pixel = _DECODED_DEEP if _is_deep(picture) else _DECODED
+            a_pixel = _DECODED_DEEP if _is_deep(picture) else _WITH_MATTE if _has_alpha(picture) else _DECODED
             require_memory(f"{path}: a photo of {width}x{height} pixels", a_pixel * width * height)
         picture.load()
         return picture
@@ -236,6 +238,10 @@ def _open(path: Path):
 def _is_deep(picture) -> bool:
     """Whether a picture is of one channel that counts to more than 255, or of floats."""
     return picture.mode.startswith("I") or picture.mode == "F"
+
+
+def _has_alpha(picture) -> bool:
+    return picture.mode in ("RGBA", "LA", "PA") or "transparency" in picture.info
 
 
 def _in_mode(picture, mode: str):

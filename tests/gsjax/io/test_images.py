@@ -1,5 +1,7 @@
+import struct
 import subprocess
 import sys
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -189,19 +191,37 @@ from gsjax.io import images
 from gsjax.io.machine import peak_memory, restart_peak_memory
 restart_peak_memory()
 before = peak_memory()
-images.read_image(Path(sys.argv[1]))
-print((peak_memory() - before) / 6e6, *(images._DECODED, images._DECODED_DEEP))
+colors, alpha = images.read_image(Path(sys.argv[1]))
+images.filter_straight(colors, alpha, lambda array: images.resize(array, 300, 200))
+print((peak_memory() - before) / 6e6, *(images._DECODED, images._WITH_MATTE, images._DECODED_DEEP))
 """
 
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="Linux tells the most that was taken")
-@pytest.mark.parametrize("mode", ["RGB", "RGBA", "I;16"])
-def test_a_photo_takes_no_more_memory_than_it_is_held_to(tmp_path, mode):
+@pytest.mark.parametrize(("mode", "kind"), [("RGB", 0), ("RGBA", 1), ("I;16", 2)])
+def test_a_photo_takes_no_more_memory_until_it_is_reduced_than_it_is_held_to(tmp_path, mode, kind):
     file = tmp_path / "a.png"
     Image.new(mode, (3_000, 2_000), 7).save(file, compress_level=1)
     asked = [sys.executable, "-c", READING, str(file)]
-    taken, usual, deep = map(float, subprocess.run(asked, check=True, capture_output=True, text=True).stdout.split())
-    assert 3 < taken < (deep if mode == "I;16" else usual) + 1, "a megabyte or so is none of the photo's"
+    done = subprocess.run(asked, check=True, capture_output=True, text=True)
+    taken, *held_to = map(float, done.stdout.split())
+    assert 3 < taken < held_to[kind] + 1, "a megabyte or so is none of the photo's"
+
+
+@pytest.mark.parametrize("mode", ["RGB", "L", "CMYK"])
+def test_a_jpeg_of_200_megapixels_is_held_to_memory_by_its_header(tmp_path, monkeypatch, mode):
+    """What the header says, over pixels that are not there: nothing of them is asked for before memory is."""
+    stream = BytesIO()
+    Image.new(mode, (16, 16)).save(stream, "JPEG")
+    small = stream.getvalue()
+    size = small.index(b"\xff\xc0") + 5  # Behind the marker of the frame: its length, and the bits of a sample.
+    (tmp_path / "wide.jpg").write_bytes(small[:size] + struct.pack(">HH", 10_000, 20_000) + small[size + 4 :])
+    assert image_size(tmp_path / "wide.jpg") == (20_000, 10_000)
+    monkeypatch.setattr("gsjax.io.machine.free_memory", lambda: 2**31)
+    monkeypatch.setattr("PIL.ImageFile.ImageFile.load", lambda _: pytest.fail("it is decoded"))
+    fault = r"wide.jpg: a photo of 20000x10000 pixels takes 2.61 GiB of memory; 2 are free"
+    with pytest.raises(InputError, match=fault):
+        read_image(tmp_path / "wide.jpg")
 
 
 @pytest.mark.parametrize("name", ["a.jpg", "a.png", "a.tif", "a.webp"])
