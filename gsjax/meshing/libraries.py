@@ -1,5 +1,6 @@
 """Open3D and trimesh, loaded where they are used, or one line that says what to install."""
 
+import logging
 from types import ModuleType
 
 from gsjax.errors import InputError
@@ -23,7 +24,7 @@ def load_open3d() -> ModuleType:
 
 
 def load_trimesh() -> ModuleType:
-    """The `trimesh` package.
+    """The `trimesh` package, without its log: of a picture that is absent it would print a traceback.
 
     Raises:
         InputError: It is not installed.
@@ -32,4 +33,5 @@ def load_trimesh() -> ModuleType:
         import trimesh
     except ImportError as error:
         raise InputError(f"mesh files need trimesh, which does not import ({error}): pip install trimesh") from error
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     return trimesh

@@ -354,6 +354,18 @@ def test_an_obj_says_which_colours_are_missing(tmp_path, capsys, material, fault
     assert capsys.readouterr().err == told
 
 
+def test_a_ply_says_that_its_picture_is_missing_in_one_line(tmp_path, capsys, caplog):
+    (tmp_path / "m.ply").write_text(
+        "ply\nformat ascii 1.0\ncomment TextureFile gone.png\nelement vertex 3\n"
+        + "".join(f"property float {name}\n" for name in "xyzst")
+        + "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        + "0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n3 0 1 2\n"
+    )
+    assert read_mesh(tmp_path / "m.ply").num_faces == 1
+    assert re.fullmatch(r".*m\.ply: gone\.png, which it names, is not in its folder; .*\n", capsys.readouterr().err)
+    assert not caplog.records
+
+
 @pytest.mark.parametrize("name", ["m.ply", "m.glb"])
 def test_reading_takes_few_times_the_memory_of_what_it_returns(tmp_path, name):
     """4.3 times; what the file says a second time, and copies of parts that stand in their place, made it 9.5."""
