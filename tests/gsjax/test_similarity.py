@@ -20,6 +20,7 @@ from gsjax.mesh import Mesh
 from gsjax.meshing import export
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.pipeline.undistort import undistort
+from gsjax.place import UNPLACED
 from gsjax.runs.result import open_result, recorded_camera, write_views
 from gsjax.similarity import IDENTITY, Similarity, parse_similarity
 
@@ -193,15 +194,15 @@ def test_compressed_files_are_local_where_they_have_to_be_and_say_so(suffix, tmp
     file = tmp_path / f"g{suffix}"
     form = gaussian_files.format_of(file)
     usual = gaussians_in("as it is")[1]
-    form.write(file, usual)
+    form.write(file, usual, UNPLACED)
     alone = apart(form.read(file), usual)
     assert [path.name for path in tmp_path.iterdir()] == [file.name]
     for world in ("utm", "a thousandth"):
         there = gaussians_in(world)[1]
-        assert form.write(file, there) == 0, "nothing is clipped"
+        assert form.write(file, there, UNPLACED) == 0, "nothing is clipped"
         assert json.loads((tmp_path / f"{file.name}.similarity.json").read_text())["scale"] in (1, 1024)
         assert apart(form.read(file), there) / WORLDS[world][0] < 2 * alone + 1e-5
-    form.write(file, usual)
+    form.write(file, usual, UNPLACED)
     assert [path.name for path in tmp_path.iterdir()] == [file.name], "what told the other place is gone"
 
 
@@ -250,11 +251,12 @@ def test_lengths_and_poses_go_there_and_back():
     np.testing.assert_allclose(world[:3, :3] @ similarity.points_to_world(POINTS[0]) + world[:3, 3],
                                (viewmat[:3, :3] @ POINTS[0] + viewmat[:3, 3]) / 4, atol=1e-9)  # fmt: skip
     np.testing.assert_allclose(similarity.viewmat_to_local(world), viewmat, atol=1e-9)
-    report = {"cell": 2.0, "box": [1.0], "inner": {"cell": 8.0, "faces": 3}}
+    report = {"cell": 2.0, "box": [1.0], "inner": {"cell": 8.0, "faces": 3}, "none": {"cell": None}}
     assert similarity.figures_to_world(report, {"cell"}) == {
         "cell": 0.5,
         "box": [1.0],
         "inner": {"cell": 2.0, "faces": 3},
+        "none": {"cell": None},
     }
 
 
