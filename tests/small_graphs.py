@@ -37,6 +37,15 @@ class SmallGraph:
         gain, bias = (np.reshape(x, (1, -1, 1, 1)) for x in (gain, bias))
         return self.add("Add", self.add("Mul", value, self.constant(gain)), self.constant(bias))
 
+    def largest(self, value, count):
+        """The `count` largest values of `[1, N]`, and their places."""
+        names = [f"value{len(self.nodes)}{what}" for what in ("", "_place")]
+        self.nodes.append(helper.make_node("TopK", [value, self.constant([count], np.int64)], names, axis=1))
+        return names
+
+    def shaped(self, value, *sides):
+        return self.add("Reshape", value, self.constant(sides, np.int64))
+
     def channel(self, value, index):
         """`[B, H, W]` of NCHW."""
         return self.add("Gather", value, self.constant(index, np.int64), axis=1)
@@ -44,9 +53,9 @@ class SmallGraph:
     def transposed(self, value, order):
         return self.add("Transpose", value, perm=order)
 
-    def output(self, value, name, dtype=None):
+    def output(self, value, name, dtype=None, shape=None):
         self.nodes.append(helper.make_node("Identity", [value], [name]))
-        self.outputs.append(helper.make_tensor_value_info(name, TYPES[dtype or self.dtype], None))
+        self.outputs.append(helper.make_tensor_value_info(name, TYPES[dtype or self.dtype], shape))
 
     def save(self, file) -> Path:
         graph = helper.make_graph(self.nodes, "small", self.inputs, self.outputs, self.constants)
@@ -95,3 +104,48 @@ def small_lpips(file, kind="vgg", seed=0, sign=1.0):
         return [np.maximum(np.einsum("oc,hwc->ohw", k, picture[::s, ::s]) + b[:, None, None], 0) for k, b, s in layers]
 
     return graph.save(file), features, weights
+
+
+PROJECTION = np.random.default_rng(0).normal(size=(3, 128)).astype(np.float32)  # of a colour, red first, from 0 to 1
+
+
+def brightest_pixels(file, kind, side, count=150):
+    """ALIKED or DISK whose features are the `count` brightest pixels, with `colour @ PROJECTION` for descriptors."""
+    graph = SmallGraph()
+    colors = graph.shaped(graph.input("image", (1, 3, side, side)), 3, side * side)
+    scores, places = graph.largest(graph.add("ReduceSum", colors, graph.constant([0], np.int64)), count)
+    row = graph.add("Div", places, graph.constant(side, np.int64))
+    column = graph.add("Sub", places, graph.add("Mul", row, graph.constant(side, np.int64)))
+    xy = graph.add("Concat", *(graph.shaped(axis, count, 1) for axis in (column, row)), axis=1)
+    chosen = graph.add("Gather", colors, graph.shaped(places, count), axis=1)
+    described = graph.add("MatMul", graph.transposed(chosen, [1, 0]), graph.constant(PROJECTION))
+    if kind == "disk":
+        graph.output(graph.shaped(xy, 1, count, 2), "keypoints", np.int64, shape=(1, count, 2))
+        graph.output(scores, "scores", shape=(1, count))
+        graph.output(graph.shaped(described, 1, count, 128), "descriptors", shape=(1, count, 128))
+    else:  # The first and last pixel's centres are at -1 and 1.
+        xy = graph.add("Mul", graph.add("Cast", xy, to=TensorProto.FLOAT), graph.constant(2 / (side - 1)))
+        graph.output(graph.add("Sub", xy, graph.constant(1)), "keypoints", shape=(count, 2))
+        graph.output(graph.shaped(scores, count), "scores", shape=(count,))
+        graph.output(described, "descriptors", shape=(count, 128))
+    return graph.save(file)
+
+
+def small_lightglue(file, mirrored=False):
+    """Matches every feature with the one whose descriptor is most like it, or that lies mirrored at the centre."""
+    graph = SmallGraph()
+    kpts = [graph.input(f"kpts{i}", (1, f"n{i}", 2)) for i in range(2)]
+    desc = [graph.input(f"desc{i}", (1, f"n{i}", 128)) for i in range(2)]
+    if mirrored:
+        a, b = (graph.add("Unsqueeze", kpts[i], graph.constant([2 - i], np.int64)) for i in range(2))
+        offset = graph.add("Add", a, b)
+        squares = graph.add("ReduceSum", graph.add("Mul", offset, offset), graph.constant([3], np.int64), keepdims=0)
+        likeness = graph.add("Neg", squares)
+    else:
+        likeness = graph.add("MatMul", desc[0], graph.transposed(desc[1], [0, 2, 1]))
+    there = graph.shaped(graph.add("ArgMax", likeness, axis=2), -1, 1)
+    ones = graph.add("Add", graph.add("Mul", there, graph.constant(0, np.int64)), graph.constant(1, np.int64))
+    here = graph.add("Sub", graph.add("CumSum", ones, graph.constant(0, np.int64)), graph.constant(1, np.int64))
+    graph.output(graph.add("Concat", here, there, axis=1), "matches0", np.int64, shape=("k", 2))
+    graph.output(graph.add("Cast", graph.shaped(ones, -1), to=TensorProto.FLOAT), "mscores0", shape=("k",))
+    return graph.save(file)

@@ -13,12 +13,13 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         _run,
         summary="make a data set (COLMAP) from bare photos or a video",
         description="""
-            Finds where each photo was taken (SIFT, matching, incremental mapping), removes the lens
+            Finds where each photo was taken (features, matching, incremental mapping), removes the lens
             distortion, turns the photos upright and writes SCENE/images and SCENE/sparse/0. Of a video
             the sharpest frame of every stretch is taken. Prints images registered, points, reprojection
             error; names the photos left out and the files passed over, and why. Mattes (alpha) and masks
             (PHOTOS/masks) are kept. Where GPS in the photos (EXIF) tells it, the scene is in metres,
-            x east, y north, z up, and SCENE/place.json says about which origin.
+            x east, y north, z up, and SCENE/place.json says about which origin. Features are SIFT's unless
+            you have the weights of a network (docs/tasks/hard_photos.md).
         """,
         example="gsjax sfm photos/ --out scenes/garden",
     )
@@ -30,6 +31,11 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         " equirectangular: 360 degrees across, 180 down")  # fmt: skip
     parser.add_argument("--mask-below", metavar="DEGREES", type=finite, help="of panoramas, mask what is so far and"
         " farther below the horizon, where the operator is")  # fmt: skip
+    parser.add_argument("--features", choices=("sift", "aliked", "disk"), help="what is matched (default: sift); the"
+        " others are networks, for photos in which SIFT finds too little")  # fmt: skip
+    parser.add_argument("--weights", metavar="FILE", help="of aliked or disk, the network as an ONNX file")
+    parser.add_argument("--matcher-weights", metavar="FILE", help="of aliked, LightGlue as an ONNX file (default: the"
+        " nearest descriptors match)")  # fmt: skip
     parser.add_argument("--frames", metavar="N", type=int, help="frames to take of a video (default: 100)")
 
 
@@ -40,7 +46,7 @@ def _run(arguments: argparse.Namespace) -> None:
     from gsjax import tables
     from gsjax.io import sfm
 
-    options = given_options(arguments, "frames", "panoramas", "mask_below")
+    options = given_options(arguments, "frames", "panoramas", "mask_below", "features", "weights", "matcher_weights")
     report = sfm.reconstruct(arguments.photos, arguments.out, **options)
     for what, files in (
         ("left out", report.left_out),

@@ -1,4 +1,4 @@
-"""Bare photos, or a video, to a COLMAP data set: SIFT, chosen pairs, incremental mapping, undistortion."""
+"""Bare photos, or a video, to a COLMAP data set: features, chosen pairs, incremental mapping, undistortion."""
 
 import errno
 import os
@@ -31,6 +31,15 @@ class Panoramas:
 
 
 @dataclass(frozen=True)
+class Networks:
+    """That features are found, and perhaps matched, by networks in ONNX files."""
+
+    kind: str  # of features, as `gsjax.io.sfm.learned` has them
+    weights: Path
+    matcher_weights: Path | None
+
+
+@dataclass(frozen=True)
 class SfmReport:
     """What a reconstruction came to."""
 
@@ -53,6 +62,9 @@ def reconstruct(
     frames: int | None = None,
     panoramas: bool = False,
     mask_below: float | None = None,
+    features: str = "sift",
+    weights: str | Path | None = None,
+    matcher_weights: str | Path | None = None,
     max_image_size: int = 1600,
     threads: int = -1,
     progress: Callable[..., tqdm] = tqdm,
@@ -73,14 +85,18 @@ def reconstruct(
         panoramas: The photos, or the video's frames, are equirectangular: 360 degrees across, 180 down. They are
             written whole, with the camera model EQUIRECTANGULAR, which `gsjax.io.scenes` reads as six pinhole faces.
         mask_below: Of panoramas: mask what is so many degrees and more below the horizon, where the operator is.
-        max_image_size: Features are sought in photos whose longer side is reduced to this, pixels; the photos
+        features: "sift", or "aliked" or "disk" by OpenCV 5 and the user's own file of `weights`.
+        weights: Of ALIKED or DISK, an ONNX file.
+        matcher_weights: Of LightGlue for ALIKED, an ONNX file. None: nearest descriptors match.
+        max_image_size: SIFT's features are sought in photos whose longer side is reduced to this, pixels; the photos
             written are not reduced.
         threads: Threads to use, -1 for all cores.
         progress: Makes a progress bar, called with tqdm's `total`, `desc` and `unit`.
 
     Raises:
-        InputError: No folder or video, fewer than two photos or frames, an unreadable one (named), no model found,
-            `out` in use or not writable, or the process of the reconstruction crashed.
+        InputError: No folder or video, fewer than two photos or frames, an unreadable one (named), a file of weights
+            that is absent or of another network, no model found, `out` in use or not writable, or the process of the
+            reconstruction crashed.
     """
     start = time.monotonic()
     photos, out = Path(photos), Path(out)
@@ -90,16 +106,40 @@ def reconstruct(
         raise InputError(f"{photos}: is a folder of photos, of which all are taken; --frames is for a video")
     if mask_below is not None and not (panoramas and 0 <= mask_below < 90):
         raise InputError(f"--mask-below {mask_below:g}: takes 0 to 90 degrees below the horizon, with --panoramas")
+    networks = _networks(features, weights, matcher_weights)
     require_empty(out)
     threads = threads if threads > 0 else len(os.sched_getaffinity(0))
     with workspace(out) as space:
         kind = Panoramas(mask_below) if panoramas else None
-        arguments = (photos, space, frames or DEFAULT_FRAMES, kind, max_image_size, threads)
+        arguments = (photos, space, frames or DEFAULT_FRAMES, kind, networks, max_image_size, threads)
         report = run_in_child(_build, *arguments, name=str(photos), progress=progress)
         report["seconds"] = time.monotonic() - start
         json_files.write(space / "scene" / REPORT, report)  # Of a scene that is there, it can be read again.
         put_in_place(space / "scene", out)
     return SfmReport(**report)
+
+
+def _networks(features: str, weights: str | Path | None, matcher_weights: str | Path | None) -> Networks | None:
+    """What is asked of networks; None: nothing.
+
+    Raises:
+        InputError: The options do not go together, or a file is absent.
+    """
+    if features == "sift":
+        if weights is not None or matcher_weights is not None:
+            raise InputError("--weights and --matcher-weights go with --features aliked or disk, not with SIFT")
+        return None
+    if features not in ("aliked", "disk"):
+        raise InputError(f"--features {features}: takes sift, aliked or disk")
+    if weights is None:
+        raise InputError(f"--features {features}: needs --weights FILE.onnx; no weights come with gsjax")
+    if matcher_weights is not None and features != "aliked":
+        raise InputError(f"--matcher-weights: OpenCV's LightGlue matches features of aliked, not of {features}")
+    networks = Networks(features, Path(weights), None if matcher_weights is None else Path(matcher_weights))
+    for file in (networks.weights, networks.matcher_weights):
+        if file is not None and not file.is_file():
+            raise InputError(f"{file}: no such file of weights")
+    return networks
 
 
 def read_report(scene: str | Path) -> SfmReport:
@@ -121,13 +161,14 @@ def _build(
     workspace: Path,
     frames: int,
     panoramas: Panoramas | None,
+    networks: Networks | None,
     max_image_size: int,
     threads: int,
     progress: Callable[..., tqdm],
 ) -> dict:
     """The reconstruction, as it runs in its own process: leaves `workspace/scene`, returns the report."""
     try:
-        return _built(source, workspace, frames, panoramas, max_image_size, threads, progress)
+        return _built(source, workspace, frames, panoramas, networks, max_image_size, threads, progress)
     except OSError as error:
         raise unwritable(workspace, error) from error
     except RuntimeError as error:  # Also of COLMAP's database, which tells of a full disk in words of its own.
@@ -141,20 +182,25 @@ def _built(
     workspace: Path,
     frames: int,
     panoramas: Panoramas | None,
+    networks: Networks | None,
     max_image_size: int,
     threads: int,
     progress: Callable[..., tqdm],
 ) -> dict:
-    from gsjax.io.sfm import features, georeference, mapping, pairs, publishing, shots
+    from gsjax.io.sfm import features, georeference, learned, mapping, pairs, publishing, shots
 
     mapping.pycolmap.set_random_seed(0)
     folder = _frames_of(source, workspace / "frames", frames, progress) if source.is_file() else source
     taken = shots.list_shots(folder)
     if panoramas is not None:
         taken = shots.as_panoramas(taken, panoramas.mask_below)
-    found = features.find_features(taken, max_image_size, threads, progress)
+    if networks is None:
+        found, matcher = features.find_features(taken, max_image_size, threads, progress), None
+    else:
+        files = networks.weights, networks.matcher_weights
+        found, matcher = learned.find_features(taken, networks.kind, *files, threads, progress)
     scores = pairs.likeness(found, threads, progress)
-    material = mapping.Material(taken, found, scores, mapping.guess_cameras(taken), threads)
+    material = mapping.Material(taken, found, scores, mapping.guess_cameras(taken), threads, matcher)
     try:
         model, left_out = mapping.map_photos(material, workspace, progress)
     except InputError as error:

@@ -1,4 +1,4 @@
-"""SIFT features of photos, and their matches.
+"""SIFT features of photos, and matches of the nearest descriptors.
 
 OpenCV finds the features and products of matrices match them: on a CPU without its vector units COLMAP's own build
 takes seconds for a pair of photos, this a tenth of one.
@@ -15,27 +15,36 @@ from tqdm import tqdm
 from gsjax.io.images import cv2, resize
 from gsjax.io.sfm.shots import Shot
 
-_MOST_FEATURES = 4096  # a photo
+MOST_FEATURES = 4096  # a photo
 _CONTRAST = 0.012  # low: small and blurred photos have few strong corners
 _MOST_READERS = 4  # threads that hold a photo's pyramid, about 400 MB at 1600 pixels
-_LARGEST_ANGLE = 0.7  # radians between descriptors that match
-_LARGEST_RATIO = 0.8  # of that angle to the one of the second best
 _ALIKE = 1 - 2e-6  # cosine from which float32 does not tell two descriptors apart; how it errs differs by processor
 _MOST_OFF = 4.0  # pixels from where the geometry of two photos puts a feature
 _BLOCK = 1024  # features at a time against all of another photo: the table of products stays small
 
 
+class Nearness(NamedTuple):
+    """How near two descriptors must be to match."""
+
+    largest_angle: float  # radians between them
+    largest_ratio: float  # of that angle to the one of the second best
+
+
+_SIFT = Nearness(largest_angle=0.7, largest_ratio=0.8)
+
+
 @dataclass(frozen=True)
 class Features:
-    """What is told apart in a photo, largest first: large features last longest when the camera moves."""
+    """What is told apart in a photo, what lasts longest first: of SIFT the largest, of a network the most certain."""
 
     xy: np.ndarray  # [N, 2] float64 pixels of the sensor's frame, pixel centres at +0.5
-    descriptors: np.ndarray  # [N, 128] uint8, roots of SIFT's histograms (RootSIFT)
+    descriptors: np.ndarray  # [N, 128]: uint8 roots of SIFT's histograms (RootSIFT), or a network's float32
+    nearness: Nearness = _SIFT
 
     def unit(self, count: int | None = None) -> np.ndarray:
-        """`[N, 128]` float32 unit vectors of the largest `count` features, or of all."""
+        """`[N, 128]` float32 unit vectors of the first `count` features, or of all."""
         vectors = self.descriptors[:count].astype(np.float32)
-        return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.float32(1))
+        return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.float32(1e-6))
 
 
 def find_features(
@@ -92,13 +101,16 @@ class Spots(NamedTuple):
 Region = Lines | Spots
 
 
-def match(a: np.ndarray, b: np.ndarray, within: tuple[Region, Region] | None = None) -> np.ndarray:
+def match(
+    a: np.ndarray, b: np.ndarray, within: tuple[Region, Region] | None = None, nearness: Nearness = _SIFT
+) -> np.ndarray:
     """Rows of two sets of unit vectors that are each other's nearest, and clearly nearer than the second nearest.
 
     Args:
         a: `[N, 128]` float32.
         b: `[M, 128]` float32.
         within: Where to look: for `a` in b's photo, and for `b` in a's. None: everywhere.
+        nearness: How near is near, and how much nearer is clear.
 
     Returns:
         `[K, 2]` uint32 rows of `a` and `b`.
@@ -106,10 +118,10 @@ def match(a: np.ndarray, b: np.ndarray, within: tuple[Region, Region] | None = N
     if min(len(a), len(b)) < 2:
         return np.empty((0, 2), np.uint32)
     there, back = within or (None, None)
-    nearest = _nearest(a, b, there)
+    nearest = _nearest(a, b, there, nearness)
     rows = np.flatnonzero(nearest >= 0)
     columns, column = np.unique(nearest[rows], return_inverse=True)
-    returned = _nearest(b[columns], a, back and back.of(columns))
+    returned = _nearest(b[columns], a, back and back.of(columns), nearness)
     return np.stack([rows, nearest[rows]], axis=-1)[returned[column] == rows].astype(np.uint32)
 
 
@@ -147,8 +159,8 @@ def _features(colors: np.ndarray, mask: np.ndarray | None, max_image_size: int) 
     reduced = max(1.0, max(width, height) / max_image_size)
     grey = resize(grey, max(1, round(width / reduced)), max(1, round(height / reduced)))
     sift = cv2.SIFT_create(contrastThreshold=_CONTRAST, enable_precise_upscale=True)
-    allowed = None if mask is None else _usable(mask, *grey.shape[::-1])
-    keypoints = sorted(sift.detect(grey, allowed), key=lambda keypoint: -keypoint.size)[:_MOST_FEATURES]
+    allowed = None if mask is None else usable(mask, *grey.shape[::-1])
+    keypoints = sorted(sift.detect(grey, allowed), key=lambda keypoint: -keypoint.size)[:MOST_FEATURES]
     if not keypoints:
         return Features(np.empty((0, 2)), np.empty((0, 128), np.uint8))
     keypoints, histograms = sift.compute(grey, keypoints)
@@ -158,13 +170,16 @@ def _features(colors: np.ndarray, mask: np.ndarray | None, max_image_size: int) 
     return Features(xy, np.minimum(np.rint(np.sqrt(histograms) * 512), 255).astype(np.uint8))
 
 
-def _usable(mask: np.ndarray, width: int, height: int) -> np.ndarray:
-    """`[height, width]` uint8, 255 where all that a pixel of the reduced photo is the mean of may be used, else 0."""
+def usable(mask: np.ndarray, width: int, height: int) -> np.ndarray:
+    """A mask `[H, W]` for the reduced photo, `[height, width]` uint8.
+
+    It is 255 where all that a pixel of the reduced photo is the mean of may be used, else 0.
+    """
     on = np.where(mask >= 128, np.float32(255), np.float32(0))
     return np.where(resize(on, width, height) > 254.5, np.uint8(255), np.uint8(0))
 
 
-def _nearest(a: np.ndarray, b: np.ndarray, region: Region | None) -> np.ndarray:
+def _nearest(a: np.ndarray, b: np.ndarray, region: Region | None, nearness: Nearness) -> np.ndarray:
     """`[N]` the row of `b` nearest to each of `a`, or -1 where it is too far off or hardly nearer than the second."""
     nearest = np.empty(len(a), np.int64)
     for start in range(0, len(a), _BLOCK):
@@ -177,6 +192,6 @@ def _nearest(a: np.ndarray, b: np.ndarray, region: Region | None) -> np.ndarray:
         first = np.arccos(np.clip(cosines[rows, best], -1, _ALIKE))
         cosines[rows, best] = -1
         second = np.arccos(np.clip(cosines.max(axis=1), -1, _ALIKE))
-        is_clear = (first < _LARGEST_ANGLE) & (first < _LARGEST_RATIO * second)
+        is_clear = (first < nearness.largest_angle) & (first < nearness.largest_ratio * second)
         nearest[block] = np.where(is_clear, best, -1)
     return nearest

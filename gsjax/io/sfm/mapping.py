@@ -41,6 +41,7 @@ class Material:
     scores: np.ndarray  # [V, V] int, likeness of photos
     cameras: list  # pycolmap.Camera of each photo, shared by the photos of one
     threads: int
+    matcher: Callable[[int, int], np.ndarray] | None = None  # of two photos' features; None: nearest descriptors
 
 
 def guess_cameras(shots: list[Shot]) -> list:
@@ -102,7 +103,7 @@ def match_pairs(material: Material, pairs: set[Pair], title: str, progress: Call
 
     def verified(pair: Pair):
         a, b = (material.features[photo] for photo in pair)
-        matches = match(a.unit(), b.unit())
+        matches = material.matcher(*pair) if material.matcher else match(a.unit(), b.unit(), nearness=a.nearness)
         if len(matches) < _FEWEST_MATCHES:
             return None
         cameras = [material.cameras[photo] for photo in pair]
@@ -111,7 +112,7 @@ def match_pairs(material: Material, pairs: set[Pair], title: str, progress: Call
             return None
         if len(geometry.inlier_matches) < _ENOUGH_MATCHES and (within := _regions(geometry, a, b, *cameras)):
             # With less to mistake it for, many a match is clear that was not before.
-            guided = match(a.unit(), b.unit(), within)
+            guided = match(a.unit(), b.unit(), within, a.nearness)
             geometry.inlier_matches = max(geometry.inlier_matches, guided, key=len)
         return geometry
 

@@ -28,7 +28,7 @@ def likeness(features: list[Features], threads: int, progress: Callable[..., tqd
     scores = np.zeros((count, count), np.int64)
 
     def look(i: int) -> list[int]:
-        return [len(match(few[i], few[j])) for j in range(i + 1, count)]
+        return [len(match(few[i], few[j], nearness=features[i].nearness)) for j in range(i + 1, count)]
 
     with (
         ThreadPoolExecutor(threads) as pool,

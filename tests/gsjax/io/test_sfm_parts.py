@@ -355,7 +355,7 @@ def test_what_colmaps_database_says_of_a_full_disk_is_told_as_one(tmp_path, monk
     monkeypatch.setattr(sfm, "_built", fail)
     monkeypatch.setattr(sfm.shutil, "disk_usage", lambda folder: SimpleNamespace(free=free))
     with pytest.raises(told, match="No space left on device" if told is InputError else "SQLite error"):
-        sfm._build(tmp_path, tmp_path / "work", 2, None, 1600, 1, quietly)
+        sfm._build(tmp_path, tmp_path / "work", 2, None, None, 1600, 1, quietly)
 
 
 def test_photos_are_paired_with_those_taken_next_to_them_whatever_their_names():
