@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import KDTree
 from tqdm import tqdm
 
 from gsjax.cli import run_guarded
@@ -128,6 +127,8 @@ def camera_alignment(run: Path, truth: Truth) -> Alignment:
 
 def icp(mesh: Mesh, start: Alignment, targets: np.ndarray) -> Alignment:
     """An alignment improved by the nearest of the mesh's points to each of `[P, 3]` points of the truth, with scale."""
+    from scipy.spatial import KDTree
+
     from gsjax.measures.geometry import sample_surface
 
     points, found = sample_surface(mesh, DENSE_MESH, 0)[0], start
