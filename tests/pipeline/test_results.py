@@ -117,9 +117,10 @@ def test_pictures_have_the_size_of_their_views(run, tmp_path):
 def test_the_demo_sets_a_run_with_normals_beside_one_without(run, scene, tmp_path, monkeypatch):
     asked = {}
 
-    def train(given, folder, settings):
+    def train(given, folder, settings, earlier):
         asked[folder.name] = settings
         assert given == scene
+        assert earlier == (None if settings.vanilla else tmp_path / "demo/vanilla")
         shutil.copytree(run, folder)
         return {"train_seconds": 7.0}
 
