@@ -96,7 +96,7 @@ def test_where_photos_are_masked_the_mesh_keeps_its_own_colours(folder, tmp_path
 @pytest.mark.parametrize(
     ("mesh", "options", "message"),
     [
-        ("grey.ply", ["--out", "t.ply"], "t.ply: meshes with a texture end in .obj, .glb"),
+        ("grey.ply", ["--out", "t.ply"], "t.ply: meshes with a texture end in .obj, .glb, .usdz"),
         ("grey.ply", ["--out", "t.glb", "--size", "20"], "--size 20 is not between 64 and 8192"),
         ("grey.ply", ["--out", "t.glb", "--size", "9000"], "--size 9000 is not between 64 and 8192"),
         ("none.ply", ["--out", "t.glb"], "none.ply: no such mesh file"),
