@@ -1,0 +1,161 @@
+"""Meshes of other programs: their colours, indices and missing parts, and the memory that reading takes."""
+
+import re
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from gsjax.errors import InputError
+from gsjax.mesh import Mesh
+from gsjax.meshing import read_mesh, write_mesh
+
+
+def quad_with_face_colors(path, rows=("255 0 0", "0 0 255")):
+    header = "ply\nformat ascii 1.0\nelement vertex 4\n" + "".join(f"property float {a}\n" for a in "xyz")
+    header += "element face 2\nproperty list uchar int vertex_indices\n"
+    header += "".join(f"property uchar {c}\n" for c in ("red", "green", "blue")) + "end_header\n"
+    path.write_text(header + "0 0 0\n1 0 0\n1 1 0\n0 1 0\n" + f"3 0 1 2 {rows[0]}\n3 0 2 3 {rows[1]}\n")
+
+
+def test_colours_of_faces_are_those_of_their_corners(tmp_path):
+    quad_with_face_colors(tmp_path / "m.ply")
+    found = read_mesh(tmp_path / "m.ply")
+    np.testing.assert_array_equal(found.colors[found.faces], [[[255, 0, 0]] * 3, [[0, 0, 255]] * 3])
+    corners = [[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]]
+    np.testing.assert_array_equal(found.vertices[found.faces], corners)
+    quad_with_face_colors(tmp_path / "m.ply", ("9 8 7", "9 8 7"))
+    assert read_mesh(tmp_path / "m.ply").num_vertices == 4  # nothing is doubled without need
+
+
+def test_coloured_parts_of_a_glb_keep_their_colours_and_places(tmp_path):
+    """Materials hold light, as colours of vertices do; a part without either is grey in no file of glTF but white."""
+    import trimesh
+
+    scene = trimesh.Scene()
+    materials = [{"baseColorFactor": [1.0, 0.0, 0.2158605, 1.0]}, {"baseColorFactor": [0.0, 0.5, 0.0, 1.0]}, {}]
+    for number, material in enumerate(materials):
+        box = trimesh.creation.box()
+        box.visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(**material))
+        scene.add_geometry(box, transform=trimesh.transformations.translation_matrix([2 * number, 0, 0]))
+    box = trimesh.creation.box()
+    box.visual.vertex_colors = [0, 55, 255, 255]
+    scene.add_geometry(box, transform=trimesh.transformations.translation_matrix([6, 0, 0]))
+    scene.export(tmp_path / "m.glb")
+    found = read_mesh(tmp_path / "m.glb")
+    assert found.num_faces == 4 * 12
+    part = np.rint(found.vertices[:, 0] / 2).astype(int)
+    expected = np.array([[255, 0, 128], [0, 188, 0], [255, 255, 255], [0, 128, 255]])
+    assert np.abs(found.colors.astype(int) - expected[part]).max() <= 1
+
+
+def test_coloured_materials_of_an_obj_are_its_colours(tmp_path):
+    (tmp_path / "k.mtl").write_text("newmtl r\nKd 0.8 0.1 0.2\nnewmtl b\nKd 0 0 1\n")
+    vertices = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\n"
+    (tmp_path / "k.obj").write_text(f"mtllib k.mtl\n{vertices}usemtl r\nf 1 2 3\nusemtl b\nf 2 4 3\n")
+    found = read_mesh(tmp_path / "k.obj")
+    colors = {
+        tuple(found.vertices[face].mean(0, np.float64).round(2).tolist()): found.colors[face] for face in found.faces
+    }
+    np.testing.assert_array_equal(colors[0.33, 0.33, 0.0], [[204, 26, 51]] * 3)
+    np.testing.assert_array_equal(colors[0.67, 0.67, 0.0], [[0, 0, 255]] * 3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "names", "stored"),
+    [
+        ("uchar", ("red", "green", "blue"), (255, 128, 0)),
+        ("float", ("red", "green", "blue"), (1, 0.502, 0)),
+        ("float", ("red", "green", "blue"), (255, 128, 0)),
+        ("ushort", ("red", "green", "blue"), (65535, 32896, 0)),
+        ("uchar", ("diffuse_red", "diffuse_green", "diffuse_blue"), (255, 128, 0)),
+        ("uchar", ("r", "g", "b"), (255, 128, 0)),
+    ],
+)
+def test_colours_of_any_type_and_name_are_read(tmp_path, kind, names, stored):
+    columns = [*(f"float {axis}" for axis in "xyz"), *(f"{kind} {name}" for name in names)]
+    header = ["ply", "format ascii 1.0", "element vertex 3", *(f"property {column}" for column in columns)]
+    header += ["element face 1", "property list uchar int vertex_indices", "end_header"]
+    rows = [f"{place} {' '.join(map(str, stored))}" for place in ("0 0 0", "1 0 0", "0 1 0")]
+    (tmp_path / "m.ply").write_text("\n".join([*header, *rows, "3 0 1 2\n"]))
+    np.testing.assert_array_equal(read_mesh(tmp_path / "m.ply").colors, [[255, 128, 0]] * 3)
+
+
+TRIANGLES = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\n"
+
+
+@pytest.mark.parametrize(
+    ("faces", "fault"),
+    [
+        ("f 1 2 3\nf 0 1 2\n", "m.obj, line 10: a face has an index 0; OBJ counts from 1"),
+        ("f 1 2 3\nf 1 2 3 0", "m.obj, line 10: a face has an index 0; OBJ counts from 1"),
+        ("f\t1/1\t2/00 3/3\r\n", "m.obj, line 9: a face has an index 0; OBJ counts from 1"),
+        ("f 1 2 -5\n", "m.obj, line 9: a face has an index -5, but only 4 come before it"),
+        ("f 1 2 -x\n", "m.obj, line 9: invalid literal"),
+    ],
+)
+def test_an_obj_with_an_index_that_is_none_is_refused(tmp_path, faces, fault):
+    (tmp_path / "m.obj").write_text(TRIANGLES + faces)
+    with pytest.raises(InputError, match=fault):
+        read_mesh(tmp_path / "m.obj")
+
+
+@pytest.mark.parametrize(
+    ("faces", "expected"),
+    [
+        ("f 1 2 3\n", [[0, 1, 2]]),
+        ("f -4 -3 -2 # -1\nv 5 5 5\nf -1 1 -2\n", [[0, 1, 2], [4, 0, 3]]),
+        ("# f 0 0 0\nf 1//1 2//1 3//1\n" + "v 9 9 9\n" * 6 + "f 10 1 2\n", [[0, 1, 2], [9, 0, 1]]),
+    ],
+)
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+def test_indices_of_an_obj_are_those_of_the_format(tmp_path, faces, expected, mark):
+    vertices = TRIANGLES[: TRIANGLES.index("vt")]
+    (tmp_path / "m.obj").write_text(mark + vertices + faces, encoding="utf-8")
+    found = read_mesh(tmp_path / "m.obj")
+    corners = [line.split()[1:] for line in (vertices + faces).splitlines() if line.startswith("v ")]
+    np.testing.assert_array_equal(found.vertices[found.faces], np.array(corners, np.float32)[expected])
+
+
+@pytest.mark.parametrize(
+    ("material", "fault"),
+    [
+        (None, "k.mtl, which it names, is not in its folder"),
+        ("newmtl r\nmap_Kd gone.png\n", "gone.png, which it names, is not in its folder"),
+        ("newmtl r\nmap_Kd k.obj\n", "k.obj, which it names, is no picture that can be read"),
+        ("newmtl r\nmap_Kd ../k.png\n", "../k.png, which it names, is not in its folder"),
+    ],
+)
+def test_an_obj_says_which_colours_are_missing(tmp_path, capsys, material, fault):
+    if material is not None:
+        (tmp_path / "k.mtl").write_text(material)
+    (tmp_path / "k.obj").write_text(f"mtllib k.mtl\n{TRIANGLES}usemtl r\nf 1/1 2/2 3/3\n")
+    assert read_mesh(tmp_path / "k.obj").num_faces == 1
+    told = f"{tmp_path / 'k.obj'}: {fault}; the colours that it would give are missing\n"
+    assert capsys.readouterr().err == told
+
+
+def test_a_ply_says_that_its_picture_is_missing_in_one_line(tmp_path, capsys, caplog):
+    (tmp_path / "m.ply").write_text(
+        "ply\nformat ascii 1.0\ncomment TextureFile gone.png\nelement vertex 3\n"
+        + "".join(f"property float {name}\n" for name in "xyzst")
+        + "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        + "0 0 0 0 0\n1 0 0 1 0\n0 1 0 0 1\n3 0 1 2\n"
+    )
+    assert read_mesh(tmp_path / "m.ply").num_faces == 1
+    assert re.fullmatch(r".*m\.ply: gone\.png, which it names, is not in its folder; .*\n", capsys.readouterr().err)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("name", ["m.ply", "m.glb"])
+def test_reading_takes_few_times_the_memory_of_what_it_returns(tmp_path, name):
+    """4.3 times; what the file says a second time, and copies of parts that stand in their place, made it 9.5."""
+    random = np.random.default_rng(0)
+    colors, faces = random.integers(0, 256, (50_000, 3), np.uint8), random.integers(0, 50_000, (100_000, 3), np.int32)
+    write_mesh(tmp_path / name, Mesh(random.normal(size=(50_000, 3)).astype(np.float32), faces, colors))
+    read_mesh(tmp_path / name)  # Libraries are loaded.
+    tracemalloc.start(1)
+    found = read_mesh(tmp_path / name)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 5 * (found.vertices.nbytes + found.faces.nbytes + found.colors.nbytes)
