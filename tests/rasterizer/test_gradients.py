@@ -105,6 +105,7 @@ def test_second_order_of_the_projection(x64, scene, directions):
     assert_second_order(lambda s: projected(s)[1], scene, everywhere)
 
 
+@pytest.mark.long
 def test_second_order_of_the_blend_in_both_modes(x64, scene):
     projection = projected(scene)[0]
     features = jnp.concatenate([scene.colors, projection.depths[0, :, None]], -1)

@@ -5,6 +5,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 COUNT, WIDTH, HEIGHT, CAPACITY = 1_000_000, 1920, 1080, 1 << 22
 
 PROGRAM = f"""
@@ -40,6 +42,7 @@ print(json.dumps({{
 """
 
 
+@pytest.mark.long
 def test_a_million_gaussians_at_full_hd():
     as_users = {**os.environ, "XLA_FLAGS": ""}
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, env=as_users)
