@@ -105,12 +105,10 @@ def camera_alignment(run: Path, truth: Truth) -> Alignment:
     Raises:
         InputError: The run has no cameras of the truth's names, or too few at the right places.
     """
+    from gsjax.cameras import viewmat_center
     from gsjax.runs.records import read_views
 
-    centers = {
-        Path(view["name"]).stem: -np.array(view["viewmat"])[:3, :3].T @ np.array(view["viewmat"])[:3, 3]
-        for view in read_views(run)
-    }
+    centers = {Path(view["name"]).stem: viewmat_center(np.array(view["viewmat"])) for view in read_views(run)}
     names = [name for name in centers if name in truth.poses]
     if len(names) < 4:
         raise InputError(f"{run}: {len(names)} of its photos are the truth's; it takes 4 to align them")

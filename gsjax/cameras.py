@@ -38,6 +38,20 @@ def viewmat_center(viewmat: np.ndarray) -> np.ndarray:
     return -viewmat[:3, :3].T @ viewmat[:3, 3]
 
 
+def viewmat_centers(viewmats: np.ndarray) -> np.ndarray:
+    """`[V, 3]` world centres of the cameras with `[V, 4, 4]` viewmats (or their upper three rows); numpy."""
+    return -np.einsum("vji,vj->vi", viewmats[:, :3, :3], viewmats[:, :3, 3])
+
+
+def thinned_K(K: np.ndarray, stride: int) -> np.ndarray:
+    """`[3, 3]` float64 intrinsics of a view of which every `stride`-th pixel is kept, the first at `stride // 2`."""
+    small = K.astype(np.float64)
+    small[:2, 2] -= stride // 2 + 0.5
+    small[:2] /= stride
+    small[:2, 2] += 0.5
+    return small
+
+
 def world_to_camera(point: Array, camera: Camera) -> Array:
     """`[3]` camera-frame position of one world point."""
     return jnp.sum(camera.viewmat[:3, :3] * point, axis=-1) + camera.viewmat[:3, 3]

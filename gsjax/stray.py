@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from gsjax.cameras import Camera
+from gsjax.cameras import Camera, viewmat_centers
 
 NEIGHBORS = 12  # of a Gaussian that it may hang on
 SPACING = 3  # The distance to so many-th of them is how close Gaussians lie to each other there,
@@ -73,8 +73,7 @@ def looked_at(cameras: Sequence[Camera]) -> tuple[np.ndarray, float] | None:
         Its middle `[3]` and radius; None where fewer than nine in ten cameras have that point in front of them.
     """
     viewmats = np.stack([np.asarray(camera.viewmat, np.float64) for camera in cameras])
-    rotations, axes = viewmats[:, :3, :3], viewmats[:, 2, :3]
-    centers = -np.einsum("vji,vj->vi", rotations, viewmats[:, :3, 3])
+    centers, axes = viewmat_centers(viewmats), viewmats[:, 2, :3]
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     middle = np.linalg.lstsq(across.sum(0), np.einsum("vij,vj->i", across, centers), rcond=None)[0]
     ahead = np.einsum("vi,vi->v", middle - centers, axes)

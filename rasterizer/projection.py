@@ -169,11 +169,8 @@ def require_shape(quats: Array | None, scales: Array | None, covars: Array | Non
         raise ValueError("a Gaussian's shape is missing: pass quats and scales, or covars")
 
 
-_OPTIONS = (
-    *("model", "size", "eps2d", "near_plane", "far_plane"),
-    *("radius_clip", "rasterize_mode", "depth_mode", "rules"),
-)
-_traced_once = jax.jit(_project_components, static_argnames=_OPTIONS)
+_OPTIONS = "model size eps2d near_plane far_plane radius_clip rasterize_mode depth_mode rules"
+_traced_once = jax.jit(_project_components, static_argnames=_OPTIONS.split())
 """The same; jax keeps its trace and derivatives, a fourth of what a program with a projection takes to compile."""
 
 

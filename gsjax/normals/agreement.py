@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from gsjax.cameras import thinned_K, viewmat_center
+
 LONGEST = 128  # pixels of a view's longer side at the working size
 NEIGHBORS = 6  # views that each is compared with
 WIDEST = 70.0  # degrees between two rays to a place, beyond which views show too little of each other
@@ -73,15 +75,6 @@ def stride_of(shape: Sequence[int]) -> int:
     return max(1, -(-max(shape[:2]) // LONGEST))
 
 
-def thinned_K(K: np.ndarray, stride: int) -> np.ndarray:
-    """Intrinsics `[3, 3]` of the pixels that are kept."""
-    small = K.astype(np.float64).copy()
-    small[:2, 2] -= stride // 2 + 0.5
-    small[:2] /= stride
-    small[:2, 2] += 0.5
-    return small
-
-
 def judge(
     views: Sequence[View], *, progress: Callable[[Iterable[int]], Iterable[int]] = iter
 ) -> tuple[list[Judged], Verdict]:
@@ -120,10 +113,6 @@ def _world_points(view: View) -> np.ndarray:
     return (rays * view.depth[..., None] - view.viewmat[:3, 3]) @ view.viewmat[:3, :3]
 
 
-def _center(view: View) -> np.ndarray:
-    return -view.viewmat[:3, :3].T @ view.viewmat[:3, 3]
-
-
 def _landing(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Row and column `[...]` of the pixel of a view that world points `[..., 3]` land on, and whether it shows them."""
     in_camera = points @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
@@ -143,7 +132,7 @@ def _degrees_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _towards(view: View, points: np.ndarray) -> np.ndarray:
     """`[..., 3]` unit directions from points `[..., 3]` to a view's camera."""
-    away = _center(view) - points
+    away = viewmat_center(view.viewmat) - points
     return away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-12)
 
 

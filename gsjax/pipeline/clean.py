@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gsjax import stray
-from gsjax.cameras import Camera
+from gsjax.cameras import Camera, viewmat_centers
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, concatenate, take
 from gsjax.io import json_files
@@ -149,7 +149,7 @@ def _judged(whole: Gaussians, result: Result | None) -> dict[str, np.ndarray]:
         means = np.asarray(result.gaussians.means, np.float64)  # the cameras' own coordinates
         whole = result.gaussians
     viewmats = np.array([np.asarray(camera.viewmat, np.float64) for camera in cameras])
-    centers = -np.einsum("vji,vj->vi", viewmats[:, :3, :3], viewmats[:, :3, 3]) if cameras else None
+    centers = viewmat_centers(viewmats) if cameras else None
     is_giant = stray.giants(means, np.exp(np.asarray(whole.log_scales, np.float64)), centers)
     hangs_alone = np.zeros(len(means), bool)
     hangs_alone[~is_giant] = stray.cluster_sizes(means[~is_giant]) <= stray.most_of_small(len(means))
@@ -217,13 +217,13 @@ def _picture(result: Result, taken: np.ndarray, out: Path) -> str:
     """Before, after and what was taken out, from the view where that shows most."""
     cameras = _cameras(result)
 
-    def drawn(hidden: np.ndarray) -> list[np.ndarray]:
+    def drawn(hidden: np.ndarray, views: Sequence[Camera]) -> list[np.ndarray]:
         seen = _hidden(result.gaussians, hidden)
-        return [picture.colors for picture in gallery.pictures(seen, cameras, result.background, "plane")]
+        return [picture.colors for picture in gallery.pictures(seen, views, result.background, "plane")]
 
-    before, after = drawn(np.zeros(len(taken), bool)), drawn(taken)
+    before, after = drawn(np.zeros(len(taken), bool), cameras), drawn(taken, cameras)
     most = int(np.argmax([np.abs(a - b).mean() for a, b in zip(before, after, strict=True)]))
-    alone = drawn(~taken)[most]
+    (alone,) = drawn(~taken, [cameras[most]])
     panels = {"before": before[most], "after": after[most], "taken out": alone}
     return str(
         draw_panels({title: to_bytes(each) for title, each in panels.items()}, Path(f"{out}.cleaned.png"), columns=3)

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 import rasterizer
 from gsjax import config, runs
+from gsjax.devices import engine_here
 from gsjax.effects.alignment import align
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
@@ -48,7 +49,6 @@ from gsjax.training.plan import Plan, plan, steps_in_common
 from gsjax.training.state import TrainState, count_alive
 from gsjax.training.terms import Term
 from rasterizer.devices import default_device
-from rasterizer.engines import resolve
 
 
 def train(
@@ -118,9 +118,8 @@ def _steps_in_common(earlier: Path, planned: Plan) -> int:
 
 def _beginning_lines(planned: Plan, settings: Settings, photos_line: str) -> list[str]:
     """Where the run computes and with which engine, on what, and what of the plan may surprise."""
-    device = default_device()
-    place = "the CPU" if device.platform == "cpu" else device.device_kind
-    lines = [f"on {place} with the {resolve('auto')} rasterizer", photos_line]
+    engine = engine_here()
+    lines = [f"on {engine.device} with the {engine.name} rasterizer", photos_line]
     if planned.left_out:
         lines.append(f"{', '.join(planned.left_out)} need one photo a step and are left out")
     if settings.normals is None and "normals" in planned.needs:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.cameras import Camera
+from gsjax.cameras import Camera, thinned_K
 from gsjax.render.gallery import Picture
 
 LONGEST = 320  # Pixels of a coarse view: 300 kB, so that all views of a capture fit.
@@ -24,9 +24,7 @@ def coarse_depth(camera: Camera, picture: Picture, longest: int = LONGEST) -> Sh
     every = max(1, -(-max(camera.width, camera.height) // longest))
     first = every // 2
     depth = np.ascontiguousarray(picture.depth[first::every, first::every], np.float32)
-    K = np.array(camera.K, np.float64)
-    K[:2] /= every
-    K[:2, 2] += 0.5 - (first + 0.5) / every
+    K = thinned_K(np.asarray(camera.K), every)
     height, width = depth.shape
     coarse = Camera(np.asarray(camera.viewmat), K.astype(np.float32), width, height)  # pyright: ignore[reportArgumentType]
     return ShownDepth(coarse, np.where(np.isfinite(depth), depth, 0))

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from gsjax.cameras import thinned_K
 from gsjax.gaussians import Gaussians
 from gsjax.io import json_files
 from gsjax.io.arrays import read_arrays
 from gsjax.io.files import atomic_path
 from gsjax.io.normal_maps import normal_maps
-from gsjax.normals.agreement import Judged, Verdict, View, full_size, judge, stride_of, thinned, thinned_K
+from gsjax.normals.agreement import Judged, Verdict, View, full_size, judge, stride_of, thinned
 from gsjax.normals.sparse_depth import sparse_depth
 from gsjax.render import DepthReading, gallery
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera

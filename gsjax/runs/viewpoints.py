@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from gsjax.cameras import Camera, look_at
+from gsjax.cameras import Camera, look_at, viewmat_centers
 from gsjax.gaussians import Gaussians, opacities
 from gsjax.meshing.methods import directions_to_viewers
 from gsjax.render import gallery
@@ -81,7 +81,7 @@ def camera_circle(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Camer
     """A circle of cameras at the mean height and distance of the run's own, around the middle of the opaque part."""
     middle = opaque_middle(gaussians)
     views = np.stack([np.asarray(c.viewmat) for c in cameras])
-    centers = -np.einsum("vji,vj->vi", views[:, :3, :3], views[:, :3, 3])
+    centers = viewmat_centers(views)
     up = mean_up(cameras)
     offsets = centers - middle
     height = float((offsets @ up).mean())

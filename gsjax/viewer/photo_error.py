@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from gsjax.cameras import Camera
+from gsjax.cameras import Camera, viewmat_centers
 from gsjax.report.pictures import to_bytes
 from gsjax.scene import Pixels
 
@@ -86,4 +86,4 @@ def error_picture(rendered: np.ndarray, seen: np.ndarray, known: np.ndarray) -> 
 def _places(cameras: Sequence[Camera]) -> np.ndarray:
     """`[C, 3]` camera centres in the world."""
     views = np.stack([np.asarray(c.viewmat, np.float64) for c in cameras])
-    return -np.einsum("vji,vj->vi", views[:, :3, :3], views[:, :3, 3])
+    return viewmat_centers(views)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
@@ -156,19 +157,10 @@ def read_report(scene: str | Path) -> SfmReport:
         raise InputError(f"{file}: is no report of a reconstruction") from error
 
 
-def _build(
-    source: Path,
-    workspace: Path,
-    frames: int,
-    panoramas: Panoramas | None,
-    networks: Networks | None,
-    max_image_size: int,
-    threads: int,
-    progress: Callable[..., tqdm],
-) -> dict:
-    """The reconstruction, as it runs in its own process: leaves `workspace/scene`, returns the report."""
+def _build(source: Path, workspace: Path, *how: Any) -> dict:
+    """The reconstruction (see `_built`) in its own process: leaves `workspace/scene`, returns the report."""
     try:
-        return _built(source, workspace, frames, panoramas, networks, max_image_size, threads, progress)
+        return _built(source, workspace, *how)
     except OSError as error:
         raise unwritable(workspace, error) from error
     except RuntimeError as error:  # Also of COLMAP's database, which tells of a full disk in words of its own.

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from gsjax.cameras import viewmat_centers
 from gsjax.io.packages import require
 from gsjax.io.sfm.gps import Fix
 from gsjax.io.sfm.shots import Shot, turned_pose
@@ -60,7 +61,7 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None]) -> Georefere
         having_it = f"GPS in {len(having)} of {len(fixes)} photos" if len(having) else "no GPS in the photos"
         return _unknown(f"unit not known: {having_it}, where {FEWEST} would tell metres; `gsjax scale` sets it")
     degrees = np.array([fix for fix in fixes if fix is not None], float)
-    centers = -np.einsum("vji,vj->vi", viewmats[:, :, :3], viewmats[:, :, 3])[having]
+    centers = viewmat_centers(viewmats)[having]
     up, up_error = up_of_cameras(viewmats)
     up_error = math.hypot(up_error, _HELD_LEVEL)
     has_heights = np.isfinite(degrees[:, 2])

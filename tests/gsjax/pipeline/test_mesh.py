@@ -40,13 +40,21 @@ def test_any_ply_becomes_a_mesh_without_cameras(file, method, tmp_path):
         assert signed_volume(found) == pytest.approx(4 / 3 * np.pi, rel=0.06)
 
 
-def test_a_closed_ball_has_no_holes_and_a_cut_one_keeps_its_rim(file, tmp_path):
+def test_a_closed_ball_has_no_holes_and_a_cut_one_keeps_its_rim(file, tmp_path, monkeypatch):
     """Nobody sees a surface where the box cuts the ball, and the views see its inside through the opening."""
+    asked, close = [], mesh.__globals__["fill_holes"]
+
+    def fill_holes(surface, views):
+        asked.append(len(views))
+        return close(surface, views)
+
+    monkeypatch.setitem(mesh.__globals__, "fill_holes", fill_holes)
     whole = mesh(file, tmp_path / "mesh.ply", method="marching-cubes", holes_filled=True)
     assert whole["holes"] == {"patches": 0, "closed": 0, "closed_faces": 0}
     box = {"bounds": [-2.0, -2, 0, 2, 2, 2], "foreground_only": True}
     cut = mesh(file, tmp_path / "mesh.ply", method="tsdf", holes_filled=True, **box)
     assert cut["topology"]["boundary_loops"] >= 1
+    assert asked == [16, 16], "all views, though marching cubes look from none"
 
 
 def test_a_box_and_a_number_of_faces_are_kept(file, tmp_path):
