@@ -5,11 +5,14 @@ centre at (j + 0.5, i + 0.5). Depth is camera z.
 """
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+
+NEAREST = 1e-6  # Camera z up to which a point is on the camera's plane, or behind it
 
 
 @jax.tree_util.register_dataclass
@@ -43,6 +46,27 @@ def viewmat_centers(viewmats: np.ndarray) -> np.ndarray:
     return -np.einsum("vji,vj->vi", viewmats[:, :3, :3], viewmats[:, :3, 3])
 
 
+class Landing(NamedTuple):
+    """Where in a view points land; all `[...]`, numpy."""
+
+    rows: np.ndarray  # int, 0 where not `inside`
+    columns: np.ndarray
+    depths: np.ndarray  # float64 camera z, of any sign
+    inside: np.ndarray  # bool: before the camera, and within its picture
+
+
+def landing(points: np.ndarray, viewmat: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> Landing:
+    """The pixels that world points `[..., 3]` land on in a view of `size` (height, width), reckoned in float64."""
+    viewmat, K = np.asarray(viewmat, np.float64), np.asarray(K, np.float64)
+    local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
+    depths = local[..., 2]
+    ahead = depths > NEAREST
+    pixels = np.floor(local[..., :2] / np.where(ahead, depths, 1.0)[..., None] * K[[0, 1], [0, 1]] + K[:2, 2])
+    inside = ahead & ((pixels >= 0) & (pixels < size[::-1])).all(axis=-1)
+    columns, rows = np.moveaxis(np.where(inside[..., None], pixels, 0).astype(np.int64), -1, 0)
+    return Landing(rows, columns, depths, inside)
+
+
 def thinned_K(K: np.ndarray, stride: int) -> np.ndarray:
     """`[3, 3]` float64 intrinsics of a view of which every `stride`-th pixel is kept, the first at `stride // 2`."""
     small = K.astype(np.float64)
@@ -59,8 +83,7 @@ def world_to_camera(point: Array, camera: Camera) -> Array:
 
 def project(point_cam: Array, camera: Camera) -> Array:
     """`[2]` pixel (x, y) of one camera-frame point; points on or behind the camera plane are read at z = 1e-6."""
-    in_front = point_cam[2] > 1e-6
-    z = jnp.where(in_front, point_cam[2], 1e-6)
+    z = jnp.where(point_cam[2] > NEAREST, point_cam[2], NEAREST)
     return point_cam[:2] / z * jnp.stack([camera.K[0, 0], camera.K[1, 1]]) + camera.K[:2, 2]
 
 

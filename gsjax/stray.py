@@ -11,7 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from gsjax.cameras import Camera, viewmat_centers
+from gsjax.cameras import Camera, landing, viewmat_centers
 
 NEIGHBORS = 12  # of a Gaussian that it may hang on
 SPACING = 3  # The distance to so many-th of them is how close Gaussians lie to each other there,
@@ -94,11 +94,5 @@ def in_front(points: np.ndarray, camera: Camera, depth: np.ndarray, margin: floa
     Returns:
         `[N]` bool twice.
     """
-    viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
-    local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
-    ahead = local[:, 2] > 0
-    z = np.where(ahead, local[:, 2], 1.0)
-    pixels = np.floor(local[:, :2] / z[:, None] * K[[0, 1], [0, 1]] + K[:2, 2])
-    seen = ahead & ((pixels >= 0) & (pixels < [camera.width, camera.height])).all(axis=1)
-    columns, rows = np.where(seen[:, None], pixels, 0).astype(int).T
-    return seen, seen & (local[:, 2] < (1 - margin) * depth[rows, columns])
+    rows, columns, depths, seen = landing(points, np.asarray(camera.viewmat), np.asarray(camera.K), depth.shape)
+    return seen, seen & (depths < (1 - margin) * depth[rows, columns])

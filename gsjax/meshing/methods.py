@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gsjax import gaussians as gs
-from gsjax.cameras import Camera, viewmat_center
+from gsjax.cameras import Camera, landing, viewmat_center
 from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.mesh import Mesh, unit_or_zero
@@ -124,14 +124,10 @@ def directions_to_viewers(
     total = np.zeros_like(points)
     for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True)):
         level_set.check_sizes(index, camera, picture)
-        viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
-        local = points @ viewmat[:3, :3].T + viewmat[:3, 3]
-        depth = np.where(local[:, 2] > 1e-6, local[:, 2], 1.0)
-        columns, rows = np.floor(local[:, :2] / depth[:, None] * K[[0, 1], [0, 1]] + K[:2, 2]).astype(np.int64).T
-        inside = (rows >= 0) & (rows < camera.height) & (columns >= 0) & (columns < camera.width)
-        inside &= local[:, 2] > 1e-6
-        rendered = np.asarray(picture.depth)[np.where(inside, rows, 0), np.where(inside, columns, 0)]
-        sees = inside & (rendered > 0) & (np.abs(rendered - local[:, 2]) < reach)
+        viewmat, size = np.asarray(camera.viewmat, np.float64), (camera.height, camera.width)
+        rows, columns, depths, inside = landing(points, viewmat, np.asarray(camera.K), size)
+        rendered = np.asarray(picture.depth)[rows, columns]
+        sees = inside & (rendered > 0) & (np.abs(rendered - depths) < reach)
         towards = viewmat_center(viewmat) - points[sees]
         total[sees] += unit_or_zero(towards)
     return total

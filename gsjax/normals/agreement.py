@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from gsjax.cameras import thinned_K, viewmat_center
+from gsjax.cameras import landing, thinned_K, viewmat_center
 
 LONGEST = 128  # pixels of a view's longer side at the working size
 NEIGHBORS = 6  # views that each is compared with
@@ -115,14 +115,9 @@ def _world_points(view: View) -> np.ndarray:
 
 def _landing(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Row and column `[...]` of the pixel of a view that world points `[..., 3]` land on, and whether it shows them."""
-    in_camera = points @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
-    z = np.where(in_camera[..., 2] > 1e-9, in_camera[..., 2], 1.0)
-    x, y = (np.floor(in_camera[..., a] / z * view.K[a, a] + view.K[a, 2]) for a in (0, 1))
-    height, width = view.depth.shape
-    shown = (in_camera[..., 2] > 1e-9) & (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    column, row = np.where(shown, x, 0).astype(int), np.where(shown, y, 0).astype(int)
+    row, column, z, inside = landing(points, view.viewmat, view.K, view.depth.shape)
     there = view.depth[row, column]
-    return row, column, shown & (there > 0) & (np.abs(there - z) < SAME_DEPTH * z)
+    return row, column, inside & (there > 0) & (np.abs(there - z) < SAME_DEPTH * z)
 
 
 def _degrees_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:

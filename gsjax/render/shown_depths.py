@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.cameras import Camera, thinned_K
+from gsjax.cameras import Camera, landing, thinned_K
 from gsjax.render.gallery import Picture
 
 LONGEST = 320  # Pixels of a coarse view: 300 kB, so that all views of a capture fit.
@@ -39,13 +39,6 @@ def noting(cameras: Sequence[Camera], pictures: Iterable[Picture], notes: list[S
 
 def depths_at(points: np.ndarray, view: ShownDepth) -> tuple[np.ndarray, np.ndarray]:
     """`[P]` camera z of `[P, 3]` world points, and `[P]` the depth that the view shows there; 0 where it shows none."""
-    height, width = view.depth.shape
-    viewmat, K = np.asarray(view.camera.viewmat, np.float64), np.asarray(view.camera.K, np.float64)
-    x, y, z = (points @ viewmat[:3, :3].T + viewmat[:3, 3]).T
-    in_front = z > 1e-6
-    depths = np.where(in_front, z, 1.0)
-    columns = np.floor(np.clip(x / depths * K[0, 0] + K[0, 2], -1, width)).astype(np.int64)
-    rows = np.floor(np.clip(y / depths * K[1, 1] + K[1, 2], -1, height)).astype(np.int64)
-    inside = in_front & (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    shown = view.depth[np.where(inside, rows, 0), np.where(inside, columns, 0)]
-    return z, np.where(inside, shown, 0).astype(np.float64)
+    camera = view.camera
+    rows, columns, depths, inside = landing(points, np.asarray(camera.viewmat), np.asarray(camera.K), view.depth.shape)
+    return depths, np.where(inside, view.depth[rows, columns], 0).astype(np.float64)

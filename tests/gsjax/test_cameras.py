@@ -45,6 +45,24 @@ def test_unprojected_points_have_the_depth_and_the_pixel():
     assert_close(cameras.project(points[3, 5], CAMERA), np.array([5.5, 3.5]))
 
 
+def test_points_land_on_the_pixels_that_they_were_taken_from():
+    size = CAMERA.height, CAMERA.width
+    depth = np.random.default_rng(0).uniform(1, 9, size).astype(np.float32)
+    viewmat = np.asarray(CAMERA.viewmat, np.float64)
+    world = (np.asarray(cameras.unproject(jnp.asarray(depth), CAMERA)) - viewmat[:3, 3]) @ viewmat[:3, :3]
+    landed = cameras.landing(world, viewmat, np.asarray(CAMERA.K), size)
+    assert landed.inside.all()
+    assert_close(landed.depths.astype(np.float32), depth)
+    rows, columns = np.indices(size)
+    assert (landed.rows == rows).all() and (landed.columns == columns).all()
+
+    center = np.asarray(cameras.center(CAMERA))
+    behind, beside = 2 * center - world, world + 40 * viewmat[0, :3]
+    for points in (behind, beside, center):
+        landed = cameras.landing(points, viewmat, np.asarray(CAMERA.K), size)
+        assert not landed.inside.any() and not landed.rows.any() and not landed.columns.any()
+
+
 @pytest.mark.parametrize("z", [0.0, -1e-9, 1e-9, -3.0])
 def test_on_and_behind_the_camera_plane_all_is_finite(z):
     value, gradient = jax.jit(jax.value_and_grad(lambda p: cameras.project(p, CAMERA).sum()))(
