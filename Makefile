@@ -14,13 +14,16 @@ MATRIX_TESTS ?= tests/rasterizer
 IN_PARALLEL := --numprocesses auto --dist loadfile --no-loadscope-reorder
 OPEN3D_LIBRARIES := libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 libidn2-0
 
-.PHONY: demo test test-all check lint docs wheel matrix rasterizer words libraries clean
+.PHONY: demo ready test test-all check lint docs wheel matrix rasterizer words libraries clean
 
 demo: $(INSTALLED)
 	$(BIN)/gsjax demo --out runs/demo
 
 test: lint
 	$(BIN)/python -m pytest $(IN_PARALLEL)
+
+# All that tests and documentation need, before both run at once.
+ready: $(INSTALLED)-test $(INSTALLED)-docs
 
 # Those as well that compile for long to say of another case what a shorter test says: before a release, and by night.
 test-all: lint

@@ -31,6 +31,7 @@ def test_both_modes_to_second_order(x64):
         check_grads(each, (arrays,), order=1, modes=("fwd", "rev"), rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.long
 def test_a_hessian_is_symmetric_and_gives_the_products(x64):
     scene = in_float64(smooth())
 

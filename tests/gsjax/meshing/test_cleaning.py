@@ -143,6 +143,7 @@ print(peak_memory())
 """
 
 
+@pytest.mark.long
 def test_a_million_triangles_are_cleaned_and_measured_within_four_gib():
     done = subprocess.run([sys.executable, "-c", MILLION], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -230,6 +230,7 @@ def test_the_texture_reads_the_same_on_both_sides_of_a_seam():
         assert np.abs(np.subtract(*read)).max() < 3
 
 
+@pytest.mark.long
 def test_two_hundred_thousand_triangles_fit_into_a_gigabyte():
     """A million were measured: 1.2 GB. Here the program with all its packages takes 0.6 of it."""
     program = """

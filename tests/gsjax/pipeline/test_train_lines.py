@@ -30,9 +30,10 @@ def test_without_maps_a_line_says_that_own_depth_stands_in_for_a_network(weights
 
 
 def test_the_first_line_names_device_and_engine(monkeypatch):
+    from gsjax import devices
     from rasterizer import engines
 
-    for module in (train, engines):
+    for module in (devices, engines):
         monkeypatch.setattr(module, "default_device", lambda: H100)
     first, *_ = train._beginning_lines(plan(Settings()), Settings(), "9 photos")
     assert first == "on NVIDIA H100 80GB HBM3 with the pallas rasterizer"

@@ -249,7 +249,8 @@ def test_without_depth_there_is_no_depth_in_the_program():
     assert most_channels(with_depth=True) == without + 3
 
 
-@pytest.mark.parametrize("backend", [pytest.param("xla", marks=pytest.mark.long), "reference"])
+@pytest.mark.long
+@pytest.mark.parametrize("backend", ["xla", "reference"])
 def test_any_backend_shows_the_same(backend):
     how = {"capacity": CAPACITY, "background": BACKGROUND, "with_depth": True, "depth_mode": "front"}
     of_it, usual = render.view(SCENE, CAMERA, backend=backend, **how), shown(SCENE, depth_mode="front")
@@ -259,6 +260,7 @@ def test_any_backend_shows_the_same(backend):
     np.testing.assert_array_equal(render.owners(of_it.splats), render.owners(usual.splats))
 
 
+@pytest.mark.long
 def test_forward_mode_is_the_references_and_equals_reverse_mode():
     def brightness(means, backend):
         moved = replace(SCENE, means=means)
