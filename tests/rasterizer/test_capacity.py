@@ -48,6 +48,7 @@ def test_no_capacity_just_works_under_grad_and_vmap_and_a_batch_is_its_scenes():
         assert error < 1e-4, (name, error)
 
 
+@pytest.mark.long
 def test_no_capacity_just_works_under_vmaps_in_each_other():
     many = [replace(SCENE, scales=scale * SCENE.scales) for scale in (1, 0.2, 0.5, 0.7)]
     batch = jax.tree.map(lambda *x: jnp.stack(x).reshape(2, 2, *x[0].shape), *many)

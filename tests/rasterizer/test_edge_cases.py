@@ -222,6 +222,7 @@ def test_what_other_camera_models_cannot_show_changes_no_bit_of_the_rest(model, 
         hard_cases(f"{model}, hidden: {name}", backend, value=0.0, gradient=0.0, bounds=(0.0, 0.0))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHOWN)
 def test_planes_agree_with_float64(name, agree_with_float64):
     agree_with_float64("planes: " + name, of_depth(odd(SHOWN[name])), **PLANES)

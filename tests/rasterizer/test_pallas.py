@@ -36,6 +36,7 @@ def test_kernels_equal_the_reference(name):
         assert error < 1e-4, (field, error)
 
 
+@pytest.mark.long
 def test_two_runs_give_the_same_bits_and_a_batch_is_its_cameras():
     scene = cloud(cameras=2)
     cameras = {name: getattr(scene, name)[:, None] for name in ("viewmats", "Ks", "backgrounds")}
@@ -92,7 +93,7 @@ def test_a_slot_without_a_gradient_is_scattered_past_the_rows(passes):
     np.testing.assert_array_equal(backward(*arguments), everything)
 
 
-@pytest.mark.parametrize("front", [None, Front(2, 0.2)], ids=["all", "in front"])
+@pytest.mark.parametrize("front", [pytest.param(None, marks=pytest.mark.long), Front(2, 0.2)], ids=["all", "in front"])
 def test_lists_cut_in_segments_equal_the_reference(front):
     """Lists of up to 40 splats in segments of 16: values and gradients pass their borders."""
     scene = stacks()

@@ -101,6 +101,7 @@ def test_intersections_are_those_of_a_loop():
         assert offsets[image, y, x] == sum(key < first for key, _ in expected)
 
 
+@pytest.mark.long
 def test_fused_and_staged_projection_agree_and_batches_are_their_members():
     covars, precis = rasterizer.quat_scale_to_covar_preci(SCENE.quats, SCENE.scales)
     means, covars = rasterizer.world_to_cam(SCENE.means, covars, SCENE.viewmats)

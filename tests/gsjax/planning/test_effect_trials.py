@@ -41,7 +41,8 @@ def scene(tmp_path_factory):
     return load_scene(built_in(tmp_path_factory.mktemp("data") / "scene", num_views=8, size=(32, 32)))
 
 
-@pytest.mark.parametrize("kind", ["relit", pytest.param("clean", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["relit", "clean"])
 def test_a_trial_finds_what_is_there_and_nothing_where_nothing_is(scene, kind):
     true = drawn_gains(scene, 0.3)
     photos = relit(scene, lambda index, *_: true[index]) if kind == "relit" else scene
