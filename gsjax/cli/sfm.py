@@ -1,6 +1,9 @@
 """`gsjax sfm`: camera poses and a sparse cloud from bare photos or a video."""
 
 import argparse
+import sys
+from collections.abc import Mapping
+from typing import Any
 
 from gsjax.cli.parsers import add_command, finite, given_options
 
@@ -27,34 +30,52 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         "photos", metavar="PHOTOS_OR_VIDEO", help="folder of overlapping photos of one still scene, or a video of it"
     )
     parser.add_argument("--out", metavar="SCENE", required=True, help="folder to make: the data set for `gsjax train`")
-    parser.add_argument("--panoramas", action="store_true", default=None, help="the photos, or the video, are"
+    add_reconstruction(parser)
+
+
+def add_reconstruction(parser: argparse.ArgumentParser) -> None:
+    """How photos become a data set; `reconstruction` reads it."""
+    add = parser.add_argument
+    add("--panoramas", action="store_true", default=None, help="the photos, or the video, are"
         " equirectangular: 360 degrees across, 180 down")  # fmt: skip
-    parser.add_argument("--mask-below", metavar="DEGREES", type=finite, help="of panoramas, mask what is so far and"
+    add("--mask-below", metavar="DEGREES", type=finite, help="of panoramas, mask what is so far and"
         " farther below the horizon, where the operator is")  # fmt: skip
-    parser.add_argument("--features", choices=("sift", "aliked", "disk"), help="what is matched (default: sift); the"
+    add("--features", choices=("sift", "aliked", "disk"), help="what is matched (default: sift); the"
         " others are networks, for photos in which SIFT finds too little")  # fmt: skip
-    parser.add_argument("--weights", metavar="FILE", help="of aliked or disk, the network as an ONNX file")
-    parser.add_argument("--matcher-weights", metavar="FILE", help="of aliked, LightGlue as an ONNX file (default: the"
+    add("--weights", metavar="FILE", help="of aliked or disk, the network as an ONNX file")
+    add("--matcher-weights", metavar="FILE", help="of aliked, LightGlue as an ONNX file (default: the"
         " nearest descriptors match)")  # fmt: skip
-    parser.add_argument("--frames", metavar="N", type=int, help="frames to take of a video (default: 100)")
+    add("--frames", metavar="N", type=int, help="frames to take of a video (default: 100)")
+
+
+def reconstruction(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What was given of it, as options of `gsjax.io.sfm.reconstruct`."""
+    return given_options(arguments, "frames", "panoramas", "mask_below", "features", "weights", "matcher_weights")
+
+
+def tell_unused(report: Mapping[str, Any]) -> None:
+    """Names the photos without a pose or GPS, and the files that are no photos, with the reasons, a line a reason.
+
+    Args:
+        report: Of the reconstruction, as a mapping.
+    """
+    for what, files in (
+        ("left out", report["left_out"]),
+        ("passed over", report["passed_over"]),
+        ("GPS not followed", report.get("gps_unused", {})),  # which older reports do not hold
+    ):
+        for reason in dict.fromkeys(files.values()):
+            names = [name for name, why in files.items() if why == reason]
+            print(f"gsjax: {what} ({reason}): {', '.join(names)}", file=sys.stderr)
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    import sys
     from dataclasses import asdict
 
     from gsjax import tables
     from gsjax.io import sfm
 
-    options = given_options(arguments, "frames", "panoramas", "mask_below", "features", "weights", "matcher_weights")
-    report = sfm.reconstruct(arguments.photos, arguments.out, **options)
-    for what, files in (
-        ("left out", report.left_out),
-        ("passed over", report.passed_over),
-        ("GPS not followed", report.gps_unused),
-    ):
-        for reason in dict.fromkeys(files.values()):
-            names = [name for name, why in files.items() if why == reason]
-            print(f"gsjax: {what} ({reason}): {', '.join(names)}", file=sys.stderr)
-    counts = {name: len(getattr(report, name)) for name in ("left_out", "passed_over", "gps_unused")}
-    print(tables.record(asdict(report) | counts))
+    report = asdict(sfm.reconstruct(arguments.photos, arguments.out, **reconstruction(arguments)))
+    tell_unused(report)
+    counts = {name: len(report[name]) for name in ("left_out", "passed_over", "gps_unused")}
+    print(tables.record(report | counts))

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 from gsjax import config
 from gsjax.binding.refining import Refinement
@@ -15,6 +15,7 @@ from gsjax.io.files import make_folder
 from gsjax.io.locks import LOCK, lock_folder
 from gsjax.io.machine import machine, peak_memory, restart_peak_memory, versions
 from gsjax.io.scenes import is_data_set
+from gsjax.io.sfm import FILES, Reconstruction
 from gsjax.io.temporaries import is_temporary, sweep
 from gsjax.meshing.export import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors
@@ -45,8 +46,8 @@ def scan(
     settings: Settings,
     refinement: Refinement,
     *,
-    frames: int | None = None,
     progress: Callable[[str], None] = print,
+    **reconstruction: Unpack[Reconstruction],
 ) -> dict[str, Any]:
     """Photos, a video or a data set to a textured mesh; stages that an earlier call has finished are not done again.
 
@@ -56,27 +57,31 @@ def scan(
             `mesh.glb` (texture), `overview.png`, `report.json`, `report.html`.
         settings: Of the training.
         refinement: Of the mesh.
-        frames: Of a video, how many to take. None: as `gsjax.io.sfm.reconstruct` has it.
         progress: Told the name of every stage as it begins.
+        **reconstruction: Options of `gsjax.io.sfm.reconstruct`, for photos or a video.
 
     Returns:
         The report: figures of every stage with its `seconds` and `peak_gib`, `mesh`, `picture`, `machine`, `versions`.
 
     Raises:
-        InputError: A stage cannot be done, or `out` was begun with something else.
+        InputError: A stage cannot be done, `out` was begun with something else, or a data set is to be reconstructed.
     """
     source, out = Path(source), Path(out)
+    if reconstruction and is_data_set(source):
+        options = " and ".join(f"--{name.replace('_', '-')}" for name in reconstruction)
+        raise InputError(f"{source}: is a data set, whose cameras are known; {options}: for photos or a video only")
     asked = {
         "source": str(source.resolve()),
-        "frames": frames,
+        "frames": None,
         "settings": config.to_dict(settings),
         "refinement": config.to_dict(refinement),
+        **_recorded(reconstruction),
     }
     _require_scan(out)  # Before anything of ours is in it.
     with lock_folder(make_folder(out)):
         sweep(out)
         report = _begun(out, asked)
-        for stage in _stages(source, out, settings, refinement, frames):
+        for stage in _stages(source, out, settings, refinement, reconstruction):
             if not (stage.is_done() and stage.name in report["stages"]):
                 progress(f"scan: {stage.name}")
                 _do(stage, out, report)
@@ -129,13 +134,20 @@ def _begun(out: Path, asked: Mapping[str, Any]) -> dict[str, Any]:
     file = out / "report.json"
     if file.exists():
         report = json_files.read(file, {"asked": {str: object}, "stages": {str: {"seconds?": (None, float)}}})
-        for key, value in asked.items():
-            if report.get("asked", {}).get(key) != value:
+        begun = report.get("asked", {})
+        for key in {**asked, **begun}:
+            if begun.get(key) != asked.get(key):
                 raise InputError(f"{out}: was begun with another {key}; choose another folder with --out")
         return report
     report = {"asked": dict(asked), "stages": {}}
     json_files.write(file, report)
     return report
+
+
+def _recorded(reconstruction: Reconstruction) -> dict[str, Any]:
+    """The options as the report keeps them: files by their paths from the root, wherever the scan is called again."""
+    files = {name: str(Path(file).resolve()) for name in FILES if (file := reconstruction.get(name)) is not None}
+    return {**reconstruction, **files}
 
 
 def _forget_if_empty(out: Path) -> None:
@@ -147,10 +159,12 @@ def _forget_if_empty(out: Path) -> None:
             out.rmdir()
 
 
-def _stages(source: Path, out: Path, settings: Settings, refinement: Refinement, frames: int | None) -> list[Stage]:
+def _stages(
+    source: Path, out: Path, settings: Settings, refinement: Refinement, reconstruction: Reconstruction
+) -> list[Stage]:
     scene = source if is_data_set(source) else out / "scene"
     run, refined, coarse, textured = out / "run", out / "refined", out / "run/mesh.ply", out / "mesh.glb"
-    sfm = [] if scene == source else [Stage("sfm", scene.exists, lambda: _reconstruct(source, scene, frames))]
+    sfm = [] if scene == source else [Stage("sfm", scene.exists, lambda: _reconstruct(source, scene, reconstruction))]
     return [
         *sfm,
         Stage("train", lambda: _is_finished(run), lambda: train(scene, run, settings, resume=run.exists())),
@@ -162,12 +176,12 @@ def _stages(source: Path, out: Path, settings: Settings, refinement: Refinement,
     ]
 
 
-def _reconstruct(source: Path, scene: Path, frames: int | None) -> dict[str, Any]:
+def _reconstruct(source: Path, scene: Path, reconstruction: Reconstruction) -> dict[str, Any]:
     from gsjax.io import sfm  # pycolmap: only where there is something to reconstruct.
 
     if scene.exists():
         return asdict(sfm.read_report(scene))
-    return asdict(sfm.reconstruct(source, scene, **({} if frames is None else {"frames": frames})))
+    return asdict(sfm.reconstruct(source, scene, **reconstruction))
 
 
 def _is_finished(run: Path) -> bool:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, TypedDict
 
 from tqdm import tqdm
 
@@ -21,7 +21,21 @@ DEFAULT_FRAMES = 100
 REPORT = "sfm.json"
 _LITTLE_ROOM = 2**24  # bytes: of a full disk that many may be free again, once what did not fit is gone
 
-__all__ = ["DEFAULT_FRAMES", "SfmReport", "read_report", "reconstruct"]
+__all__ = ["DEFAULT_FRAMES", "FILES", "Reconstruction", "SfmReport", "read_report", "reconstruct"]
+
+
+class Reconstruction(TypedDict, total=False):
+    """Options of `reconstruct` that a person chooses, see there."""
+
+    frames: int
+    panoramas: bool
+    mask_below: float
+    features: str
+    weights: str | Path
+    matcher_weights: str | Path
+
+
+FILES: Final = ("weights", "matcher_weights")  # options that name one
 
 
 @dataclass(frozen=True)

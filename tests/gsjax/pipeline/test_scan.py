@@ -1,7 +1,7 @@
 """The order of the stages, what is not done twice, what is refused; the stages themselves have tests of their own."""
 
 import importlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,8 @@ scanning = importlib.import_module("gsjax.pipeline.scan")  # The package's attri
 @dataclass(frozen=True)
 class SfmReport:
     registered: int = 7
+    left_out: dict[str, str] = field(default_factory=dict)
+    passed_over: dict[str, str] = field(default_factory=dict)
 
 
 SFM_REPORT = {
@@ -167,6 +169,30 @@ def test_a_folder_with_other_things_or_other_wishes_is_left_alone(stages, photos
         scanned(tmp_path, tmp_path / "scan")
 
 
+def test_photos_are_reconstructed_as_sfm_would_and_a_resumed_scan_is_the_same(stages, photos, tmp_path, monkeypatch):
+    calls, out = stages[0], str(tmp_path / "scan")
+    monkeypatch.chdir(tmp_path)
+    asked = ["--panoramas", "--mask-below", "60", "--features", "aliked", "--weights", "a.onnx"]
+    assert cli.main(["scan", "photos", "--out", out, *asked]) == 0
+    options = {"panoramas": True, "mask_below": 60.0, "features": "aliked", "weights": "a.onnx"}
+    assert calls[0] == ("sfm", "photos", out + "/scene", options)
+    monkeypatch.chdir(photos)
+    asked[-1] = "../a.onnx"
+    assert cli.main(["scan", ".", "--out", out, *asked]) == 0, "the same files, named from elsewhere"
+    for other in (asked[:4], [*asked[:2], "50", *asked[3:]], [*asked[:-1], "b.onnx"]):
+        assert cli.main(["scan", ".", "--out", out, *other]) == 2
+    assert len(calls) == 5, "none of these did anything"
+
+
+def test_a_data_set_is_not_to_be_reconstructed(stages, tmp_path):
+    scene = tmp_path / "scene"
+    (scene / "sparse/0").mkdir(parents=True)
+    (scene / "sparse/0/cameras.bin").write_bytes(b"")
+    with pytest.raises(InputError, match="scene: is a data set.* --frames and --mask-below: for photos or a video"):
+        scanned(scene, tmp_path / "scan", frames=30, mask_below=60.0)
+    assert not (tmp_path / "scan").exists()
+
+
 def test_a_scan_that_comes_to_nothing_leaves_nothing(stages, photos, tmp_path):
     calls, broken = stages
     broken.add("sfm")
@@ -186,7 +212,7 @@ def test_a_scan_that_comes_to_nothing_leaves_nothing(stages, photos, tmp_path):
 def test_the_command_refines_as_long_as_it_trains(monkeypatch, preset, length):
     handed = []
     report = {"stages": {"mesh": {"faces": 12}}, "mesh": "m", "picture": "p"}
-    monkeypatch.setattr(pipeline, "scan", lambda *args, frames: handed.append(args) or report)
+    monkeypatch.setattr(pipeline, "scan", lambda *args: handed.append(args) or report)
     assert cli.main(["scan", "photos", "--out", "o", "--preset", preset, "--seed", "3"]) == 0
     [(_, _, training, refinement)] = handed
     assert refinement == config.parse(Refinement, {**PRESETS[length], "seed": 3})
