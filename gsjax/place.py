@@ -12,6 +12,7 @@ degrees are kept as float64 beside coordinates that stay small. `gsjax.similarit
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -95,6 +96,22 @@ class Place:
 
 
 UNPLACED = Place()
+
+
+LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3, "in": 0.0254, "ft": 0.3048}
+
+
+def parse_length(text: str) -> float:
+    """Metres of a length such as `1.25m`, `80cm` or `3ft`.
+
+    Raises:
+        ValueError: It is none, or nothing.
+    """
+    found = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)\s*([a-z]+)", text.strip())
+    number = float(found[1]) * LENGTHS.get(found[2], 0.0) if found else 0.0
+    if not 0 < number < math.inf:
+        raise ValueError(f"{text}: not a length, such as 1.25m, 80cm or 3ft")
+    return number
 
 
 def parse_place(kept: Any, where: object) -> Place:

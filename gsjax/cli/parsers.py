@@ -7,9 +7,9 @@ import re
 from collections.abc import Callable
 
 from gsjax.errors import InputError
+from gsjax.place import parse_length
 
 UNITS = {"s": 1, "m": 60, "h": 3600}
-LENGTHS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3, "in": 0.0254, "ft": 0.3048}
 
 
 def add_command(
@@ -71,11 +71,10 @@ def metres(text: str) -> float:
     Raises:
         argparse.ArgumentTypeError: It is none, or nothing.
     """
-    found = re.fullmatch(r"(\d+(?:\.\d+)?|\.\d+)\s*([a-z]+)", text.strip())
-    number = float(found[1]) * LENGTHS.get(found[2], 0.0) if found else 0.0
-    if not 0 < number < math.inf:
-        raise argparse.ArgumentTypeError(f"{text}: not a length, such as 1.25m, 80cm or 3ft")
-    return number
+    try:
+        return parse_length(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def seconds(budget: str) -> float:

@@ -27,7 +27,7 @@ from gsjax.render import gallery
 from gsjax.report.page import report as write_report
 from gsjax.report.panels import draw_panels
 from gsjax.report.pictures import mesh_picture, surface_picture, to_bytes
-from gsjax.runs.records import STATUS
+from gsjax.runs.folder import is_finished
 from gsjax.runs.result import open_result
 from gsjax.settings import Settings
 
@@ -167,10 +167,10 @@ def _stages(
     sfm = [] if scene == source else [Stage("sfm", scene.exists, lambda: _reconstruct(source, scene, reconstruction))]
     return [
         *sfm,
-        Stage("train", lambda: _is_finished(run), lambda: train(scene, run, settings, resume=run.exists())),
+        Stage("train", lambda: is_finished(run), lambda: train(scene, run, settings, resume=run.exists())),
         Stage("mesh", coarse.exists, lambda: mesh(run, coarse)),
         Stage(
-            "refine", lambda: _is_finished(refined), lambda: refine(run, refined, refinement, resume=refined.exists())
+            "refine", lambda: is_finished(refined), lambda: refine(run, refined, refinement, resume=refined.exists())
         ),
         Stage("texture", textured.exists, lambda: texture(refined, refined / "mesh.ply", textured)),
     ]
@@ -182,11 +182,6 @@ def _reconstruct(source: Path, scene: Path, reconstruction: Reconstruction) -> d
     if scene.exists():
         return asdict(sfm.read_report(scene))
     return asdict(sfm.reconstruct(source, scene, **reconstruction))
-
-
-def _is_finished(run: Path) -> bool:
-    manifest = run / "manifest.json"
-    return manifest.exists() and json_files.read(manifest, STATUS)["status"] == "done"
 
 
 def _overview(out: Path) -> Path:

@@ -40,7 +40,7 @@ from gsjax.io.machine import machine, versions
 from gsjax.io.temporaries import is_temporary, sweep
 from gsjax.place import UNPLACED, Place
 from gsjax.runs import checkpoints
-from gsjax.runs.records import RECORD, SCENE, SETTINGS
+from gsjax.runs.records import RECORD, SCENE, SETTINGS, STATUS
 from gsjax.similarity import IDENTITY, Similarity, parse_similarity
 
 EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic", "effects": "none"}
@@ -55,6 +55,11 @@ OF_A_BEGINNING = {"config.json", "plan.json", place_files.FILE, LOCK}
 def is_begun(run: str | Path) -> bool:
     """Whether a folder holds a run."""
     return (Path(run) / "manifest.json").is_file()
+
+
+def is_finished(run: str | Path) -> bool:
+    """Whether a folder holds a run that came to its end."""
+    return is_begun(run) and json_files.read(Path(run) / "manifest.json", STATUS)["status"] == "done"
 
 
 def require_free(run: str | Path) -> None:

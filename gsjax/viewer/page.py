@@ -19,6 +19,7 @@ from gsjax.gaussians import Gaussians
 from gsjax.report.pictures import to_bytes
 from gsjax.viewer.desk import Desk, Order
 from gsjax.viewer.drawing import bare_background
+from gsjax.viewer.editing import Edit, Editor
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera, picture_size
 from gsjax.viewer.pictures import Pictures
 from gsjax.viewer.ruler import Ruler
@@ -28,6 +29,7 @@ from gsjax.viewer.subject import Subject
 
 HOST, PORT = "127.0.0.1", 8080
 SHOW, SIDE, MESH, CAMERAS, MEASURE = "Show", "Longest side", "Mesh", "Cameras", "Measure"
+CHANGE, LENGTH, SCALE, SPHERE, BACK = "Change the run", "It is", "Set the scale", "Keep this sphere", "Bring back"
 BY_BROWSER = "colour, drawn by the browser"
 LONGEST, COARSER = ("480", "960", "1920"), 3  # Sides of full pictures; coarse ones are so much smaller.
 BEHIND_SIDE = 64  # Longest side of the picture of what is behind the browser's own splats: a colour, or a smooth sky.
@@ -53,6 +55,7 @@ class Page:
         port: int,
         news: Callable[[], News | None] | None = None,
         share: float = 1.0,
+        editor: Editor | None = None,
     ):
         """Not served yet.
 
@@ -62,10 +65,11 @@ class Page:
             port: 0 takes a free one.
             news: Asked now and then, while somebody looks, for Gaussians to show instead.
             share: Of the time since `work` began, what answering may take.
+            editor: Changes the run that is shown, where visitors may do so.
         """
         self.subject, self.desk = subject, Desk()
         self._host, self._port = host, port
-        self._news, self._share = news, share
+        self._news, self._share, self._editor = news, share, editor
         self._pictures, self._gaussians, self._line = Pictures(subject), subject.gaussians, ""
         self._background = subject.background
         self._chores: deque[Callable[[], None]] = deque()
@@ -153,6 +157,8 @@ class Page:
             measure.on_update(lambda _: self._measure(measure.value))
             self.switches[MEASURE], self._measured = measure, gui.add_markdown("")
             self.ruler = Ruler(self.server, subject, self._say_measured)
+            if self._editor is not None:
+                self._add_edits(self._editor)
             self.server.on_client_connect(self._come)
             self.server.on_client_disconnect(self._leave)
         if subject.mesh is not None:
@@ -180,6 +186,41 @@ class Page:
                 self.ruler.click(click.client.client_id, self._gaussians, click.ray_origin, click.ray_direction)
             except InputError as error:
                 self._say_measured(str(error))
+
+    def _add_edits(self, editor: Editor) -> None:
+        """What changes the run by the length that was measured last."""
+        gui = self.server.gui
+        with gui.add_folder(CHANGE):
+            self.switches[LENGTH] = gui.add_text(LENGTH, initial_value="1m", hint="As in 1.25m, 80cm or 3ft.")
+            for label, hint, edit in (
+                (SCALE, "Metres by the length that was measured.", self._scaled),
+                (SPHERE, "Measure from its middle to its rim.", editor.keep_sphere),
+                (BACK, "What was taken out.", lambda *_: editor.bring_back()),
+            ):
+                button = gui.add_button(label, hint=hint)
+                button.on_click(lambda _, edit=edit, label=label: self._soon(lambda: self._edit(edit, label)))
+
+    def _scaled(self, subject: Subject, ends: np.ndarray) -> Edit:
+        assert self._editor is not None, "its button is there"
+        return self._editor.scale(subject, ends, self.switches[LENGTH].value)
+
+    def _edit(self, edit: Callable[[Subject, Any], Edit], label: str) -> None:
+        """Changes the run, and shows what it is now."""
+        ends = self.ruler.ends
+        if ends is None and label != BACK:
+            self._say_measured(f"{MEASURE} first: two clicks on the surface.")
+            return
+        try:
+            changed = edit(self.subject, ends)
+        except InputError as error:
+            self._say_measured(str(error))
+            return
+        self.subject, self._gaussians = changed.subject, changed.subject.gaussians
+        self._pictures = Pictures(self.subject)
+        self.ruler.forget()
+        self.ruler.show(self.subject)
+        self._say_measured(changed.line)
+        self.desk.again()
 
     def _say_measured(self, line: str) -> None:
         with _whoever_is_left():

@@ -22,6 +22,7 @@ class Ruler:
         self._scene, self._subject, self._say = server.scene, subject, say
         self._drawer = Drawer(subject.depth_mode)
         self._first: dict[Hashable, np.ndarray] = {}
+        self.ends: np.ndarray | None = None  # [2, 3] of the newest length, the subject's coordinates
 
     def click(self, who: Hashable, gaussians: Gaussians, origin: np.ndarray, direction: np.ndarray) -> float | None:
         """A browser clicked.
@@ -44,16 +45,22 @@ class Ruler:
             self._first[who] = hit
             self._say("Click on the other end.")
             return None
+        self.ends = np.stack([first, hit])
         self._scene.add_line_segments(
-            "/ruler", np.stack([first, hit])[None].astype(np.float32), COLOR, thickness=3.0, thickness_units="screen"
+            "/ruler", self.ends[None].astype(np.float32), COLOR, thickness=3.0, thickness_units="screen"
         )
         distance = float(self._subject.similarity.length_to_world(np.linalg.norm(hit - first)))
         self._say(f"{distance:.4g} {'m' if self._subject.is_in_metres else 'scene units'}")
         return distance
 
+    def show(self, subject: Subject) -> None:
+        """What is measured from now on; the coordinates of clicks stay."""
+        self._subject = subject
+
     def forget(self) -> None:
         """No ends of lengths, no line."""
         self._first.clear()
+        self.ends = None
         self._say("")
         line = self._scene.get_handle_by_name("/ruler")
         if line is not None:
