@@ -23,6 +23,7 @@ from gsjax.errors import InputError
 
 Vector = tuple[float, float, float]
 LARGEST = 1e12  # of scales, both ways, and of shifts: beyond, a file holds no place
+METRE, UNKNOWN = "metre", "unknown"  # the units of a world
 ENU = ["east", "north", "up"]
 
 
@@ -30,7 +31,7 @@ ENU = ["east", "north", "up"]
 class Place:
     """What is known of a scene's world; by default nothing, and the world is that of the files."""
 
-    known_by: str = ""  # how metres are known, in words; empty: they are not
+    known_by: str = ""  # how metres are known, in words; empty: they are not, though up may be
     up: Vector | None = None  # unit vector in the world; None: not known
     origin: tuple[float, float, float | None] | None = None  # degrees north, degrees east, metres (None: not known)
     scale: float = 1.0  # metres in a unit of the data set's files
@@ -82,7 +83,7 @@ class Place:
 
     def statement(self) -> dict[str, Any]:
         """What a file in the world's coordinates says of them; plain numbers."""
-        told: dict[str, Any] = {"unit": "metre", "up": self.up, "known_by": self.known_by}
+        told: dict[str, Any] = {"unit": METRE if self.is_known else UNKNOWN, "up": self.up, "known_by": self.known_by}
         if self.origin is not None:
             latitude, longitude, altitude = self.origin
             place = {"latitude": latitude, "longitude": longitude, "altitude": altitude}
@@ -132,7 +133,11 @@ def parse_place(kept: Any, where: object) -> Place:
         )
         turn = np.array(place.rotation)
         is_turn = turn.shape == (3, 3) and np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6 and np.linalg.det(turn) > 0
-        if kept["unit"] != "metre" or not is_turn or not 1 / LARGEST < place.scale < LARGEST:
+        if (
+            kept["unit"] != (METRE if place.is_known else UNKNOWN)
+            or not is_turn
+            or not 1 / LARGEST < place.scale < LARGEST
+        ):
             raise ValueError
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise InputError(f"{where}: tells no place of a scene ({str(kept)[:80]})") from error

@@ -24,7 +24,7 @@ def write_place(folder: Path, place: Place) -> None:
     Raises:
         InputError: It cannot be written.
     """
-    if place.is_known:
+    if place.is_known or place.up is not None:
         json_files.write(folder / FILE, place.record())
     else:
         (folder / FILE).unlink(missing_ok=True)

@@ -15,6 +15,7 @@ import numpy as np
 from gsjax.cameras import viewmat_centers
 from gsjax.io.packages import require
 from gsjax.io.sfm.gps import Fix
+from gsjax.io.sfm.gravity import Up, up_by_gravity
 from gsjax.io.sfm.shots import Shot, turned_pose
 from gsjax.place import Place, turn_upright, up_of_cameras
 
@@ -49,12 +50,13 @@ class _Motion(NamedTuple):
         return self.scale * points @ self.rotation.T + self.shift
 
 
-def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None]) -> Georeference:
+def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None], level: Up | None = None) -> Georeference:
     """The place of a model.
 
     Args:
         viewmats: `[V, 3, 4]` world to camera, of the photos as they stand upright.
         fixes: Of each of them; None where its photo has no GPS.
+        level: Which way is up. None: as the cameras were held.
     """
     having = np.array([index for index, fix in enumerate(fixes) if fix is not None], int)
     if len(having) < FEWEST:
@@ -62,8 +64,8 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None]) -> Georefere
         return _unknown(f"unit not known: {having_it}, where {FEWEST} would tell metres; `gsjax scale` sets it")
     degrees = np.array([fix for fix in fixes if fix is not None], float)
     centers = viewmat_centers(viewmats)[having]
-    up, up_error = up_of_cameras(viewmats)
-    up_error = math.hypot(up_error, _HELD_LEVEL)
+    level = level or Up(*up_of_cameras(viewmats), "the cameras")
+    up, up_error = level.direction, math.hypot(level.error, _HELD_LEVEL)
     has_heights = np.isfinite(degrees[:, 2])
     origin, places = _plane(degrees, has_heights)
 
@@ -74,8 +76,8 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None]) -> Georefere
         if found is not None:
             motion, trusted = found[0], rows[found[1]]
             tilt_error = _tilt_error(motion, centers[trusted], places[trusted])
-    by_cameras = motion is None or up_error < tilt_error
-    if by_cameras:
+    is_level = motion is None or up_error < tilt_error
+    if is_level:
         flat = np.where(has_heights[:, None], places, places * [1, 1, 0])
         found = _least_median(_level(turn_upright(up), has_heights), 2, centers, flat)
         if found is None or min(up_error, tilt_error) > _SURE:
@@ -83,7 +85,7 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None]) -> Georefere
         motion, trusted = found
     assert motion is not None
     across = places[trusted] - places[trusted].mean(0)
-    axes = 2 if by_cameras else 3
+    axes = 2 if is_level else 3
     residual = np.linalg.norm((motion(centers) - places)[:, :axes], axis=1)
     spread = math.sqrt((across[:, :axes] ** 2).sum())
     if math.sqrt((residual[trusted] ** 2).sum()) > _TOLD_APART * spread:
@@ -102,12 +104,16 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None]) -> Georefere
         shift=tuple(motion.shift.tolist()),  # pyright: ignore[reportArgumentType]
     )
     told = f"metres by the {known_by}, which lie {_length(float(np.median(residual[trusted])))} from it (median)"
-    told += f"; up by the {_up_told(tilt_error, altitude) if by_cameras else 'GPS'}; origin {_degrees(origin)}"
+    told += (
+        f"; up by {_up_told(level.told, tilt_error, altitude) if is_level else 'the GPS'}; origin {_degrees(origin)}"
+    )
     return Georeference(place, told, off)
 
 
 def place_model(model: Any, shots: Sequence[Shot]) -> Georeference:
     """The place of a model by the GPS of its photos; where that is known, the model is brought there.
+
+    Without GPS, a model whose photos say which way is down is turned upright.
 
     Args:
         model: `pycolmap.Reconstruction` in the sensors' frames, changed in place; image ids count `shots` from 1.
@@ -120,9 +126,13 @@ def place_model(model: Any, shots: Sequence[Shot]) -> Georeference:
     taken = [shots[number - 1] for number in numbers]
     poses = [model.image(number).cam_from_world().matrix() for number in numbers]
     viewmats = np.stack([turned_pose(pose, shot.to_upright) for pose, shot in zip(poses, taken, strict=True)])
-    found = georeference(viewmats, [shot.fix if isinstance(shot.fix, Fix) else None for shot in taken])
+    level = up_by_gravity(viewmats, [shot.gravity for shot in taken])
+    found = georeference(viewmats, [shot.fix if isinstance(shot.fix, Fix) else None for shot in taken], level)
+    if level is not None and not found.place.is_known:
+        upright = Place().turned(turn_upright(level.direction))
+        found = found._replace(place=upright, told=f"{found.told}; upright by {level.told}")
     place = found.place
-    if place.is_known:
+    if place.moves:
         model.transform(pycolmap.Sim3d(place.scale, pycolmap.Rotation3d(np.array(place.rotation)), place.shift))
     return found._replace(place=place.reached, off={numbers[row] - 1: metres for row, metres in found.off.items()})
 
@@ -131,12 +141,12 @@ def _unknown(why: str) -> Georeference:
     return Georeference(Place(), why, {})
 
 
-def _up_told(tilt_error: float, altitude: float | None) -> str:
-    """Why up is the cameras', in words."""
+def _up_told(by: str, tilt_error: float, altitude: float | None) -> str:
+    """What tells up, and why GPS does not, in words."""
     if altitude is None:
-        return "cameras (no altitudes)"
+        return f"{by} (no altitudes)"
     sure = "not at all" if tilt_error > math.pi / 4 else f"to {math.degrees(tilt_error):.1f} degrees"
-    return f"cameras (the GPS tells it {sure})"
+    return f"{by} (the GPS tells it {sure})"
 
 
 def _degrees(origin: tuple[float, float, float]) -> str:

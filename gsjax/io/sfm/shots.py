@@ -15,6 +15,7 @@ from gsjax.io.image_folders import masks_in
 from gsjax.io.images import SUFFIXES, cv2, image_size, open_image, read_image, read_mask, same_shape
 from gsjax.io.photos import says_nothing
 from gsjax.io.sfm import gps
+from gsjax.io.sfm.gravity import Vector, read_gravity
 
 _MASKS = "masks"  # the folder's name
 _MAKE, _MODEL, _ORIENTATION, _DETAILS, _FOCAL, _FOCAL_35 = 0x010F, 0x0110, 0x0112, 0x8769, 0x920A, 0xA405
@@ -34,6 +35,7 @@ class Shot:
     to_upright: int  # quarter turns clockwise, from the sensor's frame to upright
     mask_path: Path | None = None
     fix: gps.Fix | str | None = None  # where it was taken by GPS; words for what is wrong with that; None: not said
+    gravity: Vector | None = None  # down in the photo as it is looked at, where the device noted it
     is_panorama: bool = False  # equirectangular: 360 degrees across, 180 down
     mask_below: float | None = None  # of a panorama, degrees: what is that far and farther below the horizon is masked
 
@@ -134,7 +136,7 @@ def as_panoramas(shots: list[Shot], mask_below: float | None) -> list[Shot]:
             raise InputError(f"{shot.path}: is {width}x{height}; a panorama of 360 degrees is twice as broad as high")
         if shot.to_sensor or shot.to_upright or shot.mirrored:
             raise InputError(f"{shot.path}: is a panorama that its EXIF orientation turns; save it upright")
-    return [replace(shot, is_panorama=True, mask_below=mask_below) for shot in shots]
+    return [replace(shot, is_panorama=True, mask_below=mask_below, gravity=None) for shot in shots]
 
 
 def unused_files(folder: Path) -> dict[str, str]:
@@ -190,24 +192,25 @@ def shot_of(path: Path, name: str, mask_path: Path | None = None) -> Shot:
         InputError: The file is missing or no image.
     """
     width, height = image_size(path)
-    make, model, focal, orientation, fix = _exif(path)
+    make, model, focal, orientation, fix, down = _exif(path)
     mirrored, turns = _ORIENTATIONS.get(orientation, (0, 0))
     standing = int(height > width)
     camera = (make, model, focal, max(width, height), min(width, height))
-    return Shot(name, path, camera, bool(mirrored), standing, (turns + standing) % 4, mask_path, fix)
+    return Shot(name, path, camera, bool(mirrored), standing, (turns + standing) % 4, mask_path, fix, down)
 
 
-def _exif(path: Path) -> tuple[str, str, str, int, gps.Fix | str | None]:
-    """Make, model, focal lengths, orientation and GPS; empty, 1 and None where the file does not say."""
+def _exif(path: Path) -> tuple[str, str, str, int, gps.Fix | str | None, Vector | None]:
+    """Make, model, focal lengths, orientation, GPS and gravity; empty, 1 and None where the file does not say."""
     with open_image(path) as picture:
         try:
             tags = picture.getexif()
             details = tags.get_ifd(_DETAILS)
         except Exception:  # Pillow's many ways to say "damaged".
-            return "", "", "", 1, None
+            return "", "", "", 1, None, None
         try:
             fix = gps.read_fix(tags.get_ifd(gps.TAG))
         except Exception:
             fix = "its table of GPS is damaged"
+        down = read_gravity(details, picture.info.get("xmp"))
     focal = f"{details.get(_FOCAL, '')} {details.get(_FOCAL_35, '')}"
-    return str(tags.get(_MAKE, "")), str(tags.get(_MODEL, "")), focal, tags.get(_ORIENTATION, 1), fix
+    return str(tags.get(_MAKE, "")), str(tags.get(_MODEL, "")), focal, tags.get(_ORIENTATION, 1), fix, down

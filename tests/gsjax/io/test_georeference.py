@@ -159,7 +159,7 @@ def test_a_model_is_brought_to_its_place_with_its_points(tmp_path):
     beacon = np.array([3.0, -4.0, 2.0])
     turn = Rotation.from_rotvec([1.0, 2.0, 0.5]).as_matrix()
     point = model.add_point3D((turn @ beacon + [1, 2, 3]) / 7.3, pycolmap.Track(), np.zeros(3, np.uint8))
-    found = place_model(model, [SimpleNamespace(fix=fix, to_upright=0) for fix in fixes])
+    found = place_model(model, [SimpleNamespace(fix=fix, to_upright=0, gravity=None) for fix in fixes])
     origin = EARTH.ellipsoid_to_enu(np.array([found.place.origin]), *SANTIAGO)[0]
     np.testing.assert_allclose(model.point3D(point).xyz + origin, beacon, atol=1e-3)
     centers = np.stack([model.image(number).projection_center() for number in range(1, COUNT + 1)])

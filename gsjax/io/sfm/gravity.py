@@ -1,0 +1,124 @@
+"""Which way is down in a photo, as the device that took it noted: an iPhone's accelerometer, a drone's gimbal.
+
+Apple's maker note keeps under tag 8 the vector that CoreMotion calls acceleration, in units of g: at rest it points
+down, in axes of the phone as it is looked at, x right, y to its top, z out of the screen. Its camera looks the other
+way, and the sensor's rows run from the phone's top to its bottom (ExifTool's table of Apple's tags names the same
+numbers by axes that point the other way). DJI's XMP tells the gimbal's pitch (0 level, -90 straight down) and roll,
+degrees.
+"""
+
+import math
+import re
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+MAKER_NOTE = 0x927C
+_APPLE, _ACCELERATION, _RATIONAL = b"Apple iOS\0", 0x0008, 10
+_FRONT_LENS = 0xA434  # the tag of a lens' name, in which Apple says "front camera"
+_STILL = 0.1  # of g: a phone that is moved more than that measures the hand too
+_FLAT = 0.5  # of g along the picture: with less of it, which edge of the picture is below is not told
+_GIMBAL = {
+    name: re.compile(rf"Gimbal{name}Degree\s*(?:=\s*[\"']|>)\s*([+-]?\d+(?:\.\d+)?)") for name in ("Pitch", "Roll")
+}
+FEWEST = 3  # photos that must tell it
+_AGREE = math.radians(10.0)  # to which they must, at the median
+_FAR = 3.0  # times the median: photos that are farther off are not followed
+
+Vector = tuple[float, float, float]
+
+
+class Up(NamedTuple):
+    """Which way is up in a model."""
+
+    direction: np.ndarray  # [3] unit
+    error: float  # its standard error, radians
+    told: str  # by what, in words
+
+
+def read_gravity(details: Mapping[int, Any], xmp: Any) -> Vector | None:
+    """The unit vector down, in the axes of the photo as it is looked at: x right, y down, z ahead; None: not told.
+
+    Args:
+        details: EXIF's table of details.
+        xmp: XMP of the file, text or bytes; None: there is none.
+    """
+    note = details.get(MAKER_NOTE)
+    is_front = "front" in str(details.get(_FRONT_LENS, "")).lower()  # whose pictures are mirrored or not, as it pleases
+    if isinstance(note, bytes) and note.startswith(_APPLE) and not is_front:
+        measured = _acceleration(note)
+        return None if measured is None else _of_phone(*measured)
+    return _of_gimbal(xmp.decode("utf-8", "replace") if isinstance(xmp, bytes) else str(xmp or ""))
+
+
+def up_by_gravity(viewmats: np.ndarray, gravities: Sequence[Vector | None]) -> Up | None:
+    """Which way is up, as most photos tell it; None where they are too few, or do not agree.
+
+    Args:
+        viewmats: `[V, 3, 4]` world to camera, of the photos as they are looked at.
+        gravities: Of each of them, see `read_gravity`.
+    """
+    pairs = [(pose[:, :3], down) for pose, down in zip(viewmats, gravities, strict=True) if down is not None]
+    if len(pairs) < FEWEST:
+        return None
+    ups = np.stack([-np.array(down) @ rotation for rotation, down in pairs])
+    up = np.median(ups, axis=0)
+    if not np.linalg.norm(up) > 0:
+        return None
+    off = _angles(ups, up)
+    if np.median(off) > _AGREE:
+        return None
+    followed = off <= _FAR * max(float(np.median(off)), 1e-6)
+    up = ups[followed].mean(axis=0)
+    error = float(np.sqrt((_angles(ups[followed], up) ** 2).mean() / followed.sum()))
+    return Up(up / np.linalg.norm(up), error, f"the gravity that {followed.sum()} photos noted")
+
+
+def _angles(vectors: np.ndarray, other: np.ndarray) -> np.ndarray:
+    return np.arccos(np.clip(vectors @ other / np.linalg.norm(other), -1, 1))
+
+
+def _of_phone(x: float, y: float, z: float) -> Vector | None:
+    """Of an accelerometer's vector. The picture is turned to stand on the edge that is lowest."""
+    size = math.sqrt(x * x + y * y + z * z)
+    along = math.hypot(x, y)
+    if not abs(size - 1) <= _STILL or along < _FLAT:
+        return None
+    # In the sensor's frame it is (-y, -x, -z). A picture stands on its lower edge, so within 45 degrees down is down.
+    right, down = -y, -x
+    for _ in range(4):
+        if down >= abs(right):
+            return right / size, down / size, -z / size
+        right, down = -down, right
+    return None
+
+
+def _of_gimbal(xmp: str) -> Vector | None:
+    found = {name: pattern.search(xmp) for name, pattern in _GIMBAL.items()}
+    if found["Pitch"] is None:
+        return None
+    pitch, roll = (math.radians(float(match[1])) if match else 0.0 for match in (found["Pitch"], found["Roll"]))
+    return math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll), -math.sin(pitch)
+
+
+def _acceleration(note: bytes) -> Vector | None:
+    """The three signed fractions in Apple's maker note, whose table begins behind its name, version and byte order."""
+    try:
+        order = {b"MM": ">", b"II": "<"}[note[12:14]]
+        for tag, kind, count, value in _entries(note, order):
+            if (tag, kind, count) == (_ACCELERATION, _RATIONAL, 3):
+                numbers = struct.unpack_from(f"{order}6i", note, value)
+                x, y, z = (top / bottom for top, bottom in zip(numbers[::2], numbers[1::2], strict=True))
+                return x, y, z
+    except (KeyError, struct.error, ZeroDivisionError):
+        pass
+    return None
+
+
+def _entries(note: bytes, order: str) -> Iterator[tuple[int, int, int, int]]:
+    """Tag, type, count, and offset of the value of every entry."""
+    (count,) = struct.unpack_from(f"{order}H", note, 14)
+    for index in range(count):
+        yield struct.unpack_from(f"{order}HHII", note, 16 + 12 * index)
