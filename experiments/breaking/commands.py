@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,6 +18,8 @@ Rows = Mapping[str, Sequence[Callable[[], list[str]]]]
 
 STEPS = "max_gaussians=600", "sh_degree=0", "logging.checkpoint_every=10", "logging.metrics_every=5"
 SMALL = ("--preset", "quick", "--set", "phases.0.steps=40", *STEPS)
+HALF = ("--box", "-9", "-9", "-9", "9", "9", "0")
+SPOTS = ("000.png", "20", "24", "000.png", "44", "24")
 ANEW, RESUME, NEVER = "anew", "resume", "never"
 """How a command that was stopped is called again: as before, with `--resume`, or not at all (a server)."""
 
@@ -35,9 +38,12 @@ class Command(NamedTuple):
 
     arguments: tuple[str, ...]  # all but the last, which names the output
     out: str  # a file or a folder
-    products: tuple[str, ...] = ("",)  # globs within `out`; "" is `out` itself
+    products: tuple[str, ...] = (
+        "",
+    )  # globs within `out`; "" is `out` itself, and ".png" the same name with this suffix
     needs: tuple[str, ...] = ()  # commands whose outputs it reads
     again: str = ANEW
+    copy_of: str = ""  # what `out` is before: the command changes what is there
     program: tuple[str, ...] = ("-m", "gsjax")
 
 
@@ -64,17 +70,33 @@ COMMANDS = {
     "render": Command(("render", "run", "--out"), "pictures", ("*",), ("train",)),
     "film": Command(("render", "run", "--orbit", "--seconds", "1", "--out"), "film.mp4", needs=("train",)),
     "share": Command(("share", "run", "--out"), "page.html", needs=("train",)),
-    "report": Command(("report",), "run", ("report.html",), ("train",)),
-    "compare": Command(("compare", "run", "--out"), "compared.html", needs=("train",)),
+    "report": Command(("report",), "reported", ("report.html",), ("train",), copy_of="run"),
+    "compare": Command(("compare", "run", "refined", "--out"), "compared.html", needs=("train", "refine")),
+    "clean": Command(("clean", "run", *HALF, "--out"), "half.ply", needs=("train",)),
+    "clean in place": Command(
+        ("clean", *HALF), "cleaned", ("gaussians.ply", "gaussians.ply.*"), ("train",), copy_of="run"
+    ),
+    "scale": Command(
+        ("scale", "--between", *SPOTS, "--is", "1.25m"),
+        "scaled",
+        ("gaussians.ply", "cameras.json", "place.json", "mesh.ply"),
+        ("train", "mesh"),
+        copy_of="run",
+    ),
     "turntable": Command(("turntable", "mesh.ply", "--frames", "4", "--out"), "turns.gif", needs=("mesh",)),
     "convert": Command(("convert", "run"), "gaussians.spz", needs=("train",)),
     "undistort": Command(("undistort", "scene", "--out"), "pinhole", ("images/*", "sparse/0/*", "hold_out.txt")),
     "normals": Command(
         ("normals", "scene", "--network", "net.json", "--weights", "net.onnx", "--out"), "maps", ("*.npz",)
     ),
-    "diagnose": Command(("diagnose", "scene", "--json"), "diagnosis.json"),
+    "masks": Command(
+        ("masks", "photos", "--network", "kinds.json", "--weights", "net.onnx", "--classes", "red", "--out"),
+        "masks",
+        ("*.png",),
+    ),
+    "diagnose": Command(("diagnose", "scene", "--json"), "diagnosis.json", (".png",)),  # The table has times.
     "demo": Command(("demo",), "demo", ("*/gaussians.ply", "*/mesh.ply", "comparison.png"), program=("-c", DEMO)),
-    "view": Command(("view", "--port", "0"), "run", (), ("train",), NEVER),
+    "view": Command(("view", "--port", "0"), "viewed", (), ("train",), NEVER, copy_of="run"),
 }
 COMPILING = 8
 """Seconds: of a call that takes longer, compilation may be a part, and a second one tells how long it takes without."""
@@ -94,6 +116,8 @@ graph = helper.make_graph([helper.make_node("Identity", ["photo"], ["normal"])],
 save(helper.make_model(graph, ir_version=8, opset_imports=[helper.make_opsetid("", 17)]), "net.onnx")
 record = {"licence": "none", "size": {"rule": "multiple"}, "normals": {"place": 0}, "axes": "opengl", "range": "unit"}
 Path("net.json").write_text(json.dumps(record))
+kinds = {"licence": "none", "size": {"rule": "multiple"}, "output": {"place": 0}, "kind": "scores"}
+Path("kinds.json").write_text(json.dumps({**kinds, "classes": ["background", "red", "blue"]}))
 rng = np.random.default_rng(0)
 noise = lambda height, width: rng.integers(0, 256, (height, width, 3)).astype(np.uint8)
 def painted():
@@ -139,9 +163,10 @@ def finished(process: subprocess.Popen) -> tuple[int, str]:
 def products(folder: Path, command: Command, out: str) -> dict[str, bytes]:
     """The bytes of what is compared, by name."""
     place = folder / out
-    files = [file for name in command.products for file in (sorted(place.glob(name)) if name else [place])]
+    one = {"": place, ".png": place.with_suffix(".png")}
+    files = [file for name in command.products for file in ([one[name]] if name in one else sorted(place.glob(name)))]
     assert files or not command.products, f"{place} has none of {command.products}"
-    return {file.relative_to(place).as_posix(): file.read_bytes() for file in files}
+    return {file.relative_to(place.parent).as_posix(): file.read_bytes() for file in files}
 
 
 def whole(folder: Path, name: str) -> float:
@@ -159,19 +184,27 @@ def whole(folder: Path, name: str) -> float:
     known = json.loads(file.read_text()) if file.exists() else {}
     if name not in known and command.again != NEVER:
         known[name] = _called(folder, name, command.out)
-        if known[name] > COMPILING and name != "report":
-            known[name] = _called(folder, name, f"again_{command.out}")
-            assert products(folder, command, f"again_{command.out}") == products(folder, command, command.out), name
+        if known[name] > COMPILING:
+            known[name] = _called(folder, name, f"again/{command.out}")
+            assert products(folder, command, f"again/{command.out}") == products(folder, command, command.out), name
         file.write_text(json.dumps(known))
     return known.get(name, 10.0)
 
 
 def _called(folder: Path, name: str, out: str) -> float:
     """Calls a command, which has to end well; seconds."""
+    prepare(folder, COMMANDS[name], out)
     began = time.monotonic()
     code, told = finished(begun(folder, COMMANDS[name], out))
     assert code == 0, f"{name} ended with {code}: {told[-2000:]}"
     return time.monotonic() - began
+
+
+def prepare(folder: Path, command: Command, out: str) -> None:
+    """Makes the folder that the output is to lie in, and what the command changes."""
+    (folder / out).parent.mkdir(exist_ok=True)
+    if command.copy_of:
+        shutil.copytree(folder / command.copy_of, folder / out)
 
 
 def leftovers(folder: Path) -> list[Path]:

@@ -5,7 +5,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from breaking.commands import COMMANDS, NEVER, Rows, begun, finished, whole
+from breaking.commands import COMMANDS, Rows, begun, finished, whole
 
 TITLE = "A disk without room"
 COLUMNS = "Command", "Its output", "Held"
@@ -17,7 +17,7 @@ MOUNTED = 'mount -t tmpfs -o size=$0 none full && "$@"; code=$?; echo >&2; find 
 
 def rows(folder: Path) -> Rows:
     """A row a command that writes."""
-    names = [name for name, command in COMMANDS.items() if command.again != NEVER and name != "report"]
+    names = [name for name, command in COMMANDS.items() if not command.copy_of]
     return {f"`{name}`": [partial(_filled, folder / "work", name)] for name in names}
 
 

@@ -8,7 +8,19 @@ import time
 from functools import partial
 from pathlib import Path
 
-from breaking.commands import COMMANDS, NEVER, RESUME, Rows, begun, finished, leftovers, products, whole
+from breaking.commands import (
+    COMMANDS,
+    NEVER,
+    RESUME,
+    Command,
+    Rows,
+    begun,
+    finished,
+    leftovers,
+    prepare,
+    products,
+    whole,
+)
 
 TITLE = "Stopped at random moments, called again"
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
@@ -36,8 +48,7 @@ def _held(folder: Path, name: str, number: signal.Signals, moment: float, mark: 
     """Stops the command once, after so many seconds, and calls it again."""
     command = COMMANDS[name]
     out = f"{mark}/{command.out}"  # Pages name the folder of a run.
-    if name in ("report", "view"):
-        shutil.copytree(folder / command.out, folder / out)
+    prepare(folder, command, out)
     process = begun(folder, command, out)
     time.sleep(moment)
     process.send_signal(number)
@@ -45,12 +56,13 @@ def _held(folder: Path, name: str, number: signal.Signals, moment: float, mark: 
     fair = code in CODES[number] | {0} and (code in (0, -2) or "Traceback" not in told)
     if name == "demo":  # It asks for the folder to be removed.
         shutil.rmtree(folder / out, ignore_errors=True)
+    done = _same(folder, command, out)
     if command.again != NEVER:
         more = ("--resume",) if command.again == RESUME and (folder / out).exists() else ()
         again, told_again = finished(begun(folder, command, out, *more))
         told += told_again
-        fair = fair and again == 0
-    same = products(folder, command, out) == products(folder, command, command.out) if fair else False
+        fair = fair and (again == 0 or (done and again == 2))  # Which says that it is there.
+    same = fair and _same(folder, command, out)
     left = leftovers(folder)
     if not (fair and same and not left):
         print(f"{name}, {number.name} after {moment:.2f} s: code {code}, same {same}, left {left}\n{told[-3000:]}",
@@ -58,3 +70,10 @@ def _held(folder: Path, name: str, number: signal.Signals, moment: float, mark: 
         return False
     shutil.rmtree(folder / mark, ignore_errors=True)
     return True
+
+
+def _same(folder: Path, command: Command, out: str) -> bool:
+    """Whether the products are there, and those of a call that nobody stopped."""
+    expected = products(folder, command, command.out)
+    here = (folder / out).parent
+    return all((here / name).is_file() for name in expected) and products(folder, command, out) == expected

@@ -3,7 +3,7 @@
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.files import atomic_path
-from gsjax.io.machine import require_memory
+from gsjax.io.machine import memory_for
 from gsjax.io.packages import require
 
 cv2 = require("cv2", "pip install opencv-contrib-python-headless")
@@ -41,14 +41,14 @@ def read_image(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
         InputError: The file is missing, no image, or damaged; its pixels are of no known range, or more than memory
             has room for.
     """
-    picture = _decode(path)
-    if _is_deep(picture):
-        grey = _in_bytes(path, picture)
-        return np.repeat(grey[..., None], 3, axis=-1), None
-    if not _has_alpha(picture):
-        return np.array(_in_mode(picture, "RGB")), None
-    pixels = np.array(_in_mode(picture, "RGBA"))
-    return pixels[..., :3], pixels[..., 3]
+    with _decoded(path) as picture:
+        if _is_deep(picture):
+            grey = _in_bytes(path, picture)
+            return np.repeat(grey[..., None], 3, axis=-1), None
+        if not _has_alpha(picture):
+            return np.array(_in_mode(picture, "RGB")), None
+        pixels = np.array(_in_mode(picture, "RGBA"))
+        return pixels[..., :3], pixels[..., 3]
 
 
 def read_mask(path: Path) -> np.ndarray:
@@ -212,14 +212,17 @@ def filter_straight(
     return _to_bytes(straight), _to_bytes(255 * filtered)
 
 
-def _decode(path: Path):
-    with open_image(path) as picture:
-        width, height = picture.size
-        if width * height > _ALWAYS_ROOM:
-            a_pixel = _DECODED_DEEP if _is_deep(picture) else _WITH_MATTE if _has_alpha(picture) else _DECODED
-            require_memory(f"{path}: a photo of {width}x{height} pixels", a_pixel * width * height)
-        picture.load()
-        return picture
+@contextmanager
+def _decoded(path: Path) -> Iterator[Any]:
+    """The picture with its pixels, while memory is kept for what becomes of it in the block."""
+    with ExitStack() as kept:
+        with open_image(path) as picture:
+            width, height = picture.size
+            if width * height > _ALWAYS_ROOM:
+                a_pixel = _DECODED_DEEP if _is_deep(picture) else _WITH_MATTE if _has_alpha(picture) else _DECODED
+                kept.enter_context(memory_for(f"{path}: a photo of {width}x{height} pixels", a_pixel * width * height))
+            picture.load()
+        yield picture
 
 
 def _open(path: Path):

@@ -4,12 +4,16 @@ import os
 import platform
 import re
 import subprocess
-from contextlib import suppress
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from importlib import metadata
 from pathlib import Path
 
 from gsjax.errors import InputError
 
+_ASKING = threading.Condition()
+_PROMISED: list[float] = []  # bytes, to blocks of `memory_for` that go on
 PACKAGES = ("gsjax", "jax", "jaxlib", "optax", "numpy", "scipy", "pycolmap", "open3d", "trimesh", "onnxruntime")
 
 
@@ -76,6 +80,27 @@ def require_memory(what: str, size: float) -> None:
     free = free_memory()
     if size > free:
         raise InputError(f"{what} takes {size / 2**30:.3g} GiB of memory; {max(0, free) / 2**30:.3g} are free")
+
+
+@contextmanager
+def memory_for(what: str, size: float) -> Iterator[None]:
+    """As `require_memory`, for the block: other threads that ask meanwhile wait until there is room for theirs as well.
+
+    What a block has taken already counts twice then, so that rather too few of them go on together.
+
+    Raises:
+        InputError: There is no room for it alone.
+    """
+    with _ASKING:
+        _ASKING.wait_for(lambda: not _PROMISED or size <= free_memory() - sum(_PROMISED))
+        require_memory(what, size)
+        _PROMISED.append(size)
+    try:
+        yield
+    finally:
+        with _ASKING:
+            _PROMISED.remove(size)
+            _ASKING.notify_all()
 
 
 def restart_peak_memory() -> None:

@@ -29,6 +29,7 @@ _SCALES = [f"scale_{i}" for i in range(3)]
 _QUATS = [f"rot_{i}" for i in range(4)]  # w first
 _RGB = ["red", "green", "blue"]
 _RGB_NAMES = [_RGB, [f"diffuse_{name}" for name in _RGB], ["r", "g", "b"]]
+_GREY = 128
 _OF_DISCS = 1e-4  # Of the thinner of a disc's other two deviations: where a file gives it no thickness.
 _SURE = 88.0  # Logit of an opacity that is 0 or 1 in float32; its exponential is still a number.
 
@@ -130,13 +131,17 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not set(_MEANS) <= set(names):
         raise InputError(f"{path}: not a PLY of points, it lacks {', '.join(n for n in _MEANS if n not in names)}")
     points = stack_columns(vertices, _MEANS, np.float64)
-    colors = np.full(points.shape, 128, np.uint8)
-    if (rgb := _color_names(names)) is not None:
-        colors = _in_bytes(_colors(vertices, rgb))
+    colors = point_colors(vertices)
     finite = is_float32(points).all(axis=1)
     if not finite.any():
         raise InputError(f"{path}: no points in it")
     return points[finite], colors[finite]
+
+
+def point_colors(vertices: np.ndarray) -> np.ndarray:
+    """`[P, 3]` uint8 colours of the rows of a PLY, of numbers of any type; grey where they have none."""
+    rgb = _color_names(vertices.dtype.names or ())
+    return np.full((len(vertices), 3), _GREY, np.uint8) if rgb is None else _in_bytes(_colors(vertices, rgb))
 
 
 def read_vertex_colors(path: Path) -> np.ndarray | None:
@@ -165,10 +170,14 @@ def _color_names(names: Sequence[str]) -> list[str] | None:
 
 
 def _colors(vertices: np.ndarray, rgb: list[str]) -> np.ndarray:
-    """`[N, 3]` float32 in 0..1 of columns of red, green and blue of any type; floats beyond 1 are those of a byte."""
+    """`[N, 3]` float32 in 0..1 of columns of red, green and blue of any type.
+
+    Floats beyond 1 are those of a byte, and so are integers of two bytes that nowhere exceed 255.
+    """
     colors, kind = stack_columns(vertices, rgb), vertices.dtype[rgb[0]]
     if kind.kind in "iu":
-        return colors / np.float32(np.iinfo(kind).max if kind.itemsize < 4 else 255)
+        fills = kind.itemsize == 1 or (kind.itemsize == 2 and colors.max(initial=0) > 255)
+        return colors / np.float32(np.iinfo(kind).max if fills else 255)
     return colors / np.float32(255) if np.nanmax(colors, initial=0) > 1 else colors
 
 

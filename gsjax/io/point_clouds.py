@@ -5,10 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io.ply import point_colors
 from gsjax.io.ply_elements import read_elements, stack_columns
-
-_COLORS = ["red", "green", "blue"]
-_GREY = 128
 
 
 def read_points(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
@@ -28,8 +26,4 @@ def read_points(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     broken = int((~np.isfinite(points).all(axis=-1)).sum())
     if broken:
         raise InputError(f"{path}: {broken} of its {len(points)} points are not finite")
-    if not set(_COLORS) <= names:
-        return points, np.full(points.shape, _GREY, np.uint8)
-    colors = stack_columns(rows, _COLORS, np.float64)
-    of_shares = rows.dtype["red"].kind == "f" and colors.max() <= 1
-    return points, np.clip(np.rint(255 * colors if of_shares else colors), 0, 255).astype(np.uint8)
+    return points, point_colors(rows)

@@ -1,7 +1,7 @@
 """Which frames of `transforms.json` are for what, where the file itself says so.
 
 nerfstudio lists names in `train_filenames`, `test_filenames` and `val_filenames`; ScanNet++ lists frames of their own
-in `test_frames`, and marks bad ones by `is_bad`.
+in `test_frames`, and marks bad ones by `is_bad`. Others say of each frame its `split`.
 """
 
 import posixpath
@@ -15,14 +15,15 @@ from gsjax.io.notices import print_once
 TRAINED_ON, HELD_OUT, LEFT_OUT = "trained on", "held out", "left out"
 _TRAIN, _SCORE = "train_filenames", ("test_filenames", "val_filenames")
 _TEST_FRAMES = "test_frames"
+_SPLITS_OF_SCORES = {"test", "val", "validation", "eval"}
 
 
 def frames_and_uses(file: Path, meta: dict[str, Any]) -> tuple[list[dict[str, Any]], list[str]]:
     """The entries of all frames, each with what the file says for all of them, and what each is for.
 
-    Frames that a list for scoring names are held out, whatever another list says. Where the file lists those to train
-    on, the rest is held out, or left out if there is a list for scoring too. Bad frames are left out. A line on stderr
-    counts those that are left out.
+    Frames that a list for scoring names, or that say so themselves, are held out, whatever another list says. Where the
+    file lists those to train on, the rest is held out, or left out if there is a list for scoring too. Bad frames are
+    left out. A line on stderr counts those that are left out.
 
     Raises:
         InputError: A frame has no `file_path`, or a list names a photo that is in no frame.
@@ -39,6 +40,9 @@ def frames_and_uses(file: Path, meta: dict[str, Any]) -> tuple[list[dict[str, An
     scored = set().union(*(_listed(file, meta, key, names) for key in _SCORE))
     if not own:
         scored |= _listed(file, meta, _TEST_FRAMES, names)
+    scored |= {
+        name for name, frame in zip(names, frames, strict=True) if str(frame.get("split")).lower() in _SPLITS_OF_SCORES
+    }
     first_own = len(meta["frames"])
 
     def use(index: int) -> str:

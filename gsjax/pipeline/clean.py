@@ -23,6 +23,8 @@ from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result
 
 KINDS = "giants", "floaters", "crumbs", "cropped"
+ROWS = {"count": int, **{kind: [int] for kind in KINDS}}
+"""Of the file that tells which Gaussians were taken out."""
 MOST_VIEWS = 24  # that are drawn
 MARGIN = 0.1  # of the surface's depth, before which something hovers
 FEWEST_VIEWS = 3  # that must show what is no floater
@@ -68,7 +70,7 @@ def clean(
     format_of(out)
     if out.resolve() != _file_of(source).resolve():
         require_apart(out, source, scene)
-    if _beside(out).exists():
+    if _beside(out).exists() and out.exists() and not _is_unfinished(out):
         raise InputError(f"{out}: was cleaned before; `gsjax clean {out} --undo` brings back {_beside(out)}")
     _check_numbers(box, sphere)
     sweep_beside(out)
@@ -81,13 +83,14 @@ def clean(
         raise InputError(f"{source}: none of its {len(taken)} Gaussians would be left")
     report: dict[str, Any] = {"gaussians": int((~taken).sum()), **{kind: int(kinds[kind].sum()) for kind in KINDS}}
     place = stated_place(_file_of(source))
+    picture = _picture(result, taken, out) if result is not None and taken.any() else None
     if taken.any():
-        # What is taken out is on the disk before it is gone elsewhere.
-        save_gaussians(take(whole, taken), _beside(out), place)
+        # What is taken out is on the disk before it is gone elsewhere, see `_is_unfinished`.
+        _beside(out).unlink(missing_ok=True)
         rows = {kind: np.flatnonzero(kinds[kind]) for kind in KINDS}
         json_files.write(_rows_beside(out), {"about": "rows of the Gaussians before", "count": len(taken), **rows})
-    save_gaussians(take(whole, ~taken), out, place)
-    picture = _picture(result, taken, out) if result is not None and taken.any() else None
+        save_gaussians(take(whole, taken), _beside(out), place)
+    save_gaussians(take(whole, ~taken), out, place)  # Last: from now on it is cleaned.
     return report | {"removed": str(_beside(out)) if taken.any() else None, "picture": picture}
 
 
@@ -106,20 +109,18 @@ def undo(source: str | Path) -> dict[str, Any]:
     file = _file_of(Path(source))
     if not _beside(file).exists():
         raise InputError(f"{file}: nothing was taken out of it; there is no {_beside(file)}")
-    shape = {"count": int, **{kind: [int] for kind in KINDS}}
-    told = json_files.read(_rows_beside(file), shape)
+    if _is_unfinished(file):
+        return {"gaussians": _forget(file), "back": 0}
+    before, rows = _told(file)
     left, removed = load_gaussians(file), load_gaussians(_beside(file))
-    rows = np.sort(np.concatenate([np.array(told[kind], int) for kind in KINDS]))
     count = left.num_gaussians + removed.num_gaussians
-    if count != told["count"] or len(np.unique(rows)) != removed.num_gaussians or rows[-1] >= count or rows[0] < 0:
+    if count != before or len(np.unique(rows)) != removed.num_gaussians or rows[-1] >= count or rows[0] < 0:
         raise InputError(f"{file}: is not the file any more that {_beside(file)} was taken out of")
     order = np.empty(count, int)
     order[rows] = left.num_gaussians + np.arange(len(rows))
     order[np.setdiff1d(np.arange(count), rows)] = np.arange(left.num_gaussians)
     save_gaussians(take(concatenate([left, removed]), order), file, stated_place(file))
-    for gone in (_beside(file), _rows_beside(file)):
-        gone.unlink()
-    return {"gaussians": count, "back": len(rows)}
+    return {"gaussians": _forget(file), "back": len(rows)}
 
 
 def _file_of(source: Path) -> Path:
@@ -132,6 +133,28 @@ def _beside(file: Path) -> Path:
 
 def _rows_beside(file: Path) -> Path:
     return Path(f"{file}.removed.json")
+
+
+def _is_unfinished(out: Path) -> bool:
+    """Whether a cleaning of `out` was stopped before anything had left it, or its undoing after all had come back."""
+    here, removed, (count, rows) = load_gaussians(out), load_gaussians(_beside(out)), _told(out)
+    if here.num_gaussians != count or removed.num_gaussians != len(rows) or rows.max(initial=0) >= count:
+        return False
+    return np.array_equal(np.asarray(here.means)[rows], np.asarray(removed.means))
+
+
+def _told(file: Path) -> tuple[int, np.ndarray]:
+    """How many Gaussians a file had before it was cleaned, and the rows of those that were taken out, in order."""
+    told = json_files.read(_rows_beside(file), ROWS)
+    return told["count"], np.sort(np.concatenate([np.array(told[kind], int) for kind in KINDS]))
+
+
+def _forget(file: Path) -> int:
+    """Takes away what tells of a cleaning, once all Gaussians are in the file; how many these are."""
+    count, _ = _told(file)
+    for gone in (_beside(file), _rows_beside(file)):
+        gone.unlink()
+    return count
 
 
 def _check_numbers(box: Sequence[float] | None, sphere: Sequence[float] | None) -> None:

@@ -16,6 +16,8 @@ from gsjax.runs.run import Run
 from gsjax.runs.spots import Spot, points_of_run, points_of_scene
 from gsjax.scene import Scene
 
+SAME = 1e-5  # relative: a distance that is measured again, in float32
+
 
 def scale(source: str | Path, between: Sequence[Spot], metres: float | None = None) -> dict[str, Any]:
     """Measure between two points of the surface, and make their distance a known one.
@@ -32,7 +34,7 @@ def scale(source: str | Path, between: Sequence[Spot], metres: float | None = No
 
     Returns:
         `distance` before; `unit` of it, "metre" or "scene unit"; `factor`, what all lengths were multiplied by, None
-        where nothing was changed.
+        where nothing was changed: nothing was asked for, or it is in metres and so long already.
 
     Raises:
         InputError: There is no such photo or pixel, nothing is seen there, or the source cannot be read or written.
@@ -47,7 +49,7 @@ def scale(source: str | Path, between: Sequence[Spot], metres: float | None = No
     )
     distance = float(np.linalg.norm(point_at(first) - point_at(second)))
     report = {"distance": distance, "unit": "metre" if place.is_known else "scene unit", "factor": None}
-    if metres is None:
+    if metres is None or (place.is_known and abs(distance / metres - 1) < SAME):
         return report
     if not distance > 0:
         raise InputError(f"--between: {first} and {second} show one point; two are needed for a length")

@@ -54,10 +54,12 @@ def read_views(run: Path) -> list[dict[str, Any]]:
     """The records of `cameras.json`.
 
     Raises:
-        InputError: The file is damaged, or a camera in it is none; names the view.
+        InputError: The file is damaged or lists no views, or a camera in it is none; names the view.
     """
     file = run / "cameras.json"
     records = json_files.read(file, [VIEW])
+    if not records:
+        raise InputError(f"{file}: lists no views")
     for record in records:
         viewmat, K = np.array(record["viewmat"]), np.array(record["K"])
         turns = np.abs(viewmat).max() < FARTHEST and abs(np.linalg.det(viewmat[:3, :3]) - 1) < 0.1

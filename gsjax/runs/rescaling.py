@@ -1,13 +1,12 @@
 """A finished run in another unit: what it computes with stays, what its files say is multiplied."""
 
-from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
 from gsjax.io import json_files, place_files
-from gsjax.io.files import atomic_path
+from gsjax.io.exchange import exchanged
 from gsjax.io.gaussian_files import load_gaussians
 from gsjax.io.locks import lock_folder
 from gsjax.io.ply import write_gaussians
@@ -23,8 +22,8 @@ MESHES = "mesh.ply", "mesh.glb"
 def stretch_run(folder: Path, factor: float, place: Place) -> None:
     """Writes the files of a run with all lengths `factor` times as long, and what that makes of their world.
 
-    Checkpoints are in the run's own coordinates, which stay: a resumed run goes on with the same numbers. The files are
-    written beside the old ones first, and put in their place when all are there.
+    Checkpoints are in the run's own coordinates, which stay: a resumed run goes on with the same numbers. The files
+    change together (`gsjax.io.exchange`).
 
     Args:
         folder: Of the finished run; `gaussians.ply`, `cameras.json`, `poses.json`, meshes, `manifest.json` and
@@ -42,20 +41,16 @@ def stretch_run(folder: Path, factor: float, place: Place) -> None:
     means = factor * np.asarray(gaussians.means, np.float64)
     log_scales = np.asarray(gaussians.log_scales) + np.float32(np.log(factor))
     views = [{**view, "viewmat": _stretched(view["viewmat"], factor)} for view in run.views]
-    with lock_folder(folder), ExitStack() as all_there:
-
-        def new(name: str) -> Path:
-            return all_there.enter_context(atomic_path(folder / name))
-
-        json_files.write(new("manifest.json"), {**run.manifest, "similarity": asdict(similarity)})
-        json_files.write(new(place_files.FILE), place.record())
-        json_files.write(new("cameras.json"), views)
-        write_gaussians(new("gaussians.ply"), replace(gaussians, means=means, log_scales=log_scales), place)  # pyright: ignore[reportArgumentType]
+    with lock_folder(folder), exchanged(folder) as new:
+        json_files.write(new / "manifest.json", {**run.manifest, "similarity": asdict(similarity)})
+        json_files.write(new / place_files.FILE, place.record())
+        json_files.write(new / "cameras.json", views)
+        write_gaussians(new / "gaussians.ply", replace(gaussians, means=means, log_scales=log_scales), place)  # pyright: ignore[reportArgumentType]
         if (folder / POSES).exists():
-            json_files.write(new(POSES), _stretched_moves(json_files.read(folder / POSES), factor))
+            json_files.write(new / POSES, _stretched_moves(json_files.read(folder / POSES), factor))
         for name in MESHES:
             if (folder / name).exists():
-                _write_stretched_mesh(folder / name, new(name), factor, place)
+                _write_stretched_mesh(folder / name, new / name, factor, place)
 
 
 def _stretched(viewmat: list, factor: float) -> np.ndarray:

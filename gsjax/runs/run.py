@@ -8,6 +8,7 @@ from typing import Any, Self
 from gsjax import runs
 from gsjax.errors import InputError
 from gsjax.io import json_files
+from gsjax.io.exchange import settle
 from gsjax.io.json_shapes import check
 from gsjax.io.place_files import read_place
 from gsjax.place import Place
@@ -34,6 +35,7 @@ class Run:
             InputError: It is no run folder.
         """
         folder = Path(folder)
+        settle(folder)
         if not (folder / "manifest.json").is_file():
             raise InputError(f"{folder}: holds no manifest.json; it is no run folder")
         return cls(folder)
@@ -99,5 +101,8 @@ class Run:
 
     @property
     def downscale(self) -> float:
-        """How many times smaller it looked at its photos."""
-        return float(self.plan["downscale"])
+        """How many times smaller it looked at its photos; InputError where that is no size."""
+        factor = float(self.plan["downscale"])
+        if not factor > 0:
+            raise InputError(f"{self.folder}: its plan looks at photos {factor:g} times smaller, which is no size")
+        return factor

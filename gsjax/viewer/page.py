@@ -23,7 +23,7 @@ from gsjax.viewer.editing import Edit, Editor
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera, picture_size
 from gsjax.viewer.pictures import Pictures
 from gsjax.viewer.ruler import Ruler
-from gsjax.viewer.same_origin import own_pages_alone
+from gsjax.viewer.same_origin import guarded
 from gsjax.viewer.scenery import MESH_COLORS, MESH_OFF, MESH_SHAPE, Scenery
 from gsjax.viewer.subject import Subject
 
@@ -83,7 +83,7 @@ class Page:
             InputError: The port is in use, or the host is none of this machine's.
         """
         check_port(self._host, self._port)
-        with _silent(), own_pages_alone(self._host):
+        with _silent(), guarded(self._host):
             label = f"gsjax: {self.subject.name}"
             self.server = viser.ViserServer(host=self._host, port=self._port, label=label, verbose=False)
         if self._port not in (0, self.server.get_port()):  # Taken since; viser goes on to the next.

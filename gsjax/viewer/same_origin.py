@@ -1,4 +1,4 @@
-"""Who may open a page that is for this machine alone: the page itself, and programs that are no browser's.
+"""Who may talk to a page that is for this machine alone: the page itself, and programs that are no browser's.
 
 A browser lets any page that it has open talk to a WebSocket of this machine; the Origin tells which page it is. A name
 of somebody else's that is made to lead here shows in the Host.
@@ -6,6 +6,7 @@ of somebody else's that is made to lead here shows in the Host.
 
 import http
 import ipaddress
+import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -14,6 +15,7 @@ from urllib.parse import urlsplit
 
 from websockets.asyncio import server
 from websockets.datastructures import Headers
+from websockets.exceptions import InvalidHandshake
 from websockets.http11 import Request, Response
 
 
@@ -41,26 +43,46 @@ def is_own(headers: Headers) -> bool:
 
 
 @contextmanager
-def own_pages_alone(host: str) -> Iterator[None]:
+def guarded(host: str) -> Iterator[None]:
     """While it lasts, servers that viser starts refuse requests of foreign pages, if `host` is local.
 
-    Viser hands on no option of the library beneath, so that library's function is exchanged for the moment.
+    Whoever connects and does not speak as a page does is told of in one line at most. Viser hands on no option of the
+    library beneath, so that library's function is exchanged for the moment.
     """
-    if not is_local(host):
-        yield
-        return
     serve = server.serve
-    server.serve = partial(_serve, serve)  # pyright: ignore[reportAttributeAccessIssue]
+    server.serve = partial(_serve, serve, is_local(host))  # pyright: ignore[reportAttributeAccessIssue]
     try:
         yield
     finally:
         server.serve = serve  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def _serve(serve: Callable[..., Any], *arguments: Any, process_request: Callable[..., Any], **options: Any) -> Any:
+def _serve(
+    serve: Callable[..., Any], is_local: bool, *arguments: Any, process_request: Callable[..., Any], **options: Any
+) -> Any:
     def checked(connection: Any, request: Request) -> Any:
-        if is_own(request.headers):
+        if not is_local or is_own(request.headers):
             return process_request(connection, request)
         return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", Headers({"Content-Length": "0"}), b"")
 
-    return serve(*arguments, process_request=checked, **options)
+    return serve(*arguments, process_request=checked, logger=_CONNECTIONS, **options)
+
+
+class _OneLine(logging.Filter):
+    """Of connections that ask for nothing, as scans of ports make them, nothing; of others that fail, one line."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        error = record.exc_info[1] if record.exc_info else None
+        if isinstance(error, InvalidHandshake | ConnectionError | EOFError):
+            return False
+        if error is not None:
+            record.msg, record.args = (
+                "view: a connection was closed after an error (%s: %s)",
+                (type(error).__name__, error),
+            )
+            record.exc_info = record.exc_text = None
+        return True
+
+
+_CONNECTIONS = logging.getLogger(__name__)
+_CONNECTIONS.addFilter(_OneLine())

@@ -17,7 +17,8 @@ from gsjax.io.photos import says_nothing
 from gsjax.io.sfm import gps
 from gsjax.io.sfm.gravity import Vector, read_gravity
 
-_MASKS = "masks"  # the folder's name
+_MASKS = "masks", "mask"  # what the folder may be called, in any case
+_MADE = "sparse", "report.html"  # in data sets, runs and scans: their pictures are no photos
 _MAKE, _MODEL, _ORIENTATION, _DETAILS, _FOCAL, _FOCAL_35 = 0x010F, 0x0110, 0x0112, 0x8769, 0x920A, 0xA405
 # EXIF orientation: whether the stored columns run backwards, then quarter turns clockwise until upright.
 _ORIENTATIONS = {1: (0, 0), 2: (1, 0), 3: (0, 2), 4: (1, 2), 5: (1, 3), 6: (0, 1), 7: (1, 1), 8: (0, 3)}
@@ -108,8 +109,9 @@ class Shot:
 def list_shots(folder: Path) -> list[Shot]:
     """The photos of a folder and its subfolders, by name, with their masks.
 
-    Where all photos lie in a subfolder `images/`, that is their folder. A folder `masks/` in it or beside it holds
-    masks (`gsjax.io.image_folders`), no photos.
+    Where all photos lie in a subfolder `images/`, that is their folder. A folder `masks/` or `mask/`, in any case, in
+    it or beside it holds masks (`gsjax.io.image_folders`), no photos; nor do folders in it hold any that are a data
+    set, a run or a scan.
 
     Raises:
         InputError: No folder, fewer than two photos, or one that is no image (named).
@@ -119,8 +121,10 @@ def list_shots(folder: Path) -> list[Shot]:
     root = _photo_folder(folder)
     photos = {file.relative_to(root).as_posix(): file for file in _files(root) if _is_photo(file)}
     if len(photos) < 2:
-        raise InputError(f"{folder}: needs at least 2 photos ({', '.join(SUFFIXES)}), has {len(photos)}")
-    masks = masks_in(root / _MASKS if (root / _MASKS).is_dir() else root.parent / _MASKS, photos)
+        made = "".join(f"; what {path} holds was made of photos" for path in sorted(_made(root))[:1])
+        raise InputError(f"{folder}: needs at least 2 photos ({', '.join(SUFFIXES)}), has {len(photos)}{made}")
+    folders = [path for place in (root, root.parent) for path in _mask_folders(place) if path != root]
+    masks = masks_in(folders[0], photos) if folders else {}
     return [shot_of(file, name, masks.get(name)) for name, file in photos.items()]
 
 
@@ -140,11 +144,13 @@ def as_panoramas(shots: list[Shot], mask_below: float | None) -> list[Shot]:
 
 
 def unused_files(folder: Path) -> dict[str, str]:
-    """The other files of a folder of photos, by name, and why they are not taken; hidden ones do not count."""
+    """What else a folder of photos holds, by name, and why it is not taken; what is hidden does not count."""
     root = _photo_folder(folder)
+    made = {path.relative_to(root).as_posix(): "was made of photos, by this program or another" for path in _made(root)}
     others = [file for file in _files(root) if not _is_photo(file)]
     endings = {file: file.suffix.lower() or "no ending" for file in others}
-    return {f.relative_to(root).as_posix(): f"{endings[f]} is no format of photos that is read" for f in others}
+    unread = {f.relative_to(root).as_posix(): f"{endings[f]} is no format of photos that is read" for f in others}
+    return dict(sorted(made.items())) | unread
 
 
 def _photo_folder(folder: Path) -> Path:
@@ -153,10 +159,21 @@ def _photo_folder(folder: Path) -> Path:
 
 
 def _files(root: Path) -> list[Path]:
-    """All files, but for hidden ones and masks."""
-    files = [file for file in root.rglob("*") if os.path.isfile(file)]
-    parts = {file: file.relative_to(root).parts for file in files}
-    return sorted(f for f in files if parts[f][0] != _MASKS and not any(part.startswith(".") for part in parts[f]))
+    """All files, but for hidden ones, masks, and what was made of photos."""
+    others = _made(root) | set(_mask_folders(root))
+    files = [file for file in root.rglob("*") if os.path.isfile(file) and others.isdisjoint(file.parents)]
+    return sorted(f for f in files if not any(part.startswith(".") for part in f.relative_to(root).parts))
+
+
+def _mask_folders(place: Path) -> list[Path]:
+    """The folders of masks in a folder, the likeliest name first."""
+    found = [path for path in place.glob("*") if path.name.casefold() in _MASKS and path.is_dir()]
+    return sorted(found, key=lambda path: (_MASKS.index(path.name.casefold()), path))
+
+
+def _made(root: Path) -> set[Path]:
+    """The folders in a folder that hold a data set, a run or a scan."""
+    return {path.parent for name in _MADE for path in root.rglob(name)} - {root}
 
 
 def _is_photo(file: Path) -> bool:

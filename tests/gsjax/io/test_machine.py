@@ -1,5 +1,7 @@
 """What a machine has room for."""
 
+import threading
+
 import pytest
 
 from gsjax.errors import InputError
@@ -19,3 +21,31 @@ def test_a_containers_limit_counts(monkeypatch, limit, used, free):
     texts = {"meminfo": "MemTotal: 9 kB\nMemAvailable:       3 kB\n", "memory.max": limit, "memory.current": used}
     monkeypatch.setattr(machine, "_text", lambda path: texts[str(path).rpartition("/")[2]])
     assert machine.free_memory() == free
+
+
+def test_threads_that_ask_for_memory_together_do_not_get_it_twice(monkeypatch):
+    monkeypatch.setattr(machine, "free_memory", lambda: 100)
+    inside, may_end, order = threading.Event(), threading.Event(), []
+
+    def first():
+        with machine.memory_for("a", 60):
+            inside.set()
+            may_end.wait(10)
+            order.append("a is done")
+
+    def second():
+        with machine.memory_for("b", 60):
+            order.append("b begins")
+
+    threads = [threading.Thread(target=work) for work in (first, second)]
+    threads[0].start()
+    assert inside.wait(10)
+    threads[1].start()
+    with machine.memory_for("c", 40):  # For which there is room beside the first.
+        order.append("c")
+    may_end.set()
+    for thread in threads:
+        thread.join(10)
+    assert order == ["c", "a is done", "b begins"]
+    with pytest.raises(InputError, match="d takes"), machine.memory_for("d", 101):
+        pass

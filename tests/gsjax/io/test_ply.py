@@ -5,6 +5,7 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0, Gaussians, take
+from gsjax.io import point_clouds
 from gsjax.io.ply import read_gaussians, read_points, write_gaussians
 
 PLY_TYPES = {"uchar": "u1", "ushort": "<u2", "float": "<f4"}
@@ -189,9 +190,11 @@ def test_discs_of_2dgs_are_discs(tmp_path, third):
     np.testing.assert_allclose(thin, 1e-4, rtol=1e-4)
 
 
-@pytest.mark.parametrize(("kind", "most"), [("uchar", 255), ("ushort", 65535), ("float", 1)])
+@pytest.mark.parametrize(
+    ("kind", "most"), [("uchar", 255), ("ushort", 65535), ("ushort", 255), ("float", 1), ("float", 255)]
+)
 def test_colours_instead_of_harmonics(tmp_path, kind, most):
-    """As nerfstudio's `--ply-color-mode rgb` writes them; points of a cloud may have them in 0..1 too."""
+    """As nerfstudio's `--ply-color-mode rgb` writes them; programs write them as numbers of many types and ranges."""
     names = ["x", "y", "z", "opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
     table = np.zeros(3, [(name, "<f4") for name in names] + [(c, PLY_TYPES[kind]) for c in ("red", "green", "blue")])
     table["rot_0"], table["x"] = 1, [1, 2, 3]
@@ -202,7 +205,8 @@ def test_colours_instead_of_harmonics(tmp_path, kind, most):
     colors = read_gaussians(tmp_path / "g.ply").sh_dc[:, 0] * SH_C0 + 0.5
     expected = [[0, 1, 0], [1, 0, 0], [0, 0, 1]]
     np.testing.assert_allclose(colors, expected, atol=1e-6)
-    np.testing.assert_array_equal(read_points(tmp_path / "g.ply")[1], 255 * np.array(expected))
+    for read in (read_points, point_clouds.read_points):
+        np.testing.assert_array_equal(read(tmp_path / "g.ply")[1], 255 * np.array(expected))
 
 
 def test_bad_headers_are_named(tmp_path):

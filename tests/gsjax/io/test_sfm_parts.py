@@ -224,7 +224,7 @@ def test_unusable_videos_are_named(tmp_path):
         video.write_sharpest_frames(clip, tmp_path / "frames", 4, quietly)
 
 
-@pytest.mark.parametrize("place", ["photos/masks", "masks", "inner"])
+@pytest.mark.parametrize("place", ["photos/masks", "photos/Mask", "masks", "inner"])
 def test_masks_are_masks_of_photos_and_no_photos(tmp_path, place):
     """In the folder of photos, beside it, and where the folder given holds `images/` and `masks/`."""
     names = ["a.png", "sub/a.png", "b.jpg"]
@@ -276,6 +276,19 @@ def test_photos_of_every_format_are_found_and_other_files_named(tmp_path):
         "notes": "no ending is no format of photos that is read",
         "raw/IMG_1.CR2": ".cr2 is no format of photos that is read",
     }
+
+
+def test_what_was_made_of_photos_is_not_taken_for_more_of_them(tmp_path):
+    for name in ("a.jpg", "day 2/b.jpg", "scene/images/a.jpg", "runs/garden/pictures/0000.png"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        photo(tmp_path / name)
+    (tmp_path / "scene/sparse/0").mkdir(parents=True)
+    (tmp_path / "runs/garden/report.html").touch()
+    assert [shot.name for shot in shots.list_shots(tmp_path)] == ["a.jpg", "day 2/b.jpg"]
+    assert list(shots.unused_files(tmp_path)) == ["runs/garden", "scene"]
+    (tmp_path / "a.jpg").unlink()
+    with pytest.raises(InputError, match="has 1; what .*garden holds was made of photos"):
+        shots.list_shots(tmp_path)
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "webp", "heic"])

@@ -295,8 +295,10 @@ def test_the_split_that_nerfstudio_lists_is_taken_and_gives_way_to_another(tmp_p
     assert names(load_scene(root, hold_out="none"), "train_frames") == [0, 1, 2, 4, 5]
     edit(root, lambda m: m.pop("test_filenames"))
     assert names(load_scene(root), "held_out_frames") == [3, 4, 5, 6, 7]
+    edit(root, lambda m: [frame.update(split="test" if k == 6 else "train") for k, frame in enumerate(m["frames"])])
+    assert names(load_scene(root), "held_out_frames") == [6]
     edit(root, lambda m: m.update(val_filenames=[".\\images\\002.png"], train_filenames=listing(*range(8))))
-    assert names(load_scene(root), "held_out_frames") == [2]
+    assert names(load_scene(root), "held_out_frames") == [2, 6]
 
 
 def test_bad_frames_and_frames_for_testing_of_scannet(tmp_path, capsys):

@@ -7,7 +7,7 @@ from tolerances import assert_close
 
 from gsjax import cli, stray
 from gsjax.errors import InputError
-from gsjax.gaussians import concatenate
+from gsjax.gaussians import concatenate, take
 from gsjax.io import json_files
 from gsjax.io.gaussian_files import load_gaussians
 from gsjax.io.ply import write_gaussians
@@ -84,6 +84,18 @@ def test_planted_dirt_is_found_by_its_kind_nothing_else_is_and_all_of_it_comes_b
         undo(run)
 
 
+def test_a_cleaning_or_an_undoing_that_was_stopped_is_done_again(run):
+    file, whole = run / "gaussians.ply", (run / "gaussians.ply").read_bytes()
+    clean(run)
+    cleaned = file.read_bytes()
+    file.write_bytes(whole)  # Stopped before the file was written; or, of an undoing, after it.
+    clean(run)
+    assert file.read_bytes() == cleaned
+    file.write_bytes(whole)
+    assert undo(run)["back"] == 0
+    assert file.read_bytes() == whole and not list(run.glob("*.removed.*"))
+
+
 def test_a_file_without_cameras_loses_what_hangs_on_nothing(run, tmp_path):
     gaussians, kinds = planted()
     bare, out = tmp_path / "bare.ply", tmp_path / "clean.ply"
@@ -126,7 +138,7 @@ def test_cameras_look_at_one_place_or_they_do_not():
 
 def test_undo_refuses_what_became_another_file(run):
     clean(run)
-    write_gaussians(run / "gaussians.ply", planted()[0])
+    write_gaussians(run / "gaussians.ply", take(planted()[0], slice(None, None, -1)))
     with pytest.raises(InputError, match="is not the file any more that"):
         undo(run)
     assert cli.main(["clean", str(run), "--undo", "--box", "0", "0", "0", "1", "1", "1"]) == 2

@@ -1,7 +1,10 @@
 """Distances between what two pixels show, and the unit that a known one gives to a data set or a run."""
 
 import importlib
+import os
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +14,7 @@ from tolerances import assert_close
 
 from gsjax import cli
 from gsjax.errors import InputError
-from gsjax.io import json_files
+from gsjax.io import exchange, json_files
 from gsjax.io.gaussian_files import load_gaussians
 from gsjax.io.place_files import read_place, stated_place
 from gsjax.io.ply import write_gaussians
@@ -92,6 +95,33 @@ def test_a_run_of_a_known_length_has_files_in_metres_and_computes_what_it_did(ru
     assert_close(result.cameras[1].viewmat, np.asarray(camera_at((0.3, 0.0, 0.0), (0.3, 0.0, 4.0)).viewmat))
     again = scale(run, spots)
     assert (again["unit"], again["distance"]) == ("metre", pytest.approx(2.0, rel=1e-5))
+
+
+@pytest.mark.parametrize("renamed", range(7))
+def test_the_files_of_a_run_are_all_old_or_all_new_wherever_it_is_stopped(run, renamed, monkeypatch):
+    spots = Spot("0.jpg", 24.0, 40.0), Spot("0.jpg", 72.0, 40.0)
+    replace_file, left = os.replace, [renamed]
+
+    def killed(old, new):
+        if Path(old).parent.name == exchange.PENDING or Path(new).name == exchange.PENDING:
+            left[0] -= 1
+            if left[0] < 0:
+                raise ZeroDivisionError  # No OSError, which would be told.
+        replace_file(old, new)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "replace", killed)
+        with suppress(ZeroDivisionError):
+            scale(run, spots, 2.0)
+    result = open_result(run)
+    unit = 1 if renamed == 0 else result.similarity.scale
+    assert (unit == 1) == (renamed == 0)  # The first renaming decides.
+    assert_close(unit * np.asarray(load_gaussians(run).means), np.asarray(plane((0.0, 0.0, -1.0)).means))
+    assert_close(unit * read_mesh(run / "mesh.ply").vertices, np.eye(3, dtype=np.float32))
+    before = {file: file.read_bytes() for file in run.iterdir() if file.suffix}
+    again = scale(run, spots, 2.0)
+    assert (again["factor"] is None) == (unit != 1)
+    assert unit == 1 or before == {file: file.read_bytes() for file in before}
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ from gsjax.io.images import write_image
 from gsjax.io.ply import write_gaussians
 from gsjax.render import gallery
 from gsjax.runs.result import open_result, training_pictures, write_views
+from gsjax.runs.run import Run
 from gsjax.scene import Frame, Pixels, frame_of
 
 CAMERAS = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0), size=(24, 20)) for x in (-0.5, 0.0, 0.5, 1.0)]
@@ -95,3 +96,12 @@ def test_a_mask_that_cannot_be_used_is_one_line(run):
     (run / "masks/0001.png").unlink()
     with pytest.raises(InputError, match=r"masks/0001.png: no such image"):
         list(training_pictures(result, result.gaussians, result.background)[1])
+
+
+def test_a_run_whose_cameras_are_none_or_whose_photos_have_no_size_is_one_line(run):
+    (run / "cameras.json").write_text("[]")
+    with pytest.raises(InputError, match=r"cameras\.json: lists no views"):
+        open_result(run)
+    json_files.write(run / "plan.json", {"phases": [], "steps": 1, "downscale": 0})
+    with pytest.raises(InputError, match="looks at photos 0 times smaller"):
+        _ = Run(run).downscale

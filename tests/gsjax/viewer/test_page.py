@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import viser
 from small_scenes import camera_at, cloud, plane
 
 from gsjax import cli
@@ -195,8 +196,8 @@ def test_a_port_in_use_and_others_that_cannot_be_are_one_line(capsys, tmp_path):
         check_port("..", 0)
 
 
-def answer(page, *lines):
-    """First line of what the server says to a request for a WebSocket."""
+def answer(page, *lines, then=b"", until=lambda: True):
+    """First line of what the server says to a request for a WebSocket; then more is sent, and something awaited."""
     wanted = (
         "Connection: Upgrade",
         "Upgrade: websocket",
@@ -206,7 +207,10 @@ def answer(page, *lines):
     request = "\r\n".join(["GET / HTTP/1.1", *wanted, *lines, "", ""])
     with socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=10) as connection:
         connection.sendall(request.encode())
-        return connection.recv(200).split(b"\r\n")[0].decode()
+        first = connection.recv(200).split(b"\r\n")[0].decode()
+        connection.sendall(then)
+        wait(until)
+        return first
 
 
 def test_no_page_but_its_own_reads_what_is_for_this_machine(monkeypatch):
@@ -228,6 +232,20 @@ def test_no_page_but_its_own_reads_what_is_for_this_machine(monkeypatch):
         ]
         for lines in foreign:
             assert answer(page, *lines).startswith("HTTP/1.1 403 "), lines
+
+
+def test_whoever_connects_and_speaks_as_no_page_does_is_told_of_in_one_line_at_most(monkeypatch, caplog):
+    text = b"\x81\x82" + bytes(4) + b"hi"  # a masked frame; pages send bytes
+    with served(monkeypatch) as (page, _):
+        for said in (b"", b"\x16\x03\x01", b"GET / HTT"):
+            with socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=10) as connection:
+                connection.sendall(said)
+        page_alike = "Host: localhost", f"Sec-WebSocket-Protocol: viser-v{viser.__version__}"
+        said = answer(page, *page_alike, then=text, until=lambda: caplog.records)
+    assert said.startswith("HTTP/1.1 101 ")
+    (told,) = caplog.records
+    assert told.getMessage() == "view: a connection was closed after an error (AssertionError: )"
+    assert told.exc_info is None
 
 
 @pytest.mark.parametrize(
