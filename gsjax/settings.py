@@ -190,6 +190,7 @@ class Settings:
     seed: int = 0
     downscale: float | None = None  # photos are so many times smaller; None: see `longest_side` and `cpu_pixels`
     images: str | None = None  # folder of the photos, within the data set or absolute; None: looked for
+    photos: str | None = None  # file of the names of those that the run looks at, one a line; None: all
     hold_out: str = "auto"  # every N-th photo, "none", a file of names, or "auto" (`gsjax.io.splits`)
     normals: str | None = None  # folder of maps (`gsjax.io.normal_folders.find`); None: smoothed normals of own depth
     normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: found by comparing with the rendered depth

@@ -6,6 +6,7 @@ import signal
 from collections.abc import Callable, Sequence
 
 from gsjax.cli import (
+    blocks,
     clean,
     compare,
     convert,
@@ -49,6 +50,7 @@ DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
                                     |--report--> one page that shows it; --compare--> several runs on one
                                     |--share---> one page to send, that opens anywhere
                                     `--view----> a page to walk through it; of files and meshes too
+  large scene --blocks--> the same in several runs, merged into one
 
   scene or run --scale--> the same in metres, by a known length
   scene --diagnose--> which effects its photos call for
@@ -122,6 +124,7 @@ def parser() -> argparse.ArgumentParser:
         sfm,
         scale,
         train,
+        blocks,
         mesh,
         refine,
         texture,

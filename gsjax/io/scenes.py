@@ -14,7 +14,7 @@ from gsjax.io import colmap, colmap_model, transforms
 from gsjax.io.image_folders import locate_photos, masks_in
 from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, list_of_names
 from gsjax.io.place_files import read_place
-from gsjax.io.splits import AUTO, mark_held_out
+from gsjax.io.splits import AUTO, listed, mark_held_out
 from gsjax.io.truth import load_truth
 from gsjax.place import Place
 from gsjax.scene import Scene
@@ -28,6 +28,7 @@ def load_scene(
     folder_masks: str = "valid",
     images: str | None = None,
     hold_out: str = AUTO,
+    photos: str | None = None,
     similarity: Similarity | None = None,
     place: Place | None = None,
 ) -> Scene:
@@ -47,6 +48,8 @@ def load_scene(
             coverage.
         images: Folder of the photos, absolute or in `root`; None looks for them.
         hold_out: Which photos are for scoring only, see `gsjax.io.splits.mark_held_out`.
+        photos: Text file of the names of those that are taken, one a line, as `hold_out` may be one; None: all. Which
+            of them are held out is decided among all.
         similarity: From the coordinates of the world to those of the scene. None: by its cameras
             (`gsjax.similarity.of_cameras`); it changes nothing of a scene of usual size at its origin.
         place: Which world the files' coordinates are brought to. None: as `place.json` in the folder says, without
@@ -61,18 +64,18 @@ def load_scene(
     if folder_masks not in MASK_USES:
         raise InputError(f"folder_masks must be one of {', '.join(MASK_USES)}, not {folder_masks!r}")
     capture = _read_capture(root)
-    photos = mark_held_out(_checked_photos(root, locate_photos(root, capture.photos, images)), hold_out, root)
-    photos = _with_folder_masks(photos, root / "masks")
+    taken = mark_held_out(_checked_photos(root, locate_photos(root, capture.photos, images)), hold_out, root)
+    taken = _with_folder_masks(_selected(taken, photos), root / "masks")
     place = read_place(root) if place is None else place
-    photos = [replace(photo, viewmat=place.viewmat_to_world(photo.viewmat)) for photo in photos]
+    taken = [replace(photo, viewmat=place.viewmat_to_world(photo.viewmat)) for photo in taken]
     capture = replace(capture, points=place.points_to_world(capture.points))
     if similarity is None:
-        similarity = similarities.of_cameras(np.stack([photo.viewmat for photo in photos]), capture.points)
+        similarity = similarities.of_cameras(np.stack([photo.viewmat for photo in taken]), capture.points)
     if not similarity.is_possible:
         raise InputError(f"{root}: its cameras stand too far off, or together, for float64 ({similarity.told})")
-    photos = [replace(photo, viewmat=similarity.viewmat_to_local(photo.viewmat)) for photo in photos]
+    taken = [replace(photo, viewmat=similarity.viewmat_to_local(photo.viewmat)) for photo in taken]
     points = similarity.points_to_local(capture.points)
-    frames = [frame for photo in photos for frame in frames_of(photo, downscale, folder_masks)]
+    frames = [frame for photo in taken for frame in frames_of(photo, downscale, folder_masks)]
     frames = tuple(sorted(frames, key=lambda frame: frame.name))
     truth = load_truth(root, frames, similarity, place)
     return Scene(root, capture.source, frames, points, capture.point_colors, truth, capture.tracks, similarity, place)
@@ -122,6 +125,16 @@ def _checked_photos(root: Path, photos: Sequence[Photo]) -> list[Photo]:
         folder = str(first.path).removesuffix(first.name).rstrip("/") or root
         raise InputError(f"{folder}: {list_of_names('image', [photo.name for photo in missing])}")
     return photos
+
+
+def _selected(photos: list[Photo], file: str | None) -> list[Photo]:
+    """Those that a file names; two at least."""
+    if file is None:
+        return photos
+    names = listed(Path(file), [photo.name for photo in photos])
+    if len(names) < 2:
+        raise InputError(f"{file}: names one photo, at least 2 are needed")
+    return [photo for photo in photos if photo.name in names]
 
 
 def _with_folder_masks(photos: list[Photo], folder: Path) -> list[Photo]:

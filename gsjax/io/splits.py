@@ -12,6 +12,7 @@ from gsjax.io.photos import Photo
 
 AUTO, NONE = "auto", "none"
 EVERY = 8
+HINTS = {"absent": "; --hold-out takes a number, none, or a file", "empty": "; --hold-out none holds none out"}
 OWN_LIST = "hold_out.txt"  # In a data set's folder: its own split.
 
 
@@ -38,18 +39,30 @@ def _held_out(photos: Sequence[Photo], hold_out: str, root: Path) -> set[str]:
         return set()
     if hold_out == AUTO:
         own = {photo.name for photo in photos if photo.held_out}
-        return own or (_listed(root / OWN_LIST, names) if (root / OWN_LIST).is_file() else set(names[::EVERY]))
+        return own or (listed(root / OWN_LIST, names, **HINTS) if (root / OWN_LIST).is_file() else set(names[::EVERY]))
     if not hold_out.isdecimal():
-        return _listed(Path(hold_out), names)
+        return listed(Path(hold_out), names, **HINTS)
     if int(hold_out) < 2:
         raise InputError(f"--hold-out {hold_out}: every N-th photo needs an N of at least 2")
     return set(names[:: int(hold_out)])
 
 
-def _listed(file: Path, names: Sequence[str]) -> set[str]:
-    """The names in a text file, all of which must be among `names`."""
+def listed(file: Path, names: Sequence[str], *, absent: str = "", empty: str = "") -> set[str]:
+    """The names in a text file, one a line, all of which must be among `names`.
+
+    Blank lines do not count, nor those that begin with #, unless that is a name.
+
+    Args:
+        file: The list.
+        names: Of all photos.
+        absent: What else the option takes, for the message where there is no such file.
+        empty: Likewise, where it names no photo.
+
+    Raises:
+        InputError: There is no such file, or it names no photo or one that there is not.
+    """
     if not os.path.lexists(file):
-        raise InputError(f"{file}: no such list of photos; --hold-out takes a number, none, or a file")
+        raise InputError(f"{file}: no such list of photos{absent}")
     try:
         lines = read_bytes(file).decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
@@ -58,7 +71,7 @@ def _listed(file: Path, names: Sequence[str]) -> set[str]:
     named = [line if line in known else line.strip() for line in lines]
     wanted = {n: name for n, name in enumerate(named, 1) if name in known or (name and not name.startswith("#"))}
     if not wanted:
-        raise InputError(f"{file}: names no photo; --hold-out none holds none out")
+        raise InputError(f"{file}: names no photo{empty}")
     for number, name in wanted.items():
         if name not in known:
             (nearest,) = difflib.get_close_matches(name, names, n=1, cutoff=0.0)

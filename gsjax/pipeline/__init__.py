@@ -1,5 +1,6 @@
 """The whole road as plain functions: what the command line and notebooks call."""
 
+from gsjax.pipeline.blocks import blocks
 from gsjax.pipeline.clean import clean
 from gsjax.pipeline.compare import compare
 from gsjax.pipeline.convert import convert
@@ -23,6 +24,7 @@ from gsjax.planning.hardware import count_devices
 from gsjax.report.page import noted, report
 
 __all__ = [
+    "blocks",
     "budgeted",
     "clean",
     "compare",

@@ -40,6 +40,7 @@ def at_size(
         folder_masks=settings.masks,
         images=settings.images,
         hold_out=settings.hold_out,
+        photos=settings.photos,
         similarity=similarity,
         place=place,
     )

@@ -68,6 +68,7 @@ def watch(
         folder_masks=settings.masks,
         images=settings.images,
         hold_out=settings.hold_out,
+        photos=settings.photos,
     )
     subject = subject_of_scene(Path(scene).resolve().name, loaded, settings.background, settings.depth_mode)
     snapshots = Snapshots(total_steps(settings))

@@ -35,6 +35,23 @@ def test_every_eighth_of_the_sorted_names_is_held_out(colmap_scene):
     assert scene.source == "colmap"
 
 
+def test_a_selection_of_photos_is_held_out_as_among_all(colmap_scene, tmp_path):
+    root, names = colmap_scene(count=18), [f"{i:03d}.png" for i in range(4, 10)]
+    chosen = tmp_path / "chosen.txt"
+    chosen.write_text("\n".join(names))
+    scene = load_scene(root, photos=str(chosen))
+    assert [f.name for f in scene.frames] == names
+    assert [f.name for f in scene.held_out_frames] == ["008.png"]
+    for text, fault in (
+        (names[0], "names one photo, at least 2"),
+        ("", "names no photo$"),
+        ("9.png", "there is no photo"),
+    ):
+        chosen.write_text(text)
+        with pytest.raises(InputError, match=fault):
+            load_scene(root, photos=str(chosen))
+
+
 def test_a_frame_keeps_pixels_intrinsics_and_pose(colmap_scene):
     root = colmap_scene()
     frame = load_scene(root, similarity=IDENTITY).frames[4]

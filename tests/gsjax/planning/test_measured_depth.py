@@ -73,7 +73,7 @@ def test_points_tell_what_a_metre_is(tmp_path, frames):
         # A point is up to half a pixel from the pixel's centre, on a slanted wall.
         np.testing.assert_allclose(found, true_depth(camera), rtol=1e-3)
         assert (trust == 255).all()
-    assert measured.depths(2)[0][0].shape == (12, 16)
+    assert next(iter(measured.depths(2)))[0].shape == (12, 16)
     assert measured_depth(scene_of, Settings()) is None  # pyright: ignore[reportArgumentType]
 
 
@@ -83,11 +83,11 @@ def test_a_scene_in_metres_or_without_tracks_takes_the_unit_at_its_word(tmp_path
     for scene, said in ((tracked, "the scene is in metres"), (replace(tracked, tracks=None), "no points tell the")):
         measured = measured_depth(scene, Settings(depth="depth", depth_unit="mm"))
         assert measured is not None and said in measured.line
-        np.testing.assert_allclose(measured.depths(1)[0][0], true_depth(CAMERAS[0]), rtol=1e-5)
+        np.testing.assert_allclose(next(iter(measured.depths(1)))[0], true_depth(CAMERAS[0]), rtol=1e-5)
     placed = replace(tracked, place=Place(scale=3.0))  # a unit of the files is three metres
     own = measured_depth(placed, Settings(depth="depth", depth_unit="scene"))
     assert own is not None
-    np.testing.assert_allclose(own.depths(1)[0][0], 2 * 3 * 500 * true_depth(CAMERAS[0]), rtol=1e-5)
+    np.testing.assert_allclose(next(iter(own.depths(1)))[0], 2 * 3 * 500 * true_depth(CAMERAS[0]), rtol=1e-5)
 
 
 def test_maps_of_something_else_are_refused(tmp_path, frames):

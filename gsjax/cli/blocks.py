@@ -1,0 +1,43 @@
+"""`gsjax blocks`: a scene too large for one run, in several."""
+
+import argparse
+
+from gsjax.cli.parsers import add_command, count, finite
+from gsjax.settings import PRESETS
+
+
+def add_to(commands: argparse._SubParsersAction) -> None:
+    """Adds the command."""
+    parser = add_command(
+        commands,
+        "blocks",
+        _run,
+        summary="train a large scene block by block, and merge the blocks into one run",
+        description="""
+            Divides a scene by where its cameras stand (OUT/blocks.json), trains a run for each block
+            (OUT/block_1 and so on) with photos from its surroundings, and merges them: OUT/run, which all
+            other commands read. Called again, it goes on where it stopped. Several machines share the work
+            where OUT and SCENE are folders that all of them see under one path, each with --only.
+        """,
+        example="gsjax blocks scenes/street --out blocks/street --blocks 4",
+    )
+    add = parser.add_argument
+    add("scene", metavar="SCENE", help="folder of the data set")
+    add("--out", metavar="OUT", required=True, help="folder for everything; the same one again to go on")
+    add("--blocks", type=count, metavar="N", required=True, help="how many, of as many cameras each")
+    add("--only", type=count, nargs="+", metavar="I", default=(), help="train these blocks alone, counted from 1")
+    add("--preset", choices=PRESETS, default="fast", help="how long to train each block (default: fast)")
+    add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
+    add("--downscale", type=finite, metavar="K", help="make the photos K times smaller (default: as `gsjax train`)")
+    add("--hold-out", metavar="N|none|FILE", help="photos for scoring only (default: as `gsjax train`)")
+    add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
+        help="any setting of the training by its dotted key; may be repeated")  # fmt: skip
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    from gsjax import pipeline, tables
+    from gsjax.cli.train import override_settings
+
+    settings = override_settings(PRESETS[arguments.preset], arguments, "seed", "downscale", "hold_out")
+    report = pipeline.blocks(arguments.scene, arguments.out, settings, arguments.blocks, only=arguments.only)
+    print(tables.record(report))

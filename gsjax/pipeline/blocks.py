@@ -1,0 +1,196 @@
+"""A large scene in blocks: each trained by itself, here or elsewhere, and all merged into one run folder."""
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gsjax import config, runs
+from gsjax.cameras import viewmat_centers
+from gsjax.errors import InputError
+from gsjax.gaussians import Gaussians, concatenate, take
+from gsjax.io import json_files
+from gsjax.io.files import atomic_folder, atomic_path, require_empty
+from gsjax.io.gaussian_files import load_gaussians
+from gsjax.io.ply import write_gaussians
+from gsjax.io.scenes import list_photos, load_scene
+from gsjax.pipeline.train import train
+from gsjax.planning.blocks import FEWEST, Cell, cut, directions, photos_of
+from gsjax.planning.sizes import at_size, chosen_downscale
+from gsjax.report.page import report
+from gsjax.report.shown_views import picture_keeper
+from gsjax.runs.result import write_views
+from gsjax.scene import Scene
+from gsjax.scoring.images import score_images
+from gsjax.settings import AUTO, NONE, Settings, total_steps
+from gsjax.training.plan import plan
+
+PLAN = "blocks.json"
+_CELL = {"low": [(None, float), 2], "high": [(None, float), 2], "photos": [str]}
+_SHAPE = {"scene": str, "settings": {str: object}, "downscale": float, "directions": [[float, 3], 2], "cells": [_CELL]}
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """How a scene is divided."""
+
+    folder: Path
+    scene: Path
+    settings: Settings  # of every block
+    directions: np.ndarray  # [2, 3] unit, world: what cells lie along
+    cells: tuple[Cell, ...]
+    photos: tuple[tuple[str, ...], ...]  # names, of each cell
+
+    def run(self, number: int) -> Path:
+        """The run folder of a block, counted from 1."""
+        return self.folder / f"block_{number}"
+
+    def listed(self, number: int) -> str:
+        """The file that lists its photos."""
+        file = self.folder / f"block_{number}.txt"
+        with atomic_path(file) as temporary:
+            temporary.write_text("".join(f"{name}\n" for name in self.photos[number - 1]), encoding="utf-8")
+        return str(file)
+
+    def is_done(self, number: int) -> bool:
+        """Whether it is trained."""
+        return runs.is_finished(self.run(number))
+
+
+def blocks(
+    scene: str | Path, out: str | Path, settings: Settings, count: int, *, only: Sequence[int] = ()
+) -> dict[str, Any]:
+    """Divide a scene by where its cameras stand, train what is not trained yet, and merge when all is.
+
+    Called again, it goes on where it stopped; on several machines with one folder, each takes blocks of its own.
+
+    Args:
+        scene: Folder of the data set.
+        out: Folder for everything: `blocks.json`, the plan; of every block the names of its photos, `block_1.txt`, and
+            its run folder, `block_1`; `run`, the merged one, which every other command reads.
+        settings: Of each block, which has as many Gaussians and steps. Effects of photography are not looked for: what
+            each block found would not fit at the borders.
+        count: Of blocks.
+        only: Numbers of blocks to train, from 1; none: all.
+
+    Returns:
+        `blocks`, which are `trained`, and the merged `run` with its figures (None while blocks are left).
+
+    Raises:
+        InputError: The scene cannot be divided so, a block cannot be trained, or `out` was begun with something else.
+    """
+    planned = _planned(Path(scene), Path(out).resolve(), _without_effects(settings), count)
+    for number in only:
+        if not 1 <= number <= count:
+            raise InputError(f"--only {number}: there are blocks 1 to {count}")
+    for number in only or range(1, count + 1):
+        if not planned.is_done(number):
+            print(f"blocks: {number} of {count}", file=sys.stderr)
+            run = planned.run(number)
+            train(scene, run, replace(planned.settings, photos=planned.listed(number)), resume=run.exists())
+    trained = [number for number in range(1, count + 1) if planned.is_done(number)]
+    merged = planned.folder / "run" if len(trained) == count else None
+    if merged is not None and not runs.is_finished(merged):
+        _merge(planned, merged)
+    figures = {} if merged is None else json_files.read(merged / "manifest.json", {})
+    told = {name: figures.get(name) for name in ("gaussians", "psnr", "ssim")}
+    return {"blocks": count, "trained": len(trained), "run": None if merged is None else str(merged), **told}
+
+
+def _without_effects(settings: Settings) -> Settings:
+    if settings.photos is not None:
+        raise InputError(f"photos={settings.photos}: each block chooses its photos")
+    if settings.effects not in (AUTO, NONE):
+        raise InputError(f"--effects {settings.effects}: what blocks find of effects would not fit at their borders")
+    return replace(settings, effects=NONE)
+
+
+def _planned(scene: Path, out: Path, settings: Settings, count: int) -> Blocks:
+    """The plan in the folder, which must be of the same wishes, or a new one."""
+    file, asked = out / PLAN, {"scene": str(scene.resolve()), "settings": json_files.plain(config.to_dict(settings))}
+    if not file.exists():
+        require_empty(out)
+        json_files.write(file, asked | _divided(scene, settings, count))
+    kept = json_files.read(file, _SHAPE)
+    for name, value in {**asked, "blocks": count}.items():
+        if {**kept, "blocks": len(kept["cells"])}[name] != value:
+            raise InputError(f"{out}: was begun with another {name}; choose another folder with --out")
+    cells = tuple(Cell(_limits(cell["low"], -math.inf), _limits(cell["high"], math.inf)) for cell in kept["cells"])
+    sized = replace(settings, downscale=kept["downscale"])
+    photos = tuple(tuple(cell["photos"]) for cell in kept["cells"])
+    return Blocks(out, scene, sized, np.array(kept["directions"]), cells, photos)
+
+
+def _limits(kept: Sequence[float | None], beyond: float) -> tuple[float, float]:
+    first, second = (beyond if limit is None else limit for limit in kept)
+    return first, second
+
+
+def _divided(scene: Path, settings: Settings, count: int) -> dict[str, Any]:
+    """What the plan says of the scene: the size of its photos, the cells, and the photos of each."""
+    loaded = load_scene(scene, hold_out=settings.hold_out, images=settings.images)
+    photos = list_photos(scene, settings.images)
+    names = [photo.name for photo in photos]
+    centers = viewmat_centers(np.stack([loaded.place.viewmat_to_world(photo.viewmat) for photo in photos]))
+    along = directions(centers)
+    places = centers @ along.T
+    cells, seen = cut(places, count), _seen(loaded, names, along)
+    held_out = {frame.name for frame in loaded.held_out_frames}
+    records = []
+    for number, cell in enumerate(cells, 1):
+        block = np.array(names)[photos_of(cell, places, seen)].tolist()
+        if (left := len(set(block) - held_out)) < FEWEST:
+            raise InputError(f"--blocks {count}: block {number} would have {left} photos to train on; make fewer")
+        records.append({"low": cell.low, "high": cell.high, "photos": block})
+    return {"downscale": chosen_downscale(settings, loaded.frames), "directions": along, "cells": records}
+
+
+def _seen(scene: Scene, names: Sequence[str], along: np.ndarray) -> list[np.ndarray]:
+    """`[P_v, 2]` places of the points that each photo sees; none where nobody matched points in photos."""
+    if scene.tracks is None:
+        return [np.empty((0, 2))] * len(names)
+    tracks, places = scene.tracks(), scene.similarity.points_to_world(scene.points) @ along.T
+    numbers = {name: number for number, name in enumerate(tracks.names)}
+    return [places[tracks.point[tracks.photo == numbers.get(name, -1)]] for name in names]
+
+
+def _merge(planned: Blocks, out: Path) -> None:
+    """The run folder of all blocks: of each, the Gaussians whose means lie in its own cell."""
+    settings, count = planned.settings, len(planned.cells)
+    parts = [_own(planned, number) for number in range(1, count + 1)]
+    gaussians = concatenate(parts)
+    loaded, downscale, photos_line = at_size(planned.scene, settings, count * total_steps(settings))
+    record = replace(plan(settings), downscale=downscale).record()
+    with atomic_folder(out) as run:
+        runs.create(
+            run,
+            config.to_dict(settings),
+            scene=planned.scene,
+            seed=settings.seed,
+            similarity=loaded.similarity,
+            place=loaded.place,
+            plan=record,
+        )
+        write_gaussians(run / "gaussians.ply", gaussians, loaded.place)
+        write_views(run, loaded.frames)
+        scores = score_images(
+            loaded.similarity.gaussians_to_local(gaussians),
+            loaded.held_out_frames,
+            settings.background,
+            depth_mode=settings.depth_mode,
+            observe=picture_keeper(run),
+        )
+        figures = {"gaussians": gaussians.num_gaussians, "steps": count * total_steps(settings), **scores}
+        told = f"{count} blocks of {', '.join(f'{part.num_gaussians:,}' for part in parts)} Gaussians"
+        runs.update_manifest(run, status="done", photos=photos_line, blocks=told, **figures)
+    report(out)
+
+
+def _own(planned: Blocks, number: int) -> Gaussians:
+    whole = load_gaussians(planned.run(number))
+    places = np.asarray(whole.means, np.float64) @ planned.directions.T
+    return take(whole, planned.cells[number - 1].holds(places))
