@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.ply import point_colors
+from gsjax.io.ply import point_colors, tell_of_rounding
 from gsjax.io.ply_elements import read_elements, stack_columns
 
 
@@ -26,4 +26,5 @@ def read_points(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     broken = int((~np.isfinite(points).all(axis=-1)).sum())
     if broken:
         raise InputError(f"{path}: {broken} of its {len(points)} points are not finite")
+    tell_of_rounding(path, rows, points)
     return points, point_colors(rows)

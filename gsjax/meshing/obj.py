@@ -8,10 +8,13 @@ from pathlib import Path
 
 from gsjax.errors import InputError
 from gsjax.io.files import read_bytes
+from gsjax.io.machine import require_memory
 
 # Possessive, so that millions of lines take a second.
 _FROM_THE_END = re.compile(rb"\nf(?:[ \t/]++[0-9]++)*+[ \t/]++-")
 _ZERO = re.compile(rb"\nf(?:[ \t/]++0*+[1-9][0-9]*+)*+[ \t/]++0++(?![0-9])")
+_ALWAYS_ROOM = 2**24  # bytes
+_COPIES = 6  # of the text, that trimesh keeps while it reads, in many forms
 
 
 def prepared_obj(path: Path) -> tuple[Path | BytesIO, bool]:
@@ -25,9 +28,11 @@ def prepared_obj(path: Path) -> tuple[Path | BytesIO, bool]:
 
     Raises:
         InputError: An index of a face is 0, leads before the first, or is no number, and its line is named; or the
-            file cannot be read.
+            file cannot be read, or has no room in memory while it is.
     """
     stored = read_bytes(path)
+    if len(stored) > _ALWAYS_ROOM:
+        require_memory(f"{path}: an OBJ of {len(stored) / 2**30:.3g} GiB", _COPIES * len(stored))
     content = stored.removeprefix(codecs.BOM_UTF8)
     if _FROM_THE_END.search(content):
         content = b"\n".join(_from_the_start(path, content.split(b"\n")))

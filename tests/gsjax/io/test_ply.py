@@ -278,3 +278,15 @@ def test_a_mesh_of_another_library_gives_its_vertices(tmp_path):
     points, colors = read_points(tmp_path / "box.ply")
     np.testing.assert_allclose(points, box.vertices)
     np.testing.assert_array_equal(colors, np.arange(32).reshape(8, 4)[:, :3])
+
+
+@pytest.mark.parametrize("reader", [read_points, point_clouds.read_points])
+@pytest.mark.parametrize(("kind", "far", "is_told"), [("f4", 4.5e6, True), ("f8", 4.5e6, False), ("f4", 0.0, False)])
+def test_a_cloud_that_single_precision_has_put_on_a_grid_is_told(tmp_path, capsys, reader, kind, far, is_told):
+    points = np.random.default_rng(0).uniform(-1, 1, (50, 3)) + [0, far, 0]
+    lines = [f"property {'float' if kind == 'f4' else 'double'} {axis}" for axis in "xyz"]
+    head = ["ply", "format binary_little_endian 1.0", "element vertex 50", *lines, "end_header", ""]
+    file = tmp_path / f"{kind}.ply"
+    file.write_bytes("\n".join(head).encode() + points.astype(f"<{kind}").tobytes())
+    reader(file)
+    assert capsys.readouterr().err.count("which there is a grid of 0.5; save them as doubles") == is_told

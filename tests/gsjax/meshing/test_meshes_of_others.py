@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
+from gsjax.io import machine
 from gsjax.mesh import Mesh
-from gsjax.meshing import read_mesh, write_mesh
+from gsjax.meshing import obj, read_mesh, write_mesh
 
 
 def quad_with_face_colors(path, rows=("255 0 0", "0 0 255")):
@@ -159,3 +160,16 @@ def test_reading_takes_few_times_the_memory_of_what_it_returns(tmp_path, name):
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 5 * (found.vertices.nbytes + found.faces.nbytes + found.colors.nbytes)
+
+
+def test_an_obj_without_room_for_its_copies_is_refused_before_it_is_taken_apart(tmp_path, monkeypatch):
+    (tmp_path / "m.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    size = (tmp_path / "m.obj").stat().st_size
+    monkeypatch.setattr(obj, "_ALWAYS_ROOM", 0)
+    for free, is_read in ((6 * size, True), (6 * size - 1, False)):
+        monkeypatch.setattr(machine, "free_memory", lambda free=free: free)
+        if is_read:
+            assert read_mesh(tmp_path / "m.obj").num_faces == 1
+        else:
+            with pytest.raises(InputError, match=r"m\.obj: an OBJ of .* takes"):
+                read_mesh(tmp_path / "m.obj")
