@@ -1,6 +1,7 @@
 """What the command line settles for jax before it is imported; the library itself never touches the environment."""
 
 import ctypes
+import logging
 import os
 import re
 import sys
@@ -16,6 +17,7 @@ from gsjax.io.machine import cpu_flags
 
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
 DAMAGED = re.compile(r"Error reading persistent compilation cache entry for '(.+?)': ")
+PLUGIN_FAULT = "Jax plugin configuration error"
 PROGRAM = re.compile(r"-[0-9a-f]+-(cache|atime)$")  # After a program's name, as jax calls the files of its cache.
 # mallopt of glibc: one arena, no block mapped by itself, nothing given back while the process lives.
 KEEP_MEMORY = {-8: 1, -3: 1 << 30, -1: (1 << 31) - 1}
@@ -45,6 +47,17 @@ def prepare() -> None:
             os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
     keep_memory()
     replace_damaged_programs()
+    logging.getLogger("jax._src.xla_bridge").addFilter(plugin_fault_in_one_line)
+
+
+def plugin_fault_in_one_line(record: logging.LogRecord) -> bool:
+    """A filter of jax's log: of a plugin that does not load, such as CUDA's without a driver, the traceback goes."""
+    if str(record.msg).startswith(PLUGIN_FAULT):
+        error = record.exc_info[1] if record.exc_info else None
+        why = str(error).partition("\n")[0] if error else record.getMessage()
+        record.msg, record.args = f"gsjax: jax goes on without a plugin that does not load here: {why}", ()
+        record.exc_info = record.exc_text = None
+    return True
 
 
 def replace_damaged_programs() -> None:

@@ -1,6 +1,7 @@
 """What the command line settles before jax is loaded: vectors, the cache of programs, and how fast help answers."""
 
 import inspect
+import logging
 import os
 import subprocess
 import sys
@@ -87,9 +88,29 @@ def test_a_damaged_program_of_the_cache_is_taken_out_and_nobody_is_warned(monkey
     assert shown == ["something else"]
 
 
-def test_jax_speaks_and_names_its_files_as_is_expected():
-    from jax._src import compiler, lru_cache
+def test_a_plugin_of_jax_that_does_not_load_is_one_line(caplog):
+    logger = logging.getLogger("jax._src.xla_bridge")
+    environment.prepare()
+    try:
+        raise RuntimeError("Unable to load cuPTI. Is it installed?") from OSError("error 999")
+    except RuntimeError:
+        logger.exception(
+            f"{environment.PLUGIN_FAULT}: Exception when calling %s.initialize()", "jax_plugins.xla_cuda13"
+        )
+    logger.warning(f"{environment.PLUGIN_FAULT}: Plugin module %s does not exist", "a.b")
+    logger.error("another %s", "matter")
+    told = "gsjax: jax goes on without a plugin that does not load here"
+    assert [logging.Formatter().format(record) for record in caplog.records] == [
+        f"{told}: Unable to load cuPTI. Is it installed?",
+        f"{told}: {environment.PLUGIN_FAULT}: Plugin module a.b does not exist",
+        "another matter",
+    ]
 
+
+def test_jax_speaks_and_names_its_files_as_is_expected():
+    from jax._src import compiler, lru_cache, xla_bridge
+
+    assert f'logger.exception("{environment.PLUGIN_FAULT}: Exception' in inspect.getsource(xla_bridge)
     assert "Error reading persistent compilation cache entry for \"\n        f\"'{module_name}': " in inspect.getsource(
         compiler._cache_read
     )
