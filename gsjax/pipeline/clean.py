@@ -1,6 +1,7 @@
 """Gaussians without what hovers about them: floaters, crumbs, giants; what is taken out is kept, and can come back."""
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, concatenate, take
 from gsjax.io import json_files
 from gsjax.io.gaussian_files import format_of, load_gaussians, save_gaussians
+from gsjax.io.locks import lock_folder
 from gsjax.io.place_files import stated_place
 from gsjax.io.temporaries import sweep_beside
 from gsjax.render import gallery
@@ -63,35 +65,39 @@ def clean(
         out, from where that differs most. None where nothing was taken out or no camera is known.
 
     Raises:
-        InputError: A file cannot be read or written, was cleaned before, or nothing would be left.
+        InputError: A file cannot be read or written, was cleaned before, is of a run that another process works on, or
+            nothing would be left.
     """
     source = Path(source)
     out = _file_of(source) if out is None else Path(out)
     format_of(out)
     if out.resolve() != _file_of(source).resolve():
         require_apart(out, source, scene)
-    if _beside(out).exists() and out.exists() and not _is_unfinished(out):
-        raise InputError(f"{out}: was cleaned before; `gsjax clean {out} --undo` brings back {_beside(out)}")
-    _check_numbers(box, sphere)
-    sweep_beside(out)
-    whole = load_gaussians(source)
-    result = open_result(source, scene=scene) if is_begun(source) or scene is not None else None
-    kinds = _judged(whole, result)
-    kinds["cropped"] = _outside(whole, result, source, crop_to_cameras, box, sphere) & ~np.any(list(kinds.values()), 0)
-    taken = np.any(list(kinds.values()), axis=0)
-    if taken.all():
-        raise InputError(f"{source}: none of its {len(taken)} Gaussians would be left")
-    report: dict[str, Any] = {"gaussians": int((~taken).sum()), **{kind: int(kinds[kind].sum()) for kind in KINDS}}
-    place = stated_place(_file_of(source))
-    picture = _picture(result, taken, out) if result is not None and taken.any() else None
-    if taken.any():
-        # What is taken out is on the disk before it is gone elsewhere, see `_is_unfinished`.
-        _beside(out).unlink(missing_ok=True)
-        rows = {kind: np.flatnonzero(kinds[kind]) for kind in KINDS}
-        json_files.write(_rows_beside(out), {"about": "rows of the Gaussians before", "count": len(taken), **rows})
-        save_gaussians(take(whole, taken), _beside(out), place)
-    save_gaussians(take(whole, ~taken), out, place)  # Last: from now on it is cleaned.
-    return report | {"removed": str(_beside(out)) if taken.any() else None, "picture": picture}
+    with _kept_alone(out):
+        if _beside(out).exists() and out.exists() and not _is_unfinished(out):
+            raise InputError(f"{out}: was cleaned before; `gsjax clean {out} --undo` brings back {_beside(out)}")
+        _check_numbers(box, sphere)
+        sweep_beside(out)
+        whole = load_gaussians(source)
+        result = open_result(source, scene=scene) if is_begun(source) or scene is not None else None
+        kinds = _judged(whole, result)
+        kinds["cropped"] = _outside(whole, result, source, crop_to_cameras, box, sphere) & ~np.any(
+            list(kinds.values()), 0
+        )
+        taken = np.any(list(kinds.values()), axis=0)
+        if taken.all():
+            raise InputError(f"{source}: none of its {len(taken)} Gaussians would be left")
+        report: dict[str, Any] = {"gaussians": int((~taken).sum()), **{kind: int(kinds[kind].sum()) for kind in KINDS}}
+        place = stated_place(_file_of(source))
+        picture = _picture(result, taken, out) if result is not None and taken.any() else None
+        if taken.any():
+            # What is taken out is on the disk before it is gone elsewhere, see `_is_unfinished`.
+            _beside(out).unlink(missing_ok=True)
+            rows = {kind: np.flatnonzero(kinds[kind]) for kind in KINDS}
+            json_files.write(_rows_beside(out), {"about": "rows of the Gaussians before", "count": len(taken), **rows})
+            save_gaussians(take(whole, taken), _beside(out), place)
+        save_gaussians(take(whole, ~taken), out, place)  # Last: from now on it is cleaned.
+        return report | {"removed": str(_beside(out)) if taken.any() else None, "picture": picture}
 
 
 def undo(source: str | Path) -> dict[str, Any]:
@@ -107,24 +113,30 @@ def undo(source: str | Path) -> dict[str, Any]:
         InputError: Nothing was taken out, or the file is another one by now.
     """
     file = _file_of(Path(source))
-    if not _beside(file).exists():
-        raise InputError(f"{file}: nothing was taken out of it; there is no {_beside(file)}")
-    if _is_unfinished(file):
-        return {"gaussians": _forget(file), "back": 0}
-    before, rows = _told(file)
-    left, removed = load_gaussians(file), load_gaussians(_beside(file))
-    count = left.num_gaussians + removed.num_gaussians
-    if count != before or len(np.unique(rows)) != removed.num_gaussians or rows[-1] >= count or rows[0] < 0:
-        raise InputError(f"{file}: is not the file any more that {_beside(file)} was taken out of")
-    order = np.empty(count, int)
-    order[rows] = left.num_gaussians + np.arange(len(rows))
-    order[np.setdiff1d(np.arange(count), rows)] = np.arange(left.num_gaussians)
-    save_gaussians(take(concatenate([left, removed]), order), file, stated_place(file))
-    return {"gaussians": _forget(file), "back": len(rows)}
+    with _kept_alone(file):
+        if not _beside(file).exists():
+            raise InputError(f"{file}: nothing was taken out of it; there is no {_beside(file)}")
+        if _is_unfinished(file):
+            return {"gaussians": _forget(file), "back": 0}
+        before, rows = _told(file)
+        left, removed = load_gaussians(file), load_gaussians(_beside(file))
+        count = left.num_gaussians + removed.num_gaussians
+        if count != before or len(np.unique(rows)) != removed.num_gaussians or rows[-1] >= count or rows[0] < 0:
+            raise InputError(f"{file}: is not the file any more that {_beside(file)} was taken out of")
+        order = np.empty(count, int)
+        order[rows] = left.num_gaussians + np.arange(len(rows))
+        order[np.setdiff1d(np.arange(count), rows)] = np.arange(left.num_gaussians)
+        save_gaussians(take(concatenate([left, removed]), order), file, stated_place(file))
+        return {"gaussians": _forget(file), "back": len(rows)}
 
 
 def _file_of(source: Path) -> Path:
     return source / "gaussians.ply" if source.is_dir() else source
+
+
+def _kept_alone(file: Path) -> AbstractContextManager[None]:
+    """Keeps the run that a file is of for this process; any other file needs no such care."""
+    return lock_folder(file.parent) if is_begun(file.parent) else nullcontext()
 
 
 def _beside(file: Path) -> Path:

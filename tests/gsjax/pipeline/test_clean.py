@@ -10,6 +10,7 @@ from gsjax.errors import InputError
 from gsjax.gaussians import concatenate, take
 from gsjax.io import json_files
 from gsjax.io.gaussian_files import load_gaussians
+from gsjax.io.locks import lock_folder
 from gsjax.io.ply import write_gaussians
 from gsjax.pipeline.clean import clean, undo
 from gsjax.runs.result import write_views
@@ -94,6 +95,16 @@ def test_a_cleaning_or_an_undoing_that_was_stopped_is_done_again(run):
     file.write_bytes(whole)
     assert undo(run)["back"] == 0
     assert file.read_bytes() == whole and not list(run.glob("*.removed.*"))
+
+
+def test_a_run_that_another_process_works_on_is_left_alone(run):
+    before = {file: file.read_bytes() for file in run.iterdir()}
+    with lock_folder(run), pytest.raises(InputError, match="another process is at work"):
+        clean(run)
+    assert {file: file.read_bytes() for file in run.iterdir() if file.name != ".lock"} == before
+    clean(run, run / "other/clean.ply")  # Which nobody else works on.
+    with lock_folder(run), pytest.raises(InputError, match="another process is at work"):
+        undo(run)
 
 
 def test_a_file_without_cameras_loses_what_hangs_on_nothing(run, tmp_path):
