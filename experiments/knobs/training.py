@@ -10,7 +10,8 @@ from terms import TERMS
 from gsjax import pipeline, runs
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.scoring.surfaces import score_surface
-from gsjax.settings import PLAIN, SIMULATED
+from gsjax.settings import SIMULATED
+from gsjax.training.terms import weigh_terms
 from knobs.knob import Knob, Measured, Place
 
 _STEPS = (2, 1, 0.5, 0.25)  # times a config's
@@ -34,9 +35,10 @@ def knobs_of(config: Mapping[str, Any]) -> dict[str, Knob]:
         return {"phases": [first, {**vanilla, "steps": steps - small}, surface]}
 
     def rarer(count: int) -> dict[str, Any]:
-        """R in one of so many steps, and as many times as strong."""
-        weights = {name: w if name in PLAIN else count * w for name, w in surface["weights"].items()}
-        return with_surface(surface_every=count, weights=weights)
+        """R in one of so many steps, and as many times as strong; what costs no time stays in every step."""
+        times = count / surface.get("surface_every", 1)
+        dear = {each.name: times * each.weight for each in weigh_terms(surface["weights"]) if each.is_dear}
+        return with_surface(surface_every=count, weights={**surface["weights"], **dear})
 
     values: dict[str, dict[str, dict[str, Any]]] = {
         "Gaussians": {f"{round(f * most):,}": {"max_gaussians": round(f * most)} for f in (2, 1, 0.5, 0.25, 0.125)},

@@ -6,9 +6,9 @@
 Every variant is the config's plain phases, then a surface phase whose loss has one regulariser more. Weights are those
 of the authors, whose photometric loss is ours (0.8 L1 + 0.2 D-SSIM): 0.2 for SuGaR's pair of terms in either mode, 0.05
 for 2DGS's depth-normal consistency; 0.2, the paper's, for all that align something with normals, DN-Splatter's axes
-among them, and at the pixels also 0.1, the least that the paper has. SuGaR and 2DGS see no normals. `ours, demo` is the
-demo's mix (docs/deviations.md says why there is one). SuGaR and the paper have an entropy phase and a cull before,
-which short runs do not bear; no variant has them.
+among them, and at the pixels also 0.1, the least that the paper has. SuGaR and 2DGS see no normals. `ours, mix` has R
+at the means and at the pixels, in every step, and `thickness`. SuGaR and the paper have an entropy phase and a cull
+before, which short runs do not bear; no variant has them.
 
 Each surface phase has as many steps as take the time of the mix, by what a step costs (`STEP_COSTS`): what else a
 machine does decides nothing. Depth is read in front by all.
@@ -17,11 +17,10 @@ machine does decides nothing. Depth is read in front by all.
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from gsjax.settings import DEMO
 from gsjax.training.terms import TERMS as OURS
 
 ON = "demo"
-MIX = "ours, demo"
+MIX = "ours, mix"
 
 
 class Method(NamedTuple):
@@ -42,7 +41,7 @@ WEIGHTS: dict[str, dict[str, float]] = {
     "ours, sdf_normal": {"sdf_normal": 0.2},
     "ours, pixel_normal": {"pixel_normal": 0.2},
     "ours, pixel_normal 0.1": {"pixel_normal": 0.1},
-    MIX: DEMO["phases"][-1]["weights"],
+    MIX: {"sdf_normal": 0.1, "pixel_normal": 0.4, "thickness": 0.02},
 }
 _COSTS = {
     "demo": (1.00, 4.47, 3.08, 2.25, 1.80, 2.29, 1.48, 1.48, 2.40),

@@ -18,7 +18,7 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
     *plain, surface = config["phases"]
 
     def weighted(weight: float) -> dict[str, Any]:
-        phases = [*plain, {**surface, "weights": {"sdf_normal": weight}}]
+        phases = [*plain, {**surface, "weights": {"sdf_normal": weight}, "surface_every": 1}]
         return {"phases": phases, "normals": "{scene}/normals"}
 
     return {

@@ -24,12 +24,13 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
     def without(*names: str) -> dict[str, Any]:
         """A surface phase of these terms, without normals."""
         weights = flat | {name: _TERMS[name] for name in names}
-        return {"phases": [*plain, {**surface, "weights": weights}]}
+        return {"phases": [*plain, {**surface, "weights": weights, "surface_every": 1}]}
 
     def beside(*names: str) -> dict[str, Any]:
         """The config's surface phase with true normals, and these terms."""
         weights = surface["weights"] | {name: _TERMS[name] for name in names}
-        return {"phases": [*plain, {**surface, "weights": weights}], "normals": "{scene}/normals"}
+        phases = [*plain, {**surface, "weights": weights, "surface_every": 1}]
+        return {"phases": phases, "normals": "{scene}/normals"}
 
     return {
         "no term": without(),

@@ -24,7 +24,7 @@ _METHODS = {
     "ours": "ours, sdf_normal",
     "ours, pixels": "ours, pixel_normal",
     "ours, pixels in every 4th step": "ours, pixel_normal in every 4th step",
-    "ours, demo": "ours, demo",
+    "ours, mix": "ours, mix",
     "DN-Splatter": "DN-Splatter, axis_normal",
 }
 

@@ -108,3 +108,15 @@ def test_the_settings_of_training_are_settings(script, config):
         steps = 0.1 * max(phase["steps"] for phase in whole["phases"])
         assert max(phase.steps for settings in seen for phase in settings.phases) <= 2 * steps
         assert min(abs(total_steps(settings) - 0.1 * sum(p["steps"] for p in whole["phases"])) for settings in seen) < 3
+
+
+def test_r_in_fewer_steps_is_as_much_stronger_and_what_costs_no_time_stays(script):
+    from knobs import training
+    from train import load_settings
+
+    knob = training.knobs_of(to_dict(load_settings("demo")))["R"]
+    surfaces = {label: difference["phases"][-1] for label, difference in knob.values.items()}
+    assert [phase["surface_every"] for phase in surfaces.values()] == [1, 2, 4]
+    acting = [phase["weights"]["pixel_normal"] / phase["surface_every"] for phase in surfaces.values()]
+    assert acting == pytest.approx([acting[0]] * 3, rel=1e-12)
+    assert {phase["weights"]["thickness"] for phase in surfaces.values()} == {0.02}

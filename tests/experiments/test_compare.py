@@ -79,7 +79,7 @@ def test_every_baseline_takes_the_time_of_the_mix(compare, on, mix, time):
     sugar = {"demo": 4.47, "bunny_plane": 5.09}.get(on, 4.47)
     variants = compare.load_study("baselines", on).variants
     surface = {name: change["phases"][-1] for name, change in variants.items()}
-    assert surface["ours, demo"]["steps"] == time
+    assert surface["ours, mix"]["steps"] == time
     assert surface["vanilla"]["steps"] == round(mix * time)
     assert surface["SuGaR, sdf"]["steps"] == round(mix * time / sugar)
     assert {change["depth_mode"] for change in variants.values()} == {"front"}

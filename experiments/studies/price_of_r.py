@@ -1,0 +1,32 @@
+"""What does R cost in pictures, and which weights have its normals and meshes for the least?
+
+    python experiments/compare.py price_of_r --scene runs/demo/scene --out DIR --seeds 3
+
+After the config's plain phases: plain steps, the mix of R in every step, and R at the pixels in every fourth step with
+`thickness`, all for the same steps; the last also for the time of the plain ones. True normals.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from studies.baselines import MIX, WEIGHTS, Method, at_equal_time
+
+ON = "demo"
+_COST = 1.61  # of a step with R at the pixels, in plain ones (`native` backend, AMD EPYC without AVX-512)
+_THICKNESS = 0.02
+
+
+def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
+    """Plain training, the mix, and every weight."""
+    del on
+
+    def rarely(weight: float, cost: float) -> Method:
+        return Method(cost, {"pixel_normal": weight, "thickness": _THICKNESS}, every=4)
+
+    methods = {
+        "plain": Method(1, {}),
+        "mix": Method(1, WEIGHTS[MIX]),
+        **{f"{weight:g}": rarely(weight, 1) for weight in (0.25, 0.3, 0.4)},
+        **{f"{weight:g}, the time of plain": rarely(weight, _COST) for weight in (0.2, 0.3)},
+    }
+    return at_equal_time(config["phases"], methods, 1)
