@@ -11,7 +11,10 @@ TITLE = "A disk without room"
 COLUMNS = "Command", "Its output", "Held"
 TIMES = 3
 PAGE = 4096  # A file takes whole ones.
-MOUNTED = 'mount -t tmpfs -o size=$0 none full && "$@"; code=$?; echo >&2; find full -name ".*.gsjax-*" >&2; exit $code'
+MOUNTED = """
+mount -t tmpfs -o size=$(($0 + 4096)) none full && head -c 4096 /dev/zero > full/taken && "$@"
+code=$?; echo >&2; find full -name ".*.gsjax-*" >&2; exit $code
+"""
 """Runs a command with a small disk in `full`, and tells what of a writer is left there afterwards."""
 
 
@@ -25,7 +28,7 @@ def _filled(folder: Path, name: str) -> list[str]:
     whole(folder, name)
     size = _size(folder / COMMANDS[name].out)
     chance = random.Random(name)
-    sizes = [chance.randrange(PAGE, max(2 * PAGE, size), PAGE) for _ in range(TIMES)]
+    sizes = [chance.randrange(0, size, PAGE) for _ in range(TIMES)]
     return [f"{size / 1e3:,.0f} kB", f"{sum(_held(folder, name, room) for room in sizes)} of {TIMES}"]
 
 
