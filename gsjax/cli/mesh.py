@@ -25,8 +25,10 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
     add("--out", metavar="FILE", required=True, help="the mesh; .ply, .obj or .glb by its suffix")
-    add("--method", choices=("poisson", "depth", "tsdf", "centers", "marching-cubes"),
-        help="poisson (default): points of the level set; depth: of the rendered depth, flatter; "
+    add("--method", choices=("auto", "poisson", "depth", "tsdf", "centers", "marching-cubes"),
+        help="poisson (default): points of the level set; "
+        "auto: of this and the next three, the one that agrees most with the points that photos have in common; "
+        "depth: of the rendered depth, flatter; "
         "tsdf: fusion of that depth, open where nothing was seen; "
         "centers: Poisson through the Gaussians' centres; marching-cubes: of the density, needs no views")  # fmt: skip
     add("--depth", type=int, metavar="N", help="depth of the Poisson octree: one more doubles the resolution")
@@ -41,7 +43,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--foreground-only", action="store_const", const=True, help="no background, whatever there is")
     add("--faces", type=int, metavar="N", help="most triangles, of the foreground and of the background each")
     add("--unsettled", dest="settled", action="store_const", const=False,
-        help="leave the surface where the Gaussians have it; opens no photo")  # fmt: skip
+        help="leave the surface where the Gaussians have it")  # fmt: skip
     add("--fill-holes", dest="holes_filled", action="store_const", const=True,
         help="close holes where two views show a surface; what nobody saw stays open")  # fmt: skip
     add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a file is given")

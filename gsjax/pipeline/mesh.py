@@ -10,14 +10,17 @@ from typing import Any
 
 import numpy as np
 
+from gsjax import tables
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, without_view_dependence
 from gsjax.io.machine import require_memory
 from gsjax.io.scenes import load_scene
 from gsjax.io.temporaries import sweep_beside
+from gsjax.mesh import Mesh
 from gsjax.meshing import boxes, level_set, trimming
 from gsjax.meshing.boxes import Box, Regions
+from gsjax.meshing.choosing import Choice, most_agreeing
 from gsjax.meshing.depth_points import NormalsOfDepth, depth_poisson
 from gsjax.meshing.export import supported_suffix, write_mesh
 from gsjax.meshing.extract import extract_mesh
@@ -26,6 +29,7 @@ from gsjax.meshing.marching_cubes import marching_cubes
 from gsjax.meshing.methods import Method, centers_poisson, level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.settling import settle
+from gsjax.meshing.sightlines import sightlines_of
 from gsjax.meshing.topology import topology
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
@@ -33,20 +37,23 @@ from gsjax.render.shown_depths import ShownDepth, noting
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.prior import reduction_for
 from gsjax.runs.result import Result, open_result, scene_of_run, training_pictures
-from gsjax.scene import Frame
+from gsjax.runs.run import Run
+from gsjax.scene import Scene
 from gsjax.similarity import Similarity
 
 REACH = 3.0  # standard deviations of a Gaussian, within which it may make surface in a box
 MOST_CELLS = 2**16  # along a side; of a surface alone they are tens of gigabytes
 BYTES_PER_POINT = 24  # of the surface: place and normal, at the least
 METHODS = ("poisson", "depth", "tsdf", "centers", "marching-cubes")
+AUTO, CANDIDATES, USUAL = "auto", ("poisson", "depth", "tsdf", "centers"), "poisson"  # the last where no tracks tell
+FEWEST_LINES = 100  # of sight, that tell one method from another
 
 
 def mesh(
     source: str | Path,
     out: str | Path,
     *,
-    method: str = "poisson",
+    method: str = USUAL,
     level: float = 0.3,
     points: int | None = None,
     depth: int | None = None,
@@ -68,8 +75,11 @@ def mesh(
     Args:
         source: Run folder or .ply.
         out: Mesh file; .ply, .obj or .glb.
-        method: "poisson" through points of the level set, "depth" through those of the rendered depth, "centers"
-            through the Gaussians' centres, "tsdf" fusion of the rendered depth, "marching-cubes" of the density.
+        method: "poisson" through points of the level set, "depth" through those of the rendered depth, "tsdf" fusion of
+            the rendered depth, "centers" through the Gaussians' centres, "marching-cubes" of the density. "auto": of
+            the first four the one whose mesh agrees most with the tracks of structure from motion
+            (`gsjax.meshing.sightlines`); "poisson" where there are none, and of a run with an entropy phase, which is
+            made for the level set.
         level: Density at which the surface lies ("poisson", "marching-cubes").
         points: Most surface points ("poisson", "depth"). None: an eighth of the pixels, 200,000 to 10 million.
         depth: Of the Poisson octree ("poisson", "depth", "centers"). None: chosen from the sizes of the Gaussians.
@@ -85,8 +95,9 @@ def mesh(
         holes_filled: Whether holes are closed where the views show a surface (`gsjax.meshing.holes`).
 
     Returns:
-        A report of plain numbers: `vertices`, `faces`, what `extract_mesh` says, and `settled` and `holes`: what
-        `settle` and `fill_holes` say, or None where it was not done.
+        A report of plain numbers: `vertices`, `faces`, `method`, what `extract_mesh` says; `tried`: the shares and
+        seconds of `most_agreeing` for every method that was tried to choose one; `settled` and `holes`: what `settle`
+        and `fill_holes` say, or None where it was not done.
 
     Raises:
         InputError: Nothing to mesh, or a file cannot be read or written.
@@ -105,43 +116,73 @@ def mesh(
         means = similarity.points_to_world(np.asarray(result.gaussians.means))
         _check_cell(cell, means if bounds is None else np.reshape(bounds, (2, 3)))
         cell = similarity.length_to_local(cell)
-    cameras, pictures = training_pictures(
-        result, without_view_dependence(result.gaussians), result.background, with_owners=True
-    )
+    data = _data_set(Path(source), scene) if settled or method == AUTO else None
     shown: list[ShownDepth] = []
-    noted = noting(cameras, pictures, shown) if holes_filled else pictures
-    surface, report = extract_mesh(
-        result.gaussians,
-        cameras,
-        noted,
-        method=_method(method, result, cameras, level, points, depth, trim_quantile, cell),
-        regions=_regions(kept, foreground_only),
-        max_faces=faces,
-        similarity=similarity,
-    )
-    if holes_filled:
-        for _ in noted:  # What the method has not looked at.
+
+    def extract(name: str) -> tuple[Mesh, dict]:
+        cameras, pictures = training_pictures(
+            result, without_view_dependence(result.gaussians), result.background, with_owners=True
+        )
+        shown.clear()
+        noted = noting(cameras, pictures, shown) if holes_filled else pictures
+        found = extract_mesh(
+            result.gaussians,
+            cameras,
+            noted,
+            method=_method(name, result, cameras, level, points, depth, trim_quantile, cell),
+            regions=_regions(kept, foreground_only),
+            max_faces=faces,
+            similarity=similarity,
+        )
+        for _ in noted if holes_filled else ():  # What the method has not looked at.
             pass
+        return found
+
+    choice = (
+        _chosen(extract, Path(source), data, kept) if method == AUTO else Choice(method, *extract(method), tried={})
+    )
+    surface, report = choice.mesh, choice.report
+    if holes_filled:
         surface, closed = fill_holes(surface, shown)
         report |= {"holes": asdict(closed), "topology": asdict(topology(surface))}
-    photos = _photos(Path(source), scene) if settled else ()
-    if photos:
-        surface, report["settled"] = settle(surface, photos)
+    if settled and data is not None:
+        surface, report["settled"] = settle(surface, data.train_frames)
     write_mesh(out, similarity.mesh_to_world(surface), result.place)
-    return {"vertices": len(surface.vertices), "faces": len(surface.faces), "settled": None, "holes": None, **report}
+    sizes = {"vertices": len(surface.vertices), "faces": len(surface.faces)}
+    return {**sizes, "method": choice.method, "tried": choice.tried, "settled": None, "holes": None, **report}
 
 
-def _photos(source: Path, scene: str | Path | None) -> Sequence[Frame]:
-    """The training photos of a run or of `scene`; none, and one line, where a run's have gone."""
+def _data_set(source: Path, scene: str | Path | None) -> Scene | None:
+    """The data set of a run, or `scene`; None, and one line, where a run's photos have gone."""
     if scene is not None:
-        return load_scene(scene).train_frames
+        return load_scene(scene)
     if not source.is_dir():
-        return ()
+        return None
     try:
-        return scene_of_run(source).train_frames
+        return scene_of_run(source)
     except InputError as error:
-        print(f"mesh: did not settle on its photos: {error}", file=sys.stderr)
-        return ()
+        print(f"mesh: goes on without its photos: {error}", file=sys.stderr)
+        return None
+
+
+def _chosen(
+    extract: Callable[[str], tuple[Mesh, dict]], source: Path, data: Scene | None, kept: Sequence[Box]
+) -> Choice:
+    """The method that agrees most with the data set's tracks, with those that end in the boxes where any are given."""
+    lines = None if data is None or _made_for_the_level_set(source) else sightlines_of(data)
+    if lines is not None and kept:
+        lines = lines.within(kept)
+    if lines is None or len(lines) < FEWEST_LINES:
+        return Choice(USUAL, *extract(USUAL), tried={})
+    choice = most_agreeing({name: partial(extract, name) for name in CANDIDATES}, lines)
+    print(f"mesh: {choice.method}, by {len(lines):,} lines of sight to matched points", file=sys.stderr)
+    print(tables.compare(choice.tried), file=sys.stderr)
+    return choice
+
+
+def _made_for_the_level_set(source: Path) -> bool:
+    """Whether this is a run with an entropy phase, which leaves Gaussians that are opaque or nothing (SuGaR)."""
+    return source.is_dir() and any("entropy" in phase["terms"] for phase in Run(source).plan["phases"])
 
 
 def _method(
@@ -167,7 +208,7 @@ def _method(
         "marching-cubes": partial(marching_cubes, level=level, cell=cell),
     }
     if name not in makers:
-        raise InputError(f"--method {name} is none of {', '.join(METHODS)}")
+        raise InputError(f"--method {name} is none of {', '.join((AUTO, *METHODS))}")
     return makers[name]()
 
 

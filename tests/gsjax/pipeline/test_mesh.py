@@ -110,7 +110,7 @@ def test_where_photos_are_masked_no_triangle_grows(lumpy, method, tmp_path):
 @pytest.mark.parametrize(
     ("options", "fault"),
     [
-        ({"method": "nurbs"}, "--method nurbs is none of poisson, depth, tsdf, centers, marching-cubes"),
+        ({"method": "nurbs"}, "--method nurbs is none of auto, poisson, depth, tsdf, centers, marching-cubes"),
         ({"level": 1.5}, "--level 1.5"),
         ({"trim_quantile": 1.0}, "--trim-quantile 1.0"),
         ({"points": 0}, "--points 0"),

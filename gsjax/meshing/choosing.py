@@ -1,0 +1,50 @@
+"""Which of several ways to a mesh suits a scene: the one that agrees most with what structure from motion saw."""
+
+import time
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from gsjax.errors import NoSurfaceError
+from gsjax.mesh import Mesh
+from gsjax.meshing.sightlines import Sightlines, agreement
+
+Extract = Callable[[], tuple[Mesh, dict]]
+"""Makes a mesh, and plain numbers about it."""
+
+
+class Choice(NamedTuple):
+    """The way that was chosen, and how it compares."""
+
+    method: str
+    mesh: Mesh
+    report: dict  # of its extraction
+    tried: dict[str, dict]  # method's name -> the shares of its `Agreement`, and the `seconds` that its mesh took
+
+
+def most_agreeing(methods: Mapping[str, Extract], lines: Sightlines) -> Choice:
+    """The mesh that most sightlines meet at their point; a method that finds no surface is passed by.
+
+    Args:
+        methods: By name.
+        lines: At least one.
+
+    Raises:
+        InputError: No method finds a surface; or as they do.
+    """
+    tried: dict[str, dict] = {}
+    best: tuple[str, Mesh, dict] | None = None
+    faults = []
+    for name, extract in methods.items():
+        started = time.perf_counter()
+        try:
+            mesh, report = extract()
+        except NoSurfaceError as fault:
+            faults.append(fault)
+            continue
+        found = agreement(mesh, lines)
+        tried[name] = found._asdict() | {"seconds": round(time.perf_counter() - started, 1)}
+        if best is None or found.met > tried[best[0]]["met"]:  # Of equals the first; one mesh at a time is kept.
+            best = name, mesh, report
+    if best is None:
+        raise faults[0]
+    return Choice(*best, tried)

@@ -1,0 +1,92 @@
+"""What structure from motion says of a mesh: a photo sees a point that was matched in it, and nothing before it.
+
+The point of a track lies on a surface, and the line to it from every photo of it is free. So a mesh shows that lacks a
+wall, that has a lump before it or that lies beside it. No method of meshing looks at tracks; but Gaussians begin at
+their points, so a very short run may still have some there. And where there is no texture there are no tracks.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from gsjax.cameras import viewmat_center
+from gsjax.mesh import Mesh
+from gsjax.meshing.boxes import Box
+from gsjax.meshing.rays import ray_caster
+from gsjax.scene import Scene, tracks_by_name
+
+LEAST_PHOTOS = 3  # A match of two photos may be wrong and still fit.
+LARGEST_ERROR = 3.0  # median reprojection errors, beyond which an observation is not used
+SAME_SURFACE = 0.01  # share of the distance from the photo, up to which a mesh lies where the point does
+
+
+@dataclass(frozen=True)
+class Sightlines:
+    """O straight lines from photos to points that were matched in them, world."""
+
+    origins: np.ndarray  # [O, 3] float64 centres of the photos' cameras
+    points: np.ndarray  # [O, 3] float64 where the lines end
+
+    def __len__(self) -> int:
+        """How many there are."""
+        return len(self.points)
+
+    def within(self, boxes: Sequence[Box]) -> "Sightlines":
+        """Those that end in one of the boxes."""
+        inside = np.any([box.contains(self.points) for box in boxes], axis=0)
+        return Sightlines(self.origins[inside], self.points[inside])
+
+
+class Agreement(NamedTuple):
+    """Shares of the sightlines, which add up to 1, by what a mesh makes of them."""
+
+    met: float  # at their point
+    nothing: float  # the line meets no surface, however long it is made
+    before: float  # something stands in the line
+    behind: float  # the line meets a surface only beyond its point
+
+
+def sightlines_of(scene: Scene) -> Sightlines:
+    """The lines of all tracks of three photos and more; observations that fit their point badly are left out.
+
+    Held-out photos count too: their tracks were never trained on.
+
+    Args:
+        scene: A loaded data set; without tracks there are no lines.
+
+    Raises:
+        InputError: The tracks cannot be read, or name points that the scene does not have.
+    """
+    by_name, every = tracks_by_name(scene), scene.points.astype(np.float64)
+    photos = np.zeros(len(every), int)
+    for ids, _ in by_name.values():
+        photos += np.bincount(ids, minlength=len(every))
+    origins, points, errors = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0)]
+    for frame in scene.frames:
+        ids, rays = by_name.get(frame.name, (np.zeros(0, int), np.zeros((0, 2))))
+        viewmat, focals = frame.viewmat.astype(np.float64), frame.K[[0, 1], [0, 1]]
+        local = every[ids] @ viewmat[:3, :3].T + viewmat[:3, 3]
+        kept = (local[:, 2] > 0) & (photos[ids] >= LEAST_PHOTOS)
+        shown = local[kept, :2] / local[kept, 2:]
+        points.append(every[ids[kept]])
+        origins.append(np.broadcast_to(viewmat_center(viewmat), points[-1].shape))
+        errors.append(np.linalg.norm((shown - rays[kept]) * focals, axis=1))
+    off = np.concatenate(errors)
+    fits = off <= LARGEST_ERROR * np.median(off) if len(off) else np.zeros(0, bool)
+    return Sightlines(np.concatenate(origins)[fits], np.concatenate(points)[fits])
+
+
+def agreement(mesh: Mesh, lines: Sightlines) -> Agreement:
+    """What a mesh makes of the sightlines: what each of them meets first, whichever side of it.
+
+    Args:
+        mesh: The surface.
+        lines: At least one.
+    """
+    shares = ray_caster(mesh)(lines.origins, lines.points - lines.origins).distances  # 1: at the point
+    nothing, before, behind = ~np.isfinite(shares), shares < 1 - SAME_SURFACE, shares > 1 + SAME_SURFACE
+    parts = {"nothing": nothing, "before": before, "behind": behind & ~nothing}
+    found = {name: float(part.mean()) for name, part in parts.items()}
+    return Agreement(met=1 - sum(found.values()), **found)
