@@ -12,6 +12,7 @@ from gsjax.effects import (
     mip,
     poses,
     sh_degree,
+    sky,
     transients,
     vignetting,
 )
@@ -28,6 +29,7 @@ class Diagnosis:
     seen: Observations
     gains: exposure.Gains | None
     steps: tuple[poses.Step | None, ...]  # a frame
+    sky: sky.Masks
 
     def record(self) -> dict[str, Any]:
         """Plain values for a file: `effects` by name, and `photos` with their gains in EV, sharpness and pose step.
@@ -63,16 +65,18 @@ def diagnose(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fra
         InputError: A photo or the tracks cannot be read.
     """
     seen = observe(scene, progress=progress)
+    masks = sky.find(seen)
     gains, steps = exposure.estimate(seen), poses.gauss_newton_steps(seen)
     effects = {
         "exposure": exposure.judge(seen, gains),
         "vignetting": vignetting.judge(seen, gains),
         "sh_degree": sh_degree.judge(seen, gains),
         "background": background.judge(seen),
+        "sky": sky.judge(seen, masks),
         "poses": poses.judge(seen, steps),
         "transients": transients.judge(seen, gains),
         "mip": mip.judge(seen),
         "blur": blur.judge(seen),
         "distortion": distortion.judge(seen),
     }
-    return Diagnosis(effects, seen, gains, steps)
+    return Diagnosis(effects, seen, gains, steps, masks)

@@ -20,7 +20,10 @@ SKY_BRIGHT, SKY_SMOOTH = 0.5, 0.02  # Of a pixel that may be sky: its luminance,
 SKY_CLEAR = 0.1  # of the width: nothing was matched nearer to it
 MOST_POINTS = 3000  # whose colours are looked at, and
 POINTS_PER_PHOTO = 40  # where there are many photos
-GRID = 48  # places along a photo's longer side where sky is looked for
+GRID = 48  # places along a photo's longer side where what is bright and bare is looked for
+EVEN_GRID = 320  # most places along it where a photo is looked at for being even:
+EVEN_STEP = 0.06  # so far the places around it differ at most, in any channel
+UNUSABLE, UNEVEN, EVEN = 0, 1, 2
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
@@ -34,6 +37,7 @@ class PhotoFacts(NamedTuple):
     sky_spread: float  # standard deviation of them, of the channel that has most
     has_matte: bool
     lost_share: float  # of the photo's pixels, by undistortion
+    even: np.ndarray  # [h, w] uint8 by place of a grid of `even_stride` pixels: UNUSABLE, UNEVEN or EVEN
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,11 @@ def _look(frame: Frame, keypoints: np.ndarray, looked_at: np.ndarray, lost: floa
         usable = usable & (matte > 254)
     luminance = image.astype(np.float32) @ _LUMINANCE.astype(np.float32)
     facts = PhotoFacts(
-        _sharpness(luminance, usable), *_sky(image, luminance, usable, keypoints), matte is not None, lost
+        _sharpness(luminance, usable),
+        *_sky(image, luminance, usable, keypoints),
+        matte is not None,
+        lost,
+        _even(image, usable),
     )
     return _blurred_at(image, usable, looked_at), facts
 
@@ -176,6 +184,23 @@ def _sky(
         sky &= distance * step > SKY_CLEAR * width
     colors = image[grid][sky] / 255.0 if sky.any() else np.zeros((1, 3))
     return float(sky.sum() / max(usable[grid].sum(), 1)), colors.mean(0), float(colors.std(0).max())
+
+
+def even_stride(width: int, height: int) -> int:
+    """Pixels along the side of a place where a photo is looked at for being even."""
+    return max(1, -(-max(width, height) // EVEN_GRID))
+
+
+def _even(image: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """`PhotoFacts.even`, from the mean colours of the places."""
+    stride = even_stride(image.shape[1], image.shape[0])
+    height, width = image.shape[0] // stride, image.shape[1] // stride
+    blocks = image[: height * stride, : width * stride].reshape(height, stride, width, stride, 3)
+    colors = blocks.mean(axis=(1, 3), dtype=np.float32)
+    step = ndimage.maximum_filter(colors, (3, 3, 1)) - ndimage.minimum_filter(colors, (3, 3, 1))
+    whole = usable[: height * stride, : width * stride].reshape(height, stride, width, stride).all(axis=(1, 3))
+    even = np.where(step.max(axis=-1) < 255 * EVEN_STEP, np.uint8(EVEN), np.uint8(UNEVEN))
+    return np.where(whole, even, np.uint8(UNUSABLE))
 
 
 def _lost(frame: Frame, known: dict[tuple, float]) -> float:

@@ -1,0 +1,173 @@
+"""Where photos show open sky: even, above the horizon, open to the photo's upper border, and without any matched point.
+
+A sky is no surface, yet any Gaussian of its colour explains a photo of it. A wall is as even, and a backdrop as far
+from anything matched; but both go on below the horizon, and points are matched on what stands before them. So what is
+told here is told of whole regions, by all points of the scene, and by several photos that look the same way.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from gsjax.cameras import landing
+from gsjax.effects.evidence import Evidence, photo_cost, unknown
+from gsjax.effects.observations import EVEN, UNUSABLE, Observations, even_stride
+from gsjax.scene import Frame
+
+THRESHOLD = 0.25  # of the photos
+FEWEST = 2  # photos
+OPEN = 0.05  # of a photo's pixels, and
+OPEN_BORDER = 0.4  # of its upper border, in the photos that say that there is a sky;
+LEAST = 0.003  # of a photo's pixels, of any region of the sky once there is one
+UPPER = 0.15  # of the elevations that a photo spans: the upper border is what lies so near to its highest
+BELOW = (-5.0, 0.05)  # degrees of elevation, and the share of a region that may lie lower
+POINTS = (0.05, 10.0)  # of the points that a region so large would have, that a sky has at most; fewest of the latter
+ALIKE = 0.3  # of a region, which another photo has as sky in the same directions
+CELLS = 10  # to the unit, by which directions are compared: 6 degrees
+UPRIGHT = 0.5  # length of the mean of the cameras' upward axes, under which they tell no up
+TILT = 0.05  # weight of that mean beside the cameras' level axes
+PASSES = 1  # over the coverage of a photo
+MOST_INSIDE = 0.5  # of the photos that have a point in view, beyond which it lies in their sky
+
+Masks = Mapping[str, np.ndarray]
+"""Frame's name -> `[H, W]` bool, True where it shows sky; photos without sky have none."""
+
+
+def find(seen: Observations) -> Masks:
+    """Where the photos show sky; empty where they do not show one, and where cameras or points cannot tell."""
+    up = upwards(seen.frames)
+    if up is None or not len(seen.points) or any(facts.has_matte for facts in seen.facts):
+        return {}
+    views = [_view(frame, facts.even, seen.points, up) for frame, facts in zip(seen.frames, seen.facts, strict=True)]
+    typical = float(np.median([view.points.sum() / max(view.usable.sum(), 1) for view in views]))
+    found = [_regions(view, typical) for view in views]
+    counts: dict[int, int] = {}
+    for view, regions in zip(views, found, strict=True):
+        for cell in np.unique(view.cells[np.any(regions, axis=0)]) if regions else ():
+            counts[cell] = counts.get(cell, 0) + 1
+    masks, strong = {}, 0
+    for frame, view, regions in zip(seen.frames, views, found, strict=True):
+        shared = np.isin(view.cells, [cell for cell, count in counts.items() if count >= FEWEST])
+        kept = [region for region in regions if shared[region].mean() >= ALIKE]
+        if kept:
+            masks[frame.name] = _full_size(np.any(kept, axis=0), frame)
+            strong += any(_is_plain(region, view) for region in kept)
+    return masks if strong >= max(FEWEST, THRESHOLD * len(views)) else {}
+
+
+def judge(seen: Observations, masks: Masks) -> Evidence:
+    """On where `find` found a sky."""
+    cost = photo_cost(seen.frames, PASSES, 0, "what covers the sky")
+    if any(facts.has_matte for facts in seen.facts):
+        return Evidence(False, 0.0, "share of photos", 0.0, THRESHOLD, cost, "mattes tell what is behind the object")
+    if not seen.tracked:
+        return unknown("share of photos", THRESHOLD, cost, "without tracks a sky is no different from a wall")
+    if upwards(seen.frames) is None:
+        return unknown("share of photos", THRESHOLD, cost, "the cameras do not tell where up is")
+    value = len(masks) / len(seen.frames)
+    noise = float(np.sqrt(value * (1 - value) / len(seen.frames)))
+    return Evidence(bool(masks), value, "share of photos", noise, THRESHOLD, cost, told(masks, seen.frames))
+
+
+def told(masks: Masks, frames: Sequence[Frame]) -> str:
+    """One line: how many photos show sky, and how much of it."""
+    if not masks:
+        return "no sky"
+    share = np.mean([mask.mean() for mask in masks.values()])
+    return f"sky in {len(masks)} of {len(frames)} photos, {100 * share:.0f} % of their pixels"
+
+
+def upwards(frames: Sequence[Frame]) -> np.ndarray | None:
+    """`[3]` unit, where up is: at right angles to the cameras' level axes, and most nearly where their own up is.
+
+    None where they do not agree: photos are held upright, as they are stored.
+    """
+    axes = np.stack([frame.viewmat[:3, :3].astype(np.float64) for frame in frames])
+    level, mean = axes[:, 0], -axes[:, 1].mean(0)
+    if np.linalg.norm(mean) < UPRIGHT:
+        return None
+    up = np.linalg.eigh(level.T @ level / len(level) - TILT * np.outer(mean, mean))[1][:, 0]
+    return up * np.sign(up @ mean)
+
+
+def lies_in(points: np.ndarray, frames: Sequence[Frame], masks: Masks) -> np.ndarray:
+    """`[N]` bool: which points most of the photos that have them in view show sky at, two at least if so many do.
+
+    Nothing stands on the ray of a sky's pixel, so that a point of a surface lies in no photo's sky; most must agree
+    because a mask may be wrong.
+
+    Args:
+        points: `[N, 3]`, of the frames' coordinates; what is not finite lies in none.
+        frames: The photos, those without sky too.
+        masks: Of the photos that show sky, of any size, as their masks are.
+    """
+    finite = np.isfinite(points).all(axis=1)
+    usable = np.where(finite[:, None], points, 0).astype(np.float64)
+    viewed, inside = np.zeros((2, len(points)), int)
+    for frame in frames:
+        at = landing(usable, frame.viewmat, frame.K, (frame.height, frame.width))
+        viewed += at.inside
+        if frame.name in masks:
+            inside += at.inside & masks[frame.name][at.rows, at.columns]
+    return finite & (inside >= np.minimum(FEWEST, viewed)) & (inside > MOST_INSIDE * viewed)
+
+
+class _View(NamedTuple):
+    """A photo on its coarse grid, each `[h, w]`."""
+
+    even: np.ndarray  # bool
+    usable: np.ndarray  # bool
+    points: np.ndarray  # how many of the scene's points land there
+    elevation: np.ndarray  # degrees above the horizon
+    cells: np.ndarray  # int, of directions
+    border: np.ndarray  # bool, the upper border of what is usable
+
+
+def _view(frame: Frame, even: np.ndarray, points: np.ndarray, up: np.ndarray) -> _View:
+    (height, width), stride = even.shape, even_stride(frame.width, frame.height)
+    at = landing(points, frame.viewmat, frame.K, (frame.height, frame.width))
+    rows, columns = np.minimum(at.rows // stride, height - 1), np.minimum(at.columns // stride, width - 1)
+    counts = np.zeros(even.shape)
+    np.add.at(counts, (rows[at.inside], columns[at.inside]), 1)
+    K = frame.K.astype(np.float64)
+    x, y = np.meshgrid((np.arange(width) + 0.5) * stride, (np.arange(height) + 0.5) * stride)
+    rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1)
+    rays = rays @ frame.viewmat[:3, :3].astype(np.float64) / np.linalg.norm(rays, axis=-1, keepdims=True)
+    elevation = np.degrees(np.arcsin(np.clip(rays @ up, -1, 1)))
+    cells = np.rint(CELLS * rays).astype(np.int64) @ np.array([1, 100, 10_000])
+    usable = even != UNUSABLE
+    border = usable & ~np.asarray(ndimage.binary_erosion(usable))
+    if border.any():
+        highest, lowest = elevation[usable].max(), elevation[usable].min()
+        border &= elevation > highest - UPPER * (highest - lowest)
+    return _View(even == EVEN, usable, counts, elevation, cells, border)
+
+
+def _regions(view: _View, typical: float) -> list[np.ndarray]:
+    """`[h, w]` bool each: connected even regions that may be sky. `typical` is of points to a place of the grid."""
+    labels, _ = ndimage.label(view.even)  # pyright: ignore[reportGeneralTypeIssues]
+    dense = max(typical, view.points.sum() / max(view.usable.sum(), 1))
+    sizes, found = np.bincount(labels.ravel()), []
+    for label in np.unique(labels[view.border & view.even]):
+        region = labels == label
+        expected = dense * sizes[label]
+        is_above = (view.elevation[region] < BELOW[0]).mean() <= BELOW[1]
+        is_bare = view.points[region].sum() <= POINTS[0] * expected
+        is_told = expected >= POINTS[1] or sizes[label] < OPEN * view.usable.sum()
+        if sizes[label] >= LEAST * view.usable.sum() and is_above and is_bare and is_told:
+            found.append(region)
+    return found
+
+
+def _is_plain(region: np.ndarray, view: _View) -> bool:
+    """Whether a region alone tells that there is a sky."""
+    return region.sum() >= OPEN * view.usable.sum() and region[view.border].mean() >= OPEN_BORDER
+
+
+def _full_size(coarse: np.ndarray, frame: Frame) -> np.ndarray:
+    stride = even_stride(frame.width, frame.height)
+    whole = coarse.repeat(stride, 0).repeat(stride, 1)
+    missing = [(0, frame.height - whole.shape[0]), (0, frame.width - whole.shape[1])]
+    return np.pad(whole, missing, mode="edge")
