@@ -97,7 +97,9 @@ def sky_colors(directions: np.ndarray) -> np.ndarray:
     x, y, z = directions.T
     height = np.clip(z, 0, 1)[:, None] ** 0.7
     blue = (1 - height) * np.array([0.82, 0.87, 0.92]) + height * np.array([0.28, 0.50, 0.84])
-    wave = np.sin(5 * x + 2 * z + 0.5) + np.sin(6 * y - 4 * z) + 0.7 * np.sin(9 * x - 7 * y) + 0.5 * np.sin(12 * z + 8 * y)
+    wave = (
+        np.sin(5 * x + 2 * z + 0.5) + np.sin(6 * y - 4 * z) + 0.7 * np.sin(9 * x - 7 * y) + 0.5 * np.sin(12 * z + 8 * y)
+    )
     cloud = 0.55 / (1 + np.exp(-2.5 * (wave - 0.6)))[:, None]
     return blue * (1 - cloud) + 0.95 * cloud
 
@@ -200,8 +202,11 @@ def _write_tracks(folder: Path, views: list[Camera], photos: list[np.ndarray], m
 
 
 def score(folder: Path, file: Path) -> dict[str, Any]:
-    """Square metres of mesh near the house that are farther than `OFF` from the truth, those of them that stand higher
-    than the eaves, all that there are, and the share of the house's own surface within `OFF` of the mesh.
+    """How far a mesh is one of the house.
+
+    Returns:
+        Square metres of mesh that are farther than `OFF` from the truth, near the house, above its eaves and in all;
+        square metres of the mesh; and the share of the house's own surface, as photos saw it, within `OFF` of the mesh.
     """
     truth, found = read_mesh(folder / "gt_mesh.ply"), read_mesh(file)
     o3d = require("open3d", "pip install open3d")

@@ -161,7 +161,7 @@ class Logging:
 
 
 SIMULATED = ("exposure", "vignetting", "poses", "background", "transients")  # effects that training can take in
-EFFECTS = (*SIMULATED, "sh_degree", "blur")  # those, and what makes a run go on with less: of harmonics, of photos
+EFFECTS = (*SIMULATED, "sky", "sh_degree", "blur")  # and where nothing is, and what makes a run go on with less
 AUTO, NONE = "auto", "none"
 
 
@@ -198,6 +198,10 @@ class Settings:
     depth: str | None = None  # folder of measured depth (`gsjax.io.depth_maps`), within the data set or anywhere
     depth_unit: Literal["mm", "cm", "m", "scene"] | None = None  # of those maps; None: as depth.json beside them says
     depth_weight: float = 0.2  # of the term `measured_depth`, where there are such maps and a phase sets no other
+    sky: str | None = (
+        None  # folder of masks, 0 where photos show sky, in the data set or anywhere; None: `effects` look
+    )
+    sky_weight: float = 0.1  # of the term `sky`, where photos show any
     points: str | None = None  # PLY of points to start from, in the data set's coordinates; None: the data set's own
     background: Literal["white", "black", "random"] = "black"
     masks: Literal["valid", "matte"] = "valid"
@@ -225,7 +229,7 @@ class Settings:
         named_effects(self.effects)
         if self.downscale is not None and not 1 <= self.downscale < math.inf:
             raise ValueError(f"downscale={self.downscale} is not a number of at least 1")
-        check_lowest(self, depth_weight=0)
+        check_lowest(self, depth_weight=0, sky_weight=0)
         if self.depth is None and self.depth_unit is not None:
             raise ValueError(f"depth_unit={self.depth_unit} is the unit of no maps: depth names their folder")
         if self.depth is not None and self.vanilla:

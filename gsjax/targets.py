@@ -33,6 +33,7 @@ class Target:
     depth: Array | None = None  # [H, W] float32 camera z that was measured, scene units; zero where nothing was
     trust: Array | None = None  # [H, W] uint8, how far that is trusted, of 255
     photo: Array | None = None  # [] int32, which of the run's photos it is, where an effect has numbers for each
+    sky: Array | None = None  # [H, W] bool, where the photo shows open sky
     beside: "Target | None" = None  # another view of the same step, where a term compares two
     turn: Array | None = None  # [] int32, the steps before it: a state of another step is left as it is. None: of any
 
@@ -79,6 +80,7 @@ class Batch:
     photo: Array | None = None  # [] int32, see `Target`
     depth: Array | None = None  # [H, W] camera z that was measured, scene units; zero where nothing was
     trust: Array | None = None  # [H, W] 0..1, how far that is trusted
+    sky: Array | None = None  # [H, W] bool, where the photo shows open sky
 
 
 def read_targets(frames: Sequence[Frame], *, scale: int = 1) -> Targets:
@@ -117,6 +119,18 @@ def with_depths(views: Targets, depths: Sequence[tuple[np.ndarray, np.ndarray]])
     padded = ([_padded(array, *views.size) for array in pair] for pair in depths)
     pairs = zip(views.targets, padded, strict=True)
     return replace(views, targets=tuple(replace(target, depth=depth, trust=trust) for target, (depth, trust) in pairs))
+
+
+def with_skies(views: Targets, skies: Sequence[np.ndarray | None], scale: int = 1) -> Targets:
+    """The same views told where they show sky: `[H, W]` bool of each full photo, or None; `scale` as in `read_targets`.
+
+    A smaller pixel is sky where all that it is the mean of are.
+    """
+    width, height = views.size
+    nothing = np.zeros((height, width), bool)
+    reduced = (nothing if sky is None else _padded(~_any_of_blocks(~sky, scale), width, height) for sky in skies)
+    pairs = zip(views.targets, reduced, strict=True)
+    return replace(views, targets=tuple(replace(target, sky=sky) for target, sky in pairs))
 
 
 def with_photo_numbers(views: Targets) -> Targets:
@@ -180,7 +194,7 @@ def batch(target: Target, background: Array) -> Batch:
     normals = None if target.normals is None else target.normals.astype(jnp.float32) / NORMAL_UNIT
     trust = None if target.trust is None else target.trust.astype(jnp.float32) / 255
     camera = Camera(target.viewmat, target.K, width, height)
-    return Batch(camera, image, valid, matte, normals, target.photo, target.depth, trust)
+    return Batch(camera, image, valid, matte, normals, target.photo, target.depth, trust, target.sky)
 
 
 def _target(frame: Frame, scale: int, width: int, height: int) -> Target:
@@ -220,6 +234,11 @@ def _reduced(pixels: Pixels, scale: int) -> Pixels:
         None if matte is None else _block_mean(matte, scale),
         None if valid is None else _block_mean(valid, scale),
     )
+
+
+def _any_of_blocks(mask: np.ndarray, scale: int) -> np.ndarray:
+    height, width = mask.shape[0] // scale, mask.shape[1] // scale
+    return mask[: height * scale, : width * scale].reshape(height, scale, width, scale).any(axis=(1, 3))
 
 
 def _block_mean(array: np.ndarray, scale: int, weights: np.ndarray | None = None) -> np.ndarray:

@@ -15,8 +15,8 @@ from gsjax.errors import InputError
 from gsjax.settings import LENGTHS, PRESETS, Settings
 
 OPTIONS = (
-    "seed", "downscale", "images", "hold_out", "normals", "normal_axes", "depth", "depth_unit", "points", "background",
-    "masks", "effects", "vanilla", "views_per_step",
+    "seed", "downscale", "images", "hold_out", "normals", "normal_axes", "depth", "depth_unit", "sky", "points",
+    "background", "masks", "effects", "vanilla", "views_per_step",
 )  # fmt: skip
 
 
@@ -62,6 +62,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         " named as the photos, within SCENE or anywhere; without a value, SCENE/depth")  # fmt: skip
     add("--depth-unit", choices=("mm", "cm", "m", "scene"), help="unit of that depth (default: as depth.json beside the"
         " maps says)")  # fmt: skip
+    add("--sky", metavar="DIR", help="folder of masks, 0 where a photo shows sky, named as those in masks/, within"
+        " SCENE or anywhere (default: --effects auto looks for it)")  # fmt: skip
     add("--points", metavar="FILE", help="PLY of points to start from, as of a LiDAR scan, in the coordinates of SCENE"
         " (default: the data set's own)")  # fmt: skip
     add("--background", choices=("white", "black", "random"), help="colour behind the Gaussians (default: black)")
@@ -165,7 +167,12 @@ def settings(arguments: argparse.Namespace) -> Settings:
 def override_settings(base: Mapping[str, Any], arguments: argparse.Namespace, *names: str) -> Settings:
     """Settings with the named options where they were given, then what `--set` says."""
     options = given_options(arguments, *names)
-    for name, exists in (("hold_out", os.path.isfile), ("points", os.path.isfile), ("depth", os.path.isdir)):
+    for name, exists in (
+        ("hold_out", os.path.isfile),
+        ("points", os.path.isfile),
+        ("depth", os.path.isdir),
+        ("sky", os.path.isdir),
+    ):
         if exists(options.get(name, "")):  # As an absolute path, later commands find it from anywhere.
             options[name] = str(Path(options[name]).resolve())
     # Parsed before the overrides too, so that `--set` reaches into defaults that are lists.

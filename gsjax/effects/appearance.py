@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.effects.gains import fit, table
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import Effects, EffectState
+from gsjax.effects.sky import Masks
 from gsjax.scene import Frame, with_pixels
 from gsjax.settings import SIMULATED
 
@@ -49,10 +51,11 @@ class Start:
     tracked: bool  # whether tracks told any of this
 
 
-def start(seen: Observations, chosen: Collection[str]) -> Start:
+def start(seen: Observations, chosen: Collection[str], skies: Masks = MappingProxyType({})) -> Start:
     """Where the chosen effects start; zero where tracks tell nothing.
 
-    The same robust fit as the evidence, of display-coded values, since those are what training compares.
+    The same robust fit as the evidence, of display-coded values, since those are what training compares. `skies` are
+    where photos show sky.
     """
     frames = seen.frames
     trained = np.array([not frame.held_out for frame in frames])
@@ -79,7 +82,7 @@ def start(seen: Observations, chosen: Collection[str]) -> Start:
         np.stack([_stands(frame)[:3] for frame in frames]),
         _median_depth(seen),
         poses.twists_from_tracks(seen) if "poses" in chosen else np.zeros((len(frames), 6)),
-        background.initial(seen),
+        background.initial(seen, skies),
         seen.tracked,
     )
 

@@ -1,18 +1,24 @@
 """Open sky or a bare backdrop: light that comes from no surface, and so from no Gaussian."""
 
+from collections.abc import Sequence
+from types import MappingProxyType
+
 import numpy as np
 import optax
 
 from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import Effect
+from gsjax.effects.sky import Masks
 from gsjax.render import backdrop
+from gsjax.scene import Frame
 
 THRESHOLD = 0.25  # of the photos
 OPEN = 0.05  # of a photo's pixels
 PASSES = 80  # 25 harmonics a pixel, and back
 DEGREE = 4  # of the spherical harmonics of a sky
 RATE = 5e-3  # Adam's learning rate of the coefficients; they wait for nothing
+SKIES_READ, PIXELS_READ = 60, 1000  # photos with sky, and pixels of each, that its colours are told by
 _ONE_COLOR = 0.02  # standard deviation over the photos, and within them
 
 
@@ -38,17 +44,37 @@ def judge(seen: Observations) -> Evidence:
     return Evidence(value > THRESHOLD, value, "share of photos", noise, THRESHOLD, cost, note)
 
 
-def initial(seen: Observations) -> np.ndarray:
-    """`[(L + 1)^2, 3]` SH coefficients to start with: the mean colour of what looks like sky, else grey.
+def initial(seen: Observations, skies: Masks = MappingProxyType({})) -> np.ndarray:
+    """`[(L + 1)^2, 3]` SH coefficients to start with: the colours of the sky, the mean of what looks like it, or grey.
 
-    L is 0 where that has one colour, or where nothing looks like sky; else `DEGREE`.
+    L is 0 where what looks like sky has one colour, or nothing does; else `DEGREE`.
+
+    Args:
+        seen: The photos.
+        skies: Where they show sky; those that are looked at are read again.
     """
+    if skies:
+        return _seen_through(seen.frames, skies)
     is_open = [facts for facts in seen.facts if facts.sky_share > OPEN]
     if not is_open:
         return backdrop.constant_coefficients(np.full(3, 0.5), 0)
     colors = np.stack([facts.sky_color for facts in is_open])
     spread = np.hypot(colors.std(0).max(), np.mean([facts.sky_spread for facts in is_open]))
     return backdrop.constant_coefficients(colors.mean(0), 0 if spread < _ONE_COLOR else DEGREE)
+
+
+def _seen_through(frames: Sequence[Frame], skies: Masks) -> np.ndarray:
+    """Coefficients of the sky's colours by direction, from some pixels of some photos."""
+    with_sky = [frame for frame in frames if frame.name in skies]
+    directions, colors = [], []
+    for frame in with_sky[:: -(-len(with_sky) // SKIES_READ)]:
+        rows, columns = np.nonzero(skies[frame.name])
+        chosen = np.unique(np.linspace(0, len(rows) - 1, PIXELS_READ).astype(int))
+        rows, columns = rows[chosen], columns[chosen]
+        places = np.stack([columns + 0.5, rows + 0.5, np.ones(len(rows))], -1)
+        directions.append(places @ np.linalg.inv(frame.K.astype(np.float64)).T @ frame.viewmat[:3, :3])
+        colors.append(frame.pixels().image[rows, columns] / 255.0)
+    return backdrop.fitted_coefficients(np.concatenate(directions), np.concatenate(colors), DEGREE)
 
 
 def is_one(seen: Observations, color: float, most: np.ndarray, least: np.ndarray) -> bool:

@@ -32,7 +32,7 @@ class Diagnosis:
     sky: sky.Masks
 
     def record(self) -> dict[str, Any]:
-        """Plain values for a file: `effects` by name, and `photos` with their gains in EV, sharpness and pose step.
+        """Plain values for a file: `effects` by name, and `photos` with gains in EV, sharpness, pose step, sky.
 
         Milliseconds of the costs are counts of values, at the pace at which this machine multiplies arrays.
         """
@@ -45,6 +45,7 @@ class Diagnosis:
                     "gains": None if self.gains is None else self.gains.fit.gains[index].tolist(),
                     "sharpness": self.seen.facts[index].sharpness,
                     "pose_step_px": None if (step := self.steps[index]) is None else step.shift,
+                    "sky": float(self.sky[frame.name].mean()) if frame.name in self.sky else 0.0,
                 }
                 for index, frame in enumerate(self.seen.frames)
             ],

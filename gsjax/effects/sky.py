@@ -27,7 +27,7 @@ POINTS = (0.05, 10.0)  # of the points that a region so large would have, that a
 ALIKE = 0.3  # of a region, which another photo has as sky in the same directions
 CELLS = 10  # to the unit, by which directions are compared: 6 degrees
 UPRIGHT = 0.5  # length of the mean of the cameras' upward axes, under which they tell no up
-TILT = 0.05  # weight of that mean beside the cameras' level axes
+TILT = 0.002  # weight of that mean beside the cameras' level axes
 PASSES = 1  # over the coverage of a photo
 MOST_INSIDE = 0.5  # of the photos that have a point in view, beyond which it lies in their sky
 
@@ -79,6 +79,13 @@ def told(masks: Masks, frames: Sequence[Frame]) -> str:
     return f"sky in {len(masks)} of {len(frames)} photos, {100 * share:.0f} % of their pixels"
 
 
+def tinted(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
+    """`[H, W, 3]` uint8 photo with its sky in magenta, half transparent; `mask` `[H, W]` bool, None: no sky."""
+    if mask is None:
+        return image
+    return np.where(mask[..., None], image // 2 + np.array([127, 0, 127], np.uint8), image)
+
+
 def upwards(frames: Sequence[Frame]) -> np.ndarray | None:
     """`[3]` unit, where up is: at right angles to the cameras' level axes, and most nearly where their own up is.
 
@@ -93,7 +100,7 @@ def upwards(frames: Sequence[Frame]) -> np.ndarray | None:
 
 
 def lies_in(points: np.ndarray, frames: Sequence[Frame], masks: Masks) -> np.ndarray:
-    """`[N]` bool: which points most of the photos that have them in view show sky at, two at least if so many do.
+    """`[N]` bool: which points most of the photos that have them in view show sky at, two at least.
 
     Nothing stands on the ray of a sky's pixel, so that a point of a surface lies in no photo's sky; most must agree
     because a mask may be wrong.
@@ -111,7 +118,7 @@ def lies_in(points: np.ndarray, frames: Sequence[Frame], masks: Masks) -> np.nda
         viewed += at.inside
         if frame.name in masks:
             inside += at.inside & masks[frame.name][at.rows, at.columns]
-    return finite & (inside >= np.minimum(FEWEST, viewed)) & (inside > MOST_INSIDE * viewed)
+    return finite & (inside >= FEWEST) & (inside > MOST_INSIDE * viewed)
 
 
 class _View(NamedTuple):

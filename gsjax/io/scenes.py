@@ -31,6 +31,7 @@ def load_scene(
     photos: str | None = None,
     similarity: Similarity | None = None,
     place: Place | None = None,
+    masks: Path | None = None,
 ) -> Scene:
     """Loads a data set: COLMAP, `transforms.json` (instant-ngp, nerfstudio) or NeRF-synthetic.
 
@@ -54,6 +55,7 @@ def load_scene(
             (`gsjax.similarity.of_cameras`); it changes nothing of a scene of usual size at its origin.
         place: Which world the files' coordinates are brought to. None: as `place.json` in the folder says, without
             which it is that of the files.
+        masks: Folder of the masks. None: `masks/` in the folder.
 
     Raises:
         InputError: The folder is no data set, or a file in it is unusable; one line naming the file and the fault.
@@ -65,7 +67,7 @@ def load_scene(
         raise InputError(f"folder_masks must be one of {', '.join(MASK_USES)}, not {folder_masks!r}")
     capture = _read_capture(root)
     taken = mark_held_out(_checked_photos(root, locate_photos(root, capture.photos, images)), hold_out, root)
-    taken = _with_folder_masks(_selected(taken, photos), root / "masks")
+    taken = _with_folder_masks(_selected(taken, photos), root / "masks" if masks is None else masks)
     place = read_place(root) if place is None else place
     taken = [replace(photo, viewmat=place.viewmat_to_world(photo.viewmat)) for photo in taken]
     capture = replace(capture, points=place.points_to_world(capture.points))

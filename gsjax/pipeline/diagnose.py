@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from gsjax.effects import vignetting
+from gsjax.effects import sky, vignetting
 from gsjax.effects.diagnosis import Diagnosis
 from gsjax.errors import InputError
 from gsjax.io import json_files, normal_folders
@@ -33,7 +33,7 @@ def diagnose(
         `effects`: by name `on`, `evidence` (None: no means to judge), `unit`, `noise`, `threshold`, `cost` (`ms` a step
         and `bytes`, both counted, and a `note`), `note`;
         `photos`: `name`, `gains` (EV in red, green, blue against the mean photo, or None), `sharpness`,
-        `pose_step_px` (or None);
+        `pose_step_px` (or None), `sky` (share of its pixels);
         `normals`: by folder of maps that `gsjax normals` made there, see `gsjax.runs.normal_gate.record`.
 
     Raises:
@@ -72,7 +72,7 @@ def normals_rows(record: dict[str, Any]) -> list[list[str]]:
 
 
 def draw(found: Diagnosis, path: Path) -> Path:
-    """Gains of every photo, fall-off towards the corner, sky share and sharpness of every photo, as one picture.
+    """Gains, fall-off towards the corner, what is bright and bare, sharpness and sky of the photos, as one picture.
 
     Raises:
         InputError: The file cannot be written.
@@ -80,9 +80,9 @@ def draw(found: Diagnosis, path: Path) -> Path:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(13, 7.5), layout="constrained")
+    figure = Figure(figsize=(18, 7.5), layout="constrained")
     FigureCanvasAgg(figure)
-    gains, corner, sky, sharpness = figure.subplots(2, 2).flat
+    gains, corner, most_sky, bare, sharpness, skies = figure.subplots(2, 3).flat
     photos = np.arange(len(found.seen.frames))
     if found.gains is None:
         for axes in (gains, corner):
@@ -95,15 +95,22 @@ def draw(found: Diagnosis, path: Path) -> Path:
         corner.plot(np.sqrt(radii2), light, "k.")
         at = np.linspace(0, 1, 50)
         corner.plot(at, slope * at**2, "k", linewidth=0.8)
-    sky.bar(photos, [100 * facts.sky_share for facts in found.seen.facts])
+    bare.bar(photos, [100 * facts.sky_share for facts in found.seen.facts])
     sharp = np.array([facts.sharpness for facts in found.seen.facts])
     sharpness.bar(photos, sharp / max(float(np.median(sharp)), 1e-12))
     sharpness.axhline(1 - found.effects["blur"].threshold, color="red", linewidth=0.8)
+    shares = [found.sky[frame.name].mean() if frame.name in found.sky else 0.0 for frame in found.seen.frames]
+    skies.bar(photos, [100 * share for share in shares])
+    frame = found.seen.frames[int(np.argmax(shares))]
+    most_sky.imshow(sky.tinted(frame.pixels().image, found.sky.get(frame.name)))
+    most_sky.set_axis_off()
     titles = {
         gains: ("gains of every photo", "photo", "EV"),
         corner: ("fall-off", "distance from the principal point, half diagonals", "EV"),
-        sky: ("bright, smooth and unmatched", "photo", "% of its pixels"),
+        bare: ("bright, smooth and unmatched", "photo", "% of its pixels"),
         sharpness: ("sharpness of every photo", "photo", "of the median"),
+        skies: ("open sky", "photo", "% of its pixels"),
+        most_sky: (f"most sky (magenta): {frame.name}" if found.sky else "no sky", "", ""),
     }
     for axes, (title, x, y) in titles.items():
         axes.set(title=title, xlabel=x, ylabel=y)

@@ -28,12 +28,13 @@ from gsjax.planning.harmonics import stored_degree, with_needed_harmonics
 from gsjax.planning.measured_depth import measured_depth
 from gsjax.planning.pace import Pace, duration_text, seconds_left
 from gsjax.planning.sizes import at_size, training_extent
+from gsjax.planning.skies import given_skies
 from gsjax.planning.start import first_state, first_state_with_tables, with_given_points
 from gsjax.report.page import report
-from gsjax.report.shown_views import picture_keeper
+from gsjax.report.shown_views import keep_skies, picture_keeper
 from gsjax.runs.compilations import make_room
 from gsjax.runs.journal import Journal, beginning
-from gsjax.runs.photography import Photography, moves_line, with_moved_cameras, write_photography
+from gsjax.runs.photography import moves_line, with_moved_cameras, write_photography
 from gsjax.runs.prior import RunPrior, note_normals
 from gsjax.runs.processes import from_first, is_first, own_folder
 from gsjax.runs.result import write_views
@@ -166,14 +167,16 @@ def _train(
     if measured is not None:
         print(f"train: depth {measured.line}", file=sys.stderr)
     trial = partial(gains, planned, frames, size, partial(first_state, started, settings))
-    chosen = choose_effects(asked, planned, loaded, trial, looked, sh_degree=settings.sh_degree)
-    planned = replace(planned.with_effects(chosen.effects), downscale=downscale)
+    skies = given_skies(loaded, settings, downscale)
+    chosen = choose_effects(asked, planned, loaded, trial, looked, sh_degree=settings.sh_degree, skies=skies)
+    planned = replace(planned.with_effects(chosen.names), downscale=downscale)
     optimizer = optimizers.make_optimizer(
         planned.rates, size, planned.rates.decay_steps, views_per_step=planned.views_per_step
     )
     spread = hardware(devices, planned.views_per_step, optimizer)
-    if (chosen.effects or chosen.tries_degrees) and not spread.is_one:
-        raise InputError(f"--effects {settings.effects}: effects need one device and --views-per-step 1")
+    if (chosen.names or chosen.tries_degrees) and not spread.is_one:
+        asked_by = f"--effects {settings.effects}" if settings.sky is None else "--sky"
+        raise InputError(f"{asked_by}: effects need one device and --views-per-step 1")
     in_common = None if earlier is None else _steps_in_common(earlier, planned)
     as_dict = config.to_dict(settings)
     run = (
@@ -219,14 +222,24 @@ def _train(
             looks = None if waits else journal.looks
             depths = None if measured is None else measured.depths
             work = Work(
-                planned, frames, size, optimizer, normals, told, chosen.effects, spread.placement, depths, looks
+                planned,
+                frames,
+                size,
+                optimizer,
+                normals,
+                told,
+                chosen.effects,
+                spread.placement,
+                depths,
+                chosen.skies,
+                looks,
             )
             # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.
             capacity = capacity if spread.is_one else None
             if chosen.tries_degrees:
                 state, capacity = with_needed_harmonics(run, work, state, capacity), None
             state = whole(follow(work, state, capacity))
-            return _finish(run, planned, loaded, state, chosen.photography(state.effects), journal.seconds)
+            return _finish(run, planned, loaded, state, chosen, journal.seconds)
 
 
 def _require_pixels(scene: Scene) -> None:
@@ -257,12 +270,14 @@ def living_gaussians(gaussians: Gaussians) -> Gaussians:
 
 
 def _finish(
-    run: Path, planned: Plan, scene: Scene, state: TrainState, found: Photography, seconds: float
+    run: Path, planned: Plan, scene: Scene, state: TrainState, chosen: ChosenEffects, seconds: float
 ) -> dict[str, Any]:
+    found = chosen.photography(state.effects)
     scene = replace(scene, frames=with_moved_cameras(scene.frames, found.moves))
     gaussians = living_gaussians(state.gaussians)
     write_gaussians(run / "gaussians.ply", scene.similarity.gaussians_to_world(gaussians), scene.place)
-    write_views(run, scene.frames)
+    write_views(run, scene.frames, chosen.skies)
+    keep_skies(run, scene.frames, chosen.skies)
     write_photography(run, found)
     if found.moves:
         print(f"train: {(line := moves_line(found.moves, scene.similarity))}", file=sys.stderr)

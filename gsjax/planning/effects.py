@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from gsjax.effects import background, blur
+from gsjax.effects import background, blur, sky
 from gsjax.effects.appearance import (
     Appearance,
     Start,
@@ -73,7 +73,13 @@ class ChosenEffects:
     effects: Effects = field(default_factory=dict)
     begun: Start | None = None  # None: of no effects
     evidence: dict[str, Any] | None = None  # for the manifest; None: nobody looked
+    skies: sky.Masks = field(default_factory=dict)  # where photos show sky, if the run knows of one
     tries_degrees: bool = False  # whether the run cuts its harmonics to those that photos do not miss
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the plan is told of, see `gsjax.training.plan.Plan.with_effects`."""
+        return (*self.effects, *(("sky",) if self.skies else ()))
 
     def photography(self, state: EffectState | None) -> Photography:
         """What the state says of the photos."""
@@ -95,6 +101,7 @@ def choose_effects(
     looked: Looked | None = None,
     *,
     sh_degree: int = 3,
+    skies: sky.Masks | None = None,
 ) -> ChosenEffects:
     """The effects that are named or, of "auto", that the photos show; one line says which.
 
@@ -105,15 +112,17 @@ def choose_effects(
         trial: Decides, of "auto", where evidence is near its threshold. None, or a short run: the threshold does.
         looked: What `look_for_effects` found, if it was asked.
         sh_degree: Of the run's Gaussians.
+        skies: Where photos show sky, if masks of it were given; with it a background is taken in.
 
     Raises:
         InputError: A photo or the tracks cannot be read, or a background is asked for behind mattes.
     """
-    if asked == NONE:
+    if asked == NONE and skies is None:
         return ChosenEffects()
     looked = looked or look_for_effects(asked, scene)
-    scene, found = looked.scene, looked.found
-    assert found is not None, "somebody looked"
+    scene, found = looked.scene, looked.found or diagnose_scene(looked.scene)
+    if skies is not None:
+        found = _with_given(found, skies)
     wanted = set(named_effects(asked))
     is_auto = asked == AUTO
     near = [name for name in SIMULATED if is_auto and is_near(name, found.effects[name])]
@@ -125,9 +134,20 @@ def choose_effects(
         if trial is not None and is_worthwhile(plan.steps):
             found = replace(found, effects=found.effects | _tried(found, near, trial))
         wanted = {name for name in SIMULATED if found.effects[name].on}
+    skies = found.sky if skies is not None or "sky" in wanted or (is_auto and found.effects["sky"].on) else {}
+    if skies and not _is_laid(found, plan, wanted - {"background"}):
+        wanted.add("background")
     chosen = [name for name in SIMULATED if name in wanted]
+    if skies:
+        print(f"train: {sky.told(skies, scene.frames)}", file=sys.stderr)
+    elif "sky" in wanted:
+        raise InputError(f"--effects {asked}: the photos of {scene.root} show no sky; --sky DIR takes masks of it")
     print(f"train: effects: {', '.join(chosen) or 'none that the photos show'}", file=sys.stderr)
-    evidence = {"simulated": chosen, "left_out": list(looked.left_out), "evidence": found.record()["effects"]}
+    evidence = {
+        "simulated": [*chosen, *(["sky"] if skies else [])],
+        "left_out": list(looked.left_out),
+        "evidence": found.record()["effects"],
+    }
     tries_degrees = "sh_degree" in wanted and sh_degree > 0
     if tries_degrees and plan.grown is None:
         raise InputError(
@@ -135,7 +155,7 @@ def choose_effects(
             " harmonics; leave sh_degree out"
         )
     if not chosen:
-        return ChosenEffects(evidence=evidence, tries_degrees=tries_degrees)
+        return ChosenEffects(skies=skies, evidence=evidence, tries_degrees=tries_degrees)
     density = plan.density
     rate = partial(
         learning_rate,
@@ -148,8 +168,15 @@ def choose_effects(
             f"--effects {asked}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
             " leave background out"
         )
-    begun = start(found.seen, chosen)
-    return ChosenEffects(simulations(begun, chosen, rate), begun, evidence, tries_degrees)
+    begun = start(found.seen, chosen, skies)
+    return ChosenEffects(simulations(begun, chosen, rate), begun, evidence, skies, tries_degrees)
+
+
+def _with_given(found: Diagnosis, skies: sky.Masks) -> Diagnosis:
+    """The diagnosis with a sky that was given instead of what the photos show."""
+    evidence = sky.judge(found.seen, skies)
+    given = evidence._replace(on=True, note=f"given by --sky: {sky.told(skies, found.seen.frames)}")
+    return replace(found, sky=skies, effects=found.effects | {"sky": given})
 
 
 def _tried(found: Diagnosis, near: list[str], trial: EffectTrial) -> dict[str, Evidence]:

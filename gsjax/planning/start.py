@@ -1,10 +1,12 @@
 """Where a training starts: from which points, and the state at step 0."""
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 import optax
 
+from gsjax.effects import sky
 from gsjax.effects.simulation import Effects
 from gsjax.io.point_clouds import read_points
 from gsjax.planning.effects import ChosenEffects
@@ -48,9 +50,13 @@ def first_state(
     optimizer: optax.GradientTransformation,
     effects: Effects,
     rows: int | None = None,
+    skies: sky.Masks = MappingProxyType({}),
 ) -> TrainState:
-    """Step 0 in a buffer of so many rows; None: of those that the points take."""
+    """Step 0 in a buffer of so many rows; None: of those that the points take. No point lies in the photos' sky."""
     points, colors = starting_points(scene, settings)
+    if skies:
+        stay = ~sky.lies_in(points, scene.train_frames, skies)
+        points, colors = points[stay], colors[stay]
     first = initialize.from_points(
         points,
         colors,
@@ -70,4 +76,4 @@ def first_state_with_tables(
     rows: int | None,
 ) -> TrainState:
     """The same as `first_state` with the effects of a run, and with the tables of its plan's terms."""
-    return with_tables(first_state(scene, settings, optimizer, chosen.effects, rows), planned)
+    return with_tables(first_state(scene, settings, optimizer, chosen.effects, rows, chosen.skies), planned)

@@ -9,6 +9,7 @@ import numpy as np
 
 from gsjax import runs
 from gsjax.cameras import Camera
+from gsjax.effects.sky import Masks, tinted
 from gsjax.io.files import atomic_path
 from gsjax.io.images import jpeg_bytes, resize
 from gsjax.meshing.export import read_mesh
@@ -23,6 +24,7 @@ from gsjax.scene import Frame
 
 FOLDER = "pictures"
 KINDS = ("photo", "render", "normals")
+SKY = "sky"  # kept beside those where the run knows of one
 MOST_VIEWS, LONGEST_SIDE = 6, 560  # a page of them stays under 4 MB
 
 
@@ -55,9 +57,24 @@ def picture_keeper(run: Path) -> Callable[[Frame, np.ndarray, Picture], None]:
     return keep
 
 
+def keep_skies(run: Path, frames: Sequence[Frame], skies: Masks) -> None:
+    """Keeps the photos of those views that the report shows with their sky in magenta; none where there is no sky.
+
+    Args:
+        run: Run folder with its `cameras.json`.
+        frames: All views, in its order.
+        skies: Where they show sky.
+    """
+    for index in shown_views(read_views(run)) if skies else ():
+        frame = frames[index]
+        image = tinted(frame.pixels().image, skies.get(frame.name))
+        with atomic_path(_file(run, index, SKY)) as temporary:
+            temporary.write_bytes(jpeg_bytes(resize(image, *_reduced(frame.width, frame.height))))
+
+
 def kept_pictures(run: Path, index: int) -> dict[str, bytes]:
     """The JPEGs that were kept of a view, by kind; those that there are."""
-    files = {kind: _file(run, index, kind) for kind in KINDS}
+    files = {kind: _file(run, index, kind) for kind in (*KINDS, SKY)}
     return {kind: file.read_bytes() for kind, file in files.items() if file.exists()}
 
 

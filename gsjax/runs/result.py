@@ -1,10 +1,11 @@
 """What a finished run, or a file of Gaussians, offers to later stages: Gaussians, cameras, and where photos count."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -61,7 +62,7 @@ class Result:
     place: Place = UNPLACED  # what is known of that world
 
 
-def write_views(run: Path, frames: tuple[Frame, ...]) -> None:
+def write_views(run: Path, frames: tuple[Frame, ...], skies: Mapping[str, np.ndarray] = MappingProxyType({})) -> None:
     """`cameras.json`: one record a view, world to camera, OpenCV axes, pixels; and the masks of the training views.
 
     A mask (`masks/0007.png`, 255 where the photo may be used) is written only for a view that has one, and its record
@@ -70,6 +71,7 @@ def write_views(run: Path, frames: tuple[Frame, ...]) -> None:
     Args:
         run: Run folder.
         frames: All views, in the order of the data set; they are written in its coordinates.
+        skies: By name `[H, W]` bool, where a view shows sky: no surface, which its mask leaves out.
 
     Raises:
         InputError: A file cannot be written, or a frame not be read.
@@ -83,7 +85,7 @@ def write_views(run: Path, frames: tuple[Frame, ...]) -> None:
             "viewmat": similarity.viewmat_to_world(f.viewmat),
             "K": f.K,
             "held_out": f.held_out,
-            "mask": None if f.held_out else _written_mask(run, f"masks/{index:04d}.png", f),
+            "mask": None if f.held_out else _written_mask(run, f"masks/{index:04d}.png", f, skies.get(f.name)),
         }
         for index, f in enumerate(frames)
     ]
@@ -219,8 +221,10 @@ def recorded_camera(record: dict[str, Any], similarity: Similarity) -> Camera:
     return Camera(viewmat, K, record["width"], record["height"])  # pyright: ignore[reportArgumentType]
 
 
-def _written_mask(run: Path, name: str, frame: Frame) -> str | None:
+def _written_mask(run: Path, name: str, frame: Frame, sky: np.ndarray | None) -> str | None:
     valid = valid_pixels(frame)
+    if sky is not None:
+        valid = ~sky if valid is None else valid & ~sky
     if valid is None or valid.all():
         return None
     write_image(run / name, np.where(valid, np.uint8(255), np.uint8(0)))

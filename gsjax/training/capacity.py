@@ -1,10 +1,16 @@
-"""How long the pair buffer of a step must be. The jnp engine sorts every slot in every step, used or not."""
+"""How long the pair buffer of a step must be, and what is said where there is no room.
+
+The jnp engine sorts every slot in every step, used or not.
+"""
+
+from typing import Any
 
 import jax
 from jax import Array
 
 from gsjax import render, targets
 from gsjax.cameras import Camera
+from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.targets import Targets
 from rasterizer.engines import resolve
@@ -34,6 +40,28 @@ def chosen_capacity(gaussians: Gaussians, data: Targets, *, headroom: float = 1.
 def rounded_capacity(needed: int, headroom: float) -> int:
     """`needed` times `headroom`, up to the next multiple of 4096."""
     return -(-int(needed * headroom + 1) // 4096) * 4096
+
+
+def is_full(error: Exception) -> bool:
+    """Whether an error says that the device has no memory left."""
+    return "RESOURCE_EXHAUSTED" in str(error)
+
+
+def can_stream(state: Any, data: Targets, view_share: float) -> bool:
+    """Whether the photos lie on the device, and the step that had no room has left the state there."""
+    resident = 0 < data.num_bytes <= targets.device_room(view_share)
+    return resident and not any(leaf.is_deleted() for leaf in jax.tree.leaves(state) if isinstance(leaf, Array))
+
+
+def no_room(error: Exception, data: Targets, capacity: int) -> Exception:
+    """The one line for a device whose memory is full; any other error is a bug and stays what it is."""
+    if not is_full(error):
+        return error
+    width, height = data.size
+    return InputError(
+        f"the device has no room for a step at {width}x{height} with {capacity:,} pairs; "
+        "make the photos smaller (--downscale) or the Gaussians fewer (--set max_gaussians=N)"
+    )
 
 
 @jax.jit

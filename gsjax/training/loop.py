@@ -14,16 +14,24 @@ import optax
 from jax import Array
 
 from gsjax import targets
+from gsjax.effects import sky
 from gsjax.effects.simulation import Effects
-from gsjax.errors import InputError
 from gsjax.scene import Frame
 from gsjax.settings import Settings
 from gsjax.targets import Target, Targets
 from gsjax.training import buffers
-from gsjax.training.capacity import STILL, chosen_capacity, headroom, rounded_capacity
+from gsjax.training.capacity import (
+    STILL,
+    can_stream,
+    chosen_capacity,
+    headroom,
+    is_full,
+    no_room,
+    rounded_capacity,
+)
 from gsjax.training.growth import adaptive
 from gsjax.training.plan import Plan, PlannedPhase, plan
-from gsjax.training.state import TrainState, cull, densify, reset_opacities
+from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
 from gsjax.training.terms import Term, Weighed
 from gsjax.training.terms.multi_view import drawn_beside, with_neighbors
@@ -124,6 +132,7 @@ class Work:
     effects: Effects = field(default_factory=dict)  # the state must be made for them, their photos be `frames`
     placement: Placement = field(default_factory=one_device)  # where the state lies
     depths: Depths | None = None  # where a term needs measured depth
+    skies: sky.Masks = MappingProxyType({})  # where photos show sky, if the plan knows of one; for one device
     looks: Callable[[int], bool] | None = None  # at whose state `observe` looks, see `advance`; for one device
 
 
@@ -207,6 +216,8 @@ def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Targets:
     if "measured" in phase.needs:
         assert work.depths is not None, "the plan has such a term only where there is measured depth"
         data = targets.with_depths(data, work.depths(phase.scale))
+    if "sky" in phase.needs:
+        data = targets.with_skies(data, [work.skies.get(frame.name) for frame in work.frames], phase.scale)
     if "neighbor" in phase.needs:
         data = with_neighbors(data, work.extent)
     return data
@@ -264,8 +275,8 @@ def advance(
             known = begun if is_seen else begun[:-1]
             taken = next((index for index, each in enumerate(known) if each.overflowed), len(known))
         except jax.errors.JaxRuntimeError as error:
-            if not _is_full(error) or not _can_stream(state, data, view_share):
-                raise _no_room(error, data, capacity) from error
+            if not is_full(error) or not can_stream(state, data, view_share):
+                raise no_room(error, data, capacity) from error
             logger.warning("the device is full: photos are sent to it one by one from here on")
             target, view_share = None, 0.0
             continue
@@ -278,27 +289,6 @@ def advance(
         else:
             begun = begun[taken:]
     return state
-
-
-def _is_full(error: Exception) -> bool:
-    return "RESOURCE_EXHAUSTED" in str(error)
-
-
-def _can_stream(state: Any, data: Targets, view_share: float) -> bool:
-    """Whether the photos lie on the device, and the step that had no room has left the state there."""
-    resident = 0 < data.num_bytes <= targets.device_room(view_share)
-    return resident and not any(leaf.is_deleted() for leaf in jax.tree.leaves(state) if isinstance(leaf, Array))
-
-
-def _no_room(error: Exception, data: Targets, capacity: int) -> Exception:
-    """The one line for a device whose memory is full; any other error is a bug and stays what it is."""
-    if not _is_full(error):
-        return error
-    width, height = data.size
-    return InputError(
-        f"the device has no room for a step at {width}x{height} with {capacity:,} pairs; "
-        "make the photos smaller (--downscale) or the Gaussians fewer (--set max_gaussians=N)"
-    )
 
 
 def _run_phase(
@@ -330,6 +320,9 @@ def _run_phase(
             state = _control_density(work, step, state, key)
         if is_last and phase.cull_below > 0:
             state = placement.cull(state, optimizer=work.optimizer, min_opacity=phase.cull_below)
+        if is_last and "sky" in phase.needs:
+            in_sky = sky.lies_in(np.asarray(state.gaussians.means), work.frames, work.skies)
+            state = remove(state, jnp.asarray(in_sky), optimizer=work.optimizer)
         if phase.tables and not is_last and _moves_neighbors(plan, phase, step):
             state = with_tables(state, plan)
         work.observe(Progress(step, phase, state, metrics, capacity, is_last))

@@ -72,6 +72,7 @@ class Plan:
     downscale: float = 1.0  # photos are so many times smaller than they were taken
     normals: str | None = None  # folder of the maps; None: those of the run's own depth, where a term asks for any
     effects: tuple[str, ...] = ()  # that are simulated
+    sky_weight: float = 0.0  # of the term `sky`, which phases have with the effect of that name
 
     @property
     def steps(self) -> int:
@@ -90,10 +91,13 @@ class Plan:
         return last if last < len(self.phases) else None
 
     def with_effects(self, names: Iterable[str]) -> Self:
-        """The plan of a run that simulates these effects: masks of transients make growth wait."""
+        """The plan of a run that simulates these effects: masks of transients make growth wait, a sky has a term."""
+        names = tuple(names)
         growing = sum(phase.steps for phase in self.phases if phase.rule)
         density = transients.delay_growth(self.density, growing) if "transients" in names else self.density
-        return replace(self, effects=tuple(names), density=density)
+        sky = weigh_terms({"sky": self.sky_weight}) if "sky" in names else ()
+        phases = tuple(replace(phase, terms=(*phase.terms, *sky)) for phase in self.phases)
+        return replace(self, effects=names, density=density, phases=phases)
 
     def until(self, count: int) -> Self:
         """The first so many phases alone."""
@@ -214,6 +218,9 @@ def plan(
         if settings.depth is None and "measured" in needs(wanted):
             named = next(each.name for each in wanted if "measured" in needs([each]))
             raise InputError(f"phases.{phase.name}.weights.{named}: needs measured depth, --depth DIR")
+        if "sky" in needs(wanted):
+            named = next(each.name for each in wanted if "sky" in needs([each]))
+            raise InputError(f"phases.{phase.name}.weights.{named}: sky_weight weighs it, where photos show sky")
         if phase.image_scale > 1 and "normals" in needs(wanted):
             raise InputError(
                 f"phase {phase.name}: image_scale={phase.image_scale} with a term that needs normals: normal maps serve"
@@ -237,6 +244,7 @@ def plan(
         rates=_rates(settings.rates, views, begin),
         density=_density(settings.density, views),
         logging=_logging(settings.logging, views),
+        sky_weight=settings.sky_weight,
         left_out=tuple(sorted(left_out)),
     ).with_effects(tuple(effects))
 

@@ -94,7 +94,16 @@ def reset_opacities(state: TrainState, *, optimizer: optax.GradientTransformatio
 @partial(jax.jit, static_argnames=("optimizer", "min_opacity"), donate_argnums=0)
 def cull(state: TrainState, *, optimizer: optax.GradientTransformation, min_opacity: float) -> TrainState:
     """Remove faint Gaussians; the moments of the others stay."""
-    gaussians = density_control.cull(state.gaussians, min_opacity)
+    return _with_fewer(state, density_control.cull(state.gaussians, min_opacity), optimizer)
+
+
+@partial(jax.jit, static_argnames="optimizer", donate_argnums=0)
+def remove(state: TrainState, chosen: Array, *, optimizer: optax.GradientTransformation) -> TrainState:
+    """Remove the Gaussians that are chosen, `[N]` bool; the moments of the others stay."""
+    return _with_fewer(state, density_control.kill(state.gaussians, chosen), optimizer)
+
+
+def _with_fewer(state: TrainState, gaussians: Gaussians, optimizer: optax.GradientTransformation) -> TrainState:
     rows = jnp.arange(gaussians.num_gaussians, dtype=jnp.int32)
     opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, rows, ~density_control.is_alive(gaussians))
     return replace(state, gaussians=gaussians, opt_state=opt_state)

@@ -167,8 +167,12 @@ def reset_opacities(gaussians: Gaussians, limit: float) -> Gaussians:
 
 def cull(gaussians: Gaussians, min_opacity: float) -> Gaussians:
     """Kill the Gaussians of lower opacity."""
-    kept = opacities(gaussians) >= min_opacity
-    return _with(gaussians, logit_opacities=jnp.where(kept, gaussians.logit_opacities, DEAD_LOGIT))
+    return kill(gaussians, opacities(gaussians) < min_opacity)
+
+
+def kill(gaussians: Gaussians, chosen: Array) -> Gaussians:
+    """Kill the Gaussians that are chosen, `[N]` bool."""
+    return _with(gaussians, logit_opacities=jnp.where(chosen, DEAD_LOGIT, gaussians.logit_opacities))
 
 
 def _with(gaussians: Gaussians, **fields: Array) -> Gaussians:

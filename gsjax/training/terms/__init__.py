@@ -19,6 +19,7 @@ NEEDS = {
     "normals": "the normal map of the photo, `Batch.normals`",
     "measured": "depth that was measured beside the photo, `Batch.depth`",
     "neighbor": "a second view beside the first, `View.neighbor`",
+    "sky": "where the photo shows open sky, `Batch.sky`",
     "gaussians": "the Gaussians themselves, not their picture alone; on several devices those that show in the view",
 }
 """What a term may need beside the image, and where it finds it."""
@@ -75,7 +76,7 @@ class Weighed:
     @property
     def is_dear(self) -> bool:
         """Whether it needs more than the image of a view and its Gaussians, which makes a step longer."""
-        return bool(frozenset(self.term.needs) - {"gaussians"}) or self.term.refresh is not None
+        return bool(frozenset(self.term.needs) - {"gaussians", "sky"}) or self.term.refresh is not None
 
 
 TERMS: Mapping[str, Term] = {
@@ -93,6 +94,7 @@ TERMS: Mapping[str, Term] = {
     "photometric": Term(multi_view.photometric, {"depth", "neighbor"}),
     "measured_depth": Term(losses.measured_depth, {"depth", "measured"}),
     "alpha": Term(losses.alpha),
+    "sky": Term(losses.sky, {"sky"}),
 }
 """The library's own: of the image (3DGS), of the paper (`sdf_normal` is its R), and those of other mesh makers."""
 

@@ -46,6 +46,13 @@ def alpha(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     return masked_mean(jnp.abs(view.alphas - batch.matte), batch.valid)  # pyright: ignore[reportOperatorIssue]
 
 
+def sky(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+    """Mean over valid pixels of what covers those that show open sky: nothing there is a surface, however far away."""
+    del gaussians
+    assert batch.sky is not None, "the plan has the term only where photos show sky"
+    return masked_mean(jnp.where(batch.sky, view.alphas, 0), batch.valid)
+
+
 def thickness(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     """Mean smallest standard deviation of the visible Gaussians, in pixels at their depth (PGSR's, without a unit).
 

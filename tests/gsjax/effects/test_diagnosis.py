@@ -24,7 +24,18 @@ from gsjax.io.scenes import load_scene
 from gsjax.runs.result import frame_camera
 from gsjax.scene import Origin, Pixels, with_pixels
 
-EFFECTS = ["exposure", "vignetting", "sh_degree", "background", "poses", "transients", "mip", "blur", "distortion"]
+EFFECTS = [
+    "exposure",
+    "vignetting",
+    "sh_degree",
+    "background",
+    "sky",
+    "poses",
+    "transients",
+    "mip",
+    "blur",
+    "distortion",
+]
 FIELDS = ["on", "evidence", "unit", "noise", "threshold", "cost", "note"]
 
 

@@ -40,6 +40,17 @@ def test_phases_follow_each_other_with_their_terms_and_what_these_need():
     assert [each.name for each in surface.image_terms] == ["l1", "dssim", "alpha"]
 
 
+def test_a_sky_adds_its_term_to_every_step_and_without_one_it_is_nowhere():
+    without = plan(SETTINGS)
+    assert not any("sky" in phase.needs or "sky" in terms(phase) for phase in without.phases)
+    with_sky = plan(SETTINGS).with_effects(("background", "sky"))
+    assert [terms(phase) for phase in with_sky.phases] == [terms(phase) | {"sky": 0.1} for phase in without.phases]
+    assert all("sky" in {each.name for each in phase.image_terms} for phase in with_sky.phases)
+    assert plan(SETTINGS).with_effects(("background",)).phases == without.phases
+    with pytest.raises(InputError, match="phases.surface.weights.sky: sky_weight weighs it"):
+        plan(replace(SETTINGS, phases=(Phase("surface", 10, Weights(sky=0.2)),)))
+
+
 def test_plain_splatting_has_the_terms_of_the_image_for_as_many_steps():
     plain = plan(replace(SETTINGS, vanilla=True))
     assert [terms(phase) for phase in plain.phases] == 2 * [{"l1": 0.8, "dssim": 0.2, "alpha": 0.1}]

@@ -55,6 +55,19 @@ def test_dssim_is_one_minus_ssim_and_differentiable(x64):
     check_grads(dssim, (jnp.asarray(IMAGE),), order=1, modes=["rev"])
 
 
+def test_what_covers_the_sky_is_a_mean_over_valid_pixels_with_a_gradient_in_the_sky_alone(x64):
+    is_sky = RNG.random((12, 14)) > 0.5
+    batch = replace(batch_of(), sky=jnp.asarray(is_sky))
+
+    def sky(alphas):
+        return losses.sky(None, view_of(IMAGE, alphas), batch)
+
+    assert_close(sky(jnp.asarray(ALPHAS)), (ALPHAS * is_sky)[VALID].sum() / VALID.sum())
+    assert_close(jax.grad(sky)(jnp.asarray(ALPHAS)), (VALID & is_sky) / VALID.sum())
+    nothing = replace(batch, valid=jnp.zeros((12, 14), bool))
+    assert losses.sky(None, view_of(IMAGE), nothing) == 0
+
+
 def test_coverage_is_the_light_that_falls_through_where_there_is_a_normal(x64):
     normals = RNG.normal(size=(12, 14, 3)) * (RNG.random((12, 14, 1)) > 0.4)
     surface = VALID & np.any(normals, -1)

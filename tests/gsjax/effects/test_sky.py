@@ -1,0 +1,241 @@
+"""A box on a lawn under a sky with soft clouds, seen from a circle, against the pixels that show that sky."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tolerances import assert_close
+
+from gsjax.cameras import Camera, look_at
+from gsjax.effects import background, sky
+from gsjax.effects.observations import observe
+from gsjax.errors import InputError
+from gsjax.io.images import write_image
+from gsjax.io.scenes import load_scene
+from gsjax.planning.skies import given_skies
+from gsjax.render import backdrop
+from gsjax.scene import Pixels, Scene, Tracks, frame_of, with_pixels
+from gsjax.settings import Settings
+from gsjax.targets import batch, read_targets, with_skies
+
+SIZE, FOCAL = (96, 72), 75.0
+HALF, HEIGHT = 2.0, 2.5  # of the box
+ANGLES = np.linspace(0, 2, 7)
+
+
+def camera_at(eye, target):
+    """A camera held upright, z up."""
+    K = np.array([[FOCAL, 0, SIZE[0] / 2], [0, FOCAL, SIZE[1] / 2], [0, 0, 1]], np.float32)
+    viewmat = look_at(np.asarray(eye, np.float64), np.asarray(target, np.float64), np.array([0.0, 0.0, 1.0]))
+    return Camera(viewmat.astype(np.float32), K, *SIZE)  # pyright: ignore[reportArgumentType]
+
+
+def rays_of(camera):
+    viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    rays = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1) @ viewmat[:3, :3]
+    return -viewmat[:3, :3].T @ viewmat[:3, 3], rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+
+def distances(eye, rays, lawn):
+    """To the box and to the lawn, a square of so many metres; infinite where a ray meets neither."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        low, high = ((np.array(corner) - eye) / rays for corner in ((-HALF, -HALF, 0), (HALF, HALF, HEIGHT)))
+        near, far = np.minimum(low, high).max(-1), np.maximum(low, high).min(-1)
+        ground = -eye[2] / rays[..., 2]
+        box = np.where((near < far) & (near > 0), near, np.inf)
+    on_lawn = (ground > 0) & (np.abs(eye + ground[..., None] * rays)[..., :2] < lawn).all(-1)
+    return np.minimum(box, np.where(on_lawn, ground, np.inf))
+
+
+def seen_by(camera, lawn, plain):
+    """The photo, and which of its pixels show sky."""
+    eye, rays = rays_of(camera)
+    far = distances(eye, rays, lawn)
+    is_sky = ~np.isfinite(far)
+    x, y, z = np.moveaxis(eye + np.where(is_sky, 0, far)[..., None] * rays, -1, 0)
+    grain = np.sin(9 * x + 3 * z) * np.sin(8 * y - 7 * z)
+    surface = 0.45 + 0.3 * grain[..., None] * np.array([1, 0.8, 0.5])
+    u, v, w = np.moveaxis(rays, -1, 0)
+    above = np.stack([0.75 - 0.4 * w, 0.8 - 0.3 * w, 0.9 + 0 * w], -1)
+    above = above + 0.1 * np.tanh(np.sin(5 * u + w) + np.sin(6 * v))[..., None]
+    behind = np.ones(3) if plain else above
+    return np.rint(255 * np.clip(np.where(is_sky[..., None], behind, surface), 0, 1)).astype(np.uint8), is_sky
+
+
+def yard(tmp_path, *, lawn=60.0, plain=False, angles=ANGLES, lifted=0.0):
+    """The scene, and where its photos show sky by name; cameras look so much higher than the box's middle."""
+    frames, truth = [], {}
+    for index, angle in enumerate(angles):
+        eye = np.array([7 * np.cos(angle), 7 * np.sin(angle), 1.6])
+        camera = camera_at(eye, (0, 0, 1.8 + lifted))
+        image, truth[f"{index}.png"] = seen_by(camera, lawn, plain)
+        frames.append(frame_of(f"{index}.png", np.asarray(camera.viewmat), np.asarray(camera.K), Pixels(image)))
+    rng = np.random.default_rng(0)
+    walls = rng.uniform(-HALF, HALF, (600, 3))
+    walls[np.arange(600), rng.integers(0, 2, 600)] = HALF * rng.choice([-1, 1], 600)
+    walls[:, 2] = rng.uniform(0, HEIGHT, 600)
+    ground = np.concatenate([rng.uniform(-6, 6, (600, 2)), np.zeros((600, 1))], 1)
+    points = np.concatenate([walls, ground]).astype(np.float32)
+    tracks = Tracks(("0.png",), np.zeros(1, np.int32), np.zeros(1, np.int32), np.zeros((1, 2), np.float32))
+    return Scene(tmp_path, "colmap", tuple(frames), points, np.zeros((1200, 3), np.uint8), tracks=lambda: tracks), truth
+
+
+def agreement(found, truth):
+    return (found & truth).sum() / (found | truth).sum()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    scene, truth = yard(tmp_path_factory.mktemp("yard"))
+    return scene, truth, sky.find(observe(scene))
+
+
+def test_the_sky_is_found_to_its_outline_and_nothing_else(made):
+    scene, truth, found = made
+    assert found.keys() == truth.keys()
+    for name, mask in found.items():
+        assert agreement(mask, truth[name]) > 0.9
+        assert not (mask & ~truth[name]).any()
+    evidence = sky.judge(observe(scene), found)
+    share = np.mean([mask.mean() for mask in found.values()])
+    assert evidence.on and evidence.note == f"sky in 7 of 7 photos, {100 * share:.0f} % of their pixels"
+
+
+def test_a_backdrop_that_goes_on_below_the_horizon_is_no_sky(tmp_path):
+    scene, truth = yard(tmp_path, lawn=3.0, plain=True)
+    assert all(mask.mean() > 0.2 for mask in truth.values())
+    assert not sky.find(observe(scene))
+
+
+def test_an_even_wall_before_which_points_were_matched_is_no_sky(made):
+    scene, truth, _ = made
+    beside = np.random.default_rng(1).normal(size=(3000, 3)) * np.array([3, 3, 1.5]) + np.array([0, 0, 7])
+    behind = replace(scene, points=np.concatenate([scene.points, beside.astype(np.float32)]))
+    assert not sky.find(observe(behind))
+
+
+def test_a_photo_of_nothing_but_sky_is_all_sky_where_others_tell(tmp_path, made):
+    scene, _, _ = made
+    up = camera_at((7, 0, 1.6), (-3, 0, 9))
+    image, truth = seen_by(up, 60.0, False)
+    assert truth.all()
+    frame = frame_of("up.png", np.asarray(up.viewmat), np.asarray(up.K), Pixels(image))
+    found = sky.find(observe(replace(scene, frames=(*scene.frames, frame))))
+    assert found["up.png"].mean() > 0.8
+
+
+def test_one_photo_no_points_and_mattes_tell_of_none(made):
+    scene, _, _ = made
+    assert not sky.find(observe(replace(scene, frames=scene.frames[:1])))
+    assert not sky.find(observe(replace(scene, points=scene.points[:0], tracks=None)))
+    matte = np.full(SIZE[::-1], 255, np.uint8)
+    cut_out = tuple(with_pixels(frame, frame.pixels()._replace(matte=matte)) for frame in scene.frames)
+    seen = observe(replace(scene, frames=cut_out))
+    assert not sky.find(seen) and not sky.judge(seen, {}).on
+
+
+def test_what_is_masked_is_no_sky(made):
+    scene, truth, found = made
+    left = np.full(SIZE[::-1], 255, np.uint8)
+    left[:, : SIZE[0] // 3] = 0
+    masked = tuple(with_pixels(frame, frame.pixels()._replace(valid=left)) for frame in scene.frames)
+    for name, mask in sky.find(observe(replace(scene, frames=masked))).items():
+        assert not mask[left == 0].any()
+        assert agreement(mask, truth[name] & (left > 0)) > 0.85
+
+
+def test_up_is_found_by_cameras_that_look_up_one_way(tmp_path):
+    scene, _ = yard(tmp_path, angles=np.linspace(0, 0.5, 4), lifted=3.0)
+    assert_close(
+        sky.upwards(scene.frames),
+        np.array([0.0, 0.0, 1.0]),
+        atol=0.04,
+        rtol=0,
+        why="two degrees; their own mean is 25 off",
+    )
+
+
+def test_only_what_hangs_in_the_air_lies_in_the_sky(made):
+    scene, _, found = made
+    rng = np.random.default_rng(2)
+    above = np.concatenate([rng.uniform(-2, 2, (50, 2)), rng.uniform(3.5, 4, (50, 1))], 1)
+    assert sky.lies_in(above, scene.frames, found).all()
+    assert not sky.lies_in(scene.points, scene.frames, found).any()
+    elsewhere = np.array([[np.nan, 0, 4], [0, 0, -500.0], [1e9, 1e9, -1e9]])
+    assert not sky.lies_in(elsewhere, scene.frames, found).any()
+    assert not sky.lies_in(above, scene.frames, {}).any()
+    one_wrong = {"0.png": np.ones(SIZE[::-1], bool)}
+    assert not sky.lies_in(scene.points, scene.frames, one_wrong).any()
+
+
+def test_the_background_begins_with_the_colours_of_the_sky(made):
+    scene, truth, found = made
+    coefficients = background.initial(observe(scene), found)
+    camera = camera_at((7, 0, 1.6), (0, 0, 1.8))
+    shown = np.asarray(backdrop.color_behind(coefficients, camera))
+    image = scene.frames[0].pixels().image / 255
+    assert np.abs(shown - image)[truth["0.png"]].mean() < 0.03  # its clouds are no harmonics
+
+
+def test_harmonics_are_fitted_exactly_where_colours_are_harmonics():
+    expected = backdrop.constant_coefficients(np.array([0.5, 0.4, 0.6]), 2)
+    expected[1:] = np.random.default_rng(4).normal(size=(8, 3)) * 0.05
+    camera = camera_at((0, 0, 0), (1, 0, 0))
+    _, rays = rays_of(camera)
+    colors = np.asarray(backdrop.color_behind(expected, camera))
+    found = backdrop.fitted_coefficients(rays.reshape(-1, 3), colors.reshape(-1, 3), 2, ridge=1e-9)
+    assert_close(np.asarray(backdrop.color_behind(found, camera)), colors, atol=1e-3, rtol=0, why="a nearly flat ridge")
+
+
+def test_a_smaller_pixel_is_sky_where_all_of_it_is(made):
+    scene, _, _ = made
+    mask = np.zeros(SIZE[::-1], bool)
+    mask[:7, :5] = True
+    views = with_skies(read_targets(scene.frames[:2], scale=2), [mask, None], 2)
+    expected = np.zeros((36, 48), bool)
+    expected[:3, :2] = True
+    np.testing.assert_array_equal(views.targets[0].sky, expected)
+    assert not views.targets[1].sky.any()
+    assert batch(read_targets(scene.frames[:1]).targets[0], np.zeros(3, np.float32)).sky is None
+
+
+@pytest.fixture
+def on_disk(tmp_path):
+    """Two photos with a `transforms.json`, and `sky/` with a mask half as large of one of them."""
+    frames = []
+    for index, eye in enumerate(((4.0, 0, 1), (0, 4.0, 1))):
+        camera = camera_at(eye, (0, 0, 1))
+        write_image(tmp_path / f"{index}.png", np.full((72, 96, 3), 90, np.uint8))
+        to_world = np.linalg.inv(np.asarray(camera.viewmat)) @ np.diag([1.0, -1, -1, 1])
+        frames.append({"file_path": f"{index}.png", "transform_matrix": to_world.tolist()})
+    record = {"w": 96, "h": 72, "fl_x": FOCAL, "fl_y": FOCAL, "cx": 48, "cy": 36, "frames": frames}
+    (tmp_path / "transforms.json").write_text(json.dumps(record))
+    half = np.full((36, 48), 255, np.uint8)
+    half[:10] = 0
+    write_image(tmp_path / "sky/0.png", half)
+    return tmp_path
+
+
+def test_masks_that_are_given_are_read_at_the_photos_size(on_disk):
+    scene = load_scene(on_disk)
+    masks = given_skies(scene, Settings(sky="sky"), 1.0)
+    assert list(masks) == ["0.png"]
+    np.testing.assert_array_equal(masks["0.png"], np.arange(72)[:, None].repeat(96, 1) < 20)
+    assert given_skies(scene, Settings(), 1.0) is None
+
+
+@pytest.mark.parametrize(
+    ("folder", "shape", "fault"),
+    [
+        ("nowhere", None, "there is no such folder"),
+        ("sky", (36, 40), "mask is 40x36"),
+        ("sky", (72, 96), "is 0 anywhere"),
+    ],
+)
+def test_masks_that_do_not_serve_are_refused(on_disk, folder, shape, fault):
+    if shape is not None:
+        write_image(on_disk / "sky/0.png", np.full(shape, 255, np.uint8))
+    with pytest.raises(InputError, match=fault):
+        given_skies(load_scene(on_disk), Settings(sky=folder), 1.0)
