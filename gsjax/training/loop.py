@@ -132,7 +132,7 @@ class Work:
     effects: Effects = field(default_factory=dict)  # the state must be made for them, their photos be `frames`
     placement: Placement = field(default_factory=one_device)  # where the state lies
     depths: Depths | None = None  # where a term needs measured depth
-    skies: sky.Masks = MappingProxyType({})  # where photos show sky, if the plan knows of one; for one device
+    skies: sky.Masks = field(default_factory=dict)  # where photos show sky, if the plan knows of one; for one device
     looks: Callable[[int], bool] | None = None  # at whose state `observe` looks, see `advance`; for one device
 
 
