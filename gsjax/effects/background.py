@@ -53,7 +53,7 @@ def initial(seen: Observations, skies: Masks = MappingProxyType({})) -> np.ndarr
         seen: The photos.
         skies: Where they show sky; those that are looked at are read again.
     """
-    if skies:
+    if any(frame.name in skies and not frame.held_out for frame in seen.frames):
         return _seen_through(seen.frames, skies)
     is_open = [facts for facts in seen.facts if facts.sky_share > OPEN]
     if not is_open:
@@ -64,8 +64,8 @@ def initial(seen: Observations, skies: Masks = MappingProxyType({})) -> np.ndarr
 
 
 def _seen_through(frames: Sequence[Frame], skies: Masks) -> np.ndarray:
-    """Coefficients of the sky's colours by direction, from some pixels of some photos."""
-    with_sky = [frame for frame in frames if frame.name in skies]
+    """Coefficients of the sky's colours by direction, from some pixels of some photos that are trained on."""
+    with_sky = [frame for frame in frames if frame.name in skies and not frame.held_out]
     directions, colors = [], []
     for frame in with_sky[:: -(-len(with_sky) // SKIES_READ)]:
         rows, columns = np.nonzero(skies[frame.name])

@@ -11,13 +11,20 @@ from gsjax.cameras import Camera, look_at
 from gsjax.effects import background, sky
 from gsjax.effects.observations import observe
 from gsjax.errors import InputError
-from gsjax.io.images import write_image
+from gsjax.io.images import read_mask, write_image
 from gsjax.io.scenes import load_scene
+from gsjax.planning.effects import choose_effects
 from gsjax.planning.skies import given_skies
+from gsjax.planning.start import first_state
 from gsjax.render import backdrop
+from gsjax.runs.records import read_views
+from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, Scene, Tracks, frame_of, with_pixels
-from gsjax.settings import Settings
+from gsjax.settings import Rates, Settings
 from gsjax.targets import batch, read_targets, with_skies
+from gsjax.training.growth.adaptive import is_alive
+from gsjax.training.optimizers import make_optimizer
+from gsjax.training.plan import plan
 
 SIZE, FOCAL = (96, 72), 75.0
 HALF, HEIGHT = 2.0, 2.5  # of the box
@@ -239,3 +246,35 @@ def test_masks_that_do_not_serve_are_refused(on_disk, folder, shape, fault):
         write_image(on_disk / "sky/0.png", np.full(shape, 255, np.uint8))
     with pytest.raises(InputError, match=fault):
         given_skies(load_scene(on_disk), Settings(sky=folder), 1.0)
+
+
+def test_a_run_takes_in_what_it_finds_or_is_given_and_starts_below_it(made):
+    scene, truth, found = made
+    settings = Settings(effects="auto", far_points=200, max_gaussians=4000)
+    chosen = choose_effects("auto", plan(settings), scene)
+    assert chosen.names == ("background", "sky") and chosen.skies.keys() == found.keys()
+    assert chosen.evidence is not None and chosen.evidence["simulated"] == ["background", "sky"]
+    optimizer = make_optimizer(Rates(), 1.0, 100)
+    state = first_state(scene, settings, optimizer, chosen.effects, skies=chosen.skies)
+    means = np.asarray(state.gaussians.means)[np.asarray(is_alive(state.gaussians))]
+    assert len(scene.points) < len(means) < len(scene.points) + 200
+    assert not sky.lies_in(means, scene.frames, found).any()
+    given = choose_effects("none", plan(settings), scene, skies={"3.png": truth["3.png"]})
+    assert given.names == ("background", "sky") and list(given.skies) == ["3.png"]
+    assert choose_effects("none", plan(settings), scene).names == ()
+
+
+def test_a_sky_that_is_asked_for_and_is_not_there_is_one_line(tmp_path):
+    scene, _ = yard(tmp_path, lawn=3.0, plain=True)
+    with pytest.raises(InputError, match="show no sky; --sky DIR takes masks of it"):
+        choose_effects("sky", plan(Settings()), scene)
+
+
+def test_no_surface_is_looked_for_in_the_sky_of_a_run(made, tmp_path):
+    scene, _, found = made
+    held_out = replace(scene.frames[0], held_out=True)
+    write_views(tmp_path / "run", (held_out, *scene.frames[1:]), found)
+    records = read_views(tmp_path / "run")
+    assert records[0]["mask"] is None
+    for record in records[1:]:
+        np.testing.assert_array_equal(read_mask(tmp_path / "run" / record["mask"]) == 0, found[record["name"]])
