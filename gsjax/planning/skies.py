@@ -27,6 +27,7 @@ def given_skies(scene: Scene, settings: Settings, downscale: float) -> Masks | N
         scene.root,
         downscale=downscale,
         images=settings.images,
+        photos=settings.photos,
         similarity=scene.similarity,
         place=scene.place,
         masks=folder,
