@@ -104,6 +104,8 @@ def blocks(
 def _without_effects(settings: Settings) -> Settings:
     if settings.photos is not None:
         raise InputError(f"photos={settings.photos}: each block chooses its photos")
+    if settings.sky is not None:
+        raise InputError(f"--sky {settings.sky}: the colours behind one block would not fit those behind the next")
     if settings.effects not in (AUTO, NONE):
         raise InputError(f"--effects {settings.effects}: what blocks find of effects would not fit at their borders")
     return replace(settings, effects=NONE)
