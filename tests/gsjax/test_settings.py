@@ -87,7 +87,7 @@ def test_effects_are_named_in_any_order(given, names):
     assert Settings(effects=given).effects == given
 
 
-@pytest.mark.parametrize("given", ["sky", "exposure,", "Auto", "none,exposure"])
+@pytest.mark.parametrize("given", ["fog", "exposure,", "Auto", "none,exposure"])
 def test_unknown_effects_are_refused(given):
     with pytest.raises(ValueError, match="is none of auto, none, exposure, vignetting"):
         Settings(effects=given)
