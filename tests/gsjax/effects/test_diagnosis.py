@@ -272,6 +272,7 @@ def test_real_photos_fall_into_their_two_groups(shared, name, exposure, vignetti
     assert found["exposure"].value == pytest.approx(exposure, abs=0.05)
     assert found["exposure"].on == (exposure > 0.1)
     assert found["vignetting"].on == vignetting
+    assert not found["sky"].on
 
 
 def test_the_command_prints_the_table_and_writes_file_and_pictures(scene_folder, tmp_path, capsys):
