@@ -62,8 +62,9 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         " named as the photos, within SCENE or anywhere; without a value, SCENE/depth")  # fmt: skip
     add("--depth-unit", choices=("mm", "cm", "m", "scene"), help="unit of that depth (default: as depth.json beside the"
         " maps says)")  # fmt: skip
-    add("--sky", metavar="DIR", help="folder of masks, 0 where a photo shows sky, named as those in masks/, within"
-        " SCENE or anywhere (default: --effects auto looks for it)")  # fmt: skip
+    add("--sky", metavar="DIR", nargs="?", const="auto", help="make no surface of open sky: folder of masks, 0 where a"
+        " photo shows sky, named as those in masks/, within SCENE or anywhere; without a value, it is looked for in the"
+        " photos")  # fmt: skip
     add("--points", metavar="FILE", help="PLY of points to start from, as of a LiDAR scan, in the coordinates of SCENE"
         " (default: the data set's own)")  # fmt: skip
     add("--background", choices=("white", "black", "random"), help="colour behind the Gaussians (default: black)")

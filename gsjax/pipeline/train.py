@@ -41,7 +41,7 @@ from gsjax.runs.result import write_views
 from gsjax.runs.run import Run
 from gsjax.scene import Scene, in_memory
 from gsjax.scoring.images import score_images
-from gsjax.settings import PLAIN, Settings
+from gsjax.settings import AUTO, PLAIN, Settings
 from gsjax.training import optimizers
 from gsjax.training.growth import adaptive
 from gsjax.training.growth.rules import RULES
@@ -168,7 +168,9 @@ def _train(
         print(f"train: depth {measured.line}", file=sys.stderr)
     trial = partial(gains, planned, frames, size, partial(first_state, started, settings))
     skies = given_skies(loaded, settings, downscale)
-    chosen = choose_effects(asked, planned, loaded, trial, looked, sh_degree=settings.sh_degree, skies=skies)
+    chosen = choose_effects(
+        asked, planned, loaded, trial, looked, sh_degree=settings.sh_degree, skies=skies, with_sky=settings.sky == AUTO
+    )
     planned = replace(planned.with_effects(chosen.names), downscale=downscale)
     optimizer = optimizers.make_optimizer(
         planned.rates, size, planned.rates.decay_steps, views_per_step=planned.views_per_step

@@ -102,6 +102,7 @@ def choose_effects(
     *,
     sh_degree: int = 3,
     skies: sky.Masks | None = None,
+    with_sky: bool = False,
 ) -> ChosenEffects:
     """The effects that are named or, of "auto", that the photos show; one line says which.
 
@@ -113,11 +114,12 @@ def choose_effects(
         looked: What `look_for_effects` found, if it was asked.
         sh_degree: Of the run's Gaussians.
         skies: Where photos show sky, if masks of it were given; with it a background is taken in.
+        with_sky: Whether a sky is looked for whatever else is asked for. "auto" alone only tells of it.
 
     Raises:
         InputError: A photo or the tracks cannot be read, or a background is asked for behind mattes.
     """
-    if asked == NONE and skies is None:
+    if asked == NONE and skies is None and not with_sky:
         return ChosenEffects()
     looked = looked or look_for_effects(asked, scene)
     scene, found = looked.scene, looked.found or diagnose_scene(looked.scene)
@@ -134,14 +136,15 @@ def choose_effects(
         if trial is not None and is_worthwhile(plan.steps):
             found = replace(found, effects=found.effects | _tried(found, near, trial))
         wanted = {name for name in SIMULATED if found.effects[name].on}
-    skies = found.sky if skies is not None or "sky" in wanted or (is_auto and found.effects["sky"].on) else {}
+    with_sky = with_sky or "sky" in named_effects(asked)
+    skies = found.sky if with_sky or skies is not None else {}
     if skies and not _is_laid(found, plan, wanted - {"background"}):
         wanted.add("background")
     chosen = [name for name in SIMULATED if name in wanted]
     if skies:
         print(f"train: {sky.told(skies, scene.frames)}", file=sys.stderr)
-    elif "sky" in wanted:
-        raise InputError(f"--effects {asked}: the photos of {scene.root} show no sky; --sky DIR takes masks of it")
+    elif with_sky:
+        raise InputError(f"--sky: the photos of {scene.root} show no sky; --sky DIR takes masks of it")
     print(f"train: effects: {', '.join(chosen) or 'none that the photos show'}", file=sys.stderr)
     evidence = {
         "simulated": [*chosen, *(["sky"] if skies else [])],

@@ -4,7 +4,7 @@ from gsjax.effects.sky import Masks
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.scene import Scene, valid_pixels
-from gsjax.settings import Settings
+from gsjax.settings import AUTO, Settings
 
 
 def given_skies(scene: Scene, settings: Settings, downscale: float) -> Masks | None:
@@ -18,7 +18,7 @@ def given_skies(scene: Scene, settings: Settings, downscale: float) -> Masks | N
     Raises:
         InputError: There is no such folder, it has no mask of any photo, or one does not fit its photo.
     """
-    if settings.sky is None:
+    if settings.sky in (None, AUTO):
         return None
     folder = scene.root / settings.sky  # An absolute path stays what it is.
     if not folder.is_dir():

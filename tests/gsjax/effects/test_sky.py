@@ -231,6 +231,7 @@ def test_masks_that_are_given_are_read_at_the_photos_size(on_disk):
     assert list(masks) == ["0.png"]
     np.testing.assert_array_equal(masks["0.png"], np.arange(72)[:, None].repeat(96, 1) < 20)
     assert given_skies(scene, Settings(), 1.0) is None
+    assert given_skies(scene, Settings(sky="auto"), 1.0) is None
 
 
 @pytest.mark.parametrize(
@@ -251,7 +252,7 @@ def test_masks_that_do_not_serve_are_refused(on_disk, folder, shape, fault):
 def test_a_run_takes_in_what_it_finds_or_is_given_and_starts_below_it(made):
     scene, truth, found = made
     settings = Settings(effects="auto", far_points=200, max_gaussians=4000)
-    chosen = choose_effects("auto", plan(settings), scene)
+    chosen = choose_effects("auto", plan(settings), scene, with_sky=True)
     assert chosen.names == ("background", "sky") and chosen.skies.keys() == found.keys()
     assert chosen.evidence is not None and chosen.evidence["simulated"] == ["background", "sky"]
     optimizer = make_optimizer(Rates(), 1.0, 100)
@@ -262,12 +263,13 @@ def test_a_run_takes_in_what_it_finds_or_is_given_and_starts_below_it(made):
     given = choose_effects("none", plan(settings), scene, skies={"3.png": truth["3.png"]})
     assert given.names == ("background", "sky") and list(given.skies) == ["3.png"]
     assert choose_effects("none", plan(settings), scene).names == ()
+    assert not choose_effects("auto", plan(settings), scene).skies  # it is only told of
 
 
 def test_a_sky_that_is_asked_for_and_is_not_there_is_one_line(tmp_path):
     scene, _ = yard(tmp_path, lawn=3.0, plain=True)
     with pytest.raises(InputError, match="show no sky; --sky DIR takes masks of it"):
-        choose_effects("sky", plan(Settings()), scene)
+        choose_effects("none", plan(Settings()), scene, with_sky=True)
 
 
 def test_no_surface_is_looked_for_in_the_sky_of_a_run(made, tmp_path):
