@@ -146,7 +146,8 @@ def make(folder: Path) -> None:
     """Photos, the model, `true_sky/` (0 where a photo shows sky) and `gt_mesh.ply`."""
     mesh, kinds = house()
     cast, views = ray_caster(mesh), cameras()
-    make_folder(folder / "images"), make_folder(folder / "true_sky")
+    for name in ("images", "true_sky"):
+        make_folder(folder / name)
     photos = []
     for index, camera in enumerate(views):
         image, sky = photo(camera, mesh, kinds, cast)

@@ -238,7 +238,8 @@ def _reduced(pixels: Pixels, scale: int) -> Pixels:
 
 def _any_of_blocks(mask: np.ndarray, scale: int) -> np.ndarray:
     height, width = mask.shape[0] // scale, mask.shape[1] // scale
-    return mask[: height * scale, : width * scale].reshape(height, scale, width, scale).any(axis=(1, 3))
+    blocks = mask[: height * scale, : width * scale].reshape(height, scale, width, scale)
+    return np.logical_or.reduce(blocks, axis=(1, 3))
 
 
 def _block_mean(array: np.ndarray, scale: int, weights: np.ndarray | None = None) -> np.ndarray:

@@ -45,14 +45,14 @@ def find(seen: Observations) -> Masks:
     found = [_regions(view, typical) for view in views]
     counts: dict[int, int] = {}
     for view, regions in zip(views, found, strict=True):
-        for cell in np.unique(view.cells[np.any(regions, axis=0)]) if regions else ():
+        for cell in np.unique(view.cells[np.logical_or.reduce(regions)]) if regions else ():
             counts[cell] = counts.get(cell, 0) + 1
     masks, strong = {}, 0
     for frame, view, regions in zip(seen.frames, views, found, strict=True):
         shared = np.isin(view.cells, [cell for cell, count in counts.items() if count >= FEWEST])
         kept = [region for region in regions if shared[region].mean() >= ALIKE]
         if kept:
-            masks[frame.name] = _full_size(np.any(kept, axis=0), frame)
+            masks[frame.name] = _full_size(np.logical_or.reduce(kept), frame)
             strong += any(_is_plain(region, view) for region in kept)
     return masks if strong >= max(FEWEST, THRESHOLD * len(views)) else {}
 
@@ -110,7 +110,7 @@ def lies_in(points: np.ndarray, frames: Sequence[Frame], masks: Masks) -> np.nda
         frames: The photos, those without sky too.
         masks: Of the photos that show sky, of any size, as their masks are.
     """
-    finite = np.isfinite(points).all(axis=1)
+    finite = np.logical_and.reduce(np.isfinite(points), axis=1)
     usable = np.where(finite[:, None], points, 0).astype(np.float64)
     viewed, inside = np.zeros((2, len(points)), int)
     for frame in frames:
@@ -145,7 +145,7 @@ def _view(frame: Frame, even: np.ndarray, points: np.ndarray, up: np.ndarray) ->
     elevation = np.degrees(np.arcsin(np.clip(rays @ up, -1, 1)))
     cells = np.rint(CELLS * rays).astype(np.int64) @ np.array([1, 100, 10_000])
     usable = even != UNUSABLE
-    border = usable & ~np.asarray(ndimage.binary_erosion(usable))
+    border = usable & np.logical_not(ndimage.binary_erosion(usable))
     if border.any():
         highest, lowest = elevation[usable].max(), elevation[usable].min()
         border &= elevation > highest - UPPER * (highest - lowest)

@@ -59,7 +59,7 @@ def test_a_clean_scene_calls_for_nothing():
     assert list(record["effects"]) == EFFECTS
     assert all(list(effect) == FIELDS for effect in record["effects"].values())
     assert [name for name, effect in record["effects"].items() if effect["on"]] == []
-    assert list(record["photos"][0]) == ["name", "gains", "sharpness", "pose_step_px"]
+    assert list(record["photos"][0]) == ["name", "gains", "sharpness", "pose_step_px", "sky"]
     assert record["effects"]["exposure"]["evidence"] < 0.01
 
 
@@ -204,7 +204,7 @@ def test_pixels_lost_to_undistortion_are_counted():
 
 def test_what_cannot_be_judged_says_so():
     found = diagnose(replace(wall(), tracks=None)).effects
-    unknown = {"exposure", "vignetting", "sh_degree", "background", "poses", "transients", "mip"}
+    unknown = {"exposure", "vignetting", "sh_degree", "background", "poses", "transients", "mip", "sky"}
     assert {name for name, evidence in found.items() if evidence.value is None} == unknown
     assert not any(found[name].on for name in unknown)
     assert all("cannot be judged" in found[name].note for name in unknown)
