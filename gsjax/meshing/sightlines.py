@@ -51,7 +51,7 @@ class Agreement(NamedTuple):
 def sightlines_of(scene: Scene) -> Sightlines:
     """The lines of all tracks of three photos and more; observations that fit their point badly are left out.
 
-    Held-out photos count too: their tracks were never trained on.
+    Held-out photos count too: their tracks were matched, but their pixels never trained on.
 
     Args:
         scene: A loaded data set; without tracks there are no lines.
