@@ -114,7 +114,7 @@ def choose_effects(
         looked: What `look_for_effects` found, if it was asked.
         sh_degree: Of the run's Gaussians.
         skies: Where photos show sky, if masks of it were given; with it a background is taken in.
-        with_sky: Whether a sky is looked for whatever else is asked for. "auto" alone only tells of it.
+        with_sky: Whether a sky is looked for whatever else is asked for, and must be found.
 
     Raises:
         InputError: A photo or the tracks cannot be read, or a background is asked for behind mattes.
@@ -137,7 +137,7 @@ def choose_effects(
             found = replace(found, effects=found.effects | _tried(found, near, trial))
         wanted = {name for name in SIMULATED if found.effects[name].on}
     with_sky = with_sky or "sky" in named_effects(asked)
-    skies = found.sky if with_sky or skies is not None else {}
+    skies = found.sky if is_auto or with_sky or skies is not None else {}
     if skies and not _is_laid(found, plan, wanted - {"background"}):
         wanted.add("background")
     chosen = [name for name in SIMULATED if name in wanted]

@@ -264,7 +264,8 @@ def test_a_run_takes_in_what_it_finds_or_is_given_and_starts_below_it(made):
     given = choose_effects("none", plan(settings), scene, skies={"3.png": truth["3.png"]})
     assert given.names == ("background", "sky") and list(given.skies) == ["3.png"]
     assert choose_effects("none", plan(settings), scene).names == ()
-    assert not choose_effects("auto", plan(settings), scene).skies  # it is only told of
+    assert choose_effects("auto", plan(settings), scene).names == chosen.names
+    assert choose_effects("exposure", plan(settings), scene).names == ("exposure",)
 
 
 def test_a_sky_that_is_asked_for_and_is_not_there_is_one_line(tmp_path):
