@@ -198,7 +198,7 @@ class Settings:
     depth: str | None = None  # folder of measured depth (`gsjax.io.depth_maps`), within the data set or anywhere
     depth_unit: Literal["mm", "cm", "m", "scene"] | None = None  # of those maps; None: as depth.json beside them says
     depth_weight: float = 0.2  # of the term `measured_depth`, where there are such maps and a phase sets no other
-    sky: str | None = None  # folder of masks, 0 where photos show sky, found as `depth` is, or "auto", which must find it
+    sky: str | None = None  # folder of masks, 0 where photos show sky, found as `depth` is, or "auto": it must be seen
     sky_weight: float = 0.1  # of the term `sky`, where photos show any
     points: str | None = None  # PLY of points to start from, in the data set's coordinates; None: the data set's own
     background: Literal["white", "black", "random"] = "black"
