@@ -162,6 +162,9 @@ def test_antialiasing_keeps_the_energy_of_what_is_smaller_than_a_pixel():
     np.testing.assert_allclose(fair_info["compensations"], 0.01 / 0.31, rtol=1e-5)
     np.testing.assert_allclose(fair.sum(), energy, rtol=0.02)
     assert classic.sum() > 25 * energy
+    # What it dims below the cut, 0.0032 of 1/255, is nowhere.
+    faint = replace(small, opacities=jnp.full(1, 0.1))
+    assert not render(faint, capacity=256, rasterize_mode="antialiased")[2]["visible"].any()
     # Large splats are left alone: 6.4^2 / (6.4^2 + 0.3) is 0.9927.
     large = single(scale=(0.8, 0.8, 0.8), size=17)
     fair, classic = (render(large, capacity=256, rasterize_mode=mode)[1] for mode in ("antialiased", "classic"))
