@@ -2,8 +2,8 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, count, finite
-from gsjax.settings import PRESETS
+from gsjax.cli.parsers import add_command, count
+from gsjax.cli.train import add_training, training
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -26,18 +26,12 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--out", metavar="OUT", required=True, help="folder for everything; the same one again to go on")
     add("--blocks", type=count, metavar="N", required=True, help="how many, of as many cameras each")
     add("--only", type=count, nargs="+", metavar="I", default=(), help="train these blocks alone, counted from 1")
-    add("--preset", choices=PRESETS, default="fast", help="how long to train each block (default: fast)")
-    add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
-    add("--downscale", type=finite, metavar="K", help="make the photos K times smaller (default: as `gsjax train`)")
-    add("--hold-out", metavar="N|none|FILE", help="photos for scoring only (default: as `gsjax train`)")
-    add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
-        help="any setting of the training by its dotted key; may be repeated")  # fmt: skip
+    add_training(parser, "how long to train each block")
 
 
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
-    from gsjax.cli.train import override_settings
 
-    settings = override_settings(PRESETS[arguments.preset], arguments, "seed", "downscale", "hold_out")
+    settings = training(arguments)
     report = pipeline.blocks(arguments.scene, arguments.out, settings, arguments.blocks, only=arguments.only)
     print(tables.record(report))

@@ -2,9 +2,10 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, finite
+from gsjax.cli.parsers import add_command
 from gsjax.cli.sfm import add_reconstruction, reconstruction, tell_unused
-from gsjax.settings import PRESETS, REFINED_BY
+from gsjax.cli.train import add_training, training
+from gsjax.settings import REFINED_BY
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -26,22 +27,16 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("source", metavar="PHOTOS_OR_VIDEO", help="folder of photos, a video, or a data set")
     add("--out", metavar="OUT", required=True, help="folder for everything; the same one again to go on")
     add_reconstruction(parser)
-    add("--preset", choices=PRESETS, default="fast", help="how long to train and refine (default: fast)")
-    add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
-    add("--downscale", type=finite, metavar="K", help="make the photos K times smaller (default: as `gsjax train`)")
-    add("--hold-out", metavar="N|none|FILE", help="photos for scoring only (default: as `gsjax train`)")
-    add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
-        help="any setting of the training by its dotted key; may be repeated")  # fmt: skip
+    add_training(parser, "how long to train and refine")
 
 
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import config, pipeline, tables
     from gsjax.binding.refining import PRESETS as REFINEMENTS
     from gsjax.binding.refining import Refinement
-    from gsjax.cli.train import override_settings
     from gsjax.pipeline.scan import table
 
-    settings = override_settings(PRESETS[arguments.preset], arguments, "seed", "downscale", "hold_out")
+    settings = training(arguments)
     length = REFINEMENTS[REFINED_BY[arguments.preset]]
     refinement = config.parse(Refinement, config.merge(length, {"seed": settings.seed}))
     report = pipeline.scan(arguments.source, arguments.out, settings, refinement, **reconstruction(arguments))

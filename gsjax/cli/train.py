@@ -165,6 +165,27 @@ def settings(arguments: argparse.Namespace) -> Settings:
     return choice.settings
 
 
+def add_training(parser: argparse.ArgumentParser, length: str) -> None:
+    """What commands that train among other things let choose of it; `training` reads it.
+
+    Args:
+        parser: Of the command.
+        length: What its preset decides, for the help.
+    """
+    add = parser.add_argument
+    add("--preset", choices=PRESETS, default="fast", help=f"{length} (default: fast)")
+    add("--seed", type=int, metavar="N", help="seed of all random numbers (default: 0)")
+    add("--downscale", type=finite, metavar="K", help="make the photos K times smaller (default: as `gsjax train`)")
+    add("--hold-out", metavar="N|none|FILE", help="photos for scoring only (default: as `gsjax train`)")
+    add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
+        help="any setting of the training by its dotted key; may be repeated")  # fmt: skip
+
+
+def training(arguments: argparse.Namespace) -> Settings:
+    """The settings that were chosen so."""
+    return override_settings(PRESETS[arguments.preset], arguments, "seed", "downscale", "hold_out")
+
+
 def override_settings(base: Mapping[str, Any], arguments: argparse.Namespace, *names: str) -> Settings:
     """Settings with the named options where they were given, then what `--set` says."""
     options = given_options(arguments, *names)
