@@ -14,6 +14,7 @@ from scipy import ndimage
 from gsjax.cameras import landing
 from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.observations import EVEN, UNUSABLE, Observations, even_stride
+from gsjax.place import up_of_cameras
 from gsjax.scene import Frame
 
 THRESHOLD = 0.25  # of the photos
@@ -26,8 +27,7 @@ BELOW = (-5.0, 0.05)  # degrees of elevation, and the share of a region that may
 POINTS = (0.05, 10.0)  # of the points that a region so large would have, that a sky has at most; fewest of the latter
 ALIKE = 0.3  # of a region, which another photo has as sky in the same directions
 CELLS = 10  # to the unit, by which directions are compared: 6 degrees
-UPRIGHT = 0.5  # length of the mean of the cameras' upward axes, under which they tell no up
-TILT = 0.002  # weight of that mean beside the cameras' level axes
+UPRIGHT = 0.5  # length of the mean of the cameras' upward axes, under which they do not agree on up
 PASSES = 1  # over the coverage of a photo
 MOST_INSIDE = 0.5  # of the photos that have a point in view, beyond which it lies in their sky
 
@@ -87,16 +87,11 @@ def tinted(image: np.ndarray, mask: np.ndarray | None) -> np.ndarray:
 
 
 def upwards(frames: Sequence[Frame]) -> np.ndarray | None:
-    """`[3]` unit, where up is: at right angles to the cameras' level axes, and most nearly where their own up is.
-
-    None where they do not agree: photos are held upright, as they are stored.
-    """
-    axes = np.stack([frame.viewmat[:3, :3].astype(np.float64) for frame in frames])
-    level, mean = axes[:, 0], -axes[:, 1].mean(0)
-    if np.linalg.norm(mean) < UPRIGHT:
+    """`[3]` unit, where up is by photos that stand upright as they are stored; None where they do not agree."""
+    viewmats = np.stack([frame.viewmat for frame in frames]).astype(np.float64)
+    if np.linalg.norm(viewmats[:, 1, :3].mean(0)) < UPRIGHT:
         return None
-    up = np.linalg.eigh(level.T @ level / len(level) - TILT * np.outer(mean, mean))[1][:, 0]
-    return up * np.sign(up @ mean)
+    return up_of_cameras(viewmats)[0]
 
 
 def lies_in(points: np.ndarray, frames: Sequence[Frame], masks: Masks) -> np.ndarray:
