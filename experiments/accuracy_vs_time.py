@@ -30,7 +30,7 @@ Rounds = list[dict[str, dict[str, Any]]]
 
 
 def run(
-    scene: str, out: str, names: Sequence[str], rounds: int, share: float, config: str = "demo"
+    scene: str, out: str, names: Sequence[str], rounds: int, share: float, config: str = "built_in"
 ) -> dict[str, Rounds]:
     """Measures the named knobs, of none all, as far as that is not done yet, and returns all that is."""
     from knobs import knobs_of
@@ -166,7 +166,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--scene", required=True, help="folder of the data set")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for runs, table and picture")
-    parser.add_argument("--config", default="demo", metavar="NAME", help="of configs.py, to turn from (default: demo)")
+    parser.add_argument(
+        "--config", default="built_in", metavar="NAME", help="of configs.py, to turn from (default: built_in)"
+    )
     parser.add_argument("--knobs", nargs="+", default=[], metavar="NAME", help="those to turn (default: all)")
     parser.add_argument("--rounds", type=int, default=3, metavar="N", help="of every knob (default: 3)")
     parser.add_argument("--share", type=float, default=1.0, help="of the config's steps, in every run (default: 1)")

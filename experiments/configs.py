@@ -11,11 +11,20 @@ from gsjax.settings import DEMO, FAST, NONE, PRESETS, Rates, Settings
 
 # No effects: runs are compared by the score of the render as it is.
 _BASE: dict[str, Any] = {**PRESETS["fast"], "effects": NONE}
+_DEMO = {key: value for key, value in to_dict(parse(Settings, DEMO)).items() if _BASE.get(key) != value}
 
 CONFIGS: dict[str, dict[str, Any]] = {
     "base": _BASE,
     # The built-in scene as `gsjax demo` trains it, whatever `base` is.
-    "demo": {key: value for key, value in to_dict(parse(Settings, DEMO)).items() if _BASE.get(key) != value},
+    "demo": _DEMO,
+    # The same with a surface phase of its own after the plain steps, which variants of a study have in common.
+    "built_in": {
+        **_DEMO,
+        "phases": [
+            {"name": "vanilla", "steps": 1000, "density_control": True},
+            {"name": "surface", "steps": 850, "weights": DEMO["phases"][-1]["weights"], "surface_every": 4},
+        ],
+    },
     # Sixty rendered views of a scanned mesh on a plane, with true normals. Rates and ramp are 3DGS's: those of `fast`
     # gain 0.7 dB here and cost a third of the mesh's accuracy.
     "bunny_plane": {
@@ -61,5 +70,5 @@ CONFIGS: dict[str, dict[str, Any]] = {
         "logging": {"metrics_every": 10, "evaluate_every": 0, "checkpoint_every": 20},
     },
 }
-WITH_TRUE_NORMALS = {"demo", "bunny_plane"}
+WITH_TRUE_NORMALS = {"demo", "built_in", "bunny_plane"}
 """Configs of data sets that have true normals, in SCENE/normals."""

@@ -153,7 +153,7 @@ class Logging:
 
     metrics_every: int = 50
     evaluate_every: int = 500  # PSNR of the held-out views; 0: only at the end
-    checkpoint_every: int = 500
+    checkpoint_every: int = 500  # and at the end of every phase
 
     def __post_init__(self):
         """Check ranges."""
@@ -332,15 +332,18 @@ DEMO: dict[str, Any] = {
     "sh_degree": 2,
     "sh_every": 400,
     "phases": [
-        {"name": "vanilla", "steps": 1000, "density_control": True},
-        {"name": "surface", "steps": 850, "weights": {"pixel_normal": 0.25, "thickness": 0.02}, "surface_every": 4},
+        _phase("vanilla", 500, density_control=True),
+        _phase(
+            "surface", 1350, weights={"pixel_normal": 0.25, "thickness": 0.02}, surface_every=4, density_control=True
+        ),
     ],
     "density": {"rule": "error", "start": 200, "stop": 900, "replace": 0.05, "reset_every": 0},
-    "logging": {"metrics_every": 50, "evaluate_every": 0, "checkpoint_every": 1000},
+    "logging": {"metrics_every": 50, "evaluate_every": 0, "checkpoint_every": 2000},
 }
 """The built-in scene at 192x192 pixels with its true normals (`gsjax.pipeline.demo`).
 
-Its weights are the cheapest of experiments/results/price_of_r.md whose normals are those of R in every fourth step.
+R and `thickness` act while Gaussians multiply: splats that are thin by then cost pictures nothing
+(experiments/results/price_of_r.md).
 """
 
 PRESETS: dict[str, dict[str, Any]] = {

@@ -20,7 +20,6 @@ from nbformat import NotebookNode, writes
 
 FOLDER = "notebooks"
 PATIENCE = 600  # Seconds that one cell may take.
-RUN_LONG = {"photos_to_mesh", "accuracy_vs_time"}  # Longer than they compile; the others as tests (tests/conftest.py).
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -55,7 +54,7 @@ def executed(notebook: NotebookNode, source: Path) -> NotebookNode:
     with tempfile.TemporaryDirectory() as folder:
         client = NotebookClient(notebook, timeout=PATIENCE, resources={"metadata": {"path": folder}})
         try:
-            client.execute(env=environment(source.stem))
+            client.execute(env=environment())
         except CellExecutionError as error:
             raise PluginError(f"{source}: {error}") from error
     for cell in notebook.cells:
@@ -64,10 +63,10 @@ def executed(notebook: NotebookNode, source: Path) -> NotebookNode:
     return notebook
 
 
-def environment(name: str) -> dict[str, str]:
-    """Of the process that runs a notebook: most compile much and run little, and are spared XLA's optimisations."""
+def environment() -> dict[str, str]:
+    """Of the process that runs a notebook: it compiles much and runs little, and is spared XLA's optimisations."""
     spared = {"OPEN3D_DISABLE_WEB_VISUALIZER": "true"}  # It would serve a page.
-    if name not in RUN_LONG and version("jaxlib").startswith("0.10."):  # An unknown flag would end the process.
+    if version("jaxlib").startswith("0.10."):  # An unknown flag would end the process (tests/conftest.py).
         spared["XLA_FLAGS"] = "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
     return spared | os.environ
 

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from gsjax.training.terms import TERMS as OURS
 
-ON = "demo"
+ON = "built_in"
 MIX = "ours, mix"
 
 
@@ -44,7 +44,7 @@ WEIGHTS: dict[str, dict[str, float]] = {
     MIX: {"sdf_normal": 0.1, "pixel_normal": 0.4, "thickness": 0.02},
 }
 _COSTS = {
-    "demo": (1.00, 4.47, 3.08, 2.25, 1.80, 2.29, 1.48, 1.48, 2.40),
+    "built_in": (1.00, 4.47, 3.08, 2.25, 1.80, 2.29, 1.48, 1.48, 2.40),
     "bunny_plane": (1.00, 5.09, 3.22, 2.40, 1.97, 2.16, 1.45, 1.45, 2.55),
 }
 STEP_COSTS = {on: dict(zip(WEIGHTS, costs, strict=True)) for on, costs in _COSTS.items()}
@@ -52,8 +52,8 @@ STEP_COSTS = {on: dict(zip(WEIGHTS, costs, strict=True)) for on, costs in _COSTS
 
 
 def costs_on(on: str) -> dict[str, float]:
-    """What a step with each method costs, in plain ones; those of the demo where nobody has measured them."""
-    return STEP_COSTS.get(on, STEP_COSTS["demo"])
+    """What a step with each method costs, in plain ones; those of the built-in scene where nobody has measured them."""
+    return STEP_COSTS.get(on, STEP_COSTS["built_in"])
 
 
 def at_equal_time(

@@ -9,7 +9,7 @@ Gaussians in its weight. All begin with the config's plain phases and have true 
 from collections.abc import Mapping
 from typing import Any
 
-ON = "demo"
+ON = "built_in"
 
 
 def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:

@@ -11,7 +11,7 @@ the distance of the object in 2DGS's unit: somewhat under 3 there (its meshes ar
 from collections.abc import Mapping
 from typing import Any
 
-ON = "demo"
+ON = "built_in"
 _TERMS = {"distortion": 5.0, "depth_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}
 
 

@@ -3,7 +3,8 @@
     python experiments/compare.py price_of_r --scene runs/demo/scene --out DIR --seeds 3
 
 After the config's plain phases: plain steps, the mix of R in every step, and R at the pixels in every fourth step with
-`thickness`, all for the same steps; the last also for the time of the plain ones. True normals.
+`thickness`, all for the same steps; the last also for the time of the plain ones, and from `EARLY` on, while Gaussians
+multiply, with R and with `thickness` alone. True normals.
 """
 
 from collections.abc import Mapping
@@ -11,14 +12,16 @@ from typing import Any
 
 from studies.baselines import MIX, WEIGHTS, Method, at_equal_time
 
-ON = "demo"
+ON = "built_in"
+EARLY = 500  # steps of the demo before its surface phase
 _COST = 1.61  # of a step with R at the pixels, in plain ones (`native` backend, AMD EPYC without AVX-512)
 _THICKNESS = 0.02
 
 
 def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
-    """Plain training, the mix, and every weight."""
+    """Plain training, the mix, every weight, and the terms of the first from early on."""
     del on
+    plain, surface = config["phases"]
 
     def rarely(weight: float, cost: float) -> Method:
         return Method(cost, {"pixel_normal": weight, "thickness": _THICKNESS}, every=4)
@@ -29,4 +32,12 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
         **{f"{weight:g}": rarely(weight, 1) for weight in (0.25, 0.3, 0.4)},
         **{f"{weight:g}, the time of plain": rarely(weight, _COST) for weight in (0.2, 0.3)},
     }
-    return at_equal_time(config["phases"], methods, 1)
+    late = at_equal_time([plain, surface], methods, 1)
+
+    def early(weights: Mapping[str, float]) -> dict[str, Any]:
+        """As long as the others; the surface phase has the plain steps after `EARLY`, and Gaussians multiply in it."""
+        longer = {"steps": surface["steps"] + plain["steps"] - EARLY, "density_control": True, "surface_every": 4}
+        return late["0.25"] | {"phases": [plain | {"steps": EARLY}, surface | longer | {"weights": weights}]}
+
+    thin = {"thickness": _THICKNESS}
+    return late | {"0.25, early": early({"pixel_normal": 0.25} | thin), "thickness, early": early(thin)}

@@ -11,7 +11,7 @@ from typing import Any
 
 from studies.baselines import Method, at_equal_time
 
-ON = "demo"
+ON = "built_in"
 _COSTS = {
     "sdf_normal": 2.10,
     "sdf_central": 2.16,

@@ -10,7 +10,7 @@ from typing import Any
 
 from studies.baselines import MIX, Method, at_equal_time, costs_on
 
-ON = "demo"
+ON = "built_in"
 _WHEN: dict[str, dict[str, Any]] = {
     "0.1, first half": {"within": (0, 1 / 2)},
     "0.2, first half": {"within": (0, 1 / 2)},

@@ -11,7 +11,7 @@ from typing import Any
 
 from studies import baselines
 
-ON = "demo"
+ON = "built_in"
 _MAPS = {
     "true": "{scene}/normals",
     "5 degrees": "{scene}/normals_5deg",

@@ -322,6 +322,7 @@ class TrainingJournal(Journal):
         super().__init__(run, "train", planned.steps, step, seconds)
         self.plan, self.scene, self.chosen = planned, scene, chosen
         self._pace, self._whole, self._held = Pace(), whole, False
+        self._ends = {phase.end for phase in planned.phases}
         self.evaluate_every = planned.logging.evaluate_every if scene.held_out_frames else 0
 
     def note(self, progress: Progress) -> None:
@@ -349,7 +350,9 @@ class TrainingJournal(Journal):
         """Whether held-out views are scored after so many steps, figures logged, and a checkpoint saved."""
         every, last = self.plan.logging, step == self.steps
         scored = self.evaluate_every > 0 and step % self.evaluate_every == 0 and not last
-        return scored, scored or last or step % every.metrics_every == 0, last or step % every.checkpoint_every == 0
+        logged = scored or last or step % every.metrics_every == 0
+        # Where a phase ends another run may begin (`train`'s `earlier`).
+        return scored, logged, step in self._ends or step % every.checkpoint_every == 0
 
     def _held_out(self, state: TrainState) -> dict[str, float]:
         """PSNR of the views that are held out, of the render as it is and, with effects on light, as photos near it."""

@@ -94,7 +94,7 @@ def test_an_unknown_knob_is_one_line(script, tmp_path):
         script.run("scene", str(tmp_path), ["alpha"], 1, 1.0)
 
 
-@pytest.mark.parametrize("config", ["demo", "bunny_plane", "fox"])
+@pytest.mark.parametrize("config", ["built_in", "bunny_plane", "fox"])
 def test_the_settings_of_training_are_settings(script, config):
     from knobs import knob, training
     from train import load_settings
@@ -114,7 +114,7 @@ def test_r_in_fewer_steps_is_as_much_stronger_and_what_costs_no_time_stays(scrip
     from knobs import training
     from train import load_settings
 
-    knob = training.knobs_of(to_dict(load_settings("demo")))["R"]
+    knob = training.knobs_of(to_dict(load_settings("built_in")))["R"]
     surfaces = {label: difference["phases"][-1] for label, difference in knob.values.items()}
     assert [phase["surface_every"] for phase in surfaces.values()] == [1, 2, 4]
     acting = [phase["weights"]["pixel_normal"] / phase["surface_every"] for phase in surfaces.values()]

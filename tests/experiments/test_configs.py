@@ -8,7 +8,7 @@ from gsjax import config
 from gsjax.errors import InputError
 from gsjax.settings import DEMO, PRESETS, Settings
 
-CONFIGS = ["base", "bunny_plane", "demo", "fox", "fox_small", "lego200", "photos_short", "smoke"]
+CONFIGS = ["base", "built_in", "bunny_plane", "demo", "fox", "fox_small", "lego200", "photos_short", "smoke"]
 
 
 @pytest.fixture

@@ -53,11 +53,13 @@ def test_a_report_is_left_and_a_run_that_kept_no_pictures_is_rendered_for_it(run
         assert np.abs(read_image(tmp_path / "run/pictures" / name)[0] - image).mean() < 1, name
 
 
-@pytest.mark.parametrize("stopped_at", [10, 23])
-def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, stopped_at):
+@pytest.mark.parametrize(("stopped_at", "kept"), [(13, [7, 12]), (23, [20, 21])])
+def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, stopped_at, kept):
+    """From checkpoints of every seventh step and of each phase's end, of which two are kept."""
     settings = config.parse(Settings, SETTINGS)
     folder = tmp_path / "run"
     train_until_killed(stopped_at, scene, folder, settings)
+    assert sorted(file.name for file in (folder / "checkpoints").iterdir()) == [f"step_{n:07d}.npz" for n in kept]
     pipeline.train(scene, folder, settings, resume=True)
 
     assert (folder / "gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()

@@ -25,7 +25,8 @@ CASES = {
     "degree 0, one Gaussian, 1 channel": (cloud(1, size=(9, 7), sh_degree=0, channels=1), {"sh_degree": 0}),
 }
 OF_BOTH = {"pixels that stop"}
-AT_NIGHT = {"RGB+D, degree 1, two cameras", "ED, one pixel"}  # What they ask is asked by others, each by itself.
+# What they ask is asked by others, each by itself.
+AT_NIGHT = {"RGB+D, degree 1, two cameras", "ED, one pixel", "degree 0, one Gaussian, 1 channel"}
 
 
 def with_background_for_mode(scene, render_mode="RGB", **_):

@@ -92,6 +92,7 @@ SHOWN = {
     "mean far outside the image": {"means": (60.0, -20.0, 2.0), "scales": (40.0, 0.3, 30.0)},
 }
 FEW = "native", "pallas"  # backends: the CPU's own, and the kernels that no other test of a CPU runs
+BY_NIGHT = [each if each in FEW else pytest.param(each, marks=pytest.mark.long) for each in BACKENDS]
 # Other camera models. Blending knows of none: one engine shows it, the others by night.
 OTHER_MODELS = {
     "fisheye": {"camera_model": "fisheye", "radial_coeffs": np.array([[0.05, -0.02, 0.01, -0.003]])},
@@ -139,15 +140,20 @@ def largest_error(actual, expected):
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize(
-    ("planes", "name"),
-    # Depth alone does not look at colours: a bad one hides nothing.
-    [*((False, name) for name in HIDDEN), *((True, name) for name in HIDDEN if not name.startswith("colors"))],
-)
-def test_what_cannot_show_changes_no_bit_of_the_rest(planes, name, backend, hard_cases):
-    scene, without, options = odd(HIDDEN[name]), odd({"opacities": 0.0}), {}
-    if planes:
-        scene, without, options = of_depth(scene), of_depth(without), PLANES
+@pytest.mark.parametrize("name", HIDDEN)
+def test_what_cannot_show_changes_no_bit_of_the_rest(name, backend, hard_cases):
+    changes_no_bit(f"hidden: {name}", odd(HIDDEN[name]), odd({"opacities": 0.0}), backend, hard_cases)
+
+
+# Depth alone does not look at colours: a bad one hides nothing.
+@pytest.mark.parametrize("backend", BY_NIGHT)
+@pytest.mark.parametrize("name", [name for name in HIDDEN if not name.startswith("colors")])
+def test_what_cannot_show_changes_no_bit_of_the_planes(name, backend, hard_cases):
+    scene, without = of_depth(odd(HIDDEN[name])), of_depth(odd({"opacities": 0.0}))
+    changes_no_bit(f"planes, hidden: {name}", scene, without, backend, hard_cases, **PLANES)
+
+
+def changes_no_bit(case, scene, without, backend, hard_cases, **options):
     image, alphas, info, gradient = evaluate(scene, backend, **options)
     expected_image, expected_alphas, _, expected = evaluate(without, backend, **options)
     np.testing.assert_array_equal(image, expected_image)
@@ -159,7 +165,7 @@ def test_what_cannot_show_changes_no_bit_of_the_rest(planes, name, backend, hard
     for field in ("viewmats", "Ks", "backgrounds"):
         np.testing.assert_array_equal(getattr(gradient, field), getattr(expected, field))
     assert not info.get("overflowed", False)
-    hard_cases(f"{'planes, ' * planes}hidden: {name}", backend, value=0.0, gradient=0.0, bounds=(0.0, 0.0))
+    hard_cases(case, backend, value=0.0, gradient=0.0, bounds=(0.0, 0.0))
 
 
 @pytest.fixture

@@ -155,7 +155,7 @@ def test_what_is_far_away_may_be_larger_by_the_square_of_its_depth():
     assert alive(after)[4:8].tolist() == [False, True, False, False]  # the last was in no view
 
 
-@pytest.mark.parametrize("count", [900, 1_200, 1_800])
+@pytest.mark.parametrize("count", [*(pytest.param(n, marks=pytest.mark.long) for n in (900, 1_200)), 1_800])
 def test_size_spares_the_far_points_of_small_budgets_too(count):
     ring = [(4 * np.cos(turn), 0.5, 4 * np.sin(turn)) for turn in np.linspace(0, 2 * np.pi, 12, endpoint=False)]
     cameras = [camera_at(eye, (0.0, 0.0, 0.0)) for eye in ring]
