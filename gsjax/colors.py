@@ -20,5 +20,16 @@ def linear_to_srgb(linear: AnyArray) -> AnyArray:
     return _where(is_dark, 12.92 * linear, 1.055 * _where(is_dark, 1.0, linear) ** (1 / 2.4) - 0.055)
 
 
+def shares(colors: np.ndarray) -> np.ndarray:
+    """float32 shares of 1 of colours that are shares, or count to 255 or to 65,535; numpy, any shape."""
+    most = np.nanmax(colors, initial=0)
+    return np.asarray(colors, np.float32) / np.float32(1 if most <= 1 else 255 if most <= 255 else 65535)
+
+
+def bytes_of_shares(shares: np.ndarray) -> np.ndarray:
+    """uint8 values of shares of 1, which are cut there, and grey of those that are no number; numpy, any shape."""
+    return np.rint(255 * np.where(np.isnan(shares), 0.5, np.clip(shares, 0, 1))).astype(np.uint8)
+
+
 def _where(condition: Any, yes: Any, no: Any) -> Any:
     return (np if isinstance(condition, np.ndarray | np.bool_) else jnp).where(condition, yes, no)

@@ -5,6 +5,7 @@ They are read here and not by pycolmap, which 4.2 reads past the end of a trunca
 of unit length. `rigs` and `frames` say nothing that `images` does not.
 """
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,7 @@ from gsjax.io.notices import print_once
 from gsjax.io.ply import read_points
 from gsjax.similarity import is_float32
 
-PLACES = ("sparse/*", "sparse", "colmap/sparse/*", ".")  # Where models are looked for; the first with one is taken.
+PLACES = ("sparse/*", "sparse", "colmap/sparse/*", ".")  # Where models are looked for.
 _READERS = {".bin": colmap_binary, ".txt": colmap_text}
 _SHORTEST_QUAT = 1e-6
 
@@ -48,16 +49,16 @@ class Model:
 def find_model(root: Path) -> Path | None:
     """The folder under `root` that holds a COLMAP model's cameras file, or None.
 
-    COLMAP writes a model into `sparse/0`, and others beside it where photos do not hang together: the one with the most
-    photos is taken, and a line says so.
+    COLMAP writes a model into `sparse/0`, and others beside it where photos do not hang together; other programs leave
+    more of them, by other names. The one with the most photos is taken, and a line says so.
     """
+    found: dict[str, Path] = {}  # by where links lead
     for place in PLACES:
-        found = [folder for folder in _folders(root, place) if _suffix(folder)]
-        if len(found) > 1:
-            return _largest(found)
-        if found:
-            return found[0]
-    return None
+        for folder in _folders(root, place):
+            if _suffix(folder):
+                found.setdefault(os.path.realpath(folder), folder)
+    models = list(found.values())
+    return _largest(root, models) if len(models) > 1 else next(iter(models), None)
 
 
 def read_model(folder: Path) -> Model:
@@ -94,29 +95,37 @@ def read_model(folder: Path) -> Model:
 def _folders(root: Path, place: str) -> list[Path]:
     if not place.endswith("/*"):
         return [root / place]
-    folder = root / place[:-2]
-    numbered = [path for path in folder.glob("*") if path.name.isdecimal()] if folder.is_dir() else []
-    return sorted(numbered, key=lambda path: (len(path.name), path.name))
+    within = [path for path in (root / place[:-2]).glob("*") if not path.name.startswith(".")]
+    return sorted(within, key=lambda path: (not path.name.isdecimal(), len(path.name), path.name))
 
 
 def _suffix(folder: Path) -> str | None:
-    """In which form a folder holds a model: the one with cameras and images, or else with cameras; None of none."""
+    """In which form a folder holds a model: the one with cameras and images, or else with cameras; None of none.
+
+    Of two forms that do not list as many photos, the larger is taken, and a line says so.
+    """
     having = [suffix for suffix in _READERS if (folder / f"cameras{suffix}").is_file()]
-    return next((suffix for suffix in having if (folder / f"images{suffix}").is_file()), next(iter(having), None))
-
-
-def _largest(models: Sequence[Path]) -> Path:
-    counts = {model: _count_images(model) for model in models}
-    best = max(models, key=lambda model: counts[model])
-    others = ", ".join(f"{model.name} with {counts[model]}" for model in models if model != best)
-    print_once(f"COLMAP: {best} with {counts[best]} photos is taken; beside it lie {others}")
+    whole = [suffix for suffix in having if (folder / f"images{suffix}").is_file()]
+    if len(whole) < 2:
+        return next(iter(whole or having), None)
+    counts = {suffix: _count_images(folder, suffix) for suffix in whole}
+    best, other = sorted(whole, key=lambda suffix: -counts[suffix])
+    if counts[best] > counts[other]:
+        told = f"{folder}/images{best} with {counts[best]} photos is taken; images{other} beside it has {counts[other]}"
+        print_once(f"COLMAP: {told}")
     return best
 
 
-def _count_images(model: Path) -> int:
+def _largest(root: Path, models: Sequence[Path]) -> Path:
+    counts = {model: _count_images(model, _suffix(model) or "") for model in models}
+    best = max(models, key=lambda model: counts[model])
+    others = ", ".join(f"{model.relative_to(root)} with {counts[model]}" for model in models if model != best)
+    print_once(f"COLMAP: {best} with {counts[best]} photos is taken; there are also {others}")
+    return best
+
+
+def _count_images(model: Path, suffix: str) -> int:
     """What the file of images promises; 0 where it cannot be read, which is told when the model is."""
-    suffix = _suffix(model)
-    assert suffix, "is a model"
     try:
         return _READERS[suffix].count_images(model / f"images{suffix}")
     except (OSError, InputError):

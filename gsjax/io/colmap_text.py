@@ -95,10 +95,12 @@ def _image(file: Path, number: int, line: str) -> ImageRecord:
 
 
 def _keypoints(line: str) -> np.ndarray | None:
-    """The keypoints of a line, of three numbers each; None where it is something else."""
+    """The keypoints of a line, of three numbers each, the third an id; None where it is something else."""
     try:
         numbers = np.array(line.split(), np.float64).reshape(-1, 3)
     except ValueError:
+        return None
+    if (np.rint(numbers[:, 2]) != numbers[:, 2]).any():  # An image whose name is numbers.
         return None
     keypoints = np.empty(len(numbers), KEYPOINT)
     keypoints["xy"] = numbers[:, :2]

@@ -13,6 +13,7 @@ from gsjax.io.notices import print_once
 from gsjax.io.photo_names import path_inside, spellings
 from gsjax.io.photos import Photo
 
+MASK_ENDS = (".mask.png", "_mask.png")  # behind a photo's name or stem, in a folder of masks or beside the photo
 REDUCED = ("images_2", "images_4", "images_8")  # Copies of reduced size, as benchmarks bring them, largest first.
 
 
@@ -95,8 +96,9 @@ def _stem(path: Path) -> Path:
 def masks_in(folder: Path, names: Iterable[str]) -> dict[str, Path]:
     """The masks that a folder holds, by the photos' names.
 
-    A mask has the photo's name, that name with `.png` after it, or its stem with `.png`; within the same subfolders, or
-    in the folder itself where no other photo's file is called the same.
+    A mask has the photo's name, that name or its stem with `.png` after it, or with `.mask.png` (RealityScan) or
+    `_mask.png` (Metashape); within the same subfolders, or in the folder itself where no other photo's file is called
+    the same.
     """
     within = {name: path_inside(name) for name in names}
     alike = Counter(path.name for path in within.values())
@@ -108,5 +110,6 @@ def masks_in(folder: Path, names: Iterable[str]) -> dict[str, Path]:
 
 
 def _mask(same: Path) -> Path | None:
-    candidates = (same, Path(f"{same}.png"), Path(f"{os.path.splitext(same)[0]}.png"))
+    names = (str(same), os.path.splitext(same)[0])
+    candidates = (same, *(Path(name + end) for end in (".png", *MASK_ENDS) for name in names))
     return next((path for path in candidates if os.path.isfile(path)), None)

@@ -26,6 +26,7 @@ _OPENING = threading.Lock()
 _DECODED, _DECODED_DEEP = 14, 40  # bytes a pixel, most at a time: Pillow's copies, at four each, and ours
 _WITH_MATTE = 24  # the same of a photo with alpha until it is reduced: weighted colours are floats
 _ALWAYS_ROOM = 10**7  # pixels
+_OF_12_BITS = 4095  # What counts to more than a byte and no farther would be almost black as 16 bits.
 
 
 def read_image(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
@@ -221,7 +222,10 @@ def _decoded(path: Path) -> Iterator[Any]:
             if width * height > _ALWAYS_ROOM:
                 a_pixel = _DECODED_DEEP if _is_deep(picture) else _WITH_MATTE if _has_alpha(picture) else _DECODED
                 kept.enter_context(memory_for(f"{path}: a photo of {width}x{height} pixels", a_pixel * width * height))
+            is_of_16_bits = not _is_deep(picture) and ";16" in str(picture.tile)
             picture.load()
+            if is_of_16_bits:
+                _check_bright(path, picture)
         yield picture
 
 
@@ -243,6 +247,21 @@ def _is_deep(picture) -> bool:
     return picture.mode.startswith("I") or picture.mode == "F"
 
 
+def _check_bright(path: Path, picture) -> None:
+    """InputError where a picture leaves the upper bits of its 16 a channel unused: Pillow keeps only those."""
+    most = {band: high for band, (_, high) in zip(picture.getbands(), picture.getextrema(), strict=True)}
+    shows_something = most.pop("A", 255) > 0
+    if shows_something and max(most.values()) <= _OF_12_BITS >> 8:
+        raise _dark(path, 256 * max(most.values()) + 255)
+
+
+def _dark(path: Path, most: float) -> InputError:
+    return InputError(
+        f"{path}: has 16 bits, and its brightest pixel only {most:g} of 65535, almost black; save it with 8 bits, or"
+        " with values to 65535"
+    )
+
+
 def _has_alpha(picture) -> bool:
     return picture.mode in ("RGBA", "LA", "PA") or "transparency" in picture.info
 
@@ -262,6 +281,8 @@ def _in_bytes(path: Path, picture) -> np.ndarray:
         return _to_bytes(255 * values)
     if least >= 0 and largest <= 255 and whole:
         return _to_bytes(values)
+    if least >= 0 and largest <= _OF_12_BITS and whole:
+        raise _dark(path, largest)
     if least >= 0 and largest <= 65535 and whole:
         return _to_bytes(values / 257)
     raise InputError(f"{path}: its pixels run from {least:g} to {largest:g}; known are 0 to 1, to 255 and to 65535")

@@ -28,6 +28,7 @@ _WITH_TWO_FOCALS = {
 }
 _LARGEST_SIDE = 2**31  # pixels
 _FARTHEST_MIDDLE = 100  # sides of the photo
+_SHORTEST_FOCAL = 0.02  # longer sides of the photo: of a fisheye lens of 220 degrees it is a quarter
 _LONGEST_REMAPPED = 32_766  # pixels: OpenCV counts them in 16 bits
 _MAPPED = 100  # bytes a pixel while a lens's map is made
 _WIDEST = np.radians(60.0)  # from the axis, at a fisheye photo's corners: beyond, one plane loses too much of it
@@ -79,6 +80,8 @@ def check_lens(lens: Lens, where: str | Path) -> Lens:
         fault = "a parameter that is not finite"
     elif min(focals) <= 0:
         fault = "a focal length that is not positive"
+    elif lens.model != "EQUIRECTANGULAR" and min(focals) < _SHORTEST_FOCAL * max(lens.width, lens.height):
+        fault = "a focal length that is too short for its size; both are counted in pixels"
     elif not _sees_middle(lens):
         fault = f"a principal point that lies {_FARTHEST_MIDDLE} times its size away"
     else:

@@ -63,7 +63,11 @@ def frames_of(photo: Photo, downscale: float, folder_masks: str) -> list[Frame]:
     photo = replace(photo, lens=_lens_of_file(photo))
     if photo.mask_path is not None:
         _check_mask_size(photo.mask_path, photo.lens)
-    return [_frame(photo, index, downscale, folder_masks) for index in range(len(pinhole_views(photo.lens)))]
+    try:
+        views = pinhole_views(photo.lens)
+    except InputError as error:
+        raise InputError(f"{photo.path}: {error}") from None
+    return [_frame(photo, index, downscale, folder_masks) for index in range(len(views))]
 
 
 def list_of_names(what: str, names: list[str]) -> str:

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gsjax.colors import bytes_of_shares, shares
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians, rgb_to_sh
+from gsjax.gaussians import SH_C0, Gaussians, rgb_to_sh
 from gsjax.io.files import atomic_path
 from gsjax.io.notices import print_once
 from gsjax.io.place_files import place_comments
@@ -28,7 +29,7 @@ _DC = [f"f_dc_{i}" for i in range(3)]
 _SCALES = [f"scale_{i}" for i in range(3)]
 _QUATS = [f"rot_{i}" for i in range(4)]  # w first
 _RGB = ["red", "green", "blue"]
-_RGB_NAMES = [_RGB, [f"diffuse_{name}" for name in _RGB], ["r", "g", "b"]]
+_RGB_NAMES = [_RGB, *([f"{kind}_{name}" for name in _RGB] for kind in ("diffuse", "scalar")), ["r", "g", "b"]]
 _GREY = 128
 _ROUNDED = 1e-3  # of the spread of points, by which rounding may move them without a word
 _OF_DISCS = 1e-4  # Of the thinner of a disc's other two deviations: where a file gives it no thickness.
@@ -151,9 +152,17 @@ def tell_of_rounding(path: Path, vertices: np.ndarray, points: np.ndarray) -> No
 
 
 def point_colors(vertices: np.ndarray) -> np.ndarray:
-    """`[P, 3]` uint8 colours of the rows of a PLY, of numbers of any type; grey where they have none."""
-    rgb = _color_names(vertices.dtype.names or ())
-    return np.full((len(vertices), 3), _GREY, np.uint8) if rgb is None else _in_bytes(_colors(vertices, rgb))
+    """`[P, 3]` uint8 colours of the rows of a PLY, of numbers of any type; grey where they have none.
+
+    Gaussians have the colours of their centres.
+    """
+    names = vertices.dtype.names or ()
+    rgb = _color_names(names)
+    if rgb is not None:
+        return bytes_of_shares(_colors(vertices, rgb))
+    if set(_DC) <= set(names):
+        return bytes_of_shares(SH_C0 * stack_columns(vertices, _DC) + 0.5)
+    return np.full((len(vertices), 3), _GREY, np.uint8)
 
 
 def read_vertex_colors(path: Path) -> np.ndarray | None:
@@ -163,7 +172,7 @@ def read_vertex_colors(path: Path) -> np.ndarray | None:
     except InputError:  # Of vertices with lists.
         return None
     rgb = _color_names(vertices.dtype.names or ())
-    return None if rgb is None else _in_bytes(_colors(vertices, rgb))
+    return None if rgb is None else bytes_of_shares(_colors(vertices, rgb))
 
 
 def _with_thickness(log_scales: np.ndarray) -> np.ndarray:
@@ -177,25 +186,20 @@ def _with_thickness(log_scales: np.ndarray) -> np.ndarray:
 
 
 def _color_names(names: Sequence[str]) -> list[str] | None:
-    """The columns of red, green and blue, as programs call them; None where there are none."""
-    return next((rgb for rgb in _RGB_NAMES if set(rgb) <= set(names)), None)
+    """The columns of red, green and blue, as programs call them, in any case; None where there are none."""
+    own = {name.lower(): name for name in reversed(names)}
+    return next(([own[name] for name in rgb] for rgb in _RGB_NAMES if set(rgb) <= own.keys()), None)
 
 
 def _colors(vertices: np.ndarray, rgb: list[str]) -> np.ndarray:
     """`[N, 3]` float32 in 0..1 of columns of red, green and blue of any type.
 
-    Floats beyond 1 are those of a byte, and so are integers of two bytes that nowhere exceed 255.
+    Floats up to 1 are shares; all other numbers are those of a byte, or of two where they exceed 255.
     """
     colors, kind = stack_columns(vertices, rgb), vertices.dtype[rgb[0]]
-    if kind.kind in "iu":
-        fills = kind.itemsize == 1 or (kind.itemsize == 2 and colors.max(initial=0) > 255)
-        return colors / np.float32(np.iinfo(kind).max if fills else 255)
-    return colors / np.float32(255) if np.nanmax(colors, initial=0) > 1 else colors
-
-
-def _in_bytes(shares: np.ndarray) -> np.ndarray:
-    """The uint8 values of shares of 1; grey where a file tells no number."""
-    return np.rint(255 * np.where(np.isnan(shares), 0.5, np.clip(shares, 0, 1))).astype(np.uint8)
+    if kind.itemsize == 1:
+        return colors / np.float32(np.iinfo(kind).max)
+    return colors / np.float32(255) if kind.kind in "iu" and colors.max(initial=0) <= 1 else shares(colors)
 
 
 def _read_vertices(path: Path) -> tuple[np.ndarray, str]:

@@ -12,6 +12,7 @@ from gsjax import similarity as similarities
 from gsjax.errors import InputError
 from gsjax.io import colmap, colmap_model, transforms
 from gsjax.io.image_folders import locate_photos, masks_in
+from gsjax.io.notices import print_once
 from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, list_of_names
 from gsjax.io.place_files import read_place
 from gsjax.io.splits import AUTO, listed, mark_held_out
@@ -104,6 +105,9 @@ def _read_capture(root: Path) -> Capture:
         raise InputError(f"{root}: no such folder")
     model = colmap_model.find_model(root)
     if model is not None:
+        beside = [file for file in transforms.FILES if (root / file).is_file()]
+        if beside:
+            print_once(f"{root}: the COLMAP model {model} is read, and not {beside[0]} beside it")
         return colmap.read_capture(root, model)
     for file, read in zip(transforms.FILES, (transforms.read_transforms, transforms.read_synthetic), strict=True):
         if (root / file).is_file():

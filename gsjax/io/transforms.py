@@ -17,6 +17,7 @@ from gsjax.io.transforms_cameras import has_size, lens_of, viewmat_of
 from gsjax.io.transforms_splits import HELD_OUT, LEFT_OUT, frames_and_uses
 
 FILES = ("transforms.json", "transforms_train.json")  # Of instant-ngp and nerfstudio; of the NeRF-synthetic layout.
+_TESTS = ("transforms_test.json", "transforms_val.json")  # The first that is there holds out its photos.
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".PNG", ".JPG")  # The layout may leave it out.
 
 
@@ -24,14 +25,15 @@ def read_transforms(root: Path) -> Capture:
     """Photos and points of a folder with `transforms.json`.
 
     Points are those that `ply_file_path` names, or else random ones (`gsjax.io.random_points.points_in_view`). The
-    split is the one that the file states, if it does (`gsjax.io.transforms_splits`).
+    split is the one that the file states, if it does (`gsjax.io.transforms_splits`), or that a file for testing beside
+    it does.
 
     Raises:
         InputError: The file, or a file that it names, is missing, damaged or contradicts itself.
     """
     file = root / FILES[0]
     meta = _read_json(file)
-    photos = _photos(file, meta)
+    photos = _with_tests(root, _photos(file, meta))
     cloud = _file_in(file, meta, "ply_file_path")
     if cloud is None:
         return Capture("transforms", photos, *points_in_view(np.stack([p.viewmat for p in photos])))
@@ -42,7 +44,7 @@ def read_transforms(root: Path) -> Capture:
 
 
 def read_synthetic(root: Path) -> Capture:
-    """Photos of the NeRF-synthetic layout; those of `transforms_test.json` are held out.
+    """Photos of the NeRF-synthetic layout; those of `transforms_test.json`, or else of `_val`, are held out.
 
     Points are random in [-1.3, 1.3]^3, as in 3DGS, or where the cameras look if they do not stand around that.
 
@@ -50,12 +52,17 @@ def read_synthetic(root: Path) -> Capture:
         InputError: A file is missing, damaged or contradicts itself.
     """
     train = root / FILES[1]
-    photos = list(_photos(train, _read_json(train)))
-    test = root / "transforms_test.json"
-    if test.is_file():
-        photos += _photos(test, _read_json(test), held_out=True)
+    photos = _with_tests(root, _photos(train, _read_json(train)))
     viewmats = np.stack([photo.viewmat for photo in photos])
-    return Capture("nerf-synthetic", tuple(photos), *points_in_synthetic_cube(viewmats))
+    return Capture("nerf-synthetic", photos, *points_in_synthetic_cube(viewmats))
+
+
+def _with_tests(root: Path, photos: tuple[Photo, ...]) -> tuple[Photo, ...]:
+    """The photos, and those that a file for testing lists, which are held out."""
+    file = next((root / name for name in _TESTS if (root / name).is_file()), None)
+    tests = () if file is None else _photos(file, _read_json(file), held_out=True)
+    names = {photo.name for photo in tests}
+    return (*(photo for photo in photos if photo.name not in names), *tests)
 
 
 def _read_json(file: Path) -> dict[str, Any]:

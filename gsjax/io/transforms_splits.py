@@ -46,7 +46,7 @@ def frames_and_uses(file: Path, meta: dict[str, Any]) -> tuple[list[dict[str, An
     first_own = len(meta["frames"])
 
     def use(index: int) -> str:
-        if frames[index].get("is_bad") is True:
+        if _is_bad(frames[index]):
             return LEFT_OUT
         if index >= first_own or names[index] in scored:
             return HELD_OUT
@@ -56,11 +56,16 @@ def frames_and_uses(file: Path, meta: dict[str, Any]) -> tuple[list[dict[str, An
 
     uses = [use(index) for index in range(len(frames))]
     if LEFT_OUT in uses:
-        bad = sum(frame.get("is_bad") is True for frame in frames)
+        bad = sum(map(_is_bad, frames))
         print_once(
             f"{file}: {bad} of its frames are left out as bad, {uses.count(LEFT_OUT) - bad} as being in no list of it"
         )
     return [{**shared, **frame} for frame in frames], uses
+
+
+def _is_bad(frame: dict[str, Any]) -> bool:
+    """Whether a frame says so, as true, 1 or a word."""
+    return str(frame.get("is_bad")).lower() in ("true", "1", "yes")
 
 
 def _listed(file: Path, meta: dict[str, Any], key: str, names: Sequence[str]) -> set[str]:

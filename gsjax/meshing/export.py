@@ -29,7 +29,7 @@ from gsjax.meshing import glb, usdz
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.libraries import load_trimesh
 from gsjax.meshing.named_files import NamedFiles
-from gsjax.meshing.obj import prepared_obj
+from gsjax.meshing.obj import read_obj
 from gsjax.meshing.part_colors import has_picture, merge_parts, parts_of, picture_of, sample_texture
 from gsjax.place import UNPLACED, Place
 from gsjax.similarity import as_needed, is_float32, loses_in_float32, spread
@@ -228,18 +228,14 @@ def _loaded(path: Path):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Of numbers that are none, which are looked for afterwards.
-            source, has_places = prepared_obj(path) if suffix == ".obj" else (path, False)
             if suffix == ".glb" and (unread := glb.unread_part(path.read_bytes())):
                 raise InputError(f"{path}: {unread}")
-            scene = trimesh.load(
-                source,
-                file_type=suffix[1:],
-                resolver=NamedFiles(path),
-                force="scene",
-                process=False,
-                # Where order is kept, places in the texture that share a vertex of an .obj become one.
-                maintain_order=not has_places,
-            )
+            named = NamedFiles(path)
+            if suffix == ".obj":
+                scene = trimesh.Scene(read_obj(path, named.get))
+            else:
+                kept = {"force": "scene", "process": False, "maintain_order": True}
+                scene = trimesh.load(path, file_type=suffix[1:], resolver=named, **kept)
             surface = _as_one(path, scene)
             vertices, faces = _triangles(surface)
     except InputError:

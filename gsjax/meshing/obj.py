@@ -1,72 +1,201 @@
-"""OBJ files before trimesh reads them: it takes index 0 for a vertex, and counts from the end of the whole file."""
+"""OBJ files, read line by line: millions of them take little more memory than the numbers in them.
 
-import codecs
-import re
-from collections.abc import Iterable
+A face's index of 1 means the first vertex, and -1 the last before that face; polygons are fans of triangles.
+"""
+
+import os
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from gsjax.colors import bytes_of_shares, shares
 from gsjax.errors import InputError
 from gsjax.io.files import read_bytes
-from gsjax.io.machine import require_memory
+from gsjax.meshing.libraries import load_trimesh
 
-# Possessive, so that millions of lines take a second.
-_FROM_THE_END = re.compile(rb"\nf(?:[ \t/]++[0-9]++)*+[ \t/]++-")
-_ZERO = re.compile(rb"\nf(?:[ \t/]++0*+[1-9][0-9]*+)*+[ \t/]++0++(?![0-9])")
-_ALWAYS_ROOM = 2**24  # bytes
-_COPIES = 6  # of the text, that trimesh keeps while it reads, in many forms
+Part = Any  # trimesh.Trimesh
+_NO_COLOR = float("nan")  # of a vertex among others that have one
+_NO_PLACE = -1
 
 
-def prepared_obj(path: Path) -> tuple[Path | BytesIO, bool]:
-    """What trimesh may read: the file itself, or what it holds without a byte order mark and with indices from 1 on.
+@dataclass
+class _Content:
+    """The numbers of a file, row after row."""
+
+    positions: array = field(default_factory=lambda: array("d"))  # three a vertex
+    colors: array = field(default_factory=lambda: array("f"))  # likewise, or none where no vertex has one
+    places: array = field(default_factory=lambda: array("d"))  # two a place in a texture
+    corners: array = field(default_factory=lambda: array("i"))  # three vertices a triangle
+    corner_places: array = field(default_factory=lambda: array("i"))  # their places, or none where no corner has one
+    materials: list[tuple[str, int]] = field(default_factory=list)  # and from which triangle on each is used
+    libraries: list[str] = field(default_factory=list)  # files of materials
+
+
+def read_obj(path: Path, named_file: Callable[[str], bytes]) -> list[Part]:
+    """The triangles of an .obj by their materials: with a texture, with colours of vertices, or of their material's.
 
     Args:
-        path: An .obj. A face's index of -1 means the last vertex before that face.
-
-    Returns:
-        What to read, and whether the file has places in a texture.
+        path: The file.
+        named_file: Gives what a file beside it holds, or raises OSError or ValueError.
 
     Raises:
-        InputError: An index of a face is 0, leads before the first, or is no number, and its line is named; or the
-            file cannot be read, or has no room in memory while it is.
+        InputError: It cannot be read, a line is none of an OBJ (its number is named), or there are no triangles.
     """
-    stored = read_bytes(path)
-    if len(stored) > _ALWAYS_ROOM:
-        require_memory(f"{path}: an OBJ of {len(stored) / 2**30:.3g} GiB", _COPIES * len(stored))
-    content = stored.removeprefix(codecs.BOM_UTF8)
-    if _FROM_THE_END.search(content):
-        content = b"\n".join(_from_the_start(path, content.split(b"\n")))
-    if (zero := _ZERO.search(content)) is not None:
-        line = 2 + content.count(b"\n", 0, zero.start())
-        raise InputError(f"{path}, line {line}: a face has an index 0; OBJ counts from 1")
-    return path if content is stored else BytesIO(content), b"\nvt " in content
+    content = _content(path)
+    vertices = _rows(content.positions, 3)
+    faces = _rows(content.corners, 3)
+    places, face_places = _rows(content.places, 2), _rows(content.corner_places, 3)
+    for rows, known, what in ((faces, vertices, "vertex"), (face_places, places, "place in its texture")):
+        if rows.size and rows.max() >= len(known):
+            raise InputError(f"{path}: a triangle of it has a {what} that is not among its {len(known)}")
+    colors, materials = _rows(content.colors, 3), _materials(content.libraries, named_file)
+    groups, parts = _by_material(content.materials, len(faces)), []
+    for name, rows in groups.items():
+        material = materials.get(name)
+        if material is not None and "image" in material and len(face_places):
+            parts.append(_textured(vertices, faces[rows], places, face_places[rows], material))
+        else:
+            parts.append(_colored(vertices, colors, faces if len(groups) == 1 else faces[rows], material))
+    for part in parts if len(parts) > 1 else ():
+        part.remove_unreferenced_vertices()
+    return parts
 
 
-def _from_the_start(path: Path, lines: Iterable[bytes]) -> Iterable[bytes]:
-    counts = {b"v": 0, b"vt": 0, b"vn": 0}
-    for number, line in enumerate(lines, 1):
-        words = line.partition(b"#")[0].split()
-        kind = words[0] if words else b""
-        if kind in counts:
-            counts[kind] += 1
-        if kind != b"f":
-            yield line
-            continue
+def _content(path: Path) -> _Content:
+    content = _Content()
+    content.materials.append(("", 0))
+    for number, words in _statements(read_bytes(path).removeprefix(b"\xef\xbb\xbf")):
         try:
-            yield b" ".join([b"f", *(_corner(word, counts.values()) for word in words[1:])])
-        except ValueError as error:
+            if words[0] == b"v":
+                _add_vertex(content, words)
+            elif words[0] == b"f":
+                _add_face(content, words[1:])
+            elif words[0] == b"vt":
+                content.places.extend((float(words[1]), float(words[2]) if len(words) > 2 else 0.0))
+            elif words[0] == b"usemtl":
+                content.materials.append((os.fsdecode(b" ".join(words[1:])), len(content.corners) // 3))
+            elif words[0] == b"mtllib":
+                content.libraries.append(os.fsdecode(b" ".join(words[1:])))
+        except (ValueError, OverflowError, IndexError) as error:
             raise InputError(f"{path}, line {number}: {error}") from error
+    if content.colors:
+        _fill(content.colors, len(content.positions), _NO_COLOR)
+    if content.corner_places:
+        _fill(content.corner_places, len(content.corners), _NO_PLACE)
+    return content
 
 
-def _corner(word: bytes, counts: Iterable[int]) -> bytes:
-    """A corner, such as -1/-1 or 3//2, with indices that count from 1."""
-    return b"/".join(
-        _index(part, count) if part else b"" for part, count in zip(word.split(b"/"), counts, strict=False)
-    )
+def _statements(text: bytes) -> Iterator[tuple[int, list[bytes]]]:
+    """Number and words of each line that has some, without comments; lines that a backslash continues are one."""
+    begun = b""
+    for number, line in enumerate(BytesIO(text), 1):
+        if b"\\" in line and line.rstrip().endswith(b"\\"):
+            begun += line.rstrip()[:-1] + b" "
+            continue
+        words = (begun + line).split()
+        begun = b""
+        if b"#" in line and words[0] in (b"v", b"vt", b"f"):
+            words = words[: next((at for at, word in enumerate(words) if word.startswith(b"#")), None)]
+        if words:
+            yield number, words
 
 
-def _index(part: bytes, count: int) -> bytes:
-    index = int(part)
-    if index < -count:
-        raise ValueError(f"a face has an index {index}, but only {count} come before it")
-    return b"%d" % (index if index >= 0 else count + 1 + index)
+def _add_vertex(content: _Content, words: Sequence[bytes]) -> None:
+    """Three coordinates, and a colour where three more numbers follow."""
+    before = len(content.positions)
+    content.positions.extend(map(float, words[1:4]))
+    if len(content.positions) != before + 3:
+        raise ValueError("a vertex does not have three coordinates")
+    if len(words) > 6:
+        _fill(content.colors, before, _NO_COLOR)
+        content.colors.extend(map(float, words[4:7]))
+
+
+def _add_face(content: _Content, words: Sequence[bytes]) -> None:
+    count, places = len(content.positions) // 3, len(content.places) // 2
+    rows = [_row(word.partition(b"/")[0], count) for word in words]
+    if any(b"/" in word for word in words):
+        listed = [word.split(b"/")[1:2] for word in words]
+        of_corners = [_row(place[0], places) if place and place[0] else _NO_PLACE for place in listed]
+        _fill(content.corner_places, len(content.corners), _NO_PLACE)
+        _add_fan(content.corner_places, of_corners)
+    _add_fan(content.corners, rows)
+
+
+def _add_fan(triangles: array, rows: Sequence[int]) -> None:
+    for following, last in zip(rows[1:], rows[2:], strict=False):
+        triangles.extend((rows[0], following, last))
+
+
+def _row(index: bytes, count: int) -> int:
+    """The row that an index means, where there are `count` so far."""
+    number = int(index)
+    if number > 0:
+        return number - 1
+    if number == 0:
+        raise ValueError("a face has an index 0; OBJ counts from 1")
+    if number < -count:
+        raise ValueError(f"a face has an index {number}, but only {count} come before it")
+    return count + number
+
+
+def _fill(values: array, length: int, value: float) -> None:
+    values.extend([value] * (length - len(values)))
+
+
+def _rows(values: array, width: int) -> np.ndarray:
+    return np.frombuffer(values, values.typecode).reshape(-1, width) if values else np.empty((0, width))
+
+
+def _by_material(materials: Sequence[tuple[str, int]], count: int) -> dict[str, np.ndarray]:
+    """The rows of the triangles of each material that has some."""
+    ends = [*(start for _, start in materials[1:]), count]
+    runs: dict[str, list[np.ndarray]] = {}
+    for (name, start), end in zip(materials, ends, strict=True):
+        if end > start:
+            runs.setdefault(name, []).append(np.arange(start, end))
+    return {name: np.concatenate(rows) for name, rows in runs.items()}
+
+
+def _materials(libraries: Sequence[str], named_file: Callable[[str], bytes]) -> dict[str, dict[str, Any]]:
+    """The materials of all files that are there, by name, as trimesh has them."""
+    trimesh, found = load_trimesh(), {}
+    for library in libraries:
+        with suppress(OSError, ValueError):
+            found |= trimesh.exchange.obj.parse_mtl(named_file(library), resolver=_Resolver(named_file))
+    return found
+
+
+@dataclass
+class _Resolver:
+    """What trimesh asks for files."""
+
+    get: Callable[[str], bytes]
+
+
+def _textured(
+    vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, face_places: np.ndarray, material: dict[str, Any]
+) -> Part:
+    """A vertex for each pair of a vertex and a place in the texture."""
+    trimesh, width = load_trimesh(), len(places) + 1
+    keys, corners = np.unique(faces.astype(np.int64) * width + face_places - _NO_PLACE, return_inverse=True)
+    rows = keys % width + _NO_PLACE
+    uvs = np.where((rows != _NO_PLACE)[:, None], places[rows], 0.0)
+    visual = trimesh.visual.TextureVisuals(uv=uvs, material=trimesh.visual.material.SimpleMaterial(**material))
+    return trimesh.Trimesh(vertices[keys // width], corners.reshape(-1, 3), visual=visual, process=False)
+
+
+def _colored(vertices: np.ndarray, colors: np.ndarray, faces: np.ndarray, material: dict[str, Any] | None) -> Part:
+    trimesh = load_trimesh()
+    part = trimesh.Trimesh(vertices, faces, process=False)
+    if len(colors):
+        part.visual.vertex_colors = bytes_of_shares(shares(colors))
+    elif material is not None:
+        part.visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.SimpleMaterial(**material))
+    return part

@@ -5,13 +5,14 @@ one camera share their intrinsics. What is written at the end is upright.
 """
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.image_folders import masks_in
+from gsjax.io.image_folders import MASK_ENDS, REDUCED, masks_in
 from gsjax.io.images import SUFFIXES, cv2, image_size, open_image, read_image, read_mask, same_shape
 from gsjax.io.photos import says_nothing
 from gsjax.io.sfm import gps
@@ -19,6 +20,17 @@ from gsjax.io.sfm.gravity import Vector, read_gravity
 
 _MASKS = "masks", "mask"  # what the folder may be called, in any case
 _MADE = "sparse", "report.html"  # in data sets, runs and scans: their pictures are no photos
+_OTHERS = {
+    *REDUCED,
+    "depth",
+    "depths",
+    "confidence",
+    "normals",
+    "sky",
+    "thumbnails",
+    "thumbs",
+    "@eadir",
+}  # nor in these
 _MAKE, _MODEL, _ORIENTATION, _DETAILS, _FOCAL, _FOCAL_35 = 0x010F, 0x0110, 0x0112, 0x8769, 0x920A, 0xA405
 # EXIF orientation: whether the stored columns run backwards, then quarter turns clockwise until upright.
 _ORIENTATIONS = {1: (0, 0), 2: (1, 0), 3: (0, 2), 4: (1, 2), 5: (1, 3), 6: (0, 1), 7: (1, 1), 8: (0, 3)}
@@ -110,22 +122,46 @@ def list_shots(folder: Path) -> list[Shot]:
     """The photos of a folder and its subfolders, by name, with their masks.
 
     Where all photos lie in a subfolder `images/`, that is their folder. A folder `masks/` or `mask/`, in any case, in
-    it or beside it holds masks (`gsjax.io.image_folders`), no photos; nor do folders in it hold any that are a data
-    set, a run or a scan.
+    it, beside it or beside photos holds masks (`gsjax.io.image_folders`), no photos; so do files beside a photo that
+    have its name and say so. Nor do folders hold photos that are a data set, a run or a scan, or are called as one of
+    what was made of photos: `depth`, `thumbnails`.
 
     Raises:
-        InputError: No folder, fewer than two photos, or one that is no image (named).
+        InputError: No folder, fewer than two photos, one that is no image (named), or masks of which none is a photo's.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of photos")
     root = _photo_folder(folder)
-    photos = {file.relative_to(root).as_posix(): file for file in _files(root) if _is_photo(file)}
+    pictures = {file.relative_to(root).as_posix(): file for file in _files(root) if _is_photo(file)}
+    beside = _masks_beside(pictures)
+    photos = {name: file for name, file in pictures.items() if file not in beside.values()}
     if len(photos) < 2:
         made = "".join(f"; what {path} holds was made of photos" for path in sorted(_made(root))[:1])
         raise InputError(f"{folder}: needs at least 2 photos ({', '.join(SUFFIXES)}), has {len(photos)}{made}")
+    masks = {**_masks_in_folders(root, photos), **beside}
+    return [shot_of(file, name, masks.get(name)) for name, file in photos.items()]
+
+
+def _masks_beside(pictures: Mapping[str, Path]) -> dict[str, Path]:
+    """The files that are the mask of a photo beside them, by the photo's name."""
+    ends = {end: len(end) for end in MASK_ENDS}
+    of = {f: n[:-cut] for n, f in pictures.items() for end, cut in ends.items() if n.lower().endswith(end)}
+    by_stem = {os.path.splitext(name)[0]: name for name, file in pictures.items() if file not in of}
+    photo_of = {file: name if name in pictures else by_stem.get(name) for file, name in of.items()}
+    return {name: file for file, name in photo_of.items() if name is not None}
+
+
+def _masks_in_folders(root: Path, photos: Mapping[str, Path]) -> dict[str, Path]:
+    """The masks in the first folder of masks in the photos' folder or beside it, and else in one beside each photo."""
     folders = [path for place in (root, root.parent) for path in _mask_folders(place) if path != root]
     masks = masks_in(folders[0], photos) if folders else {}
-    return [shot_of(file, name, masks.get(name)) for name, file in photos.items()]
+    for parent in {file.parent for file in photos.values()} - {root}:
+        within = {file.name: name for name, file in photos.items() if file.parent == parent and name not in masks}
+        for folder in _mask_folders(parent)[:1]:
+            masks |= {within[file]: mask for file, mask in masks_in(folder, within).items()}
+    if not masks and folders and folders[0].parent == root and any(map(_is_photo, folders[0].rglob("*"))):
+        raise InputError(f"{folders[0]}: no mask in it has the name of a photo, for example {next(iter(photos))}.png")
+    return masks
 
 
 def as_panoramas(shots: list[Shot], mask_below: float | None) -> list[Shot]:
@@ -160,7 +196,7 @@ def _photo_folder(folder: Path) -> Path:
 
 def _files(root: Path) -> list[Path]:
     """All files, but for hidden ones, masks, and what was made of photos."""
-    others = _made(root) | set(_mask_folders(root))
+    others = _made(root) | {path for path in root.rglob("*") if path.name.casefold() in _MASKS and path.is_dir()}
     files = [file for file in root.rglob("*") if os.path.isfile(file) and others.isdisjoint(file.parents)]
     return sorted(f for f in files if not any(part.startswith(".") for part in f.relative_to(root).parts))
 
@@ -172,8 +208,9 @@ def _mask_folders(place: Path) -> list[Path]:
 
 
 def _made(root: Path) -> set[Path]:
-    """The folders in a folder that hold a data set, a run or a scan."""
-    return {path.parent for name in _MADE for path in root.rglob(name)} - {root}
+    """The folders in a folder that hold a data set, a run or a scan, or are called as what is made of photos."""
+    called_so = {path for path in root.rglob("*") if path.name.casefold() in _OTHERS and path.is_dir()}
+    return called_so | {path.parent for name in _MADE for path in root.rglob(name)} - {root}
 
 
 def _is_photo(file: Path) -> bool:

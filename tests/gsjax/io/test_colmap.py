@@ -203,13 +203,56 @@ def test_of_several_models_the_largest_is_taken_and_told(colmap_scene, capsys):
     small.write_binary(root / "sparse/0")
     assert len(load_scene(root).frames) == 4
     said = capsys.readouterr().err
-    assert said == f"COLMAP: {root / 'sparse/1'} with 4 photos is taken; beside it lie 0 with 2\n"
+    assert said == f"COLMAP: {root / 'sparse/1'} with 4 photos is taken; there are also sparse/0 with 2\n"
     pycolmap.Reconstruction(large).write_text(large)
     for file in large.glob("*.bin"):
         file.unlink()
     assert find_model(root) == large
     shutil.rmtree(root / "sparse/0")
     assert find_model(root) == large
+
+
+@pytest.mark.parametrize("place", ["sparse", "sparse/geo", "colmap/sparse/0"])
+def test_the_largest_model_is_taken_wherever_it_lies(colmap_scene, capsys, place):
+    root = colmap_scene(count=4)
+    small = pycolmap.Reconstruction(root / "sparse/0")
+    small.deregister_frame(small.image(4).frame_id)
+    shutil.copytree(root / "sparse/0", root / place, dirs_exist_ok=True)
+    small.write_binary(root / "sparse/0")
+    (root / "colmap/sparse").mkdir(parents=True, exist_ok=True)
+    (root / "colmap/sparse/7").symlink_to(root / "sparse/0")
+    assert find_model(root) == root / place
+    assert f"{place} with 4 photos is taken; there are also sparse/0 with 3\n" in capsys.readouterr().err
+
+
+def test_of_two_forms_of_a_model_the_larger_is_taken_and_told(colmap_scene, capsys):
+    root = colmap_scene(count=4)
+    model = pycolmap.Reconstruction(root / "sparse/0")
+    model.write_text(root / "sparse/0")
+    assert len(load_scene(root).frames) == 4 and not capsys.readouterr().err
+    model.deregister_frame(model.image(4).frame_id)
+    model.write_binary(root / "sparse/0")
+    assert len(load_scene(root).frames) == 4
+    assert "images.txt with 4 photos is taken; images.bin beside it has 3" in capsys.readouterr().err
+
+
+def test_a_transforms_file_beside_a_model_is_told_not_to_be_read(colmap_scene, capsys):
+    root = colmap_scene()
+    (root / "transforms.json").write_text("{}")
+    load_scene(root)
+    assert f"the COLMAP model {root / 'sparse/0'} is read, and not transforms.json" in capsys.readouterr().err
+
+
+def test_names_of_numbers_are_no_keypoints(colmap_scene):
+    root = colmap_scene(count=4, text=True)
+    file = root / "sparse/0/images.txt"
+    lines = [line for line in file.read_text().splitlines() if line.endswith(".png")]
+    for number, line in enumerate(lines):
+        name = line.split()[-1]
+        (root / "images" / name).rename(root / "images" / f"{number} 1 2")
+        lines[number] = line.replace(name, f"{number} 1 2")
+    file.write_text("\n".join(lines))
+    assert [frame.name for frame in load_scene(root).frames] == [f"{number} 1 2" for number in range(4)]
 
 
 def test_a_model_that_promises_more_than_it_holds_is_not_the_largest(colmap_scene):

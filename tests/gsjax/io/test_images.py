@@ -153,6 +153,24 @@ def test_floats_of_no_known_range_are_refused(tmp_path, beyond):
         read_image(tmp_path / "hdr.tif")
 
 
+@pytest.mark.parametrize("name", ["a.png", "a.tif"])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+@pytest.mark.parametrize("bits", [10, 12])
+def test_few_bits_in_sixteen_are_refused_and_not_black(tmp_path, name, channels, bits):
+    deep = np.squeeze(noise(6, 4, channels).astype(np.uint16)) * 257
+    cv2.imwrite(str(tmp_path / name), deep >> 16 - bits)
+    with pytest.raises(InputError, match=f"{name}: has 16 bits, and its brightest pixel only .* of 65535"):
+        read_image(tmp_path / name)
+    cv2.imwrite(str(tmp_path / name), deep)
+    assert read_image(tmp_path / name)[0].max() > 200
+
+
+def test_an_object_out_of_view_in_sixteen_bits_is_an_empty_matte(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((6, 4, 4), np.uint16))
+    colors, matte = read_image(tmp_path / "a.png")
+    assert not colors.any() and matte is not None and not matte.any()
+
+
 def test_tiffs_of_floats_in_colour_are_refused_with_the_reason(tmp_path):
     cv2.imwrite(str(tmp_path / "f.tif"), np.full((6, 4, 3), 0.5, np.float32))
     with pytest.raises(InputError, match="f.tif: not a whole image .*TIFFs of floats have one channel"):

@@ -141,7 +141,9 @@ def test_picture_beyond_the_fold_of_a_polynomial_is_not_valid():
     assert view.valid[radius < fold - 0.03].all()
 
 
-@pytest.mark.parametrize("params", [(0.0, 5.0, 5.0), (-3.0, 5.0, 5.0), (np.nan, 5.0, 5.0), (3.0, np.inf, 5.0)])
+@pytest.mark.parametrize(
+    "params", [(0.0, 5.0, 5.0), (-3.0, 5.0, 5.0), (np.nan, 5.0, 5.0), (3.0, np.inf, 5.0), (0.15, 5.0, 5.0)]
+)
 def test_unusable_numbers_are_refused(params, tmp_path):
     with pytest.raises(InputError, match=r"cameras.bin \(SIMPLE_PINHOLE 10x10 with .* has a"):
         check_lens(Lens("SIMPLE_PINHOLE", 10, 10, params), tmp_path / "cameras.bin")

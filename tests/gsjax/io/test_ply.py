@@ -269,6 +269,24 @@ def test_points_without_colours_are_grey_and_broken_ones_are_left_out(tmp_path):
         read_points(tmp_path / "p.ply")
 
 
+@pytest.mark.parametrize(
+    "names", [["R", "G", "B"], ["Red", "Green", "Blue"], ["scalar_Red", "scalar_Green", "scalar_Blue"]]
+)
+def test_colours_of_points_by_other_names(tmp_path, names):
+    write_table(tmp_path / "p.ply", ["x", "y", "z", *names], [[1, 2, 3, 0, 51, 255], [4, 5, 6, 255, 0, 102]])
+    np.testing.assert_array_equal(read_points(tmp_path / "p.ply")[1], [[0, 51, 255], [255, 0, 102]])
+
+
+def test_gaussians_as_points_have_their_colours(tmp_path):
+    gaussians = some_gaussians()
+    write_gaussians(tmp_path / "g.ply", gaussians)
+    expected = np.clip(gaussians.sh_dc[:, 0] * SH_C0 + 0.5, 0, 1)
+    for read in (read_points, point_clouds.read_points):
+        points, colors = read(tmp_path / "g.ply")
+        np.testing.assert_allclose(points, gaussians.means, rtol=1e-6)
+        np.testing.assert_allclose(colors / 255, expected, atol=0.5001 / 255)
+
+
 def test_a_mesh_of_another_library_gives_its_vertices(tmp_path):
     import trimesh
 

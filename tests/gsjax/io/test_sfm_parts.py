@@ -241,6 +241,32 @@ def test_masks_are_masks_of_photos_and_no_photos(tmp_path, place):
     assert [int(shot.read_mask()[0, 0]) for shot in found] == [105, 109, 109]
 
 
+@pytest.mark.parametrize(
+    "masks",
+    [
+        ["a.jpg.mask.png", "day/b.mask.png"],
+        ["a_mask.png", "day/b.png_mask.png"],
+        ["masks/a_mask.png", "day/masks/b.png"],
+        ["mask/a.jpg.mask.png", "day/b_mask.png"],
+    ],
+)
+def test_masks_beside_photos_are_no_photos(tmp_path, masks):
+    """As RealityScan and Metashape write them, and in folders beside photos of a subfolder."""
+    for name in ("a.jpg", "day/b.png", *masks):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        photo(tmp_path / name)
+    found = {shot.name: shot.mask_path for shot in shots.list_shots(tmp_path)}
+    assert found == {"a.jpg": tmp_path / masks[0], "day/b.png": tmp_path / masks[1]}
+
+
+def test_masks_of_other_names_are_refused(tmp_path):
+    for name in ("a.png", "b.png", "masks/1.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        photo(tmp_path / name)
+    with pytest.raises(InputError, match="masks: no mask in it has the name of a photo, for example a.png.png"):
+        shots.list_shots(tmp_path)
+
+
 @pytest.mark.parametrize("orientation", [1, 5, 6])
 @pytest.mark.parametrize("upright", [True, False])
 def test_masks_turn_with_the_pixels_or_with_the_picture(tmp_path, orientation, upright):
@@ -286,8 +312,13 @@ def test_what_was_made_of_photos_is_not_taken_for_more_of_them(tmp_path):
     (tmp_path / "runs/garden/report.html").touch()
     assert [shot.name for shot in shots.list_shots(tmp_path)] == ["a.jpg", "day 2/b.jpg"]
     assert list(shots.unused_files(tmp_path)) == ["runs/garden", "scene"]
+    for name in ("depth/a.png", "day 2/images_2/b.jpg", "Thumbnails/a.jpg"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        photo(tmp_path / name)
+    assert [shot.name for shot in shots.list_shots(tmp_path)] == ["a.jpg", "day 2/b.jpg"]
+    assert list(shots.unused_files(tmp_path)) == ["Thumbnails", "day 2/images_2", "depth", "runs/garden", "scene"]
     (tmp_path / "a.jpg").unlink()
-    with pytest.raises(InputError, match="has 1; what .*garden holds was made of photos"):
+    with pytest.raises(InputError, match="has 1; what .*Thumbnails holds was made of photos"):
         shots.list_shots(tmp_path)
 
 

@@ -301,11 +301,23 @@ def test_the_split_that_nerfstudio_lists_is_taken_and_gives_way_to_another(tmp_p
     assert names(load_scene(root), "held_out_frames") == [2, 6]
 
 
-def test_bad_frames_and_frames_for_testing_of_scannet(tmp_path, capsys):
+@pytest.mark.parametrize("layout", ["transforms.json", "transforms_train.json"])
+@pytest.mark.parametrize("tests", ["transforms_test.json", "transforms_val.json"])
+def test_a_file_for_testing_beside_the_other_holds_out_its_photos(tmp_path, layout, tests):
+    root = write(tmp_path, file=layout, camera_angle_x=0.8)
+    meta = json.loads((root / layout).read_text())
+    (root / tests).write_text(json.dumps({**meta, "frames": meta["frames"][5:]}))
+    edit(root, lambda m: m.update(frames=m["frames"][:6]), file=layout)
+    assert names(load_scene(root), "held_out_frames") == [5, 6, 7]
+    assert len(load_scene(root).frames) == 8
+
+
+@pytest.mark.parametrize("bad", [True, 1, "true"])
+def test_bad_frames_and_frames_for_testing_of_scannet(tmp_path, capsys, bad):
     root = write(tmp_path, fl_x=50.0)
 
     def change(meta):
-        meta["frames"][1]["is_bad"] = True
+        meta["frames"][1]["is_bad"] = bad
         meta["frames"][2]["is_bad"] = False
         meta["test_frames"] = [meta["frames"].pop(5), meta["frames"].pop()]
 
@@ -372,6 +384,7 @@ def test_photos_outside_the_data_set_are_not_their_own_masks(tmp_path):
         ("float", ["0.2 0.5 1.0", "0 1 0.75"], [[51, 128, 255], [0, 255, 191]]),
         ("float", ["51 127.6 255", "0 1 191"], [[51, 128, 255], [0, 1, 191]]),
         ("ushort", ["13107 32896 65535", "0 257 49087"], [[51, 128, 255], [0, 1, 191]]),
+        ("int", ["13107 32896 65535", "0 257 49087"], [[51, 128, 255], [0, 1, 191]]),
     ],
 )
 def test_colours_of_points_in_other_ranges(tmp_path, kind, rows, expected):
