@@ -30,7 +30,7 @@ from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.libraries import load_trimesh
 from gsjax.meshing.named_files import NamedFiles
 from gsjax.meshing.obj import read_obj
-from gsjax.meshing.part_colors import has_picture, merge_parts, parts_of, picture_of, sample_texture
+from gsjax.meshing.part_colors import has_picture, merge_parts, parts_of, picture_pixels, sample_texture
 from gsjax.place import UNPLACED, Place
 from gsjax.similarity import as_needed, is_float32, loses_in_float32, spread
 
@@ -269,11 +269,12 @@ def _as_one(path: Path, scene):
         raise InputError(f"{path}: holds no triangles")
     if all(has_picture(part) for part in parts):
         return scene.to_mesh()
-    if len(parts) > 1 or parts[0].visual.kind in ("face", "texture"):
+    surface = parts[0]
+    if is_glb and len(parts) == 1 and (colors := glb.vertex_colors(path.read_bytes())) is not None:
+        surface.visual = load_trimesh().visual.ColorVisuals(surface, vertex_colors=colors)
+        return surface
+    if is_glb or len(parts) > 1 or surface.visual.kind in ("face", "texture"):
         return merge_parts(parts, linear=is_glb)
-    (surface,) = parts
-    if is_glb and surface.visual.kind == "vertex":
-        surface.visual.vertex_colors = _glb_colors(path, surface)
     if path.suffix.lower() == ".ply" and (colors := ply.read_vertex_colors(path)) is not None:
         surface.visual.vertex_colors = colors
     return surface
@@ -293,12 +294,6 @@ def _vertex_colors(surface) -> np.ndarray:
     return np.full((len(surface.vertices), 3), 128, np.uint8)
 
 
-def _glb_colors(path: Path, surface) -> np.ndarray:
-    """`[V, 3]` uint8 sRGB; of several primitives to the 8 bits of light that trimesh keeps."""
-    colors = glb.vertex_colors(path.read_bytes())
-    return glb.srgb_bytes(surface.visual.vertex_colors[:, :3] / 255) if colors is None else colors
-
-
 def _uvs(surface) -> np.ndarray:
     """`[V, 2]` float32 places in the texture, y down; trimesh counts from below."""
     return (np.asarray(surface.visual.uv, np.float64) * [1, -1] + [0, 1]).astype(np.float32)
@@ -306,4 +301,4 @@ def _uvs(surface) -> np.ndarray:
 
 def _picture(surface) -> np.ndarray | None:
     """`[H, W, 3]` uint8 texture, if there is one and every vertex has its place in it."""
-    return np.asarray(picture_of(surface).convert("RGB")) if has_picture(surface) else None
+    return picture_pixels(surface) if has_picture(surface) else None

@@ -86,7 +86,7 @@ def unread_part(content: bytes) -> str | None:
 
 
 def vertex_colors(content: bytes) -> np.ndarray | None:
-    """`[V, 3]` uint8 sRGB of a GLB that is one primitive with vertex colours; None where it is not."""
+    """`[V, 3]` uint8 sRGB of a GLB that is one primitive with vertex colours, times its material's; None of another."""
     length, tree = _length(content), _tree(content)
     primitives = [primitive for mesh in tree["meshes"] for primitive in mesh["primitives"]]
     if len(primitives) != 1 or "COLOR_0" not in primitives[0]["attributes"]:
@@ -103,9 +103,11 @@ def vertex_colors(content: bytes) -> np.ndarray | None:
         28 + length + view.get("byteOffset", 0) + accessor.get("byteOffset", 0),  # Behind two headers of chunks.
         (view.get("byteStride", channels * kind.itemsize), kind.itemsize),
     )
-    if kind.kind == "f":
-        return srgb_bytes(stored[:, :3])
-    largest = np.iinfo(kind).max
+    material = tree["materials"][primitives[0]["material"]] if "material" in primitives[0] else {}
+    factor = np.array(material.get("pbrMetallicRoughness", {}).get("baseColorFactor", (1.0, 1.0, 1.0))[:3])
+    largest = 1 if kind.kind == "f" else np.iinfo(kind).max
+    if kind.kind == "f" or (factor != 1).any():
+        return srgb_bytes(stored[:, :3] * (factor / largest))
     return srgb_bytes(np.arange(largest + 1) / largest)[stored[:, :3]]
 
 

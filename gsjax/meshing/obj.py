@@ -21,7 +21,7 @@ from gsjax.meshing.libraries import load_trimesh
 
 Part = Any  # trimesh.Trimesh
 _NO_COLOR = float("nan")  # of a vertex among others that have one
-_NO_PLACE = -1
+_NO_PLACE = 0  # Of indices, which count from 1.
 
 
 @dataclass
@@ -31,8 +31,8 @@ class _Content:
     positions: array = field(default_factory=lambda: array("d"))  # three a vertex
     colors: array = field(default_factory=lambda: array("f"))  # likewise, or none where no vertex has one
     places: array = field(default_factory=lambda: array("d"))  # two a place in a texture
-    corners: array = field(default_factory=lambda: array("i"))  # three vertices a triangle
-    corner_places: array = field(default_factory=lambda: array("i"))  # their places, or none where no corner has one
+    corners: array = field(default_factory=lambda: array("i"))  # three vertices a triangle, counted from 1
+    corner_places: array = field(default_factory=lambda: array("i"))  # their places, or none where no face has any
     materials: list[tuple[str, int]] = field(default_factory=list)  # and from which triangle on each is used
     libraries: list[str] = field(default_factory=list)  # files of materials
 
@@ -52,8 +52,9 @@ def read_obj(path: Path, named_file: Callable[[str], bytes]) -> list[Part]:
     faces = _rows(content.corners, 3)
     places, face_places = _rows(content.places, 2), _rows(content.corner_places, 3)
     for rows, known, what in ((faces, vertices, "vertex"), (face_places, places, "place in its texture")):
-        if rows.size and rows.max() >= len(known):
+        if rows.size and rows.max() > len(known):
             raise InputError(f"{path}: a triangle of it has a {what} that is not among its {len(known)}")
+    faces -= 1
     colors, materials = _rows(content.colors, 3), _materials(content.libraries, named_file)
     groups, parts = _by_material(content.materials, len(faces)), []
     for name, rows in groups.items():
@@ -117,32 +118,33 @@ def _add_vertex(content: _Content, words: Sequence[bytes]) -> None:
         content.colors.extend(map(float, words[4:7]))
 
 
-def _add_face(content: _Content, words: Sequence[bytes]) -> None:
-    count, places = len(content.positions) // 3, len(content.places) // 2
-    rows = [_row(word.partition(b"/")[0], count) for word in words]
-    if any(b"/" in word for word in words):
-        listed = [word.split(b"/")[1:2] for word in words]
-        of_corners = [_row(place[0], places) if place and place[0] else _NO_PLACE for place in listed]
-        _fill(content.corner_places, len(content.corners), _NO_PLACE)
-        _add_fan(content.corner_places, of_corners)
-    _add_fan(content.corners, rows)
+def _add_face(content: _Content, corners: Sequence[bytes]) -> None:
+    """A corner is a vertex, and perhaps a place in the texture behind a slash; a face has places for all or none."""
+    if b"/" in b"".join(corners):
+        parts = [corner.split(b"/") for corner in corners]
+        corners, places = [part[0] for part in parts], [part[1] if len(part) > 1 else b"" for part in parts]
+        if all(places):
+            _fill(content.corner_places, len(content.corners), _NO_PLACE)
+            _add_fan(content.corner_places, _from_the_start(list(map(int, places)), len(content.places) // 2))
+    _add_fan(content.corners, _from_the_start(list(map(int, corners)), len(content.positions) // 3))
 
 
-def _add_fan(triangles: array, rows: Sequence[int]) -> None:
-    for following, last in zip(rows[1:], rows[2:], strict=False):
-        triangles.extend((rows[0], following, last))
+def _add_fan(triangles: array, polygon: Sequence[int]) -> None:
+    if len(polygon) == 3:
+        triangles.extend(polygon)
+        return
+    for following, last in zip(polygon[1:], polygon[2:], strict=False):
+        triangles.extend((polygon[0], following, last))
 
 
-def _row(index: bytes, count: int) -> int:
-    """The row that an index means, where there are `count` so far."""
-    number = int(index)
-    if number > 0:
-        return number - 1
-    if number == 0:
+def _from_the_start(indices: list[int], count: int) -> list[int]:
+    """The indices counted from 1, where there are `count` rows so far."""
+    least = min(indices)
+    if least == 0:
         raise ValueError("a face has an index 0; OBJ counts from 1")
-    if number < -count:
-        raise ValueError(f"a face has an index {number}, but only {count} come before it")
-    return count + number
+    if least < -count:
+        raise ValueError(f"a face has an index {least}, but only {count} come before it")
+    return indices if least > 0 else [index if index > 0 else count + 1 + index for index in indices]
 
 
 def _fill(values: array, length: int, value: float) -> None:
@@ -184,9 +186,8 @@ def _textured(
 ) -> Part:
     """A vertex for each pair of a vertex and a place in the texture."""
     trimesh, width = load_trimesh(), len(places) + 1
-    keys, corners = np.unique(faces.astype(np.int64) * width + face_places - _NO_PLACE, return_inverse=True)
-    rows = keys % width + _NO_PLACE
-    uvs = np.where((rows != _NO_PLACE)[:, None], places[rows], 0.0)
+    keys, corners = np.unique(faces.astype(np.int64) * width + face_places, return_inverse=True)
+    uvs = np.concatenate([np.zeros((1, 2)), places])[keys % width]
     visual = trimesh.visual.TextureVisuals(uv=uvs, material=trimesh.visual.material.SimpleMaterial(**material))
     return trimesh.Trimesh(vertices[keys // width], corners.reshape(-1, 3), visual=visual, process=False)
 

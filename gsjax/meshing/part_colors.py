@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from gsjax.colors import srgb_to_linear
 from gsjax.meshing import glb
 from gsjax.meshing.libraries import load_trimesh
 
@@ -40,6 +41,15 @@ def picture_of(part: Part) -> Any:
     return getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
 
 
+def picture_pixels(part: Part) -> np.ndarray:
+    """`[H, W, 3]` uint8, the picture of a part's material, in glTF times the light of its factor."""
+    pixels = np.asarray(picture_of(part).convert("RGB"))
+    factor = getattr(part.visual.material, "baseColorFactor", None)
+    if factor is None or (np.asarray(factor)[:3] == 255).all():
+        return pixels
+    return glb.srgb_bytes(srgb_to_linear(pixels / np.float32(255)) * (np.asarray(factor)[:3] / np.float32(255)))
+
+
 def merge_parts(parts: Sequence[Part], *, linear: bool) -> Part:
     """The parts as one mesh with colours of vertices; vertices between faces of other colours are doubled.
 
@@ -57,7 +67,7 @@ def merge_parts(parts: Sequence[Part], *, linear: bool) -> Part:
 
 def sample_texture(part: Part) -> np.ndarray:
     """`[V, 3]` uint8, the texture at each vertex."""
-    picture = np.asarray(picture_of(part).convert("RGB"))
+    picture = picture_pixels(part)
     uvs = np.asarray(part.visual.uv, np.float64) * [1, -1] + [0, 1]  # trimesh counts from below.
     columns, rows = np.floor(uvs.astype(np.float32) % 1 * picture.shape[1::-1]).astype(np.int64).T
     return picture[np.minimum(rows, len(picture) - 1), np.minimum(columns, picture.shape[1] - 1)]
@@ -73,7 +83,11 @@ def _colors(part: Part, linear: bool) -> np.ndarray:
     color = getattr(material, "diffuse", None) if color is None else color
     if color is None:
         color = np.full(3, 255 if linear and material is not None else _GREY, np.uint8)
-    return np.tile(_srgb(np.asarray(color)[:3], linear and material is not None), (len(part.vertices), 1))
+    colors = np.tile(np.asarray(color)[:3], (len(part.vertices), 1))
+    beside = getattr(part.visual, "vertex_attributes", {}).get("color")
+    if beside is not None:  # Of a GLB's part, which trimesh keeps beside its material, as they are stored.
+        colors = colors * (beside[:, :3] / (1 if beside.dtype.kind == "f" else np.iinfo(beside.dtype).max))
+    return _srgb(colors, linear and material is not None)
 
 
 def _srgb(colors: np.ndarray, linear: bool) -> np.ndarray:

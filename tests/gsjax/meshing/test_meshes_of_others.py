@@ -6,9 +6,10 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from gsjax.colors import srgb_to_linear
 from gsjax.errors import InputError
 from gsjax.mesh import Mesh
-from gsjax.meshing import read_mesh, write_mesh
+from gsjax.meshing import glb, read_mesh, write_mesh
 
 
 def quad_with_face_colors(path, rows=("255 0 0", "0 0 255")):
@@ -47,6 +48,37 @@ def test_coloured_parts_of_a_glb_keep_their_colours_and_places(tmp_path):
     part = np.rint(found.vertices[:, 0] / 2).astype(int)
     expected = np.array([[255, 0, 128], [0, 188, 0], [255, 255, 255], [0, 128, 255]])
     assert np.abs(found.colors.astype(int) - expected[part]).max() <= 1
+
+
+def test_colours_of_a_glb_are_those_of_its_texture_or_vertices_times_the_factor_of_its_material(tmp_path):
+    """In light: half of white is 188 of 255. Alone and as two parts."""
+    import trimesh
+    from PIL import Image
+
+    about = {"baseColorFactor": [0.5, 1.0, 0.0, 1.0], "baseColorTexture": Image.new("RGB", (4, 4), (255, 100, 200))}
+    material = trimesh.visual.material.PBRMaterial(**about)
+    box = trimesh.creation.box()
+    visual = trimesh.visual.TextureVisuals(uv=box.vertices[:, :2], material=material)
+    trimesh.Trimesh(box.vertices, box.faces, visual=visual, process=False).export(tmp_path / "textured.glb")
+
+    def with_material(tree):
+        tree["materials"] = [{"pbrMetallicRoughness": {"baseColorFactor": about["baseColorFactor"]}}]
+        for mesh in tree["meshes"]:
+            mesh["primitives"][0] |= {"material": 0}
+            mesh["primitives"][0]["attributes"]["COLOR_0"] = mesh["primitives"][0]["attributes"].pop(glb.OWN)
+        for accessor in tree["accessors"]:
+            accessor["normalized"] = accessor["componentType"] == 5123
+
+    light = np.rint(65535 * srgb_to_linear(np.full((8, 3), [255, 100, 200]) / 255)).astype(np.uint16)
+    boxes = [
+        trimesh.Trimesh(box.vertices, box.faces, vertex_attributes={glb.OWN: light}, process=False) for _ in range(2)
+    ]
+    for name, parts in (("one.glb", boxes[:1]), ("two.glb", boxes)):
+        trimesh.Scene(parts).export(tmp_path / name, tree_postprocessor=with_material)
+    for name in ("textured.glb", "one.glb", "two.glb"):
+        found = read_mesh(tmp_path / name)
+        assert np.abs(found.colors.astype(int) - [188, 100, 0]).max() <= 1, name
+        assert found.num_faces == (24 if name == "two.glb" else 12)
 
 
 def test_coloured_materials_of_an_obj_are_its_colours(tmp_path):
