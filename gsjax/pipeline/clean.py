@@ -131,6 +131,8 @@ def undo(source: str | Path) -> dict[str, Any]:
 
 
 def _file_of(source: Path) -> Path:
+    if not source.exists():
+        raise InputError(f"{source}: no such file or folder")
     return source / "gaussians.ply" if source.is_dir() else source
 
 

@@ -35,6 +35,8 @@ class Run:
             InputError: It is no run folder.
         """
         folder = Path(folder)
+        if not folder.exists():
+            raise InputError(f"{folder}: no such folder")
         settle(folder)
         if not (folder / "manifest.json").is_file():
             raise InputError(f"{folder}: holds no manifest.json; it is no run folder")

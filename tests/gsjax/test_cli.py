@@ -119,6 +119,23 @@ def test_wrong_arguments_are_one_line_and_code_2(arguments, message, capsys):
     assert error.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "eval gone", "render gone --out o", "mesh gone --out m.ply", "convert gone g.spz", "view gone", "report gone",
+        "share gone --out s.html", "refine gone --mesh m.ply --out o", "texture gone --mesh m.ply --out m.glb",
+        "clean gone", "clean gone --undo", "scale gone --between a 1 1 b 2 2", "undistort gone --out o",
+        "diagnose gone", "compare gone away --out c.html", "sfm gone --out o", "blocks gone --out o --blocks 2",
+    ],
+)  # fmt: skip
+def test_what_does_not_exist_is_told_as_such(arguments, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(arguments.split()) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("gsjax: error: gone: no such f") and error.count("\n") == 1
+    assert {path.name for path in tmp_path.iterdir()} <= {"cache"}
+
+
 def test_settings_come_from_the_preset_the_options_and_set(library):
     settings, keywords = train_settings(library, "--out", "r")
     assert settings == config.parse(Settings, PRESETS["fast"])
