@@ -4,7 +4,8 @@ A target pixel's ray is sent through the lens model to the place in the photo wh
 there. No model needs code of its own.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -44,6 +45,7 @@ class Lens:
     width: int  # pixels
     height: int  # pixels
     params: tuple[float, ...]  # in COLMAP's order
+    reach: float = math.inf  # of the width, from the principal point: farther out photos are black (image circle)
 
 
 @dataclass(frozen=True)
@@ -108,15 +110,16 @@ def resize_lens(lens: Lens, width: int, height: int) -> Lens:
     across, down = width / lens.width, height / lens.height
     if lens.model == "EQUIRECTANGULAR":
         return Lens(lens.model, width, height, (float(width), float(height)))
+    resized = replace(lens, width=width, height=height)
     if lens.model not in _WITH_TWO_FOCALS:
         fx, fy, cx, cy, *distortion = lens.params
-        return Lens(lens.model, width, height, (fx * across, fy * down, cx * across, cy * down, *distortion))
+        return replace(resized, params=(fx * across, fy * down, cx * across, cy * down, *distortion))
     focal, cx, cy, *distortion = lens.params
     if across == down:
-        return Lens(lens.model, width, height, (focal * across, cx * across, cy * down, *distortion))
+        return replace(resized, params=(focal * across, cx * across, cy * down, *distortion))
     model, zeros = _WITH_TWO_FOCALS[lens.model]
     params = (focal * across, focal * down, cx * across, cy * down, *distortion, *[0.0] * zeros)
-    return Lens(model, width, height, params)
+    return replace(resized, model=model, params=params)
 
 
 def pycolmap_camera(lens: Lens):
@@ -194,11 +197,26 @@ def _cube_faces(lens: Lens) -> tuple[PinholeView, ...]:
     return tuple(faces)
 
 
+def principal_point(lens: Lens) -> np.ndarray:
+    """`[2]` float64 pixels."""
+    return np.asarray(pycolmap_camera(lens).calibration_matrix())[:2, 2]
+
+
+def is_circular(lens: Lens) -> bool:
+    """Whether a fisheye photo's corners lie 90 degrees or more from the axis: its picture may be a circle within it."""
+    return "FISHEYE" in lens.model and _corner_angle(pycolmap_camera(lens)) == math.inf
+
+
 def _corner_angle(camera) -> float:
-    """Radians between the axis and the farthest of a photo's corners; infinite where the lens does not reach one."""
+    """Radians between the axis and the farthest of a photo's corners; infinite where the lens does not reach one.
+
+    COLMAP's fisheye models know no ray of 90 degrees or more, and give another one for its pixel.
+    """
     corners = np.array([[x, y] for x in (0.0, camera.width) for y in (0.0, camera.height)])
     rays = np.asarray(camera.cam_ray_from_img(image_points=corners))
-    return float(np.arccos(np.clip(rays[:, 2], -1, 1)).max()) if np.isfinite(rays).all() else np.inf
+    if not (np.isfinite(rays).all() and np.abs(camera.img_from_cam(rays) - corners).max() < 1):
+        return math.inf
+    return float(np.arccos(np.clip(rays[:, 2], -1, 1)).max())
 
 
 def _fisheye_faces(lens: Lens) -> tuple[PinholeView, ...]:
@@ -216,6 +234,8 @@ def _fisheye_faces(lens: Lens) -> tuple[PinholeView, ...]:
     for name, rotation in _face_rotations().items():
         source = _project(camera, rays @ rotation)
         valid = _recorded(camera, source, rays @ rotation)
+        if lens.reach < math.inf:
+            valid &= np.linalg.norm(source - principal_point(lens), axis=-1) < lens.reach * lens.width
         if not valid.any():
             continue
         rows, columns = (slice(at.min(), at.max() + 1) for at in np.nonzero(valid))

@@ -11,6 +11,7 @@ import numpy as np
 from gsjax import similarity as similarities
 from gsjax.errors import InputError
 from gsjax.io import colmap, colmap_model, transforms
+from gsjax.io.image_circles import with_image_circles
 from gsjax.io.image_folders import locate_photos, masks_in
 from gsjax.io.notices import print_once
 from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, list_of_names
@@ -69,6 +70,7 @@ def load_scene(
     capture = _read_capture(root)
     taken = mark_held_out(_checked_photos(root, locate_photos(root, capture.photos, images)), hold_out, root)
     taken = _with_folder_masks(_selected(taken, photos), root / "masks" if masks is None else masks)
+    taken = with_image_circles(taken)
     place = read_place(root) if place is None else place
     taken = [replace(photo, viewmat=place.viewmat_to_world(photo.viewmat)) for photo in taken]
     capture = replace(capture, points=place.points_to_world(capture.points))

@@ -186,5 +186,12 @@ def test_a_wide_fisheye_photo_is_faces_that_lose_nothing_of_it(model):
     assert shown.max() <= 2 and np.arccos(rays[:, 2].min()) > np.radians(60)
 
 
+@pytest.mark.parametrize("degrees", [61, 91, 98, 120])
+def test_a_fisheye_photo_is_faces_however_far_its_corners_lie(degrees):
+    focal = np.hypot(100, 75) / np.radians(degrees)
+    views = pinhole_views(Lens("OPENCV_FISHEYE", 200, 150, (focal, focal, 100, 75, 0, 0, 0, 0)))
+    assert {"_front", "_right", "_left"} <= {view.suffix for view in views}
+
+
 def test_a_fisheye_photo_of_no_more_than_sixty_degrees_is_one_view():
     assert [view.suffix for view in pinhole_views(lens_of("OPENCV_FISHEYE"))] == [""]
