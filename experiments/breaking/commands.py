@@ -193,6 +193,8 @@ def whole(folder: Path, name: str) -> float:
 
 def _called(folder: Path, name: str, out: str) -> float:
     """Calls a command, which has to end well; seconds."""
+    if (folder / out).is_dir():  # Of a call that this one was stopped in.
+        shutil.rmtree(folder / out)
     prepare(folder, COMMANDS[name], out)
     began = time.monotonic()
     code, told = finished(begun(folder, COMMANDS[name], out))
