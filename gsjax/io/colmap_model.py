@@ -8,6 +8,7 @@ of unit length. `rigs` and `frames` say nothing that `images` does not.
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -126,10 +127,17 @@ def _largest(root: Path, models: Sequence[Path]) -> Path:
 
 def _count_images(model: Path, suffix: str) -> int:
     """What the file of images promises; 0 where it cannot be read, which is told when the model is."""
+    file = model / f"images{suffix}"
     try:
-        return _READERS[suffix].count_images(model / f"images{suffix}")
+        return _counted(file, file.stat().st_mtime_ns)
     except (OSError, InputError):
         return 0
+
+
+@lru_cache(maxsize=64)  # Text is read whole for it.
+def _counted(file: Path, written: int) -> int:
+    """The images in a file as it was written at a time, in nanoseconds."""
+    return _READERS[file.suffix].count_images(file)
 
 
 def _posed(image: ImageRecord, cameras: dict[int, Lens], file: Path) -> PosedImage:
