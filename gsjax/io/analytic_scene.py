@@ -13,7 +13,9 @@ The layout is that of any rendered data set with truth (`gsjax.io.truth` reads i
 """
 
 import json
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -82,9 +84,17 @@ def _write_parts(folder: Path, num_views: int, size: tuple[int, int], seed: int,
     for part in ("images", "depth", "normals", "sparse/0"):
         (folder / part).mkdir(parents=True)
     cameras = solids.cameras(num_views, size, seed=seed)
-    with progress(total=num_views, desc="analytic scene", unit="view") as bar:
-        for index, camera in enumerate(cameras):
-            _write_view(folder, f"{index:03d}", camera, solids.trace(camera))
+
+    def write_view(index: int) -> None:
+        _write_view(folder, f"{index:03d}", cameras[index], solids.trace(cameras[index]))
+
+    with (
+        progress(total=num_views, desc="analytic scene", unit="view") as bar,
+        ThreadPoolExecutor(os.cpu_count()) as pool,  # A view is many small programs, each of which leaves cores idle.
+    ):
+        write_view(0)  # Alone: views at once would each compile them.
+        bar.update()
+        for _ in pool.map(write_view, range(1, num_views)):
             bar.update()
     surface = true_surface.mesh(MESH_SPACING)
     (folder / "gt_mesh.ply").write_bytes(ply.encode_mesh(surface))
