@@ -4,18 +4,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import trimesh
 from scipy import ndimage
 
-from gsjax.errors import InputError
+from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
-from gsjax.mesh import signed_volume
+from gsjax.mesh import Mesh, signed_volume
 from gsjax.meshing.export import read_mesh
+from gsjax.meshing.sightlines import Sightlines
 from gsjax.pipeline.mesh import METHODS, mesh
 from gsjax.render import gallery
 from gsjax.runs import viewpoints
-from gsjax.runs.result import write_views
+from gsjax.runs.result import open_result, write_views
 from gsjax.scene import Pixels, frame_of
 
 
@@ -65,6 +67,39 @@ def test_a_box_and_a_number_of_faces_are_kept(file, tmp_path):
     assert "background" not in report
     around = mesh(file, tmp_path / "mesh.ply", bounds=box, background_bounds=[-2.0, -2, -2, 2, 2, 2])
     assert around["background"]["points_seen"] > 0
+
+
+@pytest.mark.parametrize(("count", "chosen"), [(400, "tsdf"), (90, "poisson")])
+def test_auto_keeps_the_mesh_that_the_tracks_meet(file, tmp_path, monkeypatch, count, chosen):
+    """Balls of four sizes, of which one is where the tracks end; fewer than 100 lines of sight choose nothing."""
+    directions = np.random.default_rng(0).normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    radii, made = {"poisson": 1.1, "tsdf": 1.0, "centers": 0.9}, []
+
+    def extract(gaussians, cameras, pictures, *, method, **options):
+        made.append(method)
+        if method == "depth":
+            raise NoSurfaceError("no surface to extract: as here")
+        sphere = trimesh.creation.icosphere(subdivisions=3, radius=radii[method])
+        return Mesh(sphere.vertices, sphere.faces, np.full(sphere.vertices.shape, 128, np.uint8)), {}
+
+    replaced = {
+        "extract_mesh": extract,
+        "_method": lambda name, *_: name,
+        "_data_set": lambda *_: "of the photos",
+        "sightlines_of": lambda data: Sightlines(3 * directions, 0.99 * directions),
+    }
+    for name, function in replaced.items():
+        monkeypatch.setitem(mesh.__globals__, name, function)
+    report = mesh(file, tmp_path / "mesh.ply", method="auto", settled=False)
+    assert report["method"] == chosen
+    assert made == (["poisson", "depth", "tsdf", "centers"] if chosen == "tsdf" else ["poisson"])
+    assert {name: one["met"] > 0.9 for name, one in report["tried"].items()} == (
+        {"poisson": False, "tsdf": True, "centers": False} if chosen == "tsdf" else {}
+    )
+    found = np.linalg.norm(read_mesh(tmp_path / "mesh.ply").vertices, axis=1)
+    per_unit = open_result(file).similarity.length_to_local(1.0)
+    np.testing.assert_allclose(per_unit * found, radii[chosen], rtol=1e-5)
 
 
 LUMP = np.array([0.0, 0.0, 1.6])  # Its middle, above the ball; its radius is 0.35.
