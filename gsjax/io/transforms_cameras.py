@@ -4,6 +4,7 @@ Matrices are camera to world with OpenGL camera axes (x right, y up, looking alo
 """
 
 import math
+import reprlib
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +136,6 @@ def _number(where: str, entry: dict[str, Any], key: str) -> float | None:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not is_float32(np.array(number)):
-        shown = repr(value) if isinstance(value, str | int | float) else f"a {type(value).__name__}"
+        shown = reprlib.repr(value) if isinstance(value, str | int | float) else f"a {type(value).__name__}"
         raise InputError(f"{where} has {key} {shown}, which is no number to compute with")
     return number

@@ -236,6 +236,8 @@ def test_lego_mattes_are_silhouettes_of_one_solid(shared):
         (lambda m: m.update(fl_x=0, fl_y=50.0), "(PINHOLE 40x30 with 0, 50, 20, 15) has a focal length"),
         (lambda m: m.update(fl_y=0.0), "(PINHOLE 40x30 with 50, 0, 20, 15) has a focal length"),
         (lambda m: m.update(fl_x="wide"), "wide"),
+        (lambda m: m.update(fl_x=10**300), "has fl_x 100000000000000000...0000000000000000000, which is no number"),
+        (lambda m: m.update(fl_x=0.7), "(PINHOLE 40x30 with 0.7, 0.7, 20, 15) has a focal length that is too short"),
         (lambda m: m.update(camera_model="LENSBABY"), "unknown camera_model 'LENSBABY'"),
         (lambda m: m.update(k4=0.1), "takes no k4"),
         (lambda m: m.update(w=80, h=50), "image is 40x30 but its camera says 80x50"),
