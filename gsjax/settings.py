@@ -211,6 +211,7 @@ class Settings:
     views_per_step: int = 1  # photos whose mean loss a step descends; what counts in steps here counts in photos then
     max_gaussians: int = 1_000_000
     far_points: int = 0  # around the cloud that training starts with too; none over white or where photos have mattes
+    dropout: float = 0.0  # share of the Gaussians that each step leaves out, for few photos far apart
     sh_degree: int = 3
     sh_every: int = 1000  # steps between the bands of the ramp
     rates: Rates = Rates()
@@ -236,6 +237,8 @@ class Settings:
             raise ValueError(f"cpu_pixels={self.cpu_pixels} is below 1")
         if not 0 <= self.view_share <= 1:
             raise ValueError(f"view_share={self.view_share} is not between 0 and 1")
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"dropout={self.dropout} is not at least 0 and below 1")
         if not 0 <= self.sh_degree <= 4:
             raise ValueError(f"sh_degree={self.sh_degree} is not 0 to 4")
         if not self.phases:

@@ -76,7 +76,7 @@ LAYERS = {
         ("experiments",),
         ("rasterizer", *CORE, *FILES, "scoring", "planning", "report", "pipeline", "viewer", "cli"),
         # Among them peers to time ours against, and the scripts themselves: one imports another by its bare name.
-        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "websockets", *PEERS, *SCRIPTS),
+        ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "pycolmap", "websockets", *PEERS, *SCRIPTS),
     ),
 }
 HEAVY = {"numba", "open3d", "pycolmap", "cv2", "onnxruntime", "trimesh", "xatlas", "matplotlib", "PIL", "viser"}

@@ -121,6 +121,8 @@ def _beginning_lines(planned: Plan, settings: Settings, photos_line: str) -> lis
     """Where the run computes and with which engine, on what, and what of the plan may surprise."""
     engine = engine_here()
     lines = [f"on {engine.device} with the {engine.name} rasterizer", photos_line]
+    if settings.dropout:
+        lines.append(f"every step leaves out {settings.dropout:.0%} of the Gaussians")
     if planned.left_out:
         lines.append(f"{', '.join(planned.left_out)} need one photo a step and are left out")
     if settings.normals is None and "normals" in planned.needs:

@@ -81,7 +81,15 @@ def what_was_decided(run: RunFacts) -> Rows:
         ("Photos for scoring", _count_held_out(run), SPLITS.get(hold_out, f"asked for: --hold-out {hold_out}")),
         ("Normals", *_normals(run)),
         ("Effects of photography", *_effects(run)),
+        *_dropout(run),
     ]
+
+
+def _dropout(run: RunFacts) -> Rows:
+    """A row where steps leave Gaussians out; runs of earlier versions knew of no such thing."""
+    share = max((phase.get("dropout", 0.0) for phase in run.plan["phases"]), default=0.0)
+    row = "Left out of every step", f"{share:.0%} of the Gaussians", f"asked for: dropout={share:g}"
+    return [row] if share else []
 
 
 def plan(run: RunFacts) -> Rows:

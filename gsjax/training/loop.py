@@ -309,6 +309,7 @@ def _run_phase(
             depth_mode=plan.depth_mode,
             effects=work.effects,
             extent=work.extent,
+            dropout=phase.dropout,
         )
         if phase.surface_every == 1:
             return make(_shown(phase.terms, data))

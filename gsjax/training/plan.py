@@ -31,6 +31,7 @@ class PlannedPhase:
     rule: Rule | None = None  # of density control; None: nobody multiplies
     cull_below: float = 0.0  # at the end, Gaussians of lower opacity are removed
     surface_every: int = 1  # one of so many steps has the dear terms
+    dropout: float = 0.0  # share of the Gaussians that each step leaves out
 
     @property
     def steps(self) -> int:
@@ -117,6 +118,7 @@ class Plan:
                 surface_every=phase.surface_every,
                 density_control=phase.rule is not None,
                 cull_below=phase.cull_below,
+                **({"dropout": phase.dropout} if phase.dropout else {}),
             )
             for phase in self.phases
         ]
@@ -201,11 +203,13 @@ def plan(
         effects: Names of those that are simulated: masks of transients make growth wait.
 
     Raises:
-        InputError: A weight has no term, a term with normals looks at smaller photos, or a term cannot run on so many
-            devices.
+        InputError: A weight has no term, a term with normals looks at smaller photos, or a term, or dropout, cannot run
+            on so many devices.
     """
     known = {**TERMS, **terms}
     is_one = devices == settings.views_per_step == 1
+    if settings.dropout and not is_one:
+        raise InputError(f"dropout={settings.dropout:g} needs one device and --views-per-step 1")
     phases, left_out, begin = [], set(), 0
     for phase in settings.phases:
         wanted = _weighed(settings, phase, known)
@@ -229,7 +233,8 @@ def plan(
         end = begin + _fewer(phase.steps, settings.views_per_step)
         rule = RULES[settings.density.rule] if phase.density_control else None
         cull, every = (0.0, 1) if settings.vanilla else (phase.cull_below, phase.surface_every)
-        phases.append(PlannedPhase(phase.name, begin, end, phase.image_scale, wanted, rule, cull, every))
+        planned = PlannedPhase(phase.name, begin, end, phase.image_scale, wanted, rule, cull, every, settings.dropout)
+        phases.append(planned)
         begin = end
     views = settings.views_per_step
     return Plan(

@@ -19,6 +19,7 @@ from gsjax.numerics import masked_mean
 from gsjax.render import View
 from gsjax.targets import Batch, Target
 from gsjax.training import optimizers
+from gsjax.training.dropout import leave_out
 from gsjax.training.growth.rules import Rule
 from gsjax.training.state import TrainState
 from gsjax.training.terms import Kept, Weighed, multi_view, needs
@@ -103,6 +104,7 @@ def make_train_step(
     depth_mode: render.DepthReading = "plane",
     effects: Effects = NO_EFFECTS,
     extent: float = 1.0,
+    dropout: float = 0.0,
 ) -> TrainStep:
     """The compiled step of one phase.
 
@@ -117,6 +119,7 @@ def make_train_step(
         effects: Those that stand between the render and the photos; the state and the targets must be made for them.
         extent: Camera extent, scene units: what a rule, and a term with a table, measure distances in. The state must
             hold the table of every term that has one.
+        dropout: Share of the Gaussians that each step leaves out, see `gsjax.training.dropout`. 0: none.
 
     Returns:
         A `TrainStep`.
@@ -126,8 +129,9 @@ def make_train_step(
     def objective(free: _Free, state: TrainState, batch: Batch, beside: Batch | None, color: Array, key: Array):
         gaussians, probe, numbers = free
         batch = replace(batch, camera=simulation.move_camera(effects, numbers, batch.camera, batch.photo))
+        drawn = leave_out(gaussians, dropout, jax.random.fold_in(key, 3)) if dropout else gaussians
         view = render.view(
-            gaussians,
+            drawn,
             batch.camera,
             capacity=capacity,
             background=simulation.light_behind(effects, numbers, batch.camera, color),
@@ -141,7 +145,7 @@ def make_train_step(
         pairs = view.splats.pairs
         if beside is not None:
             beside = replace(beside, camera=simulation.move_camera(effects, numbers, beside.camera, beside.photo))
-            neighbor = multi_view.render_neighbor(gaussians, beside, capacity, depth_mode)
+            neighbor = multi_view.render_neighbor(drawn, beside, capacity, depth_mode)
             view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
         kept = {name: Kept(table, jax.random.fold_in(key, 2), extent) for name, table in state.tables.items()}
         total, losses, mse = weighted_loss(terms, rule, gaussians, view, batch, kept)

@@ -35,6 +35,7 @@ def test_presets_of_ours_look_for_effects_and_the_papers_have_none():
     [
         ({"sh_degree": 5}, "sh_degree=5"),
         ({"sh_every": 0}, "sh_every=0 is below 1"),
+        ({"dropout": 1.0}, "dropout=1.0 is not at least 0 and below 1"),
         ({"downscale": 0}, "downscale=0.0 is not a number of at least 1"),
         ({"max_gaussians": 0}, "max_gaussians=0 is below 1"),
         ({"max_gaussians": 10**12}, "max_gaussians=1000000000000 is above 2147483647"),

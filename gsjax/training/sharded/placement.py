@@ -96,10 +96,12 @@ def _make_step(
     mesh: Mesh,
     room: Room,
     effects: Effects = NO_EFFECTS,
+    dropout: float = 0.0,
     **options: Any,
 ) -> TrainStep:
     """A `TrainStep` that makes room for the exchange by itself and repeats: the state was left as it was."""
     assert not effects, "effects have numbers of photos, which are on other devices"
+    assert not dropout, "every device would leave out others"
 
     @cache
     def compiled(splat_capacity: int):

@@ -21,6 +21,7 @@ from gsjax.report.curves import LEFT, RIGHT
 from gsjax.report.page import noted, report
 from gsjax.scene import Pixels, frame_of
 from gsjax.settings import PRESETS, Settings
+from gsjax.training.plan import plan
 
 SIZE = (64, 48)  # width, height
 NAMES = [f"{index:02d} <b>&\"'.jpg" for index in range(9)]  # as a file may be called
@@ -122,6 +123,13 @@ def test_the_page_says_what_the_files_say(run):
     assert page.cells["phases.2.weights.sdf_normal"] == ["0.05"]
     manifest = json_files.read(run / "manifest.json")
     assert page.cells["jax"] == [manifest["versions"]["jax"]] and page.cells["cpu"] == [manifest["machine"]["cpu"]]
+
+
+def test_the_page_tells_of_what_every_step_left_out(run):
+    assert "Left out of every step" not in Page(report(run)).cells
+    settings = config.parse(Settings, config.merge(PRESETS["fast"], {"dropout": 0.4}))
+    json_files.write(run / "plan.json", plan(settings).record())
+    assert Page(report(run)).cells["Left out of every step"] == ["40% of the Gaussians", "asked for: dropout=0.4"]
 
 
 def test_photos_beside_renders_are_the_kept_pictures_under_their_own_names(run):

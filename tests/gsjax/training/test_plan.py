@@ -51,6 +51,16 @@ def test_a_sky_adds_its_term_to_every_step_and_without_one_it_is_nowhere():
         plan(replace(SETTINGS, phases=(Phase("surface", 10, Weights(sky=0.2)),)))
 
 
+def test_every_step_leaves_out_the_share_that_was_asked_for_and_its_record_says_so():
+    planned = plan(replace(SETTINGS, dropout=0.4))
+    assert [phase.dropout for phase in planned.phases] == [0.4, 0.4]
+    assert [phase["dropout"] for phase in planned.record()["phases"]] == [0.4, 0.4]
+    assert [phase.dropout for phase in plan(SETTINGS).phases] == [0.0, 0.0]
+    assert not any("dropout" in phase for phase in plan(SETTINGS).record()["phases"])
+    with pytest.raises(InputError, match="dropout=0.4 needs one device and --views-per-step 1"):
+        plan(replace(SETTINGS, dropout=0.4, views_per_step=2))
+
+
 def test_plain_splatting_has_the_terms_of_the_image_for_as_many_steps():
     plain = plan(replace(SETTINGS, vanilla=True))
     assert [terms(phase) for phase in plain.phases] == 2 * [{"l1": 0.8, "dssim": 0.2, "alpha": 0.1}]

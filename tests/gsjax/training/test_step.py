@@ -175,6 +175,26 @@ def test_dead_rows_stay_as_they_are(setup):
     assert int(count_alive(after)) == ALIVE
 
 
+def test_a_step_learns_of_those_that_it_draws_alone(setup):
+    step = make_train_step(
+        setup.optimizer,
+        weigh_terms(Weights(alpha=0.1)),
+        capacity=PAIRS,
+        background=BACKGROUNDS["random"],
+        sh_every=SH_EVERY,
+        rule=RULES["adc"],
+        dropout=0.5,
+    )
+    stays = jax.random.uniform(jax.random.fold_in(jax.random.fold_in(KEY, 0), 3), (CAPACITY,), jnp.float32) >= 0.5
+    before = start(setup).gaussians
+    state, _ = step(start(setup), setup.data.targets[0], KEY)
+    moved = np.abs(np.asarray(state.gaussians.means) - np.asarray(before.means)).max(1) > 0
+    views = np.asarray(state.statistics.views)
+    assert not moved[~stays].any() and not views[~stays].any()
+    drawn = np.asarray(stays)[:ALIVE]
+    assert moved[:ALIVE][drawn].mean() > 0.9 and (views[:ALIVE][drawn] == 1).mean() > 0.9
+
+
 def test_statistics_count_the_views_and_the_gradient_of_each(setup):
     state, _ = run(setup, start(setup), 3)
     statistics = jax.tree.map(np.asarray, state.statistics)

@@ -1,0 +1,34 @@
+"""Gaussians left out of single steps at random, so that few photos are not learned by heart."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from gsjax.gaussians import Gaussians, opacities
+from gsjax.training.initialize import DEAD_LOGIT
+
+MOST = 0.999  # of a denser one's opacity
+
+
+def leave_out(gaussians: Gaussians, share: float, key: Array) -> Gaussians:
+    """The Gaussians that a step draws: some are left out, and the others are more opaque in return.
+
+    Each is left out with a probability of `share`. The others have 1 / (1 - share) times their opacity, so that the
+    expectation of every opacity stays, as far as it is below 1 - share: what is more opaque has no gradient to its
+    opacity, and does not become more so. After DropGaussian (Park, Ryu and Kim, CVPR 2025), whose share grows.
+
+    Args:
+        gaussians: The scene, `[N]` rows.
+        share: Above 0 and below 1.
+        key: Random key of this step.
+
+    Returns:
+        As many rows; those that are left out are drawn as little as free rows are, without gradient. Differentiable.
+    """
+    stays = jax.random.uniform(key, (gaussians.num_gaussians,), jnp.float32) >= share
+    safe = replace(gaussians, logit_opacities=jnp.maximum(gaussians.logit_opacities, DEAD_LOGIT))
+    denser = jnp.minimum(opacities(safe) / (1 - share), MOST)
+    logits = jnp.log(denser) - jnp.log1p(-denser)
+    return replace(gaussians, logit_opacities=jnp.where(stays, logits, DEAD_LOGIT))
