@@ -24,6 +24,10 @@ class Pixels(NamedTuple):
     valid: np.ndarray | None = None  # [H, W] uint8, 0 where a pixel must not be used (masks, undistortion border)
 
 
+Keep = Callable[[np.ndarray], np.ndarray]
+"""An array -> the same one where it is to lie: in memory, or on the disk (`gsjax.io.scratch`)."""
+
+
 class Origin(NamedTuple):
     """The distorted photo that a frame was undistorted from."""
 
@@ -42,7 +46,7 @@ class Frame:
     K: np.ndarray  # [3, 3] float32 pixels; pixel centres at +0.5
     width: int  # pixels
     height: int  # pixels
-    pixels: Callable[[], Pixels]  # reads them, anew at every call (see `in_memory`); InputError where it cannot
+    pixels: Callable[[], Pixels]  # reads them, anew at every call (see `kept`); InputError where it cannot
     held_out: bool = False  # scored, never trained on
     origin: Origin | None = None  # None: the photo had no distortion, the frame shows it whole; or it is a panorama's
     masked: bool = True  # False: all pixels are valid, which is known without reading them
@@ -54,9 +58,14 @@ def frame_of(name: str, viewmat: np.ndarray, K: np.ndarray, pixels: Pixels, *, h
     return Frame(name, viewmat, K, width, height, lambda: pixels, held_out, masked=pixels.valid is not None)
 
 
-def in_memory(frame: Frame) -> Frame:
+def in_memory(array: np.ndarray) -> np.ndarray:
+    """A `Keep`: the array itself."""
+    return array
+
+
+def kept(frame: Frame, keep: Keep = in_memory) -> Frame:
     """The same frame with its pixels read now and kept."""
-    return with_pixels(frame, frame.pixels())
+    return with_pixels(frame, Pixels(*(None if each is None else keep(each) for each in frame.pixels())))
 
 
 def with_pixels(frame: Frame, pixels: Pixels) -> Frame:

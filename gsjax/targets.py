@@ -1,6 +1,6 @@
 """Photos as the compiled step reads them: one compact record a view, on the device when its turn comes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import jax
@@ -10,7 +10,7 @@ from jax import Array
 
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.scene import Frame, Pixels
+from gsjax.scene import Frame, Keep, Pixels, in_memory
 
 NORMAL_UNIT = 127  # What a component of 1 is stored as: 3 bytes a normal, off by 0.2 degrees on average.
 
@@ -40,7 +40,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Targets:
-    """V photos in host memory, alike in size and in what they hold: one compiled step serves every one."""
+    """V photos in host memory or mapped from the disk, alike in size and content: one compiled step serves them."""
 
     targets: tuple[Target, ...]
     neighbors: np.ndarray | None = None  # [V, M] which views may stand beside each, where a term compares two
@@ -83,13 +83,14 @@ class Batch:
     sky: Array | None = None  # [H, W] bool, where the photo shows open sky
 
 
-def read_targets(frames: Sequence[Frame], *, scale: int = 1) -> Targets:
+def read_targets(frames: Sequence[Frame], *, scale: int = 1, keep: Keep = in_memory) -> Targets:
     """Read the pixels of frames.
 
     Args:
         frames: Photos of any sizes.
         scale: Reduce each by this factor (mean over blocks; a rest at the right and the bottom is dropped). Colours
             are weighted by matte and validity, so what an unused pixel happens to hold never bleeds in.
+        keep: Where they are to lie.
 
     Returns:
         `Targets` of the largest (reduced) width and height. A photo of that size that is not reduced is not copied.
@@ -102,33 +103,33 @@ def read_targets(frames: Sequence[Frame], *, scale: int = 1) -> Targets:
         raise InputError(
             f"image_scale={scale}: nothing is left of a photo of {frames[0].width}x{frames[0].height} pixels"
         )
-    targets = [_target(frame, scale, width, height) for frame in frames]
+    targets = [_target(frame, scale, width, height, keep) for frame in frames]
     return Targets(tuple(_alike(_alike(targets, "matte"), "valid")))
 
 
-def with_normals(views: Targets, maps: Sequence[np.ndarray]) -> Targets:
+def with_normals(views: Targets, maps: Iterable[np.ndarray], keep: Keep = in_memory) -> Targets:
     """The same views with int8 normal maps `[H, W, 3]` (see `Target`), each of its photo's size."""
     width, height = views.size
     pairs = zip(views.targets, maps, strict=True)
-    targets = (replace(target, normals=_padded(normals, width, height)) for target, normals in pairs)
+    targets = (replace(target, normals=keep(_padded(normals, width, height))) for target, normals in pairs)
     return replace(views, targets=tuple(targets))
 
 
-def with_depths(views: Targets, depths: Sequence[tuple[np.ndarray, np.ndarray]]) -> Targets:
+def with_depths(views: Targets, depths: Iterable[tuple[np.ndarray, np.ndarray]], keep: Keep = in_memory) -> Targets:
     """The same views with measured depth and its confidence (see `Target`), each pair of its photo's size."""
-    padded = ([_padded(array, *views.size) for array in pair] for pair in depths)
+    padded = ([keep(_padded(array, *views.size)) for array in pair] for pair in depths)
     pairs = zip(views.targets, padded, strict=True)
     return replace(views, targets=tuple(replace(target, depth=depth, trust=trust) for target, (depth, trust) in pairs))
 
 
-def with_skies(views: Targets, skies: Sequence[np.ndarray | None], scale: int = 1) -> Targets:
+def with_skies(views: Targets, skies: Sequence[np.ndarray | None], scale: int = 1, keep: Keep = in_memory) -> Targets:
     """The same views told where they show sky: `[H, W]` bool of each full photo, or None; `scale` as in `read_targets`.
 
     A smaller pixel is sky where all that it is the mean of are.
     """
     width, height = views.size
     nothing = np.zeros((height, width), bool)
-    reduced = (nothing if sky is None else _padded(~_any_of_blocks(~sky, scale), width, height) for sky in skies)
+    reduced = (nothing if sky is None else keep(_padded(~_any_of_blocks(~sky, scale), width, height)) for sky in skies)
     pairs = zip(views.targets, reduced, strict=True)
     return replace(views, targets=tuple(replace(target, sky=sky) for target, sky in pairs))
 
@@ -197,16 +198,16 @@ def batch(target: Target, background: Array) -> Batch:
     return Batch(camera, image, valid, matte, normals, target.photo, target.depth, trust, target.sky)
 
 
-def _target(frame: Frame, scale: int, width: int, height: int) -> Target:
+def _target(frame: Frame, scale: int, width: int, height: int, keep: Keep) -> Target:
     image, matte, valid = _reduced(frame.pixels(), scale)
     to_small = np.diag(np.array([1 / scale, 1 / scale, 1], np.float32))
     return Target(
         viewmat=frame.viewmat,
         K=to_small @ frame.K,
         size=np.array(image.shape[1::-1], np.int32),
-        image=_padded(image, width, height),
-        valid=None if valid is None else _padded(valid > 127, width, height),
-        matte=None if matte is None else _padded(matte, width, height),
+        image=keep(_padded(image, width, height)),
+        valid=None if valid is None else keep(_padded(valid > 127, width, height)),
+        matte=None if matte is None else keep(_padded(matte, width, height)),
     )
 
 

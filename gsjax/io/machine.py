@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from importlib import metadata
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from gsjax.errors import InputError
 
@@ -63,8 +63,23 @@ def free_memory() -> int:
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     match = re.search(r"^MemAvailable:\s*(\d+) kB$", _text("/proc/meminfo"), re.MULTILINE)
     free = 1024 * int(match[1]) if match else total // 2
-    limit, used = (_text(f"/sys/fs/cgroup/memory.{name}").strip() for name in ("max", "current"))
-    return min(free, int(limit) - int(used)) if limit.isdecimal() and used.isdecimal() else free
+    return min([free, *_left_in_groups()])
+
+
+def _left_in_groups() -> Iterator[int]:
+    """Bytes that each control group around this process may still take; of what one has, cached files can go."""
+    own = _text("/proc/self/cgroup")
+    second = "/sys/fs/cgroup", r"^0::(/.*)$", "max", "current", "inactive_file"
+    first = "/sys/fs/cgroup/memory", r"^\d+:memory:(/.*)$", "limit_in_bytes", "usage_in_bytes", "total_inactive_file"
+    for root, line, limit, used, cached in (second, first):
+        match = re.search(line, own, re.MULTILINE)
+        path = PurePosixPath(match[1] if match else "/")
+        for group in (path, *path.parents):
+            begin = f"{root}{group}".rstrip("/") + "/memory."
+            most, now = (_text(begin + name).strip() for name in (limit, used))
+            if most.isdecimal() and now.isdecimal():
+                files = re.search(rf"^{cached} (\d+)$", _text(begin + "stat"), re.MULTILINE)
+                yield int(most) - int(now) + (int(files[1]) if files else 0)
 
 
 def require_memory(what: str, size: float) -> None:

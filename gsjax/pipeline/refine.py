@@ -22,7 +22,7 @@ from gsjax.effects.appearance import without_appearance
 from gsjax.errors import InputError
 from gsjax.gaussians import take
 from gsjax.io import json_files
-from gsjax.io.machine import peak_memory
+from gsjax.io.machine import free_memory, peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.mesh import Mesh
 from gsjax.meshing.bisection import bisect_triangles
@@ -32,6 +32,7 @@ from gsjax.meshing.pictures import depth_of_mesh, faces_of_pixels
 from gsjax.meshing.rays import ray_caster
 from gsjax.meshing.settling import MOST_VIEWS, settle
 from gsjax.meshing.topology import border
+from gsjax.planning.memory import keep_photos, plain_bytes
 from gsjax.report.page import report
 from gsjax.report.shown_views import picture_keeper
 from gsjax.runs.compilations import make_room
@@ -39,7 +40,7 @@ from gsjax.runs.journal import Journal, beginning
 from gsjax.runs.photography import Photography, write_photography
 from gsjax.runs.result import DEPTH_OF_DISCS, QUIET, Result, open_result, scene_of_run, write_views
 from gsjax.runs.run import Run
-from gsjax.scene import Scene, extent, in_memory
+from gsjax.scene import Scene, extent, kept
 from gsjax.scoring.images import score_images
 from gsjax.targets import Targets, batch, read_targets
 from gsjax.training.capacity import largest_need
@@ -86,12 +87,18 @@ def refine(
     scene, result = scene_of_run(run), open_result(run) if settings.keep_free else None
     given = scene.similarity.mesh_to_local(read_mesh(source))
     coarse, taken_out = prepare_mesh(given, settings.faces, settings.halved_share)
+    photos, rows = scene.train_frames, settings.per_triangle * coarse.num_faces
+    keep, lines = keep_photos(plain_bytes(photos), photos, rows, Path(out), free_memory())
+    for line in lines:
+        print(f"refine: {line}", file=sys.stderr)
     # Held-out photos are read when they are scored, one by one.
-    scene = replace(scene, frames=tuple(frame if frame.held_out else in_memory(frame) for frame in scene.frames))
+    scene = replace(scene, frames=tuple(frame if frame.held_out else kept(frame, keep) for frame in scene.frames))
     # The Gaussians and the mesh are those of the mean photo: what each camera did is taken off its photo.
     found = trained.photography
-    frames = tuple(without_appearance(f, found.looks[f.name]) if found.looks else f for f in scene.train_frames)
-    data, size = read_targets(frames), extent(frames)
+    frames = scene.train_frames
+    if found.looks:
+        frames = tuple(kept(without_appearance(frame, found.looks[frame.name]), keep) for frame in frames)
+    data, size = read_targets(frames, keep=keep), extent(frames)
     if taken_out["decimated"] and settings.halved_share:
         coarse = halved_where_seen(coarse, data, settings.faces)
     behind = None if found.background is None else jnp.asarray(found.background)

@@ -26,6 +26,7 @@ from gsjax.planning.effects import ChosenEffects, choose_effects, look_for_effec
 from gsjax.planning.hardware import Devices, count_devices, effects_asked, hardware
 from gsjax.planning.harmonics import stored_degree, with_needed_harmonics
 from gsjax.planning.measured_depth import measured_depth
+from gsjax.planning.memory import fit_to_memory
 from gsjax.planning.pace import Pace, duration_text, seconds_left
 from gsjax.planning.sizes import at_size, training_extent
 from gsjax.planning.skies import given_skies
@@ -39,7 +40,7 @@ from gsjax.runs.prior import RunPrior, note_normals
 from gsjax.runs.processes import from_first, is_first, own_folder
 from gsjax.runs.result import write_views
 from gsjax.runs.run import Run
-from gsjax.scene import Scene, in_memory
+from gsjax.scene import Scene, kept
 from gsjax.scoring.images import score_images
 from gsjax.settings import AUTO, PLAIN, Settings
 from gsjax.training import optimizers
@@ -105,6 +106,8 @@ def _planned(
 ) -> Plan:
     """The plan before anybody looked at the photos."""
     planned = plan(settings, terms, devices)
+    if known and "max_gaussians" in known:  # Memory may have borne fewer than were asked for.
+        planned = replace(planned, max_gaussians=known["max_gaussians"])
     if settings.normals is None:
         return planned
     return replace(planned, normals=known["normals"] if known else normal_folders.find(scene, settings.normals))
@@ -150,9 +153,14 @@ def _train(
         similarity=begun and begun.similarity,
         place=begun and begun.place,
     )
+    may_lower = known is None and count_devices(devices) == settings.views_per_step == 1
+    fitted = fit_to_memory(planned, loaded.frames, out, may_lower=may_lower)
+    planned = fitted.plan
+    for line in fitted.lines:
+        print(f"train: {line}", file=sys.stderr)
     # Read once, and before the run begins: a damaged photo is found now.
     photos = tqdm(loaded.frames, desc="photos", unit="photo", leave=False)
-    loaded = replace(loaded, frames=tuple(map(in_memory, photos)))
+    loaded = replace(loaded, frames=tuple(kept(frame, fitted.keep) for frame in photos))
     _require_pixels(loaded)
     # Only now: what the engine needs was compiled meanwhile.
     for line in _beginning_lines(planned, settings, photos_line):
@@ -162,13 +170,13 @@ def _train(
     loaded, frames = looked.scene, looked.scene.train_frames
     size = training_extent(loaded)
     tell = partial(note_normals, out)
-    prior = RunPrior(
-        out, planned.normals, settings.normal_axes, frames, settings.depth_mode, settings.normal_gate, tell=tell
-    )
+    how = settings.depth_mode, settings.normal_gate
+    prior = RunPrior(out, planned.normals, settings.normal_axes, frames, *how, keep=fitted.keep, tell=tell)
     measured, started = measured_depth(loaded, settings), with_given_points(loaded, settings)
     if measured is not None:
         print(f"train: depth {measured.line}", file=sys.stderr)
-    trial = partial(gains, planned, frames, size, partial(first_state, started, settings))
+    sized = replace(settings, max_gaussians=planned.max_gaussians)
+    trial = partial(gains, planned, frames, size, partial(first_state, started, sized))
     skies = given_skies(loaded, settings, downscale)
     chosen = choose_effects(
         asked, planned, loaded, trial, looked, sh_degree=settings.sh_degree, skies=skies, with_sky=settings.sky == AUTO
@@ -199,12 +207,12 @@ def _train(
     with runs.claim_run(run):
         if known:  # An earlier version left none.
             json_files.write(run / "plan.json", planned.record())
-        runs.update_manifest(run, photos=photos_line)
+        runs.update_manifest(run, photos=photos_line, **({"memory": "; ".join(fitted.lines)} if fitted.lines else {}))
         if chosen.evidence:
             runs.update_manifest(run, effects=chosen.evidence)
         degree = stored_degree(run, planned, settings.sh_degree) if known else settings.sh_degree
         initial = partial(
-            first_state_with_tables, started, replace(settings, sh_degree=degree), planned, optimizer, chosen
+            first_state_with_tables, started, replace(sized, sh_degree=degree), planned, optimizer, chosen
         )
         state, capacity, seconds = beginning(run, initial, earlier, in_common)
         state = spread.deal(_of_first(state, initial))
@@ -236,6 +244,7 @@ def _train(
                 spread.placement,
                 depths,
                 chosen.skies,
+                fitted.keep,
                 looks,
             )
             # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.

@@ -1,6 +1,6 @@
 """Measured depth in a scene's own units: what one metre is there, told by the points of structure from motion."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ WIDEST = 0.2  # median of |log(point / measured)| from which maps and points do 
 TRUSTED = 127  # confidence of what the scale is told by, of 255
 ALIKE = 0.02  # of 1: the scene is in metres already
 
-Depths = Callable[[int], list[Readings]]
+Depths = Callable[[int], Iterable[Readings]]
 """How many times smaller photos are -> depth in scene units and confidence of each, see `gsjax.targets.Target`."""
 
 
@@ -52,8 +52,8 @@ def measured_depth(scene: Scene, settings: Settings) -> MeasuredDepth | None:
     maps = open_depth_maps(scene.root, settings.depth, settings.depth_unit, frames)
     factor, told = _factor(scene, maps)
 
-    def depths(scale: int) -> list[Readings]:
-        return [_of_frame(maps, frame, factor, scale) for frame in frames]
+    def depths(scale: int) -> Iterator[Readings]:
+        return (_of_frame(maps, frame, factor, scale) for frame in frames)
 
     return MeasuredDepth(depths, f"of {len(maps.read)} of {len(frames)} photos, in {maps.unit}; {told}")
 

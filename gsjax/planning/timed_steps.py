@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from gsjax.gaussians import Gaussians
 from gsjax.planning.pace import image_cost, relative_cost
 from gsjax.planning.sizes import training_extent
-from gsjax.scene import Frame, Scene, in_memory
+from gsjax.scene import Frame, Scene, kept
 from gsjax.settings import Settings
 from gsjax.targets import NORMAL_UNIT
 from gsjax.training import initialize, loop, optimizers
@@ -58,7 +58,7 @@ def time_steps(scene: Scene, settings: Settings, *, most: float, clock: Clock = 
     """
     size = training_extent(scene)
     spread = np.linspace(0, len(scene.train_frames) - 1, PHOTOS).astype(int)
-    frames = tuple(in_memory(scene.train_frames[index]) for index in dict.fromkeys(spread.tolist()))
+    frames = tuple(kept(scene.train_frames[index]) for index in dict.fromkeys(spread.tolist()))
     compiling, known, at_largest = {}, {}, {}
     planned = plan(settings)
     phases = [replace(phase, name="", begin=0, end=WARM + TIMED, cull_below=0.0) for phase in planned.phases]

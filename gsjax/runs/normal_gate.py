@@ -20,7 +20,7 @@ from gsjax.normals.agreement import Judged, Verdict, View, full_size, judge, str
 from gsjax.normals.sparse_depth import sparse_depth
 from gsjax.render import DepthReading, gallery
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
-from gsjax.scene import Frame, Scene, tracks_by_name
+from gsjax.scene import Frame, Keep, Scene, in_memory, tracks_by_name
 
 CONFIDENCE, VERDICT = "confidence.npz", "gate.json"  # in the run's folder of maps
 NAMED = 5  # rejected photos that a note names
@@ -33,6 +33,7 @@ def gate(
     maps: Sequence[np.ndarray],
     depth_mode: DepthReading,
     *,
+    keep: Keep = in_memory,
     tell: Callable[[str], None],
 ) -> list[np.ndarray]:
     """The maps of a run with lengths that say how far each normal is trusted, from 0 to 127.
@@ -45,6 +46,7 @@ def gate(
         frames: The photos.
         maps: `[H, W, 3]` int8 a photo, 127 times the unit normal.
         depth_mode: What the Gaussians' depth is, see `gsjax.render.view`.
+        keep: Where the maps that are returned are to lie.
         tell: Told the verdict in one line.
 
     Raises:
@@ -65,7 +67,9 @@ def gate(
         tell(told(verdict))
     confidences = read_arrays(file)
     pairs = ((normals, confidences[str(index)]) for index, normals in enumerate(maps))
-    return [np.rint(m * (full_size(c, m.shape[:2])[..., None] / np.float32(255))).astype(np.int8) for m, c in pairs]
+    return [
+        keep(np.rint(m * (full_size(c, m.shape[:2])[..., None] / np.float32(255))).astype(np.int8)) for m, c in pairs
+    ]
 
 
 def judge_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:

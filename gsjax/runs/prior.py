@@ -22,7 +22,7 @@ from gsjax.render import DepthReading, gallery
 from gsjax.runs.folder import update_manifest
 from gsjax.runs.normal_gate import gate
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
-from gsjax.scene import Frame
+from gsjax.scene import Frame, Keep, in_memory
 
 CLEAR_SCORE, CLEAR_MARGIN = 0.5, 0.02  # Below either, the axes of foreign maps are doubtful (method: A8).
 VIEWS_FOR_AXES = 50  # as many as are compared with their maps, 4,000 pixels each
@@ -48,6 +48,7 @@ class RunPrior:
         depth_mode: DepthReading = "plane",
         gated: bool = False,
         *,
+        keep: Keep = in_memory,
         tell: Callable[[str], None] = lambda line: tqdm.write(f"normals: {line}", file=sys.stderr),
     ):
         """Check what was given.
@@ -60,6 +61,7 @@ class RunPrior:
             frames: Whose normals will be asked for.
             depth_mode: What the Gaussians' depth is, see `gsjax.render.view`.
             gated: Whether normals count only as far as photos agree, see `gsjax.runs.normal_gate`.
+            keep: Where the maps are to lie.
             tell: Told in one line which axes foreign maps have, and how that was found; and what the gate found.
 
         Raises:
@@ -71,7 +73,7 @@ class RunPrior:
             raise InputError(f"--normal-axes {axes}: there are no maps whose axes these are, --normals DIR names them")
         self.depth_mode: DepthReading = depth_mode
         self.gated = gated
-        self.tell = tell
+        self.keep, self.tell = keep, tell
         self.network = None if folder is None else network_of(folder)
         self.given = None if folder is None else normal_maps(folder, frames)
 
@@ -92,8 +94,10 @@ class RunPrior:
             shown = tqdm(zip(missing, maps, strict=True), total=len(missing), desc="normals prior", unit="view")
             for frame, normals in shown:
                 write_map(files[frame.name], normals)
-        read = [read_map(files[frame.name], frame) for frame in frames]
-        return gate(self.folder, gaussians, frames, read, self.depth_mode, tell=self.tell) if self.gated else read
+        read = [self.keep(read_map(files[frame.name], frame)) for frame in frames]
+        if not self.gated:
+            return read
+        return gate(self.folder, gaussians, frames, read, self.depth_mode, keep=self.keep, tell=self.tell)
 
     def _foreign(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
         assert self.given is not None

@@ -36,7 +36,7 @@ WHOLE_MANIFEST = {**MANIFEST, "scene": str, "command": str, "created": str, "sta
 """What a report takes for granted: that of every run that was begun."""
 _PHASE = {"name": str, "steps": int}
 PLAN = {"phases": [{**_PHASE, "terms": {str: float}, "needs": [str], "dropout?": float}], "steps": int,
-        "downscale": float, "normals?": (None, str)}  # fmt: skip
+        "downscale": float, "normals?": (None, str), "max_gaussians?": int}  # fmt: skip
 _COUNTED = {"steps": int, "weights": {str: float}}
 WITHOUT_PLAN = {"phases?": [{**_PHASE, **_COUNTED}], "refinement?": _COUNTED}
 """Of `config.json` where there is no `plan.json`."""

@@ -1,7 +1,7 @@
 """The host loop over the phases: which view, when to densify, when a buffer must grow."""
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from types import MappingProxyType
@@ -16,7 +16,7 @@ from jax import Array
 from gsjax import targets
 from gsjax.effects import sky
 from gsjax.effects.simulation import Effects
-from gsjax.scene import Frame
+from gsjax.scene import Frame, Keep, in_memory
 from gsjax.settings import Settings
 from gsjax.targets import Target, Targets
 from gsjax.training import buffers
@@ -45,7 +45,7 @@ logger = logging.getLogger("gsjax")
 REFRESHED_EVERY = 500  # steps between two tables of a term that has one (SuGaR)
 
 
-Depths = Callable[[int], Sequence[tuple[np.ndarray, np.ndarray]]]
+Depths = Callable[[int], Iterable[tuple[np.ndarray, np.ndarray]]]
 """How many times smaller photos are -> measured depth and its confidence of each frame, see `gsjax.targets.Target`."""
 
 Feed = Callable[[Targets, int, float], Callable[[int], Target]]
@@ -133,6 +133,7 @@ class Work:
     placement: Placement = field(default_factory=one_device)  # where the state lies
     depths: Depths | None = None  # where a term needs measured depth
     skies: sky.Masks = field(default_factory=dict)  # where photos show sky, if the plan knows of one; for one device
+    keep: Keep = in_memory  # where the smaller photos and the maps of a phase lie
     looks: Callable[[int], bool] | None = None  # at whose state `observe` looks, see `advance`; for one device
 
 
@@ -208,16 +209,17 @@ def with_tables(state: TrainState, plan: Plan) -> TrainState:
 
 def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Targets:
     """What the phase compares with."""
-    data = targets.read_targets(work.frames, scale=phase.scale)
+    data = targets.read_targets(work.frames, scale=phase.scale, keep=work.keep)
     if work.effects:
         data = targets.with_photo_numbers(data)
     if "normals" in phase.needs:
-        data = targets.with_normals(data, work.prior(state))
+        data = targets.with_normals(data, work.prior(state), work.keep)
     if "measured" in phase.needs:
         assert work.depths is not None, "the plan has such a term only where there is measured depth"
-        data = targets.with_depths(data, work.depths(phase.scale))
+        data = targets.with_depths(data, work.depths(phase.scale), work.keep)
     if "sky" in phase.needs:
-        data = targets.with_skies(data, [work.skies.get(frame.name) for frame in work.frames], phase.scale)
+        skies = [work.skies.get(frame.name) for frame in work.frames]
+        data = targets.with_skies(data, skies, phase.scale, work.keep)
     if "neighbor" in phase.needs:
         data = with_neighbors(data, work.extent)
     return data

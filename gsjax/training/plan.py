@@ -127,6 +127,7 @@ class Plan:
             self.downscale,
             self.normals,
             views_per_step=self.views_per_step,
+            max_gaussians=self.max_gaussians,
             left_out=self.left_out,
             effects=self.effects,
         )

@@ -13,6 +13,7 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.images import read_image, read_mask, write_image
 from gsjax.io.ply import read_gaussians
+from gsjax.pipeline.train import _planned
 from gsjax.runs.result import scene_of_run
 from gsjax.settings import Settings
 
@@ -70,6 +71,20 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, sto
         for one in (folder, run)
     ]
     assert without_time[0] == without_time[1]
+
+
+def test_with_little_memory_photos_lie_on_the_disk_and_the_bits_are_the_same(run, scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("gsjax.planning.memory.free_memory", lambda: 0)
+    pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS))
+    assert (tmp_path / "run/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+    assert "each step reads its photo from the disk" in capsys.readouterr().err
+    assert "each step reads its photo from the disk" in json_files.read(tmp_path / "run/manifest.json")["memory"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]
+
+
+def test_a_run_keeps_the_number_of_gaussians_that_memory_bore_when_it_began(run, scene):
+    assert json_files.read(run / "plan.json")["max_gaussians"] == SETTINGS["max_gaussians"]
+    assert _planned(scene, config.parse(Settings, SETTINGS), {}, 1, {"max_gaussians": 300}).max_gaussians == 300
 
 
 def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_path):

@@ -7,6 +7,8 @@ import pytest
 from gsjax.errors import InputError
 from gsjax.io import machine
 
+MEMINFO = "MemTotal: 9 kB\nMemAvailable:       3 kB\n"
+
 
 def test_what_there_is_no_room_for_is_refused(monkeypatch):
     machine.require_memory("a page", 4096)
@@ -18,8 +20,8 @@ def test_what_there_is_no_room_for_is_refused(monkeypatch):
     ("limit", "used", "free"), [("max", "5", 3072), ("", "", 3072), ("2000", "500", 1500), ("9000", "500", 3072)]
 )
 def test_a_containers_limit_counts(monkeypatch, limit, used, free):
-    texts = {"meminfo": "MemTotal: 9 kB\nMemAvailable:       3 kB\n", "memory.max": limit, "memory.current": used}
-    monkeypatch.setattr(machine, "_text", lambda path: texts[str(path).rpartition("/")[2]])
+    texts = {"meminfo": MEMINFO, "memory.max": limit, "memory.current": used}
+    monkeypatch.setattr(machine, "_text", lambda path: texts.get(str(path).rpartition("/")[2], ""))
     assert machine.free_memory() == free
 
 
@@ -49,3 +51,25 @@ def test_threads_that_ask_for_memory_together_do_not_get_it_twice(monkeypatch):
     assert order == ["c", "a is done", "b begins"]
     with pytest.raises(InputError, match="d takes"), machine.memory_for("d", 101):
         pass
+
+
+@pytest.mark.parametrize(
+    ("folder", "limit", "used", "cached"),
+    [("", "max", "current", "inactive_file"), ("/memory", "limit_in_bytes", "usage_in_bytes", "total_inactive_file")],
+)
+def test_groups_of_either_version_around_the_process_count_and_cached_files_are_free(
+    monkeypatch, folder, limit, used, cached
+):
+    root = f"/sys/fs/cgroup{folder}/memory."
+    above = f"/sys/fs/cgroup{folder}/mine/memory."
+    texts = {
+        "/proc/meminfo": MEMINFO,
+        "/proc/self/cgroup": "5:devices:/\n4:memory:/mine/job\n0::/mine/job\n",
+        f"{root}{limit}": "2900",
+        f"{root}{used}": "100",
+        f"{above}{limit}": "2000",
+        f"{above}{used}": "1500",
+        f"{above}stat": f"cache 9\n{cached} 700\nactive_file 3\n",
+    }
+    monkeypatch.setattr(machine, "_text", lambda path: texts.get(str(path), ""))
+    assert machine.free_memory() == 1200

@@ -1,0 +1,94 @@
+"""What a run takes of the machine's memory, and how it gets along with less: slower, not dead."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+
+from gsjax.io.machine import free_memory
+from gsjax.io.scratch import Scratch
+from gsjax.scene import Frame, Keep, in_memory
+from gsjax.training.plan import Plan
+
+PIXEL, MASKED, NORMALS, MEASURED = 3, 1, 3, 5  # bytes of a photo's pixel, of its mask, and of maps beside it
+# Bytes on a CPU beside photos and maps, measured by experiments/benchmarks/training_memory.py:
+PROGRAMS = 1.25 * 2**30  # what jax, compiling and reading photos take
+A_ROW = 4600  # a Gaussian with its moments, its gradient and what a step makes of it
+A_PIXEL = 1000  # of the photo that a step looks at, and of another beside it
+FEWEST = 10_000  # Gaussians, below which no run is brought
+GIB = 2**30
+
+
+class Fitted(NamedTuple):
+    """A run as this machine's memory bears it."""
+
+    plan: Plan  # perhaps of fewer Gaussians
+    keep: Keep  # where photos and maps lie
+    lines: tuple[str, ...]  # what is slower or less, for the user
+
+
+def fit_to_memory(planned: Plan, frames: Sequence[Frame], folder: Path, *, may_lower: bool) -> Fitted:
+    """The run as this machine's memory bears it.
+
+    Photos and maps that do not fit beside the Gaussians lie on the disk, from where each step reads its own: the
+    numbers are the same. Where the Gaussians alone do not fit, fewer may grow. A GPU's own memory is not looked at.
+
+    Args:
+        planned: The run.
+        frames: Its photos.
+        folder: On the disk that photos may lie on.
+        may_lower: Whether fewer Gaussians than planned may be the way: not of a run that goes on.
+    """
+    rows = planned.max_gaussians if jax.default_backend() == "cpu" else 0
+    free = free_memory()
+    keep, lines = keep_photos(photo_bytes(planned, frames), frames, rows, folder, free)
+    most = max(int((free - PROGRAMS - _step_bytes(frames)) / A_ROW), FEWEST)
+    if not (lines and may_lower and most < rows):
+        return Fitted(planned, keep, lines)
+    fewer = f"memory: at most {most:,} Gaussians, instead of max_gaussians={rows:,}"
+    return Fitted(replace(planned, max_gaussians=most), keep, (*lines, fewer))
+
+
+def keep_photos(
+    photos: int, frames: Sequence[Frame], rows: int, folder: Path, free: int
+) -> tuple[Keep, tuple[str, ...]]:
+    """Where photos lie: in memory if they fit there, and else on the disk, with a line that says so.
+
+    Args:
+        photos: Bytes of them, and of what is made of them.
+        frames: The photos.
+        rows: Gaussians in the same memory.
+        folder: On the disk that they may lie on.
+        free: Bytes of memory.
+    """
+    gaussians = A_ROW * rows
+    if PROGRAMS + _step_bytes(frames) + gaussians + photos <= free:
+        return in_memory, ()
+    beside = f" and Gaussians up to {gaussians / GIB:.3g}" if rows else ""
+    return Scratch(folder), (
+        f"memory: {max(free, 0) / GIB:.3g} GiB are free, photos and maps take {photos / GIB:.3g}{beside}:"
+        " each step reads its photo from the disk",
+    )
+
+
+def photo_bytes(planned: Plan, frames: Sequence[Frame]) -> int:
+    """What photos, their smaller copies and maps take in the phase that holds most of them."""
+    pixels = plain_bytes(frames)
+    plain = sum(frame.width * frame.height for frame in frames)
+
+    def beside(scale: int, needs: frozenset[str]) -> float:
+        copies = pixels / scale**2 if scale > 1 else 0
+        return copies + plain * (NORMALS * ("normals" in needs) + MEASURED * ("measured" in needs) / scale**2)
+
+    return int(pixels + max(beside(phase.scale, phase.needs) for phase in planned.phases))
+
+
+def plain_bytes(frames: Sequence[Frame]) -> int:
+    """What photos and their masks take."""
+    return sum((PIXEL + MASKED * frame.masked) * frame.width * frame.height for frame in frames)
+
+
+def _step_bytes(frames: Sequence[Frame]) -> int:
+    return A_PIXEL * max(frame.width * frame.height for frame in frames)

@@ -1,0 +1,44 @@
+import io
+import os
+
+import numpy as np
+import pytest
+
+from gsjax.errors import InputError
+from gsjax.io import scratch
+from gsjax.io.scratch import Scratch
+
+RNG = np.random.default_rng(0)
+
+
+def test_arrays_lie_on_the_disk_as_they_are_in_as_many_files_as_it_takes(tmp_path, monkeypatch):
+    monkeypatch.setattr(scratch, "FILE", 4096)
+    arrays = [
+        RNG.integers(0, 256, (17, 19, 3), dtype=np.uint8),
+        RNG.random((40, 50)) > 0.5,
+        RNG.normal(size=(30, 100)).astype(np.float32)[:, ::2],  # larger than a file, and not in order
+        RNG.integers(-127, 128, (7, 5, 3), dtype=np.int8),
+        np.empty((0, 3), np.uint8),
+    ]
+    keep = Scratch(tmp_path / "not" / "there")
+    kept = [keep(array) for array in arrays]
+    for array, one in zip(arrays, kept, strict=True):
+        assert one.dtype == array.dtype and (isinstance(one, np.memmap) or not one.size)
+        np.testing.assert_array_equal(one, array)
+        assert keep(one) is one, "what lies there is not copied"
+        assert one.ctypes.data % scratch.ALIGNED == 0 or not one.size
+        if one.size:  # A copy in memory is still a memmap to numpy, and does not lie on the disk.
+            assert np.may_share_memory(keep(one.copy()), keep._mapped)
+    with pytest.raises(ValueError, match="read-only"):
+        kept[0][0, 0, 0] = 1
+    assert os.listdir(tmp_path) == [], "its files have no names, and go with the process"
+
+
+def test_a_full_disk_is_one_line(tmp_path, monkeypatch):
+    class Full(io.BytesIO):
+        def truncate(self, size=None):
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(scratch.tempfile, "TemporaryFile", lambda **_: Full())
+    with pytest.raises(InputError, match=f"^cannot write {tmp_path}: No space left on device$"):
+        Scratch(tmp_path)(np.ones(3))
