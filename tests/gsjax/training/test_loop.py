@@ -149,7 +149,7 @@ def entered(monkeypatch):
     """(phase, scale, steps, capacity) of every phase that is entered; none is run."""
     phases, scales = [], []
 
-    def stacked(frames, scale):
+    def stacked(frames, scale, keep):
         scales.append(scale)
         return unreduced(frames)
 
