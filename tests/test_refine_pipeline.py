@@ -203,7 +203,7 @@ def test_what_cannot_be_refined_is_one_line_and_leaves_nothing(place, refined, t
         ([str(place.run), "--mesh", str(tmp_path / "broken.ply")], "broken.ply: not readable as a mesh"),
         ([str(place.run), "--mesh", str(tmp_path / "behind.ply")], "sees any of its 18 triangles"),
         ([str(bare)], f"{bare}/mesh.ply: no such mesh; `gsjax mesh {bare} --out {bare}/mesh.ply` makes it"),
-        ([str(tmp_path / "norun"), "--mesh", str(place.run / "mesh.ply")], "norun: holds no manifest.json"),
+        ([str(tmp_path / "norun"), "--mesh", str(place.run / "mesh.ply")], "norun: no such folder"),
     ]
     for arguments, message in cases:
         assert cli.main(["refine", *arguments, "--out", str(tmp_path / "out")]) == 2

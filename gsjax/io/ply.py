@@ -161,7 +161,8 @@ def point_colors(vertices: np.ndarray) -> np.ndarray:
     if rgb is not None:
         return bytes_of_shares(_colors(vertices, rgb))
     if set(_DC) <= set(names):
-        return bytes_of_shares(SH_C0 * stack_columns(vertices, _DC) + 0.5)
+        values = stack_columns(vertices, _DC)
+        return bytes_of_shares(SH_C0 * np.where(np.isnan(values), 0, values) + 0.5)
     return np.full((len(vertices), 3), _GREY, np.uint8)
 
 
