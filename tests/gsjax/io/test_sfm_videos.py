@@ -1,0 +1,69 @@
+"""Frames of a video for a reconstruction."""
+
+import io
+from functools import partial
+
+import cv2
+import numpy as np
+import pytest
+from tqdm import tqdm
+
+from gsjax.errors import InputError
+from gsjax.io.sfm import video
+
+quietly = partial(tqdm, disable=True)
+
+
+def write_video(path, frames, code="MJPG"):
+    height, width = frames[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), 25, (width, height))
+    for frame in frames:
+        writer.write(frame)
+    writer.release()
+    return path
+
+
+def noise_frames(count, sharp):
+    """Blurred noise, but for the frames named."""
+    rng = np.random.default_rng(0)
+    frames = [rng.integers(0, 256, (48, 64, 3), dtype=np.uint8) for _ in range(count)]
+    return [frame if i in sharp else cv2.GaussianBlur(frame, (0, 0), 2) for i, frame in enumerate(frames)]
+
+
+def test_the_sharpest_frame_of_every_stretch_is_taken(tmp_path):
+    clip = write_video(tmp_path / "clip.avi", noise_frames(20, sharp=(3, 5, 14, 19)))
+    bars = []
+
+    def progress(**settings):
+        bars.append(tqdm(**settings, file=io.StringIO()))
+        return bars[-1]
+
+    video.write_sharpest_frames(clip, tmp_path / "frames", 4, progress)
+    assert sorted(f.name for f in (tmp_path / "frames").iterdir()) == [f"{i:06d}.jpg" for i in (3, 5, 14, 19)]
+    assert [(bar.n, bar.total) for bar in bars] == [(20, 20)]
+
+
+def test_a_short_video_gives_all_its_frames(tmp_path):
+    clip = write_video(tmp_path / "clip.avi", noise_frames(3, sharp=()))
+    video.write_sharpest_frames(clip, tmp_path / "frames", 100, quietly)
+    assert len(list((tmp_path / "frames").iterdir())) == 3
+
+
+def test_a_video_is_turned_as_it_says(tmp_path):
+    clip = write_video(tmp_path / "clip.mp4", noise_frames(4, sharp=()), "mp4v")
+    data = bytearray(clip.read_bytes())
+    matrix = data.index(b"tkhd") + 44  # of the track header: where the picture's axes go, 16.16 fixed point
+    one = 1 << 16
+    data[matrix : matrix + 36] = np.array([0, one, 0, -one, 0, 0, 48 * one, 0, 1 << 30], ">i4").tobytes()
+    clip.write_bytes(data)
+    video.write_sharpest_frames(clip, tmp_path / "frames", 2, quietly)
+    assert {cv2.imread(str(f)).shape for f in (tmp_path / "frames").iterdir()} == {(64, 48, 3)}
+
+
+def test_unusable_videos_are_named(tmp_path):
+    (tmp_path / "broken.mp4").write_bytes(b"no video")
+    with pytest.raises(InputError, match=r"broken.mp4: not a video that can be read"):
+        video.write_sharpest_frames(tmp_path / "broken.mp4", tmp_path / "frames", 4, quietly)
+    clip = write_video(tmp_path / "one.avi", noise_frames(1, sharp=()))
+    with pytest.raises(InputError, match=r"one.avi: needs at least 2 frames, has 1"):
+        video.write_sharpest_frames(clip, tmp_path / "frames", 4, quietly)
