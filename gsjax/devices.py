@@ -23,7 +23,7 @@ def engine_here() -> Engine:
         RuntimeError: Jax has no device of the kind that JAX_PLATFORMS names.
     """
     device = default_device()
-    is_on_cpu = device.platform == "cpu"
+    is_on_cpu = computes_on_cpu()
     heard = _Heard()
     logging.getLogger("rasterizer").addHandler(heard)
     try:
@@ -44,3 +44,8 @@ class _Heard(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         self.lines.append(record.getMessage())
+
+
+def computes_on_cpu() -> bool:
+    """Whether the processor computes, and what is computed with lies in its memory."""
+    return default_device().platform == "cpu"

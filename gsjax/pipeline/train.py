@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 import rasterizer
 from gsjax import config, runs
-from gsjax.devices import engine_here
+from gsjax.devices import computes_on_cpu, engine_here
 from gsjax.effects.alignment import align
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
@@ -50,7 +50,6 @@ from gsjax.training.loop import Progress, Work, follow
 from gsjax.training.plan import Plan, plan, steps_in_common
 from gsjax.training.state import TrainState, count_alive
 from gsjax.training.terms import Term
-from rasterizer.devices import default_device
 
 
 def train(
@@ -230,7 +229,7 @@ def _train(
                 return [from_first(each) for each in maps]
 
             # A CPU computes all the while, and has no step's memory to spare.
-            waits = observe is not None or not spread.is_one or default_device().platform == "cpu"
+            waits = observe is not None or not spread.is_one or computes_on_cpu()
             looks = None if waits else journal.looks
             depths = None if measured is None else measured.depths
             work = Work(

@@ -5,8 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
-
+from gsjax.devices import computes_on_cpu
 from gsjax.io.machine import free_memory
 from gsjax.io.scratch import Scratch
 from gsjax.scene import Frame, Keep, in_memory
@@ -41,7 +40,7 @@ def fit_to_memory(planned: Plan, frames: Sequence[Frame], folder: Path, *, may_l
         folder: On the disk that photos may lie on.
         may_lower: Whether fewer Gaussians than planned may be the way: not of a run that goes on.
     """
-    rows = planned.max_gaussians if jax.default_backend() == "cpu" else 0
+    rows = planned.max_gaussians if computes_on_cpu() else 0
     free = free_memory()
     keep, lines = keep_photos(photo_bytes(planned, frames), frames, rows, folder, free)
     most = max(int((free - PROGRAMS - _step_bytes(frames)) / A_ROW), FEWEST)

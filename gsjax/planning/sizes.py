@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-import jax
-
+from gsjax.devices import computes_on_cpu
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.place import Place
@@ -86,7 +85,7 @@ def chosen_downscale(settings: Settings, frames: Sequence[Frame], *, on_cpu: boo
     if settings.downscale is not None:
         return settings.downscale
     factor = max(1.0, max(max(f.width, f.height) for f in frames) / settings.longest_side)
-    on_cpu = jax.default_backend() == "cpu" if on_cpu is None else on_cpu
+    on_cpu = computes_on_cpu() if on_cpu is None else on_cpu
     if on_cpu and settings.cpu_pixels is not None:
         factor = max(factor, math.sqrt(max(f.width * f.height for f in frames) / settings.cpu_pixels))
     return round(factor, 4)

@@ -28,7 +28,7 @@ STEP = memory.PROGRAMS + memory.A_PIXEL * PIXELS
 
 def fitted(monkeypatch, folder, free, *, may_lower=True):
     monkeypatch.setattr(memory, "free_memory", lambda: int(free))
-    monkeypatch.setattr(memory.jax, "default_backend", lambda: "cpu")
+    monkeypatch.setattr(memory, "computes_on_cpu", lambda: True)
     return fit_to_memory(PLAN, FRAMES, folder, may_lower=may_lower)
 
 
