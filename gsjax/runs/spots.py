@@ -105,16 +105,18 @@ def _name_of(given: str, names: Iterable[str], where: Path) -> str:
 def _pixel_of(view: Frame | Camera, spot: Spot, downscale: float) -> tuple[float, float]:
     """Where a frame or a camera of a run shows what the photo shows at a spot, pixels."""
     if isinstance(view, Frame) and view.origin is not None:
+        width, height = view.origin.photo
         shares = np.array([spot.x, spot.y]) / view.origin.photo
         off = np.linalg.norm(view.origin.positions() - shares, axis=-1)
         row, column = np.unravel_index(int(off.argmin()), off.shape)
         inside = off.min() < 2 / min(view.width, view.height)
         x, y = column + 0.5, row + 0.5
     else:
+        width, height = round(view.width * downscale), round(view.height * downscale)
         x, y = spot.x / downscale, spot.y / downscale
         inside = 0 <= x < view.width and 0 <= y < view.height
     if not inside:
-        raise InputError(f"{spot}: lies outside the photo")
+        raise InputError(f"{spot}: lies outside the photo, which is {width}x{height}")
     return float(x), float(y)
 
 

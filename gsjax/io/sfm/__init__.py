@@ -119,8 +119,10 @@ def reconstruct(
         raise InputError(f"--frames {frames}: at least 2 are needed")
     if frames is not None and photos.is_dir():
         raise InputError(f"{photos}: is a folder of photos, of which all are taken; --frames is for a video")
-    if mask_below is not None and not (panoramas and 0 <= mask_below < 90):
-        raise InputError(f"--mask-below {mask_below:g}: takes 0 to 90 degrees below the horizon, with --panoramas")
+    if mask_below is not None and not panoramas:
+        raise InputError(f"--mask-below {mask_below:g}: is for panoramas of 360 degrees, add --panoramas")
+    if mask_below is not None and not 0 <= mask_below < 90:
+        raise InputError(f"--mask-below {mask_below:g}: degrees below the horizon are from 0 to less than 90")
     networks = _networks(features, weights, matcher_weights)
     require_empty(out)
     threads = threads if threads > 0 else len(os.sched_getaffinity(0))

@@ -95,5 +95,7 @@ def test_what_is_no_panorama_is_refused(tmp_path):
         Image.fromarray(np.zeros((40, 60, 3), np.uint8)).save(tmp_path / f"{name}.png")
     with pytest.raises(InputError, match="a.png: is 60x40; a panorama of 360 degrees is twice as broad as high"):
         shots.as_panoramas(shots.list_shots(tmp_path), None)
-    with pytest.raises(InputError, match="--mask-below 30: takes 0 to 90 degrees below the horizon, with --panoramas"):
+    with pytest.raises(InputError, match="--mask-below 30: is for panoramas of 360 degrees, add --panoramas"):
         reconstruct(tmp_path, tmp_path / "scene", mask_below=30.0)
+    with pytest.raises(InputError, match="--mask-below 90: degrees below the horizon are from 0 to less than 90"):
+        reconstruct(tmp_path, tmp_path / "scene", mask_below=90.0, panoramas=True)
