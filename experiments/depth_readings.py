@@ -43,8 +43,9 @@ def compare(folders: Sequence[str], readings: Sequence["DepthReading"]) -> dict[
 
 def panels(result: "Result", readings: Sequence["DepthReading"], view: int) -> dict[str, np.ndarray]:
     """`[H, W, 3]` uint8 pictures by their titles: one held-out view's colours, and the normals of every reading."""
+    from gsjax.colors import to_bytes
     from gsjax.render import gallery
-    from gsjax.report.pictures import surface_picture, to_bytes
+    from gsjax.report.pictures import surface_picture
 
     held_out = [camera for camera, is_held_out in zip(result.cameras, result.held_out, strict=True) if is_held_out]
     if not 0 <= view < len(held_out):

@@ -58,8 +58,9 @@ def enlarged(camera: "Camera") -> "Camera":
 def _panels(hybrid: "Hybrid", result: "Result", view: int) -> list[np.ndarray]:
     from gsjax.binding.bound import to_mesh
     from gsjax.binding.hybrid import all_gaussians
+    from gsjax.colors import to_bytes
     from gsjax.render import gallery
-    from gsjax.report.pictures import mesh_picture, to_bytes
+    from gsjax.report.pictures import mesh_picture
 
     camera = enlarged(result.cameras[view])
     picture = next(gallery.pictures(all_gaussians(hybrid), [camera], result.background))

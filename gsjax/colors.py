@@ -26,8 +26,9 @@ def shares(colors: np.ndarray) -> np.ndarray:
     return np.asarray(colors, np.float32) / np.float32(1 if most <= 1 else 255 if most <= 255 else 65535)
 
 
-def bytes_of_shares(shares: np.ndarray) -> np.ndarray:
-    """uint8 values of shares of 1, which are cut there, and grey of those that are no number; numpy, any shape."""
+def to_bytes(shares: AnyArray) -> np.ndarray:
+    """uint8 values of shares of 1, cut to 0..1, and grey of those that are no number; any shape."""
+    shares = np.asarray(shares)
     return np.rint(255 * np.where(np.isnan(shares), 0.5, np.clip(shares, 0, 1))).astype(np.uint8)
 
 

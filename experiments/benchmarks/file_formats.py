@@ -16,11 +16,11 @@ from gsjax.cli import run_guarded
 
 def compare(run: str, out: Path, *, views: int) -> None:
     """Writes the files, draws the first held-out views of each, prints the table."""
+    from gsjax.colors import to_bytes
     from gsjax.io.gaussian_files import FORMATS, format_of
     from gsjax.io.images import write_image
     from gsjax.pipeline import convert
     from gsjax.render import gallery
-    from gsjax.report.pictures import to_bytes
     from gsjax.runs.result import open_result
 
     result = open_result(run)

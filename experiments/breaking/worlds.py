@@ -7,13 +7,16 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from breaking.commands import COMMANDS, Rows, begun, environment, finished, whole
+from breaking.commands import Command, Rows, begun, environment, finished
 
 TITLE = "Similarities of the world"
 COLUMNS = "World", "PSNR", "SSIM", "Mesh to that at the origin"
 UTM = "500000, 4500000, 100"
+HERE = "1.0", "0, 0, 0", "0, 0, 0"
+AGAIN = "as it is, another seed"
 WORLDS = {
-    "as it is": ("1.0", "0, 0, 0", "0, 0, 0"),
+    "as it is": HERE,
+    AGAIN: HERE,
     "UTM: (5e5, 4.5e6, 100) further": ("1.0", UTM, "0, 0, 0"),
     "geocentric: (4e6, 6e5, 5e6) further": ("1.0", "4e6, 6e5, 5e6", "0, 0, 0"),
     "a thousandth as large": ("0.001", "0, 0, 0", "0, 0, 0"),
@@ -22,7 +25,13 @@ WORLDS = {
     "a million times as large": ("1e6", "0, 0, 0", "0, 0, 0"),
     "a hundred times as large, at UTM": ("100.0", UTM, "0, 0, 0"),
     "turned": ("1.0", "0, 0, 0", "0.3, -1.1, 0.7"),
+    "turned another way": ("1.0", "0, 0, 0", "-1.3, 0.4, 0.9"),
 }
+SETTINGS = "phases.0.steps=600", "density.stop=420", "max_gaussians=4000", "sh_degree=1"
+SCENE = """
+from gsjax.io import analytic_scene
+analytic_scene.write("here", num_views=24, size=(96, 72))
+"""
 MOVED = """
 import sys
 from pathlib import Path
@@ -58,25 +67,32 @@ print(max(np.median(cKDTree(a).query(b)[0]) for a, b in ((here, back), (back, he
 
 def rows(folder: Path) -> Rows:
     """A row a world."""
-    return {world: [partial(_scores, folder / "work", *WORLDS[world])] for world in WORLDS}
+    return {world: [partial(_scores, folder / "elsewhere", world)] for world in WORLDS}
 
 
-def _scores(folder: Path, scale: str, shift: str, turn: str) -> list[str]:
+def _scores(folder: Path, world: str) -> list[str]:
     """What a training comes to there, and how far its mesh lies from that of the scene at the origin."""
-    whole(folder, "mesh")
-    for name in ("moved", "moved_run"):
+    if not (folder / "here_run.ply").exists():
+        folder.mkdir(exist_ok=True)
+        _python(folder, SCENE)
+        _trained(folder, "here", "here_run", seed=0)
+    for name in ("there", "there_run"):
         shutil.rmtree(folder / name, ignore_errors=True)
     for name in ("images", "sparse"):
-        shutil.copytree(folder / "scene" / name, folder / "moved" / name)
-    _python(folder, MOVED, scale, shift, turn, "moved")
-    moved = {"scene": "moved", "run": "moved_run"}
-    for name, out in (("train", "moved_run"), ("mesh", "moved.ply")):
-        arguments = tuple(moved.get(argument, argument) for argument in COMMANDS[name].arguments)
-        code, told = finished(begun(folder, COMMANDS[name]._replace(arguments=arguments), out))
-        assert code == 0, told[-2000:]
-    manifest = json.loads((folder / "moved_run/manifest.json").read_text())
-    apart = float(_python(folder, APART, scale, shift, turn, "mesh.ply", "moved.ply"))
+        shutil.copytree(folder / "here" / name, folder / "there" / name)
+    _python(folder, MOVED, *WORLDS[world], "there")
+    _trained(folder, "there", "there_run", seed=int(world == AGAIN))
+    manifest = json.loads((folder / "there_run/manifest.json").read_text())
+    apart = float(_python(folder, APART, *WORLDS[world], "here_run.ply", "there_run.ply"))
     return [f"{manifest['psnr']:.2f}", f"{manifest['ssim']:.3f}", f"{apart:.4f}"]
+
+
+def _trained(folder: Path, scene: str, run: str, *, seed: int) -> None:
+    """Leaves a run and, beside it, its mesh."""
+    train = ("train", scene, "--preset", "quick", "--effects", "none", "--set", *SETTINGS, f"seed={seed}", "--out")
+    for arguments, out in ((train, run), (("mesh", run, "--out"), f"{run}.ply")):
+        code, told = finished(begun(folder, Command(arguments, out), out))
+        assert code == 0, told[-2000:]
 
 
 def _python(folder: Path, program: str, *arguments: str) -> str:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.cameras import Camera
+from gsjax.colors import to_bytes
 from gsjax.gaussians import Gaussians
 from gsjax.io.normal_maps import map_places
 from gsjax.io.ply import read_gaussians
@@ -12,7 +13,7 @@ from gsjax.meshing import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors
 from gsjax.render import gallery
 from gsjax.report.panels import draw_panels
-from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
+from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture
 from gsjax.runs.prior import read_map
 from gsjax.runs.result import Result, open_result, scene_of_run
 

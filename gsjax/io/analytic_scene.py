@@ -21,12 +21,11 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from jax import Array
 from tqdm import tqdm
 
 from gsjax.analytic import solids, true_surface
 from gsjax.cameras import Camera, project, rotation, world_to_camera
-from gsjax.colors import linear_to_srgb
+from gsjax.colors import linear_to_srgb, to_bytes
 from gsjax.io import ply
 from gsjax.io.files import atomic_folder
 from gsjax.io.packages import require
@@ -118,7 +117,7 @@ def _write_parts(folder: Path, num_views: int, size: tuple[int, int], seed: int,
 
 def _write_view(folder: Path, name: str, camera: Camera, view: solids.Trace) -> None:
     Image = require("PIL.Image", "pip install pillow")
-    Image.fromarray(_to_bytes(view.colors)).save(folder / "images" / f"{name}.png")
+    Image.fromarray(to_bytes(view.colors)).save(folder / "images" / f"{name}.png")
     np.savez_compressed(folder / "depth" / f"{name}.npz", depth=view.depth, label=view.labels)
     seen, turn = np.asarray(view.normals), np.asarray(rotation(camera))
     np.savez_compressed(
@@ -163,7 +162,7 @@ def _write_model(folder: Path, samples: _Samples, cameras: list[Camera], seed: i
     points, seen = samples.points[chosen], _limited(samples.seen[:, chosen], rng)
     pixels = np.stack([np.asarray(_project_all(points, camera)) for camera in cameras])
     pixels += rng.normal(0, PIXEL_NOISE, pixels.shape).astype(np.float32)
-    colors = _to_bytes(_appearance_all(points))
+    colors = to_bytes(_appearance_all(points))
 
     model = pycolmap.Reconstruction()
     K, width, height = np.asarray(cameras[0].K), cameras[0].width, cameras[0].height
@@ -191,10 +190,6 @@ def _limited(seen: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """`[V, P]` bool with at most LONGEST_TRACK views, drawn at random, for every point."""
     rank = np.argsort(np.argsort(np.where(seen, rng.random(seen.shape), 2.0), axis=0), axis=0)
     return seen & (rank < LONGEST_TRACK)
-
-
-def _to_bytes(colors: Array) -> np.ndarray:
-    return np.rint(255 * np.clip(np.asarray(colors), 0, 1)).astype(np.uint8)
 
 
 _visible_all = jax.jit(jax.vmap(solids.visible, in_axes=(0, None)))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax.colors import bytes_of_shares, shares
+from gsjax.colors import shares, to_bytes
 from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0, Gaussians, rgb_to_sh
 from gsjax.io.files import atomic_path
@@ -159,10 +159,10 @@ def point_colors(vertices: np.ndarray) -> np.ndarray:
     names = vertices.dtype.names or ()
     rgb = _color_names(names)
     if rgb is not None:
-        return bytes_of_shares(_colors(vertices, rgb))
+        return to_bytes(_colors(vertices, rgb))
     if set(_DC) <= set(names):
         values = stack_columns(vertices, _DC)
-        return bytes_of_shares(SH_C0 * np.where(np.isnan(values), 0, values) + 0.5)
+        return to_bytes(SH_C0 * np.where(np.isnan(values), 0, values) + 0.5)
     return np.full((len(vertices), 3), _GREY, np.uint8)
 
 
@@ -173,7 +173,7 @@ def read_vertex_colors(path: Path) -> np.ndarray | None:
     except InputError:  # Of vertices with lists.
         return None
     rgb = _color_names(vertices.dtype.names or ())
-    return None if rgb is None else bytes_of_shares(_colors(vertices, rgb))
+    return None if rgb is None else to_bytes(_colors(vertices, rgb))
 
 
 def _with_thickness(log_scales: np.ndarray) -> np.ndarray:

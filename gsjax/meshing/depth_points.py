@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from gsjax.cameras import Camera
+from gsjax.colors import to_bytes
 from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
@@ -76,5 +77,5 @@ def _points_of_view(
     outward = normals[rows, columns] @ np.asarray(camera.viewmat, np.float64)[:3, :3]
     facing = np.flatnonzero(np.sum(outward * directions, axis=-1) < -LEAST_FACING)
     drawn = rng.permutation(facing)[:count]
-    colors = level_set.to_bytes(np.asarray(picture.colors)[rows[drawn], columns[drawn]])
+    colors = to_bytes(np.asarray(picture.colors)[rows[drawn], columns[drawn]])
     return points[drawn].astype(np.float32), outward[drawn].astype(np.float32), colors

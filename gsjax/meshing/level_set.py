@@ -17,6 +17,7 @@ from gsjax import cameras as cams
 from gsjax import density_field
 from gsjax import gaussians as gs
 from gsjax.cameras import Camera
+from gsjax.colors import to_bytes
 from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing.level_crossing import march_rays
@@ -187,11 +188,6 @@ def shows_surface(picture: Picture, min_alpha: float) -> np.ndarray:
     """`[H, W]` bool: covered by more than `min_alpha`, with a depth."""
     depth = np.asarray(picture.depth)
     return (np.asarray(picture.alphas) > min_alpha) & (depth > 0) & np.isfinite(depth)
-
-
-def to_bytes(colors: np.ndarray) -> np.ndarray:
-    """8-bit sRGB of colours in 0..1."""
-    return np.clip(np.round(colors * 255.0), 0, 255).astype(np.uint8)
 
 
 def _draw_rays(cameras, pictures, place: np.ndarray, rays_per_view: int, min_alpha: float, rng) -> Rays:

@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 
 from gsjax import gaussians as gs
 from gsjax.cameras import Camera, landing, viewmat_center
+from gsjax.colors import to_bytes
 from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.mesh import Mesh, unit_or_zero
@@ -100,7 +101,7 @@ def centers_poisson(
 
 def base_colors(gaussians: Gaussians) -> np.ndarray:
     """`[N, 3]` uint8 sRGB that the degree-0 coefficients alone give."""
-    return level_set.to_bytes(gs.SH_C0 * np.asarray(gaussians.sh_dc)[:, 0] + 0.5)
+    return to_bytes(gs.SH_C0 * np.asarray(gaussians.sh_dc)[:, 0] + 0.5)
 
 
 def typical_scale(gaussians: Gaussians, region: Region) -> float:

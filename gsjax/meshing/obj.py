@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from gsjax.colors import bytes_of_shares, shares
+from gsjax.colors import shares, to_bytes
 from gsjax.errors import InputError
 from gsjax.io.files import read_bytes
 from gsjax.meshing.libraries import load_trimesh
@@ -196,7 +196,7 @@ def _colored(vertices: np.ndarray, colors: np.ndarray, faces: np.ndarray, materi
     trimesh = load_trimesh()
     part = trimesh.Trimesh(vertices, faces, process=False)
     if len(colors):
-        part.visual.vertex_colors = bytes_of_shares(shares(colors))
+        part.visual.vertex_colors = to_bytes(shares(colors))
     elif material is not None:
         part.visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.SimpleMaterial(**material))
     return part

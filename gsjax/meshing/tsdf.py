@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gsjax.cameras import Camera
+from gsjax.colors import to_bytes
 from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.io.machine import require_memory
@@ -54,7 +55,7 @@ def tsdf(*, voxel: float | None = None, min_alpha: float = 0.5, seed: int = 0) -
             level_set.check_sizes(index, camera, picture)
             depth = np.where(np.asarray(picture.alphas) > min_alpha, np.asarray(picture.depth), 0)
             depth = np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
-            views.append(DepthView(camera, depth, level_set.to_bytes(np.asarray(picture.colors))))
+            views.append(DepthView(camera, depth, to_bytes(np.asarray(picture.colors))))
             rows, columns = np.nonzero(depth)
             drawn = rng.permutation(len(rows))[:POINTS_PER_VIEW]
             points.append(level_set.world_points(camera, depth, rows[drawn], columns[drawn])[0])
@@ -99,7 +100,7 @@ def _fused(views: Sequence[DepthView], region: Region, voxel: float) -> Mesh:
     return Mesh(
         vertices=surface.vertex.positions.numpy(),
         faces=faces.astype(np.int32),
-        colors=level_set.to_bytes(surface.vertex.colors.numpy()),
+        colors=to_bytes(surface.vertex.colors.numpy()),
     )
 
 

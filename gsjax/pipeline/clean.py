@@ -10,6 +10,7 @@ import numpy as np
 
 from gsjax import stray
 from gsjax.cameras import Camera, viewmat_centers
+from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, concatenate, take
 from gsjax.io import json_files
@@ -19,7 +20,6 @@ from gsjax.io.place_files import stated_place
 from gsjax.io.temporaries import sweep_beside
 from gsjax.render import gallery
 from gsjax.report.panels import draw_panels
-from gsjax.report.pictures import to_bytes
 from gsjax.runs.folder import is_begun
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from gsjax import config, pipeline
+from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.io import analytic_scene, json_files
 from gsjax.io.files import make_folder
@@ -12,7 +13,7 @@ from gsjax.io.scenes import load_scene
 from gsjax.meshing.export import read_mesh
 from gsjax.render import gallery
 from gsjax.report.panels import draw_panels
-from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture, to_bytes
+from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture
 from gsjax.runs.result import Result, open_result
 from gsjax.settings import DEMO, Settings
 

@@ -8,11 +8,12 @@ from typing import Literal
 
 from tqdm import tqdm
 
+from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.io.files import make_folder
 from gsjax.io.images import write_image
 from gsjax.render import gallery
-from gsjax.report.pictures import depth_picture, surface_picture, to_bytes
+from gsjax.report.pictures import depth_picture, surface_picture
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import open_result
 from gsjax.runs.viewpoints import camera_circle

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Unpack
 
 from gsjax import config
 from gsjax.binding.refining import Refinement
+from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.files import make_folder
@@ -26,7 +27,7 @@ from gsjax.pipeline.train import train
 from gsjax.render import gallery
 from gsjax.report.page import report as write_report
 from gsjax.report.panels import draw_panels
-from gsjax.report.pictures import mesh_picture, surface_picture, to_bytes
+from gsjax.report.pictures import mesh_picture, surface_picture
 from gsjax.runs.folder import is_finished
 from gsjax.runs.result import open_result
 from gsjax.settings import Settings

@@ -4,14 +4,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsjax.cameras import Camera
+from gsjax.colors import to_bytes
 from gsjax.mesh import Mesh
 from gsjax.meshing.pictures import Shading, headlight, render_mesh
 from gsjax.normals.from_depth import depth_normals
-
-
-def to_bytes(image: np.ndarray) -> np.ndarray:
-    """0..1 to uint8, rounded."""
-    return np.rint(np.clip(image, 0, 1) * 255).astype(np.uint8)
 
 
 def depth_picture(depth: np.ndarray, span: tuple[float, float] | None = None) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from gsjax import runs
 from gsjax.cameras import Camera
+from gsjax.colors import to_bytes
 from gsjax.effects.sky import Masks, tinted
 from gsjax.io.files import atomic_path
 from gsjax.io.images import jpeg_bytes, resize
@@ -17,7 +18,7 @@ from gsjax.meshing.pictures import headlight, render_mesh, vertex_colors
 from gsjax.meshing.rays import ray_caster
 from gsjax.normals.from_depth import depth_normals
 from gsjax.render.gallery import Picture
-from gsjax.report.pictures import normal_picture, to_bytes
+from gsjax.report.pictures import normal_picture
 from gsjax.runs.records import read_views
 from gsjax.runs.result import frame_camera, recorded_camera
 from gsjax.scene import Frame

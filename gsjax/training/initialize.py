@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from gsjax.cameras import viewmat_center
 from gsjax.gaussians import Gaussians, PixelFilter, rgb_to_sh
@@ -12,6 +13,9 @@ from gsjax.scene import Frame
 
 DEAD_LOGIT = -30.0
 """Log-odds of a free row of the buffer: under every alpha cut, so never drawn and without gradient."""
+
+AROUND = 9
+"""Nearest points, its own among them, whose principal axes a Gaussian starts with."""
 
 SHELLS = (1.5, 3.0, 6.0)
 """Radii of the spheres of far points, in that of the smallest one that holds all cameras and most of the cloud."""
@@ -62,6 +66,9 @@ def from_points(
 ) -> Gaussians:
     """Isotropic Gaussians at the points, as 3DGS starts (its create_from_pcd), in a buffer of fixed capacity.
 
+    A sphere looks the same however its axes lie, but training stretches it along them. So they are those of the points
+    around it, not of the world as in 3DGS: a scene that is turned trains as it did before.
+
     Args:
         points: `[P, 3]` world positions; if P exceeds the capacity, every P / capacity-th is taken.
         colors: `[P, 3]` uint8 or 0..1 float.
@@ -71,29 +78,39 @@ def from_points(
         pixel_filter: How they are to be drawn.
 
     Returns:
-        Float32 Gaussians; a scale is the root mean square distance to the 3 nearest other points, at least 3e-4.
+        Float32 Gaussians; a scale is the root mean square distance to the 3 nearest other points, at least 3e-4. The
+        axes are the principal ones of the `AROUND` nearest points.
     """
     if len(points) > capacity:
         chosen = np.linspace(0, len(points) - 1, capacity).astype(int)
         points, colors = points[chosen], colors[chosen]
     colors = colors / 255.0 if colors.dtype == np.uint8 else colors
     count = len(points)
-    neighbors = min(4, count)
-    distances = KDTree(points).query(points, k=neighbors)[0].reshape(count, neighbors)[:, 1:]
-    spacing = np.sqrt(np.maximum((distances**2).mean(1), 1e-7)) if neighbors > 1 else np.full(count, 0.01)
+    distances, near = (found.reshape(count, -1) for found in KDTree(points).query(points, k=min(AROUND, count)))
+    others = distances[:, 1:4]
+    spacing = np.sqrt(np.maximum((others**2).mean(1), 1e-7)) if count > 1 else np.full(count, 0.01)
 
     def buffer(values, fill=0.0):
         rows = np.full((capacity, *np.shape(values)[1:]), fill, np.float32)
         rows[:count] = values
         return jnp.asarray(rows)
 
-    identity = np.tile(np.array([1, 0, 0, 0], np.float32), (capacity, 1))
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (capacity, 1))
+    quats[:count] = _principal_axes(points[near])
     return Gaussians(
         means=buffer(points),
-        quats=jnp.asarray(identity),
+        quats=jnp.asarray(quats),
         log_scales=buffer(np.repeat(np.log(spacing)[:, None], 3, 1)),
         logit_opacities=buffer(np.full(count, np.log(opacity / (1 - opacity))), DEAD_LOGIT),
         sh_dc=buffer(rgb_to_sh(colors)[:, None, :]),
         sh_rest=jnp.zeros((capacity, (sh_degree + 1) ** 2 - 1, 3), jnp.float32),
         pixel_filter=pixel_filter,
     )
+
+
+def _principal_axes(clouds: np.ndarray) -> np.ndarray:
+    """`[P, 4]` quaternions (w, x, y, z) of the principal axes, shortest first, of `[P, K, 3]` points each."""
+    offsets = clouds.astype(np.float64) - clouds.mean(axis=1, keepdims=True, dtype=np.float64)
+    axes = np.linalg.eigh(offsets.swapaxes(1, 2) @ offsets).eigenvectors
+    axes[..., 2] *= np.sign(np.linalg.det(axes))[:, None]
+    return Rotation.from_matrix(axes).as_quat(scalar_first=True)

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from gsjax.cameras import Camera, viewmat_centers
-from gsjax.report.pictures import to_bytes
+from gsjax.colors import to_bytes
 from gsjax.scene import Pixels
 
 FULL_SCALE = 0.5  # Mean difference of the channels that is shown as white.

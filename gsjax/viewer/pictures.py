@@ -5,8 +5,9 @@ from functools import lru_cache
 import numpy as np
 
 from gsjax.cameras import Camera
+from gsjax.colors import to_bytes
 from gsjax.gaussians import Gaussians
-from gsjax.report.pictures import depth_picture, normal_picture, to_bytes
+from gsjax.report.pictures import depth_picture, normal_picture
 from gsjax.viewer.drawing import Drawer
 from gsjax.viewer.photo_error import error_picture, nearest_photo, photo_colors, seen_by_photo
 from gsjax.viewer.subject import Subject

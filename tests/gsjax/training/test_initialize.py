@@ -4,10 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from small_scenes import camera_at
 from tolerances import assert_close
 
-from gsjax.gaussians import SH_C0, opacities, scales
+from gsjax.gaussians import SH_C0, opacities, rotation_matrices, scales
 from gsjax.planning import start
 from gsjax.scene import Pixels, Scene, frame_of
 from gsjax.settings import Settings
@@ -27,13 +28,23 @@ def test_scales_are_the_distances_to_the_three_nearest():
     assert_close(made.means, POINTS)
 
 
-def test_opacity_colour_and_rotation():
+def test_opacity_and_colour():
     made = from_points(POINTS, COLORS, capacity=20, sh_degree=2, opacity=0.3)
     assert_close(opacities(made), np.full(20, 0.3))
     assert_close(made.sh_dc[:, 0] * SH_C0 + 0.5, COLORS / 255)
     assert_close(made.sh_rest, np.zeros((20, 8, 3)))
-    assert_close(made.quats, np.tile([1.0, 0, 0, 0], (20, 1)))
     assert_close(made, from_points(POINTS, COLORS / 255, capacity=20, sh_degree=2, opacity=0.3))
+
+
+def test_axes_follow_the_points_around_however_the_world_is_turned():
+    wall = RNG.uniform(-1, 1, (60, 3)) * [1.0, 1.0, 0.01]
+    colors = np.full((60, 3), 0.5)
+    here = rotation_matrices(from_points(wall, colors, capacity=60, sh_degree=0).quats)
+    assert_close(np.linalg.det(here), np.ones(60))
+    assert np.abs(here[:, 2, 0]).min() > 0.99  # The first axis is the wall's normal.
+    turn = Rotation.from_rotvec([0.3, -1.1, 0.7]).as_matrix()
+    there = rotation_matrices(from_points(wall @ turn.T, colors, capacity=60, sh_degree=0).quats)
+    assert_close(np.abs(np.einsum("ij,njk,nik->nk", turn.astype(np.float32), here, there)), np.ones((60, 3)))
 
 
 def test_rows_beyond_the_points_are_dead_and_everything_is_float32():

@@ -7,10 +7,10 @@ from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
 from gsjax.cameras import Camera
+from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.normals.from_depth import depth_normals
 from gsjax.render import backdrop, gallery
-from gsjax.report.pictures import to_bytes
 from gsjax.scene import Pixels, frame_of
 from gsjax.viewer import drawing
 from gsjax.viewer.drawing import Drawer, bare_background

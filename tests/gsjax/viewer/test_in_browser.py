@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from small_scenes import camera_at, cloud
 
+from gsjax.colors import to_bytes
 from gsjax.render import gallery
-from gsjax.report.pictures import to_bytes
 from gsjax.viewer import page as pages
 from gsjax.viewer.page import SIDE, Page
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera
