@@ -104,6 +104,9 @@ def run_guarded(action: Callable[[], int | None]) -> int:
             if isinstance(error, OSError) and error.errno in OF_A_NAME and error.filename is not None:
                 tell(f"gsjax: error: {InputError(f'{error.filename}: {error.strerror}')}")
                 return 2
+            if isinstance(error, FileNotFoundError) and environment.is_called_nowhere():
+                tell("gsjax: error: the folder in which this was called is no more; go to another one")
+                return 2
             if (code := printing.exit_code(error)) is not None:
                 return code
             raise

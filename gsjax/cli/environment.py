@@ -29,6 +29,15 @@ def require_unix() -> None:
         raise InputError("Windows itself is not supported; gsjax runs there in WSL2: https://aka.ms/wsl")
 
 
+def is_called_nowhere() -> bool:
+    """Whether the working folder has been removed, so that no relative path leads anywhere."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return True
+    return False
+
+
 def prepare() -> None:
     """Full-width vectors where the CPU has them, memory that is kept, a compilation cache that outlives the process.
 

@@ -378,6 +378,18 @@ def test_a_name_that_the_system_does_not_take_is_told(library, monkeypatch, caps
     assert capsys.readouterr().err == f"gsjax: error: runs/long: {os.strerror(number)}\n"
 
 
+def test_a_folder_that_is_no_more_is_told(library, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(gsjax.pipeline, "evaluate", lambda *args, **kwargs: os.path.abspath("run"))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "gone").mkdir()
+    os.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert cli.main(["eval", "run"]) == 2
+    assert capsys.readouterr().err == (
+        "gsjax: error: the folder in which this was called is no more; go to another one\n"
+    )
+
+
 def test_a_bug_is_not_dressed_up_as_bad_input(library, monkeypatch):
     monkeypatch.setattr(gsjax.pipeline, "evaluate", lambda *args, **kwargs: 1 / 0)
     with pytest.raises(ZeroDivisionError):
