@@ -59,11 +59,11 @@ def peak_memory(path: str | Path = "/proc/self/status") -> int:
 
 
 def free_memory() -> int:
-    """Bytes of memory that this process could still take, as Linux and its container say; elsewhere half of all."""
+    """Bytes of memory that this process could still take: by Linux, container and `ulimit`; elsewhere half of all."""
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     match = re.search(r"^MemAvailable:\s*(\d+) kB$", _text("/proc/meminfo"), re.MULTILINE)
     free = 1024 * int(match[1]) if match else total // 2
-    return min([free, *_left_in_groups()])
+    return min([free, *_left_in_groups(), *_left_in_limits()])
 
 
 def _left_in_groups() -> Iterator[int]:
@@ -80,6 +80,16 @@ def _left_in_groups() -> Iterator[int]:
             if most.isdecimal() and now.isdecimal():
                 files = re.search(rf"^{cached} (\d+)$", _text(begin + "stat"), re.MULTILINE)
                 yield int(most) - int(now) + (int(files[1]) if files else 0)
+
+
+def _left_in_limits() -> Iterator[int]:
+    """Bytes that this process may still take by its own limits, as `ulimit -v` and `ulimit -d` set them."""
+    limits, status = _text("/proc/self/limits"), _text("/proc/self/status")
+    for limit, used in (("address space", "VmSize"), ("data size", "VmData")):
+        most = re.search(rf"^Max {limit} +(\d+) ", limits, re.MULTILINE)
+        now = re.search(rf"^{used}:\s+(\d+) kB$", status, re.MULTILINE)
+        if most and now:
+            yield int(most[1]) - 1024 * int(now[1])
 
 
 def require_memory(what: str, size: float) -> None:

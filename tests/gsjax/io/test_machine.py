@@ -25,6 +25,20 @@ def test_a_containers_limit_counts(monkeypatch, limit, used, free):
     assert machine.free_memory() == free
 
 
+@pytest.mark.parametrize(
+    ("space", "data", "free"),
+    [("4000", "9000", 2976), ("9000", "3000", 952), ("9000", "unlimited", 3072), ("unlimited", "unlimited", 3072)],
+)
+def test_limits_of_the_process_itself_count(monkeypatch, space, data, free):
+    texts = {
+        "/proc/meminfo": MEMINFO,
+        "/proc/self/status": "Name:\tpython\nVmSize:\t       1 kB\nVmData:\t       2 kB\n",
+        "/proc/self/limits": f"Max data size  {data}  unlimited  bytes\nMax address space  {space}  9  bytes\n",
+    }
+    monkeypatch.setattr(machine, "_text", lambda path: texts.get(str(path), ""))
+    assert machine.free_memory() == free
+
+
 def test_threads_that_ask_for_memory_together_do_not_get_it_twice(monkeypatch):
     monkeypatch.setattr(machine, "free_memory", lambda: 100)
     inside, may_end, order = threading.Event(), threading.Event(), []
