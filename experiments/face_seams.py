@@ -22,11 +22,11 @@ from made_room import (
 )
 
 from gsjax.cameras import Camera
+from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.io.images import cv2, read_image, write_image
 from gsjax.io.lenses import Lens, pinhole_views
 from gsjax.render import gallery
-from gsjax.report.pictures import to_bytes
 from gsjax.runs.result import Result, open_result
 from gsjax.runs.run import Run
 

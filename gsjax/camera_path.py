@@ -1,7 +1,7 @@
 """Smooth flights of a camera through keyframes: splines of places, of rotations and of the angle of view."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -58,6 +58,14 @@ def through(cameras: Sequence[Camera], most: int, aspect: float, *, closed: bool
     fovs = np.array([covering_fov(cameras[place], aspect) for place in chosen])
     order = _shorter_order(np.stack([viewmat_center(viewmat) for viewmat in viewmats]))
     return Keyframes(viewmats[order], fovs[order], closed)
+
+
+def camera_of(viewmat: np.ndarray, fov: float, width: int, height: int) -> Camera:
+    """The camera of a picture of this size, from where a flight is: `[4, 4]` world to camera, and radians."""
+    focal = height / 2 / np.tan(fov / 2)
+    K: Any = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], np.float32)
+    pose: Any = viewmat.astype(np.float32)
+    return Camera(pose, K, width, height)
 
 
 def covering_fov(camera: Camera, aspect: float) -> float:

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from tqdm import tqdm
 
-from gsjax.camera_path import Keyframes, fly, through
+from gsjax.camera_path import Keyframes, camera_of, fly, through
 from gsjax.cameras import Camera
 from gsjax.colors import to_bytes
 from gsjax.errors import InputError
@@ -72,7 +72,7 @@ def film(
     result = open_result(run)
     width, height = size or _usual_size(result.cameras[0])
     keyframes = _keyframes(result, str(path), told, width / height)
-    cameras = [_camera(viewmat, fov, width, height) for viewmat, fov in zip(*fly(keyframes, count), strict=True)]
+    cameras = [camera_of(viewmat, fov, width, height) for viewmat, fov in zip(*fly(keyframes, count), strict=True)]
     draw = _drawing(result, cameras, what)
     shown = gallery.pictures(result.gaussians, cameras, result.background, result.depth_mode)
     with film_writer(out, fps, width, height) as add:
@@ -111,10 +111,3 @@ def _usual_size(camera: Camera) -> tuple[int, int]:
     """A photo's size, reduced, with even sides."""
     factor = max(1.0, max(camera.width, camera.height) / USUAL_SIDE)
     return 2 * max(8, round(camera.width / factor / 2)), 2 * max(8, round(camera.height / factor / 2))
-
-
-def _camera(viewmat: np.ndarray, fov: float, width: int, height: int) -> Camera:
-    focal = height / 2 / np.tan(fov / 2)
-    K: Any = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], np.float32)
-    local: Any = viewmat.astype(np.float32)
-    return Camera(local, K, width, height)
