@@ -93,6 +93,10 @@ def test_the_example_in_the_help_parses(command, capsys):
     [
         ([], "gsjax: error: the following arguments are required: COMMAND (see gsjax --help)"),
         (["train", "s"], "gsjax train: error: the following arguments are required: --out (see gsjax train --help)"),
+        (
+            ["convert", "a", "--out", "b"],
+            "gsjax convert: error: unrecognized arguments: --out (see gsjax convert --help)",
+        ),
         (["mesh", "run"], "gsjax mesh: error: the following arguments are required: --out (see gsjax mesh --help)"),
         (["train", "s", "--out", "r", "--seed", "x"], "argument --seed: invalid int value: 'x'"),
         (["train", "s", "--out", "r", "--seed", "-1"], "settings: seed=-1 is not between 0 and 4294967295"),
