@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from paper.measured import LPIPS
-from paper.scenes import SCENES, SCHEDULES, settings_of
+from paper.scenes import PAPER_MESH, SCENES, SCHEDULES, settings_of
 
 from gsjax import config, tables
 from gsjax.cli import run_guarded
@@ -126,8 +126,7 @@ def _stages(
     return {
         "train": lambda: _train(data, trained, config.parse(Settings, wishes["settings"])),
         "coarse": lambda: _scores(trained, lpips),
-        # The paper's mesh does not settle.
-        "mesh": lambda: pipeline.mesh(trained, trained / "mesh.ply", settled=False, **wishes["mesh"]),
+        "mesh": lambda: pipeline.mesh(trained, trained / "mesh.ply", **PAPER_MESH, **wishes["mesh"]),
         "texture": lambda: pipeline.texture(trained, trained / "mesh.ply", out / "textured.glb"),
         "sheet": lambda: draw_sheet(out, str(regulariser)),
         "refine": lambda: pipeline.refine(

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from paper.scenes import SCHEDULES
+from paper.scenes import PAPER_MESH, SCHEDULES
 
 from gsjax import tables
 from gsjax.cli import parsers, run_guarded
@@ -72,7 +72,7 @@ def _measured(scene: Path, folder: Path, budget: str, share: float, given: dict[
     refinement = parse(Refinement, refined)
     trained, bound = folder / "run", folder / "refined"
     pipeline.train(scene, trained, settings)
-    pipeline.mesh(trained, trained / "mesh.ply", settled=False)  # the paper does not
+    pipeline.mesh(trained, trained / "mesh.ply", **PAPER_MESH)
     pipeline.refine(trained, bound, refinement)
     return {"trained": _figures(trained), "refined": _figures(bound)}
 

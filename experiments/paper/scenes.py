@@ -60,6 +60,9 @@ class Schedule(NamedTuple):
         return REFINED_BY[self.preset] if self.regulariser else None
 
 
+PAPER_MESH: dict[str, Any] = {"settled": False, "keep_floaters": True}
+"""Options of `gsjax.pipeline.mesh` for the paper's mesh: of all Gaussians, and it stays where the level set is."""
+
 R, SUGAR = "R", "SuGaR's terms"
 SCHEDULES: dict[str, Schedule] = {
     "3dgs_30k": Schedule(

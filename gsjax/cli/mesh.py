@@ -15,10 +15,10 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         _run,
         summary="extract a mesh from a run or from any file of Gaussians",
         description="""
-            Finds points of the surface along the cameras' rays, reconstructs a mesh from them (Poisson),
-            trims what no point supports and colours the vertices. Where the training photos are at hand,
-            the vertices then settle where these agree. A file alone has no cameras: give --scene, or some
-            are placed around (or, in a room, within) the Gaussians.
+            Leaves out Gaussians that hang in the air, finds points of the surface along the cameras' rays,
+            reconstructs a mesh from them (Poisson), trims what no point supports and colours the vertices.
+            Where the training photos are at hand, the vertices then settle where these agree. A file alone
+            has no cameras: give --scene, or some are placed around (or, in a room, within) the Gaussians.
         """,
         example="gsjax mesh runs/garden --out garden.glb",
     )
@@ -46,6 +46,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         help="leave the surface where the Gaussians have it")  # fmt: skip
     add("--fill-holes", dest="holes_filled", action="store_const", const=True,
         help="close holes where two views show a surface; what nobody saw stays open")  # fmt: skip
+    add("--keep-floaters", action="store_const", const=True,
+        help="use Gaussians too that hang in the air: shown by one view alone, looked through by others")  # fmt: skip
     add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a file is given")
 
 
@@ -54,7 +56,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
     options = given_options(
         arguments, "method", "depth", "trim_quantile", "cell", "level", "points", "bounds", "background_bounds",
-        "foreground_only", "faces", "scene", "settled", "holes_filled",
+        "foreground_only", "faces", "scene", "settled", "holes_filled", "keep_floaters",
     )  # fmt: skip
     figures = pipeline.noted(
         arguments.source, "mesh", lambda: pipeline.mesh(arguments.source, arguments.out, **options)

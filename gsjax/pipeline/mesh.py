@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 from gsjax import tables
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians, without_view_dependence
+from gsjax.gaussians import Gaussians, take, without_view_dependence
 from gsjax.io.machine import require_memory
 from gsjax.io.scenes import load_scene
 from gsjax.io.temporaries import sweep_beside
@@ -33,7 +33,9 @@ from gsjax.meshing.sightlines import sightlines_of
 from gsjax.meshing.topology import topology
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
-from gsjax.render.shown_depths import ShownDepth, noting
+from gsjax.render.floaters import are_floaters
+from gsjax.render.gallery import Picture
+from gsjax.render.shown_depths import ShownDepth, coarse_depth, noting
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.prior import reduction_for
 from gsjax.runs.result import Result, open_result, scene_of_run, training_pictures
@@ -66,6 +68,7 @@ def mesh(
     scene: str | Path | None = None,
     settled: bool = True,
     holes_filled: bool = False,
+    keep_floaters: bool = False,
 ) -> dict[str, Any]:
     """Extract the mesh of a run, or of any file of Gaussians.
 
@@ -93,11 +96,13 @@ def mesh(
         scene: Data set whose cameras to use with a file. None: cameras around the Gaussians, or within them.
         settled: Whether vertices move to where the photos agree.
         holes_filled: Whether holes are closed where the views show a surface (`gsjax.meshing.holes`).
+        keep_floaters: Whether Gaussians that hang in the air (`gsjax.render.floaters`) take part. They always do where
+            no camera of a photo is known.
 
     Returns:
-        A report of plain numbers: `vertices`, `faces`, `method`, what `extract_mesh` says; `tried`: the shares and
-        seconds of `most_agreeing` for every method that was tried to choose one; `settled` and `holes`: what `settle`
-        and `fill_holes` say, or None where it was not done.
+        A report of plain numbers: `vertices`, `faces`, `method`, what `extract_mesh` says; `floaters`: how many were
+        left out, None where nobody looked; `tried`: the shares and seconds of `most_agreeing` for every method that was
+        tried to choose one; `settled` and `holes`: what `settle` and `fill_holes` say, or None where it was not done.
 
     Raises:
         InputError: Nothing to mesh, or a file cannot be read or written.
@@ -117,12 +122,13 @@ def mesh(
         _check_cell(cell, means if bounds is None else np.reshape(bounds, (2, 3)))
         cell = similarity.length_to_local(cell)
     data = _data_set(Path(source), scene) if settled or method == AUTO else None
+    floaters = None
+    if not keep_floaters and (scene is not None or Path(source).is_dir()):
+        result, floaters = _without_floaters(result)
     shown: list[ShownDepth] = []
 
     def extract(name: str) -> tuple[Mesh, dict]:
-        cameras, pictures = training_pictures(
-            result, without_view_dependence(result.gaussians), result.background, with_owners=True
-        )
+        cameras, pictures = _pictures(result)
         shown.clear()
         noted = noting(cameras, pictures, shown) if holes_filled else pictures
         found = extract_mesh(
@@ -148,8 +154,20 @@ def mesh(
     if settled and data is not None:
         surface, report["settled"] = settle(surface, data.train_frames)
     write_mesh(out, similarity.mesh_to_world(surface), result.place)
-    sizes = {"vertices": len(surface.vertices), "faces": len(surface.faces)}
+    sizes = {"vertices": len(surface.vertices), "faces": len(surface.faces), "floaters": floaters}
     return {**sizes, "method": choice.method, "tried": choice.tried, "settled": None, "holes": None, **report}
+
+
+def _without_floaters(result: Result) -> tuple[Result, int]:
+    """The same without the Gaussians that hang in the air, and how many those were."""
+    cameras, pictures = _pictures(result)
+    hang = are_floaters(result.gaussians, map(coarse_depth, cameras, pictures))
+    return replace(result, gaussians=take(result.gaussians, ~hang)), int(hang.sum())
+
+
+def _pictures(result: Result) -> tuple[list[Camera], Iterator[Picture]]:
+    """What every method looks at: the Gaussians in their constant colour, from the training views."""
+    return training_pictures(result, without_view_dependence(result.gaussians), result.background, with_owners=True)
 
 
 def _data_set(source: Path, scene: str | Path | None) -> Scene | None:

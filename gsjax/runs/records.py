@@ -20,7 +20,8 @@ SETTINGS = {
     "effects?": str,
 }
 """Of `config.json`: what later stages read; folders of earlier versions know less."""
-_FIGURES = ("registered", "points", "psnr", "ssim", "gaussians", "vertices", "faces", "seen_share", "peak_gib")
+_FIGURES = ("registered", "points", "psnr", "ssim", "gaussians", "vertices", "faces", "floaters",
+            "seen_share", "peak_gib")  # fmt: skip
 _STAGES = {str: {f"{name}?": NUMBER for name in ("seconds", *_FIGURES)}}
 _EVIDENCE = {"on": bool, "evidence": NUMBER, "noise": NUMBER, "threshold": NUMBER, "unit": str, "note": str}
 MANIFEST = {

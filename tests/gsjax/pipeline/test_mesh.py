@@ -142,6 +142,25 @@ def test_where_photos_are_masked_no_triangle_grows(lumpy, method, tmp_path):
     assert near_lump("masked") == 0
 
 
+def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
+    """Here all of the lump is taken for floaters; `tests/gsjax/render/test_floaters.py` has what they are."""
+
+    def are_floaters(gaussians, views):
+        assert [(view.depth.shape, bool(view.depth.any())) for view in views] == 10 * [((60, 64), True)]
+        return np.linalg.norm(np.asarray(gaussians.means) - LUMP, axis=1) < 0.5
+
+    def made(**options):
+        report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="tsdf", settled=False, **options)
+        found = read_mesh(tmp_path / "mesh.ply").vertices
+        return report["floaters"], int(np.sum(np.linalg.norm(found - LUMP, axis=1) < 0.5))
+
+    monkeypatch.setitem(mesh.__globals__, "are_floaters", are_floaters)
+    assert made() == (500, 0)
+    kept, near_lump = made(keep_floaters=True)
+    assert kept is None
+    assert near_lump > 50
+
+
 @pytest.mark.parametrize(
     ("options", "fault"),
     [
