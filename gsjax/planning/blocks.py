@@ -51,8 +51,9 @@ def cut(places: np.ndarray, count: int) -> list[Cell]:
     Raises:
         InputError: There are not so many places.
     """
-    if len(np.unique(places, axis=0)) < count:
-        raise InputError(f"--blocks {count}: the cameras stand at fewer places")
+    apart = len(np.unique(places, axis=0))
+    if apart < count:
+        raise InputError(f"--blocks {count}: the cameras stand at {apart} places")
     return _cut(places, count, Cell())
 
 
