@@ -27,7 +27,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--out", metavar="FILE", required=True, help="the mesh; .ply, .obj or .glb by its suffix")
     add("--method", choices=("auto", "poisson", "depth", "tsdf", "centers", "marching-cubes"),
         help="poisson (default): points of the level set; "
-        "auto: of this and the next three, the one that agrees most with the points that photos have in common; "
+        "auto, as in scan: this, or of the next three one that agrees clearly more with points that photos share; "
         "depth: of the rendered depth, flatter; "
         "tsdf: fusion of that depth, open where nothing was seen; "
         "centers: Poisson through the Gaussians' centres; marching-cubes: of the density, needs no views")  # fmt: skip

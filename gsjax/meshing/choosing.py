@@ -8,6 +8,9 @@ from gsjax.errors import NoSurfaceError
 from gsjax.mesh import Mesh
 from gsjax.meshing.sightlines import Sightlines, agreement
 
+MARGIN = 0.05
+"""Of the sightlines, by how many more another mesh than the usual one is met; smaller differences say little."""
+
 Extract = Callable[[], tuple[Mesh, dict]]
 """Makes a mesh, and plain numbers about it."""
 
@@ -22,17 +25,20 @@ class Choice(NamedTuple):
 
 
 def most_agreeing(methods: Mapping[str, Extract], lines: Sightlines) -> Choice:
-    """The mesh that most sightlines meet at their point; a method that finds no surface is passed by.
+    """The first method's mesh, or of those that clearly more sightlines meet at their point the one that most do.
+
+    Clearly more is `MARGIN` of all lines. A method that finds no surface is passed by.
 
     Args:
-        methods: By name.
+        methods: By name; the first that finds a surface is the usual one.
         lines: At least one.
 
     Raises:
         InputError: No method finds a surface; or as they do.
     """
     tried: dict[str, dict] = {}
-    best: tuple[str, Mesh, dict] | None = None
+    best: tuple[str, Mesh, dict] | None = None  # One mesh at a time is kept.
+    most = 0.0
     faults = []
     for name, extract in methods.items():
         started = time.perf_counter()
@@ -43,8 +49,10 @@ def most_agreeing(methods: Mapping[str, Extract], lines: Sightlines) -> Choice:
             continue
         found = agreement(mesh, lines)
         tried[name] = found._asdict() | {"seconds": round(time.perf_counter() - started, 1)}
-        if best is None or found.met > tried[best[0]]["met"]:  # Of equals the first; one mesh at a time is kept.
-            best = name, mesh, report
+        if best is None:
+            best, most = (name, mesh, report), found.met + MARGIN
+        elif found.met > most:
+            best, most = (name, mesh, report), found.met
     if best is None:
         raise faults[0]
     return Choice(*best, tried)

@@ -20,7 +20,7 @@ from gsjax.io.sfm import FILES, Reconstruction
 from gsjax.io.temporaries import is_temporary, sweep
 from gsjax.meshing.export import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors
-from gsjax.pipeline.mesh import mesh
+from gsjax.pipeline.mesh import AUTO, mesh
 from gsjax.pipeline.refine import refine
 from gsjax.pipeline.texture import texture
 from gsjax.pipeline.train import train
@@ -169,7 +169,7 @@ def _stages(
     return [
         *sfm,
         Stage("train", lambda: is_finished(run), lambda: train(scene, run, settings, resume=run.exists())),
-        Stage("mesh", coarse.exists, lambda: mesh(run, coarse)),
+        Stage("mesh", coarse.exists, lambda: mesh(run, coarse, method=AUTO)),
         Stage(
             "refine", lambda: is_finished(refined), lambda: refine(run, refined, refinement, resume=refined.exists())
         ),
