@@ -202,6 +202,7 @@ def _built(
     taken = shots.list_shots(folder)
     if panoramas is not None:
         taken = shots.as_panoramas(taken, panoramas.mask_below)
+    hint = shots.panorama_hint(taken) if panoramas is None else ""
     if networks is None:
         found, matcher = features.find_features(taken, max_image_size, threads, progress), None
     else:
@@ -212,14 +213,14 @@ def _built(
     try:
         model, left_out = mapping.map_photos(material, workspace, progress)
     except InputError as error:
-        raise InputError(f"{source}: {error}") from error
+        raise InputError(f"{source}: {error}{hint}") from error
     placed = georeference.place_model(model, taken)
     publishing.write_dataset(model, taken, make_folder(workspace / "scene"), progress)
     write_place(workspace / "scene", placed.place)
     return {
         "images": len(taken),
         "registered": model.num_reg_images(),
-        "left_out": left_out,
+        "left_out": {name: why + hint for name, why in left_out.items()},
         "passed_over": shots.unused_files(folder),
         "points": model.num_points3D(),
         "mean_reprojection_error": model.compute_mean_reprojection_error(),

@@ -171,12 +171,22 @@ def as_panoramas(shots: list[Shot], mask_below: float | None) -> list[Shot]:
         InputError: One of them is not twice as broad as high, or lies on its side.
     """
     for shot in shots:
-        width, height = shot.size
-        if abs(width - 2 * height) > 1:
+        if not _is_panoramic(shot):
+            width, height = shot.size
             raise InputError(f"{shot.path}: is {width}x{height}; a panorama of 360 degrees is twice as broad as high")
         if shot.to_sensor or shot.to_upright or shot.mirrored:
             raise InputError(f"{shot.path}: is a panorama that its EXIF orientation turns; save it upright")
     return [replace(shot, is_panorama=True, mask_below=mask_below, gravity=None) for shot in shots]
+
+
+def panorama_hint(shots: list[Shot]) -> str:
+    """How the reason goes on why photos, matched as pictures of a lens, have no pose, where all look like panoramas."""
+    return "; if it shows 360 degrees, add --panoramas" if all(_is_panoramic(shot) for shot in shots) else ""
+
+
+def _is_panoramic(shot: Shot) -> bool:
+    width, height = shot.size
+    return abs(width - 2 * height) <= 1
 
 
 def unused_files(folder: Path) -> dict[str, str]:
