@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from paper.measured import LPIPS
+from paper.measured import LPIPS, SQUEEZE
 from paper.scenes import PAPER_MESH, SCENES, SCHEDULES, settings_of
 
 from gsjax import config, tables
@@ -22,7 +22,7 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.settings import PLAIN, Phase, Settings
 
-SCORES = ("psnr", "ssim", LPIPS, "gaussians", "views")
+SCORES = ("psnr", "ssim", LPIPS, SQUEEZE, "gaussians", "views")
 
 
 def asked(scene: str, schedule: str, seed: int, assignments: Sequence[str], refinement: Sequence[str]) -> dict:

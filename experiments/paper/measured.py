@@ -6,12 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from paper.published import METRICS
+from paper import published
 from paper.scenes import SCENES, SCHEDULES
 
 KINDS = {"coarse": "Gaussians", "refined": "refined"}
 """What is scored: the Gaussians of the training, and those bound to the refined mesh (as SuGaR's tables)."""
+METRICS = (*published.METRICS, "squeeze")
 LPIPS = "lpips_vgg_3dgs"  # Pictures fed in 0..1, as the code behind the published figures does.
+SQUEEZE = "lpips_squeeze"  # LPIPS of SqueezeNet, which no published row has.
 
 
 class Measured(NamedTuple):
@@ -24,6 +26,7 @@ class Measured(NamedTuple):
     ssim: float | None
     lpips: float | None
     gaussians: int | None
+    squeeze: float | None = None
 
 
 class Value(NamedTuple):
@@ -83,7 +86,7 @@ def measurements(found: Iterable[tuple[str, str, int, dict[str, Any]]]) -> list[
             scene,
             method_name(schedule, kind),
             seed,
-            *(result[kind].get(k) for k in ("psnr", "ssim", LPIPS, "gaussians")),
+            *(result[kind].get(k) for k in ("psnr", "ssim", LPIPS, "gaussians", SQUEEZE)),
         )  # fmt: skip
         for scene, schedule, seed, result in found
         for kind in KINDS

@@ -5,6 +5,7 @@ from typing import NamedTuple
 from paper.scenes import BLENDING, INDOOR, OUTDOOR, TANKS
 
 METRICS = ("psnr", "ssim", "lpips")
+"""That the tables have, LPIPS of VGG."""
 PAPER, PAPER_7K = "The paper", "The paper (7K refinement)"
 
 PUBLISHED: dict[str, dict[str, tuple[float, float, float]]] = {

@@ -5,8 +5,9 @@ import io
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from paper.measured import Average, Measured, Value, average
-from paper.published import METRICS, PUBLISHED, notes_of, source
+from paper import published
+from paper.measured import METRICS, Average, Measured, Value, average
+from paper.published import PUBLISHED, notes_of, source
 from paper.scenes import BLENDING, INDOOR, OUTDOOR, TANKS, parts
 
 TABLES = {
@@ -15,8 +16,9 @@ TABLES = {
     "Deep Blending": (BLENDING,),
 }
 DASH = "-"
-DECIMALS = {"psnr": 2, "ssim": 3, "lpips": 3}
-HEADINGS = {"psnr": "PSNR", "ssim": "SSIM", "lpips": "LPIPS"}
+DECIMALS = {"psnr": 2, "ssim": 3, "lpips": 3, "squeeze": 3}
+HEADINGS = {"psnr": "PSNR", "ssim": "SSIM", "lpips": "LPIPS", "squeeze": "LPIPS, SqueezeNet"}
+_BETTER = {"psnr": r"$\uparrow$", "ssim": r"$\uparrow$", "lpips": r"$\downarrow$", "squeeze": r"$\downarrow$"}
 _ESCAPES = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"} | {
     c: "\\" + c for c in "&%$#_{}"
 }
@@ -76,7 +78,8 @@ def _published(part: str) -> list[Row]:
     return [
         Row(
             method,
-            {metric: Value(number, None) for metric, number in zip(METRICS, numbers, strict=True)},
+            dict.fromkeys(METRICS)
+            | {m: Value(number, None) for m, number in zip(published.METRICS, numbers, strict=True)},
             count,
             DASH,
             source(part, method),
@@ -156,9 +159,10 @@ def latex(made: Sequence[Table]) -> str:
 
 def _latex_table(table: Table) -> str:
     notes = _Notes()
-    lines = [r"\begin{table}\centering", rf"\caption{{{escaped(table.title)}}}", r"\begin{tabular}{|l|ccc|l|l|l|}"]
+    lines = [r"\begin{table}\centering", rf"\caption{{{escaped(table.title)}}}", r"\begin{tabular}{|l|cccc|l|l|l|}"]
     for block in [*table.averages, *table.scenes]:
-        headings = (escaped(block.title), r"PSNR $\uparrow$", r"SSIM $\uparrow$", r"LPIPS $\downarrow$", *COLUMNS[4:])
+        scored = (f"{HEADINGS[metric]} {_BETTER[metric]}" for metric in METRICS)
+        headings = (escaped(block.title), *scored, "Scenes", "Seeds", "Source")
         lines += [r"\hline", _ampersands((rf"\textbf{{{headings[0]}}}", *headings[1:])) + r" \hline"]
         for row in block.rows:
             marks = notes.marks(row)

@@ -186,7 +186,7 @@ def test_a_failed_run_is_one_line_and_a_dash_and_the_others_go_on(study, capsys)
     assert lines == ["reproduce: room, paper_6k_15k, seed 0: failed (exit code 137)"]
     table = (study.out / "tables.md").read_text()
     room = table[table.index("### room") :]
-    assert room.splitlines()[4] == "| gsjax paper_6k_15k, Gaussians | - | - | - | 0 of 1 | - | - |"
+    assert room.splitlines()[4] == "| gsjax paper_6k_15k, Gaussians | - | - | - | - | 0 of 1 | - | - |"
     assert "| 1 of 4 (kitchen) | 1 | measured |" in table
 
 
@@ -208,8 +208,8 @@ def test_a_stopped_run_goes_on_and_keeps_the_scores_that_it_has(study):
     table = (study.out / "tables.md").read_text()
     kitchen = table[table.index("### kitchen") :].splitlines()
     assert kitchen[4].startswith("| gsjax paper_6k_15k, Gaussians [")
-    assert "| 30.00 | 0.900 | - | 1 | 1 | measured |" in kitchen[4]
-    assert "| - | - | - | 0 of 1 |" in kitchen[5]
+    assert "| 30.00 | 0.900 | - | - | 1 | 1 | measured |" in kitchen[4]
+    assert "| - | - | - | - | 0 of 1 |" in kitchen[5]
     with pytest.raises(FileExistsError):  # of the stand-in: the folder is there, the run is started all the same
         study.run()
     assert study.started == [("kitchen", "paper_6k_15k", 0)]
