@@ -26,10 +26,10 @@ def shares(colors: np.ndarray) -> np.ndarray:
     return np.asarray(colors, np.float32) / np.float32(1 if most <= 1 else 255 if most <= 255 else 65535)
 
 
-def to_bytes(shares: AnyArray) -> np.ndarray:
+def to_bytes(shares: np.ndarray | Array) -> np.ndarray:
     """uint8 values of shares of 1, cut to 0..1, and grey of those that are no number; any shape."""
-    shares = np.asarray(shares)
-    return np.rint(255 * np.where(np.isnan(shares), 0.5, np.clip(shares, 0, 1))).astype(np.uint8)
+    given = np.asarray(shares)
+    return np.rint(255 * np.where(np.isnan(given), 0.5, np.clip(given, 0, 1))).astype(np.uint8)
 
 
 def _where(condition: Any, yes: Any, no: Any) -> Any:
