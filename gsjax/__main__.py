@@ -1,7 +1,13 @@
 """`python -m gsjax` is the command `gsjax`."""
 
-import sys
-
 from gsjax.cli import main
+from gsjax.cli.stopping import leave
 
-sys.exit(main())
+
+def run() -> None:
+    """What the shell calls."""
+    leave(main())
+
+
+if __name__ == "__main__":
+    run()

@@ -26,10 +26,11 @@ ANEW, RESUME, NEVER = "anew", "resume", "never"
 DEMO = """
 import sys
 from gsjax.cli import run_guarded
+from gsjax.cli.stopping import leave
 from gsjax.pipeline import demo
 demo.NUM_VIEWS, demo.SIZE = 9, (32, 32)
 demo.DEMO = {**demo.DEMO, "max_gaussians": 600, "phases": [{"name": "short", "steps": 20}], "density": {}}
-sys.exit(run_guarded(lambda: demo.run(sys.argv[-1]) and None))
+leave(run_guarded(lambda: demo.run(sys.argv[-1]) and None))
 """
 
 

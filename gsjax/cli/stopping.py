@@ -1,12 +1,28 @@
 """Ctrl-C and SIGTERM, which end a command wherever it is, after it has cleaned up."""
 
+import os
 import signal
 import sys
+from contextlib import suppress
 from types import FrameType, TracebackType
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 ASKS = {signal.SIGINT: "interrupted", signal.SIGTERM: "asked to end"}
 AGAIN = 0.2  # seconds
+
+
+def leave(code: int) -> NoReturn:
+    """Ends the process with a command's exit code.
+
+    A command that was asked to end has cleaned up, and is left at once: a thread of a library may still compile then,
+    and Python's own end, which takes away what it uses, would crash it.
+    """
+    if code in {128 + number for number in ASKS}:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(code)
+    sys.exit(code)
 
 
 class _Interrupted(KeyboardInterrupt):

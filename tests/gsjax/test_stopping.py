@@ -2,6 +2,8 @@
 
 import gc
 import signal
+import subprocess
+import sys
 import time
 from contextlib import suppress
 
@@ -113,3 +115,17 @@ def test_signals_are_given_back_and_ignored_ones_stay_ignored():
     assert run_guarded(lambda: signal.raise_signal(signal.SIGTERM)) == 143
     assert [signal.getsignal(number) for number in (*SIGNALS, signal.SIGALRM)] == handlers
     assert signal.getitimer(signal.ITIMER_REAL) == (0, 0)
+
+
+@pytest.mark.parametrize(("code", "waits"), [(130, False), (143, False), (0, True), (2, True)])
+def test_who_was_asked_to_end_waits_for_no_thread(code, waits):
+    program = f"""
+import threading, time
+from gsjax.cli.stopping import leave
+threading.Thread(target=lambda: time.sleep(1.5) or print("waited", flush=True)).start()
+print("cleaned up")
+leave({code})
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert done.returncode == code
+    assert done.stdout == "cleaned up\n" + "waited\n" * waits
