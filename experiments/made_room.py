@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gsjax.cameras import look_at, viewmat_center
+from gsjax.colors import to_bytes
 from gsjax.io.colmap_writer import write_whole
 from gsjax.io.files import make_folder
 from gsjax.io.images import cv2, write_image
@@ -106,7 +107,7 @@ def write_photos(kind: str, out: Path, count: int, width: int) -> None:
         photo = true_photo(lens, viewmat, textures)
         if kind == "panorama":
             photo[is_below(lens, OPERATOR_BELOW)] = OPERATOR_COLOR
-        write_image(folder / f"{step:03d}.png", np.rint(255 * photo).astype(np.uint8))
+        write_image(folder / f"{step:03d}.png", to_bytes(photo))
     if kind == "fisheye":
         _write_model(out / "sparse/0", lens, count)
 

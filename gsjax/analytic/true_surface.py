@@ -6,6 +6,7 @@ import numpy as np
 from jax import Array
 
 from gsjax.analytic import solids
+from gsjax.colors import to_bytes
 from gsjax.measures.geometry import sample_surface
 from gsjax.mesh import Mesh
 
@@ -28,7 +29,7 @@ def mesh(spacing: float) -> Mesh:
     inside = np.asarray(_distance_all(corners.reshape(-1, 3))).reshape(corners.shape[:3]) < 0
     starts, faces = _surface_nets(inside)
     vertices = _project_all((low + spacing * starts).astype(np.float32))
-    return Mesh(np.asarray(vertices), faces, np.rint(255 * np.asarray(_albedo_all(vertices))).astype(np.uint8))
+    return Mesh(np.asarray(vertices), faces, to_bytes(_albedo_all(vertices)))
 
 
 def sample_points(

@@ -8,7 +8,7 @@ import json
 
 import numpy as np
 
-from gsjax.colors import linear_to_srgb, srgb_to_linear
+from gsjax.colors import linear_to_srgb, srgb_to_linear, to_bytes
 from gsjax.io.json_files import plain
 from gsjax.io.place_files import EXTRAS
 from gsjax.mesh import Mesh
@@ -122,4 +122,4 @@ def _tree(content: bytes) -> dict:
 
 def srgb_bytes(linear: np.ndarray) -> np.ndarray:
     """The uint8 sRGB values of light, 0..1; what is beyond is cut off."""
-    return np.rint(255 * linear_to_srgb(np.clip(linear, 0, 1))).astype(np.uint8)
+    return to_bytes(linear_to_srgb(np.clip(linear, 0, 1)))

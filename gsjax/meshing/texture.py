@@ -10,6 +10,7 @@ from jax import Array
 
 from gsjax import cameras as pinhole
 from gsjax.cameras import Camera, viewmat_center
+from gsjax.colors import to_bytes
 from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.atlas import TexturedMesh, Unwrap, unwrap
 from gsjax.meshing.pictures import depth_of_mesh
@@ -81,7 +82,7 @@ def composite_views(
     weights = sums[:, 3:]
     is_seen = weights[:, 0] > 0
     colors = sums[:, :3] / np.where(is_seen[:, None], weights, 1)
-    return np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8), is_seen
+    return to_bytes(colors), is_seen
 
 
 def may_be_seen(mesh: Mesh, normals: np.ndarray, camera: Camera) -> np.ndarray:
