@@ -38,6 +38,9 @@ from gsjax.errors import InputError
 OF_A_NAME = {errno.ENAMETOOLONG, errno.EACCES, errno.EPERM}
 """What the system says of files and folders that nobody may look at, or that cannot be."""
 
+OUT_OF_MEMORY = "RESOURCE_EXHAUSTED"
+"""How XLA's errors begin, where memory has ended."""
+
 DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
 
   photos --scan--> all of this at once:
@@ -101,11 +104,8 @@ def run_guarded(action: Callable[[], int | None]) -> int:
         # Also what others have made of our exception, such as XLA of one in its callback.
         asked = stopping.signal or (signal.SIGINT if isinstance(error, KeyboardInterrupt) else None)
         if asked is None:
-            if isinstance(error, OSError) and error.errno in OF_A_NAME and error.filename is not None:
-                tell(f"gsjax: error: {InputError(f'{error.filename}: {error.strerror}')}")
-                return 2
-            if isinstance(error, FileNotFoundError) and environment.is_called_nowhere():
-                tell("gsjax: error: the folder in which this was called is no more; go to another one")
+            if (fault := _fault_of_the_machine(error)) is not None:
+                tell(f"gsjax: error: {InputError(fault)}")
                 return 2
             if (code := printing.exit_code(error)) is not None:
                 return code
@@ -113,6 +113,17 @@ def run_guarded(action: Callable[[], int | None]) -> int:
         tell(f"gsjax: {ASKS[asked]}")
         return 128 + asked
     return code or 0
+
+
+def _fault_of_the_machine(error: BaseException) -> str | None:
+    """What neither the input nor a bug is to blame for, in words; None for any other error."""
+    if isinstance(error, OSError) and error.errno in OF_A_NAME and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, FileNotFoundError) and environment.is_called_nowhere():
+        return "the folder in which this was called is no more; go to another one"
+    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and OUT_OF_MEMORY in str(error)):
+        return "memory has ended; smaller photos (--downscale), fewer Gaussians or fewer other programs leave more"
+    return None
 
 
 def parser() -> argparse.ArgumentParser:

@@ -382,6 +382,19 @@ def test_a_name_that_the_system_does_not_take_is_told(library, monkeypatch, caps
     assert capsys.readouterr().err == f"gsjax: error: runs/long: {os.strerror(number)}\n"
 
 
+@pytest.mark.parametrize(
+    "error", [MemoryError(), RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 15575512 bytes.")]
+)
+def test_memory_that_has_ended_is_told(library, monkeypatch, capsys, error):
+    def fail(*args, **kwargs):
+        raise error
+
+    monkeypatch.setattr(gsjax.pipeline, "evaluate", fail)
+    assert cli.main(["eval", "run"]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("gsjax: error: memory has ended") and told.count("\n") == 1
+
+
 def test_a_folder_that_is_no_more_is_told(library, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(gsjax.pipeline, "evaluate", lambda *args, **kwargs: os.path.abspath("run"))
     monkeypatch.chdir(tmp_path)
