@@ -18,14 +18,21 @@ from gsjax.training import optimizers
 from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.state import TrainState
+from rasterizer.engines import resolve
 
-FEWEST_ROWS = 1 << 15  # Below, another compilation costs more than it saves.
+# Below, another compilation costs more than it saves.
+FEWEST_ROWS = 1 << 15
+FEWEST_OF_KERNELS = 1 << 17  # A GPU's step hardly knows so many from none.
+
+
+def _fewest_rows() -> int:
+    return FEWEST_OF_KERNELS if resolve("auto") == "pallas" else FEWEST_ROWS
 
 
 def bucket(count: int, most: int) -> int:
-    """Rows for `count` Gaussians: the budget `most`, halved as often as leaves room for them and for `FEWEST_ROWS`."""
-    rows = most
-    while rows // 2 >= max(count, FEWEST_ROWS):
+    """Rows for `count` Gaussians: the budget `most`, halved as often as leaves room for them and for the fewest."""
+    rows, least = most, max(count, _fewest_rows())
+    while rows // 2 >= least:
         rows //= 2
     return rows
 

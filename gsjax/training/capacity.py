@@ -1,11 +1,9 @@
-"""How long the pair buffer of a step must be, and what is said where there is no room.
+"""How long the pair buffer of a step must be, and what is said where there is no room."""
 
-The jnp engine sorts every slot in every step, used or not.
-"""
-
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 from jax import Array
 
 from gsjax import render, targets
@@ -15,16 +13,26 @@ from gsjax.gaussians import Gaussians
 from gsjax.targets import Targets
 from rasterizer.engines import resolve
 
-GROWTH = 2.0  # how much longer the pair buffer is than needed while Gaussians multiply,
-STILL = 1.25  # and while they do not: a view that needs more costs another compilation
-FREE_GROWTH, FREE_STILL = 8.0, 2.0  # the same of the native loops, which write no slot that nobody needs
+
+class Headroom(NamedTuple):
+    """How many times longer than needed the pair buffer is made: a view that needs more costs another compilation."""
+
+    growth: float  # while Gaussians multiply
+    still: float  # while they do not
+
+
+STILL = 1.25
+HEADROOM = {
+    "native": Headroom(8.0, 2.0),  # writes no slot that nobody needs
+    "pallas": Headroom(4.0, 2.0),  # a million more slots take a quarter of a millisecond of an H100
+}
+SORTS_ALL = Headroom(2.0, STILL)  # in jnp every slot is sorted in every step, used or not
 
 
 def headroom(*, grows: bool) -> float:
     """How much longer than needed to make the pair buffer of a phase."""
-    if resolve("auto") == "native":
-        return FREE_GROWTH if grows else FREE_STILL
-    return GROWTH if grows else STILL
+    of_engine = HEADROOM.get(resolve("auto"), SORTS_ALL)
+    return of_engine.growth if grows else of_engine.still
 
 
 def largest_need(gaussians: Gaussians, data: Targets) -> int:
@@ -32,7 +40,7 @@ def largest_need(gaussians: Gaussians, data: Targets) -> int:
     return int(_largest_need(gaussians, targets.stack_cameras(data)))
 
 
-def chosen_capacity(gaussians: Gaussians, data: Targets, *, headroom: float = 1.25) -> int:
+def chosen_capacity(gaussians: Gaussians, data: Targets, *, headroom: float = STILL) -> int:
     """Pair capacity that holds every view with room to grow; tighter than the buckets of the front door."""
     return rounded_capacity(largest_need(gaussians, data), headroom)
 
@@ -40,6 +48,12 @@ def chosen_capacity(gaussians: Gaussians, data: Targets, *, headroom: float = 1.
 def rounded_capacity(needed: int, headroom: float) -> int:
     """`needed` times `headroom`, up to the next multiple of 4096."""
     return -(-int(needed * headroom + 1) // 4096) * 4096
+
+
+def is_compiled_anew(before: Any, state: Any) -> bool:
+    """Whether a state's buffers are of other lengths than before, so that the next step is another program."""
+    shapes = ([np.shape(leaf) for leaf in jax.tree.leaves(each)] for each in (before, state))
+    return state is not before and next(shapes) != next(shapes)
 
 
 def is_full(error: Exception) -> bool:

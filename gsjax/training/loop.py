@@ -1,6 +1,7 @@
 """The host loop over the phases: which view, when to densify, when a buffer must grow."""
 
 import logging
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
@@ -25,6 +26,7 @@ from gsjax.training.capacity import (
     can_stream,
     chosen_capacity,
     headroom,
+    is_compiled_anew,
     is_full,
     no_room,
     rounded_capacity,
@@ -43,7 +45,6 @@ NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
 logger = logging.getLogger("gsjax")
 
 REFRESHED_EVERY = 500  # steps between two tables of a term that has one (SuGaR)
-
 
 Depths = Callable[[int], Iterable[tuple[np.ndarray, np.ndarray]]]
 """How many times smaller photos are -> measured depth and its confidence of each frame, see `gsjax.targets.Target`."""
@@ -266,6 +267,7 @@ def advance(
     done, end = steps
     ahead = None if looks is None else int(state.step) - done  # pyright: ignore[reportAttributeAccessIssue]
     begun: list[Metrics] = []  # of the steps after `done`
+    needed = deque(maxlen=data.num_views)  # by the last steps
     while done < end:
         step = done + len(begun)
         try:
@@ -284,7 +286,11 @@ def advance(
             continue
         for metrics in known[:taken]:
             done += 1
-            state = after(done, state, metrics, capacity)
+            needed.append(metrics.needed)
+            before, state = state, after(done, state, metrics, capacity)
+            if is_compiled_anew(before, state):  # The pairs get their room in the same compilation.
+                capacity = max(capacity, rounded_capacity(max(map(int, needed)), room))
+                train_step = compiled(capacity)
         if taken < len(known):  # What was begun after it has left the state as it was, too.
             capacity = rounded_capacity(int(known[taken].needed), room)
             train_step, begun = compiled(capacity), []

@@ -196,7 +196,7 @@ def test_terms_of_the_surface_may_come_every_third_step_and_the_others_always(fr
     def make_train_step(optimizer, terms, **_):
         def step(state, target, key):
             taken.append((int(state.step), {each.name for each in terms}))
-            return replace(state, step=state.step + 1), SimpleNamespace(overflowed=False)
+            return replace(state, step=state.step + 1), SimpleNamespace(overflowed=False, needed=1)
 
         return step
 
@@ -215,7 +215,7 @@ def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkey
 
     def make_train_step(optimizer, terms, *, depth_mode, **_):
         trained_with.append(({each.name for each in terms}, depth_mode))
-        return lambda state, target, key: (state, SimpleNamespace(overflowed=False))
+        return lambda state, target, key: (state, SimpleNamespace(overflowed=False, needed=1))
 
     monkeypatch.setattr(loop, "kept_step", make_train_step)
     settings = replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),), depth_mode="center")
@@ -295,6 +295,29 @@ def test_a_flag_that_is_read_a_step_late_changes_no_bit(frames):
         again = toy_steps(data, 64, looks=looks)
         assert again[:3] == (seen, step, told)
         assert again[3] == {step: value for step, value in looked.items() if looks(step)}
+
+
+def test_pairs_get_their_room_in_the_compilation_that_longer_buffers_ask_for(frames):
+    """The need has doubled since the pair buffer was made; without this it would be the next to run out."""
+    data, compiled, needs = targets.read_targets(frames), [], [3000, 5000, 6000, 4000]
+
+    def make(capacity):
+        compiled.append(capacity)
+
+        def step(state, target, key):
+            needed = needs[len(told)]
+            return state, Metrics(jnp.float32(0), jnp.float32(0), needed, needed > capacity, {})
+
+        return step
+
+    told = []
+
+    def after(step, state, metrics, capacity):
+        told.append(capacity)
+        return {"means": np.zeros(7)} if step == 3 else state
+
+    loop.advance(make, after, {"means": np.zeros(5)}, data, (0, 4), seed=0, capacity=8192, room=4.0)
+    assert compiled == [8192, 24576] and told == [8192, 8192, 8192, 24576]
 
 
 def test_a_full_device_is_sent_its_photos_one_by_one(frames, monkeypatch, caplog):
