@@ -20,13 +20,13 @@ from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.state import TrainState
 from rasterizer.engines import resolve
 
-# Below, another compilation costs more than it saves.
+# Rows below which another compilation costs more than it saves; a GPU hardly feels so many more.
 FEWEST_ROWS = 1 << 15
-FEWEST_OF_KERNELS = 1 << 17  # A GPU's step hardly knows so many from none.
+FEWEST_ROWS_OF_KERNELS = 1 << 17
 
 
 def _fewest_rows() -> int:
-    return FEWEST_OF_KERNELS if resolve("auto") == "pallas" else FEWEST_ROWS
+    return FEWEST_ROWS_OF_KERNELS if resolve("auto") == "pallas" else FEWEST_ROWS
 
 
 def bucket(count: int, most: int) -> int:

@@ -52,8 +52,11 @@ def rounded_capacity(needed: int, headroom: float) -> int:
 
 def is_compiled_anew(before: Any, state: Any) -> bool:
     """Whether a state's buffers are of other lengths than before, so that the next step is another program."""
-    shapes = ([np.shape(leaf) for leaf in jax.tree.leaves(each)] for each in (before, state))
-    return state is not before and next(shapes) != next(shapes)
+    return state is not before and _shapes(state) != _shapes(before)
+
+
+def _shapes(state: Any) -> list[tuple[int, ...]]:
+    return [np.shape(leaf) for leaf in jax.tree.leaves(state)]
 
 
 def is_full(error: Exception) -> bool:

@@ -50,6 +50,12 @@ def test_buckets_are_halves_of_the_budget(monkeypatch):
     assert bucket(3, 5) == 5, "a budget under the smallest bucket is the buffer"
 
 
+def test_a_gpu_compiles_for_few_lengths(monkeypatch):
+    monkeypatch.setattr(buffers, "resolve", lambda backend: "pallas")
+    assert {bucket(count, 1 << 24) for count in (0, 15_000, 131_072)} == {1 << 17}
+    assert bucket(131_073, 1 << 24) == 1 << 18
+
+
 def test_a_lengthened_state_is_the_one_that_was_long_from_the_start():
     assert_identical(lengthen(trained(SHORT), OPTIMIZER, LONG), trained(LONG))
     state = trained(LONG)
