@@ -38,7 +38,7 @@ def most_agreeing(methods: Mapping[str, Extract], lines: Sightlines) -> Choice:
     """
     tried: dict[str, dict] = {}
     best: tuple[str, Mesh, dict] | None = None  # One mesh at a time is kept.
-    most = 0.0
+    to_beat = 0.0
     faults = []
     for name, extract in methods.items():
         started = time.perf_counter()
@@ -50,9 +50,9 @@ def most_agreeing(methods: Mapping[str, Extract], lines: Sightlines) -> Choice:
         found = agreement(mesh, lines)
         tried[name] = found._asdict() | {"seconds": round(time.perf_counter() - started, 1)}
         if best is None:
-            best, most = (name, mesh, report), found.met + MARGIN
-        elif found.met > most:
-            best, most = (name, mesh, report), found.met
+            best, to_beat = (name, mesh, report), found.met + MARGIN
+        elif found.met > to_beat:
+            best, to_beat = (name, mesh, report), found.met
     if best is None:
         raise faults[0]
     return Choice(*best, tried)

@@ -120,6 +120,8 @@ def _add_vertex(content: _Content, words: Sequence[bytes]) -> None:
 
 def _add_face(content: _Content, corners: Sequence[bytes]) -> None:
     """A corner is a vertex, and perhaps a place in the texture behind a slash; a face has places for all or none."""
+    if not corners:
+        raise ValueError("a face has no corners")
     if b"/" in b"".join(corners):
         parts = [corner.split(b"/") for corner in corners]
         corners, places = [part[0] for part in parts], [part[1] if len(part) > 1 else b"" for part in parts]

@@ -123,6 +123,7 @@ TRIANGLES = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt 1 1\
         ("f 1 2 3\nf 1 2 3 0", "m.obj, line 10: a face has an index 0; OBJ counts from 1"),
         ("f\t1/1\t2/00 3/3\r\n", "m.obj, line 9: a face has an index 0; OBJ counts from 1"),
         ("f 1 2 -5\n", "m.obj, line 9: a face has an index -5, but only 4 come before it"),
+        ("f 1 2 3\nf\n", "m.obj, line 10: a face has no corners"),
         ("f 1 2 -x\n", "m.obj, line 9: invalid literal"),
     ],
 )
