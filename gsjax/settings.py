@@ -211,6 +211,7 @@ class Settings:
     views_per_step: int = 1  # photos whose mean loss a step descends; what counts in steps here counts in photos then
     max_gaussians: int = 1_000_000
     far_points: int = 0  # around the cloud that training starts with too; none over white or where photos have mattes
+    sparse_views: bool = False  # photos far apart are not learned by heart (`gsjax.planning.sparse_views`)
     dropout: float = 0.0  # share of the Gaussians that each step leaves out, for few photos far apart
     sh_degree: int = 3
     sh_every: int = 1000  # steps between the bands of the ramp
@@ -262,6 +263,7 @@ FAST: dict[str, Any] = {
     "depth_mode": "front",  # thin things are not as deep as their far sides' light has them (docs/deviations.md)
     "effects": AUTO,
     "normal_gate": True,
+    "sparse_views": True,
     "pixel_filter": "mip",  # right at other sizes and distances than the photos' too (docs/deviations.md)
     "max_gaussians": 60_000,
     "far_points": 1_800,
@@ -288,6 +290,7 @@ BALANCED = {
     "depth_mode": "front",
     "effects": AUTO,
     "normal_gate": True,
+    "sparse_views": True,
     "pixel_filter": "mip",
     "max_gaussians": 120_000,
     "far_points": 1_800,

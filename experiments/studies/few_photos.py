@@ -1,4 +1,4 @@
-"""What does leaving Gaussians out of every step bring where photos are few?
+"""What keeps training from learning few photos by heart: fewer Gaussians, or some left out of every step?
 
     python experiments/compare.py few_photos --scene PHOTOS --out DIR --seeds 3
 
@@ -17,12 +17,14 @@ SHARES = (0.0, 0.4, 0.6)
 
 
 def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
-    """Shares of the Gaussians, and harmonics of a lower degree instead."""
+    """Held back as presets hold back, shares of the Gaussians, and harmonics of a lower degree instead."""
     from gsjax.pipeline import scaled
 
     del config, on
     quick = parse(Settings, PRESETS["quick"])
     short = to_dict(scaled(quick, STEPS / total_steps(quick)))
-    short |= {"effects": NONE, "longest_side": 320, "logging": {"evaluate_every": 200, "checkpoint_every": 300}}
+    logging = {"evaluate_every": 200, "checkpoint_every": 300}
+    short |= {"effects": NONE, "sparse_views": False, "longest_side": 320, "logging": logging}
     shares = {f"{share:.0%}": {**short, "dropout": share} for share in SHARES}
+    shares["held back"] = {**short, "sparse_views": True}
     return shares | {f"degree {degree}": {**short, "sh_degree": degree} for degree in (0, 1)}

@@ -30,6 +30,7 @@ from gsjax.planning.memory import fit_to_memory
 from gsjax.planning.pace import Pace, duration_text, seconds_left
 from gsjax.planning.sizes import at_size, training_extent
 from gsjax.planning.skies import given_skies
+from gsjax.planning.sparse_views import for_sparse_views
 from gsjax.planning.start import first_state, first_state_with_tables, with_given_points
 from gsjax.report.page import report
 from gsjax.report.shown_views import keep_skies, picture_keeper
@@ -152,8 +153,11 @@ def _train(
         similarity=begun and begun.similarity,
         place=begun and begun.place,
     )
-    may_lower = known is None and count_devices(devices) == settings.views_per_step == 1
-    fitted = fit_to_memory(planned, loaded.frames, out, may_lower=may_lower)
+    is_one = count_devices(devices) == settings.views_per_step == 1
+    sparse_lines = ()
+    if is_one:
+        planned, sparse_lines = for_sparse_views(planned, loaded, settings, may_lower=known is None)
+    fitted = fit_to_memory(planned, loaded.frames, out, may_lower=is_one and known is None)
     planned = fitted.plan
     for line in fitted.lines:
         print(f"train: {line}", file=sys.stderr)
@@ -162,7 +166,7 @@ def _train(
     loaded = replace(loaded, frames=tuple(kept(frame, fitted.keep) for frame in photos))
     _require_pixels(loaded)
     # Only now: what the engine needs was compiled meanwhile.
-    for line in _beginning_lines(planned, settings, photos_line):
+    for line in (*_beginning_lines(planned, settings, photos_line), *sparse_lines):
         print(f"train: {line}", file=sys.stderr)
     asked = effects_asked(settings, devices)
     looked = look_for_effects(asked, loaded)

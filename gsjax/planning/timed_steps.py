@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 from gsjax.gaussians import Gaussians
 from gsjax.planning.pace import image_cost, relative_cost
 from gsjax.planning.sizes import training_extent
+from gsjax.planning.sparse_views import for_sparse_views
 from gsjax.scene import Frame, Scene, kept
 from gsjax.settings import Settings
 from gsjax.targets import NORMAL_UNIT
@@ -60,7 +61,8 @@ def time_steps(scene: Scene, settings: Settings, *, most: float, clock: Clock = 
     spread = np.linspace(0, len(scene.train_frames) - 1, PHOTOS).astype(int)
     frames = tuple(kept(scene.train_frames[index]) for index in dict.fromkeys(spread.tolist()))
     compiling, known, at_largest = {}, {}, {}
-    planned = plan(settings)
+    planned, _ = for_sparse_views(plan(settings), scene, settings)
+    settings = replace(settings, max_gaussians=planned.max_gaussians)
     phases = [replace(phase, name="", begin=0, end=WARM + TIMED, cull_below=0.0) for phase in planned.phases]
     scale = largest_scale(planned)
     for phase in phases:

@@ -96,9 +96,17 @@ class Plan:
         names = tuple(names)
         growing = sum(phase.steps for phase in self.phases if phase.rule)
         density = transients.delay_growth(self.density, growing) if "transients" in names else self.density
-        sky = weigh_terms({"sky": self.sky_weight}) if "sky" in names else ()
-        phases = tuple(replace(phase, terms=(*phase.terms, *sky)) for phase in self.phases)
-        return replace(self, effects=names, density=density, phases=phases)
+        whole = self.with_terms({"sky": self.sky_weight}) if "sky" in names else self
+        return replace(whole, effects=names, density=density)
+
+    def with_terms(self, weights: Mapping[str, float]) -> Self:
+        """The plan whose phases have these terms as well; one that a phase has already keeps its weight."""
+        phases = []
+        for phase in self.phases:
+            known = {each.name for each in phase.terms}
+            added = weigh_terms({name: weight for name, weight in weights.items() if name not in known})
+            phases.append(replace(phase, terms=(*phase.terms, *added)))
+        return replace(self, phases=tuple(phases))
 
     def until(self, count: int) -> Self:
         """The first so many phases alone."""

@@ -37,8 +37,9 @@ def test_every_config_parses_and_differs_from_base_in_what_it_says(script, name)
         assert all(base.get(key) != value for key, value in own.items()), "a config holds differences only"
 
 
-def test_the_base_is_the_fast_preset_without_effects(script):
-    assert script.load_settings("base") == config.parse(Settings, PRESETS["fast"] | {"effects": "none"})
+def test_the_base_is_the_fast_preset_without_what_photos_may_call_for(script):
+    plain = {"effects": "none", "sparse_views": False}
+    assert script.load_settings("base") == config.parse(Settings, PRESETS["fast"] | plain)
 
 
 def test_the_demo_is_what_the_command_trains(script):
