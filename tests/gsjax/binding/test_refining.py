@@ -283,7 +283,7 @@ def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):
 
     def make_refine_step(optimizer, weights, **_):
         trained_with.append(weights)
-        return lambda graph, state, target, key: (state, SimpleNamespace(overflowed=False))
+        return lambda graph, state, target, key: (state, SimpleNamespace(overflowed=False, needed=1))
 
     monkeypatch.setattr(refining, "make_refine_step", make_refine_step)
     state, optimizer = started(scene)
