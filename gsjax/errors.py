@@ -1,4 +1,4 @@
-"""The exception that means: the input is at fault, and here is how."""
+"""The exception that means: the input is at fault, and here is how; and which errors mean that memory has ended."""
 
 MOST_CHARACTERS = 900  # of a message; names and values come from files, and may be of any length
 
@@ -19,3 +19,8 @@ class InputError(ValueError):
 
 class NoSurfaceError(InputError):
     """No surface where one is looked for, as of a poor run: no file is damaged, and other figures can still be told."""
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether an error says that the machine, or the device that jax computes on, has no memory left."""
+    return isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and "RESOURCE_EXHAUSTED" in str(error))

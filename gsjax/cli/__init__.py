@@ -33,13 +33,10 @@ from gsjax.cli import (
 )
 from gsjax.cli.printing import Printing, open_closed_streams, tell
 from gsjax.cli.stopping import ASKS, Stopping
-from gsjax.errors import InputError
+from gsjax.errors import InputError, is_out_of_memory
 
 OF_A_NAME = {errno.ENAMETOOLONG, errno.EACCES, errno.EPERM}
 """What the system says of files and folders that nobody may look at, or that cannot be."""
-
-OUT_OF_MEMORY = "RESOURCE_EXHAUSTED"
-"""How XLA's errors begin, where memory has ended."""
 
 DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
 
@@ -121,7 +118,7 @@ def _fault_of_the_machine(error: BaseException) -> str | None:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, FileNotFoundError) and environment.is_called_nowhere():
         return "the folder in which this was called is no more; go to another one"
-    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and OUT_OF_MEMORY in str(error)):
+    if is_out_of_memory(error):
         return "memory has ended; smaller photos (--downscale), fewer Gaussians or fewer other programs leave more"
     return None
 

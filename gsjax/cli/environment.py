@@ -51,10 +51,12 @@ def prepare() -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     # XLA prefers 256 bits by default; with 512 the rasterizer's forward pass ran 1.3-2x faster (AMD EPYC, jax 0.10.2).
     if VECTOR_WIDTH not in flags and "avx512f" in cpu_flags():
-        os.environ["XLA_FLAGS"] = f"{flags} {VECTOR_WIDTH}=512".strip()
+        flags += f" {VECTOR_WIDTH}=512"
     # XLA compiles every fused loop for a GPU twice to choose how; a training step compiles in half the time without.
     if AUTOTUNING not in flags and any(map(find_spec, CUDA_PLUGINS)):
-        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {AUTOTUNING}=0".strip()
+        flags += f" {AUTOTUNING}=0"
+    if flags:
+        os.environ["XLA_FLAGS"] = flags.strip()
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         with suppress(OSError, RuntimeError):  # No home or no room: compiling anew each time is only slower.
             folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gsjax" / "xla"

@@ -8,7 +8,7 @@ from jax import Array
 
 from gsjax import render, targets
 from gsjax.cameras import Camera
-from gsjax.errors import InputError
+from gsjax.errors import InputError, is_out_of_memory
 from gsjax.gaussians import Gaussians
 from gsjax.targets import Targets
 from rasterizer.engines import resolve
@@ -59,11 +59,6 @@ def _shapes(state: Any) -> list[tuple[int, ...]]:
     return [np.shape(leaf) for leaf in jax.tree.leaves(state)]
 
 
-def is_full(error: Exception) -> bool:
-    """Whether an error says that the device has no memory left."""
-    return "RESOURCE_EXHAUSTED" in str(error)
-
-
 def can_stream(state: Any, data: Targets, view_share: float) -> bool:
     """Whether the photos lie on the device, and the step that had no room has left the state there."""
     resident = 0 < data.num_bytes <= targets.device_room(view_share)
@@ -72,7 +67,7 @@ def can_stream(state: Any, data: Targets, view_share: float) -> bool:
 
 def no_room(error: Exception, data: Targets, capacity: int) -> Exception:
     """The one line for a device whose memory is full; any other error is a bug and stays what it is."""
-    if not is_full(error):
+    if not is_out_of_memory(error):
         return error
     width, height = data.size
     return InputError(

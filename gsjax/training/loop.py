@@ -17,6 +17,7 @@ from jax import Array
 from gsjax import targets
 from gsjax.effects import sky
 from gsjax.effects.simulation import Effects
+from gsjax.errors import is_out_of_memory
 from gsjax.scene import Frame, Keep, in_memory
 from gsjax.settings import Settings
 from gsjax.targets import Target, Targets
@@ -27,7 +28,6 @@ from gsjax.training.capacity import (
     chosen_capacity,
     headroom,
     is_compiled_anew,
-    is_full,
     no_room,
     rounded_capacity,
 )
@@ -279,7 +279,7 @@ def advance(
             known = begun if is_seen else begun[:-1]
             taken = next((index for index, each in enumerate(known) if each.overflowed), len(known))
         except jax.errors.JaxRuntimeError as error:
-            if not is_full(error) or not can_stream(state, data, view_share):
+            if not is_out_of_memory(error) or not can_stream(state, data, view_share):
                 raise no_room(error, data, capacity) from error
             logger.warning("the device is full: photos are sent to it one by one from here on")
             target, view_share = None, 0.0

@@ -10,7 +10,7 @@ import numpy as np
 import rasterizer
 from gsjax import render
 from gsjax.cameras import Camera
-from gsjax.errors import InputError
+from gsjax.errors import InputError, is_out_of_memory
 from gsjax.gaussians import Gaussians
 from gsjax.normals.from_depth import depth_normals
 from gsjax.render import DepthReading, backdrop
@@ -69,7 +69,7 @@ class Drawer:
                 )
                 needed = int(needed)
             except jax.errors.JaxRuntimeError as error:
-                if "RESOURCE_EXHAUSTED" not in str(error):
+                if not is_out_of_memory(error):
                     raise
                 raise _too_much(size) from error
             if needed <= capacity:

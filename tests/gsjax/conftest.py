@@ -1,6 +1,9 @@
 """A ball on the ground made of flat Gaussians, with the exact depth that its cameras see."""
 
-from dataclasses import dataclass
+import sys
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import ModuleType
 
 import jax.numpy as jnp
 import numpy as np
@@ -146,3 +149,46 @@ def own_environment(monkeypatch, tmp_path):
     monkeypatch.delenv("XLA_FLAGS")
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "")
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
+
+
+@dataclass(frozen=True)
+class SfmReport:
+    registered: int
+    left_out: dict[str, str]
+    passed_over: dict[str, str] = field(default_factory=dict)
+    gps_unused: dict[str, str] = field(default_factory=dict)
+
+
+@pytest.fixture
+def library(monkeypatch):
+    """Stands in for the functions that the commands call, and records their arguments."""
+    calls = []
+
+    def install(name, **contents):
+        package, module = sys.modules[name.rpartition(".")[0]], ModuleType(name)
+        vars(module).update(contents)
+        monkeypatch.setitem(sys.modules, name, module)
+        monkeypatch.setattr(package, name.rpartition(".")[2], module, raising=False)
+
+    def recorded(name, result):
+        def function(*args, **kwargs):
+            calls.append((name, args, kwargs))
+            return result
+
+        return function
+
+    names = ("train", "mesh", "normals", "masks", "evaluate", "render", "undistort", "report", "compare")
+    functions = {name: recorded(name, {"psnr": 29.5, "views": 7}) for name in names}
+    install("gsjax.pipeline", **functions, noted=lambda run, stage, work: work())
+    left_out = {"a.jpg": "blurred", "b.jpg": "dark", "c.jpg": "dark"}
+    install("gsjax.io.sfm", reconstruct=recorded("sfm", SfmReport(45, left_out)))
+    report = {"vanilla": {"psnr": 30.0, "chamfer": 0.004}, "surface": {"psnr": 31.0}, "floor": {"chamfer": 1e-4}}
+    install("gsjax.pipeline.demo", run=recorded("demo", report))
+
+    @contextmanager
+    def watch(*args, **kwargs):
+        calls.append(("watch", args, kwargs))
+        yield "told of every step"
+
+    install("gsjax.viewer", view=recorded("view", None), watch=watch, check_port=lambda **address: None)
+    return calls

@@ -1,18 +1,12 @@
-import errno
 import json
-import os
-import signal
 import sys
-import tempfile
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from types import ModuleType, SimpleNamespace
+from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 import gsjax
 from gsjax import cli, config, runs
-from gsjax.errors import InputError
 from gsjax.settings import LENGTHS, PRESETS, Phase, Settings
 
 pytestmark = pytest.mark.usefixtures("own_environment")
@@ -21,49 +15,6 @@ COMMANDS = (
     "demo", "scan", "sfm", "normals", "masks", "train", "mesh", "refine", "texture", "eval", "render", "report",
     "compare", "turntable", "view", "share", "undistort", "convert", "scale", "clean", "doctor",
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class SfmReport:
-    registered: int
-    left_out: dict[str, str]
-    passed_over: dict[str, str] = field(default_factory=dict)
-    gps_unused: dict[str, str] = field(default_factory=dict)
-
-
-@pytest.fixture
-def library(monkeypatch):
-    """Stands in for the functions that the commands call, and records their arguments."""
-    calls = []
-
-    def install(name, **contents):
-        package, module = sys.modules[name.rpartition(".")[0]], ModuleType(name)
-        vars(module).update(contents)
-        monkeypatch.setitem(sys.modules, name, module)
-        monkeypatch.setattr(package, name.rpartition(".")[2], module, raising=False)
-
-    def recorded(name, result):
-        def function(*args, **kwargs):
-            calls.append((name, args, kwargs))
-            return result
-
-        return function
-
-    names = ("train", "mesh", "normals", "masks", "evaluate", "render", "undistort", "report", "compare")
-    functions = {name: recorded(name, {"psnr": 29.5, "views": 7}) for name in names}
-    install("gsjax.pipeline", **functions, noted=lambda run, stage, work: work())
-    left_out = {"a.jpg": "blurred", "b.jpg": "dark", "c.jpg": "dark"}
-    install("gsjax.io.sfm", reconstruct=recorded("sfm", SfmReport(45, left_out)))
-    report = {"vanilla": {"psnr": 30.0, "chamfer": 0.004}, "surface": {"psnr": 31.0}, "floor": {"chamfer": 1e-4}}
-    install("gsjax.pipeline.demo", run=recorded("demo", report))
-
-    @contextmanager
-    def watch(*args, **kwargs):
-        calls.append(("watch", args, kwargs))
-        yield "told of every step"
-
-    install("gsjax.viewer", view=recorded("view", None), watch=watch, check_port=lambda **address: None)
-    return calls
 
 
 def train_settings(library, *arguments):
@@ -341,73 +292,3 @@ def test_the_other_commands_reach_their_functions(library, capsys):
     assert "registered   45\nleft_out     3\npassed_over  0\n" in printed.out
     reasons = "gsjax: left out (blurred): a.jpg\ngsjax: left out (dark): b.jpg, c.jpg\n"
     assert printed.err == 2 * reasons
-
-
-@pytest.mark.parametrize(
-    ("error", "code", "message"),
-    [
-        (InputError("scene/images.bin: truncated"), 2, "gsjax: error: scene/images.bin: truncated\n"),
-        (KeyboardInterrupt(), 130, "gsjax: interrupted\n"),
-    ],
-)
-def test_what_ends_a_command_early(library, monkeypatch, capsys, error, code, message):
-    def fail(*args, **kwargs):
-        raise error
-
-    monkeypatch.setattr(gsjax.pipeline, "evaluate", fail)
-    assert cli.main(["eval", "run"]) == code
-    assert capsys.readouterr().err == message
-
-
-def test_a_command_that_is_asked_to_end_cleans_up_first(library, monkeypatch, tmp_path):
-    before = signal.getsignal(signal.SIGTERM)
-
-    def asked(*args, **kwargs):
-        with tempfile.TemporaryDirectory(prefix="half-written-", dir=tmp_path):
-            signal.raise_signal(signal.SIGTERM)
-
-    monkeypatch.setattr(gsjax.pipeline, "evaluate", asked)
-    assert cli.main(["eval", "run"]) == 128 + signal.SIGTERM
-    assert not list(tmp_path.glob("half-written-*"))
-    assert signal.getsignal(signal.SIGTERM) is before
-
-
-@pytest.mark.parametrize("number", [errno.ENAMETOOLONG, errno.EACCES])
-def test_a_name_that_the_system_does_not_take_is_told(library, monkeypatch, capsys, number):
-    def fail(*args, **kwargs):
-        raise OSError(number, os.strerror(number), "runs/long")
-
-    monkeypatch.setattr(gsjax.pipeline, "evaluate", fail)
-    assert cli.main(["eval", "run"]) == 2
-    assert capsys.readouterr().err == f"gsjax: error: runs/long: {os.strerror(number)}\n"
-
-
-@pytest.mark.parametrize(
-    "error", [MemoryError(), RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 15575512 bytes.")]
-)
-def test_memory_that_has_ended_is_told(library, monkeypatch, capsys, error):
-    def fail(*args, **kwargs):
-        raise error
-
-    monkeypatch.setattr(gsjax.pipeline, "evaluate", fail)
-    assert cli.main(["eval", "run"]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("gsjax: error: memory has ended") and told.count("\n") == 1
-
-
-def test_a_folder_that_is_no_more_is_told(library, monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(gsjax.pipeline, "evaluate", lambda *args, **kwargs: os.path.abspath("run"))
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "gone").mkdir()
-    os.chdir(tmp_path / "gone")
-    (tmp_path / "gone").rmdir()
-    assert cli.main(["eval", "run"]) == 2
-    assert capsys.readouterr().err == (
-        "gsjax: error: the folder in which this was called is no more; go to another one\n"
-    )
-
-
-def test_a_bug_is_not_dressed_up_as_bad_input(library, monkeypatch):
-    monkeypatch.setattr(gsjax.pipeline, "evaluate", lambda *args, **kwargs: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        cli.main(["eval", "run"])

@@ -49,11 +49,8 @@ def test_what_one_photo_has_for_itself_has_no_angle():
 def test_photos_far_apart_get_fewer_gaussians_and_a_term_where_a_phase_has_none():
     scene = arc(FAR_APART + 1)
     held_back, [line] = for_sparse_views(PLAN, scene, SETTINGS)
-    assert (
-        held_back.max_gaussians == 500
-        and "21 degrees" in line
-        and "500 Gaussians instead of max_gaussians=1,000" in line
-    )
+    assert held_back.max_gaussians == 500
+    assert "21 degrees" in line and "500 Gaussians instead of max_gaussians=1,000" in line
     weights = [{each.name: each.weight for each in phase.terms} for phase in held_back.phases]
     assert [each["depth_normal"] for each in weights] == [SMOOTH["depth_normal"], 0.3]
     assert len(held_back.phases[0].terms) == len(PLAN.phases[0].terms) + 1
