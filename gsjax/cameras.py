@@ -12,6 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from gsjax.numerics import times
+
 NEAREST = 1e-6  # Camera z up to which a point is on the camera's plane, or behind it
 
 
@@ -78,7 +80,7 @@ def thinned_K(K: np.ndarray, stride: int) -> np.ndarray:
 
 def world_to_camera(point: Array, camera: Camera) -> Array:
     """`[3]` camera-frame position of one world point."""
-    return jnp.sum(camera.viewmat[:3, :3] * point, axis=-1) + camera.viewmat[:3, 3]
+    return times(camera.viewmat[:3, :3], point) + camera.viewmat[:3, 3]
 
 
 def project(point_cam: Array, camera: Camera) -> Array:

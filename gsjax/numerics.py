@@ -1,4 +1,4 @@
-"""Guards that make an input safe before it is used; each says its value and gradient at the bad point."""
+"""Guards that make an input safe before it is used, each with its value and gradient at the bad point; and a product."""
 
 import jax
 import jax.numpy as jnp
@@ -21,3 +21,13 @@ def masked_mean(values: Array, mask: Array) -> Array:
     """Mean over the elements where `mask` (bool or weight of the same shape) counts; zero if none does."""
     weight = mask.astype(values.dtype)
     return jnp.sum(values * weight) / jnp.maximum(jnp.sum(weight), 1)
+
+
+def times(matrix: Array, vector: Array) -> Array:
+    """`[3]` product of `[3, 3]` and `[3]`, written out, for `jax.vmap` over many vectors.
+
+    A sum over an axis of three would be slow on a CPU, where XLA hands it to a library that reads the matrix anew for
+    every vector, and matrix units of a GPU would round.
+    """
+    x, y, z = vector
+    return jnp.stack([row[0] * x + row[1] * y + row[2] * z for row in matrix])

@@ -16,8 +16,9 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             Looks at every photo once, and at the tracks of structure from motion where there are any:
             exposure and white balance, vignetting, view-dependent colour, open sky, poses, transients,
             sampling, blur, lens distortion. Prints for each the evidence with its noise, the threshold, the
-            decision, the cost, and why. Maps that `gsjax normals` made are judged too: whether photos of
-            the same place agree. Nothing is trained. What cannot be judged is off, and says so.
+            decision, the cost, and why; and how far apart the photos stand. Maps that `gsjax normals`
+            made are judged too: whether photos of the same place agree. Nothing is trained. What cannot be
+            judged is off, and says so.
         """,
         example="gsjax diagnose scenes/garden --json garden.json",
     )
@@ -30,10 +31,12 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import tables
-    from gsjax.pipeline.diagnose import diagnose, normals_rows, rows
+    from gsjax.pipeline.diagnose import apart_line, diagnose, normals_rows, rows
 
     record = diagnose(arguments.scene, **given_options(arguments, "json", "downscale", "images"))
     print(tables.align_columns(rows(record)))
+    print()
+    print(apart_line(record["apart"]))
     if normals_rows(record):
         print()
         print(tables.align_columns(normals_rows(record)))

@@ -43,7 +43,11 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         default=[],
         help="also score pictures at so many times the size of training, such as 0.5 2",
     )
-    parser.add_argument("--mesh", metavar="FILE", help="score this mesh against the true surface as well")
+    parser.add_argument(
+        "--mesh",
+        metavar="FILE",
+        help="also score this mesh: its texture or colours in the held-out photos, its shape where the truth is known",
+    )
     parser.add_argument("--lpips", metavar="FILE", action="append", help="weights of LPIPS as an ONNX file, see"
         " docs/normals.md; may be repeated (default: LPIPS is not scored)")  # fmt: skip
 

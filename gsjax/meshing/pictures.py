@@ -3,17 +3,20 @@
 A shading is a function from what the rays hit to colours; hand in one of those below or your own.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from gsjax.cameras import viewmat_center
+from gsjax.cameras import Camera, viewmat_center
 from gsjax.mesh import Mesh, face_normals
 from gsjax.meshing.atlas import TexturedMesh
-from gsjax.meshing.rays import Cast, ray_caster
+from gsjax.meshing.rays import Cast, front_faces_only, ray_caster
+from gsjax.render.gallery import Picture
 
 BACKGROUND = np.ones(3)
+SIDE = 4  # Rays along a pixel, and down it, whose mean is its colour where edges are to be smooth.
+RAYS_AT_ONCE = 1 << 20
 BACK_FACE = np.array([0.45, 0.0, 0.0])  # Dark red: seen from its inner side.
 
 
@@ -91,6 +94,38 @@ def render_mesh(
     picture = np.broadcast_to(BACKGROUND, (height * width, 3)).copy()
     picture[pixels] = np.where(is_back, BACK_FACE, shading(hits))
     return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8).reshape(height, width, 3)
+
+
+def smooth_pictures(mesh: Mesh, cameras: Sequence[Camera], *, shading: Shading = vertex_colors) -> Iterator[Picture]:
+    """What each camera sees of a mesh from outside, over black: the means of many rays a pixel, as viewers draw edges.
+
+    Args:
+        mesh: What to show.
+        cameras: From where.
+        shading: Colours in 0..1 of what the rays hit.
+    """
+    cast = front_faces_only(mesh, ray_caster(mesh))
+    for camera in cameras:
+        rows = max(1, RAYS_AT_ONCE // (camera.width * SIDE * SIDE))
+        bands = [_band(mesh, cast, camera, first, min(rows, camera.height - first), shading)
+                 for first in range(0, camera.height, rows)]  # fmt: skip
+        sums = np.concatenate(bands)
+        hit = sums[..., 4]
+        yield Picture(
+            colors=np.clip(sums[..., :3] / SIDE**2, 0, 1),
+            depth=np.where(hit > 0, sums[..., 3] / np.maximum(hit, 1), 0),
+            alphas=hit / SIDE**2,
+        )
+
+
+def _band(mesh: Mesh, cast: Cast, camera: Camera, first: int, rows: int, shading: Shading) -> np.ndarray:
+    """`[rows, W, 5]` float32 sums over the rays of each pixel of some rows: colours, depths, and how many hit."""
+    K = np.asarray(camera.K, np.float64) - np.array([[0, 0, 0], [0, 0, first], [0, 0, 0]])
+    width, height = camera.width * SIDE, rows * SIDE
+    hits, pixels = _hits(mesh, cast, camera.viewmat, np.diag([SIDE, SIDE, 1]) @ K, width, height)
+    values = np.zeros((height * width, 5), np.float32)
+    values[pixels] = np.column_stack([shading(hits), hits.depths, np.ones(len(pixels))])
+    return values.reshape(rows, SIDE, camera.width, SIDE, 5).sum((1, 3))
 
 
 def depth_of_mesh(

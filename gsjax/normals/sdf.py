@@ -5,6 +5,7 @@ of the depth map, and the loss' own gradient through the renders of depth and of
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from jax import Array
 from gsjax import cameras, render
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, smallest_axes
-from gsjax.numerics import masked_mean, safe_normalize
+from gsjax.numerics import masked_mean, safe_normalize, times
 from gsjax.render import View
 from gsjax.render.sampling import reads_within, sample_bilinear
 
@@ -39,7 +40,7 @@ def depth_sdf(point: Array, depth: Array, camera: Camera) -> Array:
 
 def composite_directions(world: Array, gaussians: Gaussians, view: View, camera: Camera) -> Array:
     """`[H, W, 3]` world directions `[N, 3]`, made unit, turned into the camera and to face it, composited on zero."""
-    in_camera = jnp.sum(world[:, None, :] * cameras.rotation(camera)[None], axis=-1)
+    in_camera = jax.vmap(partial(times, cameras.rotation(camera)))(world)
     position = jax.vmap(cameras.world_to_camera, in_axes=(0, None))(jax.lax.stop_gradient(gaussians.means), camera)
     return render.features(view.splats, face_camera(safe_normalize(in_camera), -position))[0]
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import rasterizer
 from gsjax import config, pipeline
 from gsjax.colors import to_bytes
 from gsjax.errors import InputError
@@ -43,6 +44,7 @@ def run(out: str | Path = "runs/demo") -> dict[str, Any]:
     if out.is_dir() and any(out.iterdir()):
         raise InputError(f"{out}: this folder is not empty; remove it, or choose another with --out")
     make_folder(out)
+    rasterizer.prepare()
     scene = analytic_scene.write(out / "scene", num_views=NUM_VIEWS, size=SIZE)
     report: dict[str, Any] = {}
     for name, vanilla, earlier in (("vanilla", True, None), ("surface", False, out / "vanilla")):

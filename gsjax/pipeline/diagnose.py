@@ -12,8 +12,10 @@ from gsjax.io import json_files, normal_folders
 from gsjax.io.files import atomic_path
 from gsjax.io.scenes import load_scene
 from gsjax.planning.effects import diagnose_scene
+from gsjax.planning.sparse_views import FAR_APART, angle_between_photos, is_sparse
 from gsjax.runs.normal_gate import judge_folder
 from gsjax.runs.outputs import require_apart
+from gsjax.scene import Scene
 
 CHANNELS = ("red", "green", "blue")
 
@@ -34,7 +36,8 @@ def diagnose(
         and `bytes`, both counted, and a `note`), `note`;
         `photos`: `name`, `gains` (EV in red, green, blue against the mean photo, or None), `sharpness`,
         `pose_step_px` (or None), `sky` (share of its pixels);
-        `normals`: by folder of maps that `gsjax normals` made there, see `gsjax.runs.normal_gate.record`.
+        `normals`: by folder of maps that `gsjax normals` made there, see `gsjax.runs.normal_gate.record`;
+        `apart`: see `apart`.
 
     Raises:
         InputError: The data set cannot be used, or a file not be written.
@@ -46,7 +49,10 @@ def diagnose(
     loaded = load_scene(scene, downscale=downscale, images=images)
     found = diagnose_scene(loaded)
     folders = sorted(path.parent for path in Path(scene).glob(f"*/{normal_folders.MANIFEST}"))
-    record = found.record() | {"normals": {folder.name: judge_folder(folder, loaded) for folder in folders}}
+    record = found.record() | {
+        "normals": {folder.name: judge_folder(folder, loaded) for folder in folders},
+        "apart": apart(loaded),
+    }
     if json is not None:
         json_files.write(json, record)
         draw(found, Path(json).with_suffix(".png"))
@@ -69,6 +75,27 @@ def normals_rows(record: dict[str, Any]) -> list[list[str]]:
         decision, share = "kept" if found["kept"] else "rejected", f"{100 * found['share']:.0f} %"
         rows.append([name, decision, evidence, f"{found['threshold']:g}", share, found["note"]])
     return [["normals", "decision", "evidence", "threshold", "counts", "note"], *rows]
+
+
+def apart(scene: Scene) -> dict[str, Any]:
+    """`degrees` between photos (`gsjax.planning.sparse_views.angle_between_photos`), `threshold`, and whether `sparse`.
+
+    Raises:
+        InputError: The tracks cannot be read, or name points that the scene does not have.
+    """
+    angle = angle_between_photos(scene)
+    return {"degrees": angle, "threshold": FAR_APART, "sparse": is_sparse(angle)}
+
+
+def apart_line(apart: dict[str, Any]) -> str:
+    """The same in words, with what follows for training."""
+    angle, threshold, is_far = (apart[key] for key in ("degrees", "threshold", "sparse"))
+    if angle is None:
+        return "photos: no tracks tell how far apart they stand"
+    said = f"photos: {angle:.0f} degrees apart, seen from what they show"
+    if is_far:
+        return f"{said}: presets take fewer Gaussians (sparse_views), so that views between photos gain"
+    return f"{said}; presets take fewer Gaussians from {threshold:g} on"
 
 
 def draw(found: Diagnosis, path: Path) -> Path:

@@ -14,7 +14,8 @@ from gsjax.errors import NoSurfaceError
 from gsjax.measures import geometry
 from gsjax.mesh import Mesh
 from gsjax.meshing.closest import closest_on_mesh
-from gsjax.meshing.export import read_mesh
+from gsjax.meshing.export import read_mesh, read_textured
+from gsjax.meshing.pictures import texture_colors, vertex_colors
 from gsjax.networks.lpips import STANDARD, lpips_measures
 from gsjax.pipeline.mesh import mesh as extract
 from gsjax.place import Place
@@ -23,6 +24,7 @@ from gsjax.runs.photography import Photography
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.runs.run import Run
 from gsjax.scene import Frame, Truth
+from gsjax.scoring.appearance import score_appearance
 from gsjax.scoring.images import score_images
 from gsjax.scoring.surfaces import LENGTHS, score_mesh_views, score_surface
 
@@ -40,7 +42,8 @@ def evaluate(
 
     Args:
         run: Run folder.
-        mesh: Mesh to score against the true surface. None: `RUN/mesh.ply`, extracted now if it is absent.
+        mesh: Mesh to score against the true surface, and by its texture or, without one, its vertex colours against the
+            held-out photos. None: `RUN/mesh.ply` against the true surface alone, extracted now if it is absent.
         lpips: Files of weights, see `gsjax.networks.lpips.lpips_measures`.
         three_ways: Score pictures in all ways of `score_images` even if the run simulated no effects.
         aligned: Score pictures from the poses that fit the photos best too, even if the run moved no cameras.
@@ -49,13 +52,14 @@ def evaluate(
     Returns:
         What `score_images` tells of the held-out views and what the files of weights allow, at least `lpips_vgg_3dgs`
         (None without held-out views or without weights), `gaussians`, `train_seconds`, `steps`; for every zoom
-        `psnr_zoom_0.5` and `ssim_zoom_0.5` (with that number); with true
-        normals `normal_error_deg` and `normal_error_median_deg` of the rendered depth over object pixels and
-        `normal_error_all_deg` over all surface pixels; with true depth `depth_error` (mean absolute, object pixels,
-        scene units), both in held-out views; with true surface points what `score_mesh` returns, the same errors of
-        the mesh's own depth as `mesh_normal_error_deg` and so on, and `distances`, "point to surface" or, without true
-        triangles, "point to point"; with true triangles `floor`: the same scores of the true mesh itself. The scores of
-        a mesh without surface where cameras saw the truth, as of a poor run, are None, and a line on stderr says so.
+        `psnr_zoom_0.5` and `ssim_zoom_0.5` (with that number); of a `mesh` what
+        `gsjax.scoring.appearance.score_appearance` tells; with true normals `normal_error_deg` and
+        `normal_error_median_deg` of the rendered depth over object pixels and `normal_error_all_deg` over all surface
+        pixels; with true depth `depth_error` (mean absolute, object pixels, scene units), both in held-out views; with
+        true surface points what `score_mesh` returns, the same errors of the mesh's own depth as
+        `mesh_normal_error_deg` and so on, and `distances`, "point to surface" or, without true triangles, "point to
+        point"; with true triangles `floor`: the same scores of the true mesh itself. The scores of a mesh without
+        surface where cameras saw the truth, as of a poor run, are None, and a line on stderr says so.
 
     Raises:
         InputError: The run, its data set, the mesh or the weights cannot be read.
@@ -65,7 +69,7 @@ def evaluate(
     background, scene, found = folder.settings["background"], scene_of_run(run), folder.photography
     similarity = scene.similarity
     zoomed = {zoom: scene_of_run(run, zoom=zoom).held_out_frames for zoom in zooms}  # Refused before hours of scoring.
-    given = None if mesh is None else read_mesh(mesh)
+    given = None if mesh is None else similarity.mesh_to_local(read_mesh(mesh))
     if three_ways and not found.looks:
         found = found._replace(looks=appearances_of_tracks(scene))
     figures = score_images(
@@ -81,6 +85,12 @@ def evaluate(
         plain = Photography(background=found.background)
         scores = score_images(result.gaussians, frames, background, found=plain)
         figures |= {f"{name}_zoom_{zoom:g}": scores[name] for name in ("psnr", "ssim")}
+    if given is not None:
+        textured = read_textured(mesh)
+        shading = vertex_colors if textured is None else texture_colors(textured)
+        figures |= score_appearance(
+            given, shading, result.gaussians, scene.held_out_frames, background, found.with_near(scene.frames)
+        )
     figures |= {
         "gaussians": result.gaussians.num_gaussians,
         "train_seconds": folder.manifest.get("train_seconds"),
@@ -95,7 +105,7 @@ def evaluate(
         names = (*geometry.SCORES, *(f"mesh_{name}" for name in surface))
         score = partial(_score_mesh, frames=scene.held_out_frames, truth=truth, true_mesh=true)
         try:
-            surface |= score(similarity.mesh_to_local(_own_mesh(run) if given is None else given))
+            surface |= score(similarity.mesh_to_local(_own_mesh(run)) if given is None else given)
         except NoSurfaceError as fault:
             print(f"{run}: its mesh is not scored: {fault}", file=sys.stderr)
             surface |= dict.fromkeys(names)

@@ -24,7 +24,7 @@ NEAR = 1.5  # times the threshold, or that part of it
 TRIED = ("exposure", "vignetting", "poses", "background")  # masks choose what they are scored on: no trial tells them
 WORTH = 0.1  # dB on what was kept from the trial
 STEPS, SHARE = 60, 0.05  # before and after the ways part, each; of the run, at most
-FEWEST_STEPS = 1000  # of a run: in a shorter one a trial is too short to tell anything, and evidence decides
+FEWEST_STEPS = 4000  # of a run: of a shorter one a trial takes more than a twentieth of the time, and evidence decides
 SCORED = 16  # photos whose kept blocks are scored, spread evenly
 
 EffectTrial = Callable[[Observations, Sequence[str], Sequence[str]], dict[str, float]]

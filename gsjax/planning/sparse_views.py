@@ -35,12 +35,17 @@ def for_sparse_views(
     """
     asked = settings.sparse_views and not settings.vanilla
     angle = angle_between_photos(scene) if asked else None
-    if angle is None or angle < FAR_APART:
+    if angle is None or not is_sparse(angle):
         return planned, ()
     most = planned.max_gaussians // FEWER if may_lower else planned.max_gaussians
     fewer = f" instead of max_gaussians={planned.max_gaussians:,} (--set sparse_views=false)" if may_lower else ""
     line = f"photos stand {angle:.0f} degrees apart, seen from what they show: at most {most:,} Gaussians{fewer}"
     return replace(planned.with_terms(SMOOTH), max_gaussians=most), (line,)
+
+
+def is_sparse(angle: float | None) -> bool:
+    """Whether photos at this angle stand far apart; unknown, they do not."""
+    return angle is not None and angle >= FAR_APART
 
 
 def angle_between_photos(scene: Scene) -> float | None:

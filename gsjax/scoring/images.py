@@ -57,15 +57,38 @@ def score_images(
         map of its colours that fits the photo best, which sees the answer. With `align` each of these also with
         `_aligned`: from the pose that fits the photo best with the Gaussians as they are, which sees the answer too.
     """
+    color = BACKGROUND_COLORS[background] if found.background is None else found.background
+    draw = partial(gallery.pictures, jax.tree.map(jnp.asarray, gaussians), background=color, depth_mode=depth_mode)
+    return score_pictures(draw, frames, color, measures=measures, found=found, align=align, observe=observe)
+
+
+def score_pictures(
+    draw: Callable[[Sequence[Camera]], Iterable[Picture]],
+    frames: tuple[Frame, ...],
+    color: np.ndarray,
+    *,
+    measures: Mapping[str, Measure] = MappingProxyType({}),
+    found: Photography = NOTHING,
+    align: Aligner | None = None,
+    observe: Callable[[Frame, np.ndarray, Picture], None] = lambda *_: None,
+) -> dict[str, Any]:
+    """`score_images` of whatever draws pictures: Gaussians or a mesh.
+
+    Args:
+        draw: Cameras -> their pictures, one by one.
+        frames: As of `score_images`.
+        color: `[3]`, or as `gsjax.render.backdrop` takes it, what `draw` has behind all.
+        measures: As of `score_images`.
+        found: As of `score_images`.
+        align: As of `score_images`.
+        observe: As of `score_images`.
+    """
     lights = {"_near_gains": found.near, "_track_gains": found.looks}
     ways = ("", *(way for way, looks in lights.items() if looks), *(("_fitted",) if found.looks else ()))
     poses = ("", "_aligned") if align else ("",)
     names = [f"{score}{way}{pose}" for pose in poses for way in ways for score in ("psnr", "ssim")]
     if not frames:
         return {**dict.fromkeys((*names, *measures)), "views": 0}
-    color = BACKGROUND_COLORS[background] if found.background is None else found.background
-    gaussians = jax.tree.map(jnp.asarray, gaussians)
-    draw = partial(gallery.pictures, gaussians, background=color, depth_mode=depth_mode)
     scores = []
     for frame, picture in zip(frames, draw([frame_camera(f) for f in frames]), strict=True):
         image, matte, valid = frame.pixels()

@@ -16,7 +16,7 @@ from gsjax import cameras, render
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.measures.images import window_means
-from gsjax.numerics import masked_mean, safe_divide
+from gsjax.numerics import masked_mean, safe_divide, times
 from gsjax.render import DepthReading, Neighbor, View, depth
 from gsjax.render.sampling import reads_within, sample_bilinear
 from gsjax.targets import Batch, Targets
@@ -95,10 +95,10 @@ def _there_and_back(pixel: Array, here: Array, camera: Camera, neighbor: Neighbo
     """
     turn = jnp.sum(cameras.rotation(neighbor.camera)[:, None] * cameras.rotation(camera)[None], -1)
     shift = neighbor.camera.viewmat[:3, 3] - jnp.sum(turn * camera.viewmat[:3, 3], -1)
-    point, in_front = _in_front(jnp.sum(turn * _point(pixel, here, camera), -1) + shift)
+    point, in_front = _in_front(times(turn, _point(pixel, here, camera)) + shift)
     seen_at = cameras.project(point, neighbor.camera)
     there = _point(seen_at, sample_bilinear(neighbor.depth, seen_at), neighbor.camera)
-    again, in_front_again = _in_front(jnp.sum(turn * (there - shift)[:, None], 0))
+    again, in_front_again = _in_front(times(turn.T, there - shift))
     squared = jnp.sum(jnp.square(cameras.project(again, camera) - pixel))
     moved = squared > ROUNDING**2  # A root has no slope at zero.
     off = jnp.where(moved, jnp.sqrt(jnp.maximum(squared, ROUNDING**2)), 0)

@@ -1,8 +1,11 @@
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from gsjax.cameras import Camera
 from gsjax.mesh import Mesh
 from gsjax.meshing import depth_of_mesh, headlight, normal_colors, render_mesh, vertex_colors
+from gsjax.meshing.pictures import smooth_pictures
 
 K = np.array([[40.0, 0, 17], [0, 50.0, 14], [0, 0, 1]])
 WIDTH, HEIGHT = 36, 30
@@ -109,3 +112,24 @@ def test_sphere_normals_against_the_closed_form():
     normals = (points - [0, 0, 4]) * [1, -1, -1]
     assert len(rows) == pytest.approx(np.pi * (1 / np.sqrt(15)) ** 2 * 40 * 50, rel=0.05)
     assert np.abs(picture[rows, columns] - (normals + 1) * 127.5).mean() < 3
+
+
+def test_smooth_pictures_mix_edges_by_the_share_that_is_covered():
+    half = 0.3  # 40 / 2 * 0.3 = 6 pixels to either side, and 7.5 up and down.
+    mesh = square(2.0, half)
+    (picture,) = smooth_pictures(mesh, [Camera(jnp.eye(4), jnp.asarray(K, jnp.float32), WIDTH, HEIGHT)])
+    rows = np.clip(np.minimum(np.arange(HEIGHT) + 1, 21.5) - np.maximum(np.arange(HEIGHT), 6.5), 0, 1)
+    columns = np.clip(np.minimum(np.arange(WIDTH) + 1, 23) - np.maximum(np.arange(WIDTH), 11), 0, 1)
+    share = rows[:, None] * columns[None]
+    assert set(np.unique(share)) == {0, 0.5, 1}
+    np.testing.assert_allclose(picture.alphas, share, atol=1e-6)
+    np.testing.assert_allclose(picture.colors, share[..., None] * np.array([200, 100, 50]) / 255, atol=1e-6)
+    np.testing.assert_allclose(picture.depth, np.where(share > 0, 2, 0), atol=1e-5)
+
+
+def test_smooth_pictures_show_a_mesh_from_outside_alone():
+    near, far = square(1.5, half=0.2, turned=True), square(2.0, colors=(0, 0, 255))
+    both = Mesh(np.r_[near.vertices, far.vertices], np.r_[near.faces, far.faces + 4], np.r_[near.colors, far.colors])
+    (picture,) = smooth_pictures(both, [Camera(jnp.eye(4), jnp.asarray(K, jnp.float32), WIDTH, HEIGHT)])
+    np.testing.assert_allclose(picture.colors[14, 17], [0, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(picture.depth[14, 17], 2, atol=1e-3)

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gsjax.pipeline.diagnose import apart, apart_line
 from gsjax.planning import sparse_views
 from gsjax.planning.sparse_views import FAR_APART, SMOOTH, angle_between_photos, for_sparse_views
 from gsjax.scene import Frame, Scene, Tracks
@@ -68,3 +69,16 @@ def test_photos_far_apart_get_fewer_gaussians_and_a_term_where_a_phase_has_none(
 )
 def test_photos_side_by_side_or_unasked_for_change_nothing(degrees, settings):
     assert for_sparse_views(PLAN, arc(degrees), settings) == (PLAN, ())
+
+
+@pytest.mark.parametrize("degrees", [FAR_APART - 1, FAR_APART + 1])
+def test_diagnose_says_what_training_does(degrees):
+    scene = arc(degrees)
+    found = apart(scene)
+    assert found["sparse"] == bool(for_sparse_views(PLAN, scene, SETTINGS)[1]) == (degrees > FAR_APART)
+    assert apart_line(found).startswith(f"photos: {degrees:.0f} degrees apart")
+    assert (": presets take fewer Gaussians" in apart_line(found)) == found["sparse"]
+
+
+def test_diagnose_says_where_no_tracks_tell():
+    assert apart_line(apart(arc(12.0, alone=POINTS))) == "photos: no tracks tell how far apart they stand"

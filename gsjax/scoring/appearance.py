@@ -1,0 +1,68 @@
+"""How a mesh looks in held-out photos, beside the Gaussians that it came from at the same pixels."""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from gsjax.gaussians import Gaussians
+from gsjax.mesh import Mesh
+from gsjax.meshing.pictures import Shading, smooth_pictures
+from gsjax.render.gallery import Picture
+from gsjax.runs.photography import Photography
+from gsjax.runs.result import frame_camera
+from gsjax.scene import Frame, Pixels
+from gsjax.scoring.images import score_images, score_pictures
+
+BLACK = np.zeros(3, np.float32)
+COVERED = 1 - 1e-6  # Of a pixel's rays, that must hit the mesh where it is compared.
+
+
+def score_appearance(
+    mesh: Mesh, shading: Shading, gaussians: Gaussians, frames: tuple[Frame, ...], background: str, found: Photography
+) -> dict[str, Any]:
+    """Scores over the pixels that the mesh covers as a whole: what it leaves open is told, not scored.
+
+    Args:
+        mesh: The surface, in the frames' coordinates.
+        shading: Its colours: `gsjax.meshing.pictures.texture_colors` of its texture, or `vertex_colors`.
+        gaussians: Beside which it is set.
+        frames: Photos that neither was made from.
+        background: Of the Gaussians, as of `gsjax.scoring.images.score_images`.
+        found: As of `score_images`; its `looks`, which see the answer or a photo's own tracks, are left out.
+
+    Returns:
+        `mesh_psnr` and `mesh_ssim`; `covered_psnr` and `covered_ssim`, of the Gaussians at the same pixels; with
+        `found.near` the same with `_near_gains`. `mesh_covers`, the share of the valid pixels. Scores are None where
+        no frame shows the mesh; all is empty without frames.
+    """
+    if not frames:
+        return {}
+    draw = partial(smooth_pictures, mesh, shading=shading)
+    pairs = zip(frames, draw([frame_camera(frame) for frame in frames]), strict=True)
+    covered = [_covered(frame, picture) for frame, picture in pairs]
+    seen, shares = tuple(frame for frame, share in covered if share > 0), [share for _, share in covered]
+    found = found._replace(looks={})
+    scores = {
+        "mesh": score_pictures(draw, seen, BLACK, found=found),
+        "covered": score_images(gaussians, seen, background, found=found),
+    }
+    named = {f"{of}_{name}": value for of, each in scores.items() for name, value in each.items() if name != "views"}
+    return named | {"mesh_covers": float(np.mean(shares))}
+
+
+def _covered(frame: Frame, picture: Picture) -> tuple[Frame, float]:
+    """The frame with the pixels alone that the mesh covers, and their share of those that were valid."""
+    is_whole = picture.alphas > COVERED
+
+    def pixels() -> Pixels:
+        shown = frame.pixels()
+        return shown._replace(valid=255 * (is_whole & _valid(shown)).astype(np.uint8))
+
+    valid = _valid(frame.pixels())
+    return replace(frame, pixels=pixels, masked=True), float(is_whole[valid].mean()) if valid.any() else 0.0
+
+
+def _valid(pixels: Pixels) -> np.ndarray:
+    return np.ones(pixels.image.shape[:2], bool) if pixels.valid is None else pixels.valid > 127

@@ -1,0 +1,87 @@
+"""A mesh in photos beside the Gaussians that it came from: closed forms on one square."""
+
+import numpy as np
+import pytest
+
+from gsjax.effects.appearance import Appearance
+from gsjax.gaussians import Gaussians
+from gsjax.mesh import Mesh
+from gsjax.meshing.pictures import vertex_colors
+from gsjax.runs.photography import Photography
+from gsjax.scene import Pixels, frame_of
+from gsjax.scoring.appearance import score_appearance
+
+K = np.float32([[40, 0, 18], [0, 40, 16], [0, 0, 1]])
+HEIGHT, WIDTH = 32, 36
+GREY = 153  # 0.6 of the full range
+
+
+def square(z: float) -> Mesh:
+    """Faces the camera and covers 24 pixels along and 20 down, and half of one more on either side."""
+    x, y = 12.5 * z / 40, 10.5 * z / 40
+    corners = np.float32([[-x, -y, z], [x, -y, z], [x, y, z], [-x, y, z]])
+    return Mesh(corners, np.int32([[0, 2, 1], [0, 3, 2]]), np.full((4, 3), GREY, np.uint8))
+
+
+def photo(name: str = "held.png", *, level: float = 0.5, valid: np.ndarray | None = None):
+    image = np.full((HEIGHT, WIDTH, 3), round(level * 255), np.uint8)
+    return frame_of(name, np.eye(4, dtype=np.float32), K, Pixels(image, valid=valid), held_out=True)
+
+
+@pytest.fixture
+def nothing() -> Gaussians:
+    """One Gaussian behind the camera: pictures of it show the background."""
+    return Gaussians(
+        means=np.float32([[0, 0, -5]]),
+        quats=np.float32([[1, 0, 0, 0]]),
+        log_scales=np.float32([[-3, -3, -3]]),
+        logit_opacities=np.float32([0]),
+        sh_dc=np.zeros((1, 1, 3), np.float32),
+        sh_rest=np.zeros((1, 0, 3), np.float32),
+    )
+
+
+def decibels(difference: float) -> float:
+    return -20 * np.log10(abs(difference))
+
+
+def test_both_are_scored_at_the_pixels_that_the_mesh_covers(nothing):
+    scores = score_appearance(square(2.0), vertex_colors, nothing, (photo(),), "black", Photography())
+    shown = round(0.5 * 255) / 255
+    assert scores["mesh_psnr"] == pytest.approx(decibels(GREY / 255 - shown), abs=1e-3)
+    assert scores["covered_psnr"] == pytest.approx(decibels(shown), abs=1e-3), "black where there are no Gaussians"
+    assert scores["mesh_covers"] == pytest.approx(24 * 20 / (HEIGHT * WIDTH)), "half-covered pixels do not count"
+    assert scores["mesh_ssim"] > scores["covered_ssim"]
+
+
+def test_what_is_masked_in_a_photo_is_neither_covered_nor_left_open(nothing):
+    valid = np.zeros((HEIGHT, WIDTH), np.uint8)
+    valid[:, : WIDTH // 2] = 255
+    frame = photo(valid=valid)
+    scores = score_appearance(square(2.0), vertex_colors, nothing, (frame,), "black", Photography())
+    assert scores["mesh_covers"] == pytest.approx(12 * 20 / (HEIGHT * WIDTH / 2))
+    assert scores["mesh_psnr"] == pytest.approx(decibels(GREY / 255 - round(0.5 * 255) / 255), abs=1e-3)
+
+
+def test_a_photo_is_compared_as_those_near_it_are_exposed(nothing):
+    near = {"held.png": Appearance(log_gains=(np.log(0.5),) * 3, falloff=(0.0, 0.0))}
+    scores = score_appearance(
+        square(2.0), vertex_colors, nothing, (photo(level=0.3),), "black", Photography(near=near, looks=near)
+    )
+    names = {
+        f"{of}_{score}{way}" for of in ("mesh", "covered") for score in ("psnr", "ssim") for way in ("", "_near_gains")
+    }
+    assert set(scores) == names | {"mesh_covers"}, "nothing that sees the answer"
+    assert scores["mesh_psnr_near_gains"] > scores["mesh_psnr"] + 10
+
+
+def test_photos_that_do_not_show_the_mesh_say_nothing(nothing):
+    away = photo("away.png")
+    turned = np.diag(np.float32([-1, 1, -1, 1]))
+    away = frame_of("away.png", turned, K, away.pixels(), held_out=True)
+    both = score_appearance(square(2.0), vertex_colors, nothing, (photo(), away), "black", Photography())
+    one = score_appearance(square(2.0), vertex_colors, nothing, (photo(),), "black", Photography())
+    assert both == {**one, "mesh_covers": pytest.approx(one["mesh_covers"] / 2)}
+    none = score_appearance(square(2.0), vertex_colors, nothing, (away,), "black", Photography())
+    assert none == {**dict.fromkeys(("mesh_psnr", "mesh_ssim", "covered_psnr", "covered_ssim")), "mesh_covers": 0}
+    assert score_appearance(square(2.0), vertex_colors, nothing, (), "black", Photography()) == {}
