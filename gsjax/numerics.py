@@ -1,4 +1,4 @@
-"""Guards that make an input safe before it is used, each with its value and gradient at the bad point; and a product."""
+"""Guards that make an input safe before it is used, each with its value and gradient at the bad point; a product."""
 
 import jax
 import jax.numpy as jnp

@@ -108,6 +108,9 @@ def measure(run: Path, rounds: int) -> dict[str, list[float]]:
     """By part: milliseconds of the processor with the loops and with jnp, and the median ratio of the two."""
     import numpy as np
 
+    from gsjax.cli.environment import keep_memory
+
+    keep_memory()  # As the commands do.
     both = {}
     for engine in ENGINES:
         with traced_with(engine):

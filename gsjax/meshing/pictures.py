@@ -53,19 +53,24 @@ def headlight(hits: Hits) -> np.ndarray:
 
 def texture_colors(textured: TexturedMesh) -> Shading:
     """The shading that shows a texture, read bilinearly."""
-    atlas, texture = textured.atlas, textured.texture.astype(np.float32) / 255
-    sides = np.array([texture.shape[1], texture.shape[0]])
+    texture = textured.texture.reshape(-1, 3).astype(np.float32) / 255
 
     def shading(hits: Hits) -> np.ndarray:
-        at = np.einsum("rk,rkd->rd", hits.barycentrics, atlas.uvs[atlas.faces[hits.faces]]) * sides - 0.5
-        low = np.floor(at).astype(np.int64)
-        (u, v), shown = (at - low).T[..., None], 0.0
-        for right, down, weight in ((0, 0, (1 - u) * (1 - v)), (1, 0, u * (1 - v)), (0, 1, (1 - u) * v), (1, 1, u * v)):
-            columns, rows = np.clip(low + [right, down], 0, sides - 1).T
-            shown = shown + weight * texture[rows, columns]
-        return shown
+        texels, weights = texels_around(textured, hits)
+        return np.einsum("rk,rkc->rc", weights, texture[texels])
 
     return shading
+
+
+def texels_around(textured: TexturedMesh, hits: Hits) -> tuple[np.ndarray, np.ndarray]:
+    """`[R, 4]` rows of the flat texture that a bilinear reading mixes at each hit, and their weights."""
+    atlas, (height, width) = textured.atlas, textured.texture.shape[:2]
+    sides = np.array([width, height])
+    at = np.einsum("rk,rkd->rd", hits.barycentrics, atlas.uvs[atlas.faces[hits.faces]]) * sides - 0.5
+    low = np.floor(at).astype(np.int64)
+    u, v = (at - low).T
+    columns, rows = (np.clip(low[:, None] + [[0, 0], [1, 0], [0, 1], [1, 1]], 0, sides - 1)).transpose(2, 0, 1)
+    return rows * width + columns, np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v], axis=1)
 
 
 def render_mesh(
@@ -106,10 +111,11 @@ def smooth_pictures(mesh: Mesh, cameras: Sequence[Camera], *, shading: Shading =
     """
     cast = front_faces_only(mesh, ray_caster(mesh))
     for camera in cameras:
-        rows = max(1, RAYS_AT_ONCE // (camera.width * SIDE * SIDE))
-        bands = [_band(mesh, cast, camera, first, min(rows, camera.height - first), shading)
-                 for first in range(0, camera.height, rows)]  # fmt: skip
-        sums = np.concatenate(bands)
+        sums = np.zeros((camera.height * camera.width, 5), np.float32)
+        for hits, pixels in rays_in_bands(mesh, cast, camera, SIDE):
+            shown = np.column_stack([shading(hits), hits.depths, np.ones(len(pixels))])
+            sums += np.stack([np.bincount(pixels, column, len(sums)) for column in shown.T], axis=1)
+        sums = sums.reshape(camera.height, camera.width, 5)
         hit = sums[..., 4]
         yield Picture(
             colors=np.clip(sums[..., :3] / SIDE**2, 0, 1),
@@ -118,14 +124,16 @@ def smooth_pictures(mesh: Mesh, cameras: Sequence[Camera], *, shading: Shading =
         )
 
 
-def _band(mesh: Mesh, cast: Cast, camera: Camera, first: int, rows: int, shading: Shading) -> np.ndarray:
-    """`[rows, W, 5]` float32 sums over the rays of each pixel of some rows: colours, depths, and how many hit."""
-    K = np.asarray(camera.K, np.float64) - np.array([[0, 0, 0], [0, 0, first], [0, 0, 0]])
-    width, height = camera.width * SIDE, rows * SIDE
-    hits, pixels = _hits(mesh, cast, camera.viewmat, np.diag([SIDE, SIDE, 1]) @ K, width, height)
-    values = np.zeros((height * width, 5), np.float32)
-    values[pixels] = np.column_stack([shading(hits), hits.depths, np.ones(len(pixels))])
-    return values.reshape(rows, SIDE, camera.width, SIDE, 5).sum((1, 3))
+def rays_in_bands(mesh: Mesh, cast: Cast, camera: Camera, side: int) -> Iterator[tuple[Hits, np.ndarray]]:
+    """What `side` times `side` rays a pixel hit, some rows of pixels at a time, and `[R]` the flat pixel of each."""
+    rows = max(1, RAYS_AT_ONCE // (camera.width * side * side))
+    width = camera.width * side
+    for first in range(0, camera.height, rows):
+        height = min(rows, camera.height - first) * side
+        K = np.asarray(camera.K, np.float64) - np.array([[0, 0, 0], [0, 0, first], [0, 0, 0]])
+        hits, rays = _hits(mesh, cast, camera.viewmat, np.diag([side, side, 1]) @ K, width, height)
+        y, x = np.divmod(rays, width)
+        yield hits, (first + y // side) * camera.width + x // side
 
 
 def depth_of_mesh(

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from scipy import ndimage
 
 from gsjax import cameras as pinhole
 from gsjax.cameras import Camera, viewmat_center
@@ -17,6 +18,7 @@ from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
 from gsjax.meshing.texels import Texels, paint_texture, texels_of
 from gsjax.render import MIN_COVERAGE
+from gsjax.render.backdrop import color_behind
 from gsjax.render.gallery import Picture
 
 TEXELS_AT_ONCE = 1 << 18
@@ -32,6 +34,7 @@ def texture_mesh(
     pictures: Iterable[Picture],
     *,
     size: int = 4096,
+    background: np.ndarray | None = None,
     unwrap: Unwrap = unwrap,
 ) -> tuple[TexturedMesh, dict]:
     """Paints a mesh with what its views show.
@@ -43,6 +46,9 @@ def texture_mesh(
         cameras: One camera a view.
         pictures: What each of them sees, over black (colours times coverage); a generator will do.
         size: Side of the texture, texels.
+        background: What was behind the Gaussians as they were trained, see `gsjax.render.backdrop`: a white wall before
+            a white background may be thin, and what shines through it is its own colour. None: nothing is known of it,
+            and a thin wall has the colour of its Gaussians alone.
         unwrap: How the mesh is laid out.
 
     Returns:
@@ -53,14 +59,18 @@ def texture_mesh(
     """
     atlas = unwrap(mesh, size)
     texels = texels_of(mesh, atlas)
-    colors, is_seen = composite_views(mesh, texels, cameras, pictures)
+    colors, is_seen = composite_views(mesh, texels, cameras, pictures, background)
     texture = paint_texture(texels, np.where(is_seen[:, None], colors, texels.colors), size)
     report = {"charts": atlas.num_charts, "texels": len(texels.where), "seen_share": float(np.mean(is_seen))}
     return TexturedMesh(mesh, atlas, texture), report
 
 
 def composite_views(
-    mesh: Mesh, texels: Texels, cameras: Sequence[Camera], pictures: Iterable[Picture]
+    mesh: Mesh,
+    texels: Texels,
+    cameras: Sequence[Camera],
+    pictures: Iterable[Picture],
+    background: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """`[M, 3]` uint8 weighted means over the views, and `[M]` whether any view sees the texel.
 
@@ -71,9 +81,10 @@ def composite_views(
     sums = np.zeros((len(texels.where), 4), np.float32)
     for camera, picture in zip(cameras, pictures, strict=True):
         depth = depth_of_mesh(mesh, camera.viewmat, camera.K, camera.width, camera.height, cast=cast)
+        colors, alphas = filled_in(picture, camera, depth > 0, background)
         # Nothing rendered is no haze.
         rendered = np.where(picture.depth > 0, picture.depth, np.inf)
-        shown = np.dstack([picture.colors, picture.alphas, depth, rendered]).astype(np.float32)
+        shown = np.dstack([colors, alphas, depth, rendered]).astype(np.float32)
         chosen = np.flatnonzero(may_be_seen(mesh, normals, camera)[texels.faces])
         for first in range(0, len(chosen), TEXELS_AT_ONCE):
             part = chosen[first : first + TEXELS_AT_ONCE]
@@ -83,6 +94,21 @@ def composite_views(
     is_seen = weights[:, 0] > 0
     colors = sums[:, :3] / np.where(is_seen[:, None], weights, 1)
     return to_bytes(colors), is_seen
+
+
+def filled_in(
+    picture: Picture, camera: Camera, covered: np.ndarray, background: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Colours times coverage, and coverage: whole where the mesh fills a pixel with all those around it.
+
+    What shines through there is the surface's; at the mesh's rim it is what lies beyond.
+    """
+    if background is None:
+        return picture.colors, picture.alphas
+    is_inside = ndimage.binary_erosion(covered, np.ones((3, 3), bool)) & (picture.alphas > MIN_COVERAGE)
+    under = np.asarray(color_behind(jnp.asarray(background, jnp.float32), camera))
+    through = np.where(is_inside, 1 - picture.alphas, 0)
+    return picture.colors + through[..., None] * under, picture.alphas + through
 
 
 def may_be_seen(mesh: Mesh, normals: np.ndarray, camera: Camera) -> np.ndarray:

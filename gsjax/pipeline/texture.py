@@ -9,6 +9,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.temporaries import sweep_beside
 from gsjax.meshing.export import read_mesh, textured_writer, write_textured
+from gsjax.meshing.sharpening import sharpened
 from gsjax.meshing.texture import texture_mesh
 from gsjax.meshing.texture_size import texture_side
 from gsjax.runs.outputs import require_apart
@@ -16,6 +17,7 @@ from gsjax.runs.result import open_result, training_pictures
 
 SIZES = (64, 8192)  # Browsers hold no larger texture.
 MOST_CHOSEN = 4096
+ROUNDS = 2  # Of sharpening; more bring noise (docs/texture.md).
 
 
 def texture(
@@ -46,6 +48,9 @@ def texture(
     surface = result.similarity.mesh_to_local(read_mesh(mesh))
     cameras, pictures = training_pictures(result, result.gaussians, np.zeros(3, np.float32))
     side = size or texture_side(surface, cameras, least=SIZES[0], most=MOST_CHOSEN)
-    textured, report = texture_mesh(surface, cameras, pictures, size=side)
+    textured, report = texture_mesh(surface, cameras, pictures, size=side, background=result.background)
+    for _ in range(ROUNDS):
+        _, pictures = training_pictures(result, result.gaussians, np.zeros(3, np.float32))
+        textured = sharpened(textured, cameras, pictures, result.background)
     write_textured(out, replace(textured, mesh=result.similarity.mesh_to_world(textured.mesh)), result.place)
     return {"vertices": surface.num_vertices, "faces": surface.num_faces, "size": side, **report}

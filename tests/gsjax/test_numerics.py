@@ -5,7 +5,7 @@ import pytest
 from jax.test_util import check_grads
 from tolerances import assert_close
 
-from gsjax.numerics import masked_mean, safe_divide, safe_normalize
+from gsjax.numerics import masked_mean, safe_divide, safe_normalize, times
 
 
 def test_normalized_vectors_are_unit_and_parallel():
@@ -52,3 +52,11 @@ def test_masked_mean_is_the_mean_of_what_counts():
 def test_a_mean_of_nothing_is_zero():
     value, gradient = jax.value_and_grad(masked_mean)(jnp.ones(4, jnp.float32), jnp.zeros(4, bool))
     assert_close((value, gradient), (np.zeros(()), np.zeros(4)))
+
+
+def test_a_product_is_that_of_the_matrix_with_its_gradients(x64):
+    rng = np.random.default_rng(0)
+    matrix, vectors, slopes = rng.normal(size=(3, 3)), rng.normal(size=(5, 3)), rng.normal(size=(5, 3))
+    products, back = jax.vjp(jax.vmap(times, in_axes=(None, 0)), jnp.asarray(matrix), jnp.asarray(vectors))
+    assert_close(products, vectors @ matrix.T)
+    assert_close(back(jnp.asarray(slopes)), (slopes.T @ vectors, slopes @ matrix), kind="gradient")

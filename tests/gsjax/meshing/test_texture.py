@@ -264,3 +264,20 @@ print(peak_memory() / 2**30)
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) < 1
+
+
+def test_what_shines_through_a_thin_wall_is_its_own_colour_but_not_at_its_rim():
+    mesh, view = square(half=0.4), camera((0.1, 0.2, 2.0))
+    xy, depth = on_plane(view, 0.0)
+    is_wall = np.abs(xy).max(axis=-1) < 0.4
+    thin = picture([0.2, 0.4, 0.6], np.where(is_wall, depth, 0), np.where(is_wall, 0.75, 0).astype(np.float32))
+    texels = texels_of(mesh, flat_layout(mesh, 40))
+    colors, is_seen = composite_views(mesh, texels, [view], [thin], np.ones(3, np.float32))
+    through = np.rint(255 * (0.75 * np.array([0.2, 0.4, 0.6]) + 0.25))
+    inner = np.abs(texels.points[:, :2]).max(axis=1) < 0.3
+    assert is_seen[inner].all() and np.abs(colors[inner] - through).max() <= 1
+    straight, _ = composite_views(mesh, texels, [view], [thin])
+    assert np.abs(straight[inner] - np.array([51, 102, 153])).max() <= 1, "where nothing is known of the background"
+    rim = is_seen & (np.abs(texels.points[:, :2]).max(axis=1) > 0.38)
+    to_straight, to_through = (np.abs(colors[rim] - each).mean() for each in ([51, 102, 153], through))
+    assert to_straight < to_through, "beyond the rim lies the background itself"
