@@ -105,9 +105,9 @@ def filled_in(
     """
     if background is None:
         return picture.colors, picture.alphas
-    is_inside = ndimage.binary_erosion(covered, np.ones((3, 3), bool)) & (picture.alphas > MIN_COVERAGE)
+    inner: np.ndarray = ndimage.binary_erosion(covered, np.ones((3, 3), bool))  # pyright: ignore[reportAssignmentType]
     under = np.asarray(color_behind(jnp.asarray(background, jnp.float32), camera))
-    through = np.where(is_inside, 1 - picture.alphas, 0)
+    through = np.where(inner & (picture.alphas > MIN_COVERAGE), 1 - picture.alphas, 0)
     return picture.colors + through[..., None] * under, picture.alphas + through
 
 

@@ -70,8 +70,9 @@ def test_a_mesh_away_from_the_truth_loses_no_other_figure(run, scene, tmp_path, 
     assert cli.main(["eval", str(run), "--mesh", str(tmp_path / "far.ply"), "--json", str(tmp_path / "e.json")]) == 0
     found, printed = json_files.read(tmp_path / "e.json"), capsys.readouterr()
     lost = {*geometry.SCORES, "mesh_normal_error_deg", "mesh_normal_error_median_deg", "mesh_normal_error_all_deg",
-            "mesh_depth_error"}  # fmt: skip
-    assert found == {**json_files.read(tmp_path / "before.json"), **dict.fromkeys(lost)} and lost < set(expected)
+            "mesh_depth_error", "mesh_psnr", "mesh_ssim", "covered_psnr", "covered_ssim"}  # fmt: skip
+    others = {**json_files.read(tmp_path / "before.json"), "mesh_covers": 0.0}
+    assert found == {**others, **dict.fromkeys(lost)} and lost < set(expected)
     lines = [line for line in printed.err.splitlines() if "is not scored: no surface of the mesh" in line]
     assert len(lines) == 1 and lines[0].startswith(f"{run}: its mesh ")
     assert ["chamfer", "-"] in [line.split() for line in printed.out.splitlines()]
