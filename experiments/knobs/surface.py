@@ -4,17 +4,11 @@ A mesh is measured from the true surface; of real photos, which have none, by it
 """
 
 import time
+from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from gsjax import config, pipeline
 from gsjax.binding.refining import PRESETS, Refinement
-from gsjax.mesh import Mesh
-from gsjax.meshing.export import read_mesh, read_textured
-from gsjax.meshing.pictures import Shading, depth_of_mesh, render_mesh, texture_colors, vertex_colors
-from gsjax.meshing.rays import ray_caster
-from gsjax.runs.result import scene_of_run
 from knobs.knob import Knob, Measured, Place
 
 
@@ -24,7 +18,7 @@ def _meshed(place: Place, options: dict[str, Any], round_: int) -> Measured:
     run, started = place.run, time.perf_counter()
     pipeline.mesh(run, file, **options)
     seconds = time.perf_counter() - started
-    return Measured(seconds, pipeline.evaluate(run, mesh=file) if place.has_truth else _shown(place, read_mesh(file)))
+    return Measured(seconds, pipeline.evaluate(run, mesh=file) if place.has_truth else _shown(place, file))
 
 
 def _refined(place: Place, options: dict[str, Any], round_: int) -> Measured:
@@ -42,24 +36,13 @@ def _textured(place: Place, size: int | None, round_: int) -> Measured:
     started = time.perf_counter()
     pipeline.texture(place.run, mesh, file, size=size)
     seconds = time.perf_counter() - started
-    textured = read_textured(file)
-    assert textured is not None, "it was given a texture"
-    return Measured(seconds, _shown(place, textured.mesh, texture_colors(textured)))
+    return Measured(seconds, _shown(place, file))
 
 
-def _shown(place: Place, mesh: Mesh, shading: Shading = vertex_colors) -> dict[str, float]:
+def _shown(place: Place, file: Path) -> dict[str, float]:
     """How a mesh looks in the held-out photos: `psnr` over the pixels that it covers, and the share of them."""
-    squares, covers, cast = [], [], ray_caster(mesh)
-    for frame in scene_of_run(place.run).held_out_frames:
-        view = frame.viewmat, frame.K, frame.width, frame.height
-        covered = depth_of_mesh(mesh, *view, cast=cast) > 0
-        shown = render_mesh(mesh, *view, shading=shading, cast=cast)
-        squares.append(np.square((shown[covered].astype(float) - frame.pixels().image[covered]) / 255))
-        covers.append(covered.ravel())
-    return {
-        "psnr": float(-10 * np.log10(np.concatenate(squares).mean())),
-        "covered": float(np.concatenate(covers).mean()),
-    }
+    figures = pipeline.evaluate(place.run, mesh=file)
+    return {"psnr": figures["mesh_psnr"], "covered": figures["mesh_covers"]}
 
 
 def _errors(outcome: dict[str, Any], best: dict[str, Any]) -> dict[str, float]:

@@ -1,5 +1,6 @@
 """Knobs on a clock of the test's own: ratios within a round, the front, what is done is not done again."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,7 +9,6 @@ import pytest
 from gsjax.config import to_dict
 from gsjax.errors import InputError
 from gsjax.io.images import read_image
-from gsjax.mesh import Mesh
 from gsjax.settings import Settings, total_steps
 
 
@@ -67,15 +67,15 @@ def test_rounds_of_another_length_are_not_mixed_in(script, turned, tmp_path):
 def test_a_mesh_without_truth_is_compared_in_the_photos(script, monkeypatch):
     from knobs import surface
 
-    corners = np.array([[-2, -2, 1], [0, -2, 1], [0, 2, 1], [-2, 2, 1]], np.float32)  # the left half of the picture
-    mesh = Mesh(corners, np.array([[0, 2, 1], [0, 3, 2]]), np.tile(np.uint8([120, 60, 180]), (4, 1)))
-    photo = np.broadcast_to(np.uint8([130, 40, 180]), (6, 8, 3))
-    K = np.array([[4.0, 0, 4], [0, 4, 3], [0, 0, 1]])
-    frame = SimpleNamespace(viewmat=np.eye(4), K=K, width=8, height=6, pixels=lambda: SimpleNamespace(image=photo))
-    monkeypatch.setattr(surface, "scene_of_run", lambda run: SimpleNamespace(held_out_frames=(frame, frame)))
-    found = surface._shown(SimpleNamespace(run=None), mesh)
-    np.testing.assert_allclose(found["psnr"], -10 * np.log10(500 / 3 / 255**2), atol=1e-6)
-    np.testing.assert_allclose(found["covered"], 0.5)
+    scored = []
+
+    def evaluate(run, *, mesh):
+        scored.append((run, mesh))
+        return {"psnr": 30.0, "mesh_psnr": 21.5, "mesh_covers": 0.5, "covered_psnr": 29.0}
+
+    monkeypatch.setattr(surface.pipeline, "evaluate", evaluate)
+    assert surface._shown(SimpleNamespace(run="run"), Path("mesh.glb")) == {"psnr": 21.5, "covered": 0.5}
+    assert scored == [("run", Path("mesh.glb"))]
     lost = surface._errors({"psnr": 20.0, "covered": 0.4}, {"psnr": 21.5, "covered": 0.5})
     assert lost == {"PSNR lost, dB": pytest.approx(1.5), "covered less, %": pytest.approx(10.0)}
     lost = surface._errors({"psnr": 20.0, "chamfer": 3.0, "fscore": 0.5}, {"psnr": 21.0, "chamfer": 2.0, "fscore": 1.0})

@@ -21,6 +21,7 @@ from gsjax.effects.poses import Move, twists_from_tracks
 from gsjax.io import normal_folders
 from gsjax.io.images import read_image
 from gsjax.io.scenes import load_scene
+from gsjax.pipeline.diagnose import apart_line
 from gsjax.runs.result import frame_camera
 from gsjax.scene import Origin, Pixels, with_pixels
 
@@ -278,9 +279,10 @@ def test_real_photos_fall_into_their_two_groups(shared, name, exposure, vignetti
 def test_the_command_prints_the_table_and_writes_file_and_pictures(scene_folder, tmp_path, capsys):
     target = tmp_path / "out" / "found.json"
     assert cli.main(["diagnose", str(scene_folder), "--json", str(target)]) == 0
-    printed = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in printed] == ["effect", *EFFECTS]
+    *printed, empty, apart = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in printed] == ["effect", *EFFECTS] and not empty
     written = json.loads(target.read_text())
+    assert apart == apart_line(written["apart"])
     assert list(written["effects"]) == EFFECTS
     assert len(written["photos"]) == 12
     assert read_image(target.with_suffix(".png"))[0].std() > 10
