@@ -13,7 +13,8 @@ from gsjax.meshing.sharpening import sharpened
 from gsjax.meshing.texture import texture_mesh
 from gsjax.meshing.texture_size import texture_side
 from gsjax.runs.outputs import require_apart
-from gsjax.runs.result import open_result, training_pictures
+from gsjax.runs.result import Result, open_result, training_pictures
+from gsjax.runs.run import Run
 
 SIZES = (64, 8192)  # Browsers hold no larger texture.
 MOST_CHOSEN = 4096
@@ -48,9 +49,19 @@ def texture(
     surface = result.similarity.mesh_to_local(read_mesh(mesh))
     cameras, pictures = training_pictures(result, result.gaussians, np.zeros(3, np.float32))
     side = size or texture_side(surface, cameras, least=SIZES[0], most=MOST_CHOSEN)
-    textured, report = texture_mesh(surface, cameras, pictures, size=side, background=result.background)
+    background = known_background(result)
+    textured, report = texture_mesh(surface, cameras, pictures, size=side, background=background)
     for _ in range(ROUNDS):
         _, pictures = training_pictures(result, result.gaussians, np.zeros(3, np.float32))
-        textured = sharpened(textured, cameras, pictures, result.background)
+        textured = sharpened(textured, cameras, pictures, background)
     write_textured(out, replace(textured, mesh=result.similarity.mesh_to_world(textured.mesh)), result.place)
     return {"vertices": surface.num_vertices, "faces": surface.num_faces, "size": side, **report}
+
+
+def known_background(result: Result) -> np.ndarray | None:
+    """What training had behind its Gaussians; None of a file, which does not say, and of a run over random colours."""
+    if not result.source.is_dir():
+        return None
+    run = Run(result.source)
+    is_random = run.settings["background"] == "random" and run.photography.background is None
+    return None if is_random else result.background

@@ -1,5 +1,7 @@
 """`gsjax texture` from files to files."""
 
+import shutil
+
 import numpy as np
 import pytest
 import small_scenes
@@ -10,6 +12,8 @@ from gsjax.io.images import write_image
 from gsjax.mesh import Mesh
 from gsjax.meshing.export import read_textured, write_mesh
 from gsjax.meshing.texture_size import STEP
+from gsjax.pipeline.texture import known_background
+from gsjax.runs.result import open_result
 
 SIZE = 128
 
@@ -34,6 +38,14 @@ def folder(tmp_path_factory):
     faces = np.array([[0, 2, 1], [0, 3, 2]], np.int32)
     write_mesh(folder / "grey.ply", Mesh(corners, faces, np.full((4, 3), 128, np.uint8)))
     return folder
+
+
+def test_what_was_behind_the_gaussians_is_known_of_a_run_over_one_colour_alone(folder, tmp_path):
+    np.testing.assert_array_equal(known_background(open_result(folder)), np.ones(3))
+    assert known_background(open_result(folder / "gaussians.ply")) is None
+    over_random = shutil.copytree(folder, tmp_path / "run")
+    json_files.write(over_random / "config.json", {**json_files.read(folder / "config.json"), "background": "random"})
+    assert known_background(open_result(over_random)) is None
 
 
 @pytest.mark.parametrize("name", ["wall.glb", "wall.obj"])
