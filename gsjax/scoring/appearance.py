@@ -13,9 +13,8 @@ from gsjax.render.gallery import Picture
 from gsjax.runs.photography import Photography
 from gsjax.runs.result import frame_camera
 from gsjax.scene import Frame, Pixels
-from gsjax.scoring.images import score_images, score_pictures
+from gsjax.scoring.images import color_behind_all, score_images, score_pictures
 
-BLACK = np.zeros(3, np.float32)
 COVERED = 1 - 1e-6  # Of a pixel's rays, that must hit the mesh where it is compared.
 
 
@@ -45,7 +44,7 @@ def score_appearance(
     seen, shares = tuple(frame for frame, share in covered if share > 0), [share for _, share in covered]
     found = found._replace(looks={})
     scores = {
-        "mesh": score_pictures(draw, seen, BLACK, found=found),
+        "mesh": score_pictures(draw, seen, color_behind_all(background, found), found=found),
         "covered": score_images(gaussians, seen, background, found=found),
     }
     named = {f"{of}_{name}": value for of, each in scores.items() for name, value in each.items() if name != "views"}

@@ -57,9 +57,14 @@ def score_images(
         map of its colours that fits the photo best, which sees the answer. With `align` each of these also with
         `_aligned`: from the pose that fits the photo best with the Gaussians as they are, which sees the answer too.
     """
-    color = BACKGROUND_COLORS[background] if found.background is None else found.background
+    color = color_behind_all(background, found)
     draw = partial(gallery.pictures, jax.tree.map(jnp.asarray, gaussians), background=color, depth_mode=depth_mode)
     return score_pictures(draw, frames, color, measures=measures, found=found, align=align, observe=observe)
+
+
+def color_behind_all(background: str, found: Photography) -> np.ndarray:
+    """What is behind the Gaussians, and behind the mattes of photos that are compared with them."""
+    return BACKGROUND_COLORS[background] if found.background is None else found.background
 
 
 def score_pictures(

@@ -1,5 +1,7 @@
 """A plane with a pattern finer than two pixels' blur, seen from straight above: every pixel's mean is known."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -78,6 +80,8 @@ def test_pixels_that_say_nothing_change_nothing():
     hazy = photo(white)._replace(depth=np.full((PIXELS, PIXELS), 0.8 * AWAY, np.float32))
     for nothing in (masked, hazy):
         np.testing.assert_array_equal(sharpened(grey, [view()], [nothing]).texture, grey.texture)
+    away = replace(view(), viewmat=view().viewmat.at[2, 3].set(-AWAY))  # The square lies behind it.
+    np.testing.assert_array_equal(sharpened(grey, [away], [photo(white)]).texture, grey.texture)
 
 
 def test_what_shines_through_a_thin_wall_is_its_own_colour_where_the_background_is_known():

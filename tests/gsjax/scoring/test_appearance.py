@@ -63,6 +63,15 @@ def test_what_is_masked_in_a_photo_is_neither_covered_nor_left_open(nothing):
     assert scores["mesh_psnr"] == pytest.approx(decibels(GREY / 255 - round(0.5 * 255) / 255), abs=1e-3)
 
 
+def test_a_matte_has_the_same_background_for_both(nothing):
+    image, matte = np.full((HEIGHT, WIDTH, 3), 51, np.uint8), np.full((HEIGHT, WIDTH), 102, np.uint8)
+    frame = frame_of("held.png", np.eye(4, dtype=np.float32), K, Pixels(image, matte=matte), held_out=True)
+    scores = score_appearance(square(2.0), vertex_colors, nothing, (frame,), "white", Photography())
+    shown = 0.2 * 0.4 + 0.6
+    assert scores["mesh_psnr"] == pytest.approx(decibels(GREY / 255 - shown), abs=1e-3)
+    assert scores["covered_psnr"] == pytest.approx(decibels(1 - shown), abs=1e-3)
+
+
 def test_a_photo_is_compared_as_those_near_it_are_exposed(nothing):
     near = {"held.png": Appearance(log_gains=(np.log(0.5),) * 3, falloff=(0.0, 0.0))}
     scores = score_appearance(
