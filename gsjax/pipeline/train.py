@@ -195,7 +195,7 @@ def _train(
     in_common = None if earlier is None else _steps_in_common(earlier, planned)
     as_dict = config.to_dict(settings)
     run = (
-        runs.reopen(out, as_dict, scene=scene, completed=_completed)
+        runs.reopen(out, _completed(as_dict), scene=scene, completed=_completed)
         if known
         else runs.create(
             out,
@@ -273,11 +273,11 @@ def _of_first(state: TrainState, initial: Callable[[int], TrainState]) -> TrainS
     return from_first(state)
 
 
-def _completed(started: dict[str, Any]) -> dict[str, Any]:
-    """Settings of a run that was started before all of today's were there; weights of 0 say nothing."""
-    for phase in started["phases"]:
+def _completed(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings with what was not there yet when a run was started; weights of 0 say nothing, and are left out."""
+    for phase in settings["phases"]:
         phase["weights"] = {name: weight for name, weight in phase["weights"].items() if weight or name in PLAIN}
-    return config.to_dict(config.parse(Settings, started, where="config.json"))
+    return config.to_dict(config.parse(Settings, settings, where="config.json"))
 
 
 def living_gaussians(gaussians: Gaussians) -> Gaussians:

@@ -73,6 +73,15 @@ def test_a_run_that_is_killed_goes_on_to_the_same_bits(run, scene, tmp_path, sto
     assert without_time[0] == without_time[1]
 
 
+def test_a_weight_of_zero_is_no_other_setting_when_a_run_goes_on(run, scene, tmp_path):
+    """A schedule takes a term out of the preset that it changes by a weight of zero."""
+    phases = [{**phase, "weights": {"sdf_normal": 0.0, **phase.get("weights", {})}} for phase in SETTINGS["phases"]]
+    settings = config.parse(Settings, {**SETTINGS, "phases": phases})
+    train_until_killed(13, scene, tmp_path / "run", settings)
+    pipeline.train(scene, tmp_path / "run", settings, resume=True)
+    assert (tmp_path / "run/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+
+
 def test_with_little_memory_photos_lie_on_the_disk_and_the_bits_are_the_same(run, scene, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("gsjax.planning.memory.free_memory", lambda: 0)
     pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS))
