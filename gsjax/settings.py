@@ -295,6 +295,7 @@ BALANCED = {
     "max_gaussians": 120_000,
     "far_points": 1_800,
     "sh_every": 700,
+    "rates": FAST["rates"],
     "phases": [
         _phase("coarse", 1000, image_scale=2, density_control=True),
         _phase("vanilla", 5000, density_control=True),

@@ -27,7 +27,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--out", metavar="FILE", required=True, help="the mesh; .ply, .obj or .glb by its suffix")
     add("--method", choices=("auto", "poisson", "depth", "tsdf", "centers", "marching-cubes"),
         help="poisson (default): points of the level set; "
-        "auto, as in scan: this, or of the next three one that agrees clearly more with points that photos share; "
+        "auto, as in scan: this, or of the next three one that agrees clearly more with points that photos share, "
+        "or where there are none with the photos' mattes; "
         "depth: of the rendered depth, flatter; "
         "tsdf: fusion of that depth, open where nothing was seen; "
         "centers: Poisson through the Gaussians' centres; marching-cubes: of the density, needs no views")  # fmt: skip

@@ -1,18 +1,37 @@
-"""Which of several ways to a mesh suits a scene: the one that agrees most with what structure from motion saw."""
+"""Which of several ways to a mesh suits a scene: the one that agrees most with what is known of the scene without it."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from gsjax.errors import NoSurfaceError
 from gsjax.mesh import Mesh
+from gsjax.meshing.outlines import overlap
 from gsjax.meshing.sightlines import Sightlines, agreement
-
-MARGIN = 0.05
-"""Of the sightlines, by how many more another mesh than the usual one is met; smaller differences say little."""
+from gsjax.scene import Frame
 
 Extract = Callable[[], tuple[Mesh, dict]]
 """Makes a mesh, and plain numbers about it."""
+
+
+class Witness(NamedTuple):
+    """What is known of a scene without its Gaussians."""
+
+    says: str  # what it is, in words
+    judge: Callable[[Mesh], Mapping[str, float]]  # shares of it, of which the first is what agrees with a mesh
+    margin: float  # of all, by which another mesh than the usual one has to agree more; less than that says little
+
+
+def by_sightlines(lines: Sightlines) -> Witness:
+    """The tracks of structure from motion, of one line at least."""
+    return Witness(
+        f"{len(lines):,} lines of sight to matched points", lambda mesh: agreement(mesh, lines)._asdict(), 0.05
+    )
+
+
+def by_mattes(frames: Sequence[Frame]) -> Witness:
+    """The outlines of an object in photos with mattes, of one at least."""
+    return Witness(f"its outlines in {len(frames)} photos", lambda mesh: overlap(mesh, frames)._asdict(), 0.02)
 
 
 class Choice(NamedTuple):
@@ -21,17 +40,17 @@ class Choice(NamedTuple):
     method: str
     mesh: Mesh
     report: dict  # of its extraction
-    tried: dict[str, dict]  # method's name -> the shares of its `Agreement`, and the `seconds` that its mesh took
+    tried: dict[str, dict]  # method's name -> what the witness says of its mesh, and the `seconds` that that took
 
 
-def most_agreeing(methods: Mapping[str, Extract], lines: Sightlines) -> Choice:
-    """The first method's mesh, or of those that clearly more sightlines meet at their point the one that most do.
+def most_agreeing(methods: Mapping[str, Extract], witness: Witness) -> Choice:
+    """The first method's mesh, or of those that agree clearly more with the witness the one that agrees most.
 
-    Clearly more is `MARGIN` of all lines. A method that finds no surface is passed by.
+    A method that finds no surface is passed by.
 
     Args:
         methods: By name; the first that finds a surface is the usual one.
-        lines: At least one.
+        witness: Who judges them.
 
     Raises:
         InputError: No method finds a surface; or as they do.
@@ -47,12 +66,13 @@ def most_agreeing(methods: Mapping[str, Extract], lines: Sightlines) -> Choice:
         except NoSurfaceError as fault:
             faults.append(fault)
             continue
-        found = agreement(mesh, lines)
-        tried[name] = found._asdict() | {"seconds": round(time.perf_counter() - started, 1)}
+        shares = dict(witness.judge(mesh))
+        agrees = next(iter(shares.values()))
+        tried[name] = shares | {"seconds": round(time.perf_counter() - started, 1)}
         if best is None:
-            best, to_beat = (name, mesh, report), found.met + MARGIN
-        elif found.met > to_beat:
-            best, to_beat = (name, mesh, report), found.met
+            best, to_beat = (name, mesh, report), agrees + witness.margin
+        elif agrees > to_beat:
+            best, to_beat = (name, mesh, report), agrees
     if best is None:
         raise faults[0]
     return Choice(*best, tried)

@@ -20,13 +20,14 @@ from gsjax.io.temporaries import sweep_beside
 from gsjax.mesh import Mesh
 from gsjax.meshing import boxes, level_set, trimming
 from gsjax.meshing.boxes import Box, Regions
-from gsjax.meshing.choosing import Choice, most_agreeing
+from gsjax.meshing.choosing import Choice, Witness, by_mattes, by_sightlines, most_agreeing
 from gsjax.meshing.depth_points import NormalsOfDepth, depth_poisson
 from gsjax.meshing.export import supported_suffix, write_mesh
 from gsjax.meshing.extract import extract_mesh
 from gsjax.meshing.holes import fill_holes
 from gsjax.meshing.marching_cubes import marching_cubes
 from gsjax.meshing.methods import Method, centers_poisson, level_set_poisson
+from gsjax.meshing.outlines import frames_with_mattes
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.settling import settle
 from gsjax.meshing.sightlines import sightlines_of
@@ -81,8 +82,8 @@ def mesh(
         method: "poisson" through points of the level set, "depth" through those of the rendered depth, "tsdf" fusion of
             the rendered depth, "centers" through the Gaussians' centres, "marching-cubes" of the density. "auto": of
             the first four the one whose mesh agrees most with the tracks of structure from motion
-            (`gsjax.meshing.sightlines`); "poisson" where there are none, and of a run with an entropy phase, which is
-            made for the level set.
+            (`gsjax.meshing.sightlines`), or where there are none with the photos' mattes (`gsjax.meshing.outlines`);
+            "poisson" where there is neither, and of a run with an entropy phase, which is made for the level set.
         level: Density at which the surface lies ("poisson", "marching-cubes").
         points: Most surface points ("poisson", "depth"). None: an eighth of the pixels, 200,000 to 10 million.
         depth: Of the Poisson octree ("poisson", "depth", "centers"). None: chosen from the sizes of the Gaussians.
@@ -186,16 +187,25 @@ def _data_set(source: Path, scene: str | Path | None) -> Scene | None:
 def _chosen(
     extract: Callable[[str], tuple[Mesh, dict]], source: Path, data: Scene | None, kept: Sequence[Box]
 ) -> Choice:
-    """The method that agrees most with the data set's tracks, with those that end in the boxes where any are given."""
-    lines = None if data is None or _made_for_the_level_set(source) else sightlines_of(data)
-    if lines is not None and kept:
-        lines = lines.within(kept)
-    if lines is None or len(lines) < FEWEST_LINES:
+    """The method that agrees most with what the data set knows, of what lies in the boxes where any are given."""
+    witness = None if data is None or _made_for_the_level_set(source) else _witness(data, kept)
+    if witness is None:
         return Choice(USUAL, *extract(USUAL), tried={})
-    choice = most_agreeing({name: partial(extract, name) for name in CANDIDATES}, lines)
-    print(f"mesh: {choice.method}, by {len(lines):,} lines of sight to matched points", file=sys.stderr)
+    choice = most_agreeing({name: partial(extract, name) for name in CANDIDATES}, witness)
+    print(f"mesh: {choice.method}, by {witness.says}", file=sys.stderr)
     print(tables.compare(choice.tried), file=sys.stderr)
     return choice
+
+
+def _witness(data: Scene, kept: Sequence[Box]) -> Witness | None:
+    """The tracks, where they are enough; else the mattes, which show the whole object and nothing of a box."""
+    lines = sightlines_of(data)
+    if kept:
+        lines = lines.within(kept)
+    if len(lines) >= FEWEST_LINES:
+        return by_sightlines(lines)
+    frames = () if kept else frames_with_mattes(data)
+    return by_mattes(frames) if frames else None
 
 
 def _made_for_the_level_set(source: Path) -> bool:

@@ -69,9 +69,12 @@ def test_a_box_and_a_number_of_faces_are_kept(file, tmp_path):
     assert around["background"]["points_seen"] > 0
 
 
-@pytest.mark.parametrize(("count", "chosen"), [(400, "tsdf"), (90, "poisson")])
-def test_auto_keeps_the_mesh_that_the_tracks_meet(file, tmp_path, monkeypatch, count, chosen):
-    """Balls of four sizes, of which one is where the tracks end; fewer than 100 lines of sight choose nothing."""
+@pytest.mark.parametrize(
+    ("count", "mattes", "chosen", "agrees"),
+    [(400, False, "tsdf", "met"), (90, False, "poisson", None), (90, True, "tsdf", "both")],
+)
+def test_auto_keeps_the_mesh_that_the_tracks_meet(file, tmp_path, monkeypatch, count, mattes, chosen, agrees):
+    """Balls of four sizes, of which one is where the tracks end; fewer than 100 lines of sight leave it to mattes."""
     directions = np.random.default_rng(0).normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     radii, made = {"poisson": 1.1, "tsdf": 1.0, "centers": 0.9}, []
@@ -88,18 +91,29 @@ def test_auto_keeps_the_mesh_that_the_tracks_meet(file, tmp_path, monkeypatch, c
         "_method": lambda name, *_: name,
         "_data_set": lambda *_: "of the photos",
         "sightlines_of": lambda data: Sightlines(3 * directions, 0.99 * directions),
+        "frames_with_mattes": lambda data: (with_matte_of_a_ball(0.99),) if mattes else (),
     }
     for name, function in replaced.items():
         monkeypatch.setitem(mesh.__globals__, name, function)
     report = mesh(file, tmp_path / "mesh.ply", method="auto", settled=False)
     assert report["method"] == chosen
     assert made == (["poisson", "depth", "tsdf", "centers"] if chosen == "tsdf" else ["poisson"])
-    assert {name: one["met"] > 0.9 for name, one in report["tried"].items()} == (
+    assert {name: one[agrees] > 0.9 for name, one in report["tried"].items()} == (
         {"poisson": False, "tsdf": True, "centers": False} if chosen == "tsdf" else {}
     )
     found = np.linalg.norm(read_mesh(tmp_path / "mesh.ply").vertices, axis=1)
     per_unit = open_result(file).similarity.length_to_local(1.0)
     np.testing.assert_allclose(per_unit * found, radii[chosen], rtol=1e-5)
+
+
+def with_matte_of_a_ball(radius):
+    """A photo of a ball at the origin from 5 units away, whose matte is the ball's outline."""
+    viewmat, size = np.eye(4, dtype=np.float32), 160
+    viewmat[2, 3] = 5.0
+    K = np.float32([[300, 0, size / 2], [0, 300, size / 2], [0, 0, 1]])
+    y, x = (np.mgrid[:size, :size] + 0.5 - size / 2) / 300
+    matte = np.where(np.hypot(x, y) < np.tan(np.arcsin(radius / 5)), 255, 0).astype(np.uint8)
+    return frame_of("ball.png", viewmat, K, Pixels(np.zeros((size, size, 3), np.uint8), matte))
 
 
 LUMP = np.array([0.0, 0.0, 1.6])  # Its middle, above the ball; its radius is 0.35.

@@ -1,0 +1,62 @@
+"""Balls before cameras: how a mesh's outline covers a matte is what circles say."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from gsjax.cameras import look_at
+from gsjax.mesh import Mesh
+from gsjax.meshing.outlines import MOST_PHOTOS, frames_with_mattes, overlap
+from gsjax.scene import Pixels, Scene, frame_of
+
+SIZE, FOCAL, AWAY = 200, 300.0, 5.0
+
+
+def ball(radius):
+    sphere = trimesh.creation.icosphere(subdivisions=5, radius=radius)
+    return Mesh(sphere.vertices, sphere.faces, np.full(sphere.vertices.shape, 128, np.uint8))
+
+
+def outline(radius):
+    """`[H, W]` bool: what a ball of that radius covers, seen from `AWAY`."""
+    y, x = (np.mgrid[:SIZE, :SIZE] + 0.5 - SIZE / 2) / FOCAL
+    return np.hypot(x, y) < np.tan(np.arcsin(radius / AWAY))
+
+
+def photos(count, valid=None, matte=True):
+    """Of a ball of radius 1, from directions around it."""
+    K = np.float32([[FOCAL, 0, SIZE / 2], [0, FOCAL, SIZE / 2], [0, 0, 1]])
+    pixels = Pixels(np.zeros((SIZE, SIZE, 3), np.uint8), 255 * outline(1.0).astype(np.uint8) if matte else None, valid)
+    eyes = AWAY * np.stack([np.cos(range(count)), np.sin(range(count)), np.zeros(count)], axis=-1)
+    poses = [look_at(eye, np.zeros(3), np.array([0.0, 0, 1])).astype(np.float32) for eye in eyes]
+    return tuple(frame_of(f"{index:02d}.png", pose, K, pixels) for index, pose in enumerate(poses))
+
+
+@pytest.mark.parametrize("radius", [0.8, 1.0, 1.2])
+@pytest.mark.parametrize("half", [False, True])
+def test_shares_are_those_of_circles(radius, half):
+    """Of the facets' edges a pixel in some hundred falls on the other side."""
+    valid = np.where(np.arange(SIZE) < SIZE / 2, np.uint8(255), np.uint8(0)) * np.ones((SIZE, 1), np.uint8)
+    usable = valid > 0 if half else np.ones((SIZE, SIZE), bool)
+    mesh, matte = outline(radius) & usable, outline(1.0) & usable
+    either = np.sum(mesh | matte)
+    expected = [np.sum(part) / either for part in (mesh & matte, mesh & ~matte, matte & ~mesh)]
+    found = overlap(ball(radius), photos(3, valid if half else None))
+    np.testing.assert_allclose(found, expected, atol=0.006)
+    assert sum(found) == pytest.approx(1)
+
+
+def test_photos_are_chosen_evenly_and_all_must_have_a_matte():
+    def scene(frames):
+        return Scene(Path("ball"), "transforms", frames, np.zeros((0, 3)), np.zeros((0, 3)))
+
+    many = photos(60)
+    chosen = [int(frame.name[:2]) for frame in frames_with_mattes(scene(many))]
+    assert len(chosen) == MOST_PHOTOS
+    assert (chosen[0], chosen[-1]) == (0, 59)
+    assert set(np.diff(chosen)) == {2, 3}
+    assert len(frames_with_mattes(scene(many[:5]))) == 5
+    assert frames_with_mattes(scene((*many[:5], *photos(1, matte=False)))) == ()
+    assert frames_with_mattes(scene(())) == ()
