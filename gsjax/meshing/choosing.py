@@ -1,4 +1,4 @@
-"""Which of several ways to a mesh suits a scene: the one that agrees most with what is known of the scene without it."""
+"""Which of several ways to a mesh suits a scene: the one that agrees most with what is known without its Gaussians."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
