@@ -301,7 +301,7 @@ BALANCED = {
         _phase("vanilla", 5000, density_control=True),
         _phase("surface", 2000, weights=_SURFACE_TERMS),
     ],
-    "density": {"rule": "error", "stop": 4500, "reset_every": 0},
+    "density": {"rule": "error", "start": 50, "stop": 3600, "full_by": 0.6, "reset_every": 0},
 }
 ACCURATE = {  # `balanced` in as many steps as the paper's
     **BALANCED,
@@ -312,7 +312,7 @@ ACCURATE = {  # `balanced` in as many steps as the paper's
         _phase("vanilla", 9350, density_control=True),
         _phase("surface", 3750, weights=_SURFACE_TERMS),
     ],
-    "density": {"rule": "error", "stop": 8400, "reset_every": 0},
+    "density": {"rule": "error", "start": 100, "stop": 6700, "full_by": 0.6, "reset_every": 0},
 }
 PAPER_6K_15K = {
     "phases": [
