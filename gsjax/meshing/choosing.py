@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 from gsjax.errors import NoSurfaceError
 from gsjax.mesh import Mesh
-from gsjax.meshing.outlines import overlap
+from gsjax.meshing.outlines import Outline, overlap
 from gsjax.meshing.sightlines import Sightlines, agreement
-from gsjax.scene import Frame
 
 Extract = Callable[[], tuple[Mesh, dict]]
 """Makes a mesh, and plain numbers about it."""
@@ -29,9 +28,9 @@ def by_sightlines(lines: Sightlines) -> Witness:
     )
 
 
-def by_mattes(frames: Sequence[Frame]) -> Witness:
-    """The outlines of an object in photos with mattes, of one at least."""
-    return Witness(f"its outlines in {len(frames)} photos", lambda mesh: overlap(mesh, frames)._asdict(), 0.02)
+def by_mattes(outlines: Sequence[Outline]) -> Witness:
+    """The mattes of photos, of one at least."""
+    return Witness(f"its outline in {len(outlines)} photos", lambda mesh: overlap(mesh, outlines)._asdict(), 0.02)
 
 
 class Choice(NamedTuple):

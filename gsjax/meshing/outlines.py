@@ -3,6 +3,7 @@
 A mesh that is too fat reaches beyond the mattes, one that has lost a rod leaves it bare. Hollows do not show in them.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -11,10 +12,19 @@ import numpy as np
 from gsjax.mesh import Mesh
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
-from gsjax.scene import Frame, Scene, valid_pixels
+from gsjax.scene import Frame, Scene
 
-MOST_PHOTOS = 24  # They take a second for a mesh of a million triangles.
+MOST_PHOTOS, MOST_PIXELS = 24, 1 << 18  # of each photo: rays at all of them take a second or two a mesh
 IS_OBJECT = 127  # of 255: a pixel's coverage above which it is the object's
+
+
+class Outline(NamedTuple):
+    """The matte of one photo, at evenly spaced pixels of it."""
+
+    viewmat: np.ndarray  # [4, 4] world to camera
+    K: np.ndarray  # [3, 3] of these pixels
+    is_object: np.ndarray  # [H, W] bool
+    usable: np.ndarray  # [H, W] bool, False where a mask hides the photo
 
 
 class Overlap(NamedTuple):
@@ -25,8 +35,8 @@ class Overlap(NamedTuple):
     object_alone: float
 
 
-def frames_with_mattes(scene: Scene) -> tuple[Frame, ...]:
-    """Photos with a matte, at most `MOST_PHOTOS` of them and evenly chosen; none where there is one without.
+def outlines_of(scene: Scene) -> tuple[Outline, ...]:
+    """Those of at most `MOST_PHOTOS` photos, evenly chosen; none where one of them has no matte.
 
     Held-out photos count too: nothing was trained on their pixels.
 
@@ -37,22 +47,42 @@ def frames_with_mattes(scene: Scene) -> tuple[Frame, ...]:
         InputError: A photo cannot be read.
     """
     count = min(len(scene.frames), MOST_PHOTOS)
-    chosen = [scene.frames[index] for index in np.linspace(0, len(scene.frames) - 1, count).astype(int)]
-    return tuple(chosen) if all(frame.pixels().matte is not None for frame in chosen) else ()
+    found = []
+    for index in np.linspace(0, len(scene.frames) - 1, count).astype(int):
+        outline = _outline(scene.frames[index])
+        if outline is None:
+            return ()
+        found.append(outline)
+    return tuple(found)
 
 
-def overlap(mesh: Mesh, frames: Sequence[Frame]) -> Overlap:
-    """How the outlines of a mesh cover those of the object, over all valid pixels of the frames.
+def _outline(frame: Frame) -> Outline | None:
+    _, matte, valid = frame.pixels()
+    if matte is None:
+        return None
+    every = math.ceil(math.sqrt(matte.size / MOST_PIXELS))
+    taken = (slice(every // 2, None, every),) * 2
+    # The centre of the first pixel that is taken is to be the centre of the first one of the smaller picture.
+    K = frame.K.astype(np.float64)
+    K[:2, 2] -= every // 2 + 0.5 - every / 2
+    return Outline(
+        frame.viewmat,
+        np.diag([1 / every, 1 / every, 1]) @ K,
+        matte[taken] > IS_OBJECT,
+        np.ones_like(matte[taken], bool) if valid is None else valid[taken] > 127,
+    )
+
+
+def overlap(mesh: Mesh, outlines: Sequence[Outline]) -> Overlap:
+    """How the outlines of a mesh cover those of the object.
 
     Args:
-        mesh: The surface, in the frames' coordinates.
-        frames: Of which each has a matte, and one at least shows something.
+        mesh: The surface, in the scene's coordinates.
+        outlines: At least one.
     """
     cast, counts = ray_caster(mesh), np.zeros(3, np.int64)
-    for frame in frames:
-        shown = depth_of_mesh(mesh, frame.viewmat, frame.K, frame.width, frame.height, cast=cast) > 0
-        matte, valid = frame.pixels().matte, valid_pixels(frame)
-        assert matte is not None
-        is_object, usable = matte > IS_OBJECT, True if valid is None else valid
+    for viewmat, K, is_object, usable in outlines:
+        height, width = is_object.shape
+        shown = depth_of_mesh(mesh, viewmat, K, width, height, cast=cast) > 0
         counts += [np.sum(part & usable) for part in (shown & is_object, shown & ~is_object, is_object & ~shown)]
     return Overlap(*(counts / max(counts.sum(), 1)))

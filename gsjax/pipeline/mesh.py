@@ -27,7 +27,7 @@ from gsjax.meshing.extract import extract_mesh
 from gsjax.meshing.holes import fill_holes
 from gsjax.meshing.marching_cubes import marching_cubes
 from gsjax.meshing.methods import Method, centers_poisson, level_set_poisson
-from gsjax.meshing.outlines import frames_with_mattes
+from gsjax.meshing.outlines import outlines_of
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.settling import settle
 from gsjax.meshing.sightlines import sightlines_of
@@ -204,8 +204,8 @@ def _witness(data: Scene, kept: Sequence[Box]) -> Witness | None:
         lines = lines.within(kept)
     if len(lines) >= FEWEST_LINES:
         return by_sightlines(lines)
-    frames = () if kept else frames_with_mattes(data)
-    return by_mattes(frames) if frames else None
+    outlines = () if kept else outlines_of(data)
+    return by_mattes(outlines) if outlines else None
 
 
 def _made_for_the_level_set(source: Path) -> bool:

@@ -8,7 +8,8 @@ import trimesh
 
 from gsjax.cameras import look_at
 from gsjax.mesh import Mesh
-from gsjax.meshing.outlines import MOST_PHOTOS, frames_with_mattes, overlap
+from gsjax.meshing import outlines
+from gsjax.meshing.outlines import MOST_PHOTOS, outlines_of, overlap
 from gsjax.scene import Pixels, Scene, frame_of
 
 SIZE, FOCAL, AWAY = 200, 300.0, 5.0
@@ -34,29 +35,35 @@ def photos(count, valid=None, matte=True):
     return tuple(frame_of(f"{index:02d}.png", pose, K, pixels) for index, pose in enumerate(poses))
 
 
+def scene(frames):
+    return Scene(Path("ball"), "transforms", frames, np.zeros((0, 3)), np.zeros((0, 3)))
+
+
 @pytest.mark.parametrize("radius", [0.8, 1.0, 1.2])
 @pytest.mark.parametrize("half", [False, True])
-def test_shares_are_those_of_circles(radius, half):
-    """Of the facets' edges a pixel in some hundred falls on the other side."""
+@pytest.mark.parametrize("every", [1, 2, 3])
+def test_shares_are_those_of_circles(radius, half, every, monkeypatch):
+    """Of the facets' edges a pixel in some hundred falls on the other side, whether all pixels are asked or a ninth."""
+    monkeypatch.setattr(outlines, "MOST_PIXELS", (SIZE // every + 1) ** 2)
     valid = np.where(np.arange(SIZE) < SIZE / 2, np.uint8(255), np.uint8(0)) * np.ones((SIZE, 1), np.uint8)
     usable = valid > 0 if half else np.ones((SIZE, SIZE), bool)
     mesh, matte = outline(radius) & usable, outline(1.0) & usable
     either = np.sum(mesh | matte)
     expected = [np.sum(part) / either for part in (mesh & matte, mesh & ~matte, matte & ~mesh)]
-    found = overlap(ball(radius), photos(3, valid if half else None))
+    seen = outlines_of(scene(photos(3, valid if half else None)))
+    assert seen[0].is_object.shape == (len(range(every // 2, SIZE, every)),) * 2
+    found = overlap(ball(radius), seen)
     np.testing.assert_allclose(found, expected, atol=0.006)
     assert sum(found) == pytest.approx(1)
 
 
 def test_photos_are_chosen_evenly_and_all_must_have_a_matte():
-    def scene(frames):
-        return Scene(Path("ball"), "transforms", frames, np.zeros((0, 3)), np.zeros((0, 3)))
-
     many = photos(60)
-    chosen = [int(frame.name[:2]) for frame in frames_with_mattes(scene(many))]
-    assert len(chosen) == MOST_PHOTOS
-    assert (chosen[0], chosen[-1]) == (0, 59)
-    assert set(np.diff(chosen)) == {2, 3}
-    assert len(frames_with_mattes(scene(many[:5]))) == 5
-    assert frames_with_mattes(scene((*many[:5], *photos(1, matte=False)))) == ()
-    assert frames_with_mattes(scene(())) == ()
+    chosen = [outline.viewmat for outline in outlines_of(scene(many))]
+    indices = [next(i for i, frame in enumerate(many) if frame.viewmat is viewmat) for viewmat in chosen]
+    assert len(indices) == MOST_PHOTOS
+    assert (indices[0], indices[-1]) == (0, 59)
+    assert set(np.diff(indices)) == {2, 3}
+    assert len(outlines_of(scene(many[:5]))) == 5
+    assert outlines_of(scene((*many[:5], *photos(1, matte=False)))) == ()
+    assert outlines_of(scene(())) == ()

@@ -13,6 +13,7 @@ from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
 from gsjax.mesh import Mesh, signed_volume
 from gsjax.meshing.export import read_mesh
+from gsjax.meshing.outlines import Outline
 from gsjax.meshing.sightlines import Sightlines
 from gsjax.pipeline.mesh import METHODS, mesh
 from gsjax.render import gallery
@@ -91,7 +92,7 @@ def test_auto_keeps_the_mesh_that_the_tracks_meet(file, tmp_path, monkeypatch, c
         "_method": lambda name, *_: name,
         "_data_set": lambda *_: "of the photos",
         "sightlines_of": lambda data: Sightlines(3 * directions, 0.99 * directions),
-        "frames_with_mattes": lambda data: (with_matte_of_a_ball(0.99),) if mattes else (),
+        "outlines_of": lambda data: (outline_of_a_ball(0.99),) if mattes else (),
     }
     for name, function in replaced.items():
         monkeypatch.setitem(mesh.__globals__, name, function)
@@ -106,14 +107,13 @@ def test_auto_keeps_the_mesh_that_the_tracks_meet(file, tmp_path, monkeypatch, c
     np.testing.assert_allclose(per_unit * found, radii[chosen], rtol=1e-5)
 
 
-def with_matte_of_a_ball(radius):
-    """A photo of a ball at the origin from 5 units away, whose matte is the ball's outline."""
+def outline_of_a_ball(radius):
+    """Of a ball at the origin from 5 units away."""
     viewmat, size = np.eye(4, dtype=np.float32), 160
     viewmat[2, 3] = 5.0
     K = np.float32([[300, 0, size / 2], [0, 300, size / 2], [0, 0, 1]])
     y, x = (np.mgrid[:size, :size] + 0.5 - size / 2) / 300
-    matte = np.where(np.hypot(x, y) < np.tan(np.arcsin(radius / 5)), 255, 0).astype(np.uint8)
-    return frame_of("ball.png", viewmat, K, Pixels(np.zeros((size, size, 3), np.uint8), matte))
+    return Outline(viewmat, K, np.hypot(x, y) < np.tan(np.arcsin(radius / 5)), np.ones((size, size), bool))
 
 
 LUMP = np.array([0.0, 0.0, 1.6])  # Its middle, above the ball; its radius is 0.35.
