@@ -24,6 +24,7 @@ RESERVED = 0.1  # of a budget, for photos, scores and what else no step does
 SCORING = 8.0  # seconds besides, for programs that score
 TRIED_SHARE = 0.1  # of a budget, for the steps that are tried of each phase
 FEWEST_STEPS = 50  # of a run
+FEWEST_ROUNDS, SHORTEST_INTERVAL = 8, 20  # in which Gaussians multiply, and steps between two of them
 SHORTENED = 0.4  # of its steps' time, with which a preset is no better than a shorter one (docs/accuracy_vs_time.md)
 # At first Gaussians are wider than a trial's: time for so many plain steps more, at most for half of a run's own.
 WIDER_STEPS, WIDER_SHARE = 150, 0.5
@@ -36,14 +37,20 @@ Lasting = Callable[[Settings, float], Settings]
 def scaled(settings: Settings, factor: float) -> Settings:
     """The same run in `factor` times as many steps: phases, and all that is due at a step, in proportion.
 
-    Gaussians multiply after as many steps as before in a longer run, and after fewer in a shorter one, but 20 at least.
+    Gaussians multiply after as many steps as before in a longer run. In a shorter one too, by error, as long as they do
+    so `FEWEST_ROUNDS` times: who has moved needs steps to settle. By 3DGS's rule the number of Gaussians hangs on how
+    often, so they multiply as often as before, but after 20 steps at least.
     """
 
     def times(steps: int, least: int = 1) -> int:
         return max(least, round(factor * steps)) if steps else 0
 
     density, rates = settings.density, settings.rates
-    every = density.every if factor >= 1 else times(density.every, min(density.every, 20))
+    shortest = min(density.every, SHORTEST_INTERVAL)
+    wanted = density.every if factor >= 1 else times(density.every)
+    if density.rule == "error":
+        wanted = max(wanted, (times(density.stop) - times(density.start)) // FEWEST_ROUNDS)
+    every = min(density.every, max(shortest, wanted))
     large = density.prune_large_after
     return replace(
         settings,
