@@ -275,7 +275,7 @@ FAST: dict[str, Any] = {
         _phase("surface", 500, weights=_SURFACE_TERMS, surface_every=2),
     ],
     "rates": {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "quats": 0.003, "final_share": 0.2},
-    "density": {"rule": "error", "start": 50, "stop": 1000, "every": 50, "full_by": 0.6, "reset_every": 0},
+    "density": {"rule": "error", "start": 50, "stop": 1000, "full_by": 0.6, "reset_every": 0},
     "logging": {"evaluate_every": 250, "checkpoint_every": 250},
 }
 QUICK = {  # small photos and their image alone: a step takes less than half as long, and one program is all to compile
@@ -284,7 +284,7 @@ QUICK = {  # small photos and their image alone: a step takes less than half as 
     "sh_every": 150,
     "phases": [_phase("coarse", 900, image_scale=2, density_control=True)],
     "rates": {**FAST["rates"], "sh_rest": 1e-3},
-    "density": {**FAST["density"], "start": 30, "stop": 630},
+    "density": {**FAST["density"], "start": 30, "stop": 630, "every": 50},
 }
 BALANCED = {
     "depth_mode": "front",
