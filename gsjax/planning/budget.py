@@ -46,11 +46,10 @@ def scaled(settings: Settings, factor: float) -> Settings:
         return max(least, round(factor * steps)) if steps else 0
 
     density, rates = settings.density, settings.rates
-    shortest = min(density.every, SHORTEST_INTERVAL)
     wanted = density.every if factor >= 1 else times(density.every)
     if density.rule == "error":
         wanted = max(wanted, (times(density.stop) - times(density.start)) // FEWEST_ROUNDS)
-    every = min(density.every, max(shortest, wanted))
+    every = min(density.every, max(SHORTEST_INTERVAL, wanted))
     large = density.prune_large_after
     return replace(
         settings,
