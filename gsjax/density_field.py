@@ -42,6 +42,7 @@ class RayProfile:
     heights: Array  # [K] density at the peak
 
 
+@jax.jit
 def kernels(gaussians: Gaussians) -> Kernels:
     """All Gaussians, ready to be indexed by neighbour ids."""
     inverse_scales = jnp.exp(-jnp.maximum(gaussians.log_scales, MIN_LOG_SCALE))

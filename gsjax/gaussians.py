@@ -58,6 +58,7 @@ def smallest_axes(gaussians: Gaussians) -> Array:
     return jnp.take_along_axis(rotation_matrices(gaussians.quats), axis[:, None, None], axis=-1)[..., 0]
 
 
+@jax.jit
 def covariances(gaussians: Gaussians) -> Array:
     """`[N, 3, 3]` R S S^T R^T, world, scene units squared."""
     columns = rotation_matrices(gaussians.quats) * scales(gaussians)[:, None, :]

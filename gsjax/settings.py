@@ -337,14 +337,21 @@ DEMO: dict[str, Any] = {
     "pixel_filter": "mip",  # its pixels are means over their area, unsharpened
     "max_gaussians": 12_000,
     "sh_degree": 2,
-    "sh_every": 400,
+    "sh_every": 150,
     "phases": [
-        _phase("vanilla", 500, density_control=True),
-        _phase(
-            "surface", 1350, weights={"pixel_normal": 0.25, "thickness": 0.02}, surface_every=4, density_control=True
-        ),
+        _phase("vanilla", 100, density_control=True),
+        _phase("surface", 900, weights={"pixel_normal": 0.6, "thickness": 0.02}, surface_every=4, density_control=True),
     ],
-    "density": {"rule": "error", "start": 200, "stop": 900, "replace": 0.05, "reset_every": 0},
+    "rates": FAST["rates"],
+    "density": {
+        "rule": "error",
+        "start": 50,
+        "stop": 600,
+        "every": 50,
+        "full_by": 0.6,
+        "replace": 0.05,
+        "reset_every": 0,
+    },
     "logging": {"metrics_every": 50, "evaluate_every": 0, "checkpoint_every": 2000},
 }
 """The built-in scene at 192x192 pixels with its true normals (`gsjax.pipeline.demo`).

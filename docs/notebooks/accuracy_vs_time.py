@@ -82,7 +82,7 @@ def measured(steps):
     """Seconds of a training, and the PSNR of the held-out photos."""
     state = initial_state(initialize.from_points(*cloud, capacity=1000, sh_degree=0), optimizer)
     started = time.perf_counter()
-    state = advance(
+    state, _ = advance(
         program, lambda step, state, *_: state, state, photos_to_train_on, (0, steps), seed=0, capacity=6144
     )
     seconds = time.perf_counter() - started

@@ -13,7 +13,7 @@ from typing import Any
 from studies.baselines import MIX, WEIGHTS, Method, at_equal_time
 
 ON = "built_in"
-EARLY = 500  # steps of the demo before its surface phase
+EARLY = 500  # plain steps before the surface phase
 _COST = 1.61  # of a step with R at the pixels, in plain ones (`native` backend, AMD EPYC without AVX-512)
 _THICKNESS = 0.02
 

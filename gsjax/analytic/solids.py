@@ -5,6 +5,7 @@ unit scale (the solids fit in a cylinder of radius 0.75 and height 0.85), lit by
 depends on the viewing direction. The background is white.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -18,6 +19,8 @@ from gsjax.colors import linear_to_srgb, srgb_to_linear
 GROUND_LABEL = 255
 TABLE_RADIUS = 1.6
 BOUNDS = ((-1.65, -1.65, -0.12), (1.65, 1.65, 0.95))  # of everything solid, world units
+
+BLOCK = 192 * 192  # points at once: the pixels of the demo's photos, whose programs then serve the surface as well
 
 _EXACT = jax.lax.Precision.HIGHEST  # of products: a GPU's matrix units would round their factors to ten bits
 _TABLE_THICKNESS = 0.08
@@ -59,11 +62,16 @@ def trace(camera: Camera, *, samples: int = 3) -> Trace:
         camera: The view.
         samples: Colour samples along each side of a pixel.
     """
-    distances, normals, labels = _surface_of_rays(camera)
-    hit = (distances > 0).reshape(camera.height, camera.width)
-    depth = distances.reshape(hit.shape) / jnp.linalg.norm(pixel_rays(camera), axis=-1)
     offsets = (np.arange(samples, dtype=np.float32) + 0.5) / samples - 0.5
     light = sum(_light_of_rays(camera, x, y) for y in offsets for x in offsets) / samples**2
+    return _traced(camera, *_surface_of_rays(camera), light)
+
+
+@jax.jit
+def _traced(camera: Camera, distances: Array, normals: Array, labels: Array, light: Array) -> Trace:
+    """What `[H W]` rays have met, as images."""
+    hit = (distances > 0).reshape(camera.height, camera.width)
+    depth = distances.reshape(hit.shape) / jnp.linalg.norm(pixel_rays(camera), axis=-1)
     return Trace(
         depth=jnp.where(hit, depth, 0.0),
         normals=jnp.where(hit[..., None], _turned(normals, rotation(camera)).reshape(*hit.shape, 3), 0.0),
@@ -76,16 +84,17 @@ def _surface_of_rays(camera: Camera) -> tuple[Array, Array, Array]:
     origins, directions = _world_rays(camera, 0.0, 0.0)
     distances = _cast_all(origins, directions)
     points = _just_before(origins, directions, distances)
-    return distances, _normal_all(points), _label_all(points)
+    return distances, normal_all(points), label_all(points)
 
 
 def _light_of_rays(camera: Camera, offset_x: float, offset_y: float) -> Array:
     origins, directions = _world_rays(camera, offset_x, offset_y)
     distances = _march_all(origins, directions)
-    light = _shade_all(_just_before(origins, directions, distances))
+    light = shade_all(_just_before(origins, directions, distances))
     return jnp.where(distances[:, None] > 0, light, 1.0)
 
 
+@jax.jit
 def _just_before(origins: Array, directions: Array, distances: Array) -> Array:
     """`[R, 3]` points where the distance has a slope: on a face it is a maximum of two that are equal but for rounding.
 
@@ -344,6 +353,13 @@ def _wave(cycles: Array) -> Array:
 # again there, a hundred times slower.
 _cast_all = jax.jit(jax.vmap(cast))
 _march_all = jax.jit(jax.vmap(march))
-_normal_all = jax.jit(jax.vmap(normal))
-_label_all = jax.jit(jax.vmap(label))
-_shade_all = jax.jit(jax.vmap(shade))
+normal_all = jax.jit(jax.vmap(normal))
+label_all = jax.jit(jax.vmap(label))
+shade_all = jax.jit(jax.vmap(shade))
+
+
+def in_blocks(compiled: Callable[[np.ndarray], Array], points: np.ndarray, size: int = BLOCK) -> np.ndarray:
+    """A compiled function of `[size, ...]` points at `[P, ...]` of them, numpy: one program serves, however many."""
+    blocks = -(-len(points) // size)
+    padded = np.pad(points, ((0, blocks * size - len(points)), (0, 0)), mode="edge")
+    return np.concatenate([np.asarray(compiled(block)) for block in np.split(padded, blocks)])[: len(points)]

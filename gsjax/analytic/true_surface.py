@@ -28,8 +28,8 @@ def mesh(spacing: float) -> Mesh:
     corners = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     inside = np.asarray(_distance_all(corners.reshape(-1, 3))).reshape(corners.shape[:3]) < 0
     starts, faces = _surface_nets(inside)
-    vertices = _project_all((low + spacing * starts).astype(np.float32))
-    return Mesh(np.asarray(vertices), faces, to_bytes(_albedo_all(vertices)))
+    vertices = solids.in_blocks(_project_all, (low + spacing * starts).astype(np.float32))
+    return Mesh(vertices, faces, to_bytes(solids.in_blocks(_albedo_all, vertices)))
 
 
 def sample_points(
@@ -48,24 +48,25 @@ def sample_points(
         of the numbers drawn by the few points in narrow corners that do not come to rest on the surface.
     """
     centroids = surface.vertices[surface.faces].mean(axis=1)
-    on_table = np.asarray(_label_all(centroids)) == solids.GROUND_LABEL
+    on_table = solids.in_blocks(solids.label_all, centroids) == solids.GROUND_LABEL
     drawn = []
     for faces, count in ((~on_table, num_solids), (on_table & (centroids[:, 2] > -1e-3), num_table)):
         part = Mesh(surface.vertices, surface.faces[faces], surface.colors)
         drawn.append(sample_surface(part, count, seed))
     starts, facing = (np.concatenate(each).astype(np.float32) for each in zip(*drawn, strict=True))
-    points = np.asarray(_project_all(starts))
-    normals = np.asarray(_normal_all(points + solids.BEFORE * facing))
+    points = solids.in_blocks(_project_all, starts)
+    normals = solids.in_blocks(solids.normal_all, points + np.float32(solids.BEFORE) * facing)
     at_rest = np.flatnonzero(np.abs(_distance_all(points)) < _ON_SURFACE)
     chosen = np.random.default_rng(seed).permutation(at_rest)
     return points[chosen], normals[chosen], chosen >= num_solids
 
 
-def project(point: Array) -> Array:
-    """`[3]` point of the surface near a `[3]` point: down the gradient of the distance."""
-    return jax.lax.fori_loop(
-        0, _PROJECTIONS, lambda _, p: p - solids.scene_sdf(p) * solids.normal(p), jnp.asarray(point)
-    )
+def _project_all(points: np.ndarray | Array) -> Array:
+    """`[P, 3]` points of the surface near `[P, 3]` points: down the gradient of the distance."""
+    moved = jnp.asarray(points)
+    for _ in range(_PROJECTIONS):
+        moved = _stepped(moved, _distance_all(moved), solids.normal_all(moved))
+    return moved
 
 
 def _surface_nets(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -99,7 +100,5 @@ def _surface_nets(inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 _distance_all = jax.jit(jax.vmap(solids.scene_sdf))
-_project_all = jax.jit(jax.vmap(project))
-_normal_all = jax.jit(jax.vmap(solids.normal))
-_label_all = jax.jit(jax.vmap(solids.label))
+_stepped = jax.jit(lambda points, distances, normals: points - distances[:, None] * normals)
 _albedo_all = jax.jit(jax.vmap(solids.albedo))

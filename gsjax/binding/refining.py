@@ -199,7 +199,8 @@ def refine(
 
     steps = (int(state.step), settings.steps)
     capacity = capacity or chosen_capacity(state.gaussians, data)
-    return advance(compiled, after, state, data, steps, seed=settings.seed, capacity=capacity)
+    state, _ = advance(compiled, after, state, data, steps, seed=settings.seed, capacity=capacity)
+    return state
 
 
 def initial_state(gaussians: Hybrid, optimizer: optax.GradientTransformation) -> RefineState:

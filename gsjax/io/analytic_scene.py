@@ -162,7 +162,7 @@ def _write_model(folder: Path, samples: _Samples, cameras: list[Camera], seed: i
     points, seen = samples.points[chosen], _limited(samples.seen[:, chosen], rng)
     pixels = np.stack([np.asarray(_project_all(points, camera)) for camera in cameras])
     pixels += rng.normal(0, PIXEL_NOISE, pixels.shape).astype(np.float32)
-    colors = to_bytes(_appearance_all(points))
+    colors = to_bytes(linear_to_srgb(solids.in_blocks(solids.shade_all, points)))
 
     model = pycolmap.Reconstruction()
     K, width, height = np.asarray(cameras[0].K), cameras[0].width, cameras[0].height
@@ -194,4 +194,3 @@ def _limited(seen: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 _visible_all = jax.jit(jax.vmap(solids.visible, in_axes=(0, None)))
 _project_all = jax.jit(jax.vmap(lambda point, camera: project(world_to_camera(point, camera), camera), (0, None)))
-_appearance_all = jax.jit(jax.vmap(lambda point: linear_to_srgb(solids.shade(point))))

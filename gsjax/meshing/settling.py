@@ -14,6 +14,7 @@ import scipy.sparse as sparse
 from scipy.sparse.linalg import cg
 from tqdm import tqdm
 
+from gsjax.in_order import in_order
 from gsjax.mesh import Mesh, vertex_normals
 from gsjax.meshing.rays import Cast, ray_caster
 from gsjax.meshing.topology import edge_table
@@ -116,8 +117,9 @@ def _survey(mesh: Mesh, frames: Sequence[Frame], offsets: np.ndarray, mean: np.n
     about = np.full((size, 3), 0.5, np.float32) if mean is None else mean
     weight, pixel, views = np.zeros(size), np.zeros(size), np.zeros(size, np.int32)
     total, squares = np.zeros((count, size, 3), np.float32), np.zeros((count, size), np.float32)
-    for frame in frames:
-        bar.update()
+
+    def seen(frame: Frame) -> tuple[np.ndarray, ...]:
+        """Ids, their cosines, pixels in scene units, and `[H, n, 3]` colours less what they are about."""
         ids, cosine, distance = _visible(vertices, normals, frame, cast, thick)
         image, *masks = frame.pixels()
         for mask in masks:
@@ -126,18 +128,19 @@ def _survey(mesh: Mesh, frames: Sequence[Frame], offsets: np.ndarray, mean: np.n
             x, y = _projected(vertices[ids], frame)
             usable = mask[y.astype(int), x.astype(int)] > 127
             ids, cosine, distance = ids[usable], cosine[usable], distance[usable]
-        if not len(ids):
-            continue
         points = vertices[ids] + offsets[:, ids, None] * normals[ids]
         colors = _read(image, *_projected(points, frame)).astype(np.float32) / 255
         if mean is not None:
             colors *= _gains(colors[middle], mean[ids], cosine)
-        colors -= about[ids]
+        return ids, cosine, distance / np.sqrt(frame.K[0, 0] * frame.K[1, 1]), colors - about[ids]
+
+    for ids, cosine, footprint, colors in in_order(seen, frames):
+        bar.update()
         share = cosine.astype(np.float32)
         total[:, ids] += share[:, None] * colors
         squares[:, ids] += share * np.sum(colors * colors, axis=-1)
         weight[ids] += cosine
-        pixel[ids] += cosine * distance / np.sqrt(frame.K[0, 0] * frame.K[1, 1])
+        pixel[ids] += cosine * footprint
         views[ids] += 1
     safe = np.where(weight > 0, weight, 1)
     average = total / safe[:, None]

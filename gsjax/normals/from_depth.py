@@ -25,6 +25,7 @@ _LEAST_COVERED = 0.97  # of what the smallest windows fit, for larger ones to be
 _NOISE_DEGREES = 6.0  # by which halving the windows turns the median normal, for the larger to be kept
 
 
+@jax.jit
 def depth_normals(depth: Array, camera: Camera) -> Array:
     """Normals of a depth map, by central differences of the unprojected points.
 

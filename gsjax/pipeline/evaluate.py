@@ -79,11 +79,12 @@ def evaluate(
         measures=measures,
         found=found.with_near(scene.frames),
         align=aligned_camera if aligned or found.moves else None,
+        depth_mode=result.depth_mode,  # as the surface is read: one program draws both
     )
     figures.setdefault(STANDARD, None)
     for zoom, frames in zoomed.items():
         plain = Photography(background=found.background)
-        scores = score_images(result.gaussians, frames, background, found=plain)
+        scores = score_images(result.gaussians, frames, background, found=plain, depth_mode=result.depth_mode)
         figures |= {f"{name}_zoom_{zoom:g}": scores[name] for name in ("psnr", "ssim")}
     if given is not None:
         textured = read_textured(mesh)

@@ -161,14 +161,15 @@ def mesh(
 
 def _without_floaters(result: Result) -> tuple[Result, int]:
     """The same without the Gaussians that hang in the air, and how many those were."""
-    cameras, pictures = _pictures(result)
+    cameras, pictures = _pictures(result, with_owners=False)
     hang = are_floaters(result.gaussians, map(coarse_depth, cameras, pictures))
     return replace(result, gaussians=take(result.gaussians, ~hang)), int(hang.sum())
 
 
-def _pictures(result: Result) -> tuple[list[Camera], Iterator[Picture]]:
+def _pictures(result: Result, *, with_owners: bool = True) -> tuple[list[Camera], Iterator[Picture]]:
     """What every method looks at: the Gaussians in their constant colour, from the training views."""
-    return training_pictures(result, without_view_dependence(result.gaussians), result.background, with_owners=True)
+    plain = without_view_dependence(result.gaussians)
+    return training_pictures(result, plain, result.background, with_owners=with_owners)
 
 
 def _data_set(source: Path, scene: str | Path | None) -> Scene | None:

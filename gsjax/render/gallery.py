@@ -13,6 +13,11 @@ from gsjax import render
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.render import DepthReading, backdrop
+from rasterizer.engines import resolve
+
+# Of engines that do not touch the slots that nobody needs: how many times longer than needed a pair buffer is made, and
+# may be.
+ROOM = {"native": (2, 16), "pallas": (2, 4)}
 
 
 class Picture(NamedTuple):
@@ -39,8 +44,7 @@ def pictures(
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     width, height = max(c.width for c in cameras), max(c.height for c in cameras)
     padded = [Camera(jnp.asarray(c.viewmat), jnp.asarray(c.K), width, height) for c in cameras]
-    needed = max(int(_needed(gaussians, camera)) for camera in padded)
-    capacity = rasterizer.capacity_bucket(needed)
+    capacity = _capacity(max(int(_needed(gaussians, camera)) for camera in padded))
     for camera, own in zip(padded, cameras, strict=True):
         color = jnp.asarray(background, jnp.float32)
         shown = _shown(gaussians, camera, color, capacity=capacity, depth_mode=depth_mode, with_owners=with_owners)
@@ -65,6 +69,15 @@ def mask_pictures(pictures: Iterable[Picture], valid: Iterable[np.ndarray | None
 
 
 _needed = jax.jit(render.needed_capacity)
+_compiled: set[int] = set()  # Pair buffers that this process has drawn with.
+
+
+def _capacity(needed: int) -> int:
+    """The length of a pair buffer that holds so many: the shortest that a program is compiled for, or a new one."""
+    new, longest = (rasterizer.capacity_bucket(needed * times) for times in ROOM.get(resolve("auto"), (1, 1)))
+    capacity = min((each for each in _compiled if needed <= each <= longest), default=new)
+    _compiled.add(capacity)
+    return capacity
 
 
 @partial(jax.jit, static_argnames=("capacity", "depth_mode", "with_owners"))

@@ -50,6 +50,17 @@ def rounded_capacity(needed: int, headroom: float) -> int:
     return -(-int(needed * headroom + 1) // 4096) * 4096
 
 
+def kept_or(chosen: int, headroom: float, before: int | None) -> int:
+    """The buffer of before, whose programs are compiled, where it is no longer than `chosen` and will not be too short.
+
+    Args:
+        chosen: `headroom` times what is needed.
+        headroom: Of `chosen`.
+        before: The length of a buffer; None: there is none.
+    """
+    return before if before is not None and STILL * chosen / headroom <= before <= chosen else chosen
+
+
 def is_compiled_anew(before: Any, state: Any) -> bool:
     """Whether a state's buffers are of other lengths than before, so that the next step is another program."""
     return state is not before and _shapes(state) != _shapes(before)

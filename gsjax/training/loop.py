@@ -28,6 +28,7 @@ from gsjax.training.capacity import (
     chosen_capacity,
     headroom,
     is_compiled_anew,
+    kept_or,
     no_room,
     rounded_capacity,
 )
@@ -189,13 +190,15 @@ def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainS
     Raises:
         InputError: The device has no room for so many Gaussians at this size.
     """
-    done = int(state.step)
+    done, before = int(state.step), None
     for phase in work.plan.phases:
         if done >= phase.end:
             continue
         if phase.tables and done == phase.begin:
             state = with_tables(state, work.plan)
-        state = _run_phase(work, phase, _views(work, phase, state), state, done, capacity)
+        data = _views(work, phase, state)
+        capacity = capacity or _room_for(work, phase, data, state, before)
+        state, before = _run_phase(work, phase, data, state, done, capacity)
         done, capacity = phase.end, None
     return state
 
@@ -239,7 +242,7 @@ def advance(
     view_share: float = 0.5,
     feed: Feed = one_view,
     looks: Callable[[int], bool] | None = None,
-) -> S:
+) -> tuple[S, int]:
     """Take the steps of one program, each with its view, and make room where a view needs it.
 
     Args:
@@ -258,7 +261,7 @@ def advance(
             are the same. None: it always looks.
 
     Returns:
-        The state after the last step.
+        The state after the last step, and the pair buffer's length by then.
 
     Raises:
         InputError: The device has no room.
@@ -296,12 +299,18 @@ def advance(
             train_step, begun = compiled(capacity), []
         else:
             begun = begun[taken:]
-    return state
+    return state, capacity
+
+
+def _room_for(work: Work, phase: PlannedPhase, data: Targets, state: TrainState, before: int | None) -> int:
+    """The pair buffer to begin a phase with: that of the phase before, where it serves."""
+    room = headroom(grows=phase.rule is not None)
+    return kept_or(work.placement.chosen_capacity(state.gaussians, data, headroom=room), room, before)
 
 
 def _run_phase(
-    work: Work, phase: PlannedPhase, data: Targets, state: TrainState, done: int, capacity: int | None
-) -> TrainState:
+    work: Work, phase: PlannedPhase, data: Targets, state: TrainState, done: int, capacity: int
+) -> tuple[TrainState, int]:
     plan, placement = work.plan, work.placement
     key = jax.random.key(plan.seed)
     room = headroom(grows=phase.rule is not None)
@@ -351,7 +360,7 @@ def _run_phase(
         data,
         (done, phase.end),
         seed=plan.seed,
-        capacity=capacity or placement.chosen_capacity(state.gaussians, data, headroom=room),
+        capacity=capacity,
         room=room,
         view_share=plan.view_share,
         feed=placement.feed,

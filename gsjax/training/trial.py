@@ -56,7 +56,7 @@ def run_trial(
         observe()
         return state
 
-    end = advance(make, go_on, _copied(state), shown, (0, steps), seed=seed, capacity=capacity)
+    end, _ = advance(make, go_on, _copied(state), shown, (0, steps), seed=seed, capacity=capacity)
 
     def report(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
         observe()

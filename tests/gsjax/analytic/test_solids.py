@@ -136,7 +136,7 @@ def test_every_hit_on_a_face_has_its_normal():
     hits = solids._just_before(above, down, solids._cast_all(above, down))
     on_top = np.abs(hits[:, 2] - BOX_TOP[2]) < 1e-3
     assert on_top.sum() > 800
-    np.testing.assert_allclose(solids._normal_all(hits)[on_top], np.eye(3)[[2] * on_top.sum()], atol=1e-6)
+    np.testing.assert_allclose(solids.normal_all(hits)[on_top], np.eye(3)[[2] * on_top.sum()], atol=1e-6)
 
 
 def test_labels_name_what_is_hit(view, world_points):
@@ -265,3 +265,15 @@ def test_samples_are_spread_evenly_and_exactly_on_the_surface(surface):
         np.mean((np.hypot(*table[:, :2].T) > r) & (np.hypot(*table[:, :2].T) < r + 0.2)) for r in (1.0, 1.3)
     )
     np.testing.assert_allclose(outer / inner, (1.5**2 - 1.3**2) / (1.2**2 - 1.0**2), rtol=0.1)
+
+
+@pytest.mark.parametrize("count", [1, 6, 7, 8, 20])
+def test_blocks_are_of_one_shape_and_make_no_difference(count):
+    points, shapes = np.random.default_rng(count).normal(size=(count, 3)).astype(np.float32), set()
+
+    def doubled(block):
+        shapes.add(block.shape)
+        return 2 * block
+
+    np.testing.assert_array_equal(solids.in_blocks(doubled, points, 7), 2 * points)
+    assert shapes == {(7, 3)}

@@ -88,3 +88,20 @@ def test_masked_pictures_show_nothing_where_the_photo_does_not_count(shown):
         np.testing.assert_array_equal(after[valid], before[valid])
         assert (after[~valid] == nothing).all()
     assert second is shown[1][1]
+
+
+def test_scenes_that_need_about_as_many_pairs_share_a_program(monkeypatch):
+    monkeypatch.setattr(gallery, "_compiled", set())
+    monkeypatch.setattr(gallery, "resolve", lambda backend: "native")
+    first = gallery._capacity(1000)
+    assert first >= 2000, "a longer buffer costs the loops nothing"
+    assert [gallery._capacity(needed) for needed in (500, 1100, first)] == 3 * [first]
+    assert gallery._capacity(first + 1) > first
+    assert gallery._capacity(10) < first, "memory is not wasted on what needs a hundredth"
+
+
+def test_where_every_slot_is_sorted_a_buffer_is_as_short_as_it_may_be(monkeypatch):
+    monkeypatch.setattr(gallery, "_compiled", set())
+    monkeypatch.setattr(gallery, "resolve", lambda backend: "xla")
+    for needed in (5000, 1000, 4000):
+        assert gallery._capacity(needed) == rasterizer.capacity_bucket(needed)

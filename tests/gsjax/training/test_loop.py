@@ -155,19 +155,20 @@ def entered(monkeypatch):
 
     def run_phase(work, phase, data, state, done, capacity):
         phases.append((phase.name, scales[-1], (done, phase.end), capacity))
-        return state
+        return state, capacity
 
     unreduced = targets.read_targets
     monkeypatch.setattr(targets, "read_targets", stacked)
     monkeypatch.setattr(loop, "_run_phase", run_phase)
+    monkeypatch.setattr(loop, "_room_for", lambda work, phase, data, state, before: f"{before} or counted")
     return phases
 
 
 @pytest.mark.parametrize(
     ("done", "expected"),
     [
-        (0, [("coarse", 2, (0, 6), 777), ("surface", 1, (6, 11), None)]),
-        (2, [("coarse", 2, (2, 6), 777), ("surface", 1, (6, 11), None)]),
+        (0, [("coarse", 2, (0, 6), 777), ("surface", 1, (6, 11), "777 or counted")]),
+        (2, [("coarse", 2, (2, 6), 777), ("surface", 1, (6, 11), "777 or counted")]),
         (6, [("surface", 1, (6, 11), 777)]),
         (8, [("surface", 1, (8, 11), 777)]),
         (11, []),
@@ -281,7 +282,8 @@ def toy_steps(data, capacity, **how):
         return state
 
     state = Toy(jnp.int32(40), jnp.float32(0))
-    end = loop.advance(compiled, after, state, data, (0, 9), seed=1, capacity=capacity, **how)
+    end, length = loop.advance(compiled, after, state, data, (0, 9), seed=1, capacity=capacity, **how)
+    assert length == told[-1][1]
     return float(end.seen), int(end.step), told, looked
 
 

@@ -277,9 +277,9 @@ def test_views_bring_neighbours_in_the_phases_of_the_term_alone(monkeypatch):
     phases = (Phase("plain", 1), Phase("surface", 1, Weights(multi_view=0.1)))
     neighbors = {}
 
-    def noted(work, phase, data, state, *rest):
+    def noted(work, phase, data, state, done, capacity):
         neighbors[phase.name] = data.neighbors
-        return state
+        return state, capacity
 
     monkeypatch.setattr(loop, "_run_phase", noted)
     optimizer = make_optimizer(Rates(), 1.0, 2)
