@@ -1,11 +1,12 @@
 """`python -m gsjax` is the command `gsjax`."""
 
 from gsjax.cli import main
-from gsjax.cli.stopping import leave
+from gsjax.cli.stopping import leave, spare_the_teardown
 
 
 def run() -> None:
     """What the shell calls."""
+    spare_the_teardown()
     leave(main())
 
 

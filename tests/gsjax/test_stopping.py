@@ -129,3 +129,27 @@ leave({code})
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert done.returncode == code
     assert done.stdout == "cleaned up\n" + "waited\n" * waits
+
+
+TEARDOWN = """
+import atexit, sys
+from gsjax.cli.stopping import leave, spare_the_teardown
+
+class Library:
+    def __del__(self):
+        sys.stderr.write("torn down")
+
+spare_the_teardown()
+atexit.register(print, "farewell")
+library = Library()
+{how}
+"""
+
+
+@pytest.mark.parametrize(
+    ("how", "code", "torn"), [("leave(3)", 3, False), ("leave(0)", 0, False), ("raise ValueError('a fault')", 1, True)]
+)
+def test_libraries_say_farewell_and_are_not_torn_down(how, code, torn):
+    ended = subprocess.run([sys.executable, "-c", TEARDOWN.format(how=how)], capture_output=True, text=True)
+    assert (ended.returncode, ended.stdout) == (code, "farewell\n")
+    assert ("torn down" in ended.stderr) == torn
