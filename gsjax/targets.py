@@ -173,12 +173,6 @@ def device_room(share: float) -> int:
     return int(share * memory["bytes_limit"]) if memory else 0
 
 
-def stack_cameras(views: Targets) -> Camera:
-    """The cameras of all views, their matrices stacked along a leading axis."""
-    viewmats, Ks = (np.stack([getattr(target, name) for target in views.targets]) for name in ("viewmat", "K"))
-    return Camera(jnp.asarray(viewmats), jnp.asarray(Ks), *views.size)
-
-
 def batch(target: Target, background: Array) -> Batch:
     """A target as the loss terms read it, its photo laid over `background` `[3]` by its matte."""
     height, width = target.image.shape[:2]

@@ -44,7 +44,7 @@ def pictures(
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     width, height = max(c.width for c in cameras), max(c.height for c in cameras)
     padded = [Camera(jnp.asarray(c.viewmat), jnp.asarray(c.K), width, height) for c in cameras]
-    capacity = _capacity(max(int(_needed(gaussians, camera)) for camera in padded))
+    capacity = _capacity(render.largest_need(gaussians, padded))
     for camera, own in zip(padded, cameras, strict=True):
         color = jnp.asarray(background, jnp.float32)
         shown = _shown(gaussians, camera, color, capacity=capacity, depth_mode=depth_mode, with_owners=with_owners)
@@ -68,7 +68,6 @@ def mask_pictures(pictures: Iterable[Picture], valid: Iterable[np.ndarray | None
             yield Picture(colors, depth, alphas, owners)
 
 
-_needed = jax.jit(render.needed_capacity)
 _compiled: set[int] = set()  # Pair buffers that this process has drawn with.
 
 

@@ -1,5 +1,6 @@
 """The splats of one view: Gaussians of any kind, projected and binned once for as many passes as are asked for."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import singledispatch
 from typing import Any
@@ -100,6 +101,14 @@ def splat(
 def needed_capacity(gaussians: Any, camera: Camera, backend: rasterizer.Backend = "auto") -> Array:
     """`[]` int32 length of the pair buffer that this view needs."""
     return rasterizer.count_pairs(_project(drawable(gaussians), camera), tile_grid(camera, backend))
+
+
+def largest_need(gaussians: Any, cameras: Iterable[Camera]) -> int:
+    """Length of the pair buffer that serves every one of the views; one program counts in all that are of one size."""
+    return max(int(_needed(gaussians, camera)) for camera in cameras)
+
+
+_needed = jax.jit(needed_capacity, static_argnames="backend")
 
 
 def projected(scene: Drawable, camera: Camera, depth_mode: DepthMode) -> tuple[rasterizer.Projection, Array]:

@@ -37,7 +37,7 @@ def headroom(*, grows: bool) -> float:
 
 def largest_need(gaussians: Gaussians, data: Targets) -> int:
     """Pair capacity that serves every one of the views."""
-    return int(_largest_need(gaussians, targets.stack_cameras(data)))
+    return render.largest_need(gaussians, (Camera(each.viewmat, each.K, *data.size) for each in data.targets))
 
 
 def chosen_capacity(gaussians: Gaussians, data: Targets, *, headroom: float = STILL) -> int:
@@ -85,8 +85,3 @@ def no_room(error: Exception, data: Targets, capacity: int) -> Exception:
         f"the device has no room for a step at {width}x{height} with {capacity:,} pairs; "
         "make the photos smaller (--downscale) or the Gaussians fewer (--set max_gaussians=N)"
     )
-
-
-@jax.jit
-def _largest_need(gaussians: Gaussians, cameras: Camera) -> Array:
-    return jax.lax.map(lambda camera: render.needed_capacity(gaussians, camera), cameras).max()
