@@ -50,10 +50,11 @@ DIGITS = 1 << DIGIT
 # the first row of its camera, its id. Then come float32 of its ellipse: centre, conic, cut, and how far it leans along
 # one axis per pixel along the other.
 LINE, ELLIPSE = 64, 24  # bytes
-# Of a job: its frame, the order and how many it has, where records, counts of tiles and the bands' splats are; then
-# where each band's splats begin.
-_FRAME, _ORDER, _SHOWN, _RECORDS, _COUNTS, _MEMBERS, _STARTS = range(7)
-_JOB_WORDS = 7 + BANDS + 1
+SPAN = 12  # bytes of a splat's span, which is int32: its bands, from and to, and the tiles of its box
+# Of a job: its frame, the order and how many it has, where records, spans, counts of tiles and the bands' splats are;
+# then where each band's splats begin.
+_FRAME, _ORDER, _SHOWN, _RECORDS, _SPANS, _COUNTS, _MEMBERS, _STARTS = range(8)
+_JOB_WORDS = 8 + BANDS + 1
 # Of `sizes`: tiles along a row, rows of tiles, side of a tile in pixels, cameras.
 _ACROSS, _DOWN, _SIDE, _CAMERAS = 0, 1, 2, 3
 
@@ -140,6 +141,27 @@ def ellipse_of(job, k):
 
 
 @inlined
+def span_of(job, k):
+    """The span of the splat that comes k-th."""
+    return as_int32s(word(job, _SPANS) + SPAN * k)
+
+
+@inlined
+def first_row_of(band, rows):
+    """The first row of tiles of a band."""
+    return rows * band // BANDS
+
+
+@inlined
+def band_of(row, rows):
+    """The band that a row of tiles belongs to."""
+    band = min(row * BANDS // max(rows, 1), BANDS - 1)
+    while first_row_of(band + 1, rows) <= row:
+        band += 1
+    return band
+
+
+@inlined
 def write_chunk(job, chunk):
     """Writes where some of the ordered splats are, one after the other, so that the bands read them in one sweep."""
     frame, shown, order = word(job, _FRAME), word(job, _SHOWN), as_int32s(word(job, _ORDER))
@@ -159,54 +181,43 @@ def write_chunk(job, chunk):
         box, ellipse = box_of(job, k), ellipse_of(job, k)
         box[0], box[1], box[2], box[3] = from_x, to_x, first_row + from_y, first_row + to_y
         box[4], box[5] = first_row, splat
+        # Here, where threads share the divisions: one thread alone goes over all spans afterwards.
+        span, rows = span_of(job, k), np.int64(sizes[_DOWN]) * sizes[_CAMERAS]
+        span[0], span[1], span[2] = 0, 0, 0
+        if from_x < to_x and from_y < to_y:
+            span[0], span[1] = band_of(first_row + from_y, rows), band_of(first_row + to_y - 1, rows) + 1
+            span[2] = (to_x - from_x) * (to_y - from_y)
         ellipse[0], ellipse[1], ellipse[5] = mean[0], mean[1], cuts[splat]
         ellipse[2], ellipse[3], ellipse[4] = conic[0], conic[1], conic[2]
         ellipse[6], ellipse[7] = -conic[1] / conic[2], -conic[1] / conic[0]
 
 
 @inlined
-def first_row_of(band, rows):
-    """The first row of tiles of a band."""
-    return rows * band // BANDS
-
-
-@inlined
-def band_of(row, rows):
-    """The band that a row of tiles belongs to."""
-    band = min(row * BANDS // max(rows, 1), BANDS - 1)
-    while first_row_of(band + 1, rows) <= row:
-        band += 1
-    return band
-
-
-@inlined
-def share_out(job, rows):
+def share_out(job):
     """Counts the splats of every band and tells where they begin; returns the tiles of all boxes together."""
     starts = as_int64s(job + 8 * _STARTS)
     tiles = 0
     for band in range(BANDS + 1):
         starts[band] = 0
     for k in range(word(job, _SHOWN)):
-        box = box_of(job, k)
-        if box[0] < box[1] and box[2] < box[3]:
-            tiles += np.int64(box[1] - box[0]) * np.int64(box[3] - box[2])
-            for band in range(band_of(np.int64(box[2]), rows), band_of(np.int64(box[3]) - 1, rows) + 1):
-                starts[band + 1] += 1
+        span = span_of(job, k)
+        tiles += span[2]
+        for band in range(span[0], span[1]):
+            starts[band + 1] += 1
     for band in range(BANDS):
         starts[band + 1] += starts[band]
     return tiles
 
 
 @inlined
-def write_members(job, rows):
+def write_members(job):
     """Writes the splats of every band, in their order."""
     starts, members = as_int64s(job + 8 * _STARTS), as_int32s(word(job, _MEMBERS))
     for k in range(word(job, _SHOWN)):
-        box = box_of(job, k)
-        if box[0] < box[1] and box[2] < box[3]:
-            for band in range(band_of(np.int64(box[2]), rows), band_of(np.int64(box[3]) - 1, rows) + 1):
-                members[starts[band]] = k
-                starts[band] += 1
+        span = span_of(job, k)
+        for band in range(span[0], span[1]):
+            members[starts[band]] = k
+            starts[band] += 1
     for band in range(BANDS, 0, -1):
         starts[band] = starts[band - 1]
     starts[0] = 0
@@ -299,28 +310,28 @@ def write_offsets(frame, counts, tiles, needed):
 @inlined
 def write_lists(frame, job, count, tiles):
     """Whether there was room for all that is written on the way."""
-    sizes = int32s(argument(frame, 7))
-    rows = np.int64(sizes[_DOWN]) * sizes[_CAMERAS]
     at_order, at_work = allocate(4 * count), allocate(12 * count)
-    at_records, at_counts, at_members, needed = allocate(LINE * (count + 1)), allocate(8 * tiles), 0, 0
-    done = at_order != 0 and at_work != 0 and at_records != 0 and at_counts != 0
+    at_records, at_spans, at_counts = allocate(LINE * (count + 1)), allocate(SPAN * count), allocate(8 * tiles)
+    at_members, needed = 0, 0
+    done = at_order != 0 and at_work != 0 and at_records != 0 and at_spans != 0 and at_counts != 0
     if done:
         order, work = as_int32s(at_order), as_int32s(at_work)
         set_word(job, _FRAME, frame)
         set_word(job, _ORDER, at_order)
         set_word(job, _RECORDS, (at_records + LINE - 1) // LINE * LINE)
+        set_word(job, _SPANS, at_spans)
         set_word(job, _COUNTS, at_counts)
         depths, visible = int32s(argument(frame, 2)), flags(argument(frame, 4))
         shown = order_by_depth(depths, visible, count, order, work, int32s_at(work, count), int32s_at(work, 2 * count))
         set_word(job, _SHOWN, shown)
         done = share(frame, address_of("rasterizer_write_chunks"), job, CHUNKS)
     if done:
-        needed = share_out(job, rows)
+        needed = share_out(job)
         at_members = allocate(4 * word(job, _STARTS + BANDS))
         set_word(job, _MEMBERS, at_members)
         done = at_members != 0
     if done:
-        write_members(job, rows)
+        write_members(job)
         done = share(frame, address_of("rasterizer_count_bands"), job, BANDS)
     if done:
         write_offsets(frame, as_int64s(at_counts), tiles, needed)
@@ -328,6 +339,7 @@ def write_lists(frame, job, count, tiles):
     release(at_order)
     release(at_work)
     release(at_records)
+    release(at_spans)
     release(at_counts)
     release(at_members)
     return done
