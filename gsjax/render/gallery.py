@@ -18,6 +18,7 @@ from rasterizer.engines import resolve
 # Of engines that do not touch the slots that nobody needs: how many times longer than needed a pair buffer is made, and
 # may be.
 ROOM = {"native": (2, 16), "pallas": (2, 4)}
+LONG = 2**28  # slots, a gibibyte: a pair buffer is made no longer than that to spare a program
 
 
 class Picture(NamedTuple):
@@ -73,8 +74,10 @@ _compiled: set[int] = set()  # Pair buffers that this process has drawn with.
 
 def _capacity(needed: int) -> int:
     """The length of a pair buffer that holds so many: the shortest that a program is compiled for, or a new one."""
-    new, longest = (rasterizer.capacity_bucket(needed * times) for times in ROOM.get(resolve("auto"), (1, 1)))
-    capacity = min((each for each in _compiled if needed <= each <= longest), default=new)
+    wanted = (max(needed, min(needed * times, LONG)) for times in ROOM.get(resolve("auto"), (1, 1)))
+    new, longest = map(rasterizer.capacity_bucket, wanted)
+    # A copy: other threads may draw, too.
+    capacity = min((each for each in tuple(_compiled) if needed <= each <= longest), default=new)
     _compiled.add(capacity)
     return capacity
 
