@@ -53,6 +53,7 @@ NEAREST: dict[str, tuple[str, ...]] = {
     "gsjax/training/optimizers": ("gsjax/training/test_optimizers", CONSTANTS),
     "gsjax/training/sharded": ("gsjax/training/sharded/test_placement", "test_several_devices"),
     "gsjax/training/state": ("gsjax/training/test_step",),
+    "gsjax/training/stepping": ("gsjax/training/test_loop",),
     "gsjax/training/terms": ("gsjax/training/terms/test_losses", "gsjax/training/test_plan"),
     "gsjax/training/trial": ("gsjax/training/test_harmonics", "gsjax/planning/test_effect_trials"),
     "gsjax/binding/editing": ("gsjax/binding/test_bound",),

@@ -19,9 +19,9 @@ from gsjax.render import gallery
 from gsjax.scene import Pixels, extent, frame_of
 from gsjax.settings import Rates, Weights
 from gsjax.training import initialize, optimizers
-from gsjax.training.loop import advance
 from gsjax.training.state import initial_state
 from gsjax.training.step import BACKGROUNDS, make_train_step
+from gsjax.training.stepping import advance
 from gsjax.training.terms import weigh_terms
 
 # %% [markdown]

@@ -28,11 +28,11 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
     from gsjax.settings import total_steps
     from gsjax.training.capacity import chosen_capacity
     from gsjax.training.growth.rules import RULES
-    from gsjax.training.loop import one_view
     from gsjax.training.optimizers import make_optimizer
     from gsjax.training.plan import plan
     from gsjax.training.state import initial_state
     from gsjax.training.step import BACKGROUNDS, make_train_step
+    from gsjax.training.stepping import one_view
     from gsjax.training.terms.multi_view import with_neighbors
 
     optimizer, key = make_optimizer(settings.rates, extent, total_steps(settings)), jax.random.key(0)

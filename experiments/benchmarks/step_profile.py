@@ -54,7 +54,7 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
     from gsjax.settings import PRESETS, Rates, Settings
     from gsjax.training import optimizers
     from gsjax.training.capacity import chosen_capacity
-    from gsjax.training.loop import one_view
+    from gsjax.training.stepping import one_view
 
     scene = scene_of_run(run)
     finished = jax.tree.map(np.asarray, open_result(run).gaussians)  # Steps donate what they begin from.

@@ -29,8 +29,8 @@ from gsjax.settings import FAST, Rates, check_lowest, check_seed
 from gsjax.targets import Batch, Target, Targets
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
-from gsjax.training.loop import advance
 from gsjax.training.step import Background, Metrics, Outcome, guarded_step, in_decibels
+from gsjax.training.stepping import advance
 from gsjax.training.terms import TERMS
 
 

@@ -84,7 +84,7 @@ def evaluate(
     figures.setdefault(STANDARD, None)
     for zoom, frames in zoomed.items():
         plain = Photography(background=found.background)
-        scores = score_images(result.gaussians, frames, background, found=plain, depth_mode=result.depth_mode)
+        scores = score_images(result.gaussians, frames, background, found=plain)
         figures |= {f"{name}_zoom_{zoom:g}": scores[name] for name in ("psnr", "ssim")}
     if given is not None:
         textured = read_textured(mesh)

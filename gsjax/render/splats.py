@@ -105,7 +105,7 @@ def needed_capacity(gaussians: Any, camera: Camera, backend: rasterizer.Backend 
 
 def largest_need(gaussians: Any, cameras: Iterable[Camera]) -> int:
     """Length of the pair buffer that serves every one of the views; one program counts in all that are of one size."""
-    return max(int(_needed(gaussians, camera)) for camera in cameras)
+    return max(map(int, [_needed(gaussians, camera) for camera in cameras]))  # All are begun before one is waited for.
 
 
 _needed = jax.jit(needed_capacity, static_argnames="backend")

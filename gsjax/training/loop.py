@@ -1,12 +1,10 @@
-"""The host loop over the phases: which view, when to densify, when a buffer must grow."""
+"""The host loop over the phases: what each compares with and learns from, and when Gaussians multiply."""
 
-import logging
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,41 +15,26 @@ from jax import Array
 from gsjax import targets
 from gsjax.effects import sky
 from gsjax.effects.simulation import Effects
-from gsjax.errors import is_out_of_memory
 from gsjax.scene import Frame, Keep, in_memory
 from gsjax.settings import Settings
 from gsjax.targets import Target, Targets
 from gsjax.training import buffers
-from gsjax.training.capacity import (
-    STILL,
-    can_stream,
-    chosen_capacity,
-    headroom,
-    is_compiled_anew,
-    kept_or,
-    no_room,
-    rounded_capacity,
-)
+from gsjax.training.capacity import chosen_capacity, headroom, kept_or
 from gsjax.training.growth import adaptive
 from gsjax.training.plan import Plan, PlannedPhase, plan
 from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
+from gsjax.training.stepping import Feed, advance, one_view
 from gsjax.training.terms import Term, Weighed
-from gsjax.training.terms.multi_view import drawn_beside, with_neighbors
+from gsjax.training.terms.multi_view import with_neighbors
 
-S = TypeVar("S")  # A state of training.
 NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
 """Training so far -> an int8 normal map a frame, see `gsjax.targets.Target`."""
-
-logger = logging.getLogger("gsjax")
 
 REFRESHED_EVERY = 500  # steps between two tables of a term that has one (SuGaR)
 
 Depths = Callable[[int], Iterable[tuple[np.ndarray, np.ndarray]]]
 """How many times smaller photos are -> measured depth and its confidence of each frame, see `gsjax.targets.Target`."""
-
-Feed = Callable[[Targets, int, float], Callable[[int], Target]]
-"""(photos, seed of their order, share of the device's memory) -> steps done -> what the next step compares with."""
 
 
 class Placement(NamedTuple):
@@ -75,30 +58,6 @@ class Progress(NamedTuple):
     metrics: Metrics
     capacity: int  # of the pair buffer
     phase_done: bool  # this was the last step of its phase
-
-
-def view_order(seed: int, step: int, num_views: int) -> int:
-    """The view of a step: a fresh random permutation every epoch, a function of (seed, step) alone."""
-    epoch, position = divmod(step, num_views)
-    return int(np.random.default_rng((seed, epoch)).permutation(num_views)[position])
-
-
-def one_view(data: Targets, seed: int, view_share: float) -> Callable[[int], Target]:
-    """A `Feed` of one device: the view of each step in `view_order`, the next one on its way meanwhile.
-
-    Where the views have neighbours, one of them stands beside each.
-    """
-    fed = targets.feed(data, room=targets.device_room(view_share))
-
-    def of_step(step: int) -> list[int]:
-        view = view_order(seed, step, data.num_views)
-        return [view] if data.neighbors is None else [view, drawn_beside(data.neighbors[view], seed, step)]
-
-    def target(step: int) -> Target:
-        here, *beside = fed(of_step(step), of_step(step + 1))
-        return replace(here, beside=beside[0]) if beside else here
-
-    return target
 
 
 _kept = lru_cache(maxsize=32)(make_train_step)
@@ -227,79 +186,6 @@ def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Targets:
     if "neighbor" in phase.needs:
         data = with_neighbors(data, work.extent)
     return data
-
-
-def advance(
-    compiled: Callable[[int], Callable[[S, Target, Array], tuple[S, Metrics]]],
-    after: Callable[[int, S, Metrics, int], S],
-    state: S,
-    data: Targets,
-    steps: tuple[int, int],
-    *,
-    seed: int,
-    capacity: int,
-    room: float = STILL,
-    view_share: float = 0.5,
-    feed: Feed = one_view,
-    looks: Callable[[int], bool] | None = None,
-) -> tuple[S, int]:
-    """Take the steps of one program, each with its view, and make room where a view needs it.
-
-    Args:
-        compiled: Pair capacity -> step. A step that overflows leaves the state as it was, and is repeated.
-        after: (steps done, state, metrics, capacity) -> state, after every step.
-        state: Where to start.
-        data: The views.
-        steps: Steps done so far, and at the end.
-        seed: Of the order of views, and of the key that every step gets.
-        capacity: Pair buffer to start with.
-        room: How much longer than needed the buffer is made where it was too short.
-        view_share: Of the device's memory, for photos; beyond it, and where the device is full, they are streamed.
-        feed: What a step compares with.
-        looks: Steps done -> whether `after` looks at their state. After others the next step is begun before it is
-            known whether this one overflowed, so that a GPU never waits, and `after` gets a later state. The numbers
-            are the same. None: it always looks.
-
-    Returns:
-        The state after the last step, and the pair buffer's length by then.
-
-    Raises:
-        InputError: The device has no room.
-    """
-    key, target, train_step = jax.random.key(seed), None, compiled(capacity)
-    done, end = steps
-    ahead = None if looks is None else int(state.step) - done  # pyright: ignore[reportAttributeAccessIssue]
-    begun: list[Metrics] = []  # of the steps after `done`
-    needed = deque(maxlen=data.num_views)  # by the last steps
-    while done < end:
-        step = done + len(begun)
-        try:
-            target = target or feed(data, seed, view_share)
-            here = target(step) if ahead is None else replace(target(step), turn=np.int32(step + ahead))
-            state, metrics = train_step(state, here, key)
-            begun.append(metrics)
-            is_seen = looks is None or step + 1 == end or looks(step + 1)
-            known = begun if is_seen else begun[:-1]
-            taken = next((index for index, each in enumerate(known) if each.overflowed), len(known))
-        except jax.errors.JaxRuntimeError as error:
-            if not is_out_of_memory(error) or not can_stream(state, data, view_share):
-                raise no_room(error, data, capacity) from error
-            logger.warning("the device is full: photos are sent to it one by one from here on")
-            target, view_share = None, 0.0
-            continue
-        for metrics in known[:taken]:
-            done += 1
-            needed.append(metrics.needed)
-            before, state = state, after(done, state, metrics, capacity)
-            if is_compiled_anew(before, state):  # The pairs get their room in the same compilation.
-                capacity = max(capacity, rounded_capacity(max(map(int, needed)), room))
-                train_step = compiled(capacity)
-        if taken < len(known):  # What was begun after it has left the state as it was, too.
-            capacity = rounded_capacity(int(known[taken].needed), room)
-            train_step, begun = compiled(capacity), []
-        else:
-            begun = begun[taken:]
-    return state, capacity
 
 
 def _room_for(work: Work, phase: PlannedPhase, data: Targets, state: TrainState, before: int | None) -> int:

@@ -15,10 +15,11 @@ from gsjax.scene import Frame
 from gsjax.settings import PLAIN
 from gsjax.targets import Target, Targets
 from gsjax.training.capacity import chosen_capacity
-from gsjax.training.loop import advance, kept_step
+from gsjax.training.loop import kept_step
 from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep
+from gsjax.training.stepping import advance
 from gsjax.training.terms import weigh_terms
 
 SCALE = 2  # of the photos: trials look at smaller ones

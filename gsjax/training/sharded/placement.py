@@ -19,12 +19,13 @@ from gsjax.effects.simulation import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
 from gsjax.targets import Target, Targets
 from gsjax.training.capacity import STILL, rounded_capacity
-from gsjax.training.loop import Placement, view_order
+from gsjax.training.loop import Placement
 from gsjax.training.sharded import growth as sharded_density
 from gsjax.training.sharded.layout import AXIS, BY_ROWS, EVERYWHERE, specs
 from gsjax.training.sharded.step import make_sharded_step
 from gsjax.training.state import TrainState
 from gsjax.training.step import Metrics, TrainStep
+from gsjax.training.stepping import view_order
 from gsjax.training.terms import Weighed
 
 SLOTS = 256  # splats that buffers of the exchange are multiples of

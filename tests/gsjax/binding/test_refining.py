@@ -20,8 +20,8 @@ from gsjax.measures import geometry
 from gsjax.mesh import Mesh
 from gsjax.render import gallery
 from gsjax.scene import Pixels, frame_of, with_pixels
-from gsjax.training.loop import view_order
 from gsjax.training.step import BACKGROUNDS
+from gsjax.training.stepping import view_order
 from gsjax.training.terms.surface import distortion
 
 EXTENT = 4.0

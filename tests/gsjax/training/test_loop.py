@@ -14,9 +14,9 @@ from gsjax.errors import InputError
 from gsjax.gaussians import opacities
 from gsjax.scene import with_pixels
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
-from gsjax.training import loop
+from gsjax.training import loop, stepping
 from gsjax.training.growth.rules import RULES
-from gsjax.training.loop import fit, view_order
+from gsjax.training.loop import fit
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
 from gsjax.training.state import count_alive, initial_state
@@ -86,11 +86,11 @@ def assert_identical(actual, expected):
 
 
 def test_an_epoch_shows_every_view_once_in_an_order_of_its_own():
-    epochs = [[view_order(7, 10 * epoch + i, 10) for i in range(10)] for epoch in range(4)]
+    epochs = [[stepping.view_order(7, 10 * epoch + i, 10) for i in range(10)] for epoch in range(4)]
     assert all(sorted(order) == list(range(10)) for order in epochs)
     assert len({tuple(order) for order in epochs}) == 4
-    assert epochs[2] == [view_order(7, 20 + i, 10) for i in range(10)]  # of (seed, step) alone
-    assert epochs[0] != [view_order(8, i, 10) for i in range(10)]
+    assert epochs[2] == [stepping.view_order(7, 20 + i, 10) for i in range(10)]  # of (seed, step) alone
+    assert epochs[0] != [stepping.view_order(8, i, 10) for i in range(10)]
 
 
 # --- the loop
@@ -282,7 +282,7 @@ def toy_steps(data, capacity, **how):
         return state
 
     state = Toy(jnp.int32(40), jnp.float32(0))
-    end, length = loop.advance(compiled, after, state, data, (0, 9), seed=1, capacity=capacity, **how)
+    end, length = stepping.advance(compiled, after, state, data, (0, 9), seed=1, capacity=capacity, **how)
     assert length == told[-1][1]
     return float(end.seen), int(end.step), told, looked
 
@@ -318,7 +318,7 @@ def test_pairs_get_their_room_in_the_compilation_that_longer_buffers_ask_for(fra
         told.append(capacity)
         return {"means": np.zeros(7)} if step == 3 else state
 
-    loop.advance(make, after, {"means": np.zeros(5)}, data, (0, 4), seed=0, capacity=8192, room=4.0)
+    stepping.advance(make, after, {"means": np.zeros(5)}, data, (0, 4), seed=0, capacity=8192, room=4.0)
     assert compiled == [8192, 24576] and told == [8192, 8192, 8192, 24576]
 
 
@@ -327,7 +327,7 @@ def test_a_full_device_is_sent_its_photos_one_by_one(frames, monkeypatch, caplog
     expected = toy_steps(data, 1 << 16)
 
     def feed(data, seed, view_share):
-        target = loop.one_view(data, seed, 0.0)
+        target = stepping.one_view(data, seed, 0.0)
 
         def of_step(step):
             fed.append(view_share)

@@ -5,10 +5,10 @@ import numpy as np
 from small_scenes import camera_at, cloud, photographed
 
 from gsjax import targets
-from gsjax.training.loop import view_order
 from gsjax.training.sharded import layout as sharding
 from gsjax.training.sharded import placement as several
 from gsjax.training.sharded.step import Exchange
+from gsjax.training.stepping import view_order
 
 
 def test_a_step_whose_exchange_overflows_is_repeated_with_room_which_later_steps_begin_with(monkeypatch):

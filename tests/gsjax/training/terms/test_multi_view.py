@@ -17,7 +17,7 @@ from gsjax.render import Neighbor, View
 from gsjax.scene import Pixels, frame_of
 from gsjax.settings import Phase, Rates, Settings, Weights
 from gsjax.targets import Batch
-from gsjax.training import loop
+from gsjax.training import loop, stepping
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.state import initial_state
 from gsjax.training.terms import multi_view
@@ -264,10 +264,10 @@ def test_neighbours_look_the_same_way_and_stand_apart():
 def test_every_step_has_a_neighbour_of_its_view_beside_it():
     data = targets.with_photo_numbers(multi_view.with_neighbors(targets.read_targets(PHOTOS), 8.0))
     rows = multi_view.nearest_views(np.stack([target.viewmat for target in data.targets]), 8.0)
-    target, beside = loop.one_view(data, 0, 0.5), [set() for _ in PHOTOS]
+    target, beside = stepping.one_view(data, 0, 0.5), [set() for _ in PHOTOS]
     for step in range(90):
         here = target(step)
-        assert int(here.photo) == loop.view_order(0, step, len(PHOTOS))
+        assert int(here.photo) == stepping.view_order(0, step, len(PHOTOS))
         np.testing.assert_array_equal(here.beside.viewmat, data.targets[int(here.beside.photo)].viewmat)
         beside[int(here.photo)].add(int(here.beside.photo))
     assert beside == [set(row.tolist()) for row in rows]
