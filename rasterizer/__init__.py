@@ -8,7 +8,12 @@ from rasterizer.covariances import quat_scale_to_covar_preci
 from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, prepare
 from rasterizer.exchange import Packed, exchange, pack, unpack
 from rasterizer.features import blended_depth, depth_channels, median_depth
-from rasterizer.harmonics import spherical_harmonics, spherical_harmonics_l0, spherical_harmonics_l1_plus
+from rasterizer.harmonics import (
+    spherical_harmonics,
+    spherical_harmonics_l0,
+    spherical_harmonics_l1_plus,
+    upper_bands,
+)
 from rasterizer.normals import camera_normals
 from rasterizer.projection import DepthMode, Projection, project
 from rasterizer.rules import GSPLAT, GSPLAT_1_5, INRIA, Rules
@@ -57,5 +62,6 @@ __all__ = [
     "spherical_harmonics_l0",
     "spherical_harmonics_l1_plus",
     "unpack",
+    "upper_bands",
     "world_to_cam",
 ]

@@ -1,10 +1,13 @@
 """Real spherical harmonics of degree 0 to 4 in the sign convention of 3DGS and gsplat."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 from jax import Array
 
 from rasterizer.arrays import takes_arrays
+from rasterizer.devices import default_device
 
 DC = 0.28209479177387814  # The basis function of degree 0, 1 / sqrt(4 pi).
 
@@ -78,14 +81,43 @@ def spherical_harmonics(degrees_to_use: int, dirs: Array, coeffs: Array, masks: 
     if masks is not None:
         dirs = jnp.where(masks[..., None], dirs, jnp.array([0, 0, 1], dirs.dtype))
         coeffs = jnp.where(masks[..., None, None], coeffs, 0)
+    return _sum_of_bands(_basis_at(degree, dirs), coeffs[..., :num_bases, :])
+
+
+def upper_bands(dirs: Array, coeffs: Array, weights: Array | None = None) -> Array:
+    """The part of degree 1 and up of all coefficients that there are.
+
+    Args:
+        dirs: `[..., 3]` as in `spherical_harmonics`.
+        coeffs: `[..., K - 1, D]` coefficients without the first, K a square up to 25.
+        weights: `[..., K - 1]` factors of the basis functions, for a ramp of degrees; None for ones.
+
+    Returns:
+        `[..., D]` values, differentiable to all three. With those of `spherical_harmonics_l0` they sum to all bands.
+    """
+    degree = math.isqrt(coeffs.shape[-2])
+    basis = _basis_at(degree, dirs)[..., 1:]
+    return _sum_of_bands(basis if weights is None else basis * weights, coeffs)
+
+
+def _basis_at(degree: int, dirs: Array) -> Array:
+    """`[..., (degree + 1)^2]` basis functions at directions of any length."""
     # Divided by the largest entry first: the squares of a very long or short direction would overflow or vanish.
     largest = jax.lax.stop_gradient(jnp.max(jnp.abs(dirs), axis=-1, keepdims=True))
     is_zero = largest < jnp.finfo(dirs.dtype).tiny
     dirs = jnp.where(is_zero, jnp.array([0, 0, 1], dirs.dtype), dirs / jnp.where(is_zero, 1, largest))
     unit = dirs * jax.lax.rsqrt(jnp.sum(dirs * dirs, axis=-1, keepdims=True))
-    # One product and one sum, not a term per band: its transpose is one outer product.
-    basis = jnp.stack(_basis(degree, unit[..., 0], unit[..., 1], unit[..., 2]), axis=-1)
-    return jnp.sum(basis[..., None] * coeffs[..., :num_bases, :], axis=-2)
+    return jnp.stack(_basis(degree, unit[..., 0], unit[..., 1], unit[..., 2]), axis=-1)
+
+
+def _sum_of_bands(basis: Array, coeffs: Array) -> Array:
+    """`[..., K]` times `[..., K, D]`: one product and one sum, not a term per band. Its transpose is an outer product.
+
+    A CPU takes half as long for the product of matrices; those of a GPU round.
+    """
+    if default_device().platform == "cpu":
+        return jnp.einsum("...k,...kd->...d", basis, coeffs, precision="highest")
+    return jnp.sum(basis[..., None] * coeffs, axis=-2)
 
 
 @takes_arrays

@@ -4,9 +4,8 @@ Written in components, each one array over all cameras and Gaussians: XLA's CPU 
 slower.
 """
 
-from collections.abc import Callable
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +25,7 @@ from rasterizer.covariances import (
     tilt_from_triangle,
     upper_triangle,
 )
-from rasterizer.devices import default_device
+from rasterizer.fusion import walled
 from rasterizer.rules import GSPLAT, Rules
 
 RasterizeMode = Literal["classic", "antialiased"]
@@ -174,19 +173,6 @@ _traced_once = jax.jit(_project_components, static_argnames=_OPTIONS.split())
 """The same; jax keeps its trace and derivatives, a fourth of what a program with a projection takes to compile."""
 
 
-def _walled(function: Callable[..., _Splats], is_wanted: Array, *inputs: Any) -> _Splats:
-    """The function's value behind a wall to XLA's fusion where that helps, on a CPU; zeros where it is not wanted.
-
-    A branch is such a wall. Without it the stacking of components is fused into their computation, and the derivative
-    takes ten times as long on a CPU. A GPU would wait for the host to take the branch.
-    """
-    if default_device().platform != "cpu":
-        return function(*inputs)
-    nothing = jax.eval_shape(function, *inputs)
-    zeros = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), nothing)
-    return jax.lax.cond(is_wanted, function, lambda *_: zeros, *inputs)
-
-
 @takes_arrays
 def project(
     means: Array,
@@ -270,7 +256,7 @@ def project(
         rules=rules,
     )
     # Recomputed on the way back: the inputs alone are kept in memory.
-    splats = _walled(jax.checkpoint(project_all), jnp.any(opacities >= rules.alpha_min), *inputs)
+    splats = walled(jax.checkpoint(project_all), jnp.any(opacities >= rules.alpha_min), *inputs)
     return Projection(
         jnp.stack(splats.mean2d, -1),
         splats.depth,

@@ -36,7 +36,7 @@ LAYERS = {
     "training": Layer(
         ("gsjax.training",), ("rasterizer", "vocabulary", "measures", "normals", "effects"), CORE_PACKAGES
     ),
-    "binding": Layer(("gsjax.binding",), ("vocabulary", "training"), CORE_PACKAGES),
+    "binding": Layer(("gsjax.binding",), ("rasterizer", "vocabulary", "training"), CORE_PACKAGES),
     "io": Layer(
         ("gsjax.io",),
         ("vocabulary", "analytic"),

@@ -5,6 +5,7 @@ combinations of its corners, their normal is its normal, so whatever moves the v
 """
 
 from dataclasses import dataclass, field
+from functools import reduce
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,8 @@ from gsjax.gaussians import SH_C0, Gaussians, PixelFilter, rgb_to_sh
 from gsjax.mesh import Mesh
 from gsjax.render import Drawable, drawable
 from gsjax.training.initialize import DEAD_LOGIT
+from rasterizer.covariances import Matrix, Vector, components, cross, dot, matrix_rows
+from rasterizer.fusion import walled
 
 COLLAPSED = 1e-5  # Height over longest edge under which a triangle has no direction left in float32.
 
@@ -118,17 +121,12 @@ def bind(
 
 def means(bound: BoundGaussians) -> Array:
     """`[G, 3]` world positions."""
-    barycentric = jnp.asarray(LAYOUTS[bound.per_triangle][0], bound.vertices.dtype)
-    corners = bound.vertices[_faces(bound)]
-    return jnp.sum(barycentric[None, :, :, None] * corners[:, None], axis=2).reshape(-1, 3)
+    return _means(bound, _corners(bound))
 
 
 def covariances(bound: BoundGaussians) -> Array:
     """`[G, 3, 3]` R diag(thickness, s_1, s_2)^2 R^T, world, scene units squared."""
-    in_plane = jnp.exp(bound.log_scales)
-    scales = jnp.concatenate([jnp.full_like(in_plane[:, :1], bound.thickness), in_plane], axis=-1)
-    columns = axes(bound) * scales[:, None, :]
-    return jnp.sum(columns[:, :, None, :] * columns[:, None, :, :], axis=-1)
+    return _covariances(bound, _corners(bound))[0]
 
 
 def axes(bound: BoundGaussians) -> Array:
@@ -136,32 +134,31 @@ def axes(bound: BoundGaussians) -> Array:
 
     The rows of a collapsed triangle are the identity turned, whatever the corners, with zero gradient to them.
     """
-    normal, first, second = (jnp.repeat(axis, bound.per_triangle, axis=0) for axis in _frames(bound)[:3])
-    re, im = jnp.split(unit_turns(bound.rotations), 2, axis=-1)
-    return jnp.stack([normal, re * first + im * second, re * second - im * first], axis=-1)
+    columns, _ = _axes(*_components(bound, _corners(bound))[:2])
+    full = [jnp.broadcast_to(part, columns[1][0].shape) for column in columns for part in column]
+    return jnp.stack(full, axis=-1).reshape(-1, 3, 3).swapaxes(1, 2)
 
 
 def unit_turns(rotations: Array) -> Array:
     """`[G, 2]` complex numbers of length 1; 0 is read as 1, with zero gradient."""
-    squared = jnp.sum(rotations * rotations, axis=-1, keepdims=True)
-    is_zero = squared < 1e-24
-    one = jnp.array([1.0, 0.0], rotations.dtype)
-    return jnp.where(is_zero, one, rotations * jax.lax.rsqrt(jnp.where(is_zero, 1, squared)))
+    return jnp.stack(_unit_turns(components(rotations)), axis=-1)
 
 
 def opacities(bound: BoundGaussians) -> Array:
     """`[G]` opacities in (0, 1); 0 on a collapsed triangle, which has no side to show."""
-    has_area = jnp.repeat(_frames(bound)[3], bound.per_triangle)
-    return jnp.where(has_area, jax.nn.sigmoid(bound.logit_opacities), 0)
+    return _shown(bound, _covariances(bound, _corners(bound))[1])
 
 
 @drawable.register
 def _(bound: BoundGaussians) -> Drawable:
+    corners = _corners(bound)
+    covars, has_area = _covariances(bound, corners)
     return Drawable(
-        means=means(bound),
-        opacities=opacities(bound),
-        sh=jnp.concatenate([bound.sh_dc, bound.sh_rest], axis=1),
-        covars=covariances(bound),
+        means=_means(bound, corners),
+        opacities=_shown(bound, has_area),
+        sh_dc=bound.sh_dc,
+        sh_rest=bound.sh_rest,
+        covars=covars,
         pixel_filter=bound.pixel_filter,
     )
 
@@ -204,16 +201,73 @@ def _faces(bound: BoundGaussians) -> Array:
     return bound.faces
 
 
-def _frames(bound: BoundGaussians) -> tuple[Array, Array, Array, Array]:
-    """Unit normal, unit first edge, their cross product, `[F, 3]` each, and `[F]` whether there is an area."""
-    a, b, c = jnp.moveaxis(bound.vertices[_faces(bound)], 1, 0)
-    longest = jax.lax.stop_gradient(jnp.max(jnp.abs(jnp.stack([a - b, c - b, a - c])), axis=(0, 2)))
-    size = jnp.where(longest > 0, longest, 1)[:, None]
-    along, other = (a - b) / size, (c - b) / size
-    across = jnp.cross(other, along)
-    has_area = jnp.sum(across * across, axis=-1) > COLLAPSED**2
-    fallback = jnp.eye(3, dtype=a.dtype)
-    along = jnp.where(has_area[:, None], along, fallback[1])
-    across = jnp.where(has_area[:, None], across, fallback[0])
-    normal, first = (v * jax.lax.rsqrt(jnp.sum(v * v, axis=-1, keepdims=True)) for v in (across, along))
-    return normal, first, jnp.cross(normal, first), has_area
+def _corners(bound: BoundGaussians) -> Array:
+    """`[F, 3, 3]` places of the corners: the one gathering that all that is drawn shares."""
+    return bound.vertices[_faces(bound)]
+
+
+def _means(bound: BoundGaussians, corners: Array) -> Array:
+    barycentric = jnp.asarray(LAYOUTS[bound.per_triangle][0], corners.dtype)
+    return jnp.sum(barycentric[None, :, :, None] * corners[:, None], axis=2).reshape(-1, 3)
+
+
+def _shown(bound: BoundGaussians, has_area: Array) -> Array:
+    return jnp.where(jnp.repeat(has_area, bound.per_triangle), jax.nn.sigmoid(bound.logit_opacities), 0)
+
+
+def _covariances(bound: BoundGaussians, corners: Array) -> tuple[Array, Array]:
+    """`[G, 3, 3]` covariances, and `[F]` whether a triangle has an area."""
+
+    def shapes(corners: Matrix, turns: Vector, log_scales: Vector) -> tuple[Vector, Array]:
+        columns, has_area = _axes(corners, turns)
+        factors = [bound.thickness, *map(jnp.exp, log_scales)]
+        scaled = [[factor * part for part in column] for factor, column in zip(factors, columns, strict=True)]
+        return [sum(column[i] * column[j] for column in scaled) for i in range(3) for j in range(i, 3)], has_area
+
+    is_there = jnp.any(jnp.isfinite(bound.vertices))
+    (xx, xy, xz, yy, yz, zz), has_area = walled(jax.checkpoint(shapes), is_there, *_components(bound, corners))
+    entries = jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1)
+    return entries.reshape(-1, 3, 3), has_area[:, 0]
+
+
+def _components(bound: BoundGaussians, corners: Array) -> tuple[Matrix, Vector, Vector]:
+    """Corners in arrays `[F, 1]`, and turns and log scales in arrays of `[F, n]`.
+
+    XLA's CPU loops over rows of structs are several times slower.
+    """
+    of_triangles = (len(corners), bound.per_triangle)
+    turns, log_scales = (
+        [part.reshape(of_triangles) for part in components(field)] for field in (bound.rotations, bound.log_scales)
+    )
+    return matrix_rows(corners[:, None]), turns, log_scales
+
+
+def _axes(corners: Matrix, turns: Vector) -> tuple[Matrix, Array]:
+    """The normal `[F, 1]` and two turned directions in the plane `[F, n]`, and `[F, 1]` whether there is an area."""
+    normal, first, second, has_area = _frames(*corners)
+    re, im = _unit_turns(turns)
+    turned = [re * u + im * v for u, v in zip(first, second, strict=True)]
+    across = [re * v - im * u for u, v in zip(first, second, strict=True)]
+    return [normal, turned, across], has_area
+
+
+def _unit_turns(turns: Vector) -> Vector:
+    re, im = turns
+    squared = re * re + im * im
+    is_zero = squared < 1e-24
+    inverse = jax.lax.rsqrt(jnp.where(is_zero, 1, squared))
+    return [jnp.where(is_zero, 1, re * inverse), jnp.where(is_zero, 0, im * inverse)]
+
+
+def _frames(a: Vector, b: Vector, c: Vector) -> tuple[Vector, Vector, Vector, Array]:
+    """Unit normal, unit first edge, their cross product, and whether there is an area."""
+    sides = [[q - p for p, q in zip(start, end, strict=True)] for start, end in ((b, a), (b, c), (c, a))]
+    longest = jax.lax.stop_gradient(reduce(jnp.maximum, [jnp.abs(part) for side in sides for part in side]))
+    size = jnp.where(longest > 0, longest, 1)
+    along, other = ([part / size for part in side] for side in sides[:2])
+    across = cross(other, along)
+    has_area = dot(across, across) > COLLAPSED**2
+    along = [jnp.where(has_area, part, harmless) for part, harmless in zip(along, (0, 1, 0), strict=True)]
+    across = [jnp.where(has_area, part, harmless) for part, harmless in zip(across, (1, 0, 0), strict=True)]
+    normal, first = ([part * jax.lax.rsqrt(dot(v, v)) for part in v] for v in (across, along))
+    return normal, first, cross(normal, first), has_area

@@ -7,7 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gsjax.numerics import safe_divide, safe_normalize
+from gsjax.numerics import safe_divide
+from rasterizer.covariances import Vector, components, cross, dot, matrix_rows
+from rasterizer.fusion import walled
 
 
 @jax.tree_util.register_dataclass
@@ -44,12 +46,26 @@ def normal_consistency(vertices: Array, faces: Array, graph: MeshGraph) -> Array
 
     A pair with a collapsed triangle says nothing and has no gradient.
     """
-    a, b, c = jnp.moveaxis(vertices[faces], 1, 0)
-    # Relative to the edges: the guard in `safe_normalize` is absolute, and triangles are of any size.
-    normals = safe_normalize(jnp.cross(safe_normalize(b - a, 1e-20), safe_normalize(c - a, 1e-20)), 1e-10)
-    first, second = jnp.moveaxis(normals[graph.face_pairs], 1, 0)
-    lengths = jax.lax.stop_gradient(jnp.sum(first * first, -1) * jnp.sum(second * second, -1))
-    return jnp.sum(lengths - jnp.sum(first * second, axis=-1)) / max(graph.face_pairs.shape[0], 1)
+    is_there = jnp.any(jnp.isfinite(vertices))
+    normals = jnp.stack(walled(jax.checkpoint(_normals), is_there, *matrix_rows(vertices[faces])), axis=-1)
+    first, second = (components(normals[graph.face_pairs[:, i]]) for i in range(2))
+    lengths = jax.lax.stop_gradient(dot(first, first) * dot(second, second))
+    return jnp.sum(lengths - dot(first, second)) / max(graph.face_pairs.shape[0], 1)
+
+
+def _normals(a: Vector, b: Vector, c: Vector) -> Vector:
+    """Unit normals of triangles; zero of collapsed ones."""
+    # Relative to the edges: the guard in `_unit` is absolute, and triangles are of any size.
+    sides = [_unit([q - p for p, q in zip(a, end, strict=True)], 1e-20) for end in (b, c)]
+    return _unit(cross(*sides), 1e-10)
+
+
+def _unit(v: Vector, eps: float) -> Vector:
+    """`gsjax.numerics.safe_normalize` of a vector in components, which XLA's CPU loops take several times as fast."""
+    squared = dot(v, v)
+    usable = squared > eps
+    inverse = jnp.where(usable, jax.lax.rsqrt(jnp.where(usable, squared, 1)), 0)
+    return [jnp.where(usable, part, 0) * inverse for part in v]
 
 
 def laplacian(vertices: Array, graph: MeshGraph) -> Array:

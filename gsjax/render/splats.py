@@ -11,7 +11,7 @@ from jax import Array
 
 import rasterizer
 from gsjax.cameras import Camera
-from gsjax.gaussians import Gaussians, PixelFilter, opacities, scales, sh_coefficients
+from gsjax.gaussians import Gaussians, PixelFilter, opacities, scales
 from rasterizer import DepthMode
 
 PIXEL_FILTERS: dict[PixelFilter, dict[str, Any]] = {
@@ -29,7 +29,8 @@ class Drawable:
 
     means: Array  # [N, 3] world
     opacities: Array  # [N]
-    sh: Array  # [N, (L+1)^2, 3]
+    sh_dc: Array  # [N, 1, 3] coefficients of degree 0
+    sh_rest: Array  # [N, (L+1)^2 - 1, 3] of degrees 1..L
     quats: Array | None = None  # [N, 4] (w, x, y, z)
     scales: Array | None = None  # [N, 3] standard deviations, scene units
     covars: Array | None = None  # [N, 3, 3] world, scene units squared
@@ -52,7 +53,8 @@ def _(gaussians: Gaussians) -> Drawable:
     return Drawable(
         means=gaussians.means,
         opacities=opacities(gaussians),
-        sh=sh_coefficients(gaussians),
+        sh_dc=gaussians.sh_dc,
+        sh_rest=gaussians.sh_rest,
         quats=gaussians.quats,
         scales=scales(gaussians),
         pixel_filter=gaussians.pixel_filter,

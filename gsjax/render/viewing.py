@@ -97,11 +97,9 @@ def colors(scene: Drawable, camera: Camera, active_degree: Array | int | None = 
     `active_degree`, one for all or `[N]`, may be traced: bands above it are multiplied by zero, so a ramp never
     recompiles.
     """
-    coefficients = scene.sh
+    directions, shown = scene.means - cameras.center(camera)[None], None
     if active_degree is not None:
-        band = jnp.floor(jnp.sqrt(jnp.arange(coefficients.shape[1], dtype=jnp.float32)))
-        shown = band[None] <= jnp.asarray(active_degree, jnp.float32).reshape(-1, 1)
-        coefficients = coefficients * shown.astype(coefficients.dtype)[..., None]
-    degree = round(coefficients.shape[1] ** 0.5) - 1
-    directions = scene.means - cameras.center(camera)[None]
-    return jnp.maximum(rasterizer.spherical_harmonics(degree, directions, coefficients) + 0.5, 0)
+        band = jnp.floor(jnp.sqrt(jnp.arange(1, 1 + scene.sh_rest.shape[1], dtype=jnp.float32)))
+        shown = (band[None] <= jnp.asarray(active_degree, jnp.float32).reshape(-1, 1)).astype(directions.dtype)
+    bands = rasterizer.spherical_harmonics_l0(scene.sh_dc) + rasterizer.upper_bands(directions, scene.sh_rest, shown)
+    return jnp.maximum(bands + 0.5, 0)

@@ -6,7 +6,7 @@ import pytest
 import scipy.special
 from tolerances import assert_close
 
-from rasterizer import spherical_harmonics
+from rasterizer import spherical_harmonics, spherical_harmonics_l0, upper_bands
 
 
 def unit_directions(count=50):
@@ -42,6 +42,32 @@ def test_the_length_of_a_direction_does_not_matter():
     values = [spherical_harmonics(4, jnp.asarray(directions * length), coeffs) for length in (1, 1e-30, 1e30)]
     assert_close(values[1], values[0])
     assert_close(values[2], values[0])
+
+
+@pytest.mark.parametrize("degree", range(5))
+def test_the_upper_bands_and_the_constant_one_are_all_bands(degree):
+    rng = np.random.default_rng(3)
+    directions, coeffs = rng.normal(size=(8, 3)), rng.normal(size=(8, (degree + 1) ** 2, 3))
+    directions, coeffs = jnp.asarray(directions, jnp.float32), jnp.asarray(coeffs, jnp.float32)
+    parts = spherical_harmonics_l0(coeffs[:, :1]) + upper_bands(directions, coeffs[:, 1:])
+    assert_close(parts, spherical_harmonics(degree, directions, coeffs))
+
+
+@pytest.mark.parametrize("shown", range(4))
+def test_weights_leave_out_upper_bands_and_their_gradients(shown):
+    rng = np.random.default_rng(4)
+    directions, coeffs = rng.normal(size=(8, 3)), rng.normal(size=(8, 15, 3))
+    directions, coeffs = jnp.asarray(directions, jnp.float32), jnp.asarray(coeffs, jnp.float32)
+    weights = jnp.asarray(np.arange(1, 16) < (shown + 1) ** 2, jnp.float32)
+
+    def cut(directions, coeffs):
+        return upper_bands(directions, coeffs[:, : (shown + 1) ** 2 - 1])
+
+    assert_close(upper_bands(directions, coeffs, weights), cut(directions, coeffs))
+    seen = jax.grad(lambda *x: jnp.sum(jnp.sin(upper_bands(*x, weights))), (0, 1))(directions, coeffs)
+    expected = jax.grad(lambda *x: jnp.sum(jnp.sin(cut(*x))), (0, 1))(directions, coeffs)
+    for got, wanted in zip(seen, expected, strict=True):
+        assert_close(got, wanted)
 
 
 @pytest.mark.parametrize("length", [0.0, 1e-30, 1e30])
