@@ -1,7 +1,8 @@
 """Terms of the loss that the library does without, handed in as anybody's own: `pipeline.train(..., terms=TERMS)`.
 
 `sdf_central`, `sdf_bicubic` and `sdf_offset` read the paper's gradient otherwise, the `density` terms take the gradient
-of the density instead, and the `sugar` terms are those that the paper replaces. Tables in experiments/results show what
+of the density instead, and the `sugar` terms are those that the paper replaces. `own_opacity` and `believed` train one
+more number a Gaussian. Tables in experiments/results show what
 each of them gives.
 """
 
@@ -16,7 +17,7 @@ from gsjax.render import MIN_COVERAGE, View
 from gsjax.targets import Batch
 from gsjax.training.terms import Kept, Term
 from gsjax.training.terms.losses import alignment_term
-from terms import density, slopes, sugar
+from terms import density, slopes, spare_channel, sugar
 from terms.surroundings import nearest
 
 __all__ = ["TERMS"]
@@ -40,6 +41,9 @@ TERMS: Mapping[str, Term] = {
     "density_center": _along_density(density.density_center_map),
     "density_offset": _along_density(density.density_offset_map),
     "density_sample": _along_density(density.density_sample_map),
+    "own_opacity": Term(spare_channel.own_opacity, _OF_DEPTH),
+    "believed": Term(spare_channel.believed, _OF_DEPTH),
+    "doubted": Term(spare_channel.doubted, _OF_DEPTH),
     "sugar_sdf": Term(sugar.sugar_sdf, {"depth", "gaussians"}, refresh=nearest),
     "sugar_density": Term(sugar.sugar_density, {"gaussians"}, refresh=nearest),
 }

@@ -88,8 +88,9 @@ def what_was_decided(run: RunFacts) -> Rows:
 def _dropout(run: RunFacts) -> Rows:
     """A row where steps leave Gaussians out; runs of earlier versions knew of no such thing."""
     share = max((phase.get("dropout", 0.0) for phase in run.plan["phases"]), default=0.0)
-    row = "Left out of every step", f"{share:.0%} of the Gaussians", f"asked for: dropout={share:g}"
-    return [row] if share else []
+    is_asked = bool(run.settings.get("dropout", 0.0))
+    reason = f"asked for: dropout={share:g}" if is_asked else "photos stand far apart, and would be learned by heart"
+    return [("Left out of every step", f"{share:.0%} of the Gaussians", reason)] if share else []
 
 
 def plan(run: RunFacts) -> Rows:

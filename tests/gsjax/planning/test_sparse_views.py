@@ -8,7 +8,7 @@ import pytest
 
 from gsjax.pipeline.diagnose import apart, apart_line
 from gsjax.planning import sparse_views
-from gsjax.planning.sparse_views import FAR_APART, SMOOTH, angle_between_photos, for_sparse_views
+from gsjax.planning.sparse_views import FAR_APART, LEFT_OUT, SMOOTH, angle_between_photos, for_sparse_views
 from gsjax.scene import Frame, Scene, Tracks
 from gsjax.settings import Phase, Settings, Weights
 from gsjax.training.plan import plan
@@ -54,9 +54,18 @@ def test_photos_far_apart_get_fewer_gaussians_and_a_term_where_a_phase_has_none(
     assert "21 degrees" in line and "500 Gaussians instead of max_gaussians=1,000" in line
     weights = [{each.name: each.weight for each in phase.terms} for phase in held_back.phases]
     assert [each["depth_normal"] for each in weights] == [SMOOTH["depth_normal"], 0.3]
+    assert [phase.dropout for phase in held_back.phases] == [LEFT_OUT, LEFT_OUT]
+    assert f"each step leaves out {LEFT_OUT:.0%}" in line
     assert len(held_back.phases[0].terms) == len(PLAN.phases[0].terms) + 1
     again, _ = for_sparse_views(held_back, scene, SETTINGS, may_lower=False)
     assert again == held_back, "a run that goes on is the run that it was"
+
+
+def test_another_share_that_is_asked_for_stays():
+    asked = replace(SETTINGS, dropout=0.5)
+    held_back, [line] = for_sparse_views(plan(asked), arc(FAR_APART + 1), asked)
+    assert [phase.dropout for phase in held_back.phases] == [0.5, 0.5]
+    assert "each step leaves out 50%" in line
 
 
 @pytest.mark.parametrize(

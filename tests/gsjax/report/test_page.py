@@ -129,6 +129,9 @@ def test_the_page_tells_of_what_every_step_left_out(run):
     assert "Left out of every step" not in Page(report(run)).cells
     settings = config.parse(Settings, config.merge(PRESETS["fast"], {"dropout": 0.4}))
     json_files.write(run / "plan.json", plan(settings).record())
+    far_apart = "photos stand far apart, and would be learned by heart"
+    assert Page(report(run)).cells["Left out of every step"] == ["40% of the Gaussians", far_apart]
+    json_files.write(run / "config.json", json_files.read(run / "config.json") | {"dropout": 0.4})
     assert Page(report(run)).cells["Left out of every step"] == ["40% of the Gaussians", "asked for: dropout=0.4"]
 
 

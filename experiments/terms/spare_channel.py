@@ -1,0 +1,83 @@
+"""One more number a Gaussian, trained beside the others, and two terms that read it.
+
+The library's Gaussians have no such field. The first coefficient of their highest band of harmonics lends it, in runs
+whose ramp of degrees never shows that band; whoever draws them afterwards takes the band away (`without`).
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from gsjax import render
+from gsjax.gaussians import Gaussians
+from gsjax.normals.sdf import misalignment, pixel_depth_map
+from gsjax.numerics import masked_mean, safe_divide, safe_normalize
+from gsjax.render import MIN_COVERAGE, View
+from gsjax.render.depth import expected_depth
+from gsjax.targets import Batch
+
+GAIN = 10.0  # of the number over its coefficient, whose learning rate is small
+DOUBT = 0.1  # Misalignment, 1 - |cos|, from which on a pixel is believed less: 26 degrees.
+
+
+def spare(gaussians: Gaussians) -> Any:
+    """`[N]` the number, 0 where training begins."""
+    first = (gaussians.sh_degree) ** 2 - 1
+    return GAIN * gaussians.sh_rest[:, first, 0]
+
+
+def without(gaussians: Gaussians) -> Gaussians:
+    """The same Gaussians (numpy) without the band that lent the number."""
+    return replace(gaussians, sh_rest=np.asarray(gaussians.sh_rest)[:, : gaussians.sh_degree**2 - 1])
+
+
+def as_geometry(gaussians: Gaussians) -> Gaussians:
+    """The Gaussians (numpy) whose opacities are those that geometry is read with."""
+    return replace(without(gaussians), logit_opacities=np.asarray(gaussians.logit_opacities) + spare(gaussians))
+
+
+def own_opacity(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+    """`pixel_normal` of a depth that is composited with opacities of its own: log-odds plus the number.
+
+    Opacities that colours are composited with have no gradient from it.
+    """
+    compensations = view.splats.projection.compensations
+    opacities = jax.nn.sigmoid(jax.lax.stop_gradient(gaussians.logit_opacities) + spare(gaussians))
+    if compensations is not None:
+        opacities = opacities * compensations[0]
+    depth, alphas = expected_depth(replace(view.splats, opacities=opacities), "front")
+    covered = batch.valid & (jax.lax.stop_gradient(alphas) > MIN_COVERAGE)
+    directions = pixel_depth_map(gaussians, view._replace(depth=depth), batch.camera)
+    return misalignment(directions, batch.normals, covered)  # pyright: ignore[reportArgumentType]
+
+
+def believed(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+    """`pixel_normal` weighed by a composited confidence w, less `DOUBT` times its logarithm: w e - DOUBT log w.
+
+    The least of that is at w = min(1, DOUBT / e), so a pixel whose misalignment e stays large is believed less.
+    """
+    error, usable = _misaligned(gaussians, view, batch)
+    image, alphas = render.features(view.splats, spare(gaussians)[:, None])
+    logit = 2 + safe_divide(image[..., 0], alphas, usable)
+    return masked_mean(jax.nn.sigmoid(logit) * error - DOUBT * jax.nn.log_sigmoid(logit), usable)
+
+
+def doubted(gaussians: Gaussians, view: View, batch: Batch) -> Array:
+    """The same where every pixel has the confidence that is best for it: e, and DOUBT (1 + log(e / DOUBT)) beyond."""
+    error, usable = _misaligned(gaussians, view, batch)
+    far = error > DOUBT
+    beyond = DOUBT * (1 + jnp.log(jnp.where(far, error, DOUBT) / DOUBT))
+    return masked_mean(jnp.where(far, beyond, error), usable)
+
+
+def _misaligned(gaussians: Gaussians, view: View, batch: Batch) -> tuple[Array, Array]:
+    """`[H, W]` 1 - |cos| between the depth's normals and the map's, and `[H, W]` bool where both are known."""
+    covered = batch.valid & (jax.lax.stop_gradient(view.alphas) > MIN_COVERAGE)
+    unit = safe_normalize(pixel_depth_map(gaussians, view, batch.camera), eps=1e-6)
+    target = safe_normalize(batch.normals)  # pyright: ignore[reportArgumentType]
+    usable = covered & (jnp.sum(unit * unit, -1) > 0.5) & (jnp.sum(target * target, -1) > 0.5)
+    return 1 - jnp.abs(jnp.sum(unit * target, axis=-1)), usable
