@@ -23,7 +23,7 @@ from gsjax.settings import Settings
 
 SURFACE = ("normal_error_deg", "normal_error_all_deg", "chamfer", "fscore")
 MAPS = {"true": "normals", "20 degrees": "normals_20deg", "a fifth wrong": "normals_fifth_wrong"}
-TERMS_OF_R = ("pixel_normal", "own_opacity", "believed", "doubted")
+TERMS_OF_R = ("undoubted", "own_opacity", "believed", "pixel_normal")
 SH_EVERY = 334  # Of the demo's 1,000 steps: the last band, which lends the number, is never shown.
 
 

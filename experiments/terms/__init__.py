@@ -2,8 +2,8 @@
 
 `sdf_central`, `sdf_bicubic` and `sdf_offset` read the paper's gradient otherwise, the `density` terms take the gradient
 of the density instead, and the `sugar` terms are those that the paper replaces. `own_opacity` and `believed` train one
-more number a Gaussian. Tables in experiments/results show what
-each of them gives.
+more number a Gaussian, and `undoubted` is `pixel_normal` whose pixels all count alike. Tables in experiments/results
+show what each of them gives.
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ import jax
 from jax import Array
 
 from gsjax.gaussians import Gaussians
-from gsjax.normals.sdf import misalignment
+from gsjax.normals.sdf import misalignment, pixel_depth_map
 from gsjax.render import MIN_COVERAGE, View
 from gsjax.targets import Batch
 from gsjax.training.terms import Kept, Term
@@ -43,7 +43,7 @@ TERMS: Mapping[str, Term] = {
     "density_sample": _along_density(density.density_sample_map),
     "own_opacity": Term(spare_channel.own_opacity, _OF_DEPTH),
     "believed": Term(spare_channel.believed, _OF_DEPTH),
-    "doubted": Term(spare_channel.doubted, _OF_DEPTH),
+    "undoubted": Term(alignment_term(pixel_depth_map), _OF_DEPTH),
     "sugar_sdf": Term(sugar.sugar_sdf, {"depth", "gaussians"}, refresh=nearest),
     "sugar_density": Term(sugar.sugar_density, {"gaussians"}, refresh=nearest),
 }

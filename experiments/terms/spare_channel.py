@@ -14,14 +14,13 @@ from jax import Array
 
 from gsjax import render
 from gsjax.gaussians import Gaussians
-from gsjax.normals.sdf import misalignment, pixel_depth_map
+from gsjax.normals.sdf import DOUBT, misalignment, pixel_depth_map
 from gsjax.numerics import masked_mean, safe_divide, safe_normalize
 from gsjax.render import MIN_COVERAGE, View
 from gsjax.render.depth import expected_depth
 from gsjax.targets import Batch
 
 GAIN = 10.0  # of the number over its coefficient, whose learning rate is small
-DOUBT = 0.1  # Misalignment, 1 - |cos|, from which on a pixel is believed less: 26 degrees.
 
 
 def spare(gaussians: Gaussians) -> Any:
@@ -41,7 +40,7 @@ def as_geometry(gaussians: Gaussians) -> Gaussians:
 
 
 def own_opacity(gaussians: Gaussians, view: View, batch: Batch) -> Array:
-    """`pixel_normal` of a depth that is composited with opacities of its own: log-odds plus the number.
+    """R at every pixel, of a depth that is composited with opacities of its own: log-odds plus the number.
 
     Opacities that colours are composited with have no gradient from it.
     """
@@ -56,7 +55,7 @@ def own_opacity(gaussians: Gaussians, view: View, batch: Batch) -> Array:
 
 
 def believed(gaussians: Gaussians, view: View, batch: Batch) -> Array:
-    """`pixel_normal` weighed by a composited confidence w, less `DOUBT` times its logarithm: w e - DOUBT log w.
+    """R at every pixel, weighed by a composited confidence w, less `DOUBT` times its logarithm: w e - DOUBT log w.
 
     The least of that is at w = min(1, DOUBT / e), so a pixel whose misalignment e stays large is believed less.
     """
@@ -64,14 +63,6 @@ def believed(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     image, alphas = render.features(view.splats, spare(gaussians)[:, None])
     logit = 2 + safe_divide(image[..., 0], alphas, usable)
     return masked_mean(jax.nn.sigmoid(logit) * error - DOUBT * jax.nn.log_sigmoid(logit), usable)
-
-
-def doubted(gaussians: Gaussians, view: View, batch: Batch) -> Array:
-    """The same where every pixel has the confidence that is best for it: e, and DOUBT (1 + log(e / DOUBT)) beyond."""
-    error, usable = _misaligned(gaussians, view, batch)
-    far = error > DOUBT
-    beyond = DOUBT * (1 + jnp.log(jnp.where(far, error, DOUBT) / DOUBT))
-    return masked_mean(jnp.where(far, beyond, error), usable)
 
 
 def _misaligned(gaussians: Gaussians, view: View, batch: Batch) -> tuple[Array, Array]:

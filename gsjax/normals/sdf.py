@@ -21,6 +21,8 @@ from gsjax.render.sampling import reads_within, sample_bilinear
 Estimator = Callable[[Gaussians, View, Camera], Array]
 """(Gaussians, View with depth, Camera) -> `[H, W, 3]` camera-frame direction per pixel, of any length."""
 
+DOUBT = 0.1  # Misalignment, 1 - |cos|, from which on a pixel is doubted: 26 degrees.
+
 
 def depth_sdf(point: Array, depth: Array, camera: Camera) -> Array:
     """Estimated signed distance of one world point to the rendered surface: D(pi(p)) - z(p) (paper, section III).
@@ -95,11 +97,29 @@ def misalignment(directions: Array, normals: Array, valid: Array) -> Array:
     Returns:
         `[]`; its gradient is zero at both +n and -n, and zero where a direction is too short to have one.
     """
+    return masked_mean(*_misaligned(directions, normals, valid))
+
+
+def doubted_misalignment(directions: Array, normals: Array, valid: Array) -> Array:
+    """`misalignment` in which a pixel counts less, the farther off it is: e, and DOUBT (1 + log(e / DOUBT)) beyond.
+
+    That is the least of w e - DOUBT log w over the pixel's confidence w, which is 1 up to DOUBT and DOUBT / e beyond
+    (a confidence as in Kendall and Gal, 2017, for each pixel by itself). At an edge of depth, and where a splat shows
+    what the photo's normal is not of, no step can help, and pulling at it costs pictures.
+    """
+    error, weight = _misaligned(directions, normals, valid)
+    far = error > DOUBT
+    beyond = DOUBT * (1 + jnp.log(jnp.where(far, error, DOUBT) / DOUBT))
+    return masked_mean(jnp.where(far, beyond, error), weight)
+
+
+def _misaligned(directions: Array, normals: Array, valid: Array) -> tuple[Array, Array]:
+    """`[H, W]` 1 - |cos|, and `[H, W]` how much each pixel counts."""
     unit = safe_normalize(directions, eps=1e-6)
     target = safe_normalize(normals)
     usable = valid & (jnp.sum(unit * unit, -1) > 0.5) & (jnp.sum(target * target, -1) > 0.5)
     confidence = jnp.minimum(jnp.sqrt(jnp.maximum(jnp.sum(normals * normals, -1), 1e-12)), 1)
-    return masked_mean(1 - jnp.abs(jnp.sum(unit * target, axis=-1)), jnp.where(usable, confidence, 0))
+    return 1 - jnp.abs(jnp.sum(unit * target, axis=-1)), jnp.where(usable, confidence, 0)
 
 
 def face_camera(directions: Array, towards_camera: Array) -> Array:

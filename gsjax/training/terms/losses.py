@@ -88,16 +88,19 @@ def measured_depth(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     return masked_mean(jnp.abs(off), jnp.where(known, batch.trust, 0))
 
 
-def alignment_term(estimator: sdf.Estimator) -> Loss:
-    """The term that aligns what an estimator composites with the normals (the paper's R, with its own estimator)."""
+def alignment_term(estimator: sdf.Estimator, measure: Callable[..., Array] = sdf.misalignment) -> Loss:
+    """The term that aligns what an estimator composites with the normals (the paper's R, with its own estimator).
+
+    `measure` is of (directions, normals, valid pixels), as `gsjax.normals.sdf.misalignment` has them.
+    """
 
     def term(gaussians: Gaussians, view: View, batch: Batch) -> Array:
         covered = batch.valid & (jax.lax.stop_gradient(view.alphas) > MIN_COVERAGE)
-        return sdf.misalignment(estimator(gaussians, view, batch.camera), batch.normals, covered)
+        return measure(estimator(gaussians, view, batch.camera), batch.normals, covered)
 
     return term
 
 
 sdf_normal = alignment_term(sdf.sdf_gradient_map)
-pixel_normal = alignment_term(sdf.pixel_depth_map)
+pixel_normal = alignment_term(sdf.pixel_depth_map, sdf.doubted_misalignment)
 axis_normal = alignment_term(sdf.smallest_axis_map)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import expit
 from small_scenes import camera_at, plane
-from terms.spare_channel import DOUBT, GAIN, as_geometry, believed, doubted, own_opacity, spare, without
+from terms import TERMS
+from terms.spare_channel import DOUBT, GAIN, as_geometry, believed, own_opacity, spare, without
 from tolerances import assert_close
 
 from gsjax import render
@@ -42,7 +43,7 @@ def losses_and_gradients(gaussians, batch):
         )
         return term(gaussians, view, batch)
 
-    terms = (pixel_normal, own_opacity, believed, doubted)
+    terms = (TERMS["undoubted"].loss, own_opacity, believed, pixel_normal)
     return [jax.value_and_grad(loss)(gaussians, term) for term in terms]
 
 
@@ -53,12 +54,12 @@ def values(degrees, number=0.0):
 @pytest.mark.parametrize("degrees", [10, 50])
 def test_the_terms_have_their_closed_forms_on_a_wall(degrees):
     error = 1 - np.cos(np.radians(degrees))
-    of_library, own, with_confidence, by_pixel = values(degrees)
-    assert_close(of_library, error, rtol=1e-3, atol=1e-5, why="depth of discs beside each other")
-    assert_close(own, of_library)
-    assert_close(with_confidence, expit(2) * of_library - DOUBT * np.log(expit(2)), rtol=1e-4, atol=1e-6, why="a mean")
-    beyond = DOUBT * (1 + np.log(of_library / DOUBT))
-    assert_close(by_pixel, of_library if of_library < DOUBT else beyond, rtol=1e-3, atol=1e-5, why="mean of logarithms")
+    undoubted, own, with_confidence, of_library = values(degrees)
+    assert_close(undoubted, error, rtol=1e-3, atol=1e-5, why="depth of discs beside each other")
+    assert_close(own, undoubted)
+    assert_close(with_confidence, expit(2) * undoubted - DOUBT * np.log(expit(2)), rtol=1e-4, atol=1e-6, why="a mean")
+    beyond = DOUBT * (1 + np.log(undoubted / DOUBT))
+    assert_close(of_library, undoubted if undoubted < DOUBT else beyond, rtol=1e-3, atol=1e-5, why="mean of logarithms")
 
 
 def test_a_pixel_far_off_is_believed_less_and_one_nearby_more():

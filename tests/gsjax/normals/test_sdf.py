@@ -291,11 +291,28 @@ def test_a_normal_counts_by_its_length():
     assert float(sdf.misalignment(directions, normals, jnp.ones((1, 3), bool))) == pytest.approx(2 / 2.5, abs=1e-6)
 
 
-def test_the_gradient_of_misalignment_equals_finite_differences(x64):
+@pytest.mark.parametrize("measure", [sdf.misalignment, sdf.doubted_misalignment])
+def test_the_gradient_of_misalignment_equals_finite_differences(measure, x64):
     directions, normals = np.random.default_rng(2).normal(size=(2, 4, 3, 3))
     normals[1, 1] = 0
     valid = jnp.asarray(np.arange(12).reshape(4, 3) != 7)
-    check_grads(lambda d: sdf.misalignment(d, jnp.asarray(normals), valid), (jnp.asarray(directions),), 1, ["rev"])
+    check_grads(lambda d: measure(d, jnp.asarray(normals), valid), (jnp.asarray(directions),), 1, ["rev"])
+
+
+def test_a_doubted_pixel_has_the_least_that_any_confidence_gives_it():
+    turns = np.radians([0, 10, 25, 27, 60, 90])
+    directions = jnp.asarray(np.stack([np.sin(turns), 0 * turns, np.cos(turns)], -1)[None], jnp.float32)
+    normals = jnp.zeros((1, len(turns), 3)).at[..., 2].set(1.0)
+    confidence = np.linspace(1e-3, 1, 100_000)[:, None]
+    errors = 1 - np.cos(turns)
+    least = np.min(confidence * errors - sdf.DOUBT * np.log(confidence), axis=0)
+    for index, expected in enumerate(least):
+        valid = jnp.arange(len(turns))[None] == index
+        value, gradient = jax.value_and_grad(sdf.doubted_misalignment)(directions, normals, valid)
+        assert float(value) == pytest.approx(expected, abs=1e-5)
+        assert np.all(np.isfinite(gradient))
+        if errors[index] <= sdf.DOUBT:
+            assert_close(value, sdf.misalignment(directions, normals, valid))
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
