@@ -222,7 +222,8 @@ def _covariances(bound: BoundGaussians, corners: Array) -> tuple[Array, Array]:
         columns, has_area = _axes(corners, turns)
         factors = [bound.thickness, *map(jnp.exp, log_scales)]
         scaled = [[factor * part for part in column] for factor, column in zip(factors, columns, strict=True)]
-        return [sum(column[i] * column[j] for column in scaled) for i in range(3) for j in range(i, 3)], has_area
+        rows = [list(row) for row in zip(*scaled, strict=True)]
+        return [dot(rows[i], rows[j]) for i in range(3) for j in range(i, 3)], has_area
 
     is_there = jnp.any(jnp.isfinite(bound.vertices))
     (xx, xy, xz, yy, yz, zz), has_area = walled(jax.checkpoint(shapes), is_there, *_components(bound, corners))
