@@ -1,12 +1,15 @@
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import jax.test_util
 import numpy as np
 import pytest
 import scipy.special
+from jaxprs import equations
 from tolerances import assert_close
 
-from rasterizer import spherical_harmonics, spherical_harmonics_l0, upper_bands
+from rasterizer import harmonics, spherical_harmonics, spherical_harmonics_l0, upper_bands
 
 
 def unit_directions(count=50):
@@ -68,6 +71,18 @@ def test_weights_leave_out_upper_bands_and_their_gradients(shown):
     expected = jax.grad(lambda *x: jnp.sum(jnp.sin(cut(*x))), (0, 1))(directions, coeffs)
     for got, wanted in zip(seen, expected, strict=True):
         assert_close(got, wanted)
+
+
+def test_only_a_cpu_sums_bands_by_a_product_of_matrices(monkeypatch):
+    """The matrix units of a GPU round, and its products of small matrices are slow."""
+    rng = np.random.default_rng(5)
+    directions, coeffs = rng.normal(size=(8, 3)), rng.normal(size=(8, 16, 3))
+    directions, coeffs = jnp.asarray(directions, jnp.float32), jnp.asarray(coeffs, jnp.float32)
+    on_cpu = spherical_harmonics(3, directions, coeffs)
+    monkeypatch.setattr(harmonics, "default_device", lambda: SimpleNamespace(platform="gpu"))
+    program = jax.make_jaxpr(jax.grad(lambda *x: jnp.sum(spherical_harmonics(3, *x)), (0, 1)))(directions, coeffs)
+    assert not any(equation.primitive.name == "dot_general" for equation in equations(program.jaxpr))
+    assert_close(spherical_harmonics(3, directions, coeffs), on_cpu)
 
 
 @pytest.mark.parametrize("length", [0.0, 1e-30, 1e30])

@@ -13,7 +13,7 @@ from scenes import cloud, loss, render
 from tolerances import assert_close
 
 import rasterizer
-from rasterizer import INRIA, projection
+from rasterizer import INRIA, fusion
 
 COUNT = 41  # Like no other size in the program.
 
@@ -136,7 +136,7 @@ def test_the_projection_branches_on_a_cpu_alone(monkeypatch):
         return operations(equations(jax.make_jaxpr(jax.grad(total))(*shape).jaxpr))["cond"], total(*shape)
 
     on_cpu, expected = branches()
-    monkeypatch.setattr(projection, "default_device", lambda: SimpleNamespace(platform="gpu"))
+    monkeypatch.setattr(fusion, "default_device", lambda: SimpleNamespace(platform="gpu"))
     on_gpu, found = branches()
     assert on_cpu >= 2 and on_gpu == 0
     assert_close(found, expected, rtol=1e-5, atol=0, why="a sum of conics that differ by a rounding")
