@@ -84,6 +84,7 @@ def spherical_harmonics(degrees_to_use: int, dirs: Array, coeffs: Array, masks: 
     return _sum_of_bands(_basis_at(degree, dirs), coeffs[..., :num_bases, :])
 
 
+@takes_arrays
 def upper_bands(dirs: Array, coeffs: Array, weights: Array | None = None) -> Array:
     """The part of degree 1 and up of all coefficients that there are.
 

@@ -8,14 +8,13 @@ from dataclasses import replace
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
 from gsjax import render
 from gsjax.gaussians import Gaussians
-from gsjax.normals.sdf import DOUBT, misalignment, pixel_depth_map
-from gsjax.numerics import masked_mean, safe_divide, safe_normalize
+from gsjax.normals.sdf import DOUBT, misaligned, misalignment, pixel_depth_map
+from gsjax.numerics import masked_mean, safe_divide
 from gsjax.render import MIN_COVERAGE, View
 from gsjax.render.depth import expected_depth
 from gsjax.targets import Batch
@@ -25,7 +24,7 @@ GAIN = 10.0  # of the number over its coefficient, whose learning rate is small
 
 def spare(gaussians: Gaussians) -> Any:
     """`[N]` the number, 0 where training begins."""
-    first = (gaussians.sh_degree) ** 2 - 1
+    first = gaussians.sh_degree**2 - 1
     return GAIN * gaussians.sh_rest[:, first, 0]
 
 
@@ -59,16 +58,9 @@ def believed(gaussians: Gaussians, view: View, batch: Batch) -> Array:
 
     The least of that is at w = min(1, DOUBT / e), so a pixel whose misalignment e stays large is believed less.
     """
-    error, usable = _misaligned(gaussians, view, batch)
-    image, alphas = render.features(view.splats, spare(gaussians)[:, None])
-    logit = 2 + safe_divide(image[..., 0], alphas, usable)
-    return masked_mean(jax.nn.sigmoid(logit) * error - DOUBT * jax.nn.log_sigmoid(logit), usable)
-
-
-def _misaligned(gaussians: Gaussians, view: View, batch: Batch) -> tuple[Array, Array]:
-    """`[H, W]` 1 - |cos| between the depth's normals and the map's, and `[H, W]` bool where both are known."""
     covered = batch.valid & (jax.lax.stop_gradient(view.alphas) > MIN_COVERAGE)
-    unit = safe_normalize(pixel_depth_map(gaussians, view, batch.camera), eps=1e-6)
-    target = safe_normalize(batch.normals)  # pyright: ignore[reportArgumentType]
-    usable = covered & (jnp.sum(unit * unit, -1) > 0.5) & (jnp.sum(target * target, -1) > 0.5)
-    return 1 - jnp.abs(jnp.sum(unit * target, axis=-1)), usable
+    directions = pixel_depth_map(gaussians, view, batch.camera)
+    error, weight = misaligned(directions, batch.normals, covered)  # pyright: ignore[reportArgumentType]
+    image, alphas = render.features(view.splats, spare(gaussians)[:, None])
+    logit = 2 + safe_divide(image[..., 0], alphas, covered)
+    return masked_mean(jax.nn.sigmoid(logit) * error - DOUBT * jax.nn.log_sigmoid(logit), weight)

@@ -146,7 +146,7 @@ def unit_turns(rotations: Array) -> Array:
 
 def opacities(bound: BoundGaussians) -> Array:
     """`[G]` opacities in (0, 1); 0 on a collapsed triangle, which has no side to show."""
-    return _shown(bound, _covariances(bound, _corners(bound))[1])
+    return _shown(bound, _frames(*matrix_rows(_corners(bound)))[3])
 
 
 @drawable.register

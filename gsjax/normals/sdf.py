@@ -97,7 +97,7 @@ def misalignment(directions: Array, normals: Array, valid: Array) -> Array:
     Returns:
         `[]`; its gradient is zero at both +n and -n, and zero where a direction is too short to have one.
     """
-    return masked_mean(*_misaligned(directions, normals, valid))
+    return masked_mean(*misaligned(directions, normals, valid))
 
 
 def doubted_misalignment(directions: Array, normals: Array, valid: Array) -> Array:
@@ -107,14 +107,14 @@ def doubted_misalignment(directions: Array, normals: Array, valid: Array) -> Arr
     (a confidence as in Kendall and Gal, 2017, for each pixel by itself). At an edge of depth, and where a splat shows
     what the photo's normal is not of, no step can help, and pulling at it costs pictures.
     """
-    error, weight = _misaligned(directions, normals, valid)
+    error, weight = misaligned(directions, normals, valid)
     far = error > DOUBT
     beyond = DOUBT * (1 + jnp.log(jnp.where(far, error, DOUBT) / DOUBT))
     return masked_mean(jnp.where(far, beyond, error), weight)
 
 
-def _misaligned(directions: Array, normals: Array, valid: Array) -> tuple[Array, Array]:
-    """`[H, W]` 1 - |cos|, and `[H, W]` how much each pixel counts."""
+def misaligned(directions: Array, normals: Array, valid: Array) -> tuple[Array, Array]:
+    """`[H, W]` 1 - |cos| of every pixel, and `[H, W]` how much it counts in a mean; arguments as `misalignment` has."""
     unit = safe_normalize(directions, eps=1e-6)
     target = safe_normalize(normals)
     usable = valid & (jnp.sum(unit * unit, -1) > 0.5) & (jnp.sum(target * target, -1) > 0.5)
