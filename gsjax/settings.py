@@ -211,6 +211,7 @@ class Settings:
     views_per_step: int = 1  # photos whose mean loss a step descends; what counts in steps here counts in photos then
     max_gaussians: int = 1_000_000
     far_points: int = 0  # around the cloud that training starts with too; none over white or where photos have mattes
+    stereo_points: int = 0  # where photos agree about depth, beside that cloud; a ninth of the budget at most
     sparse_views: bool = False  # photos far apart are not learned by heart (`gsjax.planning.sparse_views`)
     dropout: float = 0.0  # share of the Gaussians that each step leaves out, for few photos far apart
     sh_degree: int = 3
@@ -225,7 +226,7 @@ class Settings:
     def __post_init__(self):
         """Check ranges."""
         check_seed(self.seed)
-        check_lowest(self, views_per_step=1, max_gaussians=1, far_points=0, sh_every=1, longest_side=1)
+        check_lowest(self, views_per_step=1, max_gaussians=1, far_points=0, stereo_points=0, sh_every=1, longest_side=1)
         named_effects(self.effects)
         if self.downscale is not None and not 1 <= self.downscale < math.inf:
             raise ValueError(f"downscale={self.downscale} is not a number of at least 1")
@@ -267,6 +268,7 @@ FAST: dict[str, Any] = {
     "pixel_filter": "mip",  # right at other sizes and distances than the photos' too (docs/deviations.md)
     "max_gaussians": 60_000,
     "far_points": 1_800,
+    "stereo_points": 10_000,
     "cpu_pixels": 300_000,
     "sh_every": 300,
     "phases": [
@@ -294,6 +296,7 @@ BALANCED = {
     "pixel_filter": "mip",
     "max_gaussians": 120_000,
     "far_points": 1_800,
+    "stereo_points": 10_000,
     "sh_every": 700,
     "rates": FAST["rates"],
     "phases": [

@@ -45,6 +45,7 @@ LAYERS = {
     "networks": Layer(
         ("gsjax.networks",), ("vocabulary", "measures", "normals", "io"), ("jax", "numpy", "cv2", "onnxruntime")
     ),
+    "stereo": Layer(("gsjax.stereo",), ("vocabulary", "io"), ("jax", "numpy", "scipy", "cv2", "tqdm")),
     "meshing": Layer(
         ("gsjax.meshing",),
         ("vocabulary", "io"),
@@ -53,7 +54,7 @@ LAYERS = {
     "runs": Layer(("gsjax.runs",), (*CORE, "io", "meshing"), ("jax", "numpy", "tqdm")),
     "scoring": Layer(("gsjax.scoring",), (*CORE, *FILES), ("jax", "numpy")),
     "planning": Layer(
-        ("gsjax.planning",), (*CORE, "io", "meshing", "runs"), ("jax", "numpy", "optax", "scipy", "tqdm")
+        ("gsjax.planning",), (*CORE, "io", "stereo", "meshing", "runs"), ("jax", "numpy", "optax", "scipy", "tqdm")
     ),
     "report": Layer(
         ("gsjax.report",), (*CORE, "io", "meshing", "runs", "scoring"), ("jax", "numpy", "tqdm", "matplotlib", "jinja2")

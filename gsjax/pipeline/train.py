@@ -31,7 +31,7 @@ from gsjax.planning.pace import Pace, duration_text, seconds_left
 from gsjax.planning.sizes import at_size, training_extent
 from gsjax.planning.skies import given_skies
 from gsjax.planning.sparse_views import for_sparse_views
-from gsjax.planning.start import first_state, first_state_with_tables, with_given_points
+from gsjax.planning.start import first_state, first_state_with_tables, with_given_points, with_stereo_points
 from gsjax.report.page import report
 from gsjax.report.shown_views import keep_skies, picture_keeper
 from gsjax.runs.compilations import make_room
@@ -179,6 +179,10 @@ def _train(
     if measured is not None:
         print(f"train: depth {measured.line}", file=sys.stderr)
     sized = replace(settings, max_gaussians=planned.max_gaussians)
+    if begun_in is None or runs.latest_checkpoint(begun_in) is None:
+        started, stereo_lines = with_stereo_points(started, sized)
+        for line in stereo_lines:
+            print(f"train: {line}", file=sys.stderr)
     trial = partial(gains, planned, frames, size, partial(first_state, started, sized))
     skies = given_skies(loaded, settings, downscale)
     chosen = choose_effects(

@@ -12,6 +12,7 @@ from gsjax.io.point_clouds import read_points
 from gsjax.planning.effects import ChosenEffects
 from gsjax.scene import Scene
 from gsjax.settings import Settings
+from gsjax.stereo import stereo_points
 from gsjax.training import initialize
 from gsjax.training.buffers import bucket
 from gsjax.training.growth.rules import RULES
@@ -20,15 +21,32 @@ from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState, initial_state
 
 FAR_SHARE = 10  # Of the budget no more than one in so many is far around the cloud at the start.
+STEREO_SHARE = 9  # Of the budget no more than one in so many lies where photos agree about depth.
+FULL_SHARE = 2  # Nothing is looked for between the points of a cloud larger than one in so many of the budget.
 
 
 def with_given_points(scene: Scene, settings: Settings) -> Scene:
-    """The scene with the cloud that the settings name, which only the start of training looks at."""
+    """The scene with the cloud that the settings name, which only the start of training looks at, and no tracks."""
     if settings.points is None:
         return scene
     points, colors = read_points(settings.points)
     local = scene.similarity.points_to_local(scene.place.points_to_world(points))
     return replace(scene, points=local, point_colors=colors, tracks=None)
+
+
+def with_stereo_points(scene: Scene, settings: Settings) -> tuple[Scene, tuple[str, ...]]:
+    """The scene with points where its photos agree about depth after its own, and a line that says how many.
+
+    What structure from motion left empty has something to start with, on the surface and not before it.
+    """
+    count = min(settings.stereo_points, settings.max_gaussians // STEREO_SHARE)
+    if not count or scene.tracks is None or len(scene.points) > settings.max_gaussians // FULL_SHARE:
+        return scene, ()
+    found = stereo_points(scene, count)
+    if found is None:
+        return scene, ()
+    points = np.concatenate([scene.points, found.points])
+    return replace(scene, points=points, point_colors=np.concatenate([scene.point_colors, found.colors])), (found.line,)
 
 
 def starting_points(scene: Scene, settings: Settings) -> tuple[np.ndarray, np.ndarray]:

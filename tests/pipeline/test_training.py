@@ -1,6 +1,7 @@
 """The whole road on a small scene: trained, stopped and continued, refused."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,23 @@ def test_with_little_memory_photos_lie_on_the_disk_and_the_bits_are_the_same(run
 def test_a_run_keeps_the_number_of_gaussians_that_memory_bore_when_it_began(run, scene):
     assert json_files.read(run / "plan.json")["max_gaussians"] == SETTINGS["max_gaussians"]
     assert _planned(scene, config.parse(Settings, SETTINGS), {}, 1, {"max_gaussians": 300}).max_gaussians == 300
+
+
+def test_points_are_looked_for_before_the_first_step_and_never_again(run, scene, tmp_path, monkeypatch, capsys):
+    asked = []
+
+    def reversed_order(scene, settings):
+        asked.append(settings.max_gaussians)
+        return replace(scene, points=scene.points[::-1], point_colors=scene.point_colors[::-1]), ("found some",)
+
+    monkeypatch.setitem(pipeline.train.__globals__, "with_stereo_points", reversed_order)
+    settings = config.parse(Settings, SETTINGS)
+    train_until_killed(8, scene, tmp_path / "run", settings)
+    assert asked == [900] and "train: found some\n" in capsys.readouterr().err
+    pipeline.train(scene, tmp_path / "run", settings, resume=True)
+    pipeline.train(scene, tmp_path / "other", settings, earlier=tmp_path / "run")
+    assert asked == [900] and "found some" not in capsys.readouterr().err
+    assert (tmp_path / "run/gaussians.ply").read_bytes() != (run / "gaussians.ply").read_bytes()
 
 
 def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_path):

@@ -1,0 +1,71 @@
+"""How unlike its neighbours a photo is at every depth: a plane sweep (Collins, CVPR 1996)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gsjax.io.images import cv2
+from gsjax.stereo.views import View
+
+PLANES = 64
+WINDOW = 5  # pixels, side of the square that is compared
+FLAT = 1e-5  # variance of grey under which a window says nothing
+UNLIKE = 2.0  # the largest dissimilarity, and that of what no neighbour shows
+
+_HALF = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # OpenCV's pixel centres are whole numbers.
+_INVERSE = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+
+
+def inverse_depths(view: View) -> np.ndarray:
+    """`[PLANES]` float64, from far to near, even in what they move a pixel by."""
+    return np.linspace(1 / view.farthest, 1 / view.nearest, PLANES)
+
+
+def dissimilarities(view: View, others: Sequence[View]) -> np.ndarray:
+    """1 - the normalized cross-correlation with others, per pixel and plane parallel to the photo.
+
+    It is the mean of the two best: a point may be hidden in the other neighbours.
+
+    Args:
+        view: The photo.
+        others: Its neighbours, one at least.
+
+    Returns:
+        `[PLANES, H, W]` float32 in 0 to `UNLIKE`; exposure and contrast of a photo do not change them.
+    """
+    height, width = view.gray.shape
+    mean = _windowed(view.gray)
+    variance = _windowed(view.gray * view.gray) - mean * mean
+    found = np.empty((PLANES, height, width), np.float32)
+    shown = [np.where(other.usable, other.gray, np.float32(-1)) for other in others]
+    for plane, inverse in enumerate(inverse_depths(view)):
+        first, second = (np.full((height, width), 1 - UNLIKE, np.float32) for _ in range(2))
+        for other, gray in zip(others, shown, strict=True):
+            warp = _homography(view, other, inverse)
+            moved = cv2.warpPerspective(gray, warp, (width, height), flags=_INVERSE, borderValue=-1.0)
+            score = _correlation(view.gray, moved, mean, variance)
+            score[moved < 0] = 1 - UNLIKE
+            np.maximum(second, np.minimum(first, score), out=second)
+            np.maximum(first, score, out=first)
+        found[plane] = 1 - (first if len(others) == 1 else (first + second) / 2)
+    found[:, ~view.usable | (variance <= FLAT)] = UNLIKE
+    return found
+
+
+def _homography(view: View, other: View, inverse: float) -> np.ndarray:
+    """Pixels of the one to those of the other, for what lies on a plane of this inverse depth."""
+    turn = other.viewmat[:3, :3] @ view.viewmat[:3, :3].T
+    shift = other.viewmat[:3, 3] - turn @ view.viewmat[:3, 3]
+    between = other.K @ (turn + np.outer(shift, [0, 0, inverse])) @ np.linalg.inv(view.K)
+    return np.linalg.inv(_HALF) @ between @ _HALF
+
+
+def _correlation(gray: np.ndarray, moved: np.ndarray, mean: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    other_mean = _windowed(moved)
+    other_variance = _windowed(moved * moved) - other_mean * other_mean
+    together = _windowed(gray * moved) - mean * other_mean
+    return together / np.sqrt(np.maximum(variance, FLAT) * np.maximum(other_variance, FLAT))
+
+
+def _windowed(values: np.ndarray) -> np.ndarray:
+    return cv2.boxFilter(values, -1, (WINDOW, WINDOW), borderType=cv2.BORDER_REFLECT)

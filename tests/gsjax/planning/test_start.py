@@ -1,0 +1,53 @@
+"""Which points a training starts with, where photos agree about depth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from photographed_wall import wall
+
+from gsjax.planning import start
+from gsjax.settings import Settings
+from gsjax.stereo import StereoPoints
+
+WALL = wall(3, num_points=100)
+SETTINGS = Settings(stereo_points=50, max_gaussians=900)
+
+
+def found(scene, count):
+    return StereoPoints(np.ones((count, 3), np.float32), np.full((count, 3), 7, np.uint8), f"{count} more")
+
+
+def test_points_come_after_the_scenes_own_and_have_a_line(monkeypatch):
+    monkeypatch.setattr(start, "stereo_points", found)
+    more, lines = start.with_stereo_points(WALL, SETTINGS)
+    assert lines == ("50 more",)
+    np.testing.assert_array_equal(more.points, np.concatenate([WALL.points, np.ones((50, 3), np.float32)]))
+    np.testing.assert_array_equal(more.point_colors[100:], np.full((50, 3), 7, np.uint8))
+    assert more.points.dtype == np.float32 and more.point_colors.dtype == np.uint8
+    assert replace(more, points=WALL.points, point_colors=WALL.point_colors) == WALL, "tracks keep their numbers"
+
+
+def test_they_are_a_ninth_of_the_budget_at_most(monkeypatch):
+    monkeypatch.setattr(start, "stereo_points", found)
+    more, _ = start.with_stereo_points(WALL, replace(SETTINGS, max_gaussians=270))
+    assert len(more.points) - len(WALL.points) == 30
+
+
+def test_where_photos_agree_about_nothing_the_scene_stays(monkeypatch):
+    monkeypatch.setattr(start, "stereo_points", lambda scene, count: None)
+    assert start.with_stereo_points(WALL, SETTINGS) == (WALL, ())
+
+
+@pytest.mark.parametrize(
+    ("scene", "settings"),
+    [
+        (WALL, replace(SETTINGS, stereo_points=0)),
+        (WALL, replace(SETTINGS, max_gaussians=199)),
+        (replace(WALL, tracks=None), SETTINGS),
+    ],
+    ids=["not asked for", "the cloud fills half of the budget", "points of another origin"],
+)
+def test_nothing_is_looked_for(monkeypatch, scene, settings):
+    monkeypatch.setattr(start, "stereo_points", lambda *_: pytest.fail("was looked for"))
+    assert start.with_stereo_points(scene, settings) == (scene, ())

@@ -1,0 +1,197 @@
+"""Depth that photos of a painted wall tell of each other, where it is known; and photos that tell nothing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from photographed_wall import SIZE, wall
+from tolerances import assert_close
+
+from gsjax.scene import Scene, Tracks, with_pixels
+from gsjax.stereo import stereo_points, views
+from gsjax.stereo.agreement import CONFIRMED, FEWEST_TOLD, SMALLEST_PATCH, Evidence, confirmed, evidence, patches
+from gsjax.stereo.points import spread_evenly
+from gsjax.stereo.sweep import UNLIKE, dissimilarities, inverse_depths
+from gsjax.stereo.views import Depth, neighbors, stereo_views
+
+AWAY = 3.0  # from the cameras to the wall
+
+
+def painted(scene: Scene) -> Scene:
+    """The wall in a pattern as fine as its photos show."""
+    rng = np.random.default_rng(0)
+    waves = rng.normal(size=(12, 2))
+    waves *= rng.uniform(6, 25, (12, 1)) / np.linalg.norm(waves, axis=1, keepdims=True)
+    phases = rng.uniform(0, 2 * np.pi, (12, 3))
+
+    def photo(index, pixels):
+        frame = scene.frames[index]
+        x, y = np.meshgrid(np.arange(frame.width) + 0.5, np.arange(frame.height) + 0.5)
+        places = np.stack([x, y], axis=-1) - frame.K[:2, 2]
+        places = places / frame.K[0, 0] * frame.viewmat[2, 3] - frame.viewmat[:2, 3]
+        values = np.sin((places @ waves.T)[..., None] + phases).sum(axis=2)
+        return pixels._replace(image=np.clip(128 + 20 * values, 0, 255).astype(np.uint8))
+
+    return shown(scene, photo)
+
+
+def shown(scene: Scene, change) -> Scene:
+    """The scene with every photo's pixels changed by `change(index, pixels)`."""
+    return replace(
+        scene, frames=tuple(with_pixels(frame, change(i, frame.pixels())) for i, frame in enumerate(scene.frames))
+    )
+
+
+WALL = painted(wall(5))
+
+
+def exposed(index, pixels):
+    return pixels._replace(image=(pixels.image * [0.5, 1.0, 0.7, 0.9, 0.4][index] + 20).astype(np.uint8))
+
+
+def noise(index, pixels):
+    return pixels._replace(image=np.random.default_rng(index).integers(0, 256, pixels.image.shape).astype(np.uint8))
+
+
+@pytest.mark.parametrize("scene", [WALL, shown(WALL, exposed)], ids=["", "exposures"])
+def test_points_lie_on_the_wall_in_its_colours(scene):
+    found = stereo_points(scene, 500)
+    assert found is not None and 100 < len(found.points) <= 500
+    off = np.abs(found.points[:, 2])
+    assert np.median(off) < 0.005 * AWAY and off.max() < 0.03 * AWAY
+    assert np.ptp(found.points[:, 0]) > 2.5 and np.ptp(found.points[:, 1]) > 1.8, "all over what the photos show"
+    brightest = np.max([frame.pixels().image.max(axis=(0, 1)) for frame in scene.frames], axis=0)
+    assert found.colors.dtype == np.uint8 and (found.colors <= brightest).all()
+    assert "5 of 5 photos; 100% of" in found.line and f"{len(found.points):,} more points" in found.line
+
+
+def test_a_photo_far_larger_than_the_sweep_is_told_by_a_smaller_copy(monkeypatch):
+    monkeypatch.setattr(views, "SIDE", SIZE[0] // 2)
+    view = stereo_views(WALL)[0]
+    assert view.gray.shape == (SIZE[1] // 2, SIZE[0] // 2)
+    row, column, z = view.project(WALL.points[view.matched])
+    assert_close(z, np.full(len(z), AWAY), rtol=1e-6, atol=0, why="the scene's poses are float32")
+    assert (row >= 0).all() and (column < SIZE[0] // 2).all()
+    found = stereo_points(WALL, 200)
+    assert found is not None and np.abs(found.points[:, 2]).max() < 0.03 * AWAY
+
+
+def test_what_photos_do_not_have_in_common_is_not_found():
+    assert stereo_points(shown(WALL, noise), 500) is None
+
+
+@pytest.mark.parametrize(
+    "nothing",
+    [
+        replace(WALL, tracks=None),
+        replace(WALL, frames=WALL.frames[:1]),
+        replace(WALL, frames=()),
+        replace(WALL, frames=tuple(replace(frame, held_out=True) for frame in WALL.frames)),
+        shown(WALL, lambda _, pixels: pixels._replace(image=np.full_like(pixels.image, 90))),
+        shown(WALL, lambda _, pixels: pixels._replace(valid=np.zeros(pixels.image.shape[:2], np.uint8))),
+        replace(WALL, frames=tuple(replace(frame, name=f"other{frame.name}") for frame in WALL.frames)),
+    ],
+    ids=["no tracks", "one photo", "no photo", "all held out", "grey", "masked", "never matched"],
+)
+def test_where_there_is_nothing_to_compare_nothing_is_found(nothing):
+    assert stereo_points(nothing, 500) is None
+
+
+@pytest.mark.parametrize("mask", ["matte", "valid"])
+def test_masked_pixels_have_no_say(mask):
+    half = np.full(SIZE[::-1], 255, np.uint8)
+    half[:, : SIZE[0] // 2] = 0
+    found = stereo_points(shown(WALL, lambda _, pixels: pixels._replace(**{mask: half})), 500)
+    whole = stereo_points(WALL, 500)
+    assert found is not None and whole is not None
+    assert found.points[:, 0].min() > whole.points[:, 0].min() + 0.5
+
+
+def test_a_photo_with_a_wrong_pose_says_nothing():
+    turned = WALL.frames[2].viewmat.copy()
+    turned[0, 3] += 0.4
+    frames = tuple(replace(f, viewmat=turned) if i == 2 else f for i, f in enumerate(WALL.frames))
+    found = stereo_points(replace(WALL, frames=frames), 500)
+    assert found is not None and "4 of 5 photos" in found.line
+    assert np.quantile(np.abs(found.points[:, 2]), 0.95) < 0.03 * AWAY
+
+
+def test_dissimilarity_is_least_at_the_wall_and_knows_no_exposure():
+    all_views = stereo_views(WALL)
+    view, others = all_views[0], all_views[1:]
+    found = dissimilarities(view, others)
+    at_wall = np.abs(inverse_depths(view) - 1 / AWAY).argmin()
+    inner = np.s_[8:-8, 8:-8]
+    assert np.median(found[at_wall][inner]) < 0.02 < 0.1 < np.median(found[0][inner])
+    assert found.min() > -1e-3 and found.max() <= UNLIKE
+    dimmed = replace(view, gray=0.5 * view.gray + 0.2)
+    assert_close(
+        dissimilarities(dimmed, others)[at_wall][inner],
+        found[at_wall][inner],
+        rtol=0,
+        atol=0.05,
+        why="where a window is nearly flat, its variance is told from the difference of float32 squares",
+    )
+
+
+def test_photos_are_compared_with_those_at_a_good_angle():
+    degrees = np.array([0.0, 0.5, 8.0, 30.0, 80.0, 9.0])
+    eyes = 10 * np.stack([np.sin(np.radians(degrees)), np.zeros(6), -np.cos(np.radians(degrees))], axis=-1)
+    viewmats = np.tile(np.eye(4, dtype=np.float32), (6, 1, 1))
+    viewmats[:, :3, 3] = -eyes  # only where they stand is looked at
+    frames = tuple(replace(WALL.frames[0], name=f"{i}.png", viewmat=viewmats[i]) for i in range(6))
+    points = np.random.default_rng(0).normal(scale=0.01, size=(50, 3)).astype(np.float32)
+    photo = np.repeat(np.arange(6, dtype=np.int32), 50)
+    tracks = Tracks(
+        tuple(f.name for f in frames), photo, np.tile(np.arange(50, dtype=np.int32), 6), np.zeros((300, 2), np.float32)
+    )
+    scene = replace(WALL, frames=frames, points=points, tracks=lambda: tracks)
+    assert neighbors(stereo_views(scene), points)[0] == [2, 5, 3, 1]
+
+
+def test_a_patch_is_large_enough_or_left_out():
+    counted = np.zeros((20, 20), bool)
+    counted[:5, :10] = True  # 50 pixels
+    counted[8:15, :7] = True  # 49
+    z = np.ones((20, 20))
+    expected = np.zeros_like(counted)
+    expected[:5, :10] = True
+    assert SMALLEST_PATCH == 50
+    np.testing.assert_array_equal(patches(z, counted), expected)
+    z[:, 5:] *= 1.02  # a step in depth parts a patch
+    assert not patches(z, counted).any()
+
+
+def test_another_photo_confirms_what_it_shows_at_that_depth_and_nothing_else():
+    view, other = stereo_views(WALL)[:2]
+    right = [Depth(np.full(each.gray.shape, AWAY), np.ones(each.gray.shape, bool)) for each in (view, other)]
+    row, _, _ = other.project(view.lift(right[0]))
+    in_both = (row >= 0).reshape(view.gray.shape)
+    np.testing.assert_array_equal(confirmed(view, right[0], [(other, right[1])]), in_both)
+    for factor in (1 - 2 * CONFIRMED, 1 + 2 * CONFIRMED):
+        wrong = right[1]._replace(z=right[1].z * factor)
+        assert not confirmed(view, right[0], [(other, wrong)]).any()
+    assert not confirmed(view, right[0], [(other, right[1]._replace(is_sure=~right[1].is_sure))]).any()
+    assert not confirmed(view, right[0], []).any()
+
+
+def test_matched_points_judge_a_photo():
+    view = stereo_views(WALL)[0]
+    wholly = Depth(np.full(view.gray.shape, AWAY), np.ones(view.gray.shape, bool))
+    told = evidence(view, wholly, WALL.points)
+    assert told == Evidence(len(view.matched), len(view.matched)) and told.is_good
+    wrong = evidence(view, wholly._replace(z=wholly.z * 1.05), WALL.points)
+    assert wrong == Evidence(0, len(view.matched)) and not wrong.is_good
+    assert Evidence(0, FEWEST_TOLD - 1).is_good and not Evidence(15, FEWEST_TOLD).is_good
+    assert Evidence(16, FEWEST_TOLD).is_good
+
+
+@pytest.mark.parametrize("count", [1, 7, 300])
+def test_points_are_thinned_evenly(count):
+    rng = np.random.default_rng(0)
+    clumped = np.concatenate([rng.uniform(0, 1, (500, 3)), rng.normal(0.5, 1e-3, (5000, 3))])
+    chosen = spread_evenly(clumped, count)
+    assert 0 < len(chosen) <= count and (np.diff(chosen) > 0).all()
+    if count == 300:
+        assert (chosen < 500).mean() > 0.9 and len(chosen) > 150
+    assert len(spread_evenly(np.zeros((9, 3)), count)) == 1, "nine times one place"
