@@ -10,7 +10,7 @@ from gsjax.config import parse, to_dict
 from gsjax.settings import DEMO, FAST, NONE, PRESETS, Rates, Settings
 
 # No effects: runs are compared by the score of the render as it is. Nothing is held back for what photos are like.
-_BASE: dict[str, Any] = {**PRESETS["fast"], "effects": NONE, "sparse_views": False, "stereo_points": 0}
+_BASE: dict[str, Any] = {**PRESETS["fast"], "effects": NONE, "sparse_views": False}
 _DEMO = {key: value for key, value in to_dict(parse(Settings, DEMO)).items() if _BASE.get(key) != value}
 
 CONFIGS: dict[str, dict[str, Any]] = {

@@ -211,7 +211,7 @@ class Settings:
     views_per_step: int = 1  # photos whose mean loss a step descends; what counts in steps here counts in photos then
     max_gaussians: int = 1_000_000
     far_points: int = 0  # around the cloud that training starts with too; none over white or where photos have mattes
-    stereo_points: int = 0  # where photos agree about depth, beside that cloud; a ninth of the budget at most
+    stereo_points: int = 0  # where photos agree about depth, beside that cloud; half of the budget at most
     sparse_views: bool = False  # photos far apart are not learned by heart (`gsjax.planning.sparse_views`)
     dropout: float = 0.0  # share of the Gaussians that each step leaves out, for few photos far apart
     sh_degree: int = 3
@@ -268,7 +268,6 @@ FAST: dict[str, Any] = {
     "pixel_filter": "mip",  # right at other sizes and distances than the photos' too (docs/deviations.md)
     "max_gaussians": 60_000,
     "far_points": 1_800,
-    "stereo_points": 10_000,
     "cpu_pixels": 300_000,
     "sh_every": 300,
     "phases": [
@@ -296,7 +295,6 @@ BALANCED = {
     "pixel_filter": "mip",
     "max_gaussians": 120_000,
     "far_points": 1_800,
-    "stereo_points": 10_000,
     "sh_every": 700,
     "rates": FAST["rates"],
     "phases": [

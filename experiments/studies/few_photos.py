@@ -1,4 +1,4 @@
-"""What keeps training from learning few photos by heart: fewer Gaussians, or some left out of every step?
+"""What keeps training from learning few photos by heart: fewer Gaussians, some left out, others on what photos show?
 
     python experiments/compare.py few_photos --scene PHOTOS --out DIR --seeds 3
 
@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from gsjax.config import parse, to_dict
+from gsjax.planning.sparse_views import STEREO_SHARE
 from gsjax.settings import NONE, PRESETS, Settings, total_steps
 
 ON = "base"
@@ -26,5 +27,6 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
     logging = {"evaluate_every": 200, "checkpoint_every": 300}
     short |= {"effects": NONE, "sparse_views": False, "longest_side": 320, "logging": logging}
     shares = {f"{share:.0%}": {**short, "dropout": share} for share in SHARES}
-    shares["held back"] = {**short, "sparse_views": True}
+    with_points = {**short, "stereo_points": short["max_gaussians"] // STEREO_SHARE}
+    shares |= {"stereo": with_points, "held back": {**short, "sparse_views": True}}
     return shares | {f"degree {degree}": {**short, "sh_degree": degree} for degree in (0, 1)}

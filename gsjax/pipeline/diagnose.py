@@ -94,8 +94,8 @@ def apart_line(apart: dict[str, Any]) -> str:
         return "photos: no tracks tell how far apart they stand"
     said = f"photos: {angle:.0f} degrees apart, seen from what they show"
     if is_far:
-        return f"{said}: presets take fewer Gaussians (sparse_views), so that views between photos gain"
-    return f"{said}; presets take fewer Gaussians from {threshold:g} on"
+        return f"{said}: presets hold training back (sparse_views), so that views between photos gain"
+    return f"{said}; presets hold training back from {threshold:g} on"
 
 
 def draw(found: Diagnosis, path: Path) -> Path:

@@ -180,7 +180,7 @@ def _train(
         print(f"train: depth {measured.line}", file=sys.stderr)
     sized = replace(settings, max_gaussians=planned.max_gaussians)
     if begun_in is None or runs.latest_checkpoint(begun_in) is None:
-        started, stereo_lines = with_stereo_points(started, sized)
+        started, stereo_lines = with_stereo_points(started, planned)
         for line in stereo_lines:
             print(f"train: {line}", file=sys.stderr)
     trial = partial(gains, planned, frames, size, partial(first_state, started, sized))

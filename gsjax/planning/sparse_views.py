@@ -13,6 +13,7 @@ FAR_APART = 20.0  # degrees
 FEWER = 2  # times, Gaussians: each has more pixels to fit, of more photos
 SMOOTH = {"depth_normal": 0.05}  # what is added to every phase: Gaussians lie along the surface that they show
 LEFT_OUT = 0.2  # share of the Gaussians that each step leaves out, where no other was asked for
+STEREO_SHARE = 9  # One in so many Gaussians begins where photos agree about depth.
 POINTS = 2000  # that are looked at
 
 
@@ -21,8 +22,9 @@ def for_sparse_views(
 ) -> tuple[Plan, tuple[str, ...]]:
     """The plan for these photos, and lines that say what is held back, if anything is.
 
-    Where photos stand far apart, half of the Gaussians grow, a term draws them along the surface that they show, and
-    each step leaves some of them out: views from between photos gain a decibel (`experiments/results/few_photos.md`).
+    Where photos stand far apart, half of the Gaussians grow, a term draws them along the surface that they show, each
+    step leaves some of them out, and some begin where photos agree about depth: views from between photos gain two
+    decibels (`experiments/results/few_photos.md`).
     Photos side by side are not learned by heart, however few they are, and would lose.
 
     Args:
@@ -40,11 +42,12 @@ def for_sparse_views(
         return planned, ()
     most = planned.max_gaussians // FEWER if may_lower else planned.max_gaussians
     smoothed = planned.with_terms(SMOOTH)
+    stereo_points = max(planned.stereo_points, most // STEREO_SHARE)
     phases = tuple(replace(phase, dropout=phase.dropout or LEFT_OUT) for phase in smoothed.phases)
     fewer = f" instead of max_gaussians={planned.max_gaussians:,} (--set sparse_views=false)" if may_lower else ""
     line = f"photos stand {angle:.0f} degrees apart, seen from what they show: at most {most:,} Gaussians{fewer}"
     left_out = f"each step leaves out {phases[0].dropout:.0%} of them"
-    return replace(smoothed, phases=phases, max_gaussians=most), (f"{line}; {left_out}",)
+    return replace(smoothed, phases=phases, max_gaussians=most, stereo_points=stereo_points), (f"{line}; {left_out}",)
 
 
 def is_sparse(angle: float | None) -> bool:

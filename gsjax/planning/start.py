@@ -21,8 +21,7 @@ from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState, initial_state
 
 FAR_SHARE = 10  # Of the budget no more than one in so many is far around the cloud at the start.
-STEREO_SHARE = 9  # Of the budget no more than one in so many lies where photos agree about depth.
-FULL_SHARE = 2  # Nothing is looked for between the points of a cloud larger than one in so many of the budget.
+STEREO_SHARE = 2  # No more than one in so many lies where photos agree about depth, and none where others fill that.
 
 
 def with_given_points(scene: Scene, settings: Settings) -> Scene:
@@ -34,13 +33,14 @@ def with_given_points(scene: Scene, settings: Settings) -> Scene:
     return replace(scene, points=local, point_colors=colors, tracks=None)
 
 
-def with_stereo_points(scene: Scene, settings: Settings) -> tuple[Scene, tuple[str, ...]]:
+def with_stereo_points(scene: Scene, planned: Plan) -> tuple[Scene, tuple[str, ...]]:
     """The scene with points where its photos agree about depth after its own, and a line that says how many.
 
     What structure from motion left empty has something to start with, on the surface and not before it.
     """
-    count = min(settings.stereo_points, settings.max_gaussians // STEREO_SHARE)
-    if not count or scene.tracks is None or len(scene.points) > settings.max_gaussians // FULL_SHARE:
+    most = planned.max_gaussians // STEREO_SHARE
+    count = min(planned.stereo_points, most)
+    if not count or scene.tracks is None or len(scene.points) > most:
         return scene, ()
     found = stereo_points(scene, count)
     if found is None:

@@ -7,7 +7,7 @@ import numpy as np
 from gsjax.io.images import cv2
 from gsjax.stereo.views import View
 
-PLANES = 64
+PLANES = 96
 WINDOW = 5  # pixels, side of the square that is compared
 FLAT = 1e-5  # variance of grey under which a window says nothing
 UNLIKE = 2.0  # the largest dissimilarity, and that of what no neighbour shows

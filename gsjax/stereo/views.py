@@ -8,7 +8,7 @@ import numpy as np
 from gsjax.io.images import cv2, resize
 from gsjax.scene import Frame, Scene, tracks_by_name
 
-SIDE = 240  # pixels, the longer one: more are slower and start training no better
+SIDE = 320  # pixels, the longer one: depth at every few pixels of a photo is more than a start needs
 MOST_VIEWS = 30  # of a data set, evenly by name
 FEWEST_POINTS = 10  # matched in a photo, that tell at which depths to look
 NEARER, FARTHER = 0.8, 1.5  # times the depths of all but the outermost hundredths of these points

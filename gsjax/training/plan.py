@@ -73,6 +73,7 @@ class Plan:
     downscale: float = 1.0  # photos are so many times smaller than they were taken
     normals: str | None = None  # folder of the maps; None: those of the run's own depth, where a term asks for any
     effects: tuple[str, ...] = ()  # that are simulated
+    stereo_points: int = 0  # that are looked for before the first step, see `gsjax.stereo`
     sky_weight: float = 0.0  # of the term `sky`, which phases have with the effect of that name
 
     @property
@@ -258,6 +259,7 @@ def plan(
         rates=_rates(settings.rates, views, begin),
         density=_density(settings.density, views),
         logging=_logging(settings.logging, views),
+        stereo_points=settings.stereo_points,
         sky_weight=settings.sky_weight,
         left_out=tuple(sorted(left_out)),
     ).with_effects(tuple(effects))

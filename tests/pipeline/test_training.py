@@ -100,8 +100,8 @@ def test_a_run_keeps_the_number_of_gaussians_that_memory_bore_when_it_began(run,
 def test_points_are_looked_for_before_the_first_step_and_never_again(run, scene, tmp_path, monkeypatch, capsys):
     asked = []
 
-    def reversed_order(scene, settings):
-        asked.append(settings.max_gaussians)
+    def reversed_order(scene, planned):
+        asked.append(planned.max_gaussians)
         return replace(scene, points=scene.points[::-1], point_colors=scene.point_colors[::-1]), ("found some",)
 
     monkeypatch.setitem(pipeline.train.__globals__, "with_stereo_points", reversed_order)

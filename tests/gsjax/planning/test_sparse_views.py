@@ -8,7 +8,14 @@ import pytest
 
 from gsjax.pipeline.diagnose import apart, apart_line
 from gsjax.planning import sparse_views
-from gsjax.planning.sparse_views import FAR_APART, LEFT_OUT, SMOOTH, angle_between_photos, for_sparse_views
+from gsjax.planning.sparse_views import (
+    FAR_APART,
+    LEFT_OUT,
+    SMOOTH,
+    STEREO_SHARE,
+    angle_between_photos,
+    for_sparse_views,
+)
 from gsjax.scene import Frame, Scene, Tracks
 from gsjax.settings import Phase, Settings, Weights
 from gsjax.training.plan import plan
@@ -51,6 +58,7 @@ def test_photos_far_apart_get_fewer_gaussians_and_a_term_where_a_phase_has_none(
     scene = arc(FAR_APART + 1)
     held_back, [line] = for_sparse_views(PLAN, scene, SETTINGS)
     assert held_back.max_gaussians == 500
+    assert held_back.stereo_points == 500 // STEREO_SHARE > 0 == PLAN.stereo_points
     assert "21 degrees" in line and "500 Gaussians instead of max_gaussians=1,000" in line
     weights = [{each.name: each.weight for each in phase.terms} for phase in held_back.phases]
     assert [each["depth_normal"] for each in weights] == [SMOOTH["depth_normal"], 0.3]
@@ -61,10 +69,11 @@ def test_photos_far_apart_get_fewer_gaussians_and_a_term_where_a_phase_has_none(
     assert again == held_back, "a run that goes on is the run that it was"
 
 
-def test_another_share_that_is_asked_for_stays():
-    asked = replace(SETTINGS, dropout=0.5)
+def test_another_share_and_more_points_that_are_asked_for_stay():
+    asked = replace(SETTINGS, dropout=0.5, stereo_points=200)
     held_back, [line] = for_sparse_views(plan(asked), arc(FAR_APART + 1), asked)
     assert [phase.dropout for phase in held_back.phases] == [0.5, 0.5]
+    assert held_back.stereo_points == 200
     assert "each step leaves out 50%" in line
 
 
@@ -86,7 +95,7 @@ def test_diagnose_says_what_training_does(degrees):
     found = apart(scene)
     assert found["sparse"] == bool(for_sparse_views(PLAN, scene, SETTINGS)[1]) == (degrees > FAR_APART)
     assert apart_line(found).startswith(f"photos: {degrees:.0f} degrees apart")
-    assert (": presets take fewer Gaussians" in apart_line(found)) == found["sparse"]
+    assert (": presets hold training back" in apart_line(found)) == found["sparse"]
 
 
 def test_diagnose_says_where_no_tracks_tell():

@@ -9,9 +9,10 @@ from photographed_wall import wall
 from gsjax.planning import start
 from gsjax.settings import Settings
 from gsjax.stereo import StereoPoints
+from gsjax.training.plan import plan
 
 WALL = wall(3, num_points=100)
-SETTINGS = Settings(stereo_points=50, max_gaussians=900)
+PLAN = plan(Settings(stereo_points=50, max_gaussians=900))
 
 
 def found(scene, count):
@@ -20,7 +21,7 @@ def found(scene, count):
 
 def test_points_come_after_the_scenes_own_and_have_a_line(monkeypatch):
     monkeypatch.setattr(start, "stereo_points", found)
-    more, lines = start.with_stereo_points(WALL, SETTINGS)
+    more, lines = start.with_stereo_points(WALL, PLAN)
     assert lines == ("50 more",)
     np.testing.assert_array_equal(more.points, np.concatenate([WALL.points, np.ones((50, 3), np.float32)]))
     np.testing.assert_array_equal(more.point_colors[100:], np.full((50, 3), 7, np.uint8))
@@ -28,26 +29,26 @@ def test_points_come_after_the_scenes_own_and_have_a_line(monkeypatch):
     assert replace(more, points=WALL.points, point_colors=WALL.point_colors) == WALL, "tracks keep their numbers"
 
 
-def test_they_are_a_ninth_of_the_budget_at_most(monkeypatch):
+def test_they_are_half_of_the_budget_at_most(monkeypatch):
     monkeypatch.setattr(start, "stereo_points", found)
-    more, _ = start.with_stereo_points(WALL, replace(SETTINGS, max_gaussians=270))
-    assert len(more.points) - len(WALL.points) == 30
+    more, _ = start.with_stereo_points(WALL, replace(PLAN, stereo_points=500))
+    assert len(more.points) - len(WALL.points) == 450
 
 
 def test_where_photos_agree_about_nothing_the_scene_stays(monkeypatch):
     monkeypatch.setattr(start, "stereo_points", lambda scene, count: None)
-    assert start.with_stereo_points(WALL, SETTINGS) == (WALL, ())
+    assert start.with_stereo_points(WALL, PLAN) == (WALL, ())
 
 
 @pytest.mark.parametrize(
-    ("scene", "settings"),
+    ("scene", "planned"),
     [
-        (WALL, replace(SETTINGS, stereo_points=0)),
-        (WALL, replace(SETTINGS, max_gaussians=199)),
-        (replace(WALL, tracks=None), SETTINGS),
+        (WALL, replace(PLAN, stereo_points=0)),
+        (WALL, replace(PLAN, max_gaussians=199)),
+        (replace(WALL, tracks=None), PLAN),
     ],
     ids=["not asked for", "the cloud fills half of the budget", "points of another origin"],
 )
-def test_nothing_is_looked_for(monkeypatch, scene, settings):
+def test_nothing_is_looked_for(monkeypatch, scene, planned):
     monkeypatch.setattr(start, "stereo_points", lambda *_: pytest.fail("was looked for"))
-    assert start.with_stereo_points(scene, settings) == (scene, ())
+    assert start.with_stereo_points(scene, planned) == (scene, ())
