@@ -1,7 +1,8 @@
-"""Buffers that grow with the Gaussians: a step costs what is alive, not what the budget allows.
+"""Buffers that grow and shrink with the Gaussians: a step costs what is alive, not what the budget allows.
 
-Every per-Gaussian array has rows for the Gaussians of today and some to come, and is lengthened before density control
-would run out of them. A buffer of the whole budget would give the same numbers, bit for bit, and be slower.
+Every per-Gaussian array has rows for the Gaussians of today and some to come, is lengthened before density control
+would run out of them, and shortened after a cull. A buffer of the whole budget would give the same numbers, bit for
+bit, and be slower.
 """
 
 from collections.abc import Callable
@@ -10,11 +11,13 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 from jax import Array
 
 from gsjax.settings import Density
 from gsjax.training import optimizers
+from gsjax.training.growth.adaptive import is_alive
 from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.state import TrainState
@@ -57,6 +60,29 @@ def lengthen(state: TrainState, optimizer: optax.GradientTransformation, rows: i
         opt_state=optimizers.map_moments(optimizer, zeros_after, state.opt_state),
         statistics=jax.tree.map(zeros_after, state.statistics),
         tables=jax.tree.map(zeros_after, state.tables),
+    )
+
+
+def shorten(state: TrainState, optimizer: optax.GradientTransformation, most: int) -> TrainState:
+    """The living Gaussians in their order, in the buffers that `bucket` has for them; in no shorter ones, the state.
+
+    Tables name rows as they were, and have to be made anew.
+    """
+    alive = np.asarray(is_alive(state.gaussians))
+    rows = bucket(int(alive.sum()), most)
+    if rows >= len(alive):
+        return state
+    kept = np.argsort(~alive, kind="stable")[:rows]
+
+    def of_kept(array: Array) -> Array:
+        return array[kept]
+
+    return replace(
+        state,
+        gaussians=jax.tree.map(of_kept, state.gaussians),
+        opt_state=optimizers.map_moments(optimizer, of_kept, state.opt_state),
+        statistics=jax.tree.map(of_kept, state.statistics),
+        tables=jax.tree.map(of_kept, state.tables),
     )
 
 

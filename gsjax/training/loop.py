@@ -47,6 +47,7 @@ class Placement(NamedTuple):
     densify: Callable[..., TrainState]
     reset_opacities: Callable[..., TrainState]
     cull: Callable[..., TrainState]
+    shorten: Callable[..., TrainState]  # as `gsjax.training.buffers.shorten`, or as it is
 
 
 class Progress(NamedTuple):
@@ -77,7 +78,7 @@ def kept_step(
 def one_device() -> Placement:
     """All on one device, a view a step."""
     room = buffers.with_room_to_densify
-    return Placement(one_view, kept_step, chosen_capacity, room, densify, reset_opacities, cull)
+    return Placement(one_view, kept_step, chosen_capacity, room, densify, reset_opacities, cull, buffers.shorten)
 
 
 @dataclass(frozen=True)
@@ -224,6 +225,7 @@ def _run_phase(
             state = _control_density(work, step, state, key)
         if is_last and phase.cull_below > 0:
             state = placement.cull(state, optimizer=work.optimizer, min_opacity=phase.cull_below)
+            state = placement.shorten(state, work.optimizer, plan.max_gaussians)
         if is_last and "sky" in phase.needs:
             in_sky = sky.lies_in(np.asarray(state.gaussians.means), work.frames, work.skies)
             state = remove(state, jnp.asarray(in_sky), optimizer=work.optimizer)

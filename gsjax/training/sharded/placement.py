@@ -58,6 +58,7 @@ def placement(mesh: Mesh, views_per_step: int) -> Placement:
         densify=partial(sharded_density.densify, mesh=mesh),
         reset_opacities=partial(sharded_density.reset_opacities, mesh=mesh),
         cull=partial(sharded_density.cull, mesh=mesh),
+        shorten=lambda state, optimizer, most: state,  # Its rows would have to move between devices.
     )
 
 

@@ -8,13 +8,13 @@ import pytest
 
 from gsjax.settings import Density, Rates
 from gsjax.training import buffers
-from gsjax.training.buffers import bucket, lengthen, with_room_to_densify
+from gsjax.training.buffers import bucket, lengthen, shorten, with_room_to_densify
 from gsjax.training.growth.adaptive import GrowthStatistics
 from gsjax.training.growth.error_driven import ErrorStatistics
 from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import from_points
 from gsjax.training.optimizers import apply_gradients, make_optimizer
-from gsjax.training.state import count_alive, densify, initial_state
+from gsjax.training.state import count_alive, densify, initial_state, remove
 
 OPTIMIZER = make_optimizer(Rates(), 1.0, 10)
 ALIVE, SHORT, LONG = 20, 24, 64
@@ -60,6 +60,34 @@ def test_a_lengthened_state_is_the_one_that_was_long_from_the_start():
     assert_identical(lengthen(trained(SHORT), OPTIMIZER, LONG), trained(LONG))
     state = trained(LONG)
     assert lengthen(state, OPTIMIZER, SHORT) is state
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_a_shortened_state_has_the_living_in_their_order_with_all_that_is_theirs(monkeypatch, rule):
+    monkeypatch.setattr(buffers, "FEWEST_ROWS", 8)
+    dead = np.isin(np.arange(LONG), (0, 3, 4, 11, 19))
+    state = remove(lengthen(trained(SHORT, rule), OPTIMIZER, LONG), jnp.asarray(dead), optimizer=OPTIMIZER)
+    state = replace(state, tables={"own": jnp.arange(LONG, dtype=jnp.int32)})
+    shortened = shorten(state, OPTIMIZER, LONG)
+    assert shortened.gaussians.num_gaussians == 16
+    living = np.flatnonzero(~dead & (np.arange(LONG) < ALIVE))
+    assert int(count_alive(shortened.gaussians)) == len(living) == 15
+    by_row = [
+        [x for x in jax.tree.leaves(each) if x.shape[:1] == (rows,)] for each, rows in ((state, LONG), (shortened, 16))
+    ]
+    assert len(by_row[0]) == len(by_row[1]) > 18 + 1, "Gaussians, two moments and statistics"
+    for before, after in zip(*by_row, strict=True):
+        np.testing.assert_array_equal(after[:15], np.asarray(before)[living])
+        assert np.isfinite(after[15]).all()
+
+
+def test_buffers_that_are_as_short_as_can_be_stay(monkeypatch):
+    monkeypatch.setattr(buffers, "FEWEST_ROWS", 8)
+    state = trained(SHORT)
+    assert shorten(state, OPTIMIZER, SHORT) is state, "twenty of twenty-four"
+    assert shorten(state, OPTIMIZER, LONG) is state, "thirty-two rows would hold them"
+    emptied = remove(trained(LONG), jnp.ones(LONG, bool), optimizer=OPTIMIZER)
+    assert shorten(emptied, OPTIMIZER, LONG).gaussians.num_gaussians == 8
 
 
 @pytest.mark.parametrize("rule", RULES)

@@ -11,10 +11,11 @@ from small_scenes import camera_at, cloud, photographed
 from gsjax import targets
 from gsjax.effects.simulation import NO_EFFECTS, Effect
 from gsjax.errors import InputError
-from gsjax.gaussians import opacities
+from gsjax.gaussians import opacities, take
 from gsjax.scene import with_pixels
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
-from gsjax.training import loop, stepping
+from gsjax.training import buffers, loop, stepping
+from gsjax.training.growth.adaptive import is_alive
 from gsjax.training.growth.rules import RULES
 from gsjax.training.loop import fit
 from gsjax.training.optimizers import make_optimizer
@@ -120,6 +121,15 @@ def test_gaussians_grow_only_when_due_and_are_culled_at_the_end_of_the_phase(who
     kept = np.asarray(opacities(whole.states[5].gaussians))
     assert alive[5] == (kept >= 0.6).sum() < alive[4]
     assert alive[6:] == [alive[5]] * 5
+
+
+def test_after_a_cull_a_run_goes_on_in_shorter_buffers_to_the_same_bits(whole, frames, monkeypatch):
+    monkeypatch.setattr(buffers, "bucket", lambda count, most: count)
+    short = fitted(frames)
+    rows = [state.gaussians.num_gaussians for state in short.states]
+    alive = int(count_alive(whole.final.gaussians))
+    assert rows == [CAPACITY] * 5 + [alive] * 6
+    assert_identical(short.final.gaussians, take(whole.final.gaussians, np.asarray(is_alive(whole.final.gaussians))))
 
 
 def test_opacities_are_reset_when_due(whole):
