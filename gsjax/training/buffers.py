@@ -1,8 +1,8 @@
 """Buffers that grow and shrink with the Gaussians: a step costs what is alive, not what the budget allows.
 
 Every per-Gaussian array has rows for the Gaussians of today and some to come, is lengthened before density control
-would run out of them, and shortened after a cull. A buffer of the whole budget would give the same numbers, bit for
-bit, and be slower.
+would run out of them, and shortened when none multiply any more and after a cull. A buffer of the whole budget would
+give the same numbers, bit for bit, and be slower.
 """
 
 from collections.abc import Callable
@@ -26,6 +26,8 @@ from rasterizer.engines import resolve
 # Rows below which another compilation costs more than it saves; a GPU hardly feels so many more.
 FEWEST_ROWS = 1 << 15
 FEWEST_ROWS_OF_KERNELS = 1 << 17
+ROUND = 1024  # rows that shortened buffers are multiples of
+WORTH = 7 / 8  # of the rows: buffers that would not be shorter than that stay, for another length is a compilation
 
 
 def _fewest_rows() -> int:
@@ -38,6 +40,11 @@ def bucket(count: int, most: int) -> int:
     while rows // 2 >= least:
         rows //= 2
     return rows
+
+
+def _fitting(count: int, most: int) -> int:
+    """Rows for `count` Gaussians that are not to multiply."""
+    return min(max(-(-count // ROUND) * ROUND, _fewest_rows()), most)
 
 
 def lengthen(state: TrainState, optimizer: optax.GradientTransformation, rows: int) -> TrainState:
@@ -64,13 +71,13 @@ def lengthen(state: TrainState, optimizer: optax.GradientTransformation, rows: i
 
 
 def shorten(state: TrainState, optimizer: optax.GradientTransformation, most: int) -> TrainState:
-    """The living Gaussians in their order, in the buffers that `bucket` has for them; in no shorter ones, the state.
+    """The living Gaussians in their order, in buffers that are no longer than they have to be.
 
-    Tables name rows as they were, and have to be made anew.
+    Where that saves little, the state itself. Tables name rows as they were, and have to be made anew.
     """
     alive = np.asarray(is_alive(state.gaussians))
-    rows = bucket(int(alive.sum()), most)
-    if rows >= len(alive):
+    rows = _fitting(int(alive.sum()), most)
+    if rows > WORTH * len(alive):
         return state
     kept = np.argsort(~alive, kind="stable")[:rows]
 

@@ -225,6 +225,7 @@ def _run_phase(
             state = _control_density(work, step, state, key)
         if is_last and phase.cull_below > 0:
             state = placement.cull(state, optimizer=work.optimizer, min_opacity=phase.cull_below)
+        if _ends_growth(plan, phase, step) or (is_last and phase.cull_below > 0):
             state = placement.shorten(state, work.optimizer, plan.max_gaussians)
         if is_last and "sky" in phase.needs:
             in_sky = sky.lies_in(np.asarray(state.gaussians.means), work.frames, work.skies)
@@ -236,7 +237,9 @@ def _run_phase(
 
     def looks(step: int) -> bool:
         grows = phase.rule is not None and (
-            adaptive.densifies(plan.density, step) or adaptive.resets_opacities(plan.density, step, plan.background)
+            adaptive.densifies(plan.density, step)
+            or adaptive.resets_opacities(plan.density, step, plan.background)
+            or _ends_growth(plan, phase, step)
         )
         tabled = bool(phase.tables) and _moves_neighbors(plan, phase, step)
         return grows or tabled or (work.looks is not None and work.looks(step))
@@ -271,10 +274,16 @@ def _every(count: int, due: TrainStep, between: TrainStep) -> TrainStep:
     return train_step
 
 
+def _ends_growth(plan: Plan, phase: PlannedPhase, step: int) -> bool:
+    """Whether Gaussians multiplied up to this step and never will again, with steps to come."""
+    is_last_of_all = step == phase.end and not any(each.rule for each in plan.phases if each.begin >= phase.end)
+    return phase.rule is not None and (step == plan.density.stop or is_last_of_all) and step < plan.steps
+
+
 def _moves_neighbors(plan: Plan, phase: PlannedPhase, step: int) -> bool:
     """Whether tables are to be made again: other Gaussians, or the same for long enough."""
     others = phase.rule is not None and adaptive.densifies(plan.density, step)
-    return others or step % REFRESHED_EVERY == 0
+    return others or _ends_growth(plan, phase, step) or step % REFRESHED_EVERY == 0
 
 
 def _control_density(work: Work, step: int, state: TrainState, key: Array) -> TrainState:

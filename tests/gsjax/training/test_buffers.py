@@ -6,14 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax.settings import Density, Rates
-from gsjax.training import buffers
+from gsjax.settings import Density, Phase, Rates, Settings
+from gsjax.training import buffers, loop
 from gsjax.training.buffers import bucket, lengthen, shorten, with_room_to_densify
 from gsjax.training.growth.adaptive import GrowthStatistics
 from gsjax.training.growth.error_driven import ErrorStatistics
 from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import from_points
 from gsjax.training.optimizers import apply_gradients, make_optimizer
+from gsjax.training.plan import plan
 from gsjax.training.state import count_alive, densify, initial_state, remove
 
 OPTIMIZER = make_optimizer(Rates(), 1.0, 10)
@@ -65,6 +66,7 @@ def test_a_lengthened_state_is_the_one_that_was_long_from_the_start():
 @pytest.mark.parametrize("rule", RULES)
 def test_a_shortened_state_has_the_living_in_their_order_with_all_that_is_theirs(monkeypatch, rule):
     monkeypatch.setattr(buffers, "FEWEST_ROWS", 8)
+    monkeypatch.setattr(buffers, "ROUND", 8)
     dead = np.isin(np.arange(LONG), (0, 3, 4, 11, 19))
     state = remove(lengthen(trained(SHORT, rule), OPTIMIZER, LONG), jnp.asarray(dead), optimizer=OPTIMIZER)
     state = replace(state, tables={"own": jnp.arange(LONG, dtype=jnp.int32)})
@@ -83,9 +85,13 @@ def test_a_shortened_state_has_the_living_in_their_order_with_all_that_is_theirs
 
 def test_buffers_that_are_as_short_as_can_be_stay(monkeypatch):
     monkeypatch.setattr(buffers, "FEWEST_ROWS", 8)
+    monkeypatch.setattr(buffers, "ROUND", 8)
     state = trained(SHORT)
-    assert shorten(state, OPTIMIZER, SHORT) is state, "twenty of twenty-four"
-    assert shorten(state, OPTIMIZER, LONG) is state, "thirty-two rows would hold them"
+    assert shorten(state, OPTIMIZER, LONG) is state, "twenty take twenty-four"
+    monkeypatch.setattr(buffers, "ROUND", 2)
+    assert shorten(state, OPTIMIZER, LONG).gaussians.num_gaussians == ALIVE < buffers.WORTH * SHORT
+    little = trained(22)
+    assert shorten(little, OPTIMIZER, LONG) is little, "two rows of twenty-two"
     emptied = remove(trained(LONG), jnp.ones(LONG, bool), optimizer=OPTIMIZER)
     assert shorten(emptied, OPTIMIZER, LONG).gaussians.num_gaussians == 8
 
@@ -111,3 +117,12 @@ def test_rows_are_added_only_when_they_are_wanted_and_allowed(most):
     assert with_room_to_densify(state, OPTIMIZER, calm, most) is state
     eager = with_room_to_densify(state, OPTIMIZER, Density(gradient=0.0), most)
     assert eager.gaussians.num_gaussians == most
+
+
+@pytest.mark.parametrize(("stop", "ends"), [(4, [4, 6]), (6, [6]), (20, [6])])
+def test_growth_ends_at_its_stop_and_with_the_last_phase_that_has_it(stop, ends):
+    phases = Phase("coarse", 3, density_control=True), Phase("vanilla", 3, density_control=True), Phase("surface", 5)
+    for steps, expected in ((phases, ends), (phases[:2], [step for step in ends if step < 6])):
+        planned = plan(Settings(phases=steps, density=Density(start=1, stop=stop, every=2)))
+        every = [(phase, step) for phase in planned.phases for step in range(phase.begin + 1, phase.end + 1)]
+        assert [step for phase, step in every if loop._ends_growth(planned, phase, step)] == expected
