@@ -21,7 +21,7 @@ from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState, initial_state
 
 FAR_SHARE = 10  # Of the budget no more than one in so many is far around the cloud at the start.
-STEREO_SHARE = 2  # No more than one in so many lies where photos agree about depth, and none where others fill that.
+CLOUD_SHARE = 2  # The budget divided by this bounds the points by stereo; nobody looks for any in a larger cloud.
 
 
 def with_given_points(scene: Scene, settings: Settings) -> Scene:
@@ -38,7 +38,7 @@ def with_stereo_points(scene: Scene, planned: Plan) -> tuple[Scene, tuple[str, .
 
     What structure from motion left empty has something to start with, on the surface and not before it.
     """
-    most = planned.max_gaussians // STEREO_SHARE
+    most = planned.max_gaussians // CLOUD_SHARE
     count = min(planned.stereo_points, most)
     if not count or scene.tracks is None or len(scene.points) > most:
         return scene, ()
