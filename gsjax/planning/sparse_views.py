@@ -24,8 +24,8 @@ def for_sparse_views(
 
     Where photos stand far apart, half of the Gaussians grow, a term draws them along the surface that they show, each
     step leaves some of them out, and some begin where photos agree about depth: views from between photos gain two
-    decibels (`experiments/results/few_photos.md`).
-    Photos side by side are not learned by heart, however few they are, and would lose.
+    decibels (`experiments/results/few_photos.md`). Photos side by side are not learned by heart, however few they are,
+    and would lose.
 
     Args:
         planned: The run.

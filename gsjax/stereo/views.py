@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gsjax.cameras import viewmat_center
 from gsjax.io.images import cv2, resize
 from gsjax.scene import Frame, Scene, tracks_by_name
 
@@ -41,7 +42,7 @@ class View:
     @property
     def center(self) -> np.ndarray:
         """`[3]` where the photo was taken."""
-        return -self.viewmat[:3, :3].T @ self.viewmat[:3, 3]
+        return viewmat_center(self.viewmat)
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """`[P, 3]` world points -> `[P]` rows and columns of their pixels and `[P]` camera z; -1 outside the photo."""

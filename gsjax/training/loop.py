@@ -276,8 +276,8 @@ def _every(count: int, due: TrainStep, between: TrainStep) -> TrainStep:
 
 def _ends_growth(plan: Plan, phase: PlannedPhase, step: int) -> bool:
     """Whether Gaussians multiplied up to this step and never will again, with steps to come."""
-    is_last_of_all = step == phase.end and not any(each.rule for each in plan.phases if each.begin >= phase.end)
-    return phase.rule is not None and (step == plan.density.stop or is_last_of_all) and step < plan.steps
+    ends = [plan.density.stop, *(each.end for each in plan.phases[: plan.grown or 0][-1:])]
+    return phase.rule is not None and step in ends and step < plan.steps
 
 
 def _moves_neighbors(plan: Plan, phase: PlannedPhase, step: int) -> bool:
