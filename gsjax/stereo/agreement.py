@@ -36,8 +36,8 @@ def confirmed(view: View, depth: Depth, others: Sequence[tuple[View, Depth]]) ->
     points = view.lift(depth)
     agreed = np.zeros(len(points), bool)
     for other, said in others:
-        row, column, z = other.project(points)
-        shows = (row >= 0) & said.is_sure[row, column]
+        row, column, z, inside = other.landing(points)
+        shows = inside & said.is_sure[row, column]
         agreed |= shows & (np.abs(said.z[row, column] - z) < CONFIRMED * np.abs(z))
     counted = depth.is_sure.copy()
     counted[depth.is_sure] = agreed
@@ -58,7 +58,7 @@ class Evidence(NamedTuple):
 
 def evidence(view: View, depth: Depth, points: np.ndarray) -> Evidence:
     """What `[P, 3]` points, the scene's, say of a photo's depth."""
-    row, column, z = view.project(points[view.matched].astype(np.float64))
-    told = (row >= 0) & depth.is_sure[row, column]
+    row, column, z, inside = view.landing(points[view.matched])
+    told = inside & depth.is_sure[row, column]
     right = told & (np.abs(depth.z[row, column] - z) < RIGHT * np.abs(z))
     return Evidence(int(right.sum()), int(told.sum()))

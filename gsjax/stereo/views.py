@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.cameras import viewmat_center
+from gsjax.cameras import Landing, landing, viewmat_centers
 from gsjax.io.images import cv2, resize
 from gsjax.scene import Frame, Scene, tracks_by_name
 
@@ -39,20 +39,9 @@ class View:
     farthest: float  # camera z, scene units
     matched: np.ndarray  # [O] int64, the scene's points that were matched in it
 
-    @property
-    def center(self) -> np.ndarray:
-        """`[3]` where the photo was taken."""
-        return viewmat_center(self.viewmat)
-
-    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """`[P, 3]` world points -> `[P]` rows and columns of their pixels and `[P]` camera z; -1 outside the photo."""
-        local = points @ self.viewmat[:3, :3].T + self.viewmat[:3, 3]
-        z = local[:, 2]
-        u, v = (local @ self.K.T)[:, :2].T / np.where(z > 0, z, np.inf)
-        height, width = self.gray.shape
-        within = (z > 0) & (u >= 0) & (v >= 0) & (u < width) & (v < height)
-        row, column = (np.where(within, np.floor(np.where(within, each, 0)), -1).astype(np.int64) for each in (v, u))
-        return row, column, z
+    def landing(self, points: np.ndarray) -> Landing:
+        """The pixels of `[P, 3]` world points."""
+        return landing(points, self.viewmat, self.K, self.usable.shape)
 
     def lift(self, depth: Depth) -> np.ndarray:
         """`[P, 3]` world points of the centres of the pixels that are sure, row by row."""
@@ -109,7 +98,7 @@ def neighbors(views: tuple[View, ...], points: np.ndarray) -> list[list[int]]:
     common = np.flatnonzero(np.bincount(number, minlength=len(points)) > 1)
     sampled = common[:: max(len(common) // SAMPLED, 1)]
     sees = np.stack([np.isin(sampled, view.matched) for view in views])
-    rays = points[sampled].astype(np.float64) - np.stack([view.center for view in views])[:, None]
+    rays = points[sampled].astype(np.float64) - viewmat_centers(np.stack([view.viewmat for view in views]))[:, None]
     rays /= np.maximum(np.linalg.norm(rays, axis=-1, keepdims=True), 1e-30)
     found = []
     for index in range(len(views)):

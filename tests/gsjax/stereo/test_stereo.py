@@ -69,9 +69,9 @@ def test_a_photo_far_larger_than_the_sweep_is_told_by_a_smaller_copy(monkeypatch
     monkeypatch.setattr(views, "SIDE", SIZE[0] // 2)
     view = stereo_views(WALL)[0]
     assert view.gray.shape == (SIZE[1] // 2, SIZE[0] // 2)
-    row, column, z = view.project(WALL.points[view.matched])
-    assert_close(z, np.full(len(z), AWAY), rtol=1e-6, atol=0, why="the scene's poses are float32")
-    assert (row >= 0).all() and (column < SIZE[0] // 2).all()
+    landed = view.landing(WALL.points[view.matched])
+    assert_close(landed.depths, np.full(len(view.matched), AWAY), rtol=1e-6, atol=0, why="poses are float32")
+    assert landed.inside.all()
     found = stereo_points(WALL, 200)
     assert found is not None and np.abs(found.points[:, 2]).max() < 0.03 * AWAY
 
@@ -165,8 +165,7 @@ def test_a_patch_is_large_enough_or_left_out():
 def test_another_photo_confirms_what_it_shows_at_that_depth_and_nothing_else():
     view, other = stereo_views(WALL)[:2]
     right = [Depth(np.full(each.gray.shape, AWAY), np.ones(each.gray.shape, bool)) for each in (view, other)]
-    row, _, _ = other.project(view.lift(right[0]))
-    in_both = (row >= 0).reshape(view.gray.shape)
+    in_both = other.landing(view.lift(right[0])).inside.reshape(view.gray.shape)
     np.testing.assert_array_equal(confirmed(view, right[0], [(other, right[1])]), in_both)
     for factor in (1 - 2 * CONFIRMED, 1 + 2 * CONFIRMED):
         wrong = right[1]._replace(z=right[1].z * factor)
