@@ -1,8 +1,9 @@
 """What does one run of the paper's protocol reach on one scene? Trains, meshes, textures, draws, refines and scores.
 
-    python experiments/paper_run.py SCENE DATA OUT [--schedule NAME] [--seed N]
+    python experiments/paper_run.py SCENE DATA OUT [--schedule NAME] [--seed N] [--earlier RUN]
 
-Goes on where it stopped. `reproduce.py` does all of them.
+Goes on where it stopped. `reproduce.py` does all of them. With `--earlier`, the steps that this training has in common
+with that of another run folder are not taken again: two schedules then part at the same Gaussians.
 """
 
 import argparse
@@ -22,6 +23,7 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.settings import PLAIN, Phase, Settings
 
+STAGES = ("train", "coarse", "mesh", "texture", "sheet", "refine", "refined")
 SCORES = ("psnr", "ssim", LPIPS, SQUEEZE, "gaussians", "views")
 
 
@@ -78,6 +80,8 @@ def run(
     assignments: Sequence[str] = (),
     refinement: Sequence[str] = (),
     lpips: Sequence[str] = (),
+    earlier: Path | None = None,
+    only: Sequence[str] | None = None,
 ) -> dict[str, Any]:
     """Every stage that is not done yet; OUT/result.json is written after each.
 
@@ -91,6 +95,8 @@ def run(
         assignments: key=value of the training.
         refinement: key=value of the refinement.
         lpips: Files of weights.
+        earlier: Run folder of a training with the same settings until the phases part, see `gsjax.pipeline.train`.
+        only: Stages to do, in any order; what they need must be there. None: all.
 
     Raises:
         InputError: A stage cannot be done, or `out` was begun with other settings.
@@ -99,9 +105,9 @@ def run(
 
     wishes = asked(scene, schedule, seed, assignments, refinement)
     result = begun(out, wishes, lpips)
-    stages = _stages(data, out, wishes, lpips, SCHEDULES[schedule].regulariser)
+    stages = _stages(data, out, wishes, lpips, SCHEDULES[schedule].regulariser, earlier)
     for name in _stage_names(wishes):
-        if name not in result:
+        if name not in result and (only is None or name in only):
             print(f"== {scene}, {schedule}, seed {seed}: {name}", flush=True)
             result[name] = stages[name]()
             result |= {"lpips": list(lpips), "machine": machine(), "versions": versions()}
@@ -110,12 +116,16 @@ def run(
 
 
 def _stage_names(wishes: Mapping[str, Any]) -> tuple[str, ...]:
-    before = ("train", "coarse", "mesh")
-    return (*before, "texture", "sheet", "refine", "refined") if wishes["refinement"] else before
+    return STAGES if wishes["refinement"] else STAGES[: STAGES.index("texture")]
 
 
 def _stages(
-    data: Path, out: Path, wishes: Mapping[str, Any], lpips: Sequence[str], regulariser: str | None
+    data: Path,
+    out: Path,
+    wishes: Mapping[str, Any],
+    lpips: Sequence[str],
+    regulariser: str | None,
+    earlier: Path | None,
 ) -> dict[str, Callable[[], Any]]:
     from paper.sheet import draw_sheet
 
@@ -124,7 +134,7 @@ def _stages(
 
     trained, refined = out / "run", out / "refined"
     return {
-        "train": lambda: _train(data, trained, config.parse(Settings, wishes["settings"])),
+        "train": lambda: _train(data, trained, config.parse(Settings, wishes["settings"]), earlier),
         "coarse": lambda: _scores(trained, lpips),
         "mesh": lambda: pipeline.mesh(trained, trained / "mesh.ply", **PAPER_MESH, **wishes["mesh"]),
         "texture": lambda: pipeline.texture(trained, trained / "mesh.ply", out / "textured.glb"),
@@ -136,13 +146,16 @@ def _stages(
     }
 
 
-def _train(data: Path, folder: Path, settings: Settings) -> dict[str, Any]:
+def _train(data: Path, folder: Path, settings: Settings, earlier: Path | None = None) -> dict[str, Any]:
     from terms import TERMS
 
     from gsjax import pipeline, runs
 
-    keep = partial(_keep_before, folder.parent / "before.ply", settings)
-    summary = pipeline.train(data, folder, settings, terms=TERMS, resume=_goes_on(folder), observe=keep)
+    before = folder.parent / "before.ply"
+    keep, goes_on = partial(_keep_before, before, settings), _goes_on(folder)
+    summary = pipeline.train(data, folder, settings, terms=TERMS, resume=goes_on, earlier=earlier, observe=keep)
+    if earlier is not None and not before.exists():
+        _keep_those_of(earlier, before, settings)
     most = max((record["gaussians"] for record in runs.read_metrics(folder) if "gaussians" in record), default=0)
     cap = {"most_gaussians": most, "max_gaussians": settings.max_gaussians, "cap_bound": most >= settings.max_gaussians}
     if cap["cap_bound"]:
@@ -155,11 +168,26 @@ def _keep_before(file: Path, settings: Settings, progress: Any) -> None:
     from gsjax.io.ply import write_gaussians
     from gsjax.pipeline.train import living_gaussians
 
-    if not progress.phase_done or settings.vanilla:
-        return
-    first = next((i for i, phase in enumerate(settings.phases) if _is_regularised(phase)), 0)
-    if first and progress.step == sum(phase.steps for phase in settings.phases[:first]):
+    if progress.phase_done and progress.step == _regularised_from(settings):
         write_gaussians(file, living_gaussians(progress.state.gaussians))
+
+
+def _keep_those_of(earlier: Path, file: Path, settings: Settings) -> None:
+    """Writes the Gaussians of a run that ends where the first phase with a regulariser begins."""
+    from gsjax.io.ply import write_gaussians
+    from gsjax.runs.result import open_result
+    from gsjax.runs.run import Run
+
+    if Run.open(earlier).manifest.get("steps") == _regularised_from(settings):
+        write_gaussians(file, open_result(earlier).gaussians)
+
+
+def _regularised_from(settings: Settings) -> int:
+    """Steps before the first phase with a regulariser; 0 where there is none, or no phase before it."""
+    if settings.vanilla:
+        return 0
+    first = next((i for i, phase in enumerate(settings.phases) if _is_regularised(phase)), 0)
+    return sum(phase.steps for phase in settings.phases[:first])
 
 
 def _is_regularised(phase: Phase) -> bool:
@@ -192,9 +220,13 @@ def main() -> None:
     add("--set", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the training by their dotted keys")
     add("--refine", nargs="+", default=[], metavar="KEY=VALUE", help="settings of the refinement")
     add("--lpips", action="append", default=[], metavar="FILE", help="weights of LPIPS, as for `gsjax eval`")
+    add("--earlier", type=Path, metavar="RUN", help="run folder of another training, with which this one has its first"
+        " steps in common: they are not taken again")  # fmt: skip
+    add("--stages", nargs="+", choices=STAGES, metavar="STAGE", help=f"stages to do, of {', '.join(STAGES)} (default:"
+        " all)")  # fmt: skip
     a = parser.parse_args()
     result = run(a.scene, a.data, a.out, schedule=a.schedule, seed=a.seed, assignments=a.set, refinement=a.refine,
-                 lpips=a.lpips)  # fmt: skip
+                 lpips=a.lpips, earlier=a.earlier, only=a.stages)  # fmt: skip
     print(tables.record({kind: result[kind] for kind in ("coarse", "refined") if kind in result}))
 
 
