@@ -276,7 +276,9 @@ def test_stages_are_done_once_and_go_on_after_the_one_that_failed(scripts, monke
     kept = json.loads((tmp_path / "out" / "result.json").read_text())
     assert kept["coarse"] == {"psnr": 30.0} and "mesh" not in kept and not paper_run.is_finished(kept)
     broken.clear()
-    assert paper_run.is_finished(once()) and done == list(names)
+    some = once(only=["refine", "mesh"])
+    assert done == ["train", "coarse", "mesh", "refine"] and not paper_run.is_finished(some)
+    assert paper_run.is_finished(once()) and sorted(done) == sorted(names)
     once(lpips=["vgg.onnx"])
     assert done[len(names) :] == ["coarse", "refined"]
 
@@ -290,6 +292,23 @@ def test_the_gaussians_are_kept_as_the_phase_with_normals_has_them(scripts, monk
     progress = SimpleNamespace(step=step, phase_done=is_end, state=SimpleNamespace(gaussians="these"))
     scripts("paper_run")._keep_before(tmp_path / "before.ply", settings, progress)
     assert (tmp_path / "before.ply").exists() == kept
+
+
+@pytest.mark.parametrize(("steps", "kept"), [(9000, True), (7000, False)])
+def test_a_run_that_begins_where_another_ends_keeps_its_gaussians(scripts, monkeypatch, tmp_path, steps, kept):
+    handed, earlier = [], tmp_path / "earlier/run"
+    monkeypatch.setattr(pipeline, "train", lambda *_, earlier, **__: handed.append(earlier) or {})
+    monkeypatch.setattr("gsjax.runs.run.Run.open", lambda run: SimpleNamespace(manifest={"steps": steps}))
+    monkeypatch.setattr("gsjax.runs.result.open_result", lambda run: SimpleNamespace(gaussians=f"those of {run}"))
+    monkeypatch.setattr("gsjax.io.ply.write_gaussians", lambda file, gaussians: file.write_text(gaussians))
+    place(tmp_path, "out", "run")
+    (tmp_path / "out/run/config.json").write_text('{"normals": null}')
+    (tmp_path / "out/run/manifest.json").touch()
+    settings = scripts("paper.scenes").settings_of("room", "sugar", 0)
+    scripts("paper_run")._train(tmp_path, tmp_path / "out/run", settings, earlier)
+    before = tmp_path / "out/before.ply"
+    assert handed == [earlier] and before.exists() == kept
+    assert not kept or before.read_text() == f"those of {earlier}"
 
 
 def _frame(name: str) -> Frame:

@@ -4,6 +4,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pycolmap
 import pytest
@@ -17,6 +18,7 @@ from gsjax.io.ply import read_gaussians
 from gsjax.pipeline.train import _planned
 from gsjax.runs.result import scene_of_run
 from gsjax.settings import Settings
+from gsjax.training.terms import Term
 
 
 def test_a_run_folder_holds_what_was_asked_and_what_came_of_it(run, scene):
@@ -139,6 +141,21 @@ def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_pa
     with pytest.raises(InputError, match="begun: has no checkpoint to begin from"):
         pipeline.train(scene, tmp_path / "none", config.parse(Settings, SETTINGS), earlier=begun)
     assert not (tmp_path / "none").exists()
+
+
+def test_a_run_whose_term_keeps_a_table_begins_in_one_that_has_none(scene, tmp_path):
+    def away(gaussians, view, batch, kept):
+        return jnp.mean((gaussians.means - kept.table) ** 2)
+
+    terms = {"away": Term(away, refresh=lambda gaussians: np.asarray(gaussians.means) + 0.1)}
+    tabled = {**SETTINGS, "phases": [SETTINGS["phases"][0], {"name": "late", "steps": 6, "weights": {"away": 1.0}}]}
+    tabled["rates"], plain = {"decay_steps": 30}, {**SETTINGS, "phases": SETTINGS["phases"][:1]}
+    ends = {}
+    pipeline.train(scene, tmp_path / "first", config.parse(Settings, {**plain, "rates": {"decay_steps": 30}}))
+    for name, earlier in (("whole", None), ("parted", tmp_path / "first")):
+        pipeline.train(scene, tmp_path / name, config.parse(Settings, tabled), terms=terms, earlier=earlier)
+        ends[name] = (tmp_path / name / "gaussians.ply").read_bytes()
+    assert ends["whole"] == ends["parted"] != (tmp_path / "first/gaussians.ply").read_bytes()
 
 
 def test_a_benchmark_folder_with_reduced_photos_only_trains_and_scores_the_same(run, scene, tmp_path):
