@@ -125,7 +125,7 @@ def _stages(
     wishes: Mapping[str, Any],
     lpips: Sequence[str],
     regulariser: str | None,
-    earlier: Path | None,
+    earlier: Path | None = None,
 ) -> dict[str, Callable[[], Any]]:
     from paper.sheet import draw_sheet
 
