@@ -173,13 +173,21 @@ def _keep_before(file: Path, settings: Settings, progress: Any) -> None:
 
 
 def _keep_those_of(earlier: Path, file: Path, settings: Settings) -> None:
-    """Writes the Gaussians of a run that ends where the first phase with a regulariser begins."""
+    """Writes the Gaussians before the first phase with a regulariser as an earlier run has them.
+
+    It ends there, or has gone through the same steps and kept them.
+    """
+    from gsjax import runs
     from gsjax.io.ply import write_gaussians
     from gsjax.runs.result import open_result
     from gsjax.runs.run import Run
 
-    if Run.open(earlier).manifest.get("steps") == _regularised_from(settings):
+    begin, kept = _regularised_from(settings), earlier.parent / file.name
+    theirs = config.parse(Settings, runs.read_settings(earlier), where=f"{earlier}/config.json")
+    if Run.open(earlier).manifest.get("steps") == begin:
         write_gaussians(file, open_result(earlier).gaussians)
+    elif kept.exists() and _regularised_from(theirs) == begin:
+        shutil.copyfile(kept, file)
 
 
 def _regularised_from(settings: Settings) -> int:

@@ -4,7 +4,8 @@
         [--set-scene NAME KEY=VALUE ...]
 
 Runs what it finds under a root. A finished run is not done again, a stopped one goes on, and one that fails leaves a
-dash. Writes OUT/tables.md, .tex and .csv beside the runs, OUT/SCENE/SCHEDULE_SEED each.
+dash. What two schedules of a scene and a seed have in common is trained once where the first of them has a checkpoint
+of it. Writes OUT/tables.md, .tex and .csv beside the runs, OUT/SCENE/SCHEDULE_SEED each.
 """
 
 import argparse
@@ -15,8 +16,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from paper import report
+from paper.beginnings import nearest
 from paper.measured import found_runs, measurements, methods, run_folder
-from paper.scenes import DEFAULT_SCHEDULES, SCENES, SCHEDULES, R, discover
+from paper.scenes import DEFAULT_SCHEDULES, SCENES, SCHEDULES, R, discover, settings_of
 from paper_run import asked, begun, is_finished
 
 from gsjax.cli import parsers, run_guarded
@@ -109,6 +111,9 @@ def in_own_process(job: Job, options: Options) -> int:
     command += ["--set", *assignments] if assignments else []
     command += ["--refine", *options.refinement] if options.refinement else []
     command += [argument for file in options.lpips for argument in ("--lpips", str(file))]
+    settings = settings_of(job.scene, job.schedule, job.seed, assignments)
+    earlier = nearest((job.out.with_name(f"{other}_{job.seed}") / "run" for other in SCHEDULES), settings)
+    command += [] if earlier is None else ["--earlier", str(earlier)]
     code = subprocess.run(command).returncode
     if code == 130:  # Interrupted by the user, who means all of it.
         raise KeyboardInterrupt

@@ -240,12 +240,13 @@ def test_the_process_of_a_run_is_told_all_and_its_end_is_seen(scripts, monkeypat
     monkeypatch.setattr(reproduce, "__file__", str(tmp_path / "reproduce.py"))
     assert (
         reproduce.in_own_process(
-            job, reproduce.Options(["a=1"], ["steps=3"], ["vgg.onnx"], {"room": ["b=2"], "truck": ["c=3"]})
+            job,
+            reproduce.Options(["sh_degree=2"], ["steps=3"], ["vgg.onnx"], {"room": ["sh_every=5"], "truck": ["c=3"]}),
         )
         == 5
     )
     told = ["room", str(tmp_path), str(job.out), "--schedule", "paper_13k_7k", "--seed", "3"]
-    told += ["--set", "a=1", "b=2", "--refine", "steps=3", "--lpips", "vgg.onnx"]
+    told += ["--set", "sh_degree=2", "sh_every=5", "--refine", "steps=3", "--lpips", "vgg.onnx"]
     assert json.loads((tmp_path / "out.json").read_text()) == told
 
 
@@ -294,21 +295,56 @@ def test_the_gaussians_are_kept_as_the_phase_with_normals_has_them(scripts, monk
     assert (tmp_path / "before.ply").exists() == kept
 
 
-@pytest.mark.parametrize(("steps", "kept"), [(9000, True), (7000, False)])
-def test_a_run_that_begins_where_another_ends_keeps_its_gaussians(scripts, monkeypatch, tmp_path, steps, kept):
+@pytest.mark.parametrize(
+    ("schedule", "steps", "kept"),
+    [("paper_6k_15k", 9000, "those at its end"), ("paper_6k_15k", 15000, "those it kept"), ("3dgs_30k", 7000, None)],
+)
+def test_a_run_that_begins_in_another_keeps_its_gaussians(scripts, monkeypatch, tmp_path, schedule, steps, kept):
     handed, earlier = [], tmp_path / "earlier/run"
     monkeypatch.setattr(pipeline, "train", lambda *_, earlier, **__: handed.append(earlier) or {})
     monkeypatch.setattr("gsjax.runs.run.Run.open", lambda run: SimpleNamespace(manifest={"steps": steps}))
-    monkeypatch.setattr("gsjax.runs.result.open_result", lambda run: SimpleNamespace(gaussians=f"those of {run}"))
+    monkeypatch.setattr("gsjax.runs.result.open_result", lambda run: SimpleNamespace(gaussians="those at its end"))
     monkeypatch.setattr("gsjax.io.ply.write_gaussians", lambda file, gaussians: file.write_text(gaussians))
     place(tmp_path, "out", "run")
     (tmp_path / "out/run/config.json").write_text('{"normals": null}')
     (tmp_path / "out/run/manifest.json").touch()
-    settings = scripts("paper.scenes").settings_of("room", "sugar", 0)
-    scripts("paper_run")._train(tmp_path, tmp_path / "out/run", settings, earlier)
+    settings_of = scripts("paper.scenes").settings_of
+    earlier.mkdir(parents=True)
+    (earlier / "config.json").write_text(json.dumps(config.to_dict(settings_of("room", schedule, 0))))
+    (tmp_path / "earlier/before.ply").write_text("those it kept")
+    scripts("paper_run")._train(tmp_path, tmp_path / "out/run", settings_of("room", "paper_13k_7k", 0), earlier)
     before = tmp_path / "out/before.ply"
-    assert handed == [earlier] and before.exists() == kept
-    assert not kept or before.read_text() == f"those of {earlier}"
+    assert handed == [earlier] and before.exists() == bool(kept)
+    assert not kept or before.read_text() == kept
+
+
+def test_a_run_begins_in_the_one_that_saves_it_most_steps(scripts, tmp_path):
+    settings_of, terms = scripts("paper.scenes").settings_of, scripts("terms").TERMS
+
+    def trained(name, schedule, steps, *assignments, seed=0, status="done"):
+        run, settings = tmp_path / name, settings_of("room", schedule, seed, assignments)
+        (run / "checkpoints").mkdir(parents=True)
+        for step in steps:
+            (run / f"checkpoints/step_{step:07d}.npz").touch()
+        for file, held in {
+            "config": config.to_dict(settings), "plan": plan(settings, terms).record(), "manifest": {"status": status}
+        }.items():  # fmt: skip
+            (run / f"{file}.json").write_text(json.dumps(held))
+        return run
+
+    late = trained("late", "paper_6k_15k", (14_500, 15_000))
+    early = trained("early", "3dgs_30k", (6_500, 7_000), "phases.vanilla.steps=7000")
+    others = [
+        trained("other_rates", "paper_6k_15k", (15_000,), "rates.means=1e-3"),
+        trained("too_late", "sugar", (14_500, 15_000)),
+        trained("begun", "paper_6k_15k", (15_000,), status="training"),
+        tmp_path / "absent",
+    ]
+    nearest = scripts("paper.beginnings").nearest
+    longer, plain = (settings_of("room", schedule, 0) for schedule in ("paper_13k_7k", "3dgs_30k"))
+    assert nearest([early, *others, late], longer) == late
+    assert nearest([early, *others, late], plain) == early
+    assert nearest(others, longer) is None
 
 
 def _frame(name: str) -> Frame:

@@ -1,0 +1,30 @@
+"""The run in which another of the same scene and seed can begin, so that what both have in common is trained once."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from gsjax import config, runs
+from gsjax.runs.run import Run
+from gsjax.settings import Settings
+from gsjax.training.plan import plan, steps_in_common
+
+
+def nearest(folders: Iterable[Path], settings: Settings) -> Path | None:
+    """Of trained run folders the one that saves a training the most steps; None where none saves any.
+
+    It has the same settings but for the phases, and a checkpoint of steps that both take alike.
+    """
+    from terms import TERMS
+
+    mine, saved = plan(settings, TERMS).record(), {}
+    for folder in filter(runs.is_finished, folders):
+        theirs = config.parse(Settings, runs.read_settings(folder), where=f"{folder}/config.json")
+        if _beside_phases(theirs) == _beside_phases(settings):
+            found = runs.latest_checkpoint(folder, steps_in_common(Run.open(folder).plan, mine))
+            saved |= {found[0]: folder} if found else {}
+    return saved[max(saved)] if saved else None
+
+
+def _beside_phases(settings: Settings) -> dict[str, Any]:
+    return {name: value for name, value in config.to_dict(settings).items() if name not in ("phases", "vanilla")}
