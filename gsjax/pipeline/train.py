@@ -21,6 +21,7 @@ from gsjax.gaussians import Gaussians, take
 from gsjax.io import json_files, normal_folders
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
+from gsjax.planning.earlier import shared_steps, take_normals
 from gsjax.planning.effect_trials import gains
 from gsjax.planning.effects import ChosenEffects, choose_effects, look_for_effects
 from gsjax.planning.hardware import Devices, count_devices, effects_asked, hardware
@@ -48,7 +49,7 @@ from gsjax.training import optimizers
 from gsjax.training.growth import adaptive
 from gsjax.training.growth.rules import RULES
 from gsjax.training.loop import Progress, Work, follow
-from gsjax.training.plan import Plan, plan, steps_in_common
+from gsjax.training.plan import Plan, plan
 from gsjax.training.state import TrainState, count_alive
 from gsjax.training.terms import Term
 
@@ -112,13 +113,6 @@ def _planned(
     if settings.normals is None:
         return planned
     return replace(planned, normals=known["normals"] if known else normal_folders.find(scene, settings.normals))
-
-
-def _steps_in_common(earlier: Path, planned: Plan) -> int:
-    steps = steps_in_common(Run.open(earlier).plan, planned.record())
-    if runs.latest_checkpoint(earlier, steps) is None:
-        raise InputError(f"{earlier}: has no checkpoint of the {steps} steps that this run has in common with it")
-    return steps
 
 
 def _beginning_lines(planned: Plan, settings: Settings, photos_line: str) -> list[str]:
@@ -197,7 +191,7 @@ def _train(
     if (chosen.names or chosen.tries_degrees) and not spread.is_one:
         asked_by = f"--effects {settings.effects}" if settings.sky is None else "--sky"
         raise InputError(f"{asked_by}: effects need one device and --views-per-step 1")
-    in_common = None if earlier is None else _steps_in_common(earlier, planned)
+    in_common = None if earlier is None else shared_steps(earlier, planned)
     as_dict = config.to_dict(settings)
     run = (
         runs.reopen(out, _completed(as_dict), scene=scene, completed=_completed)
@@ -223,6 +217,8 @@ def _train(
             first_state_with_tables, started, replace(sized, sh_degree=degree), planned, optimizer, chosen
         )
         state, capacity, seconds = beginning(run, initial, earlier, in_common)
+        if earlier is not None:
+            take_normals(earlier, run, planned, int(state.step))
         state = spread.deal(_of_first(state, initial))
         whole = spread.whole
         with TrainingJournal(run, planned, loaded, int(state.step), seconds, chosen, whole) as journal:

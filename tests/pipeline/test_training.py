@@ -143,6 +143,16 @@ def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_pa
     assert not (tmp_path / "none").exists()
 
 
+def test_a_run_that_begins_within_a_phase_of_another_compares_with_the_normals_of_that_phase(run, scene, tmp_path):
+    *before, surface = SETTINGS["phases"]
+    shorter = {**SETTINGS, "phases": [*before, {**surface, "steps": 5}], "rates": {"decay_steps": 30}}
+    pipeline.train(scene, tmp_path / "shorter", config.parse(Settings, shorter))
+    pipeline.train(scene, tmp_path / "whole", config.parse(Settings, SETTINGS), earlier=tmp_path / "shorter")
+    assert (tmp_path / "whole/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
+    for file in (run / "normals").iterdir():
+        assert (tmp_path / "whole/normals" / file.name).read_bytes() == file.read_bytes()
+
+
 def test_a_run_whose_term_keeps_a_table_begins_in_one_that_has_none(scene, tmp_path):
     def away(gaussians, view, batch, kept):
         return jnp.mean((gaussians.means - kept.table) ** 2)
