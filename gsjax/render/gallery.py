@@ -17,7 +17,7 @@ from rasterizer.engines import resolve
 
 # Of engines that do not touch the slots that nobody needs: how many times longer than needed a pair buffer is made, and
 # may be.
-ROOM = {"native": (2, 16), "pallas": (2, 4)}
+ROOM = {"native": (2, 16), "pallas": (4, 16)}
 LONG = 2**28  # slots, a gibibyte: a pair buffer is made no longer than that to spare a program
 
 

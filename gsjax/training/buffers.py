@@ -25,7 +25,7 @@ from rasterizer.engines import resolve
 
 # Rows below which another compilation costs more than it saves; a GPU hardly feels so many more.
 FEWEST_ROWS = 1 << 15
-FEWEST_ROWS_OF_KERNELS = 1 << 17
+FEWEST_ROWS_OF_KERNELS = 1 << 18
 ROUND = 1024  # rows that shortened buffers are multiples of
 WORTH = 7 / 8  # of the rows: buffers that would not be shorter than that stay, for another length is a compilation
 
