@@ -54,7 +54,7 @@ def test_buckets_are_halves_of_the_budget(monkeypatch):
 def test_a_gpu_compiles_for_few_lengths(monkeypatch):
     monkeypatch.setattr(buffers, "resolve", lambda backend: "pallas")
     assert {bucket(count, 1 << 24) for count in (0, 15_000, 262_144)} == {1 << 18}
-    assert bucket(131_073, 1 << 24) == 1 << 18
+    assert bucket(262_145, 1 << 24) == 1 << 19
 
 
 def test_a_lengthened_state_is_the_one_that_was_long_from_the_start():
