@@ -77,8 +77,8 @@ def train(
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
         earlier: Another run folder, of the same settings until the phases part: this run begins at its last checkpoint
             before that, so what both have in common is trained once. None: at the first step.
-        observe: Told of every step, before its checkpoint is written. A GPU's steps it hears of as the loop learns of
-            them, with a later state but where figures are logged, a checkpoint is written or a phase ends.
+        observe: Told of every step, before its checkpoint is written. On a GPU it is told of several at once, and the
+            state is that of the very step only where figures are logged, a checkpoint is written or a phase ends.
         devices: How many the Gaussians are spread over, or "all". More than one, or several views a step, know no
             effects ("auto" looks for none) and no terms with tables; those that compare views are left out. A line says
             both.
