@@ -112,7 +112,8 @@ def in_own_process(job: Job, options: Options) -> int:
     command += ["--refine", *options.refinement] if options.refinement else []
     command += [argument for file in options.lpips for argument in ("--lpips", str(file))]
     settings = settings_of(job.scene, job.schedule, job.seed, assignments)
-    earlier = nearest((job.out.with_name(f"{other}_{job.seed}") / "run" for other in SCHEDULES), settings)
+    others = (job.out.with_name(f"{other}_{job.seed}") / "run" for other in SCHEDULES if other != job.schedule)
+    earlier = nearest(others, settings)
     command += [] if earlier is None else ["--earlier", str(earlier)]
     code = subprocess.run(command).returncode
     if code == 130:  # Interrupted by the user, who means all of it.
