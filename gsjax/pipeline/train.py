@@ -364,7 +364,10 @@ class TrainingJournal(Journal):
     def _due(self, step: int) -> tuple[bool, bool, bool]:
         """Whether held-out views are scored after so many steps, figures logged, and a checkpoint saved."""
         every, last = self.plan.logging, step == self.steps
-        scored = self.evaluate_every > 0 and step % self.evaluate_every == 0 and not last
+        grows = any(phase.rule and phase.begin < step <= phase.end for phase in self.plan.phases)
+        # Pictures of opacities that have just been reset tell nothing.
+        is_reset = grows and adaptive.resets_opacities(self.plan.density, step, self.plan.background)
+        scored = self.evaluate_every > 0 and step % self.evaluate_every == 0 and not (last or is_reset)
         logged = scored or last or step % every.metrics_every == 0
         # Where a phase ends another run may begin (`train`'s `earlier`).
         return scored, logged, step in self._ends or step % every.checkpoint_every == 0

@@ -3,6 +3,7 @@
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,9 +16,10 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.images import read_image, read_mask, write_image
 from gsjax.io.ply import read_gaussians
-from gsjax.pipeline.train import _planned
+from gsjax.pipeline.train import TrainingJournal, _planned
 from gsjax.runs.result import scene_of_run
-from gsjax.settings import Settings
+from gsjax.settings import PRESETS, Settings
+from gsjax.training.plan import plan
 from gsjax.training.terms import Term
 
 
@@ -166,6 +168,14 @@ def test_a_run_whose_term_keeps_a_table_begins_in_one_that_has_none(scene, tmp_p
         pipeline.train(scene, tmp_path / name, config.parse(Settings, tabled), terms=terms, earlier=earlier)
         ends[name] = (tmp_path / name / "gaussians.ply").read_bytes()
     assert ends["whole"] == ends["parted"] != (tmp_path / "first/gaussians.ply").read_bytes()
+
+
+def test_held_out_photos_are_not_scored_where_opacities_have_just_been_reset():
+    planned = plan(config.parse(Settings, PRESETS["paper_6k_15k"]))
+    journal = SimpleNamespace(plan=planned, steps=15_000, evaluate_every=500, _ends={7000, 9000, 15_000})
+    scored = {step for step in range(1, 15_001) if TrainingJournal._due(journal, step)[0]}
+    # Nothing grows, and nothing is reset, after step 7,000; the last step is scored by itself.
+    assert scored == set(range(500, 15_000, 500)) - {3000, 6000}
 
 
 def test_a_benchmark_folder_with_reduced_photos_only_trains_and_scores_the_same(run, scene, tmp_path):
