@@ -116,7 +116,7 @@ def _do(stage: Stage, out: Path, report: dict[str, Any]) -> None:
 
 def table(report: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """What a person wants to read of the report: a row a stage, for `gsjax.tables.compare`."""
-    shown = ("seconds", "peak_gib", "registered", "psnr", "ssim", "gaussians", "faces", "seen_share")
+    shown = ("seconds", "peak_gib", "registered", "psnr", "psnr_near_gains", "ssim", "gaussians", "faces", "seen_share")
     return {
         stage: {name: figures[name] for name in shown if name in figures} for stage, figures in report["stages"].items()
     }

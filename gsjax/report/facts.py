@@ -25,7 +25,18 @@ CHARTS = {
     },
     "Gaussians": {"Gaussians": "gaussians"},
 }
-CAME_OF_IT = ("registered", "points", "psnr", "ssim", "gaussians", "vertices", "faces", "floaters", "seen_share")
+CAME_OF_IT = (
+    "registered",
+    "points",
+    "psnr",
+    "psnr_near_gains",
+    "ssim",
+    "gaussians",
+    "vertices",
+    "faces",
+    "floaters",
+    "seen_share",
+)
 SPLITS = {"auto": "the data set's own split, else every 8th photo by name", "none": "asked for: all photos train"}
 
 REPORTED = {"hold_out": str, "effects": str, "seed": int, "normal_axes?": (None, str), "refinement?": {"seed": int}}
