@@ -248,9 +248,12 @@ def _verdict(judged: Sequence[Judged], views: Sequence[View]) -> Verdict:
     middle = float(np.median(values))
     noise = float(1.4826 * np.median(np.abs(values - middle)) / np.sqrt(len(values)))
     rejected = tuple(index for index, evidence, off in told if evidence + off < LEAST_EVIDENCE)
-    is_kept = middle - noise > LEAST_EVIDENCE and empty < len(views) / 2
+    lacks = empty >= len(views) / 2
+    is_kept = middle - noise > LEAST_EVIDENCE and not lacks
     kept[list(rejected)] = 0
-    note = f"{len(rejected)} of {len(told)} photos rejected" + (f", {empty} have no normals" if empty else "")
+    note = f"{len(rejected)} of {len(told)} photos rejected"
+    if empty:
+        note += f", {empty} of {len(views)} have no normals{' (fewer than half may lack them)' if lacks else ''}"
     share = _share(kept, areas) if is_kept else 0.0
     return Verdict(is_kept, middle, noise, LEAST_EVIDENCE, share, rejected, note)
 
