@@ -4,10 +4,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from gsjax import config, runs
-from gsjax.runs.run import Run
+from gsjax import config
 from gsjax.settings import Settings
-from gsjax.training.plan import plan, steps_in_common
 
 
 def nearest(folders: Iterable[Path], settings: Settings) -> Path | None:
@@ -16,6 +14,10 @@ def nearest(folders: Iterable[Path], settings: Settings) -> Path | None:
     It has the same settings but for the phases, and a checkpoint of steps that both take alike.
     """
     from terms import TERMS
+
+    from gsjax import runs
+    from gsjax.runs.run import Run
+    from gsjax.training.plan import plan, steps_in_common
 
     mine, saved = plan(settings, TERMS).record(), {}
     for folder in filter(runs.is_finished, folders):
