@@ -35,7 +35,7 @@ NEAREST: dict[str, tuple[str, ...]] = {
     "rasterizer/api": ("rasterizer/test_gsplat_arguments", "rasterizer/test_outputs"),
     "rasterizer/blending": ("rasterizer/test_backends", "rasterizer/test_outputs"),
     "rasterizer/checks": ("rasterizer/test_gsplat_arguments", "rasterizer/test_stages"),
-    "rasterizer/compositing": ("rasterizer/test_outputs", "rasterizer/test_properties"),
+    "rasterizer/compositing": ("rasterizer/test_outputs", "rasterizer/test_properties", "rasterizer/test_backends"),
     "rasterizer/covariances": ("rasterizer/test_projection", "rasterizer/test_stages"),
     "rasterizer/engines": ("rasterizer/test_devices", "rasterizer/test_backends"),
     "rasterizer/features": ("rasterizer/test_outputs", "rasterizer/test_plane_depth"),

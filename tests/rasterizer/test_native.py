@@ -283,6 +283,22 @@ def test_lists_of_rubbish_read_nothing_beyond_the_splats():
     assert np.isfinite(image).all()
 
 
+@pytest.mark.parametrize("open_row", [0, 3, 7, 8, 15])
+def test_a_tile_is_not_left_while_one_row_still_takes_light(open_row):
+    """Every other row has stopped long before the last splat of the list, which shows in that row alone."""
+    side, red, white = 16, (1.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+    rows = [row for row in range(side) if row != open_row for _ in range(3)]
+    splats = [(row, 0.99, white) for row in rows] + [(open_row, 0.5, red)]
+    means2d = jnp.asarray([[(side / 2, row + 0.5) for row, _, _ in splats]])
+    conics = jnp.broadcast_to(jnp.asarray([1e-9, 0.0, 40.0]), (1, len(splats), 3))  # as wide as the tile, a row high
+    colors, opacities = jnp.asarray([[c for _, _, c in splats]]), jnp.asarray([[alpha for _, alpha, _ in splats]])
+    listed = jnp.zeros((1, 1, 1), jnp.int32), jnp.arange(len(splats), dtype=jnp.int32)
+    image, alphas = rasterize_to_pixels(means2d, conics, colors, opacities, side, side, side, *listed, backend="native")
+    assert_close(image[0, open_row], np.broadcast_to(0.5 * np.asarray(red), (side, 3)))
+    assert_close(alphas[0, open_row], np.full((side, 1), 0.5))
+    assert np.min(np.delete(alphas[0], open_row, axis=0)) > 0.9998
+
+
 def test_errors_of_gradients_are_those_of_the_other_engine():
     scene = stacks()
     exact = evaluate(scene, "reference")[3]
