@@ -33,7 +33,8 @@ HALF_FIELD = (300 / 585, 220 / 585)  # tangents of what it sees to the side and 
 MARGIN = 0.05  # metres around the truth's box
 INLIER = 0.1  # metres between two places of one camera
 WITHIN, FARTHEST = 0.05, 0.3  # metres: points so near always count in ICP, those farther never
-ROUNDS, TRIALS = 30, 500
+ROUNDS, TRIALS = 100, 500
+AT_REST = 1e-4  # metres by which a round moves the truth's points at the most, from which ICP is done
 TRUTH_POINTS, DENSE_TRUTH, MESH_POINTS, DENSE_MESH = 60_000, 400_000, 200_000, 800_000
 
 
@@ -124,7 +125,7 @@ def camera_alignment(run: Path, truth: Truth) -> Alignment:
 
 
 def icp(mesh: Mesh, start: Alignment, targets: np.ndarray) -> Alignment:
-    """An alignment improved by the nearest of the mesh's points to each of `[P, 3]` points of the truth, with scale."""
+    """An alignment improved until it rests: nearest points of the mesh to each of `[P, 3]` of the truth, with scale."""
     from scipy.spatial import KDTree
 
     from gsjax.measures.geometry import sample_surface
@@ -137,7 +138,9 @@ def icp(mesh: Mesh, start: Alignment, targets: np.ndarray) -> Alignment:
         near = (distances < max(WITHIN, 2 * float(np.median(distances)))) & (distances < FARTHEST)
         if near.sum() < 4:
             raise InputError("the mesh lies nowhere near the truth after its cameras were aligned")
-        found = similarity(points[np.asarray(nearest)[near]], targets[near])
+        before, found = found, similarity(points[np.asarray(nearest)[near]], targets[near])
+        if np.abs(found(before.back(targets)) - targets).max() < AT_REST:
+            break
     return found
 
 

@@ -62,7 +62,7 @@ LAYERS = {
     "sharing": Layer(("gsjax.sharing",), ("vocabulary", "io"), ("numpy", "jinja2")),
     "pipeline": Layer(
         ("gsjax.pipeline",),
-        ("rasterizer", *CORE, *FILES, "scoring", "planning", "report", "sharing"),
+        ("rasterizer", *CORE, *FILES, "stereo", "scoring", "planning", "report", "sharing"),
         ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "jinja2"),
     ),
     "viewer": Layer(

@@ -25,11 +25,12 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
     add("--out", metavar="FILE", required=True, help="the mesh; .ply, .obj or .glb by its suffix")
-    add("--method", choices=("auto", "poisson", "depth", "tsdf", "centers", "marching-cubes"),
+    add("--method", choices=("auto", "poisson", "depth", "agreed", "tsdf", "centers", "marching-cubes"),
         help="poisson (default): points of the level set; "
-        "auto, as in scan: this, or of the next three one that agrees clearly more with points that photos share, "
+        "auto, as in scan: this, or of the next four one that agrees clearly more with points that photos share, "
         "or where there are none with the photos' mattes; "
         "depth: of the rendered depth, flatter; "
+        "agreed: of depth that photos agree about, their own or the rendered one; "
         "tsdf: fusion of that depth, open where nothing was seen; "
         "centers: Poisson through the Gaussians' centres; marching-cubes: of the density, needs no views")  # fmt: skip
     add("--depth", type=int, metavar="N", help="depth of the Poisson octree: one more doubles the resolution")

@@ -19,6 +19,7 @@ from gsjax.io.scenes import load_scene
 from gsjax.io.temporaries import sweep_beside
 from gsjax.mesh import Mesh
 from gsjax.meshing import boxes, level_set, trimming
+from gsjax.meshing.agreed_depth import agreed_poisson
 from gsjax.meshing.boxes import Box, Regions
 from gsjax.meshing.choosing import Choice, Witness, by_mattes, by_sightlines, most_agreeing
 from gsjax.meshing.depth_points import NormalsOfDepth, depth_poisson
@@ -43,12 +44,14 @@ from gsjax.runs.result import Result, open_result, scene_of_run, training_pictur
 from gsjax.runs.run import Run
 from gsjax.scene import Scene
 from gsjax.similarity import Similarity
+from gsjax.stereo import depths_of_photos
 
 REACH = 3.0  # standard deviations of a Gaussian, within which it may make surface in a box
 MOST_CELLS = 2**16  # along a side; of a surface alone they are tens of gigabytes
 BYTES_PER_POINT = 24  # of the surface: place and normal, at the least
-METHODS = ("poisson", "depth", "tsdf", "centers", "marching-cubes")
-AUTO, CANDIDATES, USUAL = "auto", ("poisson", "depth", "tsdf", "centers"), "poisson"  # the last where no tracks tell
+METHODS = ("poisson", "depth", "agreed", "tsdf", "centers", "marching-cubes")
+AUTO, CANDIDATES, USUAL = "auto", METHODS[:-1], "poisson"  # the last where no tracks tell
+MOST_COMPARED = 100  # photos, evenly spread: what more of them tell is told already
 FEWEST_LINES = 100  # of sight, that tell one method from another
 
 
@@ -79,14 +82,16 @@ def mesh(
     Args:
         source: Run folder or .ply.
         out: Mesh file; .ply, .obj or .glb.
-        method: "poisson" through points of the level set, "depth" through those of the rendered depth, "tsdf" fusion of
-            the rendered depth, "centers" through the Gaussians' centres, "marching-cubes" of the density. "auto": of
-            the first four the one whose mesh agrees most with the tracks of structure from motion
-            (`gsjax.meshing.sightlines`), or where there are none with the photos' mattes (`gsjax.meshing.outlines`);
-            "poisson" where there is neither, and of a run with an entropy phase, which is made for the level set.
+        method: "poisson" through points of the level set, "depth" through those of the rendered depth, "agreed"
+            through those of depth that photos agree about, their own (`gsjax.stereo`) where there are tracks and the
+            rendered one where other views confirm it, "tsdf" fusion of the rendered depth, "centers" through the
+            Gaussians' centres, "marching-cubes" of the density. "auto": of the first five the one whose mesh agrees
+            most with the tracks of structure from motion (`gsjax.meshing.sightlines`), or where there are none with
+            the photos' mattes (`gsjax.meshing.outlines`); "poisson" where there is neither, and of a run with an
+            entropy phase, which is made for the level set.
         level: Density at which the surface lies ("poisson", "marching-cubes").
-        points: Most surface points ("poisson", "depth"). None: an eighth of the pixels, 200,000 to 10 million.
-        depth: Of the Poisson octree ("poisson", "depth", "centers"). None: chosen from the sizes of the Gaussians.
+        points: Most surface points (the first three). None: an eighth of the pixels, 200,000 to 10 million.
+        depth: Of the Poisson octree (those and "centers"). None: chosen from the sizes of the Gaussians.
         trim_quantile: Share of the least supported vertices to cut away (of the same). None: adaptive.
         cell: Side of a voxel ("tsdf") or of a grid cell ("marching-cubes"), scene units. None: from the Gaussians.
         bounds: x0 y0 z0 x1 y1 z1 of the box to keep, scene coordinates. None: around the points; the rest, up to four
@@ -122,7 +127,7 @@ def mesh(
         means = similarity.points_to_world(np.asarray(result.gaussians.means))
         _check_cell(cell, means if bounds is None else np.reshape(bounds, (2, 3)))
         cell = similarity.length_to_local(cell)
-    data = _data_set(Path(source), scene) if settled or method == AUTO else None
+    data = _data_set(Path(source), scene) if settled or method in (AUTO, "agreed") else None
     floaters = None
     if not keep_floaters and (scene is not None or Path(source).is_dir()):
         result, floaters = _without_floaters(result)
@@ -136,7 +141,7 @@ def mesh(
             result.gaussians,
             cameras,
             noted,
-            method=_method(name, result, cameras, level, points, depth, trim_quantile, cell),
+            method=_method(name, result, data, cameras, level, points, depth, trim_quantile, cell),
             regions=_regions(kept, foreground_only),
             max_faces=faces,
             similarity=similarity,
@@ -217,6 +222,7 @@ def _made_for_the_level_set(source: Path) -> bool:
 def _method(
     name: str,
     result: Result,
+    data: Scene | None,
     cameras: Sequence[Camera],
     level: float,
     points: int | None,
@@ -232,6 +238,13 @@ def _method(
     makers = {
         "poisson": partial(level_set_poisson, sampling, reconstruction),
         "depth": lambda: depth_poisson(_smoothed_normals(result, cameras), sampling.num_points, reconstruction),
+        "agreed": lambda: agreed_poisson(
+            _smoothed_normals(result, cameras),
+            sampling.num_points,
+            reconstruction,
+            shown=_shown(result),
+            told=_told(result, data),
+        ),
         "tsdf": partial(tsdf, voxel=cell),
         "centers": partial(centers_poisson, reconstruction),
         "marching-cubes": partial(marching_cubes, level=level, cell=cell),
@@ -239,6 +252,21 @@ def _method(
     if name not in makers:
         raise InputError(f"--method {name} is none of {', '.join((AUTO, *METHODS))}")
     return makers[name]()
+
+
+def _shown(result: Result) -> list[ShownDepth]:
+    """What every training view shows, coarse."""
+    return list(map(coarse_depth, *_pictures(result, with_owners=False)))
+
+
+def _told(result: Result, data: Scene | None) -> dict[int, ShownDepth]:
+    """By the training view's place, the depth that its photo tells."""
+    if data is None:
+        return {}
+    names = [name for name, held_out in zip(result.names, result.held_out, strict=True) if not held_out]
+    depths = depths_of_photos(data, MOST_COMPARED)
+    print(f"mesh: depth that photos agree about: {depths.line}", file=sys.stderr)
+    return {names.index(each.view.name): each.shown() for each in depths.told}
 
 
 def _smoothed_normals(result: Result, cameras: Sequence[Camera]) -> NormalsOfDepth:

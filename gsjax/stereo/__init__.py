@@ -1,9 +1,11 @@
 """Depth of photos from one another: a plane sweep, smoothed, and kept where photos confirm each other.
 
-A cheap look at what is between the points of structure from motion, so that training starts there too. It needs tracks:
-they say which photos see the same things, at which depths to look, and whether what was found is right.
+A cheap look at what is between the points of structure from motion: training may start there, and a mesh be made of
+it. It needs tracks: they say which photos see the same things, at which depths to look, and whether what was found is
+right.
 """
 
+from gsjax.stereo.depths import PhotoDepth, PhotoDepths, depths_of_photos
 from gsjax.stereo.points import StereoPoints, stereo_points
 
-__all__ = ["StereoPoints", "stereo_points"]
+__all__ = ["PhotoDepth", "PhotoDepths", "StereoPoints", "depths_of_photos", "stereo_points"]

@@ -10,7 +10,7 @@ from gsjax.io.images import cv2, resize
 from gsjax.scene import Frame, Scene, tracks_by_name
 
 SIDE = 320  # pixels, the longer one: depth at every few pixels of a photo is more than a start needs
-MOST_VIEWS = 30  # of a data set, evenly by name
+MOST_VIEWS = 30  # of a data set: as many as a start needs
 FEWEST_POINTS = 10  # matched in a photo, that tell at which depths to look
 NEARER, FARTHER = 0.8, 1.5  # times the depths of all but the outermost hundredths of these points
 NEIGHBORS = 4
@@ -30,6 +30,7 @@ class Depth(NamedTuple):
 class View:
     """A photo as it is swept."""
 
+    name: str  # the frame's
     color: np.ndarray  # [H, W, 3] uint8
     gray: np.ndarray  # [H, W] float32, 0..1
     usable: np.ndarray  # [H, W] bool: neither masked nor outside of a matte
@@ -51,15 +52,15 @@ class View:
         return (local - self.viewmat[:3, 3]) @ self.viewmat[:3, :3]
 
 
-def stereo_views(scene: Scene) -> tuple[View, ...]:
-    """The training photos in which enough points were matched; of many, some.
+def stereo_views(scene: Scene, most: int = MOST_VIEWS) -> tuple[View, ...]:
+    """The training photos in which enough points were matched; of more than `most`, some, evenly by name.
 
     Raises:
         InputError: The tracks cannot be read, or name points that the scene does not have.
     """
     tracks = tracks_by_name(scene)
     known = [frame for frame in scene.train_frames if frame.name in tracks]
-    chosen = known[:: -(-len(known) // MOST_VIEWS)] if known else ()
+    chosen = known[:: -(-len(known) // most)] if known else ()
     views = (_view(frame, scene.points, tracks[frame.name][0]) for frame in chosen)
     return tuple(view for view in views if view is not None)
 
@@ -81,6 +82,7 @@ def _view(frame: Frame, points: np.ndarray, matched: np.ndarray) -> View | None:
         if mask is not None:
             usable &= resize(mask, width, height) > 127
     return View(
+        frame.name,
         color,
         cv2.cvtColor(color, cv2.COLOR_RGB2GRAY).astype(np.float32) / 255,
         usable,

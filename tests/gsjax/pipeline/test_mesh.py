@@ -1,5 +1,8 @@
 """A 3DGS file that was not trained here becomes a mesh, by every method; options out of range are one line."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +20,7 @@ from gsjax.meshing.outlines import Outline
 from gsjax.meshing.sightlines import Sightlines
 from gsjax.pipeline.mesh import METHODS, mesh
 from gsjax.render import gallery
+from gsjax.render.shown_depths import ShownDepth
 from gsjax.runs import viewpoints
 from gsjax.runs.result import open_result, write_views
 from gsjax.scene import Pixels, frame_of
@@ -82,7 +86,7 @@ def test_auto_keeps_the_mesh_that_the_tracks_meet(file, tmp_path, monkeypatch, c
 
     def extract(gaussians, cameras, pictures, *, method, **options):
         made.append(method)
-        if method == "depth":
+        if method in ("depth", "agreed"):
             raise NoSurfaceError("no surface to extract: as here")
         sphere = trimesh.creation.icosphere(subdivisions=3, radius=radii[method])
         return Mesh(sphere.vertices, sphere.faces, np.full(sphere.vertices.shape, 128, np.uint8)), {}
@@ -98,7 +102,7 @@ def test_auto_keeps_the_mesh_that_the_tracks_meet(file, tmp_path, monkeypatch, c
         monkeypatch.setitem(mesh.__globals__, name, function)
     report = mesh(file, tmp_path / "mesh.ply", method="auto", settled=False)
     assert report["method"] == chosen
-    assert made == (["poisson", "depth", "tsdf", "centers"] if chosen == "tsdf" else ["poisson"])
+    assert made == (["poisson", "depth", "agreed", "tsdf", "centers"] if chosen == "tsdf" else ["poisson"])
     assert {name: one[agrees] > 0.9 for name, one in report["tried"].items()} == (
         {"poisson": False, "tsdf": True, "centers": False} if chosen == "tsdf" else {}
     )
@@ -156,6 +160,23 @@ def test_where_photos_are_masked_no_triangle_grows(lumpy, method, tmp_path):
     assert near_lump("masked") == 0
 
 
+def test_what_photos_tell_is_of_the_training_view_of_its_name(lumpy, monkeypatch, capsys):
+    """The ball's photos are black: instead, three of its ten views are of photos that tell depth."""
+    result = open_result(lumpy["unmasked"])
+    result = replace(result, held_out=tuple(index == 4 for index in range(10)))
+    empty = ShownDepth(result.cameras[0], np.zeros((2, 2), np.float32))
+
+    def told_by(data, most):
+        assert data == "of the photos" and most == 100
+        each = [SimpleNamespace(view=SimpleNamespace(name=f"{n}.png"), shown=lambda: empty) for n in (2, 5, 9)]
+        return SimpleNamespace(told=each, line="3 of 9 photos")
+
+    monkeypatch.setitem(mesh.__globals__, "depths_of_photos", told_by)
+    assert mesh.__globals__["_told"](result, "of the photos") == {2: empty, 4: empty, 8: empty}
+    assert capsys.readouterr().err == "mesh: depth that photos agree about: 3 of 9 photos\n"
+    assert mesh.__globals__["_told"](result, None) == {}
+
+
 def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
     """Here all of the lump is taken for floaters; `tests/gsjax/render/test_floaters.py` has what they are."""
 
@@ -178,7 +199,7 @@ def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "fault"),
     [
-        ({"method": "nurbs"}, "--method nurbs is none of auto, poisson, depth, tsdf, centers, marching-cubes"),
+        ({"method": "nurbs"}, "--method nurbs is none of auto, poisson, depth, agreed, tsdf, centers, marching-cubes"),
         ({"level": 1.5}, "--level 1.5"),
         ({"trim_quantile": 1.0}, "--trim-quantile 1.0"),
         ({"points": 0}, "--points 0"),

@@ -8,7 +8,7 @@ from photographed_wall import SIZE, wall
 from tolerances import assert_close
 
 from gsjax.scene import Scene, Tracks, with_pixels
-from gsjax.stereo import stereo_points, views
+from gsjax.stereo import depths_of_photos, stereo_points, views
 from gsjax.stereo.agreement import CONFIRMED, FEWEST_TOLD, SMALLEST_PATCH, Evidence, confirmed, evidence, patches
 from gsjax.stereo.points import spread_evenly
 from gsjax.stereo.sweep import UNLIKE, dissimilarities, inverse_depths
@@ -74,6 +74,18 @@ def test_a_photo_far_larger_than_the_sweep_is_told_by_a_smaller_copy(monkeypatch
     assert landed.inside.all()
     found = stereo_points(WALL, 200)
     assert found is not None and np.abs(found.points[:, 2]).max() < 0.03 * AWAY
+
+
+def test_every_photo_tells_the_depth_of_the_wall():
+    found = depths_of_photos(WALL)
+    assert [each.view.name for each in found.told] == [frame.name for frame in WALL.frames]
+    assert found.line.startswith("5 of 5 photos; 100% of")
+    for each in found.told:
+        shown = each.shown()
+        assert shown.depth.shape == (shown.camera.height, shown.camera.width) == SIZE[::-1]
+        assert 0.3 < (shown.depth > 0).mean() < 1
+        assert np.abs(shown.depth[shown.depth > 0] - AWAY).max() < 0.03 * AWAY
+    assert depths_of_photos(WALL, 3).looked_at == 3
 
 
 def test_what_photos_do_not_have_in_common_is_not_found():

@@ -1,0 +1,134 @@
+"""Poisson through depth that views agree about: what one view alone shows makes no surface.
+
+Gaussians fit every photo, also with depth that is wrong: where nothing has texture, and where few photos look, each
+view shows a surface of its own, and all of them together are lumps and shells. Photos compared with each other
+(`gsjax.stereo`) tell depth without Gaussians, but not everywhere.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from gsjax.cameras import Camera, viewmat_center
+from gsjax.gaussians import Gaussians
+from gsjax.meshing import level_set
+from gsjax.meshing.depth_points import NormalsOfDepth, depth_poisson
+from gsjax.meshing.methods import Method, Sighting
+from gsjax.meshing.poisson import PoissonOptions
+from gsjax.render.gallery import Picture
+from gsjax.render.shown_depths import ShownDepth, depths_at
+
+AGREEING = 2  # Other views, at the least, that show a surface where a view shows it: one may be wrong as well.
+SHARE = 0.7  # Of the views that look at the place, those that show it; the others look through it.
+SAME_SURFACE = 0.005  # Share of the depth up to which two views show one surface.
+FROM_ELSEWHERE = np.cos(np.radians(4.0))  # Cosine between two rays to a point: views nearer together tell little.
+MOST_OTHERS = 16  # Views that are asked, those that look at most of what a view shows.
+SAMPLED = 200  # Points of a view by which these are chosen.
+
+
+def agreed_poisson(
+    normals_of: NormalsOfDepth,
+    num_points: int,
+    reconstruction: PoissonOptions | None = None,
+    *,
+    shown: Sequence[ShownDepth],
+    told: Mapping[int, ShownDepth],
+) -> Method:
+    """`gsjax.meshing.depth_points.depth_poisson` of `agreed_pictures`, which see; they take the same arguments."""
+    of_depth = depth_poisson(normals_of, num_points, reconstruction)
+
+    def gather(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> Sighting:
+        shares: list[float] = []
+
+        def counted() -> Iterator[Picture]:
+            for picture in agreed_pictures(cameras, pictures, shown, told):
+                shares.append(float((picture.depth > 0).mean()))
+                yield picture
+
+        sighting = of_depth(gaussians, cameras, counted())
+        told_views = {"photos_that_tell": len(told), "agreed_share": float(np.mean(shares))}
+        return sighting._replace(report=sighting.report | told_views)
+
+    return gather
+
+
+def agreed_pictures(
+    cameras: Sequence[Camera],
+    pictures: Iterable[Picture],
+    shown: Sequence[ShownDepth],
+    told: Mapping[int, ShownDepth],
+) -> Iterator[Picture]:
+    """The same pictures, with depth where views agree about it and nothing elsewhere.
+
+    Where photos tell a depth it takes the place of the rendered one, and the pixel counts as covered. Rendered depth
+    stays where at least `AGREEING` other views, and `SHARE` of those that nothing nearer hides it from, show a surface
+    at the same place, up to `SAME_SURFACE` of the depth.
+
+    Args:
+        cameras: One camera a view.
+        pictures: One rendered picture a camera, in order; looked at one by one.
+        shown: What the pictures show, coarse, one a camera.
+        told: By the view's index, what photos tell, of any size; 0 where they tell nothing.
+    """
+    mixed = [_mixed(view, told.get(index)) for index, view in enumerate(shown)]
+    asked = _others(mixed)
+    for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True)):
+        level_set.check_sizes(index, camera, picture)
+        agreed = _agreed(mixed[index], [mixed[other] for other in asked[index]])
+        depth = np.where(_enlarged(agreed, camera), picture.depth, 0).astype(np.float32)
+        covered = np.asarray(picture.alphas)
+        if index in told:
+            by_photos = _enlarged(told[index].depth, camera)
+            depth = np.where(by_photos > 0, by_photos, depth)
+            covered = np.where(by_photos > 0, np.float32(1), covered)
+        yield picture._replace(depth=depth, alphas=covered)
+
+
+def _mixed(shown: ShownDepth, told: ShownDepth | None) -> ShownDepth:
+    """The coarse view with the depth that the photo tells, where it tells one."""
+    if told is None:
+        return shown
+    by_photo = _enlarged(told.depth, shown.camera)
+    return shown._replace(depth=np.where(by_photo > 0, by_photo, shown.depth))
+
+
+def _agreed(view: ShownDepth, others: Sequence[ShownDepth]) -> np.ndarray:
+    """`[H, W]` bool: where enough of the others show a surface at the place that the view shows."""
+    rows, columns = np.nonzero(view.depth)
+    points, rays = level_set.world_points(view.camera, view.depth, rows, columns)
+    agreeing, looking = np.zeros((2, len(points)), np.int32)
+    for other in others:
+        depths, there = depths_at(points, other)
+        towards = points - viewmat_center(np.asarray(other.camera.viewmat, np.float64))
+        cosine = np.sum(rays * towards, axis=1) / np.maximum(np.linalg.norm(towards, axis=1), 1e-30)
+        # From a view to which something nearer hides the place it may be there or not.
+        looks = (there > depths * (1 - SAME_SURFACE)) & (cosine < FROM_ELSEWHERE)
+        looking += looks
+        agreeing += looks & (there < depths * (1 + SAME_SURFACE))
+    agreed = np.zeros(view.depth.shape, bool)
+    agreed[rows, columns] = agreeing >= np.maximum(AGREEING, SHARE * looking)
+    return agreed
+
+
+def _others(views: Sequence[ShownDepth]) -> list[list[int]]:
+    """Of every view the indices of those that look at most of what it shows, most first."""
+    rng = np.random.default_rng(0)
+    found = []
+    for index, view in enumerate(views):
+        rows, columns = np.nonzero(view.depth)
+        drawn = rng.permutation(len(rows))[:SAMPLED]
+        points, _ = level_set.world_points(view.camera, view.depth, rows[drawn], columns[drawn])
+        common = np.array([(depths_at(points, other)[1] > 0).sum() for other in views], int)
+        common[index] = 0
+        best = np.argsort(-common, kind="stable")[:MOST_OTHERS]
+        found.append([int(other) for other in best if common[other] > 0])
+    return found
+
+
+def _enlarged(values: np.ndarray, camera: Camera) -> np.ndarray:
+    """Values of a coarse grid of a view at its pixels, each the nearest one: between two surfaces there is none."""
+    rows, columns = (
+        np.minimum(((np.arange(size) + 0.5) * side / size).astype(int), side - 1)
+        for size, side in zip((camera.height, camera.width), values.shape, strict=True)
+    )
+    return values[np.ix_(rows, columns)]

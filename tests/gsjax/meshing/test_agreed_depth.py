@@ -1,0 +1,112 @@
+"""Which depth views agree about: a wall before five cameras, and lumps before it that some of them show."""
+
+import numpy as np
+import pytest
+
+from gsjax.cameras import Camera
+from gsjax.meshing import extract_mesh
+from gsjax.meshing.agreed_depth import AGREEING, SHARE, agreed_pictures, agreed_poisson
+from gsjax.normals.from_depth import smoothed_depth_normals
+from gsjax.render.gallery import Picture
+from gsjax.render.shown_depths import ShownDepth, coarse_depth
+
+WALL, NEARER = 4.0, 3.0  # camera z of the wall, and of the lumps
+WIDTH, HEIGHT, FOCAL = 60, 30, 40.0
+APART = 0.5  # 7 degrees between two neighbours, seen from the wall
+LUMP = (-0.2, 0.2)  # x and y of a square lump
+
+
+def camera(x):
+    viewmat = np.eye(4, dtype=np.float32)
+    viewmat[0, 3] = -x
+    K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]], np.float32)
+    return Camera(viewmat, K, WIDTH, HEIGHT)
+
+
+def places(x, z):
+    """`[H, W]` x and y of the pixels of the camera at x, on the plane at z."""
+    columns, rows = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
+    return x + (columns - WIDTH / 2) / FOCAL * z, (rows - HEIGHT / 2) / FOCAL * z
+
+
+def picture(x, lump=False):
+    depth = np.full((HEIGHT, WIDTH), WALL, np.float32)
+    if lump:
+        depth[in_lump(x)] = NEARER
+    return Picture(np.zeros((HEIGHT, WIDTH, 3), np.float32), depth, np.full((HEIGHT, WIDTH), 0.9, np.float32))
+
+
+def in_lump(x):
+    across, up = places(x, NEARER)
+    return (LUMP[0] < across) & (across < LUMP[1]) & (LUMP[0] < up) & (up < LUMP[1])
+
+
+def agreed(xs, pictures, told=None):
+    cameras = [camera(x) for x in xs]
+    shown = list(map(coarse_depth, cameras, pictures))
+    return list(agreed_pictures(cameras, pictures, shown, told or {}))
+
+
+XS = APART * np.arange(-2, 3)
+
+
+def test_depth_that_two_others_show_stays_as_it_is_and_what_fewer_see_goes():
+    before = [picture(x) for x in XS]
+    for x, old, new in zip(XS, before, agreed(XS, before), strict=True):
+        across, _ = places(x, WALL)
+        half = WIDTH / 2 / FOCAL * WALL
+        others = sum((np.abs(across - other) < half).astype(int) for other in XS if other != x)
+        np.testing.assert_array_equal(new.depth, np.where(others >= AGREEING, old.depth, 0))
+        np.testing.assert_array_equal(new.alphas, old.alphas)
+
+
+@pytest.mark.parametrize("showing", [1, 2, 3])
+def test_a_lump_that_others_look_through_goes(showing):
+    """Three of five views that show it are half of the four others: less than `SHARE`."""
+    assert SHARE > 0.5
+    pictures = [picture(x, lump=index < showing) for index, x in enumerate(XS)]
+    found = agreed(XS, pictures)
+    for x, old, new in zip(XS[:showing], pictures, found, strict=False):
+        assert old.depth[in_lump(x)].max() == NEARER
+        assert not new.depth[in_lump(x)].any()
+    middle = places(0.0, WALL)[0]
+    beside = (np.abs(middle) > 1) & (np.abs(middle) < 2)
+    np.testing.assert_array_equal(found[2].depth[beside], WALL)
+
+
+def test_a_lump_that_all_show_stays():
+    pictures = [picture(x, lump=True) for x in XS]
+    for x, new in zip(XS, agreed(XS, pictures), strict=True):
+        inner = in_lump(x) & in_lump(x + 2.0 * NEARER / FOCAL) & in_lump(x - 2.0 * NEARER / FOCAL)
+        assert inner.any()
+        np.testing.assert_array_equal(new.depth[inner], NEARER)
+
+
+def test_views_side_by_side_confirm_nothing():
+    xs = 0.01 * np.arange(5)  # of 4: at most 0.6 degrees
+    assert not any(new.depth.any() for new in agreed(xs, [picture(x) for x in xs]))
+
+
+def test_what_a_photo_tells_takes_the_place_of_the_rendered_depth():
+    """Told at half the size in the left half of the middle view: all others show the wall behind it."""
+    depth = np.zeros((HEIGHT // 2, WIDTH // 2), np.float32)
+    depth[:, : WIDTH // 4] = NEARER
+    halved = np.float32([[0.5], [0.5], [1]]) * np.asarray(camera(0.0).K)
+    told = ShownDepth(Camera(camera(0.0).viewmat, halved, WIDTH // 2, HEIGHT // 2), depth)
+    found = agreed(XS, [picture(x) for x in XS], {2: told})[2]
+    left = np.s_[:, : WIDTH // 2]
+    np.testing.assert_array_equal(found.depth[left], NEARER)
+    np.testing.assert_array_equal(found.alphas[left], 1)
+    right = np.s_[:, WIDTH // 2 + 1 :]
+    np.testing.assert_array_equal(found.depth[right], WALL)
+    np.testing.assert_array_equal(found.alphas[right], np.float32(0.9))
+
+
+def test_the_mesh_of_a_ball_is_a_ball(ball):
+    cameras, pictures = ball.views
+    shown = list(map(coarse_depth, cameras, pictures))
+    method = agreed_poisson(smoothed_depth_normals, 100_000, shown=shown, told={})
+    mesh, report = extract_mesh(ball.gaussians, cameras, pictures, method=method)
+    assert np.quantile(np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1), 0.99) < 0.05
+    assert report["seen"]["photos_that_tell"] == 0
+    assert 0 < report["seen"]["agreed_share"] < np.mean([(p.depth > 0).mean() for p in pictures])
