@@ -9,6 +9,8 @@ from gsjax.mesh import Mesh
 from gsjax.meshing.outlines import Outline, overlap
 from gsjax.meshing.sightlines import Sightlines, agreement
 
+UNMET = 2 / 3  # Of what does not agree with the usual mesh, that another leaves at the most to be clearly better.
+
 Extract = Callable[[], tuple[Mesh, dict]]
 """Makes a mesh, and plain numbers about it."""
 
@@ -45,7 +47,8 @@ class Choice(NamedTuple):
 def most_agreeing(methods: Mapping[str, Extract], witness: Witness) -> Choice:
     """The first method's mesh, or of those that agree clearly more with the witness the one that agrees most.
 
-    A method that finds no surface is passed by.
+    Clearly more is more by the witness' margin, or so much that no more than `UNMET` of what did not agree is left. A
+    method that finds no surface is passed by.
 
     Args:
         methods: By name; the first that finds a surface is the usual one.
@@ -69,7 +72,7 @@ def most_agreeing(methods: Mapping[str, Extract], witness: Witness) -> Choice:
         agrees = next(iter(shares.values()))
         tried[name] = shares | {"seconds": round(time.perf_counter() - started, 1)}
         if best is None:
-            best, to_beat = (name, mesh, report), agrees + witness.margin
+            best, to_beat = (name, mesh, report), min(agrees + witness.margin, 1 - UNMET * (1 - agrees))
         elif agrees > to_beat:
             best, to_beat = (name, mesh, report), agrees
     if best is None:

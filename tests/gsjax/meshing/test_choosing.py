@@ -1,0 +1,51 @@
+"""Which of several meshes is taken, by shares that a witness is made to say."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gsjax.errors import InputError, NoSurfaceError
+from gsjax.mesh import Mesh
+from gsjax.meshing.choosing import UNMET, Witness, most_agreeing
+
+EMPTY = np.zeros((0, 3))
+
+
+def chosen(margin=0.05, **shares: Any):
+    """The choice among methods whose meshes agree by these shares; None: the method finds no surface."""
+    meshes = {name: Mesh(EMPTY, EMPTY.astype(np.int32), EMPTY.astype(np.uint8)) for name in shares}
+    says = {id(mesh): shares[name] for name, mesh in meshes.items()}
+
+    def extract(name):
+        if shares[name] is None:
+            raise NoSurfaceError(f"{name} finds nothing")
+        return meshes[name], {"name": name}
+
+    methods = {name: lambda name=name: extract(name) for name in shares}
+    found = most_agreeing(methods, Witness("what is known", lambda mesh: {"agrees": says[id(mesh)]}, margin))
+    assert found.mesh is meshes[found.method] and found.report == {"name": found.method}
+    assert {name: one["agrees"] for name, one in found.tried.items()} == {
+        name: share for name, share in shares.items() if share is not None
+    }
+    return found.method
+
+
+def test_the_usual_mesh_stays_unless_another_agrees_clearly_more():
+    assert chosen(usual=0.5, other=0.54) == "usual"
+    assert chosen(usual=0.5, other=0.56) == "other"
+    assert chosen(usual=0.5, other=0.56, best=0.57, worse=0.4) == "best"
+    assert chosen(usual=0.5, other=0.51, margin=0.0) == "other"
+
+
+def test_near_the_whole_what_is_left_decides():
+    left = 0.06  # less than the margin allows to lead by
+    assert chosen(usual=1 - left, other=1 - 1.01 * UNMET * left) == "usual"
+    assert chosen(usual=1 - left, other=1 - 0.99 * UNMET * left) == "other"
+    assert chosen(usual=1.0, other=1.0) == "usual"
+
+
+def test_what_finds_no_surface_is_passed_by():
+    assert chosen(usual=None, other=0.2, third=0.24) == "other"
+    with pytest.raises(InputError, match="first finds nothing"):
+        chosen(first=None, second=None)
