@@ -47,7 +47,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--unsettled", dest="settled", action="store_const", const=False,
         help="leave the surface where the Gaussians have it")  # fmt: skip
     add("--fill-holes", dest="holes_filled", action="store_const", const=True,
-        help="close holes where two views show a surface; what nobody saw stays open")  # fmt: skip
+        help="close holes where two views show a surface; what nobody saw stays open; after agreed always")  # fmt: skip
     add("--keep-floaters", action="store_const", const=True,
         help="use Gaussians too that hang in the air: shown by one view alone, looked through by others")  # fmt: skip
     add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a file is given")

@@ -4,7 +4,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,7 @@ from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
 from gsjax.render.floaters import are_floaters
 from gsjax.render.gallery import Picture
-from gsjax.render.shown_depths import ShownDepth, coarse_depth, noting
+from gsjax.render.shown_depths import ShownDepth, coarse_depth
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.prior import reduction_for
 from gsjax.runs.result import Result, open_result, scene_of_run, training_pictures
@@ -49,7 +49,8 @@ from gsjax.stereo import depths_of_photos
 REACH = 3.0  # standard deviations of a Gaussian, within which it may make surface in a box
 MOST_CELLS = 2**16  # along a side; of a surface alone they are tens of gigabytes
 BYTES_PER_POINT = 24  # of the surface: place and normal, at the least
-METHODS = ("poisson", "depth", "agreed", "tsdf", "centers", "marching-cubes")
+AGREED = "agreed"
+METHODS = ("poisson", "depth", AGREED, "tsdf", "centers", "marching-cubes")
 AUTO, CANDIDATES, USUAL = "auto", METHODS[:-1], "poisson"  # the last where no tracks tell
 MOST_COMPARED = 100  # photos, evenly spread: what more of them tell is told already
 FEWEST_LINES = 100  # of sight, that tell one method from another
@@ -101,7 +102,8 @@ def mesh(
         faces: Most triangles of the foreground, and of the background.
         scene: Data set whose cameras to use with a file. None: cameras around the Gaussians, or within them.
         settled: Whether vertices move to where the photos agree.
-        holes_filled: Whether holes are closed where the views show a surface (`gsjax.meshing.holes`).
+        holes_filled: Whether holes are closed where the views show a surface (`gsjax.meshing.holes`). After "agreed"
+            they always are.
         keep_floaters: Whether Gaussians that hang in the air (`gsjax.render.floaters`) take part. They always do where
             no camera of a photo is known.
 
@@ -127,35 +129,31 @@ def mesh(
         means = similarity.points_to_world(np.asarray(result.gaussians.means))
         _check_cell(cell, means if bounds is None else np.reshape(bounds, (2, 3)))
         cell = similarity.length_to_local(cell)
-    data = _data_set(Path(source), scene) if settled or method in (AUTO, "agreed") else None
+    data = _data_set(Path(source), scene) if settled or method in (AUTO, AGREED) else None
     floaters = None
     if not keep_floaters and (scene is not None or Path(source).is_dir()):
         result, floaters = _without_floaters(result)
-    shown: list[ShownDepth] = []
+    shown = cache(lambda: _shown(result))
+    told = partial(_told, result, data)
 
     def extract(name: str) -> tuple[Mesh, dict]:
         cameras, pictures = _pictures(result)
-        shown.clear()
-        noted = noting(cameras, pictures, shown) if holes_filled else pictures
-        found = extract_mesh(
+        return extract_mesh(
             result.gaussians,
             cameras,
-            noted,
-            method=_method(name, result, data, cameras, level, points, depth, trim_quantile, cell),
+            pictures,
+            method=_method(name, result, cameras, shown, told, level, points, depth, trim_quantile, cell),
             regions=_regions(kept, foreground_only),
             max_faces=faces,
             similarity=similarity,
         )
-        for _ in noted if holes_filled else ():  # What the method has not looked at.
-            pass
-        return found
 
     choice = (
         _chosen(extract, Path(source), data, kept) if method == AUTO else Choice(method, *extract(method), tried={})
     )
     surface, report = choice.mesh, choice.report
-    if holes_filled:
-        surface, closed = fill_holes(surface, shown)
+    if holes_filled or choice.method == AGREED:
+        surface, closed = fill_holes(surface, shown())
         report |= {"holes": asdict(closed), "topology": asdict(topology(surface))}
     if settled and data is not None:
         surface, report["settled"] = settle(surface, data.train_frames)
@@ -222,8 +220,9 @@ def _made_for_the_level_set(source: Path) -> bool:
 def _method(
     name: str,
     result: Result,
-    data: Scene | None,
     cameras: Sequence[Camera],
+    shown: Callable[[], list[ShownDepth]],
+    told: Callable[[], dict[int, ShownDepth]],
     level: float,
     points: int | None,
     depth: int | None,
@@ -238,12 +237,8 @@ def _method(
     makers = {
         "poisson": partial(level_set_poisson, sampling, reconstruction),
         "depth": lambda: depth_poisson(_smoothed_normals(result, cameras), sampling.num_points, reconstruction),
-        "agreed": lambda: agreed_poisson(
-            _smoothed_normals(result, cameras),
-            sampling.num_points,
-            reconstruction,
-            shown=_shown(result),
-            told=_told(result, data),
+        AGREED: lambda: agreed_poisson(
+            _smoothed_normals(result, cameras), sampling.num_points, reconstruction, shown=shown(), told=told()
         ),
         "tsdf": partial(tsdf, voxel=cell),
         "centers": partial(centers_poisson, reconstruction),

@@ -1,6 +1,5 @@
 """The depths that views show, on a coarse grid of their pixels: what photos say of any point, many at once."""
 
-from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,13 +27,6 @@ def coarse_depth(camera: Camera, picture: Picture, longest: int = LONGEST) -> Sh
     height, width = depth.shape
     coarse = Camera(np.asarray(camera.viewmat), K.astype(np.float32), width, height)  # pyright: ignore[reportArgumentType]
     return ShownDepth(coarse, np.where(np.isfinite(depth), depth, 0))
-
-
-def noting(cameras: Sequence[Camera], pictures: Iterable[Picture], notes: list[ShownDepth]) -> Iterator[Picture]:
-    """The same pictures; the coarse depth of each is appended to `notes` as it passes."""
-    for camera, picture in zip(cameras, pictures, strict=True):
-        notes.append(coarse_depth(camera, picture))
-        yield picture
 
 
 def depths_at(points: np.ndarray, view: ShownDepth) -> tuple[np.ndarray, np.ndarray]:
