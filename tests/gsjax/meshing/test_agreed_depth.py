@@ -5,7 +5,7 @@ import pytest
 
 from gsjax.cameras import Camera
 from gsjax.meshing import extract_mesh
-from gsjax.meshing.agreed_depth import AGREEING, SHARE, agreed_pictures, agreed_poisson
+from gsjax.meshing.agreed_depth import AGREEING, SAME_SURFACE, SHARE, agreed_pictures, agreed_poisson
 from gsjax.normals.from_depth import smoothed_depth_normals
 from gsjax.render.gallery import Picture
 from gsjax.render.shown_depths import ShownDepth, coarse_depth
@@ -80,6 +80,15 @@ def test_a_lump_that_all_show_stays():
         inner = in_lump(x) & in_lump(x + 2.0 * NEARER / FOCAL) & in_lump(x - 2.0 * NEARER / FOCAL)
         assert inner.any()
         np.testing.assert_array_equal(new.depth[inner], NEARER)
+
+
+@pytest.mark.parametrize(("off", "stays"), [(0.8, True), (-0.8, True), (1.2, False), (-1.2, False)])
+def test_how_near_two_depths_of_one_surface_are(off, stays):
+    """The middle view has the wall nearer or farther than all others have it."""
+    pictures = [picture(x) for x in XS]
+    pictures[2] = pictures[2]._replace(depth=pictures[2].depth * np.float32(1 + off * SAME_SURFACE))
+    assert (agreed(XS, pictures)[2].depth > 0).all() == stays
+    assert (agreed(XS, pictures)[2].depth > 0).any() == stays
 
 
 def test_views_side_by_side_confirm_nothing():
