@@ -4,7 +4,7 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
-from functools import cache, partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -133,8 +133,7 @@ def mesh(
     floaters = None
     if not keep_floaters and (scene is not None or Path(source).is_dir()):
         result, floaters = _without_floaters(result)
-    shown = cache(lambda: _shown(result))
-    told = partial(_told, result, data)
+    views = _Views(result, data)
 
     def extract(name: str) -> tuple[Mesh, dict]:
         cameras, pictures = _pictures(result)
@@ -142,7 +141,7 @@ def mesh(
             result.gaussians,
             cameras,
             pictures,
-            method=_method(name, result, cameras, shown, told, level, points, depth, trim_quantile, cell),
+            method=_method(name, views, level, points, depth, trim_quantile, cell),
             regions=_regions(kept, foreground_only),
             max_faces=faces,
             similarity=similarity,
@@ -153,13 +152,43 @@ def mesh(
     )
     surface, report = choice.mesh, choice.report
     if holes_filled or choice.method == AGREED:
-        surface, closed = fill_holes(surface, shown())
+        surface, closed = fill_holes(surface, views.shown)
         report |= {"holes": asdict(closed), "topology": asdict(topology(surface))}
     if settled and data is not None:
         surface, report["settled"] = settle(surface, data.train_frames)
     write_mesh(out, similarity.mesh_to_world(surface), result.place)
     sizes = {"vertices": len(surface.vertices), "faces": len(surface.faces), "floaters": floaters}
     return {**sizes, "method": choice.method, "tried": choice.tried, "settled": None, "holes": None, **report}
+
+
+class _Views:
+    """What the training views tell, each looked for once, and only if a method asks."""
+
+    def __init__(self, result: Result, data: Scene | None):
+        self.result, self.data = result, data
+
+    @cached_property
+    def shown(self) -> list[ShownDepth]:
+        """What every view shows, coarse."""
+        return list(map(coarse_depth, *_pictures(self.result, with_owners=False)))
+
+    @cached_property
+    def told(self) -> dict[int, ShownDepth]:
+        """By the view's place, the depth that its photo tells."""
+        if self.data is None:
+            return {}
+        every = zip(self.result.names, self.result.held_out, strict=True)
+        names = [name for name, held_out in every if not held_out]
+        depths = depths_of_photos(self.data, MOST_COMPARED)
+        print(f"mesh: depth that photos agree about: {depths.line}", file=sys.stderr)
+        return {names.index(each.view.name): each.shown() for each in depths.told}
+
+    @cached_property
+    def normals_of(self) -> NormalsOfDepth:
+        """Normals of depth in windows as large as the run's noise asks for."""
+        cameras, _ = _pictures(self.result)
+        reduction = reduction_for(self.result.gaussians, cameras, self.result.depth_mode)
+        return partial(smoothed_depth_normals, reduction=reduction)
 
 
 def _without_floaters(result: Result) -> tuple[Result, int]:
@@ -219,10 +248,7 @@ def _made_for_the_level_set(source: Path) -> bool:
 
 def _method(
     name: str,
-    result: Result,
-    cameras: Sequence[Camera],
-    shown: Callable[[], list[ShownDepth]],
-    told: Callable[[], dict[int, ShownDepth]],
+    views: _Views,
     level: float,
     points: int | None,
     depth: int | None,
@@ -231,14 +257,14 @@ def _method(
 ) -> Method:
     trim = trimming.adaptive if trim_quantile is None else trimming.at_quantile(trim_quantile)
     reconstruction = PoissonOptions(depth=depth, trim=trim)
-    sampling = replace(level_set.options_for(result.cameras), level=level)
+    sampling = replace(level_set.options_for(views.result.cameras), level=level)
     if points is not None:
         sampling = replace(sampling, num_points=points)
     makers = {
         "poisson": partial(level_set_poisson, sampling, reconstruction),
-        "depth": lambda: depth_poisson(_smoothed_normals(result, cameras), sampling.num_points, reconstruction),
+        "depth": lambda: depth_poisson(views.normals_of, sampling.num_points, reconstruction),
         AGREED: lambda: agreed_poisson(
-            _smoothed_normals(result, cameras), sampling.num_points, reconstruction, shown=shown(), told=told()
+            views.normals_of, sampling.num_points, reconstruction, shown=views.shown, told=views.told
         ),
         "tsdf": partial(tsdf, voxel=cell),
         "centers": partial(centers_poisson, reconstruction),
@@ -247,27 +273,6 @@ def _method(
     if name not in makers:
         raise InputError(f"--method {name} is none of {', '.join((AUTO, *METHODS))}")
     return makers[name]()
-
-
-def _shown(result: Result) -> list[ShownDepth]:
-    """What every training view shows, coarse."""
-    return list(map(coarse_depth, *_pictures(result, with_owners=False)))
-
-
-def _told(result: Result, data: Scene | None) -> dict[int, ShownDepth]:
-    """By the training view's place, the depth that its photo tells."""
-    if data is None:
-        return {}
-    names = [name for name, held_out in zip(result.names, result.held_out, strict=True) if not held_out]
-    depths = depths_of_photos(data, MOST_COMPARED)
-    print(f"mesh: depth that photos agree about: {depths.line}", file=sys.stderr)
-    return {names.index(each.view.name): each.shown() for each in depths.told}
-
-
-def _smoothed_normals(result: Result, cameras: Sequence[Camera]) -> NormalsOfDepth:
-    """Normals of depth in windows as large as the run's noise asks for."""
-    reduction = reduction_for(result.gaussians, cameras, result.depth_mode)
-    return partial(smoothed_depth_normals, reduction=reduction)
 
 
 def _given_boxes(bounds: list[float] | None, background: list[float] | None, foreground_only: bool) -> tuple[Box, ...]:

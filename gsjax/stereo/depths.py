@@ -39,7 +39,8 @@ class PhotoDepths(NamedTuple):
     @property
     def line(self) -> str:
         """How many photos are believed, and how right they are, in words."""
-        right, known = (sum(each.evidence[place] for each in self.told) for place in (0, 1))
+        right = sum(each.evidence.right for each in self.told)
+        known = sum(each.evidence.told for each in self.told)
         share = f"; {right / known:.0%} of {known:,} matched points confirm their depth" if known else ""
         return f"{len(self.told)} of {self.looked_at} photos{share}"
 

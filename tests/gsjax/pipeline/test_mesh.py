@@ -15,7 +15,9 @@ from gsjax.gaussians import Gaussians, take
 from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
 from gsjax.mesh import Mesh, signed_volume
+from gsjax.meshing.choosing import Choice, by_mattes
 from gsjax.meshing.export import read_mesh
+from gsjax.meshing.holes import HoleReport
 from gsjax.meshing.outlines import Outline
 from gsjax.meshing.sightlines import Sightlines
 from gsjax.pipeline.mesh import METHODS, mesh
@@ -172,9 +174,43 @@ def test_what_photos_tell_is_of_the_training_view_of_its_name(lumpy, monkeypatch
         return SimpleNamespace(told=each, line="3 of 9 photos")
 
     monkeypatch.setitem(mesh.__globals__, "depths_of_photos", told_by)
-    assert mesh.__globals__["_told"](result, "of the photos") == {2: empty, 4: empty, 8: empty}
+    views = mesh.__globals__["_Views"]
+    assert views(result, "of the photos").told == {2: empty, 4: empty, 8: empty}
     assert capsys.readouterr().err == "mesh: depth that photos agree about: 3 of 9 photos\n"
-    assert mesh.__globals__["_told"](result, None) == {}
+    assert views(result, None).told == {}
+
+
+def test_methods_share_what_the_views_tell_and_holes_are_closed_after_agreed_alone(lumpy, tmp_path, monkeypatch):
+    asked, filled = [], []
+    extract, reduction_for = (mesh.__globals__[name] for name in ("extract_mesh", "reduction_for"))
+    names = iter(["poisson", "depth", "agreed"])
+
+    def extracted(*given, **options):
+        surface, report = extract(*given, **options)
+        return surface, report | {"named": next(names)}
+
+    def chosen(tried, witness):
+        made = {name: tried[name]() for name in ("poisson", "depth", "agreed")}
+        return Choice(taken, *made[taken], tried={})
+
+    replaced = {
+        "_data_set": lambda *_: "of the photos",
+        "_witness": lambda *_: by_mattes((outline_of_a_ball(1.0),)),
+        "depths_of_photos": lambda *_: SimpleNamespace(told=[], line="none"),
+        "extract_mesh": extracted,
+        "most_agreeing": chosen,
+        "reduction_for": lambda *given: asked.append("windows") or reduction_for(*given),
+        "fill_holes": lambda surface, views: filled.append(len(views)) or (surface, HoleReport(0, 0, 0)),
+    }
+    for name, function in replaced.items():
+        monkeypatch.setitem(mesh.__globals__, name, function)
+    taken = "agreed"
+    report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", settled=False)
+    assert (asked, filled) == (["windows"], [10])
+    assert report["named"] == "agreed" and report["holes"] == {"patches": 0, "closed": 0, "closed_faces": 0}
+    names, taken = iter(["poisson", "depth", "agreed"]), "depth"
+    report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", settled=False)
+    assert filled == [10] and report["holes"] is None
 
 
 def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
