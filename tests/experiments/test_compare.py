@@ -47,7 +47,7 @@ def test_the_true_mesh_has_a_row_where_there_is_one(compare, monkeypatch, tmp_pa
     ("study", "on"),
     [(study, None) for study in STUDIES]
     + [("baselines", "bunny_plane"), ("wrong_normals", "bunny_plane"), ("growth", "photos_short"),
-       ("supervision", "photos_short")],
+       ("supervision", "photos_short"), ("price_of_r", "bunny_plane")],
 )  # fmt: skip
 def test_every_study_parses_and_no_two_of_its_variants_are_the_same(compare, monkeypatch, tmp_path, study, on):
     seen = {}
@@ -85,6 +85,20 @@ def test_every_baseline_takes_the_time_of_the_mix(compare, on, mix, time):
     assert surface["vanilla"]["steps"] == round(mix * time)
     assert surface["SuGaR, sdf"]["steps"] == round(mix * time / sugar)
     assert {change["depth_mode"] for change in variants.values()} == {"front"}
+
+
+@pytest.mark.parametrize(("study", "time"), [("price_on_photos", 1260), ("price_of_r", 1850)])
+def test_the_price_of_r_is_told_at_equal_time(compare, study, time):
+    """In plain steps: of the last phase on photos, where a step with R costs 4.04; else of the whole run."""
+    described = compare.load_study(study)
+    if study == "price_on_photos":
+        of_step = {"plain": 1, "photos that agree": 1 + 1.87 / 2, "with R": 1 + 3.04 / 2}
+        found = {name: of_step[name] * change["phases"][-1]["steps"] for name, change in described.variants.items()}
+        assert all(change["normals"] is None for change in described.variants.values()), "the run's own"
+    else:
+        _, *phases = described.variants["0.25, early, the time of plain"]["phases"]
+        found = {"early": 500 + sum(phase["steps"] * (1 + 0.61 / 4) for phase in phases)}
+    assert found == pytest.approx(dict.fromkeys(found, time), abs=2)
 
 
 def test_a_folder_of_another_study_or_config_is_not_mixed_in(compare, monkeypatch, tmp_path):
