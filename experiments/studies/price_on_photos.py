@@ -1,32 +1,50 @@
-"""What does the surface phase of `fast` cost in pictures of real photos, and R's part in it, at equal time?
+"""What does the surface phase of `fast` cost in pictures, when it begins and how much its terms weigh, at equal time?
 
-    python experiments/compare.py price_on_photos --scene PHOTOS --out DIR --seeds 3
+    python experiments/compare.py price_on_photos --scene PHOTOS --out DIR
 
 Photos of 400 pixels and 30,000 Gaussians, so that a run is minutes on a CPU; no effects: pictures are compared as they
-are rendered. Each variant's last phase takes the time of 500 steps of `fast`'s, by what a step costs (`COSTS`): plain
-steps, the terms that compare photos, and these with R. The maps are those of the run's own depth, gated, and made
-beside that time.
+are rendered. After the coarse phase every variant has the time of `fast`'s plain phase and of 500 steps of its surface
+phase, by what a step costs (`COST`): plain steps; its surface phase without R and as it is; the same at a fifth of its
+weights in every fourth step; and such a phase in place of the plain one as well, while Gaussians multiply, at several
+shares of the weights. The maps are those of the run's own depth, gated, and made beside that time.
 """
 
 from collections.abc import Mapping
 from typing import Any
 
-from studies.baselines import Method, at_equal_time
-
 ON = "base"
-COSTS = {"plain": 1.0, "photos that agree": 2.87, "with R": 4.04}
-"""Of a step with a variant's terms, in plain ones (`benchmarks/step_cost.py price_on_photos RUN`, AMD EPYC)."""
+COST = {"plain": 1.0, "photos that agree": 2.87, "with R": 4.04}
+"""Of a step with these terms, in plain ones (`benchmarks/step_cost.py price_on_photos RUN`, AMD EPYC)."""
 _AGREEING = ("multi_view", "photometric")
+_SHARES = (1.0, 0.5, 0.2)
 
 
 def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
-    """Plain steps, the photos' own terms, and the config's surface phase."""
+    """Plain steps, the photos' own terms, the config's surface phase, a lighter one, and early ones."""
     del on
-    *_, surface = config["phases"]
-    whole, every = surface["weights"], surface["surface_every"]
-    weights = {"plain": {}, "photos that agree": {name: whole[name] for name in _AGREEING}, "with R": whole}
-    methods = {name: Method(COSTS[name], weights[name], every) for name in COSTS}
-    time = 1 + (COSTS["with R"] - 1) / every
-    small = {"longest_side": 400, "max_gaussians": 30_000, "normals": None}
-    found = at_equal_time(config["phases"], methods, time, depth_mode=config["depth_mode"])
-    return {name: {**one, **small} for name, one in found.items()}
+    coarse, plain, surface = config["phases"]
+    weights, every = surface["weights"], surface["surface_every"]
+    time = surface["steps"] * (1 + (COST["with R"] - 1) / every)
+
+    def ending(terms: Mapping[str, float], kind: str, every: int, of: float = time, **more: Any) -> dict[str, Any]:
+        steps = round(of / (1 + (COST[kind] - 1) / every))
+        return {**surface, "steps": steps, "weights": dict(terms), "surface_every": every, **more}
+
+    def early(share: float) -> list[dict[str, Any]]:
+        return [coarse, ending(_shared(weights, share), "with R", 4, time + plain["steps"], density_control=True)]
+
+    late = {
+        "plain": ending({}, "plain", 1),
+        "photos that agree": ending({name: weights[name] for name in _AGREEING}, "photos that agree", every),
+        "with R": ending(weights, "with R", every),
+        "a fifth, every 4th": ending(_shared(weights, 0.2), "with R", 4),
+    }
+    phases = {name: [coarse, plain, phase] for name, phase in late.items()}
+    phases |= {f"early, {share:.0%}, every 4th": early(share) for share in _SHARES}
+    steps = sum(phase["steps"] for phase in config["phases"])
+    small = {"rates": {"decay_steps": steps}, "longest_side": 400, "max_gaussians": 30_000, "normals": None}
+    return {name: {"phases": each, **small} for name, each in phases.items()}
+
+
+def _shared(weights: Mapping[str, float], share: float) -> dict[str, float]:
+    return {name: share * weight for name, weight in weights.items()}

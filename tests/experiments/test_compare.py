@@ -87,18 +87,17 @@ def test_every_baseline_takes_the_time_of_the_mix(compare, on, mix, time):
     assert {change["depth_mode"] for change in variants.values()} == {"front"}
 
 
-@pytest.mark.parametrize(("study", "time"), [("price_on_photos", 1260), ("price_of_r", 1850)])
-def test_the_price_of_r_is_told_at_equal_time(compare, study, time):
-    """In plain steps: of the last phase on photos, where a step with R costs 4.04; else of the whole run."""
-    described = compare.load_study(study)
-    if study == "price_on_photos":
-        of_step = {"plain": 1, "photos that agree": 1 + 1.87 / 2, "with R": 1 + 3.04 / 2}
-        found = {name: of_step[name] * change["phases"][-1]["steps"] for name, change in described.variants.items()}
-        assert all(change["normals"] is None for change in described.variants.values()), "the run's own"
-    else:
-        _, *phases = described.variants["0.25, early, the time of plain"]["phases"]
-        found = {"early": 500 + sum(phase["steps"] * (1 + 0.61 / 4) for phase in phases)}
-    assert found == pytest.approx(dict.fromkeys(found, time), abs=2)
+def test_the_price_of_r_is_told_at_equal_time(compare):
+    """In plain steps: on photos after the coarse phase, where a step with R costs 4.04."""
+    cost = {"plain": 0, "photos that agree": 1.87}
+    for name, change in compare.load_study("price_on_photos").variants.items():
+        assert change["normals"] is None, "the run's own"
+        coarse, *others = change["phases"]
+        dear = [cost.get(name, 3.04) / phase.get("surface_every", 1) * bool(phase.get("weights")) for phase in others]
+        time = sum(phase["steps"] * (1 + more) for phase, more in zip(others, dear, strict=True))
+        assert (coarse["name"], time) == ("coarse", pytest.approx(700 + 1260, abs=2)), name
+    _, *phases = compare.load_study("price_of_r").variants["0.25, early, the time of plain"]["phases"]
+    assert 500 + sum(phase["steps"] * (1 + 0.61 / 4) for phase in phases) == pytest.approx(1850, abs=2)
 
 
 def test_a_folder_of_another_study_or_config_is_not_mixed_in(compare, monkeypatch, tmp_path):
