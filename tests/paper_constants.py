@@ -23,6 +23,7 @@ from gsjax.gaussians import opacities
 from gsjax.measures import images
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.poisson import PoissonOptions
+from gsjax.pipeline import training_journal
 from gsjax.runs.photography import Photography
 from gsjax.scene import Pixels, Scene, frame_of
 from gsjax.settings import PRESETS, REFINED_BY, Density, Rates, Settings
@@ -100,14 +101,13 @@ def reset_to() -> float:
 
 def scored_while_training() -> list[str]:
     """Names of the photos that `held_out_psnr` of `metrics.jsonl` is of."""
-    train = importlib.import_module("gsjax.pipeline.train")
     pixels = Pixels(np.zeros((2, 3, 3), np.uint8))
     frames = tuple(frame_of(n, np.eye(4), np.eye(3), pixels, held_out=n == "held_out") for n in ("held_out", "trained"))
-    journal = object.__new__(train.TrainingJournal)
+    journal = object.__new__(training_journal.TrainingJournal)
     journal.plan = SimpleNamespace(background=None, depth_mode="plane")
     journal.scene = Scene(Path(), "colmap", frames, np.zeros((1, 3)), np.zeros((1, 3), np.uint8))
     journal.chosen = SimpleNamespace(photography=lambda _: Photography())
-    with mock.patch.object(train, "score_images", return_value={"psnr": 1.0}) as score:
+    with mock.patch.object(training_journal, "score_images", return_value={"psnr": 1.0}) as score:
         assert journal._held_out(SimpleNamespace(gaussians=None, effects=())) == {"held_out_psnr": 1.0}
     return [frame.name for frame in score.call_args.args[1]]
 

@@ -12,7 +12,7 @@ from gsjax.io import json_files, normal_folders
 from gsjax.io.files import atomic_path
 from gsjax.io.scenes import load_scene
 from gsjax.planning.effects import diagnose_scene
-from gsjax.planning.sparse_views import FAR_APART, angle_between_photos, is_sparse
+from gsjax.planning.sparse_views import FAR_APART, FEW, FEWEST, SHORTEST, angle_between_photos, is_tried
 from gsjax.runs.normal_gate import judge_folder
 from gsjax.runs.outputs import require_apart
 from gsjax.scene import Scene
@@ -78,24 +78,26 @@ def normals_rows(record: dict[str, Any]) -> list[list[str]]:
 
 
 def apart(scene: Scene) -> dict[str, Any]:
-    """`degrees` between photos (`gsjax.planning.sparse_views.angle_between_photos`), `threshold`, and whether `sparse`.
+    """How many `photos` are trained on, `degrees` between them, and whether training is `tried` with less to learn by.
+
+    Degrees are those of `gsjax.planning.sparse_views.angle_between_photos`, None where no tracks tell.
 
     Raises:
         InputError: The tracks cannot be read, or name points that the scene does not have.
     """
-    angle = angle_between_photos(scene)
-    return {"degrees": angle, "threshold": FAR_APART, "sparse": is_sparse(angle)}
+    photos, angle = len(scene.train_frames), angle_between_photos(scene)
+    return {"photos": photos, "degrees": angle, "tried": is_tried(photos, angle, SHORTEST)}
 
 
 def apart_line(apart: dict[str, Any]) -> str:
     """The same in words, with what follows for training."""
-    angle, threshold, is_far = (apart[key] for key in ("degrees", "threshold", "sparse"))
-    if angle is None:
-        return "photos: no tracks tell how far apart they stand"
-    said = f"photos: {angle:.0f} degrees apart, seen from what they show"
-    if is_far:
-        return f"{said}: presets hold training back (sparse_views), so that views between photos gain"
-    return f"{said}; presets hold training back from {threshold:g} on"
+    photos, angle, tried = (apart[key] for key in ("photos", "degrees", "tried"))
+    said = f"photos: {photos} to train on, " + (
+        "no tracks tell how far apart" if angle is None else f"{angle:.0f} degrees apart, seen from what they show"
+    )
+    if tried:
+        return f"{said}: presets try whether holding training back helps (sparse_views)"
+    return f"{said}; presets try to hold training back with {FEWEST} to {FEW}, or from {FAR_APART:g} degrees on"
 
 
 def draw(found: Diagnosis, path: Path) -> Path:

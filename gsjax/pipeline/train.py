@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -21,22 +21,23 @@ from gsjax.gaussians import Gaussians, take
 from gsjax.io import json_files, normal_folders
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
+from gsjax.pipeline.training_journal import TrainingJournal
 from gsjax.planning.earlier import shared_steps, take_normals
 from gsjax.planning.effect_trials import gains
 from gsjax.planning.effects import ChosenEffects, choose_effects, look_for_effects
 from gsjax.planning.hardware import Devices, count_devices, effects_asked, hardware
 from gsjax.planning.harmonics import stored_degree, with_needed_harmonics
+from gsjax.planning.holding_back import gain
 from gsjax.planning.measured_depth import measured_depth
 from gsjax.planning.memory import fit_to_memory
-from gsjax.planning.pace import Pace, duration_text, seconds_left
 from gsjax.planning.sizes import at_size, training_extent
 from gsjax.planning.skies import given_skies
-from gsjax.planning.sparse_views import for_sparse_views
+from gsjax.planning.sparse_views import ENTRY, for_sparse_views
 from gsjax.planning.start import first_state, first_state_with_tables, with_given_points, with_stereo_points
 from gsjax.report.page import report
 from gsjax.report.shown_views import keep_skies, picture_keeper
 from gsjax.runs.compilations import make_room
-from gsjax.runs.journal import Journal, beginning
+from gsjax.runs.journal import beginning
 from gsjax.runs.photography import moves_line, with_moved_cameras, write_photography
 from gsjax.runs.prior import RunPrior, note_normals
 from gsjax.runs.processes import from_first, is_first, own_folder
@@ -47,10 +48,9 @@ from gsjax.scoring.images import score_images
 from gsjax.settings import AUTO, PLAIN, Settings
 from gsjax.training import optimizers
 from gsjax.training.growth import adaptive
-from gsjax.training.growth.rules import RULES
 from gsjax.training.loop import Progress, Work, follow
 from gsjax.training.plan import Plan, plan
-from gsjax.training.state import TrainState, count_alive
+from gsjax.training.state import TrainState
 from gsjax.training.terms import Term
 
 
@@ -149,9 +149,12 @@ def _train(
         place=begun and begun.place,
     )
     is_one = count_devices(devices) == settings.views_per_step == 1
-    sparse_lines = ()
+    sparse = None
     if is_one:
-        planned, sparse_lines = for_sparse_views(planned, loaded, settings, may_lower=known is None)
+        trial, before = (gain, None) if begun is None else (None, begun.manifest.get(ENTRY))
+        planned, sparse = for_sparse_views(
+            planned, loaded, settings, trial=trial, before=before, may_lower=known is None
+        )
     fitted = fit_to_memory(planned, loaded.frames, out, may_lower=is_one and known is None)
     planned = fitted.plan
     for line in fitted.lines:
@@ -161,7 +164,8 @@ def _train(
     loaded = replace(loaded, frames=tuple(kept(frame, fitted.keep) for frame in photos))
     _require_pixels(loaded)
     # Only now: what the engine needs was compiled meanwhile.
-    for line in (*_beginning_lines(planned, settings, photos_line), *sparse_lines):
+    sparse_line = () if sparse is None else (sparse.line(planned),)
+    for line in (*_beginning_lines(planned, settings, photos_line), *sparse_line):
         print(f"train: {line}", file=sys.stderr)
     asked = effects_asked(settings, devices)
     looked = look_for_effects(asked, loaded)
@@ -209,7 +213,8 @@ def _train(
     with runs.claim_run(run):
         if known:  # An earlier version left none.
             json_files.write(run / "plan.json", planned.record())
-        runs.update_manifest(run, photos=photos_line, **({"memory": "; ".join(fitted.lines)} if fitted.lines else {}))
+        memory = {"memory": "; ".join(fitted.lines)} if fitted.lines else {}
+        runs.update_manifest(run, photos=photos_line, **memory, **({} if sparse is None else {ENTRY: asdict(sparse)}))
         if chosen.evidence:
             runs.update_manifest(run, effects=chosen.evidence)
         degree = stored_degree(run, planned, settings.sh_degree) if known else settings.sh_degree
@@ -318,82 +323,3 @@ def _finish(
     runs.update_manifest(run, status="done", peak_gib=round(peak_memory() / 2**30, 2), **summary)
     report(run)
     return summary
-
-
-class TrainingJournal(Journal):
-    """Logs, scores and saves as the plan says."""
-
-    def __init__(
-        self,
-        run: Path,
-        planned: Plan,
-        scene: Scene,
-        step: int,
-        seconds: float,
-        chosen: ChosenEffects,
-        whole: Callable[[TrainState], TrainState] = lambda state: state,
-    ):
-        """Begin at `step`; `whole` brings a state to one device."""
-        super().__init__(run, "train", planned.steps, step, seconds)
-        self.plan, self.scene, self.chosen = planned, scene, chosen
-        self._pace, self._whole, self._held = Pace(), whole, False
-        self._ends = {phase.end for phase in planned.phases}
-        self.evaluate_every = planned.logging.evaluate_every if scene.held_out_frames else 0
-
-    def note(self, progress: Progress) -> None:
-        """What the loop tells after every step."""
-        self.bar.set_description(progress.phase.name, refresh=False)
-        self.bar.update()
-        self._tell_pace(progress)
-        scored, logged, saved = self._due(progress.step)
-        if logged:
-            count = int(count_alive(progress.state.gaussians))
-            more: dict[str, Any] = {"phase": progress.phase.name, "gaussians": count}
-            if scored:
-                more |= self._held_out(self._whole(progress.state))
-            self.log(progress.step, progress.metrics, f", {count:,} Gaussians", **more)
-            self._tell_held(progress, count)
-        if saved:
-            # The last step of a phase leaves the buffer's capacity to the next phase.
-            self.save(progress.step, self._whole(progress.state), 0 if progress.phase_done else progress.capacity)
-
-    def looks(self, step: int) -> bool:
-        """Whether the state after so many steps is looked at."""
-        return any(self._due(step))
-
-    def _due(self, step: int) -> tuple[bool, bool, bool]:
-        """Whether held-out views are scored after so many steps, figures logged, and a checkpoint saved."""
-        every, last = self.plan.logging, step == self.steps
-        grows = any(phase.rule and phase.begin < step <= phase.end for phase in self.plan.phases)
-        # Pictures of opacities that have just been reset tell nothing.
-        is_reset = grows and adaptive.resets_opacities(self.plan.density, step, self.plan.background)
-        scored = self.evaluate_every > 0 and step % self.evaluate_every == 0 and not (last or is_reset)
-        logged = scored or last or step % every.metrics_every == 0
-        # Where a phase ends another run may begin (`train`'s `earlier`).
-        return scored, logged, step in self._ends or step % every.checkpoint_every == 0
-
-    def _held_out(self, state: TrainState) -> dict[str, float]:
-        """PSNR of the views that are held out, of the render as it is and, with effects on light, as photos near it."""
-        planned, found = self.plan, self.chosen.photography(state.effects)
-        frames = with_moved_cameras(self.scene.held_out_frames, found.moves)
-        found = found.with_near(self.scene.frames)._replace(looks={})  # the other ways are told at the end
-        scores = score_images(state.gaussians, frames, planned.background, found=found, depth_mode=planned.depth_mode)
-        return {f"held_out_{name}": score for name, score in scores.items() if name.startswith("psnr")}
-
-    def _tell_held(self, progress: Progress, count: int) -> None:
-        """Once, that no more Gaussians may grow, where a rule grows them without a budget in mind (3DGS)."""
-        if self._held or progress.phase.rule is not RULES["adc"] or count < self.plan.max_gaussians:
-            return
-        self._held = True
-        line = f"growth is held at max_gaussians={self.plan.max_gaussians:,} from step {progress.step:,} on"
-        self.bar.write(f"train: {line}", sys.stderr)
-        runs.update_manifest(self.run, growth=line)
-
-    def _tell_pace(self, progress: Progress) -> None:
-        """How long the rest will take, once a phase."""
-        pace = self._pace.seconds_per_step(progress.phase)
-        if pace is not None:
-            left = seconds_left(self.plan, progress.step, progress.phase, pace)
-            self.bar.write(
-                f"{progress.phase.name}: {1e3 * pace:.0f} ms a step, about {duration_text(left)} to go", sys.stderr
-            )

@@ -11,10 +11,12 @@ import numpy as np
 from scipy.optimize import root_scalar
 
 from gsjax.errors import InputError
+from gsjax.planning import holding_back
 from gsjax.planning.effect_trials import SCORED, STEPS, is_near, is_worthwhile
 from gsjax.planning.effects import diagnose_scene
 from gsjax.planning.pace import FIXED_COST, image_cost, relative_cost
 from gsjax.planning.sizes import at_size
+from gsjax.planning.sparse_views import angle_between_photos, is_tried
 from gsjax.planning.timed_steps import Clock, StepTimes, largest_scale, step_cost, time_steps
 from gsjax.scene import Scene
 from gsjax.settings import AUTO, LENGTHS, NONE, SIMULATED, Settings, total_steps
@@ -132,6 +134,9 @@ def budgeted(
     if near and is_worthwhile(total_steps(lasting(sized, part))):
         left -= _trying(near, times)
         part = _part(times, sized, left)
+    if _tries_to_hold_back(loaded, lasting(sized, part)):
+        left -= _holding_back(loaded, times)
+        part = _part(times, sized, left)
     if name == LENGTHS[-1]:
         part = min(part, 1.0)
     chosen = lasting(sized, part)
@@ -164,6 +169,19 @@ def _trying(near: Sequence[str], times: StepTimes) -> float:
     """Seconds of trials of effects, on photos of half the size."""
     steps = (2 + len(near)) * (STEPS + SCORED)
     return (1 + len(near)) * times.plain_program + steps * times.plain_step * image_cost(2)
+
+
+def _tries_to_hold_back(scene: Scene, settings: Settings) -> bool:
+    """Whether trials decide if training is held back."""
+    looks = settings.sparse_views and not settings.vanilla
+    return looks and is_tried(len(scene.train_frames), angle_between_photos(scene), total_steps(settings))
+
+
+def _holding_back(scene: Scene, times: StepTimes) -> float:
+    """Seconds of the trials that decide it."""
+    steps = 2 * holding_back.FOLDS * holding_back.STEPS
+    smaller = holding_back.chosen_scale(scene.train_frames)
+    return 2 * times.plain_program + steps * times.plain_step * image_cost(smaller)
 
 
 def _mapping(scene: Scene, settings: Settings, times: StepTimes) -> float:

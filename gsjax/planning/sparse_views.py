@@ -1,6 +1,8 @@
-"""Photos that stand far apart: where few of them see a point, and from all sides, training learns them by heart."""
+"""Few photos, or photos that stand far apart: training may learn them by heart, and is then held back."""
 
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,44 +12,106 @@ from gsjax.settings import Settings
 from gsjax.training.plan import Plan
 
 FAR_APART = 20.0  # degrees
+FEW = 15  # photos
+FEWEST = 5  # photos that a trial can be made with
+SHORTEST = 600  # steps of a run: before a shorter one a trial takes too much of the time, and the angle decides
 FEWER = 2  # times, Gaussians: each has more pixels to fit, of more photos
 SMOOTH = {"depth_normal": 0.05}  # what is added to every phase: Gaussians lie along the surface that they show
 LEFT_OUT = 0.2  # share of the Gaussians that each step leaves out, where no other was asked for
 STEREO_SHARE = 9  # One in so many Gaussians begins where photos agree about depth.
 POINTS = 2000  # that are looked at
 
+ENTRY = "sparse_views"
+"""Of the manifest: a `Decision`."""
+
+
+class Gain(NamedTuple):
+    """What photos that were kept from short trials say of another way to train."""
+
+    decibels: float  # PSNR that way less PSNR as it is, mean over the photos
+    error: float  # its standard error over the photos
+
+
+Trial = Callable[[Scene, Settings, Callable[[Plan], Plan]], Gain]
+"""(data set, run, what holds a plan back) -> what that brings, see `gsjax.planning.holding_back.gain`."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Whether training is held back, and why."""
+
+    photos: int  # that are trained on
+    degrees: float | None  # between them; None: no tracks tell
+    gain: float | None  # decibels on photos kept from short trials; None: no trial was made, the angle decided
+    error: float | None  # of the gain, its standard error
+    held_back: bool
+
+    def line(self, plan: Plan) -> str:
+        """In words; the plan is that which follows."""
+        apart = "" if self.degrees is None else f" {self.degrees:.0f} degrees apart"
+        why = "" if self.gain is None else f" (photos kept from short trials: {self.gain:+.1f} +-{self.error:.1f} dB)"
+        if not self.held_back:
+            return f"{self.photos} photos{apart}: holding back would not help{why}"
+        left_out = f"each step leaves out {plan.phases[0].dropout:.0%} of them"
+        held = f"held back to {plan.max_gaussians:,} Gaussians, {left_out}{why}"
+        return f"{self.photos} photos{apart}: {held}; --set sparse_views=false does not"
+
 
 def for_sparse_views(
-    planned: Plan, scene: Scene, settings: Settings, *, may_lower: bool = True
-) -> tuple[Plan, tuple[str, ...]]:
-    """The plan for these photos, and lines that say what is held back, if anything is.
+    planned: Plan,
+    scene: Scene,
+    settings: Settings,
+    *,
+    trial: Trial | None = None,
+    before: Mapping[str, Any] | None = None,
+    may_lower: bool = True,
+) -> tuple[Plan, Decision | None]:
+    """The plan for these photos, and what was decided where they are few or far apart.
 
-    Where photos stand far apart, half of the Gaussians grow, a term draws them along the surface that they show, each
-    step leaves some of them out, and some begin where photos agree about depth: views from between photos gain two
-    decibels (`experiments/results/few_photos.md`). Photos side by side are not learned by heart, however few they are,
-    and would lose.
+    Held back, half of the Gaussians grow, a term draws them along the surface that they show, each step leaves some of
+    them out, and some begin where photos agree about depth. Views from between photos gain up to three decibels, or
+    lose two (`experiments/results/few_photos.md`), so short trials decide.
 
     Args:
         planned: The run.
-        scene: Its data set; without tracks nothing is held back.
+        scene: Its data set.
         settings: Whether it is to be looked at (`sparse_views`); never of plain 3DGS.
+        trial: Tells what holding back brings. None: the angle between the photos decides, from `FAR_APART` on.
+        before: What was decided when this run began.
         may_lower: Whether fewer Gaussians than planned may be the way: not of a run that goes on.
 
     Raises:
-        InputError: The tracks cannot be read, or name points that the scene does not have.
+        InputError: The tracks or photos cannot be read, or the tracks name points that the scene does not have.
     """
-    asked = settings.sparse_views and not settings.vanilla
-    angle = angle_between_photos(scene) if asked else None
-    if angle is None or not is_sparse(angle):
-        return planned, ()
+    if not settings.sparse_views or settings.vanilla:
+        return planned, None
+    decision = Decision(**before) if before else _decide(planned, scene, settings, trial)
+    if decision is None or not decision.held_back:
+        return planned, decision
+    return held_back(planned, may_lower=may_lower), decision
+
+
+def is_tried(photos: int, degrees: float | None, steps: int) -> bool:
+    """Whether trials decide of so many photos, so far apart, before a run of so many steps."""
+    return (photos <= FEW or is_sparse(degrees)) and photos >= FEWEST and steps >= SHORTEST
+
+
+def _decide(planned: Plan, scene: Scene, settings: Settings, trial: Trial | None) -> Decision | None:
+    photos, degrees = len(scene.train_frames), angle_between_photos(scene)
+    by_angle = is_sparse(degrees)
+    if trial is None or not is_tried(photos, degrees, planned.steps):
+        return Decision(photos, degrees, None, None, held_back=True) if by_angle else None
+    gain = trial(scene, settings, held_back)
+    return Decision(photos, degrees, gain.decibels, gain.error, held_back=gain.decibels > 0)
+
+
+def held_back(planned: Plan, *, may_lower: bool = True) -> Plan:
+    """The plan of a run that does not learn its photos by heart; one that is so already stays."""
     most = planned.max_gaussians // FEWER if may_lower else planned.max_gaussians
     smoothed = planned.with_terms(SMOOTH)
-    stereo_points = max(planned.stereo_points, most // STEREO_SHARE)
     phases = tuple(replace(phase, dropout=phase.dropout or LEFT_OUT) for phase in smoothed.phases)
-    fewer = f" instead of max_gaussians={planned.max_gaussians:,} (--set sparse_views=false)" if may_lower else ""
-    line = f"photos stand {angle:.0f} degrees apart, seen from what they show: at most {most:,} Gaussians{fewer}"
-    left_out = f"each step leaves out {phases[0].dropout:.0%} of them"
-    return replace(smoothed, phases=phases, max_gaussians=most, stereo_points=stereo_points), (f"{line}; {left_out}",)
+    stereo_points = max(planned.stereo_points, most // STEREO_SHARE)
+    return replace(smoothed, phases=phases, max_gaussians=most, stereo_points=stereo_points)
 
 
 def is_sparse(angle: float | None) -> bool:

@@ -16,7 +16,8 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.images import read_image, read_mask, write_image
 from gsjax.io.ply import read_gaussians
-from gsjax.pipeline.train import TrainingJournal, _planned
+from gsjax.pipeline.train import _planned
+from gsjax.pipeline.training_journal import TrainingJournal
 from gsjax.runs.result import scene_of_run
 from gsjax.settings import PRESETS, Settings
 from gsjax.training.plan import plan

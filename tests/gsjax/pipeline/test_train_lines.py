@@ -11,6 +11,7 @@ import pytest
 from photographed_wall import wall
 
 from gsjax.errors import InputError
+from gsjax.pipeline.training_journal import TrainingJournal
 from gsjax.scene import with_pixels
 from gsjax.settings import Phase, Settings, Weights
 from gsjax.training.growth.rules import RULES
@@ -43,7 +44,7 @@ def test_the_first_line_names_device_and_engine(monkeypatch):
 def journal(tmp_path):
     """One that has a run folder and a bar, and notes what the bar is told."""
     (tmp_path / "manifest.json").write_text("{}")
-    journal, said = object.__new__(train.TrainingJournal), []
+    journal, said = object.__new__(TrainingJournal), []
     journal.run, journal.plan, journal._held = tmp_path, plan(Settings(max_gaussians=5_000)), False
     journal.bar = SimpleNamespace(write=lambda line, file: said.append((line, file)))
     return journal, said

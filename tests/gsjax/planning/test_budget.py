@@ -11,7 +11,7 @@ from gsjax.cli import parsers
 from gsjax.config import parse
 from gsjax.effects.evidence import Cost, Evidence
 from gsjax.errors import InputError
-from gsjax.planning import budget, timed_steps
+from gsjax.planning import budget, pace, timed_steps
 from gsjax.planning.timed_steps import StepTimes
 from gsjax.settings import LENGTHS, PRESETS, SIMULATED, Density, Phase, Rates, Settings, total_steps
 
@@ -81,14 +81,15 @@ def test_another_length_shares_its_time_between_gaussians_and_steps():
 class Machine:
     """A clock, a data set of 20 photos of 1000x1000, and phases that take what a test says."""
 
-    def __init__(self, monkeypatch, *, evidence=0.0, **paces):
-        self.now, self.paces, self.tried, self.evidence = 0.0, paces, [], evidence
+    def __init__(self, monkeypatch, *, evidence=0.0, photos=20, **paces):
+        self.now, self.paces, self.tried, self.evidence, self.photos = 0.0, paces, [], evidence, photos
         monkeypatch.setattr(budget, "at_size", self.at_size)
         monkeypatch.setattr(budget, "time_steps", self.try_out)
         monkeypatch.setattr(budget, "diagnose_scene", self.diagnosed)
 
     def at_size(self, scene, settings, steps):
-        photos = SimpleNamespace(train_frames=(None,) * 20)
+        frames = (SimpleNamespace(name="photo", width=1000, height=1000),) * self.photos
+        photos = SimpleNamespace(train_frames=frames, tracks=None)
         return photos, 2.0 if settings.cpu_pixels else 1.0, ""
 
     def diagnosed(self, scene):
@@ -115,6 +116,23 @@ def kept_and_cost(settings, whole):
     """Of the Gaussians of the whole run, the share that one has; what a step with so many costs, of one with all."""
     kept = settings.max_gaussians / whole.max_gaussians
     return kept, 1 - timed_steps.PER_GAUSSIAN * (1 - kept)
+
+
+def test_few_photos_leave_time_for_trials_of_holding_back(monkeypatch):
+    paces = {"quick": 0.05, "fast": 0.1, "balanced": 0.3, "accurate": 0.8}
+    few, many, vanilla = (
+        Machine(monkeypatch, photos=photos, **paces).budgeted(500, {"quick": settings}).settings
+        for photos, settings in (
+            (15, NAMED["quick"]),
+            (16, NAMED["quick"]),
+            (15, replace(NAMED["quick"], vanilla=True)),
+        )
+    )
+    trials = 2 * 2.0 + 2 * 4 * 200 * 0.05 * pace.image_cost(6)  # two programs; steps on photos of 1000 / 6 pixels
+    spent = [budget._length(StepTimes((0.05,), 6.0, 0.05, 2.0), each) for each in (few, many)]
+    costs = [kept_and_cost(each, NAMED["quick"])[1] for each in (few, many)]
+    assert costs[1] * spent[1] - costs[0] * spent[0] == pytest.approx(trials, abs=0.5)
+    assert total_steps(vanilla) == total_steps(many)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Photos on an arc around a few points, so many degrees apart."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,21 +10,32 @@ from gsjax.pipeline.diagnose import apart, apart_line
 from gsjax.planning import sparse_views
 from gsjax.planning.sparse_views import (
     FAR_APART,
+    FEW,
+    FEWEST,
     LEFT_OUT,
+    SHORTEST,
     SMOOTH,
     STEREO_SHARE,
+    Decision,
+    Gain,
     angle_between_photos,
     for_sparse_views,
+    held_back,
+    is_tried,
 )
 from gsjax.scene import Frame, Scene, Tracks
 from gsjax.settings import Phase, Settings, Weights
 from gsjax.training.plan import plan
 
 PHOTOS, POINTS, AWAY = 6, 50, 1e4  # so far away that all points have the same angles
-SETTINGS = Settings(
-    phases=(Phase("coarse", 10), Phase("surface", 10, Weights(depth_normal=0.3))), max_gaussians=1000, sparse_views=True
-)
+SHORT_PHASES = Phase("coarse", SHORTEST // 2), Phase("surface", SHORTEST // 4, Weights(depth_normal=0.3))
+PHASES = replace(SHORT_PHASES[0], steps=SHORTEST), SHORT_PHASES[1]
+SETTINGS = Settings(phases=PHASES, max_gaussians=1000, sparse_views=True)
 PLAN = plan(SETTINGS)
+
+
+def never(*_):
+    pytest.fail("no trial is needed")
 
 
 def arc(degrees, *, held_out=(), alone=0):
@@ -54,49 +65,92 @@ def test_what_one_photo_has_for_itself_has_no_angle():
     assert angle_between_photos(Scene(Path("bare"), "colmap", (), np.zeros((0, 3)), np.zeros((0, 3)))) is None
 
 
-def test_photos_far_apart_get_fewer_gaussians_and_a_term_where_a_phase_has_none():
-    scene = arc(FAR_APART + 1)
-    held_back, [line] = for_sparse_views(PLAN, scene, SETTINGS)
-    assert held_back.max_gaussians == 500
-    assert held_back.stereo_points == 500 // STEREO_SHARE > 0 == PLAN.stereo_points
-    assert "21 degrees" in line and "500 Gaussians instead of max_gaussians=1,000" in line
-    weights = [{each.name: each.weight for each in phase.terms} for phase in held_back.phases]
+def test_held_back_a_run_has_fewer_gaussians_and_a_term_where_a_phase_has_none():
+    found = held_back(PLAN)
+    assert found.max_gaussians == 500
+    assert found.stereo_points == 500 // STEREO_SHARE > 0 == PLAN.stereo_points
+    weights = [{each.name: each.weight for each in phase.terms} for phase in found.phases]
     assert [each["depth_normal"] for each in weights] == [SMOOTH["depth_normal"], 0.3]
-    assert [phase.dropout for phase in held_back.phases] == [LEFT_OUT, LEFT_OUT]
-    assert f"each step leaves out {LEFT_OUT:.0%}" in line
-    assert len(held_back.phases[0].terms) == len(PLAN.phases[0].terms) + 1
-    again, _ = for_sparse_views(held_back, scene, SETTINGS, may_lower=False)
-    assert again == held_back, "a run that goes on is the run that it was"
+    assert [phase.dropout for phase in found.phases] == [LEFT_OUT, LEFT_OUT]
+    assert len(found.phases[0].terms) == len(PLAN.phases[0].terms) + 1
+    assert held_back(found, may_lower=False) == found, "a run that goes on is the run that it was"
 
 
 def test_another_share_and_more_points_that_are_asked_for_stay():
-    asked = replace(SETTINGS, dropout=0.5, stereo_points=200)
-    held_back, [line] = for_sparse_views(plan(asked), arc(FAR_APART + 1), asked)
-    assert [phase.dropout for phase in held_back.phases] == [0.5, 0.5]
-    assert held_back.stereo_points == 200
-    assert "each step leaves out 50%" in line
+    found = held_back(plan(replace(SETTINGS, dropout=0.5, stereo_points=200)))
+    assert [phase.dropout for phase in found.phases] == [0.5, 0.5]
+    assert found.stereo_points == 200
 
 
-@pytest.mark.parametrize(
-    ("degrees", "settings"),
-    [
-        (FAR_APART - 1, SETTINGS),
-        (FAR_APART + 1, replace(SETTINGS, sparse_views=False)),
-        (FAR_APART + 1, replace(SETTINGS, vanilla=True)),
-    ],
-)
-def test_photos_side_by_side_or_unasked_for_change_nothing(degrees, settings):
-    assert for_sparse_views(PLAN, arc(degrees), settings) == (PLAN, ())
+@pytest.mark.parametrize("settings", [replace(SETTINGS, sparse_views=False), replace(SETTINGS, vanilla=True)])
+def test_unasked_for_nothing_is_looked_at(settings):
+    assert for_sparse_views(PLAN, arc(FAR_APART + 1), settings, trial=never) == (PLAN, None)
 
 
 @pytest.mark.parametrize("degrees", [FAR_APART - 1, FAR_APART + 1])
-def test_diagnose_says_what_training_does(degrees):
-    scene = arc(degrees)
-    found = apart(scene)
-    assert found["sparse"] == bool(for_sparse_views(PLAN, scene, SETTINGS)[1]) == (degrees > FAR_APART)
-    assert apart_line(found).startswith(f"photos: {degrees:.0f} degrees apart")
-    assert (": presets hold training back" in apart_line(found)) == found["sparse"]
+@pytest.mark.parametrize("trial", [None, never], ids=["without trials", "in a short run"])
+def test_the_angle_decides_where_no_trial_does(degrees, trial):
+    """A run that begins in another's checkpoint has no beginning to try, and a short one no time."""
+    asked, is_far = replace(SETTINGS, phases=SHORT_PHASES) if trial else SETTINGS, degrees > FAR_APART
+    found, decision = for_sparse_views(plan(asked), arc(degrees), asked, trial=trial)
+    assert found == (held_back(plan(asked)) if is_far else plan(asked))
+    assert (decision is not None) == is_far
+    if is_far:
+        assert decision == Decision(PHOTOS, pytest.approx(degrees, abs=0.02), None, None, held_back=True)
+        assert decision.line(found).startswith(
+            f"{PHOTOS} photos {degrees:.0f} degrees apart: held back to 500 Gaussians"
+        )
+        assert f"each step leaves out {LEFT_OUT:.0%}" in decision.line(found)
+
+
+@pytest.mark.parametrize("brings", [0.4, -0.4])
+@pytest.mark.parametrize("degrees", [4.0, FAR_APART + 1])
+def test_trials_decide_of_few_photos_and_what_they_found_is_told(degrees, brings):
+    found, decision = for_sparse_views(PLAN, arc(degrees), SETTINGS, trial=lambda *_: Gain(brings, 0.1))
+    assert found == (held_back(PLAN) if brings > 0 else PLAN)
+    assert decision.held_back == (brings > 0)
+    assert f"{brings:+.1f} +-0.1 dB" in decision.line(found)
+
+
+def test_a_trial_is_of_the_run_and_holds_back_as_the_run_would_be():
+    told = []
+    for_sparse_views(PLAN, scene := arc(4.0), SETTINGS, trial=lambda *given: told.append(given) or Gain(0.0, 0.0))
+    assert told == [(scene, SETTINGS, held_back)]
+
+
+@pytest.mark.parametrize(
+    ("photos", "degrees", "steps", "tried"),
+    [
+        (FEW, 4.0, SHORTEST, True),
+        (FEW + 1, 4.0, SHORTEST, False),
+        (FEW, None, SHORTEST, True),
+        (FEW + 1, None, SHORTEST, False),
+        (FEW + 1, FAR_APART + 1, SHORTEST, True),
+        (FEW, 4.0, SHORTEST - 1, False),
+        (FEWEST - 1, FAR_APART + 1, SHORTEST, False),
+    ],
+)
+def test_many_photos_side_by_side_and_short_runs_are_not_tried(photos, degrees, steps, tried):
+    assert is_tried(photos, degrees, steps) == tried
+
+
+@pytest.mark.parametrize("gain", [None, 0.4, -0.4])
+def test_a_run_that_goes_on_is_as_it_was_decided(gain):
+    error, was_held = None if gain is None else 0.1, gain is None or gain > 0
+    known = asdict(Decision(PHOTOS, 30.0, gain, error, held_back=was_held))
+    found, decision = for_sparse_views(PLAN, arc(4.0), SETTINGS, trial=never, before=known, may_lower=False)
+    assert asdict(decision) == known
+    assert found == (held_back(PLAN, may_lower=False) if was_held else PLAN)
+
+
+@pytest.mark.parametrize(("degrees", "held_out", "tried"), [(4.0, (), True), (30.0, (0, 5), False)])
+def test_diagnose_says_what_training_does(degrees, held_out, tried):
+    """Four photos are too few for a trial."""
+    found = apart(arc(degrees, held_out=held_out))
+    assert found == {"photos": PHOTOS - len(held_out), "degrees": pytest.approx(degrees, abs=0.02), "tried": tried}
+    assert f"{found['photos']} to train on, {degrees:.0f} degrees apart" in apart_line(found)
+    assert (": presets try whether" in apart_line(found)) == tried
 
 
 def test_diagnose_says_where_no_tracks_tell():
-    assert apart_line(apart(arc(12.0, alone=POINTS))) == "photos: no tracks tell how far apart they stand"
+    assert f"photos: {PHOTOS} to train on, no tracks tell" in apart_line(apart(arc(12.0, alone=POINTS)))

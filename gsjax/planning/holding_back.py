@@ -1,0 +1,130 @@
+"""Short trials on photos kept from them: does holding training back help the views between photos?"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import optax
+from tqdm import tqdm
+
+from gsjax import targets
+from gsjax.cameras import Camera
+from gsjax.config import parse
+from gsjax.gaussians import Gaussians
+from gsjax.measures.images import psnr
+from gsjax.planning.sizes import training_extent
+from gsjax.planning.sparse_views import Gain
+from gsjax.planning.start import first_state, with_stereo_points
+from gsjax.render import gallery
+from gsjax.runs.result import BACKGROUND_COLORS
+from gsjax.scene import Frame, Scene, kept
+from gsjax.settings import QUICK, Settings
+from gsjax.targets import Targets
+from gsjax.training import optimizers
+from gsjax.training.loop import Progress, Work, follow
+from gsjax.training.plan import Plan, plan
+
+STEPS = 200  # of a trial
+SIDE = 160  # pixels of the longest photo, about
+FOLDS = 4  # Every photo is kept from one pair of trials in so many,
+FEWEST_FOLDS = 2  # and no more pairs are made than
+SURE = 2.0  # times its error that the gain is off zero, after so many.
+PER_PIXEL, PER_POINT = 0.6, 4  # Gaussians of a trial, by pixel of a photo and by matched point; no more than the run's
+SHORT = parse(  # `quick` in so many steps
+    Settings,
+    {
+        "phases": [{"name": "trial", "steps": STEPS, "density_control": True}],
+        "sh_every": 33,
+        "rates": QUICK["rates"],
+        "density": {**QUICK["density"], "start": 7, "stop": 140, "every": 20},
+    },
+)
+
+
+def gain(scene: Scene, settings: Settings, held_back: Callable[[Plan], Plan]) -> Gain:
+    """What holding back brings photos that training has not seen, decibels.
+
+    `quick` in few steps on small photos, from the beginning, as it is and held back, each time without some of the
+    photos, which are then scored. Deterministic.
+
+    Args:
+        scene: The data set, three photos to train on at least. Held-out ones play no part.
+        settings: The run. Its seed, background, masks and Gaussians are those of the trials.
+        held_back: The plan of a trial -> the same held back.
+
+    Raises:
+        InputError: A photo or the tracks cannot be read.
+    """
+    frames = tuple(map(kept, tqdm(scene.train_frames, desc="photos", unit="photo", leave=False)))
+    short = _short(settings, scene)
+    planned = plan(short)
+    optimizer = optimizers.make_optimizer(planned.rates, training_extent(scene), planned.steps)
+    ways = [_Way(short, each, optimizer) for each in (planned, held_back(planned))]
+    gains: list[float] = []
+    with tqdm(total=2 * FOLDS * STEPS, desc="trying to hold back", unit="step", leave=False) as bar:
+        for fold in range(FOLDS):
+            parted = [replace(each, held_out=index % FOLDS == fold) for index, each in enumerate(frames)]
+            as_it_is, held = (way.score(replace(scene, frames=tuple(parted)), bar.update) for way in ways)
+            gains += (held - as_it_is).tolist()
+            found = Gain(float(np.mean(gains)), float(np.std(gains, ddof=1) / np.sqrt(len(gains))))
+            if fold + 1 >= FEWEST_FOLDS and abs(found.decibels) > SURE * found.error:
+                break
+    return found
+
+
+def chosen_scale(frames: tuple[Frame, ...]) -> int:
+    """How many times smaller photos are in trials."""
+    return max(1, round(max(max(frame.width, frame.height) for frame in frames) / SIDE))
+
+
+def _short(settings: Settings, scene: Scene) -> Settings:
+    """A trial of the run."""
+    frames = scene.train_frames
+    scale = chosen_scale(frames)
+    pixels = max(frame.width * frame.height for frame in frames) / scale**2
+    wanted = max(round(PER_PIXEL * pixels), PER_POINT * len(scene.points))
+    return replace(
+        settings,
+        phases=(replace(SHORT.phases[0], image_scale=scale),),
+        max_gaussians=min(wanted, settings.max_gaussians),
+        sh_every=SHORT.sh_every,
+        rates=SHORT.rates,
+        density=SHORT.density,
+        depth=None,
+        normals=None,
+    )
+
+
+class _Way:
+    """One of the two ways to train; its programs serve all its trials."""
+
+    def __init__(self, settings: Settings, plan: Plan, optimizer: optax.GradientTransformation):
+        """Before the first trial."""
+        self._settings = replace(settings, max_gaussians=plan.max_gaussians)
+        self._plan, self._optimizer = plan, optimizer
+        self._capacity: int | None = None  # of the pair buffer, as the last trial left it
+
+    def score(self, scene: Scene, observe: Callable[[], object]) -> np.ndarray:
+        """PSNR of the photos of a scene that are held out, after a trial on the others."""
+
+        def note(progress: Progress) -> None:
+            self._capacity = progress.capacity
+            observe()
+
+        started, _ = with_stereo_points(scene, self._plan)
+        most = self._settings.max_gaussians
+        state = first_state(started, self._settings, self._optimizer, {}, rows=most)
+        work = Work(self._plan, scene.train_frames, training_extent(scene), self._optimizer, lambda _: [], note)
+        state = follow(work, state, self._capacity)
+        kept_photos = targets.read_targets(scene.held_out_frames, scale=self._plan.phases[0].scale)
+        return _psnr(state.gaussians, kept_photos, self._settings)
+
+
+def _psnr(gaussians: Gaussians, photos: Targets, settings: Settings) -> np.ndarray:
+    color = jnp.asarray(BACKGROUND_COLORS[settings.background], jnp.float32)
+    cameras = [Camera(each.viewmat, each.K, *photos.size) for each in photos.targets]
+    shown = gallery.pictures(gaussians, cameras, np.asarray(color), settings.depth_mode)
+    batches = (targets.batch(each, color) for each in photos.targets)
+    scores = [psnr(jnp.asarray(s.colors), b.image, b.valid) for s, b in zip(shown, batches, strict=True)]
+    return np.asarray(scores, np.float64)

@@ -1,0 +1,91 @@
+"""Trials with and without holding back: what they are given, what they find, and when they end."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_scenes import built_in
+
+from gsjax.io.scenes import load_scene
+from gsjax.planning import holding_back
+from gsjax.planning.holding_back import FEWEST_FOLDS, FOLDS, gain
+from gsjax.settings import Phase, Settings
+
+SETTINGS = Settings(background="white", phases=(Phase("vanilla", 900),), sh_degree=1, sparse_views=True)
+FORGETFUL = 0.9  # of all Gaussians left out of every step: no way to train
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    scene = load_scene(built_in(tmp_path_factory.mktemp("data") / "scene", num_views=8, size=(32, 32)))
+    return replace(scene, points=scene.points[::4], point_colors=scene.point_colors[::4])
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """Trials of thirty steps."""
+    (phase,) = holding_back.SHORT.phases
+    density = replace(holding_back.SHORT.density, start=5, stop=20)
+    monkeypatch.setattr(
+        holding_back, "SHORT", replace(holding_back.SHORT, phases=(replace(phase, steps=30),), density=density)
+    )
+
+
+def forgetful(plan):
+    return replace(plan, phases=tuple(replace(phase, dropout=FORGETFUL) for phase in plan.phases))
+
+
+def mindful(plan):
+    return replace(plan, phases=tuple(replace(phase, dropout=0.0) for phase in plan.phases))
+
+
+@pytest.mark.usefixtures("short")
+def test_the_better_way_gains_and_the_same_way_gains_nothing(scene):
+    assert gain(scene, SETTINGS, lambda plan: plan) == (0.0, 0.0)
+    worse, better = gain(scene, SETTINGS, forgetful), gain(scene, replace(SETTINGS, dropout=FORGETFUL), mindful)
+    assert worse.decibels < -2 * worse.error < 0
+    assert better.decibels == pytest.approx(-worse.decibels, rel=0.05)
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """What trials are given; they score zero as it is, and what is in `scores` held back."""
+    trials, scores = [], []
+
+    def score(way, scene, observe):
+        trials.append((way, [f.name for f in scene.held_out_frames]))
+        is_held = way is not trials[0][0]
+        return np.array([scores[int(name[:3])] if is_held else 0.0 for name in trials[-1][1]])
+
+    monkeypatch.setattr(holding_back._Way, "score", score)
+    monkeypatch.setattr(holding_back, "training_extent", lambda scene: 1.0)
+    return trials, scores
+
+
+def names(count, held_out=()):
+    from gsjax.scene import Pixels, frame_of
+
+    pixels = Pixels(np.zeros((8, 8, 3), np.uint8))
+    return tuple(frame_of(f"{i:03d}", np.eye(4), np.eye(3), pixels, held_out=i in held_out) for i in range(count))
+
+
+def test_unsure_trials_keep_every_photo_once_in_both_ways(told, scene):
+    trials, scores = told
+    scores += [1.0, -1.0] * 5
+    found = gain(replace(scene, frames=names(10, held_out=(3,))), SETTINGS, forgetful)
+    first, *_ = trials[0]
+    as_it_is = [name for way, kept in trials if way is first for name in kept]
+    held = [name for way, kept in trials if way is not first for name in kept]
+    assert len(trials) == 2 * FOLDS
+    assert as_it_is == held
+    assert sorted(held) == [f"{i:03d}" for i in range(10) if i != 3], "held-out photos play no part"
+    expected = np.delete(scores, 3)
+    assert found == pytest.approx((expected.mean(), expected.std(ddof=1) / 3))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_sure_trials_end(told, scene, sign):
+    trials, scores = told
+    scores += [sign * (2 + 0.1 * (i % 3)) for i in range(10)]
+    assert sign * gain(replace(scene, frames=names(10)), SETTINGS, forgetful).decibels > 2
+    assert len(trials) == 2 * FEWEST_FOLDS
