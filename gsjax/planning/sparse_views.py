@@ -54,7 +54,7 @@ class Decision:
             return f"{self.photos} photos{apart}: holding back would not help{why}"
         left_out = f"each step leaves out {plan.phases[0].dropout:.0%} of them"
         held = f"held back to {plan.max_gaussians:,} Gaussians, {left_out}{why}"
-        return f"{self.photos} photos{apart}: {held}; --set sparse_views=false does not"
+        return f"{self.photos} photos{apart}: {held}; --set sparse_views=false trains without"
 
 
 def for_sparse_views(
