@@ -12,10 +12,10 @@ from gsjax import targets
 from gsjax.cameras import Camera
 from gsjax.config import parse
 from gsjax.gaussians import Gaussians
-from gsjax.measures.images import psnr
+from gsjax.numerics import masked_mean
 from gsjax.planning.sizes import training_extent
 from gsjax.planning.sparse_views import Gain
-from gsjax.planning.start import first_state, with_stereo_points
+from gsjax.planning.start import first_state, with_given_points, with_stereo_points
 from gsjax.render import gallery
 from gsjax.runs.result import BACKGROUND_COLORS
 from gsjax.scene import Frame, Scene, kept
@@ -24,6 +24,7 @@ from gsjax.targets import Targets
 from gsjax.training import optimizers
 from gsjax.training.loop import Progress, Work, follow
 from gsjax.training.plan import Plan, plan
+from gsjax.training.step import in_decibels
 
 STEPS = 200  # of a trial
 SIDE = 160  # pixels of the longest photo, about
@@ -50,13 +51,14 @@ def gain(scene: Scene, settings: Settings, held_back: Callable[[Plan], Plan]) ->
 
     Args:
         scene: The data set, three photos to train on at least. Held-out ones play no part.
-        settings: The run. Its seed, background, masks and Gaussians are those of the trials.
+        settings: The run. Trials begin from its points, and have its seed, background and kind of Gaussians.
         held_back: The plan of a trial -> the same held back.
 
     Raises:
         InputError: A photo or the tracks cannot be read.
     """
     frames = tuple(map(kept, tqdm(scene.train_frames, desc="photos", unit="photo", leave=False)))
+    scene = with_given_points(scene, settings)
     short = _short(settings, scene)
     planned = plan(short)
     optimizer = optimizers.make_optimizer(planned.rates, training_extent(scene), planned.steps)
@@ -122,9 +124,13 @@ class _Way:
 
 
 def _psnr(gaussians: Gaussians, photos: Targets, settings: Settings) -> np.ndarray:
-    color = jnp.asarray(BACKGROUND_COLORS[settings.background], jnp.float32)
+    """Of every photo; of one whose mask leaves nothing the highest, either way."""
+    color = BACKGROUND_COLORS[settings.background]
     cameras = [Camera(each.viewmat, each.K, *photos.size) for each in photos.targets]
-    shown = gallery.pictures(gaussians, cameras, np.asarray(color), settings.depth_mode)
-    batches = (targets.batch(each, color) for each in photos.targets)
-    scores = [psnr(jnp.asarray(s.colors), b.image, b.valid) for s, b in zip(shown, batches, strict=True)]
-    return np.asarray(scores, np.float64)
+    shown = gallery.pictures(gaussians, cameras, color, settings.depth_mode)
+    batches = (targets.batch(each, jnp.asarray(color, jnp.float32)) for each in photos.targets)
+    errors = [
+        masked_mean(jnp.mean(jnp.square(picture.colors - batch.image), axis=-1), batch.valid)
+        for picture, batch in zip(shown, batches, strict=True)
+    ]
+    return np.asarray(in_decibels(jnp.stack(errors)), np.float64)

@@ -9,6 +9,7 @@ from small_scenes import built_in
 from gsjax.io.scenes import load_scene
 from gsjax.planning import holding_back
 from gsjax.planning.holding_back import FEWEST_FOLDS, FOLDS, gain
+from gsjax.scene import Pixels, frame_of, with_pixels
 from gsjax.settings import Phase, Settings
 
 SETTINGS = Settings(background="white", phases=(Phase("vanilla", 900),), sh_degree=1, sparse_views=True)
@@ -41,7 +42,8 @@ def mindful(plan):
 
 @pytest.mark.usefixtures("short")
 def test_the_better_way_gains_and_the_same_way_gains_nothing(scene):
-    assert gain(scene, SETTINGS, lambda plan: plan) == (0.0, 0.0)
+    masked = with_pixels(scene.frames[0], scene.frames[0].pixels()._replace(valid=np.zeros((32, 32), np.uint8)))
+    assert gain(replace(scene, frames=(masked, *scene.frames[1:])), SETTINGS, lambda plan: plan) == (0.0, 0.0)
     worse, better = gain(scene, SETTINGS, forgetful), gain(scene, replace(SETTINGS, dropout=FORGETFUL), mindful)
     assert worse.decibels < -2 * worse.error < 0
     assert better.decibels == pytest.approx(-worse.decibels, rel=0.05)
@@ -63,8 +65,6 @@ def told(monkeypatch):
 
 
 def names(count, held_out=()):
-    from gsjax.scene import Pixels, frame_of
-
     pixels = Pixels(np.zeros((8, 8, 3), np.uint8))
     return tuple(frame_of(f"{i:03d}", np.eye(4), np.eye(3), pixels, held_out=i in held_out) for i in range(count))
 
@@ -81,6 +81,19 @@ def test_unsure_trials_keep_every_photo_once_in_both_ways(told, scene):
     assert sorted(held) == [f"{i:03d}" for i in range(10) if i != 3], "held-out photos play no part"
     expected = np.delete(scores, 3)
     assert found == pytest.approx((expected.mean(), expected.std(ddof=1) / 3))
+
+
+def test_trials_begin_from_the_points_that_the_run_is_given(monkeypatch, scene, tmp_path):
+    header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {axis}\n" for axis in "xyz")
+    (tmp_path / "two.ply").write_text(f"{header}end_header\n0 0 0\n1 0 0\n", encoding="utf-8")
+    begun = []
+    monkeypatch.setattr(
+        holding_back._Way, "score", lambda way, scene, observe: begun.append(scene.points) or np.zeros(2)
+    )
+    gain(scene, replace(SETTINGS, points=str(tmp_path / "two.ply")), forgetful)
+    expected = scene.similarity.points_to_local(np.array([[0.0, 0, 0], [1, 0, 0]]))
+    assert len(begun) > 0
+    assert all(np.allclose(points, expected) for points in begun)
 
 
 @pytest.mark.parametrize("sign", [1, -1])
