@@ -7,7 +7,7 @@ pictures compared in the light of the photos taken near (`psnr_near_gains`): whe
 most, in a hand-held room 1.0 dB over `fast` instead of 0.4. After the coarse phase every variant has the time of
 `fast`'s plain phase and of 500 steps of its surface phase, by what a step costs (`COST`): plain steps; its surface
 phase without R and as it is; the same at a fifth of its weights in every fourth step; and such a phase in place of the
-plain one as well, while Gaussians multiply, at several shares of the weights. The maps are those of the run's own
+plain one as well, while Gaussians multiply, at several shares of the weights and in every eighth step. The maps are those of the run's own
 depth, gated, and made beside that time.
 """
 
@@ -18,7 +18,7 @@ ON = "base"
 COST = {"plain": 1.0, "photos that agree": 2.87, "with R": 4.04}
 """Of a step with these terms, in plain ones (`benchmarks/step_cost.py price_on_photos RUN`, AMD EPYC)."""
 _AGREEING = ("multi_view", "photometric")
-_SHARES = (1.0, 0.5, 0.2)
+_EARLY = (1.0, 4), (0.5, 4), (0.2, 4), (1.0, 8)  # share of the weights, and one in how many steps has the terms
 
 
 def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
@@ -32,8 +32,8 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
         steps = round(of / (1 + (COST[kind] - 1) / every))
         return {**surface, "steps": steps, "weights": dict(terms), "surface_every": every, **more}
 
-    def early(share: float) -> list[dict[str, Any]]:
-        return [coarse, ending(_shared(weights, share), "with R", 4, time + plain["steps"], density_control=True)]
+    def early(share: float, every: int) -> list[dict[str, Any]]:
+        return [coarse, ending(_shared(weights, share), "with R", every, time + plain["steps"], density_control=True)]
 
     late = {
         "plain": ending({}, "plain", 1),
@@ -42,7 +42,7 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
         "a fifth, every 4th": ending(_shared(weights, 0.2), "with R", 4),
     }
     phases = {name: [coarse, plain, phase] for name, phase in late.items()}
-    phases |= {f"early, {share:.0%}, every 4th": early(share) for share in _SHARES}
+    phases |= {f"early, {share:.0%}, every {every}th": early(share, every) for share, every in _EARLY}
     steps = sum(phase["steps"] for phase in config["phases"])
     small = {
         "rates": {"decay_steps": steps},
