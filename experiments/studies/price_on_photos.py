@@ -7,8 +7,8 @@ pictures compared in the light of the photos taken near (`psnr_near_gains`): whe
 most, in a hand-held room 1.0 dB over `fast` instead of 0.4. After the coarse phase every variant has the time of
 `fast`'s plain phase and of 500 steps of its surface phase, by what a step costs (`COST`): plain steps; its surface
 phase without R and as it is; the same at a fifth of its weights in every fourth step; and such a phase in place of the
-plain one as well, while Gaussians multiply, at several shares of the weights and in every eighth step. The maps are those of the run's own
-depth, gated, and made beside that time.
+plain one as well, while Gaussians multiply, at several shares of the weights and in every eighth step. The maps are
+those of the run's own depth, gated, and made beside that time.
 """
 
 from collections.abc import Mapping
