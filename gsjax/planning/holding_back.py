@@ -61,8 +61,9 @@ def gain(scene: Scene, settings: Settings, held_back: Callable[[Plan], Plan]) ->
     scene = with_given_points(scene, settings)
     short = _short(settings, scene)
     planned = plan(short)
-    optimizer = optimizers.make_optimizer(planned.rates, training_extent(scene), planned.steps)
-    ways = [_Way(short, each, optimizer) for each in (planned, held_back(planned))]
+    size = training_extent(scene)
+    optimizer = optimizers.make_optimizer(planned.rates, size, planned.steps)
+    ways = [_Way(short, each, optimizer, size) for each in (planned, held_back(planned))]
     gains: list[float] = []
     with tqdm(total=2 * FOLDS * STEPS, desc="trying to hold back", unit="step", leave=False) as bar:
         for fold in range(FOLDS):
@@ -99,12 +100,12 @@ def _short(settings: Settings, scene: Scene) -> Settings:
 
 
 class _Way:
-    """One of the two ways to train; its programs serve all its trials."""
+    """One of the two ways to train. One program serves all its trials: buffers and extent are the same."""
 
-    def __init__(self, settings: Settings, plan: Plan, optimizer: optax.GradientTransformation):
-        """Before the first trial."""
+    def __init__(self, settings: Settings, plan: Plan, optimizer: optax.GradientTransformation, extent: float):
+        """Before the first trial; the extent is that of all training cameras."""
         self._settings = replace(settings, max_gaussians=plan.max_gaussians)
-        self._plan, self._optimizer = plan, optimizer
+        self._plan, self._optimizer, self._extent = plan, optimizer, extent
         self._capacity: int | None = None  # of the pair buffer, as the last trial left it
 
     def score(self, scene: Scene, observe: Callable[[], object]) -> np.ndarray:
@@ -117,7 +118,7 @@ class _Way:
         started, _ = with_stereo_points(scene, self._plan)
         most = self._settings.max_gaussians
         state = first_state(started, self._settings, self._optimizer, {}, rows=most)
-        work = Work(self._plan, scene.train_frames, training_extent(scene), self._optimizer, lambda _: [], note)
+        work = Work(self._plan, scene.train_frames, self._extent, self._optimizer, lambda _: [], note)
         state = follow(work, state, self._capacity)
         kept_photos = targets.read_targets(scene.held_out_frames, scale=self._plan.phases[0].scale)
         return _psnr(state.gaussians, kept_photos, self._settings)

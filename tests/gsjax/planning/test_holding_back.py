@@ -11,6 +11,7 @@ from gsjax.planning import holding_back
 from gsjax.planning.holding_back import FEWEST_FOLDS, FOLDS, gain
 from gsjax.scene import Pixels, frame_of, with_pixels
 from gsjax.settings import Phase, Settings
+from gsjax.training import loop
 
 SETTINGS = Settings(background="white", phases=(Phase("vanilla", 900),), sh_degree=1, sparse_views=True)
 FORGETFUL = 0.9  # of all Gaussians left out of every step: no way to train
@@ -47,6 +48,21 @@ def test_the_better_way_gains_and_the_same_way_gains_nothing(scene):
     worse, better = gain(scene, SETTINGS, forgetful), gain(scene, replace(SETTINGS, dropout=FORGETFUL), mindful)
     assert worse.decibels < -2 * worse.error < 0
     assert better.decibels == pytest.approx(-worse.decibels, rel=0.05)
+
+
+@pytest.mark.usefixtures("short")
+def test_trials_of_one_way_share_their_programs(monkeypatch, scene):
+    """All that a program is kept by (`gsjax.training.loop.kept_step`) is the same, but for the pairs' buffer."""
+    kept, asked = loop._kept, []
+
+    def noted(*given, capacity, **how):
+        asked.append((given, tuple(how.items())))
+        return kept(*given, capacity=capacity, **how)
+
+    monkeypatch.setattr(loop, "_kept", noted)
+    gain(scene, SETTINGS, lambda plan: plan.with_terms({"depth_normal": 0.01}))
+    assert len(asked) >= 2 * FEWEST_FOLDS
+    assert len(set(asked)) == 2
 
 
 @pytest.fixture
