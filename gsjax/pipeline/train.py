@@ -22,12 +22,12 @@ from gsjax.io import json_files, normal_folders
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.pipeline.training_journal import TrainingJournal
+from gsjax.planning import holding_back
 from gsjax.planning.earlier import shared_steps, take_normals
 from gsjax.planning.effect_trials import gains
 from gsjax.planning.effects import ChosenEffects, choose_effects, look_for_effects
 from gsjax.planning.hardware import Devices, count_devices, effects_asked, hardware
 from gsjax.planning.harmonics import stored_degree, with_needed_harmonics
-from gsjax.planning.holding_back import gain
 from gsjax.planning.measured_depth import measured_depth
 from gsjax.planning.memory import fit_to_memory
 from gsjax.planning.sizes import at_size, training_extent
@@ -151,7 +151,7 @@ def _train(
     is_one = count_devices(devices) == settings.views_per_step == 1
     sparse = None
     if is_one:
-        trial, before = (gain, None) if begun is None else (None, begun.manifest.get(ENTRY))
+        trial, before = (holding_back.gain, None) if begun is None else (None, begun.manifest.get(ENTRY))
         planned, sparse = for_sparse_views(
             planned, loaded, settings, trial=trial, before=before, may_lower=known is None
         )

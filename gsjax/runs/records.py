@@ -30,6 +30,7 @@ MANIFEST = {
     "machine?": {str: (None, str, int)},
     "stages?": _STAGES,
     "effects?": {"simulated": [str], "evidence?": {str: _EVIDENCE}},
+    "sparse_views?": {"photos": int, "degrees": NUMBER, "gain": NUMBER, "error": NUMBER, "held_back": bool},
     **{f"{name}?": NUMBER for name in ("steps", "train_seconds", "psnr_near_gains", *_FIGURES)},
 }
 WHOLE_MANIFEST = {**MANIFEST, "scene": str, "command": str, "created": str, "status": str,

@@ -18,6 +18,8 @@ from gsjax.io.images import read_image, read_mask, write_image
 from gsjax.io.ply import read_gaussians
 from gsjax.pipeline.train import _planned
 from gsjax.pipeline.training_journal import TrainingJournal
+from gsjax.planning import holding_back, sparse_views
+from gsjax.planning.sparse_views import Gain
 from gsjax.runs.result import scene_of_run
 from gsjax.settings import PRESETS, Settings
 from gsjax.training.plan import plan
@@ -117,6 +119,33 @@ def test_points_are_looked_for_before_the_first_step_and_never_again(run, scene,
     pipeline.train(scene, tmp_path / "other", settings, earlier=tmp_path / "run")
     assert asked == [900] and "found some" not in capsys.readouterr().err
     assert (tmp_path / "run/gaussians.ply").read_bytes() != (run / "gaussians.ply").read_bytes()
+
+
+def test_trials_of_holding_back_are_made_once_and_a_run_goes_on_as_they_said(scene, tmp_path, monkeypatch, capsys):
+    asked = []
+
+    def helps(scene, settings, held_back):
+        asked.append([frame.name for frame in scene.train_frames])
+        return Gain(0.5, 0.1)
+
+    monkeypatch.setattr(holding_back, "gain", helps)
+    monkeypatch.setattr(sparse_views, "SHORTEST", 30)
+    settings = config.parse(Settings, SETTINGS | {"sparse_views": True})
+    train_until_killed(8, scene, tmp_path / "run", settings)
+    line = "held back to 450 Gaussians, each step leaves out 20% of them (photos kept from short trials: +0.5 +-0.1 dB)"
+    assert line in capsys.readouterr().err
+    for name, how in {"run": {"resume": True}, "other": {"earlier": tmp_path / "run"}}.items():
+        pipeline.train(scene, tmp_path / name, settings, **how)
+        assert "short trials: +0.5 +-0.1 dB" in capsys.readouterr().err
+        plan = json_files.read(tmp_path / name / "plan.json")
+        assert plan["max_gaussians"] == 450
+        assert [phase["dropout"] for phase in plan["phases"]] == [0.2] * 3
+    assert len(asked) == 1
+    (tmp_path / "run/manifest.json").write_text(
+        (tmp_path / "run/manifest.json").read_text().replace('"held_back": true', '"held_back": 7')
+    )
+    with pytest.raises(InputError, match="manifest.json: sparse_views.held_back"):
+        pipeline.train(scene, tmp_path / "third", settings, earlier=tmp_path / "run")
 
 
 def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_path):
