@@ -241,20 +241,20 @@ def _verdict(judged: Sequence[Judged], views: Sequence[View]) -> Verdict:
     areas = np.array([float(np.any(view.normals, axis=-1).sum()) for view in views])
     kept = np.array([each.kept for each in judged])
     empty = int((areas == 0).sum())
+    lacks = empty >= len(views) / 2
+    lacking = f", {empty} of {len(views)} have no normals{' (fewer than half may lack them)' if lacks else ''}"
+    lacking = lacking if empty else ""
     if len(told) < FEWEST_PHOTOS:
-        why = f"cannot be judged: {len(told)} photos show enough of others from another direction"
-        return Verdict(True, None, None, LEAST_EVIDENCE, _share(kept, areas), (), why)
+        why = f"cannot be judged: {len(told)} photos show enough of others from another direction{lacking}"
+        return Verdict(not lacks, None, None, LEAST_EVIDENCE, 0.0 if lacks else _share(kept, areas), (), why)
     values = np.array([evidence for _, evidence, _ in told])
     middle = float(np.median(values))
     noise = float(1.4826 * np.median(np.abs(values - middle)) / np.sqrt(len(values)))
     rejected = tuple(index for index, evidence, off in told if evidence + off < LEAST_EVIDENCE)
-    lacks = empty >= len(views) / 2
     is_kept = middle - noise > LEAST_EVIDENCE and not lacks
     kept[list(rejected)] = 0
-    note = f"{len(rejected)} of {len(told)} photos rejected"
-    if empty:
-        note += f", {empty} of {len(views)} have no normals{' (fewer than half may lack them)' if lacks else ''}"
     share = _share(kept, areas) if is_kept else 0.0
+    note = f"{len(rejected)} of {len(told)} photos rejected{lacking}"
     return Verdict(is_kept, middle, noise, LEAST_EVIDENCE, share, rejected, note)
 
 

@@ -135,6 +135,18 @@ def test_maps_that_are_mostly_empty_are_rejected():
     assert not verdict.kept and "6 of 10 have no normals (fewer than half may lack them)" in verdict.note
 
 
+@pytest.mark.parametrize("full", [4, 6])
+def test_maps_that_are_mostly_empty_are_rejected_where_the_others_cannot_be_judged_too(full):
+    """Those that have normals look where no other looks."""
+    known = [index < full for index in range(len(VIEWS))]
+    views = [v._replace(depth=0 * v.depth, normals=v.normals * has) for v, has in zip(VIEWS, known, strict=True)]
+    judged, verdict = judge(views)
+    assert verdict.evidence is None and f"{10 - full} of 10 have no normals" in verdict.note
+    assert verdict.kept == (full == 6)
+    assert_close(verdict.share, float(verdict.kept))
+    assert any(one.confidence.any() for one in judged) == verdict.kept
+
+
 @pytest.mark.parametrize("size", [(300, 200), (257, 129), (100, 128), (128, 64)])
 def test_a_view_at_its_working_size_sees_the_same_places(size):
     width, height = size
