@@ -241,9 +241,9 @@ def _verdict(judged: Sequence[Judged], views: Sequence[View]) -> Verdict:
     areas = np.array([float(np.any(view.normals, axis=-1).sum()) for view in views])
     kept = np.array([each.kept for each in judged])
     empty = int((areas == 0).sum())
-    lacks = empty >= len(views) / 2
-    lacking = f", {empty} of {len(views)} have no normals{' (fewer than half may lack them)' if lacks else ''}"
-    lacking = lacking if empty else ""
+    lacks = empty >= max(len(views) / 2, 1)
+    lacking = f", {empty} of {len(views)} have no normals" if empty else ""
+    lacking += " (fewer than half may lack them)" if lacks else ""
     if len(told) < FEWEST_PHOTOS:
         why = f"cannot be judged: {len(told)} photos show enough of others from another direction{lacking}"
         return Verdict(not lacks, None, None, LEAST_EVIDENCE, 0.0 if lacks else _share(kept, areas), (), why)

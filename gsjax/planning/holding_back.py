@@ -50,7 +50,7 @@ def gain(scene: Scene, settings: Settings, held_back: Callable[[Plan], Plan]) ->
     photos, which are then scored. Deterministic.
 
     Args:
-        scene: The data set, three photos to train on at least. Held-out ones play no part.
+        scene: The data set, five photos to train on at least. Held-out ones play no part.
         settings: The run. Trials begin from its points, and have its seed, background and kind of Gaussians.
         held_back: The plan of a trial -> the same held back.
 
