@@ -24,6 +24,7 @@ LEAST_EVIDENCE = 0.1  # of a photo and of a whole set of maps
 OWN_VOTE = 0.5  # of a pixel's own normal beside its neighbours'
 FEWEST = 100  # pairs of pixels that a photo is judged by
 FEWEST_PHOTOS = 3  # that a set of maps is judged by
+LEAST_SHARE = 0.1  # of their weights, which terms of the surface keep however little photos agree
 
 _PROBES = 300  # pixels of a view by which its neighbours are chosen
 _ROUNDS = 6  # of the geometric median
@@ -95,6 +96,21 @@ def judge(
     for index in out:
         judged[index] = judged[index]._replace(confidence=np.zeros_like(judged[index].confidence), kept=0.0)
     return judged, verdict
+
+
+def surface_share(evidence: float | None) -> float:
+    """What share of their weights the terms of the surface keep, from what photos agree about normals of its own depth.
+
+    Where photos agree about a surface, terms that make it flat cost pictures nothing; where they do not, as among
+    textureless walls, pictures pay for them (experiments/results/price_on_photos.md).
+
+    Args:
+        evidence: Of the `Verdict`; None: the photos cannot be judged, and terms weigh what was asked.
+
+    Returns:
+        From `LEAST_SHARE` to 1, in tenths: a share is a compilation.
+    """
+    return 1.0 if evidence is None else round(min(max(evidence, LEAST_SHARE), 1.0), 1)
 
 
 def full_size(confidence: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

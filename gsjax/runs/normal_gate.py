@@ -72,6 +72,15 @@ def gate(
     ]
 
 
+def stored_evidence(folder: Path) -> float | None:
+    """The evidence of the verdict that `gate` left in a folder; None where it could not judge.
+
+    Raises:
+        InputError: The file is missing or damaged.
+    """
+    return json_files.read(folder / VERDICT)["evidence"]
+
+
 def judge_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:
     """The `record` of a folder of maps, whose depth is that of planes through the tracks' points.
 

@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 from tolerances import assert_close
 
 from gsjax.cameras import look_at
-from gsjax.normals.agreement import LONGEST, View, full_size, judge, stride_of, thinned
+from gsjax.normals.agreement import LONGEST, View, full_size, judge, stride_of, surface_share, thinned
 from gsjax.normals.sparse_depth import sparse_depth
 
 WIDTH, HEIGHT = 64, 48
@@ -145,6 +145,13 @@ def test_maps_that_are_mostly_empty_are_rejected_where_the_others_cannot_be_judg
     assert verdict.kept == (full == 6)
     assert_close(verdict.share, float(verdict.kept))
     assert any(one.confidence.any() for one in judged) == verdict.kept
+
+
+@pytest.mark.parametrize(
+    ("evidence", "share"), [(None, 1.0), (-0.3, 0.1), (0.18, 0.2), (0.34, 0.3), (0.87, 0.9), (1.0, 1.0)]
+)
+def test_the_surface_weighs_as_much_as_photos_agree_and_never_under_a_tenth(evidence, share):
+    assert surface_share(evidence) == share
 
 
 @pytest.mark.parametrize("size", [(300, 200), (257, 129), (100, 128), (128, 64)])

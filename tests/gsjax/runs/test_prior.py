@@ -1,4 +1,5 @@
 import json
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -180,6 +181,36 @@ def test_the_gate_makes_short_what_photos_do_not_agree_about_and_judges_once(til
     assert line.endswith("cannot be judged: 0 photos show enough of others from another direction")
     verdict = json.loads((tmp_path / "normals/gate.json").read_text())
     assert verdict["kept"] and [*verdict["photos"]] == [frame.name for frame in FRAMES]
+
+
+@pytest.mark.parametrize(("evidence", "share"), [(0.27, 0.3), (None, 1.0)])
+def test_the_verdict_on_own_normals_says_what_the_surface_weighs(tilted, tmp_path, monkeypatch, evidence, share):
+    lines = []
+    monkeypatch.setattr(prior, "gate", partial(leave_verdict, evidence))
+    own = RunPrior(tmp_path, None, None, FRAMES, gated=True, tell=lines.append)
+    own(tilted, FRAMES)
+    assert own.surface_share == share
+    told = "; the terms of the surface have 30% of their weights" if share < 1 else ""
+    assert lines == [f"they agree by {evidence}{told}"]
+
+
+def test_maps_of_a_network_and_maps_that_nobody_judges_leave_the_surface_its_weights(
+    tilted, foreign, tmp_path, monkeypatch
+):
+    lines = []
+    monkeypatch.setattr(prior, "gate", partial(leave_verdict, 0.3))
+    of_network = RunPrior(tmp_path / "run", foreign(NORMAL, (1, 1, 1)), "+x+y+z", FRAMES, gated=True, tell=lines.append)
+    of_network(tilted, FRAMES)
+    assert of_network.surface_share == 1
+    assert lines == ["they agree by 0.3"]
+    assert RunPrior(tmp_path / "other", None, None, FRAMES).surface_share == 1
+
+
+def leave_verdict(evidence, folder, gaussians, frames, maps, depth_mode, *, keep, tell):
+    """In place of the gate: writes its verdict, and tells it."""
+    (folder / "gate.json").write_text(json.dumps({"evidence": evidence}))
+    tell(f"they agree by {evidence}")
+    return maps
 
 
 def test_a_verdict_names_the_first_of_the_photos_that_it_rejects():
