@@ -19,6 +19,7 @@ from gsjax.io.normal_maps import normal_maps
 from gsjax.normals.agreement import Judged, Verdict, View, full_size, judge, stride_of, thinned
 from gsjax.normals.sparse_depth import sparse_depth
 from gsjax.render import DepthReading, gallery
+from gsjax.runs.records import NUMBER
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame, Keep, Scene, in_memory, tracks_by_name
 
@@ -78,7 +79,7 @@ def stored_evidence(folder: Path) -> float | None:
     Raises:
         InputError: The file is missing or damaged.
     """
-    return json_files.read(folder / VERDICT)["evidence"]
+    return json_files.read(folder / VERDICT, {"evidence": NUMBER})["evidence"]
 
 
 def judge_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:

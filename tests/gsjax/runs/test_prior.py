@@ -206,6 +206,18 @@ def test_maps_of_a_network_and_maps_that_nobody_judges_leave_the_surface_its_wei
     assert RunPrior(tmp_path / "other", None, None, FRAMES).surface_share == 1
 
 
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [("{}", "lacks 'evidence'"), ('{"evidence": "much"}', "evidence is 'much'"), (None, "No such file")],
+)
+def test_a_verdict_that_is_damaged_or_gone_is_named(tmp_path, text, fault):
+    (tmp_path / "normals").mkdir()
+    if text is not None:
+        (tmp_path / "normals/gate.json").write_text(text)
+    with pytest.raises(InputError, match=rf"gate\.json: .*{fault}"):
+        _ = RunPrior(tmp_path, None, None, FRAMES, gated=True).surface_share
+
+
 def leave_verdict(evidence, folder, gaussians, frames, maps, depth_mode, *, keep, tell):
     """In place of the gate: writes its verdict, and tells it."""
     (folder / "gate.json").write_text(json.dumps({"evidence": evidence}))
