@@ -239,6 +239,7 @@ def _train(
                 return [from_first(each) for each in maps]
 
             def surface_share() -> float:
+                # In tenths again: what one process tells the others is a single float.
                 return round(float(from_first(np.float32(prior.surface_share))), 1)
 
             # A CPU computes all the while, and has no step's memory to spare.

@@ -73,10 +73,9 @@ def test_gaussians_that_move_by_error_have_as_long_to_settle_as_before(factor, e
 def test_another_length_shares_its_time_between_gaussians_and_steps():
     quarter, four = (budget.resized(NAMED["fast"], factor) for factor in (0.25, 4.0))
     assert (quarter.max_gaussians, four.max_gaussians) == (30_000, 120_000)
-    assert total_steps(quarter) == pytest.approx(
-        0.25 * total_steps(NAMED["fast"]) / 0.65, abs=2
-    )  # a step with half of them costs 0.65
-    assert total_steps(four) == pytest.approx(4 * total_steps(NAMED["fast"]) / 1.7, abs=2)
+    steps = total_steps(NAMED["fast"])
+    assert total_steps(quarter) == pytest.approx(0.25 * steps / 0.65, abs=2)  # a step with half of them costs 0.65
+    assert total_steps(four) == pytest.approx(4 * steps / 1.7, abs=2)
     assert budget.resized(NAMED["fast"], 1.0) == NAMED["fast"]
 
 
@@ -185,9 +184,8 @@ def test_a_run_whose_gaussians_stay_as_many_is_scaled_in_its_steps_alone(monkeyp
     machine = Machine(monkeypatch, fast=0.1)
     settings = machine.budgeted(10_000, {"fast": NAMED["fast"]}, lasting=budget.scaled).settings
     left = 9000 - budget.SCORING - machine.beside_steps("fast")
-    assert settings == budget.scaled(
-        replace(NAMED["fast"], downscale=2.0), (left / 0.1 - 150) / total_steps(NAMED["fast"])
-    )
+    factor = (left / 0.1 - 150) / total_steps(NAMED["fast"])
+    assert settings == budget.scaled(replace(NAMED["fast"], downscale=2.0), factor)
 
 
 @pytest.mark.parametrize(("seconds", "evidence", "tries"), [(1000, 1.2, True), (1000, 1.6, False), (100, 1.2, False)])
