@@ -260,7 +260,6 @@ def _phase(name: str, steps: int, **more: Any) -> dict:
 # phase costs more than it brings. What photos say of each other makes flat what normals of one's own leave rough
 # (docs/deviations.md, experiments/studies/supervision.py).
 _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}
-_RARE_SURFACE_TERMS = {name: 2 * weight for name, weight in _SURFACE_TERMS.items()}  # where one step in four has them
 FAST: dict[str, Any] = {
     "depth_mode": "front",  # thin things are not as deep as their far sides' light has them (docs/deviations.md)
     "effects": AUTO,
@@ -274,7 +273,7 @@ FAST: dict[str, Any] = {
     "phases": [
         _phase("coarse", 900, image_scale=2, density_control=True),
         _phase("vanilla", 700, density_control=True),
-        _phase("surface", 700, weights=_RARE_SURFACE_TERMS, surface_every=4),
+        _phase("surface", 500, weights=_SURFACE_TERMS, surface_every=2),
     ],
     "rates": {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "quats": 0.003, "final_share": 0.2},
     "density": {"rule": "error", "start": 50, "stop": 1000, "full_by": 0.6, "reset_every": 0},

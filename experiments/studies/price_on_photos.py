@@ -6,8 +6,8 @@ Photos of 400 pixels and 30,000 Gaussians, so that a run is minutes on a CPU. Ex
 pictures compared in the light of the photos taken near (`psnr_near_gains`): where they are not, plain training gains
 most. `view_by_view.py` tells whether a difference hangs on one view. After the coarse phase every variant has the time
 of `fast`'s plain phase and of its surface phase, by what a step costs (`COST`): plain steps; the surface phase as it
-is; the same with all of its weights whatever photos agree about; and the phase in place of the plain one as well, while
-Gaussians multiply. The maps are those of the run's own depth, and made beside that time.
+is; the same with all normals and comparisons, whatever photos agree about; and the phase in place of the plain one as
+well, while Gaussians multiply. The maps are those of the run's own depth, and made beside that time.
 """
 
 from collections.abc import Mapping

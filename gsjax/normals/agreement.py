@@ -19,12 +19,11 @@ WIDEST = 70.0  # degrees between two rays to a place, beyond which views show to
 GOOD_ANGLE = 25.0  # degrees between the rays, from which on two views differ enough to tell
 TOLD_ANGLE = 10.0  # degrees, under which a map that says nothing would agree as well
 SAME_DEPTH = 0.02  # relative difference of depth up to which two pixels show the same place
-SURE, DOUBTFUL = 15.0, 25.0  # degrees of a pixel's error: up to one it counts whole, from the other on not at all
+SURE, DOUBTFUL = 15.0, 25.0  # degrees that normals are off by: up to one they count whole, from the other on not at all
 LEAST_EVIDENCE = 0.1  # of a photo and of a whole set of maps
 OWN_VOTE = 0.5  # of a pixel's own normal beside its neighbours'
 FEWEST = 100  # pairs of pixels that a photo is judged by
 FEWEST_PHOTOS = 3  # that a set of maps is judged by
-LEAST_SHARE = 0.1  # of their weights, which terms of the surface keep however little photos agree
 
 _PROBES = 300  # pixels of a view by which its neighbours are chosen
 _ROUNDS = 6  # of the geometric median
@@ -47,6 +46,7 @@ class Judged(NamedTuple):
     kept: float  # mean confidence over the pixels that have a normal; 0 where there is none
     evidence: float | None  # 1 - (median disagreement / that of a map which only faces its camera); None: cannot tell
     noise: float | None  # of the evidence, from one neighbour to the next
+    apart: float | None  # median degrees between its normals and theirs; None: cannot tell
 
 
 class Verdict(NamedTuple):
@@ -98,19 +98,20 @@ def judge(
     return judged, verdict
 
 
-def surface_share(evidence: float | None) -> float:
-    """What share of their weights the terms of the surface keep, from what photos agree about normals of its own depth.
+def share_compared(apart: float | None) -> float:
+    """In what share of its steps a photo is to be compared with a neighbour, from what normals of their depth say.
 
-    Where photos agree about a surface, terms that make it flat cost pictures nothing; where they do not, as among
-    textureless walls, pictures pay for them (experiments/results/price_on_photos.md).
+    Where photos agree about a surface, terms that compare them make it flat and cost pictures nothing; where they do
+    not, as before a bare wall, pictures pay for them (experiments/results/price_on_photos.md). How far normals are
+    apart tells, not the evidence: among photos that stand side by side even a flat floor has none.
 
     Args:
-        evidence: Of the `Verdict`; None: the photos cannot be judged, and terms weigh what was asked.
+        apart: Of the photo's `Judged`; None: it cannot be judged, and is compared in all steps.
 
     Returns:
-        From `LEAST_SHARE` to 1, in tenths: a share is a compilation.
+        From 0, at `DOUBTFUL` degrees and more, to 1, up to `SURE` degrees.
     """
-    return 1.0 if evidence is None else round(min(max(evidence, LEAST_SHARE), 1.0), 1)
+    return 1.0 if apart is None else float(np.clip((DOUBTFUL - apart) / (DOUBTFUL - SURE), 0, 1))
 
 
 def full_size(confidence: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -182,7 +183,7 @@ def _judge_view(index: int, views: Sequence[View], points: Sequence[np.ndarray],
         apart.append(_degrees_between(own, normals))
         chance.append(_degrees_between(_towards(view, place), _towards(there, place)))
     if not others or not np.any(shown):
-        return Judged(known.astype(np.float32), float(known.any()), None, None)
+        return Judged(known.astype(np.float32), float(known.any()), None, None, None)
     others, shown, apart, chance = map(np.stack, (others, shown, apart, chance))
     error = np.full(known.shape, np.nan)
     error[carried] = _error(own, others, shown, apart)
@@ -224,8 +225,12 @@ def _geometric_median(directions: np.ndarray, counted: np.ndarray) -> np.ndarray
     return middle
 
 
-def _evidence(apart: np.ndarray, chance: np.ndarray, shown: np.ndarray) -> tuple[float | None, float | None]:
+def _evidence(
+    apart: np.ndarray, chance: np.ndarray, shown: np.ndarray
+) -> tuple[float | None, float | None, float | None]:
     """How much nearer normals are to each other than those of maps that only face their cameras, and the noise of it.
+
+    Thirdly the median degrees between them.
 
     Args:
         apart: `[M, P]` degrees between the normals of two views.
@@ -234,10 +239,11 @@ def _evidence(apart: np.ndarray, chance: np.ndarray, shown: np.ndarray) -> tuple
     """
     tells = shown & (chance > TOLD_ANGLE)
     if tells.sum() < FEWEST:
-        return None, None
+        return None, None, None
     each = [1 - np.median(a[t]) / np.median(c[t]) for a, c, t in zip(apart, chance, tells, strict=True) if t.sum() > 9]
     noise = float(np.std(each) / np.sqrt(len(each))) if len(each) > 1 else 1.0
-    return float(1 - np.median(apart[tells]) / np.median(chance[tells])), noise
+    middle = float(np.median(apart[tells]))
+    return float(1 - middle / np.median(chance[tells])), noise, middle
 
 
 def _filled(confidence: np.ndarray) -> np.ndarray:

@@ -238,10 +238,6 @@ def _train(
                 maps = prior(state.gaussians, with_moved_cameras(frames, chosen.photography(state.effects).moves))
                 return [from_first(each) for each in maps]
 
-            def surface_share() -> float:
-                # In tenths again: what one process tells the others is a single float.
-                return round(float(from_first(np.float32(prior.surface_share))), 1)
-
             # A CPU computes all the while, and has no step's memory to spare.
             waits = not spread.is_one or computes_on_cpu()
             looks = None if waits else journal.looks
@@ -259,7 +255,7 @@ def _train(
                 chosen.skies,
                 fitted.keep,
                 looks,
-                surface_share,
+                partial(prior.shares_compared, frames),
             )
             # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.
             capacity = capacity if spread.is_one else None

@@ -73,13 +73,17 @@ def gate(
     ]
 
 
-def stored_evidence(folder: Path) -> float | None:
-    """The evidence of the verdict that `gate` left in a folder; None where it could not judge.
+def stored_apart(folder: Path, frames: Sequence[Frame]) -> list[float | None]:
+    """How many degrees each photo's normals are from its neighbours', as `gate` left it in a folder.
+
+    None where it could not judge, or is of an earlier version.
 
     Raises:
-        InputError: The file is missing or damaged.
+        InputError: The file is missing or damaged, or lacks a photo.
     """
-    return json_files.read(folder / VERDICT, {"evidence": NUMBER})["evidence"]
+    shape = {"photos": {frame.name: {"apart?": NUMBER} for frame in frames}}
+    photos = json_files.read(folder / VERDICT, shape)["photos"]
+    return [photos[frame.name].get("apart") for frame in frames]
 
 
 def judge_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:
@@ -98,11 +102,14 @@ def judge_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:
 
 
 def record(judged: Sequence[Judged], verdict: Verdict, frames: Sequence[Frame]) -> dict[str, Any]:
-    """Plain values for a file: the verdict on all maps, and each photo's `evidence`, `noise`, `kept`, `rejected`."""
+    """Plain values for a file: the verdict on all maps, and each photo's figures as in `Judged`, and `rejected`."""
     return {
         **{name: value for name, value in verdict._asdict().items() if name != "rejected"},
         "photos": {
-            frame.name: {"evidence": one.evidence, "noise": one.noise, "kept": one.kept, "rejected": not one.kept}
+            frame.name: {
+                **{name: value for name, value in one._asdict().items() if name != "confidence"},
+                "rejected": not one.kept,
+            }
             for frame, one in zip(frames, judged, strict=True)
         },
     }

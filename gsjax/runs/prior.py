@@ -16,12 +16,12 @@ from gsjax.io import json_files
 from gsjax.io.images import read_image, write_image
 from gsjax.io.normal_folders import network_of
 from gsjax.io.normal_maps import map_places, normal_maps
-from gsjax.normals.agreement import surface_share
+from gsjax.normals.agreement import share_compared
 from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
 from gsjax.render import DepthReading, gallery
 from gsjax.runs.folder import update_manifest
-from gsjax.runs.normal_gate import gate, stored_evidence
+from gsjax.runs.normal_gate import gate, stored_apart
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame, Keep, in_memory
 
@@ -98,23 +98,25 @@ class RunPrior:
         read = [self.keep(read_map(files[frame.name], frame)) for frame in frames]
         if not self.gated:
             return read
-        return gate(self.folder, gaussians, frames, read, self.depth_mode, keep=self.keep, tell=self._tell_verdict)
 
-    @property
-    def surface_share(self) -> float:
-        """What share of their weights the terms of the surface keep, once there are maps.
+        def tell(line: str) -> None:
+            share = float(np.mean(self.shares_compared(frames)))
+            self.tell(line if share == 1 else f"{line}; {share:.0%} of the comparisons of neighbours are made")
+
+        return gate(self.folder, gaussians, frames, read, self.depth_mode, keep=self.keep, tell=tell)
+
+    def shares_compared(self, frames: Sequence[Frame]) -> np.ndarray:
+        """`[V]` in what share of its steps each photo is compared with a neighbour, once there are maps.
 
         Normals of the run's own depth tell how far photos agree about its surface. Those of a network tell of the
-        network, and where nobody judges nobody knows: all of the weight.
+        network, and where nobody judges nobody knows: in all steps.
 
         Raises:
             InputError: The verdict is missing or damaged.
         """
-        return surface_share(stored_evidence(self.folder)) if self.gated and self.given is None else 1.0
-
-    def _tell_verdict(self, line: str) -> None:
-        share = self.surface_share
-        self.tell(line if share == 1 else f"{line}; the terms of the surface have {share:.0%} of their weights")
+        if not self.gated or self.given is not None:
+            return np.ones(len(frames))
+        return np.array([share_compared(apart) for apart in stored_apart(self.folder, frames)])
 
     def _foreign(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
         assert self.given is not None

@@ -97,7 +97,7 @@ class Work:
     skies: sky.Masks = field(default_factory=dict)  # where photos show sky, if the plan knows of one; for one device
     keep: Keep = in_memory  # where the smaller photos and the maps of a phase lie
     looks: Callable[[int], bool] | None = None  # at whose state `observe` looks, see `advance`; for one device
-    surface_share: Callable[[], float] = lambda: 1.0  # that terms of the surface keep; asked after `prior`
+    shares: Callable[[], np.ndarray | None] = lambda: None  # of `with_neighbors`; asked after `prior`
 
 
 def fit(
@@ -158,8 +158,6 @@ def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainS
         if phase.tables and done == phase.begin:
             state = with_tables(state, work.plan)
         data = _views(work, phase, state)
-        if "normals" in phase.needs:
-            phase = phase.with_surface_share(work.surface_share())
         capacity = capacity or _room_for(work, phase, data, state, before)
         state, before = _run_phase(work, phase, data, state, done, capacity)
         done, capacity = phase.end, None
@@ -188,7 +186,7 @@ def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Targets:
         skies = [work.skies.get(frame.name) for frame in work.frames]
         data = targets.with_skies(data, skies, phase.scale, work.keep)
     if "neighbor" in phase.needs:
-        data = with_neighbors(data, work.extent)
+        data = with_neighbors(data, work.extent, work.shares() if "normals" in phase.needs else None)
     return data
 
 

@@ -53,14 +53,6 @@ class PlannedPhase:
         """The terms without the dear ones."""
         return tuple(each for each in self.terms if not each.is_dear)
 
-    def with_surface_share(self, share: float) -> Self:
-        """The phase whose terms of normals and of neighbouring photos have so much of their weights."""
-        scaled = (
-            replace(each, weight=share * each.weight) if needs([each]) & {"normals", "neighbor"} else each
-            for each in self.terms
-        )
-        return replace(self, terms=tuple(scaled))
-
 
 @dataclass(frozen=True)
 class Plan:

@@ -148,6 +148,21 @@ def test_trials_of_holding_back_are_made_once_and_a_run_goes_on_as_they_said(sce
         pipeline.train(scene, tmp_path / "third", settings, earlier=tmp_path / "run")
 
 
+def test_the_loop_compares_photos_as_often_as_the_gate_says(scene, tmp_path, monkeypatch):
+    handed = []
+
+    def follow(work, state, capacity):
+        verdict = {"photos": {frame.name: {"apart": 20.0} for frame in work.frames}}
+        json_files.write(tmp_path / "run/normals/gate.json", verdict)
+        handed.append(work.shares())
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(pipeline.train.__globals__, "follow", follow)
+    with pytest.raises(KeyboardInterrupt):
+        pipeline.train(scene, tmp_path / "run", config.parse(Settings, SETTINGS | {"normal_gate": True}))
+    np.testing.assert_array_equal(handed, [[0.5] * 7])
+
+
 def test_a_run_that_begins_in_another_ends_with_the_same_bits(run, scene, tmp_path):
     begun, whole = tmp_path / "begun", tmp_path / "whole"
     first = {**SETTINGS, "phases": SETTINGS["phases"][:1], "rates": {"decay_steps": 30}}

@@ -6,7 +6,7 @@ from scipy.ndimage import gaussian_filter
 from tolerances import assert_close
 
 from gsjax.cameras import look_at
-from gsjax.normals.agreement import LONGEST, View, full_size, judge, stride_of, surface_share, thinned
+from gsjax.normals.agreement import LONGEST, View, full_size, judge, share_compared, stride_of, thinned
 from gsjax.normals.sparse_depth import sparse_depth
 
 WIDTH, HEIGHT = 64, 48
@@ -147,11 +147,24 @@ def test_maps_that_are_mostly_empty_are_rejected_where_the_others_cannot_be_judg
     assert any(one.confidence.any() for one in judged) == verdict.kept
 
 
-@pytest.mark.parametrize(
-    ("evidence", "share"), [(None, 1.0), (-0.3, 0.1), (0.18, 0.2), (0.34, 0.3), (0.87, 0.9), (1.0, 1.0)]
-)
-def test_the_surface_weighs_as_much_as_photos_agree_and_never_under_a_tenth(evidence, share):
-    assert surface_share(evidence) == share
+def test_every_photo_is_told_how_far_its_normals_are_from_those_of_its_neighbours():
+    """By angles of a known size about axes across the view: 2 degrees for two photos, 0 for those far from them."""
+    judged, _ = judge(VIEWS)
+    assert max(one.apart for one in judged) < 1
+    maps = [view.normals for view in VIEWS]
+    axis = np.cross(maps[3], [0.3, -0.5, 0.8])
+    axis /= np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-12)
+    angle = np.radians(12.0)
+    maps[3] = np.cos(angle) * maps[3] + np.sin(angle) * np.cross(axis, maps[3])
+    judged, _ = judge(with_maps(maps))
+    assert abs(judged[3].apart - 12) < 1
+    assert max(one.apart for index, one in enumerate(judged) if index != 3) < 4
+    assert judge(VIEWS[:1])[0][0].apart is None
+
+
+@pytest.mark.parametrize(("apart", "share"), [(None, 1), (0, 1), (15, 1), (17.5, 0.75), (25, 0), (60, 0)])
+def test_photos_are_compared_as_often_as_their_normals_agree(apart, share):
+    assert_close(share_compared(apart), share)
 
 
 @pytest.mark.parametrize("size", [(300, 200), (257, 129), (100, 128), (128, 64)])

@@ -84,7 +84,7 @@ def test_where_all_photos_are_small_no_larger_one_is_tried(monkeypatch, photos):
 
 @pytest.mark.parametrize("points", [1_000, 9_000, 60_000, 80_000])
 def test_while_gaussians_multiply_by_the_same_factor_their_mean_is_the_logarithmic_one(points):
-    # `fast`: 900 steps of which growth takes 50 to 620, then 700 and 700.
+    # `fast`: 900 steps of which growth takes 50 to 620, then 700 and 500.
     first = min(points / 60_000, 1.0)
     growing = (1 - first) / np.log(1 / first) if first < 1 else 1.0
     expected = (50 * first + 570 * growing + 280) / 900

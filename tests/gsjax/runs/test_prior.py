@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from small_scenes import angles, camera_at, plane
+from tolerances import assert_close
 
 from gsjax.errors import InputError
 from gsjax.io import normal_folders
@@ -183,45 +184,57 @@ def test_the_gate_makes_short_what_photos_do_not_agree_about_and_judges_once(til
     assert verdict["kept"] and [*verdict["photos"]] == [frame.name for frame in FRAMES]
 
 
-@pytest.mark.parametrize(("evidence", "share"), [(0.27, 0.3), (None, 1.0)])
-def test_the_verdict_on_own_normals_says_what_the_surface_weighs(tilted, tmp_path, monkeypatch, evidence, share):
+@pytest.mark.parametrize(
+    ("apart", "shares", "told"),
+    [
+        ([23.0, None, 40.0], [0.2, 1.0, 0.0], "; 40% of the comparisons of neighbours are made"),
+        ([14.0, 15.0, 2.0], [1.0, 1.0, 1.0], ""),
+    ],
+)
+def test_the_verdict_on_own_normals_says_how_often_photos_are_compared(
+    tilted, tmp_path, monkeypatch, apart, shares, told
+):
     lines = []
-    monkeypatch.setattr(prior, "gate", partial(leave_verdict, evidence))
+    monkeypatch.setattr(prior, "gate", partial(leave_verdict, apart))
     own = RunPrior(tmp_path, None, None, FRAMES, gated=True, tell=lines.append)
     own(tilted, FRAMES)
-    assert own.surface_share == share
-    told = "; the terms of the surface have 30% of their weights" if share < 1 else ""
-    assert lines == [f"they agree by {evidence}{told}"]
+    assert_close(own.shares_compared(FRAMES), np.array(shares))
+    assert lines == [f"they agree{told}"]
 
 
-def test_maps_of_a_network_and_maps_that_nobody_judges_leave_the_surface_its_weights(
+def test_with_maps_of_a_network_and_with_maps_that_nobody_judges_photos_are_compared_in_all_steps(
     tilted, foreign, tmp_path, monkeypatch
 ):
     lines = []
-    monkeypatch.setattr(prior, "gate", partial(leave_verdict, 0.3))
+    monkeypatch.setattr(prior, "gate", partial(leave_verdict, [60.0] * 3))
     of_network = RunPrior(tmp_path / "run", foreign(NORMAL, (1, 1, 1)), "+x+y+z", FRAMES, gated=True, tell=lines.append)
     of_network(tilted, FRAMES)
-    assert of_network.surface_share == 1
-    assert lines == ["they agree by 0.3"]
-    assert RunPrior(tmp_path / "other", None, None, FRAMES).surface_share == 1
+    assert_close(of_network.shares_compared(FRAMES), np.ones(3))
+    assert lines == ["they agree"]
+    assert_close(RunPrior(tmp_path / "other", None, None, FRAMES).shares_compared(FRAMES), np.ones(3))
 
 
 @pytest.mark.parametrize(
-    ("text", "fault"),
-    [("{}", "lacks 'evidence'"), ('{"evidence": "much"}', "evidence is 'much'"), (None, "No such file")],
+    ("photos", "fault"),
+    [
+        ({"b.jpg": {}, "c.jpg": {}}, "lacks 'photos.left/a.jpg'"),
+        ({"left/a.jpg": {}, "b.jpg": {"apart": "much"}, "c.jpg": {}}, r"apart is 'much'"),
+        (None, "No such file"),
+    ],
 )
-def test_a_verdict_that_is_damaged_or_gone_is_named(tmp_path, text, fault):
+def test_a_verdict_that_is_damaged_or_gone_is_named(tmp_path, photos, fault):
     (tmp_path / "normals").mkdir()
-    if text is not None:
-        (tmp_path / "normals/gate.json").write_text(text)
+    if photos is not None:
+        (tmp_path / "normals/gate.json").write_text(json.dumps({"photos": photos}))
     with pytest.raises(InputError, match=rf"gate\.json: .*{fault}"):
-        _ = RunPrior(tmp_path, None, None, FRAMES, gated=True).surface_share
+        RunPrior(tmp_path, None, None, FRAMES, gated=True).shares_compared(FRAMES)
 
 
-def leave_verdict(evidence, folder, gaussians, frames, maps, depth_mode, *, keep, tell):
+def leave_verdict(apart, folder, gaussians, frames, maps, depth_mode, *, keep, tell):
     """In place of the gate: writes its verdict, and tells it."""
-    (folder / "gate.json").write_text(json.dumps({"evidence": evidence}))
-    tell(f"they agree by {evidence}")
+    photos = {frame.name: {"apart": degrees} for frame, degrees in zip(frames, apart, strict=True)}
+    (folder / "gate.json").write_text(json.dumps({"photos": photos}))
+    tell("they agree")
     return maps
 
 

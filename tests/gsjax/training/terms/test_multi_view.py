@@ -19,6 +19,7 @@ from gsjax.settings import Phase, Rates, Settings, Weights
 from gsjax.targets import Batch
 from gsjax.training import loop, stepping
 from gsjax.training.optimizers import make_optimizer
+from gsjax.training.plan import plan
 from gsjax.training.state import initial_state
 from gsjax.training.terms import multi_view
 
@@ -273,8 +274,17 @@ def test_every_step_has_a_neighbour_of_its_view_beside_it():
     assert beside == [set(row.tolist()) for row in rows]
 
 
-def test_views_bring_neighbours_in_the_phases_of_the_term_alone(monkeypatch):
-    phases = (Phase("plain", 1), Phase("surface", 1, Weights(multi_view=0.1)))
+def test_views_have_a_neighbour_beside_them_in_their_share_of_the_steps():
+    data = targets.read_targets(PHOTOS)
+    whole = multi_view.with_neighbors(data, 8.0).neighbors
+    found = multi_view.with_neighbors(data, 8.0, np.array([1.0, 0.4, 0.0])).neighbors
+    assert [np.sum(row != view) / multi_view.NEAREST for view, row in enumerate(found)] == [1, 3 / 8, 0]
+    others = found != np.arange(3)[:, None]
+    np.testing.assert_array_equal(found[others], whole[others])
+
+
+def neighbors_of_phases(monkeypatch, phases, prior, *, shares=lambda: None, begun=0):
+    """Phase -> the neighbours that its views have."""
     neighbors = {}
 
     def noted(work, phase, data, state, done, capacity):
@@ -283,8 +293,31 @@ def test_views_bring_neighbours_in_the_phases_of_the_term_alone(monkeypatch):
 
     monkeypatch.setattr(loop, "_run_phase", noted)
     optimizer = make_optimizer(Rates(), 1.0, 2)
-    loop.fit(
-        Settings(phases=phases), PHOTOS, 4.0, initial_state(cloud(9), optimizer), optimizer,
-        prior=lambda gaussians: pytest.fail("the term asks for no normals"), observe=lambda progress: None,
-    )  # fmt: skip
+    state = replace(initial_state(cloud(9), optimizer), step=np.int32(begun))
+    planned = plan(Settings(phases=phases))
+    loop.follow(loop.Work(planned, PHOTOS, 4.0, optimizer, prior, lambda progress: None, shares=shares), state)
+    return neighbors
+
+
+def test_views_bring_neighbours_in_the_phases_of_the_term_alone(monkeypatch):
+    phases = (Phase("plain", 1), Phase("surface", 1, Weights(multi_view=0.1)))
+    neighbors = neighbors_of_phases(monkeypatch, phases, lambda state: pytest.fail("the term asks for no normals"))
     assert neighbors["plain"] is None and neighbors["surface"].shape == (len(PHOTOS), multi_view.NEAREST)
+
+
+@pytest.mark.parametrize("begun", [0, 1])
+def test_a_phase_asks_in_what_share_of_its_steps_photos_are_compared_once_there_are_normals(monkeypatch, begun):
+    asked = []
+
+    def prior(state):
+        asked.append("normals")
+        return [np.tile(np.int8([0, 0, -127]), (HEIGHT, WIDTH, 1))] * len(PHOTOS)
+
+    def shares():
+        asked.append("shares")
+        return np.zeros(len(PHOTOS))
+
+    phases = (Phase("plain", 1), Phase("surface", 1, Weights(multi_view=0.1, pixel_normal=0.1)))
+    neighbors = neighbors_of_phases(monkeypatch, phases, prior, shares=shares, begun=begun)
+    assert asked == ["normals", "shares"]
+    np.testing.assert_array_equal(neighbors["surface"], np.repeat(np.arange(len(PHOTOS))[:, None], 8, axis=1))
