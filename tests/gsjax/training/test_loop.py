@@ -374,13 +374,13 @@ def test_error_driven_densification_fills_the_budget_and_resumes_to_the_same_bit
 def test_the_next_run_of_the_same_settings_finds_its_programs():
     """Other numbers anywhere are another program; effects hold numbers of their run."""
     how = {"capacity": 128, "background": BACKGROUNDS["white"], "sh_every": 4, "rule": RULES["error"], "extent": EXTENT}
-    plain, alike = weigh_terms(PLAIN), weigh_terms(Weights(dssim=0.0))
-    step = loop.kept_step(OPTIMIZER, plain, effects=NO_EFFECTS, **how)
+    optimizer, plain, alike = make_optimizer(Rates(), EXTENT, 11), weigh_terms(PLAIN), weigh_terms(Weights(dssim=0.0))
+    step = loop.kept_step(optimizer, plain, effects=NO_EFFECTS, **how)
     assert loop.kept_step(make_optimizer(Rates(), EXTENT, 11), alike, effects={}, **how) is step
     for other in ({"capacity": 256}, {"extent": 2.0}, {"rule": None}, {"sh_every": 5}, {"dropout": 0.1}):
-        assert loop.kept_step(OPTIMIZER, plain, effects=NO_EFFECTS, **{**how, **other}) is not step
+        assert loop.kept_step(optimizer, plain, effects=NO_EFFECTS, **{**how, **other}) is not step
     assert loop.kept_step(make_optimizer(Rates(means=1.0), EXTENT, 11), plain, effects=NO_EFFECTS, **how) is not step
-    assert loop.kept_step(OPTIMIZER, plain, effects={"none": Effect((), optax.constant_schedule(0))}, **how) is not step
+    assert loop.kept_step(optimizer, plain, effects={"none": Effect((), optax.constant_schedule(0))}, **how) is not step
 
 
 def test_a_term_that_was_edited_is_another_program():
