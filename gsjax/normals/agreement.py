@@ -189,7 +189,7 @@ def _judge_view(index: int, views: Sequence[View], points: Sequence[np.ndarray],
     error[carried] = _error(own, others, shown, apart)
     confidence = _filled(np.clip((DOUBTFUL - error) / (DOUBTFUL - SURE), 0, 1)) * known
     kept = float(confidence[known].mean()) if known.any() else 0.0
-    return Judged(confidence.astype(np.float32), kept, *_evidence(apart, chance, shown))
+    return Judged(confidence.astype(np.float32), kept, *_agreement(apart, chance, shown))
 
 
 def _error(own: np.ndarray, others: np.ndarray, shown: np.ndarray, apart: np.ndarray) -> np.ndarray:
@@ -225,12 +225,10 @@ def _geometric_median(directions: np.ndarray, counted: np.ndarray) -> np.ndarray
     return middle
 
 
-def _evidence(
+def _agreement(
     apart: np.ndarray, chance: np.ndarray, shown: np.ndarray
 ) -> tuple[float | None, float | None, float | None]:
-    """How much nearer normals are to each other than those of maps that only face their cameras, and the noise of it.
-
-    Thirdly the median degrees between them.
+    """`evidence`, `noise` and `apart` of `Judged`: how near normals are, beside maps that only face their cameras.
 
     Args:
         apart: `[M, P]` degrees between the normals of two views.

@@ -97,7 +97,7 @@ class Work:
     skies: sky.Masks = field(default_factory=dict)  # where photos show sky, if the plan knows of one; for one device
     keep: Keep = in_memory  # where the smaller photos and the maps of a phase lie
     looks: Callable[[int], bool] | None = None  # at whose state `observe` looks, see `advance`; for one device
-    shares: Callable[[], np.ndarray | None] = lambda: None  # of `with_neighbors`; asked after `prior`
+    shares: Callable[[], np.ndarray | float] = lambda: 1.0  # of `with_neighbors`; asked after `prior`
 
 
 def fit(
@@ -186,7 +186,7 @@ def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Targets:
         skies = [work.skies.get(frame.name) for frame in work.frames]
         data = targets.with_skies(data, skies, phase.scale, work.keep)
     if "neighbor" in phase.needs:
-        data = with_neighbors(data, work.extent, work.shares() if "normals" in phase.needs else None)
+        data = with_neighbors(data, work.extent, work.shares() if "normals" in phase.needs else 1.0)
     return data
 
 

@@ -128,20 +128,20 @@ def drawn_beside(neighbors: np.ndarray, seed: int, step: int) -> int:
     return int(np.random.default_rng((seed, step, 1)).choice(neighbors))
 
 
-def with_neighbors(views: Targets, extent: float, shares: np.ndarray | None = None) -> Targets:
+def with_neighbors(views: Targets, extent: float, shares: np.ndarray | float = 1.0) -> Targets:
     """The same views, each with its `NEAREST` neighbours; where there are fewer, they repeat.
 
     Args:
         views: The photos.
         extent: Camera extent, scene units.
-        shares: `[V]` from 0 to 1, of the steps that a view has a neighbour beside it in; in the others it is its own,
-            which asks for nothing. The nearest ones stay. None: in all.
+        shares: `[V]`, or one for all, from 0 to 1, of the steps that a view has a neighbour beside it in; in the
+            others it is its own, which asks for nothing. The nearest ones stay.
     """
     neighbors = nearest_views(np.stack([target.viewmat for target in views.targets]), extent)
-    if shares is not None:
-        alone = np.arange(NEAREST) >= np.rint(NEAREST * shares)[:, None]
-        neighbors = np.where(alone, np.arange(len(neighbors))[:, None], neighbors)
-    return replace(views, neighbors=neighbors)
+    own = np.arange(len(neighbors))
+    beside = np.rint(NEAREST * np.broadcast_to(shares, own.shape))
+    alone = np.arange(NEAREST) >= beside[:, None]
+    return replace(views, neighbors=np.where(alone, own[:, None], neighbors))
 
 
 def nearest_views(viewmats: np.ndarray, extent: float) -> np.ndarray:

@@ -172,6 +172,14 @@ def test_two_photos_of_a_wall_are_alike_at_its_depth_and_pull_towards_it():
         assert not np.any(to_there)
 
 
+@pytest.mark.parametrize("depth", [0.5 * AT, 1.03 * AT])
+def test_a_photo_beside_itself_asks_for_nothing_at_any_depth(depth):
+    value, gradients = alike(depth, neighbor=CAMERA, others=PHOTO)
+    assert_close(value, 0, atol=1e-6, why="variances of float32")
+    for gradient in gradients:
+        assert_close(gradient, np.zeros_like(gradient), atol=1e-8, why="places of float32")
+
+
 def test_gain_and_offset_of_a_photo_do_not_matter():
     expected = alike(1.03 * AT)
     assert_close(
@@ -283,7 +291,7 @@ def test_views_have_a_neighbour_beside_them_in_their_share_of_the_steps():
     np.testing.assert_array_equal(found[others], whole[others])
 
 
-def neighbors_of_phases(monkeypatch, phases, prior, *, shares=lambda: None, begun=0):
+def neighbors_of_phases(monkeypatch, phases, prior, *, shares=lambda: 1.0, begun=0):
     """Phase -> the neighbours that its views have."""
     neighbors = {}
 
