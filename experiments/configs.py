@@ -7,7 +7,7 @@ the nearest known one.
 from typing import Any
 
 from gsjax.config import parse, to_dict
-from gsjax.settings import DEMO, FAST, NONE, PRESETS, Rates, Settings
+from gsjax.settings import BALANCED, DEMO, NONE, PRESETS, Rates, Settings
 
 # No effects: runs are compared by the score of the render as it is. Nothing is held back for what photos are like.
 _BASE: dict[str, Any] = {**PRESETS["fast"], "effects": NONE, "sparse_views": False}
@@ -68,7 +68,7 @@ CONFIGS: dict[str, dict[str, Any]] = {
         "phases": [
             {"name": "coarse", "steps": 300, "image_scale": 2, "density_control": True},
             {"name": "vanilla", "steps": 900, "density_control": True},
-            {"name": "surface", "steps": 600, "weights": FAST["phases"][-1]["weights"]},
+            {"name": "surface", "steps": 600, "weights": BALANCED["phases"][-1]["weights"]},
         ],
         "density": {"stop": 700},
     },

@@ -82,10 +82,11 @@ class Phase:
     density_control: bool = False  # clone, split, prune, reset
     cull_below: float = 0.0  # at the end, Gaussians of lower opacity are removed
     surface_every: int = 1  # one of so many steps has the terms of the surface, the others are cheaper without
+    surface_scale: int = 1  # photos of the steps with those terms are this many times smaller still
 
     def __post_init__(self):
         """Check ranges."""
-        check_lowest(self, steps=0, image_scale=1, surface_every=1)
+        check_lowest(self, steps=0, image_scale=1, surface_every=1, surface_scale=1)
         if not 0 <= self.cull_below <= 1:
             raise ValueError(f"cull_below={self.cull_below} is not between 0 and 1")
         object.__setattr__(self, "weights", Weights(**self.weights))
@@ -256,10 +257,16 @@ def _phase(name: str, steps: int, **more: Any) -> dict:
     return {"name": name, "steps": steps, **more}
 
 
+RATES: dict[str, float] = {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "quats": 0.003, "final_share": 0.2}
+"""Of the presets for photos: larger than 3DGS's, whose runs are longer (experiments/results/rates.md)."""
+
 # On short schedules the SDF gradient at every pixel's own surface point helps the one at the means, and an entropy
 # phase costs more than it brings. What photos say of each other makes flat what normals of one's own leave rough
 # (docs/deviations.md, experiments/studies/supervision.py).
 _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}
+# The gradient at the means brings nothing more there, and costs most. Half of the pixels from home is as far
+# (experiments/results/price_on_photos.md).
+_HALF_SIZE_TERMS = {"pixel_normal": 0.1, "multi_view": 0.06, "photometric": 0.3}
 FAST: dict[str, Any] = {
     "depth_mode": "front",  # thin things are not as deep as their far sides' light has them (docs/deviations.md)
     "effects": AUTO,
@@ -272,10 +279,10 @@ FAST: dict[str, Any] = {
     "sh_every": 300,
     "phases": [
         _phase("coarse", 900, image_scale=2, density_control=True),
-        _phase("vanilla", 700, density_control=True),
-        _phase("surface", 500, weights=_SURFACE_TERMS, surface_every=2),
+        _phase("vanilla", 200, density_control=True),
+        _phase("surface", 1000, weights=_HALF_SIZE_TERMS, surface_every=4, surface_scale=2),
     ],
-    "rates": {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "quats": 0.003, "final_share": 0.2},
+    "rates": {**RATES, "means": 1.28e-3},
     "density": {"rule": "error", "start": 50, "stop": 1000, "full_by": 0.6, "reset_every": 0},
     "logging": {"evaluate_every": 250, "checkpoint_every": 250},
 }
@@ -284,7 +291,7 @@ QUICK = {  # small photos and their image alone: a step takes less than half as 
     "max_gaussians": 36_000,
     "sh_every": 150,
     "phases": [_phase("coarse", 900, image_scale=2, density_control=True)],
-    "rates": {**FAST["rates"], "sh_rest": 1e-3},
+    "rates": {**RATES, "sh_rest": 1e-3},
     "density": {**FAST["density"], "start": 30, "stop": 630, "every": 50},
 }
 BALANCED = {
@@ -296,7 +303,7 @@ BALANCED = {
     "max_gaussians": 120_000,
     "far_points": 1_800,
     "sh_every": 700,
-    "rates": FAST["rates"],
+    "rates": RATES,
     "phases": [
         _phase("coarse", 1000, image_scale=2, density_control=True),
         _phase("vanilla", 5000, density_control=True),
@@ -343,7 +350,7 @@ DEMO: dict[str, Any] = {
         _phase("vanilla", 100, density_control=True),
         _phase("surface", 900, weights={"pixel_normal": 0.6, "thickness": 0.02}, surface_every=4, density_control=True),
     ],
-    "rates": FAST["rates"],
+    "rates": RATES,
     "density": {
         "rule": "error",
         "start": 50,

@@ -107,12 +107,14 @@ def read_targets(frames: Sequence[Frame], *, scale: int = 1, keep: Keep = in_mem
     return Targets(tuple(_alike(_alike(targets, "matte"), "valid")))
 
 
-def with_normals(views: Targets, maps: Iterable[np.ndarray], keep: Keep = in_memory) -> Targets:
-    """The same views with int8 normal maps `[H, W, 3]` (see `Target`), each of its photo's size."""
-    width, height = views.size
-    pairs = zip(views.targets, maps, strict=True)
-    targets = (replace(target, normals=keep(_padded(normals, width, height))) for target, normals in pairs)
-    return replace(views, targets=tuple(targets))
+def with_normals(views: Targets, maps: Iterable[np.ndarray], scale: int = 1, keep: Keep = in_memory) -> Targets:
+    """The same views with int8 normal maps `[H, W, 3]` (see `Target`) of the full photos; `scale` as in `read_targets`.
+
+    A smaller pixel has the mean of its normals: the less they agree, the shorter it is and the less it counts.
+    """
+    reduced = (keep(_padded(normals if scale == 1 else _block_mean(normals, scale), *views.size)) for normals in maps)
+    pairs = zip(views.targets, reduced, strict=True)
+    return replace(views, targets=tuple(replace(target, normals=normals) for target, normals in pairs))
 
 
 def with_depths(views: Targets, depths: Iterable[tuple[np.ndarray, np.ndarray]], keep: Keep = in_memory) -> Targets:
@@ -244,7 +246,7 @@ def _block_mean(array: np.ndarray, scale: int, weights: np.ndarray | None = None
         blocks = pixels[: height * scale, : width * scale].reshape(height, scale, width, scale, *pixels.shape[2:])
         return blocks.sum(axis=(1, 3), dtype=kind)
 
-    mean = sums(array, np.uint32) / scale**2
+    mean = sums(array, np.int64) / scale**2
     if weights is not None:
         total = sums(weights, np.float64)
         weighted = sums(array * weights, np.float64) / np.where(total > 0, total, 1)

@@ -39,9 +39,10 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
     facing = [np.tile(np.array([0, 0, -127], np.int8), (frame.height, frame.width, 1)) for frame in frames]
     taken = {}
     for phase in plan(settings).phases:
-        data = with_neighbors(targets.read_targets(frames, scale=phase.scale), extent)
+        scale = phase.scale * phase.surface_scale
+        data = with_neighbors(targets.read_targets(frames, scale=scale), extent)
         if "normals" in phase.needs:
-            data = targets.with_normals(data, facing)
+            data = targets.with_normals(data, facing, scale)
         rule = RULES[settings.density.rule]
         start = replace(jax.tree.map(jax.numpy.asarray, gaussians), pixel_filter=settings.pixel_filter)
         state = initial_state(start, optimizer, rule)

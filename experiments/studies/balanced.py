@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from gsjax.config import merge, parse, to_dict
-from gsjax.settings import FAST, NONE, PRESETS, Rates, Settings
+from gsjax.settings import NONE, PRESETS, RATES, Rates, Settings
 
 ON = "base"
 LENGTHS = {"a quarter": 0.25, "whole": 1.0}
@@ -23,8 +23,8 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
 
     del config, on
     plain = {"rates": to_dict(Rates()), "density": DENSITY}
-    rates = {"rates": FAST["rates"], "density": DENSITY}
-    ramp = {"rates": FAST["rates"], "density": {**DENSITY, "start": 50, "stop": 3600, "full_by": 0.6}}
+    rates = {"rates": RATES, "density": DENSITY}
+    ramp = {"rates": RATES, "density": {**DENSITY, "start": 50, "stop": 3600, "full_by": 0.6}}
     every_second = {**ramp, "phases": {"surface": {"surface_every": 2}}}
     ways = {"3DGS's rates": plain, "those of fast": rates, "its ramp": ramp, "R every second step": every_second}
 

@@ -11,7 +11,7 @@ at the means and at the pixels, in every step, and `thickness`. SuGaR and the pa
 before, which short runs do not bear; no variant has them.
 
 Each surface phase has as many steps as take the time of the mix, by what a step costs (`STEP_COSTS`): what else a
-machine does decides nothing. Depth is read in front by all.
+machine does decides nothing. Rates fall over all steps of a variant, whatever others have. Depth is read in front by all.
 """
 
 from collections.abc import Mapping
@@ -69,14 +69,14 @@ def at_equal_time(
     """
     *first, last = phases
     time = mix * last["steps"]
-    shared = {"rates": {"decay_steps": sum(phase["steps"] for phase in phases)}, "depth_mode": depth_mode}
+    shared = {"depth_mode": depth_mode}
 
     def ending(method: Method) -> list[dict[str, Any]]:
         begin, end = method.within
         steps = round(time * (end - begin) / (1 + (method.cost - 1) / method.every))
         parts = (
             {**last, "name": "before", "steps": round(time * begin), "weights": {}},
-            {**last, "steps": steps, "weights": method.weights, "surface_every": method.every},
+            {**last, "steps": steps, "weights": method.weights, "surface_every": method.every, "surface_scale": 1},
             {**last, "name": "after", "steps": round(time * (1 - end)), "weights": {}},
         )
         return [part for part in parts if part["steps"]]

@@ -2,49 +2,40 @@
 
     python experiments/compare.py price_on_photos --scene PHOTOS --out DIR
 
-Photos of 400 pixels and 30,000 Gaussians, so that a run is minutes on a CPU. Exposures are undone in every variant, and
-pictures compared in the light of the photos taken near (`psnr_near_gains`): where they are not, plain training gains
-most. `view_by_view.py` tells whether a difference hangs on one view. After the coarse phase every variant has the time
-of `fast`'s plain phase and of its surface phase, by what a step costs (`COST`): plain steps; the surface phase as it
-is; the same with all normals and comparisons, whatever photos agree about; and the phase in place of the plain one as
-well, while Gaussians multiply. The maps are those of the run's own depth, and made beside that time.
+Photos of 400 pixels and 30,000 Gaussians, so that a run is minutes on a CPU, with the effects that the photos show.
+Every variant has as many steps as take the time of `fast`, by what a step with the terms of the surface costs (`COSTS`),
+and its rates fall over its own steps: plain training; `fast` as it is; the same with all normals and comparisons,
+whatever photos agree about; with R at the means as well, the paper's; and with those terms on photos of full size. The
+maps are those of the run's own depth, and made beside that time. Where exposures are undone, pictures are compared in
+the light of the photos taken near (`psnr_near_gains`); `view_by_view.py` tells whether a difference hangs on one view.
 """
 
 from collections.abc import Mapping
 from typing import Any
 
 ON = "base"
-COST = 4.04
+COSTS = {"surface": 1.30, "sdf": 2.03, "full size": 2.97}
 """Of a step with the terms of the surface, in plain ones (`benchmarks/step_cost.py price_on_photos RUN`, AMD EPYC)."""
 
 
 def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
-    """Plain steps, the config's surface phase, the same without the gate, and early ones."""
+    """Plain training, the config's own, the same without the gate, with the paper's R, and on whole photos."""
     del on
-    coarse, plain, surface = config["phases"]
+    *before, surface = config["phases"]
+    small = {"longest_side": 400, "max_gaussians": 30_000, "normals": None, "effects": "auto"}
 
-    def longer(every: int) -> float:
-        return 1 + (COST - 1) / every
+    def time(steps: float, cost: float) -> float:
+        return steps * (1 + (cost - 1) / surface["surface_every"])
 
-    time = surface["steps"] * longer(surface["surface_every"])
-    untold = {**surface, "steps": round(time), "weights": {}, "surface_every": 1}
+    def taught(cost: float, **differences: Any) -> dict[str, Any]:
+        steps = round(time(surface["steps"], COSTS["surface"]) / time(1, cost))
+        return small | {"phases": [*before, surface | {"steps": steps} | differences]}
 
-    def early(every: int) -> list[dict[str, Any]]:
-        steps = round((time + plain["steps"]) / longer(every))
-        return [coarse, {**surface, "steps": steps, "surface_every": every, "density_control": True}]
-
-    small = {
-        "rates": {"decay_steps": sum(phase["steps"] for phase in config["phases"])},
-        "longest_side": 400,
-        "max_gaussians": 30_000,
-        "normals": None,
-        "effects": "exposure",
+    with_means = {"sdf_normal": 0.05, **surface["weights"]}
+    return {
+        "plain": small | {"phases": taught(1)["phases"], "vanilla": True},
+        "surface": taught(COSTS["surface"]),
+        "surface, not gated": taught(COSTS["surface"]) | {"normal_gate": False},
+        "and R at the means": taught(COSTS["sdf"], weights=with_means),
+        "full size": taught(COSTS["full size"], surface_scale=1),
     }
-    phases = {
-        "plain": {"phases": [coarse, plain, untold]},
-        "surface": {"phases": config["phases"]},
-        "surface, not gated": {"phases": config["phases"], "normal_gate": False},
-        "early, every 4th": {"phases": early(4)},
-        "early, every 8th": {"phases": early(8)},
-    }
-    return {name: {**each, **small} for name, each in phases.items()}

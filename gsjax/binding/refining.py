@@ -25,7 +25,7 @@ from gsjax.binding.mesh_terms import MeshGraph
 from gsjax.gaussians import PixelFilter
 from gsjax.numerics import masked_mean
 from gsjax.render import backdrop
-from gsjax.settings import FAST, Rates, check_lowest, check_seed
+from gsjax.settings import RATES, Rates, check_lowest, check_seed
 from gsjax.targets import Batch, Target, Targets
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
@@ -122,7 +122,7 @@ _FAST = {
     "faces": 30_000,
     "halved_share": 0.5,
     "settle_at": SETTLE_AT,
-    "rates": {**_FAST_RATES, "free": FAST["rates"]},
+    "rates": {**_FAST_RATES, "free": RATES},
 }
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": _FAST,

@@ -9,7 +9,7 @@ from gsjax.devices import computes_on_cpu
 from gsjax.io.machine import free_memory
 from gsjax.io.scratch import Scratch
 from gsjax.scene import Frame, Keep, in_memory
-from gsjax.training.plan import Plan
+from gsjax.training.plan import Plan, PlannedPhase
 
 PIXEL, MASKED, NORMALS, MEASURED = 3, 1, 3, 5  # bytes of a photo's pixel, of its mask, and of maps beside it
 # Bytes on a CPU beside photos and maps, measured by experiments/benchmarks/training_memory.py:
@@ -77,11 +77,14 @@ def photo_bytes(planned: Plan, frames: Sequence[Frame]) -> int:
     pixels = plain_bytes(frames)
     plain = sum(frame.width * frame.height for frame in frames)
 
-    def beside(scale: int, needs: frozenset[str]) -> float:
-        copies = pixels / scale**2 if scale > 1 else 0
-        return copies + plain * (NORMALS * ("normals" in needs) + MEASURED * ("measured" in needs) / scale**2)
+    def beside(phase: PlannedPhase) -> float:
+        scales = {phase.scale, phase.scale * phase.surface_scale}
+        copies = sum(pixels / scale**2 for scale in scales if scale > 1)
+        smaller = 1 / max(scales) ** 2  # of normals both the full maps and what steps read of them
+        normals = NORMALS * (1 + smaller * (max(scales) > 1)) * ("normals" in phase.needs)
+        return copies + plain * (normals + MEASURED * smaller * ("measured" in phase.needs))
 
-    return int(pixels + max(beside(phase.scale, phase.needs) for phase in planned.phases))
+    return int(pixels + max(map(beside, planned.phases)))
 
 
 def plain_bytes(frames: Sequence[Frame]) -> int:

@@ -7,7 +7,7 @@ from gsjax.training.plan import Plan, PlannedPhase
 # What makes a step longer, in units of one of the image alone (docs/deviations.md, "Terms of other mesh makers"):
 SURFACE_COST, NEIGHBOR_COST = 1.0, 1.5  # a term of the surface, a second view beside the first
 FIXED_COST = 0.35  # Of a step at full size, what does not shrink with the photos: the Gaussians' own part.
-UNTIMED, TIMED = 3, 15  # Steps of a phase: the first ones compile, the next ones are timed.
+UNTIMED, TIMED = 4, 16  # Steps of a phase: the first ones compile (the dear ones of `fast` too), the next are timed.
 
 
 class Pace:
@@ -31,9 +31,12 @@ class Pace:
 
 def relative_cost(phase: PlannedPhase) -> float:
     """A step of a phase, on average, in units of a step of the image alone at full size."""
-    is_dear = any(each.is_dear for each in phase.terms)
-    dearer = SURFACE_COST * is_dear + NEIGHBOR_COST * ("neighbor" in phase.needs)
-    return image_cost(phase.scale) * (1 + dearer / phase.surface_every)
+    plain = image_cost(phase.scale)
+    if not any(each.is_dear for each in phase.terms):
+        return plain
+    dearer = SURFACE_COST + NEIGHBOR_COST * ("neighbor" in phase.needs)
+    dear = image_cost(phase.scale * phase.surface_scale) * (1 + dearer)
+    return plain + (dear - plain) / phase.surface_every
 
 
 def image_cost(scale: int) -> float:

@@ -27,7 +27,7 @@ from gsjax.training.loop import Progress
 from gsjax.training.plan import Plan, plan
 from gsjax.training.state import initial_state
 
-WARM, TIMED = 2, 8  # steps of a phase: the first ones compile, the next ones are timed
+WARM, TIMED = 4, 8  # steps of a phase: the first ones compile (the dear ones of `fast` too), the next are timed
 PHOTOS = 8  # tried on
 GROWN = 10  # times the point cloud: Gaussians at the end where the rule of growth names no number
 HALF_GROWN = 0.5  # of these, over a phase in which they multiply

@@ -157,9 +157,9 @@ def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainS
             continue
         if phase.tables and done == phase.begin:
             state = with_tables(state, work.plan)
-        data = _views(work, phase, state)
-        capacity = capacity or _room_for(work, phase, data, state, before)
-        state, before = _run_phase(work, phase, data, state, done, capacity)
+        views = _views(work, phase, state)
+        capacity = capacity or _room_for(work, phase, views.image, state, before)
+        state, before = _run_phase(work, phase, views, state, done, capacity)
         done, capacity = phase.end, None
     return state
 
@@ -172,21 +172,36 @@ def with_tables(state: TrainState, plan: Plan) -> TrainState:
     return replace(state, tables=tables)
 
 
-def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Targets:
+class Views(NamedTuple):
+    """What the steps of a phase compare with."""
+
+    image: Targets  # those without the dear terms
+    surface: Targets  # those with them
+
+
+def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
     """What the phase compares with."""
-    data = targets.read_targets(work.frames, scale=phase.scale, keep=work.keep)
-    if work.effects:
-        data = targets.with_photo_numbers(data)
+    image = surface = _photos(work, phase, phase.scale)
+    scale = phase.scale * phase.surface_scale
+    if phase.surface_scale > 1:
+        surface = _photos(work, phase, scale)
     if "normals" in phase.needs:
-        data = targets.with_normals(data, work.prior(state), work.keep)
+        surface = targets.with_normals(surface, work.prior(state), scale, work.keep)
     if "measured" in phase.needs:
         assert work.depths is not None, "the plan has such a term only where there is measured depth"
-        data = targets.with_depths(data, work.depths(phase.scale), work.keep)
+        surface = targets.with_depths(surface, work.depths(scale), work.keep)
+    if "neighbor" in phase.needs:
+        surface = with_neighbors(surface, work.extent, work.shares() if "normals" in phase.needs else 1.0)
+    return Views(image, surface)
+
+
+def _photos(work: Work, phase: PlannedPhase, scale: int) -> Targets:
+    data = targets.read_targets(work.frames, scale=scale, keep=work.keep)
+    if work.effects:
+        data = targets.with_photo_numbers(data)
     if "sky" in phase.needs:
         skies = [work.skies.get(frame.name) for frame in work.frames]
-        data = targets.with_skies(data, skies, phase.scale, work.keep)
-    if "neighbor" in phase.needs:
-        data = with_neighbors(data, work.extent, work.shares() if "normals" in phase.needs else 1.0)
+        data = targets.with_skies(data, skies, scale, work.keep)
     return data
 
 
@@ -197,7 +212,7 @@ def _room_for(work: Work, phase: PlannedPhase, data: Targets, state: TrainState,
 
 
 def _run_phase(
-    work: Work, phase: PlannedPhase, data: Targets, state: TrainState, done: int, capacity: int
+    work: Work, phase: PlannedPhase, views: Views, state: TrainState, done: int, capacity: int
 ) -> tuple[TrainState, int]:
     plan, placement = work.plan, work.placement
     key = jax.random.key(plan.seed)
@@ -217,8 +232,10 @@ def _run_phase(
             dropout=phase.dropout,
         )
         if phase.surface_every == 1:
-            return make(_shown(phase.terms, data))
-        return _every(phase.surface_every, make(_shown(phase.terms, data)), make(_shown(phase.image_terms, data)))
+            return make(_shown(phase.terms, views.image))
+        return _every(
+            phase.surface_every, make(_shown(phase.terms, views.image)), make(_shown(phase.image_terms, views.image))
+        )
 
     def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
         is_last = step == phase.end
@@ -249,13 +266,13 @@ def _run_phase(
         compiled,
         after,
         state,
-        data,
+        views.image,
         (done, phase.end),
         seed=plan.seed,
         capacity=capacity,
         room=room,
         view_share=plan.view_share,
-        feed=placement.feed,
+        feed=_alternating(placement.feed, phase.surface_every, views.surface),
         looks=looks if work.looks else None,
     )
 
@@ -263,6 +280,16 @@ def _run_phase(
 def _shown(terms: tuple[Weighed, ...], data: Targets) -> tuple[Weighed, ...]:
     """The terms that these photos can serve: without an alpha channel there is nothing to compare alphas with."""
     return terms if data.has_mattes else tuple(each for each in terms if each.name != "alpha")
+
+
+def _alternating(feed: Feed, count: int, surface: Targets) -> Feed:
+    """The last of every `count` steps sees `surface`, as in `_every`; the others what the feed is asked for."""
+
+    def both(data: Targets, seed: int, view_share: float) -> Callable[[int], Target]:
+        between, due = (feed(views, seed, view_share) for views in (data, surface))
+        return lambda step: (due if (step + 1) % count == 0 else between)(step)
+
+    return both
 
 
 def _every(count: int, due: TrainStep, between: TrainStep) -> TrainStep:

@@ -31,6 +31,7 @@ class PlannedPhase:
     rule: Rule | None = None  # of density control; None: nobody multiplies
     cull_below: float = 0.0  # at the end, Gaussians of lower opacity are removed
     surface_every: int = 1  # one of so many steps has the dear terms
+    surface_scale: int = 1  # photos of those steps are so many times smaller still
     dropout: float = 0.0  # share of the Gaussians that each step leaves out
 
     @property
@@ -125,6 +126,7 @@ class Plan:
                 end=phase.end,
                 scale=phase.scale,
                 surface_every=phase.surface_every,
+                surface_scale=phase.surface_scale,
                 density_control=phase.rule is not None,
                 cull_below=phase.cull_below,
                 **({"dropout": phase.dropout} if phase.dropout else {}),
@@ -235,15 +237,20 @@ def plan(
         if "sky" in needs(wanted):
             named = next(each.name for each in wanted if "sky" in needs([each]))
             raise InputError(f"phases.{phase.name}.weights.{named}: sky_weight weighs it, where photos show sky")
-        if phase.image_scale > 1 and "normals" in needs(wanted):
-            raise InputError(
-                f"phase {phase.name}: image_scale={phase.image_scale} with a term that needs normals: normal maps serve"
-                " full-size photos only"
-            )
         end = begin + _fewer(phase.steps, settings.views_per_step)
         rule = RULES[settings.density.rule] if phase.density_control else None
-        cull, every = (0.0, 1) if settings.vanilla else (phase.cull_below, phase.surface_every)
-        planned = PlannedPhase(phase.name, begin, end, phase.image_scale, wanted, rule, cull, every, settings.dropout)
+        planned = PlannedPhase(
+            phase.name,
+            begin,
+            end,
+            phase.image_scale,
+            wanted,
+            rule,
+            0.0 if settings.vanilla else phase.cull_below,
+            1 if settings.vanilla else phase.surface_every,
+            1 if settings.vanilla else phase.surface_scale,
+            settings.dropout,
+        )
         phases.append(planned)
         begin = end
     views = settings.views_per_step

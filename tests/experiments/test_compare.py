@@ -74,7 +74,7 @@ def test_whenever_r_acts_the_phase_takes_the_time_of_plain_training(compare):
 
 
 @pytest.mark.parametrize(
-    ("on", "mix", "time"), [("built_in", 2.40, 850), ("bunny_plane", 2.55, 800), ("fox", 2.40, 500)]
+    ("on", "mix", "time"), [("built_in", 2.40, 850), ("bunny_plane", 2.55, 800), ("fox", 2.40, 1000)]
 )
 def test_every_baseline_takes_the_time_of_the_mix(compare, on, mix, time):
     """By the costs that are measured on a config, or else on the built-in scene."""
@@ -88,13 +88,30 @@ def test_every_baseline_takes_the_time_of_the_mix(compare, on, mix, time):
 
 
 def test_the_price_of_r_is_told_at_equal_time(compare):
-    """In plain steps: on photos after the coarse phase, where a step with R costs 4.04."""
-    for name, change in compare.load_study("price_on_photos").variants.items():
+    """In plain steps: on photos after the coarse phase, where a step with the terms costs 1.30 at half size."""
+    studied = compare.load_study("price_on_photos")
+    costs = {"plain": 1.0, "and R at the means": 2.03, "full size": 2.97}
+    for name, change in studied.variants.items():
         assert change["normals"] is None, "the run's own"
-        coarse, *others = change["phases"]
-        dear = [3.04 / phase.get("surface_every", 1) * bool(phase.get("weights")) for phase in others]
-        time = sum(phase["steps"] * (1 + more) for phase, more in zip(others, dear, strict=True))
-        assert (coarse["name"], time) == ("coarse", pytest.approx(700 + 500 * (1 + 3.04 / 2), abs=2)), name
+        (coarse, vanilla, surface), cost = change["phases"], costs.get(name, 1.30)
+        time = vanilla["steps"] + surface["steps"] * (1 + (cost - 1) / surface["surface_every"])
+        assert (coarse["name"], time) == ("coarse", pytest.approx(200 + 1000 * (1 + 0.3 / 4), abs=1)), name
+        assert change.get("vanilla", False) == (name == "plain")
+
+
+@pytest.mark.parametrize("study", ["price_on_photos", "price_of_r", "baselines", "when_r"])
+def test_where_time_is_equal_rates_fall_over_each_variants_own_steps(compare, study):
+    """Who shared another's decay would take its last steps at the lowest rates."""
+    from terms import TERMS
+
+    studied = compare.load_study(study)
+    for name, change in studied.variants.items():
+        settings = config.parse(Settings, config.merge(studied.config, change))
+        planned = plan(settings, TERMS)
+        assert planned.rates.decay_steps == planned.steps, name
+
+
+def test_the_price_of_r_with_true_normals_is_told_in_the_time_of_plain_training(compare):
     _, *phases = compare.load_study("price_of_r").variants["0.25, early, the time of plain"]["phases"]
     assert 500 + sum(phase["steps"] * (1 + 0.61 / 4) for phase in phases) == pytest.approx(1850, abs=2)
 

@@ -128,6 +128,17 @@ def test_normal_maps_are_padded_with_nothing_and_read_back_in_float32():
     assert targets.batch(data.targets[1], BLACK).normals is None
 
 
+def test_a_smaller_pixel_has_the_mean_of_its_normals_as_long_as_they_agree():
+    data = targets.read_targets((frame(6, 4), frame(4, 3)), scale=2)
+    maps = [np.zeros((4, 6, 3), np.int8), np.tile(np.int8([0, 0, -127]), (3, 4, 1))]
+    maps[0][:2, :2], maps[0][:2, 2:4] = (-90, 0, -90), [[(0, 0, -127), (0, -127, 0)]] * 2
+    one, other = (targets.batch(t, BLACK).normals for t in targets.with_normals(data, maps, 2).targets)
+    assert_close(one[0], np.array([[-90, 0, -90], [0, -64, -64], [0, 0, 0]]) / 127)
+    assert_close(one[1], np.zeros((3, 3)))
+    assert_close(other[:1, :2], np.tile([0, 0, -1.0], (1, 2, 1)))
+    assert_close(other[1:], np.zeros((1, 3, 3)))
+
+
 @pytest.mark.parametrize("room", [0, 1 << 20])
 def test_targets_reach_the_device_with_the_same_bits_in_any_order(room):
     data = targets.read_targets(

@@ -36,6 +36,8 @@ def test_photos_take_their_pixels_and_what_the_largest_phase_lays_beside_them():
     assert photo_bytes(PLAN, FRAMES) == PHOTOS + NORMALS
     coarse = plan(Settings(phases=(Phase("coarse", 10, image_scale=2), Phase("all", 10))))
     assert photo_bytes(coarse, FRAMES) == PHOTOS + PHOTOS // 4
+    halved = plan(Settings(phases=(Phase("surface", 10, Weights(sdf_normal=0.1), surface_scale=2),)))
+    assert photo_bytes(halved, FRAMES) == PHOTOS + NORMALS + (PHOTOS + NORMALS) // 4
 
 
 def test_with_room_for_all_nothing_changes(tmp_path, monkeypatch):

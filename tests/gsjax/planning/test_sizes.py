@@ -53,6 +53,9 @@ def test_what_is_left_scales_with_the_pixels_and_the_terms_of_each_phase():
     assert seconds_left(planned, 300, surface, 1.0) == pytest.approx(50)
     rarely = replace(planned, phases=(coarse, vanilla, replace(surface, surface_every=4)))
     assert seconds_left(rarely, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + 1.25 * 50))
+    smaller = replace(planned, phases=(coarse, vanilla, replace(surface, surface_every=4, surface_scale=2)))
+    of_dear = 2 * (pace.FIXED_COST + (1 - pace.FIXED_COST) / 4)
+    assert seconds_left(smaller, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + (0.75 + 0.25 * of_dear) * 50))
     quarter = pace.FIXED_COST + (1 - pace.FIXED_COST) / 4
     assert seconds_left(planned, 20, coarse, quarter) == pytest.approx(80 * quarter + 200 + 2 * 50)
 

@@ -118,9 +118,9 @@ def test_the_page_says_what_the_files_say(run):
     assert page.cells["Normals"][0] == "of the Gaussians' own depth, smoothed"
     assert page.cells["exposure"] == ["simulated", "0.31 EV", "0.02 EV", "0.05 EV", "a<b"]
     assert page.cells["blur"] == ["no", "-", "-", "0.05 EV", "a<b"]
-    terms = "l1 0.8, dssim 0.2, alpha 0.1, sdf_normal 0.05, pixel_normal 0.05, multi_view 0.03, photometric 0.15"
-    assert page.cells["surface"] == ["500", terms]
-    assert page.cells["phases.2.weights.sdf_normal"] == ["0.05"]
+    terms = "l1 0.8, dssim 0.2, alpha 0.1, pixel_normal 0.1, multi_view 0.06, photometric 0.3"
+    assert page.cells["surface"] == ["1,000", terms]
+    assert page.cells["phases.2.weights.pixel_normal"] == ["0.1"]
     manifest = json_files.read(run / "manifest.json")
     assert page.cells["jax"] == [manifest["versions"]["jax"]] and page.cells["cpu"] == [manifest["machine"]["cpu"]]
 

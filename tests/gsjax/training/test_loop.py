@@ -200,24 +200,24 @@ def test_a_run_continued_from_a_copy_in_a_starved_buffer_ends_with_the_same_bits
 
 
 @pytest.mark.parametrize("begun", [0, 3])
-def test_terms_of_the_surface_may_come_every_third_step_and_the_others_always(frames, monkeypatch, begun):
+def test_terms_of_the_surface_may_come_every_third_step_on_smaller_photos_and_the_others_always(frames, monkeypatch, begun):
     taken = []
 
     def make_train_step(optimizer, terms, **_):
         def step(state, target, key):
-            taken.append((int(state.step), {each.name for each in terms}))
+            taken.append((int(state.step), {each.name for each in terms}, target.image.shape[:2]))
             return replace(state, step=state.step + 1), SimpleNamespace(overflowed=False, needed=1)
 
         return step
 
     monkeypatch.setattr(loop, "kept_step", make_train_step)
     weights = Weights(dssim=0.0, entropy=0.1, sdf_normal=0.2, distortion=0.3)
-    settings = replace(SETTINGS, phases=(Phase("surface", 7, weights, surface_every=3),))
+    settings = replace(SETTINGS, phases=(Phase("surface", 7, weights, surface_every=3, surface_scale=2),))
     fitted(frames, settings, state=replace(start(), step=np.int32(begun)), capacity=64)
-    always = {"l1", "alpha", "entropy"}
-    rarely = always | {"sdf_normal", "distortion"}
+    always = {"l1", "alpha", "entropy"}, (24, 32)
+    rarely = always[0] | {"sdf_normal", "distortion"}, (12, 16)
     every = [always, always, rarely, always, always, rarely, always]
-    assert taken == list(enumerate(every))[begun:]
+    assert taken == [(step, *each) for step, each in enumerate(every)][begun:]
 
 
 def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkeypatch):

@@ -12,7 +12,7 @@ from gsjax.training.terms import Term
 SETTINGS = Settings(
     phases=(
         Phase("coarse", 500, image_scale=2, density_control=True),
-        Phase("surface", 301, Weights(sdf_normal=0.2, multi_view=0.1), cull_below=0.5, surface_every=2),
+        Phase("surface", 301, Weights(sdf_normal=0.2, multi_view=0.1), cull_below=0.5, surface_every=2, surface_scale=3),
     ),
     rates=Rates(decay_steps=3000, final_share=0.2),
     density=Density(start=50, stop=900, every=50, reset_every=0, prune_large_after=200),
@@ -32,7 +32,8 @@ def terms(phase):
 def test_phases_follow_each_other_with_their_terms_and_what_these_need():
     coarse, surface = plan(SETTINGS).phases
     assert (coarse.begin, coarse.end, surface.begin, surface.end) == (0, 500, 500, 801)
-    assert (coarse.scale, surface.scale, surface.cull_below, surface.surface_every) == (2, 1, 0.5, 2)
+    assert (coarse.scale, surface.scale, surface.cull_below) == (2, 1, 0.5)
+    assert (surface.surface_every, surface.surface_scale) == (2, 3)
     assert coarse.rule is not None and surface.rule is None
     assert terms(coarse) == {"l1": 0.8, "dssim": 0.2, "alpha": 0.1}
     assert terms(surface) == {"l1": 0.8, "dssim": 0.2, "sdf_normal": 0.2, "multi_view": 0.1, "alpha": 0.1}
@@ -64,7 +65,10 @@ def test_every_step_leaves_out_the_share_that_was_asked_for_and_its_record_says_
 def test_plain_splatting_has_the_terms_of_the_image_for_as_many_steps():
     plain = plan(replace(SETTINGS, vanilla=True))
     assert [terms(phase) for phase in plain.phases] == 2 * [{"l1": 0.8, "dssim": 0.2, "alpha": 0.1}]
-    assert [(p.steps, p.cull_below, p.surface_every) for p in plain.phases] == [(500, 0.0, 1), (301, 0.0, 1)]
+    assert [(p.steps, p.cull_below, p.surface_every, p.surface_scale) for p in plain.phases] == [
+        (500, 0.0, 1, 1),
+        (301, 0.0, 1, 1),
+    ]
 
 
 def test_everything_comes_after_as_many_photos_and_rates_grow_with_the_root():
@@ -115,11 +119,6 @@ def test_a_term_of_ones_own_stands_beside_the_others_or_in_the_place_of_one():
             replace(SETTINGS, phases=(Phase("last", 1, Weights(sdf_norml=0.1)),)),
             {},
             r"phases\.last\.weights\.sdf_norml: no such term of the loss; the nearest known one is 'sdf_normal'",
-        ),
-        (
-            replace(SETTINGS, phases=(Phase("last", 1, Weights(sdf_normal=0.1), image_scale=2),)),
-            {},
-            r"phase last: image_scale=2 with a term that needs normals",
         ),
         (
             replace(SETTINGS, views_per_step=2, phases=(Phase("last", 1, Weights(needles=0.1)),)),
