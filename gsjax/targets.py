@@ -101,7 +101,8 @@ def read_targets(frames: Sequence[Frame], *, scale: int = 1, keep: Keep = in_mem
     width, height = (max(getattr(frame, side) for frame in frames) // scale for side in ("width", "height"))
     if width < 1 or height < 1:
         raise InputError(
-            f"image_scale={scale}: nothing is left of a photo of {frames[0].width}x{frames[0].height} pixels"
+            f"a phase looks at photos {scale} times smaller: nothing is left of one of"
+            f" {frames[0].width}x{frames[0].height} pixels"
         )
     targets = [_target(frame, scale, width, height, keep) for frame in frames]
     return Targets(tuple(_alike(_alike(targets, "matte"), "valid")))

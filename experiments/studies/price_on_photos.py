@@ -3,11 +3,12 @@
     python experiments/compare.py price_on_photos --scene PHOTOS --out DIR
 
 Photos of 400 pixels and 30,000 Gaussians, so that a run is minutes on a CPU, with the effects that the photos show.
-Every variant has as many steps as take the time of `fast`, by what a step with the terms of the surface costs (`COSTS`),
-and its rates fall over its own steps: plain training; `fast` as it is; the same with all normals and comparisons,
-whatever photos agree about; with R at the means as well, the paper's; and with those terms on photos of full size. The
-maps are those of the run's own depth, and made beside that time. Where exposures are undone, pictures are compared in
-the light of the photos taken near (`psnr_near_gains`); `view_by_view.py` tells whether a difference hangs on one view.
+Every variant has as many steps as take the time of `fast`, by what a step with the terms of the surface costs
+(`COSTS`), and its rates fall over its own steps: plain training; `fast` as it is; the same with all normals and
+comparisons, whatever photos agree about; with R at the means as well, the paper's; and with those terms on photos of
+full size. The maps are those of the run's own depth, and made beside that time. Where exposures are undone, pictures
+are compared in the light of the photos taken near (`psnr_near_gains`); `view_by_view.py` tells whether a difference
+hangs on one view.
 """
 
 from collections.abc import Mapping

@@ -180,11 +180,9 @@ class Views(NamedTuple):
 
 
 def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
-    """What the phase compares with."""
-    image = surface = _photos(work, phase, phase.scale)
+    """What the phase compares with; the same for all steps where those with the dear terms see no smaller photos."""
     scale = phase.scale * phase.surface_scale
-    if phase.surface_scale > 1:
-        surface = _photos(work, phase, scale)
+    surface = _photos(work, phase, scale)
     if "normals" in phase.needs:
         surface = targets.with_normals(surface, work.prior(state), scale, work.keep)
     if "measured" in phase.needs:
@@ -192,10 +190,12 @@ def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
         surface = targets.with_depths(surface, work.depths(scale), work.keep)
     if "neighbor" in phase.needs:
         surface = with_neighbors(surface, work.extent, work.shares() if "normals" in phase.needs else 1.0)
-    return Views(image, surface)
+    is_one = phase.surface_scale == 1 or phase.surface_every == 1
+    return Views(surface if is_one else _photos(work, phase, phase.scale), surface)
 
 
 def _photos(work: Work, phase: PlannedPhase, scale: int) -> Targets:
+    """The photos so many times smaller, with what steps without the dear terms need beside them."""
     data = targets.read_targets(work.frames, scale=scale, keep=work.keep)
     if work.effects:
         data = targets.with_photo_numbers(data)
@@ -272,7 +272,7 @@ def _run_phase(
         capacity=capacity,
         room=room,
         view_share=plan.view_share,
-        feed=_alternating(placement.feed, phase.surface_every, views.surface),
+        feed=_feed_of(views, placement.feed, phase.surface_every),
         looks=looks if work.looks else None,
     )
 
@@ -282,14 +282,23 @@ def _shown(terms: tuple[Weighed, ...], data: Targets) -> tuple[Weighed, ...]:
     return terms if data.has_mattes else tuple(each for each in terms if each.name != "alpha")
 
 
-def _alternating(feed: Feed, count: int, surface: Targets) -> Feed:
-    """The last of every `count` steps sees `surface`, as in `_every`; the others what the feed is asked for."""
+def _feed_of(views: Views, feed: Feed, count: int) -> Feed:
+    """The feed by which the last of every `count` steps, as `_every` counts them, sees the photos of the surface."""
+    if views.image is views.surface:
+        return feed
+    size = views.image.num_bytes, views.surface.num_bytes
 
-    def both(data: Targets, seed: int, view_share: float) -> Callable[[int], Target]:
-        between, due = (feed(views, seed, view_share) for views in (data, surface))
-        return lambda step: (due if (step + 1) % count == 0 else between)(step)
+    def both(image: Targets, seed: int, view_share: float) -> Callable[[int], Target]:
+        shares = (view_share * each / sum(size) for each in size)  # so that both fit, or neither
+        between, due = (feed(*each) for each in zip((image, views.surface), (seed, seed), shares, strict=True))
+        return lambda step: (due if _is_due(step, count) else between)(step)
 
     return both
+
+
+def _is_due(done: int, count: int) -> bool:
+    """Whether the step after so many is the last of `count`, counted from the run's beginning."""
+    return (done + 1) % count == 0
 
 
 def _every(count: int, due: TrainStep, between: TrainStep) -> TrainStep:
@@ -297,7 +306,7 @@ def _every(count: int, due: TrainStep, between: TrainStep) -> TrainStep:
 
     def train_step(state: TrainState, target: Target, key: Array):
         done = int(state.step if target.turn is None else target.turn)
-        return (due if (done + 1) % count == 0 else between)(state, target, key)
+        return (due if _is_due(done, count) else between)(state, target, key)
 
     return train_step
 

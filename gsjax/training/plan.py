@@ -239,18 +239,10 @@ def plan(
             raise InputError(f"phases.{phase.name}.weights.{named}: sky_weight weighs it, where photos show sky")
         end = begin + _fewer(phase.steps, settings.views_per_step)
         rule = RULES[settings.density.rule] if phase.density_control else None
-        planned = PlannedPhase(
-            phase.name,
-            begin,
-            end,
-            phase.image_scale,
-            wanted,
-            rule,
-            0.0 if settings.vanilla else phase.cull_below,
-            1 if settings.vanilla else phase.surface_every,
-            1 if settings.vanilla else phase.surface_scale,
-            settings.dropout,
-        )
+        cull = 0.0 if settings.vanilla else phase.cull_below
+        planned = PlannedPhase(phase.name, begin, end, phase.image_scale, wanted, rule, cull, dropout=settings.dropout)
+        if any(each.is_dear for each in wanted):
+            planned = replace(planned, surface_every=phase.surface_every, surface_scale=phase.surface_scale)
         phases.append(planned)
         begin = end
     views = settings.views_per_step

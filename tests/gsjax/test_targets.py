@@ -71,7 +71,7 @@ def test_reduction_is_the_mean_over_blocks_and_scales_the_camera():
 
 
 def test_a_reduction_that_leaves_no_pixel_is_one_line():
-    with pytest.raises(InputError, match="image_scale=8: nothing is left of a photo of 9x6 pixels"):
+    with pytest.raises(InputError, match="photos 8 times smaller: nothing is left of one of 9x6 pixels"):
         targets.read_targets((frame(9, 6),), scale=8)
 
 

@@ -200,7 +200,9 @@ def test_a_run_continued_from_a_copy_in_a_starved_buffer_ends_with_the_same_bits
 
 
 @pytest.mark.parametrize("begun", [0, 3])
-def test_terms_of_the_surface_may_come_every_third_step_on_smaller_photos_and_the_others_always(frames, monkeypatch, begun):
+def test_terms_of_the_surface_may_come_every_third_step_on_smaller_photos_and_the_others_always(
+    frames, monkeypatch, begun
+):
     taken = []
 
     def make_train_step(optimizer, terms, **_):

@@ -12,7 +12,9 @@ from gsjax.training.terms import Term
 SETTINGS = Settings(
     phases=(
         Phase("coarse", 500, image_scale=2, density_control=True),
-        Phase("surface", 301, Weights(sdf_normal=0.2, multi_view=0.1), cull_below=0.5, surface_every=2, surface_scale=3),
+        Phase(
+            "surface", 301, Weights(sdf_normal=0.2, multi_view=0.1), cull_below=0.5, surface_every=2, surface_scale=3
+        ),
     ),
     rates=Rates(decay_steps=3000, final_share=0.2),
     density=Density(start=50, stop=900, every=50, reset_every=0, prune_large_after=200),
