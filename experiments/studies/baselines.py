@@ -11,7 +11,8 @@ at the means and at the pixels, in every step, and `thickness`. SuGaR and the pa
 before, which short runs do not bear; no variant has them.
 
 Each surface phase has as many steps as take the time of the mix, by what a step costs (`STEP_COSTS`): what else a
-machine does decides nothing. Rates fall over all steps of a variant, whatever others have. Depth is read in front by all.
+machine does decides nothing. Rates fall over all steps of a variant, whatever others have. Depth is read in front by
+all.
 """
 
 from collections.abc import Mapping
