@@ -86,6 +86,16 @@ def test_a_run_that_stopped_goes_on_with_another_number_of_devices(frames, runs)
     assert_close(resumed.final.gaussians, runs[4].final.gaussians, **ROUNDED)
 
 
+@pytest.mark.long
+def test_steps_of_the_surface_see_smaller_photos_on_any_number_of_devices(frames):
+    surface = Phase("surface", 4, Weights(dssim=0.0, pixel_normal=0.2), surface_every=2, surface_scale=2)
+    settings = replace(SETTINGS, phases=(surface,))
+    fits = {count: fitted(frames, count, settings=settings) for count in (2, 4)}
+    taken = [["pixel_normal" in told.metrics.terms for told in fit.told] for fit in fits.values()]
+    assert taken == [[False, True, False, True]] * 2
+    assert_close(fits[2].final.gaussians, fits[4].final.gaussians, **ROUNDED)
+
+
 @pytest.mark.parametrize("rule", RULES)
 def test_a_densification_by_rows_is_that_of_one_device(rule):
     """The same bits: the rule sees the same numbers in the same order, births and their colours cross devices."""
