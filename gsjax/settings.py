@@ -264,8 +264,8 @@ RATES: dict[str, float] = {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "qu
 # phase costs more than it brings. What photos say of each other makes flat what normals of one's own leave rough
 # (docs/deviations.md, experiments/studies/supervision.py).
 _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}
-# The gradient at the means brings nothing more there, and costs most. Half of the pixels from home is as far
-# (experiments/results/price_on_photos.md).
+# For photos of half the size. The gradient at the means brings nothing more there, and costs most; `multi_view` counts
+# pixels, of which the same way has half as many (experiments/results/price_on_photos.md).
 _HALF_SIZE_TERMS = {"pixel_normal": 0.1, "multi_view": 0.06, "photometric": 0.3}
 FAST: dict[str, Any] = {
     "depth_mode": "front",  # thin things are not as deep as their far sides' light has them (docs/deviations.md)

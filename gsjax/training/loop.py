@@ -286,11 +286,13 @@ def _feed_of(views: Views, feed: Feed, count: int) -> Feed:
     """The feed by which the last of every `count` steps, as `_every` counts them, sees the photos of the surface."""
     if views.image is views.surface:
         return feed
-    size = views.image.num_bytes, views.surface.num_bytes
+    both_bytes = views.image.num_bytes + views.surface.num_bytes
 
     def both(image: Targets, seed: int, view_share: float) -> Callable[[int], Target]:
-        shares = (view_share * each / sum(size) for each in size)  # so that both fit, or neither
-        between, due = (feed(*each) for each in zip((image, views.surface), (seed, seed), shares, strict=True))
+        def fed(data: Targets) -> Callable[[int], Target]:
+            return feed(data, seed, view_share * data.num_bytes / both_bytes)  # so that both fit, or neither
+
+        between, due = fed(image), fed(views.surface)
         return lambda step: (due if _is_due(step, count) else between)(step)
 
     return both
