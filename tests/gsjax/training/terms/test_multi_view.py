@@ -295,8 +295,8 @@ def neighbors_of_phases(monkeypatch, phases, prior, *, shares=lambda: 1.0, begun
     """Phase -> the neighbours that its views have."""
     neighbors = {}
 
-    def noted(work, phase, data, state, done, capacity):
-        neighbors[phase.name] = data.neighbors
+    def noted(work, phase, views, state, done, capacity):
+        neighbors[phase.name] = views.surface.neighbors
         return state, capacity
 
     monkeypatch.setattr(loop, "_run_phase", noted)
@@ -307,8 +307,9 @@ def neighbors_of_phases(monkeypatch, phases, prior, *, shares=lambda: 1.0, begun
     return neighbors
 
 
-def test_views_bring_neighbours_in_the_phases_of_the_term_alone(monkeypatch):
-    phases = (Phase("plain", 1), Phase("surface", 1, Weights(multi_view=0.1)))
+@pytest.mark.parametrize("smaller", [{}, {"surface_every": 2, "surface_scale": 2}])
+def test_views_bring_neighbours_in_the_phases_of_the_term_alone(monkeypatch, smaller):
+    phases = (Phase("plain", 1), Phase("surface", 1, Weights(multi_view=0.1), **smaller))
     neighbors = neighbors_of_phases(monkeypatch, phases, lambda state: pytest.fail("the term asks for no normals"))
     assert neighbors["plain"] is None and neighbors["surface"].shape == (len(PHOTOS), multi_view.NEAREST)
 
