@@ -82,16 +82,10 @@ def at_equal_time(
         )
         return [part for part in parts if part["steps"]]
 
-    return {
-        name: {"phases": [*first, *ending(method)]}
-        | (
-            {}
-            if not any("normals" in OURS[name].needs for name in method.weights if name in OURS)
-            else {"normals": "{scene}/normals"}
-        )
-        | shared
-        for name, method in methods.items()
-    }
+    def read(method: Method) -> dict[str, Any]:
+        return {"normals": "{scene}/normals"} if _reads_normals(method) else {}
+
+    return {name: {"phases": [*first, *ending(each)]} | read(each) | shared for name, each in methods.items()}
 
 
 def _reads_normals(method: Method) -> bool:

@@ -1,0 +1,121 @@
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scenes import camera_at, cloud, photographed
+
+from gsjax import targets
+from gsjax.training import stepping
+from gsjax.training.step import BACKGROUNDS, Metrics, Outcome, guarded_step
+
+
+@pytest.fixture(scope="module")
+def frames():
+    cameras = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-1.0, 0.0, 1.0)]
+    return photographed(cloud(50, seed=5), cameras, with_mattes=True)
+
+
+def test_an_epoch_shows_every_view_once_in_an_order_of_its_own():
+    epochs = [[stepping.view_order(7, 10 * epoch + i, 10) for i in range(10)] for epoch in range(4)]
+    assert all(sorted(order) == list(range(10)) for order in epochs)
+    assert len({tuple(order) for order in epochs}) == 4
+    assert epochs[2] == [stepping.view_order(7, 20 + i, 10) for i in range(10)]  # of (seed, step) alone
+    assert epochs[0] != [stepping.view_order(8, i, 10) for i in range(10)]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Toy:
+    """A state that remembers which photos it saw, in which order."""
+
+    step: jax.Array
+    seen: jax.Array
+
+
+def toy_steps(data, capacity, **how):
+    """`advance` over a step that needs more and more where it sees one of the three photos, and little elsewhere."""
+
+    def compiled(capacity):
+        def differentiate(state, target, color, key):
+            needed = jnp.where(target.viewmat[0, 3] > 0.5, target.size[0] << (state.step - 38), 32)
+            metrics = Metrics(color[0], color[0], needed, needed > capacity, {})
+            return jax.random.uniform(key) + target.viewmat[0, 3], Outcome(metrics, metrics.overflowed)
+
+        def update(state, gradient, outcome, target):
+            return Toy(state.step + 1, state.seen * 0.9 + gradient)
+
+        step = guarded_step(differentiate, update, BACKGROUNDS["white"])
+        return jax.jit(lambda *arguments: (lambda state, outcome: (state, outcome.metrics))(*step(*arguments)))
+
+    told, looked = [], {}
+
+    def after(step, state, metrics, capacity):
+        told.append((step, capacity, int(metrics.needed)))
+        if how.get("looks", lambda step: True)(step):
+            looked[step] = float(state.seen)
+        return state
+
+    state = Toy(jnp.int32(40), jnp.float32(0))
+    end, length = stepping.advance(compiled, after, state, data, (0, 9), seed=1, capacity=capacity, **how)
+    assert length == told[-1][1]
+    return float(end.seen), int(end.step), told, looked
+
+
+def test_a_flag_that_is_read_a_step_late_changes_no_bit(frames):
+    """Two steps overflow, and the next photo would fit: the step that was begun with it must leave no trace."""
+    data = targets.read_targets(frames)
+    seen, step, told, looked = toy_steps(data, 64)
+    assert step == 49 and [each[0] for each in told] == list(range(1, 10))
+    assert sorted({capacity for _, capacity, _ in told}) == [4096, 12288], "at the first step and a later one"
+    for looks in (lambda step: False, lambda step: step % 3 == 0):
+        again = toy_steps(data, 64, looks=looks)
+        assert again[:3] == (seen, step, told)
+        assert again[3] == {step: value for step, value in looked.items() if looks(step)}
+
+
+def test_pairs_get_their_room_in_the_compilation_that_longer_buffers_ask_for(frames):
+    """The need has doubled since the pair buffer was made; without this it would be the next to run out."""
+    data, compiled, needs = targets.read_targets(frames), [], [3000, 5000, 6000, 4000]
+
+    def make(capacity):
+        compiled.append(capacity)
+
+        def step(state, target, key):
+            needed = needs[len(told)]
+            return state, Metrics(jnp.float32(0), jnp.float32(0), needed, needed > capacity, {})
+
+        return step
+
+    told = []
+
+    def after(step, state, metrics, capacity):
+        told.append(capacity)
+        return {"means": np.zeros(7)} if step == 3 else state
+
+    stepping.advance(make, after, {"means": np.zeros(5)}, data, (0, 4), seed=0, capacity=8192, room=4.0)
+    assert compiled == [8192, 24576] and told == [8192, 8192, 8192, 24576]
+
+
+def test_a_full_device_is_sent_its_photos_one_by_one(frames, monkeypatch, caplog):
+    data, fed = targets.read_targets(frames), []
+    expected = toy_steps(data, 1 << 16)
+
+    def feed(data, seed, view_share):
+        target = stepping.one_view(data, seed, 0.0)
+
+        def of_step(step):
+            fed.append(view_share)
+            if view_share and step == 2:
+                raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes")
+            return target(step)
+
+        return of_step
+
+    monkeypatch.setattr(targets, "device_room", lambda share: 1e9 * share)
+    assert toy_steps(data, 1 << 16, feed=feed) == expected
+    assert fed == [0.5] * 3 + [0.0] * 7
+    assert [record.message for record in caplog.records] == [
+        "the device is full: photos are sent to it one by one from here on"
+    ]
