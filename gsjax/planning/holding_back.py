@@ -1,7 +1,8 @@
-"""Short trials on photos kept from them: does holding training back help the views between photos?"""
+"""Short trials on photos kept from them: does holding training back help the views between photos, and their depth?"""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,7 @@ import optax
 from tqdm import tqdm
 
 from gsjax import targets
-from gsjax.cameras import Camera
+from gsjax.cameras import Camera, landing
 from gsjax.config import parse
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import masked_mean
@@ -18,7 +19,7 @@ from gsjax.planning.sparse_views import Gain
 from gsjax.planning.start import first_state, with_given_points, with_stereo_points
 from gsjax.render import gallery
 from gsjax.runs.result import BACKGROUND_COLORS
-from gsjax.scene import Frame, Scene, kept
+from gsjax.scene import Frame, Scene, kept, tracks_by_name
 from gsjax.settings import QUICK, Settings
 from gsjax.targets import Targets
 from gsjax.training import optimizers
@@ -29,8 +30,9 @@ from gsjax.training.step import in_decibels
 STEPS = 200  # of a trial
 SIDE = 160  # pixels of the longest photo, about
 FOLDS = 4  # Every photo is kept from one pair of trials in so many,
-FEWEST_FOLDS = 2  # and no more pairs are made than
-SURE = 2.0  # times its error that the gain is off zero, after so many.
+FEWEST_FOLDS = 2  # and after so many they end, where the gain is sure and depth does not contradict it.
+FEWEST_POINTS = 20  # matched ones that a kept photo's depth is judged by
+NEAREST = 1e-6  # share of its distance that depth can be off by at least, of which a logarithm is taken
 PER_PIXEL, PER_POINT = 0.6, 4  # Gaussians of a trial, by pixel of a photo and by matched point; no more than the run's
 SHORT = parse(  # `quick` in so many steps
     Settings,
@@ -43,11 +45,18 @@ SHORT = parse(  # `quick` in so many steps
 )
 
 
+class Score(NamedTuple):
+    """Of a photo that was kept from a trial."""
+
+    psnr: float
+    off: float | None  # share of their distance that matched points' depth is off by, median; None: too few are there
+
+
 def gain(scene: Scene, settings: Settings, held_back: Callable[[Plan], Plan]) -> Gain:
-    """What holding back brings photos that training has not seen, decibels.
+    """What holding back brings photos that training has not seen: decibels, and how far depth is off.
 
     `quick` in few steps on small photos, from the beginning, as it is and held back, each time without some of the
-    photos, which are then scored. Deterministic.
+    photos, which are then scored. Depth is compared with that of the points that were matched in them. Deterministic.
 
     Args:
         scene: The data set, five photos to train on at least. Held-out ones play no part.
@@ -58,22 +67,34 @@ def gain(scene: Scene, settings: Settings, held_back: Callable[[Plan], Plan]) ->
         InputError: A photo or the tracks cannot be read.
     """
     frames = tuple(map(kept, tqdm(scene.train_frames, desc="photos", unit="photo", leave=False)))
+    matched = {name: scene.points[ids].astype(np.float64) for name, (ids, _) in tracks_by_name(scene).items()}
     scene = with_given_points(scene, settings)
     short = _short(settings, scene)
     planned = plan(short)
     size = training_extent(scene)
     optimizer = optimizers.make_optimizer(planned.rates, size, planned.steps)
-    ways = [_Way(short, each, optimizer, size) for each in (planned, held_back(planned))]
-    gains: list[float] = []
+    ways = [_Way(short, each, optimizer, size, matched) for each in (planned, held_back(planned))]
+    pairs: list[tuple[Score, Score]] = []
     with tqdm(total=2 * FOLDS * STEPS, desc="trying to hold back", unit="step", leave=False) as bar:
         for fold in range(FOLDS):
             parted = [replace(each, held_out=index % FOLDS == fold) for index, each in enumerate(frames)]
             as_it_is, held = (way.score(replace(scene, frames=tuple(parted)), bar.update) for way in ways)
-            gains += (held - as_it_is).tolist()
-            found = Gain(float(np.mean(gains)), float(np.std(gains, ddof=1) / np.sqrt(len(gains))))
-            if fold + 1 >= FEWEST_FOLDS and abs(found.decibels) > SURE * found.error:
+            pairs += zip(as_it_is, held, strict=True)
+            found = _found(pairs)
+            if fold + 1 >= FEWEST_FOLDS and found.is_sure and not found.is_contradicted:
                 break
     return found
+
+
+def _found(pairs: list[tuple[Score, Score]]) -> Gain:
+    """Of the scores of photos, as it is and held back."""
+    gains = [held.psnr - as_it_is.psnr for as_it_is, held in pairs]
+    told = [(a.off, b.off) for a, b in pairs if a.off is not None and b.off is not None]
+    return Gain(*_mean_and_error(gains), *(_mean_and_error([np.log(b / a) for a, b in told]) if len(told) > 1 else ()))
+
+
+def _mean_and_error(values: list[float]) -> tuple[float, float]:
+    return float(np.mean(values)), float(np.std(values, ddof=1) / np.sqrt(len(values)))
 
 
 def chosen_scale(frames: tuple[Frame, ...]) -> int:
@@ -102,14 +123,21 @@ def _short(settings: Settings, scene: Scene) -> Settings:
 class _Way:
     """One of the two ways to train. One program serves all its trials: buffers and extent are the same."""
 
-    def __init__(self, settings: Settings, plan: Plan, optimizer: optax.GradientTransformation, extent: float):
-        """Before the first trial; the extent is that of all training cameras."""
+    def __init__(
+        self,
+        settings: Settings,
+        plan: Plan,
+        optimizer: optax.GradientTransformation,
+        extent: float,
+        matched: Mapping[str, np.ndarray],
+    ):
+        """Before the first trial; the extent is that of all training cameras, points are those matched in a photo."""
         self._settings = replace(settings, max_gaussians=plan.max_gaussians)
-        self._plan, self._optimizer, self._extent = plan, optimizer, extent
+        self._plan, self._optimizer, self._extent, self._matched = plan, optimizer, extent, matched
         self._capacity: int | None = None  # of the pair buffer, as the last trial left it
 
-    def score(self, scene: Scene, observe: Callable[[], object]) -> np.ndarray:
-        """PSNR of the photos of a scene that are held out, after a trial on the others."""
+    def score(self, scene: Scene, observe: Callable[[], object]) -> list[Score]:
+        """Of the photos of a scene that are held out, after a trial on the others."""
 
         def note(progress: Progress) -> None:
             self._capacity = progress.capacity
@@ -121,17 +149,31 @@ class _Way:
         work = Work(self._plan, scene.train_frames, self._extent, self._optimizer, lambda _: [], note)
         state = follow(work, state, self._capacity)
         kept_photos = targets.read_targets(scene.held_out_frames, scale=self._plan.phases[0].scale)
-        return _psnr(state.gaussians, kept_photos, self._settings)
+        points = [self._matched.get(frame.name, _NONE) for frame in scene.held_out_frames]
+        return _scores(state.gaussians, kept_photos, points, self._settings)
 
 
-def _psnr(gaussians: Gaussians, photos: Targets, settings: Settings) -> np.ndarray:
-    """Of every photo; of one whose mask leaves nothing the highest, either way."""
+_NONE = np.zeros((0, 3))
+
+
+def _scores(gaussians: Gaussians, photos: Targets, points: Sequence[np.ndarray], settings: Settings) -> list[Score]:
+    """Of every photo, by its matched points `[P, 3]`. If a mask leaves nothing, PSNR is the highest, either way."""
     color = BACKGROUND_COLORS[settings.background]
     cameras = [Camera(each.viewmat, each.K, *photos.size) for each in photos.targets]
-    shown = gallery.pictures(gaussians, cameras, color, settings.depth_mode)
+    shown = list(gallery.pictures(gaussians, cameras, color, settings.depth_mode))
     batches = (targets.batch(each, jnp.asarray(color, jnp.float32)) for each in photos.targets)
     errors = [
         masked_mean(jnp.mean(jnp.square(picture.colors - batch.image), axis=-1), batch.valid)
         for picture, batch in zip(shown, batches, strict=True)
     ]
-    return np.asarray(in_decibels(jnp.stack(errors)), np.float64)
+    psnr = np.asarray(in_decibels(jnp.stack(errors)), np.float64)
+    seen = zip(psnr, shown, cameras, points, strict=True)
+    return [Score(float(decibels), _off(picture.depth, camera, known)) for decibels, picture, camera, known in seen]
+
+
+def _off(depth: np.ndarray, camera: Camera, points: np.ndarray) -> float | None:
+    """Median of |z / z of the point - 1| over the points `[P, 3]` that a rendered depth `[H, W]` has in view."""
+    row, column, z, inside = landing(points, camera.viewmat, camera.K, depth.shape)
+    if inside.sum() < FEWEST_POINTS:
+        return None
+    return max(float(np.median(np.abs(depth[row, column][inside] / z[inside] - 1))), NEAREST)

@@ -1,5 +1,6 @@
 """Few photos, or photos that stand far apart: training may learn them by heart, and is then held back."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -21,6 +22,8 @@ LEFT_OUT = 0.2  # share of the Gaussians that each step leaves out, where no oth
 STEREO_SHARE = 9  # One in so many Gaussians begins where photos agree about depth.
 POINTS = 2000  # that are looked at
 
+SURE = 2.0  # times its error that a gain is off zero, from which on it is one
+
 ENTRY = "sparse_views"
 """Of the manifest: a `Decision`."""
 
@@ -30,6 +33,31 @@ class Gain(NamedTuple):
 
     decibels: float  # PSNR that way less PSNR as it is, mean over the photos
     error: float  # its standard error over the photos
+    depth: float | None = None  # log of how far depth is off that way beside as it is, mean; None: nothing tells
+    depth_error: float | None = None  # its standard error over the photos
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether pictures alone tell which way is better."""
+        return abs(self.decibels) > SURE * self.error
+
+    @property
+    def is_contradicted(self) -> bool:
+        """Whether depth is surely better where pictures are worse, or worse where they are better."""
+        return self.decibels * self._sure_depth > 0
+
+    @property
+    def helps(self) -> bool:
+        """Whether pictures gain; where they are not sure, whether depth is nearer, if that is sure."""
+        by_depth = 0.0 if self.is_sure else self._sure_depth
+        return by_depth < 0 if by_depth else self.decibels > 0
+
+    @property
+    def _sure_depth(self) -> float:
+        """`depth`, or 0 where it is not surely another."""
+        if self.depth is None or self.depth_error is None:
+            return 0.0
+        return self.depth if abs(self.depth) > SURE * self.depth_error else 0.0
 
 
 Trial = Callable[[Scene, Settings, Callable[[Plan], Plan]], Gain]
@@ -45,16 +73,22 @@ class Decision:
     gain: float | None  # decibels on photos kept from short trials; None: no trial was made, the angle decided
     error: float | None  # of the gain, its standard error
     held_back: bool
+    depth: float | None = None  # log of how far depth is off, held back beside as it is; None: nothing tells
+    depth_error: float | None = None  # of that, its standard error
 
     def line(self, plan: Plan) -> str:
         """In words; the plan is that which follows."""
         apart = "" if self.degrees is None else f" {self.degrees:.0f} degrees apart"
-        why = "" if self.gain is None else f" (photos kept from short trials: {self.gain:+.1f} +-{self.error:.1f} dB)"
+        why = "" if self.gain is None else f" (photos kept from short trials: {self._found()})"
         if not self.held_back:
             return f"{self.photos} photos{apart}: holding back would not help{why}"
         left_out = f"each step leaves out {plan.phases[0].dropout:.0%} of them"
         held = f"held back to {plan.max_gaussians:,} Gaussians, {left_out}{why}"
         return f"{self.photos} photos{apart}: {held}; --set sparse_views=false trains without"
+
+    def _found(self) -> str:
+        found = f"{self.gain:+.1f} +-{self.error:.1f} dB"
+        return found if self.depth is None else f"{found}, depth there {math.exp(self.depth):.2f} times as far off"
 
 
 def for_sparse_views(
@@ -70,7 +104,8 @@ def for_sparse_views(
 
     Held back, half of the Gaussians grow, a term draws them along the surface that they show, each step leaves some of
     them out, and some begin where photos agree about depth. Views from between photos gain up to three decibels, or
-    lose two (`experiments/results/few_photos.md`), so short trials decide.
+    lose two (`experiments/results/few_photos.md`), so short trials decide: by pictures where these are sure, else by
+    the depth of matched points.
 
     Args:
         planned: The run.
@@ -102,7 +137,7 @@ def _decide(planned: Plan, scene: Scene, settings: Settings, trial: Trial | None
     if trial is None or not is_tried(photos, degrees, planned.steps):
         return Decision(photos, degrees, None, None, held_back=True) if by_angle else None
     gain = trial(scene, settings, held_back)
-    return Decision(photos, degrees, gain.decibels, gain.error, held_back=gain.decibels > 0)
+    return Decision(photos, degrees, gain.decibels, gain.error, gain.helps, gain.depth, gain.depth_error)
 
 
 def held_back(planned: Plan, *, may_lower: bool = True) -> Plan:

@@ -24,13 +24,15 @@ _FIGURES = ("registered", "points", "psnr", "ssim", "gaussians", "vertices", "fa
             "seen_share", "peak_gib")  # fmt: skip
 _STAGES = {str: {f"{name}?": NUMBER for name in ("seconds", *_FIGURES)}}
 _EVIDENCE = {"on": bool, "evidence": NUMBER, "noise": NUMBER, "threshold": NUMBER, "unit": str, "note": str}
+_SPARSE_VIEWS = {"photos": int, "degrees": NUMBER, "gain": NUMBER, "error": NUMBER, "held_back": bool,
+                 "depth?": NUMBER, "depth_error?": NUMBER}  # fmt: skip
 MANIFEST = {
     **{f"{name}?": str for name in ("scene", "command", "created", "updated", "status", "photos", "normals")},
     "versions?": {str: str},
     "machine?": {str: (None, str, int)},
     "stages?": _STAGES,
     "effects?": {"simulated": [str], "evidence?": {str: _EVIDENCE}},
-    "sparse_views?": {"photos": int, "degrees": NUMBER, "gain": NUMBER, "error": NUMBER, "held_back": bool},
+    "sparse_views?": _SPARSE_VIEWS,
     **{f"{name}?": NUMBER for name in ("steps", "train_seconds", "psnr_near_gains", *_FIGURES)},
 }
 WHOLE_MANIFEST = {**MANIFEST, "scene": str, "command": str, "created": str, "status": str,

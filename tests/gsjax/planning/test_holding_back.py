@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from small_scenes import built_in
 
+from gsjax.cameras import Camera
 from gsjax.io.scenes import load_scene
 from gsjax.planning import holding_back
-from gsjax.planning.holding_back import FEWEST_FOLDS, FOLDS, gain
-from gsjax.scene import Pixels, frame_of, with_pixels
+from gsjax.planning.holding_back import FEWEST_FOLDS, FOLDS, Score, gain
+from gsjax.scene import Pixels, Tracks, frame_of, with_pixels
 from gsjax.settings import Phase, Settings
 from gsjax.training import loop
 
@@ -20,7 +21,7 @@ FORGETFUL = 0.9  # of all Gaussians left out of every step: no way to train
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     scene = load_scene(built_in(tmp_path_factory.mktemp("data") / "scene", num_views=8, size=(32, 32)))
-    return replace(scene, points=scene.points[::4], point_colors=scene.point_colors[::4])
+    return replace(scene, points=scene.points[::4], point_colors=scene.point_colors[::4], tracks=None)
 
 
 @pytest.fixture
@@ -44,7 +45,8 @@ def mindful(plan):
 @pytest.mark.usefixtures("short")
 def test_the_better_way_gains_and_the_same_way_gains_nothing(scene):
     masked = with_pixels(scene.frames[0], scene.frames[0].pixels()._replace(valid=np.zeros((32, 32), np.uint8)))
-    assert gain(replace(scene, frames=(masked, *scene.frames[1:])), SETTINGS, lambda plan: plan) == (0.0, 0.0)
+    same = gain(replace(scene, frames=(masked, *scene.frames[1:])), SETTINGS, lambda plan: plan)
+    assert same == (0.0, 0.0, None, None), "no photo of this scene has matched points"
     worse, better = gain(scene, SETTINGS, forgetful), gain(scene, replace(SETTINGS, dropout=FORGETFUL), mindful)
     assert worse.decibels < -2 * worse.error < 0
     assert better.decibels == pytest.approx(-worse.decibels, rel=0.05)
@@ -67,17 +69,18 @@ def test_trials_of_one_way_share_their_programs(monkeypatch, scene):
 
 @pytest.fixture
 def told(monkeypatch):
-    """What trials are given; they score zero as it is, and what is in `scores` held back."""
-    trials, scores = [], []
+    """What trials are given; they score zero and 0.1 as it is, and what is in `scores` and `offs` held back."""
+    trials, scores, offs = [], [], {}
 
     def score(way, scene, observe):
         trials.append((way, [f.name for f in scene.held_out_frames]))
         is_held = way is not trials[0][0]
-        return np.array([scores[int(name[:3])] if is_held else 0.0 for name in trials[-1][1]])
+        numbers = [int(name[:3]) for name in trials[-1][1]]
+        return [Score(scores[i], offs.get(i)) if is_held else Score(0.0, 0.1) for i in numbers]
 
     monkeypatch.setattr(holding_back._Way, "score", score)
     monkeypatch.setattr(holding_back, "training_extent", lambda scene: 1.0)
-    return trials, scores
+    return trials, scores, offs
 
 
 def names(count, held_out=()):
@@ -86,7 +89,7 @@ def names(count, held_out=()):
 
 
 def test_unsure_trials_keep_every_photo_once_in_both_ways(told, scene):
-    trials, scores = told
+    trials, scores, _ = told
     scores += [1.0, -1.0] * 5
     found = gain(replace(scene, frames=names(10, held_out=(3,))), SETTINGS, forgetful)
     first, *_ = trials[0]
@@ -96,7 +99,8 @@ def test_unsure_trials_keep_every_photo_once_in_both_ways(told, scene):
     assert as_it_is == held
     assert sorted(held) == [f"{i:03d}" for i in range(10) if i != 3], "held-out photos play no part"
     expected = np.delete(scores, 3)
-    assert found == pytest.approx((expected.mean(), expected.std(ddof=1) / 3))
+    assert found[:2] == pytest.approx((expected.mean(), expected.std(ddof=1) / 3))
+    assert found[2:] == (None, None)
 
 
 def test_trials_begin_from_the_points_that_the_run_is_given(monkeypatch, scene, tmp_path):
@@ -104,7 +108,7 @@ def test_trials_begin_from_the_points_that_the_run_is_given(monkeypatch, scene, 
     (tmp_path / "two.ply").write_text(f"{header}end_header\n0 0 0\n1 0 0\n", encoding="utf-8")
     begun = []
     monkeypatch.setattr(
-        holding_back._Way, "score", lambda way, scene, observe: begun.append(scene.points) or np.zeros(2)
+        holding_back._Way, "score", lambda way, scene, observe: begun.append(scene.points) or [Score(0.0, None)] * 2
     )
     gain(scene, replace(SETTINGS, points=str(tmp_path / "two.ply")), forgetful)
     expected = scene.similarity.points_to_local(np.array([[0.0, 0, 0], [1, 0, 0]]))
@@ -113,8 +117,48 @@ def test_trials_begin_from_the_points_that_the_run_is_given(monkeypatch, scene, 
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_sure_trials_end(told, scene, sign):
-    trials, scores = told
+@pytest.mark.parametrize("ratio", [None, 1.0, 0.5, 2.0])
+def test_sure_trials_end_where_depth_does_not_contradict_them(told, scene, sign, ratio):
+    trials, scores, offs = told
     scores += [sign * (2 + 0.1 * (i % 3)) for i in range(10)]
-    assert sign * gain(replace(scene, frames=names(10)), SETTINGS, forgetful).decibels > 2
-    assert len(trials) == 2 * FEWEST_FOLDS
+    if ratio is not None:
+        offs |= {i: 0.1 * ratio * (1 + 0.01 * (i % 3 - 1)) for i in range(10)}
+    found = gain(replace(scene, frames=names(10)), SETTINGS, forgetful)
+    contradicted = ratio == (2.0 if sign > 0 else 0.5)
+    assert sign * found.decibels > 2
+    assert found.is_contradicted == contradicted
+    assert len(trials) == 2 * (FOLDS if contradicted else FEWEST_FOLDS)
+
+
+def test_depth_counts_where_both_ways_tell_of_it(told, scene):
+    _, scores, offs = told
+    scores += [1.0, -1.0] * 5
+    offs |= {2: 0.05, 7: 0.2, 9: 0.1}
+    found = gain(replace(scene, frames=names(10)), SETTINGS, forgetful)
+    logs = np.log([0.5, 2.0, 1.0])
+    assert found[2:] == pytest.approx((logs.mean(), logs.std(ddof=1) / np.sqrt(3)))
+
+
+def test_depth_is_off_by_what_matched_points_say():
+    """A wall 2 before the camera is shown where points lie at 2 and 4; others lie behind, and beside the picture."""
+    viewmat, K = np.eye(4, dtype=np.float32), np.array([[10, 0, 8], [0, 10, 8], [0, 0, 1]], np.float32)
+    camera = Camera(viewmat, K, 16, 16)
+    at_two = np.tile([0.1, 0.1, 2.0], (15, 1))
+    at_four = np.tile([0.1, -0.1, 4.0], (16, 1))
+    unseen = np.tile([0.0, 0.0, -2.0], (40, 1)), np.tile([9.0, 0.0, 1.0], (40, 1))
+    wall = np.full((16, 16), 2.0)
+    assert holding_back._off(wall, camera, np.concatenate([at_two, at_four, *unseen])) == pytest.approx(0.5)
+    assert holding_back._off(wall, camera, np.concatenate([at_two, at_two])) == holding_back.NEAREST
+    assert holding_back._off(np.zeros((16, 16)), camera, at_four.repeat(2, axis=0)) == 1.0, "nothing is shown"
+    assert holding_back._off(wall, camera, np.concatenate([at_two, *unseen])) is None
+
+
+@pytest.mark.usefixtures("short")
+def test_trials_judge_depth_by_the_points_matched_in_the_kept_photos(scene):
+    """Where nine tenths of the Gaussians are left out of each step, depth ends farther from the surface."""
+    photo, point = np.divmod(np.arange(len(scene.frames) * len(scene.points)), len(scene.points))
+    tracks = Tracks(tuple(f.name for f in scene.frames), photo, point, np.zeros((len(point), 2)))
+    matched = replace(scene, tracks=lambda: tracks)
+    worse, better = gain(matched, SETTINGS, forgetful), gain(matched, replace(SETTINGS, dropout=FORGETFUL), mindful)
+    assert worse.depth > 0.05
+    assert better.depth == pytest.approx(-worse.depth, rel=0.05)

@@ -112,6 +112,32 @@ def test_trials_decide_of_few_photos_and_what_they_found_is_told(degrees, brings
     assert f"{brings:+.1f} +-0.1 dB" in decision.line(found)
 
 
+@pytest.mark.parametrize(
+    ("gain", "helps"),
+    [
+        (Gain(0.4, 0.1, 0.3, 0.1), True),  # sure of the pictures, whatever depth is
+        (Gain(-0.4, 0.1, -0.3, 0.1), False),
+        (Gain(0.1, 0.2, 0.3, 0.1), False),  # unsure of them, sure of depth
+        (Gain(-0.1, 0.2, -0.3, 0.1), True),
+        (Gain(-0.1, 0.2, -0.1, 0.1), False),  # unsure of both
+        (Gain(0.1, 0.2, 0.1, 0.1), True),
+        (Gain(-0.1, 0.2), False),
+    ],
+)
+def test_depth_decides_where_pictures_are_not_sure(gain, helps):
+    found, decision = for_sparse_views(PLAN, arc(4.0), SETTINGS, trial=lambda *_: gain)
+    assert gain.helps == decision.held_back == helps
+    assert found == (held_back(PLAN) if helps else PLAN)
+    told = gain.depth is not None
+    assert ("depth there" in decision.line(found)) == told
+    assert not told or f"depth there {np.exp(gain.depth):.2f} times as far off" in decision.line(found)
+
+
+def test_a_run_begun_before_depth_was_judged_goes_on():
+    known = {"photos": PHOTOS, "degrees": 30.0, "gain": 0.4, "error": 0.1, "held_back": True}
+    assert for_sparse_views(PLAN, arc(4.0), SETTINGS, trial=never, before=known)[1] == Decision(**known)
+
+
 def test_a_trial_is_of_the_run_and_holds_back_as_the_run_would_be():
     told = []
     for_sparse_views(PLAN, scene := arc(4.0), SETTINGS, trial=lambda *given: told.append(given) or Gain(0.0, 0.0))
