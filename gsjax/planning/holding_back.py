@@ -32,7 +32,7 @@ SIDE = 160  # pixels of the longest photo, about
 FOLDS = 4  # Every photo is kept from one pair of trials in so many,
 FEWEST_FOLDS = 2  # and after so many they end, where the gain is sure and depth does not contradict it.
 FEWEST_POINTS = 20  # matched ones that a kept photo's depth is judged by
-NEAREST = 1e-6  # share of its distance that depth can be off by at least, of which a logarithm is taken
+LEAST_OFF = 1e-6  # share of its distance that depth is taken to be off by at least: a logarithm is taken of it
 PER_PIXEL, PER_POINT = 0.6, 4  # Gaussians of a trial, by pixel of a photo and by matched point; no more than the run's
 SHORT = parse(  # `quick` in so many steps
     Settings,
@@ -131,7 +131,7 @@ class _Way:
         extent: float,
         matched: Mapping[str, np.ndarray],
     ):
-        """Before the first trial; the extent is that of all training cameras, points are those matched in a photo."""
+        """Before the first trial; the extent is that of all training cameras; `matched`: photo's name -> `[P, 3]`."""
         self._settings = replace(settings, max_gaussians=plan.max_gaussians)
         self._plan, self._optimizer, self._extent, self._matched = plan, optimizer, extent, matched
         self._capacity: int | None = None  # of the pair buffer, as the last trial left it
@@ -149,11 +149,8 @@ class _Way:
         work = Work(self._plan, scene.train_frames, self._extent, self._optimizer, lambda _: [], note)
         state = follow(work, state, self._capacity)
         kept_photos = targets.read_targets(scene.held_out_frames, scale=self._plan.phases[0].scale)
-        points = [self._matched.get(frame.name, _NONE) for frame in scene.held_out_frames]
+        points = [self._matched.get(frame.name, np.zeros((0, 3))) for frame in scene.held_out_frames]
         return _scores(state.gaussians, kept_photos, points, self._settings)
-
-
-_NONE = np.zeros((0, 3))
 
 
 def _scores(gaussians: Gaussians, photos: Targets, points: Sequence[np.ndarray], settings: Settings) -> list[Score]:
@@ -176,4 +173,4 @@ def _off(depth: np.ndarray, camera: Camera, points: np.ndarray) -> float | None:
     row, column, z, inside = landing(points, camera.viewmat, camera.K, depth.shape)
     if inside.sum() < FEWEST_POINTS:
         return None
-    return max(float(np.median(np.abs(depth[row, column][inside] / z[inside] - 1))), NEAREST)
+    return max(float(np.median(np.abs(depth[row, column][inside] / z[inside] - 1))), LEAST_OFF)

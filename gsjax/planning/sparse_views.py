@@ -21,8 +21,7 @@ SMOOTH = {"depth_normal": 0.05}  # what is added to every phase: Gaussians lie a
 LEFT_OUT = 0.2  # share of the Gaussians that each step leaves out, where no other was asked for
 STEREO_SHARE = 9  # One in so many Gaussians begins where photos agree about depth.
 POINTS = 2000  # that are looked at
-
-SURE = 2.0  # times its error that a gain is off zero, from which on it is one
+SURE = 2.0  # times its error that a difference must be off zero to count as one
 
 ENTRY = "sparse_views"
 """Of the manifest: a `Decision`."""

@@ -106,14 +106,21 @@ def test_unsure_trials_keep_every_photo_once_in_both_ways(told, scene):
 def test_trials_begin_from_the_points_that_the_run_is_given(monkeypatch, scene, tmp_path):
     header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {axis}\n" for axis in "xyz")
     (tmp_path / "two.ply").write_text(f"{header}end_header\n0 0 0\n1 0 0\n", encoding="utf-8")
-    begun = []
-    monkeypatch.setattr(
-        holding_back._Way, "score", lambda way, scene, observe: begun.append(scene.points) or [Score(0.0, None)] * 2
-    )
-    gain(scene, replace(SETTINGS, points=str(tmp_path / "two.ply")), forgetful)
+    begun, matched = [], []
+
+    def score(way, scene, observe):
+        begun.append(scene.points)
+        matched.append(way._matched)
+        return [Score(0.0, None)] * 2
+
+    monkeypatch.setattr(holding_back._Way, "score", score)
+    last = len(scene.points) - 1
+    tracks = Tracks((scene.frames[0].name,), np.zeros(2, int), np.array([0, last]), np.zeros((2, 2)))
+    gain(replace(scene, tracks=lambda: tracks), replace(SETTINGS, points=str(tmp_path / "two.ply")), forgetful)
     expected = scene.similarity.points_to_local(np.array([[0.0, 0, 0], [1, 0, 0]]))
     assert len(begun) > 0
     assert all(np.allclose(points, expected) for points in begun)
+    assert all(np.array_equal(each[scene.frames[0].name], scene.points[[0, last]]) for each in matched), "not of these"
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -148,7 +155,7 @@ def test_depth_is_off_by_what_matched_points_say():
     unseen = np.tile([0.0, 0.0, -2.0], (40, 1)), np.tile([9.0, 0.0, 1.0], (40, 1))
     wall = np.full((16, 16), 2.0)
     assert holding_back._off(wall, camera, np.concatenate([at_two, at_four, *unseen])) == pytest.approx(0.5)
-    assert holding_back._off(wall, camera, np.concatenate([at_two, at_two])) == holding_back.NEAREST
+    assert holding_back._off(wall, camera, np.concatenate([at_two, at_two])) == holding_back.LEAST_OFF
     assert holding_back._off(np.zeros((16, 16)), camera, at_four.repeat(2, axis=0)) == 1.0, "nothing is shown"
     assert holding_back._off(wall, camera, np.concatenate([at_two, *unseen])) is None
 
