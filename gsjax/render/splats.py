@@ -164,6 +164,16 @@ def features(splats: Splats, values: Array, front: rasterizer.Front | None = Non
     return image[0], 1 - left[0, ..., 0]
 
 
+def facing_axes(scene: Drawable, camera: Camera, projection: rasterizer.Projection) -> Array:
+    """`[N, 3]` unit directions of the smallest axes in the camera's frame, facing it: the normals of discs.
+
+    Zero where a Gaussian does not show. Differentiable to `quats` and the camera's matrix, not to `means`, which decide
+    the side, nor to `scales`, which decide the axis.
+    """
+    shapes = scene.means, scene.quats, scene.scales
+    return rasterizer.camera_normals(*shapes, camera.viewmat[None], jax.lax.stop_gradient(projection.visible))[0]
+
+
 def owners(splats: Splats) -> Array:
     """`[H, W]` int32: the Gaussian in which the light of each pixel falls to one half, or the last one that shows.
 

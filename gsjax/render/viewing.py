@@ -3,13 +3,14 @@
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 import rasterizer
 from gsjax import cameras
 from gsjax.cameras import Camera
 from gsjax.render.depth import IN_FRONT, DepthReading, depth_channels, mean_depth, splat_depth_mode
-from gsjax.render.splats import Drawable, Splats, drawable, features, splat
+from gsjax.render.splats import Drawable, Splats, drawable, facing_axes, features, splat
 
 
 class Neighbor(NamedTuple):
@@ -30,6 +31,7 @@ class View(NamedTuple):
     depth: Array | None  # [H, W] camera z, of all splats or those in front; 0 where alpha is under `MIN_COVERAGE`
     splats: Splats
     extra: Array | None = None  # [H, W, D] what `extra` composites to, on zero
+    axes: Array | None = None  # [H, W, 3] what the splats' smallest axes composite to (`facing_axes`), on zero
     neighbor: Neighbor | None = None  # only in a step whose loss has a term between two views
 
 
@@ -44,6 +46,7 @@ def view(
     depth_mode: DepthReading = "plane",
     means2d_probe: Array | None = None,
     extra: Array | None = None,
+    with_axes: bool = False,
     backend: rasterizer.Backend = "auto",
 ) -> View:
     """Render one view. Differentiable to the Gaussians, the camera matrices and the background.
@@ -60,6 +63,8 @@ def view(
             `IN_FRONT`; "discs": the same of discs on a mesh. Static.
         means2d_probe: See `splat`.
         extra: `[N, D]` further channels, composited on zero.
+        with_axes: Whether the splats' smallest axes are composited too, for a scene that has `quats` and `scales`.
+            Static; not in the program otherwise.
         backend: As in `rasterizer.rasterization`; "reference" has forward mode and derivatives of any order. Static.
 
     Returns:
@@ -70,25 +75,35 @@ def view(
     """
     scene, reading = drawable(gaussians), depth_mode if with_depth else None
     splats = splat(scene, camera, capacity, means2d_probe, splat_depth_mode(reading), backend)
-    return view_splats(splats, colors(scene, camera, active_degree), background, reading=reading, extra=extra)
+    axes = facing_axes(scene, camera, splats.projection) if with_axes else None
+    shown = colors(scene, camera, active_degree)
+    return view_splats(splats, shown, background, reading=reading, extra=extra, axes=axes)
 
 
 def view_splats(
-    splats: Splats, colors: Array, background: Array, *, reading: DepthReading | None = None, extra: Array | None = None
+    splats: Splats,
+    colors: Array,
+    background: Array,
+    *,
+    reading: DepthReading | None = None,
+    extra: Array | None = None,
+    axes: Array | None = None,
 ) -> View:
-    """What splats of `[N, 3]` colours show, and their depth if it is read; the rest as in `view`."""
-    channels, depth = colors, None
-    if extra is not None:
-        channels = jnp.concatenate([channels, extra], -1)
-    before_depth = channels.shape[1]
-    if reading is not None:
-        channels = jnp.concatenate([channels, depth_channels(splats, reading)], -1)
-    image, alphas = features(splats, channels, IN_FRONT.get(reading))
-    if reading is not None:
-        depth = mean_depth(image[..., before_depth:], alphas, reading)
+    """What splats of `[N, 3]` colours show, and their depth if it is read: all in one pass.
+
+    `axes` are those of `facing_axes`; the rest is as in `view`.
+    """
+    # Depth comes last: that is where the pass looks for what lies in front.
+    planes = None if reading is None else depth_channels(splats, reading)
+    channels = {"colors": colors, "extra": extra, "axes": axes, "depth": planes}
+    channels = {name: values for name, values in channels.items() if values is not None}
+    image, alphas = features(splats, jnp.concatenate(list(channels.values()), -1), IN_FRONT.get(reading))
+    ends = np.cumsum([values.shape[1] for values in channels.values()])
+    composited = dict(zip(channels, jnp.split(image, ends[:-1].tolist(), axis=-1), strict=True))
     under = background if background.ndim == 3 else background[None, None]
-    over = image[..., :3] + (1 - alphas)[..., None] * under
-    return View(over, alphas, depth, splats, None if extra is None else image[..., 3:before_depth])
+    over = composited["colors"] + (1 - alphas)[..., None] * under
+    depth = None if reading is None else mean_depth(composited["depth"], alphas, reading)
+    return View(over, alphas, depth, splats, composited.get("extra"), composited.get("axes"))
 
 
 def colors(scene: Drawable, camera: Camera, active_degree: Array | int | None = None) -> Array:

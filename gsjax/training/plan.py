@@ -102,12 +102,14 @@ class Plan:
         return replace(whole, effects=names, density=density)
 
     def with_terms(self, weights: Mapping[str, float]) -> Self:
-        """The plan whose phases have these terms as well; one that a phase has already keeps its weight."""
+        """The plan whose phases have these terms as well; of one that a phase has already the larger weight counts."""
         phases = []
         for phase in self.phases:
-            known = {each.name for each in phase.terms}
-            added = weigh_terms({name: weight for name, weight in weights.items() if name not in known})
-            phases.append(replace(phase, terms=(*phase.terms, *added)))
+            heaviest = {each.name: each for each in phase.terms}
+            for each in weigh_terms(weights):
+                if each.name not in heaviest or each.weight > heaviest[each.name].weight:
+                    heaviest[each.name] = each
+            phases.append(replace(phase, terms=tuple(heaviest.values())))
         return replace(self, phases=tuple(phases))
 
     def until(self, count: int) -> Self:

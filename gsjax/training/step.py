@@ -138,6 +138,7 @@ def make_train_step(
             active_degree=state.step // sh_every,
             with_depth="depth" in needed,
             depth_mode=depth_mode,
+            with_axes="axes" in needed,
             **({rule.probes: probe} if rule else {}),
         )
         view = simulation.photograph(effects, numbers, view, batch, color)

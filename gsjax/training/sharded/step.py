@@ -86,7 +86,8 @@ def make_sharded_step(
     needed = needs(terms)
     reading = depth_mode if "depth" in needed else None
     splat_depth = render.splat_depth_mode(reading)
-    with_shapes = "gaussians" in needed
+    with_axes, with_shapes = "axes" in needed, "gaussians" in needed
+    after_axes = 6 if with_axes else 3  # columns of an exchanged row's features, of which colours are the first
     unpack = partial(rasterizer.unpack, with_slopes=splat_depth == "plane")
 
     def objective(free: tuple[Gaussians, Array | None], target: Target, color: Array, active_degree: Array):
@@ -98,6 +99,8 @@ def make_sharded_step(
         def pack(camera: Camera) -> rasterizer.Packed:
             projection, opacities = render.projected(scene, camera, splat_depth)
             features = [render.colors(scene, camera, active_degree)]
+            if with_axes:
+                features.append(render.facing_axes(scene, camera, projection))
             if with_shapes:
                 features.append(_shapes(gaussians))
             return rasterizer.pack(projection, opacities, jnp.concatenate(features, -1), splat_capacity)
@@ -108,8 +111,9 @@ def make_sharded_step(
         projection, opacities, features = unpack(rasterizer.exchange(rows, AXIS))
         splats = render.binned(projection, opacities, batch.camera, capacity)
         extra = features[:, -2:] if rule and rule.probes == "extra" else None
-        view = render.view_splats(splats, features[:, :3], color, reading=reading, extra=extra)
-        shown = _shaped(features[:, 3:14]) if with_shapes else _Undeclared()
+        axes = features[:, 3:after_axes] if with_axes else None
+        view = render.view_splats(splats, features[:, :3], color, reading=reading, extra=extra, axes=axes)
+        shown = _shaped(features[:, after_axes : after_axes + 11]) if with_shapes else _Undeclared()
         total, losses, mse = weighted_loss(terms, rule, shown, view, batch)  # pyright: ignore[reportArgumentType]
         return total, (_Seen(total, losses, in_decibels(mse), splats.pairs.needed, jnp.max(packed.needed)), packed)
 

@@ -16,6 +16,7 @@ from gsjax.training.terms import losses, multi_view, surface
 
 NEEDS = {
     "depth": "the rendered depth, `View.depth`",
+    "axes": "the splats' smallest axes composited, `View.axes`",
     "normals": "the normal map of the photo, `Batch.normals`",
     "measured": "depth that was measured beside the photo, `Batch.depth`",
     "neighbor": "a second view beside the first, `View.neighbor`",
@@ -85,11 +86,11 @@ TERMS: Mapping[str, Term] = {
     "entropy": Term(losses.entropy, {"gaussians"}),
     "sdf_normal": Term(losses.sdf_normal, {"depth", "normals", "gaussians"}),
     "pixel_normal": Term(losses.pixel_normal, {"depth", "normals"}),
-    "axis_normal": Term(losses.axis_normal, {"normals", "gaussians"}),
+    "axis_normal": Term(losses.axis_normal, {"axes", "normals"}),
     "thickness": Term(losses.thickness, {"gaussians"}),
     "coverage": Term(losses.coverage, {"normals"}),
     "distortion": Term(surface.distortion, {"depth"}),
-    "depth_normal": Term(surface.depth_normal, {"depth", "gaussians"}),
+    "depth_normal": Term(surface.depth_normal, {"axes", "depth"}),
     "multi_view": Term(multi_view.multi_view, {"depth", "neighbor"}),
     "photometric": Term(multi_view.photometric, {"depth", "neighbor"}),
     "measured_depth": Term(losses.measured_depth, {"depth", "measured"}),

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from jax import Array
 
 from gsjax.gaussians import Gaussians
-from gsjax.normals import sdf
 from gsjax.normals.from_depth import depth_normals
 from gsjax.numerics import masked_mean, safe_divide
 from gsjax.render import View, depth
@@ -46,9 +45,9 @@ def depth_normal(gaussians: Gaussians, view: View, batch: Batch) -> Array:
 
     Differentiable to rotations, and through the depth to means, scales and opacities.
     """
-    assert view.depth is not None, "the term reads the rendered depth"
+    del gaussians
+    assert view.depth is not None and view.axes is not None, "the term reads rendered depth and axes"
     of_depth = depth_normals(view.depth, batch.camera)
-    of_splats = sdf.smallest_axis_map(gaussians, view, batch.camera)
     weight = jax.lax.stop_gradient(view.alphas)
-    apart = weight * (weight - jnp.sum(of_splats * of_depth, axis=-1))
+    apart = weight * (weight - jnp.sum(view.axes * of_depth, axis=-1))
     return masked_mean(apart, batch.valid & jnp.any(of_depth != 0, axis=-1))

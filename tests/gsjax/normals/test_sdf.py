@@ -67,7 +67,8 @@ value_and_gradients = jax.jit(jax.value_and_grad(sdf.depth_sdf, argnums=(0, 1, 2
 
 @jax.jit
 def maps(gaussians, camera, depth=None):
-    view = render.view(gaussians, camera, capacity=8192, background=jnp.zeros(3, jnp.float32), with_depth=True)
+    read = {"with_depth": True, "with_axes": True}
+    view = render.view(gaussians, camera, capacity=8192, background=jnp.zeros(3, jnp.float32), **read)
     view = view if depth is None else view._replace(depth=depth)
     estimates = {e.__name__: e(gaussians, view, camera) for e in ESTIMATORS}
     return view.alphas, estimates

@@ -76,6 +76,14 @@ def test_held_back_a_run_has_fewer_gaussians_and_a_term_where_a_phase_has_none()
     assert held_back(found, may_lower=False) == found, "a run that goes on is the run that it was"
 
 
+def test_held_back_of_two_weights_of_one_term_the_larger_counts():
+    phases = [Phase(name, SHORTEST, Weights(depth_normal=weight)) for name, weight in (("little", 0.01), ("much", 0.3))]
+    found = held_back(plan(replace(SETTINGS, phases=tuple(phases))))
+    weights = [{each.name: each.weight for each in phase.terms} for phase in found.phases]
+    assert [each["depth_normal"] for each in weights] == [SMOOTH["depth_normal"], 0.3]
+    assert [list(each) for each in weights] == [[each.name for each in PLAN.phases[1].terms]] * 2
+
+
 def test_another_share_and_more_points_that_are_asked_for_stay():
     found = held_back(plan(replace(SETTINGS, dropout=0.5, stereo_points=200)))
     assert [phase.dropout for phase in found.phases] == [0.5, 0.5]

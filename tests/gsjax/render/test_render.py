@@ -21,8 +21,10 @@ ALIVE = 40
 SCENE = cloud(ALIVE, capacity=48, sh_degree=2)
 
 
-@partial(jax.jit, static_argnames="depth_mode")
-def shown(gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND, depth_mode="plane", extra=None):
+@partial(jax.jit, static_argnames=("depth_mode", "with_axes"))
+def shown(
+    gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND, depth_mode="plane", extra=None, with_axes=False
+):
     return render.view(
         gaussians,
         camera,
@@ -32,6 +34,7 @@ def shown(gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND, dept
         with_depth=True,
         depth_mode=depth_mode,
         extra=extra,
+        with_axes=with_axes,
     )
 
 
@@ -201,6 +204,16 @@ def test_further_channels_are_composited_beside_colours_and_depth():
     values = jnp.stack([jnp.ones(48, jnp.float32), 0.1 * jnp.arange(48, dtype=jnp.float32)], -1)
     plain, view = shown(SCENE), shown(SCENE, extra=values)
     assert plain.extra is None
+    assert_close(view.extra, render.features(plain.splats, values)[0])
+    assert_close((view.colors, view.alphas, view.depth), (plain.colors, plain.alphas, plain.depth))
+
+
+def test_axes_are_composited_beside_all_other_channels():
+    values = 0.1 * jnp.arange(96, dtype=jnp.float32).reshape(48, 2)
+    plain, view = shown(SCENE), shown(SCENE, extra=values, with_axes=True)
+    assert plain.axes is None
+    axes = render.facing_axes(render.drawable(SCENE), CAMERA, plain.splats.projection)
+    assert_close(view.axes, render.features(plain.splats, axes)[0])
     assert_close(view.extra, render.features(plain.splats, values)[0])
     assert_close((view.colors, view.alphas, view.depth), (plain.colors, plain.alphas, plain.depth))
 
