@@ -4,8 +4,10 @@ import time
 
 from gsjax.training.plan import Plan, PlannedPhase
 
-# What makes a step longer, in units of one of the image alone (docs/deviations.md, "Terms of other mesh makers"):
-SURFACE_COST, NEIGHBOR_COST = 1.0, 1.5  # a term of the surface, a second view beside the first
+COSTS = {"depth": 0.3, "axes": 0.3, "gaussians": 0.7, "neighbor": 1.5}
+"""What each of the needs of its terms adds to a dear step, in units of a step of the image alone
+(experiments/results/price_on_photos.md, "Where a price would come from"); with Gaussians, the SDF gradient at them."""
+
 FIXED_COST = 0.35  # Of a step at full size, what does not shrink with the photos: the Gaussians' own part.
 UNTIMED, TIMED = 4, 16  # Steps of a phase: the first ones compile (the dear ones of `fast` too), the next are timed.
 
@@ -34,8 +36,7 @@ def relative_cost(phase: PlannedPhase) -> float:
     plain = image_cost(phase.scale)
     if not any(each.is_dear for each in phase.terms):
         return plain
-    dearer = SURFACE_COST + NEIGHBOR_COST * ("neighbor" in phase.needs)
-    dear = image_cost(phase.scale * phase.surface_scale) * (1 + dearer)
+    dear = image_cost(phase.scale * phase.surface_scale) * (1 + sum(COSTS.get(need, 0.0) for need in phase.needs))
     return plain + (dear - plain) / phase.surface_every
 
 

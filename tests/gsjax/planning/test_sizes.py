@@ -9,6 +9,7 @@ from gsjax.planning.sizes import chosen_downscale, size_line
 from gsjax.scene import Frame
 from gsjax.settings import Phase, Settings, Weights
 from gsjax.training.plan import plan
+from gsjax.training.terms import weigh_terms
 
 EYE = np.eye(4, dtype=np.float32)
 
@@ -56,6 +57,8 @@ def test_what_is_left_scales_with_the_pixels_and_the_terms_of_each_phase():
     smaller = replace(planned, phases=(coarse, vanilla, replace(surface, surface_every=4, surface_scale=2)))
     of_dear = 2 * (pace.FIXED_COST + (1 - pace.FIXED_COST) / 4)
     assert seconds_left(smaller, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + (0.75 + 0.25 * of_dear) * 50))
+    lying = replace(planned, phases=(coarse, vanilla, replace(surface, terms=weigh_terms({"depth_normal": 0.1}))))
+    assert seconds_left(lying, 250, vanilla, 0.5) == pytest.approx(0.5 * (50 + 1.6 * 50))
     quarter = pace.FIXED_COST + (1 - pace.FIXED_COST) / 4
     assert seconds_left(planned, 20, coarse, quarter) == pytest.approx(80 * quarter + 200 + 2 * 50)
 
