@@ -135,5 +135,6 @@ def test_what_cannot_run_is_refused_by_name(settings, own, message):
 
 
 def test_words_that_nothing_provides_are_refused():
-    with pytest.raises(ValueError, match="needs='depht' is none of depth, axes, normals, measured, neighbor, sky, gaussians"):
+    words = "depth, axes, normals, measured, neighbor, sky, gaussians"
+    with pytest.raises(ValueError, match=f"needs='depht' is none of {words}"):
         Term(needles, {"depht"})
