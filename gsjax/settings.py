@@ -267,8 +267,6 @@ _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, 
 # For photos of half the size. The gradient at the means brings nothing more there, and costs most; `multi_view` counts
 # pixels, of which the same way has half as many (experiments/results/price_on_photos.md).
 _HALF_SIZE_TERMS = {"pixel_normal": 0.1, "multi_view": 0.06, "photometric": 0.3}
-# Splats that lie along the surface from the beginning have normals that photos agree about (the same page).
-_ALONG_SURFACES = {"depth_normal": 0.01}
 FAST: dict[str, Any] = {
     "depth_mode": "front",  # thin things are not as deep as their far sides' light has them (docs/deviations.md)
     "effects": AUTO,
@@ -280,9 +278,9 @@ FAST: dict[str, Any] = {
     "cpu_pixels": 300_000,
     "sh_every": 300,
     "phases": [
-        _phase("coarse", 900, weights=_ALONG_SURFACES, image_scale=2, density_control=True),
+        _phase("coarse", 900, image_scale=2, density_control=True),
         _phase("vanilla", 200, density_control=True),
-        _phase("surface", 900, weights=_HALF_SIZE_TERMS, surface_every=4, surface_scale=2),
+        _phase("surface", 1000, weights=_HALF_SIZE_TERMS, surface_every=4, surface_scale=2),
     ],
     "rates": {**RATES, "means": 1.28e-3},
     "density": {"rule": "error", "start": 50, "stop": 1000, "full_by": 0.6, "reset_every": 0},

@@ -60,7 +60,7 @@ def costs_on(on: str) -> dict[str, float]:
 def at_equal_time(
     phases: list[dict[str, Any]], methods: Mapping[str, Method], mix: float, *, depth_mode: str = "front"
 ) -> dict[str, dict[str, Any]]:
-    """Variants by name: plain phases, and the last of each method as long as takes the time of the mix.
+    """Variants by name: the phases, the last of each method as long as takes the time of the mix.
 
     Args:
         phases: Of the mix.
@@ -69,7 +69,6 @@ def at_equal_time(
         depth_mode: How depth is read in each of them.
     """
     *first, last = phases
-    first = [{**each, "weights": {}} for each in first]
     time = mix * last["steps"]
     shared = {"depth_mode": depth_mode}
 
