@@ -218,6 +218,23 @@ def test_axes_are_composited_beside_all_other_channels():
     assert_close((view.colors, view.alphas, view.depth), (plain.colors, plain.alphas, plain.depth))
 
 
+def test_axes_in_the_common_pass_have_the_gradient_of_a_pass_of_their_own():
+    weights = jnp.asarray(np.random.default_rng(0).normal(size=(24, 32, 3)), jnp.float32)
+
+    def together(gaussians):
+        return jnp.sum(weights * shown(gaussians, with_axes=True).axes)
+
+    def alone(gaussians):
+        splats = render.splat(gaussians, CAMERA, CAPACITY)
+        axes = render.facing_axes(render.drawable(gaussians), CAMERA, splats.projection)
+        return jnp.sum(weights * render.features(splats, axes)[0])
+
+    found, expected = (jax.jit(jax.grad(each))(SCENE) for each in (together, alone))
+    assert np.abs(expected.quats[:ALIVE]).max() > 0.1
+    for name in ("means", "quats", "log_scales", "logit_opacities"):
+        assert_close(getattr(found, name), getattr(expected, name))
+
+
 def test_nothing_enters_from_a_row_that_is_not_visible():
     view = shown(SCENE)
     hidden = ~np.asarray(view.splats.projection.visible[0])
