@@ -1,6 +1,6 @@
 """How far is a mesh of bare photos from what a depth sensor measured?
 
-    python experiments/room.py RUN_OR_MESH ... [--room DIR] [--json FILE]
+    python experiments/room.py RUN_OR_MESH ... [--room DIR] [--json FILE] [--place FILE]
 
 RUN is the folder of `gsjax scan` (both its meshes are scored), or that of a run with a `mesh.ply`; a mesh file lies in
 the folder of its run, whose `cameras.json` says from where the photos were taken. DIR (default: ../shared/data/room)
@@ -11,6 +11,9 @@ then by ICP with scale. Accuracy is the median distance of the mesh to the truth
 front of its cameras, completeness that of the truth to the mesh; F is at 3, 5 and 10 cm; the normal error is the mean
 angle between the triangles of the mesh and the nearest of the truth, whichever side they face. The last two rows are
 the floor: the truth against itself drawn anew, and the truth after it was misplaced as the first mesh was and aligned.
+
+`--place` writes the truth where the first mesh's run has the room: what `gsjax texture RUN --mesh FILE` paints then, and
+`gsjax eval RUN --mesh` scores, is as good as a texture of this run's photos gets on the sensor's own surface.
 """
 
 import argparse
@@ -177,14 +180,15 @@ def moved(mesh: Mesh, by: Alignment) -> Mesh:
     return Mesh(by(mesh.vertices.astype(np.float64)), mesh.faces, mesh.colors)
 
 
-def run(given: Sequence[str], room: str) -> dict[str, dict[str, float]]:
-    """The scores of all meshes by their file, and of the floor.
+def run(given: Sequence[str], room: str, place: str | None = None) -> dict[str, dict[str, float]]:
+    """The scores of all meshes by their file, and of the floor; the truth where the first mesh lies goes to `place`.
 
     Raises:
         InputError: The truth or a mesh cannot be read or aligned.
     """
     from gsjax.measures.geometry import sample_surface
     from gsjax.meshing import read_mesh
+    from gsjax.meshing.export import write_mesh
 
     truth = read_truth(room)
     targets = sample_surface(truth.mesh, TRUTH_POINTS, 2)[0]
@@ -194,7 +198,10 @@ def run(given: Sequence[str], room: str) -> dict[str, dict[str, float]]:
         mesh, start = read_mesh(file), camera_alignment(file.parent, truth)
         aligned = icp(mesh, start, targets)
         if not found:
-            misplaced = Mesh(start(aligned.back(truth.mesh.vertices)), truth.mesh.faces, truth.mesh.colors)
+            in_run = Mesh(aligned.back(truth.mesh.vertices), truth.mesh.faces, truth.mesh.colors)
+            misplaced = moved(in_run, start)
+            if place:
+                write_mesh(place, in_run)
         found[str(file)] = scores(moved(mesh, aligned), truth)
     again = icp(misplaced, Alignment(1.0, np.eye(3), np.zeros(3)), targets)
     floors = {"floor: drawn anew": truth.mesh, "floor: aligned anew": moved(misplaced, again)}
@@ -207,8 +214,9 @@ def main() -> None:
     parser.add_argument("meshes", nargs="+", metavar="RUN_OR_MESH")
     parser.add_argument("--room", metavar="DIR", default=str(Path(__file__).parents[2] / "shared/data/room"))
     parser.add_argument("--json", metavar="FILE", help="also write the figures here")
+    parser.add_argument("--place", metavar="FILE", help="also write the truth where the first mesh lies")
     arguments = parser.parse_args()
-    found = run(arguments.meshes, arguments.room)
+    found = run(arguments.meshes, arguments.room, arguments.place)
     heads = list(next(iter(found.values())))
     rows = [[name, *(f"{one[head]:.3f}" for head in heads)] for name, one in found.items()]
     print(align_columns([["mesh", *heads], *rows], range(1, len(heads) + 1)))
