@@ -158,19 +158,21 @@ def _scores(gaussians: Gaussians, photos: Targets, points: Sequence[np.ndarray],
     color = BACKGROUND_COLORS[settings.background]
     cameras = [Camera(each.viewmat, each.K, *photos.size) for each in photos.targets]
     shown = list(gallery.pictures(gaussians, cameras, color, settings.depth_mode))
-    batches = (targets.batch(each, jnp.asarray(color, jnp.float32)) for each in photos.targets)
+    batches = [targets.batch(each, jnp.asarray(color, jnp.float32)) for each in photos.targets]
     errors = [
         masked_mean(jnp.mean(jnp.square(picture.colors - batch.image), axis=-1), batch.valid)
         for picture, batch in zip(shown, batches, strict=True)
     ]
     psnr = np.asarray(in_decibels(jnp.stack(errors)), np.float64)
-    seen = zip(psnr, shown, cameras, points, strict=True)
-    return [Score(float(decibels), _off(picture.depth, camera, known)) for decibels, picture, camera, known in seen]
+    seen = zip(shown, batches, cameras, points, strict=True)
+    offs = [_off(picture.depth, np.asarray(batch.valid), camera, known) for picture, batch, camera, known in seen]
+    return [Score(float(decibels), off) for decibels, off in zip(psnr, offs, strict=True)]
 
 
-def _off(depth: np.ndarray, camera: Camera, points: np.ndarray) -> float | None:
-    """Median of |z / z of the point - 1| over the points `[P, 3]` that a rendered depth `[H, W]` has in view."""
+def _off(depth: np.ndarray, valid: np.ndarray, camera: Camera, points: np.ndarray) -> float | None:
+    """Median of |z / z of the point - 1| over the points `[P, 3]` at `valid` pixels of a rendered depth `[H, W]`."""
     row, column, z, inside = landing(points, camera.viewmat, camera.K, depth.shape)
-    if inside.sum() < FEWEST_POINTS:
+    counts = inside & valid[row, column]
+    if counts.sum() < FEWEST_POINTS:
         return None
-    return max(float(np.median(np.abs(depth[row, column][inside] / z[inside] - 1))), LEAST_OFF)
+    return max(float(np.median(np.abs(depth[row, column][counts] / z[counts] - 1))), LEAST_OFF)

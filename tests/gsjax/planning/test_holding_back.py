@@ -153,11 +153,19 @@ def test_depth_is_off_by_what_matched_points_say():
     at_two = np.tile([0.1, 0.1, 2.0], (15, 1))
     at_four = np.tile([0.1, -0.1, 4.0], (16, 1))
     unseen = np.tile([0.0, 0.0, -2.0], (40, 1)), np.tile([9.0, 0.0, 1.0], (40, 1))
-    wall = np.full((16, 16), 2.0)
-    assert holding_back._off(wall, camera, np.concatenate([at_two, at_four, *unseen])) == pytest.approx(0.5)
-    assert holding_back._off(wall, camera, np.concatenate([at_two, at_two])) == holding_back.LEAST_OFF
-    assert holding_back._off(np.zeros((16, 16)), camera, at_four.repeat(2, axis=0)) == 1.0, "nothing is shown"
-    assert holding_back._off(wall, camera, np.concatenate([at_two, *unseen])) is None
+    wall, whole = np.full((16, 16), 2.0), np.ones((16, 16), bool)
+    above = whole.copy()
+    above[8:] = False  # those at two are masked
+
+    def off(depth, *points, valid=whole):
+        return holding_back._off(depth, valid, camera, np.concatenate(points))
+
+    assert off(wall, at_two, at_four, *unseen) == pytest.approx(0.5)
+    assert off(wall, at_two, at_two) == holding_back.LEAST_OFF
+    assert off(np.zeros((16, 16)), at_four, at_four) == 1.0, "nothing is shown"
+    assert off(wall, at_two, *unseen) is None
+    assert off(wall, at_two, at_two, at_two, at_four, at_four, valid=above) == pytest.approx(0.5)
+    assert off(wall, at_two, at_two, at_four, valid=above) is None
 
 
 @pytest.mark.usefixtures("short")
