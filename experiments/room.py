@@ -12,8 +12,8 @@ front of its cameras, completeness that of the truth to the mesh; F is at 3, 5 a
 angle between the triangles of the mesh and the nearest of the truth, whichever side they face. The last two rows are
 the floor: the truth against itself drawn anew, and the truth after it was misplaced as the first mesh was and aligned.
 
-`--place` writes the truth where the first mesh's run has the room: `gsjax texture RUN --mesh FILE` paints it, and `gsjax
-eval RUN --mesh` then scores what the run's photos bring on the sensor's own surface.
+`--place` writes the truth where the first mesh's run has the room. `gsjax texture RUN --mesh FILE` paints it, and
+`gsjax eval RUN --mesh` then scores what the run's photos bring on the sensor's own surface.
 """
 
 import argparse
