@@ -26,7 +26,7 @@ class Witness(NamedTuple):
 def by_sightlines(lines: Sightlines) -> Witness:
     """The tracks of structure from motion, of one line at least."""
     return Witness(
-        f"{len(lines):,} lines of sight to matched points", lambda mesh: agreement(mesh, lines)._asdict(), 0.05
+        f"{len(lines):,} lines of sight to matched points", lambda mesh: agreement(mesh, lines)._asdict(), 0.04
     )
 
 
