@@ -33,7 +33,7 @@ def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:
 
     def taught(cost: float, along: float = 0.0, **differences: Any) -> dict[str, Any]:
         left = time(surface["steps"], COSTS["surface"]) - (coarse["steps"] * ALONG if along else 0)
-        first = {**coarse, "weights": {"depth_normal": along}}
+        first = {**coarse, "weights": {**coarse.get("weights", {}), "depth_normal": along}}
         return small | {"phases": [first, vanilla, surface | {"steps": round(left / time(1, cost))} | differences]}
 
     with_means = {"sdf_normal": 0.05, **surface["weights"]}

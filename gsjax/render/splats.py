@@ -12,6 +12,7 @@ from jax import Array
 import rasterizer
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, PixelFilter, opacities, scales
+from gsjax.numerics import safe_normalize
 from rasterizer import DepthMode
 
 PIXEL_FILTERS: dict[PixelFilter, dict[str, Any]] = {
@@ -171,7 +172,8 @@ def facing_axes(scene: Drawable, camera: Camera, projection: rasterizer.Projecti
     the side, nor to `scales`, which decide the axis.
     """
     shapes = scene.means, scene.quats, scene.scales
-    return rasterizer.camera_normals(*shapes, camera.viewmat[None], jax.lax.stop_gradient(projection.visible))[0]
+    axes = rasterizer.camera_normals(*shapes, camera.viewmat[None], jax.lax.stop_gradient(projection.visible))[0]
+    return safe_normalize(axes)
 
 
 def owners(splats: Splats) -> Array:

@@ -147,8 +147,7 @@ def test_the_terms_are_those_of_all_splats_at_all_pixels(name):
         expected_value, slopes = jax.tree.map(np.asarray, exact)
         value, gradient = value_and_gradient(term, SCENES[name])
         assert expected_value > 1e-6
-        rounding = 3e-7 if term is depth_normal else 2e-8  # Of axes a unit long, whose cosine is taken from one.
-        assert_close(value, expected_value, rtol=1e-4, atol=rounding, why="a sum of weights in float32, less one")
+        assert_close(value, expected_value, rtol=1e-4, atol=2e-8, why="a sum of weights in float32, less one")
         for field in FIELDS:
             found, expected = getattr(gradient, field), getattr(slopes, field)
             assert_close(found, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max(), why="small numbers")
