@@ -39,6 +39,17 @@ class Blended(NamedTuple):
     kept: tuple[Array, ...] = ()  # what the engine's own backward pass reads besides
 
 
+class Unlisted(NamedTuple):
+    """The two passes of an engine that lists splats in memory of its own: no caller chooses a capacity."""
+
+    # (projection, opacities, grid, rules, masks) -> arrays that the lists are made of, without gradient
+    listed: Callable[..., tuple[Array, ...]]
+    # (static, rows, listed) -> Blended, whose median is a splat
+    forward: Callable[..., Blended]
+    # (static, rows, listed, transmittance, last, d_features, d_transmittance) -> [M, 6 + D], dL/drows
+    backward: Callable[..., Array]
+
+
 class Engine(NamedTuple):
     """The two passes over tiles, and what lists their splats. Hashable, static."""
 
@@ -47,6 +58,7 @@ class Engine(NamedTuple):
     # (static, rows, splats, offsets, transmittance, last, d_features, d_transmittance, *kept) -> [M, 6 + D], dL/drows.
     backward: Callable[..., Array]
     lists: Callable[..., TilePairs] = bin_splats
+    unlisted: Unlisted | None = None
 
 
 class Static(NamedTuple):
@@ -191,3 +203,28 @@ def _composite_bwd(static, residuals, cotangents):
 
 
 composite.defvjp(_composite_fwd, _composite_bwd)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0,))
+def composite_unlisted(
+    static: Static, means2d: Array, conics: Array, opacities: Array, features: Array, listed: tuple[Array, ...]
+):
+    """`composite` by an engine that lists the splats itself, of `listed` as its `Unlisted.listed` returns it."""
+    return _unlisted_fwd(static, means2d, conics, opacities, features, listed)[0]
+
+
+def _unlisted_fwd(static, means2d, conics, opacities, features, listed):
+    rows = _splat_rows(means2d, conics, opacities, features)
+    blended = static.engine.unlisted.forward(static, rows, listed)
+    image = to_image(jnp.concatenate([blended.features, blended.transmittance[:, None]], 1), static.grid)
+    median = None if blended.median is None else to_image(blended.median[:, None], static.grid)[..., 0]
+    return (image[..., :-1], image[..., -1:], median), (rows, listed, blended.transmittance, blended.last)
+
+
+def _unlisted_bwd(static, residuals, cotangents):
+    d_tiles = to_tiles(jnp.concatenate(cotangents[:2], -1), static.grid)
+    d_rows = static.engine.unlisted.backward(static, *residuals, d_tiles[:, :-1], d_tiles[:, -1])
+    return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:], None
+
+
+composite_unlisted.defvjp(_unlisted_fwd, _unlisted_bwd)

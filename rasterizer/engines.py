@@ -12,7 +12,7 @@ from jax import Array
 
 from rasterizer import _mosaic, _pallas, _reference, _xla
 from rasterizer.binning import TileGrid, TilePairs
-from rasterizer.compositing import Engine, Front, Static, composite
+from rasterizer.compositing import Engine, Front, Static, composite, composite_unlisted
 from rasterizer.devices import default_device, has_triton, why_no_kernels
 from rasterizer.projection import Projection
 from rasterizer.reverse_mode import reverse_only
@@ -86,6 +86,11 @@ def _engine(backend: Backend) -> Engine:
     return kernels.engine(interpret=reason is not None)
 
 
+def lists_by_itself(backend: Backend = "auto") -> bool:
+    """Whether `blend` of a backend needs no lists: it lists splats in memory of its own, in every pass."""
+    return resolve(backend) == "reference" or _engine(backend).unlisted is not None
+
+
 def default_tile_size(backend: Backend = "auto") -> int:
     """The side of a tile that suits a backend, pixels."""
     return TILE_SIZES[resolve(backend)]
@@ -122,11 +127,12 @@ def blend(
     projection: Projection,
     opacities: Array,
     features: Array,
-    pairs: TilePairs,
+    pairs: TilePairs | None,
     grid: TileGrid,
     rules: Rules = GSPLAT,
     *,
     backend: Backend = "auto",
+    masks: Array | None = None,
     with_median: bool = False,
     front: Front | None = None,
     absgrad: Array | None = None,
@@ -137,10 +143,12 @@ def blend(
         projection: Splats of `grid.num_cameras` cameras.
         opacities: `[N]` or `[C, N]`.
         features: `[C, N, D]`.
-        pairs: Lists of `bin_splats` for this projection and grid.
+        pairs: Lists of `bin_splats` for this projection and grid. None: the backend lists splats in memory of its own,
+            see `lists_by_itself`.
         grid: The tiles. Static.
         rules: Thresholds. Static.
         backend: "reference" looks at no list: every splat is blended at every pixel. Static.
+        masks: As in `bin_splats`, where `pairs` is None.
         with_median: Whether the median splats are wanted. Static.
         front: How many of the last channels end with the first layers, and where. Static.
         absgrad: `[C, N, 2]` zeros: nothing depends on them, and their gradient is the sum over pixels of *absolute*
@@ -153,7 +161,8 @@ def blend(
 
     Raises:
         ValueError: If the tiles do not suit the backend, there is no camera or no channel, or `absgrad` is given to
-            "reference" or for more channels than one pass has.
+            "reference", without pairs, or for more channels than one pass has; or if there are no pairs and the
+            backend does not list splats by itself.
         TypeError: In forward mode, or differentiated a second time, unless the backend is "reference".
     """
     channels, side = features.shape[2], grid.tile_size
@@ -166,6 +175,10 @@ def blend(
         raise ValueError(f"tile_size={side} is over {_native().MAX_SIDE}, the most that backend='native' holds")
     if absgrad is not None and (kind == "reference" or channels > CHANNEL_CHUNK):
         raise ValueError(f"absgrad needs a tile backend and at most {CHANNEL_CHUNK} channels, not {kind}, {channels}")
+    if pairs is None and not lists_by_itself(backend):
+        raise ValueError(f"pairs=None: backend={kind!r} needs the lists of bin_splats")
+    if absgrad is not None and pairs is None:
+        raise ValueError("absgrad needs the lists of bin_splats, not pairs=None")
     if features.shape[1] == 0:
         shape = (grid.num_cameras, grid.height, grid.width)
         median = jnp.full(shape, -1, jnp.int32) if with_median else None
@@ -176,9 +189,9 @@ def blend(
         return _reference.composite(flat, opacities, features, grid.width, grid.height, rules, front)
     if front and channels > CHANNEL_CHUNK:
         others = features[..., : channels - front.channels], features[..., channels - front.channels :]
-        how = {"backend": backend, "with_median": with_median}
-        image, left, median = blend(projection, opacities, others[0], pairs, grid, rules, **how)
-        ended, *_ = blend(projection, opacities, others[1], pairs, grid, rules, backend=backend, front=front)
+        how = {"backend": backend, "masks": masks}
+        image, left, median = blend(projection, opacities, others[0], pairs, grid, rules, with_median=with_median, **how)
+        ended, *_ = blend(projection, opacities, others[1], pairs, grid, rules, front=front, **how)
         return jnp.concatenate([image, ended], -1), left, median
     absolute = None if absgrad is None else _xla.absolute_gradients
     static = Static(grid, rules, _engine(backend), with_median, front, absolute)
@@ -188,14 +201,21 @@ def blend(
         reverse_only(jnp.where(projection.visible, opacities, 0).reshape(-1)),
     )
     flat = reverse_only(features.reshape(-1, channels))
+    probe = None if absgrad is None else reverse_only(absgrad.reshape(-1, 2))
+    listed = None if pairs else static.engine.unlisted.listed(projection, opacities, grid, rules, masks)
+
+    def one_pass(channels: Array):
+        if pairs is None:
+            return composite_unlisted(static, *splats, channels, listed)
+        return composite(static, *splats, channels, pairs.splats, pairs.offsets, probe)
+
     if channels <= CHANNEL_CHUNK:
-        probe = None if absgrad is None else reverse_only(absgrad.reshape(-1, 2))
-        return composite(static, *splats, flat, pairs.splats, pairs.offsets, probe)
+        return one_pass(flat)
     # Equal chunks of one compiled pass; the light left and the median come from the first.
     num_chunks = -(-channels // CHANNEL_CHUNK)
     width = -(-channels // num_chunks)
     padded = jnp.pad(flat, ((0, 0), (0, num_chunks * width - channels)))
     chunks = jnp.moveaxis(padded.reshape(-1, num_chunks, width), 1, 0)
-    images, left, median = jax.lax.map(lambda f: composite(static, *splats, f, pairs.splats, pairs.offsets), chunks)
+    images, left, median = jax.lax.map(one_pass, chunks)
     image = jnp.concatenate(list(images), -1)[..., :channels]
     return image, left[0], None if median is None else median[0]

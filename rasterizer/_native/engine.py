@@ -10,10 +10,11 @@ from jax import Array
 
 from rasterizer._native import lists as _lists
 from rasterizer._native import passes as _passes
+from rasterizer._native import whole as _whole
 from rasterizer._native.calls import API_MAJOR, API_MINOR
 from rasterizer._native.tiles import GEOMETRY
 from rasterizer.binning import TileGrid, TilePairs, sigma_cuts
-from rasterizer.compositing import Blended, Engine, Static
+from rasterizer.compositing import Blended, Engine, Static, Unlisted
 from rasterizer.projection import Projection
 from rasterizer.rules import Rules
 
@@ -27,7 +28,7 @@ def _check_interface() -> None:
 
 
 _check_interface()
-for _handler in (_lists.lists, _passes.forward, _passes.backward):
+for _handler in (_lists.lists, _passes.forward, _passes.backward, _whole.list_and_blend, _whole.list_and_unblend):
     jax.ffi.register_ffi_target(f"rasterizer_{_handler.__name__}", jax.ffi.pycapsule(_handler.ctypes), platform="cpu")
 
 
@@ -59,15 +60,16 @@ def _numbers(static: Static) -> tuple[Array, Array]:
     return jnp.asarray(np.array(sizes, np.int32)), jnp.asarray(np.array(thresholds, np.float32))
 
 
-def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blended:
+def _of_tiles(static: Static, rows: Array) -> tuple[jax.ShapeDtypeStruct, ...]:
+    """What a forward pass returns: features, light, last, median."""
     tiles, pixels = static.grid.num_tiles, static.grid.tile_size**2
     indices = jax.ShapeDtypeStruct((tiles, pixels), np.int32)
-    results = (
-        jax.ShapeDtypeStruct((tiles, rows.shape[1] - GEOMETRY, pixels), np.float32),
-        jax.ShapeDtypeStruct((tiles, pixels), np.float32),
-        indices,
-        indices,
-    )
+    features = jax.ShapeDtypeStruct((tiles, rows.shape[1] - GEOMETRY, pixels), np.float32)
+    return features, jax.ShapeDtypeStruct((tiles, pixels), np.float32), indices, indices
+
+
+def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blended:
+    results = _of_tiles(static, rows)
     features, light, last, median = _call("forward", results, rows, splats, offsets, *_numbers(static))
     return Blended(features, light, last, median if static.with_median else None)
 
@@ -76,6 +78,40 @@ def _backward(static: Static, rows, splats, offsets, light, last, d_features, d_
     result = jax.ShapeDtypeStruct(rows.shape, np.float32)
     arguments = rows, splats, offsets, light, last, d_features, d_light
     return _call("backward", result, *arguments, *_numbers(static))
+
+
+def _forward_unlisted(static: Static, rows: Array, listed: tuple[Array, ...]) -> Blended:
+    results = _of_tiles(static, rows)
+    features, light, last, median = _call("list_and_blend", results, rows, *listed, *_numbers(static))
+    return Blended(features, light, last, median if static.with_median else None)
+
+
+def _backward_unlisted(static: Static, rows, listed, light, last, d_features, d_light) -> Array:
+    result = jax.ShapeDtypeStruct(rows.shape, np.float32)
+    arguments = rows, *listed, light, last, d_features, d_light
+    return _call("list_and_unblend", result, *arguments, *_numbers(static))
+
+
+def _listed(
+    projection: Projection, opacities: Array, grid: TileGrid, rules: Rules, masks: Array | None
+) -> tuple[Array, ...]:
+    """What the lists are made of: the arguments of `lists.lists`, not differentiable."""
+    # In float32, whatever comes: the lists only say what is looked at.
+    p = jax.tree.map(lambda x: jax.lax.stop_gradient(_single(x)), projection)
+    opacities = jax.lax.stop_gradient(_single(opacities))
+    cuts = sigma_cuts(jnp.broadcast_to(opacities, p.depths.shape), rules)
+    sizes = np.array([grid.tiles_x, grid.tiles_y, grid.tile_size, grid.num_cameras], np.int32)
+    wanted = jnp.zeros(0, bool) if masks is None else masks.reshape(-1)
+    return (
+        p.means2d.reshape(-1, 2),
+        p.conics.reshape(-1, 3),
+        p.depths.reshape(-1),
+        p.extents.reshape(-1, 2),
+        p.visible.reshape(-1),
+        cuts.reshape(-1),
+        wanted,
+        jnp.asarray(sizes),
+    )
 
 
 def bin_splats(
@@ -87,30 +123,14 @@ def bin_splats(
     masks: Array | None = None,
 ) -> TilePairs:
     """`binning.bin_splats` as native loops: the same lists. Slots that nobody needs are not even written."""
-    # In float32, whatever comes: the lists only say what is looked at.
-    p = jax.tree.map(lambda x: jax.lax.stop_gradient(_single(x)), projection)
-    opacities = _single(opacities)
-    cuts = sigma_cuts(jnp.broadcast_to(jax.lax.stop_gradient(opacities), p.depths.shape), rules)
-    sizes = np.array([grid.tiles_x, grid.tiles_y, grid.tile_size, grid.num_cameras], np.int32)
-    wanted = jnp.zeros(0, bool) if masks is None else masks.reshape(-1)
     results = (
         jax.ShapeDtypeStruct((capacity,), np.int32),
         jax.ShapeDtypeStruct((grid.num_tiles + 1,), np.int32),
         jax.ShapeDtypeStruct((), np.int32),
     )
-    splats, offsets, needed = _call(
-        "lists",
-        results,
-        p.means2d.reshape(-1, 2),
-        p.conics.reshape(-1, 3),
-        p.depths.reshape(-1),
-        p.extents.reshape(-1, 2),
-        p.visible.reshape(-1),
-        cuts.reshape(-1),
-        wanted,
-        jnp.asarray(sizes),
-    )
+    listed = _listed(projection, opacities, grid, rules, masks)
+    splats, offsets, needed = _call("lists", results, *listed)
     return TilePairs(splats, offsets, needed, needed > capacity)
 
 
-ENGINE = Engine(_forward, _backward, bin_splats)
+ENGINE = Engine(_forward, _backward, bin_splats, Unlisted(_listed, _forward_unlisted, _backward_unlisted))

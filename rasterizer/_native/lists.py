@@ -1,13 +1,15 @@
 """The lists of `rasterizer.bin_splats` as loops: one sort of the splats by depth, then rows of tiles by themselves.
 
 A splat goes to a tile where the same test of the same numbers sends it there: the lists are those of the other
-backends to the last entry.
+backends to the last entry. A result without memory gets exactly as much as the lists need (`rasterizer._native.whole`).
 """
 
 import numpy as np
 
 from rasterizer._native.blending import HALF, ONE, ZERO
 from rasterizer._native.calls import (
+    DATA,
+    DIMENSIONS,
     HANDLER,
     TASK,
     allocate,
@@ -296,6 +298,19 @@ for _task in (write_chunks, count_bands, fill_bands):
 
 
 @inlined
+def give_memory(frame, counts, tiles):
+    """Allocates the lists where the caller left that to this pass; returns whether they have memory."""
+    buffer, total = result(frame, 0), 0
+    if word(buffer, DATA) != 0:
+        return True
+    for tile in range(tiles):
+        total += counts[tile]
+    set_word(buffer, DATA, allocate(4 * total))
+    set_word(word(buffer, DIMENSIONS), 0, total)
+    return word(buffer, DATA) != 0
+
+
+@inlined
 def write_offsets(frame, counts, tiles, needed):
     """Writes the offsets and the capacity that is needed, and turns counts into where each list begins."""
     capacity, total, offsets = length(result(frame, 0), 0), 0, int32s(result(frame, 1))
@@ -333,6 +348,8 @@ def write_lists(frame, job, count, tiles):
     if done:
         write_members(job)
         done = share(frame, address_of("rasterizer_count_bands"), job, BANDS)
+    if done:
+        done = give_memory(frame, as_int64s(at_counts), tiles)
     if done:
         write_offsets(frame, as_int64s(at_counts), tiles, needed)
         done = share(frame, address_of("rasterizer_fill_bands"), job, BANDS)
