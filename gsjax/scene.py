@@ -134,6 +134,11 @@ class Scene:
         """Frames kept for scoring."""
         return tuple(f for f in self.frames if f.held_out)
 
+    @property
+    def extent(self) -> float:
+        """Camera extent of the training frames, scene units, see `extent`."""
+        return extent(self.train_frames)
+
 
 def tracks_by_name(scene: Scene) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Photo's name -> `[O]` int64 indices of the points matched in it, and `[O, 2]` float64 rays (`Tracks`).

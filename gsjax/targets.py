@@ -37,6 +37,12 @@ class Target:
     beside: "Target | None" = None  # another view of the same step, where a term compares two
     turn: Array | None = None  # [] int32, the steps before it: a state of another step is left as it is. None: of any
 
+    @property
+    def camera(self) -> Camera:
+        """The view of the padded photo."""
+        height, width = self.image.shape[:2]
+        return Camera(self.viewmat, self.K, width, height)
+
 
 @dataclass(frozen=True)
 class Targets:
@@ -191,8 +197,7 @@ def batch(target: Target, background: Array) -> Batch:
         valid &= target.valid
     normals = None if target.normals is None else target.normals.astype(jnp.float32) / NORMAL_UNIT
     trust = None if target.trust is None else target.trust.astype(jnp.float32) / 255
-    camera = Camera(target.viewmat, target.K, width, height)
-    return Batch(camera, image, valid, matte, normals, target.photo, target.depth, trust, target.sky)
+    return Batch(target.camera, image, valid, matte, normals, target.photo, target.depth, trust, target.sky)
 
 
 def _target(frame: Frame, scale: int, width: int, height: int, keep: Keep) -> Target:

@@ -2,10 +2,10 @@
 
 from rasterizer.api import rasterization
 from rasterizer.binning import TileGrid, TilePairs, count_pairs
-from rasterizer.capacity import capacity_bucket
+from rasterizer.capacity import capacity_bucket, count_capacity
 from rasterizer.compositing import Front
 from rasterizer.covariances import quat_scale_to_covar_preci
-from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, prepare
+from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, lists_by_itself, prepare
 from rasterizer.exchange import Packed, exchange, pack, unpack
 from rasterizer.features import blended_depth, depth_channels, median_depth
 from rasterizer.harmonics import (
@@ -43,6 +43,7 @@ __all__ = [
     "blended_depth",
     "camera_normals",
     "capacity_bucket",
+    "count_capacity",
     "count_pairs",
     "default_tile_size",
     "depth_channels",
@@ -50,6 +51,7 @@ __all__ = [
     "fully_fused_projection",
     "isect_offset_encode",
     "isect_tiles",
+    "lists_by_itself",
     "median_depth",
     "pack",
     "prepare",

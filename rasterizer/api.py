@@ -11,9 +11,9 @@ from jax import Array
 from rasterizer import _reference
 from rasterizer.arrays import takes_arrays
 from rasterizer.batches import maps_over_batches
-from rasterizer.binning import TileGrid
+from rasterizer.binning import TileGrid, count_pairs
 from rasterizer.camera_models import CameraModelName
-from rasterizer.capacity import choose_capacity
+from rasterizer.capacity import UnknownCountError, choose_capacity
 from rasterizer.checks import (
     absgrad_zeros,
     check_arrays,
@@ -23,7 +23,7 @@ from rasterizer.checks import (
     check_modes,
     check_sizes,
 )
-from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, resolve
+from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, lists_by_itself, resolve
 from rasterizer.features import (
     RenderMode,
     blended_depth,
@@ -133,10 +133,14 @@ def _rasterize(arrays: Arrays, options: Options):
     if dense:
         image, left, median = _blend_densely(projection, opacities, features, grid, masks, rules)
     else:
-        pairs = bin_splats(projection, opacities, grid, capacity, rules, masks, backend=backend)
+        pairs = None
+        if capacity is None:
+            info |= {"needed": count_pairs(projection, grid), "overflowed": jnp.array(False)}
+        else:
+            pairs = bin_splats(projection, opacities, grid, capacity, rules, masks, backend=backend)
+            info |= pairs._asdict()
         asked = {"backend": backend, "with_median": options.return_median_depth, "absgrad": absgrad}
-        image, left, median = blend(projection, opacities, features, pairs, grid, rules, **asked)
-        info |= pairs._asdict()
+        image, left, median = blend(projection, opacities, features, pairs, grid, rules, masks=masks, **asked)
         if depths is not None:
             colors_end = image.shape[-1] - depths.shape[-1]
             image = jnp.concatenate([image[..., :colors_end], blended_depth(image[..., colors_end:])], -1)
@@ -232,7 +236,8 @@ def rasterization(
             `absgrad=True` writes to `means2d.absgrad`, the sum over pixels of absolute gradients to `means2d`.
         tile_size: Side of a tile in pixels; None for what suits the backend, `rasterizer.default_tile_size(backend)`.
         capacity: Length of the buffer of (tile, Gaussian) pairs. None counts first and chooses a bucket, which works
-            eagerly, under `grad` and under `vmap`; inside `jit` a number must be given.
+            eagerly, under `grad` and under `vmap`. Inside `jit` "native" lists the pairs in memory of its own, and the
+            results lack `splats` and `offsets`; the other tile backends need a number there.
         backend: "native" tiles in loops that numba compiles for this CPU, "xla" tiles in jnp, "pallas" tiles in GPU
             kernels, "reference" the dense oracle (any dtype, any order of derivatives), "auto" the fastest on this
             machine.
@@ -280,7 +285,12 @@ def rasterization(
     if capacity is None and backend != "reference":
         options = (*projected.items(), ("camera_model", camera_model))
         named_arrays = {"covars": covars, "radial_coeffs": radial_coeffs}
-        capacity = choose_capacity((means, quats, scales, opacities, viewmats, Ks), named_arrays, grid, options, rules)
+        shapes = means, quats, scales, opacities, viewmats, Ks
+        try:
+            capacity = choose_capacity(shapes, named_arrays, grid, options, rules)
+        except UnknownCountError:
+            if zeros is not None or not lists_by_itself(backend):
+                raise
     arrays = Arrays(
         means, quats, scales, opacities, colors, viewmats, Ks, covars, radial_coeffs, backgrounds, masks, zeros
     )

@@ -8,8 +8,12 @@ import numpy as np
 from jax import Array
 
 from rasterizer.binning import TileGrid, count_pairs
-from rasterizer.projection import project
+from rasterizer.projection import Projection, project
 from rasterizer.rules import Rules
+
+
+class UnknownCountError(ValueError):
+    """The number of pairs is not known while a program is compiled."""
 
 
 @jax.custom_batching.custom_vmap
@@ -36,6 +40,25 @@ def capacity_bucket(needed: int) -> int:
     return power * 3 // 4 if needed <= power * 3 // 4 else power
 
 
+def count_capacity(projection: Projection, grid: TileGrid) -> int:
+    """The bucket for a projection; under `vmap`, the largest of the batch.
+
+    Raises:
+        UnknownCountError: Inside `jit`, where the number of pairs is not known.
+    """
+    return _bucket_of(_largest(count_pairs(jax.lax.stop_gradient(projection), grid)))
+
+
+def _bucket_of(count: Array) -> int:
+    try:
+        return capacity_bucket(int(count))
+    except jax.errors.ConcretizationTypeError:
+        raise UnknownCountError(
+            "inside jit the number of (tile, Gaussian) pairs is not known: pass capacity=..., "
+            "check info['overflowed'], and retry with at least info['needed']"
+        ) from None
+
+
 Shapes = tuple[Array, Array | None, Array | None, Array, Array, Array]
 """Means, quats, scales, opacities, viewmats and Ks, as `project` takes them."""
 
@@ -57,14 +80,7 @@ def choose_capacity(arrays: Shapes, named_arrays: dict, grid: TileGrid, options:
         rules: Decides the extents.
 
     Raises:
-        ValueError: Inside `jit`, where the number of pairs is not known.
+        UnknownCountError: Inside `jit`, where the number of pairs is not known.
     """
     arrays, named_arrays = jax.lax.stop_gradient((arrays, named_arrays))
-    count = _count(arrays, named_arrays, grid, options, rules)
-    try:
-        return capacity_bucket(int(_largest(count)))
-    except jax.errors.ConcretizationTypeError:
-        raise ValueError(
-            "inside jit the number of (tile, Gaussian) pairs is not known: pass capacity=..., "
-            "check info['overflowed'], and retry with at least info['needed']"
-        ) from None
+    return _bucket_of(_largest(_count(arrays, named_arrays, grid, options, rules)))

@@ -69,7 +69,7 @@ class Splats:
 
     projection: rasterizer.Projection  # one camera
     opacities: Array  # [N] as the pixels see them: dimmed by the filter where it dims
-    pairs: rasterizer.TilePairs
+    pairs: rasterizer.TilePairs | None  # None: the backend lists splats by itself, in every pass
     grid: rasterizer.TileGrid = field(metadata={"static": True})
     backend: rasterizer.Backend = field(default="auto", metadata={"static": True})  # that listed and blends them
 
@@ -77,7 +77,7 @@ class Splats:
 def splat(
     gaussians: Any,
     camera: Camera,
-    capacity: int,
+    capacity: int | None = None,
     means2d_probe: Array | None = None,
     depth_mode: DepthMode = "center",
     backend: rasterizer.Backend = "auto",
@@ -87,13 +87,17 @@ def splat(
     Args:
         gaussians: The scene, of any kind that `drawable` knows.
         camera: The view.
-        capacity: Length of the (tile, splat) buffer. Static. `pairs.overflowed` says that it was too short.
+        capacity: Length of the (tile, splat) buffer. Static. `pairs.overflowed` is true where it was too short. None:
+            a CPU's native loops and "reference" need no buffer, the other backends count first.
         means2d_probe: `[N, 2]` zeros added to the projected means: the gradient to it is the one to the 2D means.
         depth_mode: "plane" gives the splats slopes, see `rasterizer.project`. Static.
         backend: What lists the splats, and blends them in every pass, see `rasterizer.rasterization`. Static.
 
     Returns:
         `Splats` of this view.
+
+    Raises:
+        ValueError: No capacity is given inside a compiled program, where a backend cannot count.
     """
     projection, opacities = projected(drawable(gaussians), camera, depth_mode)
     if means2d_probe is not None:
@@ -127,11 +131,14 @@ def binned(
     projection: rasterizer.Projection,
     opacities: Array,
     camera: Camera,
-    capacity: int,
+    capacity: int | None = None,
     backend: rasterizer.Backend = "auto",
 ) -> Splats:
     """The splats of one view (see `projected`) with their lists; `capacity` and `backend` as in `splat`."""
     grid = tile_grid(camera, backend)
+    if capacity is None and rasterizer.lists_by_itself(backend):
+        return Splats(projection, opacities, None, grid, backend)
+    capacity = rasterizer.count_capacity(projection, grid) if capacity is None else capacity
     pairs = rasterizer.bin_splats(projection, opacities, grid, capacity, rasterizer.GSPLAT, backend=backend)
     return Splats(projection, opacities, pairs, grid, backend)
 

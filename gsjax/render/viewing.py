@@ -39,7 +39,7 @@ def view(
     gaussians: Any,
     camera: Camera,
     *,
-    capacity: int,
+    capacity: int | None = None,
     background: Array,
     active_degree: Array | int | None = None,
     with_depth: bool = False,

@@ -31,6 +31,9 @@ class TrainState:
     step: Array  # [] int32 steps done
     effects: EffectState | None = None  # of those that are simulated
     tables: dict[str, Array] = field(default_factory=dict)  # [N, ...] of the terms that have one, by name
+    # What `gsjax.densify` reads; a run's loop knows both itself.
+    optimizer: Any = field(default=None, metadata={"static": True})
+    densification: Any = field(default=None, metadata={"static": True})
 
 
 def initial_state(
@@ -51,7 +54,7 @@ def initial_state(
     )
 
 
-@partial(jax.jit, static_argnames=("optimizer", "density", "budget"), donate_argnums=0)
+@partial(jax.jit, static_argnames=("optimizer", "density", "budget", "rule"), donate_argnums=0)
 def densify(
     state: TrainState,
     key: Array,
@@ -61,9 +64,10 @@ def densify(
     optimizer: optax.GradientTransformation,
     density: Density,
     budget: int,
+    rule: Rule | None = None,
 ) -> TrainState:
     """Densify by the rule within `budget` Gaussians; moments follow their Gaussian, statistics start anew."""
-    rule = RULES[density.rule]
+    rule = rule or RULES[density.rule]
     count = rule.wanted_count(state.gaussians, state.statistics, density, step=state.step, budget=budget)
     gaussians, moved = rule.densify(
         state.gaussians,

@@ -174,7 +174,10 @@ def make_train_step(
             distances = jnp.where(seen, projection.depths[0], 0) / extent
             statistics = rule.accumulate(statistics, gradients.probe, seen, distances, target.size)
         looks = simulation.update_effects(effects, state.effects, gradients.numbers)
-        return TrainState(gaussians, opt_state, statistics, state.step + 1, looks, state.tables)
+        done = state.step + 1
+        return replace(
+            state, gaussians=gaussians, opt_state=opt_state, statistics=statistics, step=done, effects=looks
+        )
 
     step = guarded_step(differentiate, update, background)
 

@@ -1,0 +1,258 @@
+"""A training loop of your own: the optimizer, the state, the step and the densification that `gsjax.train` uses.
+
+    optimizer = gsjax.adam(scene.extent, steps=2_000)
+    step = gsjax.train_step(optimizer, {"l1": 0.8, "dssim": 0.2})
+    state = gsjax.init(gaussians, optimizer)
+    for i, view in zip(range(2_000), itertools.cycle(views)):
+        state, metrics = step(state, view, key)
+        if i % 100 == 99:
+            state = gsjax.densify(state, key)
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax import Array
+
+from gsjax import render, targets
+from gsjax.gaussians import Gaussians
+from gsjax.io.normal_maps import normal_maps
+from gsjax.normals.axes import apply_axes, axis_signs
+from gsjax.scene import Frame
+from gsjax.settings import Density, Rates
+from gsjax.targets import NORMAL_UNIT, Target
+from gsjax.training import optimizers
+from gsjax.training import state as states
+from gsjax.training.capacity import headroom, rounded_capacity
+from gsjax.training.growth import adaptive
+from gsjax.training.growth.rules import RULES, Rule
+from gsjax.training.state import TrainState
+from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
+from gsjax.training.terms import TERMS, Term, Weighed, needs, weigh_terms
+
+Losses = Mapping[str, "float | tuple[float, Term | Callable[..., Array]]"]
+"""Name -> weight of a term of the library, or (weight, term of one's own)."""
+
+DENSIFY_UNTIL, FULL_BY = 0.5, 0.6  # shares: of the steps; of those, where the budget is full (preset `fast`)
+SH_BANDS = 7  # A band of harmonics opens after each such part of the steps (preset `fast`).
+
+
+class Optimizer(NamedTuple):
+    """An optax transformation over `Gaussians` that knows its scene and its length: what `adam` returns."""
+
+    init: Callable[..., Any]
+    update: Callable[..., Any]
+    extent: float  # of the cameras, scene units
+    steps: int  # of the training
+
+
+def adam(extent: float, steps: int, **rates: float) -> Optimizer:
+    """Adam with a learning rate per field of `Gaussians`, those of 3DGS.
+
+    Args:
+        extent: Of the cameras, scene units: `Scene.extent`.
+        steps: Of the training; the rate of the means decays over them.
+        rates: Fields of `gsjax.settings.Rates` that differ.
+
+    Raises:
+        ValueError: A rate, the extent or the steps are out of range.
+    """
+    if not 0 < extent < np.inf:
+        raise ValueError(f"extent={extent} is not a positive number")
+    if steps < 1:
+        raise ValueError(f"steps={steps} is below 1")
+    return Optimizer(*optimizers.make_optimizer(Rates(**rates), float(extent), int(steps)), float(extent), int(steps))
+
+
+def init(gaussians: Gaussians, optimizer: optax.GradientTransformation | Optimizer) -> TrainState:
+    """The state before the first step.
+
+    Args:
+        gaussians: `from_points` makes some. Their number of rows is the budget of Gaussians.
+        optimizer: Over `Gaussians`: `adam`, or any optax transformation.
+    """
+    return TrainState(gaussians, optimizer.init(gaussians), (), jnp.zeros((), jnp.int32))
+
+
+def read_views(
+    frames: Sequence[Frame], *, normals: Any = None, normal_axes: str = "opencv", scale: int = 1
+) -> list[Target]:
+    """Read photos for `train_step`.
+
+    Args:
+        frames: Of a scene: `Scene.train_frames`.
+        normals: A folder of normal maps, as `gsjax normals` and other programs write them. None: no maps.
+        normal_axes: Axes of the maps, see `gsjax.normals.axes.axis_signs`.
+        scale: Reduce the photos by this factor.
+
+    Returns:
+        One record a photo, alike in size: smaller photos are padded at the right and the bottom.
+
+    Raises:
+        InputError: A photo or a map cannot be read.
+    """
+    views = targets.read_targets(frames, scale=scale)
+    if normals is not None:
+        signs, read = axis_signs(normal_axes), normal_maps(normals, tuple(frames))
+        maps = (apply_axes(read[frame.name](), signs) for frame in frames)
+        views = targets.with_normals(views, (np.rint(NORMAL_UNIT * each).astype(np.int8) for each in maps), scale)
+    return list(views.targets)
+
+
+@dataclass(frozen=True)
+class Densification:
+    """How a state densifies: a rule, its thresholds, and the camera extent that it measures distances in."""
+
+    rule: Rule
+    density: Density
+    extent: float  # scene units
+
+
+def densification(rule: str | Rule, optimizer: Any, **thresholds: Any) -> Densification:
+    """The densification of a training: over half of its steps, the budget full after 0.3 of them.
+
+    Args:
+        rule: Name in `gsjax.training.growth.rules.RULES`, or a rule of one's own.
+        optimizer: Of `adam`, which knows extent and steps.
+        thresholds: Fields of `gsjax.settings.Density` that differ.
+
+    Raises:
+        ValueError: The rule is unknown, or the optimizer is not of `adam`.
+    """
+    if not isinstance(optimizer, Optimizer):
+        raise ValueError("densify='...' needs extent and steps: use gsjax.adam(...), or hand in a Densification")
+    if isinstance(rule, str) and rule not in RULES:
+        raise ValueError(f"densify={rule!r} is none of {', '.join(RULES)}")
+    stop = max(1, round(DENSIFY_UNTIL * optimizer.steps))
+    defaults = {"start": 0, "stop": stop, "full_by": FULL_BY, "reset_every": 0}
+    return Densification(
+        RULES[rule] if isinstance(rule, str) else rule, Density(**{**defaults, **thresholds}), optimizer.extent
+    )
+
+
+def densify(state: TrainState, key: Array) -> TrainState:
+    """Clone, split, move and prune by the rule of `train_step(densify=...)`; afterwards as it was past half of the steps.
+
+    The buffers of `state` are donated: use the state that is returned.
+
+    Raises:
+        ValueError: No step was taken, or the step has no rule.
+    """
+    how = state.densification
+    if how is None:
+        raise ValueError("this state has no densification rule: take a step of train_step(..., densify='error') first")
+    step = int(state.step)
+    if step >= how.density.stop:
+        return state
+    return states.densify(
+        state,
+        key,
+        jnp.float32(how.extent),
+        jnp.asarray(adaptive.prunes_large(how.density, step)),
+        optimizer=state.optimizer,
+        density=how.density,
+        rule=how.rule,
+        budget=state.gaussians.num_gaussians,
+    )
+
+
+def resolve_losses(losses: Losses) -> tuple[Weighed, ...]:
+    """The terms of a loss, those of weight 0 left out.
+
+    Raises:
+        InputError: A name has no term.
+    """
+    own = {name: loss[1] for name, loss in losses.items() if isinstance(loss, tuple)}
+    terms = {name: each if isinstance(each, Term) else Term(each) for name, each in own.items()}
+    weights = {name: loss[0] if isinstance(loss, tuple) else loss for name, loss in losses.items()}
+    return weigh_terms(weights, {**TERMS, **terms})
+
+
+class Step:
+    """A compiled step that makes its own buffers: it counts before the first view and repeats a step that overflowed."""
+
+    def __init__(self, optimizer: Any, terms: tuple[Weighed, ...], densification: Densification | None, **how: Any):
+        """As `train_step` hands them over; `how` goes to `make_train_step`."""
+        self.optimizer, self.terms, self.densification, self.how = optimizer, terms, densification, how
+        self.needs = needs(terms)
+        self._steps: dict[int, TrainStep] = {}
+        self._capacity = 0
+
+    def __call__(self, state: TrainState, view: Target, key: Array) -> tuple[TrainState, Metrics]:
+        """Descend the loss of one view. The buffers of `state` are donated: use the state that is returned."""
+        state = self._prepared(state)
+        self._check(view)
+        if not self._capacity:
+            needed = render.largest_need(state.gaussians, [view.camera])
+            self._capacity = rounded_capacity(needed, headroom(grows=self.densification is not None))
+        while True:
+            state, metrics = self._compiled(self._capacity)(state, view, key)
+            if not metrics.overflowed:
+                return state, metrics
+            self._capacity = rounded_capacity(int(metrics.needed), headroom(grows=self.densification is not None))
+
+    def _prepared(self, state: TrainState) -> TrainState:
+        if state.densification == self.densification and state.optimizer == self.optimizer:
+            return state
+        rows = state.gaussians.num_gaussians
+        statistics = self.densification.rule.empty_statistics(rows) if self.densification else ()
+        return replace(state, statistics=statistics, densification=self.densification, optimizer=self.optimizer)
+
+    def _check(self, view: Target) -> None:
+        fields = {"normals": view.normals, "measured": view.depth, "sky": view.sky, "neighbor": view.beside}
+        for name in sorted(self.needs & fields.keys()):
+            if fields[name] is None:
+                terms = ", ".join(each.name for each in self.terms if name in each.term.needs)
+                raise ValueError(f"{terms}: needs {name}, which this view does not have")
+
+    def _compiled(self, capacity: int) -> TrainStep:
+        if capacity not in self._steps:
+            self._steps = {capacity: make_train_step(self.optimizer, self.terms, capacity=capacity, **self.how)}
+        return self._steps[capacity]
+
+
+def train_step(
+    optimizer: Any,
+    losses: Losses,
+    *,
+    densify: str | Rule | Densification | None = None,
+    background: str = "black",
+    depth_mode: render.DepthReading = "front",
+    sh_every: int | None = None,
+) -> Step:
+    """A step of training: `step(state, view, key) -> (state, metrics)`.
+
+    Args:
+        optimizer: That made the state.
+        losses: The weighted sum that is descended. Only terms of non-zero weight are compiled.
+        densify: Rule whose statistics the step gathers for `densify(state, key)`; None: none.
+        background: Under the images: "white", "black" or "random".
+        depth_mode: What depth is, see `gsjax.render.view`.
+        sh_every: Steps between bands of harmonics. None: a seventh of the optimizer's steps, 1,000 without any.
+
+    Returns:
+        The step. `metrics` has loss, PSNR of the view before the update, and the value of every term.
+
+    Raises:
+        InputError: A loss has no term.
+        ValueError: The background or the rule is unknown.
+    """
+    if background not in BACKGROUNDS:
+        raise ValueError(f"background={background!r} is none of {', '.join(BACKGROUNDS)}")
+    how = densify if isinstance(densify, Densification) or densify is None else densification(densify, optimizer)
+    every = max(1, optimizer.steps // SH_BANDS) if isinstance(optimizer, Optimizer) else 1000
+    return Step(
+        optimizer,
+        resolve_losses(losses),
+        how,
+        background=BACKGROUNDS[background],
+        sh_every=sh_every or every,
+        rule=None if how is None else how.rule,
+        depth_mode=depth_mode,
+        extent=1.0 if how is None else how.extent,
+    )
