@@ -29,8 +29,9 @@ from gsjax.settings import RATES, Rates, check_lowest, check_seed
 from gsjax.targets import Batch, Target, Targets
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
+from gsjax.training.faults import faulty_terms, photo_of
 from gsjax.training.step import Background, Metrics, Outcome, guarded_step, in_decibels
-from gsjax.training.stepping import advance
+from gsjax.training.stepping import advance, view_order
 from gsjax.training.terms import TERMS
 
 
@@ -181,15 +182,33 @@ def refine(
 
     Returns:
         The final state; faces and thickness are as they were.
+
+    Raises:
+        InputError: The device has no room, or a loss or a gradient is not finite.
     """
     # Photos without an alpha channel have nothing to compare alphas with.
     weights = settings.weights if data.has_mattes else replace(settings.weights, alpha=0.0)
 
-    def compiled(capacity: int):
+    def step_of(weights: RefinementWeights, capacity: int):
         step = make_refine_step(
             optimizer, weights, capacity=capacity, background=background, sh_every=max(settings.steps // 15, 1)
         )
         return partial(step, graph)
+
+    def compiled(capacity: int):
+        return step_of(weights, capacity)
+
+    def explain(step: int, state: RefineState, target: Target, capacity: int) -> str:
+        terms = vars(weights)
+        none = dict.fromkeys(terms, 0.0)
+        fault = faulty_terms(
+            [name for name, weight in terms.items() if weight],
+            lambda name: step_of(RefinementWeights(**{**none, name: terms[name]}), capacity),
+            state,
+            target,
+            jax.random.key(settings.seed),
+        )
+        return f"{photo_of(data, view_order(settings.seed, step, data.num_views))}: {fault}"
 
     def after(step: int, state: RefineState, metrics: Metrics, capacity: int) -> RefineState:
         if step == settings.moving_steps < settings.steps:
@@ -199,7 +218,7 @@ def refine(
 
     steps = (int(state.step), settings.steps)
     capacity = capacity or chosen_capacity(state.gaussians, data)
-    state, _ = advance(compiled, after, state, data, steps, seed=settings.seed, capacity=capacity)
+    state, _ = advance(compiled, after, state, data, steps, seed=settings.seed, capacity=capacity, explain=explain)
     return state
 
 

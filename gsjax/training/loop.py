@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -20,11 +20,12 @@ from gsjax.settings import Settings
 from gsjax.targets import Target, Targets
 from gsjax.training import buffers
 from gsjax.training.capacity import chosen_capacity, headroom, kept_or
+from gsjax.training.faults import faulty_terms, photo_of
 from gsjax.training.growth import adaptive
 from gsjax.training.plan import Plan, PlannedPhase, plan
 from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
-from gsjax.training.stepping import Feed, advance, one_view
+from gsjax.training.stepping import Feed, advance, one_view, view_order
 from gsjax.training.terms import Term, Weighed
 from gsjax.training.terms.multi_view import with_neighbors
 
@@ -218,10 +219,10 @@ def _run_phase(
     key = jax.random.key(plan.seed)
     room = headroom(grows=phase.rule is not None)
 
-    def compiled(capacity: int) -> TrainStep:
-        make = partial(
-            placement.make_step,
+    def step_of(terms: tuple[Weighed, ...], capacity: int) -> TrainStep:
+        return placement.make_step(
             work.optimizer,
+            _shown(terms, views.image),
             capacity=capacity,
             background=BACKGROUNDS[plan.background],
             sh_every=plan.sh_every,
@@ -231,11 +232,20 @@ def _run_phase(
             extent=work.extent,
             dropout=phase.dropout,
         )
+
+    def compiled(capacity: int) -> TrainStep:
+        every = step_of(phase.terms, capacity)
         if phase.surface_every == 1:
-            return make(_shown(phase.terms, views.image))
-        return _every(
-            phase.surface_every, make(_shown(phase.terms, views.image)), make(_shown(phase.image_terms, views.image))
-        )
+            return every
+        return _every(phase.surface_every, every, step_of(phase.image_terms, capacity))
+
+    def explain(step: int, state: TrainState, target: Target, capacity: int) -> str:
+        terms = phase.terms if _is_due(step, phase.surface_every) else phase.image_terms
+        alone = {each.name: (each,) for each in _shown(terms, views.image)}
+        fault = faulty_terms(alone, lambda name: step_of(alone[name], capacity), state, target, key)
+        places = range(step * plan.views_per_step, (step + 1) * plan.views_per_step)
+        photos = {photo_of(views.image, view_order(plan.seed, place, views.image.num_views)) for place in places}
+        return f"{', '.join(sorted(photos))}: {fault}"
 
     def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
         is_last = step == phase.end
@@ -274,6 +284,7 @@ def _run_phase(
         view_share=plan.view_share,
         feed=_feed_of(views, placement.feed, phase.surface_every),
         looks=looks if work.looks else None,
+        explain=explain,
     )
 
 
