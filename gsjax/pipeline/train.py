@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax import Array
 from tqdm import tqdm
 
 import rasterizer
@@ -49,7 +50,7 @@ from gsjax.settings import AUTO, PLAIN, Settings
 from gsjax.training import optimizers
 from gsjax.training.growth import adaptive
 from gsjax.training.loop import Progress, Work, follow
-from gsjax.training.plan import Plan, plan
+from gsjax.training.plan import Plan, check_terms, plan
 from gsjax.training.state import TrainState
 from gsjax.training.terms import Term
 
@@ -59,7 +60,7 @@ def train(
     out: str | Path,
     settings: Settings,
     *,
-    terms: Mapping[str, Term] = MappingProxyType({}),
+    terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
     resume: bool = False,
     earlier: str | Path | None = None,
     observe: Callable[[Progress], None] | None = None,
@@ -73,7 +74,8 @@ def train(
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
         out: Run folder, see `gsjax.runs.folder`; absent or empty unless `resume`.
         settings: The run. A phase gives terms of the loss their weights by name.
-        terms: The run's own terms of the loss by name, beside those of `gsjax.training.terms.TERMS` or in their place.
+        terms: The run's own terms of the loss by name, beside those of `gsjax.training.terms.TERMS` or in their place:
+            functions of (Gaussians, View, Batch), or a `Term` that says what such a function needs.
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
         earlier: Another run folder, of the same settings until the phases part: this run begins at its last checkpoint
             before that, so what both have in common is trained once. None: at the first step.
@@ -88,7 +90,8 @@ def train(
         `gsjax.scoring.images.score_images`), `views`, `gaussians`, `steps`, `train_seconds`.
 
     Raises:
-        InputError: The data set, the normals, a weight, the run folder or the devices cannot be used.
+        InputError: The data set, the normals, a weight, a term, the run folder or the devices cannot be used; or a loss
+            or a gradient is not finite, before that step.
     """
     earlier = None if earlier is None else Path(earlier)
     if earlier is not None and runs.latest_checkpoint(earlier) is None:
@@ -104,7 +107,11 @@ def train(
 
 
 def _planned(
-    scene: str | Path, settings: Settings, terms: Mapping[str, Term], devices: int, known: Mapping[str, Any] | None
+    scene: str | Path,
+    settings: Settings,
+    terms: Mapping[str, Term | Callable[..., Array]],
+    devices: int,
+    known: Mapping[str, Any] | None,
 ) -> Plan:
     """The plan before anybody looked at the photos."""
     planned = plan(settings, terms, devices)
@@ -148,6 +155,7 @@ def _train(
         similarity=begun and begun.similarity,
         place=begun and begun.place,
     )
+    check_terms(planned, loaded.train_frames)
     is_one = count_devices(devices) == settings.views_per_step == 1
     sparse = None
     if is_one:

@@ -22,7 +22,7 @@ from gsjax.training import buffers
 from gsjax.training.capacity import chosen_capacity, headroom, kept_or
 from gsjax.training.faults import faulty_terms, photo_of
 from gsjax.training.growth import adaptive
-from gsjax.training.plan import Plan, PlannedPhase, plan
+from gsjax.training.plan import Plan, PlannedPhase, check_terms, plan
 from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
 from gsjax.training.stepping import Feed, advance, one_view, view_order
@@ -110,7 +110,7 @@ def fit(
     *,
     prior: NormalsPrior,
     observe: Callable[[Progress], None],
-    terms: Mapping[str, Term] = MappingProxyType({}),
+    terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
     depths: Depths | None = None,
     capacity: int | None = None,
 ) -> TrainState:
@@ -132,9 +132,11 @@ def fit(
         The final state.
 
     Raises:
-        InputError: A weight has no term, or the device has no room for so many Gaussians at this size.
+        InputError: A weight has no term, a term cannot be computed, a loss or a gradient is not finite, or the device
+            has no room for so many Gaussians at this size.
     """
     work = Work(plan(settings, terms), frames, extent, optimizer, prior, observe, depths=depths)
+    check_terms(work.plan, frames)
     return follow(work, state if state.tables else with_tables(state, work.plan), capacity)
 
 
@@ -150,7 +152,7 @@ def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainS
         The final state.
 
     Raises:
-        InputError: The device has no room for so many Gaussians at this size.
+        InputError: A loss or a gradient is not finite, or the device has no room for so many Gaussians at this size.
     """
     done, before = int(state.step), None
     for phase in work.plan.phases:

@@ -1,4 +1,4 @@
-"""A loss or a gradient that is not finite ends training before it does harm, in one line that names what is at fault."""
+"""A loss or a gradient that is not finite ends training before it does harm: one line names term, step and photo."""
 
 from types import SimpleNamespace
 
