@@ -122,7 +122,7 @@ class Rates:
 class Density:
     """Clone, split, prune and reset, at a fixed budget of Gaussians."""
 
-    rule: Literal["adc", "error"] = "adc"  # who grows, see `gsjax.training.growth.rules`
+    rule: str = "adc"  # who grows, a name of `gsjax.training.growth.rules.RULES`
     start: int = 500
     stop: int = 15000
     every: int = 100

@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
-from gsjax.io.gaussian_files import format_of, load_gaussians, save_gaussians, stored_similarity
+from gsjax.io.gaussian_files import format_of, load_gaussians, stored_similarity
 from gsjax.io.place_files import stated_place
 from gsjax.io.temporaries import sweep_beside
 from gsjax.runs.outputs import require_apart
@@ -66,7 +66,8 @@ def convert(
     kept = take(gaussians, wanted)
     if sh_degree is not None:
         kept = _of_degree(kept, sh_degree)
-    clipped = save_gaussians(kept, out, stated_place(source / "gaussians.ply" if source.is_dir() else source))
+    place = stated_place(source / "gaussians.ply" if source.is_dir() else source)
+    clipped = format_of(out).write(out, kept, place)
     stored = stored_similarity(out)
     return {
         "gaussians": kept.num_gaussians,

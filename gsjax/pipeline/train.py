@@ -18,7 +18,7 @@ from gsjax import config, runs
 from gsjax.devices import computes_on_cpu, engine_here
 from gsjax.effects.alignment import align
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians, take
+from gsjax.gaussians import Gaussians, is_alive, take
 from gsjax.io import json_files, normal_folders
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
@@ -48,7 +48,6 @@ from gsjax.scene import Scene, kept
 from gsjax.scoring.images import score_images
 from gsjax.settings import AUTO, PLAIN, Settings
 from gsjax.training import optimizers
-from gsjax.training.growth import adaptive
 from gsjax.training.loop import Progress, Work, follow
 from gsjax.training.plan import Plan, check_terms, plan
 from gsjax.training.state import TrainState
@@ -297,7 +296,7 @@ def _completed(settings: dict[str, Any]) -> dict[str, Any]:
 
 def living_gaussians(gaussians: Gaussians) -> Gaussians:
     """The Gaussians without the free rows of their buffers, numpy."""
-    return jax.tree.map(np.asarray, take(gaussians, np.asarray(adaptive.is_alive(gaussians))))
+    return jax.tree.map(np.asarray, take(gaussians, np.asarray(is_alive(gaussians))))
 
 
 def _finish(

@@ -22,6 +22,7 @@ from gsjax.training import buffers
 from gsjax.training.capacity import chosen_capacity, headroom, kept_or
 from gsjax.training.faults import faulty_terms, photo_of
 from gsjax.training.growth import adaptive
+from gsjax.training.growth.rules import Rule
 from gsjax.training.plan import Plan, PlannedPhase, check_terms, plan
 from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
@@ -155,9 +156,13 @@ def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainS
         InputError: A loss or a gradient is not finite, or the device has no room for so many Gaussians at this size.
     """
     done, before = int(state.step), None
-    for phase in work.plan.phases:
+    for index, phase in enumerate(work.plan.phases):
         if done >= phase.end:
             continue
+        if phase.rule:
+            earlier = [each.rule for each in work.plan.phases[:index] if each.rule]
+            is_new = done == phase.begin and earlier[-1:] not in ([], [phase.rule])
+            state = _with_statistics(state, phase.rule, is_new)
         if phase.tables and done == phase.begin:
             state = with_tables(state, work.plan)
         views = _views(work, phase, state)
@@ -165,6 +170,13 @@ def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainS
         state, before = _run_phase(work, phase, views, state, done, capacity)
         done, capacity = phase.end, None
     return state
+
+
+def _with_statistics(state: TrainState, rule: Rule, is_new: bool) -> TrainState:
+    """The state with statistics of the rule: sums of another one, which a new rule finds, mean nothing to it."""
+    empty = rule.empty_statistics(state.gaussians.num_gaussians)
+    fits = jax.tree.structure(empty) == jax.tree.structure(state.statistics)
+    return state if fits and not is_new else replace(state, statistics=empty)
 
 
 def with_tables(state: TrainState, plan: Plan) -> TrainState:
@@ -252,7 +264,7 @@ def _run_phase(
     def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
         is_last = step == phase.end
         if phase.rule:
-            state = _control_density(work, step, state, key)
+            state = _control_density(work, phase.rule, step, state, key)
         if is_last and phase.cull_below > 0:
             state = placement.cull(state, optimizer=work.optimizer, min_opacity=phase.cull_below)
         if _ends_growth(plan, phase, step) or (is_last and phase.cull_below > 0):
@@ -338,11 +350,11 @@ def _moves_neighbors(plan: Plan, phase: PlannedPhase, step: int) -> bool:
     return others or _ends_growth(plan, phase, step) or step % REFRESHED_EVERY == 0
 
 
-def _control_density(work: Work, step: int, state: TrainState, key: Array) -> TrainState:
+def _control_density(work: Work, rule: Rule, step: int, state: TrainState, key: Array) -> TrainState:
     plan, placement, density = work.plan, work.placement, work.plan.density
     if adaptive.densifies(density, step):
         large = jnp.asarray(adaptive.prunes_large(density, step))
-        state = placement.with_room_to_densify(state, work.optimizer, density, plan.max_gaussians)
+        state = placement.with_room_to_densify(state, work.optimizer, density, plan.max_gaussians, rule=rule)
         state = placement.densify(
             state,
             key,
@@ -351,6 +363,7 @@ def _control_density(work: Work, step: int, state: TrainState, key: Array) -> Tr
             optimizer=work.optimizer,
             density=density,
             budget=plan.max_gaussians,
+            rule=rule,
         )
     if adaptive.resets_opacities(density, step, plan.background):
         state = placement.reset_opacities(state, optimizer=work.optimizer, limit=density.reset_opacity)

@@ -15,7 +15,7 @@ from gsjax.effects import transients
 from gsjax.errors import InputError
 from gsjax.scene import Frame
 from gsjax.settings import PLAIN, Density, Logging, Phase, Rates, Settings
-from gsjax.training.growth.rules import RULES, Rule
+from gsjax.training.growth.rules import Rule, rule_named
 from gsjax.training.terms import TERMS, Term, Weighed, needs, weigh_terms
 from gsjax.training.terms.checking import as_terms, check_term
 
@@ -245,7 +245,7 @@ def plan(
             named = next(each.name for each in wanted if "sky" in needs([each]))
             raise InputError(f"phases.{phase.name}.weights.{named}: sky_weight weighs it, where photos show sky")
         end = begin + _fewer(phase.steps, settings.views_per_step)
-        rule = RULES[settings.density.rule] if phase.density_control else None
+        rule = rule_named(settings.density.rule) if phase.density_control else None
         cull = 0.0 if settings.vanilla else phase.cull_below
         planned = PlannedPhase(phase.name, begin, end, phase.image_scale, wanted, rule, cull, dropout=settings.dropout)
         if any(each.is_dear for each in wanted):
@@ -291,9 +291,9 @@ def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
         for each in terms
         if each.term not in TERMS.values() and each.term.refresh is None
     }
-    for each, *size in sorted(tried, key=lambda one: (one[0].name, one[1:])):
-        if all(size):  # A phase that leaves nothing of the photos is refused where they are read.
-            check_term(each, *size, planned.depth_mode)  # pyright: ignore[reportArgumentType]
+    for each, wide, high in sorted(tried, key=lambda one: (one[0].name, one[1:])):
+        if wide and high:  # A phase that leaves nothing of the photos is refused where they are read.
+            check_term(each, wide, high, planned.depth_mode)
 
 
 def _weighed(settings: Settings, phase: Phase, terms: Mapping[str, Term]) -> tuple[Weighed, ...]:
