@@ -22,6 +22,7 @@ from gsjax.binding import mesh_terms
 from gsjax.binding.bound import LAYOUTS, BoundGaussians
 from gsjax.binding.hybrid import Hybrid
 from gsjax.binding.mesh_terms import MeshGraph
+from gsjax.config import declare_types, parse_numbers
 from gsjax.gaussians import PixelFilter
 from gsjax.numerics import masked_mean
 from gsjax.render import backdrop
@@ -46,6 +47,11 @@ class RefinementWeights:
     laplacian: float = 0.0  # mean squared distance of a vertex from its neighbours' mean, in mean squared edges
     distortion: float = 0.0  # squared distance of a ray's splats from each other, in depths of its surface (2DGS)
 
+    def __post_init__(self):
+        """Check that they are finite numbers."""
+        for name, weight in parse_numbers(vars(self), where="weights").items():
+            object.__setattr__(self, name, weight)
+
 
 @dataclass(frozen=True)
 class RefinementRates:
@@ -62,7 +68,8 @@ class RefinementRates:
     free: Rates = Rates()  # of free Gaussians; their `decay_steps` are by default those of the refinement
 
     def __post_init__(self):
-        """Check ranges."""
+        """Check types and ranges."""
+        declare_types(self)
         check_lowest(self, vertices=0, sh_dc=0, sh_rest=0, opacities=0, scales=0, rotations=0)
         if not 0 < self.final_share <= 1:
             raise ValueError(f"final_share={self.final_share} is not above 0 and at most 1")
@@ -89,7 +96,8 @@ class Refinement:
     rates: RefinementRates = RefinementRates()
 
     def __post_init__(self):
-        """Check ranges."""
+        """Check types and ranges."""
+        declare_types(self)
         check_seed(self.seed)
         check_lowest(self, steps=1, faces=1, thickness=0)
         if self.per_triangle not in LAYOUTS:

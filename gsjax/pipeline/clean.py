@@ -18,6 +18,7 @@ from gsjax.io.gaussian_files import format_of, load_gaussians
 from gsjax.io.locks import lock_folder
 from gsjax.io.place_files import stated_place
 from gsjax.io.temporaries import sweep_beside
+from gsjax.meshing.boxes import given_numbers
 from gsjax.render import gallery
 from gsjax.report.panels import draw_panels
 from gsjax.runs.folder import is_begun
@@ -76,6 +77,8 @@ def clean(
     with _kept_alone(out):
         if _beside(out).exists() and out.exists() and not _is_unfinished(out):
             raise InputError(f"{out}: was cleaned before; `gsjax clean {out} --undo` brings back {_beside(out)}")
+        box = None if box is None else given_numbers("--box", box, 6).tolist()
+        sphere = None if sphere is None else given_numbers("--sphere", sphere, 4).tolist()
         _check_numbers(box, sphere)
         sweep_beside(out)
         whole = load_gaussians(source)

@@ -57,7 +57,7 @@ from gsjax.training.terms import Term
 def train(
     scene: str | Path,
     out: str | Path,
-    settings: Settings,
+    settings: Settings | Mapping[str, Any],
     *,
     terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
     resume: bool = False,
@@ -72,7 +72,8 @@ def train(
     Args:
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
         out: Run folder, see `gsjax.runs.folder`; absent or empty unless `resume`.
-        settings: The run. A phase gives terms of the loss their weights by name.
+        settings: The run, or a table of it such as `gsjax.settings.PRESETS["quick"]`. A phase gives terms of the loss
+            their weights by name.
         terms: The run's own terms of the loss by name, beside those of `gsjax.training.terms.TERMS` or in their place:
             functions of (Gaussians, View, Batch), or a `Term` that says what such a function needs.
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
@@ -92,6 +93,7 @@ def train(
         InputError: The data set, the normals, a weight, a term, the run folder or the devices cannot be used; or a loss
             or a gradient is not finite, before that step.
     """
+    settings = config.as_record(Settings, settings)
     earlier = None if earlier is None else Path(earlier)
     if earlier is not None and runs.latest_checkpoint(earlier) is None:
         raise InputError(f"{earlier}: has no checkpoint to begin from")
