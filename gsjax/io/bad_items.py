@@ -46,22 +46,36 @@ def leave_out(kind: str, faults: Sequence[Fault], total: int, *, needed: int | N
     Raises:
         InputError: Fewer remain.
     """
-    if not faults:
-        return
-    names = ", ".join(fault.name for fault in faults[:_SHOWN]) if len(faults) > 1 else ""
-    more = f" and {len(faults) - _SHOWN} more" if len(faults) > _SHOWN else ""
-    _settle(faults[0].reason, kind, len(faults), total, needed, f": {names}{more}" if names else "")
+    require_enough(kind, faults, total, needed=needed)
+    if faults:
+        _report(faults[0].reason, kind, len(faults), total, _names(faults))
+
+
+def require_enough(kind: str, faults: Sequence[Fault], total: int, *, needed: int | None = None) -> None:
+    """As `leave_out`, and prints nothing: for items that a report names."""
+    if faults:
+        _require(faults[0].reason, kind, len(faults), total, needed, _names(faults))
 
 
 def leave_out_rows(where: object, kind: str, usable: np.ndarray) -> None:
     """As `leave_out`, of rows that hold values which are not finite: those where `usable` `[N]` is False."""
-    bad = int((~usable).sum())
+    bad, reason = int((~usable).sum()), f"{where}: holds values that are not finite"
     if bad:
-        _settle(f"{where}: holds values that are not finite", kind, bad, len(usable), None, "")
+        _require(reason, kind, bad, len(usable), None, "")
+        _report(reason, kind, bad, len(usable), "")
 
 
-def _settle(reason: str, kind: str, bad: int, total: int, needed: int | None, names: str) -> None:
+def _require(reason: str, kind: str, bad: int, total: int, needed: int | None, names: str) -> None:
     needed = max(FEWEST, (total + 1) // 2) if needed is None else needed
     if total - bad < needed:
         raise InputError(f"{reason}; {bad} of {total} {kind} cannot be used, and {needed} are needed{names}")
+
+
+def _report(reason: str, kind: str, bad: int, total: int, names: str) -> None:
     print_once(one_line(f"{reason}; {bad} of {total} {kind} {'is' if bad == 1 else 'are'} left out{names}"))
+
+
+def _names(faults: Sequence[Fault]) -> str:
+    """The end of a line; of one item nothing, as its reason names it."""
+    more = f" and {len(faults) - _SHOWN} more" if len(faults) > _SHOWN else ""
+    return f": {', '.join(fault.name for fault in faults[:_SHOWN])}{more}" if len(faults) > 1 else ""
