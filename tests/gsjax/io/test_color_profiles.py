@@ -91,6 +91,8 @@ def cmyk_profile():
 
 
 LOSSY = "a.jpg", "a.heic", "a.avif"
+WHOLE_CHROMA = {"a.jpg": {"subsampling": 0}, "a.avif": {"subsampling": "4:4:4"}, "a.heic": {"chroma": 444}}
+OPTIONS = WHOLE_CHROMA | {"a.webp": {"lossless": True}}
 
 
 def lively(side=32):
