@@ -289,7 +289,7 @@ def _without_end_marker(path: Path):
 
     Bits that are missing would be taken from what follows: with other bytes behind it, the picture would be another.
     """
-    data = path.read_bytes()
+    data = path.read_bytes().rstrip(b"\xff")  # half of the marker may be there
     first, second = (Image.open(BytesIO(data + tail * _TAIL + _JPEG_END)) for tail in (b"\x55", b"\xaa"))
     return first if np.array_equal(np.asarray(first), np.asarray(second)) else None
 

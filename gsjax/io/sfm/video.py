@@ -86,10 +86,10 @@ def _tables(file: BinaryIO) -> bytes:
             (size,), header = struct.unpack(">Q", file.read(8)), 16
         elif size == 0:  # to the end
             size = end - at
-        if kind == b"moov":
-            return file.read(size - header)
         if size < header:
             break
+        if kind == b"moov":
+            return file.read(size - header)
         at += size
     return b""
 
