@@ -18,6 +18,7 @@ import numpy as np
 from small_scenes import camera_at, cloud, discs
 
 from gsjax import config, pipeline, render
+from gsjax.binding import refining
 from gsjax.binding.refining import PRESETS as REFINEMENTS
 from gsjax.binding.refining import Refinement
 from gsjax.gaussians import opacities
@@ -67,6 +68,22 @@ def preset(name: str) -> Settings:
 def refined(name: str) -> Refinement:
     """The refinement that goes with a preset of the training."""
     return config.parse(Refinement, REFINEMENTS[REFINED_BY[name]])
+
+
+def vertex_rates(name: str) -> tuple[float, float]:
+    """The vertices' rate at the first and the last step, without the size of the scene and of its mesh."""
+    rate, last = refining.vertex_rate(refined(name), 0.2, 4), refined(name).steps
+    return tuple(float(f"{float(rate(step)):.3g}") for step in (0, last - 1))
+
+
+def degree_steps(name: str) -> int:
+    """Steps of a refinement after which the next degree joins, as its compiled step is told."""
+    chosen, state = refined(name), SimpleNamespace(step=refined(name).steps)
+    data = SimpleNamespace(has_mattes=False)
+    with mock.patch.object(refining, "make_refine_step") as made, mock.patch.object(refining, "advance") as advance:
+        advance.side_effect = lambda compiled, after, state, *_, **__: (compiled(1) and state, 1)
+        refining.refine(chosen, None, data, state, None, background=None, observe=lambda _: None, capacity=1)
+    return made.call_args.kwargs["sh_every"]
 
 
 def image_weights(settings: Settings) -> set[tuple[float, float]]:
@@ -233,8 +250,14 @@ CONSTANTS = (
              lambda: (Refinement().faces, Refinement().per_triangle, Refinement().sh_degree)),
     Constant("weight of normal consistency", 0.1, "SuGaR, refine.py",
              lambda: Refinement().weights.normal_consistency),
-    Constant("short, medium, long", (2_000, 7_000, 15_000), "SuGaR, train.py",
-             lambda: tuple(REFINEMENTS[name]["steps"] for name in ("short", "medium", "long"))),
+    Constant("medium, long", (7_000, 15_000), "SuGaR, train.py",
+             lambda: tuple(REFINEMENTS[name]["steps"] for name in ("medium", "long"))),
+    Constant("vertices' rate at the first step and after 7,000, times 10 extent / sqrt(V)", (1.6e-4, 5.46e-5),
+             "SuGaR, refine.py: to a hundredth in 30,000 steps at every length", lambda: vertex_rates("paper_13k_7k")),
+    Constant("vertices' rate at the first step and after 15,000", (1.6e-4, 1.6e-5), "SuGaR, refine.py",
+             lambda: vertex_rates("paper_6k_15k")),
+    Constant("refinement's next degree", (1000, 1000), "SuGaR, refine.py: at every length",
+             lambda: (degree_steps("paper_6k_15k"), degree_steps("paper_13k_7k"))),
     Constant("surface level, points, neighbours, samples", (0.3, 10_000_000, 16, 21), "SuGaR, coarse_mesh.py",
              lambda: tuple(getattr(LevelSetOptions(), n) for n in ("level", "num_points", "neighbors", "samples"))),
     Constant("opacity that makes a surface", 0.5, "SuGaR, coarse_mesh.py", lambda: LevelSetOptions().min_opacity),
