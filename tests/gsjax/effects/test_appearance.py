@@ -75,3 +75,22 @@ def test_few_photos_and_photos_that_all_stand_in_one_place(count):
 def test_no_photo_held_out_is_nothing_told():
     frames, looks = ring()
     assert as_near_photos([replace(frame, held_out=False) for frame in frames], looks) == {}
+
+
+def test_of_photos_from_one_place_those_that_look_the_same_way_tell():
+    """Three look at a window and three at a wall; all stand in one place."""
+    place = np.zeros(3)
+
+    def frame(towards, name, *, held_out=False):
+        viewmat = look_at(place, np.asarray(towards, float), up=np.array([0.0, 0.0, 1.0]))
+        return frame_of(name, viewmat, np.eye(3, dtype=np.float32), PIXELS, held_out=held_out)
+
+    window, wall = (1.0, 0.02, 0.0), (-1.0, 0.02, 0.0)
+    frames = [frame(np.add(towards, (0, 0.01 * i, 0)), f"{name}{i}")
+              for name, towards in (("window", window), ("wall", wall)) for i in range(3)]  # fmt: skip
+    looks = {each.name: Appearance((-1.0,) * 3 if "window" in each.name else (1.0,) * 3, (0.0, 0.0)) for each in frames}
+    held = [frame(window, "to the window", held_out=True), frame(wall, "to the wall", held_out=True)]
+    nothing = {each.name: Appearance((0.0,) * 3, (0.0, 0.0)) for each in held}
+    found = as_near_photos([*frames, *held], looks | nothing)
+    assert found["to the window"].log_gains == pytest.approx((-1.0,) * 3, abs=0.01)
+    assert found["to the wall"].log_gains == pytest.approx((1.0,) * 3, abs=0.01)
