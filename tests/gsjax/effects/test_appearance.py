@@ -77,20 +77,19 @@ def test_no_photo_held_out_is_nothing_told():
     assert as_near_photos([replace(frame, held_out=False) for frame in frames], looks) == {}
 
 
-def test_of_photos_from_one_place_those_that_look_the_same_way_tell():
-    """Three look at a window and three at a wall; all stand in one place."""
-    place = np.zeros(3)
+def test_photos_that_look_the_same_way_tell_more_than_nearer_ones_that_look_the_other_way():
+    """Back to back: three that look at a wall are nearer to one that looks out of a window than three that do as well."""
 
-    def frame(towards, name, *, held_out=False):
-        viewmat = look_at(place, np.asarray(towards, float), up=np.array([0.0, 0.0, 1.0]))
+    def frame(eye, towards, name, *, held_out=False):
+        viewmat = look_at(np.asarray(eye, float), np.add(eye, towards), up=np.array([0.0, 0.0, 1.0]))
         return frame_of(name, viewmat, np.eye(3, dtype=np.float32), PIXELS, held_out=held_out)
 
-    window, wall = (1.0, 0.02, 0.0), (-1.0, 0.02, 0.0)
-    frames = [frame(np.add(towards, (0, 0.01 * i, 0)), f"{name}{i}")
-              for name, towards in (("window", window), ("wall", wall)) for i in range(3)]  # fmt: skip
+    window, wall = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
+    turns = np.radians([0.0, 120.0, 240.0])
+    eyes = np.stack([np.cos(turns), np.sin(turns), 0 * turns], axis=-1)
+    frames = [frame(0.1 * eye, wall, f"wall{i}") for i, eye in enumerate(eyes)]
+    frames += [frame(0.25 * eye, window, f"window{i}") for i, eye in enumerate(eyes)]
     looks = {each.name: Appearance((-1.0,) * 3 if "window" in each.name else (1.0,) * 3, (0.0, 0.0)) for each in frames}
-    held = [frame(window, "to the window", held_out=True), frame(wall, "to the wall", held_out=True)]
-    nothing = {each.name: Appearance((0.0,) * 3, (0.0, 0.0)) for each in held}
-    found = as_near_photos([*frames, *held], looks | nothing)
-    assert found["to the window"].log_gains == pytest.approx((-1.0,) * 3, abs=0.01)
-    assert found["to the wall"].log_gains == pytest.approx((1.0,) * 3, abs=0.01)
+    held = frame(np.zeros(3), window, "held", held_out=True)
+    found = as_near_photos([*frames, held], looks | {"held": Appearance((0.0,) * 3, (0.0, 0.0))})
+    assert found["held"].log_gains == pytest.approx((-1.0,) * 3)
