@@ -78,7 +78,7 @@ def test_no_photo_held_out_is_nothing_told():
 
 
 def test_photos_that_look_the_same_way_tell_more_than_nearer_ones_that_look_the_other_way():
-    """Of one that looks out of a window those that look at a wall are nearer neighbours than those that look out too."""
+    """Of a photo through a window those of a wall behind it are nearer neighbours than those through the window."""
 
     def frame(eye, towards, name, *, held_out=False):
         viewmat = look_at(np.asarray(eye, float), np.add(eye, towards), up=np.array([0.0, 0.0, 1.0]))
