@@ -42,7 +42,7 @@ def asked(scene: str, schedule: str, seed: int, assignments: Sequence[str], refi
         whole = config.to_dict(config.parse(Refinement, chosen))
         refined = config.to_dict(config.parse(Refinement, config.override(whole, refinement), where="--refine"))
     settings = config.to_dict(settings_of(scene, schedule, seed, assignments))
-    return {"settings": settings, "refinement": refined, "mesh": dict(SCHEDULES[schedule].mesh)}
+    return {"settings": settings, "refinement": refined, "mesh": dict(PAPER_MESH)}
 
 
 def begun(folder: Path, wishes: Mapping[str, Any], lpips: Sequence[str] = ()) -> dict[str, Any]:
@@ -136,7 +136,7 @@ def _stages(
     return {
         "train": lambda: _train(data, trained, config.parse(Settings, wishes["settings"]), earlier),
         "coarse": lambda: _scores(trained, lpips),
-        "mesh": lambda: pipeline.mesh(trained, trained / "mesh.ply", **PAPER_MESH, **wishes["mesh"]),
+        "mesh": lambda: pipeline.mesh(trained, trained / "mesh.ply", **wishes["mesh"]),
         "texture": lambda: pipeline.texture(trained, trained / "mesh.ply", out / "textured.glb"),
         "sheet": lambda: draw_sheet(out, str(regulariser)),
         "refine": lambda: pipeline.refine(

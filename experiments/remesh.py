@@ -49,7 +49,7 @@ def variants_of(study: str) -> dict[str, dict[str, Any]]:
             "tsdf": {"mesh": {"method": "tsdf"}},
         },
         # How long a refinement takes and what it brings, beside the free Gaussians before it.
-        "length": {"free": {}} | {name: {"refine": PRESETS[name]} for name in ("fast", "balanced", "short")},
+        "length": {"free": {}} | {name: {"refine": PRESETS[name]} for name in ("fast", "balanced")},
     }
     if study not in studies:
         raise InputError(f"no study '{study}' of meshes; the nearest is '{nearest(study, STUDIES)}'")

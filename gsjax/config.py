@@ -6,8 +6,10 @@ command line, and one `parse` that checks everything. No function of the method 
 
 import dataclasses
 import difflib
+import functools
 import json
 import math
+import os
 import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
@@ -37,6 +39,40 @@ def parse(cls: type[T], data: Mapping[str, Any], *, where: str = "config") -> T:
             the dotted key, and the nearest known key or the expected type.
     """
     return _Parser(cls, where).dataclass(cls, data, "")
+
+
+def as_record(cls: type[T], given: T | Mapping[str, Any]) -> T:
+    """A record as it is, or parsed from a table of its fields.
+
+    Raises:
+        InputError: It is neither, or as in `parse`.
+    """
+    return given if isinstance(given, cls) else parse(cls, given, where=cls.__name__)  # pyright: ignore[reportArgumentType]
+
+
+def parse_numbers(numbers: Mapping[str, Any], *, where: str) -> dict[str, float]:
+    """A table of finite numbers, as `parse` reads one.
+
+    Raises:
+        InputError: One of them is something else; the message holds `where` and its name.
+    """
+    return _Parser(float, where).value(dict[str, float], numbers, "")
+
+
+def declare_types(record: Any) -> None:
+    """Bring every field of a dataclass to its declared type, as `parse` does; what its `__post_init__` begins with.
+
+    Records that a program makes hold numpy's numbers, paths, lists and tables as naturally as a file holds plain data.
+
+    Raises:
+        InputError: A field is of another type.
+    """
+    parser = _Parser(type(record), type(record).__name__)
+    for name, hint in _hints(type(record)).items():
+        value = getattr(record, name)
+        is_union = typing.get_origin(hint) in (typing.Union, types.UnionType)
+        if type(value) not in (typing.get_args(hint) if is_union else (hint,)):
+            object.__setattr__(record, name, parser.value(hint, value, name))
 
 
 def merge(base: Mapping[str, Any], *differences: Mapping[str, Any]) -> dict[str, Any]:
@@ -99,13 +135,12 @@ class _Parser:
     """Holds what every message needs: the name of the source, and all keys that there are."""
 
     def __init__(self, root: type, where: str):
-        self.where = where
-        self.known = list(_dotted_keys(root))
+        self.where, self.root = where, root
 
     def dataclass(self, cls: Any, data: Any, at: str) -> Any:
         if not isinstance(data, Mapping):
             raise self.mismatch(at, data, "a table of keys")
-        hints = typing.get_type_hints(cls)
+        hints = _hints(cls)
         fields = {f.name: f for f in dataclasses.fields(cls) if f.init}
         for key in data:
             if key not in fields:
@@ -123,6 +158,7 @@ class _Parser:
             raise InputError(f"{self.where}: {at + ': ' if at else ''}{error}") from error
 
     def value(self, hint: Any, value: Any, at: str) -> Any:
+        value = _python_number(value)
         origin, arguments = typing.get_origin(hint), typing.get_args(hint)
         if dataclasses.is_dataclass(hint):
             return value if isinstance(value, hint) else self.dataclass(hint, value, at)
@@ -144,6 +180,8 @@ class _Parser:
             raise self.mismatch(at, value, "a finite number")
         if hint is Path and isinstance(value, str):
             return Path(value)
+        if hint is str and isinstance(value, os.PathLike):
+            return os.fspath(value)
         if hint is types.NoneType and value is None:
             return None
         # bool is a subclass of int, and never meant as one.
@@ -177,7 +215,7 @@ class _Parser:
             last = difflib.SequenceMatcher(None, key.split(".")[-1], known.split(".")[-1]).ratio()
             return max(whole, last)
 
-        candidates = [*siblings, *self.known]
+        candidates = [*siblings, *_dotted_keys(self.root)]
         if not candidates:
             return InputError(f"{self.where}: unknown key '{key}'; there are no keys here")
         nearest = max(candidates, key=likeness)
@@ -187,9 +225,27 @@ class _Parser:
         return InputError(f"{self.where}: {at or 'the whole'} is {value!r}, expected {expected}")
 
 
+@functools.cache
+def _hints(cls: type) -> dict[str, Any]:
+    return typing.get_type_hints(cls)
+
+
+def _python_number(value: Any) -> Any:
+    """A number of numpy or jax, also in an array without axes, as Python's; anything else as it is.
+
+    One that jax traces has no value, and is refused where a number is expected.
+    """
+    if getattr(value, "shape", None) != ():
+        return value
+    try:
+        return value.item()
+    except Exception:
+        return value
+
+
 def _dotted_keys(cls: Any, prefix: str = "") -> Iterator[str]:
     """Every key that a table of `cls` may hold, nested ones included."""
-    for name, hint in typing.get_type_hints(cls).items():
+    for name, hint in _hints(cls).items():
         key = _join(prefix, name)
         yield key
         for inner in (hint, *typing.get_args(hint)):

@@ -3,6 +3,13 @@
 MOST_CHARACTERS = 900  # of a message; names and values come from files, and may be of any length
 
 
+def one_line(message: str) -> str:
+    """A message as one line: what does not print is escaped, and of a very long one the middle is left out."""
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(message))
+    half = MOST_CHARACTERS // 2
+    return line if len(line) <= MOST_CHARACTERS else f"{line[: half - 5]} ... {line[-half:]}"
+
+
 class InputError(ValueError):
     """Unusable input. Its message is one line that names the file (or option) and the fault.
 
@@ -12,9 +19,7 @@ class InputError(ValueError):
 
     def __init__(self, message: str):
         """One line of it."""
-        line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(message))
-        half = MOST_CHARACTERS // 2
-        super().__init__(line if len(line) <= MOST_CHARACTERS else f"{line[: half - 5]} ... {line[-half:]}")
+        super().__init__(one_line(message))
 
 
 class NoSurfaceError(InputError):

@@ -11,6 +11,9 @@ from jax import Array
 
 SH_C0 = 0.28209479177387814  # Y_0^0, the constant that turns an rgb into a degree-0 coefficient.
 
+DEAD_LOGIT = -30.0
+"""Log-odds of opacity of a free row of a buffer: under every alpha cut, so never drawn and without gradient."""
+
 PixelFilter = Literal["classic", "mip"]
 """How splats meet pixels, see `gsjax.render.PIXEL_FILTERS`. They look right through the one they were fitted with."""
 
@@ -78,6 +81,11 @@ def without_view_dependence(gaussians: Gaussians) -> Gaussians:
 def rgb_to_sh(rgb: Array) -> Array:
     """Degree-0 coefficient whose colour is `rgb` (0..1), any shape."""
     return (rgb - 0.5) / SH_C0
+
+
+def is_alive(gaussians: Gaussians) -> Array:
+    """`[N]` bool: which rows hold a Gaussian."""
+    return gaussians.logit_opacities > 0.5 * DEAD_LOGIT
 
 
 def take(gaussians: Gaussians, index: Array | np.ndarray | slice) -> Gaussians:

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Literal
 
+from gsjax.config import declare_types, parse_numbers
+
 MOST_COUNT = 2**31 - 1  # of the integers of compiled programs
 MOST_SEED = 2**32 - 1  # of jax's random keys and numpy's generators alike
 
@@ -45,10 +47,7 @@ class Weights(Mapping[str, float]):
 
     def __init__(self, **weights: float):
         """The weights that differ from `PLAIN`."""
-        for name, weight in weights.items():
-            if not math.isfinite(weight):
-                raise ValueError(f"weights.{name}={weight} is no finite number")
-        self._by_name = {**PLAIN, **weights}
+        self._by_name = {**PLAIN, **parse_numbers(weights, where="Weights")}
 
     def __getitem__(self, name: str) -> float:
         """The weight of a term that was named."""
@@ -85,7 +84,8 @@ class Phase:
     surface_scale: int = 1  # photos of the steps with those terms are this many times smaller still
 
     def __post_init__(self):
-        """Check ranges."""
+        """Check types and ranges."""
+        declare_types(self)
         check_lowest(self, steps=0, image_scale=1, surface_every=1, surface_scale=1)
         if not 0 <= self.cull_below <= 1:
             raise ValueError(f"cull_below={self.cull_below} is not between 0 and 1")
@@ -107,7 +107,8 @@ class Rates:
     final_share: float = 1.0  # of all rates but the means', reached log-linearly in the last third of `decay_steps`
 
     def __post_init__(self):
-        """Check ranges."""
+        """Check types and ranges."""
+        declare_types(self)
         rates = ("means", "sh_dc", "sh_rest", "opacities", "scales", "quats")
         check_lowest(self, **dict.fromkeys(rates, 0))
         if self.decay_steps is not None:
@@ -122,7 +123,7 @@ class Rates:
 class Density:
     """Clone, split, prune and reset, at a fixed budget of Gaussians."""
 
-    rule: Literal["adc", "error"] = "adc"  # who grows, see `gsjax.training.growth.rules`
+    rule: str = "adc"  # who grows, a name of `gsjax.training.growth.rules.RULES`
     start: int = 500
     stop: int = 15000
     every: int = 100
@@ -137,7 +138,8 @@ class Density:
     reset_opacity: float = 0.01
 
     def __post_init__(self):
-        """Check ranges."""
+        """Check types and ranges."""
+        declare_types(self)
         check_lowest(self, start=0, stop=0, every=1, gradient=0, dense_share=0, max_share=0, reset_every=0)
         for name in ("full_by", "replace", "min_opacity"):
             if not 0 <= getattr(self, name) <= 1:
@@ -157,7 +159,8 @@ class Logging:
     checkpoint_every: int = 500  # and at the end of every phase
 
     def __post_init__(self):
-        """Check ranges."""
+        """Check types and ranges."""
+        declare_types(self)
         check_lowest(self, metrics_every=1, evaluate_every=0, checkpoint_every=1)
 
 
@@ -225,7 +228,8 @@ class Settings:
     view_share: float = 0.5  # of the device's memory, for photos; what does not fit is streamed
 
     def __post_init__(self):
-        """Check ranges."""
+        """Check types and ranges."""
+        declare_types(self)
         check_seed(self.seed)
         check_lowest(self, views_per_step=1, max_gaussians=1, far_points=0, stereo_points=0, sh_every=1, longest_side=1)
         named_effects(self.effects)

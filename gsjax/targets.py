@@ -50,6 +50,7 @@ class Targets:
 
     targets: tuple[Target, ...]
     neighbors: np.ndarray | None = None  # [V, M] which views may stand beside each, where a term compares two
+    names: tuple[str, ...] = ()  # of the photos, where they are known
 
     @property
     def num_views(self) -> int:
@@ -111,7 +112,7 @@ def read_targets(frames: Sequence[Frame], *, scale: int = 1, keep: Keep = in_mem
             f" {frames[0].width}x{frames[0].height} pixels"
         )
     targets = [_target(frame, scale, width, height, keep) for frame in frames]
-    return Targets(tuple(_alike(_alike(targets, "matte"), "valid")))
+    return Targets(tuple(_alike(_alike(targets, "matte"), "valid")), names=tuple(frame.name for frame in frames))
 
 
 def with_normals(views: Targets, maps: Iterable[np.ndarray], scale: int = 1, keep: Keep = in_memory) -> Targets:

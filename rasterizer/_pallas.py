@@ -18,6 +18,7 @@ from jax.experimental import pallas as pl
 
 from rasterizer.blending import blend_splat, cut_alpha, front_weight, splat_sigma, unblend_splat
 from rasterizer.compositing import Blended, Engine, Static, chain_to_rows, moment_basis
+from rasterizer.manual_axes import result
 
 CHUNK = 16  # Splats between two looks at whether every pixel has stopped: the look is a reduction over the program.
 SEGMENT = 256  # Splats that one program of the backward pass walks.
@@ -243,13 +244,13 @@ def _forward(
     # A program that begins late and walks long would be the only one left at the end.
     order = jnp.argsort(offsets[:-1] - offsets[1:]).astype(jnp.int32)
     many = segments[0].shape[0]
-    indices = jax.ShapeDtypeStruct((tiles, pixels), jnp.int32)
+    indices = result((tiles, pixels), jnp.int32)
     shapes = [
-        jax.ShapeDtypeStruct((tiles, channels, pixels), jnp.float32),
-        jax.ShapeDtypeStruct((tiles, pixels), jnp.float32),
+        result((tiles, channels, pixels), jnp.float32),
+        result((tiles, pixels), jnp.float32),
         indices,
-        jax.ShapeDtypeStruct((many, pixels), jnp.float32),
-        jax.ShapeDtypeStruct((many, channels, pixels), jnp.float32),
+        result((many, pixels), jnp.float32),
+        result((many, channels, pixels), jnp.float32),
         *[indices] * (static.with_median + bool(static.front)),
     ]
     kernel = partial(_forward_kernel, static=static, segment_size=segment_size)
@@ -277,7 +278,7 @@ def _backward(
     zeros = jnp.zeros((splats.shape[0], rows.shape[1]), jnp.float32)
     arguments = rows, splats, offsets, t, last, d_features, d_t, *kept
     kernel = partial(_backward_kernel, static=static, segment_size=segment_size)
-    shape = jax.ShapeDtypeStruct(zeros.shape, zeros.dtype)
+    shape = result(zeros.shape, zeros.dtype)
     gradients = launch(kernel, kept[0].shape[0], shape, BACKWARD_WARPS, interpret, arguments, zeros)
     d_rows = chain_to_rows(rows[splats], gradients[:, :6], gradients[:, 6:])
     # A GPU adds by atomics, and zeros of a whole buffer to one row wait for each other: their index is past all rows.

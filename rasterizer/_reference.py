@@ -10,6 +10,7 @@ from jax import Array
 
 from rasterizer.blending import blend_splat, cut_alpha, front_weight, splat_sigma
 from rasterizer.compositing import Front
+from rasterizer.manual_axes import vary_alike, vary_like
 from rasterizer.projection import Projection
 from rasterizer.rules import Rules
 
@@ -46,7 +47,7 @@ def _blend_block(pixels: Array, splats: tuple, rules: Rules, front: Front | None
 
     count, dtype = pixels.shape[0], features.dtype
     start = jnp.ones(count, dtype), jnp.zeros((count, features.shape[1]), dtype), jnp.full(count, -1, jnp.int32)
-    ranks = jnp.arange(features.shape[0], dtype=jnp.int32)
+    ranks, start = jnp.arange(features.shape[0], dtype=jnp.int32), vary_like(start, splats)
     (signed_t, image, median), _ = jax.lax.scan(step, start, (ranks, *splats))
     return image, jnp.abs(signed_t), median
 
@@ -75,6 +76,7 @@ def composite(
         `[C, H, W, D]` blended features on nothing, `[C, H, W, 1]` transmittance left, and `[C, H, W]` int32 the splat
         c * N + n in which the light falls to one half (the last one that shows, where it does not; -1 for none).
     """
+    projection, opacities, features = vary_alike((projection, opacities, features))
     dtype = features.dtype
     y, x = jnp.meshgrid(jnp.arange(height, dtype=dtype) + 0.5, jnp.arange(width, dtype=dtype) + 0.5, indexing="ij")
     pixels = jnp.stack([x, y], -1).reshape(-1, 2)

@@ -34,6 +34,7 @@ from rasterizer.features import (
     image_features,
     median_depth,
 )
+from rasterizer.harmonics import static_degree
 from rasterizer.normals import camera_normals
 from rasterizer.projection import DepthMode, Projection, RasterizeMode, project
 from rasterizer.refusals import refuse_at_the_door
@@ -264,6 +265,7 @@ def rasterization(
         backgrounds = jnp.broadcast_to(backgrounds, (viewmats.shape[0], behind))
     gaussians = means, quats, scales, covars, opacities
     check_arrays(*gaussians, colors, viewmats, Ks, backgrounds, masks, sh_degree, render_mode, backend)
+    sh_degree = None if sh_degree is None else static_degree("sh_degree", sh_degree)
     check_lenses(radial_coeffs, viewmats.shape[0], camera_model, near_plane, means.dtype)
     check_sizes(width=width, height=height, tile_size=tile_size, capacity=capacity)
     refuse_at_the_door(gsplat_only)

@@ -15,6 +15,7 @@ from jax import Array
 
 from rasterizer.binning import TileGrid, TilePairs, bin_splats
 from rasterizer.covariances import components
+from rasterizer.manual_axes import without_axes
 from rasterizer.rules import Rules
 
 
@@ -182,7 +183,7 @@ def composite(
 def _composite_fwd(static, means2d, conics, opacities, features, splats, offsets, absgrad):
     del absgrad
     rows = _splat_rows(means2d, conics, opacities, features)
-    blended = static.engine.forward(static, rows, splats, offsets)
+    blended = without_axes(partial(static.engine.forward, static), rows, splats, offsets)
     image = to_image(jnp.concatenate([blended.features, blended.transmittance[:, None]], 1), static.grid)
     median = None
     if blended.median is not None:
@@ -197,8 +198,8 @@ def _composite_bwd(static, residuals, cotangents):
     d_tiles = to_tiles(jnp.concatenate(cotangents[:2], -1), static.grid)
     d_image = d_tiles[:, :-1], d_tiles[:, -1]
     arguments = rows, splats, offsets, t, last, *d_image
-    d_rows = static.engine.backward(static, *arguments, *kept)
-    absolute = static.absolute(static, *arguments) if static.absolute else None
+    d_rows = without_axes(partial(static.engine.backward, static), *arguments, *kept)
+    absolute = without_axes(partial(static.absolute, static), *arguments) if static.absolute else None
     return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:], None, None, absolute
 
 

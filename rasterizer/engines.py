@@ -14,6 +14,7 @@ from rasterizer import _mosaic, _pallas, _reference, _xla
 from rasterizer.binning import TileGrid, TilePairs
 from rasterizer.compositing import Engine, Front, Static, composite, composite_unlisted
 from rasterizer.devices import default_device, has_triton, why_no_kernels
+from rasterizer.manual_axes import vary_alike, without_axes
 from rasterizer.projection import Projection
 from rasterizer.reverse_mode import reverse_only
 from rasterizer.rules import GSPLAT, Rules
@@ -120,7 +121,12 @@ def bin_splats(
     Returns:
         `TilePairs`, not differentiable. If `overflowed`, pairs are missing.
     """
-    return _engine(backend).lists(projection, opacities, grid, capacity, rules, masks)
+    lists = _engine(backend).lists
+
+    def listed(projection, opacities, masks):
+        return lists(projection, opacities, grid, capacity, rules, masks)
+
+    return without_axes(listed, *jax.lax.stop_gradient((projection, opacities, masks)))
 
 
 def blend(
@@ -165,6 +171,7 @@ def blend(
             backend does not list splats by itself.
         TypeError: In forward mode, or differentiated a second time, unless the backend is "reference".
     """
+    projection, opacities, features, pairs, absgrad = vary_alike((projection, opacities, features, pairs, absgrad))
     channels, side = features.shape[2], grid.tile_size
     if not channels or not grid.num_cameras:
         raise ValueError(f"features.shape={features.shape} holds no {'camera' if channels else 'channel'}")

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from rasterizer.devices import default_device
+from rasterizer.manual_axes import vary_like
 
 T = TypeVar("T")
 
@@ -21,5 +22,5 @@ def walled(function: Callable[..., T], is_wanted: Array, *inputs: Any) -> T:
     if default_device().platform != "cpu":
         return function(*inputs)
     nothing = jax.eval_shape(function, *inputs)
-    zeros = jax.tree.map(lambda part: jnp.zeros(part.shape, part.dtype), nothing)
+    zeros = jax.tree.map(lambda part: vary_like(jnp.zeros(part.shape, part.dtype), inputs), nothing)
     return jax.lax.cond(is_wanted, function, lambda *_: zeros, *inputs)

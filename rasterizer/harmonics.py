@@ -1,6 +1,8 @@
 """Real spherical harmonics of degree 0 to 4 in the sign convention of 3DGS and gsplat."""
 
 import math
+import operator
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +12,18 @@ from rasterizer.arrays import takes_arrays
 from rasterizer.devices import default_device
 
 DC = 0.28209479177387814  # The basis function of degree 0, 1 / sqrt(4 pi).
+
+
+def static_degree(name: str, degree: Any) -> int:
+    """A degree as an int: how many harmonics there are is a part of the program.
+
+    Raises:
+        ValueError: It is no integer, or is traced, and has no value while the program is compiled.
+    """
+    try:
+        return operator.index(degree)
+    except TypeError as error:
+        raise ValueError(f"{name}={degree!r}, expected an int that does not change in a compiled program") from error
 
 
 def _basis(degree: int, x: Array, y: Array, z: Array) -> list[Array]:
@@ -70,7 +84,7 @@ def spherical_harmonics(degrees_to_use: int, dirs: Array, coeffs: Array, masks: 
     Raises:
         ValueError: If the degree is not 0 to 4 or `coeffs` holds too few coefficients or no channel.
     """
-    degree = degrees_to_use
+    degree = static_degree("degrees_to_use", degrees_to_use)
     if not 0 <= degree <= 4:
         raise ValueError(f"spherical harmonics of degree {degree} are not supported, only 0 to 4")
     num_bases = (degree + 1) ** 2

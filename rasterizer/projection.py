@@ -26,6 +26,7 @@ from rasterizer.covariances import (
     upper_triangle,
 )
 from rasterizer.fusion import walled
+from rasterizer.manual_axes import vary_alike
 from rasterizer.rules import GSPLAT, Rules
 
 RasterizeMode = Literal["classic", "antialiased"]
@@ -231,6 +232,8 @@ def project(
         TypeError: On what is no array.
     """
     require_shape(quats, scales, covars)
+    arrays = means, quats, scales, opacities, viewmats, Ks, covars, radial_coeffs
+    means, quats, scales, opacities, viewmats, Ks, covars, radial_coeffs = vary_alike(arrays)
     shapes = (quats, scales) if covars is None else (upper_triangle(covars),)
     inputs = (
         components(means),

@@ -6,6 +6,7 @@ A number that the code has inside is read from what it does. "Paper" is its sour
 
 import importlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -14,9 +15,10 @@ from unittest import mock
 import jax
 import jax.numpy as jnp
 import numpy as np
-from small_scenes import cloud
+from small_scenes import camera_at, cloud, discs
 
-from gsjax import config, pipeline
+from gsjax import config, pipeline, render
+from gsjax.binding import refining
 from gsjax.binding.refining import PRESETS as REFINEMENTS
 from gsjax.binding.refining import Refinement
 from gsjax.gaussians import opacities
@@ -30,7 +32,6 @@ from gsjax.settings import PRESETS, REFINED_BY, Density, Rates, Settings
 from gsjax.training import initialize
 from gsjax.training.growth import adaptive
 from gsjax.training.optimizers import apply_gradients, make_optimizer
-from rasterizer.rules import INRIA
 
 
 class Constant(NamedTuple):
@@ -69,6 +70,22 @@ def refined(name: str) -> Refinement:
     return config.parse(Refinement, REFINEMENTS[REFINED_BY[name]])
 
 
+def vertex_rates(name: str) -> tuple[float, float]:
+    """The vertices' rate at the first and the last step, without the size of the scene and of its mesh."""
+    rate, last = refining.vertex_rate(refined(name), 0.2, 4), refined(name).steps
+    return tuple(float(f"{float(rate(step)):.3g}") for step in (0, last - 1))
+
+
+def degree_steps(name: str) -> int:
+    """Steps of a refinement after which the next degree joins, as its compiled step is told."""
+    chosen, state = refined(name), SimpleNamespace(step=refined(name).steps)
+    data = SimpleNamespace(has_mattes=False)
+    with mock.patch.object(refining, "make_refine_step") as made, mock.patch.object(refining, "advance") as advance:
+        advance.side_effect = lambda compiled, after, state, *_, **__: (compiled(1) and state, 1)
+        refining.refine(chosen, None, data, state, None, background=None, observe=lambda _: None, capacity=1)
+    return made.call_args.kwargs["sh_every"]
+
+
 def image_weights(settings: Settings) -> set[tuple[float, float]]:
     return {(phase.weights["l1"], phase.weights["dssim"]) for phase in settings.phases}
 
@@ -99,6 +116,37 @@ def reset_to() -> float:
     return rounded(opacities(adaptive.reset_opacities(cloud(1), Density().reset_opacity))[0])
 
 
+def alpha_of(opacity: float, *, layers: int = 1, depth: float = 1.0) -> float:
+    """The alpha that a view as training sees it has before wide discs, one right behind the other."""
+    points = np.stack([np.zeros(layers), np.zeros(layers), depth * (1 + 1e-3 * np.arange(layers))], axis=1)
+    wide = discs(points, [0, 0, 1], 10 * depth, thickness=1e-6, opacity=opacity)
+    return float(render.view(wide, camera_at(), capacity=2**14, background=jnp.zeros(3)).alphas.max())
+
+
+def blended_layers(opacity: float) -> float:
+    """How many of a hundred layers are blended before a pixel is full."""
+    return round(float(np.log(1 - alpha_of(opacity, layers=100)) / np.log(1 - opacity)), 2)
+
+
+def slope_at_clamp() -> float:
+    """The gradient of the alpha of an opaque disc to its opacity."""
+    wide = discs(np.array([[0, 0, 1.0]]), [0, 0, 1], 10, opacity=0.995)
+
+    def alpha(logit):
+        scene = replace(wide, logit_opacities=logit)
+        return render.view(scene, camera_at(), capacity=2**10, background=jnp.zeros(3)).alphas.max()
+
+    return float(jax.grad(alpha)(wide.logit_opacities)[0])
+
+
+def drawn_sigmas(opacity: float) -> float:
+    """How far from its centre a splat is drawn horizontally, in standard deviations."""
+    disc = discs(np.array([[0, 0, 1.0]]), [0, 0, 1], 0.2, opacity=opacity)
+    camera = camera_at(size=(400, 400), focal=200.0)
+    extents = render.splat(disc, camera, 2**10).projection.extents
+    return round(float(extents[0, 0, 0]) / float(np.hypot(0.2 * 200, np.sqrt(0.3))), 2)
+
+
 def scored_while_training() -> list[str]:
     """Names of the photos that `held_out_psnr` of `metrics.jsonl` is of."""
     pixels = Pixels(np.zeros((2, 3, 3), np.uint8))
@@ -121,6 +169,12 @@ def meshed(schedule: str) -> dict[str, Any]:
     return mesh.call_args.kwargs
 
 
+def meshes_of_all() -> list[dict[str, Any]]:
+    """The different ways in which the protocol asks for coarse meshes, over all methods of its tables."""
+    made = [meshed(name) for name in importlib.import_module("paper.scenes").SCHEDULES]
+    return [one for index, one in enumerate(made) if one not in made[:index]]
+
+
 def protocol(schedule: str) -> dict[str, Any]:
     """The refinement that the protocol asks for."""
     return importlib.import_module("paper_run").asked("room", schedule, 0, [], [])["refinement"]
@@ -132,6 +186,8 @@ def asked_training(schedule: str) -> Settings:
 
 
 VANILLA, ENTROPY = Budget(7000, True, 0, 0, 0), Budget(2000, False, 0.1, 0, 0.5)
+SUGAR_MESH = {"level": 0.3, "points": 10_000_000, "depth": 10, "trim_quantile": 0.1, "settled": False,
+              "keep_floaters": True}  # fmt: skip
 PAPER, DGS = "Paper, Implementation Details", "3DGS, arguments/__init__.py"
 
 CONSTANTS = (
@@ -154,8 +210,6 @@ CONSTANTS = (
              lambda: (preset("paper_6k_15k").rates.decay_steps, preset("paper_13k_7k").rates.decay_steps)),
     Constant("Gaussians of the tables are on the mesh alone", False, "SuGaR, metrics of the refined model",
              lambda: protocol("paper_6k_15k")["keep_free"]),
-    Constant("the coarse mesh is moved by nothing", False, "SuGaR, coarse_mesh.py",
-             lambda: meshed("paper_6k_15k")["settled"]),
     Constant("scored while training", ["held_out"], "3DGS, train.py", scored_while_training),
     # 3DGS
     Constant("rates of the means", (1.6e-4, 1.6e-6), DGS, lambda: (Rates().means, Rates().means_final)),
@@ -176,8 +230,17 @@ CONSTANTS = (
     Constant("opacity that is pruned", 0.005, "3DGS, train.py", lambda: Density().min_opacity),
     Constant("opacities are reset to", 0.01, "3DGS, reset_opacity", reset_to),
     Constant("opacities are reset every", 3000, DGS, lambda: Density().reset_every),
-    Constant("alphas", (0.99, 1 / 255, 1e-4), "3DGS, forward.cu",
-             lambda: (INRIA.alpha_max, INRIA.alpha_min, INRIA.transmittance_min)),
+    Constant("alpha is at most", 0.99, "3DGS, forward.cu", lambda: rounded(alpha_of(0.9999))),
+    Constant("alphas that are skipped: under 1/255", (False, True), "3DGS, forward.cu",
+             lambda: (alpha_of(1 / 255.5) > 0, alpha_of(1 / 254.5) > 0)),
+    Constant("layers blended at a transmittance above 1e-4", (87, 13), "3DGS, forward.cu: 0.9^87, 0.5^13",
+             lambda: (blended_layers(0.1), blended_layers(0.5))),
+    # gsplat, where 3DGS differs (docs/deviations.md)
+    Constant("near plane", (False, True), "gsplat 1.6: 0.01; 3DGS: 0.2",
+             lambda: (alpha_of(0.5, depth=0.0099) > 0, alpha_of(0.5, depth=0.0101) > 0)),
+    Constant("gradient at the clamp", 0.0, "gsplat 1.6; 3DGS: as below it", slope_at_clamp),
+    Constant("ends of a splat, sigmas", (3.33, 2.16), "gsplat 1.6: sqrt(2 ln(255 opacity)), at most 3.33; 3DGS: 3",
+             lambda: (drawn_sigmas(0.999), drawn_sigmas(0.04))),
     Constant("SSIM's window", (11, 1.5), "3DGS, loss_utils.py",
              lambda: (2 * images._WINDOW_RADIUS + 1, images._WINDOW_SIGMA)),
     Constant("3DGS at full length", [Budget(30_000, True, 0, 0, 0)], DGS,
@@ -187,14 +250,20 @@ CONSTANTS = (
              lambda: budgets(asked_training("sugar"))),
     Constant("weight of SuGaR's terms", 0.2, "SuGaR, coarse_sdf.py",
              lambda: asked_training("sugar").phases[-1].weights["sugar_sdf"]),
-    Constant("SuGaR's mesh", {"level": 0.3, "points": 10_000_000, "depth": 10, "trim_quantile": 0.1, "settled": False,
-                              "keep_floaters": True}, "SuGaR, coarse_mesh.py", lambda: meshed("sugar")),
+    Constant("the mesh of every method", [SUGAR_MESH], "Paper, Results: all by SuGaR's technique; coarse_mesh.py",
+             meshes_of_all),
     Constant("refinement's triangles, Gaussians a triangle, harmonics", (1_000_000, 1, 3), "SuGaR, refine.py",
              lambda: (Refinement().faces, Refinement().per_triangle, Refinement().sh_degree)),
     Constant("weight of normal consistency", 0.1, "SuGaR, refine.py",
              lambda: Refinement().weights.normal_consistency),
-    Constant("short, medium, long", (2_000, 7_000, 15_000), "SuGaR, train.py",
-             lambda: tuple(REFINEMENTS[name]["steps"] for name in ("short", "medium", "long"))),
+    Constant("medium, long", (7_000, 15_000), "SuGaR, train.py",
+             lambda: tuple(REFINEMENTS[name]["steps"] for name in ("medium", "long"))),
+    Constant("vertices' rate at the first step and after 7,000, times 10 extent / sqrt(V)", (1.6e-4, 5.46e-5),
+             "SuGaR, refine.py: to a hundredth in 30,000 steps at every length", lambda: vertex_rates("paper_13k_7k")),
+    Constant("vertices' rate at the first step and after 15,000", (1.6e-4, 1.6e-5), "SuGaR, refine.py",
+             lambda: vertex_rates("paper_6k_15k")),
+    Constant("refinement's next degree", (1000, 1000), "SuGaR, refine.py: at every length",
+             lambda: (degree_steps("paper_6k_15k"), degree_steps("paper_13k_7k"))),
     Constant("surface level, points, neighbours, samples", (0.3, 10_000_000, 16, 21), "SuGaR, coarse_mesh.py",
              lambda: tuple(getattr(LevelSetOptions(), n) for n in ("level", "num_points", "neighbors", "samples"))),
     Constant("opacity that makes a surface", 0.5, "SuGaR, coarse_mesh.py", lambda: LevelSetOptions().min_opacity),

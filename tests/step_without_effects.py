@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from gsjax import render, targets
-from gsjax.numerics import masked_mean
+from gsjax.numerics import all_finite, masked_mean
 from gsjax.training import optimizers
 from gsjax.training.state import TrainState
 from gsjax.training.step import Metrics, in_photo
@@ -49,7 +49,9 @@ def make_train_step(optimizer, terms, *, capacity, background, sh_every, rule, d
             distances = jnp.where(seen, projection.depths[0], 0) / extent
             statistics = rule.accumulate(statistics, gradients[1], seen, distances, target.size)
         proposed = TrainState(gaussians, opt_state, statistics, state.step + 1)
-        state = jax.tree.map(lambda old, new: jnp.where(pairs.overflowed, old, new), state, proposed)
-        return state, Metrics(total, psnr, pairs.needed, pairs.overflowed, losses)
+        finite = all_finite((total, gradients))
+        is_left = pairs.overflowed | ~finite
+        state = jax.tree.map(lambda old, new: jnp.where(is_left, old, new), state, proposed)
+        return state, Metrics(total, psnr, pairs.needed, pairs.overflowed, losses, finite)
 
     return train_step

@@ -47,12 +47,11 @@ SHARED: dict[str, Any] = {
 
 
 class Schedule(NamedTuple):
-    """A method of the tables: what differs from a preset of the training, and how its mesh differs from ours."""
+    """A method of the tables: what differs from a preset of the training."""
 
     preset: str
     regulariser: str | None  # what the last phase has beside the image's terms; None: nothing, and no refinement
     differences: Mapping[str, Any] = {}
-    mesh: Mapping[str, Any] = {}  # options of `gsjax.pipeline.mesh`
 
     @property
     def refinement(self) -> str | None:
@@ -60,8 +59,18 @@ class Schedule(NamedTuple):
         return REFINED_BY[self.preset] if self.regulariser else None
 
 
-PAPER_MESH: dict[str, Any] = {"settled": False, "keep_floaters": True}
-"""Options of `gsjax.pipeline.mesh` for the paper's mesh: of all Gaussians, and it stays where the level set is."""
+PAPER_MESH: dict[str, Any] = {
+    "level": 0.3,
+    "points": 10_000_000,
+    "depth": 10,
+    "trim_quantile": 0.1,
+    "settled": False,
+    "keep_floaters": True,
+}
+"""Options of `gsjax.pipeline.mesh` for every method: the paper extracts all of its meshes by SuGaR's technique.
+
+docs/deviations.md names what still differs from SuGaR's own code.
+"""
 
 R, SUGAR = "R", "SuGaR's terms"
 SCHEDULES: dict[str, Schedule] = {
@@ -73,7 +82,6 @@ SCHEDULES: dict[str, Schedule] = {
         "paper_6k_15k",
         SUGAR,
         {"phases": {"surface": {"weights": {"sdf_normal": 0.0, "sugar_sdf": 0.2}}}},
-        {"level": 0.3, "points": 10_000_000, "depth": 10, "trim_quantile": 0.1},
     ),
     "paper_6k_15k": Schedule("paper_6k_15k", R),
     "paper_13k_7k": Schedule("paper_13k_7k", R),

@@ -3,9 +3,8 @@
 import numpy as np
 from scipy.spatial import KDTree
 
-from gsjax.gaussians import Gaussians
+from gsjax.gaussians import Gaussians, is_alive
 from gsjax.nearest import nearest_table
-from gsjax.training.growth.adaptive import is_alive
 
 NEAREST = 16  # Gaussians that the density at one is summed over, itself among them (SuGaR)
 

@@ -3,7 +3,8 @@
 Towards the end the mesh may be moved once from outside (`refine`, `settled`); then its Gaussians follow it.
 
 Free Gaussians, where there are any, are trained beside them as before, but neither multiply nor vanish.
-Defaults are SuGaR's at full scale; a shorter run moves its SH ramp and its decay in proportion.
+Defaults are SuGaR's at full scale. A shorter run moves its SH ramp and its decay in proportion, unless it sets them, as
+the presets of SuGaR's lengths do.
 """
 
 import math
@@ -22,6 +23,7 @@ from gsjax.binding import mesh_terms
 from gsjax.binding.bound import LAYOUTS, BoundGaussians
 from gsjax.binding.hybrid import Hybrid
 from gsjax.binding.mesh_terms import MeshGraph
+from gsjax.config import declare_types, parse_numbers
 from gsjax.gaussians import PixelFilter
 from gsjax.numerics import masked_mean
 from gsjax.render import backdrop
@@ -29,8 +31,9 @@ from gsjax.settings import RATES, Rates, check_lowest, check_seed
 from gsjax.targets import Batch, Target, Targets
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
+from gsjax.training.faults import faulty_terms, photo_of
 from gsjax.training.step import Background, Metrics, Outcome, guarded_step, in_decibels
-from gsjax.training.stepping import advance
+from gsjax.training.stepping import advance, view_order
 from gsjax.training.terms import TERMS
 
 
@@ -45,13 +48,19 @@ class RefinementWeights:
     laplacian: float = 0.0  # mean squared distance of a vertex from its neighbours' mean, in mean squared edges
     distortion: float = 0.0  # squared distance of a ray's splats from each other, in depths of its surface (2DGS)
 
+    def __post_init__(self):
+        """Check that they are finite numbers."""
+        for name, weight in parse_numbers(vars(self), where="weights").items():
+            object.__setattr__(self, name, weight)
+
 
 @dataclass(frozen=True)
 class RefinementRates:
     """Adam learning rates."""
 
     vertices: float = 1.6e-4  # times 10 extent / sqrt(number of vertices)
-    vertices_final: float = 1.6e-6  # the same; reached log-linearly after twice the steps of the run
+    vertices_final: float = 1.6e-6  # the same; reached log-linearly at `decay_steps`
+    decay_steps: int | None = None  # of the vertices; None: twice the steps of the run
     sh_dc: float = 0.0025
     sh_rest: float = 0.000125
     opacities: float = 0.05
@@ -61,8 +70,11 @@ class RefinementRates:
     free: Rates = Rates()  # of free Gaussians; their `decay_steps` are by default those of the refinement
 
     def __post_init__(self):
-        """Check ranges."""
+        """Check types and ranges."""
+        declare_types(self)
         check_lowest(self, vertices=0, sh_dc=0, sh_rest=0, opacities=0, scales=0, rotations=0)
+        if self.decay_steps is not None:
+            check_lowest(self, decay_steps=1)
         if not 0 < self.final_share <= 1:
             raise ValueError(f"final_share={self.final_share} is not above 0 and at most 1")
         if not 0 < self.vertices_final <= self.vertices:
@@ -78,6 +90,7 @@ class Refinement:
     faces: int = 1_000_000  # above it, the mesh is decimated first
     halved_share: float = 0.0  # of `faces`, if it is decimated: come from halving the triangles that most pixels see
     sh_degree: int = 3
+    sh_every: int | None = None  # steps after which the next degree joins; None: a fifteenth of them all
     opacity: float = 0.9  # of every Gaussian at the start
     thickness: float = 1e-6  # of the extent: standard deviation along the normal
     pixel_filter: PixelFilter = "mip"  # see `gsjax.render.PIXEL_FILTERS`
@@ -88,9 +101,12 @@ class Refinement:
     rates: RefinementRates = RefinementRates()
 
     def __post_init__(self):
-        """Check ranges."""
+        """Check types and ranges."""
+        declare_types(self)
         check_seed(self.seed)
         check_lowest(self, steps=1, faces=1, thickness=0)
+        if self.sh_every is not None:
+            check_lowest(self, sh_every=1)
         if self.per_triangle not in LAYOUTS:
             raise ValueError(f"per_triangle={self.per_triangle} is none of {', '.join(map(str, LAYOUTS))}")
         if not 0 <= self.sh_degree <= 4:
@@ -124,14 +140,14 @@ _FAST = {
     "settle_at": SETTLE_AT,
     "rates": {**_FAST_RATES, "free": RATES},
 }
+_SUGAR = {"sh_every": 1_000, "rates": {"decay_steps": 30_000}}  # the same at each of its lengths
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": _FAST,
     "balanced": {**_FAST, "steps": 2_000, "faces": 60_000},
-    "short": {"steps": 2_000},
-    "medium": {"steps": 7_000},
-    "long": {"steps": 15_000},
+    "medium": {**_SUGAR, "steps": 7_000},
+    "long": {**_SUGAR, "steps": 15_000},
 }
-"""Two for a CPU, whose few steps are large (docs/refinement.md), and SuGaR's three."""
+"""Two for a CPU, whose few steps are large (docs/refinement.md), and SuGaR's two that the paper has."""
 
 
 @jax.tree_util.register_dataclass
@@ -181,15 +197,33 @@ def refine(
 
     Returns:
         The final state; faces and thickness are as they were.
+
+    Raises:
+        InputError: The device has no room, or a loss or a gradient is not finite.
     """
     # Photos without an alpha channel have nothing to compare alphas with.
     weights = settings.weights if data.has_mattes else replace(settings.weights, alpha=0.0)
 
-    def compiled(capacity: int):
-        step = make_refine_step(
-            optimizer, weights, capacity=capacity, background=background, sh_every=max(settings.steps // 15, 1)
-        )
+    sh_every = settings.sh_every or max(settings.steps // 15, 1)
+
+    def step_of(weights: RefinementWeights, capacity: int):
+        step = make_refine_step(optimizer, weights, capacity=capacity, background=background, sh_every=sh_every)
         return partial(step, graph)
+
+    def compiled(capacity: int):
+        return step_of(weights, capacity)
+
+    def explain(step: int, state: RefineState, target: Target, capacity: int) -> str:
+        terms = vars(weights)
+        none = dict.fromkeys(terms, 0.0)
+        fault = faulty_terms(
+            [name for name, weight in terms.items() if weight],
+            lambda name: step_of(RefinementWeights(**{**none, name: terms[name]}), capacity),
+            state,
+            target,
+            jax.random.key(settings.seed),
+        )
+        return f"{photo_of(data, view_order(settings.seed, step, data.num_views))}: {fault}"
 
     def after(step: int, state: RefineState, metrics: Metrics, capacity: int) -> RefineState:
         if step == settings.moving_steps < settings.steps:
@@ -199,7 +233,7 @@ def refine(
 
     steps = (int(state.step), settings.steps)
     capacity = capacity or chosen_capacity(state.gaussians, data)
-    state, _ = advance(compiled, after, state, data, steps, seed=settings.seed, capacity=capacity)
+    state, _ = advance(compiled, after, state, data, steps, seed=settings.seed, capacity=capacity, explain=explain)
     return state
 
 
@@ -280,14 +314,6 @@ def make_optimizer(settings: Refinement, extent: float, num_vertices: int) -> op
     After `settings.moving_steps` it is 0. Others stay, or fall to `settings.rates.final_share` in the last third.
     """
     rates = settings.rates
-    unit = 10 * extent / num_vertices**0.5
-    falling = optax.exponential_decay(
-        rates.vertices * unit,
-        2 * settings.steps,
-        rates.vertices_final / rates.vertices,
-        end_value=rates.vertices_final * unit,
-    )
-    schedule = optax.join_schedules([falling, optax.constant_schedule(0.0)], [settings.moving_steps])
     of_gaussians = {
         "log_scales": rates.scales,
         "rotations": rates.rotations,
@@ -295,13 +321,25 @@ def make_optimizer(settings: Refinement, extent: float, num_vertices: int) -> op
         "sh_dc": rates.sh_dc,
         "sh_rest": rates.sh_rest,
     }
-    chosen = {"vertices": schedule} | {
+    chosen = {"vertices": vertex_rate(settings, extent, num_vertices)} | {
         name: optimizers.falling_at_last(rate, rates.final_share, settings.steps) for name, rate in of_gaussians.items()
     }
     transforms = {name: optax.adam(rate, eps=1e-15) for name, rate in chosen.items()}
     bound = optax.partition(transforms, lambda parameters: replace(parameters, **{name: name for name in chosen}))
     free = optimizers.make_optimizer(rates.free, extent, rates.free.decay_steps or settings.steps)
     return _side_by_side(bound, free)
+
+
+def vertex_rate(settings: Refinement, extent: float, num_vertices: int) -> optax.Schedule:
+    """The vertices' learning rate by the step; 0 after `settings.moving_steps`."""
+    rates, unit = settings.rates, 10 * extent / num_vertices**0.5
+    falling = optax.exponential_decay(
+        rates.vertices * unit,
+        rates.decay_steps or 2 * settings.steps,
+        rates.vertices_final / rates.vertices,
+        end_value=rates.vertices_final * unit,
+    )
+    return optax.join_schedules([falling, optax.constant_schedule(0.0)], [settings.moving_steps])
 
 
 def _side_by_side(

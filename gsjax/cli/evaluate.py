@@ -71,7 +71,7 @@ def _run(arguments: argparse.Namespace) -> None:
     if arguments.json:
         json_files.write(arguments.json, figures)
     if not figures["views"]:
-        print(f"{arguments.run_folder}: no held-out views, pictures are not scored", file=sys.stderr)
+        print(f"{arguments.run_folder}: no held-out views to score pictures by", file=sys.stderr)
     elif not arguments.lpips:
         print("LPIPS is not scored: --lpips FILE names its weights", file=sys.stderr)
     print(tables.record(figures))

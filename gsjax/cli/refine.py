@@ -4,7 +4,7 @@ import argparse
 
 from gsjax.cli.parsers import add_command, given_options
 
-PRESETS = ("fast", "balanced", "short", "medium", "long")
+PRESETS = ("fast", "balanced", "medium", "long")
 
 
 def add_to(commands: argparse._SubParsersAction) -> None:
@@ -27,7 +27,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--mesh", metavar="FILE", help="the mesh; .ply, .obj or .glb (default: RUN/mesh.ply)")
     add("--out", metavar="OUT", required=True, help="folder for the result; must be empty")
     add("--preset", choices=PRESETS,
-        help="how long: minutes on a CPU, three times as many, or 2,000, 7,000 or 15,000 steps for a GPU "
+        help="how long: minutes on a CPU, three times as many, or 7,000 or 15,000 steps for a GPU "
         "(default: fast)")  # fmt: skip
     add("--steps", type=int, metavar="N", help="training steps, instead of the preset's")
     add("--faces", type=int, metavar="N", help="decimate the mesh to at most so many triangles first")
@@ -38,7 +38,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     settling.add_argument("--settle", dest="settled", action="store_const", const=True,
         help="after three fifths of the steps the mesh settles on the photos (fast, balanced: default)")  # fmt: skip
     settling.add_argument("--unsettled", dest="settled", action="store_const", const=False,
-        help="the mesh stays where its Gaussians have moved it (short, medium, long: default)")  # fmt: skip
+        help="the mesh stays where its Gaussians have moved it (medium, long: default)")  # fmt: skip
     add("--seed", type=int, metavar="N", help="seed of the order of the photos (default: 0)")
     add("--resume", action="store_true", help="continue OUT from its last checkpoint, given the same options")
     add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax.errors import InputError
 from gsjax.io.colmap_model import Model, PosedImage, read_model
 from gsjax.io.image_folders import found_files
 from gsjax.io.lenses import pycolmap_camera
@@ -42,9 +41,6 @@ def read_capture(root: Path, model: Path) -> Capture:
     if not len(read.points) and photos:
         tell_of_random_points(model)
         return Capture("colmap", photos, *points_in_view(np.stack([photo.viewmat for photo in photos])))
-    broken = ~is_float32(read.points).all(axis=1)
-    if broken.any():
-        raise InputError(f"{model}: {broken.sum()} of {len(broken)} points of the COLMAP model are not finite")
     return Capture("colmap", photos, read.points, read.point_colors, partial(read_tracks, model))
 
 

@@ -8,13 +8,14 @@ of unit length. `rigs` and `frames` say nothing that `images` does not.
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io import colmap_binary, colmap_text
+from gsjax.io.bad_items import leave_out, leave_out_rows, read_usable
 from gsjax.io.colmap_records import ImageRecord
 from gsjax.io.lenses import Lens, check_lens
 from gsjax.io.notices import print_once
@@ -66,10 +67,12 @@ def read_model(folder: Path) -> Model:
     """Reads cameras, images and, where there are any, points.
 
     Quaternions are made unit: they are rounded in many a file, and the turn does not depend on their length. Points may
-    be in `points3D.ply` alone, as 3DGS writes it.
+    be in `points3D.ply` alone, as 3DGS writes it. Photos without a finite pose or a usable camera are left out, and so
+    are points that are not finite (`gsjax.io.bad_items`).
 
     Raises:
-        InputError: A file is missing, truncated or contradicts another; a camera model is unknown.
+        InputError: A file is missing, truncated or contradicts another; a camera model is unknown; or too few photos
+            or points can be used.
     """
     suffix = _suffix(folder) or ".bin"
     reader = _READERS[suffix]
@@ -81,12 +84,10 @@ def read_model(folder: Path) -> Model:
     cameras = reader.read_cameras(files["cameras"])
     if not cameras:
         raise InputError(f"{files['cameras']}: no camera in it")
-    for number, lens in cameras.items():
-        check_lens(lens, f"{files['cameras']}: camera {number}")
     images = sorted(reader.read_images(files["images"]), key=lambda image: image.name)
-    posed = tuple(_posed(image, cameras, files["images"]) for image in images)
+    posed = _posed_images(images, cameras, files)
     if files["points3D"].is_file():
-        return Model(cameras, posed, *_cloud(reader.read_points(files["points3D"])))
+        return Model(cameras, posed, *_cloud(files["points3D"], reader.read_points(files["points3D"])))
     if (folder / "points3D.ply").is_file():
         points, colors = read_points(folder / "points3D.ply")
         return Model(cameras, posed, np.arange(len(points)), points.astype(np.float64), colors)
@@ -140,9 +141,30 @@ def _counted(file: Path, written: int) -> int:
     return _READERS[file.suffix].count_images(file)
 
 
-def _posed(image: ImageRecord, cameras: dict[int, Lens], file: Path) -> PosedImage:
-    if image.camera not in cameras:
-        raise InputError(f"{file}: {image.name} is of camera {image.camera}, which the model does not have")
+def _posed_images(
+    images: Sequence[ImageRecord], cameras: dict[int, Lens], files: dict[str, Path]
+) -> tuple[PosedImage, ...]:
+    @cache
+    def lens_fault(camera: int) -> str | None:
+        try:
+            check_lens(cameras[camera], f"{files['cameras']}: camera {camera}")
+        except InputError as error:
+            return str(error)
+
+    def posed(image: ImageRecord) -> PosedImage:
+        if image.camera not in cameras:
+            missing = f"{image.name} is of camera {image.camera}, which the model does not have"
+            raise InputError(f"{files['images']}: {missing}")
+        if fault := lens_fault(image.camera):
+            raise InputError(fault)
+        return _posed(image, files["images"])
+
+    usable, faults = read_usable(images, lambda image: image.name, posed)
+    leave_out("photos", faults, len(images))
+    return tuple(usable)
+
+
+def _posed(image: ImageRecord, file: Path) -> PosedImage:
     pose = np.array(image.pose)
     if not is_float32(pose).all():
         raise InputError(f"{file}: the pose of {image.name} is not finite")
@@ -167,8 +189,11 @@ def _rotation(quat: np.ndarray) -> np.ndarray:
     )
 
 
-def _cloud(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ids, places and colours; colours of fractions are shares of 255."""
+def _cloud(file: Path, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ids, places and colours of the finite points; colours of fractions are shares of 255."""
+    finite = is_float32(points["xyz"]).all(axis=1)
+    leave_out_rows(file, "points", finite)
+    points = points[finite]
     points = points[np.argsort(points["id"], kind="stable")]
     colors = points["color"]
     if (colors % 1).any() and colors.max() <= 1:

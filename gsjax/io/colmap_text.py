@@ -104,7 +104,8 @@ def _keypoints(line: str) -> np.ndarray | None:
         return None
     keypoints = np.empty(len(numbers), KEYPOINT)
     keypoints["xy"] = numbers[:, :2]
-    keypoints["point"] = np.where(is_float32(numbers[:, 2]), numbers[:, 2], NO_POINT)
+    is_id = np.abs(numbers[:, 2]) < 2.0**63  # 2^64 - 1 stands for no point, as -1 does.
+    keypoints["point"] = np.where(is_id, numbers[:, 2], NO_POINT)
     return keypoints
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians
+from gsjax.gaussians import Gaussians, is_alive, take
 from gsjax.io import compressed_ply, json_files, ply, sog, spz
 from gsjax.io.exchange import settle
 from gsjax.io.files import atomic_path
@@ -137,7 +137,7 @@ def save_gaussians(gaussians: Gaussians, path: str | Path, place: Place = UNPLAC
     """Writes a file of the kind that the suffix says (`.ply`, `.compressed.ply`, `.sog`, `.spz`).
 
     Args:
-        gaussians: What to write.
+        gaussians: What to write; free rows of a buffer, as training has them, are left out.
         path: Where.
         place: What is known of the world that they lie in: stated by a comment of a PLY, and else in a file beside.
 
@@ -147,4 +147,6 @@ def save_gaussians(gaussians: Gaussians, path: str | Path, place: Place = UNPLAC
     Raises:
         InputError: The suffix is not known, the format cannot hold these Gaussians, or the file cannot be written.
     """
-    return format_of(path).write(Path(path), gaussians, place)
+    alive = np.asarray(is_alive(gaussians))
+    living = gaussians if alive.all() else take(gaussians, alive)
+    return format_of(path).write(Path(path), living, place)

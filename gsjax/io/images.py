@@ -3,7 +3,8 @@
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -11,20 +12,28 @@ from typing import Any
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io.color_profiles import in_mode, in_srgb
+from gsjax.io.exif import orientation_of
 from gsjax.io.files import atomic_path
 from gsjax.io.machine import memory_for
+from gsjax.io.notices import print_first
 from gsjax.io.packages import require
 
 cv2 = require("cv2", "pip install opencv-contrib-python-headless")
 Image: Any = require("PIL.Image", "pip install pillow")
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".heif", ".hif", ".avif")  # Of photos.
-_ORIENTATION, _QUARTER_TURNS = 0x0112, (5, 6, 7, 8)  # EXIF: the tag, and its values that swap the sides.
+_QUARTER_TURNS = 5, 6, 7, 8  # EXIF orientations that swap the sides
+_JPEGS = "JPEG", "MPO"  # as Pillow calls them
+_JPEG_END = b"\xff\xd9"
+_TAIL = 4096  # bytes, more than the last rows of blocks take
+_SMALLEST = 8, 8  # pixels: a JPEG is decoded at an eighth of its size where its pixels are not wanted
 _JPEG_QUALITY = 95
 _LABELS = 32  # A mask that is darker tells things apart by number.
 _OPENING = threading.Lock()
 _DECODED, _DECODED_DEEP = 14, 40  # bytes a pixel, most at a time: Pillow's copies, at four each, and ours
 _WITH_MATTE = 24  # the same of a photo with alpha until it is reduced: weighted colours are floats
+_CONVERTED = 4  # more where a profile makes a copy of the colours
 _ALWAYS_ROOM = 10**7  # pixels
 _OF_12_BITS = 4095  # What counts to more than a byte and no farther would be almost black as 16 bits.
 
@@ -33,23 +42,28 @@ def read_image(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """A photo as its pixels are stored: an EXIF orientation is not applied, as COLMAP does not apply it.
 
     Decoded by Pillow, which refuses a truncated file where OpenCV fills the rest with grey. What counts to more than
-    255 is taken as 16 bits; floats as shares of 1.
+    255 is taken as 16 bits; floats as shares of 1. Colours of another space than sRGB, by an ICC profile or as
+    `gsjax.io.color_profiles` has it, are converted. A JPEG that lacks nothing but its end marker is read.
 
     Returns:
-        `[H, W, 3]` uint8 colours and `[H, W]` uint8 alpha, or None where the file has no alpha.
+        `[H, W, 3]` uint8 colours in sRGB and `[H, W]` uint8 alpha, or None where the file has no alpha.
 
     Raises:
         InputError: The file is missing, no image, or damaged; its pixels are of no known range, or more than memory
             has room for.
     """
-    with _decoded(path) as picture:
-        if _is_deep(picture):
-            grey = _in_bytes(path, picture)
-            return np.repeat(grey[..., None], 3, axis=-1), None
-        if not _has_alpha(picture):
-            return np.array(_in_mode(picture, "RGB")), None
-        pixels = np.array(_in_mode(picture, "RGBA"))
-        return pixels[..., :3], pixels[..., 3]
+    return _pixels(path, partial(in_srgb, path))
+
+
+def check_image(path: Path) -> None:
+    """Raises InputError as `read_image` does; of a JPEG that is whole, only what tells that is computed."""
+    with open_image(path) as picture:
+        if picture.format in _JPEGS:
+            picture.draft(None, _SMALLEST)
+            with suppress(OSError):
+                picture.load()
+                return
+    read_image(path)
 
 
 def read_mask(path: Path) -> np.ndarray:
@@ -62,7 +76,7 @@ def read_mask(path: Path) -> np.ndarray:
     Raises:
         InputError: The file is missing, no image, or damaged.
     """
-    colors, alpha = read_image(path)
+    colors, alpha = _pixels(path, partial(in_mode, mode="RGB"))  # Numbers, which no profile changes.
     mask = colors.max(axis=-1) if alpha is None or alpha.min() == alpha.max() else alpha
     return np.where(mask > 0, np.uint8(255), np.uint8(0)) if mask.max() < _LABELS else mask
 
@@ -113,7 +127,7 @@ def decode_rgba(where: str, content: bytes, *, most: int) -> np.ndarray:
                 width, height = picture.size
                 if width * height > most:
                     raise InputError(f"{where}: {width}x{height} pixels, more than the {most} that it could need")
-                return np.array(_in_mode(picture, "RGBA"))
+                return np.array(in_mode(picture, "RGBA"))
     except InputError:
         raise
     except Exception as error:  # Pillow's decoders raise whatever the broken bytes lead to.
@@ -138,7 +152,7 @@ def upright_size(path: Path) -> tuple[int, int]:
     """
     with open_image(path) as picture:
         width, height = picture.size
-        return (height, width) if picture.getexif().get(_ORIENTATION) in _QUARTER_TURNS else (width, height)
+        return (height, width) if orientation_of(picture) in _QUARTER_TURNS else (width, height)
 
 
 @contextmanager
@@ -148,17 +162,29 @@ def open_image(path: str | Path) -> Iterator[Any]:
     Photos may be of any size: what is decoded is held to the memory that there is, not to Pillow's fixed limit.
 
     Raises:
-        InputError: The file is missing or no image; or the block has Pillow read what is damaged.
+        InputError: The file is missing or no image.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Of metadata that nobody asked for.
+        with decoding(path):
+            picture = _open(Path(path))
+        with picture:
+            yield picture
+
+
+@contextmanager
+def decoding(path: str | Path) -> Iterator[None]:
+    """A block in which Pillow alone works on a file: whatever it raises means that the file is damaged.
+
+    Raises:
+        InputError: In place of what Pillow raises; where memory ends, MemoryError stays.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Of metadata that nobody asked for.
-            with _open(Path(path)) as picture:
-                yield picture
-    except InputError:
+        yield
+    except (InputError, MemoryError):
         raise
     except Exception as error:  # Pillow's decoders raise whatever the broken bytes lead to.
-        raise _unreadable(path, error) from error
+        raise _unreadable(Path(path), error) from error
 
 
 def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
@@ -213,20 +239,59 @@ def filter_straight(
     return _to_bytes(straight), _to_bytes(255 * filtered)
 
 
+def _pixels(path: Path, rgb_of: Callable[[Any], Any]) -> tuple[np.ndarray, np.ndarray | None]:
+    """Colours and alpha as of `read_image`; `rgb_of` converts a decoded picture of any mode to mode RGB."""
+    with _decoded(path) as picture:
+        if _is_deep(picture):
+            grey = Image.fromarray(_in_bytes(path, picture))
+            grey.info = picture.info
+            return np.array(rgb_of(grey)), None
+        alpha = np.array(in_mode(picture, "RGBA").getchannel("A")) if _has_alpha(picture) else None
+        return np.array(rgb_of(picture)), alpha
+
+
 @contextmanager
 def _decoded(path: Path) -> Iterator[Any]:
     """The picture with its pixels, while memory is kept for what becomes of it in the block."""
     with ExitStack() as kept:
-        with open_image(path) as picture:
-            width, height = picture.size
-            if width * height > _ALWAYS_ROOM:
-                a_pixel = _DECODED_DEEP if _is_deep(picture) else _WITH_MATTE if _has_alpha(picture) else _DECODED
-                kept.enter_context(memory_for(f"{path}: a photo of {width}x{height} pixels", a_pixel * width * height))
-            is_of_16_bits = not _is_deep(picture) and ";16" in str(picture.tile)
-            picture.load()
-            if is_of_16_bits:
-                _check_bright(path, picture)
+        picture = kept.enter_context(open_image(path))
+        width, height = picture.size
+        if width * height > _ALWAYS_ROOM:
+            a_pixel = _DECODED_DEEP if _is_deep(picture) else _WITH_MATTE if _has_alpha(picture) else _DECODED
+            a_pixel += _CONVERTED * bool(picture.info.get("icc_profile"))
+            kept.enter_context(memory_for(f"{path}: a photo of {width}x{height} pixels", a_pixel * width * height))
+        is_of_16_bits = not _is_deep(picture) and ";16" in str(picture.tile)
+        picture = _loaded(path, picture)
+        if is_of_16_bits:
+            _check_bright(path, picture)
         yield picture
+
+
+def _loaded(path: Path, picture):
+    """The picture with its pixels, or InputError where it is damaged."""
+    with decoding(path):
+        try:
+            picture.load()
+        except OSError:
+            whole = _without_end_marker(path) if picture.format in _JPEGS else None
+            if whole is None:
+                raise
+            told = f"{path}: its end marker is missing, its pixels are all there; it is read"
+            print_first((path.parent, "end marker"), told)
+            return whole
+    if picture.mode == "LAB":
+        raise InputError(f"{path}: its colours are in Lab, which is not read; save it in RGB")
+    return picture
+
+
+def _without_end_marker(path: Path):
+    """The picture of a JPEG whose pixels are all there, though its end is not; None where pixels are missing.
+
+    Bits that are missing would be taken from what follows: with other bytes behind it, the picture would be another.
+    """
+    data = path.read_bytes().rstrip(b"\xff")  # half of the marker may be there
+    first, second = (Image.open(BytesIO(data + tail * _TAIL + _JPEG_END)) for tail in (b"\x55", b"\xaa"))
+    return first if np.array_equal(np.asarray(first), np.asarray(second)) else None
 
 
 def _open(path: Path):
@@ -264,11 +329,6 @@ def _dark(path: Path, most: float) -> InputError:
 
 def _has_alpha(picture) -> bool:
     return picture.mode in ("RGBA", "LA", "PA") or "transparency" in picture.info
-
-
-def _in_mode(picture, mode: str):
-    """The picture itself where it is of that mode: Pillow would copy it."""
-    return picture if picture.mode == mode else picture.convert(mode)
 
 
 def _in_bytes(path: Path, picture) -> np.ndarray:

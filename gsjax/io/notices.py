@@ -1,10 +1,32 @@
 """What a reader did that its user should know: one line on stderr."""
 
 import sys
+from collections.abc import Callable, Hashable
 from functools import cache
+
+
+def _print(line: str) -> None:
+    print(line.encode(errors="backslashreplace").decode(), file=sys.stderr)
+
+
+_show: Callable[[str], None] = _print
+_noticed: set[Hashable] = set()
+
+
+def show_with(show: Callable[[str], None]) -> None:
+    """Makes `show` receive the lines of this process, in place of stderr."""
+    global _show
+    _show = show
 
 
 @cache
 def print_once(line: str) -> None:
     """Prints a line; once, however often a command loads the data set."""
-    print(line.encode(errors="backslashreplace").decode(), file=sys.stderr)
+    _show(line)
+
+
+def print_first(kind: Hashable, line: str) -> None:
+    """Prints a line on the first item of a kind, and none on the others: a fault that many photos share."""
+    if kind not in _noticed:
+        _noticed.add(kind)
+        _show(line)

@@ -1,14 +1,18 @@
 """Posed photos as a data set lists them, and the frames made of them: masked, undistorted, downscaled."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from gsjax.errors import InputError
+from gsjax.in_order import in_order
+from gsjax.io.bad_items import Fault, leave_out
 from gsjax.io.images import (
+    check_image,
     cv2,
     filter_straight,
     image_size,
@@ -45,6 +49,43 @@ class Capture:
     points: np.ndarray  # [P, 3] float64 world
     point_colors: np.ndarray  # [P, 3] uint8
     tracks: Callable[[], Tracks] | None = None  # reads them, see `gsjax.scene.Tracks`
+
+
+def readable_photos(photos: Sequence[Photo]) -> list[Photo]:
+    """The photos whose files, and whose masks, are whole (`gsjax.io.bad_items`). All are decoded, once in a process.
+
+    Raises:
+        InputError: Too few are.
+    """
+    bar = tqdm(in_order(_file_fault, photos), total=len(photos), desc="checking", unit="photo", leave=False, delay=2)
+    reasons = list(bar)
+    faults = [Fault(photo.name, reason) for photo, reason in zip(photos, reasons, strict=True) if reason]
+    leave_out("photos", faults, len(photos))
+    return [photo for photo, reason in zip(photos, reasons, strict=True) if not reason]
+
+
+def _file_fault(photo: Photo) -> str | None:
+    """Why a photo or its mask cannot be decoded; None where both can."""
+    files = [path for path in (photo.path, photo.mask_path) if path is not None]
+    return next((fault for path in files if (fault := _decoding_fault(path, _stamp(path)))), None)
+
+
+@lru_cache(maxsize=2**16)
+def _decoding_fault(path: Path, stamp: tuple[int, int]) -> str | None:
+    """Why the file of an image, as it was written at a time, cannot be decoded; None where it can."""
+    try:
+        check_image(path)
+    except InputError as error:
+        return str(error)
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    """When a file was written, nanoseconds, and its bytes; zeros where it is absent."""
+    try:
+        status = path.stat()
+    except OSError:
+        return 0, 0
+    return status.st_mtime_ns, status.st_size
 
 
 def frames_of(photo: Photo, downscale: float, folder_masks: str) -> list[Frame]:

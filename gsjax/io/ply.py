@@ -8,6 +8,7 @@ import numpy as np
 from gsjax.colors import shares, to_bytes
 from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0, Gaussians, rgb_to_sh
+from gsjax.io.bad_items import leave_out_rows
 from gsjax.io.files import atomic_path
 from gsjax.io.notices import print_once
 from gsjax.io.place_files import place_comments
@@ -125,8 +126,10 @@ def _finite_logits(logits: np.ndarray) -> np.ndarray:
 def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Points `[P, 3]` float64 and colours `[P, 3]` uint8 of a PLY; grey where it has no colours.
 
+    Points that are not finite are left out (`gsjax.io.bad_items`).
+
     Raises:
-        InputError: The file is missing, no PLY, truncated, without x, y, z, or holds no finite point.
+        InputError: The file is missing, no PLY, truncated, without x, y, z, or holds too few finite points.
     """
     vertices, _ = _read_vertices(path)
     names = vertices.dtype.names or ()
@@ -134,9 +137,10 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(f"{path}: not a PLY of points, it lacks {', '.join(n for n in _MEANS if n not in names)}")
     points = stack_columns(vertices, _MEANS, np.float64)
     colors = point_colors(vertices)
-    finite = is_float32(points).all(axis=1)
-    if not finite.any():
+    if not len(points):
         raise InputError(f"{path}: no points in it")
+    finite = is_float32(points).all(axis=1)
+    leave_out_rows(path, "points", finite)
     tell_of_rounding(path, vertices, points[finite])
     return points[finite], colors[finite]
 

@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,11 @@ import numpy as np
 from gsjax import similarity as similarities
 from gsjax.errors import InputError
 from gsjax.io import colmap, colmap_model, transforms
+from gsjax.io.bad_items import Fault, leave_out, read_usable
 from gsjax.io.image_circles import with_image_circles
 from gsjax.io.image_folders import locate_photos, masks_in
 from gsjax.io.notices import print_once
-from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, list_of_names
+from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, readable_photos
 from gsjax.io.place_files import read_place
 from gsjax.io.splits import AUTO, listed, mark_held_out
 from gsjax.io.truth import load_truth
@@ -70,7 +72,7 @@ def load_scene(
     capture = _read_capture(root)
     taken = mark_held_out(_checked_photos(root, locate_photos(root, capture.photos, images)), hold_out, root)
     taken = _with_folder_masks(_selected(taken, photos), root / "masks" if masks is None else masks)
-    taken = with_image_circles(taken)
+    taken = with_image_circles(readable_photos(taken))
     place = read_place(root) if place is None else place
     taken = [replace(photo, viewmat=place.viewmat_to_world(photo.viewmat)) for photo in taken]
     capture = replace(capture, points=place.points_to_world(capture.points))
@@ -80,8 +82,9 @@ def load_scene(
         raise InputError(f"{root}: its cameras stand too far off, or together, for float64 ({similarity.told})")
     taken = [replace(photo, viewmat=similarity.viewmat_to_local(photo.viewmat)) for photo in taken]
     points = similarity.points_to_local(capture.points)
-    frames = [frame for photo in taken for frame in frames_of(photo, downscale, folder_masks)]
-    frames = tuple(sorted(frames, key=lambda frame: frame.name))
+    frames_by_photo, faults = read_usable(taken, _name, lambda photo: frames_of(photo, downscale, folder_masks))
+    leave_out("photos", faults, len(taken))
+    frames = tuple(sorted((frame for each in frames_by_photo for frame in each), key=lambda frame: frame.name))
     truth = load_truth(root, frames, similarity, place)
     return Scene(root, capture.source, frames, points, capture.point_colors, truth, capture.tracks, similarity, place)
 
@@ -93,7 +96,7 @@ def list_photos(root: str | Path, images: str | None = None) -> list[Photo]:
         InputError: As of `load_scene`.
     """
     root = Path(root)
-    return _checked_photos(root, locate_photos(root, _read_capture(root).photos, images))
+    return readable_photos(_checked_photos(root, locate_photos(root, _read_capture(root).photos, images)))
 
 
 def is_data_set(root: str | Path) -> bool:
@@ -119,20 +122,34 @@ def _read_capture(root: Path) -> Capture:
 
 
 def _checked_photos(root: Path, photos: Sequence[Photo]) -> list[Photo]:
-    """The photos sorted by name: at least two, all there, no name twice."""
-    photos = sorted(photos, key=lambda photo: photo.name)
+    """The photos sorted by name: at least two, no name twice, none for testing whose file is missing."""
+    missing = {photo.path for photo in photos if photo.held_out and not os.path.isfile(photo.path)}
+    faults = [Fault(photo.name, f"{photo.path}: no such image") for photo in photos if photo.path in missing]
+    leave_out("photos for testing", faults, sum(photo.held_out for photo in photos), needed=0)
+    photos = _without_repeated(sorted((photo for photo in photos if photo.path not in missing), key=_name))
     if len(photos) < 2:
         raise InputError(f"{root}: {len(photos)} posed image in it, at least 2 are needed")
-    names = [photo.name for photo in photos]
-    twice = sorted({name for name, following in zip(names, names[1:], strict=False) if name == following})
-    if twice:
-        raise InputError(f"{root}: the image {twice[0]} is listed more than once")
-    missing = [photo for photo in photos if not os.path.isfile(photo.path)]
-    if missing:
-        first = missing[0]
-        folder = str(first.path).removesuffix(first.name).rstrip("/") or root
-        raise InputError(f"{folder}: {list_of_names('image', [photo.name for photo in missing])}")
     return photos
+
+
+def _without_repeated(photos: Sequence[Photo]) -> list[Photo]:
+    """The photos, sorted by name; of those that are listed repeatedly the first, or none where cameras differ."""
+    by_name = {name: list(same) for name, same in groupby(photos, key=_name)}
+    repeated = {name: same for name, same in by_name.items() if len(same) > 1}
+    differ = {name for name, (first, *more) in repeated.items() if not all(_is_same(first, other) for other in more)}
+    told = {name: f"{same[0].path}: is listed more than once" for name, same in repeated.items()}
+    alike = [Fault(name, told[name]) for name, same in repeated.items() if name not in differ for _ in same[1:]]
+    leave_out("listed photos", alike, len(photos), needed=0)
+    leave_out("photos", [Fault(name, f"{told[name]}, with several cameras") for name in sorted(differ)], len(by_name))
+    return [same[0] for name, same in by_name.items() if name not in differ]
+
+
+def _is_same(photo: Photo, other: Photo) -> bool:
+    return photo.lens == other.lens and np.array_equal(photo.viewmat, other.viewmat)
+
+
+def _name(photo: Photo) -> str:
+    return photo.name
 
 
 def _selected(photos: list[Photo], file: str | None) -> list[Photo]:

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io.bad_items import leave_out, read_usable
 from gsjax.io.files import read_bytes
 from gsjax.io.photo_names import local_names, short_name
-from gsjax.io.photos import Capture, Photo, list_of_names
+from gsjax.io.photos import Capture, Photo
 from gsjax.io.ply import read_points
 from gsjax.io.random_points import points_in_synthetic_cube, points_in_view
-from gsjax.io.transforms_cameras import has_size, lens_of, viewmat_of
+from gsjax.io.transforms_cameras import lens_of, viewmat_of
 from gsjax.io.transforms_splits import HELD_OUT, LEFT_OUT, frames_and_uses
 
 FILES = ("transforms.json", "transforms_train.json")  # Of instant-ngp and nerfstudio; of the NeRF-synthetic layout.
@@ -92,13 +93,11 @@ def _photos(file: Path, meta: dict[str, Any], held_out: bool = False) -> tuple[P
         [entry["file_path"] for entry in entries], lambda name: os.path.isfile(_existing(file.parent, name)), file
     )
     paths = [_existing(file.parent, name) for name in names]
-    # What says its size may lie in another folder: `gsjax.io.image_folders` looks for it.
-    found = [os.path.isfile(path) or has_size(entry) for path, entry in zip(paths, entries, strict=True)]
-    if not all(found):
-        missing = [name for name, there in zip(names, found, strict=True) if not there]
-        raise InputError(f"{file}: {list_of_names('image', missing)}")
-    return tuple(
-        Photo(
+
+    def photo(frame: tuple[str, Path, dict[str, Any], str]) -> Photo:
+        name, path, entry, use = frame
+        # The photo itself may lie in another folder, where `gsjax.io.image_folders` looks for it.
+        return Photo(
             name=_name(file.parent, name, path),
             path=path,
             viewmat=viewmat_of(file, entry),
@@ -106,8 +105,10 @@ def _photos(file: Path, meta: dict[str, Any], held_out: bool = False) -> tuple[P
             mask_path=_file_in(file, entry, "mask_path"),
             held_out=held_out or use == HELD_OUT,
         )
-        for name, path, entry, use in zip(names, paths, entries, uses, strict=True)
-    )
+
+    photos, faults = read_usable(zip(names, paths, entries, uses, strict=True), lambda frame: frame[0], photo)
+    leave_out("frames", faults, len(entries), needed=0 if held_out else None)
+    return tuple(photos)
 
 
 def _existing(root: Path, name: str) -> Path:

@@ -6,10 +6,12 @@ in `test_frames`, and marks bad ones by `is_bad`. Others say of each frame its `
 
 import posixpath
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gsjax.errors import InputError
+from gsjax.io.bad_items import leave_out, read_usable
 from gsjax.io.notices import print_once
 
 TRAINED_ON, HELD_OUT, LEFT_OUT = "trained on", "held out", "left out"
@@ -31,10 +33,12 @@ def frames_and_uses(file: Path, meta: dict[str, Any]) -> tuple[list[dict[str, An
     shared = {key: value for key, value in meta.items() if key not in ("frames", _TEST_FRAMES)}
     tests = meta.get(_TEST_FRAMES) or []
     own = tests if isinstance(tests, list) and all(isinstance(frame, dict) for frame in tests) else []
-    frames = [*meta["frames"], *own]
-    for number, frame in enumerate(frames):
-        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
-            raise InputError(f'{file}: frame {number} has no "file_path"')
+    first_own = len(meta["frames"])
+    listed = list(enumerate([*meta["frames"], *own]))
+    frames, faults = read_usable(listed, lambda each: f"frame {each[0]}", partial(_named, file))
+    leave_out("frames", faults, len(listed))
+    numbers = [number for number, _ in frames]
+    frames = [frame for _, frame in frames]
     names = [_normal(frame["file_path"]) for frame in frames]
     trained = _listed(file, meta, _TRAIN, names)
     scored = set().union(*(_listed(file, meta, key, names) for key in _SCORE))
@@ -43,12 +47,11 @@ def frames_and_uses(file: Path, meta: dict[str, Any]) -> tuple[list[dict[str, An
     scored |= {
         name for name, frame in zip(names, frames, strict=True) if str(frame.get("split")).lower() in _SPLITS_OF_SCORES
     }
-    first_own = len(meta["frames"])
 
     def use(index: int) -> str:
         if _is_bad(frames[index]):
             return LEFT_OUT
-        if index >= first_own or names[index] in scored:
+        if numbers[index] >= first_own or names[index] in scored:
             return HELD_OUT
         if trained and names[index] not in trained:
             return LEFT_OUT if scored or own else HELD_OUT
@@ -61,6 +64,13 @@ def frames_and_uses(file: Path, meta: dict[str, Any]) -> tuple[list[dict[str, An
             f"{file}: {bad} of its frames are left out as bad, {uses.count(LEFT_OUT) - bad} as being in no list of it"
         )
     return [{**shared, **frame} for frame in frames], uses
+
+
+def _named(file: Path, numbered: tuple[int, Any]) -> tuple[int, dict[str, Any]]:
+    number, frame = numbered
+    if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+        raise InputError(f'{file}: frame {number} has no "file_path"')
+    return number, frame
 
 
 def _is_bad(frame: dict[str, Any]) -> bool:

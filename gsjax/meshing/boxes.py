@@ -6,6 +6,7 @@ A box that is given is taken as it is: nothing here shifts or scales it.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gsjax.errors import InputError
 from gsjax.similarity import IDENTITY, Similarity
@@ -14,6 +15,21 @@ MIDDLE, MARGIN = 0.98, 0.1  # A robust box: share of the points along each axis;
 CORE, CORE_MARGIN = 0.9, 0.25  # The same of a foreground that has a background: all of an even spread, no long tail.
 BACKGROUND_FACTOR = 4.0  # Of the foreground's size: SuGaR's 1 E for the near part and 4 E for the far one.
 FAR = 2.0  # Times the foreground's size that the points must reach for a background: two parts leave a seam.
+
+
+def given_numbers(option: str, given: ArrayLike, count: int) -> np.ndarray:
+    """`[count]` float64 numbers that an option was given.
+
+    Raises:
+        InputError: They are more or fewer, or no numbers.
+    """
+    try:
+        numbers = np.asarray(given, np.float64).ravel()
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if len(numbers) != count:
+        raise InputError(f"{option} {given}: expected {count} numbers")
+    return numbers
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -62,7 +62,12 @@ class Blocks:
 
 
 def blocks(
-    scene: str | Path, out: str | Path, settings: Settings, count: int, *, only: Sequence[int] = ()
+    scene: str | Path,
+    out: str | Path,
+    settings: Settings | Mapping[str, Any],
+    count: int,
+    *,
+    only: Sequence[int] = (),
 ) -> dict[str, Any]:
     """Divide a scene by where its cameras stand, train what is not trained yet, and merge when all is.
 
@@ -83,7 +88,7 @@ def blocks(
     Raises:
         InputError: The scene cannot be divided so, a block cannot be trained, or `out` was begun with something else.
     """
-    planned = _planned(Path(scene), Path(out).resolve(), _without_effects(settings), count)
+    planned = _planned(Path(scene), Path(out).resolve(), _without_effects(config.as_record(Settings, settings)), count)
     for number in only:
         if not 1 <= number <= count:
             raise InputError(f"--only {number}: there are blocks 1 to {count}")

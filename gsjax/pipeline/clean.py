@@ -14,10 +14,11 @@ from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, concatenate, take
 from gsjax.io import json_files
-from gsjax.io.gaussian_files import format_of, load_gaussians, save_gaussians
+from gsjax.io.gaussian_files import format_of, load_gaussians
 from gsjax.io.locks import lock_folder
 from gsjax.io.place_files import stated_place
 from gsjax.io.temporaries import sweep_beside
+from gsjax.meshing.boxes import given_numbers
 from gsjax.render import gallery
 from gsjax.report.panels import draw_panels
 from gsjax.runs.folder import is_begun
@@ -76,6 +77,8 @@ def clean(
     with _kept_alone(out):
         if _beside(out).exists() and out.exists() and not _is_unfinished(out):
             raise InputError(f"{out}: was cleaned before; `gsjax clean {out} --undo` brings back {_beside(out)}")
+        box = None if box is None else given_numbers("--box", box, 6).tolist()
+        sphere = None if sphere is None else given_numbers("--sphere", sphere, 4).tolist()
         _check_numbers(box, sphere)
         sweep_beside(out)
         whole = load_gaussians(source)
@@ -95,8 +98,8 @@ def clean(
             _beside(out).unlink(missing_ok=True)
             rows = {kind: np.flatnonzero(kinds[kind]) for kind in KINDS}
             json_files.write(_rows_beside(out), {"about": "rows of the Gaussians before", "count": len(taken), **rows})
-            save_gaussians(take(whole, taken), _beside(out), place)
-        save_gaussians(take(whole, ~taken), out, place)  # Last: from now on it is cleaned.
+            format_of(_beside(out)).write(_beside(out), take(whole, taken), place)
+        format_of(out).write(out, take(whole, ~taken), place)  # Last: from now on it is cleaned.
         return report | {"removed": str(_beside(out)) if taken.any() else None, "picture": picture}
 
 
@@ -126,7 +129,7 @@ def undo(source: str | Path) -> dict[str, Any]:
         order = np.empty(count, int)
         order[rows] = left.num_gaussians + np.arange(len(rows))
         order[np.setdiff1d(np.arange(count), rows)] = np.arange(left.num_gaussians)
-        save_gaussians(take(concatenate([left, removed]), order), file, stated_place(file))
+        format_of(file).write(file, take(concatenate([left, removed]), order), stated_place(file))
         return {"gaussians": _forget(file), "back": len(rows)}
 
 

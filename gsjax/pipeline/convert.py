@@ -10,9 +10,10 @@ from scipy.special import expit
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
-from gsjax.io.gaussian_files import format_of, load_gaussians, save_gaussians, stored_similarity
+from gsjax.io.gaussian_files import format_of, load_gaussians, stored_similarity
 from gsjax.io.place_files import stated_place
 from gsjax.io.temporaries import sweep_beside
+from gsjax.meshing.boxes import given_numbers
 from gsjax.runs.outputs import require_apart
 
 
@@ -50,6 +51,7 @@ def convert(
     sweep_beside(out)
     if sh_degree is not None and not 0 <= sh_degree <= 4:
         raise InputError(f"--sh-degree {sh_degree} is not between 0 and 4")
+    crop = None if crop is None else given_numbers("--crop", crop, 6).tolist()
     if crop is not None and not all(low <= high for low, high in zip(crop[:3], crop[3:], strict=True)):
         raise InputError(f"--crop {' '.join(f'{side:g}' for side in crop)}: a lower side is above its upper one")
     if min_opacity is not None and not 0 <= min_opacity <= 1:
@@ -66,7 +68,8 @@ def convert(
     kept = take(gaussians, wanted)
     if sh_degree is not None:
         kept = _of_degree(kept, sh_degree)
-    clipped = save_gaussians(kept, out, stated_place(source / "gaussians.ply" if source.is_dir() else source))
+    place = stated_place(source / "gaussians.ply" if source.is_dir() else source)
+    clipped = format_of(out).write(out, kept, place)
     stored = stored_similarity(out)
     return {
         "gaussians": kept.num_gaussians,

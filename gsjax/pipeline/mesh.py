@@ -20,7 +20,7 @@ from gsjax.io.temporaries import sweep_beside
 from gsjax.mesh import Mesh
 from gsjax.meshing import boxes, level_set, trimming
 from gsjax.meshing.agreed_depth import agreed_poisson
-from gsjax.meshing.boxes import Box, Regions
+from gsjax.meshing.boxes import Box, Regions, given_numbers
 from gsjax.meshing.choosing import Choice, Witness, by_mattes, by_sightlines, most_agreeing
 from gsjax.meshing.depth_points import NormalsOfDepth, depth_poisson
 from gsjax.meshing.export import supported_suffix, write_mesh
@@ -66,8 +66,8 @@ def mesh(
     depth: int | None = None,
     trim_quantile: float | None = None,
     cell: float | None = None,
-    bounds: list[float] | None = None,
-    background_bounds: list[float] | None = None,
+    bounds: Sequence[float] | None = None,
+    background_bounds: Sequence[float] | None = None,
     foreground_only: bool = False,
     faces: int = 1_000_000,
     scene: str | Path | None = None,
@@ -275,20 +275,24 @@ def _method(
     return makers[name]()
 
 
-def _given_boxes(bounds: list[float] | None, background: list[float] | None, foreground_only: bool) -> tuple[Box, ...]:
+def _given_boxes(
+    bounds: Sequence[float] | None, background: Sequence[float] | None, foreground_only: bool
+) -> tuple[Box, ...]:
     """The boxes of the foreground and of the background that the options ask for, in the world; none: any."""
     if bounds is None:
         if background is not None:
             raise InputError("--background-bounds needs --bounds: the background is what lies around that box")
         return ()
-    for name, corners in (("bounds", bounds), ("background-bounds", background)):
-        if corners is not None and not np.isfinite(corners).all():
-            raise InputError(f"--{name} {' '.join(f'{side:g}' for side in corners)}: not all of its sides are finite")
-    near, far = (
-        None if corners is None else Box(*np.split(np.asarray(corners), 2)) for corners in (bounds, background)
-    )
-    assert near is not None
+    near = _given_box("--bounds", bounds)
+    far = None if background is None else _given_box("--background-bounds", background)
     return (near,) if foreground_only or far is None else (near, far)
+
+
+def _given_box(option: str, corners: Sequence[float]) -> Box:
+    sides = given_numbers(option, corners, 6)
+    if not np.isfinite(sides).all():
+        raise InputError(f"{option} {' '.join(f'{side:g}' for side in sides)}: not all of its sides are finite")
+    return Box(sides[:3], sides[3:])
 
 
 def _require_reached(kept: tuple[Box, ...], gaussians: Gaussians, similarity: Similarity) -> None:

@@ -1,6 +1,7 @@
 """A mesh, Gaussians bound to it and free ones beyond it, trained together on a run's photos, in a new run folder."""
 
 import sys
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,12 @@ LOGGED_EVERY, SAVED_EVERY = 50, 500  # steps
 
 
 def refine(
-    run: str | Path, out: str | Path, settings: Refinement, *, mesh: str | Path | None = None, resume: bool = False
+    run: str | Path,
+    out: str | Path,
+    settings: Refinement | Mapping[str, Any],
+    *,
+    mesh: str | Path | None = None,
+    resume: bool = False,
 ) -> dict[str, Any]:
     """Refine a mesh on the photos of the run that it came from.
 
@@ -61,7 +67,7 @@ def refine(
         out: Folder for the result, absent or empty unless `resume`: `mesh.ply` and `mesh.glb` with vertex colours,
             `gaussians.ply` in the 3DGS layout, `report.json`, `report.html`, and what makes it a run folder that can be
             scored and rendered.
-        settings: The refinement.
+        settings: The refinement, or a table of it such as `gsjax.binding.refining.PRESETS["fast"]`.
         mesh: Any mesh in the data set's coordinates; all its parts are kept. None: `RUN/mesh.ply`.
         resume: Continue `out` from its last checkpoint; with the same settings and mesh.
 
@@ -75,6 +81,7 @@ def refine(
         InputError: The run, its data set or the mesh cannot be read, no triangle is seen, or the folder is in use or
             cannot be written.
     """
+    settings = config.as_record(Refinement, settings)
     make_room()
     run = Path(run)
     trained = Run.open(run)

@@ -44,8 +44,8 @@ class Stage(NamedTuple):
 def scan(
     source: str | Path,
     out: str | Path,
-    settings: Settings,
-    refinement: Refinement,
+    settings: Settings | Mapping[str, Any],
+    refinement: Refinement | Mapping[str, Any],
     *,
     progress: Callable[[str], None] = print,
     **reconstruction: Unpack[Reconstruction],
@@ -56,8 +56,8 @@ def scan(
         source: Folder of photos, a video, or a data set that `train` reads (then nothing is reconstructed first).
         out: Folder for everything: `scene/` (sfm), `run/` with `run/mesh.ply` (train, mesh), `refined/` (refine),
             `mesh.glb` (texture), `overview.png`, `report.json`, `report.html`.
-        settings: Of the training.
-        refinement: Of the mesh.
+        settings: Of the training, as `gsjax.pipeline.train` takes them.
+        refinement: Of the mesh, as `gsjax.pipeline.refine` takes it.
         progress: Told the name of every stage as it begins.
         **reconstruction: Options of `gsjax.io.sfm.reconstruct`, for photos or a video.
 
@@ -67,6 +67,7 @@ def scan(
     Raises:
         InputError: A stage cannot be done, `out` was begun with something else, or a data set is to be reconstructed.
     """
+    settings, refinement = config.as_record(Settings, settings), config.as_record(Refinement, refinement)
     source, out = Path(source), Path(out)
     if reconstruction and is_data_set(source):
         options = " and ".join(f"--{name.replace('_', '-')}" for name in reconstruction)

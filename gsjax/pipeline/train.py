@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax import Array
 from tqdm import tqdm
 
 import rasterizer
@@ -17,7 +18,7 @@ from gsjax import config, runs
 from gsjax.devices import computes_on_cpu, engine_here
 from gsjax.effects.alignment import align
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians, take
+from gsjax.gaussians import Gaussians, is_alive, take
 from gsjax.io import json_files, normal_folders
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
@@ -47,9 +48,8 @@ from gsjax.scene import Scene, kept
 from gsjax.scoring.images import score_images
 from gsjax.settings import AUTO, PLAIN, Settings
 from gsjax.training import optimizers
-from gsjax.training.growth import adaptive
 from gsjax.training.loop import Progress, Work, follow
-from gsjax.training.plan import Plan, plan
+from gsjax.training.plan import Plan, check_terms, plan
 from gsjax.training.state import TrainState
 from gsjax.training.terms import Term
 
@@ -57,9 +57,9 @@ from gsjax.training.terms import Term
 def train(
     scene: str | Path,
     out: str | Path,
-    settings: Settings,
+    settings: Settings | Mapping[str, Any],
     *,
-    terms: Mapping[str, Term] = MappingProxyType({}),
+    terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
     resume: bool = False,
     earlier: str | Path | None = None,
     observe: Callable[[Progress], None] | None = None,
@@ -72,8 +72,10 @@ def train(
     Args:
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
         out: Run folder, see `gsjax.runs.folder`; absent or empty unless `resume`.
-        settings: The run. A phase gives terms of the loss their weights by name.
-        terms: The run's own terms of the loss by name, beside those of `gsjax.training.terms.TERMS` or in their place.
+        settings: The run, or a table of it such as `gsjax.settings.PRESETS["quick"]`. A phase gives terms of the loss
+            their weights by name.
+        terms: The run's own terms of the loss by name, beside those of `gsjax.training.terms.TERMS` or in their place:
+            functions of (Gaussians, View, Batch), or a `Term` that says what such a function needs.
         resume: Continue `out` from its last checkpoint; with the same settings it ends with the same numbers.
         earlier: Another run folder, of the same settings until the phases part: this run begins at its last checkpoint
             before that, so what both have in common is trained once. None: at the first step.
@@ -88,8 +90,10 @@ def train(
         `gsjax.scoring.images.score_images`), `views`, `gaussians`, `steps`, `train_seconds`.
 
     Raises:
-        InputError: The data set, the normals, a weight, the run folder or the devices cannot be used.
+        InputError: The data set, the normals, a weight, a term, the run folder or the devices cannot be used; or a loss
+            or a gradient is not finite, before that step.
     """
+    settings = config.as_record(Settings, settings)
     earlier = None if earlier is None else Path(earlier)
     if earlier is not None and runs.latest_checkpoint(earlier) is None:
         raise InputError(f"{earlier}: has no checkpoint to begin from")
@@ -104,7 +108,11 @@ def train(
 
 
 def _planned(
-    scene: str | Path, settings: Settings, terms: Mapping[str, Term], devices: int, known: Mapping[str, Any] | None
+    scene: str | Path,
+    settings: Settings,
+    terms: Mapping[str, Term | Callable[..., Array]],
+    devices: int,
+    known: Mapping[str, Any] | None,
 ) -> Plan:
     """The plan before anybody looked at the photos."""
     planned = plan(settings, terms, devices)
@@ -148,6 +156,7 @@ def _train(
         similarity=begun and begun.similarity,
         place=begun and begun.place,
     )
+    check_terms(planned, loaded.train_frames)
     is_one = count_devices(devices) == settings.views_per_step == 1
     sparse = None
     if is_one:
@@ -289,7 +298,7 @@ def _completed(settings: dict[str, Any]) -> dict[str, Any]:
 
 def living_gaussians(gaussians: Gaussians) -> Gaussians:
     """The Gaussians without the free rows of their buffers, numpy."""
-    return jax.tree.map(np.asarray, take(gaussians, np.asarray(adaptive.is_alive(gaussians))))
+    return jax.tree.map(np.asarray, take(gaussians, np.asarray(is_alive(gaussians))))
 
 
 def _finish(

@@ -15,7 +15,7 @@ from gsjax.settings import Settings
 from gsjax.stereo import stereo_points
 from gsjax.training import initialize
 from gsjax.training.buffers import bucket
-from gsjax.training.growth.rules import RULES
+from gsjax.training.growth.rules import rule_named
 from gsjax.training.loop import with_tables
 from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState, initial_state
@@ -82,7 +82,7 @@ def first_state(
         sh_degree=settings.sh_degree,
         pixel_filter=settings.pixel_filter,
     )
-    return initial_state(first, optimizer, RULES[settings.density.rule], effects)
+    return initial_state(first, optimizer, rule_named(settings.density.rule), effects)
 
 
 def first_state_with_tables(

@@ -22,7 +22,7 @@ from gsjax.scene import Frame, Scene, kept
 from gsjax.settings import Settings
 from gsjax.targets import NORMAL_UNIT
 from gsjax.training import initialize, loop, optimizers
-from gsjax.training.growth.rules import RULES
+from gsjax.training.growth.rules import rule_named
 from gsjax.training.loop import Progress
 from gsjax.training.plan import Plan, plan
 from gsjax.training.state import initial_state
@@ -112,7 +112,7 @@ def _moments(
     # Nobody multiplies while the steps are timed; the statistics for it are gathered all the same.
     still = replace(plan.density, start=phase.steps + 1, stop=phase.steps + 2, reset_every=0)
     optimizer = optimizers.make_optimizer(plan.rates, size, phase.steps)
-    state = initial_state(_grown(scene, settings), optimizer, RULES[plan.density.rule])
+    state = initial_state(_grown(scene, settings), optimizer, rule_named(plan.density.rule))
     moments = [clock()]
 
     def note(progress: Progress) -> None:

@@ -33,26 +33,27 @@ def score_appearance(
 
     Returns:
         `mesh_psnr` and `mesh_ssim`; `covered_psnr` and `covered_ssim`, of the Gaussians at the same pixels; with
-        `found.near` the same with `_near_gains`. `mesh_covers`, the share of the valid pixels. Scores are None where
-        no frame shows the mesh; all is empty without frames.
+        `found.near` the same with `_near_gains`. `mesh_covers`, the share of the valid pixels, None where
+        there are none. Scores are None where no frame shows the mesh; all is empty without frames.
     """
     if not frames:
         return {}
     draw = partial(smooth_pictures, mesh, shading=shading)
     pairs = zip(frames, draw([frame_camera(frame) for frame in frames]), strict=True)
     covered = [_covered(frame, picture) for frame, picture in pairs]
-    seen, shares = tuple(frame for frame, share in covered if share > 0), [share for _, share in covered]
+    seen = tuple(frame for frame, share in covered if share)
+    shares = [share for _, share in covered if share is not None]
     found = found._replace(looks={})
     scores = {
         "mesh": score_pictures(draw, seen, color_behind_all(background, found), found=found),
         "covered": score_images(gaussians, seen, background, found=found),
     }
     named = {f"{of}_{name}": value for of, each in scores.items() for name, value in each.items() if name != "views"}
-    return named | {"mesh_covers": float(np.mean(shares))}
+    return named | {"mesh_covers": float(np.mean(shares)) if shares else None}
 
 
-def _covered(frame: Frame, picture: Picture) -> tuple[Frame, float]:
-    """The frame with the pixels alone that the mesh covers, and their share of those that were valid."""
+def _covered(frame: Frame, picture: Picture) -> tuple[Frame, float | None]:
+    """The frame with the pixels alone that the mesh covers, and their share of those that were valid, if any were."""
     is_whole = picture.alphas > COVERED
 
     def pixels() -> Pixels:
@@ -60,7 +61,7 @@ def _covered(frame: Frame, picture: Picture) -> tuple[Frame, float]:
         return shown._replace(valid=255 * (is_whole & _valid(shown)).astype(np.uint8))
 
     valid = _valid(frame.pixels())
-    return replace(frame, pixels=pixels, masked=True), float(is_whole[valid].mean()) if valid.any() else 0.0
+    return replace(frame, pixels=pixels, masked=True), float(is_whole[valid].mean()) if valid.any() else None
 
 
 def _valid(pixels: Pixels) -> np.ndarray:

@@ -13,6 +13,7 @@ from gsjax.cameras import Camera
 from gsjax.effects.alignment import Draw
 from gsjax.effects.appearance import Appearance, fit_colors
 from gsjax.gaussians import Gaussians
+from gsjax.io.notices import print_once
 from gsjax.measures.images import psnr, ssim
 from gsjax.networks.lpips import Measure
 from gsjax.render import DepthReading, gallery
@@ -38,6 +39,8 @@ def score_images(
     observe: Callable[[Frame, np.ndarray, Picture], None] = lambda *_: None,
 ) -> dict[str, Any]:
     """Mean PSNR and SSIM over frames, as 3DGS defines them (float renders, every pixel that is valid); None of none.
+
+    A frame without a valid pixel has no score: it is named on stderr, and is not among `views`.
 
     Args:
         gaussians: The scene.
@@ -92,9 +95,9 @@ def score_pictures(
     ways = ("", *(way for way, looks in lights.items() if looks), *(("_fitted",) if found.looks else ()))
     poses = ("", "_aligned") if align else ("",)
     names = [f"{score}{way}{pose}" for pose in poses for way in ways for score in ("psnr", "ssim")]
+    scores, masked = [], []
     if not frames:
         return {**dict.fromkeys((*names, *measures)), "views": 0}
-    scores = []
     for frame, picture in zip(frames, draw([frame_camera(f) for f in frames]), strict=True):
         image, matte, valid = frame.pixels()
         target = image.astype(np.float32) / 255
@@ -103,6 +106,9 @@ def score_pictures(
             target = target * coverage + (1 - coverage) * color
         observe(frame, target, picture)
         valid = np.ones(target.shape[:2], bool) if valid is None else valid > 127
+        if not valid.any():
+            masked.append(frame.name)
+            continue
         lit = {way: _as_taken(looks, frame, None if matte is None else color) for way, looks in lights.items()}
         shown = [picture]
         if align:
@@ -118,7 +124,9 @@ def score_pictures(
             [each for render in renders for each in _scores(*map(jnp.asarray, (render, target, valid)))]
             + [measure(*pair) for measure in measures.values()]
         )
-    means = np.asarray(scores, np.float64).mean(0).tolist()
+    if masked:
+        print_once(f"not scored, because a mask covers every pixel: {', '.join(masked)}")
+    means = np.asarray(scores, np.float64).mean(0).tolist() if scores else [None] * len((*names, *measures))
     return {**dict(zip((*names, *measures), means, strict=True)), "views": len(scores)}
 
 

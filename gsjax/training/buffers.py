@@ -15,11 +15,10 @@ import numpy as np
 import optax
 from jax import Array
 
+from gsjax.gaussians import DEAD_LOGIT, is_alive
 from gsjax.settings import Density
 from gsjax.training import optimizers
-from gsjax.training.growth.adaptive import is_alive
-from gsjax.training.growth.rules import RULES
-from gsjax.training.initialize import DEAD_LOGIT
+from gsjax.training.growth.rules import Rule, rule_named
 from gsjax.training.state import TrainState
 from rasterizer.engines import resolve
 
@@ -93,10 +92,9 @@ def shorten(state: TrainState, optimizer: optax.GradientTransformation, most: in
     )
 
 
-@partial(jax.jit, static_argnames=("density", "budget"))
-def _wanted(state: TrainState, *, density: Density, budget: int) -> Array:
-    wanted = RULES[density.rule].wanted_count
-    return wanted(state.gaussians, state.statistics, density, step=state.step, budget=budget)
+@partial(jax.jit, static_argnames=("rule", "density", "budget"))
+def _wanted(state: TrainState, *, rule: Rule, density: Density, budget: int) -> Array:
+    return rule.wanted_count(state.gaussians, state.statistics, density, step=state.step, budget=budget)
 
 
 Lengthen = Callable[[TrainState, optax.GradientTransformation, int], TrainState]
@@ -108,11 +106,21 @@ def with_room_to_densify(
     density: Density,
     most: int,
     *,
+    rule: Rule | None = None,
     lengthen: Lengthen = lengthen,
 ) -> TrainState:
-    """The state in buffers that hold what the next densification makes of it, as far as `most` allows."""
+    """The state in buffers that hold what the next densification makes of it, as far as `most` allows.
+
+    Args:
+        state: Before the densification.
+        optimizer: The transformation that made the state.
+        density: As `gsjax.training.state.densify` gets it.
+        most: The most Gaussians.
+        rule: Who grows. None: the rule that `density.rule` names.
+        lengthen: How buffers become longer.
+    """
     rows = state.gaussians.num_gaussians
     if rows >= most:
         return state
-    wanted = int(_wanted(state, density=density, budget=most))
+    wanted = int(_wanted(state, rule=rule or rule_named(density.rule), density=density, budget=most))
     return state if wanted <= rows else lengthen(state, optimizer, bucket(wanted, most))

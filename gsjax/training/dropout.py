@@ -6,8 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from gsjax.gaussians import Gaussians, opacities
-from gsjax.training.initialize import DEAD_LOGIT
+from gsjax.gaussians import DEAD_LOGIT, Gaussians, opacities
 
 MOST = 0.999  # of a denser one's opacity
 

@@ -8,11 +8,8 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gsjax.cameras import viewmat_center
-from gsjax.gaussians import Gaussians, PixelFilter, rgb_to_sh
+from gsjax.gaussians import DEAD_LOGIT, Gaussians, PixelFilter, rgb_to_sh
 from gsjax.scene import Frame
-
-DEAD_LOGIT = -30.0
-"""Log-odds of a free row of the buffer: under every alpha cut, so never drawn and without gradient."""
 
 AROUND = 9
 """Nearest points, its own among them, whose principal axes a Gaussian starts with."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -20,11 +20,13 @@ from gsjax.settings import Settings
 from gsjax.targets import Target, Targets
 from gsjax.training import buffers
 from gsjax.training.capacity import chosen_capacity, headroom, kept_or
+from gsjax.training.faults import faulty_terms, photo_of
 from gsjax.training.growth import adaptive
-from gsjax.training.plan import Plan, PlannedPhase, plan
+from gsjax.training.growth.rules import Rule
+from gsjax.training.plan import Plan, PlannedPhase, check_terms, plan
 from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
-from gsjax.training.stepping import Feed, advance, one_view
+from gsjax.training.stepping import Feed, advance, one_view, view_order
 from gsjax.training.terms import Term, Weighed
 from gsjax.training.terms.multi_view import with_neighbors
 
@@ -109,7 +111,7 @@ def fit(
     *,
     prior: NormalsPrior,
     observe: Callable[[Progress], None],
-    terms: Mapping[str, Term] = MappingProxyType({}),
+    terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
     depths: Depths | None = None,
     capacity: int | None = None,
 ) -> TrainState:
@@ -131,9 +133,11 @@ def fit(
         The final state.
 
     Raises:
-        InputError: A weight has no term, or the device has no room for so many Gaussians at this size.
+        InputError: A weight has no term, a term cannot be computed, a loss or a gradient is not finite, or the device
+            has no room for so many Gaussians at this size.
     """
     work = Work(plan(settings, terms), frames, extent, optimizer, prior, observe, depths=depths)
+    check_terms(work.plan, frames)
     return follow(work, state if state.tables else with_tables(state, work.plan), capacity)
 
 
@@ -149,12 +153,16 @@ def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainS
         The final state.
 
     Raises:
-        InputError: The device has no room for so many Gaussians at this size.
+        InputError: A loss or a gradient is not finite, or the device has no room for so many Gaussians at this size.
     """
     done, before = int(state.step), None
-    for phase in work.plan.phases:
+    for index, phase in enumerate(work.plan.phases):
         if done >= phase.end:
             continue
+        if phase.rule:
+            earlier = [each.rule for each in work.plan.phases[:index] if each.rule]
+            is_new = done == phase.begin and earlier[-1:] not in ([], [phase.rule])
+            state = _with_statistics(state, phase.rule, is_new)
         if phase.tables and done == phase.begin:
             state = with_tables(state, work.plan)
         views = _views(work, phase, state)
@@ -162,6 +170,13 @@ def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainS
         state, before = _run_phase(work, phase, views, state, done, capacity)
         done, capacity = phase.end, None
     return state
+
+
+def _with_statistics(state: TrainState, rule: Rule, is_new: bool) -> TrainState:
+    """The state with statistics of the rule: sums of another one, which a new rule finds, mean nothing to it."""
+    empty = rule.empty_statistics(state.gaussians.num_gaussians)
+    fits = jax.tree.structure(empty) == jax.tree.structure(state.statistics)
+    return state if fits and not is_new else replace(state, statistics=empty)
 
 
 def with_tables(state: TrainState, plan: Plan) -> TrainState:
@@ -218,10 +233,10 @@ def _run_phase(
     key = jax.random.key(plan.seed)
     room = headroom(grows=phase.rule is not None)
 
-    def compiled(capacity: int) -> TrainStep:
-        make = partial(
-            placement.make_step,
+    def step_of(terms: tuple[Weighed, ...], capacity: int) -> TrainStep:
+        return placement.make_step(
             work.optimizer,
+            _shown(terms, views.image),
             capacity=capacity,
             background=BACKGROUNDS[plan.background],
             sh_every=plan.sh_every,
@@ -231,16 +246,25 @@ def _run_phase(
             extent=work.extent,
             dropout=phase.dropout,
         )
+
+    def compiled(capacity: int) -> TrainStep:
+        every = step_of(phase.terms, capacity)
         if phase.surface_every == 1:
-            return make(_shown(phase.terms, views.image))
-        return _every(
-            phase.surface_every, make(_shown(phase.terms, views.image)), make(_shown(phase.image_terms, views.image))
-        )
+            return every
+        return _every(phase.surface_every, every, step_of(phase.image_terms, capacity))
+
+    def explain(step: int, state: TrainState, target: Target, capacity: int) -> str:
+        terms = phase.terms if _is_due(step, phase.surface_every) else phase.image_terms
+        alone = {each.name: (each,) for each in _shown(terms, views.image)}
+        fault = faulty_terms(alone, lambda name: step_of(alone[name], capacity), state, target, key)
+        places = range(step * plan.views_per_step, (step + 1) * plan.views_per_step)
+        photos = {photo_of(views.image, view_order(plan.seed, place, views.image.num_views)) for place in places}
+        return f"{', '.join(sorted(photos))}: {fault}"
 
     def after(step: int, state: TrainState, metrics: Metrics, capacity: int) -> TrainState:
         is_last = step == phase.end
         if phase.rule:
-            state = _control_density(work, step, state, key)
+            state = _control_density(work, phase.rule, step, state, key)
         if is_last and phase.cull_below > 0:
             state = placement.cull(state, optimizer=work.optimizer, min_opacity=phase.cull_below)
         if _ends_growth(plan, phase, step) or (is_last and phase.cull_below > 0):
@@ -274,6 +298,7 @@ def _run_phase(
         view_share=plan.view_share,
         feed=_feed_of(views, placement.feed, phase.surface_every),
         looks=looks if work.looks else None,
+        explain=explain,
     )
 
 
@@ -325,11 +350,11 @@ def _moves_neighbors(plan: Plan, phase: PlannedPhase, step: int) -> bool:
     return others or _ends_growth(plan, phase, step) or step % REFRESHED_EVERY == 0
 
 
-def _control_density(work: Work, step: int, state: TrainState, key: Array) -> TrainState:
+def _control_density(work: Work, rule: Rule, step: int, state: TrainState, key: Array) -> TrainState:
     plan, placement, density = work.plan, work.placement, work.plan.density
     if adaptive.densifies(density, step):
         large = jnp.asarray(adaptive.prunes_large(density, step))
-        state = placement.with_room_to_densify(state, work.optimizer, density, plan.max_gaussians)
+        state = placement.with_room_to_densify(state, work.optimizer, density, plan.max_gaussians, rule=rule)
         state = placement.densify(
             state,
             key,
@@ -338,6 +363,7 @@ def _control_density(work: Work, step: int, state: TrainState, key: Array) -> Tr
             optimizer=work.optimizer,
             density=density,
             budget=plan.max_gaussians,
+            rule=rule,
         )
     if adaptive.resets_opacities(density, step, plan.background):
         state = placement.reset_opacities(state, optimizer=work.optimizer, limit=density.reset_opacity)

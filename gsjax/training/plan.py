@@ -4,16 +4,20 @@ Loop, budget, pace, report and resume read a plan; settings stay as they were as
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any, Self
 
+from jax import Array
+
 from gsjax.effects import transients
 from gsjax.errors import InputError
+from gsjax.scene import Frame
 from gsjax.settings import PLAIN, Density, Logging, Phase, Rates, Settings
-from gsjax.training.growth.rules import RULES, Rule
+from gsjax.training.growth.rules import Rule, rule_named
 from gsjax.training.terms import TERMS, Term, Weighed, needs, weigh_terms
+from gsjax.training.terms.checking import as_terms, check_term
 
 RATES = "means", "means_final", "sh_dc", "sh_rest", "opacities", "scales", "quats"
 """The fields of `Rates` that are rates."""
@@ -198,7 +202,7 @@ def steps_in_common(one: Mapping[str, Any], other: Mapping[str, Any]) -> int:
 
 def plan(
     settings: Settings,
-    terms: Mapping[str, Term] = MappingProxyType({}),
+    terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
     devices: int = 1,
     effects: Iterable[str] = (),
 ) -> Plan:
@@ -211,7 +215,8 @@ def plan(
 
     Args:
         settings: What was asked for.
-        terms: The run's own terms of the loss by name, beside the library's or in their place.
+        terms: The run's own terms of the loss by name, beside the library's or in their place. Of a bare function it is
+            found out what it needs.
         devices: How many the Gaussians are spread over. Terms that compare views are left out where a step takes
             several.
         effects: Names of those that are simulated: masks of transients make growth wait.
@@ -220,7 +225,7 @@ def plan(
         InputError: A weight has no term, a term with normals looks at smaller photos, or a term, or dropout, cannot run
             on so many devices.
     """
-    known = {**TERMS, **terms}
+    known = {**TERMS, **as_terms(terms)}
     is_one = devices == settings.views_per_step == 1
     if settings.dropout and not is_one:
         raise InputError(f"dropout={settings.dropout:g} needs one device and --views-per-step 1")
@@ -240,7 +245,7 @@ def plan(
             named = next(each.name for each in wanted if "sky" in needs([each]))
             raise InputError(f"phases.{phase.name}.weights.{named}: sky_weight weighs it, where photos show sky")
         end = begin + _fewer(phase.steps, settings.views_per_step)
-        rule = RULES[settings.density.rule] if phase.density_control else None
+        rule = rule_named(settings.density.rule) if phase.density_control else None
         cull = 0.0 if settings.vanilla else phase.cull_below
         planned = PlannedPhase(phase.name, begin, end, phase.image_scale, wanted, rule, cull, dropout=settings.dropout)
         if any(each.is_dear for each in wanted):
@@ -264,6 +269,31 @@ def plan(
         sky_weight=settings.sky_weight,
         left_out=tuple(sorted(left_out)),
     ).with_effects(tuple(effects))
+
+
+def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
+    """Try the run's own terms on the shapes that they will see, each by itself, before anything is read or compiled.
+
+    Those of the library are tested; one with a table would need the Gaussians themselves.
+
+    Args:
+        planned: The run.
+        frames: Its photos, of which only the sizes are looked at.
+
+    Raises:
+        InputError: A term reads what it does not need, fails, or is not one float.
+    """
+    width, height = (max(getattr(frame, side) for frame in frames) for side in ("width", "height"))
+    tried = {
+        (each, width // scale, height // scale)
+        for phase in planned.phases
+        for terms, scale in ((phase.terms, phase.scale * phase.surface_scale), (phase.image_terms, phase.scale))
+        for each in terms
+        if each.term not in TERMS.values() and each.term.refresh is None
+    }
+    for each, wide, high in sorted(tried, key=lambda one: (one[0].name, one[1:])):
+        if wide and high:  # A phase that leaves nothing of the photos is refused where they are read.
+            check_term(each, wide, high, planned.depth_mode)
 
 
 def _weighed(settings: Settings, phase: Phase, terms: Mapping[str, Term]) -> tuple[Weighed, ...]:

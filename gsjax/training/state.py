@@ -13,11 +13,11 @@ from jax import Array
 
 from gsjax.effects import simulation
 from gsjax.effects.simulation import NO_EFFECTS, Effects, EffectState
-from gsjax.gaussians import Gaussians
+from gsjax.gaussians import Gaussians, is_alive
 from gsjax.settings import Density
 from gsjax.training import optimizers
 from gsjax.training.growth import adaptive as density_control
-from gsjax.training.growth.rules import RULES, Rule
+from gsjax.training.growth.rules import RULES, Rule, rule_named
 
 
 @jax.tree_util.register_dataclass
@@ -66,8 +66,24 @@ def densify(
     budget: int,
     rule: Rule | None = None,
 ) -> TrainState:
-    """Densify by the rule within `budget` Gaussians; moments follow their Gaussian, statistics start anew."""
-    rule = rule or RULES[density.rule]
+    """Densify within `budget` Gaussians; moments follow their Gaussian, statistics start anew.
+
+    The state is donated: its arrays are deleted, and only the returned state can be used from here on.
+
+    Args:
+        state: Its statistics are those of the rule.
+        key: Random key of the run; the step is folded into it.
+        extent: Camera extent, scene units.
+        prune_large: `[]` bool, whether size prunes.
+        optimizer: The transformation that made the state.
+        density: Thresholds.
+        budget: The most Gaussians.
+        rule: Who grows. None: the rule that `density.rule` names.
+
+    Returns:
+        The state afterwards, in arrays of the same shapes.
+    """
+    rule = rule or rule_named(density.rule)
     count = rule.wanted_count(state.gaussians, state.statistics, density, step=state.step, budget=budget)
     gaussians, moved = rule.densify(
         state.gaussians,
@@ -85,7 +101,10 @@ def densify(
 
 @partial(jax.jit, static_argnames=("optimizer", "limit"), donate_argnums=0)
 def reset_opacities(state: TrainState, *, optimizer: optax.GradientTransformation, limit: float) -> TrainState:
-    """Cap the opacities and forget their moments."""
+    """Cap the opacities at `limit` and forget their moments.
+
+    The state is donated: its arrays are deleted, and only the returned state can be used from here on.
+    """
     capacity = state.gaussians.num_gaussians
     # The opacities' moments are the only per-Gaussian arrays of rank 1.
     opt_state = optimizers.map_moments(
@@ -97,23 +116,29 @@ def reset_opacities(state: TrainState, *, optimizer: optax.GradientTransformatio
 
 @partial(jax.jit, static_argnames=("optimizer", "min_opacity"), donate_argnums=0)
 def cull(state: TrainState, *, optimizer: optax.GradientTransformation, min_opacity: float) -> TrainState:
-    """Remove faint Gaussians; the moments of the others stay."""
+    """Remove Gaussians of an opacity under `min_opacity`: their rows are free. The moments of the others stay.
+
+    The state is donated: its arrays are deleted, and only the returned state can be used from here on.
+    """
     return _with_fewer(state, density_control.cull(state.gaussians, min_opacity), optimizer)
 
 
 @partial(jax.jit, static_argnames="optimizer", donate_argnums=0)
 def remove(state: TrainState, chosen: Array, *, optimizer: optax.GradientTransformation) -> TrainState:
-    """Remove the Gaussians that are chosen, `[N]` bool; the moments of the others stay."""
+    """Remove the Gaussians that are chosen, `[N]` bool: their rows are free. The moments of the others stay.
+
+    The state is donated: its arrays are deleted, and only the returned state can be used from here on.
+    """
     return _with_fewer(state, density_control.kill(state.gaussians, chosen), optimizer)
 
 
 def _with_fewer(state: TrainState, gaussians: Gaussians, optimizer: optax.GradientTransformation) -> TrainState:
     rows = jnp.arange(gaussians.num_gaussians, dtype=jnp.int32)
-    opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, rows, ~density_control.is_alive(gaussians))
+    opt_state = optimizers.rearrange_moments(optimizer, state.opt_state, rows, ~is_alive(gaussians))
     return replace(state, gaussians=gaussians, opt_state=opt_state)
 
 
 @jax.jit
 def count_alive(gaussians: Gaussians) -> Array:
     """`[]` int32 Gaussians in the buffer."""
-    return jnp.sum(density_control.is_alive(gaussians), dtype=jnp.int32)
+    return jnp.sum(is_alive(gaussians), dtype=jnp.int32)

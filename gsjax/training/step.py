@@ -15,7 +15,7 @@ from gsjax import render, targets
 from gsjax.effects import simulation
 from gsjax.effects.simulation import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
-from gsjax.numerics import masked_mean
+from gsjax.numerics import all_finite, masked_mean
 from gsjax.render import View
 from gsjax.targets import Batch, Target
 from gsjax.training import optimizers
@@ -36,6 +36,7 @@ class Metrics(NamedTuple):
     needed: Array  # pair capacity that the view needed, or its neighbour where that is more
     overflowed: Array  # the capacity was too short: the state was left as it was
     terms: dict[str, Array]
+    finite: Array | bool = True  # loss and gradients are, or the state was left as it was
 
 
 class Outcome(NamedTuple):
@@ -63,21 +64,27 @@ def guarded_step(
     differentiate: Callable[[S, Target, Array, Array], tuple[G, Outcome]],
     update: Callable[[S, G, Outcome, Target], S],
     background: Background,
+    on_all: Callable[[Array], Array] = lambda flag: flag,
 ) -> Callable[[S, Target, Array], tuple[S, Outcome]]:
-    """A step that leaves the state as it was where a buffer overflowed: the host makes room and repeats it.
+    """A step that leaves the state as it was where a buffer overflowed, or where loss or gradients are not finite.
+
+    After an overflow the host makes room and repeats the step. After the other it stops.
 
     Args:
         differentiate: (state, target, colour under the image, key of this step) -> gradients of the loss, and what the
             view showed.
         update: (state, gradients, outcome, target) -> the state after the step.
         background: Colour under the images.
+        on_all: Of a flag of one device, whether it holds on all.
     """
 
     def step(state: S, target: Target, key: Array) -> tuple[S, Outcome]:
         key = jax.random.fold_in(key, state.step)  # pyright: ignore[reportAttributeAccessIssue]
         gradients, outcome = differentiate(state, target, background(key), key)
         proposed = update(state, gradients, outcome, target)
-        is_left = outcome.overflowed
+        finite = on_all(all_finite((outcome.metrics.loss, gradients)))
+        outcome = outcome._replace(metrics=outcome.metrics._replace(finite=finite))
+        is_left = outcome.overflowed | ~finite
         if target.turn is not None:  # An earlier step overflowed, which the host did not know yet.
             is_left |= state.step != target.turn  # pyright: ignore[reportAttributeAccessIssue]
         return jax.tree.map(lambda old, new: jnp.where(is_left, old, new), state, proposed), outcome

@@ -11,9 +11,10 @@ import numpy as np
 from jax import Array
 
 from gsjax import targets
-from gsjax.errors import is_out_of_memory
+from gsjax.errors import InputError, is_out_of_memory
 from gsjax.targets import Target, Targets
 from gsjax.training.capacity import STILL, can_stream, is_compiled_anew, no_room, rounded_capacity
+from gsjax.training.faults import NOT_FINITE
 from gsjax.training.step import Metrics
 from gsjax.training.terms.multi_view import drawn_beside
 
@@ -62,6 +63,7 @@ def advance(
     view_share: float = 0.5,
     feed: Feed = one_view,
     looks: Callable[[int], bool] | None = None,
+    explain: Callable[[int, S, Target, int], str] = lambda step, state, target, capacity: NOT_FINITE,
 ) -> tuple[S, int]:
     """Take the steps of one program, each with its view, and make room where a view needs it.
 
@@ -79,12 +81,14 @@ def advance(
         looks: Steps done -> whether `after` looks at their state. After others the next step is begun before it is
             known whether this one overflowed, so that a GPU never waits, and `after` gets a later state. The numbers
             are the same. None: it always looks.
+        explain: (steps done, state, what the next step compares with, capacity) -> what is wrong with a step whose loss
+            or gradients are not finite, see `gsjax.training.faults`.
 
     Returns:
         The state after the last step, and the pair buffer's length by then.
 
     Raises:
-        InputError: The device has no room.
+        InputError: The device has no room, or a loss or a gradient is not finite. That step is not taken.
     """
     key, target, train_step = jax.random.key(seed), None, compiled(capacity)
     done, end = steps
@@ -100,7 +104,7 @@ def advance(
             begun.append(metrics)
             is_seen = looks is None or step + 1 == end or looks(step + 1)
             known = begun if is_seen else begun[:-1]
-            taken = next((index for index, each in enumerate(known) if each.overflowed), len(known))
+            taken = next((index for index, each in enumerate(known) if not _is_taken(each)), len(known))
         except jax.errors.JaxRuntimeError as error:
             if not is_out_of_memory(error) or not can_stream(state, data, view_share):
                 raise no_room(error, data, capacity) from error
@@ -115,8 +119,18 @@ def advance(
                 capacity = max(capacity, rounded_capacity(max(map(int, needed)), room))
                 train_step = compiled(capacity)
         if taken < len(known):  # What was begun after it has left the state as it was, too.
+            if not known[taken].overflowed:
+                missed = target(done) if ahead is None else replace(target(done), turn=np.int32(done + ahead))
+                fault = explain(done, state, missed, capacity)
+                raise InputError(f"step {done + 1:,}, {fault}; training stops before it and keeps what it saved")
             capacity = rounded_capacity(int(known[taken].needed), room)
             train_step, begun = compiled(capacity), []
         else:
             begun = begun[taken:]
     return state, capacity
+
+
+def _is_taken(metrics: Metrics) -> bool:
+    """Whether a step has changed the state."""
+    overflowed, finite = jax.device_get((metrics.overflowed, metrics.finite))
+    return bool(finite) and not overflowed

@@ -10,10 +10,9 @@ import numpy as np
 import viser
 
 from gsjax.errors import InputError
-from gsjax.gaussians import SH_C0, Gaussians, covariances, opacities
+from gsjax.gaussians import SH_C0, Gaussians, covariances, is_alive, opacities
 from gsjax.io.images import resize
 from gsjax.meshing.export import glb_bytes, read_mesh
-from gsjax.training.growth.adaptive import is_alive
 from gsjax.viewer.page_camera import page_camera
 from gsjax.viewer.subject import Subject
 

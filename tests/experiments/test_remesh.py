@@ -55,7 +55,7 @@ def test_a_refinement_has_the_runs_seed_and_meshes_are_shared(remesh, asked, tra
     assert [Path(run).name for name, run, *_ in asked if name == "mesh"] == ["run_3", "run_4"]
     refinements = [call[2:] for call in asked if call[0] == "refine"]
     assert [(settings.seed, settings.steps) for settings, _ in refinements] == [
-        (seed, PRESETS[name]["steps"]) for seed in (3, 4) for name in ("fast", "balanced", "short")
+        (seed, PRESETS[name]["steps"]) for seed in (3, 4) for name in ("fast", "balanced")
     ]
     assert len({mesh for _, mesh in refinements}) == 2
     scored = [(Path(run).name, Path(mesh).parent.name) for name, run, mesh in (c for c in asked if len(c) == 3)
@@ -102,5 +102,5 @@ def test_every_study_parses_and_no_two_of_its_variants_are_the_same(remesh, stud
 def test_presets_are_compared_as_they_are(remesh):
     variants = remesh.variants_of("length")
     assert {name: asked["refine"] for name, asked in variants.items() if asked} == {
-        name: PRESETS[name] for name in ("fast", "balanced", "short")
+        name: PRESETS[name] for name in ("fast", "balanced")
     }

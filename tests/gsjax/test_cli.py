@@ -224,7 +224,7 @@ def test_eval_says_that_there_are_no_views_to_score(library, capsys, monkeypatch
     assert cli.main(["eval", "run"]) == 0
     printed = capsys.readouterr()
     assert printed.out == "psnr     -\nviews    0\nchamfer  0.1\n"
-    assert printed.err == "run: no held-out views, pictures are not scored\n"
+    assert printed.err == "run: no held-out views to score pictures by\n"
 
 
 def test_eval_says_where_weights_of_lpips_are_missing(library, capsys):

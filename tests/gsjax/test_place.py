@@ -15,7 +15,7 @@ from gsjax.io.place_files import FILE, read_place, stated_place, write_place
 from gsjax.io.scenes import load_scene
 from gsjax.mesh import Mesh
 from gsjax.meshing.export import read_mesh, write_mesh
-from gsjax.place import Place, parse_place, turn_upright, up_of_cameras
+from gsjax.place import Place, parse_length, parse_place, turn_upright, up_of_cameras
 
 TURN = Rotation.from_rotvec([0.3, -0.2, 1.1]).as_matrix()
 PLACE = Place(
@@ -126,3 +126,11 @@ def test_up_is_where_the_right_vectors_of_level_cameras_are_not():
     assert error == np.inf
     assert_close(turn_upright(found) @ found, np.array([0, 0, 1.0]))
     assert_close(turn_upright(-up) @ -up, np.array([0, 0, 1.0]))
+
+
+@pytest.mark.parametrize(
+    ("text", "metres"),
+    [("1.25m", 1.25), ("80cm", 0.8), ("35 mm", 0.035), ("2km", 2000.0), ("10in", 0.254), ("3ft", 0.9144)],
+)
+def test_a_length_is_in_metres(text, metres):
+    assert parse_length(text) == pytest.approx(metres)

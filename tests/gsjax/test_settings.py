@@ -1,12 +1,29 @@
 import dataclasses
 import itertools
+import json
+from pathlib import Path
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
-from gsjax.binding.refining import Refinement
-from gsjax.config import merge, parse, to_dict
+from gsjax.binding.refining import PRESETS as REFINEMENTS
+from gsjax.binding.refining import Refinement, RefinementWeights
+from gsjax.config import as_record, merge, parse, to_dict
 from gsjax.errors import InputError
-from gsjax.settings import LENGTHS, PRESETS, Rates, Settings, named_effects, total_steps
+from gsjax.settings import (
+    LENGTHS,
+    PRESETS,
+    Density,
+    Logging,
+    Phase,
+    Rates,
+    Settings,
+    Weights,
+    named_effects,
+    total_steps,
+)
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -101,3 +118,95 @@ def test_rates_that_no_file_told_are_held_to_the_same():
     for seed in (-1, 2**32):
         with pytest.raises(ValueError, match=f"seed={seed} is not between 0 and 4294967295"):
             Refinement(seed=seed)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_makes_settings_with_or_without_parse(name):
+    assert Settings(**PRESETS[name]) == parse(Settings, PRESETS[name]) == as_record(Settings, PRESETS[name])
+    assert as_record(Settings, Settings(seed=3)) == Settings(seed=3)
+
+
+@pytest.mark.parametrize("name", REFINEMENTS)
+def test_a_preset_makes_a_refinement_with_or_without_parse(name):
+    assert Refinement(**REFINEMENTS[name]) == parse(Refinement, REFINEMENTS[name])
+
+
+def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
+    """Numbers of numpy and jax, paths, lists and tables; and all of it is hashable, equal and can be written."""
+    given = Settings(
+        seed=np.int64(3),
+        downscale=np.float32(2),
+        normals=Path("maps"),
+        depth=Path("depth"),
+        points=Path("points.ply"),
+        vanilla=np.bool_(False),
+        max_gaussians=jnp.int32(900),
+        sh_degree=np.array(2),
+        sky_weight=1,
+        phases=[
+            {"name": "a", "steps": np.int64(3), "weights": {"l1": np.float32(0.5), "mine": 1}},
+            Phase("b", np.uint8(4), image_scale=np.int32(2)),
+        ],
+        rates={"means": np.float64(1e-3), "decay_steps": np.int64(9)},
+        density={"rule": "error", "prune_large_after": np.int16(7)},
+        logging={"metrics_every": np.int64(5)},
+    )
+    plain = Settings(
+        seed=3,
+        downscale=2.0,
+        normals="maps",
+        depth="depth",
+        points="points.ply",
+        max_gaussians=900,
+        sh_degree=2,
+        sky_weight=1.0,
+        phases=(Phase("a", 3, Weights(l1=0.5, mine=1.0)), Phase("b", 4, image_scale=2)),
+        rates=Rates(means=1e-3, decay_steps=9),
+        density=Density(rule="error", prune_large_after=7),
+        logging=Logging(metrics_every=5),
+    )
+    assert given == plain and hash(given) == hash(plain)
+    assert json.loads(json.dumps(to_dict(given))) == to_dict(plain)
+    assert type(given.seed) is int and type(given.downscale) is float and type(given.phases[0].weights["mine"]) is float
+
+
+@pytest.mark.parametrize(
+    ("make", "line"),
+    [
+        (lambda: Settings(phases="quick"), "Settings: phases is 'quick', expected a list of a table of keys"),
+        (lambda: Settings(phases=Phase("a", 3)), r"Settings: phases is Phase\(.*, expected a list of a table of keys"),
+        (lambda: Settings(phases=[{"name": "a"}]), "Settings: key 'phases.0.steps' is missing"),
+        (
+            lambda: Settings(phases=[{"name": "a", "steps": 3, "wieghts": {}}]),
+            "unknown key 'phases.0.wieghts'.*weights'",
+        ),
+        (lambda: Settings(seed="3"), "Settings: seed is '3', expected int"),
+        (lambda: Settings(seed=True), "Settings: seed is True, expected int"),
+        (lambda: Settings(seed=np.array([1, 2])), r"Settings: seed is array\(\[1, 2\]\), expected int"),
+        (lambda: Settings(background="blue"), "Settings: background is 'blue', expected one of \"white\""),
+        (lambda: Settings(density="error"), "Settings: density is 'error', expected a table of keys"),
+        (lambda: Settings(rates={"meens": 1e-3}), "Settings: unknown key 'rates.meens'; the nearest known one is"),
+        (lambda: Settings(effects=["exposure"]), r"Settings: effects is \['exposure'\], expected str"),
+        (lambda: Phase("a", 3.5), "Phase: steps is 3.5, expected int"),
+        (lambda: Phase("a", 3, {"l1": "much"}), "Phase: weights.l1 is 'much', expected float"),
+        (lambda: Phase("a", 3, weights=0.5), "Phase: weights is 0.5, expected a table of keys"),
+        (lambda: Weights(l1=None), "Weights: l1 is None, expected float"),
+        (lambda: Weights(l1=float("nan")), "Weights: l1 is nan, expected a finite number"),
+        (lambda: Density(rule=3), "Density: rule is 3, expected str"),
+        (lambda: Density(gradient="2e-4"), "Density: gradient is '2e-4', expected float"),
+        (lambda: Rates(decay_steps=1.5), "Rates: decay_steps is 1.5, expected int or null"),
+        (lambda: Refinement(steps="all"), "Refinement: steps is 'all', expected int"),
+        (lambda: Refinement(pixel_filter="box"), "Refinement: pixel_filter is 'box', expected one of"),
+        (lambda: Refinement(weights={"l1": float("inf")}), "Refinement: weights.l1 is inf, expected a finite number"),
+        (lambda: RefinementWeights(l1=float("inf")), "weights: l1 is inf, expected a finite number"),
+        (lambda: as_record(Settings, "quick"), "Settings: the whole is 'quick', expected a table of keys"),
+        (
+            lambda: jax.jit(lambda degree: Settings(sh_degree=degree))(3),
+            "Settings: sh_degree is .*, expected int",
+        ),
+    ],
+)
+def test_a_setting_of_another_type_is_one_line_that_names_it(make, line):
+    with pytest.raises(InputError, match=line) as refused:
+        make()
+    assert str(refused.value).isprintable()

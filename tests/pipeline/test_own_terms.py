@@ -1,6 +1,10 @@
 """Terms of the loss that a run is handed: in its plan, edited, and after a resume."""
 
+import sys
+
+import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from trained_run import SETTINGS, train_until_killed
 
@@ -73,6 +77,46 @@ def test_a_run_with_terms_of_its_own_goes_on_to_the_same_bits(rounder, scene, tm
 def test_a_weight_without_its_term_is_one_line_before_anything_is_written(scene, tmp_path):
     with pytest.raises(InputError, match=r"^phases\.round\.weights\.needles: no such term of the loss"):
         pipeline.train(scene, tmp_path / "run", ENDED)
+    assert not (tmp_path / "run").exists()
+
+
+def norm_at_zero(gaussians, view, batch):
+    """Zero, with a gradient that is NaN."""
+    return jnp.linalg.norm(view.colors - jax.lax.stop_gradient(view.colors), axis=-1).mean()
+
+
+def test_a_gradient_that_is_not_finite_ends_a_run_that_goes_on_once_its_term_is_mended(rounder, scene, tmp_path):
+    run = tmp_path / "run"
+    with pytest.raises(InputError, match=r"^step 4, photo \S+: the gradient of the loss term 'needles' is not finite"):
+        pipeline.train(scene, run, ENDED, terms=terms(norm_at_zero))
+    assert runs.latest_checkpoint(run)[0] == 3
+    with np.load(runs.latest_checkpoint(run)[1]) as arrays:
+        assert all(np.isfinite(array).all() for array in arrays.values() if array.dtype.kind == "f")
+    assert not (run / "gaussians.ply").exists()
+    pipeline.train(scene, run, ENDED, terms=terms(), resume=True)
+    assert (run / "gaussians.ply").read_bytes() == (rounder / "gaussians.ply").read_bytes()
+
+
+def test_bare_functions_are_terms_that_need_what_they_read(rounder, scene, tmp_path):
+    pipeline.train(scene, tmp_path / "run", ENDED, terms={"needles": needles, "near": near})
+    assert (tmp_path / "run/gaussians.ply").read_bytes() == (rounder / "gaussians.ply").read_bytes()
+    _, last = json_files.read(tmp_path / "run/plan.json")["phases"]
+    assert last["needs"] == ["depth", "gaussians"]
+
+
+@pytest.mark.parametrize(
+    ("own", "line"),
+    [
+        ({"near": Term(near)}, "the loss term 'near' reads the rendered depth, `View.depth`, and does not declare it"),
+        ({"near": lambda g, v, b: v.alphas}, r"the loss term 'near' returns an array of shape \(20, 24\)"),
+        ({"near": lambda g, v, b: v.colours}, "the loss term 'near' cannot be computed: AttributeError"),
+        ({"near": 0.5}, "terms.near is 0.5, expected a function"),
+    ],
+)
+def test_a_term_of_a_later_phase_is_tried_before_any_photo_is_read(scene, tmp_path, monkeypatch, own, line):
+    monkeypatch.setattr(sys.modules["gsjax.pipeline.train"], "kept", None)  # What reads a photo.
+    with pytest.raises(InputError, match=f"^{line}"):
+        pipeline.train(scene, tmp_path / "run", ENDED, terms={**terms(), **own})
     assert not (tmp_path / "run").exists()
 
 

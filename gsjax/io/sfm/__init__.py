@@ -109,9 +109,9 @@ def reconstruct(
         progress: Makes a progress bar, called with tqdm's `total`, `desc` and `unit`.
 
     Raises:
-        InputError: No folder or video, fewer than two photos or frames, an unreadable one (named), a file of weights
-            that is absent or of another network, no model found, `out` in use or not writable, or the process of the
-            reconstruction crashed.
+        InputError: No folder or video, fewer than two photos or frames, fewer than half of them whole, a file of
+            weights that is absent or of another network, no model found, `out` in use or not writable, or the process
+            of the reconstruction crashed.
     """
     start = time.monotonic()
     photos, out = Path(photos), Path(out)
@@ -199,7 +199,7 @@ def _built(
 
     mapping.pycolmap.set_random_seed(0)
     folder = _frames_of(source, workspace / "frames", frames, progress) if source.is_file() else source
-    taken = shots.list_shots(folder)
+    taken, faults = shots.usable_shots(folder)
     if panoramas is not None:
         taken = shots.as_panoramas(taken, panoramas.mask_below)
     hint = shots.panorama_hint(taken) if panoramas is None else ""
@@ -218,9 +218,10 @@ def _built(
     publishing.write_dataset(model, taken, make_folder(workspace / "scene"), progress)
     write_place(workspace / "scene", placed.place)
     return {
-        "images": len(taken),
+        "images": len(taken) + len(faults),
         "registered": model.num_reg_images(),
-        "left_out": {name: why + hint for name, why in left_out.items()},
+        "left_out": {fault.name: fault.reason for fault in faults}
+        | {name: why + hint for name, why in left_out.items()},
         "passed_over": shots.unused_files(folder),
         "points": model.num_points3D(),
         "mean_reprojection_error": model.compute_mean_reprojection_error(),

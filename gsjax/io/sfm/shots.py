@@ -12,8 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
+from gsjax.io import exif
+from gsjax.io.bad_items import Fault, leave_out, read_usable, require_enough
 from gsjax.io.image_folders import MASK_ENDS, REDUCED, masks_in
-from gsjax.io.images import SUFFIXES, cv2, image_size, open_image, read_image, read_mask, same_shape
+from gsjax.io.images import SUFFIXES, check_image, cv2, image_size, open_image, read_image, read_mask, same_shape
+from gsjax.io.notices import print_once
 from gsjax.io.photos import says_nothing
 from gsjax.io.sfm import gps
 from gsjax.io.sfm.gravity import Vector, read_gravity
@@ -31,7 +34,7 @@ _OTHERS = {
     "thumbs",
     "@eadir",
 }  # nor in these
-_MAKE, _MODEL, _ORIENTATION, _DETAILS, _FOCAL, _FOCAL_35 = 0x010F, 0x0110, 0x0112, 0x8769, 0x920A, 0xA405
+_MAKE, _MODEL, _FOCAL, _FOCAL_35 = 0x010F, 0x0110, 0x920A, 0xA405
 # EXIF orientation: whether the stored columns run backwards, then quarter turns clockwise until upright.
 _ORIENTATIONS = {1: (0, 0), 2: (1, 0), 3: (0, 2), 4: (1, 2), 5: (1, 3), 6: (0, 1), 7: (1, 1), 8: (0, 3)}
 
@@ -119,7 +122,14 @@ class Shot:
 
 
 def list_shots(folder: Path) -> list[Shot]:
-    """The photos of a folder and its subfolders, by name, with their masks.
+    """As `usable_shots`, the photos alone: a line on stderr names the others."""
+    shots, faults = usable_shots(folder)
+    leave_out("photos", faults, len(shots) + len(faults))
+    return shots
+
+
+def usable_shots(folder: Path) -> tuple[list[Shot], list[Fault]]:
+    """The photos of a folder and its subfolders, by name, with their masks; and the faults of those that are damaged.
 
     Where all photos lie in a subfolder `images/`, that is their folder. A folder `masks/` or `mask/`, in any case, in
     it, beside it or beside photos holds masks (`gsjax.io.image_folders`), no photos; so do files beside a photo that
@@ -127,7 +137,8 @@ def list_shots(folder: Path) -> list[Shot]:
     what was made of photos: `depth`, `thumbnails`.
 
     Raises:
-        InputError: No folder, fewer than two photos, one that is no image (named), or masks of which none is a photo's.
+        InputError: No folder, fewer than two photos, too few that are whole (`gsjax.io.bad_items`), or masks of which
+            none is a photo's.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of photos")
@@ -139,7 +150,16 @@ def list_shots(folder: Path) -> list[Shot]:
         made = "".join(f"; what {path} holds was made of photos" for path in sorted(_made(root))[:1])
         raise InputError(f"{folder}: needs at least 2 photos ({', '.join(SUFFIXES)}), has {len(photos)}{made}")
     masks = {**_masks_in_folders(root, photos), **beside}
-    return [shot_of(file, name, masks.get(name)) for name, file in photos.items()]
+
+    def shot(name: str) -> Shot:
+        check_image(photos[name])
+        if name in masks:
+            check_image(masks[name])
+        return shot_of(photos[name], name, masks.get(name))
+
+    shots, faults = read_usable(photos, str, shot)
+    require_enough("photos", faults, len(photos))
+    return shots, faults
 
 
 def _masks_beside(pictures: Mapping[str, Path]) -> dict[str, Path]:
@@ -266,15 +286,15 @@ def shot_of(path: Path, name: str, mask_path: Path | None = None) -> Shot:
 def _exif(path: Path) -> tuple[str, str, str, int, gps.Fix | str | None, Vector | None]:
     """Make, model, focal lengths, orientation, GPS and gravity; empty, 1 and None where the file does not say."""
     with open_image(path) as picture:
-        try:
-            tags = picture.getexif()
-            details = tags.get_ifd(_DETAILS)
-        except Exception:  # Pillow's many ways to say "damaged".
-            return "", "", "", 1, None, None
+        orientation = exif.orientation_of(picture)
+        if orientation is None:
+            print_once(f"{path}: its EXIF is damaged; the photo is taken as it is stored, upright or not")
+        tags = exif.tags_of(picture)
+        details = exif.table_of(tags, exif.DETAILS)
         try:
             fix = gps.read_fix(tags.get_ifd(gps.TAG))
-        except Exception:
+        except Exception:  # Pillow's many ways to say "damaged".
             fix = "its table of GPS is damaged"
         down = read_gravity(details, picture.info.get("xmp"))
     focal = f"{details.get(_FOCAL, '')} {details.get(_FOCAL_35, '')}"
-    return str(tags.get(_MAKE, "")), str(tags.get(_MODEL, "")), focal, tags.get(_ORIENTATION, 1), fix, down
+    return str(tags.get(_MAKE, "")), str(tags.get(_MODEL, "")), focal, orientation or 1, fix, down

@@ -1,17 +1,25 @@
 """The frames of a video that are worth a photo: the sharpest of every stretch."""
 
+import re
+import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from tqdm import tqdm
 
 from gsjax.errors import InputError
+from gsjax.io.color_profiles import HDR, code_points
 from gsjax.io.files import atomic_path, make_folder
 from gsjax.io.images import cv2
+from gsjax.io.notices import print_once
 
 _JUDGED_AT = 640  # pixels of the longer side: what a lens resolves, without the noise of single pixels
 _JPEG_QUALITY = 95
+_HEAD = 2**20  # bytes of a file of Matroska that hold its description
+_MATROSKA = b"\x1a\x45\xdf\xa3"
+_TRANSFER = re.compile(rb"\x55\xba\x81(.)", re.DOTALL)  # Matroska's TransferCharacteristics, one byte
 
 
 def write_sharpest_frames(video: Path, folder: Path, count: int, progress: Callable[..., tqdm]) -> Path:
@@ -33,6 +41,10 @@ def write_sharpest_frames(video: Path, folder: Path, count: int, progress: Calla
     """
     make_folder(folder)
     total = _frame_count(video)
+    transfer = transfer_function(video)
+    if transfer is not None:
+        told = f"{video}: is coded for high dynamic range ({transfer}), which is not converted"
+        print_once(f"{told}; its colours are taken as sRGB; export it in standard dynamic range for true colours")
     stretches = min(count, total)
     best, best_sharpness, best_index, stretch = None, -1.0, 0, 0
     with progress(total=total, desc="video", unit="frame") as bar:
@@ -45,6 +57,41 @@ def write_sharpest_frames(video: Path, folder: Path, count: int, progress: Calla
             bar.update(1)
     _write(folder, best_index, best)
     return folder
+
+
+def transfer_function(video: Path) -> str | None:
+    """PQ or HLG, as the file of a video states it; None where it states another one, or none.
+
+    MP4 and MOV state it in a `colr` box, beside their other tables and never in their pictures; Matroska and WebM in an
+    element of their head. OpenCV does not report it.
+    """
+    with video.open("rb") as file:
+        head = file.read(_HEAD)
+        if head[: len(_MATROSKA)] == _MATROSKA:
+            stated = _TRANSFER.search(head)
+            return HDR.get(stated[1][0]) if stated else None
+        coded = code_points(_tables(file))
+    return None if coded is None else HDR.get(coded.transfer)
+
+
+def _tables(file: BinaryIO) -> bytes:
+    """The `moov` box of an MP4 or MOV; empty of other files."""
+    end = file.seek(0, 2)
+    at = 0
+    while at + 8 <= end:
+        file.seek(at)
+        size, kind = struct.unpack(">I4s", file.read(8))
+        header = 8
+        if size == 1 and at + 16 <= end:  # a size of 64 bits follows
+            (size,), header = struct.unpack(">Q", file.read(8)), 16
+        elif size == 0:  # to the end
+            size = end - at
+        if size < header:
+            break
+        if kind == b"moov":
+            return file.read(size - header)
+        at += size
+    return b""
 
 
 def _frame_count(video: Path) -> int:

@@ -10,9 +10,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales, take
+from gsjax.gaussians import DEAD_LOGIT, Gaussians, is_alive, opacities, rotation_matrices, scales, take
 from gsjax.settings import Density
-from gsjax.training.initialize import DEAD_LOGIT
 
 SPLIT = 1.6  # Times smaller than the whole are the halves of a split (3DGS: 0.8 times two).
 LARGE_SHARE = 0.2  # Of `density.stop`: where nothing resets opacities, size prunes after it. 3DGS: 3,000 of 15,000.
@@ -34,11 +33,6 @@ class Moves:
 
     source: Array  # [N] int32
     fresh: Array  # [N] bool
-
-
-def is_alive(gaussians: Gaussians) -> Array:
-    """`[N]` bool: which rows hold a Gaussian."""
-    return gaussians.logit_opacities > 0.5 * DEAD_LOGIT
 
 
 def densifies(density: Density, step: int) -> bool:

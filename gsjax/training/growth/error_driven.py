@@ -12,12 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales, take
+from gsjax.gaussians import DEAD_LOGIT, Gaussians, is_alive, opacities, rotation_matrices, scales, take
 from gsjax.render import View
 from gsjax.settings import Density
 from gsjax.targets import Batch
-from gsjax.training.growth.adaptive import Moves, is_alive
-from gsjax.training.initialize import DEAD_LOGIT
+from gsjax.training.growth.adaptive import Moves
 
 SHORTER = 0.6  # A half's deviation along the axis that splits, in those of the whole; the others stay.
 APART = (1 - SHORTER**2) ** 0.5  # And how far off it sits: both halves together spread as the whole did.

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from jax import Array
 
+from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.render import View
 from gsjax.targets import Batch
@@ -27,7 +28,7 @@ class Rule(NamedTuple):
     densify: Callable[..., tuple[Gaussians, density_control.Moves]]  # see `density_control.densify`
 
 
-RULES = {
+RULES: dict[str, Rule] = {
     "adc": Rule(
         "means2d_probe",
         lambda view, batch: 0.0,
@@ -46,3 +47,14 @@ RULES = {
     ),
 }
 """`adc`: clone and split by the gradient to the 2D mean (3DGS). `error`: by the error that a Gaussian answers for."""
+
+
+def rule_named(name: str) -> Rule:
+    """The rule of a name.
+
+    Raises:
+        InputError: There is none.
+    """
+    if name not in RULES:
+        raise InputError(f"density.rule={name!r} is none of {', '.join(RULES)}")
+    return RULES[name]

@@ -18,12 +18,12 @@ from jax.sharding import Mesh
 
 from gsjax.settings import Density
 from gsjax.training import buffers, optimizers, state
-from gsjax.training.growth.rules import RULES
+from gsjax.training.growth.rules import Rule, rule_named
 from gsjax.training.sharded.layout import all_rows, fetch_rows, on_shards, own_rows
 from gsjax.training.state import TrainState
 
 
-@partial(jax.jit, static_argnames=("mesh", "optimizer", "density", "budget"), donate_argnums=0)
+@partial(jax.jit, static_argnames=("mesh", "optimizer", "density", "budget", "rule"), donate_argnums=0)
 def densify(
     state: TrainState,
     key: Array,
@@ -34,9 +34,10 @@ def densify(
     optimizer: optax.GradientTransformation,
     density: Density,
     budget: int,
+    rule: Rule | None = None,
 ) -> TrainState:
     """`gsjax.training.state.densify` of a state by rows: the same Gaussians in the same rows."""
-    rule = RULES[density.rule]
+    rule = rule or rule_named(density.rule)
 
     def local(state: TrainState, key: Array, extent: Array, prune_large: Array) -> TrainState:
         own = state.gaussians
@@ -78,7 +79,13 @@ def cull(sharded: TrainState, *, mesh: Mesh, optimizer: optax.GradientTransforma
 
 
 def with_room_to_densify(
-    sharded: TrainState, optimizer: optax.GradientTransformation, density: Density, most: int, *, mesh: Mesh
+    sharded: TrainState,
+    optimizer: optax.GradientTransformation,
+    density: Density,
+    most: int,
+    *,
+    mesh: Mesh,
+    rule: Rule | None = None,
 ) -> TrainState:
     """`gsjax.training.buffers.with_room_to_densify` of a state by rows; the rows stay a multiple of the devices."""
 
@@ -86,4 +93,4 @@ def with_room_to_densify(
         of_shard = partial(buffers.lengthen, optimizer=optimizer, rows=-(-total // mesh.size))
         return jax.jit(partial(on_shards, of_shard, mesh))(sharded)
 
-    return buffers.with_room_to_densify(sharded, optimizer, density, most, lengthen=lengthen)
+    return buffers.with_room_to_densify(sharded, optimizer, density, most, rule=rule, lengthen=lengthen)

@@ -162,7 +162,10 @@ def make_sharded_step(
         gaussians, opt_state = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients)
         return TrainState(gaussians, opt_state, outcome.seen[0], state.step + 1)
 
-    step = guarded_step(differentiate, update, background)
+    def on_all(flag: Array) -> Array:
+        return jax.lax.pmin(flag.astype(jnp.int32), AXIS) > 0
+
+    step = guarded_step(differentiate, update, background, on_all)
 
     def local_step(state: TrainState, targets: Target, key: Array) -> tuple[TrainState, Metrics, Exchange]:
         state, outcome = step(state, targets, key)

@@ -22,6 +22,7 @@ from gsjax.render import gallery
 from gsjax.scene import Pixels, frame_of, with_pixels
 from gsjax.training.step import BACKGROUNDS
 from gsjax.training.stepping import view_order
+from gsjax.training.terms import TERMS, Term
 from gsjax.training.terms.surface import distortion
 
 EXTENT = 4.0
@@ -283,7 +284,7 @@ def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):
 
     def make_refine_step(optimizer, weights, **_):
         trained_with.append(weights)
-        return lambda graph, state, target, key: (state, SimpleNamespace(overflowed=False, needed=1))
+        return lambda graph, state, target, key: (state, SimpleNamespace(overflowed=False, finite=True, needed=1))
 
     monkeypatch.setattr(refining, "make_refine_step", make_refine_step)
     state, optimizer = started(scene)
@@ -327,3 +328,13 @@ def test_every_preset_parses(preset):
 def test_wrong_settings_are_named(wrong, message):
     with pytest.raises(InputError, match=message):
         config.parse(Refinement, wrong)
+
+
+def test_a_term_whose_gradient_is_not_finite_is_named_with_its_step_and_photo(scene, monkeypatch):
+    def norm_at_zero(gaussians, view, batch):
+        return jnp.linalg.norm(view.colors - jax.lax.stop_gradient(view.colors), axis=-1).mean()
+
+    monkeypatch.setattr(refining, "TERMS", {**TERMS, "dssim": Term(norm_at_zero)})
+    name = scene.frames[view_order(SETTINGS.seed, 0, len(scene.frames))].name
+    with pytest.raises(InputError, match=f"^step 1, photo {name}: the gradient of the loss term 'dssim' is not finite"):
+        refined(scene, capacity=16384)

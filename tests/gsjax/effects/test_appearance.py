@@ -75,3 +75,21 @@ def test_few_photos_and_photos_that_all_stand_in_one_place(count):
 def test_no_photo_held_out_is_nothing_told():
     frames, looks = ring()
     assert as_near_photos([replace(frame, held_out=False) for frame in frames], looks) == {}
+
+
+def test_photos_that_look_the_same_way_tell_more_than_nearer_ones_that_look_the_other_way():
+    """Of a photo through a window those of a wall behind it are nearer neighbours than those through the window."""
+
+    def frame(eye, towards, name, *, held_out=False):
+        viewmat = look_at(np.asarray(eye, float), np.add(eye, towards), up=np.array([0.0, 0.0, 1.0]))
+        return frame_of(name, viewmat, np.eye(3, dtype=np.float32), PIXELS, held_out=held_out)
+
+    window, wall = (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)
+    turns = np.radians([0.0, 120.0, 240.0])
+    eyes = np.stack([np.cos(turns), np.sin(turns), 0 * turns], axis=-1)
+    frames = [frame(0.1 * eye, wall, f"wall{i}") for i, eye in enumerate(eyes)]
+    frames += [frame(0.25 * eye, window, f"window{i}") for i, eye in enumerate(eyes)]
+    looks = {each.name: Appearance((-1.0,) * 3 if "window" in each.name else (1.0,) * 3, (0.0, 0.0)) for each in frames}
+    held = frame(np.zeros(3), window, "held", held_out=True)
+    found = as_near_photos([*frames, held], looks | {"held": Appearance((0.0,) * 3, (0.0, 0.0))})
+    assert found["held"].log_gains == pytest.approx((-1.0,) * 3)

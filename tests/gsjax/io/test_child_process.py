@@ -10,6 +10,7 @@ import pytest
 from tqdm import tqdm
 
 from gsjax.errors import InputError
+from gsjax.io import notices
 from gsjax.io.child_process import run_in_child
 
 quietly = partial(tqdm, disable=True)
@@ -124,3 +125,13 @@ def is_running(process):
             return file.read().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:
         return False
+
+
+def note(progress):
+    notices.print_once("photo.jpg: is noticed")
+    notices.print_once("photo.jpg: is noticed")
+
+
+def test_notices_are_shown_here(capsys):
+    run_in_child(note, name="it", progress=quietly)
+    assert capsys.readouterr().err == "photo.jpg: is noticed\n"

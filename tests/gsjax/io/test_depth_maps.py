@@ -145,7 +145,7 @@ def write_ply(file, columns, rows):
     return file
 
 
-def test_a_cloud_with_colours_of_bytes_of_shares_and_without(tmp_path):
+def test_a_cloud_with_colours_of_bytes_of_shares_and_without(tmp_path, capsys):
     write = partial(write_ply, tmp_path / "cloud.ply")
     xyz = dict.fromkeys("xyz", "double")
     points, colors = read_points(write(xyz, [(1, 2, 3.5), (4, 5, 6)]))
@@ -158,7 +158,11 @@ def test_a_cloud_with_colours_of_bytes_of_shares_and_without(tmp_path):
     np.testing.assert_array_equal(read_points(write(xyz | dict.fromkeys(rgb, "float"), rows))[1][0], [0, 128, 255])
     with pytest.raises(InputError, match=r"cloud.ply: has no points \(an element vertex with x, y and z\)"):
         read_points(write({"x": "float", "y": "float"}, [(1, 2), (3, 4)]))
-    with pytest.raises(InputError, match="cloud.ply: 1 of its 2 points are not finite"):
+    with pytest.raises(InputError, match="cloud.ply: holds values that are not finite; 1 of 2 points cannot be used"):
         read_points(write(xyz, [(1, 2, "nan"), (4, 5, 6)]))
+    points, colors = read_points(write(xyz, [(1, 2, 3), ("inf", 2, 3), (4, 5, 6)]))
+    np.testing.assert_array_equal(points, [[1, 2, 3], [4, 5, 6]])
+    assert len(colors) == 2
+    assert "cloud.ply: holds values that are not finite; 1 of 3 points is left out\n" in capsys.readouterr().err
     with pytest.raises(InputError, match="cloud.ply: 1 points in it, at least 2 are needed"):
         read_points(write(xyz, [(1, 2, 3)]))

@@ -8,6 +8,7 @@ from small_scenes import cloud
 
 import gsjax
 from gsjax.errors import InputError
+from gsjax.gaussians import take
 from gsjax.io import compressed_ply, gaussian_files, ply, sog, spz
 
 
@@ -64,3 +65,14 @@ def test_a_file_of_local_coordinates_is_never_without_what_tells_them(tmp_path, 
     assert not list(tmp_path.iterdir())
     gsjax.save_gaussians(far, tmp_path / name)
     np.testing.assert_allclose(gsjax.load_gaussians(tmp_path / name).means.mean(0), far.means.mean(0), atol=1e-2)
+
+
+@pytest.mark.parametrize("name", ["a.ply", "a.compressed.ply", "a.sog", "a.spz"])
+def test_free_rows_of_a_buffer_are_not_written(tmp_path, name):
+    buffer = cloud(10, capacity=100)
+    gsjax.save_gaussians(buffer, tmp_path / name)
+    written = gsjax.load_gaussians(tmp_path / name)
+    assert written.num_gaussians == 10
+    assert float(written.logit_opacities.min()) > -10
+    gsjax.save_gaussians(take(buffer, slice(10)), tmp_path / f"alone_{name}")
+    assert (tmp_path / name).read_bytes() == (tmp_path / f"alone_{name}").read_bytes()

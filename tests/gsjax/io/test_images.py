@@ -11,8 +11,10 @@ from PIL import Image
 
 from gsjax.errors import InputError
 from gsjax.io.images import (
+    check_image,
     filter_straight,
     image_size,
+    open_image,
     read_image,
     read_mask,
     resize,
@@ -266,3 +268,53 @@ def test_an_empty_file_is_told(tmp_path):
 def test_a_suffix_of_no_format_is_told(tmp_path):
     with pytest.raises(InputError, match="a.xyz: no format of images ends in .xyz"):
         write_image(tmp_path / "a.xyz", noise(5, 7, 3))
+
+
+def test_what_a_caller_raises_of_an_open_image_stays_what_it_is(tmp_path):
+    write_image(tmp_path / "a.png", noise(5, 7, 3))
+    with pytest.raises(ZeroDivisionError), open_image(tmp_path / "a.png"):
+        _ = 1 / 0
+    with pytest.raises(FileNotFoundError), open_image(tmp_path / "a.png"):
+        (tmp_path / "other").read_bytes()
+
+
+def test_a_fault_of_ours_while_a_photo_is_converted_is_no_damage_of_the_file(tmp_path, monkeypatch):
+    def wrong(*_):
+        raise KeyError("a bug")
+
+    write_image(tmp_path / "a.png", noise(5, 7, 3))
+    monkeypatch.setattr("gsjax.io.images.in_srgb", wrong)
+    with pytest.raises(KeyError):
+        read_image(tmp_path / "a.png")
+
+
+def jpeg(progressive=False):
+    smooth = cv2.resize(noise(5, 7, 3), (64, 48), interpolation=cv2.INTER_CUBIC)
+    stream = BytesIO()
+    Image.fromarray(smooth).save(stream, "JPEG", quality=90, progressive=progressive)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("progressive", [False, True])
+@pytest.mark.parametrize("end", [b"", b"\xff", bytes(9), b"\xff\xd9" + bytes(4096), b"\xff\xd9ftypmp42"])
+def test_a_jpeg_with_another_end_is_read_whole_and_named_where_its_marker_is_missing(
+    tmp_path, capsys, progressive, end
+):
+    data = jpeg(progressive)
+    (tmp_path / "whole.jpg").write_bytes(data)
+    (tmp_path / "a.jpg").write_bytes(data[:-2] + end)
+    check_image(tmp_path / "a.jpg")
+    np.testing.assert_array_equal(read_image(tmp_path / "a.jpg")[0], read_image(tmp_path / "whole.jpg")[0])
+    told = capsys.readouterr().err
+    if b"\xff\xd9" in end:
+        assert told == ""
+    elif not end.count(0):  # Behind zeros the decoder has all that it wants.
+        assert told == f"{tmp_path / 'a.jpg'}: its end marker is missing, its pixels are all there; it is read\n"
+
+
+@pytest.mark.parametrize("missing", [4, 8, 20, 200])
+def test_a_jpeg_that_lacks_pixels_is_refused_with_and_without_its_end_marker(tmp_path, missing):
+    (tmp_path / "a.jpg").write_bytes(jpeg()[:-missing])
+    for reader in (check_image, read_image):
+        with pytest.raises(InputError, match=r"a.jpg: not a whole image \(image file is truncated"):
+            reader(tmp_path / "a.jpg")

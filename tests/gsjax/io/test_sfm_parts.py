@@ -202,6 +202,24 @@ def test_masks_beside_photos_are_no_photos(tmp_path, masks):
     assert found == {"a.jpg": tmp_path / masks[0], "day/b.png": tmp_path / masks[1]}
 
 
+def test_photos_that_are_damaged_or_whose_mask_is_are_left_out_and_named(tmp_path, capsys):
+    for name in ("a.jpg", "b.jpg", "c.jpg", "d.png", "masks/c.jpg.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        photo(tmp_path / name)
+    for name in ("b.jpg", "masks/c.jpg.png"):
+        (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:-25])
+    taken, faults = shots.usable_shots(tmp_path)
+    assert [shot.name for shot in taken] == ["a.jpg", "d.png"]
+    assert [fault.name for fault in faults] == ["b.jpg", "c.jpg"]
+    assert f"{tmp_path}/b.jpg: not a whole image" in faults[0].reason and "masks/c.jpg.png: not" in faults[1].reason
+    assert capsys.readouterr().err == ""
+    assert len(shots.list_shots(tmp_path)) == 2
+    assert "; 2 of 4 photos are left out: b.jpg, c.jpg\n" in capsys.readouterr().err
+    (tmp_path / "d.png").write_bytes(b"")
+    with pytest.raises(InputError, match="3 of 4 photos cannot be used, and 2 are needed: b.jpg, c.jpg, d.png"):
+        shots.usable_shots(tmp_path)
+
+
 def test_masks_of_other_names_are_refused(tmp_path):
     for name in ("a.png", "b.png", "masks/1.png"):
         (tmp_path / name).parent.mkdir(exist_ok=True)

@@ -1,6 +1,7 @@
 """Frames of a video for a reconstruction."""
 
 import io
+import struct
 from functools import partial
 
 import cv2
@@ -67,3 +68,46 @@ def test_unusable_videos_are_named(tmp_path):
     clip = write_video(tmp_path / "one.avi", noise_frames(1, sharp=()))
     with pytest.raises(InputError, match=r"one.avi: needs at least 2 frames, has 1"):
         video.write_sharpest_frames(clip, tmp_path / "frames", 4, quietly)
+
+
+def with_colours(clip, transfer):
+    """The video with a `colr` box in its tables, as cameras leave one in that of the codec."""
+    data = clip.read_bytes()
+    at = data.index(b"moov") - 4
+    (size,) = struct.unpack_from(">I", data, at)
+    box = struct.pack(">I8sHHHB", 19, b"colrnclx", 9, transfer, 9, 0)
+    moov = struct.pack(">I", size + len(box)) + data[at + 4 : at + size] + box
+    clip.write_bytes(data[:at] + moov + data[at + size :])
+    return clip
+
+
+@pytest.mark.parametrize(("transfer", "name"), [(16, "PQ"), (18, "HLG"), (1, None), (14, None)])
+def test_a_video_of_high_dynamic_range_is_named_with_its_transfer_function(tmp_path, capsys, transfer, name):
+    clip = with_colours(write_video(tmp_path / "clip.mp4", noise_frames(4, sharp=()), "mp4v"), transfer)
+    assert video.transfer_function(clip) == name
+    video.write_sharpest_frames(clip, tmp_path / "frames", 2, quietly)
+    told = capsys.readouterr().err
+    if name is None:
+        assert told == ""
+    else:
+        assert told.count("\n") == 1 and f"{clip}: is coded for high dynamic range ({name})" in told
+
+
+def test_pictures_are_not_searched_for_a_transfer_function(tmp_path):
+    clip = write_video(tmp_path / "clip.mp4", noise_frames(4, sharp=()), "mp4v")
+    data = clip.read_bytes()
+    clip.write_bytes(data + struct.pack(">I4s8sHHH", 22, b"free", b"colrnclx", 9, 18, 9))
+    assert video.transfer_function(clip) is None
+
+
+@pytest.mark.parametrize(("transfer", "name"), [(16, "PQ"), (18, "HLG"), (1, None)])
+def test_matroska_states_its_transfer_function_in_its_head(tmp_path, transfer, name):
+    head = b"\x1a\x45\xdf\xa3" + bytes(60) + b"\x55\xba\x81" + bytes([transfer]) + bytes(60)
+    (tmp_path / "a.mkv").write_bytes(head)
+    assert video.transfer_function(tmp_path / "a.mkv") == name
+
+
+@pytest.mark.parametrize("content", [b"", b"\0\0", b"\0\0\0\x04moov", b"\0\0\0\x01moov", b"\0\0\0\0moovcolrnclx\0"])
+def test_files_that_end_early_state_no_transfer_function(tmp_path, content):
+    (tmp_path / "a.mp4").write_bytes(content)
+    assert video.transfer_function(tmp_path / "a.mp4") is None

@@ -238,3 +238,14 @@ def test_normal_error_over_nothing_is_nan_with_count_zero():
     found = geometry.normal_error_degrees(np.ones((2, 2, 3)), np.ones((2, 2, 3)), np.zeros((2, 2), bool))
     assert found["count"] == 0
     assert np.isnan(found["mean"])
+
+
+def test_a_surface_that_is_inside_out_is_as_near_and_as_steep_but_not_outward():
+    turned = Mesh(box().vertices, box().faces[:, ::-1].copy(), box().colors)
+    seen = geometry.sample_surface(box(), 5_000, seed=1)
+    for right, wrong in (
+        [geometry.compare_to_surface(mesh, box(), *seen, closest_on_mesh) for mesh in (box(), turned)],
+        [geometry.compare_to_truth(mesh, *seen) for mesh in (box(), turned)],
+    ):
+        assert right["outward_share"] > 0.97 and wrong["outward_share"] < 0.03
+        assert wrong["normal_consistency"] == pytest.approx(right["normal_consistency"], abs=0.01)

@@ -84,3 +84,10 @@ def test_given_boxes_are_taken_as_they_are():
     assert regions["foreground"].corners() == [[-1.0] * 3, [1.0] * 3]
     assert regions["background"].corners() == [[-2.0] * 3, [2.0] * 3]
     assert set(boxes.fixed_boxes(UNIT)) == {"foreground"}
+
+
+def test_a_foreground_is_the_middle_nine_tenths_half_as_large_again():
+    along = np.concatenate([np.full(50, -10.0), np.linspace(-1, 1, 901), np.full(50, 10.0)])
+    regions = boxes.near_and_far(np.repeat(along[:, None], 3, axis=1))
+    np.testing.assert_allclose(regions["foreground"].corners(), [[-1.5] * 3, [1.5] * 3])
+    np.testing.assert_allclose(regions["background"].corners(), [[-6.0] * 3, [6.0] * 3])

@@ -7,7 +7,7 @@ import pytest
 
 from gsjax.errors import InputError, NoSurfaceError
 from gsjax.mesh import Mesh
-from gsjax.meshing.choosing import UNMET, Witness, most_agreeing
+from gsjax.meshing.choosing import Witness, most_agreeing
 
 EMPTY = np.zeros((0, 3))
 
@@ -40,8 +40,8 @@ def test_the_usual_mesh_stays_unless_another_agrees_clearly_more():
 
 def test_near_the_whole_what_is_left_decides():
     left = 0.06  # less than the margin allows to lead by
-    assert chosen(usual=1 - left, other=1 - 1.01 * UNMET * left) == "usual"
-    assert chosen(usual=1 - left, other=1 - 0.99 * UNMET * left) == "other"
+    assert chosen(usual=1 - left, other=1 - 1.01 * 2 / 3 * left) == "usual"
+    assert chosen(usual=1 - left, other=1 - 0.99 * 2 / 3 * left) == "other"
     assert chosen(usual=1.0, other=1.0) == "usual"
 
 

@@ -8,17 +8,11 @@ from tolerances import assert_close
 from gsjax.cameras import Camera
 from gsjax.mesh import Mesh
 from gsjax.meshing.pictures import depth_of_mesh
-from gsjax.meshing.texture_size import (
-    FILLED,
-    STEP,
-    TEXELS_PER_PIXEL,
-    TEXELS_PER_TRIANGLE,
-    pixels_of_faces,
-    texture_side,
-)
+from gsjax.meshing.texture_size import pixels_of_faces, texture_side
 
 WIDTH, HEIGHT, FOCAL = 320, 240, 260.0
 BOUNDS = {"least": 64, "most": 4096}
+FILLED, STEP = 0.5, 256  # charts fill half of a square, whose side is a multiple of 256 texels
 
 
 def camera(distance: float, turn: float = 0.0, size: float = 1.0, behind: bool = False) -> Camera:
@@ -73,7 +67,7 @@ def test_what_no_camera_looks_at_takes_no_texels(view):
 
 def test_the_side_follows_the_view_that_sees_most():
     plane, near, far = square(20), camera(4.0, size=4.0), camera(16.0)
-    expected = np.sqrt(TEXELS_PER_PIXEL * pixels_of_faces(plane, near).sum() / FILLED)
+    expected = np.sqrt(4 * pixels_of_faces(plane, near).sum() / FILLED)  # four texels a pixel
     side = texture_side(plane, [far, near, far], **BOUNDS)
     assert 0 <= side - expected < STEP and side % STEP == 0
     assert texture_side(plane, [far], **BOUNDS) < side
@@ -82,6 +76,6 @@ def test_the_side_follows_the_view_that_sees_most():
 def test_small_triangles_have_room_and_the_bounds_hold():
     plane, far = square(300), camera(100.0)
     side = texture_side(plane, [far], **BOUNDS)
-    assert 0 <= side - np.sqrt(TEXELS_PER_TRIANGLE * 180_000 / FILLED) < STEP
+    assert 0 <= side - np.sqrt(16 * 180_000 / FILLED) < STEP
     assert texture_side(plane, [camera(4.0, size=20.0)], **BOUNDS) == BOUNDS["most"]
     assert texture_side(mesh(np.zeros((0, 3)), np.zeros((0, 3))), [far], **BOUNDS) == BOUNDS["least"]

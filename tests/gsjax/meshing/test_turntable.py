@@ -145,3 +145,18 @@ def test_bad_input_is_one_line_and_code_2(tmp_path, monkeypatch, capsys, options
 def test_an_unknown_suffix_is_refused_before_anything_is_drawn(tmp_path):
     with pytest.raises(InputError, match=r"\.gif or \.png"):
         write_turntable(tmp_path / "t.jpg", [])
+
+
+def test_the_circle_is_twenty_degrees_above_the_middle():
+    """A disc that faces up is as high in the picture as the sine of 20 degrees of its width; one that faces down is not
+    seen."""
+    angles = 2 * np.pi * np.arange(90) / 90
+    rim = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=-1)
+    vertices = np.concatenate([rim, [[0, 0, 0]]]).astype(np.float32)
+    faces = np.stack([np.arange(90), np.roll(np.arange(90), -1), np.full(90, 90)], axis=-1).astype(np.int32)
+    upward = Mesh(vertices, faces, np.zeros((91, 3), np.uint8))
+    for picture in turntable(upward, frames=3, size=256):
+        rows, columns = np.nonzero(np.any(picture < 128, axis=-1))
+        assert np.ptp(rows) / np.ptp(columns) == pytest.approx(np.sin(np.radians(20.0)), rel=0.08)
+    downward = Mesh(vertices, faces[:, ::-1].copy(), upward.colors)
+    assert all(np.all(picture == 255) for picture in turntable(downward, frames=3, size=64))

@@ -78,3 +78,16 @@ def test_few_side_walls_are_enough_for_the_comparison_with_depth():
     assert score > 0.9 and margin > 0.2, "of a plain sample 0.08: twice the share of the walls"
     _, _, margin = detect_axes([noisy(corridor(walls=False), 15)], [corridor(walls=False)], pixels_per_map=600)
     assert margin < 0.02
+
+
+@pytest.mark.parametrize(("of_thousand", "verdict"), [(700, "not"), (790, "not"), (810, "doubtful")])
+def test_a_mirroring_takes_four_fifths_of_the_pixels_that_can_tell(of_thousand, verdict):
+    votes = np.zeros((7, 2), int)
+    votes[0] = 1000 - of_thousand, of_thousand
+    assert axes_verdict(votes).startswith(verdict)
+
+
+@pytest.mark.parametrize(("of_thousand", "verdict"), [(790, "not contradicted"), (810, "confirmed")])
+def test_axes_are_confirmed_by_four_fifths_against_every_mirroring(of_thousand, verdict):
+    votes = np.tile([of_thousand, 1000 - of_thousand], (7, 1))
+    assert axes_verdict(votes).startswith(verdict)

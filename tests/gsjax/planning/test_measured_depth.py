@@ -90,6 +90,14 @@ def test_a_scene_in_metres_or_without_tracks_takes_the_unit_at_its_word(tmp_path
     np.testing.assert_allclose(next(iter(own.depths(1)))[0], 2 * 3 * 500 * true_depth(CAMERAS[0]), rtol=1e-5)
 
 
+@pytest.mark.parametrize(("unit", "in_a_metre"), [("mm", 1000), ("cm", 100), ("m", 1)])
+def test_every_unit_is_as_long_as_its_name_says(tmp_path, frames, unit, in_a_metre):
+    in_metres = replace(scene_of(tmp_path, frames, millimetres=in_a_metre), tracks=None)
+    measured = measured_depth(in_metres, Settings(depth="depth", depth_unit=unit))
+    assert measured is not None
+    np.testing.assert_allclose(next(iter(measured.depths(1)))[0], true_depth(CAMERAS[0]), rtol=1e-5)
+
+
 def test_maps_of_something_else_are_refused(tmp_path, frames):
     with pytest.raises(InputError, match=r"depth: its depth and the points of the scene differ by \d+ % at any scale"):
         measured_depth(scene_of(tmp_path, frames, noise=0.5), Settings(depth="depth", depth_unit="mm"))

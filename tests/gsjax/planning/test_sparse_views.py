@@ -15,7 +15,6 @@ from gsjax.planning.sparse_views import (
     LEFT_OUT,
     SHORTEST,
     SMOOTH,
-    STEREO_SHARE,
     Decision,
     Gain,
     angle_between_photos,
@@ -68,7 +67,7 @@ def test_what_one_photo_has_for_itself_has_no_angle():
 def test_held_back_a_run_has_fewer_gaussians_and_a_term_where_a_phase_has_none():
     found = held_back(PLAN)
     assert found.max_gaussians == 500
-    assert found.stereo_points == 500 // STEREO_SHARE > 0 == PLAN.stereo_points
+    assert (found.stereo_points, PLAN.stereo_points) == (55, 0), "one for nine Gaussians"
     weights = [{each.name: each.weight for each in phase.terms} for phase in found.phases]
     assert [each["depth_normal"] for each in weights] == [SMOOTH["depth_normal"], 0.3]
     assert [phase.dropout for phase in found.phases] == [LEFT_OUT, LEFT_OUT]

@@ -54,3 +54,17 @@ def test_faint_and_broken_gaussians_do_not_move_the_cameras():
     alone, together = viewpoints.cameras_around(thing), viewpoints.cameras_around(both)
     for a, b in zip(alone, together, strict=True):
         np.testing.assert_allclose(np.asarray(a.viewmat), np.asarray(b.viewmat), atol=1e-5)
+
+
+def test_a_circle_is_as_high_and_as_wide_as_the_cameras_of_the_run():
+    middle = np.array([5.0, -2.0, 3.0])
+    angles = np.radians([0.0, 90.0, 180.0, 270.0])
+    heights = np.array([1.0, 1.5, 2.0, 1.5])
+    eyes = middle + np.stack([4 * np.cos(angles), 4 * np.sin(angles), heights], axis=-1)
+    up = np.array([0.0, 0, 1])
+    K = np.float32([[50, 0, 32], [0, 50, 24], [0, 0, 1]])
+    level = [cams.Camera(cams.look_at(eye, np.array([*middle[:2], eye[2]]), up), K, 64, 48) for eye in eyes]
+    circle = viewpoints.camera_circle(cloud(sphere(600, 0.5) + middle), level)
+    around = np.array([np.asarray(cams.center(camera)) for camera in circle]) - middle
+    np.testing.assert_allclose(around[:, 2], 1.5, atol=0.05)
+    np.testing.assert_allclose(np.hypot(around[:, 0], around[:, 1]), 4.0, atol=0.1)

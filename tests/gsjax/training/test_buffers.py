@@ -51,6 +51,12 @@ def test_buckets_are_halves_of_the_budget(monkeypatch):
     assert bucket(3, 5) == 5, "a budget under the smallest bucket is the buffer"
 
 
+def test_buffers_hold_at_least_32_768_rows_where_the_budget_does():
+    assert {bucket(count, 1 << 20) for count in (0, 5_000, 32_768)} == {32_768}
+    assert bucket(32_769, 1 << 20) == 65_536
+    assert bucket(10, 100_000) == 50_000 and bucket(10, 40_000) == 40_000
+
+
 def test_a_gpu_compiles_for_few_lengths(monkeypatch):
     monkeypatch.setattr(buffers, "resolve", lambda backend: "pallas")
     assert {bucket(count, 1 << 24) for count in (0, 15_000, 262_144)} == {1 << 18}

@@ -194,7 +194,7 @@ def test_terms_of_the_surface_may_come_every_third_step_on_smaller_photos_and_th
     def make_train_step(optimizer, terms, **_):
         def step(state, target, key):
             taken.append((int(state.step), {each.name for each in terms}, target.image.shape[:2]))
-            return replace(state, step=state.step + 1), SimpleNamespace(overflowed=False, needed=1)
+            return replace(state, step=state.step + 1), SimpleNamespace(overflowed=False, finite=True, needed=1)
 
         return step
 
@@ -213,7 +213,7 @@ def test_photos_without_mattes_are_trained_without_the_alpha_term(frames, monkey
 
     def make_train_step(optimizer, terms, *, depth_mode, **_):
         trained_with.append(({each.name for each in terms}, depth_mode))
-        return lambda state, target, key: (state, SimpleNamespace(overflowed=False, needed=1))
+        return lambda state, target, key: (state, SimpleNamespace(overflowed=False, finite=True, needed=1))
 
     monkeypatch.setattr(loop, "kept_step", make_train_step)
     settings = replace(SETTINGS, phases=(Phase("plain", 1, PLAIN),), depth_mode="center")

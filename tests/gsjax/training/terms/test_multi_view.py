@@ -270,6 +270,11 @@ def test_neighbours_look_the_same_way_and_stand_apart():
     assert [set(row) for row in near.tolist()] == [{1}, {0, 2}, {1}]  # 21 degrees are 1.46 apart: over half of 2
 
 
+def test_neighbours_look_the_same_way_to_within_thirty_degrees():
+    found = multi_view.nearest_views(around(np.array([0.0, 29.0, 59.5])), extent=20.0)
+    assert [set(row) for row in found.tolist()] == [{1}, {0}, {2}]
+
+
 def test_every_step_has_a_neighbour_of_its_view_beside_it():
     data = targets.with_photo_numbers(multi_view.with_neighbors(targets.read_targets(PHOTOS), 8.0))
     rows = multi_view.nearest_views(np.stack([target.viewmat for target in data.targets]), 8.0)

@@ -1,0 +1,81 @@
+"""One policy for photos, frames and points that cannot be used: they are left out and named, unless too few remain."""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from gsjax.errors import InputError, one_line
+from gsjax.io.notices import print_once
+
+FEWEST = 2
+"""Photos that any data set must have."""
+_SHOWN = 5  # names in a line
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+class Fault(NamedTuple):
+    """An item that cannot be used, and why."""
+
+    name: str  # of the item, for lists
+    reason: str  # names the file as well
+
+
+def read_usable(items: Iterable[T], name_of: Callable[[T], str], read: Callable[[T], R]) -> tuple[list[R], list[Fault]]:
+    """What `read` returns for the items that can be used, and the faults of the others, where it raises InputError."""
+    usable, faults = [], []
+    for item in items:
+        try:
+            usable.append(read(item))
+        except InputError as error:
+            faults.append(Fault(name_of(item), str(error)))
+    return usable, faults
+
+
+def leave_out(kind: str, faults: Sequence[Fault], total: int, *, needed: int | None = None) -> None:
+    """Names in one line on stderr the items that are left out.
+
+    Args:
+        kind: What the items are called, in the plural.
+        faults: Of those that cannot be used.
+        total: How many items there are, usable or not.
+        needed: How many must remain. None: half of them, and `FEWEST`.
+
+    Raises:
+        InputError: Fewer remain.
+    """
+    require_enough(kind, faults, total, needed=needed)
+    if faults:
+        _report(faults[0].reason, kind, len(faults), total, _names(faults))
+
+
+def require_enough(kind: str, faults: Sequence[Fault], total: int, *, needed: int | None = None) -> None:
+    """As `leave_out`, and prints nothing: for items that a report names."""
+    if faults:
+        _require(faults[0].reason, kind, len(faults), total, needed, _names(faults))
+
+
+def leave_out_rows(where: object, kind: str, usable: np.ndarray) -> None:
+    """As `leave_out`, of rows that hold values which are not finite: those where `usable` `[N]` is False."""
+    bad, reason = int((~usable).sum()), f"{where}: holds values that are not finite"
+    if bad:
+        _require(reason, kind, bad, len(usable), None, "")
+        _report(reason, kind, bad, len(usable), "")
+
+
+def _require(reason: str, kind: str, bad: int, total: int, needed: int | None, names: str) -> None:
+    needed = max(FEWEST, (total + 1) // 2) if needed is None else needed
+    if total - bad < needed:
+        raise InputError(f"{reason}; {bad} of {total} {kind} cannot be used, and {needed} are needed{names}")
+
+
+def _report(reason: str, kind: str, bad: int, total: int, names: str) -> None:
+    print_once(one_line(f"{reason}; {bad} of {total} {kind} {'is' if bad == 1 else 'are'} left out{names}"))
+
+
+def _names(faults: Sequence[Fault]) -> str:
+    """The end of a line; of one item nothing, as its reason names it."""
+    more = f" and {len(faults) - _SHOWN} more" if len(faults) > _SHOWN else ""
+    return f": {', '.join(fault.name for fault in faults[:_SHOWN])}{more}" if len(faults) > 1 else ""

@@ -1,0 +1,46 @@
+"""What is wrong with a step that is not finite: looked for only after it, one term of the loss at a time."""
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from gsjax.targets import Target, Targets
+from gsjax.training.step import Metrics
+
+NOT_FINITE = "the loss or a gradient is not finite"
+
+
+def faulty_terms(
+    names: Iterable[str],
+    step_of: Callable[[str], Callable[[Any, Target, Array], tuple[Any, Metrics]]],
+    state: Any,
+    target: Target,
+    key: Array,
+) -> str:
+    """Which terms are at fault, in words.
+
+    Args:
+        names: Of the terms of the step.
+        step_of: The name of a term -> the same step with this term alone.
+        state: Before the step. It stays as it is.
+        target: What the step compares with.
+        key: Of the step.
+    """
+    faults = []
+    for name in names:
+        _, metrics = step_of(name)(jax.tree.map(jnp.copy, state), target, key)
+        value = float(metrics.terms[name])
+        if not np.isfinite(value):
+            faults.append(f"the loss term '{name}' is {value}")
+        elif not metrics.finite:
+            faults.append(f"the gradient of the loss term '{name}' is not finite")
+    return " and ".join(faults) or f"{NOT_FINITE}, though that of every term alone is"
+
+
+def photo_of(data: Targets, view: int) -> str:
+    """A photo by its name, or by its number."""
+    return f"photo {data.names[view] if data.names else view}"

@@ -1,0 +1,168 @@
+"""Terms of the loss are tried on shapes alone before a run begins: a fault is one line that names its term."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from gsjax import render, targets
+from gsjax.errors import InputError
+from gsjax.gaussians import Gaussians
+from gsjax.render import View
+from gsjax.render.depth import DepthReading
+from gsjax.targets import Batch, Target
+from gsjax.training.terms import NEEDS, Term, Weighed
+from gsjax.training.terms.multi_view import render_neighbor
+
+SHOWN = tuple(word for word in NEEDS if word != "gaussians")  # which are always at hand on one device
+ROWS, BANDS, PAIRS, SIZE = 4096, 15, 4096, (64, 64)  # of what terms are tried on; sizes of runs come from their photos
+
+Seen = tuple[Gaussians, View, Batch]
+"""What a term reads; shapes and dtypes only."""
+
+
+def as_terms(terms: Mapping[str, Term | Callable[..., Array]]) -> dict[str, Term]:
+    """The same with a `Term` for every bare function: it needs what it cannot be computed without.
+
+    Raises:
+        InputError: One of them is no function.
+    """
+    return {name: term if isinstance(term, Term) else _as_term(name, term) for name, term in terms.items()}
+
+
+def _as_term(name: str, loss: Any) -> Term:
+    if not callable(loss):
+        raise InputError(f"terms.{name} is {loss!r}, expected a function of (Gaussians, View, Batch) or a Term of one")
+    missing = _missing(loss, _everything(*SIZE, "plane"), ())
+    # Where it fails with everything, `check_term` says so, on photos of the run's size.
+    return Term(loss, {"gaussians", *(missing or ())})
+
+
+def check_term(each: Weighed, width: int, height: int, depth_mode: DepthReading) -> None:
+    """Try a term with what it needs, and with nothing else, on photos of a size.
+
+    Raises:
+        InputError: It cannot be computed or differentiated, or its value is not one float.
+    """
+    loss, needs = each.term.loss, frozenset(each.term.needs)
+    everything = _everything(width, height, depth_mode)
+    own = _with(everything, needs)
+    error = _error(loss, own)
+    if error is not None:
+        missing = _missing(loss, everything, needs)
+        if missing:
+            read, wanted = (", ".join(words) for words in (map(NEEDS.__getitem__, missing), map(repr, missing)))
+            raise _refusal(each, f"reads {read}, and does not declare it: needs={{{wanted}}}") from error
+        raise _refusal(each, f"cannot be computed: {_in_words(error)}") from error
+    value = jax.eval_shape(loss, *own)
+    if not isinstance(value, jax.ShapeDtypeStruct):
+        raise _refusal(each, f"returns {type(value).__name__}, expected one number")
+    if value.shape:
+        raise _refusal(each, f"returns an array of shape {value.shape}, expected one number, such as its mean")
+    if not jnp.issubdtype(value.dtype, jnp.floating):
+        raise _refusal(each, f"returns {value.dtype}, expected a float")
+    try:
+        jax.eval_shape(jax.grad(loss, argnums=(0, 1), allow_int=True), *own)
+    except Exception as error:
+        raise _refusal(each, f"cannot be differentiated: {_in_words(error)}") from error
+
+
+def _refusal(each: Weighed, fault: str) -> InputError:
+    return InputError(f"the loss term '{each.name}' {fault}")
+
+
+def _in_words(error: Exception) -> str:
+    """The first line of an error: those of jax have pages."""
+    said = str(error).strip().splitlines()
+    return f"{type(error).__name__}: {said[0]}" if said else type(error).__name__
+
+
+def _missing(loss: Callable[..., Any], everything: Seen, needs: Iterable[str]) -> tuple[str, ...] | None:
+    """What a term cannot be computed without beside its needs; None where it cannot be computed with everything."""
+    own = frozenset(needs)
+    if _error(loss, _with(everything, own)) is None:
+        return ()
+    wanted = [word for word in SHOWN if word not in own]
+    if _error(loss, everything) is not None:
+        return None
+    for word in tuple(wanted):
+        fewer = [other for other in wanted if other != word]
+        if _error(loss, _with(everything, own.union(fewer))) is None:
+            wanted = fewer
+    return tuple(wanted)
+
+
+def _error(loss: Callable[..., Any], seen: Seen) -> Exception | None:
+    """Why a term cannot be computed; None: it can. What a user's function raises may be anything."""
+    try:
+        jax.eval_shape(loss, *seen)
+    except Exception as error:
+        return error
+    return None
+
+
+def _with(everything: Seen, needs: frozenset[str]) -> Seen:
+    """What a step shows a term that has these needs."""
+    gaussians, view, batch = everything
+
+    def of(word: str, value: Any) -> Any:
+        return value if word in needs else None
+
+    view = view._replace(
+        depth=of("depth", view.depth), axes=of("axes", view.axes), neighbor=of("neighbor", view.neighbor)
+    )
+    batch = replace(
+        batch,
+        normals=of("normals", batch.normals),
+        depth=of("measured", batch.depth),
+        trust=of("measured", batch.trust),
+        sky=of("sky", batch.sky),
+    )
+    return gaussians, view, batch
+
+
+@lru_cache(maxsize=8)
+def _everything(width: int, height: int, depth_mode: DepthReading) -> Seen:
+    """All that any term may read, as shapes."""
+
+    def shape(*sides: int, dtype: Any = jnp.float32) -> Any:
+        return jax.ShapeDtypeStruct(sides, dtype)
+
+    def photo(*channels: int, dtype: Any) -> Any:
+        return shape(height, width, *channels, dtype=dtype)
+
+    gaussians = Gaussians(
+        shape(ROWS, 3), shape(ROWS, 4), shape(ROWS, 3), shape(ROWS), shape(ROWS, 1, 3), shape(ROWS, BANDS, 3)
+    )
+    target = Target(
+        viewmat=shape(4, 4),
+        K=shape(3, 3),
+        size=shape(2, dtype=jnp.int32),
+        image=photo(3, dtype=jnp.uint8),
+        valid=photo(dtype=bool),
+        matte=photo(dtype=jnp.uint8),
+        normals=photo(3, dtype=jnp.int8),
+        depth=photo(dtype=jnp.float32),
+        trust=photo(dtype=jnp.uint8),
+        photo=shape(dtype=jnp.int32),
+        sky=photo(dtype=bool),
+    )
+
+    def shown(gaussians: Gaussians, target: Target, color: Array) -> tuple[View, Batch]:
+        batch = targets.batch(target, color)
+        view = render.view(
+            gaussians,
+            batch.camera,
+            capacity=PAIRS,
+            background=color,
+            with_depth=True,
+            depth_mode=depth_mode,
+            with_axes=True,
+        )
+        return view._replace(neighbor=render_neighbor(gaussians, batch, PAIRS, depth_mode)), batch
+
+    return gaussians, *jax.eval_shape(shown, gaussians, target, shape(3))

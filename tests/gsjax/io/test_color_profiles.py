@@ -1,0 +1,226 @@
+"""Colours of photos that are not in sRGB, against closed forms of the colour spaces that they are in."""
+
+import struct
+from io import BytesIO
+
+import numpy as np
+import pytest
+from PIL import Image, ImageCms
+
+from gsjax.io.color_profiles import CodePoints, code_points
+from gsjax.io.images import read_image, read_mask
+
+D65 = (0.3127, 0.3290)
+SPACES = {  # x and y of red, green, blue and white, and the exponent of the curve
+    "p3": ((0.68, 0.32), (0.265, 0.69), (0.15, 0.06), D65, 2.2),
+    "adobe": ((0.64, 0.33), (0.21, 0.71), (0.15, 0.06), D65, 563 / 256),
+    "prophoto": ((0.734699, 0.265301), (0.159597, 0.840403), (0.036598, 0.000105), (0.345704, 0.358540), 1.8),
+    "bt2020": ((0.708, 0.292), (0.17, 0.797), (0.131, 0.046), D65, 2.4),
+}
+BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+D50 = np.array([0.9642, 1.0, 0.8249])
+REC709 = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06), D65)
+
+
+def xyz(x, y):
+    return np.array([x / y, 1, (1 - x - y) / y])
+
+
+def to_d50(red, green, blue, white):
+    """Linear RGB to XYZ under D50."""
+    columns, w = np.stack([xyz(*each) for each in (red, green, blue)], 1), xyz(*white)
+    adapted = np.linalg.inv(BRADFORD) @ np.diag((BRADFORD @ D50) / (BRADFORD @ w)) @ BRADFORD
+    return adapted @ (columns * np.linalg.solve(columns, w))
+
+
+def srgb_of(linear):
+    linear = np.clip(linear, 0, 1)
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+
+
+def linear_of(srgb):
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def encoded(srgb, space, curve=None):
+    """sRGB colours 0..1 in another space, bytes."""
+    *primaries, gamma = SPACES[space]
+    linear = linear_of(srgb) @ (np.linalg.inv(to_d50(*primaries)) @ to_d50(*REC709)).T
+    curved = np.clip(linear, 0, 1) ** (1 / gamma) if curve is None else curve(linear)
+    return np.rint(255 * np.clip(curved, 0, 1)).astype(np.uint8)
+
+
+def fixed(*values):
+    return b"".join(struct.pack(">i", round(65536 * value)) for value in values)
+
+
+def profile(space, colors=b"RGB "):
+    """A matrix profile of version 2 with a gamma; of grey the curve alone."""
+    *primaries, gamma = SPACES[space]
+    curve = b"curv\0\0\0\0" + struct.pack(">IHH", 1, round(256 * gamma), 0)
+    tags = {b"wtpt": b"XYZ \0\0\0\0" + fixed(*D50)}
+    if colors == b"GRAY":
+        tags[b"kTRC"] = curve
+    else:
+        columns = zip((b"rXYZ", b"gXYZ", b"bXYZ"), to_d50(*primaries).T, strict=True)
+        tags |= {name: b"XYZ \0\0\0\0" + fixed(*column) for name, column in columns}
+        tags |= dict.fromkeys((b"rTRC", b"gTRC", b"bTRC"), curve)
+    return packed(tags, colors, b"XYZ ", b"mntr")
+
+
+def packed(tags, colors, connection, kind):
+    table, data, start = struct.pack(">I", len(tags)), b"", 132 + 12 * len(tags)
+    for name, part in tags.items():
+        table += name + struct.pack(">II", start + len(data), len(part))
+        data += part + b"\0" * (-len(part) % 4)
+    head = struct.pack(">I4sI4s4s4s", start + len(data), b"lcms", 0x02400000, kind, colors, connection)
+    head += b"\0" * 12 + b"acsp" + b"\0" * 28 + fixed(*D50)
+    return head.ljust(128, b"\0") + table + data
+
+
+def cmyk_profile():
+    """Inks that take away their light, black all of it: Lab at the corners of the cube, linear between them."""
+    corners = np.stack(np.meshgrid(*[[0, 1]] * 4, indexing="ij"), -1).reshape(16, 4)
+    rgb = (1 - corners[:, :3]) * (1 - corners[:, 3:])
+    space = ImageCms.buildTransform(ImageCms.createProfile("sRGB"), ImageCms.createProfile("LAB"), "RGB", "LAB")
+    lab = np.asarray(space.apply(Image.fromarray((255 * rgb[None]).astype(np.uint8)))).reshape(16, 3).copy()
+    lab[:, 1:] = (lab[:, 1:].astype(int) + 128) % 256  # Pillow has signed bytes, ICC an offset of 128
+    ramp = bytes(range(256))
+    table = struct.pack(">4s4xBBBx9i", b"mft1", 4, 3, 2, *(65536 * np.eye(3, dtype=int)).ravel().tolist())
+    return packed({b"A2B0": table + 4 * ramp + lab.tobytes() + 3 * ramp}, b"CMYK", b"Lab ", b"prtr")
+
+
+LOSSY = "a.jpg", "a.heic", "a.avif"
+WHOLE_CHROMA = {"a.jpg": {"subsampling": 0}, "a.avif": {"subsampling": "4:4:4"}, "a.heic": {"chroma": 444}}
+OPTIONS = WHOLE_CHROMA | {"a.webp": {"lossless": True}}
+
+
+def lively(side=32):
+    """sRGB colours inside all of these spaces."""
+    x, y = np.meshgrid(np.linspace(0.1, 0.9, side), np.linspace(0.1, 0.9, side))
+    return np.stack([x, y, 1 - 0.5 * (x + y)], axis=-1)
+
+
+def psnr(colors, srgb):
+    return -10 * np.log10(np.mean((colors / 255.0 - srgb) ** 2))
+
+
+@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif", "a.webp", "a.heic", "a.avif"])
+def test_photos_of_every_format_are_converted_by_their_profile(tmp_path, space, name):
+    if name == "a.heic":
+        pytest.importorskip("pillow_heif").register_heif_opener()
+    picture = Image.fromarray(encoded(lively(), space))
+    how = {
+        "a.webp": {"lossless": True},
+        "a.jpg": {"subsampling": 0},
+        "a.avif": {"subsampling": "4:4:4"},
+        "a.heic": {"chroma": 444},
+    }.get(name, {})
+    picture.save(tmp_path / name, quality=100, icc_profile=profile(space), **how)
+    assert psnr(read_image(tmp_path / name)[0], lively()) > (36 if name in LOSSY else 46)
+    assert psnr(np.asarray(picture), lively()) < 32, "without the profile these are other colours"
+
+
+def test_alpha_and_palettes_and_sixteen_bits_are_converted_too(tmp_path):
+    colors = encoded(lively(8), "adobe")
+    alpha = np.arange(64, dtype=np.uint8).reshape(8, 8)
+    Image.fromarray(np.dstack([colors, alpha])).save(tmp_path / "rgba.png", icc_profile=profile("adobe"))
+    found, matte = read_image(tmp_path / "rgba.png")
+    assert psnr(found, lively(8)) > 46 and np.array_equal(matte, alpha)
+    Image.fromarray(colors).quantize(64).save(tmp_path / "p.png", icc_profile=profile("adobe"))
+    Image.fromarray(colors).quantize(64).convert("RGB").save(tmp_path / "rgb.png", icc_profile=profile("adobe"))
+    assert np.array_equal(read_image(tmp_path / "p.png")[0], read_image(tmp_path / "rgb.png")[0])
+    grey = np.linspace(0, 65535, 64).astype(np.uint16).reshape(8, 8)
+    Image.fromarray(grey).save(tmp_path / "deep.tif", icc_profile=profile("prophoto", b"GRAY"))
+    assert psnr(read_image(tmp_path / "deep.tif")[0][..., 0], srgb_of((grey / 65535) ** 1.8)) > 46
+
+
+@pytest.mark.parametrize("colors", [b"GRAY", b"RGB "])
+@pytest.mark.parametrize("mode", ["L", "LA"])
+def test_grey_photos_take_a_profile_of_grey_or_of_colours(tmp_path, mode, colors):
+    grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    Image.fromarray(grey).convert(mode).save(tmp_path / "a.png", icc_profile=profile("prophoto", colors))
+    assert psnr(read_image(tmp_path / "a.png")[0], srgb_of((grey / 255.0) ** 1.8)[..., None]) > 46
+
+
+def test_cmyk_is_converted_by_its_profile(tmp_path):
+    """Ink by ink at the corners of the cube, where the table is exact; between them the profile's Lab decides."""
+    inks = np.array([[[0, 0, 0, 0], [255, 0, 0, 0], [0, 255, 255, 0], [0, 0, 0, 255], [255, 255, 0, 0]]], np.uint8)
+    blocks = np.repeat(np.repeat(inks, 16, 0), 16, 1)
+    Image.fromarray(blocks, "CMYK").save(tmp_path / "a.tif", icc_profile=cmyk_profile())
+    expected = np.array([[255, 255, 255], [0, 255, 255], [255, 0, 0], [0, 0, 0], [0, 0, 255]])
+    assert np.abs(read_image(tmp_path / "a.tif")[0][8, 8::16].astype(int) - expected).max() <= 4
+    half = np.full((8, 8, 4), [0, 0, 0, 128], np.uint8)
+    Image.fromarray(half, "CMYK").save(tmp_path / "half.tif", icc_profile=cmyk_profile())
+    Image.fromarray(half, "CMYK").save(tmp_path / "bare.tif")
+    # Half of black ink halves L* (116 f(Y) - 16), which is 119 of 255 in sRGB, where a bare inversion has 127.
+    assert np.abs(read_image(tmp_path / "half.tif")[0].astype(int) - 119).max() <= 2
+    assert np.abs(read_image(tmp_path / "bare.tif")[0].astype(int) - 127).max() <= 1
+
+
+def test_a_profile_of_srgb_changes_no_byte_and_masks_have_none(tmp_path, capsys):
+    colors = np.random.default_rng(0).integers(0, 256, (9, 9, 3), dtype=np.uint8)
+    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    Image.fromarray(colors).save(tmp_path / "a.png", icc_profile=srgb)
+    assert np.array_equal(read_image(tmp_path / "a.png")[0], colors)
+    Image.fromarray(colors[..., 0]).save(tmp_path / "m.png", icc_profile=profile("prophoto", b"GRAY"))
+    assert np.array_equal(read_mask(tmp_path / "m.png"), colors[..., 0])
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("broken", [b"no profile", profile("p3")[:200], profile("p3", b"GRAY"), cmyk_profile()])
+def test_a_profile_that_cannot_be_used_is_one_line_and_the_colours_are_srgb(tmp_path, capsys, broken):
+    colors = np.random.default_rng(0).integers(0, 256, (9, 9, 3), dtype=np.uint8)
+    for name in ("a.png", "b.png"):
+        Image.fromarray(colors).save(tmp_path / name, icc_profile=broken)
+        assert np.array_equal(read_image(tmp_path / name)[0], colors)
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and f"{tmp_path / 'a.png'}: its colour profile cannot be used" in told
+
+
+@pytest.mark.parametrize(("tag", "adobe"), [("R03", True), ("R98", False), ("space", True), ("other", False)])
+def test_exif_that_says_adobe_rgb_is_believed_without_a_profile(tmp_path, tag, adobe):
+    colors = encoded(lively(8), "adobe")
+    exif = Image.Exif()
+    details = {0xA001: 2 if tag == "space" else 0xFFFF}
+    exif[0x8769] = details if tag in ("space", "other") else details | {0xA005: {1: tag}}
+    Image.fromarray(colors).save(tmp_path / "a.jpg", quality=100, subsampling=0, exif=exif)
+    assert psnr(read_image(tmp_path / "a.jpg")[0], lively(8) if adobe else colors / 255.0) > 38
+
+
+@pytest.mark.parametrize(("primaries", "space"), [(12, "p3"), (9, "bt2020"), (1, None)])
+def test_heic_without_a_profile_is_converted_by_its_code_points(tmp_path, primaries, space):
+    heif = pytest.importorskip("pillow_heif")
+    colors = np.rint(255 * lively()).astype(np.uint8) if space is None else encoded(lively(), space, srgb_of)
+    how = {"color_primaries": primaries, "transfer_characteristics": 13, "matrix_coefficients": 1}
+    heif.from_pillow(Image.fromarray(colors)).save(tmp_path / "a.heic", quality=100, chroma=444, **how)
+    assert psnr(read_image(tmp_path / "a.heic")[0], lively()) > 38
+
+
+@pytest.mark.parametrize(("transfer", "name"), [(16, "PQ"), (18, "HLG")])
+def test_photos_of_high_dynamic_range_are_named_with_their_transfer_function(tmp_path, capsys, transfer, name):
+    heif = pytest.importorskip("pillow_heif")
+    how = {"color_primaries": 9, "transfer_characteristics": transfer, "matrix_coefficients": 9}
+    heif.from_pillow(Image.new("RGB", (64, 64), (90, 90, 90))).save(tmp_path / "a.heic", quality=100, **how)
+    assert np.abs(read_image(tmp_path / "a.heic")[0].astype(int) - 90).max() <= 3
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and f"a.heic: is coded for high dynamic range ({name})" in told
+
+
+def test_avif_states_its_code_points_in_its_file(tmp_path):
+    stream = BytesIO()
+    Image.fromarray(encoded(lively(), "p3", srgb_of)).save(stream, "AVIF", quality=100, subsampling="4:4:4")
+    data = stream.getvalue()
+    coded = code_points(data)
+    assert coded is not None and coded.primaries == 1, "as it is written here"
+    at = data.index(b"colrnclx") + 8
+    (tmp_path / "a.avif").write_bytes(data[:at] + struct.pack(">H", 12) + data[at + 2 :])
+    assert psnr(read_image(tmp_path / "a.avif")[0], lively()) > 38
+
+
+@pytest.mark.parametrize("cut", range(4))
+def test_code_points_that_are_cut_off_are_none(cut):
+    whole = b"\0\0\0\x13colrnclx" + struct.pack(">HHH", 9, 18, 9)
+    assert code_points(whole) == CodePoints(9, 18)
+    assert code_points(whole[: 12 + cut]) is None

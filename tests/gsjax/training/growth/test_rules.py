@@ -1,0 +1,116 @@
+"""The rule that a phase was handed is the one that gathers, makes room and densifies; a state says that it is taken."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from small_scenes import camera_at, cloud, photographed
+
+from gsjax.errors import InputError
+from gsjax.gaussians import DEAD_LOGIT
+from gsjax.settings import Density, Phase, Rates, Settings, Weights
+from gsjax.training import buffers
+from gsjax.training import state as states
+from gsjax.training.growth.adaptive import Moves
+from gsjax.training.growth.rules import RULES
+from gsjax.training.loop import Work, follow
+from gsjax.training.optimizers import make_optimizer
+from gsjax.training.plan import plan
+from gsjax.training.state import count_alive, initial_state
+
+ALIVE, ROWS, MOST = 30, 40, 160
+OPTIMIZER = make_optimizer(Rates(), 1.0, 12)
+PHASES = tuple(Phase(name, 6, Weights(dssim=0.0), density_control=True) for name in ("first", "second"))
+SETTINGS = Settings(seed=3, phases=PHASES, max_gaussians=MOST, density=Density(start=1, stop=12, every=3, gradient=1e9))
+
+
+@pytest.fixture(scope="module")
+def frames():
+    cameras = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-1.0, 0.0, 1.0)]
+    return photographed(cloud(50, seed=5), cameras)
+
+
+def _wanted(gaussians, statistics, density, *, step, budget):
+    return jnp.int32(2 * ALIVE)
+
+
+def _doubled(gaussians, statistics, key, *, density, extent, prune_large, count):
+    """The first rows again where rows are free, until there are `count`."""
+    rows = jnp.arange(gaussians.num_gaussians)
+    fresh = (rows >= ALIVE) & (rows < count)
+    source = jnp.where(fresh, rows - ALIVE, rows)
+    return jax.tree.map(lambda each: each[source], gaussians), Moves(source, fresh)
+
+
+DOUBLING = RULES["adc"]._replace(  # Under `gradient=1e9` the rule of 3DGS never grows anything.
+    empty_statistics=lambda count: {"seen": jnp.zeros(count, jnp.float32)},
+    accumulate=lambda sums, gradient, seen, distances, size: {"seen": sums["seen"] + seen.astype(jnp.float32)},
+    wanted_count=_wanted,
+    densify=_doubled,
+)
+
+
+def trained(frames, rules, state, monkeypatch):
+    """A run whose phases have these rules; the states after its steps."""
+    monkeypatch.setattr(buffers, "_fewest_rows", lambda: 8)
+    watched = []
+    planned = plan(SETTINGS)
+    phases = tuple(replace(phase, rule=rule) for phase, rule in zip(planned.phases, rules, strict=True))
+    work = Work(
+        replace(planned, phases=phases),
+        frames,
+        1.0,
+        OPTIMIZER,
+        prior=lambda state: [],
+        observe=lambda told: watched.append(jax.tree.map(np.array, told.state)),
+    )
+    follow(work, state, 8192)
+    return watched
+
+
+def test_the_rule_of_a_phase_gathers_makes_room_and_densifies(frames, monkeypatch):
+    state = initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER, DOUBLING)
+    watched = trained(frames, (DOUBLING, None), state, monkeypatch)
+    assert [int(count_alive(each.gaussians)) for each in watched[:4]] == [ALIVE, ALIVE, 2 * ALIVE, 2 * ALIVE]
+    assert watched[1].statistics["seen"].max() == 2 and watched[2].statistics["seen"].max() == 0
+    assert watched[1].gaussians.num_gaussians == ROWS < 2 * ALIVE <= watched[2].gaussians.num_gaussians
+
+
+@pytest.mark.parametrize("begins_with", [DOUBLING, RULES["error"]])
+def test_a_phase_with_another_rule_begins_with_sums_of_its_own(frames, monkeypatch, begins_with):
+    """Also a first phase, whose state was made for the rule of 3DGS."""
+    state = initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER)
+    watched = trained(frames, (begins_with, RULES["adc"]), state, monkeypatch)
+    assert watched[6].statistics.views.max() == 1, "after the first step of the second phase"
+    assert watched[-1].statistics.views.shape == (watched[-1].gaussians.num_gaussians,)
+
+
+def test_a_rule_that_is_not_known_is_named_before_anything_runs():
+    with pytest.raises(InputError, match=r"^density\.rule='mine' is none of adc, error$"):
+        plan(replace(SETTINGS, density=Density(rule="mine")))
+
+
+def _densified(state):
+    arguments = jax.random.key(0), jnp.float32(1.0), jnp.asarray(False)
+    return states.densify(state, *arguments, optimizer=OPTIMIZER, density=Density(), budget=ROWS)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("densify", _densified),
+        ("reset_opacities", lambda state: states.reset_opacities(state, optimizer=OPTIMIZER, limit=0.01)),
+        ("cull", lambda state: states.cull(state, optimizer=OPTIMIZER, min_opacity=0.5)),
+        ("remove", lambda state: states.remove(state, jnp.arange(ROWS) < 5, optimizer=OPTIMIZER)),
+    ],
+)
+def test_a_function_that_takes_its_state_says_so(name, change):
+    given = jax.tree.map(jnp.array, initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER))
+    changed = change(given)
+    assert given.gaussians.means.is_deleted() and not changed.gaussians.means.is_deleted()
+    with pytest.raises(RuntimeError, match="deleted"):
+        np.asarray(given.gaussians.means)
+    assert "The state is donated: its arrays are deleted" in getattr(states, name).__doc__
+    assert np.all(np.asarray(changed.gaussians.logit_opacities) >= DEAD_LOGIT)

@@ -1,0 +1,151 @@
+"""A user's own `jax.shard_map`, with its default checks: every device renders its cameras of the same Gaussians."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.sharding import AxisType, PartitionSpec
+from tolerances import assert_close
+
+import rasterizer
+from gsjax import render
+from gsjax.cameras import Camera
+from gsjax.render import Drawable
+
+BACKENDS = ["reference", "native", "xla", "pallas"]
+CAMERA, GAUSSIANS = 4, 12
+BY_CAMERA, SAME = PartitionSpec("cameras"), PartitionSpec()
+
+
+def scene(channels=3, sh=None):
+    rng = np.random.default_rng(0)
+    colors = rng.uniform(0, 1, (GAUSSIANS, channels) if sh is None else (GAUSSIANS, sh, 3))
+    arrays = {
+        "means": rng.uniform([-1, -1, 3], [1, 1, 5], (GAUSSIANS, 3)),
+        "quats": rng.normal(size=(GAUSSIANS, 4)),
+        "scales": rng.uniform(0.1, 0.3, (GAUSSIANS, 3)),
+        "opacities": rng.uniform(0.2, 0.9, GAUSSIANS),
+        "colors": colors,
+    }
+    return {name: jnp.asarray(array, jnp.float32) for name, array in arrays.items()}
+
+
+def cameras():
+    """`[4, 4, 4]` matrices, each a step to the side, and their intrinsics."""
+    viewmats = np.tile(np.eye(4, dtype=np.float32), (CAMERA, 1, 1))
+    viewmats[:, 0, 3] = [0, 0.1, -0.2, 0.3]
+    return jnp.asarray(viewmats), jnp.array([[[20.0, 0, 12], [0, 20, 8], [0, 0, 1]]])
+
+
+def over_devices(function, out=BY_CAMERA):
+    """`function(gaussians, viewmats)` with the cameras over four devices."""
+    mesh = jax.make_mesh((4,), ("cameras",), axis_types=(AxisType.Auto,))
+    return jax.jit(jax.shard_map(function, mesh=mesh, in_specs=(SAME, BY_CAMERA), out_specs=out))
+
+
+def rendering(backend, **options):
+    def rendered(gaussians, viewmats):
+        Ks = jnp.broadcast_to(cameras()[1], (len(viewmats), 3, 3))
+        how = {"capacity": 1024, "backend": backend, **options}
+        image, alphas, info = rasterizer.rasterization(
+            **gaussians, viewmats=viewmats, Ks=Ks, width=24, height=16, **how
+        )
+        return [image, alphas] + [info[name] for name in ("normals", "median_depths") if name in info]
+
+    return rendered
+
+
+EVERYTHING = {
+    "sh_degree": 1,
+    "render_mode": "RGB+ED",
+    "depth_mode": "plane",
+    "rasterize_mode": "antialiased",
+    "return_normals": True,
+    "return_median_depth": True,
+}
+
+
+LONG = [pytest.param(backend, scene(sh=4), EVERYTHING, marks=pytest.mark.long) for backend in ("reference", "xla")]
+CASES = [(backend, scene(), {}) for backend in BACKENDS] + [("native", scene(sh=4), EVERYTHING), *LONG]
+
+
+@pytest.mark.parametrize(("backend", "gaussians", "options"), CASES)
+def test_images_and_gradients_are_those_of_one_device(backend, gaussians, options):
+    rendered, viewmats = rendering(backend, **options), cameras()[0]
+
+    def loss(gaussians, viewmats):
+        return sum(jnp.mean(part**2) for part in rendered(gaussians, viewmats))
+
+    def mean_loss(gaussians, viewmats):
+        return jax.lax.pmean(loss(gaussians, viewmats), "cameras")
+
+    assert_close(over_devices(rendered)(gaussians, viewmats), jax.jit(rendered)(gaussians, viewmats))
+    gradient = over_devices(jax.grad(mean_loss), out=SAME)(gaussians, viewmats)
+    assert_close(gradient, jax.jit(jax.grad(loss))(gaussians, viewmats), kind="gradient")
+
+
+def test_scenes_of_their_own_and_absolute_gradients():
+    gaussians, viewmats = scene(channels=18), cameras()[0]
+    rendered = rendering("native")
+    assert_close(over_devices(rendered)(gaussians, viewmats), jax.jit(rendered)(gaussians, viewmats))
+
+    def mapped(gaussians, viewmats):
+        return jax.vmap(rendered, (0, None))(jax.tree.map(lambda x: jnp.stack([x, 0.9 * x]), gaussians), viewmats)
+
+    by_scene = PartitionSpec(None, "cameras")
+    few = {**gaussians, "colors": gaussians["colors"][:, :2]}
+    assert_close(over_devices(mapped, out=by_scene)(few, viewmats), jax.jit(mapped)(few, viewmats))
+
+    def absolute(gaussians, viewmats):
+        zeros = jnp.zeros_like(viewmats[:, :1, :2]) + jnp.zeros((1, GAUSSIANS, 1), jnp.float32)  # of each device
+        return jax.grad(lambda zeros: jnp.sum(rendering("native", absgrad=zeros)(gaussians, viewmats)[0] ** 2))(zeros)
+
+    assert_close(over_devices(absolute)(few, viewmats), jax.jit(absolute)(few, viewmats), kind="gradient")
+
+
+def test_the_stages_one_by_one():
+    gaussians, viewmats = scene(), cameras()[0]
+
+    def staged(gaussians, viewmats):
+        Ks = jnp.broadcast_to(cameras()[1], (len(viewmats), 3, 3))
+        shapes = None, gaussians["quats"], gaussians["scales"]
+        how = {"packed": True, "capacity": CAMERA * GAUSSIANS}
+        packed = rasterizer.fully_fused_projection(gaussians["means"], *shapes, viewmats, Ks, 24, 16, **how)
+        radii, means2d, depths, conics, _ = rasterizer.fully_fused_projection(
+            gaussians["means"], *shapes, viewmats, Ks, 24, 16
+        )
+        _, ids, splats = rasterizer.isect_tiles(means2d, radii, depths, 8, 3, 2, capacity=512)
+        offsets = rasterizer.isect_offset_encode(ids, len(viewmats), 3, 2)
+        colors = jnp.broadcast_to(gaussians["colors"], (len(viewmats), GAUSSIANS, 3))
+        opacities = jnp.broadcast_to(gaussians["opacities"], (len(viewmats), GAUSSIANS))
+        masks = jnp.ones((len(viewmats), 2, 3), bool)
+        drawn = rasterizer.rasterize_to_pixels(
+            means2d, conics, colors, opacities, 24, 16, 8, offsets, splats, masks=masks
+        )
+        return *drawn, packed[5].sum()[None]
+
+    ours, expected = over_devices(staged)(gaussians, viewmats), jax.jit(staged)(gaussians, viewmats)
+    assert_close(ours[:2], expected[:2])
+    assert_close(ours[2].sum(), expected[2].sum())
+
+
+def test_a_view_of_gsjax():
+    gaussians, (viewmats, Ks) = scene(), cameras()
+    K, black, how = Ks[0], jnp.zeros(3, jnp.float32), {"with_depth": True, "depth_mode": "front"}
+
+    def shown(gaussians, viewmats):
+        drawable = Drawable(
+            gaussians["means"],
+            gaussians["opacities"],
+            gaussians["colors"][:, None],
+            jnp.zeros((GAUSSIANS, 0, 3), jnp.float32),
+            gaussians["quats"],
+            gaussians["scales"],
+        )
+        views = [
+            render.view(drawable, Camera(viewmat, K, 24, 16), capacity=1024, background=black, **how)
+            for viewmat in viewmats
+        ]
+        return jnp.stack([view.colors for view in views]), jnp.stack([view.depth for view in views])
+
+    assert_close(over_devices(shown)(gaussians, viewmats), jax.jit(shown)(gaussians, viewmats))
