@@ -48,6 +48,7 @@ from gsjax.scene import Scene, kept
 from gsjax.scoring.images import score_images
 from gsjax.settings import AUTO, PLAIN, Settings
 from gsjax.training import optimizers
+from gsjax.training.growth.rules import RULES
 from gsjax.training.loop import Progress, Work, follow
 from gsjax.training.plan import Plan, check_terms, plan
 from gsjax.training.state import TrainState
@@ -129,6 +130,8 @@ def _beginning_lines(planned: Plan, settings: Settings, photos_line: str) -> lis
     lines = [f"on {engine.device} with the {engine.name} rasterizer", photos_line]
     if settings.dropout:
         lines.append(f"every step leaves out {settings.dropout:.0%} of the Gaussians")
+    if any(phase.rule is RULES["adc"] for phase in planned.phases):
+        lines.append(f"growth stops at max_gaussians={planned.max_gaussians:,}; 3DGS has no such bound")
     if planned.left_out:
         lines.append(f"{', '.join(planned.left_out)} need one photo a step and are left out")
     if settings.normals is None and "normals" in planned.needs:
