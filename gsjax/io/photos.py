@@ -83,7 +83,7 @@ def _stamp(path: Path) -> tuple[int, int]:
     """When a file was written, nanoseconds, and its bytes; zeros where it is absent."""
     try:
         status = path.stat()
-    except OSError:
+    except (OSError, ValueError):  # ValueError: of a name that no disk holds.
         return 0, 0
     return status.st_mtime_ns, status.st_size
 
