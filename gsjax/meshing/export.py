@@ -210,7 +210,7 @@ def _read(path: Path) -> Part:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Of numbers that are none, which are looked for afterwards.
-            parts = [_checked(path, part) for part in _READERS[suffix](path, named) if len(part.faces)]
+            parts = [_require_drawable(path, part) for part in _READERS[suffix](path, named) if len(part.faces)]
             if not parts:
                 raise InputError(f"{path}: holds no triangles")
             part = merge_parts([_within_texture(part, named) for part in parts])
@@ -223,8 +223,8 @@ def _read(path: Path) -> Part:
         raise InputError(f"{path}: not readable as a mesh ({type(error).__name__}: {error})".splitlines()[0]) from error
 
 
-def _checked(path: Path, part: Part) -> Part:
-    """The part, whose triangles and places in a texture can be drawn; InputError where they cannot."""
+def _require_drawable(path: Path, part: Part) -> Part:
+    """The part itself; InputError where its triangles, or their places in a texture, cannot be drawn."""
     if part.vertices.shape[1:] != (3,):
         raise InputError(f"{path}: its vertices do not have three coordinates")
     if not 0 <= part.faces.min() <= part.faces.max() < len(part.vertices):

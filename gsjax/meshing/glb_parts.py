@@ -54,7 +54,7 @@ def read_glb(path: Path, named: NamedFiles) -> list[Part]:
     used = {primitive.get("material") for _, mesh in file.placed_meshes() for primitive in mesh["primitives"]}
     if all(part.texture is None for part in parts):
         for number, material in enumerate(file.tree.get("materials", ())):
-            texture, _ = file.shown(material)
+            texture, _ = file.color_texture(material)
             if texture is not None and number not in used:
                 named.report_missing(f"texture {texture['index']}", "belongs to a material of no triangle")
     return parts
@@ -96,18 +96,20 @@ class _Glb:
         if (matrix != np.eye(4)).any():
             vertices = vertices @ matrix[:3, :3].T + matrix[:3, 3]
             faces = faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else faces
-        info, factor = self.shown(self.tree["materials"][primitive["material"]] if "material" in primitive else {})
+        info, factor = self.color_texture(
+            self.tree["materials"][primitive["material"]] if "material" in primitive else {}
+        )
         texture = None if info is None else self._texture(info, factor)
         light = self._light(attributes["COLOR_0"]) if "COLOR_0" in attributes else None
         if texture is None:
-            tinted = factor if light is None else light * np.asarray(factor[:3], np.float32)
-            return Part(vertices, faces, np.broadcast_to(srgb_bytes(np.asarray(tinted)[..., :3]), vertices.shape))
+            linear = np.asarray(factor[:3], np.float32) * (1 if light is None else light)
+            return Part(vertices, faces, np.broadcast_to(srgb_bytes(linear), vertices.shape))
         if light is not None and (light < 1 - 1 / 255).any():
             self.named.report_missing("COLOR_0", "is not multiplied with its texture")
-        uvs, texture = self._placed(info, attributes, texture)
+        uvs, texture = self._places(info, attributes, texture)
         return Part(vertices, faces, np.full(vertices.shape, 255, np.uint8), uvs, texture)
 
-    def shown(self, material: dict[str, Any]) -> tuple[dict[str, Any] | None, list[float]]:
+    def color_texture(self, material: dict[str, Any]) -> tuple[dict[str, Any] | None, list[float]]:
         """The texture of a material and its linear factor `[3]`, or more channels."""
         base = material.get("pbrMetallicRoughness", {})
         texture, factor = base.get("baseColorTexture"), base.get("baseColorFactor", [1.0, 1.0, 1.0])
@@ -153,7 +155,7 @@ class _Glb:
                 return pixels
         return None
 
-    def _placed(
+    def _places(
         self, info: dict[str, Any], attributes: dict[str, int], texture: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """`[V, 2]` places of vertices in a texture that repeats, and that texture."""

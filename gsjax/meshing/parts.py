@@ -46,9 +46,9 @@ def split_corners(
 
 def without_unused(part: Part) -> Part:
     """The part with only the vertices that its triangles have."""
-    used, corners = np.unique(part.faces, return_inverse=True)
-    uvs = None if part.uvs is None else part.uvs[used]
-    return replace(part, vertices=part.vertices[used], faces=corners.reshape(-1, 3), colors=part.colors[used], uvs=uvs)
+    rows, corners = np.unique(part.faces, return_inverse=True)
+    uvs = None if part.uvs is None else part.uvs[rows]
+    return replace(part, vertices=part.vertices[rows], faces=corners.reshape(-1, 3), colors=part.colors[rows], uvs=uvs)
 
 
 def within_texture(part: Part) -> Part:
@@ -66,11 +66,11 @@ def within_texture(part: Part) -> Part:
     if across * down > 1 and height * width * across * down > MOST_TEXELS:
         raise TooOftenError(f"a triangle shows its texture {max(across, down):.0f} times, too often to be laid out")
     shifts, rows = np.unique(low, axis=0, return_inverse=True)
-    vertices, faces, moved = split_corners(
+    vertices, faces, tiles = split_corners(
         np.hstack([part.vertices, part.uvs, part.colors]), part.faces, shifts, np.repeat(rows.reshape(-1, 1), 3, axis=1)
     )
     texture = np.tile(part.texture, (int(down), int(across), 1))
-    uvs = (vertices[:, 3:5] - moved) / [across, down]
+    uvs = (vertices[:, 3:5] - tiles) / [across, down]
     return Part(vertices[:, :3], faces, vertices[:, 5:].astype(np.uint8), uvs, texture)
 
 

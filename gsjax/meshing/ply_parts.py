@@ -54,10 +54,10 @@ def read_ply(path: Path, named: NamedFiles) -> list[Part]:
     if len(numbers) != len(part.faces):
         named.report_missing(" and ".join(names), "are not told apart by its triangles")
         return [part]
-    shown = {number: textures[number] if 0 <= number < len(textures) else None for number in np.unique(numbers)}
+    texture_of = {number: textures[number] if 0 <= number < len(textures) else None for number in np.unique(numbers)}
     return [
         without_unused(replace(part, faces=part.faces[numbers == number], uvs=uvs, texture=texture))
-        for number, texture in shown.items()
+        for number, texture in texture_of.items()
     ]
 
 
