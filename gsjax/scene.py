@@ -134,6 +134,14 @@ class Scene:
         """Frames kept for scoring."""
         return tuple(f for f in self.frames if f.held_out)
 
+    @property
+    def camera_centers(self) -> np.ndarray:
+        """`[C, 3]` float64 centres of the frames' cameras in the world."""
+        from gsjax.cameras import viewmat_centers  # Loads jax, which a data set is read without.
+
+        viewmats = np.array([frame.viewmat for frame in self.frames], np.float64).reshape(-1, 4, 4)
+        return self.similarity.points_to_world(viewmat_centers(viewmats))
+
 
 def tracks_by_name(scene: Scene) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Photo's name -> `[O]` int64 indices of the points matched in it, and `[O, 2]` float64 rays (`Tracks`).

@@ -182,7 +182,7 @@ def _merge(planned: Blocks, out: Path) -> None:
             place=loaded.place,
             plan=record,
         )
-        write_gaussians(run / "gaussians.ply", gaussians, loaded.place)
+        write_gaussians(run / "gaussians.ply", gaussians, loaded.place, cameras=loaded.camera_centers)
         write_views(run, loaded.frames)
         scores = score_images(
             loaded.similarity.gaussians_to_local(gaussians),

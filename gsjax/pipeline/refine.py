@@ -244,7 +244,8 @@ def _finish(
     refined, gaussians = to_mesh(hybrid.bound), all_gaussians(hybrid)
     for name in ("mesh.ply", "mesh.glb"):
         write_mesh(folder / name, scene.similarity.mesh_to_world(refined), scene.place)
-    write_gaussians(folder / "gaussians.ply", scene.similarity.gaussians_to_world(gaussians), scene.place)
+    world = scene.similarity.gaussians_to_world(gaussians)
+    write_gaussians(folder / "gaussians.ply", world, scene.place, cameras=scene.camera_centers)
     write_views(folder, scene.frames)
     write_photography(folder, found)
     summary = {
