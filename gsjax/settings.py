@@ -266,7 +266,7 @@ RATES: dict[str, float] = {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "qu
 
 # On short schedules the SDF gradient at every pixel's own surface point helps the one at the means, and an entropy
 # phase costs more than it brings. What photos say of each other makes flat what normals of one's own leave rough
-# (docs/deviations.md, experiments/studies/supervision.py).
+# (docs/deviations.md, experiments/results/mesh_terms.md).
 _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}
 # For photos of half the size. The gradient at the means brings nothing more there, and costs most; `multi_view` counts
 # pixels, of which the same way has half as many (experiments/results/price_on_photos.md).

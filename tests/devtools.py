@@ -1,4 +1,4 @@
-"""A headless Chromium that a script drives: opens pages, presses, takes screenshots."""
+"""A headless Chromium that a test drives: opens pages, presses, takes screenshots."""
 
 import base64
 import itertools
