@@ -104,6 +104,8 @@ def train(
         if not resume:
             runs.require_free(folder)
         known = Run.open(folder).plan if resume and is_first() and runs.is_to_resume(folder) else None
+        if known:
+            runs.require_scene(folder, scene)
         planned = _planned(scene, settings, terms, count_devices(devices), known)
         return _train(scene, folder, settings, planned, known, earlier, observe, devices)
 

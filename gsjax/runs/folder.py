@@ -174,15 +174,21 @@ def reopen(
         InputError: It is no run folder, or the data set or a setting differs; the message names the first that does.
     """
     run = Path(run)
-    started, before = completed(read_settings(run)), json_files.read(run / "manifest.json", SCENE)["scene"]
+    started = completed(read_settings(run))
+    require_scene(run, scene)
+    for key, (before, now) in _differences(started, json_files.plain({**EARLIER, **settings})).items():
+        raise InputError(f"{run}: was started with {key} = {before}, not {now}; a resumed run keeps its settings")
+    return run
+
+
+def require_scene(run: str | Path, scene: str | Path) -> None:
+    """Raises InputError where a run was begun on another data set, or the data set was moved."""
+    before = json_files.read(Path(run) / "manifest.json", SCENE)["scene"]
     if before != str(Path(scene).resolve()):
         raise InputError(
             f"{run}: was started on {before}, not on {scene}; a resumed run keeps its data set, and --scene {scene}"
             " says that it was moved there"
         )
-    for key, (before, now) in _differences(started, json_files.plain({**EARLIER, **settings})).items():
-        raise InputError(f"{run}: was started with {key} = {before}, not {now}; a resumed run keeps its settings")
-    return run
 
 
 @contextmanager
