@@ -58,10 +58,11 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--normal-axes", metavar="SIGNS", help="what brings the maps' axes to ours (x right, y down, z forward): three"
         " signs, as in --normal-axes=+x-y-z, or opencv, opengl, dsine, pytorch3d (default: found by"
         " comparing)")  # fmt: skip
-    add("--depth", metavar="DIR", nargs="?", const="depth", help="folder of measured depth, .png of 16 bits or .npy"
-        " named as the photos, within SCENE or anywhere; without a value, SCENE/depth")  # fmt: skip
+    add("--depth", metavar="DIR", nargs="?", const="auto", help="folder of measured depth, .png of 16 bits or .npy"
+        " named as the photos, within SCENE or anywhere; without a value, the maps that transforms.json lists, or else"
+        " SCENE/depth")  # fmt: skip
     add("--depth-unit", choices=("mm", "cm", "m", "scene"), help="unit of that depth (default: as depth.json beside the"
-        " maps says)")  # fmt: skip
+        " maps says, or transforms.json)")  # fmt: skip
     add("--sky", metavar="DIR", nargs="?", const="auto", help="make no surface of open sky: folder of masks, 0 where a"
         " photo shows sky, named as those in masks/, within SCENE or anywhere; without a value, it is looked for in the"
         " photos")  # fmt: skip
