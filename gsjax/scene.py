@@ -37,6 +37,13 @@ class Origin(NamedTuple):
     # each of the frame's pixel centres lies; -1 where the photo shows nothing
 
 
+class DepthFile(NamedTuple):
+    """Depth that was measured beside a photo, in a file that the data set lists (`gsjax.io.depth_maps`)."""
+
+    path: Path
+    metres: float  # in one unit of the file's values
+
+
 @dataclass(frozen=True)
 class Frame:
     """One undistorted pinhole photo: where it was taken, and how to read its pixels, which are not kept."""
@@ -50,6 +57,7 @@ class Frame:
     held_out: bool = False  # scored, never trained on
     origin: Origin | None = None  # None: the photo had no distortion, the frame shows it whole; or it is a panorama's
     masked: bool = True  # False: all pixels are valid, which is known without reading them
+    depth: DepthFile | None = None  # None: the data set lists none
 
 
 def frame_of(name: str, viewmat: np.ndarray, K: np.ndarray, pixels: Pixels, *, held_out: bool = False) -> Frame:

@@ -199,7 +199,7 @@ class Settings:
     normals: str | None = None  # folder of maps (`gsjax.io.normal_folders.find`); None: smoothed normals of own depth
     normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: found by comparing with the rendered depth
     normal_gate: bool = False  # a normal counts as far as photos of the same place agree (`gsjax.normals.agreement`)
-    depth: str | None = None  # folder of measured depth (`gsjax.io.depth_maps`), within the data set or anywhere
+    depth: str | None = None  # folder of measured depth, within the data set or anywhere, or "auto": as it lists them
     depth_unit: Literal["mm", "cm", "m", "scene"] | None = None  # of those maps; None: as depth.json beside them says
     depth_weight: float = 0.2  # of the term `measured_depth`, where there are such maps and a phase sets no other
     sky: str | None = None  # folder of masks, 0 where photos show sky, found as `depth` is, or "auto": it must be seen

@@ -44,6 +44,7 @@ from gsjax.runs.prior import RunPrior, note_normals
 from gsjax.runs.processes import from_first, is_first, own_folder
 from gsjax.runs.result import write_views
 from gsjax.runs.run import Run
+from gsjax.runs.splits import require_photos_of_effects, split_of, split_record
 from gsjax.scene import Scene, kept
 from gsjax.scoring.images import score_images
 from gsjax.settings import AUTO, PLAIN, Settings
@@ -104,6 +105,8 @@ def train(
         if not resume:
             runs.require_free(folder)
         known = Run.open(folder).plan if resume and is_first() and runs.is_to_resume(folder) else None
+        if known:
+            runs.require_scene(folder, scene)
         planned = _planned(scene, settings, terms, count_devices(devices), known)
         return _train(scene, folder, settings, planned, known, earlier, observe, devices)
 
@@ -156,9 +159,11 @@ def _train(
         settings,
         planned.steps,
         known and known["downscale"],
-        similarity=begun and begun.similarity,
-        place=begun and begun.place,
+        run=begun,
     )
+    split = (begun and begun.split) or split_of(loaded.frames)
+    if begun and runs.latest_checkpoint(begun.folder):
+        require_photos_of_effects(loaded, split, begun.manifest, run=begun.folder)
     check_terms(planned, loaded.train_frames)
     is_one = count_devices(devices) == settings.views_per_step == 1
     sparse = None
@@ -220,11 +225,13 @@ def _train(
             similarity=loaded.similarity,
             place=loaded.place,
             plan=planned.record(),
+            split=split,
         )
     )
     with runs.claim_run(run):
         if known:  # An earlier version left none.
             json_files.write(run / "plan.json", planned.record())
+            runs.update_manifest(run, split=split_record(split))
         memory = {"memory": "; ".join(fitted.lines)} if fitted.lines else {}
         runs.update_manifest(run, photos=photos_line, **memory, **({} if sparse is None else {ENTRY: asdict(sparse)}))
         if chosen.evidence:
