@@ -149,13 +149,15 @@ def test_an_open_sky_is_seen_and_mattes_answer_it():
 
     def sky(index, pixels):
         image = pixels.image.copy()
-        image[:24] = (200, 220, 250)
+        image[:24] = 255
         return Pixels(image)
 
     outdoors = replace(repainted(scene, sky), tracks=lambda: lower)
     found = diagnose(outdoors).effects["background"]
     assert found.on
-    assert "0.78, 0.86, 0.98, the same in all photos" in found.note
+    assert "1.00, 1.00, 1.00, the same in all photos; pure white" in found.note
+    flat = repainted(outdoors, lambda index, pixels: Pixels(np.where(pixels.image == 255, np.uint8(220), pixels.image)))
+    assert not diagnose(flat).effects["background"].on, "plaster looks the same"
     matted = repainted(
         outdoors, lambda index, pixels: pixels._replace(matte=np.full(pixels.image.shape[:2], 255, np.uint8))
     )
