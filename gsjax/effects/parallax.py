@@ -90,9 +90,9 @@ def compare(
 
 
 def _blue(views: Sequence[_View]) -> tuple[float, float]:
-    """`Parallax.blueness` and `.blue_range`; zeros where red or green is clipped everywhere."""
-    values = np.concatenate([view.values[:, 1] - view.values[:, 0] for view in views])
-    values = values[np.isfinite(values)]
+    """`Parallax.blueness` and `.blue_range`; zeros where red or green is clipped everywhere, or blue is less."""
+    red, green, blue = np.concatenate([view.values for view in views]).T
+    values = (green - red)[np.isfinite(green - red) & ~(blue < green)]  # blue is often clipped
     if not len(values):
         return 0.0, 0.0
     lowest, high, highest = np.quantile(values, (0.05, 0.9, 0.95))

@@ -20,7 +20,8 @@ from gsjax.scene import Frame
 
 THRESHOLD = 1.2  # times the error at infinity, which any other place of the light has at least
 LARGE_ROOM = 2 / 3  # of that threshold, for rooms far larger than what was matched: a sky is hardly different from them
-BLUE, BLUE_RANGE, BLUE_BONUS = 0.5, 0.2, 1.25  # EV of green over red; EV that it changes by; times the score
+BLUE, BLUE_RANGE, BLUE_BONUS = 0.5, 0.3, 1.25  # EV of green over red; EV that it changes by; times the score,
+UNDECIDED = 1.05  # which must be this much without: that of an even colour is 1 within some hundredths
 SHARE = 0.25  # of the photos
 FEWEST = 2  # photos
 OPEN = 0.05  # of a photo's pixels, and
@@ -92,8 +93,9 @@ PLAIN = "a ceiling, a wall or a sky that looks like one"
 def score(compared: Parallax) -> float:
     """How many times worse than infinity the likeliest surface explains the photos; a blue that changes adds to it."""
     is_blue = compared.blueness > BLUE and compared.blue_range > BLUE_RANGE
-    bonus = BLUE_BONUS if is_blue else 1.0
-    return min(bonus * compared.near, bonus * compared.fixed, compared.far / LARGE_ROOM)
+    likeliest = min(compared.near, compared.fixed)
+    bonus = BLUE_BONUS if is_blue and likeliest > UNDECIDED else 1.0
+    return min(bonus * likeliest, compared.far / LARGE_ROOM)
 
 
 def regions(seen: Observations, masks: Masks) -> dict[int, np.ndarray]:

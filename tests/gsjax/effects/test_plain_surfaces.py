@@ -78,5 +78,6 @@ def test_score_is_that_of_the_likeliest_surface():
     assert sky.score(flat) == pytest.approx(1.5)
     assert sky.score(flat._replace(far=0.6)) == pytest.approx(0.9)
     assert sky.score(flat._replace(fixed=1.0)) == pytest.approx(1.0)
-    assert sky.score(flat._replace(near=1.0, blueness=0.9)) == pytest.approx(1.0), "of one blue: paint"
-    assert sky.score(flat._replace(near=1.0, blueness=0.9, blue_range=0.5)) == pytest.approx(1.25)
+    assert sky.score(flat._replace(near=1.1, blueness=0.9)) == pytest.approx(1.1), "of one blue: paint"
+    assert sky.score(flat._replace(near=1.1, blueness=0.9, blue_range=0.5)) == pytest.approx(1.375)
+    assert sky.score(flat._replace(near=1.0, blueness=0.9, blue_range=0.5)) == pytest.approx(1.0), "nothing to compare"
