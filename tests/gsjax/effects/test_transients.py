@@ -127,8 +127,8 @@ def residual_maps(moved, size=(60, 80), photos=20, seed=0):
         residual = np.abs(0.02 * rng.normal(size=size))
         residual[:, 30:32] += 0.3
         if index in moved:
-            row, column = rng.integers(0, size[0] - 12), rng.integers(32, size[1] - 16)
-            residual[row : row + 12, column : column + 16] += 0.3
+            row, column = rng.integers(0, size[0] - 24), rng.integers(32, size[1] - 24)
+            residual[row : row + 24, column : column + 24] += 0.3
         maps.append(residual)
     return maps
 
@@ -168,7 +168,7 @@ def test_real_photos_against_softer_ones_have_movers_where_squares_are_put(share
         photo = block_means(frame.pixels().image, stride) / 255
         shown = ndimage.gaussian_filter(photo, (1, 1, 0)) * (1 + 0.05 * rng.normal())
         if index in moved:
-            side = round(0.2 * min(photo.shape[:2]))
+            side = round(0.25 * np.sqrt(photo.shape[0] * photo.shape[1]))
             for row, column in rng.integers(0, np.array(photo.shape[:2]) - side, (4, 2)):
                 photo[row : row + side, column : column + side] = rng.random(3)
         maps.append(np.abs(shown - photo).mean(-1))
