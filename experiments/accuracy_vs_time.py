@@ -1,13 +1,13 @@
-"""What does accuracy cost in time? Every knob that trades one for the other, in one table and one picture.
+"""What does accuracy cost in time? Every setting that trades one for the other, in one table and one picture.
 
-    python experiments/accuracy_vs_time.py --scene SCENE --out DIR [--config NAME] [--knobs NAME ...]
+    python experiments/accuracy_vs_time.py --scene SCENE --out DIR [--config NAME] [--settings NAME ...]
         [--rounds N] [--share S]
 
-SCENE is a data set, such as the built-in one of `gsjax demo`; meshes of one without a true surface are compared by
-their own colours in its held-out photos. In every round every setting of a knob is run once, in turn; its time is
-given in times of the most accurate setting's in the same round, its error is the difference from that setting's
-outcome. The most accurate one is run twice a round: how far these two times lie apart is what the machine itself adds.
-Writes DIR/accuracy_vs_time.md and .png after every knob. Called again it goes on after the rounds that are done.
+SCENE is a data set, such as the built-in one of `gsjax demo`. In every round every value of a setting is run once, in
+turn. The time of a value is a multiple of that of the most accurate value in the same round; its errors are the
+differences from the scores of that value. The most accurate value is run twice a round: the difference of its two times
+is that of the machine. Writes DIR/accuracy_vs_time.md and .png after every setting. Called again it resumes after the
+last whole round.
 """
 
 import argparse
@@ -32,50 +32,48 @@ Rounds = list[dict[str, dict[str, Any]]]
 def run(
     scene: str, out: str, names: Sequence[str], rounds: int, share: float, config: str = "built_in"
 ) -> dict[str, Rounds]:
-    """Measures the named knobs, of none all, as far as that is not done yet, and returns all that is."""
-    from knobs import knobs_of
-    from knobs.knob import Place
+    """Measures the rounds of the named settings (all where none is named) that are left; returns all by setting."""
+    import settings_table
 
     from gsjax.config import to_dict
 
     whole = to_dict(load_settings(config))
-    knobs = knobs_of(whole)
-    if unknown := [name for name in names if name not in knobs]:
-        raise InputError(f"--knobs: no knob {unknown[0]!r}; there are {', '.join(knobs)}")
+    table = settings_table.table(whole)
+    if unknown := [name for name in names if name not in table]:
+        raise InputError(f"--settings: no setting {unknown[0]!r}; there are {', '.join(table)}")
     claim(Path(out), {"scene": str(Path(scene).resolve()), "config": config, "share": share})
-    place, ledger = Place(scene, out, whole, share), Path(out) / "rounds.json"
+    place, ledger = settings_table.Place(scene, out, whole, share), Path(out) / "rounds.json"
     done: dict[str, Rounds] = json_files.read(ledger) if ledger.exists() else {}
-    for name in names or knobs:
+    for name in names or table:
         while len(done.setdefault(name, [])) < rounds:
             print(f"== {name}, round {len(done[name]) + 1} of {rounds}", flush=True)
-            done[name].append(one_round(knobs[name], place, len(done[name])))
+            done[name].append(one_round(table[name], place, len(done[name])))
             json_files.write(ledger, done)
-        write(Path(out), {knob: each for knob, each in done.items() if each})
+        write(Path(out), {setting: each for setting, each in done.items() if each})
     return done
 
 
-def one_round(knob: Any, place: Any, index: int) -> dict[str, dict[str, Any]]:
-    """Every setting once and the most accurate twice, in an order that turns from round to round."""
-    first = next(iter(knob.values))
-    settings = {**knob.values, AGAIN: knob.values[first]}
-    labels = list(settings)
+def one_round(setting: Any, place: Any, index: int) -> dict[str, dict[str, Any]]:
+    """Every value once and the most accurate twice, in an order that turns from round to round."""
+    from settings_table import errors
+
+    first = next(iter(setting.values))
+    values = {**setting.values, AGAIN: setting.values[first]}
+    labels = list(values)
     order = labels[index % len(labels) :] + labels[: index % len(labels)]
-    measured = {label: knob.measure(place, settings[label], index) for label in order}
-    best = measured[first].outcome
-    return {
-        label: {"seconds": measured[label].seconds, "errors": knob.errors(measured[label].outcome, best)}
-        for label in labels
-    }
+    measured = {label: setting.measure(place, values[label], index) for label in order}
+    best = measured[first][1]
+    return {label: {"seconds": measured[label][0], "errors": errors(measured[label][1], best)} for label in labels}
 
 
 def ratios(rounds: Rounds, label: str) -> np.ndarray:
-    """`[rounds]` times of a setting in times of the most accurate one's."""
+    """`[rounds]` times of a value as multiples of the most accurate one's."""
     first = next(iter(rounds[0]))
     return np.array([each[label]["seconds"] / each[first]["seconds"] for each in rounds])
 
 
 def errors(rounds: Rounds, label: str, unit: str) -> np.ndarray:
-    """`[rounds]` errors of a setting."""
+    """`[rounds]` errors of a value."""
     return np.array([each[label]["errors"][unit] for each in rounds], float)
 
 
@@ -90,7 +88,7 @@ def table(done: Mapping[str, Rounds]) -> str:
     """One Markdown table: median and, in brackets, least and most over the rounds."""
     from gsjax.io.machine import machine, versions
 
-    lines = ["| Knob | Setting | Time | Errors | Front |", "|---|---|---|---|---|"]
+    lines = ["| Setting | Value | Time | Errors | Front |", "|---|---|---|---|---|"]
     for name, rounds in done.items():
         labels, units = list(rounds[0]), list(next(iter(rounds[0].values()))["errors"])
         plain = [label for label in labels if label != AGAIN]
@@ -121,7 +119,7 @@ def write(out: Path, done: Mapping[str, Rounds]) -> None:
 
 
 def draw(file: Path, done: Mapping[str, Rounds]) -> None:
-    """A panel a knob: first error against time, with the spread of both; the front is joined by a line."""
+    """A panel a setting: first error against time, with the spread of both; the front is joined by a line."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -167,13 +165,13 @@ def main() -> None:
     parser.add_argument("--scene", required=True, help="folder of the data set")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for runs, table and picture")
     parser.add_argument(
-        "--config", default="built_in", metavar="NAME", help="of configs.py, to turn from (default: built_in)"
+        "--config", default="built_in", metavar="NAME", help="of configs.py, to vary (default: built_in)"
     )
-    parser.add_argument("--knobs", nargs="+", default=[], metavar="NAME", help="those to turn (default: all)")
-    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="of every knob (default: 3)")
+    parser.add_argument("--settings", nargs="+", default=[], metavar="NAME", help="those to vary (default: all)")
+    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="of every setting (default: 3)")
     parser.add_argument("--share", type=float, default=1.0, help="of the config's steps, in every run (default: 1)")
     arguments = parser.parse_args()
-    asked = arguments.knobs, arguments.rounds, arguments.share, arguments.config
+    asked = arguments.settings, arguments.rounds, arguments.share, arguments.config
     print(table(run(arguments.scene, arguments.out, *asked)))
 
 

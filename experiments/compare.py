@@ -1,15 +1,12 @@
-"""How do the variants of a study compare, trained on one scene from the same start?
+"""How do the variants of a study compare, trained on one scene with the same seeds?
 
     python experiments/compare.py STUDY --scene PATH --out DIR [--on CONFIG] [--seeds N] [--budget TIME]
 
-Variants run for the steps that the study says. First phases that they have in common are trained once, in
-OUT/beginnings, and their seconds counted for each. With --budget they run for the same time instead: every variant's
-phases are scaled to what this machine does of them in it. Called again it goes on where it was stopped.
+Variants run for the steps of the study. With --budget they run for the same time instead: the phases of every variant
+are scaled to what this machine does of them in that time. Called again it resumes where it was stopped.
 """
 
 import argparse
-import hashlib
-import json
 import runpy
 import sys
 from collections.abc import Mapping
@@ -59,24 +56,12 @@ def load_study(name: str, on: str | None = None) -> Study:
     return Study(on, base, module["variants"](base, on), module.get("EVALUATED", {}))
 
 
-def run_names(variants: Mapping[str, Any], seeds: int) -> list[str]:
-    """VARIANT_SEED of every run, seed by seed."""
-    return [f"{variant}_{seed}" for seed in range(seeds) for variant in variants]
-
-
 def run(
-    study: str,
-    scene: str,
-    out: str,
-    seeds: int = 1,
-    *,
-    on: str | None = None,
-    seconds: float | None = None,
-    only: str | None = None,
+    study: str, scene: str, out: str, seeds: int = 1, *, on: str | None = None, seconds: float | None = None
 ) -> dict[str, list[dict[str, Any]]]:
     """Figures of every variant, a row a seed, and the true mesh's own; also written to `OUT/study.json`.
 
-    A run that is done (`OUT/VARIANT_SEED/study.json`) is not done again, one that was stopped goes on.
+    A run that is done (`OUT/VARIANT_SEED/study.json`) is not done again, one that was stopped resumes.
 
     Args:
         study: As in `load_study`.
@@ -85,63 +70,31 @@ def run(
         seeds: Runs of every variant, with seeds 0, 1, ...
         on: Name of a config; None: the study's own.
         seconds: That a run may take; None: its own steps.
-        only: The one run that is done, VARIANT_SEED; then `OUT/study.json` is left to who does them all.
 
     Raises:
-        InputError: There is no such study or run, `out` holds runs of another, or one of its runs cannot be made.
+        InputError: There is no such study, `out` holds runs of another, or one of its runs cannot be made.
     """
-    from common_phases import beginning  # Here, and not above: it imports jax.
-
     described = load_study(study, on)
-    names = run_names(described.variants, seeds)
-    if only is not None and only not in names:
-        raise InputError(f"--only {only}: no run of {study}, whose runs are {', '.join(names)}")
     claim(Path(out), {"study": study, "on": described.on, "scene": str(Path(scene).resolve())})
     every: dict[str, list[dict[str, Any]]] = {}
     floor: dict[str, Any] = {}
     for seed in range(seeds):
-        asked = {
-            variant: config.parse(
-                Settings, config.merge(described.config, _placed(change, scene), {"seed": seed}), where=variant
-            )
-            for variant, change in described.variants.items()
-        }
-        for variant, settings in asked.items():
+        for variant, change in described.variants.items():
             folder = Path(out) / f"{variant}_{seed}"
-            if only not in (None, folder.name):
-                continue
             done = folder / "study.json"
             if not done.exists():
                 print(f"== {folder.name}", flush=True)
-                others = [other for name, other in asked.items() if name != variant]
-                alone = only is not None or seconds is not None or folder.exists()
-                earlier = None if alone else _common(scene, Path(out) / "beginnings", beginning(settings, others))
-                _trained(scene, folder, settings, seconds, earlier)
+                asked = config.merge(described.config, _placed(change, scene), {"seed": seed})
+                _train(scene, folder, config.parse(Settings, asked, where=variant), seconds)
                 json_files.write(done, _figures(folder, described.evaluated))
             figures, floor = json_files.read(done)
             every.setdefault(variant, []).append(figures)
     every |= {tables.FLOOR: [floor]} if floor else {}
-    if only is None:
-        json_files.write(Path(out) / "study.json", every)
+    json_files.write(Path(out) / "study.json", every)
     return every
 
 
-def _common(scene: str, folder: Path, settings: Settings | None) -> Path | None:
-    """Where the run that others begin with lies, trained to its end; None of None."""
-    from terms import TERMS
-
-    from gsjax import pipeline
-
-    if settings is None:
-        return None
-    name = hashlib.sha256(json.dumps(config.to_dict(settings), sort_keys=True).encode()).hexdigest()[:12]
-    run = folder / name
-    if not (run / "manifest.json").exists() or json_files.read(run / "manifest.json")["status"] != "done":
-        pipeline.train(scene, run, settings, terms=TERMS, resume=run.exists())
-    return run
-
-
-def _trained(scene: str, folder: Path, settings: Settings, seconds: float | None, earlier: Path | None) -> None:
+def _train(scene: str, folder: Path, settings: Settings, seconds: float | None) -> None:
     from terms import TERMS
 
     from gsjax import pipeline, runs
@@ -151,7 +104,7 @@ def _trained(scene: str, folder: Path, settings: Settings, seconds: float | None
         print(f"budget: {line}", flush=True)
     elif seconds is not None:
         settings = config.parse(Settings, runs.read_settings(folder))
-    pipeline.train(scene, folder, settings, terms=TERMS, resume=folder.exists(), earlier=earlier)
+    pipeline.train(scene, folder, settings, terms=TERMS, resume=folder.exists())
 
 
 def _figures(folder: Path, options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -173,25 +126,18 @@ def _placed(value: Any, scene: str) -> Any:
     return value.replace("{scene}", scene) if isinstance(value, str) else value
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """What a study is told, alone or in a sweep."""
+def main() -> None:
+    """Reads the arguments and prints the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("study", metavar="STUDY", help=", ".join(sorted(p.stem for p in STUDIES.glob("*.py"))))
     parser.add_argument("--scene", required=True, help="folder of the data set")
     parser.add_argument("--out", required=True, metavar="DIR", help="empty folder for the runs")
     parser.add_argument("--on", choices=CONFIGS, metavar="CONFIG", help="of configs.py (default: the study's own)")
     parser.add_argument("--seeds", type=parsers.count, default=1, metavar="N", help="runs of each variant (default: 1)")
     parser.add_argument("--budget", metavar="TIME", help="of every run, as in 10m (default: the study's steps)")
-
-
-def main() -> None:
-    """Reads the arguments and prints the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    add_arguments(parser)
-    parser.add_argument("--only", metavar="VARIANT_SEED", help="one run of them (default: all)")
-    arguments = parser.parse_args()
-    seconds = None if arguments.budget is None else parsers.seconds(arguments.budget)
-    how = {"on": arguments.on, "seconds": seconds, "only": arguments.only}
-    every = run(arguments.study, arguments.scene, arguments.out, arguments.seeds, **how)
+    given = parser.parse_args()
+    seconds = None if given.budget is None else parsers.seconds(given.budget)
+    every = run(given.study, given.scene, given.out, given.seeds, on=given.on, seconds=seconds)
     print(tables.compare({variant: tables.spread(rows) for variant, rows in every.items()}))
 
 

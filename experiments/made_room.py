@@ -1,4 +1,4 @@
-"""A furnished room that is known exactly, photographed all around and through a fisheye lens (`panoramas.py`)."""
+"""A furnished room that is known exactly, photographed all around and through a fisheye lens."""
 
 from pathlib import Path
 from typing import NamedTuple

@@ -5,7 +5,7 @@
 
 Runs what it finds under a root. A finished run is not done again, a stopped one goes on, and one that fails leaves a
 dash. What two schedules of a scene and a seed have in common is trained once where the first of them has a checkpoint
-of it. Writes OUT/tables.md, .tex and .csv beside the runs, OUT/SCENE/SCHEDULE_SEED each.
+of it. Writes OUT/tables.md and .csv beside the runs, OUT/SCENE/SCHEDULE_SEED each.
 """
 
 import argparse
@@ -127,13 +127,13 @@ def _is_done(job: Job, options: Options) -> bool:
 
 
 def write_tables(out: Path, schedules: Iterable[str]) -> None:
-    """OUT/tables.md, .tex and .csv of all runs in the folder; the asked schedules have rows even without any."""
+    """OUT/tables.md and .csv of all runs in the folder; the asked schedules have rows even without any."""
     from gsjax.io.files import atomic_path
 
     found = found_runs(out)
     names = methods({*schedules, *(schedule for _, schedule, _, _ in found)})
     made = report.tables(measurements(found), names, remarks(found))
-    for suffix, text in (("md", report.markdown), ("tex", report.latex), ("csv", report.comma_separated)):
+    for suffix, text in (("md", report.markdown), ("csv", report.comma_separated)):
         with atomic_path(Path(out) / f"tables.{suffix}") as temporary:
             temporary.write_text(text(made), encoding="utf-8")
 

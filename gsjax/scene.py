@@ -37,6 +37,13 @@ class Origin(NamedTuple):
     # each of the frame's pixel centres lies; -1 where the photo shows nothing
 
 
+class DepthFile(NamedTuple):
+    """Depth that was measured beside a photo, in a file that the data set lists (`gsjax.io.depth_maps`)."""
+
+    path: Path
+    metres: float  # in one unit of the file's values
+
+
 @dataclass(frozen=True)
 class Frame:
     """One undistorted pinhole photo: where it was taken, and how to read its pixels, which are not kept."""
@@ -50,6 +57,7 @@ class Frame:
     held_out: bool = False  # scored, never trained on
     origin: Origin | None = None  # None: the photo had no distortion, the frame shows it whole; or it is a panorama's
     masked: bool = True  # False: all pixels are valid, which is known without reading them
+    depth: DepthFile | None = None  # None: the data set lists none
 
 
 def frame_of(name: str, viewmat: np.ndarray, K: np.ndarray, pixels: Pixels, *, held_out: bool = False) -> Frame:
@@ -138,6 +146,14 @@ class Scene:
     def extent(self) -> float:
         """Camera extent of the training frames, scene units, see `extent`."""
         return extent(self.train_frames)
+
+    @property
+    def camera_centers(self) -> np.ndarray:
+        """`[C, 3]` float64 centres of the frames' cameras in the world."""
+        from gsjax.cameras import viewmat_centers  # Loads jax, which a data set is read without.
+
+        viewmats = np.array([frame.viewmat for frame in self.frames], np.float64).reshape(-1, 4, 4)
+        return self.similarity.points_to_world(viewmat_centers(viewmats))
 
 
 def tracks_by_name(scene: Scene) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -199,7 +199,7 @@ class Settings:
     normals: str | None = None  # folder of maps (`gsjax.io.normal_folders.find`); None: smoothed normals of own depth
     normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: found by comparing with the rendered depth
     normal_gate: bool = False  # a normal counts as far as photos of the same place agree (`gsjax.normals.agreement`)
-    depth: str | None = None  # folder of measured depth (`gsjax.io.depth_maps`), within the data set or anywhere
+    depth: str | None = None  # folder of measured depth, within the data set or anywhere, or "auto": as it lists them
     depth_unit: Literal["mm", "cm", "m", "scene"] | None = None  # of those maps; None: as depth.json beside them says
     depth_weight: float = 0.2  # of the term `measured_depth`, where there are such maps and a phase sets no other
     sky: str | None = None  # folder of masks, 0 where photos show sky, found as `depth` is, or "auto": it must be seen
@@ -266,7 +266,7 @@ RATES: dict[str, float] = {"means": 3.2e-4, "sh_rest": 5e-4, "scales": 0.01, "qu
 
 # On short schedules the SDF gradient at every pixel's own surface point helps the one at the means, and an entropy
 # phase costs more than it brings. What photos say of each other makes flat what normals of one's own leave rough
-# (docs/deviations.md, experiments/studies/supervision.py).
+# (docs/deviations.md, experiments/results/mesh_terms.md).
 _SURFACE_TERMS = {"sdf_normal": 0.05, "pixel_normal": 0.05, "multi_view": 0.03, "photometric": 0.15}
 # For photos of half the size. The gradient at the means brings nothing more there, and costs most; `multi_view` counts
 # pixels, of which the same way has half as many (experiments/results/price_on_photos.md).

@@ -51,7 +51,7 @@ cloud = rng.uniform(low, high, (1000, 3)), rng.uniform(0, 1, (1000, 3))
 # %% [markdown]
 # ## Settings
 #
-# One knob, the number of steps, so that one program serves all. The most accurate comes first and again last.
+# One setting, the number of steps, so that one program serves all. The most accurate comes first and again last.
 
 # %%
 SETTINGS = {
@@ -152,6 +152,6 @@ assert np.median(times["15 steps"]) < 1
 assert lost["15 steps"] > lost["30 steps"] > 0
 
 # %% [markdown]
-# Every knob of the library is measured in this way by `experiments/accuracy_vs_time.py`, on the built-in scene with its
-# true normals and surface; its tables are
+# Every setting of the library is measured in this way by `experiments/accuracy_vs_time.py`, on the built-in scene with
+# its true normals and surface; its tables are
 # [what accuracy costs in time](../accuracy_vs_time.md).

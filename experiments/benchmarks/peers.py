@@ -1,23 +1,20 @@
 """Rasterizers that `rasterizer_peers.py` times: what each does with the splats of one view, forward and with gradients.
 
 * `jnp`: our own engine in jnp, `backend="xla"`.
-* A file: a tile rasterizer in JAX with `bin_pairs`, `forward` and `backward`; three channels, tiles in lockstep.
 * `gsplat`: the blending of gsplat's torch reference, `gsplat.cuda._torch_impl.accumulate`, with autograd. It makes no
   lists of who meets which pixel (its CUDA kernels do) and sums along rays by nerfacc, CUDA too. So the lists are made
   before the clock starts, and the sums are torch's: what is timed of it is less than what is timed of ours.
 """
 
-import importlib.util
 import sys
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
 from gsjax.errors import InputError
 
-TILE, LANES = 8, 256  # pixels, tiles: the fastest of the peer in JAX
+TILE = 8  # pixels
 
 Task = Callable[[], Any]
 
@@ -40,13 +37,12 @@ class Peer(NamedTuple):
 
 
 def peer_named(name: str) -> Peer:
-    """The peer of a file, or one of ours or gsplat's by its name.
+    """The other rasterizer of a name.
 
     Raises:
-        InputError: There is no such file, or no gsplat.
+        InputError: gsplat is not installed.
     """
-    named = {"jnp": _jnp, "gsplat": _gsplat}
-    return named[name]() if name in named else _tiles(_imported(Path(name)))
+    return {"jnp": _jnp, "gsplat": _gsplat}[name]()
 
 
 def tasks_of_ours(splats: Splats, *, backend: Any, rules: Any) -> tuple[Task, Task]:
@@ -74,49 +70,6 @@ def _jnp() -> Peer:
     import rasterizer
 
     return Peer(rasterizer.GSPLAT, partial(tasks_of_ours, backend="xla", rules=rasterizer.GSPLAT))
-
-
-def _imported(file: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(file.stem, file)
-    if spec is None or spec.loader is None or not file.is_file():
-        raise InputError(f"{file}: no Python file")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def _tiles(peer: ModuleType) -> Peer:
-    """It bins and blends."""
-    import jax
-    import jax.numpy as jnp
-
-    import rasterizer
-
-    def tasks(splats: Splats) -> tuple[Task, Task]:
-        projection, grid = splats.projection, splats.grid
-        width, height, across, down = grid.width, grid.height, grid.tiles_x, grid.tiles_y
-        where = projection.depths[0], projection.extents[0], projection.visible[0]
-        inputs = projection.means2d[0], projection.conics[0], splats.opacities, splats.colors
-        needed = int(peer.bin_pairs(inputs[0], *where, across, down, 1, TILE)[2])
-
-        def blended(inputs, where):
-            means2d, conics, opacities, colors = inputs
-            params = jnp.concatenate([means2d, conics, opacities[:, None], colors], -1)
-            pairs, offsets, _ = peer.bin_pairs(means2d, *where, across, down, needed, TILE)
-            return params, pairs, offsets, peer.forward(params, pairs, offsets, across, down, LANES, TILE)
-
-        def image(*arguments):
-            tiles = blended(*arguments)[3][0].reshape(down, across, 3, TILE, TILE)
-            return tiles.transpose(0, 3, 1, 4, 2).reshape(down * TILE, across * TILE, 3)[:height, :width]
-
-        def gradient(*arguments):
-            params, pairs, offsets, (lit, left, last) = blended(*arguments)
-            return peer.backward(params, pairs, offsets, left, last, 2 * lit, 0 * left, across, down, LANES, TILE)
-
-        compiled = jax.jit(image), jax.jit(gradient)
-        return tuple(lambda run=run: jax.block_until_ready(run(inputs, where)) for run in compiled)  # pyright: ignore[reportReturnType]
-
-    return Peer(rasterizer.GSPLAT, tasks)
 
 
 def _gsplat() -> Peer:

@@ -3,8 +3,7 @@
     python experiments/benchmarks/rasterizer.py [--backend native | xla] [--only WORKLOAD] [--processes 3]
 
 A nanosecond figure is blending's time by (pixel, Gaussian) pairs: Gaussians listed for a tile times all of its pixels,
-whether they draw them or not. The columns over the limit have it in times of what a pair's operations, counted, take
-this machine where nothing waits for memory. Both are wall times: no other program may want the cores.
+whether they draw them or not. All are wall times: no other program may use the cores.
 """
 
 import argparse
@@ -24,11 +23,6 @@ from gsjax.io.machine import peak_memory
 
 # A process keeps its luck with memory and neighbours from the first call to the last, up to a factor of two.
 PROCESSES = 3
-# Wall ms (forward, forward + backward) of others on 2 quiet cores, as the project was given them.
-PEERS = {
-    "golden: 10k, 256x256, radius 6": {"OpenSplat (C++)": (28, 45), "gsplat (torch)": (105, 110)},
-    "100k, 512x512, radius 3": {"OpenSplat (C++)": (170, 307), "gsplat (torch)": (376, 475)},
-}
 
 
 def measure(name: str, backend: Any) -> dict[str, float]:
@@ -80,50 +74,6 @@ def measure(name: str, backend: Any) -> dict[str, float]:
     }
 
 
-def operations_per_pixel_pair(channels: int = 3) -> tuple[int, int]:
-    """Elementwise operations of the forward and the backward blend, counted on the lines of `rasterizer.blending`."""
-    import jax
-    import jax.numpy as jnp
-
-    from rasterizer import GSPLAT, blending
-
-    def alpha(dx, dy, xx, xy, yy, opacity):
-        sigma = blending.splat_sigma(dx, dy, xx, xy, yy)
-        return opacity * jnp.exp(-sigma), sigma
-
-    def forward(t, x, y, px, py, *shape):
-        unclamped, sigma = alpha(x - px, y - py, *shape)
-        return blending.blend_splat(t, blending.cut_alpha(unclamped, sigma, GSPLAT), GSPLAT)
-
-    def backward(t, behind, lit, x, y, px, py, *shape):
-        unclamped, sigma = alpha(x - px, y - py, *shape)
-        cut = blending.cut_alpha(unclamped, sigma, GSPLAT)
-        return blending.unblend_splat(t, behind, lit, cut, unclamped, GSPLAT)
-
-    def count(function, arguments):
-        return str(jax.make_jaxpr(function)(*[1.0] * arguments)).count(" = ")
-
-    # And two a channel for the image; two a moment (6) and channel, and two a channel for what is lit, on the way back.
-    return count(forward, 9) + 2 * channels, count(backward, 11) + 2 * (6 + channels) + 2 * channels
-
-
-def operations_per_ns(lanes: int = 1 << 14, length: int = 64) -> float:
-    """What this machine does on blocks that fit its second cache: dependent multiplies and adds through XLA."""
-    import jax
-    import jax.numpy as jnp
-
-    def chain(x):
-        def body(_, x):
-            for i in range(length):
-                x = x * 0.999 if i % 2 else x + 0.001
-            return x
-
-        return jax.lax.fori_loop(0, 500, body, x)
-
-    _, ms = milliseconds(jax.jit(chain), jnp.ones(lanes, jnp.float32))
-    return 500 * length * lanes / (1e6 * ms)
-
-
 def main(chosen: Sequence[str] | None = None) -> None:
     """Measure and print."""
     # Run as a script, this file would be found before the package of its name.
@@ -131,8 +81,7 @@ def main(chosen: Sequence[str] | None = None) -> None:
     from gsjax.io.machine import machine, versions
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    golden = [name for name in PEERS if name.startswith("golden") and GOLDEN.is_file()]
-    names = [*golden, *WORKLOADS, HEAVY]
+    names = [*(["golden: 10k, 256x256, radius 6"] if GOLDEN.is_file() else []), *WORKLOADS, HEAVY]
     parser.add_argument("--backend", choices=("native", "xla"), help="what is timed (default: what auto stands for)")
     parser.add_argument("--only", choices=names, help="one workload")
     parser.add_argument("--processes", type=int, default=PROCESSES, metavar="N", help="of which the quickest counts")
@@ -147,31 +96,8 @@ def main(chosen: Sequence[str] | None = None) -> None:
         with ProcessPoolExecutor(1, spawn, max_tasks_per_child=1) as pool:
             figures = list(pool.map(partial(measure, backend=backend), [name] * arguments.processes))
         rows[name] = min(figures, key=lambda row: row["forward_backward_ms"])
-    forward, backward = operations_per_pixel_pair()
-    speed = operations_per_ns()
-    limits = {
-        "operations_forward": forward,
-        "operations_backward": backward,
-        "operations_per_ns": speed,
-        "limit_forward_ns": forward / speed,
-        "limit_backward_ns": backward / speed,
-    }
-    for row in rows.values():
-        row |= {f"{way}_over_limit": row[f"{way}_ns"] / limits[f"limit_{way}_ns"] for way in ("forward", "backward")}
     print(tables.compare(rows))
-    ratios = {
-        f"{peer}, {name}": {
-            "forward_ms": forward,
-            "forward_backward_ms": both,
-            "forward_ratio": forward / rows[name]["forward_ms"],
-            "forward_backward_ratio": both / rows[name]["forward_backward_ms"],
-        }
-        for name in rows
-        for peer, (forward, both) in PEERS.get(name, {}).items()
-    }
-    if ratios:
-        print(tables.compare(ratios))
-    print(tables.record({"backend": backend, **limits, **machine(), **versions()}))
+    print(tables.record({"backend": backend, **machine(), **versions()}))
 
 
 if __name__ == "__main__":

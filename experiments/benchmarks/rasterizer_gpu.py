@@ -157,7 +157,7 @@ def steps_of(run: Path) -> dict[str, dict[str, float]]:
     """Milliseconds of a whole training step of every phase from a run's Gaussians, and of gsplat over one view."""
     import jax
     import jax.numpy as jnp
-    from step_cost import steppers
+    from step_profile import steppers
 
     from gsjax import config, gaussians, render
     from gsjax.planning.sizes import training_extent

@@ -1,6 +1,6 @@
 """How fast is our tile rasterizer beside another one? In turn in one process, so ratios hold on a shared machine.
 
-    python experiments/benchmarks/rasterizer_peers.py PEER.py | gsplat | jnp [--run RUN] [--rounds 15] [--processes 5]
+    python experiments/benchmarks/rasterizer_peers.py gsplat | jnp [--run RUN] [--rounds 15] [--processes 5]
 
 Ours, the backend that `auto` stands for, bins and blends the splats of one view, forward and with the gradients to all
 of them; `peers.py` says what the others do. Their images must agree. The peer's wall time and its processor time are
@@ -79,9 +79,7 @@ def main() -> None:
     from gsjax.io.machine import machine, versions
 
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "peer", metavar="PEER", help="a Python file, gsplat for its torch reference, or jnp for our own"
-    )
+    parser.add_argument("peer", choices=("gsplat", "jnp"), help="gsplat's torch reference, or our own engine in jnp")
     parser.add_argument("--run", type=Path, help="a finished run, for one more workload")
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--processes", type=int, default=5)

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,6 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
     import jax
     import jax.numpy as jnp
     import numpy as np
-    from step_cost import steppers
 
     import rasterizer
     from gsjax import config, render, targets
@@ -102,6 +102,59 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
 
     steps = {f"a whole step, {phase}": once for phase, once in whole.items()}
     return {name: compiled(*program) for name, program in programs.items()} | steps
+
+
+def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[str, Callable[[], Any]]:
+    """By phase: takes one step, and the next when called again."""
+    import jax
+    import numpy as np
+
+    from gsjax import targets
+    from gsjax.settings import total_steps
+    from gsjax.training.capacity import chosen_capacity
+    from gsjax.training.growth.rules import RULES
+    from gsjax.training.optimizers import make_optimizer
+    from gsjax.training.plan import plan
+    from gsjax.training.state import initial_state
+    from gsjax.training.step import BACKGROUNDS, make_train_step
+    from gsjax.training.stepping import one_view
+    from gsjax.training.terms.multi_view import with_neighbors
+
+    optimizer, key = make_optimizer(settings.rates, extent, total_steps(settings)), jax.random.key(0)
+    facing = [np.tile(np.array([0, 0, -127], np.int8), (frame.height, frame.width, 1)) for frame in frames]
+    taken = {}
+    for phase in plan(settings).phases:
+        scale = phase.scale * phase.surface_scale
+        data = with_neighbors(targets.read_targets(frames, scale=scale), extent)
+        if "normals" in phase.needs:
+            data = targets.with_normals(data, facing, scale)
+        rule = RULES[settings.density.rule]
+        start = replace(jax.tree.map(jax.numpy.asarray, gaussians), pixel_filter=settings.pixel_filter)
+        state = initial_state(start, optimizer, rule)
+        step = make_train_step(
+            optimizer,
+            tuple(each for each in phase.terms if data.has_mattes or each.name != "alpha"),
+            capacity=chosen_capacity(start, data),
+            background=BACKGROUNDS[settings.background],
+            sh_every=1,
+            rule=phase.rule,
+            depth_mode=settings.depth_mode,
+            extent=extent,
+        )
+        taken[phase.name] = _stepper(step, state, one_view(data, 0, 0.5)(0), key)
+    return taken
+
+
+def _stepper(step: Callable, state: Any, target: Any, key: Any) -> Callable[[], Any]:
+    import jax
+
+    def once() -> Any:
+        nonlocal state
+        state, metrics = jax.block_until_ready(step(state, target, key))
+        return metrics
+
+    once()  # compiles
+    return once
 
 
 def measure(run: Path, rounds: int) -> dict[str, list[float]]:

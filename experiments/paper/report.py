@@ -1,4 +1,4 @@
-"""The paper's three tables, with what was measured below what was published, as Markdown, LaTeX and CSV."""
+"""The paper's three tables, with what was measured below what was published, as Markdown and CSV."""
 
 import csv
 import io
@@ -18,10 +18,6 @@ TABLES = {
 DASH = "-"
 DECIMALS = {"psnr": 2, "ssim": 3, "lpips": 3, "squeeze": 3}
 HEADINGS = {"psnr": "PSNR", "ssim": "SSIM", "lpips": "LPIPS", "squeeze": "LPIPS, SqueezeNet"}
-_BETTER = {"psnr": r"$\uparrow$", "ssim": r"$\uparrow$", "lpips": r"$\downarrow$", "squeeze": r"$\downarrow$"}
-_ESCAPES = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"} | {
-    c: "\\" + c for c in "&%$#_{}"
-}
 
 
 class Row(NamedTuple):
@@ -104,12 +100,12 @@ def _measured_row(method: str, found: Average, scenes: Sequence[str], remarks: d
     return Row(method, found.values, over, seeds, "measured" if found.scenes else DASH, said)
 
 
-def shown(value: Value | None, metric: str, between: str = " ± ") -> str:
+def shown(value: Value | None, metric: str) -> str:
     """A mean with its spread where it has one; a dash for None."""
     if value is None:
         return DASH
     digits = DECIMALS[metric]
-    spread = "" if value.spread is None else f"{between}{value.spread:.{digits}f}"
+    spread = "" if value.spread is None else f" ± {value.spread:.{digits}f}"
     return f"{value.mean:.{digits}f}{spread}"
 
 
@@ -150,42 +146,6 @@ def _markdown_table(table: Table) -> str:
 
 def _piped(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cell.replace("|", r"\|") for cell in cells) + " |"
-
-
-def latex(made: Sequence[Table]) -> str:
-    """All tables as `table` environments that need no package."""
-    return "\n".join(_latex_table(table) for table in made)
-
-
-def _latex_table(table: Table) -> str:
-    notes = _Notes()
-    lines = [r"\begin{table}\centering", rf"\caption{{{escaped(table.title)}}}", r"\begin{tabular}{|l|cccc|l|l|l|}"]
-    for block in [*table.averages, *table.scenes]:
-        scored = (f"{HEADINGS[metric]} {_BETTER[metric]}" for metric in METRICS)
-        headings = (escaped(block.title), *scored, "Scenes", "Seeds", "Source")
-        lines += [r"\hline", _ampersands((rf"\textbf{{{headings[0]}}}", *headings[1:])) + r" \hline"]
-        for row in block.rows:
-            marks = notes.marks(row)
-            method = escaped(row.method) + (f"$^{{{marks}}}$" if marks else "")
-            cells = [_latex_dash(shown(row.values[metric], metric, r" $\pm$ ")) for metric in METRICS]
-            rest = (_latex_dash(escaped(text)) for text in (row.scenes, row.seeds, row.source))
-            lines.append(_ampersands((method, *cells, *rest)))
-    lines += [r"\hline", r"\end{tabular}"]
-    lines += [rf"\par\footnotesize $^{{{number}}}$ {escaped(text)}" for number, text in enumerate(notes.texts, 1)]
-    return "\n".join([*lines, r"\end{table}", ""])
-
-
-def _ampersands(cells: Sequence[str]) -> str:
-    return " & ".join(cells) + r" \\"
-
-
-def _latex_dash(cell: str) -> str:
-    return "--" if cell == DASH else cell
-
-
-def escaped(text: str) -> str:
-    """Plain text for LaTeX."""
-    return "".join(_ESCAPES.get(character, character) for character in text)
 
 
 def comma_separated(made: Sequence[Table]) -> str:

@@ -49,7 +49,7 @@ _COSTS = {
     "bunny_plane": (1.00, 5.09, 3.22, 2.40, 1.97, 2.16, 1.45, 1.45, 2.55),
 }
 STEP_COSTS = {on: dict(zip(WEIGHTS, costs, strict=True)) for on, costs in _COSTS.items()}
-"""In plain steps, by config and method (`benchmarks/step_cost.py baselines RUN --on CONFIG`, AMD EPYC)."""
+"""In plain steps, by config and method, measured on an AMD EPYC (experiments/results/baselines.md)."""
 
 
 def costs_on(on: str) -> dict[str, float]:

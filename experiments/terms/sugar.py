@@ -22,8 +22,8 @@ from gsjax.numerics import masked_mean, safe_normalize
 from gsjax.render import View
 from gsjax.targets import Batch
 from gsjax.training.terms import Kept
-from terms.evaluation_points import SPREAD, rotate
 
+SPREAD = 1.5  # standard deviations of the points drawn about a Gaussian, in its own
 MOST_SAMPLES = 1_000_000  # points in a step; no more than there are Gaussians
 CLOSE = 2.0  # standard deviations towards the camera between a mean and the rendered depth, to be drawn from (sdf)
 FACTOR = 1 / 16  # of the density (sdf), so that its level 1 is beyond what 16 neighbours can make
@@ -147,3 +147,8 @@ def chosen(key: Array, among: Array, count: int) -> Array:
     ends = jnp.cumsum(among, dtype=jnp.int32)
     draws = jax.random.randint(key, (count,), 0, jnp.maximum(ends[-1], 1), jnp.int32)
     return jnp.minimum(jnp.searchsorted(ends, draws, side="right").astype(jnp.int32), len(among) - 1)
+
+
+def rotate(rotations: Array, vectors: Array) -> Array:
+    """`[..., 3]` vectors turned by `[..., 3, 3]` rotations."""
+    return jnp.sum(rotations * vectors[..., None, :], axis=-1)

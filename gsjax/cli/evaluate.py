@@ -4,7 +4,7 @@ import argparse
 import sys
 from functools import partial
 
-from gsjax.cli.parsers import add_command, finite, given_options
+from gsjax.cli.parsers import add_command, add_moved_scene, finite, given_options
 from gsjax.io import json_files
 
 
@@ -50,6 +50,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--lpips", metavar="FILE", action="append", help="weights of LPIPS as an ONNX file, see"
         " docs/normals.md; may be repeated (default: LPIPS is not scored)")  # fmt: skip
+    add_moved_scene(parser)
 
 
 def _run(arguments: argparse.Namespace) -> None:
@@ -63,7 +64,7 @@ def _run(arguments: argparse.Namespace) -> None:
         three_ways=arguments.three_ways,
         aligned=arguments.aligned,
         zooms=arguments.zoom,
-        **given_options(arguments, "lpips"),
+        **given_options(arguments, "lpips", "scene_folder"),
     )
     if arguments.json:
         require_apart(arguments.json, arguments.run_folder, arguments.mesh, *(arguments.lpips or ()))

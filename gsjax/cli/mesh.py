@@ -50,7 +50,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         help="close holes where two views show a surface; what nobody saw stays open; after agreed always")  # fmt: skip
     add("--keep-floaters", action="store_const", const=True,
         help="use Gaussians too that hang in the air: shown by one view alone, looked through by others")  # fmt: skip
-    add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a file is given")
+    add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a file is given; of a run,"
+        " where its data set is, if it was moved")  # fmt: skip
 
 
 def _run(arguments: argparse.Namespace) -> None:

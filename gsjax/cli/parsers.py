@@ -34,6 +34,12 @@ def add_command(
     return parser
 
 
+def add_moved_scene(parser: argparse.ArgumentParser) -> None:
+    """Add `--scene`, where the data set of a run is now."""
+    parser.add_argument("--scene", metavar="SCENE", dest="scene_folder", help="where the data set of RUN is, if it was"
+        " moved since the training")  # fmt: skip
+
+
 def given_options(arguments: argparse.Namespace, *names: str) -> dict:
     """The named options that the user gave: the defaults of the others are the library's."""
     return {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}

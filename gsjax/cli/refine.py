@@ -2,7 +2,7 @@
 
 import argparse
 
-from gsjax.cli.parsers import add_command, given_options
+from gsjax.cli.parsers import add_command, add_moved_scene, given_options
 
 PRESETS = ("fast", "balanced", "medium", "long")
 
@@ -41,6 +41,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         help="the mesh stays where its Gaussians have moved it (medium, long: default)")  # fmt: skip
     add("--seed", type=int, metavar="N", help="seed of the order of the photos (default: 0)")
     add("--resume", action="store_true", help="continue OUT from its last checkpoint, given the same options")
+    add_moved_scene(parser)
     add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
         help="any setting by its dotted key, as OUT/config.json shows them; may be repeated")  # fmt: skip
 
@@ -56,7 +57,8 @@ def _run(arguments: argparse.Namespace) -> None:
     whole = config.to_dict(config.parse(Refinement, chosen, where="settings"))
     assignments = [one for group in arguments.assignments for one in group]
     settings = config.parse(Refinement, config.override(whole, assignments), where="--set")
+    more = given_options(arguments, "scene_folder")
     report = pipeline.refine(
-        arguments.run_folder, arguments.out, settings, mesh=arguments.mesh, resume=arguments.resume
+        arguments.run_folder, arguments.out, settings, mesh=arguments.mesh, resume=arguments.resume, **more
     )
     print(tables.record(report))

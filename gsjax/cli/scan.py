@@ -3,7 +3,7 @@
 import argparse
 
 from gsjax.cli.parsers import add_command
-from gsjax.cli.sfm import add_reconstruction, reconstruction, tell_unused
+from gsjax.cli.sfm import add_reconstruction, print_if_small, reconstruction, tell_unused
 from gsjax.cli.train import add_training, training
 from gsjax.settings import REFINED_BY
 
@@ -44,3 +44,5 @@ def _run(arguments: argparse.Namespace) -> None:
         tell_unused(report["stages"]["sfm"])
     print(tables.compare(table(report)))
     print(f"mesh: {report['mesh']}, picture: {report['picture']}")
+    if "sfm" in report["stages"]:
+        print_if_small(report["stages"]["sfm"])

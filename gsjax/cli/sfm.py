@@ -54,7 +54,9 @@ def reconstruction(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def tell_unused(report: Mapping[str, Any]) -> None:
-    """Names the photos without a pose or GPS, and the files that are no photos, with the reasons, a line a reason.
+    """Names the photos without a pose, GPS or focal length, and the files that are no photos, a line a reason.
+
+    Another line says which model is kept where there were two.
 
     Args:
         report: Of the reconstruction, as a mapping.
@@ -63,10 +65,26 @@ def tell_unused(report: Mapping[str, Any]) -> None:
         ("left out", report["left_out"]),
         ("passed over", report["passed_over"]),
         ("GPS not followed", report.get("gps_unused", {})),  # which older reports do not hold
+        ("focal length of EXIF ignored", report.get("focal_unused", {})),
     ):
         for reason in dict.fromkeys(files.values()):
             names = [name for name, why in files.items() if why == reason]
             print(f"gsjax: {what} ({reason}): {', '.join(names)}", file=sys.stderr)
+    if line := report.get("second_mapping"):
+        print(f"gsjax: {line}", file=sys.stderr)
+
+
+def print_if_small(report: Mapping[str, Any]) -> None:
+    """Print, as the last line of a command, that less than half of the photos have a pose.
+
+    Args:
+        report: As of `tell_unused`.
+    """
+    if 2 * report["registered"] < report["images"]:
+        print(
+            f"only {report['registered']} of {report['images']} photos are in the model, less than half: see the"
+            " photos left out above, and docs/tasks/hard_photos.md"
+        )
 
 
 def _run(arguments: argparse.Namespace) -> None:
@@ -77,5 +95,7 @@ def _run(arguments: argparse.Namespace) -> None:
 
     report = asdict(sfm.reconstruct(arguments.photos, arguments.out, **reconstruction(arguments)))
     tell_unused(report)
-    counts = {name: len(report[name]) for name in ("left_out", "passed_over", "gps_unused")}
-    print(tables.record(report | counts))
+    counts = {name: len(report[name]) for name in ("left_out", "passed_over", "gps_unused", "focal_unused")}
+    figures = {name: value for name, value in (report | counts).items() if name != "second_mapping"}
+    print(tables.record(figures))
+    print_if_small(report)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gsjax import config
-from gsjax.cli.parsers import add_command, finite, given_options, seconds
+from gsjax.cli.parsers import add_command, add_moved_scene, finite, given_options, seconds
 from gsjax.cli.view import add_address
 from gsjax.errors import InputError
 from gsjax.settings import LENGTHS, PRESETS, Settings
@@ -35,7 +35,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         example="gsjax train scenes/garden --out runs/garden --preset fast",
     )
     add = parser.add_argument
-    add("scene", metavar="SCENE", help="folder of the data set")
+    add("scene", metavar="SCENE", nargs="?", help="folder of the data set; with --resume, that of RUN")
     add("--out", metavar="RUN", required=True, help="folder for the run; must be empty unless --resume")
     add(
         "--preset",
@@ -58,10 +58,11 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--normal-axes", metavar="SIGNS", help="what brings the maps' axes to ours (x right, y down, z forward): three"
         " signs, as in --normal-axes=+x-y-z, or opencv, opengl, dsine, pytorch3d (default: found by"
         " comparing)")  # fmt: skip
-    add("--depth", metavar="DIR", nargs="?", const="depth", help="folder of measured depth, .png of 16 bits or .npy"
-        " named as the photos, within SCENE or anywhere; without a value, SCENE/depth")  # fmt: skip
+    add("--depth", metavar="DIR", nargs="?", const="auto", help="folder of measured depth, .png of 16 bits or .npy"
+        " named as the photos, within SCENE or anywhere; without a value, the maps that transforms.json lists, or else"
+        " SCENE/depth")  # fmt: skip
     add("--depth-unit", choices=("mm", "cm", "m", "scene"), help="unit of that depth (default: as depth.json beside the"
-        " maps says)")  # fmt: skip
+        " maps says, or transforms.json)")  # fmt: skip
     add("--sky", metavar="DIR", nargs="?", const="auto", help="make no surface of open sky: folder of masks, 0 where a"
         " photo shows sky, named as those in masks/, within SCENE or anywhere; without a value, it is looked for in the"
         " photos")  # fmt: skip
@@ -85,6 +86,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--set", metavar="KEY=VALUE", action="append", nargs="+", default=[], dest="assignments",
         help="any setting by its dotted key, as RUN/config.json shows them; may be repeated")  # fmt: skip
     add("--resume", action="store_true", help="continue RUN from its last checkpoint with its own settings")
+    add_moved_scene(parser)
     add("--view", action="store_true", help="show the training on a page in the browser, as `gsjax view` does")
     add_address(parser)
 
@@ -97,6 +99,7 @@ def _run(arguments: argparse.Namespace) -> None:
         raise InputError(f"--{next(iter(places))} goes with --coordinator")
     from gsjax import tables
 
+    arguments.scene = _scene(arguments)
     if arguments.coordinator is None:
         print(tables.record(_train(arguments, address)))
         return
@@ -128,6 +131,26 @@ def _train(arguments: argparse.Namespace, address: dict[str, Any]) -> dict[str, 
         return train()
     with viewer.watch(arguments.scene, plan, **address) as observe:
         return train(observe=observe)
+
+
+def _scene(arguments: argparse.Namespace) -> str:
+    """The data set: as given, or that of the run to resume, which is recorded where it was moved to."""
+    if arguments.scene_folder is not None:
+        from gsjax.runs import is_begun
+        from gsjax.runs.moving import move_scene
+
+        if not arguments.resume:
+            raise InputError("--scene: is the new place of a run's data set, and goes with --resume")
+        if is_begun(arguments.out):
+            move_scene(arguments.out, arguments.scene_folder)
+        return arguments.scene_folder
+    if arguments.scene is not None:
+        return arguments.scene
+    if not arguments.resume:
+        raise InputError("SCENE: name the folder of the data set, as in gsjax train SCENE --out RUN")
+    from gsjax.runs.run import Run
+
+    return Run.open(arguments.out).manifest["scene"]
 
 
 def _devices(arguments: argparse.Namespace) -> int | Literal["all"]:

@@ -6,8 +6,10 @@ from types import MappingProxyType
 import numpy as np
 import optax
 
+from gsjax.effects import sky
 from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.observations import Observations
+from gsjax.effects.parallax import Parallax
 from gsjax.effects.simulation import Effect
 from gsjax.effects.sky import Masks
 from gsjax.render import backdrop
@@ -19,11 +21,17 @@ PASSES = 80  # 25 harmonics a pixel, and back
 DEGREE = 4  # of the spherical harmonics of a sky
 RATE = 5e-3  # Adam's learning rate of the coefficients; they wait for nothing
 SKIES_READ, PIXELS_READ = 60, 1000  # photos with sky, and pixels of each, that its colours are told by
+_WHITE, _MOSTLY = 254.5, 0.9  # of every channel, of 255; of the places
 _ONE_COLOR = 0.02  # standard deviation over the photos, and within them
 
 
-def judge(seen: Observations) -> Evidence:
-    """On where many photos show much that is bright and smooth, and where nothing was matched."""
+def judge(seen: Observations, compared: Parallax | None = None) -> Evidence:
+    """Judge whether light comes from no surface: where much is bright, smooth and unmatched, and no wall explains it.
+
+    Args:
+        seen: The photos.
+        compared: What `gsjax.effects.parallax.compare` measured of what is bare in them.
+    """
     cost = photo_cost(seen.frames, PASSES, 3 * (DEGREE + 1) ** 2, "of a sky by direction; one colour costs nothing")
     if any(facts.has_matte for facts in seen.facts):
         note = "mattes tell the object from what is behind it: --background random serves"
@@ -35,13 +43,32 @@ def judge(seen: Observations) -> Evidence:
     value = float(is_open.mean())
     noise = float(np.sqrt(value * (1 - value) / len(shares)))
     note = f"{100 * shares.mean():.0f} % of all pixels bright, smooth and unmatched"
-    if value > THRESHOLD:
-        colors = np.stack([facts.sky_color for facts in seen.facts])[is_open]
-        mean, spread = colors.mean(0), float(colors.std(0).max())
-        shown = ", ".join(f"{channel:.2f}" for channel in mean)
-        note += f"; colour {shown}, " + ("the same in all photos" if spread < _ONE_COLOR else f"+-{spread:.2f}")
-        note += "; a bright wall looks the same"
-    return Evidence(value > THRESHOLD, value, "share of photos", noise, THRESHOLD, cost, note)
+    if value <= THRESHOLD:
+        return Evidence(False, value, "share of photos", noise, THRESHOLD, cost, note)
+    colors = np.stack([facts.sky_color for facts in seen.facts])[is_open]
+    mean, spread = colors.mean(0), float(colors.std(0).max())
+    shown = ", ".join(f"{channel:.2f}" for channel in mean)
+    note += f"; colour {shown}, " + ("the same in all photos" if spread < _ONE_COLOR else f"+-{spread:.2f}")
+    is_white = _is_white(seen)
+    far = 0.0 if compared is None else sky.score(compared)
+    note += "; pure white" if is_white else f"; a wall explains it x{far:.2f} as badly as infinity"
+    is_on = is_white or far > sky.THRESHOLD
+    note += "" if is_on else f", needs {sky.THRESHOLD}: off"
+    return Evidence(is_on, value, "share of photos", noise, THRESHOLD, cost, note)
+
+
+def bare_regions(seen: Observations) -> dict[int, np.ndarray]:
+    """Index of a photo -> `[h, w]` bool on the grid of `PhotoFacts.light`: what is bright, smooth and unmatched."""
+    is_open = [facts.sky_share > OPEN for facts in seen.facts]
+    if np.mean(is_open) <= THRESHOLD or _is_white(seen):
+        return {}  # decided without
+    return {index: facts.bare for index, facts in enumerate(seen.facts) if is_open[index]}
+
+
+def _is_white(seen: Observations) -> bool:
+    """Whether what is bare is pure white: made by a computer, or clipped, and no photo of plaster."""
+    bare = [facts.light[facts.bare] for facts in seen.facts if facts.sky_share > OPEN]
+    return bool(bare) and bool((np.concatenate(bare) > _WHITE).all(-1).mean() > _MOSTLY)
 
 
 def initial(seen: Observations, skies: Masks = MappingProxyType({})) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Blurred photos: found and named, and left out where others see what they see; not simulated."""
+"""Blurred photos, one or all: named, and left out where others show the same; not simulated."""
 
 import numpy as np
 
@@ -9,12 +9,13 @@ THRESHOLD = 0.5  # of the median sharpness, lost
 DROP = 0.7  # A photo that lost more is left out of training,
 SEEN_BESIDES = 0.9  # if two others see so many of its points.
 COST = Cost(note="nothing: photos are left out, not simulated")
+SHARP_EDGE = 1.5  # pixels: photos whose sharpest edges are twice as wide lack half of their resolution
 _SHOWN = 5
 
 
 def judge(seen: Observations) -> Evidence:
-    """On where a photo has less than half of the sharpness that the median photo has; the note names those."""
-    lost = _lost(seen)
+    """Judge whether photos lack half of the median photo's sharpness, which the note names, or all lack resolution."""
+    lost, blurred_by = _lost(seen), _lost_by_all(seen)
     blurred = np.flatnonzero(lost > THRESHOLD)
     names = [seen.frames[index].name for index in blurred[np.argsort(-lost[blurred])]]
     note = "the least sharp photo against the median one"
@@ -24,8 +25,18 @@ def judge(seen: Observations) -> Evidence:
             f"blurred: {', '.join(names[:_SHOWN])}{more}; {int((lost > DROP).sum())} by more than {100 * DROP:.0f} %,"
             f" training leaves {len(photos_to_leave_out(seen)) or 'none'} out"
         )
+    if blurred_by > THRESHOLD:
+        note += f"; all photos are blurred: their sharpest edges are {SHARP_EDGE / (1 - blurred_by):.1f} pixels wide,"
+        note += f" {SHARP_EDGE} in sharp photos; half the size shows as much"
     spread = float(1.4826 * np.median(np.abs(lost - np.median(lost))))
-    return Evidence(bool(names), float(lost.max()), "of median sharpness lost", spread, THRESHOLD, COST, note)
+    value = max(float(lost.max()), blurred_by)
+    return Evidence(value > THRESHOLD, value, "of median sharpness lost", spread, THRESHOLD, COST, note)
+
+
+def _lost_by_all(seen: Observations) -> float:
+    """Share of the resolution that the median photo lacks, by its sharpest edges; 0 where photos have no edges."""
+    widths = np.array([facts.edge_width for facts in seen.facts if facts.edge_width > 0])
+    return max(0.0, 1 - SHARP_EDGE / float(np.median(widths))) if 2 * len(widths) > len(seen.facts) else 0.0
 
 
 def photos_to_leave_out(seen: Observations) -> tuple[str, ...]:

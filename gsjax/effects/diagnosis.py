@@ -1,8 +1,10 @@
 """All effects looked for in one data set."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from gsjax.effects import (
     background,
@@ -10,6 +12,7 @@ from gsjax.effects import (
     distortion,
     exposure,
     mip,
+    parallax,
     poses,
     sh_degree,
     sky,
@@ -18,6 +21,7 @@ from gsjax.effects import (
 )
 from gsjax.effects.evidence import Evidence, pace
 from gsjax.effects.observations import Observations, observe
+from gsjax.effects.sky import Masks
 from gsjax.scene import Frame, Scene
 
 
@@ -29,7 +33,8 @@ class Diagnosis:
     seen: Observations
     gains: exposure.Gains | None
     steps: tuple[poses.Step | None, ...]  # a frame
-    sky: sky.Masks
+    sky: Masks  # empty where the evidence is not on
+    plain: Masks  # what looks like sky, plaster included; for users who know that there is a sky
 
     def record(self) -> dict[str, Any]:
         """Plain values for a file: `effects` by name, and `photos` with gains in EV, sharpness, pose step, sky.
@@ -66,18 +71,32 @@ def diagnose(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fra
         InputError: A photo or the tracks cannot be read.
     """
     seen = observe(scene, progress=progress)
-    masks = sky.find(seen)
     gains, steps = exposure.estimate(seen), poses.gauss_newton_steps(seen)
+    masks = sky.find(seen)
+    of_sky = _parallax(seen, sky.regions(seen, masks), gains)
+    above = sky.judge(seen, masks, of_sky)
+    of_bare = of_sky if above.on else _parallax(seen, background.bare_regions(seen), gains)
     effects = {
         "exposure": exposure.judge(seen, gains),
         "vignetting": vignetting.judge(seen, gains),
         "sh_degree": sh_degree.judge(seen, gains),
-        "background": background.judge(seen),
-        "sky": sky.judge(seen, masks),
+        "background": background.judge(seen, of_bare),
+        "sky": above,
         "poses": poses.judge(seen, steps),
         "transients": transients.judge(seen, gains),
         "mip": mip.judge(seen),
         "blur": blur.judge(seen),
         "distortion": distortion.judge(seen),
     }
-    return Diagnosis(effects, seen, gains, steps, masks)
+    return Diagnosis(effects, seen, gains, steps, masks if above.on else {}, masks)
+
+
+def _parallax(
+    seen: Observations, regions: Mapping[int, np.ndarray], gains: exposure.Gains | None
+) -> parallax.Parallax | None:
+    """How plain regions compare between photos whose exposure is known from their tracks; None: it cannot be told."""
+    if not regions or not len(seen.points):
+        return None
+    stops = np.zeros((len(seen.frames), 3)) if gains is None else gains.fit.gains
+    up = sky.upwards(seen.frames)
+    return parallax.compare(seen, regions, stops, np.array([0.0, 0.0, 1.0]) if up is None else up)

@@ -16,13 +16,15 @@ from gsjax.scene import Frame, Scene, tracks_by_name
 BLUR = 0.7  # pixels, standard deviation: wider windows mix what lies behind an edge into it, more so in small photos
 DARKEST, BRIGHTEST = 12, 243  # Beyond, a pixel is clipped or nearly so, and tells no ratio:
 CLIPPED = 0.02  # most of a window that such pixels may make up
+EDGE_LINES, EDGE_REACH, EDGE_CONTRAST = 200, 6, 38.0  # rows and columns searched; pixels around an edge; levels
+SHARPEST, FEWEST_EDGES = 0.1, 50  # of the edges, whose width counts; of a photo whose edges count
 SKY_BRIGHT, SKY_SMOOTH = 0.5, 0.02  # Of a pixel that may be sky: its luminance, and how far its neighbours differ.
 SKY_CLEAR = 0.1  # of the width: nothing was matched nearer to it
 MOST_POINTS = 3000  # whose colours are looked at, and
 POINTS_PER_PHOTO = 40  # where there are many photos
-GRID = 48  # places along a photo's longer side where what is bright and bare is looked for
 EVEN_GRID = 320  # most places along it where a photo is looked at for being even:
 EVEN_STEP = 0.06  # so far the places around it differ at most, in any channel
+LIGHT_GRID = 96  # most places along it whose mean colour is kept, and which are bare or not
 UNUSABLE, UNEVEN, EVEN = 0, 1, 2
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -32,12 +34,15 @@ class PhotoFacts(NamedTuple):
     """What is kept of one photo."""
 
     sharpness: float  # of the luminance over valid pixels, see `_sharpness`
-    sky_share: float  # of the valid places in the grid
+    edge_width: float  # pixels, of the sharpest tenth of its edges; 0 where it has too few
+    bare: np.ndarray  # [h, w] bool by place of a grid of `light_stride` pixels: bright, smooth and far from all matches
+    sky_share: float  # of the valid places that are bare
     sky_color: np.ndarray  # [3] mean of them, 0..1
     sky_spread: float  # standard deviation of them, of the channel that has most
     has_matte: bool
     lost_share: float  # of the photo's pixels, by undistortion
     even: np.ndarray  # [h, w] uint8 by place of a grid of `even_stride` pixels: UNUSABLE, UNEVEN or EVEN
+    light: np.ndarray  # [h, w, 3] float16 mean display-coded colours of the same grid, 0..255
 
 
 @dataclass(frozen=True)
@@ -114,10 +119,12 @@ def _look(frame: Frame, keypoints: np.ndarray, looked_at: np.ndarray, lost: floa
     luminance = image.astype(np.float32) @ _LUMINANCE.astype(np.float32)
     facts = PhotoFacts(
         _sharpness(luminance, usable),
+        edge_width(luminance, usable),
         *_sky(image, luminance, usable, keypoints),
         matte is not None,
         lost,
         _even(image, usable),
+        mean_colors(image),
     )
     return _blurred_at(image, usable, looked_at), facts
 
@@ -162,13 +169,38 @@ def _sharpness(luminance: np.ndarray, usable: np.ndarray) -> float:
     return float(laplacian[inner].var(dtype=np.float64) / max(slopes[inner].mean(dtype=np.float64), 1e-6))
 
 
+def edge_width(luminance: np.ndarray, usable: np.ndarray) -> float:
+    """`PhotoFacts.edge_width`: contrast around an edge over its steepest step, along some rows and columns.
+
+    An ideal edge is one pixel wide, one under a Gaussian blur of s pixels 2.5 s. It takes no other photo to compare.
+    """
+    widths = []
+    for lines, free in ((luminance, usable), (luminance.T, usable.T)):
+        chosen = slice(None, None, max(1, len(lines) // EDGE_LINES))
+        widths.append(_widths(lines[chosen], free[chosen]))
+    every = np.concatenate(widths)
+    return float(np.quantile(every, SHARPEST)) if len(every) >= FEWEST_EDGES else 0.0
+
+
+def _widths(lines: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """Widths of the edges along lines `[L, N]`: where a step is the steepest within reach."""
+    if lines.shape[1] < 2 * EDGE_REACH:
+        return np.empty(0)
+    size, slopes = 2 * EDGE_REACH, np.abs(np.diff(lines, axis=1))
+    contrast = (ndimage.maximum_filter1d(lines, size, axis=1) - ndimage.minimum_filter1d(lines, size, axis=1))[:, 1:]
+    whole = ndimage.minimum_filter1d(usable.astype(np.uint8), size, axis=1)[:, 1:] == 1
+    is_edge = whole & (contrast > EDGE_CONTRAST) & (slopes == ndimage.maximum_filter1d(slopes, size - 1, axis=1))
+    return contrast[is_edge] / slopes[is_edge]
+
+
 def _sky(
     image: np.ndarray, luminance: np.ndarray, usable: np.ndarray, keypoints: np.ndarray
-) -> tuple[float, np.ndarray, float]:
-    """Share of a grid of places that is bright, smooth and far from all matches, its mean colour and spread."""
+) -> tuple[np.ndarray, float, np.ndarray, float]:
+    """Which places of a grid are bright, smooth and far from all matches, their share, mean colour and spread."""
     height, width = luminance.shape
-    step = max(1, round(max(height, width) / GRID))
-    rows, columns = np.arange(step // 2, height, step), np.arange(step // 2, width, step)
+    step = light_stride(width, height)
+    rows = np.arange(height // step) * step + step // 2
+    columns = np.arange(width // step) * step + step // 2
     grid = np.ix_(rows, columns)
     reach = np.array([-2, 0, 2])
     near_rows, near_columns = (
@@ -183,7 +215,7 @@ def _sky(
         distance = np.asarray(ndimage.distance_transform_edt(free))[: len(rows), : len(columns)]
         sky &= distance * step > SKY_CLEAR * width
     colors = image[grid][sky] / 255.0 if sky.any() else np.zeros((1, 3))
-    return float(sky.sum() / max(usable[grid].sum(), 1)), colors.mean(0), float(colors.std(0).max())
+    return sky, float(sky.sum() / max(usable[grid].sum(), 1)), colors.mean(0), float(colors.std(0).max())
 
 
 def even_stride(width: int, height: int) -> int:
@@ -194,13 +226,28 @@ def even_stride(width: int, height: int) -> int:
 def _even(image: np.ndarray, usable: np.ndarray) -> np.ndarray:
     """`PhotoFacts.even`, from the mean colours of the places."""
     stride = even_stride(image.shape[1], image.shape[0])
-    height, width = image.shape[0] // stride, image.shape[1] // stride
-    blocks = image[: height * stride, : width * stride].reshape(height, stride, width, stride, 3)
-    colors = blocks.mean(axis=(1, 3), dtype=np.float32)
+    colors = block_means(image, stride)
     step = ndimage.maximum_filter(colors, (3, 3, 1)) - ndimage.minimum_filter(colors, (3, 3, 1))
-    whole = usable[: height * stride, : width * stride].reshape(height, stride, width, stride).all(axis=(1, 3))
+    whole = block_means(usable, stride) == 1
     even = np.where(step.max(axis=-1) < 255 * EVEN_STEP, np.uint8(EVEN), np.uint8(UNEVEN))
     return np.where(whole, even, np.uint8(UNUSABLE))
+
+
+def block_means(values: np.ndarray, stride: int) -> np.ndarray:
+    """`[h, w, ...]` float32 means of whole blocks of `stride` by `stride` pixels of `[H, W, ...]`."""
+    height, width = values.shape[0] // stride, values.shape[1] // stride
+    blocks = values[: height * stride, : width * stride].reshape(height, stride, width, stride, *values.shape[2:])
+    return blocks.mean(axis=(1, 3), dtype=np.float32)
+
+
+def light_stride(width: int, height: int) -> int:
+    """Pixels along the side of a place of `PhotoFacts.light`."""
+    return max(1, -(-max(width, height) // LIGHT_GRID))
+
+
+def mean_colors(image: np.ndarray) -> np.ndarray:
+    """`PhotoFacts.light`."""
+    return block_means(image, light_stride(image.shape[1], image.shape[0])).astype(np.float16)
 
 
 def _lost(frame: Frame, known: dict[tuple, float]) -> float:

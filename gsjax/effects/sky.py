@@ -1,8 +1,8 @@
-"""Where photos show open sky: even, above the horizon, open to the photo's upper border, and without any matched point.
+"""Where photos show open sky: regions that may be one, and whether their light comes from infinity.
 
-A sky is no surface, yet any Gaussian of its colour explains a photo of it. A wall is as even, and a backdrop as far
-from anything matched; but both go on below the horizon, and points are matched on what stands before them. So what is
-told here is told of whole regions, by all points of the scene, and by several photos that look the same way.
+A region may be sky where it is even, above the horizon, open to the photo's upper border and without a matched point,
+in several photos that look the same way. A plain ceiling is all of that. So a sky is only reported where its light
+depends on the direction alone (`gsjax.effects.parallax`): to take a surface away is worse than to leave a sky.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,11 +13,16 @@ from scipy import ndimage
 
 from gsjax.cameras import landing
 from gsjax.effects.evidence import Evidence, photo_cost, unknown
-from gsjax.effects.observations import EVEN, UNUSABLE, Observations, even_stride
+from gsjax.effects.observations import EVEN, UNUSABLE, Observations, block_means, even_stride, light_stride
+from gsjax.effects.parallax import Parallax
 from gsjax.place import up_of_cameras
 from gsjax.scene import Frame
 
-THRESHOLD = 0.25  # of the photos
+THRESHOLD = 1.2  # times the error at infinity, which any other place of the light has at least
+LARGE_ROOM = 2 / 3  # of that threshold, for rooms far larger than what was matched: a sky is hardly different from them
+BLUE, BLUE_RANGE, BLUE_BONUS = 0.5, 0.3, 1.25  # EV of green over red; EV that it changes by; times the score,
+UNDECIDED = 1.05  # which must be this much without: that of an even colour is 1 within some hundredths
+SHARE = 0.25  # of the photos
 FEWEST = 2  # photos
 OPEN = 0.05  # of a photo's pixels, and
 OPEN_BORDER = 0.4  # of its upper border, in the photos that say that there is a sky;
@@ -36,7 +41,7 @@ Masks = Mapping[str, np.ndarray]
 
 
 def find(seen: Observations) -> Masks:
-    """Where the photos show sky; empty where they do not show one, and where cameras or points cannot tell."""
+    """Where the photos may show sky, or plaster; empty where they show neither, or cameras or points cannot tell."""
     up = upwards(seen.frames)
     if up is None or not len(seen.points) or any(facts.has_matte for facts in seen.facts):
         return {}
@@ -54,21 +59,52 @@ def find(seen: Observations) -> Masks:
         if kept:
             masks[frame.name] = _full_size(np.logical_or.reduce(kept), frame)
             strong += any(_is_plain(region, view) for region in kept)
-    return masks if strong >= max(FEWEST, THRESHOLD * len(views)) else {}
+    return masks if strong >= max(FEWEST, SHARE * len(views)) else {}
 
 
-def judge(seen: Observations, masks: Masks) -> Evidence:
-    """On where `find` found a sky."""
-    cost = photo_cost(seen.frames, PASSES, 0, "what covers the sky")
+def judge(seen: Observations, masks: Masks, compared: Parallax | None = None) -> Evidence:
+    """Judge whether the regions of `find` are sky; on only where their light comes from infinity.
+
+    Args:
+        seen: The photos.
+        masks: Where they may show sky.
+        compared: What `gsjax.effects.parallax.compare` measured in `regions`.
+    """
+    cost, unit = photo_cost(seen.frames, PASSES, 0, "what covers the sky"), "times the error at infinity"
     if any(facts.has_matte for facts in seen.facts):
-        return Evidence(False, 0.0, "share of photos", 0.0, THRESHOLD, cost, "mattes tell what is behind the object")
+        return Evidence(False, 0.0, unit, 0.0, THRESHOLD, cost, "mattes separate the object from what is behind it")
     if not seen.tracked:
-        return unknown("share of photos", THRESHOLD, cost, "without tracks a sky is no different from a wall")
+        return unknown(unit, THRESHOLD, cost, "without tracks a sky is no different from a wall")
     if upwards(seen.frames) is None:
-        return unknown("share of photos", THRESHOLD, cost, "the cameras do not tell where up is")
-    value = len(masks) / len(seen.frames)
-    noise = float(np.sqrt(value * (1 - value) / len(seen.frames)))
-    return Evidence(bool(masks), value, "share of photos", noise, THRESHOLD, cost, told(masks, seen.frames))
+        return unknown(unit, THRESHOLD, cost, "the cameras do not agree on where up is")
+    if not masks or compared is None:
+        note = "no sky" if not masks else f"no sky: {PLAIN}; even or clipped in all photos, so nothing compares"
+        return Evidence(False, 0.0, unit, 1.0, THRESHOLD, cost, note)
+    value = score(compared)
+    note = told(masks, seen.frames) if value > THRESHOLD else f"no sky: {PLAIN}"
+    note += f"; at a near surface x{compared.near:.2f}, a far one x{compared.far:.2f}, fixed to the photo"
+    note += f" x{compared.fixed:.2f}; green over red {compared.blueness:.2f} EV, changing by {compared.blue_range:.2f}"
+    return Evidence(value > THRESHOLD, value, unit, 1.0, THRESHOLD, cost, note)
+
+
+PLAIN = "a ceiling, a wall or a sky that looks like one"
+
+
+def score(compared: Parallax) -> float:
+    """How many times worse than infinity the likeliest surface explains the photos; a blue that changes adds to it."""
+    is_blue = compared.blueness > BLUE and compared.blue_range > BLUE_RANGE
+    likeliest = min(compared.near, compared.fixed)
+    bonus = BLUE_BONUS if is_blue and likeliest > UNDECIDED else 1.0
+    return min(bonus * likeliest, compared.far / LARGE_ROOM)
+
+
+def regions(seen: Observations, masks: Masks) -> dict[int, np.ndarray]:
+    """Index of a photo -> `[h, w]` bool on the grid of `PhotoFacts.light`: places that lie in its mask as a whole."""
+    found = {}
+    for index, frame in enumerate(seen.frames):
+        if frame.name in masks:
+            found[index] = block_means(masks[frame.name], light_stride(frame.width, frame.height)) == 1
+    return found
 
 
 def told(masks: Masks, frames: Sequence[Frame]) -> str:

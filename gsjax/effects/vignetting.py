@@ -8,13 +8,14 @@ from jax import Array
 from gsjax.cameras import Camera
 from gsjax.effects.evidence import Evidence, photo_cost, unknown
 from gsjax.effects.exposure import Gains
-from gsjax.effects.gains import Fit, Table, project
+from gsjax.effects.gains import Fit, Table, fit, project
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import LIMIT, Effect
 from gsjax.targets import Batch
 
 THRESHOLD = 0.1  # EV at the corner
 SIGNIFICANT = 5  # standard errors
+FEWEST_IN_HALF = 6  # photos, by which a change over time is judged
 _GROUPS = 20  # of radii in a picture
 PASSES = 10  # a polynomial and an exponential a pixel, two products, a choice, and back
 
@@ -52,16 +53,36 @@ def profile(seen: Observations, gains: Gains) -> tuple[np.ndarray, np.ndarray, f
     return *np.array(means).T, slope  # pyright: ignore[reportReturnType]
 
 
+def halves(seen: Observations, gains: Gains) -> list[tuple[float, float]]:
+    """`corner` of the earlier and of the later photos, in the order of their names; empty where they are too few."""
+    half = len(seen.frames) // 2
+    if half < FEWEST_IN_HALF:
+        return []
+    early = gains.data.photo < half
+    found = []
+    for chosen in (early, ~early):
+        part = gains.data.only(chosen)
+        if len(np.unique(part.photo)) < FEWEST_IN_HALF:
+            return []
+        found.append(slope_on(seen.radii2[gains.data.rows[chosen]], part, fit(part)))
+    return found
+
+
 def judge(seen: Observations, gains: Gains | None) -> Evidence:
-    """On where the fall-off shows, and is sure."""
+    """Judge whether corners are darker, in all photos or in one half of them, by more than noise."""
     cameras = len({frame.K.tobytes() for frame in seen.frames})
     cost = photo_cost(seen.frames, PASSES, 2 * cameras, "two numbers a camera")
     if gains is None:
         return unknown("EV", THRESHOLD, cost, "needs points that three photos see")
     slope, error = corner(seen, gains)
-    on = -slope > max(THRESHOLD, SIGNIFICANT * error)
     note = f"how much darker a corner is than the middle; needs {SIGNIFICANT} standard errors, has"
     note += f" {-slope / max(error, 1e-6):.0f}"
+    parts = halves(seen, gains)
+    if parts and abs(parts[0][0] - parts[1][0]) > max(THRESHOLD, SIGNIFICANT * np.hypot(parts[0][1], parts[1][1])):
+        slope, error = min(parts)
+        note += f"; changes over time: earlier photos {-parts[0][0]:.2f} EV, later ones {-parts[1][0]:.2f}"
+        note += "; one fall-off cannot describe both halves"
+    on = -slope > max(THRESHOLD, SIGNIFICANT * error)
     return Evidence(bool(on), -slope, "EV", error, THRESHOLD, cost, note)
 
 

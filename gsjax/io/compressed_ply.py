@@ -14,6 +14,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0, Gaussians
 from gsjax.io.files import atomic_path
+from gsjax.io.foreign_columns import report_unread
 from gsjax.io.packing import (
     check_packable,
     logits_of_bytes,
@@ -114,6 +115,7 @@ def read_compressed_ply(path: str | Path) -> Gaussians:
     lacks_packed = not set(_PACKED) <= set(vertices.dtype.names or ()) or packed != {"u4"}
     if not bounds <= set(chunks.dtype.names or ()) or lacks_packed:
         raise InputError(f"{path}: not a compressed PLY of Gaussians")
+    report_unread(path, [name for name in vertices.dtype.names or () if name not in _PACKED])
     if not np.isfinite(stack_columns(chunks, list(chunks.dtype.names or ()))).all():
         raise InputError(f"{path}: bounds of a chunk are not finite")
     count = len(vertices)

@@ -1,26 +1,30 @@
 """Depth that was measured beside the photos, by LiDAR or a depth camera: maps, their unit and their confidence."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.arrays import headers, read_arrays
-from gsjax.io.images import cv2, image_size, same_shape
-from gsjax.io.json_shapes import check
+from gsjax.io.depth_windows import Window, on_grid, window_of
+from gsjax.io.images import cv2, image_size
 from gsjax.io.normal_maps import map_places
-from gsjax.scene import Frame
+from gsjax.scene import DepthFile, Frame
 
 METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0}
 """Of the units of length; the unit `scene` is that of the data set's own coordinates."""
 
 UNITS = (*METRES, "scene")
+AUTO, USUAL_FOLDER = "auto", "depth"
 UNIT_FILE = "depth.json"
 CONFIDENCE = "confidence"  # The folder's name, beside that of the maps.
+_STATED = {"unit?": set(UNITS), "intrinsics?": [[float, 3], 3]}  # in `depth.json`
 _SUFFIXES = (".png", ".npy")
 _FULL, _LEVELS = 255, 2  # Confidence counts to 255; or, as ARKit has it, is 0, 1 or 2.
 
@@ -30,11 +34,18 @@ Readings = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class DepthMaps:
-    """The maps of a folder. Each shows what its photo shows, distorted as it is, and may be of any size."""
+    """Maps by the frame's name; frames without one are absent. A map may be of any size."""
 
     folder: Path
-    unit: str  # of `UNITS`
-    read: Mapping[str, Callable[[], Readings]]  # frame's name -> reads its map; frames without one are absent
+    unit: str  # as messages call it
+    metres: float | None  # in a unit; None: it is that of the data set's own coordinates
+    read: Mapping[str, Callable[[], Readings]]
+    windows: Mapping[str, Window]  # which part of a map shows what its photo shows
+    note: str  # how maps of another shape than their photos are read, or ""
+
+    def at(self, frame: Frame, scale: int) -> Readings:
+        """The map of a frame at the frame's pixels, see `on_grid`."""
+        return on_grid(self.read[frame.name](), frame, scale, self.windows[frame.name])
 
 
 def open_depth_maps(scene: str | Path, given: str, unit: str | None, frames: tuple[Frame, ...]) -> DepthMaps:
@@ -42,76 +53,66 @@ def open_depth_maps(scene: str | Path, given: str, unit: str | None, frames: tup
 
     A map has its photo's name with the suffix in place of the photo's or after it. A folder `confidence` beside that of
     the maps may hold 8-bit PNGs of the same names: 0 to 255, or ARKit's levels 0, 1 and 2. Only headers are read now.
+    What part of a map its photo shows, `gsjax.io.depth_windows.window_of` decides.
 
     Args:
         scene: Folder of the data set.
-        given: Folder of the maps, in `scene` or anywhere.
-        unit: Of `UNITS`; None: as `depth.json` in the folder says, `{"unit": "mm"}`.
+        given: Folder of the maps, in `scene` or anywhere; or "auto": the maps that the data set lists, or else those
+            of its folder `depth`.
+        unit: Of `UNITS`; None: as `depth.json` in the folder says, `{"unit": "mm"}`, or as the data set lists it.
         frames: Those that may have one.
 
     Raises:
-        InputError: There is no such folder, no map of any frame or no unit; or a map is not of its frame's shape, or of
-            no depth. Reading one raises it where what follows the header is damaged.
+        InputError: There is no such folder, no map of any frame or no unit; or a map is of another view than its photo,
+            or of no depth. Reading one raises it where what follows the header is damaged.
     """
+    listed = {frame.name: frame.depth for frame in frames if frame.depth is not None}
+    if given == AUTO and listed:
+        return _listed_maps(listed, unit, frames)
+    given = USUAL_FOLDER if given == AUTO else given
     folder = next((place for place in (Path(scene) / given, Path(given)) if place.is_dir()), None)
     if folder is None:
         raise InputError(f"--depth {given}: no such folder of depth maps, in {scene} or here")
     places = map_places(frames)
-    read = {}
-    for frame in frames:
-        if (file := _file(folder, str(places[frame.name]), frame.name)) is not None:
-            _check_size(file, _size(file), frame)
-            confidence = _confidence(folder, file, frame)
-            read[frame.name] = partial(_read, file, confidence)
-    if not read:
+    files = {frame.name: _file(folder, str(places[frame.name]), frame.name) for frame in frames}
+    there = {name: file for name, file in files.items() if file is not None}
+    if not there:
         raise InputError(f"{folder}: no depth map in it has the name of a photo, as {places[frames[0].name]}.png")
-    return DepthMaps(folder, unit or _stated_unit(folder), read)
+    unit = unit or _stated_unit(folder)
+    return _opened(folder, there, unit, METRES.get(unit), frames)
 
 
-def on_grid(readings: Readings, frame: Frame, scale: int) -> Readings:
-    """What was measured, at the pixels of a frame: `[H // scale, W // scale]`, 0 where nothing was.
-
-    Nothing is interpolated, because between two surfaces there is none: of a map that is larger than the frame each
-    pixel takes the nearest value; of a smaller one each value goes to the one pixel that holds it. Of a distorted photo
-    each pixel of the frame takes the nearest value.
-
-    Args:
-        readings: Of any size, showing all that the photo shows.
-        frame: The photo's.
-        scale: The frame is reduced by this factor; a rest at the right and the bottom is dropped.
-    """
-    if frame.origin is not None:
-        readings = _undistorted(readings, frame.origin.positions())
-    (to_rows, rows), (to_columns, columns) = (
-        _matches(*sides, scale) for sides in zip((frame.height, frame.width), readings[0].shape, strict=True)
-    )
-    placed = []
-    for values in readings:
-        grid = np.zeros((frame.height // scale, frame.width // scale), values.dtype)
-        grid[to_rows[:, None], to_columns] = values[rows[:, None], columns]
-        placed.append(grid)
-    return placed[0], placed[1]
+def _listed_maps(listed: Mapping[str, DepthFile], unit: str | None, frames: tuple[Frame, ...]) -> DepthMaps:
+    there = {name: depth.path for name, depth in listed.items() if depth.path.is_file()}
+    first = next(iter(listed.values()))
+    if not there:
+        raise InputError(f"{first.path}: no such depth map, nor another that the data set lists")
+    metres = {listed[name].metres for name in there}
+    if unit is None and len(metres) > 1:
+        raise InputError(f"{first.path.parent}: its maps are listed in several units; --depth-unit names one for all")
+    folder = next(iter(there.values())).parent
+    if unit is None and not all(0 < length < math.inf for length in metres):
+        raise InputError(f"{folder}: its maps are listed with a depth_unit_scale_factor that is no number above 0")
+    if unit is not None:
+        return _opened(folder, there, unit, METRES.get(unit), frames)
+    names = {length: name for name, length in METRES.items()}
+    return _opened(folder, there, names.get(min(metres), f"units of {min(metres):g} m"), min(metres), frames)
 
 
-def _undistorted(readings: Readings, positions: np.ndarray) -> Readings:
-    """At a frame's pixels, which lie at these shares `[H, W, 2]` of the photo's sides; -1 beyond the photo."""
-    height, width = readings[0].shape
-    x, y = np.moveaxis(positions, -1, 0)
-    column, row = ((np.clip(at, 0, 1) * side).astype(int) for at, side in ((x, width), (y, height)))
-    nearest = np.minimum(row, height - 1), np.minimum(column, width - 1)
-    depth, trust = (np.where(x < 0, 0, values[nearest]).astype(values.dtype) for values in readings)
-    return depth, trust
-
-
-def _matches(side: int, length: int, scale: int) -> tuple[np.ndarray, np.ndarray]:
-    """Along one axis: places in a frame of `side` pixels that is reduced, and those of the map that belong there."""
-    count, share = side // scale, length * scale / side  # of the map's pixels to one of the frame's
-    if share >= 1:
-        places = np.arange(count)
-        return places, np.minimum(((places + 0.5) * share).astype(int), length - 1)
-    own = np.arange(length)
-    places = ((own + 0.5) / share).astype(int)
-    return places[places < count], own[places < count]
+def _opened(
+    folder: Path, files: Mapping[str, Path], unit: str, metres: float | None, frames: tuple[Frame, ...]
+) -> DepthMaps:
+    """The maps of these files, which are in `folder` or, where the data set lists them, anywhere."""
+    intrinsics = _intrinsics(folder)
+    read, windows, notes = {}, {}, dict[str, None]()
+    for frame in frames:
+        if frame.name in files:
+            file = files[frame.name]
+            windows[frame.name], note = window_of(file, _size(file), frame, intrinsics)
+            read[frame.name] = partial(_read, file, _confidence(folder, file))
+            notes |= {note: None} if note else {}
+    more = f" (and {len(notes) - 1} other sizes)" if len(notes) > 1 else ""
+    return DepthMaps(folder, unit, metres, read, windows, f"{next(iter(notes), '')}{more}")
 
 
 def _file(folder: Path, place: str, name: str) -> Path | None:
@@ -119,13 +120,26 @@ def _file(folder: Path, place: str, name: str) -> Path | None:
     return next((file for file in candidates if file.is_file()), None)
 
 
-def _stated_unit(folder: Path) -> str:
+def _stated(folder: Path) -> dict[str, Any]:
+    """What `depth.json` beside the maps says."""
     file = folder / UNIT_FILE
-    if not file.is_file():
+    return json_files.read(file, _STATED) if file.is_file() else {}
+
+
+def _stated_unit(folder: Path) -> str:
+    if "unit" not in (stated := _stated(folder)):
         raise InputError(f"{folder}: the unit of its depth is not stated; --depth-unit mm, or {UNIT_FILE} in it")
-    stated = json_files.read(file)
-    check(file, stated, {"unit": set(UNITS)})
     return stated["unit"]
+
+
+def _intrinsics(folder: Path) -> np.ndarray | None:
+    """`[3, 3]` of the camera that measured depth, pixels of the maps; None where they are not stated."""
+    if "intrinsics" not in (stated := _stated(folder)):
+        return None
+    K = np.array(stated["intrinsics"], np.float64)
+    if not (np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0 and K[2].tolist() == [0, 0, 1]):
+        raise InputError(f"{folder / UNIT_FILE}: intrinsics are no matrix fx, 0, cx; 0, fy, cy; 0, 0, 1 of pixels")
+    return K
 
 
 def _size(file: Path) -> tuple[int, int]:
@@ -138,18 +152,11 @@ def _size(file: Path) -> tuple[int, int]:
     return shape[1], shape[0]
 
 
-def _check_size(file: Path, size: tuple[int, int], frame: Frame) -> None:
-    width, height = (frame.width, frame.height) if frame.origin is None else frame.origin.photo
-    if not same_shape(size, (width, height)):
-        raise InputError(f"{file}: depth map is {size[0]}x{size[1]}, its photo {width}x{height}")
-
-
-def _confidence(folder: Path, file: Path, frame: Frame) -> Path | None:
-    confidence = (folder.parent / CONFIDENCE / file.relative_to(folder)).with_suffix(".png")
-    if not confidence.is_file():
-        return None
-    _check_size(confidence, image_size(confidence), frame)
-    return confidence
+def _confidence(folder: Path, file: Path) -> Path | None:
+    """The file of a map's confidence; None where there is none."""
+    root = folder if file.is_relative_to(folder) else file.parent
+    confidence = (root.parent / CONFIDENCE / file.relative_to(root)).with_suffix(".png")
+    return confidence if confidence.is_file() else None
 
 
 def _read(file: Path, confidence: Path | None) -> Readings:

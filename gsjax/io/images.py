@@ -1,5 +1,6 @@
 """Images off the disk and onto it, whole or not at all, and filters that respect straight colours."""
 
+import os
 import threading
 import warnings
 from collections.abc import Callable, Iterator
@@ -358,9 +359,9 @@ def _format(path: Path) -> str:
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:
-    if isinstance(error, FileNotFoundError):
+    if isinstance(error, FileNotFoundError | NotADirectoryError):
         return InputError(f"{path}: no such image")
-    if path.is_file() and not path.stat().st_size:
+    if os.path.isfile(path) and not path.stat().st_size:  # Unlike Path, also of a name that is too long.
         return InputError(f"{path}: not a whole image (it is empty)")
     if isinstance(error, Image.UnidentifiedImageError):
         return InputError(

@@ -4,9 +4,11 @@ import sys
 from collections.abc import Callable, Hashable
 from functools import cache
 
+from tqdm import tqdm
+
 
 def _print(line: str) -> None:
-    print(line.encode(errors="backslashreplace").decode(), file=sys.stderr)
+    tqdm.write(line.encode(errors="backslashreplace").decode(), file=sys.stderr)  # above a bar, if there is one
 
 
 _show: Callable[[str], None] = _print

@@ -23,7 +23,7 @@ from gsjax.io.images import (
     upright_size,
 )
 from gsjax.io.lenses import Lens, PinholeView, pinhole_views, resize_lens
-from gsjax.scene import Frame, Origin, Pixels, Tracks
+from gsjax.scene import DepthFile, Frame, Origin, Pixels, Tracks
 
 MASK_USES = ("valid", "matte")
 
@@ -38,6 +38,7 @@ class Photo:
     lens: Lens
     mask_path: Path | None = None
     held_out: bool = False
+    depth: DepthFile | None = None
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ def _stamp(path: Path) -> tuple[int, int]:
     """When a file was written, nanoseconds, and its bytes; zeros where it is absent."""
     try:
         status = path.stat()
-    except OSError:
+    except (OSError, ValueError):  # ValueError: of a name that no disk holds.
         return 0, 0
     return status.st_mtime_ns, status.st_size
 
@@ -149,6 +150,7 @@ def _frame(photo: Photo, index: int, downscale: float, folder_masks: str) -> Fra
         pixels=partial(_read, photo, index, (width, height), folder_masks),
         held_out=photo.held_out,
         origin=_origin(photo.lens, view, (width, height)),
+        depth=None if view.suffix else photo.depth,
         masked=view.valid is not None or (photo.mask_path is not None and folder_masks == "valid"),
     )
 

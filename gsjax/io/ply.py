@@ -4,12 +4,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from gsjax.colors import shares, to_bytes
 from gsjax.errors import InputError
-from gsjax.gaussians import SH_C0, Gaussians, rgb_to_sh
+from gsjax.gaussians import SH_C0, Gaussians, rgb_to_sh, smallest_axes
 from gsjax.io.bad_items import leave_out_rows
 from gsjax.io.files import atomic_path
+from gsjax.io.foreign_columns import filter_column, fuse_filter
 from gsjax.io.notices import print_once
 from gsjax.io.place_files import place_comments
 from gsjax.io.ply_elements import (
@@ -37,13 +39,22 @@ _OF_DISCS = 1e-4  # Of the thinner of a disc's other two deviations: where a fil
 _SURE = 88.0  # Logit of an opacity that is 0 or 1 in float32; its exponential is still a number.
 
 
-def write_gaussians(path: str | Path, gaussians: Gaussians, place: Place = UNPLACED) -> None:
+def write_gaussians(
+    path: str | Path, gaussians: Gaussians, place: Place = UNPLACED, *, cameras: np.ndarray | None = None
+) -> None:
     """Writes Gaussians as a binary little-endian 3DGS PLY: opacities as logits, scales as logs, quaternions w first.
 
     Means are float, as all viewers expect, but double where float would lose their place (`loses_in_float32`).
     A pixel filter other than the classic one is told by a comment, as Brush and splat-transform have it; so is what is
     known of the place that they lie in.
-    The coefficients `f_rest_*` run channel by channel. Normals are written as zeros, as viewers expect the columns.
+    The coefficients `f_rest_*` run channel by channel. Normals are the smallest axes: unit vectors that face the
+    nearest camera or, without cameras, away from the median of the means.
+
+    Args:
+        path: Where.
+        gaussians: What to write.
+        place: What is known of the place that they lie in.
+        cameras: `[C, 3]` centres of cameras, in the coordinates of the means.
 
     Raises:
         InputError: The target cannot be written.
@@ -53,7 +64,7 @@ def write_gaussians(path: str | Path, gaussians: Gaussians, place: Place = UNPLA
     fields = [*_MEANS, "nx", "ny", "nz", *_DC, *[f"f_rest_{i}" for i in range(width)], "opacity", *_SCALES, *_QUATS]
     means = np.asarray(gaussians.means)
     columns = [
-        np.zeros((count, 3)),
+        _oriented_axes(gaussians, cameras),
         np.asarray(gaussians.sh_dc)[:, 0],
         rest,
         np.asarray(gaussians.logit_opacities)[:, None],
@@ -72,11 +83,25 @@ def write_gaussians(path: str | Path, gaussians: Gaussians, place: Place = UNPLA
         file.write(table.tobytes())
 
 
+def _oriented_axes(gaussians: Gaussians, cameras: np.ndarray | None) -> np.ndarray:
+    """`[N, 3]` smallest axes, turned to the nearest camera or, without cameras, away from the median of the means."""
+    axes = np.asarray(smallest_axes(gaussians))
+    means = np.nan_to_num(np.asarray(gaussians.means)).astype(np.float64)  # Readers leave such rows out.
+    if not len(means):
+        return axes
+    if cameras is None or not len(cameras):
+        directions = means - np.median(means, axis=0)
+    else:
+        directions = cameras[KDTree(cameras).query(means)[1]] - means
+    return np.where(np.sum(axes * directions, axis=1, keepdims=True) < 0, -axes, axes)
+
+
 def read_gaussians(path: str | Path) -> Gaussians:
-    """Reads a 3DGS PLY, ascii or binary, of any SH degree 0-4; columns in any order, foreign ones ignored.
+    """Reads a 3DGS PLY, ascii or binary, of any SH degree 0-4; columns in any order, foreign ones named in a line.
 
     Opacities of exactly 0 and 1, whose logits are infinite, become logits of -88 and 88: the same opacities in float32.
-    2DGS's discs, whose third scale is absent or of minus infinity, get one of a ten-thousandth of their others.
+    2DGS's discs, whose third scale is absent or of minus infinity, get one of a ten-thousandth of their others, and a
+    line says so. 3D filters (`filter_3D` of Mip-Splatting, GOF, RaDe-GS and MILo) are fused into scales and opacities.
     Nerfstudio's `--ply-color-mode rgb` has red, green and blue instead of harmonics. Rows that are not finite are left
     out, and a line says how many.
 
@@ -84,25 +109,30 @@ def read_gaussians(path: str | Path) -> Gaussians:
         Gaussians of numpy float32 arrays; the means are float64 where float32 would lose their place.
 
     Raises:
-        InputError: The file is no PLY or truncated, is a compressed one, lacks columns (named), or holds no Gaussian
-            of finite values.
+        InputError: The file is no PLY or truncated, is a compressed one, lacks columns or has some that change what
+            the others mean (named), or holds no Gaussian of finite values.
     """
     path = Path(path)
     vertices, header = _read_vertices(path)
     names = vertices.dtype.names or ()
     if "packed_position" in names:
         raise InputError(f"{path}: holds compressed Gaussians; name it {path.stem}.compressed.ply")
+    filters = filter_column(path, names)
     rest = rest_names(path, names)
     in_rgb = not set(_DC) & set(names) and set(_RGB) <= set(names)
     scales = _SCALES if _SCALES[2] in names else _SCALES[:2]
     missing = [n for n in [*_MEANS, *(() if in_rgb else _DC), *rest, "opacity", *scales, *_QUATS] if n not in names]
     if missing:
         raise InputError(f"{path}: not a PLY of Gaussians, it lacks {', '.join(missing)}")
+    log_scales, logits = stack_columns(vertices, scales), _finite_logits(stack_columns(vertices, ["opacity"]))
+    if filters is not None:
+        log_scales, logits = fuse_filter(log_scales, logits, stack_columns(vertices, [filters]))
+        print_once(f"{path}: {filters} is fused into scales and opacities")
     columns = [
         as_needed(stack_columns(vertices, _MEANS, np.float64)),
         stack_columns(vertices, _QUATS),
-        _with_thickness(stack_columns(vertices, scales)),
-        _finite_logits(stack_columns(vertices, ["opacity"])),
+        _with_thickness(path, log_scales),
+        _finite_logits(logits),
         np.asarray(rgb_to_sh(_colors(vertices, _RGB))) if in_rgb else stack_columns(vertices, _DC),
         stack_columns(vertices, rest),
     ]
@@ -180,11 +210,13 @@ def read_vertex_colors(path: Path) -> np.ndarray | None:
     return None if rgb is None else to_bytes(_colors(vertices, rgb))
 
 
-def _with_thickness(log_scales: np.ndarray) -> np.ndarray:
+def _with_thickness(path: Path, log_scales: np.ndarray) -> np.ndarray:
     """`[N, 3]` log scales of `[N, 2 or 3]`: minus infinity, or a third that is absent, is the thickness of a disc."""
     if log_scales.shape[1] == 2:
         log_scales = np.pad(log_scales, ((0, 0), (0, 1)), constant_values=-np.inf)
     flat = np.isneginf(log_scales)
+    if flat.any():
+        print_once(f"{path}: {flat.any(axis=1).sum()} of {len(flat)} are discs, {_OF_DISCS:g} of their radius thick")
     with np.errstate(invalid="ignore"):  # What is no number is looked for later, in all columns.
         thinnest = np.min(log_scales, axis=1, keepdims=True, where=~flat, initial=np.inf)
         return np.where(flat, thinnest + np.float32(np.log(_OF_DISCS)), log_scales)

@@ -1,4 +1,7 @@
-"""Which photos are held out for scoring: the data set's own split, every N-th, those of a list, or none."""
+"""Which photos are held out for scoring: the data set's own split, every N-th, those of a list, or none.
+
+Files of one shot (`gsjax.io.same_shots`) are held out, or trained on, together.
+"""
 
 import difflib
 import os
@@ -8,7 +11,9 @@ from pathlib import Path
 
 from gsjax.errors import InputError
 from gsjax.io.files import read_bytes
+from gsjax.io.notices import print_once
 from gsjax.io.photos import Photo
+from gsjax.io.same_shots import same_shots
 
 AUTO, NONE = "auto", "none"
 EVERY = 8
@@ -19,32 +24,52 @@ OWN_LIST = "hold_out.txt"  # In a data set's folder: its own split.
 def mark_held_out(photos: Sequence[Photo], hold_out: str, root: Path) -> list[Photo]:
     """Marks the photos that are held out.
 
+    Files that show the same shot are on one side: a shot is held out with all of its files. Where a list or the data
+    set's own split names one of them, the others are held out as well, and a line on stderr names them.
+
     Args:
         photos: Sorted by name.
-        hold_out: A number N: every N-th, starting with the first; "none"; a text file of names, one a line, where
-            blank lines and lines that begin with # do not count; "auto": the layout's own split, else the names in
-            `root`/hold_out.txt, else every 8th.
+        hold_out: A number N: every N-th shot, starting with the first (of N shots, the first of those with the fewest
+            files); "none"; a text file of names, one a line, where blank lines and lines that begin with # do not
+            count; "auto": the layout's own split, else the names in `root`/hold_out.txt, else every 8th.
         root: Folder of the data set.
 
     Raises:
         InputError: It is none of these, or the file names a photo that there is not, or none.
     """
-    held_out = _held_out(photos, hold_out, root)
+    if hold_out == NONE:
+        return [replace(photo, held_out=False) for photo in photos]
+    stated = _stated(photos, hold_out, root)
+    names = [photo.name for photo in photos]
+    shots = [[names[index] for index in shot] for shot in same_shots([photo.path for photo in photos])]
+    if isinstance(stated, int):
+        stretches = [shots[first : first + stated] for first in range(0, len(shots), stated)]
+        held_out = {name for stretch in stretches for name in min(stretch, key=len)}
+    else:
+        held_out = _with_copies(stated, shots, root)
     return [replace(photo, held_out=photo.name in held_out) for photo in photos]
 
 
-def _held_out(photos: Sequence[Photo], hold_out: str, root: Path) -> set[str]:
+def _with_copies(stated: set[str], shots: Sequence[Sequence[str]], root: Path) -> set[str]:
+    """The stated names and those of other files of the same shots."""
+    held_out = {name for shot in shots if not stated.isdisjoint(shot) for name in shot}
+    if copies := sorted(held_out - stated):
+        shown = ", ".join(copies[:5]) + (f" and {len(copies) - 5} more" if len(copies) > 5 else "")
+        print_once(f"{root}: held out as well, as they show the same shots as held-out photos: {shown}")
+    return held_out
+
+
+def _stated(photos: Sequence[Photo], hold_out: str, root: Path) -> set[str] | int:
+    """The names that are stated, or N for every N-th shot."""
     names = [photo.name for photo in photos]
-    if hold_out == NONE:
-        return set()
     if hold_out == AUTO:
         own = {photo.name for photo in photos if photo.held_out}
-        return own or (listed(root / OWN_LIST, names, **HINTS) if (root / OWN_LIST).is_file() else set(names[::EVERY]))
+        return own or (listed(root / OWN_LIST, names, **HINTS) if (root / OWN_LIST).is_file() else EVERY)
     if not hold_out.isdecimal():
         return listed(Path(hold_out), names, **HINTS)
     if int(hold_out) < 2:
         raise InputError(f"--hold-out {hold_out}: every N-th photo needs an N of at least 2")
-    return set(names[:: int(hold_out)])
+    return int(hold_out)
 
 
 def listed(file: Path, names: Sequence[str], *, absent: str = "", empty: str = "") -> set[str]:

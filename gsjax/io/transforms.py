@@ -14,7 +14,7 @@ from gsjax.io.photo_names import local_names, short_name
 from gsjax.io.photos import Capture, Photo
 from gsjax.io.ply import read_points
 from gsjax.io.random_points import points_in_synthetic_cube, points_in_view
-from gsjax.io.transforms_cameras import lens_of, viewmat_of
+from gsjax.io.transforms_cameras import depth_of, lens_of, viewmat_of
 from gsjax.io.transforms_splits import HELD_OUT, LEFT_OUT, frames_and_uses
 
 FILES = ("transforms.json", "transforms_train.json")  # Of instant-ngp and nerfstudio; of the NeRF-synthetic layout.
@@ -104,6 +104,7 @@ def _photos(file: Path, meta: dict[str, Any], held_out: bool = False) -> tuple[P
             lens=lens_of(file, entry, path),
             mask_path=_file_in(file, entry, "mask_path"),
             held_out=held_out or use == HELD_OUT,
+            depth=depth_of(entry, _file_in(file, entry, "depth_file_path")),
         )
 
     photos, faults = read_usable(zip(names, paths, entries, uses, strict=True), lambda frame: frame[0], photo)

@@ -1,4 +1,4 @@
-"""Poses and lenses as a frame of `transforms.json` states them.
+"""Poses, lenses and the unit of measured depth as a frame of `transforms.json` states them.
 
 Matrices are camera to world with OpenGL camera axes (x right, y up, looking along -z).
 """
@@ -13,6 +13,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.images import image_size
 from gsjax.io.lenses import Lens, check_lens
+from gsjax.scene import DepthFile
 from gsjax.similarity import is_float32
 
 # For each `camera_model`, in capitals: COLMAP's model and the coefficients that it takes after fx, fy, cx, cy.
@@ -29,6 +30,7 @@ _MODELS = {
 }
 _COEFFICIENTS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+_DEPTH_UNIT, _MILLIMETRE = "depth_unit_scale_factor", 0.001  # metres a unit; and the default of nerfstudio
 _UNEVEN = 1e-2  # share by which rounding may make the axes of a camera differ in length
 
 
@@ -91,6 +93,20 @@ def lens_of(file: Path, entry: dict[str, Any], path: Path) -> Lens:
     focals = _focal_lengths(where, entry, width, height)
     params = (*focals, *center, *(given.get(key, 0.0) for key in coefficients))
     return check_lens(Lens(colmap, width, height, params), where)
+
+
+def depth_of(entry: dict[str, Any], path: Path | None) -> DepthFile | None:
+    """The depth map of a frame, in millimetres or as `depth_unit_scale_factor` says (nerfstudio); None of no path.
+
+    The factor is checked where the map is used: `metres` is NaN of what is no number.
+    """
+    if path is None:
+        return None
+    factor = entry.get(_DEPTH_UNIT)
+    try:
+        return DepthFile(path, _MILLIMETRE if factor is None else float(factor))
+    except (TypeError, ValueError, OverflowError):
+        return DepthFile(path, math.nan)
 
 
 def _size(where: str, entry: dict[str, Any], path: Path) -> tuple[int, int]:

@@ -1,1 +1,1 @@
-"""How good a result is: images, geometry, and the protocols of published benchmarks."""
+"""How good a result is: images and geometry."""

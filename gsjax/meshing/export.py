@@ -15,6 +15,7 @@ import math
 import os
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -27,10 +28,12 @@ from gsjax.io.place_files import state_beside
 from gsjax.mesh import Mesh
 from gsjax.meshing import glb, usdz
 from gsjax.meshing.atlas import Atlas, TexturedMesh
+from gsjax.meshing.glb_parts import read_glb
 from gsjax.meshing.libraries import load_trimesh
 from gsjax.meshing.named_files import NamedFiles
 from gsjax.meshing.obj import read_obj
-from gsjax.meshing.part_colors import has_picture, merge_parts, parts_of, picture_pixels, sample_texture
+from gsjax.meshing.parts import Part, TooOftenError, merge_parts, shown_colors, within_texture
+from gsjax.meshing.ply_parts import read_ply
 from gsjax.place import UNPLACED, Place
 from gsjax.similarity import as_needed, is_float32, loses_in_float32, spread
 
@@ -96,12 +99,12 @@ def read_mesh(path: str | Path) -> Mesh:
     Raises:
         InputError: Unknown suffix, no such file, not readable as that format, or no triangles in it.
     """
-    surface = _loaded(Path(path))
-    return Mesh(*_triangles(surface), _vertex_colors(surface))
+    part = _read(Path(path))
+    return Mesh(part.vertices, part.faces, shown_colors(part))
 
 
 def read_textured(path: str | Path) -> TexturedMesh | None:
-    """Reads a mesh with its texture; None where the file has none.
+    """Reads a mesh with its texture, several in one picture; None where not all of the file has one.
 
     Args:
         path: A .ply, .obj or .glb file.
@@ -109,13 +112,15 @@ def read_textured(path: str | Path) -> TexturedMesh | None:
     Raises:
         InputError: As of `read_mesh`.
     """
-    surface = _loaded(Path(path))
-    picture = _picture(surface)
-    if picture is None:
-        return None
-    vertices, faces = _triangles(surface)
-    atlas = Atlas(_uvs(surface), np.arange(len(vertices), dtype=np.int32), faces, picture.shape[1], 0)
-    return TexturedMesh(Mesh(vertices, faces, _vertex_colors(surface)), atlas, picture)
+    part = _read(Path(path))
+    return None if part.texture is None else _textured(part, part.texture)
+
+
+def _textured(part: Part, texture: np.ndarray) -> TexturedMesh:
+    mesh = Mesh(part.vertices, part.faces, shown_colors(part))
+    every_vertex = np.arange(mesh.num_vertices, dtype=np.int32)
+    atlas = Atlas(np.asarray(part.uvs, np.float32), every_vertex, part.faces, texture.shape[1], 0)
+    return TexturedMesh(mesh, atlas, texture)
 
 
 def glb_bytes(path: str | Path) -> bytes:
@@ -130,20 +135,12 @@ def glb_bytes(path: str | Path) -> bytes:
         InputError: As of `read_mesh`.
     """
     path = Path(path)
-    surface = _loaded(path)
+    part = _read(path)
     if path.suffix.lower() == ".glb":
         return path.read_bytes()
-
-    if _picture(surface) is None:
-        return glb.encode_glb(Mesh(*_triangles(surface), _vertex_colors(surface)), unlit=True)
-    surface.vertices, offset = glb.about_offset(np.asarray(surface.vertices))
-
-    def completed(tree: dict) -> None:
-        glb.mark_unlit(tree)
-        glb.shift_meshes(tree, offset)
-
-    with np.errstate(over="ignore"):  # Of what a file holds beside its triangles.
-        return surface.export(file_type="glb", tree_postprocessor=completed)
+    if part.texture is None:
+        return glb.encode_glb(Mesh(part.vertices, part.faces, part.colors), unlit=True)
+    return glb.encode_textured(_textured(part, part.texture))
 
 
 def supported_suffix(path: Path) -> str:
@@ -182,23 +179,8 @@ def _write_textured_obj(path: Path, textured: TexturedMesh, place: Place) -> Non
 
 
 def _write_textured_glb(path: Path, textured: TexturedMesh, place: Place) -> None:
-    """One vertex a place in the texture. Unlit, as photos hold their light already."""
-    mesh, atlas = textured.mesh, textured.atlas
-    trimesh = load_trimesh()
-    material = trimesh.visual.material.PBRMaterial(
-        baseColorTexture=_image(textured.texture), metallicFactor=0.0, roughnessFactor=1.0
-    )
-    visual = trimesh.visual.TextureVisuals(uv=atlas.uvs * [1.0, -1.0] + [0.0, 1.0], material=material)
-    vertices, offset = glb.about_offset(mesh.vertices[atlas.vertices])
-    surface = trimesh.Trimesh(vertices, atlas.faces, visual=visual, process=False)
-
-    def completed(tree: dict) -> None:
-        glb.mark_unlit(tree)
-        glb.shift_meshes(tree, offset)
-        glb.state_place(tree, place)
-
     with atomic_path(path) as temporary:
-        temporary.write_bytes(surface.export(file_type="glb", include_normals=False, tree_postprocessor=completed))
+        temporary.write_bytes(glb.encode_textured(textured, place))
 
 
 def _write_textured_usdz(path: Path, textured: TexturedMesh, place: Place) -> None:
@@ -219,86 +201,48 @@ def _image(pixels: np.ndarray):
     return Image.fromarray(np.ascontiguousarray(pixels))
 
 
-def _loaded(path: Path):
-    """The file as one trimesh with vertices in their order; InputError where it is none."""
+def _read(path: Path) -> Part:
+    """The triangles of a file as one part, its vertices as `as_needed`; InputError where it has none."""
     suffix = supported_suffix(path)
     if not path.is_file():
         raise InputError(f"{path}: no such mesh file")
-    trimesh = load_trimesh()
+    named = NamedFiles(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Of numbers that are none, which are looked for afterwards.
-            if suffix == ".glb" and (unread := glb.unread_part(path.read_bytes())):
-                raise InputError(f"{path}: {unread}")
-            named = NamedFiles(path)
-            if suffix == ".obj":
-                scene = trimesh.Scene(read_obj(path, named.get))
-            else:
-                kept = {"force": "scene", "process": False, "maintain_order": True}
-                scene = trimesh.load(path, file_type=suffix[1:], resolver=named, **kept)
-            surface = _as_one(path, scene)
-            vertices, faces = _triangles(surface)
+            parts = [_require_drawable(path, part) for part in _READERS[suffix](path, named) if len(part.faces)]
+            if not parts:
+                raise InputError(f"{path}: holds no triangles")
+            part = merge_parts([_within_texture(part, named) for part in parts])
+            return replace(
+                part, vertices=as_needed(part.vertices.astype(np.float64)), faces=part.faces.astype(np.int32)
+            )
     except InputError:
         raise
     except Exception as error:  # Readers raise whatever the broken bytes lead to.
         raise InputError(f"{path}: not readable as a mesh ({type(error).__name__}: {error})".splitlines()[0]) from error
-    if (fault := _fault(vertices, faces, np.asarray(surface.visual.uv) if has_picture(surface) else None)) is not None:
-        raise InputError(f"{path}: {fault}")
-    return surface
 
 
-def _fault(vertices: np.ndarray, faces: np.ndarray, uvs: np.ndarray | None) -> str | None:
-    """What keeps triangles, or their places in a texture, from being drawn; None: nothing."""
-    if not len(faces):
-        return "holds no triangles"
-    if vertices.shape[1:] != (3,):
-        return "its vertices do not have three coordinates"
-    if not 0 <= faces.min() <= faces.max() < len(vertices):
-        return f"a triangle of it has a vertex that is not among its {len(vertices)}"
-    if not (fine := is_float32(vertices).all(axis=1)).all():
-        return f"{(~fine).sum()} of {len(fine)} vertices are not finite"
-    if uvs is not None and (uvs.shape[1] < 2 or not is_float32(uvs).all()):
-        return "places in its texture are no pairs of finite numbers"
-    return None
+def _require_drawable(path: Path, part: Part) -> Part:
+    """The part itself; InputError where its triangles, or their places in a texture, cannot be drawn."""
+    if part.vertices.shape[1:] != (3,):
+        raise InputError(f"{path}: its vertices do not have three coordinates")
+    if not 0 <= part.faces.min() <= part.faces.max() < len(part.vertices):
+        raise InputError(f"{path}: a triangle of it has a vertex that is not among its {len(part.vertices)}")
+    if not (fine := is_float32(part.vertices).all(axis=1)).all():
+        raise InputError(f"{path}: {(~fine).sum()} of {len(fine)} vertices are not finite")
+    if part.uvs is not None and (part.uvs.shape != (len(part.vertices), 2) or not is_float32(part.uvs).all()):
+        raise InputError(f"{path}: places in its texture are no pairs of finite numbers")
+    return part
 
 
-def _as_one(path: Path, scene):
-    """The parts of a file as one trimesh, with the texture where all of them have one, else with vertex colours."""
-    parts, is_glb = parts_of(scene), path.suffix.lower() == ".glb"
-    if not parts:
-        raise InputError(f"{path}: holds no triangles")
-    if all(has_picture(part) for part in parts):
-        return scene.to_mesh()
-    surface = parts[0]
-    if is_glb and len(parts) == 1 and (colors := glb.vertex_colors(path.read_bytes())) is not None:
-        surface.visual = load_trimesh().visual.ColorVisuals(surface, vertex_colors=colors)
-        return surface
-    if is_glb or len(parts) > 1 or surface.visual.kind in ("face", "texture"):
-        return merge_parts(parts, linear=is_glb)
-    if path.suffix.lower() == ".ply" and (colors := ply.read_vertex_colors(path)) is not None:
-        surface.visual.vertex_colors = colors
-    return surface
+def _within_texture(part: Part, named: NamedFiles) -> Part:
+    """The part with places in 0..1; with colours of vertices, and a line, where its texture repeats too often."""
+    try:
+        return within_texture(part)
+    except TooOftenError as error:
+        named.report_missing("a texture", f"cannot be laid out ({error})")
+        return replace(part, uvs=None, texture=None)
 
 
-def _triangles(surface) -> tuple[np.ndarray, np.ndarray]:
-    """`[V, 3]` vertices, float64 where float32 would lose their place, and `[F, 3]` int32 faces."""
-    return as_needed(np.asarray(surface.vertices, np.float64)), np.asarray(surface.faces, np.int32)
-
-
-def _vertex_colors(surface) -> np.ndarray:
-    """`[V, 3]` uint8."""
-    if surface.visual.kind == "vertex":
-        return np.asarray(surface.visual.vertex_colors[:, :3], np.uint8)
-    if has_picture(surface):
-        return sample_texture(surface)
-    return np.full((len(surface.vertices), 3), 128, np.uint8)
-
-
-def _uvs(surface) -> np.ndarray:
-    """`[V, 2]` float32 places in the texture, y down; trimesh counts from below."""
-    return (np.asarray(surface.visual.uv, np.float64) * [1, -1] + [0, 1]).astype(np.float32)
-
-
-def _picture(surface) -> np.ndarray | None:
-    """`[H, W, 3]` uint8 texture, if there is one and every vertex has its place in it."""
-    return picture_pixels(surface) if has_picture(surface) else None
+_READERS = {".ply": read_ply, ".obj": read_obj, ".glb": read_glb}

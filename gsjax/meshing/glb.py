@@ -4,22 +4,18 @@ Colours are linear: 16 bits keep all 256 values of sRGB apart, 8 would not. Posi
 them, they stand about a point near by, which is the translation of their node.
 """
 
-import json
-
 import numpy as np
 
 from gsjax.colors import linear_to_srgb, srgb_to_linear, to_bytes
 from gsjax.io.json_files import plain
 from gsjax.io.place_files import EXTRAS
 from gsjax.mesh import Mesh
+from gsjax.meshing.atlas import TexturedMesh
 from gsjax.meshing.libraries import load_trimesh
 from gsjax.place import UNPLACED, Place
 from gsjax.similarity import loses_in_float32, of_points
 
 OWN = "_color"  # What trimesh takes along untouched; it would write colours of its own in 8 bits.
-COMPONENTS = {5121: np.dtype("u1"), 5123: np.dtype("<u2"), 5126: np.dtype("<f4")}
-CHANNELS = {"VEC3": 3, "VEC4": 4}
-HARMLESS = ("KHR_materials_", "EXT_materials_")  # Extensions of materials, without which the triangles are the same.
 
 
 def encode_glb(mesh: Mesh, place: Place = UNPLACED, *, unlit: bool = False) -> bytes:
@@ -48,6 +44,30 @@ def encode_glb(mesh: Mesh, place: Place = UNPLACED, *, unlit: bool = False) -> b
     return surface.export(file_type="glb", tree_postprocessor=completed)
 
 
+def encode_textured(textured: TexturedMesh, place: Place = UNPLACED) -> bytes:
+    """A mesh with its texture as a GLB: one vertex a place in the texture. Unlit, as photos hold their light already.
+
+    Args:
+        textured: What to write.
+        place: As of `encode_glb`.
+    """
+    from PIL import Image
+
+    trimesh, atlas = load_trimesh(), textured.atlas
+    picture = Image.fromarray(np.ascontiguousarray(textured.texture))
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0)
+    visual = trimesh.visual.TextureVisuals(uv=atlas.uvs * [1.0, -1.0] + [0.0, 1.0], material=material)
+    vertices, offset = about_offset(textured.mesh.vertices[atlas.vertices])
+    surface = trimesh.Trimesh(vertices, atlas.faces, visual=visual, process=False)
+
+    def completed(tree: dict) -> None:
+        mark_unlit(tree)
+        shift_meshes(tree, offset)
+        state_place(tree, place)
+
+    return surface.export(file_type="glb", include_normals=False, tree_postprocessor=completed)
+
+
 def about_offset(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`[V, 3]` vertices that float32 can hold, and the point `[3]` float64 that they stand about."""
     offset = np.asarray(of_points(vertices).center) if loses_in_float32(vertices) else np.zeros(3)
@@ -72,52 +92,6 @@ def mark_unlit(tree: dict) -> None:
     tree.setdefault("materials", [{}])[0]["extensions"] = {"KHR_materials_unlit": {}}
     tree["extensionsUsed"] = [*tree.get("extensionsUsed", ()), "KHR_materials_unlit"]
     tree["meshes"][0]["primitives"][0].setdefault("material", 0)
-
-
-def unread_part(content: bytes) -> str | None:
-    """What of a GLB's triangles trimesh would take for zeros: compressed ones, and numbers that are not in the file."""
-    tree = _tree(content)
-    needed = [name for name in tree.get("extensionsRequired", ()) if not name.startswith(HARMLESS)]
-    if needed:
-        return f"needs {', '.join(needed)}, which is not read; save it without"
-    if any("bufferView" not in accessor for accessor in tree.get("accessors", ())):
-        return "promises numbers that are not in it"
-    return None
-
-
-def vertex_colors(content: bytes) -> np.ndarray | None:
-    """`[V, 3]` uint8 sRGB of a GLB that is one primitive with vertex colours, times its material's; None of another."""
-    length, tree = _length(content), _tree(content)
-    primitives = [primitive for mesh in tree["meshes"] for primitive in mesh["primitives"]]
-    if len(primitives) != 1 or "COLOR_0" not in primitives[0]["attributes"]:
-        return None
-    accessor = tree["accessors"][primitives[0]["attributes"]["COLOR_0"]]
-    if "bufferView" not in accessor or "sparse" in accessor:
-        return None
-    view, kind = tree["bufferViews"][accessor["bufferView"]], COMPONENTS[accessor["componentType"]]
-    channels = CHANNELS[accessor["type"]]
-    stored = np.ndarray(
-        (accessor["count"], channels),
-        kind,
-        content,
-        28 + length + view.get("byteOffset", 0) + accessor.get("byteOffset", 0),  # Behind two headers of chunks.
-        (view.get("byteStride", channels * kind.itemsize), kind.itemsize),
-    )
-    material = tree["materials"][primitives[0]["material"]] if "material" in primitives[0] else {}
-    factor = np.array(material.get("pbrMetallicRoughness", {}).get("baseColorFactor", (1.0, 1.0, 1.0))[:3])
-    largest = 1 if kind.kind == "f" else np.iinfo(kind).max
-    if kind.kind == "f" or (factor != 1).any():
-        return srgb_bytes(stored[:, :3] * (factor / largest))
-    return srgb_bytes(np.arange(largest + 1) / largest)[stored[:, :3]]
-
-
-def _length(content: bytes) -> int:
-    """Of the JSON, bytes."""
-    return int.from_bytes(content[12:16], "little")
-
-
-def _tree(content: bytes) -> dict:
-    return json.loads(content[20 : 20 + _length(content)])
 
 
 def srgb_bytes(linear: np.ndarray) -> np.ndarray:

@@ -1,49 +1,84 @@
-"""The files that a mesh file names, materials and pictures, and a line for each of them that gives no colours."""
+"""The files that a mesh file names, materials and pictures, and a line for each that gives no colours."""
 
-from io import BytesIO
 from pathlib import Path
+from tempfile import NamedTemporaryFile
+from urllib.parse import unquote
 
+import numpy as np
+
+from gsjax.errors import InputError
 from gsjax.io.notices import print_once
-from gsjax.meshing.libraries import load_trimesh
-
-NO_PICTURES = (".mtl", ".bin")
 
 
 class NamedFiles:
-    """The folder that a mesh file lies in, as trimesh asks it for files; trimesh itself passes over what fails."""
+    """The folder of a mesh file; what it lists and what cannot be shown is said in one line each."""
 
     def __init__(self, path: Path):
         """Of the mesh file at `path`."""
         self._path = path
-        self._folder = load_trimesh().resolvers.FilePathResolver(str(path))
+        self._textures: dict[str, np.ndarray | None] = {}
 
-    def get(self, name: str) -> bytes:
-        """What a file of the folder holds.
+    def find(self, name: str) -> Path | None:
+        """The file that a name means, in its folder or below; None, and a line, where there is none.
 
-        Raises:
-            OSError, ValueError: It is not there, or not in the folder.
+        Programs write paths of the machine that they ran on, with backslashes, in quotes, and in another case.
         """
-        try:
-            content = self._folder.get(name)
-        except (OSError, ValueError):
-            self._tell(name, "is not in its folder")
-            raise
-        if not name.lower().endswith(NO_PICTURES) and not _is_picture(content):
-            self._tell(name, "is no picture that can be read")
-        return content
+        file = self._file(name)
+        if file is None:
+            self.report_missing(name, "is not in its folder")
+        return file
 
-    __getitem__ = get
+    def has(self, name: str) -> bool:
+        """Whether there is a file that a name means."""
+        return self._file(name) is not None
 
-    def _tell(self, name: str, fault: str) -> None:
+    def texture(self, name: str) -> np.ndarray | None:
+        """`[H, W, 3]` uint8 of the picture that a name means; None, and a line, where there is none."""
+        if name not in self._textures:
+            file = self.find(name)
+            self._textures[name] = None if file is None else self._pixels(name, file)
+        return self._textures[name]
+
+    def embedded_texture(self, name: str, content: bytes) -> np.ndarray | None:
+        """`[H, W, 3]` uint8 of a picture that the mesh file itself holds; None, and a line, where it is none."""
+        with NamedTemporaryFile() as file:
+            file.write(content)
+            file.flush()
+            return self._pixels(name, Path(file.name))
+
+    def report_missing(self, name: str, fault: str) -> None:
+        """Says once that what the mesh file names gives no colours."""
         print_once(f"{self._path}: {name}, which it names, {fault}; the colours that it would give are missing")
 
+    def _file(self, name: str) -> Path | None:
+        steps = [step for step in _plain(name).split("/") if step not in ("", ".", "..")]
+        files = (_below(self._path.parent, steps[first:]) for first in range(len(steps)))
+        return next((file for file in files if file is not None), None)
 
-def _is_picture(content: bytes) -> bool:
-    """Whether the header of some bytes is that of a picture."""
-    from PIL import Image
+    def _pixels(self, name: str, file: Path) -> np.ndarray | None:
+        from gsjax.io.images import read_image  # It loads OpenCV.
 
+        try:
+            return read_image(file)[0]
+        except InputError:
+            self.report_missing(name, "is no picture that can be read")
+            return None
+
+
+def _plain(name: str) -> str:
+    return name.strip().strip("\"'").replace("\\", "/")
+
+
+def _below(folder: Path, steps: list[str]) -> Path | None:
+    """The file at the end of some steps from a folder, in any case where the exact name is not there."""
     try:
-        Image.open(BytesIO(content)).close()
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
-        return False
-    return True
+        for step in steps:
+            names = {entry.name: entry for entry in folder.iterdir()} if folder.is_dir() else {}
+            same = [names[n] for n in (step, unquote(step)) if n in names]
+            same += [entry for name, entry in sorted(names.items()) if name.lower() == step.lower()]
+            if not same:
+                return None
+            folder = same[0]
+        return folder if folder.is_file() else None
+    except OSError:
+        return None

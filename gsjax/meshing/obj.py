@@ -5,21 +5,20 @@ A face's index of 1 means the first vertex, and -1 the last before that face; po
 
 import os
 from array import array
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from gsjax.colors import shares, to_bytes
 from gsjax.errors import InputError
 from gsjax.io.files import read_bytes
-from gsjax.meshing.libraries import load_trimesh
+from gsjax.meshing.mtl import Material, read_materials
+from gsjax.meshing.named_files import NamedFiles
+from gsjax.meshing.parts import Part, split_corners, without_unused
 
-Part = Any  # trimesh.Trimesh
 _NO_COLOR = float("nan")  # of a vertex among others that have one
 _NO_PLACE = 0  # Of indices, which count from 1.
 
@@ -37,35 +36,31 @@ class _Content:
     libraries: list[str] = field(default_factory=list)  # files of materials
 
 
-def read_obj(path: Path, named_file: Callable[[str], bytes]) -> list[Part]:
+def read_obj(path: Path, named: NamedFiles) -> list[Part]:
     """The triangles of an .obj by their materials: with a texture, with colours of vertices, or of their material's.
 
     Args:
         path: The file.
-        named_file: Gives what a file beside it holds, or raises OSError or ValueError.
+        named: The files beside it.
 
     Raises:
-        InputError: It cannot be read, a line is none of an OBJ (its number is named), or there are no triangles.
+        InputError: It cannot be read, a line is none of an OBJ (its number is named), or an index is beyond its rows.
     """
     content = _content(path)
-    vertices = _rows(content.positions, 3)
-    faces = _rows(content.corners, 3)
-    places, face_places = _rows(content.places, 2), _rows(content.corner_places, 3)
-    for rows, known, what in ((faces, vertices, "vertex"), (face_places, places, "place in its texture")):
-        if rows.size and rows.max() > len(known):
-            raise InputError(f"{path}: a triangle of it has a {what} that is not among its {len(known)}")
-    faces -= 1
-    colors, materials = _rows(content.colors, 3), _materials(content.libraries, named_file)
-    groups, parts = _by_material(content.materials, len(faces)), []
-    for name, rows in groups.items():
-        material = materials.get(name)
-        if material is not None and "image" in material and len(face_places):
-            parts.append(_textured(vertices, faces[rows], places, face_places[rows], material))
-        else:
-            parts.append(_colored(vertices, colors, faces if len(groups) == 1 else faces[rows], material))
-    for part in parts if len(parts) > 1 else ():
-        part.remove_unreferenced_vertices()
-    return parts
+    for indices, count, what in (
+        (content.corners, len(content.positions) // 3, "vertex"),
+        (content.corner_places, len(content.places) // 2, "place in its texture"),
+    ):
+        if indices and _rows(indices, 1).max() > count:
+            raise InputError(f"{path}: a triangle of it has a {what} that is not among its {count}")
+    groups = _by_material(content.materials, len(content.corners) // 3)
+    materials = _materials(content.libraries, named)
+    parts = [_part(content, name, rows, materials, named) for name, rows in groups.items()]
+    if all(part.texture is None for part in parts):
+        for name, material in materials.items():
+            if material.picture is not None and name.lower() not in {used.lower() for used in groups}:
+                named.report_missing(material.picture, "belongs to a material of no triangle")
+    return [without_unused(part) for part in parts] if len(parts) > 1 else parts
 
 
 def _content(path: Path) -> _Content:
@@ -167,38 +162,36 @@ def _by_material(materials: Sequence[tuple[str, int]], count: int) -> dict[str, 
     return {name: np.concatenate(rows) for name, rows in runs.items()}
 
 
-def _materials(libraries: Sequence[str], named_file: Callable[[str], bytes]) -> dict[str, dict[str, Any]]:
-    """The materials of all files that are there, by name, as trimesh has them."""
-    trimesh, found = load_trimesh(), {}
+def _materials(libraries: Sequence[str], named: NamedFiles) -> dict[str, Material]:
+    """The materials of all files that are there, by name, and by name in lower case. A line may list several files."""
+    files: list[Path | None] = []
     for library in libraries:
-        with suppress(OSError, ValueError):
-            found |= trimesh.exchange.obj.parse_mtl(named_file(library), resolver=_Resolver(named_file))
-    return found
+        several = [] if named.has(library) else library.split()
+        files += [named.find(name) for name in (several if any(map(named.has, several)) else [library])]
+    materials: dict[str, Material] = {}
+    for file in files:
+        materials |= {} if file is None else read_materials(file)
+    return {name.lower(): material for name, material in materials.items()} | materials
 
 
-@dataclass
-class _Resolver:
-    """What trimesh asks for files."""
-
-    get: Callable[[str], bytes]
-
-
-def _textured(
-    vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, face_places: np.ndarray, material: dict[str, Any]
-) -> Part:
-    """A vertex for each pair of a vertex and a place in the texture."""
-    trimesh, width = load_trimesh(), len(places) + 1
-    keys, corners = np.unique(faces.astype(np.int64) * width + face_places, return_inverse=True)
-    uvs = np.concatenate([np.zeros((1, 2)), places])[keys % width]
-    visual = trimesh.visual.TextureVisuals(uv=uvs, material=trimesh.visual.material.SimpleMaterial(**material))
-    return trimesh.Trimesh(vertices[keys // width], corners.reshape(-1, 3), visual=visual, process=False)
-
-
-def _colored(vertices: np.ndarray, colors: np.ndarray, faces: np.ndarray, material: dict[str, Any] | None) -> Part:
-    trimesh = load_trimesh()
-    part = trimesh.Trimesh(vertices, faces, process=False)
-    if len(colors):
-        part.visual.vertex_colors = to_bytes(shares(colors))
-    elif material is not None:
-        part.visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.SimpleMaterial(**material))
-    return part
+def _part(content: _Content, name: str, rows: np.ndarray, materials: dict[str, Material], named: NamedFiles) -> Part:
+    """The triangles `rows` of one material."""
+    vertices, faces = _rows(content.positions, 3), _rows(content.corners, 3)[rows] - 1
+    places, face_places = _rows(content.places, 2), _rows(content.corner_places, 3)
+    material = materials.get(name) or materials.get(name.lower())
+    if material is None and name and not content.colors and (materials or not content.libraries):
+        named.report_missing(name, "is in none of its files of materials")
+    texture = None
+    if material is not None and material.picture is not None:
+        if len(face_places):
+            texture = named.texture(material.picture)
+        else:
+            named.report_missing(material.picture, "has no places for its triangles")
+    color = Material.color if material is None else material.color
+    if material is not None and texture is not None:
+        places = np.concatenate([np.zeros((1, 2)), places * material.scale + material.origin]) * [1, -1] + [0, 1]
+        vertices, faces, uvs = split_corners(vertices, faces, places, face_places[rows])
+        return Part(vertices, faces, np.full(vertices.shape, color, np.uint8), uvs, texture)
+    if content.colors:
+        return Part(vertices, faces, to_bytes(shares(_rows(content.colors, 3))))
+    return Part(vertices, faces, np.full(vertices.shape, color, np.uint8))

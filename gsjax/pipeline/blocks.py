@@ -24,6 +24,7 @@ from gsjax.planning.sizes import at_size, chosen_downscale
 from gsjax.report.page import report
 from gsjax.report.shown_views import picture_keeper
 from gsjax.runs.result import write_views
+from gsjax.runs.splits import split_of
 from gsjax.scene import Scene
 from gsjax.scoring.images import score_images
 from gsjax.settings import AUTO, NONE, Settings, total_steps
@@ -181,8 +182,9 @@ def _merge(planned: Blocks, out: Path) -> None:
             similarity=loaded.similarity,
             place=loaded.place,
             plan=record,
+            split=split_of(loaded.frames),
         )
-        write_gaussians(run / "gaussians.ply", gaussians, loaded.place)
+        write_gaussians(run / "gaussians.ply", gaussians, loaded.place, cameras=loaded.camera_centers)
         write_views(run, loaded.frames)
         scores = score_images(
             loaded.similarity.gaussians_to_local(gaussians),

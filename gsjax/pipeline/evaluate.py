@@ -37,6 +37,7 @@ def evaluate(
     three_ways: bool = False,
     aligned: bool = False,
     zooms: Sequence[float] = (),
+    scene_folder: str | Path | None = None,
 ) -> dict[str, Any]:
     """Score a finished run on its held-out views and, where its data set brings truth, its geometry.
 
@@ -48,6 +49,7 @@ def evaluate(
         three_ways: Score pictures in all ways of `score_images` even if the run simulated no effects.
         aligned: Score pictures from the poses that fit the photos best too, even if the run moved no cameras.
         zooms: Score pictures at so many times the size of training as well: at 0.5 against photos of half the size.
+        scene_folder: Where the data set is, if it was moved since the training. None: where it was.
 
     Returns:
         What `score_images` tells of the held-out views and what the files of weights allow, at least `lpips_vgg_3dgs`
@@ -66,9 +68,12 @@ def evaluate(
     """
     run, measures = Path(run), lpips_measures(lpips)
     result, folder = open_result(run), Run.open(run)
-    background, scene, found = folder.settings["background"], scene_of_run(run), folder.photography
+    background, found = folder.settings["background"], folder.photography
+    scene = scene_of_run(run, scene=scene_folder)
     similarity = scene.similarity
-    zoomed = {zoom: scene_of_run(run, zoom=zoom).held_out_frames for zoom in zooms}  # Refused before hours of scoring.
+    zoomed = {  # Refused before hours of scoring.
+        zoom: scene_of_run(run, zoom=zoom, scene=scene_folder).held_out_frames for zoom in zooms
+    }
     given = None if mesh is None else similarity.mesh_to_local(read_mesh(mesh))
     if three_ways and not found.looks:
         found = found._replace(looks=appearances_of_tracks(scene))

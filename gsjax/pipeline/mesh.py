@@ -100,7 +100,8 @@ def mesh(
         background_bounds: The same of a background around `bounds`.
         foreground_only: No background is reconstructed.
         faces: Most triangles of the foreground, and of the background.
-        scene: Data set whose cameras to use with a file. None: cameras around the Gaussians, or within them.
+        scene: Data set whose cameras to use with a file. None: cameras around the Gaussians, or within them. Of a run
+            folder, where its data set is, if it was moved.
         settled: Whether vertices move to where the photos agree.
         holes_filled: Whether holes are closed where the views show a surface (`gsjax.meshing.holes`). After "agreed"
             they always are.
@@ -206,10 +207,10 @@ def _pictures(result: Result, *, with_owners: bool = True) -> tuple[list[Camera]
 
 def _data_set(source: Path, scene: str | Path | None) -> Scene | None:
     """The data set of a run, or `scene`; None, and one line, where a run's photos have gone."""
-    if scene is not None:
-        return load_scene(scene)
     if not source.is_dir():
-        return None
+        return None if scene is None else load_scene(scene)
+    if scene is not None:
+        return scene_of_run(source, scene=scene)
     try:
         return scene_of_run(source)
     except InputError as error:

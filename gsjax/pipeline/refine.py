@@ -38,9 +38,11 @@ from gsjax.report.page import report
 from gsjax.report.shown_views import picture_keeper
 from gsjax.runs.compilations import make_room
 from gsjax.runs.journal import Journal, beginning
+from gsjax.runs.moving import move_scene
 from gsjax.runs.photography import Photography, write_photography
 from gsjax.runs.result import DEPTH_OF_DISCS, QUIET, Result, open_result, scene_of_run, write_views
 from gsjax.runs.run import Run
+from gsjax.runs.splits import split_of
 from gsjax.scene import Scene, extent, kept
 from gsjax.scoring.images import score_images
 from gsjax.targets import Targets, batch, read_targets
@@ -58,6 +60,7 @@ def refine(
     *,
     mesh: str | Path | None = None,
     resume: bool = False,
+    scene_folder: str | Path | None = None,
 ) -> dict[str, Any]:
     """Refine a mesh on the photos of the run that it came from.
 
@@ -70,6 +73,7 @@ def refine(
         settings: The refinement, or a table of it such as `gsjax.binding.refining.PRESETS["fast"]`.
         mesh: Any mesh in the data set's coordinates; all its parts are kept. None: `RUN/mesh.ply`.
         resume: Continue `out` from its last checkpoint; with the same settings and mesh.
+        scene_folder: Where the data set is, if it was moved since the training; `out` records it. None: where it was.
 
     Returns:
         The report: `psnr`, `ssim` and `views` of the held-out views, `vertices`, `faces`, `gaussians` (those `bound` to
@@ -91,7 +95,10 @@ def refine(
     source = run / "mesh.ply" if mesh is None else Path(mesh)
     if mesh is None and not source.exists():
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
-    scene, result = scene_of_run(run), open_result(run) if settings.keep_free else None
+    if resume and scene_folder is not None:
+        move_scene(out, scene_folder)
+    scene = scene_of_run(run, scene=scene_folder)
+    result = open_result(run) if settings.keep_free else None
     given = scene.similarity.mesh_to_local(read_mesh(source))
     coarse, taken_out = prepare_mesh(given, settings.faces, settings.halved_share)
     photos, rows = scene.train_frames, settings.per_triangle * coarse.num_faces
@@ -133,6 +140,7 @@ def refine(
             similarity=scene.similarity,
             place=scene.place,
             plan=_plan(settings, trained),
+            split=split_of(scene.frames),
         )
     )
     optimizer = refining.make_optimizer(settings, size, coarse.num_vertices)
@@ -244,7 +252,8 @@ def _finish(
     refined, gaussians = to_mesh(hybrid.bound), all_gaussians(hybrid)
     for name in ("mesh.ply", "mesh.glb"):
         write_mesh(folder / name, scene.similarity.mesh_to_world(refined), scene.place)
-    write_gaussians(folder / "gaussians.ply", scene.similarity.gaussians_to_world(gaussians), scene.place)
+    world = scene.similarity.gaussians_to_world(gaussians)
+    write_gaussians(folder / "gaussians.ply", world, scene.place, cameras=scene.camera_centers)
     write_views(folder, scene.frames)
     write_photography(folder, found)
     summary = {

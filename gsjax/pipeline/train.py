@@ -44,10 +44,12 @@ from gsjax.runs.prior import RunPrior, note_normals
 from gsjax.runs.processes import from_first, is_first, own_folder
 from gsjax.runs.result import write_views
 from gsjax.runs.run import Run
+from gsjax.runs.splits import require_photos_of_effects, split_of, split_record
 from gsjax.scene import Scene, kept
 from gsjax.scoring.images import score_images
 from gsjax.settings import AUTO, PLAIN, Settings
 from gsjax.training import optimizers
+from gsjax.training.growth.rules import RULES
 from gsjax.training.loop import Progress, Work, follow
 from gsjax.training.plan import Plan, check_terms, plan
 from gsjax.training.state import TrainState
@@ -103,6 +105,8 @@ def train(
         if not resume:
             runs.require_free(folder)
         known = Run.open(folder).plan if resume and is_first() and runs.is_to_resume(folder) else None
+        if known:
+            runs.require_scene(folder, scene)
         planned = _planned(scene, settings, terms, count_devices(devices), known)
         return _train(scene, folder, settings, planned, known, earlier, observe, devices)
 
@@ -129,6 +133,8 @@ def _beginning_lines(planned: Plan, settings: Settings, photos_line: str) -> lis
     lines = [f"on {engine.device} with the {engine.name} rasterizer", photos_line]
     if settings.dropout:
         lines.append(f"every step leaves out {settings.dropout:.0%} of the Gaussians")
+    if any(phase.rule is RULES["adc"] for phase in planned.phases):
+        lines.append(f"growth stops at max_gaussians={planned.max_gaussians:,}; 3DGS has no such bound")
     if planned.left_out:
         lines.append(f"{', '.join(planned.left_out)} need one photo a step and are left out")
     if settings.normals is None and "normals" in planned.needs:
@@ -153,9 +159,11 @@ def _train(
         settings,
         planned.steps,
         known and known["downscale"],
-        similarity=begun and begun.similarity,
-        place=begun and begun.place,
+        run=begun,
     )
+    split = (begun and begun.split) or split_of(loaded.frames)
+    if begun and runs.latest_checkpoint(begun.folder):
+        require_photos_of_effects(loaded, split, begun.manifest, run=begun.folder)
     check_terms(planned, loaded.train_frames)
     is_one = count_devices(devices) == settings.views_per_step == 1
     sparse = None
@@ -217,11 +225,13 @@ def _train(
             similarity=loaded.similarity,
             place=loaded.place,
             plan=planned.record(),
+            split=split,
         )
     )
     with runs.claim_run(run):
         if known:  # An earlier version left none.
             json_files.write(run / "plan.json", planned.record())
+            runs.update_manifest(run, split=split_record(split))
         memory = {"memory": "; ".join(fitted.lines)} if fitted.lines else {}
         runs.update_manifest(run, photos=photos_line, **memory, **({} if sparse is None else {ENTRY: asdict(sparse)}))
         if chosen.evidence:
@@ -307,7 +317,8 @@ def _finish(
     found = chosen.photography(state.effects)
     scene = replace(scene, frames=with_moved_cameras(scene.frames, found.moves))
     gaussians = living_gaussians(state.gaussians)
-    write_gaussians(run / "gaussians.ply", scene.similarity.gaussians_to_world(gaussians), scene.place)
+    world = scene.similarity.gaussians_to_world(gaussians)
+    write_gaussians(run / "gaussians.ply", world, scene.place, cameras=scene.camera_centers)
     write_views(run, scene.frames, chosen.skies)
     keep_skies(run, scene.frames, chosen.skies)
     write_photography(run, found)

@@ -137,7 +137,7 @@ def choose_effects(
             found = replace(found, effects=found.effects | _tried(found, near, trial))
         wanted = {name for name in SIMULATED if found.effects[name].on}
     with_sky = with_sky or "sky" in named_effects(asked)
-    skies = found.sky if is_auto or with_sky or skies is not None else {}
+    skies = found.plain if with_sky and skies is None else found.sky if is_auto or skies is not None else {}
     if skies and not _is_laid(found, plan, wanted - {"background"}):
         wanted.add("background")
     chosen = [name for name in SIMULATED if name in wanted]

@@ -6,7 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.depth_maps import METRES, DepthMaps, Readings, on_grid, open_depth_maps
+from gsjax.io.depth_maps import DepthMaps, Readings, open_depth_maps
+from gsjax.io.notices import print_once
 from gsjax.scene import Frame, Scene
 from gsjax.settings import Settings
 
@@ -46,23 +47,26 @@ def measured_depth(scene: Scene, settings: Settings) -> MeasuredDepth | None:
     Raises:
         InputError: The folder, its unit or a map cannot be used, or the maps do not fit the scene's points.
     """
-    if settings.depth is None:
-        return None
     frames = scene.train_frames
+    if settings.depth is None:
+        if listed := sum(frame.depth is not None for frame in frames):
+            print_once(f"{scene.root}: lists depth maps of {listed} of {len(frames)} photos; --depth trains on them")
+        return None
     maps = open_depth_maps(scene.root, settings.depth, settings.depth_unit, frames)
     factor, told = _factor(scene, maps)
 
     def depths(scale: int) -> Iterator[Readings]:
         return (_of_frame(maps, frame, factor, scale) for frame in frames)
 
-    return MeasuredDepth(depths, f"of {len(maps.read)} of {len(frames)} photos, in {maps.unit}; {told}")
+    notes = "; ".join(note for note in (told, maps.note) if note)
+    return MeasuredDepth(depths, f"of {len(maps.read)} of {len(frames)} photos, in {maps.unit}; {notes}")
 
 
 def _of_frame(maps: DepthMaps, frame: Frame, factor: float, scale: int) -> Readings:
     if frame.name not in maps.read:
         nothing = np.zeros((frame.height // scale, frame.width // scale), np.float32)
         return nothing, nothing.astype(np.uint8)
-    depth, trust = on_grid(maps.read[frame.name](), frame, scale)
+    depth, trust = maps.at(frame, scale)
     return depth * np.float32(factor), trust
 
 
@@ -75,9 +79,9 @@ def _factor(scene: Scene, maps: DepthMaps) -> tuple[float, str]:
             f"{maps.folder}: its depth and the points of the scene differ by {100 * ratios.spread:.0f} % at any scale;"
             " are the maps of these photos, and is it depth along the camera's axis?"
         )
-    if maps.unit not in METRES:
+    metres = maps.metres
+    if metres is None:
         return own * scene.place.scale, "taken as it is"
-    metres = METRES[maps.unit]
     if len(ratios.values) < FEWEST:
         return own * metres, "no points tell the scale of the scene, which is taken to be in metres"
     scale = ratios.middle / (own * metres)  # units of the world to a metre
@@ -100,7 +104,7 @@ def _ratios(scene: Scene, maps: DepthMaps) -> _Ratios:
         seen = tracks.photo == numbers[frame.name]
         z = scene.points[tracks.point[seen]] @ frame.viewmat[2, :3] + frame.viewmat[2, 3]
         xy = tracks.rays[seen] * frame.K[[0, 1], [0, 1]] + frame.K[:2, 2]
-        depth, trust = on_grid(maps.read[frame.name](), frame, 1)
+        depth, trust = maps.at(frame, 1)
         within = ((xy >= 0) & (xy < (frame.width, frame.height))).all(axis=-1) & (z > 0)
         column, row = np.where(within[:, None], xy, 0).astype(int).T
         measured = np.where(within & (trust[row, column] > TRUSTED), depth[row, column], 0)

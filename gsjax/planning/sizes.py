@@ -8,10 +8,11 @@ from pathlib import Path
 from gsjax.devices import computes_on_cpu
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
-from gsjax.place import Place
+from gsjax.io.splits import NONE
+from gsjax.runs.run import Run
+from gsjax.runs.splits import with_split
 from gsjax.scene import Frame, Scene, extent
 from gsjax.settings import Settings
-from gsjax.similarity import Similarity
 
 
 def at_size(
@@ -20,8 +21,7 @@ def at_size(
     steps: int,
     downscale: float | None = None,
     *,
-    similarity: Similarity | None = None,
-    place: Place | None = None,
+    run: Run | None = None,
 ) -> tuple[Scene, float, str]:
     """The data set at the size that a run looks at, how many times smaller that is, and the line that says it.
 
@@ -30,22 +30,26 @@ def at_size(
         settings: The run.
         steps: That it takes, for the line.
         downscale: What was chosen before; None: it is chosen now.
-        similarity: As of `gsjax.io.scenes.load_scene`.
-        place: Likewise.
+        run: One that was trained on the same data set, whose split, coordinates and world are taken.
     """
+    split = run.split if run else {}
     opened = partial(
         load_scene,
         scene,
         folder_masks=settings.masks,
         images=settings.images,
-        hold_out=settings.hold_out,
-        photos=settings.photos,
-        similarity=similarity,
-        place=place,
+        hold_out=NONE if split else settings.hold_out,
+        photos=None if split else settings.photos,
+        similarity=run and run.similarity,
+        place=run and run.place,
     )
-    taken = opened()
+
+    def taken_photos(scene: Scene) -> Scene:
+        return with_split(scene, split, run=run.folder) if run and split else scene
+
+    taken = taken_photos(opened())
     factor = chosen_downscale(settings, taken.frames) if downscale is None else downscale
-    loaded = taken if factor == 1 else opened(downscale=factor)
+    loaded = taken if factor == 1 else taken_photos(opened(downscale=factor))
     return loaded, factor, size_line(steps, taken.frames, loaded.frames)
 
 

@@ -4,7 +4,7 @@ from gsjax.effects.sky import Masks
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.scene import Scene, valid_pixels
-from gsjax.settings import AUTO, Settings
+from gsjax.settings import AUTO, NONE, Settings
 
 
 def given_skies(scene: Scene, settings: Settings, downscale: float) -> Masks | None:
@@ -27,7 +27,7 @@ def given_skies(scene: Scene, settings: Settings, downscale: float) -> Masks | N
         scene.root,
         downscale=downscale,
         images=settings.images,
-        photos=settings.photos,
+        hold_out=NONE,
         similarity=scene.similarity,
         place=scene.place,
         masks=folder,

@@ -32,7 +32,7 @@ PHOTOS = 8  # tried on
 GROWN = 10  # times the point cloud: Gaussians at the end where the rule of growth names no number
 HALF_GROWN = 0.5  # of these, over a phase in which they multiply
 WIDENED = 1.4  # by training: pairs of four runs on real photos end at 0.7 to 1.0 of what a trial then has
-PER_GAUSSIAN = 0.7  # of a step's time, what grows with the number of Gaussians (docs/accuracy_vs_time.md, every knob)
+PER_GAUSSIAN = 0.7  # of a step's time, what grows with the number of Gaussians (docs/accuracy_vs_time.md)
 
 Clock = Callable[[], float]
 

@@ -37,7 +37,7 @@ CAME_OF_IT = (
     "floaters",
     "seen_share",
 )
-SPLITS = {"auto": "the data set's own split, else every 8th photo by name", "none": "asked for: all photos train"}
+SPLITS = {"auto": "the data set's own split, else every 8th shot by name", "none": "asked for: all photos train"}
 
 REPORTED = {"hold_out": str, "effects": str, "seed": int, "normal_axes?": (None, str), "refinement?": {"seed": int}}
 LARGEST = 1e30  # that a chart can have on its axes

@@ -2,8 +2,9 @@
 
     config.json        the settings that were asked for
     plan.json          what runs: phases with steps, terms and weights, and what the run found out for itself
-    manifest.json      scene, command, versions, machine, seed, dates, status, the list of files, and the `similarity`
-                       to the coordinates of the checkpoints from those of all other files (`gsjax.similarity`)
+    manifest.json      scene, command, versions, machine, seed, dates, status, the list of files, the `split` of the
+                       photos by name (`gsjax.runs.splits`), and the `similarity` to the coordinates of the checkpoints
+                       from those of all other files (`gsjax.similarity`)
     place.json         where that is known: the unit of those other files, which way is up, and where on Earth they are
                        counted from (`gsjax.place`)
     metrics.jsonl      one line per logged step
@@ -41,6 +42,7 @@ from gsjax.io.temporaries import is_temporary, sweep
 from gsjax.place import UNPLACED, Place
 from gsjax.runs import checkpoints
 from gsjax.runs.records import RECORD, SCENE, SETTINGS, STATUS
+from gsjax.runs.splits import Split, split_record
 from gsjax.similarity import IDENTITY, Similarity, parse_similarity
 
 EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic", "effects": "none"}
@@ -96,6 +98,7 @@ def create(
     similarity: Similarity = IDENTITY,
     place: Place = UNPLACED,
     plan: Mapping[str, Any] | None = None,
+    split: Split | None = None,
 ) -> Path:
     """Makes the folder of a new run, with its config, plan and manifest: whole, or not at all.
 
@@ -107,6 +110,7 @@ def create(
         similarity: To the run's own coordinates from those of the world.
         place: To the world from the coordinates of the data set.
         plan: What runs (`gsjax.training.plan.plan_record`).
+        split: Which photos are held out.
 
     Raises:
         InputError: The folder holds something already, or cannot be written.
@@ -118,6 +122,7 @@ def create(
         "command": shlex.join(sys.argv),
         "seed": seed,
         "similarity": asdict(similarity),
+        **({} if split is None else {"split": split_record(split)}),
         "created": _now(),
         "versions": versions(),
         "machine": machine(),
@@ -169,12 +174,21 @@ def reopen(
         InputError: It is no run folder, or the data set or a setting differs; the message names the first that does.
     """
     run = Path(run)
-    started, before = completed(read_settings(run)), json_files.read(run / "manifest.json", SCENE)["scene"]
-    if before != str(Path(scene).resolve()):
-        raise InputError(f"{run}: was started on {before}, not on {scene}; a resumed run keeps its data set")
+    started = completed(read_settings(run))
+    require_scene(run, scene)
     for key, (before, now) in _differences(started, json_files.plain({**EARLIER, **settings})).items():
         raise InputError(f"{run}: was started with {key} = {before}, not {now}; a resumed run keeps its settings")
     return run
+
+
+def require_scene(run: str | Path, scene: str | Path) -> None:
+    """Raises InputError where a run was begun on another data set, or the data set was moved."""
+    before = json_files.read(Path(run) / "manifest.json", SCENE)["scene"]
+    if before != str(Path(scene).resolve()):
+        raise InputError(
+            f"{run}: was started on {before}, not on {scene}; a resumed run keeps its data set, and --scene {scene}"
+            " says that it was moved there"
+        )
 
 
 @contextmanager

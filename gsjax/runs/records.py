@@ -7,6 +7,7 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io import json_files
+from gsjax.runs import splits
 
 NUMBER = (None, float)
 SETTINGS = {
@@ -33,6 +34,7 @@ MANIFEST = {
     "stages?": _STAGES,
     "effects?": {"simulated": [str], "evidence?": {str: _EVIDENCE}},
     "sparse_views?": _SPARSE_VIEWS,
+    "split?": splits.SHAPE,
     **{f"{name}?": NUMBER for name in ("steps", "train_seconds", "psnr_near_gains", *_FIGURES)},
 }
 WHOLE_MANIFEST = {**MANIFEST, "scene": str, "command": str, "created": str, "status": str,

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gsjax.cameras import viewmat_centers
 from gsjax.io import json_files, place_files
 from gsjax.io.exchange import exchanged
 from gsjax.io.gaussian_files import load_gaussians
@@ -45,7 +46,9 @@ def stretch_run(folder: Path, factor: float, place: Place) -> None:
         json_files.write(new / "manifest.json", {**run.manifest, "similarity": asdict(similarity)})
         json_files.write(new / place_files.FILE, place.record())
         json_files.write(new / "cameras.json", views)
-        write_gaussians(new / "gaussians.ply", replace(gaussians, means=means, log_scales=log_scales), place)  # pyright: ignore[reportArgumentType]
+        stretched = replace(gaussians, means=means, log_scales=log_scales)  # pyright: ignore[reportArgumentType]
+        centers = viewmat_centers(np.array([view["viewmat"] for view in views], np.float64).reshape(-1, 4, 4))
+        write_gaussians(new / "gaussians.ply", stretched, place, cameras=centers)
         if (folder / POSES).exists():
             json_files.write(new / POSES, _stretched_moves(json_files.read(folder / POSES), factor))
         for name in MESHES:

@@ -27,9 +27,11 @@ from gsjax.place import UNPLACED, Place
 from gsjax.render import DepthReading, gallery
 from gsjax.render.gallery import Picture
 from gsjax.runs import viewpoints
+from gsjax.runs.moving import moved_images
 from gsjax.runs.photography import with_moved_cameras
 from gsjax.runs.records import SCENE
 from gsjax.runs.run import Run
+from gsjax.runs.splits import with_split
 from gsjax.scene import Frame, Scene, valid_pixels
 from gsjax.similarity import IDENTITY, Similarity
 
@@ -174,14 +176,16 @@ def training_pictures(
     return cameras, gallery.mask_pictures(pictures, (result.valid[index]() for index in chosen))
 
 
-def scene_of_run(folder: Path, *, zoom: float = 1.0) -> Scene:
+def scene_of_run(folder: Path, *, zoom: float = 1.0, scene: str | Path | None = None) -> Scene:
     """The data set of a finished run, loaded as it was trained on: with its split, whatever became of the list of it.
 
-    Cameras that training moved are where it left them; photos that it left out are left out.
+    Cameras that training moved are where it left them; photos that it left out are left out. A line names photos that
+    the data set has no more.
 
     Args:
         folder: Of the run.
         zoom: Photos are so many times larger than in training.
+        scene: Where the data set is now. None: where it was.
 
     Raises:
         InputError: It is no run folder, its data set cannot be used any more, or its photos are too small for `zoom`.
@@ -195,18 +199,22 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0) -> Scene:
     if downscale < 1:
         reduced = f"reduced by {run.downscale:g}" if run.downscale > 1 else "as they are"
         raise InputError(f"{folder}: was trained on photos {reduced}; there are none {zoom:g} times larger")
-    held_out = {record["name"]: record["held_out"] for record in run.views}
-    scene = load_scene(
-        run.manifest["scene"],
+    root = run.manifest["scene"] if scene is None else scene
+    loaded = load_scene(
+        root,
         downscale=downscale,
         folder_masks=run.settings["masks"],
-        images=run.settings.get("images"),  # Absent from folders of runs that could not choose.
+        images=moved_images(run, root),
         hold_out=NONE,
         similarity=run.similarity,
         place=run.place,
     )
-    frames = tuple(replace(f, held_out=held_out[f.name]) for f in scene.frames if f.name in held_out)
-    return replace(scene, frames=with_moved_cameras(frames, run.photography.moves))
+    names = {record["name"] for record in run.views}
+    left_out = {name for name in run.split if name not in names}
+    frames = tuple(frame for frame in loaded.frames if frame.name not in left_out)
+    split = {record["name"]: run.split.get(record["name"], bool(record["held_out"])) for record in run.views}
+    loaded = with_split(replace(loaded, frames=frames), split, run=folder)
+    return replace(loaded, frames=with_moved_cameras(loaded.frames, run.photography.moves))
 
 
 def frame_camera(frame: Frame) -> Camera:

@@ -14,6 +14,7 @@ from gsjax.io.place_files import read_place
 from gsjax.place import Place
 from gsjax.runs.photography import Photography, read_photography
 from gsjax.runs.records import MANIFEST, PLAN, WITHOUT_PLAN, read_views
+from gsjax.runs.splits import Split, parse_split
 from gsjax.settings import PLAIN
 from gsjax.similarity import Similarity
 from gsjax.training.plan import phase_record, plan_record
@@ -75,6 +76,13 @@ class Run:
     def views(self) -> list[dict[str, Any]]:
         """The records of cameras.json; none before the run has finished."""
         return read_views(self.folder) if (self.folder / "cameras.json").exists() else []
+
+    @cached_property
+    def split(self) -> Split:
+        """Names of the photos, and which are held out; empty for an unfinished run of a version that stored none."""
+        if "split" in self.manifest:
+            return parse_split(self.manifest["split"])
+        return {record["name"]: bool(record["held_out"]) for record in self.views}
 
     @cached_property
     def metrics(self) -> list[dict[str, Any]]:

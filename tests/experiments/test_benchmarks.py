@@ -39,26 +39,12 @@ def test_the_benchmark_runs_as_a_script_although_it_has_the_packages_name(tmp_pa
     assert 0 < float(table["forward_ms"]) < float(table["forward_backward_ms"])
     record = {line[0]: line[-1].strip() for line in machine}
     assert "cpu" in record and record["backend"] == "native"
-    for way in ("forward", "backward"):
-        times = float(table[f"{way}_ns"]) / float(record[f"limit_{way}_ns"])
-        assert_close(float(table[f"{way}_over_limit"]), times, rtol=2e-3, why="all three are printed to four digits")
-    # The blend's own operations, counted on its jaxpr: the walk back does all that the walk there does.
-    assert 30 < int(record["operations_forward"]) < int(record["operations_backward"]) < 100
 
 
-def test_without_a_gpu_the_gpu_scripts_say_so_in_one_line(tmp_path):
-    for script, message in (
-        ("rasterizer_gpu.py", "no GPU: jax runs on 'cpu'"),
-        ("kernel_report.py", "no CUDA compiler"),
-    ):
-        done = run(script, folder=tmp_path)
-        assert done.returncode == 2
-        assert message in done.stderr and len(done.stderr.splitlines()) == 1
-
-
-def test_a_peer_that_is_not_there_is_one_line(tmp_path):
-    done = run("rasterizer_peers.py", "peer.py", folder=tmp_path)
-    assert (done.returncode, done.stderr.splitlines()) == (2, ["gsjax: error: peer.py: no Python file"])
+def test_without_a_gpu_its_script_says_so_in_one_line(tmp_path):
+    done = run("rasterizer_gpu.py", folder=tmp_path)
+    assert done.returncode == 2
+    assert "no GPU: jax runs on 'cpu'" in done.stderr and len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.skipif(importlib.util.find_spec("torch") is not None, reason="torch is installed")
@@ -85,33 +71,11 @@ def test_both_of_our_engines_draw_a_run_as_its_first_training_camera_sees_it(scr
     assert_close(gradient(), jnp_gradient(), kind="gradient")
 
 
-@pytest.fixture
-def gpu_scripts(scripts, monkeypatch):
+def test_kernels_that_are_wrong_are_not_timed(scripts, monkeypatch):
     monkeypatch.syspath_prepend(BENCHMARKS)
-    return scripts
-
-
-def test_kernels_that_are_wrong_are_not_timed(gpu_scripts):
-    rasterizer_gpu = gpu_scripts("rasterizer_gpu")
+    rasterizer_gpu = scripts("rasterizer_gpu")
     right = {"image": 1e-3, "means": 1e-5}
     rasterizer_gpu.require_right({"plain": right, "deep": right})
     for wrong in (0.1, float("nan")):
         with pytest.raises(InputError, match=rf"deep, means: {wrong:.2g}\): nothing is timed"):
             rasterizer_gpu.require_right({"plain": right, "deep": {**right, "means": wrong}})
-
-
-def test_the_estimate_shares_a_multiprocessor_and_keeps_its_work(gpu_scripts):
-    estimate = gpu_scripts("gpu_estimate")
-    kernel = estimate.Kernel(instructions=50.0, programs=8)
-    alone = 1000 * 50 * 256 / 32 / (estimate.CLOCK * estimate.LONE)
-    assert estimate.seconds([1000], kernel) == pytest.approx(alone)
-    assert estimate.seconds([1000] * estimate.SMS, kernel) == pytest.approx(alone)
-    # As many as there is room for: they share what a multiprocessor does in a cycle.
-    many = estimate.seconds([1000] * estimate.SMS * 8, kernel)
-    assert many == pytest.approx(alone * 8 * estimate.LONE / (4 * estimate.PEAK_SHARE))
-    assert estimate.seconds([1000] * estimate.SMS * 16, kernel) == pytest.approx(2 * many)
-    # A deep list is hidden behind the others where it is begun first, and in segments it costs what its splats do.
-    others = [100] * estimate.SMS * 40
-    last, first = estimate.seconds([*others, 4000], kernel), estimate.seconds([4000, *others], kernel)
-    assert first < 0.95 * last and estimate.seconds(estimate.cut([*others, 4000]), kernel) < first
-    assert estimate.cut([600, 0, 256]) == [256, 256, 88, 256]

@@ -23,6 +23,7 @@ from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline import demo
 from gsjax.runs import viewpoints
 from gsjax.runs.result import open_result, scene_of_run
+from gsjax.scoring.images import score_images
 
 
 def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, scene, tmp_path):
@@ -91,6 +92,28 @@ def test_a_run_is_scored_at_other_sizes_of_its_photos(run):
         np.testing.assert_allclose(smaller.K[:2], frame.K[:2] / 2, rtol=1e-6)
         boxes = frame.pixels().image.astype(float).reshape(20, 2, 24, 2, 3).mean((1, 3))
         np.testing.assert_allclose(smaller.pixels().image, boxes, atol=0.51)
+
+
+def test_photos_that_were_damaged_since_are_left_out_of_the_scores_and_named(run, scene, tmp_path, capsys):
+    """Of the two held-out photos one remains, with the score that it had; photos of training may go as well."""
+    shutil.copytree(scene, tmp_path / "scene")
+    shutil.copytree(run, tmp_path / "run")
+    manifest = json_files.read(tmp_path / "run/manifest.json")
+    json_files.write(tmp_path / "run/manifest.json", {**manifest, "scene": str(tmp_path / "scene")})
+    (tmp_path / "scene/images/004.png").unlink()
+    file = tmp_path / "scene/images/008.png"
+    file.write_bytes(file.read_bytes()[:-40])
+    alone = evaluate_views(run, ["000.png"])
+    found = pipeline.evaluate(tmp_path / "run")
+    assert found["views"] == 1 and found["psnr"] == pytest.approx(alone, abs=1e-4)
+    told = capsys.readouterr().err
+    assert "scene/images/004.png: no such image; 2 of 9 photos are left out: 004.png, 008.png\n" in told
+
+
+def evaluate_views(run, names):
+    frames = tuple(frame for frame in scene_of_run(run).held_out_frames if frame.name in names)
+    result = open_result(run)
+    return score_images(result.gaussians, frames, "white", depth_mode=result.depth_mode)["psnr"]
 
 
 @pytest.mark.parametrize(

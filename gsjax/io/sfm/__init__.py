@@ -68,6 +68,8 @@ class SfmReport:
     seconds: float
     place: str = ""  # what the photos' GPS told: of metres, up and origin
     gps_unused: dict[str, str] = field(default_factory=dict)  # names of photos, and why their GPS is not followed
+    focal_unused: dict[str, str] = field(default_factory=dict)  # names of photos, and why EXIF's is ignored
+    second_mapping: str = ""  # which model is kept where mapping ran once more, without focal lengths of EXIF
 
 
 def reconstruct(
@@ -86,8 +88,10 @@ def reconstruct(
 ) -> SfmReport:
     """Makes a COLMAP data set (`out/images`, `out/sparse/0`, PINHOLE cameras) from a folder of photos or a video.
 
-    Photos of one make, model, focal length and size are taken to come from one camera, held upright or across; what
-    is written is upright, with mattes (alpha) and masks (from a folder `masks/`). Each photo is matched with the twenty
+    Photos of one make, model, focal length, digital zoom and size are taken to come from one camera, held upright or
+    across; what is written is upright, with mattes (alpha) and masks (from a folder `masks/`). EXIF's focal lengths
+    from 8 to 400 mm of 35 mm film are where cameras start; where less than half of the photos get a pose so, mapping
+    runs once more without them, and the model of more photos is kept. Each photo is matched with the twenty
     most like it, whatever their order, and with the next by name; the largest model is kept. The work is done in a
     process of its own. Where the photos' GPS tells it, the model is in metres, x east, y north, z up, and `place.json`
     says about which origin (`gsjax.place`).
@@ -195,7 +199,7 @@ def _built(
     threads: int,
     progress: Callable[..., tqdm],
 ) -> dict:
-    from gsjax.io.sfm import features, georeference, learned, mapping, pairs, publishing, shots
+    from gsjax.io.sfm import features, georeference, initial_cameras, learned, mapping, pairs, publishing, shots
 
     mapping.pycolmap.set_random_seed(0)
     folder = _frames_of(source, workspace / "frames", frames, progress) if source.is_file() else source
@@ -209,9 +213,10 @@ def _built(
         files = networks.weights, networks.matcher_weights
         found, matcher = learned.find_features(taken, networks.kind, *files, threads, progress)
     scores = pairs.likeness(found, threads, progress)
-    material = mapping.Material(taken, found, scores, mapping.guess_cameras(taken), threads, matcher)
+    priors, ignored = initial_cameras.focal_priors(taken)
+    material = mapping.Material(taken, found, scores, initial_cameras.guess_cameras(taken, priors), threads, matcher)
     try:
-        model, left_out = mapping.map_photos(material, workspace, progress)
+        model, left_out, second_mapping = mapping.map_photos_with_priors(material, priors, workspace, progress)
     except InputError as error:
         raise InputError(f"{source}: {error}{hint}") from error
     placed = georeference.place_model(model, taken)
@@ -227,6 +232,8 @@ def _built(
         "mean_reprojection_error": model.compute_mean_reprojection_error(),
         "mean_track_length": model.compute_mean_track_length(),
         "place": placed.told,
+        "focal_unused": ignored,
+        "second_mapping": second_mapping,
         "gps_unused": {shot.name: shot.fix for shot in taken if isinstance(shot.fix, str)}
         | {taken[photo].name: f"{metres:.0f} m from the photo's place" for photo, metres in placed.off.items()},
     }

@@ -1,12 +1,11 @@
 """From features to a model: verified matches, COLMAP's incremental mapping, and a second look at what is left out."""
 
-import tempfile
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -14,10 +13,11 @@ from tqdm import tqdm
 from gsjax.errors import InputError
 from gsjax.io.colmap_writer import write_whole
 from gsjax.io.files import make_folder
-from gsjax.io.images import Image, open_image
 from gsjax.io.packages import require
 from gsjax.io.sfm.features import Features, Region, along_lines, at_spots, match
+from gsjax.io.sfm.focal_lengths import CameraKey
 from gsjax.io.sfm.gps import Fix
+from gsjax.io.sfm.initial_cameras import PANORAMA, guess_cameras
 from gsjax.io.sfm.pairs import Pair, bridging_pairs, choose_pairs, likeliest_pairs, nearby_pairs
 from gsjax.io.sfm.shots import Shot
 
@@ -26,10 +26,8 @@ pycolmap = require("pycolmap", "pip install pycolmap")
 _FEWEST_MATCHES = 15  # of a pair, after verification
 _ENOUGH_MATCHES = 500  # of a pair; with fewer, more are sought where the geometry of the pair puts them
 _BRIDGING_ROUNDS = 2
-_FULL_LENS_FROM = 5  # photos of one camera that pin two focal lengths and four numbers of distortion down
 _SELF_CALIBRATE_FROM = 20  # registered photos of one camera that pin its principal point down
 _SEED = 0
-PANORAMA = "EQUIRECTANGULAR"  # COLMAP's camera of 360 x 180 degrees, in which nothing is to be found out
 
 
 @dataclass(frozen=True)
@@ -42,39 +40,6 @@ class Material:
     cameras: list  # pycolmap.Camera of each photo, shared by the photos of one
     threads: int
     matcher: Callable[[int, int], np.ndarray] | None = None  # of two photos' features; None: nearest descriptors
-
-
-def guess_cameras(shots: list[Shot]) -> list:
-    """A `pycolmap.Camera` for each photo, one for all of one camera, with the focal length from EXIF or a guess."""
-    kinds = list(dict.fromkeys(shot.camera for shot in shots))
-    cameras = {}
-    for number, kind in enumerate(kinds, start=1):
-        members = [shot for shot in shots if shot.camera == kind]
-        if members[0].is_panorama:
-            cameras[kind] = _panorama(number, *members[0].size)
-            continue
-        guess = _guess(members[0])
-        model = "OPENCV" if len(members) >= _FULL_LENS_FROM else "SIMPLE_RADIAL"
-        camera = pycolmap.Camera.create_from_model_name(number, model, guess.mean_focal_length(), *members[0].size)
-        camera.has_prior_focal_length = guess.has_prior_focal_length
-        cameras[kind] = camera
-    return [cameras[shot.camera] for shot in shots]
-
-
-def _panorama(number: int, width: int, height: int):
-    camera = pycolmap.Camera(camera_id=number, model=PANORAMA, width=width, height=height, params=[width, height])
-    camera.has_prior_focal_length = True
-    return camera
-
-
-def _guess(shot: Shot):
-    """COLMAP's camera of a photo, by its EXIF."""
-    with suppress(ValueError):  # Of formats that COLMAP does not read.
-        return pycolmap.infer_camera_from_image(shot.path)
-    with tempfile.NamedTemporaryFile(suffix=".jpg") as blank, open_image(shot.path) as picture:
-        Image.new("L", picture.size).save(blank, "JPEG", exif=picture.getexif())
-        blank.flush()
-        return pycolmap.infer_camera_from_image(blank.name)
 
 
 def match_photos(material: Material, progress: Callable[..., tqdm]) -> tuple[dict[Pair, Any], set[Pair]]:
@@ -171,6 +136,59 @@ def map_photos(material: Material, workspace: Path, progress: Callable[..., tqdm
         model = max([model, *again], key=lambda model: model.num_reg_images())
     _self_calibrate(model)
     return model, _reasons(material, geometries, models, model)
+
+
+class _Attempt(NamedTuple):
+    """One mapping."""
+
+    model: Any = None  # pycolmap.Reconstruction; None: none was found
+    left_out: Mapping[str, str] = MappingProxyType({})
+    failure: InputError | None = None
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Photos with a pose, and points."""
+        return (0, 0) if self.model is None else (self.model.num_reg_images(), self.model.num_points3D())
+
+
+def map_photos_with_priors(
+    material: Material, priors: Mapping[CameraKey, float], workspace: Path, progress: Callable[..., tqdm]
+) -> tuple[Any, dict[str, str], str]:
+    """As `map_photos`, and once more without prior focal lengths where less than half of the photos get a pose.
+
+    Returns:
+        The model of more photos, the reasons of those left out, and a line on the second mapping, or "".
+
+    Raises:
+        InputError: No two photos give a model, with the priors or without.
+    """
+    count = len(material.shots)
+    first = _attempt(material, priors, workspace / "priors", progress)
+    if not priors or 2 * first.size[0] >= count:
+        return _model_of(first, "")
+    second = _attempt(material, {}, workspace / "no_priors", progress)
+    best, words = (second, "without") if second.size > first.size else (first, "with")
+    line = (
+        f"{first.size[0]} of {count} photos get a pose with the focal lengths of EXIF, {second.size[0]} without them;"
+        f" the model {words} them is kept"
+    )
+    return _model_of(best, line)
+
+
+def _attempt(
+    material: Material, priors: Mapping[CameraKey, float], folder: Path, progress: Callable[..., tqdm]
+) -> _Attempt:
+    material = replace(material, cameras=guess_cameras(material.shots, priors))
+    try:
+        return _Attempt(*map_photos(material, make_folder(folder), progress))
+    except InputError as error:
+        return _Attempt(failure=error)
+
+
+def _model_of(attempt: _Attempt, line: str) -> tuple[Any, dict[str, str], str]:
+    if attempt.failure is not None:
+        raise attempt.failure
+    return attempt.model, dict(attempt.left_out), line
 
 
 def _map(

@@ -13,7 +13,7 @@ from gsjax.io.lenses import Lens, PinholeView, pinhole_views
 from gsjax.io.packages import require
 from gsjax.io.photo_names import printable_name, written_name
 from gsjax.io.photos import valid_of
-from gsjax.io.sfm.mapping import PANORAMA
+from gsjax.io.sfm.initial_cameras import PANORAMA
 from gsjax.io.sfm.shots import Shot, turned_pinhole, turned_points, turned_pose
 
 pycolmap = require("pycolmap", "pip install pycolmap")

@@ -19,6 +19,7 @@ from gsjax.io.images import SUFFIXES, check_image, cv2, image_size, open_image, 
 from gsjax.io.notices import print_once
 from gsjax.io.photos import says_nothing
 from gsjax.io.sfm import gps
+from gsjax.io.sfm.focal_lengths import CameraKey, Focal, read_focal
 from gsjax.io.sfm.gravity import Vector, read_gravity
 
 _MASKS = "masks", "mask"  # what the folder may be called, in any case
@@ -34,7 +35,7 @@ _OTHERS = {
     "thumbs",
     "@eadir",
 }  # nor in these
-_MAKE, _MODEL, _FOCAL, _FOCAL_35 = 0x010F, 0x0110, 0x920A, 0xA405
+_MAKE, _MODEL = 0x010F, 0x0110
 # EXIF orientation: whether the stored columns run backwards, then quarter turns clockwise until upright.
 _ORIENTATIONS = {1: (0, 0), 2: (1, 0), 3: (0, 2), 4: (1, 2), 5: (1, 3), 6: (0, 1), 7: (1, 1), 8: (0, 3)}
 
@@ -45,7 +46,7 @@ class Shot:
 
     name: str  # relative to the folder
     path: Path
-    camera: tuple  # equal for the photos of one camera: make, model, focal lengths, width, height of the sensor
+    camera: CameraKey  # equal for the photos of one camera, held upright or across
     mirrored: bool  # the stored columns run backwards
     to_sensor: int  # quarter turns anticlockwise, from the stored pixels to the sensor's frame
     to_upright: int  # quarter turns clockwise, from the sensor's frame to upright
@@ -283,8 +284,8 @@ def shot_of(path: Path, name: str, mask_path: Path | None = None) -> Shot:
     return Shot(name, path, camera, bool(mirrored), standing, (turns + standing) % 4, mask_path, fix, down)
 
 
-def _exif(path: Path) -> tuple[str, str, str, int, gps.Fix | str | None, Vector | None]:
-    """Make, model, focal lengths, orientation, GPS and gravity; empty, 1 and None where the file does not say."""
+def _exif(path: Path) -> tuple[str, str, Focal, int, gps.Fix | str | None, Vector | None]:
+    """Make, model, focal length, orientation, GPS and gravity; empty, 1 and None where the file does not say."""
     with open_image(path) as picture:
         orientation = exif.orientation_of(picture)
         if orientation is None:
@@ -296,5 +297,5 @@ def _exif(path: Path) -> tuple[str, str, str, int, gps.Fix | str | None, Vector 
         except Exception:  # Pillow's many ways to say "damaged".
             fix = "its table of GPS is damaged"
         down = read_gravity(details, picture.info.get("xmp"))
-    focal = f"{details.get(_FOCAL, '')} {details.get(_FOCAL_35, '')}"
+    focal = read_focal(details)
     return str(tags.get(_MAKE, "")), str(tags.get(_MODEL, "")), focal, orientation or 1, fix, down

@@ -8,7 +8,8 @@ from photographed_wall import wall
 from scipy import ndimage
 
 from gsjax.effects.blur import judge, photos_to_leave_out
-from gsjax.effects.observations import observe
+from gsjax.effects.observations import edge_width, observe
+from gsjax.io.scenes import load_scene
 from gsjax.planning.effects import look_for_effects
 from gsjax.scene import with_pixels
 
@@ -85,3 +86,28 @@ def test_nobody_looks_where_nothing_is_asked():
     looked = look_for_effects("none", scene)
     assert looked.scene is scene
     assert looked.found is None
+
+
+@pytest.mark.parametrize(("sigma", "width"), [(1.0, 2.5), (2.0, 5.0)])
+def test_an_ideal_edge_under_a_blur_is_so_wide(sigma, width):
+    """Its steepest slope is the contrast over sigma times the square root of two pi."""
+    stripes = np.where(np.arange(240) // 24 % 2, 200.0, 50.0)[None].repeat(120, 0).astype(np.float32)
+    usable = np.ones(stripes.shape, bool)
+    assert edge_width(stripes, usable) == 1.0
+    blurred = ndimage.gaussian_filter1d(stripes, sigma, axis=1)
+    assert edge_width(blurred, usable) == pytest.approx(width, rel=0.06)
+    assert edge_width(stripes, ~usable) == 0 and edge_width(np.zeros((40, 40), np.float32), usable[:40, :40]) == 0
+
+
+@pytest.mark.parametrize("name", ["fox", "kitchen", "fern", "bunny_plane"])
+def test_photos_that_are_all_blurred_are_named_and_sharp_ones_are_not(shared, name):
+    scene = load_scene(shared / "data" / name)
+    scene = replace(scene, frames=scene.frames[::4])
+    assert not judge(observe(scene)).on
+
+    def soft(frame):
+        image = ndimage.gaussian_filter(frame.pixels().image, (2, 2, 0))
+        return with_pixels(frame, frame.pixels()._replace(image=image))
+
+    found = judge(observe(replace(scene, frames=tuple(map(soft, scene.frames)))))
+    assert found.on and "all photos are blurred" in found.note

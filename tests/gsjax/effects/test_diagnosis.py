@@ -100,6 +100,16 @@ def test_the_fall_off_is_found_beside_gains():
     assert not diagnose(bright).effects["vignetting"].on  # No lens does that.
 
 
+def test_a_fall_off_of_the_later_photos_alone_is_found_and_named():
+    scene = wall(24)
+    half = relit(scene, lambda index, frame, x, y: -0.6 * radii2(frame, x, y) * (index >= 12))
+    found = diagnose(half).effects["vignetting"]
+    assert found.on and found.value == pytest.approx(0.6, abs=0.06)
+    assert "changes over time: earlier photos" in found.note
+    for steady in (scene, relit(scene, lambda index, frame, x, y: -0.6 * radii2(frame, x, y))):
+        assert "changes over time" not in diagnose(steady).effects["vignetting"].note
+
+
 def test_the_robust_fit_is_the_least_squares_one_without_outliers():
     rng = np.random.default_rng(0)
     photo, point = (part.ravel() for part in np.meshgrid(np.arange(5), np.arange(30)))
@@ -149,13 +159,15 @@ def test_an_open_sky_is_seen_and_mattes_answer_it():
 
     def sky(index, pixels):
         image = pixels.image.copy()
-        image[:24] = (200, 220, 250)
+        image[:24] = 255
         return Pixels(image)
 
     outdoors = replace(repainted(scene, sky), tracks=lambda: lower)
     found = diagnose(outdoors).effects["background"]
     assert found.on
-    assert "0.78, 0.86, 0.98, the same in all photos" in found.note
+    assert "1.00, 1.00, 1.00, the same in all photos; pure white" in found.note
+    flat = repainted(outdoors, lambda index, pixels: Pixels(np.where(pixels.image == 255, np.uint8(220), pixels.image)))
+    assert not diagnose(flat).effects["background"].on, "plaster looks the same"
     matted = repainted(
         outdoors, lambda index, pixels: pixels._replace(matte=np.full(pixels.image.shape[:2], 255, np.uint8))
     )
@@ -273,6 +285,7 @@ def test_real_photos_fall_into_their_two_groups(shared, name, exposure, vignetti
     assert found["exposure"].value == pytest.approx(exposure, abs=0.05)
     assert found["exposure"].on == (exposure > 0.1)
     assert found["vignetting"].on == vignetting
+    assert "changes over time" not in found["vignetting"].note
     assert not found["sky"].on
 
 

@@ -9,6 +9,7 @@ from tolerances import assert_close
 
 from gsjax.cameras import Camera, look_at
 from gsjax.effects import background, sky
+from gsjax.effects.diagnosis import diagnose
 from gsjax.effects.observations import observe
 from gsjax.errors import InputError
 from gsjax.io.images import read_mask, write_image
@@ -105,9 +106,9 @@ def test_the_sky_is_found_to_its_outline_and_nothing_else(made):
     for name, mask in found.items():
         assert agreement(mask, truth[name]) > 0.9
         assert not (mask & ~truth[name]).any()
-    evidence = sky.judge(observe(scene), found)
+    evidence = diagnose(scene).effects["sky"]
     share = np.mean([mask.mean() for mask in found.values()])
-    assert evidence.on and evidence.note == f"sky in 7 of 7 photos, {100 * share:.0f} % of their pixels"
+    assert evidence.on and evidence.note.split(";")[0] == f"sky in 7 of 7 photos, {100 * share:.0f} % of their pixels"
 
 
 def test_a_backdrop_that_goes_on_below_the_horizon_is_no_sky(tmp_path):

@@ -9,7 +9,8 @@ import pytest
 from PIL import Image
 
 from gsjax.errors import InputError
-from gsjax.io.depth_maps import on_grid, open_depth_maps
+from gsjax.io.depth_maps import open_depth_maps
+from gsjax.io.depth_windows import on_grid
 from gsjax.io.point_clouds import read_points
 from gsjax.scene import Origin, Pixels, frame_of
 
@@ -103,7 +104,7 @@ def faulty(tmp_path, fault):
         return
     write_png(folder / "a.png", RAMP if fault != "8 bits" else RAMP.astype(np.uint8))
     if fault == "size":
-        write_png(folder / "a.png", RAMP[:, :-3])
+        write_png(folder / "a.png", RAMP[:, :5])
     elif fault == "no map":
         (folder / "a.png").rename(folder / "z.png")
     elif fault == "unknown unit":
@@ -122,7 +123,7 @@ def faulty(tmp_path, fault):
     [
         ("no folder", "--depth depth: no such folder of depth maps, in .* or here"),
         ("8 bits", "depth/a.png: a picture of 8 bits; a depth map has 16"),
-        ("size", "depth/a.png: depth map is 9x8, its photo 12x8"),
+        ("size", "depth/a.png: depth map is 5x8, its photo 12x8; one of them is turned"),
         ("no map", "depth: no depth map in it has the name of a photo, as a.png"),
         ("no unit", "depth: the unit of its depth is not stated; --depth-unit mm, or depth.json in it"),
         ("unknown unit", "depth/depth.json: unit"),

@@ -12,7 +12,7 @@ from small_graphs import PROJECTION, SmallGraph, brightest_pixels, small_lightgl
 from tqdm import tqdm
 
 from gsjax.errors import InputError
-from gsjax.io.sfm import learned, mapping, pairs, reconstruct
+from gsjax.io.sfm import initial_cameras, learned, mapping, pairs, reconstruct
 from gsjax.io.sfm.features import Features, match
 from gsjax.io.sfm.shots import list_shots, shot_of
 
@@ -129,7 +129,7 @@ def test_nearest_descriptors_of_disk_pass_the_verification_of_colmap(weights, wo
     shots = list_shots(world[0])
     found, matcher = learned.find_features(shots, "disk", weights["disk"], None, 1, quietly)
     scores = pairs.likeness(found, 1, quietly)
-    material = mapping.Material(shots, found, scores, mapping.guess_cameras(shots), 1, matcher)
+    material = mapping.Material(shots, found, scores, initial_cameras.guess_cameras(shots, {}), 1, matcher)
     geometries = mapping.match_pairs(material, {(0, 1), (0, 5)}, "matching", quietly)
     assert scores[0, 1] > 100 and set(geometries) == {(0, 1), (0, 5)}
     for (i, j), geometry in geometries.items():

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from gsjax.errors import InputError
 from gsjax.io.files import make_folder
 from gsjax.io.scenes import load_scene
-from gsjax.io.sfm import mapping, publishing, reconstruct, shots
+from gsjax.io.sfm import initial_cameras, mapping, publishing, reconstruct, shots
 from gsjax.io.sfm.features import Features
 from gsjax.io.sfm.pairs import likeness
 
@@ -48,7 +48,7 @@ def scene(world, tmp_path_factory):
     taken = shots.as_panoramas(shots.list_shots(root / "photos"), 60.0)
     descriptors = np.random.default_rng(1).integers(0, 255, (POINTS, 128)).astype(np.uint8)
     found = [Features(seen_at(world[0], *pose), descriptors) for pose in zip(*world[1:], strict=True)]
-    material = mapping.Material(taken, found, likeness(found, 1, quietly), mapping.guess_cameras(taken), 1)
+    material = mapping.Material(taken, found, likeness(found, 1, quietly), initial_cameras.guess_cameras(taken, {}), 1)
     model, left_out = mapping.map_photos(material, make_folder(root / "work"), quietly)
     assert left_out == {}
     publishing.write_dataset(model, taken, make_folder(root / "scene"), quietly)

@@ -72,7 +72,7 @@ def test_the_layout_is_the_one_of_the_original_code(tmp_path):
     np.testing.assert_array_equal(column["opacity"], gaussians.logit_opacities)
     np.testing.assert_array_equal(column["rot_0"], gaussians.quats[:, 0])
     np.testing.assert_array_equal(column["scale_2"], gaussians.log_scales[:, 2])
-    np.testing.assert_array_equal(rows[:, 3:6], 0)
+    np.testing.assert_allclose(np.linalg.norm(rows[:, 3:6], axis=1), 1, rtol=1e-6)
 
 
 @pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
@@ -81,7 +81,7 @@ def test_columns_in_any_order_with_foreign_ones_and_in_every_form(tmp_path, form
     write_gaussians(tmp_path / "g.ply", gaussians)
     names, rows = table_of(tmp_path / "g.ply")
     order = np.random.default_rng(1).permutation(len(names))
-    shuffled = [*[names[i] for i in order], "filter_3D"]
+    shuffled = [*[names[i] for i in order], "quality"]
     write_table(tmp_path / "h.ply", shuffled, np.column_stack([rows[:, order], rows[:, 0]]), form)
     assert_same(read_gaussians(tmp_path / "h.ply"), gaussians)
 
@@ -173,7 +173,7 @@ def test_rows_that_are_not_finite_are_left_out_and_counted(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("third", ["absent", "minus infinity"])
-def test_discs_of_2dgs_are_discs(tmp_path, third):
+def test_discs_of_2dgs_are_discs(tmp_path, capsys, third):
     gaussians = some_gaussians(9)
     gaussians.log_scales[:, 2] = -np.inf
     gaussians.log_scales[4] = -np.inf  # nothing at all
@@ -182,6 +182,7 @@ def test_discs_of_2dgs_are_discs(tmp_path, third):
     kept = [name for name in names if third != "absent" or name != "scale_2"]
     write_table(tmp_path / "d.ply", kept, rows[:, [names.index(name) for name in kept]])
     read = read_gaussians(tmp_path / "d.ply")
+    assert "d.ply: 9 of 9 are discs, 0.0001 of their radius thick\n" in capsys.readouterr().err
     others = take(gaussians, np.arange(9) != 4)
     for field in ("means", "quats", "logit_opacities", "sh_dc", "sh_rest"):
         np.testing.assert_array_equal(getattr(read, field), getattr(others, field))

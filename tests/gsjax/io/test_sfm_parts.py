@@ -13,7 +13,7 @@ from gsjax.errors import InputError
 from gsjax.io import sfm
 from gsjax.io.scenes import load_scene
 from gsjax.io.sfm import features as sift
-from gsjax.io.sfm import gps, mapping, pairs, publishing, shots
+from gsjax.io.sfm import gps, initial_cameras, pairs, publishing, shots
 from gsjax.io.sfm.features import Features, along_lines, at_spots, match
 
 quietly = partial(tqdm, disable=True)
@@ -289,7 +289,8 @@ def test_the_focal_length_in_exif_is_used_whatever_the_format(tmp_path, suffix):
         pytest.importorskip("pillow_heif").register_heif_opener()
     for name in "ab":
         photo(tmp_path / f"{name}.{suffix}", (300, 200), make="One", focal=26)
-    first, second = mapping.guess_cameras(shots.list_shots(tmp_path))
+    taken = shots.list_shots(tmp_path)
+    first, second = initial_cameras.guess_cameras(taken, initial_cameras.focal_priors(taken)[0])
     assert first is second and first.has_prior_focal_length
     assert first.params[0] == pytest.approx(300 * 26 / 36, rel=0.05)  # 35 mm film is 36 mm wide
 

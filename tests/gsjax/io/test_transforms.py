@@ -270,6 +270,28 @@ def test_a_frame_with_a_fault_is_left_out_and_named(tmp_path, capsys, change, me
     assert message in told and re.search("is left out(: .*)?\n", told)
 
 
+@pytest.mark.parametrize("size", [{}, {"w": 40, "h": 30}])
+@pytest.mark.parametrize("name", ["images/a\0b.png", "images/\ud800.png", f"images/{300 * 'x'}.png"])
+def test_a_frame_of_a_name_that_no_disk_holds_is_left_out(tmp_path, capsys, name, size):
+    root = write(tmp_path, fl_x=50.0, **size)
+    whole = [frame.name for frame in load_scene(root).frames]
+    edit(root, lambda m: m["frames"][3].update(file_path=name))
+    assert [frame.name for frame in load_scene(root).frames] == whole[:3] + whole[4:]
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and f"1 of {len(whole)} " in told and "is left out" in told
+
+
+def test_poses_for_testing_whose_pictures_were_never_rendered_are_left_out(tmp_path, capsys):
+    """More of them than photos: nothing of training is missing, and every 8th photo is held out."""
+    root = write(tmp_path, fl_x=50.0, w=40, h=30)
+    meta = json.loads((root / "transforms.json").read_text())
+    tests = [{**meta["frames"][0], "file_path": f"test/{index}.png"} for index in range(20)]
+    (root / "transforms_test.json").write_text(json.dumps({**meta, "frames": tests}))
+    scene = load_scene(root)
+    assert [frame.name for frame in scene.held_out_frames] == [frame.name for frame in scene.frames][::8]
+    assert "test/0.png: no such image; 20 of 20 photos for testing are left out: " in capsys.readouterr().err
+
+
 def test_a_file_that_is_not_json_is_named(tmp_path):
     (tmp_path / "transforms.json").write_text('{"frames": [')
     with pytest.raises(InputError, match=r"transforms.json: cannot be read as JSON"):

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from photographed_wall import wall
 
+from gsjax.config import parse
 from gsjax.errors import InputError
 from gsjax.pipeline.training_journal import TrainingJournal
 from gsjax.scene import with_pixels
-from gsjax.settings import Phase, Settings, Weights
+from gsjax.settings import PRESETS, Phase, Settings, Weights
 from gsjax.training.growth.rules import RULES
 from gsjax.training.plan import plan
 
@@ -28,6 +29,14 @@ def test_without_maps_a_line_says_that_own_depth_stands_in_for_a_network(weights
     planned = train._planned("no scene", settings, {}, 1, None)
     lines = train._beginning_lines(planned, settings, "9 photos")
     assert lines == ["on the CPU with the native rasterizer", "9 photos", *said]
+
+
+@pytest.mark.parametrize(("preset", "said"), [("paper_6k_15k", True), ("paper_13k_7k", True), ("fast", False)])
+def test_where_3dgs_rule_grows_a_line_tells_the_bound_that_it_does_not_have(preset, said):
+    settings = parse(Settings, {**PRESETS[preset], "max_gaussians": 1_234_567})
+    lines = train._beginning_lines(plan(settings), settings, "9 photos")
+    line = "growth stops at max_gaussians=1,234,567; 3DGS has no such bound"
+    assert (line in lines) == said
 
 
 def test_the_first_line_names_device_and_engine(monkeypatch):

@@ -66,7 +66,8 @@ def scene_of(root, frames, *, similarity=None, noise=0.0, millimetres=2000, coun
 
 
 def test_points_tell_what_a_metre_is(tmp_path, frames):
-    measured = measured_depth(scene_of(tmp_path, frames), Settings(depth="depth", depth_unit="mm"))
+    scene = scene_of(tmp_path, frames)
+    measured = measured_depth(scene, Settings(depth="depth", depth_unit="mm"))
     assert measured is not None
     assert "of 3 of 3 photos, in mm; 1 m is 0.5" in measured.line
     for (found, trust), camera in zip(measured.depths(1), CAMERAS, strict=True):
@@ -74,7 +75,7 @@ def test_points_tell_what_a_metre_is(tmp_path, frames):
         np.testing.assert_allclose(found, true_depth(camera), rtol=1e-3)
         assert (trust == 255).all()
     assert next(iter(measured.depths(2)))[0].shape == (12, 16)
-    assert measured_depth(scene_of, Settings()) is None  # pyright: ignore[reportArgumentType]
+    assert measured_depth(scene, Settings()) is None
 
 
 def test_a_scene_in_metres_or_without_tracks_takes_the_unit_at_its_word(tmp_path, frames):

@@ -128,12 +128,12 @@ def test_size_prunes_without_resets_and_white_photos_reset_once_more_at_the_star
     monkeypatch.setattr(loop, "densify", lambda state, key, extent, large, **_: calls.append((int(state), bool(large))))
     monkeypatch.setattr(loop, "reset_opacities", lambda state, **_: calls.append("reset"))
     density = Density(start=2, stop=9, every=2, reset_every=5)
-    monkeypatch.setattr(loop.buffers, "with_room_to_densify", lambda state, *_: state)
+    monkeypatch.setattr(loop.buffers, "with_room_to_densify", lambda state, *_, **how: state)
     for chosen in (density, replace(density, reset_every=0)):
         for step in range(1, 9):
             planned = plan(replace(SETTINGS, density=chosen, background="white"))
             work = loop.Work(planned, (), EXTENT, OPTIMIZER, lambda state: [], lambda progress: None)
-            loop._control_density(work, step, step, jax.random.key(0))
+            loop._control_density(work, RULES["adc"], step, step, jax.random.key(0))
         calls.append("end")
     with_resets = ["reset", (4, False), "reset", (6, True), (8, True), "end"]  # at 2, 4, 5, 6 and 8
     assert calls == [*with_resets, (4, True), (6, True), (8, True), "end"]

@@ -7,6 +7,7 @@ import pytest
 from small_scenes import camera_at, cloud, photographed
 
 from gsjax import targets
+from gsjax.errors import InputError
 from gsjax.training import stepping
 from gsjax.training.step import BACKGROUNDS, Metrics, Outcome, guarded_step
 
@@ -119,3 +120,35 @@ def test_a_full_device_is_sent_its_photos_one_by_one(frames, monkeypatch, caplog
     assert [record.message for record in caplog.records] == [
         "the device is full: photos are sent to it one by one from here on"
     ]
+
+
+@pytest.mark.parametrize("looks", [None, lambda step: False, lambda step: step % 2 == 0])
+def test_a_step_that_is_not_finite_is_not_taken_nor_is_the_one_that_was_begun_after_it(frames, looks):
+    """Also where a state is looked at now and then, so that the next step is begun before the flag is read."""
+    data, told, asked = targets.read_targets(frames), [], []
+
+    def compiled(capacity):
+        def differentiate(state, target, color, key):
+            gradient = jnp.where(state.step == 44, jnp.nan, 1.0)
+            return gradient, Outcome(Metrics(color[0], color[0], 32, False, {}), jnp.bool_(False))
+
+        def update(state, gradient, outcome, target):
+            return Toy(state.step + 1, state.seen + gradient)
+
+        step = guarded_step(differentiate, update, BACKGROUNDS["white"])
+        return jax.jit(lambda *arguments: (lambda state, outcome: (state, outcome.metrics))(*step(*arguments)))
+
+    def after(step, state, metrics, capacity):
+        told.append((step, bool(np.isfinite(state.seen))))
+        return state
+
+    def explain(step, state, target, capacity):
+        asked.append((step, int(state.step), float(state.seen), float(target.viewmat[0, 3])))
+        return "the fault"
+
+    state = Toy(jnp.int32(40), jnp.float32(0))
+    with pytest.raises(InputError, match="^step 5, the fault; training stops before it and keeps what it saved$"):
+        how = {"seed": 1, "capacity": 64, "looks": looks, "explain": explain}
+        stepping.advance(compiled, after, state, data, (0, 9), **how)
+    assert told == [(step, True) for step in range(1, 5)]
+    assert asked == [(4, 44, 4.0, float(data.targets[stepping.view_order(1, 4, 3)].viewmat[0, 3]))]

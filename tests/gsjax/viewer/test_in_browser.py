@@ -1,11 +1,9 @@
 """The page in a real browser, headless; without one on the machine this file skips."""
 
-import importlib
-import sys
 import threading
 import time
-from pathlib import Path
 
+import devtools
 import numpy as np
 import pytest
 from small_scenes import camera_at, cloud
@@ -17,7 +15,6 @@ from gsjax.viewer.page import SIDE, Page
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera
 from gsjax.viewer.subject import Subject
 
-EXPERIMENTS = Path(__file__).resolve().parents[3] / "experiments"
 SIZE = 720, 480  # Of the page, and of its full picture: no pixel is resampled.
 FREE = slice(215, 475), slice(5, 715)  # Rows and columns that no panel covers.
 CLOSE, FAR = 40.0, 25.0  # dB: the same picture, but for PNG's rounding; another one.
@@ -29,13 +26,10 @@ SUBJECT = Subject("cloud", FIRST, np.array([0, 0, 4.0]), np.array([0, -1.0, 0]),
 
 
 @pytest.fixture
-def browser(monkeypatch):
-    monkeypatch.syspath_prepend(str(EXPERIMENTS))
-    devtools = importlib.import_module("devtools")
+def browser():
     if devtools.program() is None:
         pytest.skip("there is no Chromium on this machine")
-    yield devtools.browser
-    sys.modules.pop("devtools", None)
+    return devtools.browser
 
 
 def wait(true):

@@ -1,0 +1,92 @@
+"""Photos that are copies of one shot: a HEIC and its JPEG, a resized or re-encoded file, a second file of one name.
+
+Two files show the same shot where small grey pictures of them are equal but for what encoders and resizing change. A
+frame of a video differs from the next one by more: each group is compared with its first photo only, so that a slow
+video does not become one group by small steps.
+"""
+
+import os
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from gsjax.errors import InputError
+from gsjax.in_order import in_order
+from gsjax.io.images import Image, open_image
+from gsjax.io.machine import memory_for
+
+SIDE = 32  # pixels of the small picture
+MOST_LEVELS = 1.5  # RMS of 255; measured: JPEG at 50 or a third of the size 0.2 to 1.3, neighbouring views from 2
+MOST_SHARE = 0.1  # the same RMS as a share of the picture's own contrast: views of a bare wall differ by few levels
+_FLAT = 1.0  # levels of contrast: a picture with less shows nothing to compare
+_DRAFT = 256  # pixels: a JPEG is decoded at the smallest of its reduced sizes that has as many
+_ALWAYS_ROOM, _DECODED = 10**7, 8  # pixels that need no check of the memory; bytes a pixel while one is decoded
+
+
+def same_shots(files: Sequence[Path]) -> list[list[int]]:
+    """Group files by the shot that they show: lists of indices, in the order of their first files.
+
+    A file that cannot be read, or shows one colour, is a group of its own.
+    """
+    pictures = list(in_order(_small_picture, files))
+    groups: list[list[int]] = []
+    firsts = np.empty((0, SIDE * SIDE), np.float32)  # of those groups in `leaders`, unit vectors
+    contrasts, leaders = np.empty(0, np.float32), list[int]()
+    for index, picture in enumerate(pictures):
+        contrast = 0.0 if picture is None else float(picture.std())
+        if picture is None or contrast < _FLAT:
+            groups.append([index])
+            continue
+        unit = picture / np.linalg.norm(picture)
+        share = np.sqrt(np.maximum(2 - 2 * (firsts @ unit), 0))  # RMS of the difference, of the contrast
+        is_same = (share < MOST_SHARE) & (share * np.sqrt(contrasts * contrast) < MOST_LEVELS)
+        if is_same.any():
+            groups[leaders[int(np.where(is_same, share, np.inf).argmin())]].append(index)
+            continue
+        leaders.append(len(groups))
+        groups.append([index])
+        firsts, contrasts = np.vstack([firsts, unit]), np.append(contrasts, np.float32(contrast))
+    return groups
+
+
+def _small_picture(file: Path) -> np.ndarray | None:
+    """`[SIDE * SIDE]` float32 grey levels less their mean, upright; None of a file that cannot be read."""
+    try:
+        status = os.stat(file)
+        return _decoded(file, status.st_mtime_ns, status.st_size)
+    except (InputError, OSError):
+        return None
+
+
+@cache
+def _decoded(file: Path, _changed: int, _size: int) -> np.ndarray:
+    """As `_small_picture`, once for each state of a file: commands load a data set several times."""
+    with open_image(file) as picture:
+        picture.draft("L", (_DRAFT, _DRAFT))
+        pixels = picture.size[0] * picture.size[1]
+        with memory_for(f"{file}: a photo of {pixels} pixels", _DECODED * pixels * (pixels > _ALWAYS_ROOM)):
+            small = picture.convert("L").resize((SIDE, SIDE), Image.Resampling.LANCZOS)
+        upright = _upright(small, picture)
+    levels = np.asarray(upright, np.float32).reshape(-1)
+    return levels - levels.mean()
+
+
+def _upright(small, picture):
+    """The small picture, turned as the EXIF orientation of the file says."""
+    transposes = Image.Transpose
+    turns = {
+        2: transposes.FLIP_LEFT_RIGHT,
+        3: transposes.ROTATE_180,
+        4: transposes.FLIP_TOP_BOTTOM,
+        5: transposes.TRANSPOSE,
+        6: transposes.ROTATE_270,
+        7: transposes.TRANSVERSE,
+        8: transposes.ROTATE_90,
+    }
+    try:
+        orientation = picture.getexif().get(0x0112)
+    except Exception:  # Pillow's many ways to report damaged EXIF.
+        orientation = None
+    return small.transpose(turns[orientation]) if orientation in turns else small

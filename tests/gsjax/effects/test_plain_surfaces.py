@@ -1,0 +1,83 @@
+"""Rooms with plain ceilings and walls have no sky; places under a sky that says where it is have one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plain_places import DOUBTFUL, GLASS, ROOMS, SKIES, ceiling, room
+from plain_scenes import photograph, plaster
+from tolerances import assert_close
+
+from gsjax.effects import parallax, sky
+from gsjax.effects.diagnosis import diagnose
+from gsjax.effects.observations import observe
+from gsjax.planning.effects import choose_effects
+from gsjax.scene import with_pixels
+from gsjax.settings import Settings
+from gsjax.training.plan import plan
+
+
+def diagnosis(place, **changes):
+    return diagnose(photograph(place, **{"gains": 0.1} | changes)[0])
+
+
+@pytest.mark.parametrize("name", ROOMS)
+def test_a_plain_ceiling_or_wall_is_no_sky_and_no_backdrop(name):
+    found = diagnosis(ROOMS[name])
+    assert not found.effects["sky"].on and not found.effects["background"].on
+    assert not found.sky
+
+
+@pytest.mark.parametrize("name", SKIES)
+def test_a_sky_whose_light_depends_on_the_direction_is_found(name):
+    scene, truth = photograph(SKIES[name], gains=0.1)
+    found = diagnose(scene)
+    assert found.effects["sky"].on == (name != "a yard, glow of a town at night"), "too dark to compare: a miss"
+    for frame, is_sky in zip(scene.frames, truth, strict=True):
+        if frame.name in found.sky:
+            assert (found.sky[frame.name] & ~is_sky).sum() < 0.01 * is_sky.size
+
+
+@pytest.mark.parametrize("name", [*DOUBTFUL, *GLASS])
+def test_where_nothing_tells_a_sky_from_plaster_no_surface_is_taken_away(name):
+    found = diagnosis((DOUBTFUL | GLASS)[name])
+    assert not found.effects["sky"].on and not found.sky
+
+
+def test_who_names_the_sky_gets_what_looks_like_one_though_evidence_is_missing():
+    scene, truth = photograph(DOUBTFUL["a yard, flat grey"])
+    assert not choose_effects("auto", plan(Settings()), scene).skies
+    named = choose_effects("none", plan(Settings()), scene, with_sky=True).skies
+    for frame, is_sky in zip(scene.frames, truth, strict=True):
+        assert (named[frame.name] & is_sky).sum() > 0.8 * is_sky.sum()
+
+
+def test_a_fall_off_of_the_lens_on_a_flat_ceiling_is_no_sky():
+    """It stays in the picture, and is fitted beside every hypothesis."""
+    scene, _ = photograph(room(ceiling(plaster((0.8, 0.8, 0.8)))))
+    frames = []
+    for frame in scene.frames:
+        y, x = np.mgrid[: frame.height, : frame.width]
+        radii = ((x - 60) ** 2 + (y - 45) ** 2) / (60**2 + 45**2)
+        image = frame.pixels().image * (2 ** (-0.4 * radii))[..., None]
+        frames.append(with_pixels(frame, frame.pixels()._replace(image=image.astype(np.uint8))))
+    assert not diagnose(replace(scene, frames=tuple(frames))).effects["sky"].on
+
+
+def test_the_ceiling_of_a_box_is_met_where_its_height_says():
+    seen = observe(photograph(ROOMS["white ceiling"])[0])
+    (ceiling_alone,) = parallax._boxes(seen, np.array([0.0, 0, 1]), (), (0.0,))
+    eye, rays = np.array([0.3, -0.2, 1.0]), np.array([[0.0, 0.0, 1.0], [0.0, 0.6, 0.8]])
+    top = np.quantile(seen.points[:, 2], 0.98)
+    heights = ceiling_alone(eye, rays) * rays[:, 2] + eye[2]
+    assert_close(heights, np.full(2, top), rtol=0.04, atol=0, why="a margin of the box")
+
+
+def test_score_is_that_of_the_likeliest_surface():
+    flat = parallax.Parallax(near=1.5, far=1.0, fixed=3.0, difference=0.02, blueness=0.0, blue_range=0.0)
+    assert sky.score(flat) == pytest.approx(1.5)
+    assert sky.score(flat._replace(far=0.6)) == pytest.approx(0.9)
+    assert sky.score(flat._replace(fixed=1.0)) == pytest.approx(1.0)
+    assert sky.score(flat._replace(near=1.1, blueness=0.9)) == pytest.approx(1.1), "of one blue: paint"
+    assert sky.score(flat._replace(near=1.1, blueness=0.9, blue_range=0.5)) == pytest.approx(1.375)
+    assert sky.score(flat._replace(near=1.0, blueness=0.9, blue_range=0.5)) == pytest.approx(1.0), "nothing to compare"

@@ -1,0 +1,320 @@
+"""One square of four colours, as other programs write it: read right, or in one line that says what is missing."""
+
+import json
+import math
+import struct
+from io import BytesIO
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from gsjax.errors import InputError
+from gsjax.meshing import pictures, read_mesh, read_textured
+from gsjax.meshing.export import glb_bytes
+
+RED, BLUE, GREEN, WHITE = (255, 0, 0), (0, 0, 255), (0, 255, 0), (255, 255, 255)
+TEXTURE = np.repeat(np.repeat(np.array([[RED, BLUE], [GREEN, WHITE]], np.uint8), 8, axis=0), 8, axis=1)
+SIDE = 5  # vertices
+X, Y = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, SIDE), np.linspace(0, 1, SIDE)))
+VERTICES, UVS = np.stack([X, Y, 0 * X], 1), np.stack([X, Y], 1)  # both count from below
+QUADS = np.array(
+    [[row * SIDE + i + k for k in (0, 1, SIDE + 1, SIDE)] for row in range(SIDE - 1) for i in range(SIDE - 1)]
+)
+FACES = QUADS[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+PLACES = {RED: (0.2, 0.8), BLUE: (0.8, 0.8), GREEN: (0.2, 0.2), WHITE: (0.8, 0.2)}
+CORNERS = {RED: (0, 1), BLUE: (1, 1), GREEN: (0, 0), WHITE: (1, 0)}
+
+
+def assert_four_colors(path):
+    """At the corners of the mesh, and drawn with its texture."""
+    mesh, textured = read_mesh(path), read_textured(path)
+    for color, corner in CORNERS.items():
+        at_corner = (np.abs(mesh.vertices[:, :2] - corner) < 1e-6).all(axis=1)
+        assert at_corner.any()
+        np.testing.assert_array_equal(mesh.colors[at_corner], [color] * at_corner.sum(), err_msg=str(color))
+    assert textured is not None
+    assert textured.atlas.uvs.min() >= -1e-4 and textured.atlas.uvs.max() <= 1 + 1e-4, "for writers that do not repeat"
+    viewmat = np.array([[1, 0, 0, -0.5], [0, -1, 0, 0.5], [0, 0, -1, 2.0], [0, 0, 0, 1]])
+    K, shading = np.array([[100, 0, 32], [0, 100, 32], [0, 0, 1.0]]), pictures.texture_colors(textured)
+    drawn = pictures.render_mesh(textured.mesh, viewmat, K, 64, 64, shading=shading)
+    for color, (x, y) in PLACES.items():
+        np.testing.assert_array_equal(drawn[int(32 + 50 * (0.5 - y)), int(32 + 50 * (x - 0.5))], color)
+
+
+def obj(
+    folder,
+    *,
+    uvs=UVS,
+    mtl="newmtl m\nmap_Kd tex.png\n",
+    picture="tex.png",
+    head="mtllib a.mtl\nusemtl m\n",
+    polygons=FACES,
+):
+    (folder / picture).parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(TEXTURE).save(folder / picture)
+    (folder / "a.mtl").write_text(mtl)
+    lines = [*("v {} {} {}".format(*vertex) for vertex in VERTICES), *("vt {} {}".format(*uv) for uv in uvs)]
+    lines += ["f " + " ".join(f"{k + 1}/{k + 1}" for k in polygon) for polygon in polygons]
+    (folder / "a.obj").write_text(head + "\n".join(lines) + "\n")
+    return folder / "a.obj"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"polygons": QUADS},
+        {"polygons": FACES - len(VERTICES) - 1},  # counted from the last: -25/-25 is the first
+        {"uvs": UVS + [1, 2]},
+        {"uvs": UVS - [0, 1]},
+        {"uvs": UVS + [1e-6, -1e-6]},
+        {"mtl": "newmtl m\nmap_Kd textures\\tex.png\n", "picture": "textures/tex.png"},
+        {"mtl": "newmtl m\nmap_Kd C:\\Users\\me\\textures\\tex.png\n", "picture": "textures/tex.png"},
+        {"mtl": "newmtl m\nmap_Kd /home/me/tex.png\n"},
+        {"mtl": "newmtl m\nmap_Kd ..\\tex.png\n"},
+        {"mtl": 'newmtl m\nmap_Kd "tex.png"\n'},
+        {"mtl": "newmtl m\nmap_Kd -s 1 1 1 -o 0 0 0 tex.png\n"},
+        {"mtl": "newmtl m\nmap_Kd -blendu on -mm 0 1 -bm 0.5 -clamp on my  tex.png\n", "picture": "my tex.png"},
+        {"mtl": "newmtl m\nmap_Kd -s 2 0.5 -o -1 tex.png\n", "uvs": (UVS + [1, 0]) / [2, 0.5]},
+        {"mtl": "newmtl m\nmap_Kd Tex.PNG\n"},
+        {"mtl": "newmtl m\nmap_Kd my%20tex.png\n", "picture": "my tex.png"},
+        {"mtl": "\tnewmtl m\r\n\tMap_Kd\ttex.png  \r\n"},
+        {"mtl": "newmtl m\nKa 0\nKd 0 0 0\nmap_Ka gone.png\nmap_Kd tex.png\n"},
+        {"mtl": "newmtl m\nmap_Ka tex.png\n"},
+        {"mtl": "newmtl m\nKd 0 0 0\nKe 1 1 1\nmap_Ke tex.png\n"},
+        {"mtl": "\ufeffnewmtl M\nmap_Kd tex.png\n"},
+        {"mtl": "newmtl my mat\nmap_Kd tex.png\n", "head": "mtllib a.mtl\nusemtl my mat\n"},
+        {"head": "mtllib C:\\scan\\a.mtl\nusemtl m\n"},
+        {"head": "mtllib ./A.MTL\nusemtl m\n"},
+    ],
+)
+def test_an_obj_of_another_program_shows_its_texture(tmp_path, capsys, change):
+    assert_four_colors(obj(tmp_path, **change))
+    assert not capsys.readouterr().err
+
+
+def test_an_obj_may_list_several_libraries_in_a_line(tmp_path, capsys):
+    (tmp_path / "b.mtl").write_text("newmtl other\nKd 1 0 0\n")
+    assert_four_colors(obj(tmp_path, head="mtllib b.mtl a.mtl\nusemtl m\n"))
+    assert not capsys.readouterr().err
+    assert_four_colors(obj(tmp_path, head="mtllib gone.mtl a.mtl\nusemtl m\n"))
+    assert capsys.readouterr().err.count("gone.mtl, which it names, is not in its folder") == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"head": "mtllib a.mtl\nusemtl other\n"}, "other, which it names, is in none of its files of materials"),
+        ({"head": "mtllib a.mtl\n"}, "tex.png, which it names, belongs to a material of no triangle"),
+        ({"mtl": "newmtl m\nmap_Kd gone.png\n"}, "gone.png, which it names, is not in its folder"),
+        ({"uvs": 1000 * UVS, "polygons": [(0, 4, 24), (0, 24, 20)]}, "too often to be laid out"),
+    ],
+)
+def test_an_obj_names_the_colours_that_it_does_not_give(tmp_path, capsys, change, line):
+    read_mesh(obj(tmp_path, **change))
+    said = [said for said in capsys.readouterr().err.splitlines() if line in said]
+    assert len(said) == 1 and said[0].endswith("the colours that it would give are missing")
+
+
+@pytest.mark.parametrize("shift", [0, 1, -3])
+@pytest.mark.parametrize("repeats", [1, 3])
+def test_several_textures_become_one(tmp_path, shift, repeats):
+    """The halves of the square in pictures of their own, of different sizes; places of a triangle may span tiles."""
+    for name, half in (("l", TEXTURE[:, :8]), ("r", np.repeat(TEXTURE[:, 8:], 2, axis=0))):
+        Image.fromarray(half).save(tmp_path / f"{name}.png")
+    (tmp_path / "a.mtl").write_text("newmtl l\nmap_Kd l.png\nnewmtl r\nmap_Kd r.png\n")
+    lines, used = ["mtllib a.mtl", *("v {} {} {}".format(*vertex) for vertex in VERTICES)], 0
+    for name, start in (("l", 0.0), ("r", 0.5)):
+        lines.append(f"usemtl {name}")
+        for face in FACES[np.isclose(VERTICES[FACES, 0].mean(axis=1) > 0.5, start > 0)]:
+            lines += [f"vt {repeats * 2 * (VERTICES[k, 0] - start) + shift} {VERTICES[k, 1] - shift}" for k in face]
+            used += 3
+            lines.append("f " + " ".join(f"{k + 1}/{used - 2 + i}" for i, k in enumerate(face)))
+    (tmp_path / "a.obj").write_text("\n".join(lines))
+    assert_four_colors(tmp_path / "a.obj")
+
+
+def test_a_part_of_one_colour_does_not_cost_the_others_their_texture(tmp_path):
+    head, lines = obj(tmp_path).read_text().split("f ", 1)
+    (tmp_path / "a.mtl").write_text("newmtl m\nmap_Kd tex.png\nnewmtl plain\nKd 0 0.2 1\n")
+    (tmp_path / "a.obj").write_text(head + "f " + lines + "v 5 5 0\nv 6 5 0\nv 5 6 0\nusemtl plain\nf -3 -2 -1\n")
+    assert_four_colors(tmp_path / "a.obj")
+    mesh = read_mesh(tmp_path / "a.obj")
+    np.testing.assert_array_equal(mesh.colors[mesh.vertices[:, 0] >= 5], [(0, 51, 255)] * 3)
+
+
+def glb(folder, *, uvs=UVS, kind="<f4", name="TEXCOORD_0", beside=None, info=None, material=None, mime="image/png",
+        mode=4, indices=FACES, sampler=None, node=None, color=None, **tree):  # fmt: skip
+    """A GLB by hand: its places count from above."""
+    picture = BytesIO()
+    Image.fromarray(TEXTURE).save(picture, "WEBP" if mime == "image/webp" else "PNG", lossless=True)
+    stored, most = np.asarray(uvs) * [1, -1] + [0, 1], 1 if kind == "<f4" else np.iinfo(kind).max
+    columns = {"POSITION": (VERTICES, "<f4"), name: (np.rint(stored * most) if most > 1 else stored, kind)}
+    columns |= {} if beside is None else {"TEXCOORD_0": (beside, "<f4")}
+    columns |= {} if color is None else {"COLOR_0": (np.tile(color, (len(VERTICES), 1)), "<f4")}
+    components = {"<f4": 5126, "u1": 5121, "<u2": 5123}
+    blob, views, accessors = b"", [], []
+
+    def view(content, **more):
+        nonlocal blob
+        views.append({"buffer": 0, "byteOffset": len(blob), "byteLength": len(content), **more})
+        blob += content + b"\0" * (-len(content) % 4)
+        return len(views) - 1
+
+    for values, form in columns.values():
+        width, size = values.shape[1], np.dtype(form).itemsize
+        rows = np.zeros((len(values), -(-width * size // 4) * 4 // size), form)
+        rows[:, :width] = values
+        accessors.append({"bufferView": view(rows.tobytes(), byteStride=rows.strides[0]), "count": len(rows),
+                          "componentType": components[form], "type": f"VEC{width}",
+                          "normalized": form != "<f4"})  # fmt: skip
+    flat = np.ravel(indices).astype("<u4")
+    accessors.append({"bufferView": view(flat.tobytes()), "count": len(flat), "componentType": 5125, "type": "SCALAR"})
+    image = {"bufferView": view(picture.getvalue()), "mimeType": mime}
+    primitive = {"attributes": {name: i for i, name in enumerate(columns)}, "indices": len(accessors) - 1}
+    content = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0, **(node or {})}],
+        "meshes": [{"primitives": [{**primitive, "material": 0, "mode": mode}]}], "images": [image],
+        "materials": [material or {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0, **(info or {})}}}],
+        "textures": [{"source": 0, **({} if sampler is None else {"sampler": 0})}], "samplers": [sampler or {}],
+        "accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(blob)}], **tree,
+    }  # fmt: skip
+    text = json.dumps(content).encode()
+    text += b" " * (-len(text) % 4)
+    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(blob), 0x004E4942) + blob
+    (folder / "a.glb").write_bytes(struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks)
+    return folder / "a.glb"
+
+
+def transform(**values):
+    return {"extensions": {"KHR_texture_transform": values}}
+
+
+BASE = {"index": 0}
+GLOSSY = {"extensions": {"KHR_materials_pbrSpecularGlossiness": {"diffuseTexture": BASE}}}
+BLACK = {"baseColorFactor": [0, 0, 0, 1]}
+STRIP = [k for row in range(SIDE - 1) for i in range(SIDE) for k in ((row + 1) * SIDE + i, row * SIDE + i)]
+ENDS = [[STRIP[2 * SIDE * row - 1], STRIP[2 * SIDE * row]] if row else [] for row in range(SIDE - 1)]
+STRIPS = [k for row in range(SIDE - 1) for k in (*ENDS[row], *STRIP[2 * SIDE * row : 2 * SIDE * (row + 1)])]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"uvs": UVS + [1, 2]},
+        {"uvs": UVS - [1, 1]},
+        {"kind": "u1"},
+        {"kind": "<u2"},
+        {"name": "TEXCOORD_1", "info": {"texCoord": 1}, "beside": UVS[:, ::-1] * 0.1},
+        {"name": "TEXCOORD_1", "info": {"texCoord": 0, **transform(texCoord=1)}, "beside": UVS[:, ::-1] * 0.1},
+        {"uvs": UVS - [0.5, -0.5], "info": transform(offset=[0.5, 0.5])},
+        {"uvs": UVS - 0.5, "info": transform(offset=[0.5, -0.5]), "extensionsRequired": ["KHR_texture_transform"]},
+        {"uvs": UVS * 2 + [0, -1], "info": transform(scale=[0.5, 0.5])},
+        {"material": GLOSSY},
+        {"material": {**GLOSSY, "pbrMetallicRoughness": BLACK}},
+        {"material": {"emissiveFactor": [1, 1, 1], "emissiveTexture": BASE, "pbrMetallicRoughness": BLACK}},
+        {"material": {"emissiveFactor": [1, 1, 1], "emissiveTexture": BASE}},
+        {"mime": "image/webp"},
+        {"mime": "image/webp", "textures": [{"extensions": {"EXT_texture_webp": {"source": 0}}}]},
+        {"node": {"scale": [-1, 1, 1], "translation": [1, 0, 0]}, "uvs": UVS * [-1, 1] + [1, 0]},
+        {"mode": 5, "indices": STRIPS},
+        {"mode": 6, "indices": [12, *range(5), 9, 14, 19, *range(24, 19, -1), 15, 10, 5, 0]},
+        {"sampler": {"wrapS": 33648, "wrapT": 33648}, "uvs": [2, 0] - UVS * [1, -1]},  # mirrored in its second tile
+        {"sampler": {"wrapS": 33071}},
+        {"color": [1.0, 1.0, 1.0]},
+    ],
+)  # fmt: skip
+def test_a_glb_of_another_program_shows_its_texture(tmp_path, capsys, change):
+    assert_four_colors(glb(tmp_path, **change))
+    assert not capsys.readouterr().err
+
+
+def test_a_rotated_texture_is_turned_counter_clockwise(tmp_path):
+    """Places are turned by 90 degrees about the upper left corner of the picture, to the right end of its left edge."""
+    u, v = X, 1 - Y  # from above
+    before = np.stack([-v, u], axis=1)  # turned counter-clockwise, where v counts downwards: (u', v') = (v, -u)
+    path = glb(tmp_path, uvs=before * [1, -1] + [0, 1], info=transform(rotation=math.pi / 2))
+    assert_four_colors(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"color": [0.5, 1.0, 1.0]}, "COLOR_0, which it names, is not multiplied with its texture"),
+        ({"textures": [{"extensions": {"KHR_texture_basisu": {"source": 0}}}], "images": [{"uri": "gone.ktx2"}]},
+         "gone.ktx2, which it names, is not in its folder"),
+        ({"images": [{"uri": "data:image/ktx2;base64,AAAA"}]}, "texture 0, which it names, is no picture"),
+        ({"textures": [{}]}, "texture 0, which it names, has no picture"),
+        ({"materials": [{}, {"pbrMetallicRoughness": {"baseColorTexture": BASE}}]}, "a material of no triangle"),
+    ],
+)  # fmt: skip
+def test_a_glb_names_the_colours_that_it_does_not_give(tmp_path, capsys, change, line):
+    read_mesh(glb(tmp_path, **change))
+    assert capsys.readouterr().err.count(line) == 1
+
+
+def test_a_glb_in_quantized_numbers_is_read(tmp_path):
+    assert_four_colors(glb(tmp_path, kind="<u2", extensionsRequired=["KHR_mesh_quantization"]))
+
+
+@pytest.mark.parametrize("write", [obj, glb])
+def test_textures_over_pillows_limit_are_read(tmp_path, monkeypatch, write):
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 20)
+    assert_four_colors(write(tmp_path))
+
+
+def ply(folder, names, numbers, *, corners=FACES):
+    """As MeshLab writes it: places with the faces, and the number of each face's picture."""
+    comments = "".join(f"comment TextureFile {name}\n" for name in names)
+    kinds = (
+        "list uchar int vertex_indices",
+        "list uchar float texcoord",
+        *(["int texnumber"] if numbers is not None else []),
+    )
+    header = f"ply\nformat ascii 1.0\n{comments}element vertex {len(VERTICES)}\n"
+    header += "".join(f"property float {axis}\n" for axis in "xyz") + f"element face {len(corners)}\n"
+    header += "".join(f"property {kind}\n" for kind in kinds) + "end_header\n"
+    rows = ["{} {} {}".format(*vertex) for vertex in VERTICES]
+    for row, face in enumerate(corners):
+        uvs = UVS[face] if numbers is None else UVS[face] * [2, 1] - [numbers[row], 0]
+        rows.append(f"{len(face)} {' '.join(map(str, face))} {2 * len(face)} {' '.join(map(str, uvs.ravel()))}")
+        rows[-1] += "" if numbers is None else f" {numbers[row]}"
+    (folder / "a.ply").write_text(header + "\n".join(rows) + "\n")
+    return folder / "a.ply"
+
+
+@pytest.mark.parametrize("corners", [FACES, QUADS])
+def test_a_ply_shows_its_texture(tmp_path, corners):
+    Image.fromarray(TEXTURE).save(tmp_path / "Tex.png")
+    assert_four_colors(ply(tmp_path, ["C:\\scan\\tex.png"], None, corners=corners))
+
+
+def test_a_ply_shows_each_of_its_textures(tmp_path, capsys):
+    for name, part in (("l.png", TEXTURE[:, :8]), ("r.png", TEXTURE[:, 8:])):
+        Image.fromarray(part).save(tmp_path / name)
+    right = VERTICES[FACES, 0].mean(axis=1) > 0.5
+    assert_four_colors(ply(tmp_path, ["l.png", "r.png"], right.astype(int)))
+    assert not capsys.readouterr().err
+    assert read_textured(ply(tmp_path, ["l.png", "r.png"], None)) is None
+    assert "l.png and r.png, which it names, are not told apart by its triangles" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("write", [obj, glb])
+def test_a_texture_that_repeats_within_triangles_is_laid_out(tmp_path, write):
+    """Two triangles with the picture four times across."""
+    path = write(
+        tmp_path, uvs=UVS * [4, 1] - [2, 0], **{"polygons" if write is obj else "indices": [(0, 4, 24), (0, 24, 20)]}
+    )
+    textured = read_textured(path)
+    assert textured is not None
+    assert textured.atlas.uvs.min() >= 0 and textured.atlas.uvs.max() <= 1
+    np.testing.assert_array_equal(textured.texture, np.tile(TEXTURE, (1, 4, 1)))
+    assert len(glb_bytes(path)) > 100
+
+
+def test_usdz_is_refused_by_name(tmp_path):
+    (tmp_path / "a.usdz").write_bytes(b"PK")
+    with pytest.raises(InputError, match=r"a\.usdz: mesh files end in \.ply, \.obj, \.glb"):
+        read_mesh(tmp_path / "a.usdz")

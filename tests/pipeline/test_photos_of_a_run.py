@@ -1,0 +1,147 @@
+"""The photos of a run after its data set changed: deleted, added, moved to another folder."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from trained_run import train_until_killed
+
+from gsjax import cli, config, pipeline
+from gsjax.errors import InputError
+from gsjax.io import json_files
+from gsjax.io.scenes import load_scene
+from gsjax.runs.result import scene_of_run
+from gsjax.runs.run import Run
+from gsjax.settings import Settings
+
+ASKED = {
+    "max_gaussians": 300,
+    "sh_degree": 0,
+    "hold_out": "3",
+    "phases": [{"name": "all", "steps": 6}],
+    "logging": {"metrics_every": 3, "evaluate_every": 6, "checkpoint_every": 3},
+}
+SETTINGS = config.parse(Settings, ASKED)
+NAMES = [f"{n:03d}.png" for n in range(9)]
+
+
+@pytest.fixture
+def listed(scene, tmp_path) -> Path:
+    """The data set with its photos listed in transforms.json, from which they can be deleted one by one."""
+    root = tmp_path / "listed"
+    shutil.copytree(scene / "images", root / "images")
+    loaded = load_scene(scene)
+    frames = [
+        {
+            "file_path": f"images/{frame.name}",
+            "transform_matrix": (np.linalg.inv(frame.viewmat) @ np.diag([1, -1, -1, 1])).tolist(),
+        }
+        for frame in loaded.frames
+    ]
+    K, size = loaded.frames[0].K, loaded.frames[0]
+    lens = {"w": size.width, "h": size.height, "fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
+    json_files.write(root / "transforms.json", {**lens, "frames": frames})
+    return root
+
+
+def delete(root, name):
+    meta = json_files.read(root / "transforms.json")
+    meta["frames"] = [frame for frame in meta["frames"] if frame["file_path"] != f"images/{name}"]
+    json_files.write(root / "transforms.json", meta)
+    (root / "images" / name).unlink()
+
+
+def held_out(run):
+    return [record["name"] for record in json_files.read(run / "cameras.json") if record["held_out"]]
+
+
+def test_the_manifest_holds_the_split_by_name(listed, tmp_path):
+    pipeline.train(listed, tmp_path / "run", SETTINGS)
+    split = json_files.read(tmp_path / "run/manifest.json")["split"]
+    assert split == {"train": [NAMES[n] for n in (1, 2, 4, 5, 7, 8)], "held_out": [NAMES[n] for n in (0, 3, 6)]}
+
+
+@pytest.mark.parametrize("gone", [1, 3])
+def test_a_photo_deleted_before_a_resume_does_not_shift_the_split(listed, tmp_path, capfd, gone):
+    run = tmp_path / "run"
+    train_until_killed(4, listed, run, SETTINGS)
+    delete(listed, NAMES[gone])
+    pipeline.train(listed, run, SETTINGS, resume=True)
+    assert held_out(run) == [NAMES[n] for n in (0, 3, 6) if n != gone]
+    assert f"{listed}: lacks photos that {run} was begun with: {NAMES[gone]}\n" in capfd.readouterr().err
+
+
+def test_with_exposure_of_each_photo_a_trained_photo_must_be_there_and_a_held_out_one_need_not(listed, tmp_path):
+    settings, run = config.parse(Settings, ASKED | {"effects": "exposure"}), tmp_path / "run"
+    train_until_killed(4, listed, run, settings)
+    backup = shutil.copytree(listed, tmp_path / "whole")
+    delete(listed, NAMES[2])
+    with pytest.raises(InputError) as error:
+        pipeline.train(listed, run, settings, resume=True)
+    assert str(error.value) == (
+        f"{listed}: lacks {NAMES[2]}, which {run} was trained on with exposure of each photo; put it back to resume"
+    )
+    shutil.rmtree(listed)
+    shutil.copytree(backup, listed)
+    delete(listed, NAMES[3])
+    assert pipeline.train(listed, run, settings, resume=True)["views"] == 2
+    assert held_out(run) == [NAMES[0], NAMES[6]]
+
+
+def test_eval_keeps_the_split_of_the_manifest_and_names_what_is_gone(listed, tmp_path, capfd):
+    run = tmp_path / "run"
+    pipeline.train(listed, run, SETTINGS)
+    shutil.copy(listed / "images" / NAMES[1], listed / "images/000a.png")
+    meta = json_files.read(listed / "transforms.json")
+    meta["frames"].append({**meta["frames"][1], "file_path": "images/000a.png"})
+    json_files.write(listed / "transforms.json", meta)
+    delete(listed, NAMES[0])
+    frames = scene_of_run(run).frames
+    assert [frame.name for frame in frames if frame.held_out] == [NAMES[3], NAMES[6]]
+    lines = capfd.readouterr().err
+    assert f"{listed}: lacks photos that {run} was begun with: {NAMES[0]}\n" in lines
+    assert f"{listed}: has photos that {run} was begun without, which are left out: 000a.png\n" in lines
+
+
+def test_a_moved_data_set_is_named_for_eval_and_recorded_by_a_resume(listed, tmp_path, capfd):
+    run, place = tmp_path / "run", tmp_path / "elsewhere/set"
+    (listed / "mine.txt").write_text(f"{NAMES[2]}\n")
+    asked = ASKED | {"hold_out": str(listed / "mine.txt"), "images": str(listed / "images")}
+    train_until_killed(4, listed, run, config.parse(Settings, asked))
+    place.parent.mkdir()
+    shutil.move(listed, place)
+    assert cli.main(["train", str(place), "--out", str(run), "--resume"]) == 2
+    assert "a resumed run keeps its data set, and --scene " in capfd.readouterr().err
+    assert cli.main(["train", "--out", str(run), "--resume", "--scene", str(place)]) == 0
+    assert Run.open(run).manifest["scene"] == str(place)
+    assert held_out(run) == [NAMES[2]]
+    assert json_files.read(run / "config.json")["hold_out"] == str(place / "mine.txt")
+
+    again = tmp_path / "again"
+    shutil.move(place, again)
+    assert cli.main(["eval", str(run)]) == 2
+    assert cli.main(["eval", str(run), "--scene", str(again), "--json", str(tmp_path / "scores.json")]) == 0
+    assert json_files.read(tmp_path / "scores.json")["views"] == 1
+    assert cli.main(["train", "--out", str(run), "--resume", "--scene", str(again)]) == 0
+    assert cli.main(["train", "--out", str(run), "--resume"]) == 0
+
+
+def test_a_place_without_the_photos_of_the_run_is_refused_and_not_recorded(listed, tmp_path, capfd):
+    run = tmp_path / "run"
+    pipeline.train(listed, run, SETTINGS)
+    other = shutil.copytree(listed, tmp_path / "other")
+    meta = json_files.read(other / "transforms.json")
+    for frame in meta["frames"]:
+        name = frame["file_path"].replace("images/", "images/IMG_")
+        (other / frame["file_path"]).rename(other / name)
+        frame["file_path"] = name
+    json_files.write(other / "transforms.json", meta)
+    for command in (["train", "--out", str(run), "--resume"], ["eval", str(run)]):
+        assert cli.main([*command, "--scene", str(other)]) == 2
+        assert f"{other}: has none of the " in capfd.readouterr().err
+    assert Run.open(run).manifest["scene"] == str(listed)
+    assert cli.main(["train", "--out", str(tmp_path / "new"), "--scene", str(other)]) == 2
+    assert "--scene: is the new place of a run's data set, and goes with --resume" in capfd.readouterr().err
+    assert cli.main(["train", "--out", str(tmp_path / "new")]) == 2
+    assert "SCENE: name the folder of the data set" in capfd.readouterr().err
