@@ -27,7 +27,7 @@ from tqdm import tqdm
 
 from gsjax.cli import run_guarded
 from gsjax.errors import InputError
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.tables import align_columns
 
 CENTIMETRES = (3, 5, 10)

@@ -14,7 +14,7 @@ from gsjax.io.files import make_folder
 from gsjax.io.images import write_image
 from gsjax.io.packages import require
 from gsjax.measures.geometry import sample_surface
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.meshing.rays import Cast, ray_caster
 

@@ -1,29 +1,62 @@
 """Photos to 3D Gaussians to a clean mesh, as pure functions over pytrees.
 
-The records are re-exported here; the functions are in the modules that name their subject (`gsjax.cameras`,
-`gsjax.render`, ...), what the command line does in `gsjax.pipeline`, files in `gsjax.io`, meshes in `gsjax.meshing`.
+These names are the public API; `docs/api.md` lists them. What they do not name is private and may change.
 """
 
 import importlib
 from typing import Any
 
 _HOMES = {
+    # Records.
     "Camera": "cameras",
     "Frame": "scene",
     "Gaussians": "gaussians",
     "InputError": "errors",
-    "Mesh": "mesh",
+    "Mesh": "meshes",
     "Scene": "scene",
+    "Term": "training.terms",
+    "TrainState": "training.state",
     "Truth": "scene",
+    "View": "rendering.viewing",
+    # Files.
     "load_gaussians": "io.gaussian_files",
+    "load_scene": "io.scenes",
+    "read_mesh": "meshing.export",
+    "read_views": "io.views",
     "save_gaussians": "io.gaussian_files",
+    "write_mesh": "meshing.export",
+    # Rendering, and the paper's regulariser.
+    "align_normals": "training.terms",
+    "depth_sdf": "normals.sdf",
+    "opacities": "gaussians",
+    "pixel_rays": "cameras",
+    "psnr": "measures.images",
+    "render": "rendering.viewing",
+    "scales": "gaussians",
+    "sdf_gradient": "normals.sdf",
+    "ssim": "measures.images",
+    # A training loop of one's own.
+    "RULES": "training.growth.rules",
+    "adam": "training.trainer",
+    "densification": "training.trainer",
+    "densify": "training.trainer",
+    "from_points": "training.initialize",
+    "init": "training.trainer",
+    "train_step": "training.trainer",
+    # What the commands do.
+    "extract_mesh": "meshing.extract",
+    "mesh": "pipeline.mesh",
+    "preset": "settings",
+    "refine": "pipeline.refine",
+    "scan": "pipeline.scan",
+    "train": "pipeline.train",
 }
 
 __all__ = list(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
-    """Loads a record's module on first use: the command line answers, and sets jax's environment, before jax loads."""
+    """Loads a name's module on first use: the command line answers, and sets jax's environment, before jax loads."""
     if name not in _HOMES:
         raise AttributeError(f"module 'gsjax' has no attribute '{name}'")
     return getattr(importlib.import_module(f"gsjax.{_HOMES[name]}"), name)

@@ -15,11 +15,11 @@ DEAD_LOGIT = -30.0
 """Log-odds of opacity of a free row of a buffer: under every alpha cut, so never drawn and without gradient."""
 
 PixelFilter = Literal["classic", "mip"]
-"""How splats meet pixels, see `gsjax.render.PIXEL_FILTERS`. They look right through the one they were fitted with."""
+"""How splats meet pixels, see `gsjax.rendering.PIXEL_FILTERS`. They look right through that of their training."""
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Gaussians:
     """N Gaussians in world coordinates; every field is free (unconstrained) and float32.
 
@@ -43,6 +43,22 @@ class Gaussians:
     def sh_degree(self) -> int:
         """Highest spherical-harmonics degree that the coefficients hold."""
         return round((self.sh_rest.shape[1] + 1) ** 0.5) - 1
+
+    def __len__(self) -> int:
+        """As `num_gaussians`."""
+        return self.num_gaussians
+
+    def __getitem__(self, index: "Array | np.ndarray | slice") -> "Gaussians":
+        """The rows that a slice, integers or a boolean mask names."""
+        return take(self, index)
+
+    def alive(self) -> "Gaussians":
+        """The rows that hold a Gaussian, without the free ones of a buffer. Not inside `jit`: their number is data."""
+        return take(self, np.asarray(is_alive(self)))
+
+    def __repr__(self) -> str:
+        """Number, degree and filter: the arrays are long."""
+        return f"Gaussians({self.num_gaussians} rows, sh_degree={self.sh_degree}, pixel_filter={self.pixel_filter!r})"
 
 
 def scales(gaussians: Gaussians) -> Array:

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Literal
 
+from gsjax import config
 from gsjax.config import declare_types, parse_numbers
+from gsjax.errors import InputError
 
 MOST_COUNT = 2**31 - 1  # of the integers of compiled programs
 MOST_SEED = 2**32 - 1  # of jax's random keys and numpy's generators alike
@@ -207,8 +209,8 @@ class Settings:
     points: str | None = None  # PLY of points to start from, in the data set's coordinates; None: the data set's own
     background: Literal["white", "black", "random"] = "black"
     masks: Literal["valid", "matte"] = "valid"
-    depth_mode: Literal["plane", "front", "center"] = "plane"  # how depth is read, see `gsjax.render.view`
-    pixel_filter: Literal["classic", "mip"] = "classic"  # see `gsjax.render.PIXEL_FILTERS`; files of Gaussians tell it
+    depth_mode: Literal["plane", "front", "center"] = "plane"  # how depth is read, see `gsjax.render`
+    pixel_filter: Literal["classic", "mip"] = "classic"  # see `gsjax.rendering.PIXEL_FILTERS`
     effects: str = NONE  # "none"; "auto", those that the photos show; or names, as in "exposure,vignetting"
     vanilla: bool = False  # plain 3DGS for the same number of steps: no entropy, no cull, no normals
     phases: tuple[Phase, ...] = (VANILLA, ENTROPY, SURFACE)
@@ -391,3 +393,18 @@ REFINED_BY = {
 """Of every preset, that of `gsjax.binding.refining.PRESETS` by which its mesh is refined."""
 LENGTHS = ("quick", "fast", "balanced", "accurate")
 """Of the presets, what a budget of time chooses from, the shortest first."""
+
+
+def preset(name: str, differences: Mapping[str, Any] | None = None) -> Settings:
+    """The settings of a preset, with differences from it.
+
+    Args:
+        name: Of `PRESETS`.
+        differences: Fields of `Settings` by name; records within are tables of what differs.
+
+    Raises:
+        InputError: The preset or a field is unknown, or a value is out of range.
+    """
+    if name not in PRESETS:
+        raise InputError(f"preset {name!r} is none of {', '.join(PRESETS)}")
+    return config.parse(Settings, config.merge(PRESETS[name], differences or {}), where=f"preset {name}")

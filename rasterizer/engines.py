@@ -1,7 +1,7 @@
 """Which engine blends the tiles, and how many channels at a time."""
 
 import logging
-from functools import cache
+from functools import cache, partial
 from threading import Thread
 from types import ModuleType
 from typing import Literal
@@ -196,9 +196,9 @@ def blend(
         return _reference.composite(flat, opacities, features, grid.width, grid.height, rules, front)
     if front and channels > CHANNEL_CHUNK:
         others = features[..., : channels - front.channels], features[..., channels - front.channels :]
-        how = {"backend": backend, "masks": masks}
-        image, left, median = blend(projection, opacities, others[0], pairs, grid, rules, with_median=with_median, **how)
-        ended, *_ = blend(projection, opacities, others[1], pairs, grid, rules, front=front, **how)
+        part = partial(blend, projection, opacities, pairs=pairs, grid=grid, rules=rules, backend=backend, masks=masks)
+        image, left, median = part(features=others[0], with_median=with_median)
+        ended, *_ = part(features=others[1], front=front)
         return jnp.concatenate([image, ended], -1), left, median
     absolute = None if absgrad is None else _xla.absolute_gradients
     static = Static(grid, rules, _engine(backend), with_median, front, absolute)
@@ -209,7 +209,10 @@ def blend(
     )
     flat = reverse_only(features.reshape(-1, channels))
     probe = None if absgrad is None else reverse_only(absgrad.reshape(-1, 2))
-    listed = None if pairs else static.engine.unlisted.listed(projection, opacities, grid, rules, masks)
+    listed = ()
+    if pairs is None:
+        assert static.engine.unlisted is not None, "checked above"
+        listed = static.engine.unlisted.listed(projection, opacities, grid, rules, masks)
 
     def one_pass(channels: Array):
         if pairs is None:

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from small_scenes import camera_at, cloud, discs
 
-from gsjax import config, pipeline, render
+from gsjax import config, pipeline, rendering
 from gsjax.binding import refining
 from gsjax.binding.refining import PRESETS as REFINEMENTS
 from gsjax.binding.refining import Refinement
@@ -120,7 +120,7 @@ def alpha_of(opacity: float, *, layers: int = 1, depth: float = 1.0) -> float:
     """The alpha that a view as training sees it has before wide discs, one right behind the other."""
     points = np.stack([np.zeros(layers), np.zeros(layers), depth * (1 + 1e-3 * np.arange(layers))], axis=1)
     wide = discs(points, [0, 0, 1], 10 * depth, thickness=1e-6, opacity=opacity)
-    return float(render.view(wide, camera_at(), capacity=2**14, background=jnp.zeros(3)).alphas.max())
+    return float(rendering.render(wide, camera_at(), capacity=2**14, background=jnp.zeros(3)).alphas.max())
 
 
 def blended_layers(opacity: float) -> float:
@@ -134,7 +134,7 @@ def slope_at_clamp() -> float:
 
     def alpha(logit):
         scene = replace(wide, logit_opacities=logit)
-        return render.view(scene, camera_at(), capacity=2**10, background=jnp.zeros(3)).alphas.max()
+        return rendering.render(scene, camera_at(), capacity=2**10, background=jnp.zeros(3)).alphas.max()
 
     return float(jax.grad(alpha)(wide.logit_opacities)[0])
 
@@ -143,7 +143,7 @@ def drawn_sigmas(opacity: float) -> float:
     """How far from its centre a splat is drawn horizontally, in standard deviations."""
     disc = discs(np.array([[0, 0, 1.0]]), [0, 0, 1], 0.2, opacity=opacity)
     camera = camera_at(size=(400, 400), focal=200.0)
-    extents = render.splat(disc, camera, 2**10).projection.extents
+    extents = rendering.splat(disc, camera, 2**10).projection.extents
     return round(float(extents[0, 0, 0]) / float(np.hypot(0.2 * 200, np.sqrt(0.3))), 2)
 
 

@@ -15,7 +15,7 @@ from gsjax.analytic import solids
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, rgb_to_sh
 from gsjax.io import analytic_scene
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 from gsjax.scene import Frame, Pixels, frame_of
 from gsjax.training.initialize import DEAD_LOGIT
 

@@ -5,7 +5,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from gsjax import render, targets
+from gsjax import rendering, targets
 from gsjax.numerics import all_finite, masked_mean
 from gsjax.training import optimizers
 from gsjax.training.state import TrainState
@@ -17,7 +17,7 @@ def make_train_step(optimizer, terms, *, capacity, background, sh_every, rule, d
     with_depth = "depth" in needs(terms)
 
     def objective(gaussians, probe, state, batch, color):
-        view = render.view(
+        view = rendering.render(
             gaussians,
             batch.camera,
             capacity=capacity,

@@ -39,7 +39,7 @@ LAYERS = {
     "binding": Layer(("gsjax.binding",), ("rasterizer", "vocabulary", "training"), CORE_PACKAGES),
     "io": Layer(
         ("gsjax.io",),
-        ("vocabulary", "analytic"),
+        ("vocabulary", "analytic", "normals"),
         ("jax", "numpy", "scipy", "tqdm", "cv2", "PIL", "pycolmap", "packaging"),
     ),
     "networks": Layer(

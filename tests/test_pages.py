@@ -18,7 +18,7 @@ from gsjax.binding.bound import bind, to_mesh
 from gsjax.binding.hybrid import Hybrid, all_gaussians
 from gsjax.binding.refining import Refinement
 from gsjax.io.ply import write_gaussians
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing import write_mesh
 from gsjax.settings import PRESETS, Settings
 

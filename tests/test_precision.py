@@ -16,7 +16,7 @@ from scenes import loss
 from small_scenes import camera_at, cloud, photographed
 
 import rasterizer
-from gsjax import density_field, gaussians, render, targets
+from gsjax import density_field, gaussians, rendering, targets
 from gsjax.analytic import solids
 from gsjax.binding import bound as binding
 from gsjax.binding import refining
@@ -26,7 +26,7 @@ from gsjax.cameras import center
 from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.measures import images
 from gsjax.normals import from_depth
-from gsjax.render import backdrop
+from gsjax.rendering import backdrop
 from gsjax.settings import Density, Rates
 from gsjax.training.growth.rules import RULES
 from gsjax.training.optimizers import make_optimizer
@@ -144,7 +144,7 @@ def test_a_step_of_the_refinement(target):
 FEW, DEPTH = cloud(30, seed=1), jnp.full((24, 32), 3.0)
 PHOTO = jnp.full((24, 32, 3), 0.5)
 FUNCTIONS = {
-    "view": lambda: (partial(render.view, capacity=4096, background=PHOTO[0, 0], with_depth=True), FEW, CAMERAS[0]),
+    "render": lambda: (partial(rendering.render, capacity=4096, with_depth=True), FEW, CAMERAS[0]),
     "covariances": lambda: (gaussians.covariances, FEW),
     "smallest axes": lambda: (gaussians.smallest_axes, FEW),
     "depth normals": lambda: (from_depth.depth_normals, DEPTH, CAMERAS[0]),
@@ -158,7 +158,7 @@ FUNCTIONS = {
 
 
 def bound_sheet():
-    from gsjax.mesh import Mesh
+    from gsjax.meshes import Mesh
 
     corners = np.float32([[0, 0, 4], [1, 0, 4], [0, 1, 4], [1, 1, 4]])
     mesh = Mesh(corners, np.int32([[0, 1, 2], [1, 3, 2]]), np.full((4, 3), 128, np.uint8))

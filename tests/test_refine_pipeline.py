@@ -19,7 +19,7 @@ from gsjax.io import json_files, photos
 from gsjax.io.images import read_image, write_image
 from gsjax.io.ply import read_gaussians, write_gaussians
 from gsjax.io.scenes import load_scene
-from gsjax.mesh import Mesh, face_normals
+from gsjax.meshes import Mesh, face_normals
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline.refine import halved_where_seen, prepare_mesh
 from gsjax.runs.result import open_result, write_views

@@ -15,7 +15,7 @@ from matplotlib import pyplot
 from gsjax.analytic import solids
 from gsjax.gaussians import Gaussians, scales
 from gsjax.numerics import masked_mean
-from gsjax.render import View
+from gsjax.rendering import View
 from gsjax.scene import Pixels, extent, frame_of
 from gsjax.settings import Phase, Settings, Weights
 from gsjax.targets import Batch

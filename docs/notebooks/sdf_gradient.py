@@ -12,7 +12,7 @@ import numpy as np
 import optax
 from matplotlib import pyplot
 
-from gsjax import cameras, render
+from gsjax import cameras, rendering
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.normals import sdf
@@ -153,7 +153,7 @@ CAPACITY = 8192  # of the lists of splats a tile: inside jit it is a number, and
 
 @jax.jit
 def directions(gaussians):
-    view = render.view(gaussians, camera, capacity=CAPACITY, background=jnp.zeros(3), with_depth=True)
+    view = rendering.render(gaussians, camera, capacity=CAPACITY, background=jnp.zeros(3), with_depth=True)
     return sdf.sdf_gradient_map(gaussians, view, camera), view.alphas > 0.9, view.splats.pairs.overflowed
 
 

@@ -159,7 +159,7 @@ def steps_of(run: Path) -> dict[str, dict[str, float]]:
     import jax.numpy as jnp
     from step_profile import steppers
 
-    from gsjax import config, gaussians, render
+    from gsjax import config, gaussians, rendering
     from gsjax.planning.sizes import training_extent
     from gsjax.runs.result import open_result, scene_of_run
     from gsjax.settings import PRESETS, Settings
@@ -170,7 +170,7 @@ def steps_of(run: Path) -> dict[str, dict[str, float]]:
     )
     rows = {f"a step, {phase}": {"step_ms": milliseconds(once)[1]} for phase, once in taken.items()}
     cloud, camera = jax.tree.map(jnp.asarray, (result.gaussians, result.cameras[result.held_out.index(False)]))
-    colors = render.colors(render.drawable(cloud), camera)
+    colors = rendering.colors(rendering.drawable(cloud), camera)
     shape = cloud.means, cloud.quats, gaussians.scales(cloud), gaussians.opacities(cloud), colors
     peer = gsplat_of(Scene((*shape, camera.viewmat[None], camera.K[None]), camera.width, camera.height))
     return rows if peer is None else {**rows, "gsplat, one view": peer()}

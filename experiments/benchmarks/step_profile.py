@@ -47,7 +47,7 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
     import numpy as np
 
     import rasterizer
-    from gsjax import config, render, targets
+    from gsjax import config, rendering, targets
     from gsjax.measures.images import ssim
     from gsjax.planning.sizes import training_extent
     from gsjax.runs.result import open_result, scene_of_run
@@ -61,11 +61,11 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
     gaussians = jax.tree.map(jnp.asarray, finished)
     data = targets.read_targets(scene.train_frames)
     batch = targets.batch(one_view(data, 0, 0.5)(0), jnp.ones(3, jnp.float32))
-    camera, capacity, grid = batch.camera, chosen_capacity(gaussians, data), render.tile_grid(batch.camera)
+    camera, capacity, grid = batch.camera, chosen_capacity(gaussians, data), rendering.tile_grid(batch.camera)
 
     def projected(gaussians):
-        scene = render.drawable(gaussians)
-        return *render.projected(scene, camera, "center"), render.colors(scene, camera)
+        scene = rendering.drawable(gaussians)
+        return *rendering.projected(scene, camera, "center"), rendering.colors(scene, camera)
 
     def summed(gaussians):
         projection, opacities, colors = projected(gaussians)

@@ -86,7 +86,7 @@ def _write_cloud(file: Path, scene: Path, count: int) -> None:
     import numpy as np
 
     from gsjax.io.ply import encode_mesh
-    from gsjax.mesh import Mesh
+    from gsjax.meshes import Mesh
 
     rng = np.random.default_rng(0)
     with np.load(scene / "gt_points.npz") as truth:

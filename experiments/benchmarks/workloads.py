@@ -123,14 +123,14 @@ def seen_in_training(run: Path) -> Seen:
     import jax
     import jax.numpy as jnp
 
-    from gsjax import render
+    from gsjax import rendering
     from gsjax.runs.result import open_result
 
     result = open_result(run)
     gaussians, camera = jax.tree.map(jnp.asarray, (result.gaussians, result.cameras[result.held_out.index(False)]))
-    scene = render.drawable(gaussians)
-    projection, opacities = render.projected(scene, camera, "center")
-    return Seen(projection, opacities, render.colors(scene, camera), camera.width, camera.height)
+    scene = rendering.drawable(gaussians)
+    projection, opacities = rendering.projected(scene, camera, "center")
+    return Seen(projection, opacities, rendering.colors(scene, camera), camera.width, camera.height)
 
 
 def milliseconds(function: Callable[..., Any], *arguments: Any, repeats: int = 15) -> tuple[float, float]:

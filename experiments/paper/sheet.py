@@ -11,7 +11,7 @@ from gsjax.io.normal_maps import map_places
 from gsjax.io.ply import read_gaussians
 from gsjax.meshing import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 from gsjax.report.panels import draw_panels
 from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture
 from gsjax.runs.prior import read_map

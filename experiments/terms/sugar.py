@@ -19,7 +19,7 @@ from gsjax.gaussians import Gaussians, rotation_matrices, scales, smallest_axes
 from gsjax.normals import sdf
 from gsjax.normals.sdf import face_camera
 from gsjax.numerics import masked_mean, safe_normalize
-from gsjax.render import View
+from gsjax.rendering import View
 from gsjax.targets import Batch
 from gsjax.training.terms import Kept
 

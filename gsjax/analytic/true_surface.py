@@ -8,7 +8,7 @@ from jax import Array
 from gsjax.analytic import solids
 from gsjax.colors import to_bytes
 from gsjax.measures.geometry import sample_surface
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 
 _PROJECTIONS = 6  # one suffices where the distance is exact
 _ON_SURFACE = 1e-4  # world units

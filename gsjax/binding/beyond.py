@@ -9,9 +9,9 @@ import numpy as np
 from jax import Array
 from scipy.spatial import KDTree
 
-from gsjax import render, targets
+from gsjax import rendering, targets
 from gsjax.gaussians import Gaussians
-from gsjax.render import DepthReading
+from gsjax.rendering import DepthReading
 from gsjax.targets import Target, Targets
 from gsjax.training.capacity import chosen_capacity
 
@@ -43,7 +43,7 @@ def beyond_mesh(
         mesh_depths: `[H, W]` camera z of the mesh a view, of the size of `data`, 0 where there is none; looked at one
             by one.
         border: `[B, 3]` vertices at which the mesh ends, see `gsjax.meshing.topology.border`; B may be 0.
-        depth_mode: What a splat's depth is, see `gsjax.render.view`.
+        depth_mode: What a splat's depth is, see `gsjax.render`.
 
     Returns:
         `[N]` bool, numpy. False for those that no pixel sees.
@@ -74,7 +74,7 @@ def _light(
     batch = targets.batch(target, black)
 
     def shown(probe: Array) -> tuple[Array, tuple[Array, Array]]:
-        view = render.view(
+        view = rendering.render(
             gaussians,
             batch.camera,
             capacity=capacity,

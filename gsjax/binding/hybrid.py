@@ -8,7 +8,7 @@ import numpy as np
 
 from gsjax.binding.bound import BoundGaussians, to_gaussians
 from gsjax.gaussians import Gaussians, covariances
-from gsjax.render import Drawable, drawable
+from gsjax.rendering import Drawable, drawable
 
 
 @jax.tree_util.register_dataclass

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
-from gsjax import render, targets
+from gsjax import rendering, targets
 from gsjax.binding import mesh_terms
 from gsjax.binding.bound import LAYOUTS, BoundGaussians
 from gsjax.binding.hybrid import Hybrid
@@ -26,7 +26,7 @@ from gsjax.binding.mesh_terms import MeshGraph
 from gsjax.config import declare_types, parse_numbers
 from gsjax.gaussians import PixelFilter
 from gsjax.numerics import masked_mean
-from gsjax.render import backdrop
+from gsjax.rendering import backdrop
 from gsjax.settings import RATES, Rates, check_lowest, check_seed
 from gsjax.targets import Batch, Target, Targets
 from gsjax.training import optimizers
@@ -93,7 +93,7 @@ class Refinement:
     sh_every: int | None = None  # steps after which the next degree joins; None: a fifteenth of them all
     opacity: float = 0.9  # of every Gaussian at the start
     thickness: float = 1e-6  # of the extent: standard deviation along the normal
-    pixel_filter: PixelFilter = "mip"  # see `gsjax.render.PIXEL_FILTERS`
+    pixel_filter: PixelFilter = "mip"  # see `gsjax.rendering.PIXEL_FILTERS`
     keep_free: bool = True  # the run's Gaussians stay where there is no mesh, see `gsjax.binding.beyond`
     settle_at: float = 1.0  # share of the steps after which the mesh settles on its photos and stays there; 1: never
     seed: int = 0
@@ -189,7 +189,7 @@ def refine(
         data: The photos.
         state: Where to start. Its buffers are taken.
         optimizer: The transformation that made the state.
-        background: Under the images; where photos have no mattes it may also be as `gsjax.render.backdrop` has it.
+        background: Under the images; where photos have no mattes it may also be as `gsjax.rendering.backdrop` has it.
         observe: Called after every step.
         settled: Moves the vertices once, after `settings.moving_steps`, if there are more; the rest of the steps is for
             the Gaussians on them.
@@ -264,7 +264,7 @@ def make_refine_step(
 
     def objective(parameters: Hybrid, state: RefineState, graph: MeshGraph, batch: Batch, color: Array):
         gaussians = with_faces(parameters, state.gaussians.bound.faces)
-        view = render.view(
+        view = rendering.render(
             gaussians,
             batch.camera,
             capacity=capacity,
@@ -360,7 +360,7 @@ def _side_by_side(
     return optax.GradientTransformation(init, update)
 
 
-def _term(name: str, gaussians: Hybrid, graph: MeshGraph, view: render.View, batch: Batch) -> Array:
+def _term(name: str, gaussians: Hybrid, graph: MeshGraph, view: rendering.View, batch: Batch) -> Array:
     if name == "normal_consistency":
         return mesh_terms.normal_consistency(gaussians.bound.vertices, gaussians.bound.faces, graph)
     if name == "laplacian":

@@ -12,7 +12,7 @@ from gsjax.effects.observations import Observations
 from gsjax.effects.parallax import Parallax
 from gsjax.effects.simulation import Effect
 from gsjax.effects.sky import Masks
-from gsjax.render import backdrop
+from gsjax.rendering import backdrop
 from gsjax.scene import Frame
 
 THRESHOLD = 0.25  # of the photos
@@ -125,7 +125,7 @@ def is_one(seen: Observations, color: float, most: np.ndarray, least: np.ndarray
 
 
 def make_effect(coefficients: np.ndarray, rate: optax.Schedule) -> Effect:
-    """A colour by direction stands behind all Gaussians, see `gsjax.render.backdrop`. No surface is made of it.
+    """A colour by direction stands behind all Gaussians, see `gsjax.rendering.backdrop`. No surface is made of it.
 
     Args:
         coefficients: `[(L + 1)^2, 3]` to start with.

@@ -15,7 +15,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from gsjax.cameras import Camera
-from gsjax.render import View
+from gsjax.rendering import View
 from gsjax.targets import Batch
 
 RATE, FINAL = 2e-3, 1e-2  # Adam's learning rate, and the share of it that is left at the end (PPISP)

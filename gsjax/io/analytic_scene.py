@@ -29,7 +29,7 @@ from gsjax.colors import linear_to_srgb, to_bytes
 from gsjax.io import ply
 from gsjax.io.files import atomic_folder
 from gsjax.io.packages import require
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 
 HELD_OUT_EVERY = 8  # views 0, 8, 16, ... are for scoring
 MESH_SPACING = 0.02  # world units

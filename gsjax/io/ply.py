@@ -23,7 +23,7 @@ from gsjax.io.ply_elements import (
     rest_names,
     stack_columns,
 )
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.place import UNPLACED, Place
 from gsjax.similarity import as_needed, is_float32, loses_in_float32, spread
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.topology import edge_table
 
 NEAR_LARGEST = 0.5  # Triangles of this share of the largest weight and more are halved in one round.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gsjax.errors import NoSurfaceError
-from gsjax.mesh import Mesh, face_area_vectors
+from gsjax.meshes import Mesh, face_area_vectors
 from gsjax.meshing.libraries import load_open3d
 from gsjax.meshing.topology import edge_table, face_components
 

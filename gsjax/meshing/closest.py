@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.libraries import load_open3d
 
 

@@ -25,7 +25,7 @@ from gsjax.errors import InputError
 from gsjax.io import ply
 from gsjax.io.files import atomic_path
 from gsjax.io.place_files import state_beside
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing import glb, usdz
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.glb_parts import read_glb

@@ -8,14 +8,14 @@ import numpy as np
 from gsjax.cameras import Camera
 from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians, without_view_dependence
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.boxes import Region, Regions, near_and_far
 from gsjax.meshing.cleaning import clean, concatenate_meshes
 from gsjax.meshing.methods import Method, Sighting, level_set_poisson
 from gsjax.meshing.orientation import orient_outward
 from gsjax.meshing.topology import topology
-from gsjax.render import gallery
-from gsjax.render.gallery import Picture
+from gsjax.rendering import gallery
+from gsjax.rendering.gallery import Picture
 from gsjax.similarity import IDENTITY, Similarity
 
 LENGTHS = frozenset({"cell", "voxel", "trim_distance", "boundary_length", "largest_hole"})

@@ -9,7 +9,7 @@ import numpy as np
 from gsjax.colors import linear_to_srgb, srgb_to_linear, to_bytes
 from gsjax.io.json_files import plain
 from gsjax.io.place_files import EXTRAS
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.atlas import TexturedMesh
 from gsjax.meshing.libraries import load_trimesh
 from gsjax.place import UNPLACED, Place

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gsjax.mesh import Mesh, face_area_vectors
+from gsjax.meshes import Mesh, face_area_vectors
 from gsjax.meshing.libraries import load_open3d
 from gsjax.meshing.topology import edge_table, face_components
-from gsjax.render.shown_depths import SAME_SURFACE, ShownDepth, depths_at
+from gsjax.rendering.shown_depths import SAME_SURFACE, ShownDepth, depths_at
 
 WIDEST = 0.05  # Radius of a hole, of the diagonal of the mesh's box: what is wider is an opening.
 PER_PATCH = 32  # Points at which the views are asked about a patch.
@@ -32,7 +32,7 @@ def fill_holes(mesh: Mesh, views: Sequence[ShownDepth]) -> tuple[Mesh, HoleRepor
 
     Args:
         mesh: Oriented, clean.
-        views: What the Gaussians show, see `gsjax.render.shown_depths`.
+        views: What the Gaussians show, see `gsjax.rendering.shown_depths`.
 
     Returns:
         The mesh with the same vertices and more triangles, oriented like those around them; and what was closed.

@@ -22,7 +22,7 @@ from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing.level_crossing import march_rays
 from gsjax.meshing.neighborhood import Neighborhood
-from gsjax.render.gallery import Picture
+from gsjax.rendering.gallery import Picture
 
 PIXELS_PER_POINT = 8  # Photos of so many pixels in all bear one surface point.
 FEWEST_POINTS = 200_000

@@ -16,12 +16,12 @@ from gsjax.density_field import Kernels
 from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.io.machine import require_memory
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing import level_set
 from gsjax.meshing.boxes import Box, Region
 from gsjax.meshing.libraries import load_open3d
 from gsjax.meshing.methods import Method, Sighting, base_colors, typical_scale
-from gsjax.render.gallery import Picture
+from gsjax.rendering.gallery import Picture
 
 MOST_CELLS = 256  # Along the longest side of a region, where the size is chosen; SuGaR takes 512.
 REACH = 3.0  # Standard deviations beyond which a Gaussian makes no density.

@@ -17,13 +17,13 @@ from gsjax.cameras import Camera, landing, viewmat_center
 from gsjax.colors import to_bytes
 from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
-from gsjax.mesh import Mesh, unit_or_zero
+from gsjax.meshes import Mesh, unit_or_zero
 from gsjax.meshing import level_set, poisson
 from gsjax.meshing.boxes import Region
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.nearest import TREE_CHUNK
-from gsjax.render.gallery import Picture
+from gsjax.rendering.gallery import Picture
 
 CELL_PER_SCALE = 1.0  # Poisson cells smaller than the Gaussians reproduce their bumps, not the surface.
 RIM = 0.05  # Of the region's, or its inner box's, longest side: points that far outside shape the surface inside.

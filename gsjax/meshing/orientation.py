@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gsjax.cameras import Camera, viewmat_center
-from gsjax.mesh import Mesh, face_normals
+from gsjax.meshes import Mesh, face_normals
 from gsjax.meshing.rays import ray_caster
 
 SIDE = 64  # Rays along the longer side of a view: enough to tell a share.

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
 from gsjax.scene import Frame, Scene

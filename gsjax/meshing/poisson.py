@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gsjax.errors import NoSurfaceError
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.libraries import load_open3d
 from gsjax.meshing.topology import edge_table
 from gsjax.meshing.trimming import Support, Trim, adaptive

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.mesh import Mesh, face_normals
+from gsjax.meshes import Mesh, face_normals
 from gsjax.meshing.libraries import load_open3d
 
 

@@ -15,7 +15,7 @@ from scipy.sparse.linalg import cg
 from tqdm import tqdm
 
 from gsjax.in_order import in_order
-from gsjax.mesh import Mesh, vertex_normals
+from gsjax.meshes import Mesh, vertex_normals
 from gsjax.meshing.rays import Cast, ray_caster
 from gsjax.meshing.topology import edge_table
 from gsjax.scene import Frame

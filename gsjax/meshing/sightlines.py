@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gsjax.cameras import viewmat_center
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.boxes import Box
 from gsjax.meshing.rays import ray_caster
 from gsjax.scene import Scene, tracks_by_name

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.atlas import Atlas, doubled_areas, texel_corners
 from gsjax.meshing.rays import Cast, ray_caster
 

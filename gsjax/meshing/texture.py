@@ -12,14 +12,14 @@ from scipy import ndimage
 from gsjax import cameras as pinhole
 from gsjax.cameras import Camera, viewmat_center
 from gsjax.colors import to_bytes
-from gsjax.mesh import Mesh, face_normals
+from gsjax.meshes import Mesh, face_normals
 from gsjax.meshing.atlas import TexturedMesh, Unwrap, unwrap
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
 from gsjax.meshing.texels import Texels, paint_texture, texels_of
-from gsjax.render import MIN_COVERAGE
-from gsjax.render.backdrop import color_behind
-from gsjax.render.gallery import Picture
+from gsjax.rendering import MIN_COVERAGE
+from gsjax.rendering.backdrop import color_behind
+from gsjax.rendering.gallery import Picture
 
 TEXELS_AT_ONCE = 1 << 18
 MIN_COSINE = 0.2  # A view flatter than this (78 degrees off the normal) says nothing of a texel.
@@ -46,7 +46,7 @@ def texture_mesh(
         cameras: One camera a view.
         pictures: What each of them sees, over black (colours times coverage); a generator will do.
         size: Side of the texture, texels.
-        background: What was behind the Gaussians as they were trained, see `gsjax.render.backdrop`: a white wall before
+        background: What was behind the Gaussians in training, see `gsjax.rendering.backdrop`: a white wall before
             a white background may be thin, and what shines through it is its own colour. None: nothing is known of it,
             and a thin wall has the colour of its Gaussians alone.
         unwrap: How the mesh is laid out.

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gsjax.cameras import Camera
-from gsjax.mesh import Mesh, face_normals
+from gsjax.meshes import Mesh, face_normals
 from gsjax.meshing.texture import may_be_seen
 
 TEXELS_PER_PIXEL = 4.0  # Two along either side: with fewer, what lies between pixels is lost (docs/texture.md).

@@ -8,7 +8,7 @@ import numpy as np
 from gsjax.cameras import look_at
 from gsjax.errors import InputError
 from gsjax.io.files import atomic_path
-from gsjax.mesh import Mesh, unit_or_zero
+from gsjax.meshes import Mesh, unit_or_zero
 from gsjax.meshing.pictures import Shading, render_mesh, vertex_colors
 from gsjax.meshing.rays import front_faces_only, ray_caster
 

@@ -6,17 +6,18 @@ of the depth map, and the loss' own gradient through the renders of depth and of
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from gsjax import cameras, render
+from gsjax import cameras, rendering
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import masked_mean, safe_normalize, times
-from gsjax.render import View
-from gsjax.render.sampling import reads_within, sample_bilinear
+from gsjax.rendering import View
+from gsjax.rendering.sampling import reads_within, sample_bilinear
 
 Estimator = Callable[[Gaussians, View, Camera], Array]
 """(Gaussians, View with depth, Camera) -> `[H, W, 3]` camera-frame direction per pixel, of any length."""
@@ -44,7 +45,7 @@ def composite_directions(world: Array, gaussians: Gaussians, view: View, camera:
     """`[H, W, 3]` world directions `[N, 3]`, made unit, turned into the camera and to face it, composited on zero."""
     in_camera = jax.vmap(partial(times, cameras.rotation(camera)))(world)
     position = jax.vmap(cameras.world_to_camera, in_axes=(0, None))(jax.lax.stop_gradient(gaussians.means), camera)
-    return render.features(view.splats, face_camera(safe_normalize(in_camera), -position))[0]
+    return rendering.features(view.splats, face_camera(safe_normalize(in_camera), -position))[0]
 
 
 def sdf_gradient_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
@@ -59,6 +60,25 @@ def sdf_gradient_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:
     points = jnp.where(usable, gaussians.means, jax.lax.stop_gradient(in_front(camera))[None])
     world = jax.vmap(jax.grad(depth_sdf), in_axes=(0, None, None))(points, view.depth, camera)
     return composite_directions(jnp.where(usable, world, 0), gaussians, view, camera)
+
+
+def sdf_gradient(
+    gaussians: Gaussians, camera: Camera, *, depth_mode: rendering.DepthReading = "plane", **options: Any
+) -> Array:
+    """`[H, W, 3]` gradients of the signed distance estimate, composited, in the camera's frame; of any length.
+
+    Args:
+        gaussians: The scene.
+        camera: The view.
+        depth_mode: What depth is, see `gsjax.rendering`.
+        options: Further options of `gsjax.rendering`, such as `capacity`.
+
+    Returns:
+        The field that the paper's regulariser aligns with normals; zero where nothing is covered. Differentiable to
+        the Gaussians and the camera, once.
+    """
+    view = rendering.render(gaussians, camera, with_depth=True, depth_mode=depth_mode, **options)
+    return sdf_gradient_map(gaussians, view, camera)
 
 
 def pixel_depth_map(gaussians: Gaussians, view: View, camera: Camera) -> Array:

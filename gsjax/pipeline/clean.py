@@ -19,7 +19,7 @@ from gsjax.io.locks import lock_folder
 from gsjax.io.place_files import stated_place
 from gsjax.io.temporaries import sweep_beside
 from gsjax.meshing.boxes import given_numbers
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 from gsjax.report.panels import draw_panels
 from gsjax.runs.folder import is_begun
 from gsjax.runs.outputs import require_apart

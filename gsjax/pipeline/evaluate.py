@@ -12,7 +12,7 @@ import numpy as np
 from gsjax.effects.alignment import align as aligned_camera
 from gsjax.errors import NoSurfaceError
 from gsjax.measures import geometry
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.export import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors, vertex_colors

@@ -13,8 +13,8 @@ from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.io.films import check_film, film_writer, read_path
 from gsjax.io.temporaries import sweep_beside
-from gsjax.render import gallery
-from gsjax.render.gallery import Picture
+from gsjax.rendering import gallery
+from gsjax.rendering.gallery import Picture
 from gsjax.report.pictures import depth_picture, depth_span, surface_picture
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result

@@ -17,7 +17,7 @@ from gsjax.gaussians import Gaussians, take, without_view_dependence
 from gsjax.io.machine import require_memory
 from gsjax.io.scenes import load_scene
 from gsjax.io.temporaries import sweep_beside
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing import boxes, level_set, trimming
 from gsjax.meshing.agreed_depth import agreed_poisson
 from gsjax.meshing.boxes import Box, Regions, given_numbers
@@ -35,9 +35,9 @@ from gsjax.meshing.sightlines import sightlines_of
 from gsjax.meshing.topology import topology
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
-from gsjax.render.floaters import are_floaters
-from gsjax.render.gallery import Picture
-from gsjax.render.shown_depths import ShownDepth, coarse_depth
+from gsjax.rendering.floaters import are_floaters
+from gsjax.rendering.gallery import Picture
+from gsjax.rendering.shown_depths import ShownDepth, coarse_depth
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.prior import reduction_for
 from gsjax.runs.result import Result, open_result, scene_of_run, training_pictures
@@ -105,8 +105,8 @@ def mesh(
         settled: Whether vertices move to where the photos agree.
         holes_filled: Whether holes are closed where the views show a surface (`gsjax.meshing.holes`). After "agreed"
             they always are.
-        keep_floaters: Whether Gaussians that hang in the air (`gsjax.render.floaters`) take part. They always do where
-            no camera of a photo is known.
+        keep_floaters: Whether Gaussians that hang in the air (`gsjax.rendering.floaters`) take part. They always do
+            where no camera of a photo is known.
 
     Returns:
         A report of plain numbers: `vertices`, `faces`, `method`, what `extract_mesh` says; `floaters`: how many were

@@ -25,7 +25,7 @@ from gsjax.gaussians import take
 from gsjax.io import json_files
 from gsjax.io.machine import free_memory, peak_memory
 from gsjax.io.ply import write_gaussians
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.bisection import bisect_triangles
 from gsjax.meshing.cleaning import clean
 from gsjax.meshing.export import read_mesh, write_mesh

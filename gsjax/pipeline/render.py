@@ -12,7 +12,7 @@ from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.io.files import make_folder
 from gsjax.io.images import write_image
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 from gsjax.report.pictures import depth_picture, surface_picture
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import open_result

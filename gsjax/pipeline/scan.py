@@ -24,7 +24,7 @@ from gsjax.pipeline.mesh import AUTO, mesh
 from gsjax.pipeline.refine import refine
 from gsjax.pipeline.texture import texture
 from gsjax.pipeline.train import train
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 from gsjax.report.page import report as write_report
 from gsjax.report.panels import draw_panels
 from gsjax.report.pictures import mesh_picture, surface_picture

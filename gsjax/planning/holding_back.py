@@ -17,7 +17,7 @@ from gsjax.numerics import masked_mean
 from gsjax.planning.sizes import training_extent
 from gsjax.planning.sparse_views import Gain
 from gsjax.planning.start import first_state, with_given_points, with_stereo_points
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 from gsjax.runs.result import BACKGROUND_COLORS
 from gsjax.scene import Frame, Scene, kept, tracks_by_name
 from gsjax.settings import QUICK, Settings

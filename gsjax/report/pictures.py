@@ -5,7 +5,7 @@ import numpy as np
 
 from gsjax.cameras import Camera
 from gsjax.colors import to_bytes
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import Shading, headlight, render_mesh
 from gsjax.normals.from_depth import depth_normals
 

@@ -17,7 +17,7 @@ from gsjax.meshing.export import read_mesh
 from gsjax.meshing.pictures import headlight, render_mesh, vertex_colors
 from gsjax.meshing.rays import ray_caster
 from gsjax.normals.from_depth import depth_normals
-from gsjax.render.gallery import Picture
+from gsjax.rendering.gallery import Picture
 from gsjax.report.pictures import normal_picture
 from gsjax.runs.records import read_views
 from gsjax.runs.result import frame_camera, recorded_camera

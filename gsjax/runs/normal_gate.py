@@ -18,7 +18,7 @@ from gsjax.io.files import atomic_path
 from gsjax.io.normal_maps import normal_maps
 from gsjax.normals.agreement import Judged, Verdict, View, full_size, judge, stride_of, thinned
 from gsjax.normals.sparse_depth import sparse_depth
-from gsjax.render import DepthReading, gallery
+from gsjax.rendering import DepthReading, gallery
 from gsjax.runs.records import NUMBER
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame, Keep, Scene, in_memory, tracks_by_name
@@ -46,7 +46,7 @@ def gate(
         gaussians: As the surface phase begins.
         frames: The photos.
         maps: `[H, W, 3]` int8 a photo, 127 times the unit normal.
-        depth_mode: What the Gaussians' depth is, see `gsjax.render.view`.
+        depth_mode: What the Gaussians' depth is, see `gsjax.render`.
         keep: Where the maps that are returned are to lie.
         tell: Told the verdict in one line.
 

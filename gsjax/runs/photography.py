@@ -32,7 +32,7 @@ class Photography(NamedTuple):
     looks: Mapping[str, Appearance] = MappingProxyType({})
     moves: Mapping[str, Move] = MappingProxyType({})  # of its camera from where the data set has it
     background: np.ndarray | None = (
-        None  # [(L + 1)^2, 3] SH coefficients of what is behind all, see `gsjax.render.backdrop`
+        None  # [(L + 1)^2, 3] SH coefficients of what is behind all, see `gsjax.rendering.backdrop`
     )
     near: Mapping[str, Appearance] = MappingProxyType({})  # held-out photos, exposed as those taken near them
 

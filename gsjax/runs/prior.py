@@ -19,7 +19,7 @@ from gsjax.io.normal_maps import map_places, normal_maps
 from gsjax.normals.agreement import share_compared
 from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
-from gsjax.render import DepthReading, gallery
+from gsjax.rendering import DepthReading, gallery
 from gsjax.runs.folder import update_manifest
 from gsjax.runs.normal_gate import gate, stored_apart
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
@@ -60,7 +60,7 @@ class RunPrior:
             axes: Those of the foreign maps, see `axis_signs`; None: those that they were written with where `gsjax
                 normals` made them, else found by comparing with the Gaussians.
             frames: Whose normals will be asked for.
-            depth_mode: What the Gaussians' depth is, see `gsjax.render.view`.
+            depth_mode: What the Gaussians' depth is, see `gsjax.render`.
             gated: Whether normals count only as far as photos agree, see `gsjax.runs.normal_gate`.
             keep: Where the maps are to lie.
             tell: Told in one line which axes foreign maps have, and how that was found; and what the gate found.

@@ -24,8 +24,8 @@ from gsjax.io.place_files import stated_place
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import NONE
 from gsjax.place import UNPLACED, Place
-from gsjax.render import DepthReading, gallery
-from gsjax.render.gallery import Picture
+from gsjax.rendering import DepthReading, gallery
+from gsjax.rendering.gallery import Picture
 from gsjax.runs import viewpoints
 from gsjax.runs.moving import moved_images
 from gsjax.runs.photography import with_moved_cameras
@@ -58,8 +58,8 @@ class Result:
     valid: tuple[
         Callable[[], np.ndarray | None], ...
     ]  # reads [H, W] bool, where the photo may be used; None: all of it
-    background: np.ndarray  # [3], or as SH coefficients of the direction, see `gsjax.render.backdrop`
-    depth_mode: DepthReading = "plane"  # as depth was read in training, or `DEPTH_OF_DISCS`, see `gsjax.render.view`
+    background: np.ndarray  # [3], or as SH coefficients of the direction, see `gsjax.rendering.backdrop`
+    depth_mode: DepthReading = "plane"  # as depth was read in training, or `DEPTH_OF_DISCS`, see `gsjax.render`
     similarity: Similarity = IDENTITY  # to Gaussians and cameras from the coordinates of the world
     place: Place = UNPLACED  # what is known of that world
 
@@ -161,7 +161,7 @@ def training_pictures(
     Args:
         result: Whose training views.
         gaussians: Its own, or what was made of them.
-        background: Under the pictures, see `gsjax.render.backdrop`.
+        background: Under the pictures, see `gsjax.rendering.backdrop`.
         with_owners: Whether the pictures tell who was hit, which the level set asks for.
 
     Raises:

@@ -8,7 +8,7 @@ import numpy as np
 
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.runs.run import Run
 from gsjax.scene import Frame, Scene

@@ -8,7 +8,7 @@ import numpy as np
 from gsjax.cameras import Camera, look_at, viewmat_centers
 from gsjax.gaussians import Gaussians, opacities
 from gsjax.meshing.methods import directions_to_viewers
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 
 COUNT = 32
 TURNTABLE_VIEWS = 36

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from gsjax.gaussians import Gaussians
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import Shading, smooth_pictures
-from gsjax.render.gallery import Picture
+from gsjax.rendering.gallery import Picture
 from gsjax.runs.photography import Photography
 from gsjax.runs.result import frame_camera
 from gsjax.scene import Frame, Pixels

@@ -16,8 +16,8 @@ from gsjax.gaussians import Gaussians
 from gsjax.io.notices import print_once
 from gsjax.measures.images import psnr, ssim
 from gsjax.networks.lpips import Measure
-from gsjax.render import DepthReading, gallery
-from gsjax.render.gallery import Picture
+from gsjax.rendering import DepthReading, gallery
+from gsjax.rendering.gallery import Picture
 from gsjax.runs.photography import Photography
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame
@@ -85,7 +85,7 @@ def score_pictures(
     Args:
         draw: Cameras -> their pictures, one by one.
         frames: As of `score_images`.
-        color: `[3]`, or as `gsjax.render.backdrop` takes it, what `draw` has behind all.
+        color: `[3]`, or as `gsjax.rendering.backdrop` takes it, what `draw` has behind all.
         measures: As of `score_images`.
         found: As of `score_images`.
         align: As of `score_images`.

@@ -8,11 +8,11 @@ import numpy as np
 
 from gsjax.gaussians import Gaussians
 from gsjax.measures import geometry
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
 from gsjax.normals.from_depth import depth_normals
-from gsjax.render import DepthReading, gallery
+from gsjax.rendering import DepthReading, gallery
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame, Truth
 

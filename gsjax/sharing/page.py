@@ -31,7 +31,7 @@ class Shared:
     bookmarks: Sequence[tuple[str, Camera]]  # names and cameras; the page begins at the first
     middle: np.ndarray  # [3]: what the page turns around
     up: np.ndarray  # [3] unit
-    background: np.ndarray  # [3] or SH, see `gsjax.render.backdrop`
+    background: np.ndarray  # [3] or SH, see `gsjax.rendering.backdrop`
     similarity: Similarity  # to local coordinates from those of the mesh and of saved paths
     glb: bytes | None = None  # the mesh
 

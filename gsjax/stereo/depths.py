@@ -6,7 +6,7 @@ import numpy as np
 from tqdm import tqdm
 
 from gsjax.cameras import Camera
-from gsjax.render.shown_depths import ShownDepth
+from gsjax.rendering.shown_depths import ShownDepth
 from gsjax.scene import Scene
 from gsjax.stereo.aggregation import best_planes
 from gsjax.stereo.agreement import Evidence, confirmed, evidence, patches

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from gsjax import render, targets
+from gsjax import rendering, targets
 from gsjax.cameras import Camera
 from gsjax.errors import InputError, is_out_of_memory
 from gsjax.gaussians import Gaussians
@@ -37,7 +37,7 @@ def headroom(*, grows: bool) -> float:
 
 def largest_need(gaussians: Gaussians, data: Targets) -> int:
     """Pair capacity that serves every one of the views."""
-    return render.largest_need(gaussians, (Camera(each.viewmat, each.K, *data.size) for each in data.targets))
+    return rendering.largest_need(gaussians, (Camera(each.viewmat, each.K, *data.size) for each in data.targets))
 
 
 def chosen_capacity(gaussians: Gaussians, data: Targets, *, headroom: float = STILL) -> int:

@@ -57,7 +57,7 @@ def from_points(
     colors: np.ndarray,
     *,
     capacity: int,
-    sh_degree: int,
+    sh_degree: int = 3,
     opacity: float = 0.1,
     pixel_filter: PixelFilter = "classic",
 ) -> Gaussians:

@@ -11,12 +11,12 @@ import optax
 from jax import Array
 
 import rasterizer
-from gsjax import render, targets
+from gsjax import rendering, targets
 from gsjax.effects import simulation
 from gsjax.effects.simulation import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import all_finite, masked_mean
-from gsjax.render import View
+from gsjax.rendering import View
 from gsjax.targets import Batch, Target
 from gsjax.training import optimizers
 from gsjax.training.dropout import leave_out
@@ -108,7 +108,7 @@ def make_train_step(
     background: Background,
     sh_every: int,
     rule: Rule | None,
-    depth_mode: render.DepthReading = "plane",
+    depth_mode: rendering.DepthReading = "plane",
     effects: Effects = NO_EFFECTS,
     extent: float = 1.0,
     dropout: float = 0.0,
@@ -122,7 +122,7 @@ def make_train_step(
         background: Colour under the images.
         sh_every: Steps between the bands of the SH ramp.
         rule: Of density control, whose statistics are gathered; None: none are.
-        depth_mode: What a splat's depth is, see `gsjax.render.view`.
+        depth_mode: What a splat's depth is, see `gsjax.render`.
         effects: Those that stand between the render and the photos; the state and the targets must be made for them.
         extent: Camera extent, scene units: what a rule, and a term with a table, measure distances in. The state must
             hold the table of every term that has one.
@@ -137,7 +137,7 @@ def make_train_step(
         gaussians, probe, numbers = free
         batch = replace(batch, camera=simulation.move_camera(effects, numbers, batch.camera, batch.photo))
         drawn = leave_out(gaussians, dropout, jax.random.fold_in(key, 3)) if dropout else gaussians
-        view = render.view(
+        view = rendering.render(
             drawn,
             batch.camera,
             capacity=capacity,
@@ -182,9 +182,7 @@ def make_train_step(
             statistics = rule.accumulate(statistics, gradients.probe, seen, distances, target.size)
         looks = simulation.update_effects(effects, state.effects, gradients.numbers)
         done = state.step + 1
-        return replace(
-            state, gaussians=gaussians, opt_state=opt_state, statistics=statistics, step=done, effects=looks
-        )
+        return replace(state, gaussians=gaussians, opt_state=opt_state, statistics=statistics, step=done, effects=looks)
 
     step = guarded_step(differentiate, update, background)
 

@@ -1,31 +1,27 @@
 """A training loop of your own: the optimizer, the state, the step and the densification that `gsjax.train` uses.
 
-    optimizer = gsjax.adam(scene.extent, steps=2_000)
-    step = gsjax.train_step(optimizer, {"l1": 0.8, "dssim": 0.2})
-    state = gsjax.init(gaussians, optimizer)
-    for i, view in zip(range(2_000), itertools.cycle(views)):
-        state, metrics = step(state, view, key)
-        if i % 100 == 99:
-            state = gsjax.densify(state, key)
+optimizer = gsjax.adam(scene.extent, steps=2_000)
+step = gsjax.train_step(optimizer, {"l1": 0.8, "dssim": 0.2})
+state = gsjax.init(gaussians, optimizer)
+for i, view in zip(range(2_000), itertools.cycle(views)):
+state, metrics = step(state, view, key)
+if i % 100 == 99:
+state = gsjax.densify(state, key)
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 from jax import Array
 
-from gsjax import render, targets
+from gsjax import rendering
 from gsjax.gaussians import Gaussians
-from gsjax.io.normal_maps import normal_maps
-from gsjax.normals.axes import apply_axes, axis_signs
-from gsjax.scene import Frame
 from gsjax.settings import Density, Rates
-from gsjax.targets import NORMAL_UNIT, Target
+from gsjax.targets import Target
 from gsjax.training import optimizers
 from gsjax.training import state as states
 from gsjax.training.capacity import headroom, rounded_capacity
@@ -79,31 +75,6 @@ def init(gaussians: Gaussians, optimizer: optax.GradientTransformation | Optimiz
     return TrainState(gaussians, optimizer.init(gaussians), (), jnp.zeros((), jnp.int32))
 
 
-def read_views(
-    frames: Sequence[Frame], *, normals: Any = None, normal_axes: str = "opencv", scale: int = 1
-) -> list[Target]:
-    """Read photos for `train_step`.
-
-    Args:
-        frames: Of a scene: `Scene.train_frames`.
-        normals: A folder of normal maps, as `gsjax normals` and other programs write them. None: no maps.
-        normal_axes: Axes of the maps, see `gsjax.normals.axes.axis_signs`.
-        scale: Reduce the photos by this factor.
-
-    Returns:
-        One record a photo, alike in size: smaller photos are padded at the right and the bottom.
-
-    Raises:
-        InputError: A photo or a map cannot be read.
-    """
-    views = targets.read_targets(frames, scale=scale)
-    if normals is not None:
-        signs, read = axis_signs(normal_axes), normal_maps(normals, tuple(frames))
-        maps = (apply_axes(read[frame.name](), signs) for frame in frames)
-        views = targets.with_normals(views, (np.rint(NORMAL_UNIT * each).astype(np.int8) for each in maps), scale)
-    return list(views.targets)
-
-
 @dataclass(frozen=True)
 class Densification:
     """How a state densifies: a rule, its thresholds, and the camera extent that it measures distances in."""
@@ -136,7 +107,7 @@ def densification(rule: str | Rule, optimizer: Any, **thresholds: Any) -> Densif
 
 
 def densify(state: TrainState, key: Array) -> TrainState:
-    """Clone, split, move and prune by the rule of `train_step(densify=...)`; afterwards as it was past half of the steps.
+    """Clone, split, move and prune by the rule of `train_step(densify=...)`. Past half of the steps nothing changes.
 
     The buffers of `state` are donated: use the state that is returned.
 
@@ -174,7 +145,7 @@ def resolve_losses(losses: Losses) -> tuple[Weighed, ...]:
 
 
 class Step:
-    """A compiled step that makes its own buffers: it counts before the first view and repeats a step that overflowed."""
+    """A compiled step that counts its pairs before the first view, and repeats itself where a view has more."""
 
     def __init__(self, optimizer: Any, terms: tuple[Weighed, ...], densification: Densification | None, **how: Any):
         """As `train_step` hands them over; `how` goes to `make_train_step`."""
@@ -188,7 +159,7 @@ class Step:
         state = self._prepared(state)
         self._check(view)
         if not self._capacity:
-            needed = render.largest_need(state.gaussians, [view.camera])
+            needed = rendering.largest_need(state.gaussians, [view.camera])
             self._capacity = rounded_capacity(needed, headroom(grows=self.densification is not None))
         while True:
             state, metrics = self._compiled(self._capacity)(state, view, key)
@@ -222,7 +193,7 @@ def train_step(
     *,
     densify: str | Rule | Densification | None = None,
     background: str = "black",
-    depth_mode: render.DepthReading = "front",
+    depth_mode: rendering.DepthReading = "front",
     sh_every: int | None = None,
 ) -> Step:
     """A step of training: `step(state, view, key) -> (state, metrics)`.
@@ -232,7 +203,7 @@ def train_step(
         losses: The weighted sum that is descended. Only terms of non-zero weight are compiled.
         densify: Rule whose statistics the step gathers for `densify(state, key)`; None: none.
         background: Under the images: "white", "black" or "random".
-        depth_mode: What depth is, see `gsjax.render.view`.
+        depth_mode: What depth is, see `gsjax.render`.
         sh_every: Steps between bands of harmonics. None: a seventh of the optimizer's steps, 1,000 without any.
 
     Returns:

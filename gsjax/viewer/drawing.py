@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 import rasterizer
-from gsjax import render
+from gsjax import rendering
 from gsjax.cameras import Camera
 from gsjax.errors import InputError, is_out_of_memory
 from gsjax.gaussians import Gaussians
 from gsjax.normals.from_depth import depth_normals
-from gsjax.render import DepthReading, backdrop
+from gsjax.rendering import DepthReading, backdrop
 
 HEADROOM = 1.5  # How much longer the pair buffer is than this view needs: the next one needs more.
 
@@ -33,7 +33,7 @@ class Drawer:
     """
 
     def __init__(self, depth_mode: DepthReading = "plane"):
-        """Draw with depth as `gsjax.render.view` has it."""
+        """Draw with depth as `gsjax.render` has it."""
         self._depth_mode: DepthReading = depth_mode
         self._capacities: dict[tuple[int, int], int] = {}
 
@@ -45,7 +45,7 @@ class Drawer:
         Args:
             gaussians: jax or numpy; another number of them is another program.
             camera: The view; its size chooses the program.
-            background: As `gsjax.render.backdrop` has it; one of another shape is another program.
+            background: As `gsjax.rendering.backdrop` has it; one of another shape is another program.
             with_surface: Whether depth and normals are drawn too: another program.
 
         Returns:
@@ -97,7 +97,7 @@ def bare_background(background: np.ndarray, camera: Camera) -> np.ndarray:
     return np.broadcast_to(np.clip(np.asarray(seen), 0, 1), (camera.height, camera.width, 3))
 
 
-_needed, _behind = jax.jit(render.needed_capacity), jax.jit(backdrop.color_behind)
+_needed, _behind = jax.jit(rendering.needed_capacity), jax.jit(backdrop.color_behind)
 
 
 @partial(jax.jit, static_argnames=("capacity", "with_surface", "depth_mode"))
@@ -111,8 +111,9 @@ def _drawn(
     depth_mode: DepthReading,
 ) -> tuple[Drawing, jax.Array]:
     under = backdrop.color_behind(background, camera)
-    view = render.view(
+    view = rendering.render(
         gaussians, camera, capacity=capacity, background=under, with_depth=with_surface, depth_mode=depth_mode
     )
     normals = depth_normals(view.depth, camera) if view.depth is not None else None
+    assert view.splats.pairs is not None, "a capacity is given"
     return Drawing(jnp.clip(view.colors, 0, 1), view.depth, normals), view.splats.pairs.needed

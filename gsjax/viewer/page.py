@@ -41,7 +41,7 @@ class News(NamedTuple):
 
     gaussians: Gaussians
     line: str
-    background: np.ndarray | None = None  # where it is learned, see `gsjax.render.backdrop`; None: the subject's
+    background: np.ndarray | None = None  # where it is learned, see `gsjax.rendering.backdrop`; None: the subject's
 
 
 class Page:

@@ -42,7 +42,7 @@ class Pictures:
             kind: One of `kinds`.
             gaussians: What to look at.
             camera: From where.
-            background: As `gsjax.render.backdrop` has it; None: the subject's.
+            background: As `gsjax.rendering.backdrop` has it; None: the subject's.
 
         Returns:
             `[H, W, 3]` uint8, and a line about it, or "".

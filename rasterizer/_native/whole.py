@@ -103,7 +103,7 @@ def name_medians(frame, own, tiles):
 
 @entry_point(HANDLER)
 def list_and_blend(frame):
-    """(rows, arguments of `lists`, sizes, rules) -> features, light, last, median: of `forward`, the median by splat."""
+    """(rows, arguments of `lists`, sizes, rules) -> the results of `forward`, the median as a splat."""
     if only_introduces(frame):
         return 0
     own, inner, table = words_on_stack(_LIST_WORDS), words_on_stack(FRAME_WORDS), words_on_stack(5)

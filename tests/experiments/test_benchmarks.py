@@ -10,7 +10,7 @@ import pytest
 from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
-from gsjax import render
+from gsjax import rendering
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
@@ -64,7 +64,7 @@ def test_both_of_our_engines_draw_a_run_as_its_first_training_camera_sees_it(scr
     json_files.write(tmp_path / "config.json", {"background": "black"})
     json_files.write(tmp_path / "cameras.json", records)
     (image, gradient), (jnp_image, jnp_gradient) = rasterizer_peers.tasks(tmp_path, peers.peer_named("jnp"))
-    expected = render.view(gaussians, camera, capacity=4096, background=jnp.zeros(3)).colors
+    expected = rendering.render(gaussians, camera, capacity=4096, background=jnp.zeros(3)).colors
     assert float(expected.max()) > 0.1
     assert_close(image(), expected)
     assert_close(jnp_image(), expected)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from gsjax.errors import InputError
 from gsjax.measures.geometry import sample_surface
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.export import read_mesh, write_mesh
 
 SIZE = np.array([4.0, 3.0, 2.5])

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.meshing.level_set import world_points
-from gsjax.render.gallery import Picture
+from gsjax.rendering.gallery import Picture
 
 RADIUS = 1.0
 

@@ -16,7 +16,7 @@ from gsjax.io.images import write_image
 from gsjax.io.ply import read_gaussians, write_gaussians
 from gsjax.io.ply_elements import read_elements
 from gsjax.io.scenes import load_scene
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing import export
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.pipeline.undistort import undistort

@@ -8,7 +8,7 @@ from tolerances import assert_close
 
 from gsjax import targets
 from gsjax.errors import InputError
-from gsjax.render import View
+from gsjax.rendering import View
 from gsjax.scene import Pixels, frame_of, with_pixels
 from gsjax.training.terms import losses
 

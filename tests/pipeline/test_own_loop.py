@@ -133,7 +133,9 @@ def test_a_mesh_comes_of_the_state(loaded, trained, tmp_path):
 
 def test_faults_are_one_line(loaded):
     optimizer = gsjax.adam(loaded.extent, steps=10)
-    with pytest.raises(gsjax.InputError, match="weights.dsim: no such term of the loss; the nearest known one is 'dssim'"):
+    with pytest.raises(
+        gsjax.InputError, match="weights.dsim: no such term of the loss; the nearest known one is 'dssim'"
+    ):
         gsjax.train_step(optimizer, {"dsim": 0.2})
     with pytest.raises(ValueError, match="densify='eror' is none of adc, error"):
         gsjax.train_step(optimizer, {"l1": 1.0}, densify="eror")

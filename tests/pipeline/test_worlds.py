@@ -10,7 +10,7 @@ from trained_run import SETTINGS
 from gsjax import config, pipeline, runs
 from gsjax.io import json_files
 from gsjax.io.ply import read_gaussians
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.settings import Settings
 

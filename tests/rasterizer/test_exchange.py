@@ -10,7 +10,7 @@ from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
 import rasterizer
-from gsjax import render
+from gsjax import rendering
 
 COUNT, ROOM, PAIRS = 40, 64, 4096
 CAMERA = camera_at()
@@ -19,13 +19,13 @@ AWAY = camera_at((0.0, 0.0, 9.0), (0.0, 0.0, 12.0))  # sees none of them
 
 @partial(jax.jit, static_argnames="depth_mode")
 def projected(gaussians, camera, depth_mode):
-    scene = render.drawable(gaussians)
-    return *render.projected(scene, camera, depth_mode), render.colors(scene, camera)
+    scene = rendering.drawable(gaussians)
+    return *rendering.projected(scene, camera, depth_mode), rendering.colors(scene, camera)
 
 
 def drawn(projection, opacities, colors, camera):
-    splats = render.binned(projection, opacities, camera, PAIRS)
-    view = render.view_splats(splats, colors, jnp.ones(3), reading="plane")
+    splats = rendering.binned(projection, opacities, camera, PAIRS)
+    view = rendering.view_splats(splats, colors, jnp.ones(3), reading="plane")
     return view.colors, view.depth
 
 

@@ -8,9 +8,9 @@ from jax.sharding import AxisType, PartitionSpec
 from tolerances import assert_close
 
 import rasterizer
-from gsjax import render
+from gsjax import rendering
 from gsjax.cameras import Camera
-from gsjax.render import Drawable
+from gsjax.rendering import Drawable
 
 BACKENDS = ["reference", "native", "xla", "pallas"]
 CAMERA, GAUSSIANS = 4, 12
@@ -43,7 +43,7 @@ def over_devices(function, out=BY_CAMERA):
     return jax.jit(jax.shard_map(function, mesh=mesh, in_specs=(SAME, BY_CAMERA), out_specs=out))
 
 
-def rendering(backend, **options):
+def renderer(backend, **options):
     def rendered(gaussians, viewmats):
         Ks = jnp.broadcast_to(cameras()[1], (len(viewmats), 3, 3))
         how = {"capacity": 1024, "backend": backend, **options}
@@ -71,7 +71,7 @@ CASES = [(backend, scene(), {}) for backend in BACKENDS] + [("native", scene(sh=
 
 @pytest.mark.parametrize(("backend", "gaussians", "options"), CASES)
 def test_images_and_gradients_are_those_of_one_device(backend, gaussians, options):
-    rendered, viewmats = rendering(backend, **options), cameras()[0]
+    rendered, viewmats = renderer(backend, **options), cameras()[0]
 
     def loss(gaussians, viewmats):
         return sum(jnp.mean(part**2) for part in rendered(gaussians, viewmats))
@@ -86,7 +86,7 @@ def test_images_and_gradients_are_those_of_one_device(backend, gaussians, option
 
 def test_scenes_of_their_own_and_absolute_gradients():
     gaussians, viewmats = scene(channels=18), cameras()[0]
-    rendered = rendering("native")
+    rendered = renderer("native")
     assert_close(over_devices(rendered)(gaussians, viewmats), jax.jit(rendered)(gaussians, viewmats))
 
     def mapped(gaussians, viewmats):
@@ -98,7 +98,7 @@ def test_scenes_of_their_own_and_absolute_gradients():
 
     def absolute(gaussians, viewmats):
         zeros = jnp.zeros_like(viewmats[:, :1, :2]) + jnp.zeros((1, GAUSSIANS, 1), jnp.float32)  # of each device
-        return jax.grad(lambda zeros: jnp.sum(rendering("native", absgrad=zeros)(gaussians, viewmats)[0] ** 2))(zeros)
+        return jax.grad(lambda zeros: jnp.sum(renderer("native", absgrad=zeros)(gaussians, viewmats)[0] ** 2))(zeros)
 
     assert_close(over_devices(absolute)(few, viewmats), jax.jit(absolute)(few, viewmats), kind="gradient")
 
@@ -143,7 +143,7 @@ def test_a_view_of_gsjax():
             gaussians["scales"],
         )
         views = [
-            render.view(drawable, Camera(viewmat, K, 24, 16), capacity=1024, background=black, **how)
+            rendering.render(drawable, Camera(viewmat, K, 24, 16), capacity=1024, background=black, **how)
             for viewmat in viewmats
         ]
         return jnp.stack([view.colors for view in views]), jnp.stack([view.depth for view in views])

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 
 from gsjax.gaussians import DEAD_LOGIT, Gaussians, is_alive, opacities, rotation_matrices, scales, take
-from gsjax.render import View
+from gsjax.rendering import View
 from gsjax.settings import Density
 from gsjax.targets import Batch
 from gsjax.training.growth.adaptive import Moves

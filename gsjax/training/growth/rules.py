@@ -7,7 +7,7 @@ from jax import Array
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.render import View
+from gsjax.rendering import View
 from gsjax.targets import Batch
 from gsjax.training.growth import adaptive as density_control
 from gsjax.training.growth import error_driven
@@ -19,7 +19,7 @@ class Rule(NamedTuple):
     What it sees is the gradient of the loss to a probe of zeros `[N, 2]`. Statistics are a pytree of `[N]` arrays.
     """
 
-    probes: str  # the argument of `gsjax.render.view` that the probe is
+    probes: str  # the argument of `gsjax.render` that the probe is
     probe_loss: Callable[[View, Batch], Array | float]  # what is added to the loss for the probe's sake: zero
     empty_statistics: Callable[[int], Any]  # rows -> sums of nothing
     # (sums, gradient, `[N]` visible, `[N]` depths in camera extents, `[2]` size of the photo) -> sums

@@ -13,7 +13,7 @@ from jax import Array
 from jax.sharding import Mesh, NamedSharding
 
 import rasterizer
-from gsjax import render
+from gsjax import rendering
 from gsjax.cameras import Camera
 from gsjax.effects.simulation import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
@@ -132,11 +132,11 @@ def _largest_needs(gaussians: Gaussians, cameras: Camera, *, mesh: Mesh) -> tupl
     """The most pairs of any view, and the most splats that any device has for one."""
 
     def local(gaussians: Gaussians, cameras: Camera):
-        scene = render.drawable(gaussians)
+        scene = rendering.drawable(gaussians)
 
         def needs(camera: Camera) -> tuple[Array, Array]:
-            projection, _ = render.projected(scene, camera, "center")
-            pairs = rasterizer.count_pairs(projection, render.tile_grid(camera))
+            projection, _ = rendering.projected(scene, camera, "center")
+            pairs = rasterizer.count_pairs(projection, rendering.tile_grid(camera))
             return jax.lax.psum(pairs, AXIS), jnp.sum(projection.visible, dtype=jnp.int32)
 
         pairs, splats = jax.tree.map(jnp.max, jax.lax.map(needs, cameras))

@@ -16,7 +16,7 @@ from jax import Array
 from jax.sharding import Mesh
 
 import rasterizer
-from gsjax import render, targets
+from gsjax import rendering, targets
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
@@ -60,7 +60,7 @@ def make_sharded_step(
     background: Background,
     sh_every: int,
     rule: Rule | None,
-    depth_mode: render.DepthReading = "plane",
+    depth_mode: rendering.DepthReading = "plane",
     extent: float = 1.0,
 ) -> ShardedStep:
     """The compiled step of one phase over V views, a multiple of the D devices: the mean of the V losses is descended.
@@ -77,7 +77,7 @@ def make_sharded_step(
         background: Colour under the images, one for all views of a step.
         sh_every: Steps between the bands of the SH ramp.
         rule: Of density control, whose statistics are gathered; None: none are.
-        depth_mode: What a splat's depth is, see `gsjax.render.view`.
+        depth_mode: What a splat's depth is, see `gsjax.render`.
         extent: Camera extent, scene units.
 
     Returns:
@@ -85,7 +85,7 @@ def make_sharded_step(
     """
     needed = needs(terms)
     reading = depth_mode if "depth" in needed else None
-    splat_depth = render.splat_depth_mode(reading)
+    splat_depth = rendering.splat_depth_mode(reading)
     with_axes, with_shapes = "axes" in needed, "gaussians" in needed
     after_axes = 6 if with_axes else 3  # columns of an exchanged row's features, of which colours are the first
     unpack = partial(rasterizer.unpack, with_slopes=splat_depth == "plane")
@@ -93,14 +93,14 @@ def make_sharded_step(
     def objective(free: tuple[Gaussians, Array | None], target: Target, color: Array, active_degree: Array):
         gaussians, probe = free
         batch = targets.batch(target, color)
-        scene = render.drawable(gaussians)
+        scene = rendering.drawable(gaussians)
 
         @jax.checkpoint
         def pack(camera: Camera) -> rasterizer.Packed:
-            projection, opacities = render.projected(scene, camera, splat_depth)
-            features = [render.colors(scene, camera, active_degree)]
+            projection, opacities = rendering.projected(scene, camera, splat_depth)
+            features = [rendering.colors(scene, camera, active_degree)]
             if with_axes:
-                features.append(render.facing_axes(scene, camera, projection))
+                features.append(rendering.facing_axes(scene, camera, projection))
             if with_shapes:
                 features.append(_shapes(gaussians))
             return rasterizer.pack(projection, opacities, jnp.concatenate(features, -1), splat_capacity)
@@ -109,12 +109,13 @@ def make_sharded_step(
         packed = jax.lax.map(pack, jax.tree.map(partial(jax.lax.all_gather, axis_name=AXIS), batch.camera))
         rows = packed.rows if rule is None else _probed(rule, packed.rows, probe)
         projection, opacities, features = unpack(rasterizer.exchange(rows, AXIS))
-        splats = render.binned(projection, opacities, batch.camera, capacity)
+        splats = rendering.binned(projection, opacities, batch.camera, capacity)
         extra = features[:, -2:] if rule and rule.probes == "extra" else None
         axes = features[:, 3:after_axes] if with_axes else None
-        view = render.view_splats(splats, features[:, :3], color, reading=reading, extra=extra, axes=axes)
+        view = rendering.view_splats(splats, features[:, :3], color, reading=reading, extra=extra, axes=axes)
         shown = _shaped(features[:, after_axes : after_axes + 11]) if with_shapes else _Undeclared()
         total, losses, mse = weighted_loss(terms, rule, shown, view, batch)  # pyright: ignore[reportArgumentType]
+        assert splats.pairs is not None, "a capacity is given"
         return total, (_Seen(total, losses, in_decibels(mse), splats.pairs.needed, jnp.max(packed.needed)), packed)
 
     def counted(rule: Rule, statistics: Any, shares: Array, packed: rasterizer.Packed, sizes: Array):
@@ -193,7 +194,7 @@ class _Undeclared:
 
 
 def _probed(rule: Rule, rows: Array, probe: Array) -> Array:
-    """`[D, K, W]` rows with the probe where `gsjax.render.view` has it: in the means, or as two channels more."""
+    """`[D, K, W]` rows with the probe where `gsjax.render` has it: in the means, or as two channels more."""
     if rule.probes == "extra":
         return jnp.concatenate([rows, probe], -1)
     return rows.at[..., :2].add(probe)

@@ -42,7 +42,7 @@ class Term:
     """
 
     loss: Callable[..., Array]
-    """(Gaussians, `gsjax.render.View`, `gsjax.targets.Batch`) -> `[]`, a mean; with `refresh` also a `Kept`."""
+    """(Gaussians, `gsjax.rendering.View`, `gsjax.targets.Batch`) -> `[]`, a mean; with `refresh` also a `Kept`."""
 
     needs: Iterable[str] = frozenset()
     """Words of `NEEDS`. What nobody needs is neither rendered nor loaded."""
@@ -56,6 +56,17 @@ class Term:
         for word in sorted(needs - NEEDS.keys()):
             raise ValueError(f"needs={word!r} is none of {', '.join(NEEDS)}")
         object.__setattr__(self, "needs", needs)
+
+
+def align_normals(estimator: Callable[..., Array], needs: Iterable[str] = ()) -> Term:
+    """The paper's regulariser with an estimator of one's own: mean of 1 - |cos| between its directions and the normals.
+
+    Args:
+        estimator: (Gaussians, `gsjax.View` with depth, `gsjax.Camera`) -> `[H, W, 3]` directions in the camera's frame,
+            of any length; zero where there is none.
+        needs: Words of `NEEDS` beside depth, normals and the Gaussians.
+    """
+    return Term(losses.alignment_term(estimator), {"depth", "normals", "gaussians", *needs})
 
 
 @dataclass(frozen=True)

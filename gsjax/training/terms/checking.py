@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from gsjax import render, targets
+from gsjax import rendering, targets
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.render import View
-from gsjax.render.depth import DepthReading
+from gsjax.rendering import View
+from gsjax.rendering.depth import DepthReading
 from gsjax.targets import Batch, Target
 from gsjax.training.terms import NEEDS, Term, Weighed
 from gsjax.training.terms.multi_view import render_neighbor
@@ -154,7 +154,7 @@ def _everything(width: int, height: int, depth_mode: DepthReading) -> Seen:
 
     def shown(gaussians: Gaussians, target: Target, color: Array) -> tuple[View, Batch]:
         batch = targets.batch(target, color)
-        view = render.view(
+        view = rendering.render(
             gaussians,
             batch.camera,
             capacity=PAIRS,

@@ -13,7 +13,7 @@ from gsjax.gaussians import Gaussians, scales
 from gsjax.measures.images import ssim
 from gsjax.normals import sdf
 from gsjax.numerics import masked_mean
-from gsjax.render import MIN_COVERAGE, View
+from gsjax.rendering import MIN_COVERAGE, View
 from gsjax.targets import Batch
 
 Loss = Callable[[Gaussians, View, Batch], Array]

@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gsjax import cameras, render
+from gsjax import cameras, rendering
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.measures.images import window_means
 from gsjax.numerics import masked_mean, safe_divide, times
-from gsjax.render import DepthReading, Neighbor, View, depth
-from gsjax.render.sampling import reads_within, sample_bilinear
+from gsjax.rendering import DepthReading, Neighbor, View, depth
+from gsjax.rendering.sampling import reads_within, sample_bilinear
 from gsjax.targets import Batch, Targets
 
 NEAREST = 8  # views that a neighbour is drawn from (PGSR),
@@ -118,7 +118,7 @@ def _in_front(point: Array) -> tuple[Array, Array]:
 
 def render_neighbor(gaussians: Gaussians, beside: Batch, capacity: int, depth_mode: DepthReading) -> Neighbor:
     """What the terms need of the second view."""
-    splats = render.splat(gaussians, beside.camera, capacity, depth_mode=render.splat_depth_mode(depth_mode))
+    splats = rendering.splat(gaussians, beside.camera, capacity, depth_mode=rendering.splat_depth_mode(depth_mode))
     found, _ = depth.expected_depth(splats, depth_mode)
     return Neighbor(beside.camera, found, splats.pairs, beside.image, beside.valid)
 

@@ -1,6 +1,6 @@
 """Terms on what the rays of one view meet: they know no photo and no normal map.
 
-All read the rendered depth, so only pixels that have one (`gsjax.render.MIN_COVERAGE`) take part.
+All read the rendered depth, so only pixels that have one (`gsjax.rendering.MIN_COVERAGE`) take part.
 """
 
 import jax
@@ -10,7 +10,7 @@ from jax import Array
 from gsjax.gaussians import Gaussians
 from gsjax.normals.from_depth import depth_normals
 from gsjax.numerics import masked_mean, safe_divide
-from gsjax.render import View, depth
+from gsjax.rendering import View, depth
 from gsjax.targets import Batch
 
 

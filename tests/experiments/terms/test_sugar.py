@@ -15,7 +15,7 @@ from tolerances import assert_close
 
 from gsjax.density_field import Kernels
 from gsjax.gaussians import rotation_matrices
-from gsjax.render import View
+from gsjax.rendering import View
 from gsjax.targets import Batch
 from gsjax.training.terms import Kept
 

@@ -8,7 +8,7 @@ import pytest
 from gsjax.analytic import solids, true_surface
 from gsjax.cameras import center, unproject
 from gsjax.colors import linear_to_srgb
-from gsjax.mesh import signed_volume
+from gsjax.meshes import signed_volume
 
 SDF = jax.jit(jax.vmap(solids.scene_sdf))
 SPACING = 0.04

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_scenes import camera_at, discs, plane
 
-from gsjax import cameras, render, targets
+from gsjax import cameras, rendering, targets
 from gsjax.binding.beyond import OVER_BORDER, SAME_SURFACE, beyond_mesh
 from gsjax.scene import Pixels, frame_of
 
@@ -74,7 +74,7 @@ def test_what_the_mesh_shows_goes_and_what_it_lacks_stays(whole):
 def test_the_choice_is_that_of_the_blending_weights(scene, data, whole):
     """Against the weights themselves: a channel a Gaussian, and numpy."""
     shown = jax.jit(
-        lambda camera: render.view(
+        lambda camera: rendering.render(
             scene,
             camera,
             capacity=8192,

@@ -11,13 +11,13 @@ from small_scenes import camera_at
 from tolerances import assert_close
 
 from gsjax import gaussians as free_gaussians
-from gsjax import render
+from gsjax import rendering
 from gsjax.binding import bound as bound_gaussians
 from gsjax.binding.bound import LAYOUTS, bind, covariances, means, opacities, to_gaussians, to_mesh
 from gsjax.binding.editing import rebound, with_vertices
 from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0
-from gsjax.mesh import Mesh, face_normals
+from gsjax.meshes import Mesh, face_normals
 from gsjax.training.initialize import DEAD_LOGIT
 
 THICKNESS = 0.003
@@ -236,7 +236,7 @@ CAMERA = camera_at(size=(24, 24))
 
 @jax.jit
 def shown(bound):
-    return render.view(bound, CAMERA, capacity=4096, background=jnp.zeros(3, jnp.float32))
+    return rendering.render(bound, CAMERA, capacity=4096, background=jnp.zeros(3, jnp.float32))
 
 
 def brightness(bound):
@@ -271,7 +271,7 @@ def test_a_rotation_of_zero_is_none_and_has_no_gradient():
 def test_the_same_picture_is_drawn_from_the_mesh_and_from_the_file():
     bound = with_ninth(BEHIND)
     written = jax.tree.map(jnp.asarray, to_gaussians(bound))
-    assert int(render.needed_capacity(bound, CAMERA)) <= 4096
+    assert int(rendering.needed_capacity(bound, CAMERA)) <= 4096
     assert float(shown(bound).alphas.max()) > 0.5
     assert_close(shown(bound).colors, shown(written).colors)
     rebuilt = free_gaussians.rotation_matrices(written.quats) * free_gaussians.scales(written)[:, None]
@@ -280,7 +280,7 @@ def test_the_same_picture_is_drawn_from_the_mesh_and_from_the_file():
 
 def test_what_cannot_be_drawn_says_so():
     with pytest.raises(TypeError, match="draw a dict"):
-        render.drawable({})
+        rendering.drawable({})
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from small_scenes import camera_at
 
-from gsjax import cameras, render
+from gsjax import cameras, rendering
 from gsjax.binding.bound import BoundGaussians, bind
 from gsjax.cameras import Camera, look_at
-from gsjax.mesh import Mesh
-from gsjax.render import gallery
+from gsjax.meshes import Mesh
+from gsjax.rendering import gallery
 
 WAVE, EDGE, VERTICES_A_SIDE = 0.3, 0.03, 50  # of the stripes, of a triangle
 ELEVATION = np.radians(38)
@@ -95,7 +95,7 @@ def test_a_triangle_seen_edge_on_through_the_mip_filter_is_finite_in_value_and_g
     @jax.value_and_grad
     def brightness(vertices):
         moved = replace(bound, vertices=vertices)
-        return jnp.mean(render.view(moved, camera, capacity=256, background=jnp.zeros(3, jnp.float32)).colors)
+        return jnp.mean(rendering.render(moved, camera, capacity=256, background=jnp.zeros(3, jnp.float32)).colors)
 
     value, gradient = brightness(bound.vertices)
     assert float(value) > 0.001

@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
-from gsjax import render
+from gsjax import rendering
 from gsjax.binding.bound import bind, means, to_gaussians, to_mesh
 from gsjax.binding.editing import rebound, with_vertices
 from gsjax.binding.hybrid import all_gaussians, with_free
 from gsjax.errors import InputError
 from gsjax.gaussians import covariances, take
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 
 CAMERA = camera_at(size=(24, 24))
 WEIGHTS = np.random.default_rng(5).uniform(size=(24, 24, 3)).astype(np.float32)
@@ -55,7 +55,7 @@ def drawn(gaussians, faces=None):
         whole = parameters
         if faces is not None:
             whole = replace(parameters, bound=replace(parameters.bound, faces=faces))
-        colors = render.view(whole, CAMERA, capacity=4096, background=jnp.zeros(3, jnp.float32)).colors
+        colors = rendering.render(whole, CAMERA, capacity=4096, background=jnp.zeros(3, jnp.float32)).colors
         return jnp.sum(colors * WEIGHTS), colors
 
     gradient, colors = jax.grad(brightness, has_aux=True)(gaussians)
@@ -89,10 +89,10 @@ def test_covariances_have_the_scales_for_axes():
 
 
 def test_every_gaussian_may_have_an_sh_degree_of_its_own():
-    scene, degrees = render.drawable(FREE["some"]), jnp.array([0, 1, 0], jnp.int32)
-    flat, full = (render.colors(scene, CAMERA, jnp.int32(degree)) for degree in (0, 1))
+    scene, degrees = rendering.drawable(FREE["some"]), jnp.array([0, 1, 0], jnp.int32)
+    flat, full = (rendering.colors(scene, CAMERA, jnp.int32(degree)) for degree in (0, 1))
     assert float(jnp.abs(flat - full).min(axis=1).max()) > 1e-3
-    np.testing.assert_array_equal(render.colors(scene, CAMERA, degrees), jnp.where(degrees[:, None] > 0, full, flat))
+    np.testing.assert_array_equal(rendering.colors(scene, CAMERA, degrees), jnp.where(degrees[:, None] > 0, full, flat))
 
 
 def test_without_free_gaussians_nothing_of_them_is_in_the_program():
@@ -101,7 +101,9 @@ def test_without_free_gaussians_nothing_of_them_is_in_the_program():
     assert nobody.free is None and nobody.num_gaussians == bound.num_gaussians
 
     def program(gaussians):
-        return str(jax.make_jaxpr(lambda g: render.view(g, CAMERA, capacity=4096, background=jnp.zeros(3)))(gaussians))
+        return str(
+            jax.make_jaxpr(lambda g: rendering.render(g, CAMERA, capacity=4096, background=jnp.zeros(3)))(gaussians)
+        )
 
     assert program(nobody) == program(bound) != program(with_free(bound, FREE["some"]))
     jax.tree.map(np.testing.assert_array_equal, all_gaussians(nobody), to_gaussians(bound))

@@ -9,7 +9,7 @@ import pytest
 from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
-from gsjax import config, render, targets
+from gsjax import config, rendering, targets
 from gsjax.binding import refining
 from gsjax.binding.bound import bind, to_mesh
 from gsjax.binding.hybrid import Hybrid, with_free
@@ -17,8 +17,8 @@ from gsjax.binding.mesh_terms import mesh_graph, normal_consistency
 from gsjax.binding.refining import PRESETS, Refinement, RefinementRates
 from gsjax.errors import InputError
 from gsjax.measures import geometry
-from gsjax.mesh import Mesh
-from gsjax.render import gallery
+from gsjax.meshes import Mesh
+from gsjax.rendering import gallery
 from gsjax.scene import Pixels, frame_of, with_pixels
 from gsjax.training.step import BACKGROUNDS
 from gsjax.training.stepping import view_order
@@ -155,7 +155,7 @@ def test_distortion_is_that_of_the_discs_as_they_are_drawn(scene):
     @jax.jit
     def drawn(gaussians):
         batch = targets.batch(target, black)
-        view = render.view(gaussians, batch.camera, capacity=16384, background=black, with_depth=True)
+        view = rendering.render(gaussians, batch.camera, capacity=16384, background=black, with_depth=True)
         return distortion(gaussians, view, batch)
 
     expected = drawn(state.gaussians)

@@ -11,7 +11,7 @@ import pytest
 from photographed_wall import wall
 from small_scenes import cloud
 
-from gsjax import render, targets
+from gsjax import rendering, targets
 from gsjax.effects import exposure
 from gsjax.effects.appearance import simulations, start
 from gsjax.effects.observations import observe
@@ -86,7 +86,7 @@ def effects_of(scene):
 def objective(effects, numbers, gaussians, batch):
     batch = replace(batch, camera=move_camera(effects, numbers, batch.camera, batch.photo))
     under = light_behind(effects, numbers, batch.camera, BLACK)
-    view = render.view(gaussians, batch.camera, capacity=16384, background=under)
+    view = rendering.render(gaussians, batch.camera, capacity=16384, background=under)
     view = photograph(effects, numbers, view, batch, BLACK)
     batch, added = mask_untrusted(effects, numbers, view, batch)
     return masked_mean(jnp.mean(jnp.abs(view.colors - batch.image), -1), batch.valid) + added

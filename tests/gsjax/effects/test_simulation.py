@@ -10,7 +10,7 @@ from tolerances import assert_close
 from gsjax.effects import exposure, vignetting
 from gsjax.effects.appearance import Appearance, fit_colors, without_appearance
 from gsjax.effects.simulation import FINAL, HOLD, LIMIT, RATE, WARM_UP, learning_rate, photograph
-from gsjax.render import View
+from gsjax.rendering import View
 from gsjax.scene import Pixels, frame_of
 from gsjax.targets import Batch
 

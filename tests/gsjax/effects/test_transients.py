@@ -17,7 +17,7 @@ from gsjax.effects.observations import block_means
 from gsjax.effects.simulation import initial_state as effects_state
 from gsjax.effects.simulation import mask_untrusted, update_effects
 from gsjax.io.scenes import load_scene
-from gsjax.render import View
+from gsjax.rendering import View
 from gsjax.settings import Density
 from gsjax.targets import Batch
 

@@ -3,7 +3,7 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.measures import geometry
-from gsjax.mesh import Mesh, face_normals, signed_volume, vertex_normals
+from gsjax.meshes import Mesh, face_normals, signed_volume, vertex_normals
 from gsjax.meshing.closest import closest_on_mesh
 
 

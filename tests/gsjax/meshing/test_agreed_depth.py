@@ -7,8 +7,8 @@ from gsjax.cameras import Camera
 from gsjax.meshing import extract_mesh
 from gsjax.meshing.agreed_depth import AGREEING, SAME_SURFACE, SHARE, agreed_pictures, agreed_poisson
 from gsjax.normals.from_depth import smoothed_depth_normals
-from gsjax.render.gallery import Picture
-from gsjax.render.shown_depths import ShownDepth, coarse_depth
+from gsjax.rendering.gallery import Picture
+from gsjax.rendering.shown_depths import ShownDepth, coarse_depth
 
 WALL, NEARER = 4.0, 3.0  # camera z of the wall, and of the lumps
 WIDTH, HEIGHT, FOCAL = 60, 30, 40.0

@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from gsjax.errors import InputError
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing import atlas as atlases
 from gsjax.meshing.atlas import cells, charts, texel_corners, unwrap
 from gsjax.meshing.texels import paint_texture, texels_of

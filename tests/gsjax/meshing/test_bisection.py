@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from gsjax.mesh import Mesh, signed_volume
+from gsjax.meshes import Mesh, signed_volume
 from gsjax.meshing.bisection import bisect_triangles
 from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.topology import edge_table, topology

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.mesh import Mesh, signed_volume
+from gsjax.meshes import Mesh, signed_volume
 from gsjax.meshing.cleaning import clean, concatenate_meshes
 from gsjax.meshing.topology import edge_table, face_components, topology
 
@@ -121,7 +121,7 @@ MILLION = """
 import numpy as np
 from gsjax.measures import geometry
 from gsjax.io.machine import peak_memory
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.cleaning import clean
 from gsjax.meshing.topology import topology
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.closest import closest_on_mesh
 
 

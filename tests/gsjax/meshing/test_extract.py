@@ -8,14 +8,14 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.measures import geometry
-from gsjax.mesh import Mesh, face_normals, signed_volume
+from gsjax.meshes import Mesh, face_normals, signed_volume
 from gsjax.meshing import boxes, depth_of_mesh, extract_mesh
 from gsjax.meshing.boxes import Box, Region
 from gsjax.meshing.extract import cut_to_region
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.methods import level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 
 
 def through(num_points, depth=None):

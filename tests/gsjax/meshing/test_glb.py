@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing import glb, read_mesh, write_mesh
 
 

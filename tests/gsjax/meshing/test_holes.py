@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from gsjax.cameras import Camera
-from gsjax.mesh import Mesh, face_area_vectors
+from gsjax.meshes import Mesh, face_area_vectors
 from gsjax.meshing.holes import fill_holes
 from gsjax.meshing.topology import topology
-from gsjax.render.shown_depths import ShownDepth
+from gsjax.rendering.shown_depths import ShownDepth
 
 SIDE, AWAY = 40, 40.0
 HOLES = {"shown": (6, 6), "window": (24, 6), "unseen": (6, 24)}  # Lowest cells; each is three cells wide.

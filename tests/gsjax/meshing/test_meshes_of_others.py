@@ -8,7 +8,7 @@ import pytest
 
 from gsjax.colors import srgb_to_linear
 from gsjax.errors import InputError
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing import glb, read_mesh, write_mesh
 
 

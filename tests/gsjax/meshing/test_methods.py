@@ -8,7 +8,7 @@ from small_scenes import camera_at, cloud
 
 from gsjax import gaussians as gs
 from gsjax.errors import InputError
-from gsjax.mesh import Mesh, face_normals, signed_volume
+from gsjax.meshes import Mesh, face_normals, signed_volume
 from gsjax.meshing import boxes, extract_mesh, methods
 from gsjax.meshing.boxes import Box, Region
 from gsjax.meshing.depth_points import LEAST_FACING, depth_poisson
@@ -17,7 +17,7 @@ from gsjax.meshing.methods import centers_poisson
 from gsjax.meshing.orientation import facing_share, orient_outward
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
-from gsjax.render.gallery import Picture
+from gsjax.rendering.gallery import Picture
 
 ALL = {
     "depth": depth_poisson(smoothed_depth_normals, 100_000),

@@ -12,7 +12,7 @@ from gsjax.meshing import level_set, neighborhood
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.neighborhood import Neighborhood
 from gsjax.nearest import nearest_table
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 
 WALL = Camera(
     np.eye(4, dtype=np.float32) + np.float32([[0] * 4, [0] * 4, [0, 0, 0, 2], [0] * 4]),

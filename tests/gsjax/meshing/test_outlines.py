@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from gsjax.cameras import look_at
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing import outlines
 from gsjax.meshing.outlines import MOST_PHOTOS, outlines_of, overlap
 from gsjax.scene import Pixels, Scene, frame_of

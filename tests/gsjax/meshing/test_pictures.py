@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from gsjax.cameras import Camera
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing import depth_of_mesh, headlight, normal_colors, render_mesh, vertex_colors
 from gsjax.meshing.pictures import smooth_pictures
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.mesh import signed_volume
+from gsjax.meshes import signed_volume
 from gsjax.meshing import poisson, trimming
 from gsjax.meshing.poisson import PoissonOptions
 

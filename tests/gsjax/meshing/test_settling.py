@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing import settling
 from gsjax.meshing.settling import Settling, settle
-from gsjax.render.sampling import sample_bilinear
+from gsjax.rendering.sampling import sample_bilinear
 from gsjax.scene import Frame, Pixels, frame_of, with_pixels
 
 SIZE, FOCAL = (124, 100), 75.0

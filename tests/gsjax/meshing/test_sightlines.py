@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsjax.errors import NoSurfaceError
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.boxes import Box
 from gsjax.meshing.choosing import by_sightlines, most_agreeing
 from gsjax.meshing.sightlines import SAME_SURFACE, agreement, sightlines_of

@@ -7,14 +7,14 @@ from scipy import ndimage
 from tolerances import assert_close
 
 from gsjax.cameras import Camera
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing import texture
 from gsjax.meshing.atlas import Atlas, cells, texel_corners
 from gsjax.meshing.cleaning import concatenate_meshes
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.texels import texels_of
 from gsjax.meshing.texture import composite_views, texture_mesh
-from gsjax.render.gallery import Picture
+from gsjax.rendering.gallery import Picture
 
 WIDTH, HEIGHT, FOCAL = 96, 80, 90.0
 UNSEEN = (1, 2, 3)
@@ -236,9 +236,9 @@ def test_two_hundred_thousand_triangles_fit_into_a_gigabyte():
     program = """
 import numpy as np
 from gsjax.cameras import Camera
-from gsjax.render.gallery import Picture
+from gsjax.rendering.gallery import Picture
 from gsjax.io.machine import peak_memory
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.texture import texture_mesh
 
 side = 317

@@ -6,7 +6,7 @@ import trimesh
 from tolerances import assert_close
 
 from gsjax.cameras import Camera
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.texture_size import pixels_of_faces, texture_side
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.topology import border, boundary_loops, edge_table, face_components, topology
 
 

@@ -5,7 +5,7 @@ from PIL import Image
 
 from gsjax import cli
 from gsjax.errors import InputError
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.export import write_mesh, write_textured
 from gsjax.meshing.pictures import render_mesh, texture_colors

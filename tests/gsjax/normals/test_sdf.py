@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from small_scenes import angles, camera_at, discs, moved, plane
 from tolerances import assert_close
 
-from gsjax import cameras, render
+from gsjax import cameras, rendering
 from gsjax.gaussians import Gaussians, rotation_matrices
 from gsjax.normals import sdf
-from gsjax.render import View
+from gsjax.rendering import View
 
 CAMERA = camera_at((0.6, -0.4, -0.5), (0.1, 0.2, 4.0), size=(40, 36), focal=36.0)
 TURN = np.asarray(CAMERA.viewmat, np.float64)[:3, :3]
@@ -68,7 +68,7 @@ value_and_gradients = jax.jit(jax.value_and_grad(sdf.depth_sdf, argnums=(0, 1, 2
 @jax.jit
 def maps(gaussians, camera, depth=None):
     read = {"with_depth": True, "with_axes": True}
-    view = render.view(gaussians, camera, capacity=8192, background=jnp.zeros(3, jnp.float32), **read)
+    view = rendering.render(gaussians, camera, capacity=8192, background=jnp.zeros(3, jnp.float32), **read)
     view = view if depth is None else view._replace(depth=depth)
     estimates = {e.__name__: e(gaussians, view, camera) for e in ESTIMATORS}
     return view.alphas, estimates
@@ -215,7 +215,7 @@ def strays(monkeypatch):
     rays = rays_through(STRAY_PIXELS)
     depth = plane_depth(normal).astype(np.float32)
     depth[HOLE] = 0
-    monkeypatch.setattr(render, "features", lambda splats, values: (values, None))
+    monkeypatch.setattr(rendering, "features", lambda splats, values: (values, None))
     all_visible = SimpleNamespace(projection=SimpleNamespace(visible=np.ones((1, len(rays)), bool)))
 
     def directions(means, depth):
@@ -362,7 +362,7 @@ def test_minimising_it_turns_a_plane_to_its_normal_and_the_printed_sign_turns_it
     @jax.value_and_grad
     def regulariser(tilt):
         gaussians = tilted(tilt)
-        view = render.view(gaussians, camera, capacity=4096, background=jnp.zeros(3, jnp.float32), with_depth=True)
+        view = rendering.render(gaussians, camera, capacity=4096, background=jnp.zeros(3, jnp.float32), with_depth=True)
         return sdf.misalignment(sdf.sdf_gradient_map(gaussians, view, camera), normals, view.alphas > 0.5)
 
     def degrees_after(sign, steps=10):

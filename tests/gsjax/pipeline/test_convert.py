@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
-from gsjax import cli, render
+from gsjax import cli, rendering
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
@@ -39,7 +39,7 @@ def cloud(tmp_path):
 def picture(gaussians, viewmat):
     """`[32, 32, 3]` from a camera 32 pixels wide."""
     K = jnp.array([[30.0, 0, 16], [0, 30, 16], [0, 0, 1]], jnp.float32)
-    return render.view(gaussians, Camera(viewmat, K, 32, 32), capacity=4096, background=jnp.zeros(3)).colors
+    return rendering.render(gaussians, Camera(viewmat, K, 32, 32), capacity=4096, background=jnp.zeros(3)).colors
 
 
 def test_files_show_the_same_from_the_same_camera(cloud, tmp_path):

@@ -11,7 +11,7 @@ from gsjax import cli, pipeline
 from gsjax.cameras import viewmat_center
 from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 from gsjax.report.pictures import depth_picture, depth_span
 from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, frame_of

@@ -19,7 +19,7 @@ from gsjax.io.gaussian_files import load_gaussians
 from gsjax.io.place_files import read_place, stated_place
 from gsjax.io.ply import write_gaussians
 from gsjax.io.scenes import load_scene
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline import scale
 from gsjax.runs.result import open_result, write_views

@@ -9,7 +9,7 @@ import small_scenes
 from gsjax import cli, pipeline
 from gsjax.io import json_files, ply
 from gsjax.io.images import write_image
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.export import read_textured, write_mesh
 from gsjax.meshing.texture_size import STEP
 from gsjax.pipeline.texture import known_background

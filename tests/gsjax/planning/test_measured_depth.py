@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from small_scenes import camera_at, plane
 
-from gsjax import render
+from gsjax import rendering
 from gsjax.errors import InputError
 from gsjax.place import Place
 from gsjax.planning.measured_depth import measured_depth
-from gsjax.render import depth
+from gsjax.rendering import depth
 from gsjax.scene import Pixels, Scene, Tracks, frame_of
 from gsjax.settings import Phase, Rates, Settings, Weights
 from gsjax.similarity import Similarity
@@ -121,7 +121,7 @@ def test_the_term_is_in_every_phase_unless_a_phase_says_otherwise():
 
 def rendered_error(gaussians):
     """Mean share by which the rendered depth of the middle camera is off."""
-    found, _ = jax.jit(lambda g: depth.expected_depth(render.splat(g, CAMERAS[1], 4096)))(gaussians)
+    found, _ = jax.jit(lambda g: depth.expected_depth(rendering.splat(g, CAMERAS[1], 4096)))(gaussians)
     found = np.asarray(found)
     return np.abs(np.log(found[found > 0] / true_depth(CAMERAS[1])[found > 0])).mean()
 

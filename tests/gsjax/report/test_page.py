@@ -12,10 +12,10 @@ from PIL import Image
 from gsjax import cli, config, pipeline, runs, tables
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.export import write_mesh
 from gsjax.pipeline.compare import compare
-from gsjax.render.gallery import Picture
+from gsjax.rendering.gallery import Picture
 from gsjax.report import shown_views
 from gsjax.report.curves import LEFT, RIGHT
 from gsjax.report.page import noted, report

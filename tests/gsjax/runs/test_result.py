@@ -10,7 +10,7 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.images import write_image
 from gsjax.io.ply import write_gaussians
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 from gsjax.runs.result import open_result, training_pictures, write_views
 from gsjax.runs.run import Run
 from gsjax.scene import Frame, Pixels, frame_of

@@ -5,7 +5,7 @@ import pytest
 
 from gsjax.effects.appearance import Appearance
 from gsjax.gaussians import Gaussians
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import vertex_colors
 from gsjax.runs.photography import Photography
 from gsjax.scene import Pixels, frame_of

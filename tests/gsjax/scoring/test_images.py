@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gsjax.render.gallery import Picture
+from gsjax.rendering.gallery import Picture
 from gsjax.scene import Pixels, frame_of
 from gsjax.scoring.images import score_pictures
 

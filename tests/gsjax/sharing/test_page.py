@@ -15,7 +15,7 @@ from gsjax.gaussians import opacities
 from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
 from gsjax.io.spz import read_spz
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline.share import most_visible
 from gsjax.runs.result import write_views

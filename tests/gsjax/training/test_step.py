@@ -9,7 +9,7 @@ from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
 import rasterizer
-from gsjax import render, targets
+from gsjax import rendering, targets
 from gsjax.gaussians import opacities
 from gsjax.measures.images import psnr
 from gsjax.settings import Density, Rates, Weights
@@ -92,7 +92,7 @@ def test_the_report_is_of_the_view_before_the_update(setup):
     color = BACKGROUNDS["random"](jax.random.fold_in(KEY, 0))
     _, metrics = setup.step(before, setup.data.targets[1], KEY)
     batch = targets.batch(setup.data.targets[1], color)
-    view = jax.jit(render.view, static_argnames="capacity")(
+    view = jax.jit(rendering.render, static_argnames="capacity")(
         gaussians, batch.camera, capacity=PAIRS, background=color, active_degree=0
     )
     assert_close(metrics.psnr, psnr(jnp.clip(view.colors, 0, 1), batch.image), rtol=1e-4, atol=0, why="sums differ")
@@ -135,7 +135,7 @@ def test_an_overflowing_step_leaves_every_bit_and_says_what_it_needs(setup):
     assert bool(metrics.overflowed)
     assert_identical(after, before)
     camera = CAMERAS[2]
-    assert int(metrics.needed) == int(jax.jit(render.needed_capacity)(before.gaussians, camera)) > 64
+    assert int(metrics.needed) == int(jax.jit(rendering.needed_capacity)(before.gaussians, camera)) > 64
 
 
 def test_dtypes_and_shapes_stay_whatever_happens_to_the_state(setup):
@@ -286,7 +286,7 @@ def test_only_terms_of_weight_are_active():
 
 def test_the_capacity_holds_every_view_with_headroom(setup):
     gaussians = cloud(ALIVE, capacity=CAPACITY, seed=1)
-    needs = [int(jax.jit(render.needed_capacity)(gaussians, camera)) for camera in CAMERAS]
+    needs = [int(jax.jit(rendering.needed_capacity)(gaussians, camera)) for camera in CAMERAS]
     assert largest_need(gaussians, setup.data) == max(needs)
     chosen = chosen_capacity(gaussians, setup.data, headroom=1.5)
     assert chosen % 4096 == 0 and 1.5 * max(needs) < chosen <= 1.5 * max(needs) + 4097

@@ -16,7 +16,7 @@ from gsjax.cameras import center
 from gsjax.effects import background, exposure, poses, vignetting
 from gsjax.effects.simulation import learning_rate
 from gsjax.effects.twists import apply_twist, gauge
-from gsjax.render import backdrop, gallery
+from gsjax.rendering import backdrop, gallery
 from gsjax.settings import Rates, Weights
 from gsjax.training.growth.rules import RULES
 from gsjax.training.optimizers import make_optimizer

@@ -10,7 +10,7 @@ from gsjax.cameras import Camera
 from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.normals.from_depth import depth_normals
-from gsjax.render import backdrop, gallery
+from gsjax.rendering import backdrop, gallery
 from gsjax.scene import Pixels, frame_of
 from gsjax.viewer import drawing
 from gsjax.viewer.drawing import Drawer, bare_background
@@ -30,7 +30,7 @@ def camera(index):
 
 @pytest.fixture(scope="module")
 def rendered():
-    """What `gsjax.render` shows from both."""
+    """What `gsjax.rendering` shows from both."""
     return list(gallery.pictures(SCENE, [camera(0), camera(1)], BACKGROUND))
 
 

@@ -9,7 +9,7 @@ import pytest
 from small_scenes import camera_at, cloud
 
 from gsjax.colors import to_bytes
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 from gsjax.viewer import page as pages
 from gsjax.viewer.page import SIDE, Page
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera

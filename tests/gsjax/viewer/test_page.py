@@ -15,7 +15,7 @@ from small_scenes import camera_at, cloud, plane
 
 from gsjax import cli
 from gsjax.errors import InputError
-from gsjax.render import backdrop
+from gsjax.rendering import backdrop
 from gsjax.similarity import Similarity
 from gsjax.viewer import page as pages
 from gsjax.viewer.desk import Desk

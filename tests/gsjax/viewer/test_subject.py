@@ -14,7 +14,7 @@ from gsjax.io import json_files
 from gsjax.io.compressed_ply import write_compressed_ply
 from gsjax.io.ply import write_gaussians
 from gsjax.io.spz import write_spz
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.export import glb_bytes, read_mesh, write_mesh
 from gsjax.runs import viewpoints
 from gsjax.runs.result import write_views

@@ -12,7 +12,7 @@ from tolerances import assert_close
 
 from gsjax.gaussians import Gaussians
 from gsjax.measures.images import ssim
-from gsjax.render import View
+from gsjax.rendering import View
 from gsjax.training.terms import losses
 from gsjax.training.terms.losses import Batch
 

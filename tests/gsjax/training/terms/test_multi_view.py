@@ -13,7 +13,7 @@ from tolerances import assert_close
 
 from gsjax import cameras, targets
 from gsjax.cameras import Camera
-from gsjax.render import Neighbor, View
+from gsjax.rendering import Neighbor, View
 from gsjax.scene import Pixels, frame_of
 from gsjax.settings import Phase, Rates, Settings, Weights
 from gsjax.targets import Batch

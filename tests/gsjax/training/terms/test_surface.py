@@ -10,12 +10,12 @@ from small_scenes import camera_at, cloud, discs, plane
 from tolerances import assert_close
 
 import rasterizer
-from gsjax import render
+from gsjax import rendering
 from gsjax.cameras import pixel_rays
 from gsjax.gaussians import opacities, rotation_matrices, scales
 from gsjax.normals.from_depth import depth_normals
 from gsjax.numerics import masked_mean
-from gsjax.render import View, depth
+from gsjax.rendering import View, depth
 from gsjax.targets import Batch
 from gsjax.training.terms.surface import depth_normal, distortion
 
@@ -33,10 +33,10 @@ FACING = (0.0, 0.0, -1.0)
 
 def shown(gaussians, depth_mode="plane"):
     """All of the view but its colours, which no term reads."""
-    splats = render.splat(gaussians, CAMERA, 2048, depth_mode=depth_mode)
+    splats = rendering.splat(gaussians, CAMERA, 2048, depth_mode=depth_mode)
     expected, alphas = depth.expected_depth(splats)
-    axes = render.facing_axes(render.drawable(gaussians), CAMERA, splats.projection)
-    return View(None, alphas, expected, splats, axes=render.features(splats, axes)[0])
+    axes = rendering.facing_axes(rendering.drawable(gaussians), CAMERA, splats.projection)
+    return View(None, alphas, expected, splats, axes=rendering.features(splats, axes)[0])
 
 
 def both(gaussians, valid=ALL, depth_mode="plane"):

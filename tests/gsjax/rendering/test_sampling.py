@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 from tolerances import assert_close
 
-from gsjax.render.sampling import sample_bilinear
+from gsjax.rendering.sampling import sample_bilinear
 
 IMAGE = np.random.default_rng(0).random((5, 8)).astype(np.float32)
 

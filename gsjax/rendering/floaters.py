@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from gsjax.gaussians import Gaussians, covariances
-from gsjax.render.shown_depths import SAME_SURFACE, ShownDepth, depths_at
+from gsjax.rendering.shown_depths import SAME_SURFACE, ShownDepth, depths_at
 
 SUPPORTING = 2  # Views that show a Gaussian where it is: fewer do not tell how far away it is.
 LOOKING_THROUGH = 2  # Views that show what is behind a Gaussian: one may be wrong.
@@ -27,7 +27,7 @@ def are_floaters(gaussians: Gaussians, views: Iterable[ShownDepth]) -> np.ndarra
 
     Args:
         gaussians: N of them; what is not finite is no floater.
-        views: Depths that these Gaussians show, see `gsjax.render.shown_depths`; looked at one by one.
+        views: Depths that these Gaussians show, see `gsjax.rendering.shown_depths`; looked at one by one.
 
     Returns:
         `[N]` bool, numpy.

@@ -10,7 +10,7 @@ from small_scenes import camera_at, cloud, plane
 from tolerances import assert_close
 
 import rasterizer
-from gsjax import render
+from gsjax import rendering
 from gsjax.gaussians import Gaussians, opacities, scales, sh_coefficients, take
 from rasterizer import _reference
 
@@ -25,7 +25,7 @@ SCENE = cloud(ALIVE, capacity=48, sh_degree=2)
 def shown(
     gaussians, active_degree=2, camera=CAMERA, background=BACKGROUND, depth_mode="plane", extra=None, with_axes=False
 ):
-    return render.view(
+    return rendering.render(
         gaussians,
         camera,
         capacity=CAPACITY,
@@ -63,7 +63,7 @@ def test_a_view_equals_the_dense_reference():
     assert not bool(view.splats.pairs.overflowed)
     assert_close(view.alphas, alphas)
     assert_close(view.colors, image[..., :3] + (1 - alphas[..., None]) * np.asarray(BACKGROUND))
-    covered = alphas > render.MIN_COVERAGE
+    covered = alphas > rendering.MIN_COVERAGE
     assert 0.1 < covered.mean() < 0.9
     assert_close(view.depth, np.where(covered, image[..., 3] / np.where(covered, alphas, 1), 0))
 
@@ -71,7 +71,7 @@ def test_a_view_equals_the_dense_reference():
 def test_the_centres_depth_is_there_to_compare_with():
     image, alphas = dense_reference(SCENE, depth_mode="center")
     of_center = shown(SCENE, depth_mode="center").depth
-    covered = alphas > render.MIN_COVERAGE
+    covered = alphas > rendering.MIN_COVERAGE
     assert_close(of_center, np.where(covered, image[..., 3] / np.where(covered, alphas, 1), 0))
     assert float(jnp.abs(of_center - shown(SCENE).depth).max()) > 0.01
 
@@ -81,9 +81,9 @@ def in_front_of_reference(gaussians, reading):
     size = CAMERA.width, CAMERA.height
     splats = rasterizer.project(*shape, CAMERA.viewmat[None], CAMERA.K[None], *size, depth_mode="plane")
     features = jnp.stack([jnp.ones_like(splats.depths), splats.depths], -1)  # the last one is made a plane
-    front = render.IN_FRONT[reading]._replace(channels=2)
+    front = rendering.IN_FRONT[reading]._replace(channels=2)
     image, _, _ = _reference.composite(splats, shape[3][None], features, *size, rasterizer.GSPLAT, front)
-    is_covered = image[0, ..., 0] > render.MIN_COVERAGE
+    is_covered = image[0, ..., 0] > rendering.MIN_COVERAGE
     return jnp.where(is_covered, image[0, ..., 1], 0) / jnp.where(is_covered, image[0, ..., 0], 1)
 
 
@@ -147,7 +147,7 @@ def test_the_mip_filter_is_the_antialiased_reference_and_absent_where_it_is_not_
     assert_close(view.alphas, alphas)
     assert_close(view.colors, image[..., :3] + (1 - alphas[..., None]) * np.asarray(BACKGROUND))
     assert float(jnp.abs(view.alphas - shown(SCENE).alphas).max()) > 0.01
-    assert int(jax.jit(render.needed_capacity)(filtered, CAMERA)) == int(view.splats.pairs.needed)
+    assert int(jax.jit(rendering.needed_capacity)(filtered, CAMERA)) == int(view.splats.pairs.needed)
     assert shown(SCENE).splats.projection.compensations is None
 
 
@@ -189,13 +189,13 @@ def test_depth_is_zero_where_little_is_covered():
     faint = plane((0.0, 0.0, -1.0))
     faint = Gaussians(**{**faint.__dict__, "logit_opacities": jnp.full_like(faint.logit_opacities, -3.5)})
     view = shown(faint, 0, camera_at())
-    assert 0.01 < float(view.alphas.min()) <= float(view.alphas.max()) < render.MIN_COVERAGE
+    assert 0.01 < float(view.alphas.min()) <= float(view.alphas.max()) < rendering.MIN_COVERAGE
     assert not np.any(view.depth)
 
 
 def test_features_of_one_are_the_alphas():
     view = shown(SCENE)
-    image, alphas = render.features(view.splats, jnp.ones((48, 2), jnp.float32))
+    image, alphas = rendering.features(view.splats, jnp.ones((48, 2), jnp.float32))
     assert_close(image, jnp.stack([alphas, alphas], -1))
     assert_close(alphas, view.alphas)
 
@@ -204,7 +204,7 @@ def test_further_channels_are_composited_beside_colours_and_depth():
     values = jnp.stack([jnp.ones(48, jnp.float32), 0.1 * jnp.arange(48, dtype=jnp.float32)], -1)
     plain, view = shown(SCENE), shown(SCENE, extra=values)
     assert plain.extra is None
-    assert_close(view.extra, render.features(plain.splats, values)[0])
+    assert_close(view.extra, rendering.features(plain.splats, values)[0])
     assert_close((view.colors, view.alphas, view.depth), (plain.colors, plain.alphas, plain.depth))
 
 
@@ -212,9 +212,9 @@ def test_axes_are_composited_beside_all_other_channels():
     values = 0.1 * jnp.arange(96, dtype=jnp.float32).reshape(48, 2)
     plain, view = shown(SCENE), shown(SCENE, extra=values, with_axes=True)
     assert plain.axes is None
-    axes = render.facing_axes(render.drawable(SCENE), CAMERA, plain.splats.projection)
-    assert_close(view.axes, render.features(plain.splats, axes)[0])
-    assert_close(view.extra, render.features(plain.splats, values)[0])
+    axes = rendering.facing_axes(rendering.drawable(SCENE), CAMERA, plain.splats.projection)
+    assert_close(view.axes, rendering.features(plain.splats, axes)[0])
+    assert_close(view.extra, rendering.features(plain.splats, values)[0])
     assert_close((view.colors, view.alphas, view.depth), (plain.colors, plain.alphas, plain.depth))
 
 
@@ -225,9 +225,9 @@ def test_axes_in_the_common_pass_have_the_gradient_of_a_pass_of_their_own():
         return jnp.sum(weights * shown(gaussians, with_axes=True).axes)
 
     def alone(gaussians):
-        splats = render.splat(gaussians, CAMERA, CAPACITY)
-        axes = render.facing_axes(render.drawable(gaussians), CAMERA, splats.projection)
-        return jnp.sum(weights * render.features(splats, axes)[0])
+        splats = rendering.splat(gaussians, CAMERA, CAPACITY)
+        axes = rendering.facing_axes(rendering.drawable(gaussians), CAMERA, splats.projection)
+        return jnp.sum(weights * rendering.features(splats, axes)[0])
 
     found, expected = (jax.jit(jax.grad(each))(SCENE) for each in (together, alone))
     assert np.abs(expected.quats[:ALIVE]).max() > 0.1
@@ -240,7 +240,7 @@ def test_nothing_enters_from_a_row_that_is_not_visible():
     hidden = ~np.asarray(view.splats.projection.visible[0])
     assert hidden[ALIVE:].all()
     values = jnp.where(jnp.asarray(hidden)[:, None], jnp.float32(jnp.nan), 1.0)
-    assert_close(render.features(view.splats, values)[0][..., 0], view.alphas)
+    assert_close(rendering.features(view.splats, values)[0][..., 0], view.alphas)
 
 
 def test_the_probe_has_the_gradient_of_a_shifted_image():
@@ -250,7 +250,7 @@ def test_the_probe_has_the_gradient_of_a_shifted_image():
     def objective(probe, shift):
         K = CAMERA.K.at[:2, 2].add(shift)
         camera = type(CAMERA)(CAMERA.viewmat, K, CAMERA.width, CAMERA.height)
-        view = render.view(SCENE, camera, capacity=CAPACITY, background=BACKGROUND, means2d_probe=probe)
+        view = rendering.render(SCENE, camera, capacity=CAPACITY, background=BACKGROUND, means2d_probe=probe)
         return jnp.sum(weights * view.colors)
 
     by_probe, by_shift = jax.jit(jax.grad(objective, argnums=(0, 1)))(
@@ -261,17 +261,17 @@ def test_the_probe_has_the_gradient_of_a_shifted_image():
 
 
 def test_the_capacity_that_a_view_needs_is_counted_before_it_is_rendered():
-    needed = int(jax.jit(render.needed_capacity)(SCENE, CAMERA))
+    needed = int(jax.jit(rendering.needed_capacity)(SCENE, CAMERA))
     pairs = shown(SCENE).splats.pairs
     assert int(pairs.needed) == needed < CAPACITY and not bool(pairs.overflowed)
-    assert bool(jax.jit(render.splat, static_argnums=2)(SCENE, CAMERA, needed - 1).pairs.overflowed)
+    assert bool(jax.jit(rendering.splat, static_argnums=2)(SCENE, CAMERA, needed - 1).pairs.overflowed)
 
 
 def test_without_depth_there_is_no_depth_in_the_program():
     def most_channels(**options):
-        program = jax.make_jaxpr(lambda g: render.view(g, CAMERA, capacity=CAPACITY, background=BACKGROUND, **options))(
-            SCENE
-        )
+        program = jax.make_jaxpr(
+            lambda g: rendering.render(g, CAMERA, capacity=CAPACITY, background=BACKGROUND, **options)
+        )(SCENE)
         return max(int(channels) for channels in re.findall(r"f32\[1,24,32,(\d+)\]", str(program)))
 
     without = most_channels()
@@ -283,11 +283,11 @@ def test_without_depth_there_is_no_depth_in_the_program():
 @pytest.mark.parametrize("backend", ["xla", "reference"])
 def test_any_backend_shows_the_same(backend):
     how = {"capacity": CAPACITY, "background": BACKGROUND, "with_depth": True, "depth_mode": "front"}
-    of_it, usual = render.view(SCENE, CAMERA, backend=backend, **how), shown(SCENE, depth_mode="front")
+    of_it, usual = rendering.render(SCENE, CAMERA, backend=backend, **how), shown(SCENE, depth_mode="front")
     assert of_it.splats.backend == backend
     assert_close(of_it.colors, usual.colors)
     assert_close(of_it.depth, usual.depth)
-    np.testing.assert_array_equal(render.owners(of_it.splats), render.owners(usual.splats))
+    np.testing.assert_array_equal(rendering.owners(of_it.splats), rendering.owners(usual.splats))
 
 
 @pytest.mark.long
@@ -295,7 +295,7 @@ def test_forward_mode_is_the_references_and_equals_reverse_mode():
     def brightness(means, backend):
         moved = replace(SCENE, means=means)
         how = {"capacity": CAPACITY, "background": BACKGROUND, "backend": backend}
-        return jnp.sum(render.view(moved, CAMERA, **how).colors)
+        return jnp.sum(rendering.render(moved, CAMERA, **how).colors)
 
     along = jnp.asarray(np.random.default_rng(0).normal(size=SCENE.means.shape), jnp.float32)
     with pytest.raises(TypeError, match="need backend='reference'"):

@@ -3,8 +3,8 @@
 import numpy as np
 
 from gsjax.cameras import Camera
-from gsjax.render.gallery import Picture
-from gsjax.render.shown_depths import coarse_depth, depths_at
+from gsjax.rendering.gallery import Picture
+from gsjax.rendering.shown_depths import coarse_depth, depths_at
 
 WALL = 4.0  # Its z, with the cameras at z = 0 looking along it.
 

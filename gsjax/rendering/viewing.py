@@ -9,8 +9,8 @@ from jax import Array
 import rasterizer
 from gsjax import cameras
 from gsjax.cameras import Camera
-from gsjax.render.depth import IN_FRONT, DepthReading, depth_channels, mean_depth, splat_depth_mode
-from gsjax.render.splats import Drawable, Splats, drawable, facing_axes, features, splat
+from gsjax.rendering.depth import IN_FRONT, DepthReading, depth_channels, mean_depth, splat_depth_mode
+from gsjax.rendering.splats import Drawable, Splats, drawable, facing_axes, features, splat
 
 
 class Neighbor(NamedTuple):
@@ -35,12 +35,12 @@ class View(NamedTuple):
     neighbor: Neighbor | None = None  # only in a step whose loss has a term between two views
 
 
-def view(
+def render(
     gaussians: Any,
     camera: Camera,
     *,
     capacity: int | None = None,
-    background: Array,
+    background: Array | None = None,
     active_degree: Array | int | None = None,
     with_depth: bool = False,
     depth_mode: DepthReading = "plane",
@@ -55,7 +55,7 @@ def view(
         gaussians: The scene, of any kind that `drawable` knows.
         camera: The view.
         capacity: See `splat`.
-        background: `[3]` colour under the image, or `[H, W, 3]`.
+        background: `[3]` colour under the image, or `[H, W, 3]`. None: black.
         active_degree: Highest SH degree used, one for all or `[N]`; may be traced. None: all.
         with_depth: Whether depth is composited too. Static; not in the program otherwise.
         depth_mode: What a splat's depth is: "plane" where the Gaussian is densest along each pixel's ray, "center" that
@@ -77,7 +77,8 @@ def view(
     splats = splat(scene, camera, capacity, means2d_probe, splat_depth_mode(reading), backend)
     axes = facing_axes(scene, camera, splats.projection) if with_axes else None
     shown = colors(scene, camera, active_degree)
-    return view_splats(splats, shown, background, reading=reading, extra=extra, axes=axes)
+    under = jnp.zeros(3, shown.dtype) if background is None else background
+    return view_splats(splats, shown, under, reading=reading, extra=extra, axes=axes)
 
 
 def view_splats(

@@ -8,7 +8,7 @@ from jax import Array
 
 import rasterizer
 from gsjax.numerics import safe_divide
-from gsjax.render.splats import Splats, features
+from gsjax.rendering.splats import Splats, features
 from rasterizer import DepthMode
 
 DepthReading = Literal["center", "plane", "front", "discs"]
@@ -44,7 +44,7 @@ def mean_depth(composited: Array, alphas: Array, reading: DepthReading) -> Array
 
 
 def expected_depth(splats: Splats, reading: DepthReading = "plane") -> tuple[Array, Array]:
-    """`[H, W]` depth and `[H, W]` alphas, as `gsjax.render.view` has them, without colours: a pass of its own."""
+    """`[H, W]` depth and `[H, W]` alphas, as `gsjax.render` has them, without colours: a pass of its own."""
     image, alphas = features(splats, depth_channels(splats, reading), IN_FRONT.get(reading))
     return mean_depth(image, alphas, reading), alphas
 
@@ -56,7 +56,7 @@ def depth_moments(splats: Splats, center: Array) -> tuple[Array, Array]:
     no plane, but is composited by its coefficients all the same: six channels more, and no kernel knows of it.
 
     Args:
-        splats: The view, with slopes or without (`gsjax.render.splat`).
+        splats: The view, with slopes or without (`gsjax.rendering.splat`).
         center: `[]` scene units, near the depths that matter: float32 keeps seven digits of what is left of z.
 
     Returns:

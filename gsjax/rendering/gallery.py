@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import rasterizer
-from gsjax import render
+from gsjax import rendering
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
-from gsjax.render import DepthReading, backdrop
+from gsjax.rendering import DepthReading, backdrop
 from rasterizer.engines import resolve
 
 # Of engines that do not touch the slots that nobody needs: how many times longer than needed a pair buffer is made, and
@@ -38,14 +38,14 @@ def pictures(
     *,
     with_owners: bool = False,
 ) -> Iterator[Picture]:
-    """Render every camera over a background (see `gsjax.render.backdrop`); sizes may differ, as the cameras do.
+    """Render every camera over a background (see `gsjax.rendering.backdrop`); sizes may differ, as the cameras do.
 
-    Depth is as `depth_mode` says, see `gsjax.render.view`. Owners cost another pass over the pairs.
+    Depth is as `depth_mode` says, see `gsjax.render`. Owners cost another pass over the pairs.
     """
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     width, height = max(c.width for c in cameras), max(c.height for c in cameras)
     padded = [Camera(jnp.asarray(c.viewmat), jnp.asarray(c.K), width, height) for c in cameras]
-    capacity = _capacity(render.largest_need(gaussians, padded))
+    capacity = _capacity(rendering.largest_need(gaussians, padded))
     for camera, own in zip(padded, cameras, strict=True):
         color = jnp.asarray(background, jnp.float32)
         shown = _shown(gaussians, camera, color, capacity=capacity, depth_mode=depth_mode, with_owners=with_owners)
@@ -93,7 +93,9 @@ def _shown(
     with_owners: bool,
 ) -> tuple[jax.Array, ...]:
     under = backdrop.color_behind(background, camera)
-    view = render.view(gaussians, camera, capacity=capacity, background=under, with_depth=True, depth_mode=depth_mode)
+    view = rendering.render(
+        gaussians, camera, capacity=capacity, background=under, with_depth=True, depth_mode=depth_mode
+    )
     assert view.depth is not None  # as asked for
     shown = jnp.clip(view.colors, 0, 1), view.depth, view.alphas
-    return (*shown, render.owners(view.splats)) if with_owners else shown
+    return (*shown, rendering.owners(view.splats)) if with_owners else shown

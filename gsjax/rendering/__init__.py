@@ -1,7 +1,7 @@
 """Gaussians and a camera to images; where light behind them comes from; images read between their pixels."""
 
-from gsjax.render.depth import IN_FRONT, MIN_COVERAGE, DepthReading, splat_depth_mode
-from gsjax.render.splats import (
+from gsjax.rendering.depth import IN_FRONT, MIN_COVERAGE, DepthReading, splat_depth_mode
+from gsjax.rendering.splats import (
     PIXEL_FILTERS,
     Drawable,
     Splats,
@@ -16,7 +16,7 @@ from gsjax.render.splats import (
     splat,
     tile_grid,
 )
-from gsjax.render.viewing import Neighbor, View, colors, view, view_splats
+from gsjax.rendering.viewing import Neighbor, View, colors, render, view_splats
 
 __all__ = [
     "IN_FRONT",
@@ -39,6 +39,6 @@ __all__ = [
     "projected",
     "splat",
     "tile_grid",
-    "view",
+    "render",
     "view_splats",
 ]

@@ -7,7 +7,7 @@ from tolerances import assert_close
 import rasterizer
 from gsjax.cameras import Camera
 from gsjax.gaussians import opacities, scales, sh_coefficients
-from gsjax.render import MIN_COVERAGE, gallery
+from gsjax.rendering import MIN_COVERAGE, gallery
 
 BACKGROUND = np.array([0.1, 0.9, 0.4])
 CAMERAS = [

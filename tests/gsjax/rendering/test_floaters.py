@@ -5,8 +5,8 @@ from small_scenes import discs
 
 from gsjax.cameras import Camera
 from gsjax.gaussians import take
-from gsjax.render.floaters import are_floaters
-from gsjax.render.shown_depths import ShownDepth
+from gsjax.rendering.floaters import are_floaters
+from gsjax.rendering.shown_depths import ShownDepth
 
 WALL = 4.0  # Its z, with the cameras at z = 0 looking along it.
 MIDDLE = (slice(14, 17), slice(18, 23))  # pixels that look straight ahead
