@@ -38,7 +38,8 @@ def all_finite(tree: Any) -> Array:
         if not jnp.issubdtype(leaf.dtype, jnp.inexact):
             continue
         flat, whole = leaf.ravel(), leaf.size // ROW * ROW
-        sums = flat[:whole].reshape(-1, ROW) @ jnp.zeros(ROW, leaf.dtype), flat[whole:] * 0
+        rows, zeros = flat[:whole].reshape(-1, ROW), jnp.zeros(ROW, leaf.dtype)
+        sums = jnp.matmul(rows, zeros, precision=jax.lax.Precision.HIGHEST), flat[whole:] * 0
         total += sum(jnp.sum(part).astype(jnp.float32) for part in sums)
     return jnp.isfinite(total)
 

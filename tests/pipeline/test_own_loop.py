@@ -81,10 +81,10 @@ def test_a_loss_of_ones_own_is_descended(loaded):
 
 def test_a_densification_rule_of_ones_own_decides(loaded):
     rule = gsjax.RULES["error"]._replace(
-        wanted_count=lambda gaussians, statistics, density, *, step, budget: jnp.int32(300)
+        wanted_count=lambda gaussians, statistics, density, *, step, budget: jnp.int32(850)
     )
     state, _ = composed(loaded, {"l1": 1.0}, densify=rule, steps=40)
-    assert len(state.gaussians.alive()) == 300
+    assert len(state.gaussians.alive()) == 850
 
 
 def test_an_sdf_estimator_of_ones_own_is_aligned(loaded):
