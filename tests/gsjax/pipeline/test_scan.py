@@ -28,7 +28,7 @@ class SfmReport:
 
 
 SFM_REPORT = {
-    "images": 8, "registered": 7, "left_out": {}, "passed_over": {}, "points": 9, "mean_reprojection_error": 0.5,
+    "images": 15, "registered": 7, "left_out": {}, "passed_over": {}, "points": 9, "mean_reprojection_error": 0.5,
     "mean_track_length": 3.0, "seconds": 1.0,
 }  # fmt: skip
 
