@@ -98,7 +98,7 @@ def upper_bands(dirs: Array, coeffs: Array, weights: Array | None = None) -> Arr
     """
     degree = math.isqrt(coeffs.shape[-2])
     basis = _basis_at(degree, dirs)[..., 1:]
-    return _sum_of_bands(basis if weights is None else basis * weights, coeffs)
+    return _sum_of_bands(basis if weights is None else basis * jnp.broadcast_to(weights, basis.shape), coeffs)
 
 
 def _basis_at(degree: int, dirs: Array) -> Array:
@@ -118,7 +118,7 @@ def _sum_of_bands(basis: Array, coeffs: Array) -> Array:
     """
     if default_device().platform == "cpu":
         return jnp.einsum("...k,...kd->...d", basis, coeffs, precision="highest")
-    return jnp.sum(basis[..., None] * coeffs, axis=-2)
+    return jnp.sum(jnp.multiply(*jnp.broadcast_arrays(basis[..., None], coeffs)), axis=-2)
 
 
 @takes_arrays
