@@ -14,7 +14,7 @@ from rasterizer import _mosaic, _pallas, _reference, _xla
 from rasterizer.arrays import in_float32
 from rasterizer.binning import TileGrid, TilePairs
 from rasterizer.compositing import Engine, Front, Static, composite
-from rasterizer.devices import default_device, has_triton, why_no_kernels
+from rasterizer.devices import default_device, has_triton, wants_determinism, why_no_kernels
 from rasterizer.manual_axes import vary_alike, without_axes
 from rasterizer.projection import Projection
 from rasterizer.reverse_mode import reverse_only
@@ -85,7 +85,8 @@ def _engine(backend: Backend) -> Engine:
     if reason and device.platform == "gpu":
         raise ValueError(f"backend='pallas': {reason}")
     kernels = _pallas if reason or has_triton() else _mosaic
-    return kernels.engine(interpret=reason is not None)
+    how = {"sum_rows": _pallas.sorted_sums} if wants_determinism() else {}
+    return kernels.engine(interpret=reason is not None, **how)
 
 
 def default_tile_size(backend: Backend = "auto") -> int:
