@@ -14,7 +14,6 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -124,7 +123,7 @@ def row(out: Path, clean: Path, effect: str, strength: float, given: argparse.Na
     from effect_errors import ERRORS, Truth
 
     from gsjax.io.scenes import load_scene
-    from gsjax.planning.effect_trials import gains
+    from gsjax.planning.effect_validation import EffectValidation
     from gsjax.planning.effects import choose_effects
     from gsjax.planning.sizes import training_extent
     from gsjax.planning.start import first_state
@@ -140,9 +139,16 @@ def row(out: Path, clean: Path, effect: str, strength: float, given: argparse.Na
     background = "black" if effect == "background" and strength else "white"
     chosen = [settings(e, given.steps, given.gaussians, seed, background) for e in ("auto", "none", effect)]
     before, after = load_scene(clean), load_scene(scene)
-    size = training_extent(after)
-    trial = partial(gains, plan(chosen[0]), after.train_frames, size, partial(first_state, after, chosen[0]))
-    by_auto = choose_effects("auto", plan(chosen[0]), after, trial).evidence
+    planned = plan(chosen[0])
+    validate = EffectValidation(
+        chosen[0],
+        planned,
+        after.train_frames,
+        training_extent(after),
+        len(after.points),
+        lambda short, optimizer, effects, skies: first_state(after, short, optimizer, effects, skies=skies),
+    )
+    by_auto = choose_effects("auto", planned, after, validate).evidence
     assert by_auto is not None, "auto looks"
     evidence = by_auto["evidence"][effect]
     said = {(True, True): "hit", (True, False): "miss", (False, True): "false alarm", (False, False): "right"}

@@ -55,7 +55,6 @@ NEAREST: dict[str, tuple[str, ...]] = {
     "gsjax/training/state": ("gsjax/training/test_step",),
     "gsjax/training/stepping": ("gsjax/training/test_loop",),
     "gsjax/training/terms": ("gsjax/training/terms/test_losses", "gsjax/training/test_plan"),
-    "gsjax/training/trial": ("gsjax/training/test_harmonics", "gsjax/planning/test_effect_trials"),
     "gsjax/binding/editing": ("gsjax/binding/test_bound",),
 }
 """Tests of files, and of folders, whose own test file has not their name."""

@@ -11,7 +11,6 @@ from gsjax.effects import (
     exposure,
     mip,
     poses,
-    sh_degree,
     sky,
     transients,
     vignetting,
@@ -71,7 +70,6 @@ def diagnose(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fra
     effects = {
         "exposure": exposure.judge(seen, gains),
         "vignetting": vignetting.judge(seen, gains),
-        "sh_degree": sh_degree.judge(seen, gains),
         "background": background.judge(seen),
         "sky": sky.judge(seen, masks),
         "poses": poses.judge(seen, steps),
