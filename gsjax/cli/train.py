@@ -73,7 +73,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--masks", choices=("valid", "matte"), help="what the masks/ folder means: pixels to use, or the object's"
         " coverage over the background (default: valid)")  # fmt: skip
     add("--effects", metavar="auto|none|NAMES", help="what photography added to the scene, to be simulated: auto,"
-        " what the photos show (see `gsjax diagnose`); or names, as in poses,sh_degree (default: auto; none with the"
+        " what the photos show (see `gsjax diagnose`); or names, as in exposure,poses (default: auto; none with the"
         " paper's presets)")  # fmt: skip
     add("--vanilla", action="store_const", const=True, help="plain 3DGS: leave the normal term out")
     add("--devices", metavar="N|all", help="spread the Gaussians over so many devices, each with a view of its own"
