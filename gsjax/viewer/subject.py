@@ -38,7 +38,6 @@ class Subject:
     )  # [3] or SH, see `gsjax.render.backdrop`
     depth_mode: DepthReading = "plane"
     similarity: Similarity = IDENTITY  # to all of this, which is local, from the mesh in its file
-    is_in_metres: bool = False  # whether that file is, see `gsjax.place`
 
 
 def open_subject(
@@ -77,7 +76,6 @@ def open_subject(
         background=result.background,
         depth_mode=result.depth_mode,
         similarity=result.similarity,
-        is_in_metres=result.place.is_known,
     )
 
 
@@ -116,7 +114,6 @@ def _of_run(run: Path, mesh: Path | None, tell: Callable[[str], None]) -> Subjec
         background=result.background,
         depth_mode=result.depth_mode,
         similarity=result.similarity,
-        is_in_metres=result.place.is_known,
     )
 
 
