@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("own_environment")
 
 COMMANDS = (
     "demo", "scan", "sfm", "normals", "masks", "train", "mesh", "refine", "texture", "eval", "render", "report",
-    "compare", "turntable", "view", "share", "undistort", "convert", "scale", "clean", "doctor",
+    "compare", "view", "share", "undistort", "convert", "scale", "clean", "doctor",
 )  # fmt: skip
 
 
@@ -274,8 +274,8 @@ def test_the_other_commands_reach_their_functions(library, capsys):
     assert cli.main(["compare", "run", "other", "--out", "o.html"]) == 0
     assert cli.main(["demo"]) == 0
     assert library == [
-        ("render", ("run", "o"), {"which": "all"}),
-        ("render", ("run", "o"), {"which": "held_out"}),
+        ("render", ("run", "o"), {}),
+        ("render", ("run", "o"), {"views": "held_out"}),
         ("sfm", ("photos", "scene"), {}),
         ("undistort", ("scene", "o"), {}),
         ("undistort", ("scene", "o"), {"downscale": 2, "images": "images_4"}),
