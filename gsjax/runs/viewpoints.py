@@ -8,8 +8,8 @@ import numpy as np
 from gsjax.cameras import Camera, look_at, viewmat_centers
 from gsjax.gaussians import Gaussians, opacities
 from gsjax.mesh import Mesh, unit_or_zero
-from gsjax.meshing.methods import directions_to_viewers
 from gsjax.render import gallery
+from gsjax.render.shown_depths import ShownDepth, depths_at
 
 COUNT = 32
 TURNTABLE_VIEWS = 36
@@ -83,7 +83,11 @@ def _count_seen(gaussians: Gaussians, means: np.ndarray, radii: np.ndarray, came
     near = np.full(len(means), 0.02 * np.median(radii))
     # Means are looked for, so the depth is theirs.
     pictures = gallery.pictures(gaussians, cameras, np.zeros(3, np.float32), "center")
-    return int(np.any(directions_to_viewers(means, near, cameras, pictures) != 0, axis=1).sum())
+    visible = np.zeros(len(means), bool)
+    for camera, picture in zip(cameras, pictures, strict=True):
+        depths, rendered = depths_at(means, ShownDepth(camera, picture.depth))
+        visible |= (rendered > 0) & (np.abs(rendered - depths) < near)
+    return int(visible.sum())
 
 
 def camera_circle(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Camera]:
