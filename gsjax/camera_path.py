@@ -44,20 +44,30 @@ def fly(keyframes: Keyframes, count: int) -> tuple[np.ndarray, np.ndarray]:
     return flown, np.clip(angles, fovs.min(), fovs.max())
 
 
-def through(cameras: Sequence[Camera], most: int, aspect: float, *, closed: bool) -> Keyframes:
+def closed_path(cameras: Sequence[Camera], aspect: float) -> Keyframes:
+    """Keyframes at all cameras, in their order, and back to the first.
+
+    Args:
+        cameras: World to camera, at least 3.
+        aspect: Width by height of the pictures; each shows all that its camera shows.
+    """
+    viewmats = np.stack([np.asarray(camera.viewmat, np.float64) for camera in cameras])
+    return Keyframes(viewmats, np.array([covering_fov(camera, aspect) for camera in cameras]), closed=True)
+
+
+def through(cameras: Sequence[Camera], most: int, aspect: float) -> Keyframes:
     """Keyframes at `most` of the cameras, evenly spread; in their own order, or from each to the nearest if shorter.
 
     Args:
         cameras: World to camera.
         most: Keyframes.
-        aspect: Width by height of the pictures; the angles of view are such that all that a camera sees is in them.
-        closed: Whether the flight comes back.
+        aspect: Width by height of the pictures; each shows all that its camera shows.
     """
     chosen = np.unique(np.linspace(0, len(cameras) - 1, min(most, len(cameras))).round().astype(int))
     viewmats = np.stack([np.asarray(cameras[place].viewmat, np.float64) for place in chosen])
     fovs = np.array([covering_fov(cameras[place], aspect) for place in chosen])
     order = _shorter_order(np.stack([viewmat_center(viewmat) for viewmat in viewmats]))
-    return Keyframes(viewmats[order], fovs[order], closed)
+    return Keyframes(viewmats[order], fovs[order], closed=False)
 
 
 def camera_of(viewmat: np.ndarray, fov: float, width: int, height: int) -> Camera:

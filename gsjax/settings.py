@@ -167,7 +167,7 @@ class Logging:
 
 
 SIMULATED = ("exposure", "vignetting", "poses", "background", "transients")  # effects that training can take in
-EFFECTS = (*SIMULATED, "sky", "sh_degree", "blur")  # and where nothing is, and what makes a run go on with less
+EFFECTS = (*SIMULATED, "sky", "blur")  # that --effects names: also where no surface is, and photos to leave out
 AUTO, NONE = "auto", "none"
 
 

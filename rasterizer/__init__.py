@@ -16,7 +16,7 @@ from rasterizer.harmonics import (
 )
 from rasterizer.normals import camera_normals
 from rasterizer.projection import DepthMode, Projection, project
-from rasterizer.rules import GSPLAT, GSPLAT_1_5, INRIA, Rules
+from rasterizer.rules import GSPLAT, GSPLAT_1_5, INRIA, SMOOTH, Rules
 from rasterizer.stages import (
     fully_fused_projection,
     isect_offset_encode,
@@ -30,6 +30,7 @@ __all__ = [
     "GSPLAT",
     "GSPLAT_1_5",
     "INRIA",
+    "SMOOTH",
     "Backend",
     "DepthMode",
     "Front",

@@ -38,9 +38,9 @@ def launch(
 
 
 @cache
-def engine(interpret: bool, segment_size: int = _pallas.SEGMENT) -> Engine:
+def engine(interpret: bool, segment_size: int = _pallas.SEGMENT, *, sum_rows=_pallas.atomic_sums) -> Engine:
     """As `rasterizer._pallas.engine`; interpreted, a tile of a few splats takes seconds."""
-    kernels = _pallas.engine(interpret, segment_size, launch)
+    kernels = _pallas.engine(interpret, segment_size, launch, sum_rows)
 
     def of(static: Static) -> Engine:
         return _xla.ENGINE if static.front or static.grid.tile_size**2 < THREADS else kernels

@@ -273,6 +273,7 @@ def _backward(
     launch: Launch,
     interpret: bool,
     segment_size: int,
+    sum_rows: Callable[[Array, Array, int], Array],
 ) -> Array:
     # The kernel writes the pairs that some pixel saw; the rest stay the zeros that come in.
     zeros = jnp.zeros((splats.shape[0], rows.shape[1]), jnp.float32)
@@ -283,11 +284,41 @@ def _backward(
     d_rows = chain_to_rows(rows[splats], gradients[:, :6], gradients[:, 6:])
     # A GPU adds by atomics, and zeros of a whole buffer to one row wait for each other: their index is past all rows.
     written = jnp.any(gradients != 0, -1)
-    return jnp.zeros_like(rows).at[jnp.where(written, splats, rows.shape[0])].add(d_rows, mode="drop")
+    return sum_rows(d_rows, jnp.where(written, splats, rows.shape[0]), rows.shape[0])
+
+
+def atomic_sums(values: Array, places: Array, count: int) -> Array:
+    """`[count, W]` sums of the rows `[P, W]` of each place `[P]`; one past the last is left out. Atomics on a GPU."""
+    return jnp.zeros((count, values.shape[1]), values.dtype).at[places].add(values, mode="drop")
+
+
+def sorted_sums(values: Array, places: Array, count: int) -> Array:
+    """`atomic_sums` in an order that is always the same: rows are sorted by place and summed as one tree of pairs."""
+    rows = jnp.arange(places.shape[0], dtype=jnp.int32)
+    places, order = jax.lax.sort((places, rows), num_keys=1, is_stable=True)
+    begins = places[1:] != places[:-1]
+    edge = jnp.ones(1, bool)
+
+    def add(left, right):
+        (left_begins, left_sum), (right_begins, right_sum) = left, right
+        return left_begins | right_begins, jnp.where(right_begins[:, None], right_sum, left_sum + right_sum)
+
+    _, sums = jax.lax.associative_scan(add, (jnp.concatenate([edge, begins]), values[order]))
+    last = jnp.concatenate([begins, edge])
+    zeros = jnp.zeros((count, values.shape[1]), values.dtype)
+    return zeros.at[jnp.where(last, places, count)].set(sums, mode="drop")
 
 
 @cache
-def engine(interpret: bool, segment_size: int = SEGMENT, launch: Launch = launch) -> Engine:
-    """The kernels, or, without a GPU, their interpretation: as slow as it is faithful."""
+def engine(
+    interpret: bool,
+    segment_size: int = SEGMENT,
+    launch: Launch = launch,
+    sum_rows: Callable[[Array, Array, int], Array] = atomic_sums,
+) -> Engine:
+    """The kernels, or, without a GPU, their interpretation: as slow as it is faithful.
+
+    `sum_rows` adds the pairs' gradients up: `atomic_sums`, or `sorted_sums` for the same bits in every run.
+    """
     how = {"launch": launch, "interpret": interpret, "segment_size": segment_size}
-    return Engine(partial(_forward, **how), partial(_backward, **how))
+    return Engine(partial(_forward, **how), partial(_backward, **how, sum_rows=sum_rows))

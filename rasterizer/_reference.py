@@ -39,7 +39,7 @@ def _blend_block(pixels: Array, splats: tuple, rules: Rules, front: Front | None
         weights = jnp.broadcast_to(weight[:, None], (*weight.shape, *feature.shape))
         if front:
             weights = weights.at[:, -front.channels :].set(front_weight(signed_t, weight, front.stop_after)[:, None])
-        shown = weights * feature
+        shown = weights * feature[None]
         if slope is not None:
             # Depth, the last feature, is that of the splat's plane at every pixel.
             shown = shown.at[:, -1].add(-weights[:, -1] * (slope[0] * dx + slope[1] * dy))

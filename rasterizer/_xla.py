@@ -55,11 +55,11 @@ def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blen
 
         def body(state):
             k, signed_t, out, last, median = state
-            block = rows[splats[start[:, None] + jnp.arange(UNROLL, dtype=jnp.int32) + k]]
+            block = rows[splats[start[:, None] + (jnp.arange(UNROLL, dtype=jnp.int32) + k)[None]]]
             for u in range(UNROLL):
                 row = block[:, u]
-                dx = (row[:, 0] - center[:, 0])[:, None] - pixel_x
-                dy = (row[:, 1] - center[:, 1])[:, None] - pixel_y
+                dx = (row[:, 0] - center[:, 0])[:, None] - pixel_x[None]
+                dy = (row[:, 1] - center[:, 1])[:, None] - pixel_y[None]
                 sigma = splat_sigma(dx, dy, row[:, 2:3], row[:, 3:4], row[:, 4:5])
                 opacity = jnp.where(k + u < count, row[:, 5], 0)
                 alpha = cut_alpha(opacity[:, None] * jnp.exp(-sigma), sigma, static.rules)
@@ -137,8 +137,8 @@ def _sum_over_pairs(
             live = k < count
             splat = splats[start + k]
             row = rows[splat]
-            dx = (row[:, 0] - center[:, 0])[:, None] - pixel_x
-            dy = (row[:, 1] - center[:, 1])[:, None] - pixel_y
+            dx = (row[:, 0] - center[:, 0])[:, None] - pixel_x[None]
+            dy = (row[:, 1] - center[:, 1])[:, None] - pixel_y[None]
             sigma = splat_sigma(dx, dy, row[:, 2:3], row[:, 3:4], row[:, 4:5])
             unclamped = jnp.where(live, row[:, 5], 0)[:, None] * jnp.exp(-sigma)
             alpha = jnp.where(k <= last_index, cut_alpha(unclamped, sigma, static.rules), 0)

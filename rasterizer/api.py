@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from rasterizer import _reference
-from rasterizer.arrays import takes_arrays
+from rasterizer.arrays import in_float32, takes_arrays, whole_number
 from rasterizer.batches import maps_over_batches
 from rasterizer.binning import TileGrid, count_pairs
 from rasterizer.camera_models import CameraModelName
@@ -21,7 +21,7 @@ from rasterizer.checks import (
     check_lenses,
     check_masks,
     check_modes,
-    check_sizes,
+    check_probe,
 )
 from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, lists_by_itself, resolve
 from rasterizer.features import (
@@ -34,7 +34,7 @@ from rasterizer.features import (
     image_features,
     median_depth,
 )
-from rasterizer.harmonics import static_degree
+from rasterizer.info import Info
 from rasterizer.normals import camera_normals
 from rasterizer.projection import DepthMode, Projection, RasterizeMode, project
 from rasterizer.refusals import refuse_at_the_door
@@ -42,7 +42,6 @@ from rasterizer.rules import GSPLAT, Rules
 
 
 def _blend_densely(projection, opacities, features, grid: TileGrid, masks, rules):
-    opacities = jnp.broadcast_to(opacities, projection.depths.shape)
     image, left, median = _reference.composite(projection, opacities, features, grid.width, grid.height, rules)
     if masks is None:
         return image, left, median
@@ -59,8 +58,11 @@ def _behind(backgrounds: Array, num_channels: int, render_mode: RenderMode) -> A
     return jnp.pad(of_colors, ((0, 0), (0, num_channels - of_colors.shape[-1])))
 
 
+LARGEST_RADIUS = 2**30  # pixels, within int32
+
+
 def _gsplat_radii(projection: Projection) -> Array:
-    return jnp.ceil(projection.extents).astype(jnp.int32)
+    return jnp.ceil(jnp.minimum(projection.extents, LARGEST_RADIUS)).astype(jnp.int32)
 
 
 class Arrays(NamedTuple):
@@ -77,6 +79,7 @@ class Arrays(NamedTuple):
     radial_coeffs: Array | None
     backgrounds: Array | None
     masks: Array | None
+    means2d_probe: Array | None
     absgrad: Array | None
 
 
@@ -99,63 +102,65 @@ class Options:
 
 @partial(jax.jit, static_argnames="options")
 def _rasterize(arrays: Arrays, options: Options):
-    means, quats, scales, opacities, colors, viewmats, Ks, covars, radial_coeffs, backgrounds, masks, absgrad = arrays
     grid, render_mode, rules = options.grid, options.render_mode, options.rules
-    sh_degree, capacity, backend = options.sh_degree, options.capacity, options.backend
+    sh_degree, backend = options.sh_degree, options.backend
     if "RGB" in render_mode:
-        opacities = jnp.where(drawable(colors, sh_degree), opacities, 0)
-    gaussians = means, quats, scales, opacities
+        finite = drawable(arrays.colors, sh_degree)
+        arrays = arrays._replace(opacities=jnp.where(finite, arrays.opacities, 0))
     has_depth = render_mode != "RGB"
+    shapes, named_arrays = _to_project(arrays)
     projection = project(
-        *gaussians,
-        viewmats,
-        Ks,
+        *shapes,
         grid.width,
         grid.height,
-        covars=covars,
-        radial_coeffs=radial_coeffs,
+        **named_arrays,
         camera_model=options.camera_model,
         depth_mode=options.depth_mode if has_depth or options.return_median_depth else "center",
         rules=rules,
         **dict(options.projected),
     )
+    if arrays.means2d_probe is not None:
+        projection = projection._replace(means2d=projection.means2d + arrays.means2d_probe)
+    opacities = jnp.broadcast_to(arrays.opacities, projection.depths.shape)
     if projection.compensations is not None:
         opacities = opacities * projection.compensations
     dense, depths = backend == "reference", None
     if has_depth:
         # The oracle evaluates every splat's plane at every pixel itself.
         depths = center_channels(projection) if dense else depth_channels(projection, grid.width, grid.height)
-    features = image_features(means, colors, viewmats, projection, depths, sh_degree, render_mode)
+    seen = arrays.means, arrays.colors, arrays.viewmats
+    features = image_features(*seen, projection, depths, sh_degree, render_mode)
     if options.return_normals:
-        normals = camera_normals(means, quats, scales, viewmats, projection.visible, options.camera_model)
+        oriented = arrays.means, arrays.quats, arrays.scales, arrays.viewmats
+        normals = camera_normals(*oriented, projection.visible, options.camera_model)
         features = jnp.concatenate([normals, features], -1)
 
-    info = projection._asdict() | {"radii": _gsplat_radii(projection)}
+    named = projection._asdict() | {"radii": _gsplat_radii(projection), "opacities": opacities}
     if dense:
-        image, left, median = _blend_densely(projection, opacities, features, grid, masks, rules)
+        image, left, median = _blend_densely(projection, opacities, features, grid, arrays.masks, rules)
     else:
+        how = {"backend": backend, "with_median": options.return_median_depth, "absgrad": arrays.absgrad}
         pairs = None
-        if capacity is None:
-            info |= {"needed": count_pairs(projection, grid), "overflowed": jnp.array(False)}
+        if options.capacity is None:
+            named |= {"needed": count_pairs(projection, grid), "overflowed": jnp.array(False)}
         else:
-            pairs = bin_splats(projection, opacities, grid, capacity, rules, masks, backend=backend)
-            info |= pairs._asdict()
-        asked = {"backend": backend, "with_median": options.return_median_depth, "absgrad": absgrad}
-        image, left, median = blend(projection, opacities, features, pairs, grid, rules, masks=masks, **asked)
+            pairs = bin_splats(projection, opacities, grid, options.capacity, rules, arrays.masks, backend=backend)
+            named |= pairs._asdict()
+        image, left, median = blend(projection, opacities, features, pairs, grid, rules, masks=arrays.masks, **how)
         if depths is not None:
             colors_end = image.shape[-1] - depths.shape[-1]
             image = jnp.concatenate([image[..., :colors_end], blended_depth(image[..., colors_end:])], -1)
 
     if options.return_normals:
-        info["normals"], image = image[..., :3], image[..., 3:]
+        named["normals"], image = image[..., :3], image[..., 3:]
     if options.return_median_depth:
-        info["median_depths"] = median_depth(projection, median)
+        named["median_depths"] = median_depth(projection, median)
     alphas = 1 - left
     if "ED" in render_mode:
         image = expected_depth(image, alphas)
-    if backgrounds is not None:
-        image = image + left * _behind(backgrounds, image.shape[-1], render_mode)[:, None, None, :]
-    return image, alphas, info
+    if arrays.backgrounds is not None:
+        image = image + left * _behind(arrays.backgrounds, image.shape[-1], render_mode)[:, None, None, :]
+    return image, alphas, Info(named, grid)
 
 
 @takes_arrays
@@ -186,16 +191,18 @@ def rasterization(
     radial_coeffs: Array | None = None,
     return_median_depth: bool = False,
     return_normals: bool = False,
+    means2d_probe: Array | None = None,
     absgrad: Array | bool = False,
     tile_size: int | None = None,
     capacity: int | None = None,
     backend: Backend = "auto",
     rules: Rules = GSPLAT,
     **gsplat_only: Any,
-) -> tuple[Array, Array, dict[str, Any]]:
+) -> tuple[Array, Array, Info]:
     """Render N Gaussians into C cameras.
 
-    Arrays are JAX's or numpy's, or lists of numbers.
+    Arrays are JAX's or numpy's of any real dtype, or lists of numbers. Tiles are computed in float32, and the reference
+    in the dtype of `means` (float64, else float32). A gradient has the dtype of the array that was passed.
     Array arguments are differentiable (means, quats, scales, covars, opacities, colors, viewmats, Ks, radial_coeffs,
     backgrounds); the rest is static, a new value compiles anew. Camera matrices are traced: a new camera does not.
 
@@ -233,6 +240,8 @@ def rasterization(
             one half, of the last one that shows where it does not, 0 where none does.
         return_normals: Adds `normals` `[C, H, W, 3]`: the Gaussians' smallest axes in the camera's frame, facing it,
             blended like colours over zero.
+        means2d_probe: `[C, N, 2]` zeros, added to the projected means: the gradient to them is what torch keeps in
+            gsplat's `means2d.grad`.
         absgrad: `[C, N, 2]` zeros: the image does not depend on them, and their gradient is what gsplat's
             `absgrad=True` writes to `means2d.absgrad`, the sum over pixels of absolute gradients to `means2d`.
         tile_size: Side of a tile in pixels; None for what suits the backend, `rasterizer.default_tile_size(backend)`.
@@ -240,43 +249,52 @@ def rasterization(
             eagerly, under `grad` and under `vmap`. Inside `jit` "native" lists the pairs in memory of its own, and the
             results lack `splats` and `offsets`; the other tile backends need a number there.
         backend: "native" tiles in loops that numba compiles for this CPU, "xla" tiles in jnp, "pallas" tiles in GPU
-            kernels, "reference" the dense oracle (any dtype, any order of derivatives), "auto" the fastest on this
+            kernels, "reference" the dense oracle (float64 too, any order of derivatives), "auto" the fastest on this
             machine.
-        rules: Thresholds of compositing; presets `rasterizer.GSPLAT` and `rasterizer.INRIA`.
+        rules: Thresholds of compositing; presets `rasterizer.GSPLAT`, `GSPLAT_1_5` and `INRIA`, and `SMOOTH` without
+            cuts.
         **gsplat_only: What else gsplat 1.6 takes (`packed`, `sparse_grad`, `with_ut`, ...), at the values that ask for
             nothing.
 
     Returns:
-        `[C, H, W, X]` image, `[C, H, W, 1]` alphas, and a dict of the intermediate results: `means2d`, `depths`,
-        `conics`, `extents`, `radii` (extents rounded up, as gsplat has them), `visible`, `compensations`, `slopes` (of
-        plane depth, else None), what was asked for above, and for the tile backends `splats`, `offsets`, `needed`,
-        `overflowed`. With a capacity given, an image whose `overflowed` is true is incomplete and must not be used.
+        `[C, H, W, X]` image, `[C, H, W, 1]` alphas, and the intermediate results by name, a mapping: `means2d`,
+        `depths`, `conics`, `extents`, `radii` (extents rounded up, as gsplat has them), `visible`, `opacities`
+        `[C, N]`, `compensations`, `slopes` (of plane depth, else None), what was requested above, and for the tile
+        backends `splats`, `offsets`, `needed`, `overflowed`. With a capacity given, an image whose `overflowed` is true
+        is incomplete and must not be used. gsplat's other keys are computed when they are read, see `rasterizer.info`.
 
     Raises:
-        ValueError: On shapes, dtypes, modes or degrees that do not fit, with the value in the message; on an argument
+        ValueError: On shapes, modes or degrees that do not fit, with the value in the message; on an argument
             that only gsplat answers to.
         TypeError: On an argument that gsplat has not either, and on what is no array, such as a tensor of torch. In
             forward mode or differentiated twice, unless the backend is "reference".
     """
     check_modes(render_mode, rasterize_mode, depth_mode, camera_model, backend)
+    width, height = whole_number("width", width, 1), whole_number("height", height, 1)
+    tile_size, capacity = whole_number("tile_size", tile_size, 1), whole_number("capacity", capacity, 1)
+    sh_degree = whole_number("sh_degree", sh_degree, 0)
     check_counts(means, viewmats, colors)
     if backgrounds is not None and backgrounds.ndim == 0:
         behind = colors.shape[-1] if colors is not None and "RGB" in render_mode else 1
         backgrounds = jnp.broadcast_to(backgrounds, (viewmats.shape[0], behind))
     gaussians = means, quats, scales, covars, opacities
-    check_arrays(*gaussians, colors, viewmats, Ks, backgrounds, masks, sh_degree, render_mode, backend)
-    sh_degree = None if sh_degree is None else static_degree("sh_degree", sh_degree)
-    check_lenses(radial_coeffs, viewmats.shape[0], camera_model, near_plane, means.dtype)
-    check_sizes(width=width, height=height, tile_size=tile_size, capacity=capacity)
+    check_arrays(*gaussians, colors, viewmats, Ks, backgrounds, masks, sh_degree, render_mode)
+    check_lenses(radial_coeffs, viewmats.shape[0], camera_model, near_plane)
     refuse_at_the_door(gsplat_only)
     if return_normals and covars is not None:
         raise ValueError("return_normals needs quats and scales: a covariance does not name its axes")
-    zeros = absgrad_zeros(absgrad, (viewmats.shape[0], means.shape[0], 2))
+    per_splat = viewmats.shape[0], means.shape[0], 2
+    check_probe(means2d_probe, per_splat)
+    zeros = absgrad_zeros(absgrad, per_splat)
     if zeros is not None and backend == "reference":
         raise ValueError("absgrad needs a tile backend, not 'reference'")
     backend = resolve(backend)
     grid = TileGrid(viewmats.shape[0], width, height, tile_size or default_tile_size(backend))
     check_masks(masks, (grid.num_cameras, grid.tiles_y, grid.tiles_x))
+    seen = means, quats, scales, opacities, colors, viewmats, Ks, covars, radial_coeffs, backgrounds, masks
+    arrays = Arrays(*seen, means2d_probe, zeros)
+    if backend != "reference":
+        arrays = jax.tree.map(in_float32, arrays)
     projected = {
         "eps2d": eps2d,
         "near_plane": near_plane,
@@ -286,16 +304,11 @@ def rasterization(
     }
     if capacity is None and backend != "reference":
         options = (*projected.items(), ("camera_model", camera_model))
-        named_arrays = {"covars": covars, "radial_coeffs": radial_coeffs}
-        shapes = means, quats, scales, opacities, viewmats, Ks
         try:
-            capacity = choose_capacity(shapes, named_arrays, grid, options, rules)
+            capacity = choose_capacity(*_to_project(arrays), grid, options, rules)
         except UnknownCountError:
             if zeros is not None or not lists_by_itself(backend):
                 raise
-    arrays = Arrays(
-        means, quats, scales, opacities, colors, viewmats, Ks, covars, radial_coeffs, backgrounds, masks, zeros
-    )
     options = Options(
         grid,
         backend,
@@ -310,3 +323,9 @@ def rasterization(
         rules,
     )
     return _rasterize(arrays, options)
+
+
+def _to_project(arrays: Arrays):
+    """What `project` takes by place, and by name."""
+    shapes = arrays.means, arrays.quats, arrays.scales, arrays.opacities, arrays.viewmats, arrays.Ks
+    return shapes, {"covars": arrays.covars, "radial_coeffs": arrays.radial_coeffs}

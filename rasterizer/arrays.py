@@ -1,4 +1,4 @@
-"""What may be passed for an array: JAX's and numpy's as they are, numbers and lists of numbers; nothing else."""
+"""What may be passed for an array: JAX's and numpy's of any number type, numbers and lists of numbers; nothing else."""
 
 import inspect
 import reprlib
@@ -10,10 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.core import Tracer
 
 P = ParamSpec("P")
 R = TypeVar("R")
-# Arguments that hold indices or truth values; lists of the others become floats.
+# Arguments that hold indices or truth values; the others become floats.
 _NO_FLOATS = {"masks", "radii", "isect_ids", "isect_offsets", "flatten_ids", "visible"}
 _NO_FLOATS |= {"image_ids", "batch_ids", "camera_ids", "gaussian_ids"}
 
@@ -21,7 +22,8 @@ _NO_FLOATS |= {"image_ids", "batch_ids", "camera_ids", "gaussian_ids"}
 def takes_arrays(function: Callable[P, R]) -> Callable[P, R]:
     """The function, given an array for every argument annotated `Array` or `Array | None`.
 
-    Numbers and lists of numbers become arrays, of the float dtype of the first float array among the arguments.
+    All become arrays of one dtype: float64 where the first of them is, else float32. A gradient has the dtype of the
+    array that the caller passed.
 
     Raises:
         TypeError: An argument is something else, such as a tensor of torch, or None where an array must be.
@@ -33,8 +35,9 @@ def takes_arrays(function: Callable[P, R]) -> Callable[P, R]:
     def with_arrays(*args: P.args, **kwargs: P.kwargs) -> R:
         given = signature.bind(*args, **kwargs)
         passed = {name: value for name, value in given.arguments.items() if name in may_be_none}
-        dtypes = [value.dtype for value in passed.values() if isinstance(value, jax.Array | np.ndarray)]
-        dtype = jax.dtypes.canonicalize_dtype(next((d for d in dtypes if jnp.issubdtype(d, jnp.floating)), float))
+        floats = (value for name, value in passed.items() if name not in _NO_FLOATS)
+        first = next((value.dtype for value in floats if isinstance(value, jax.Array | np.ndarray)), float)
+        dtype = np.float64 if jax.dtypes.canonicalize_dtype(first) == np.float64 else np.float32
         for name, value in passed.items():
             if value is not None or not may_be_none[name]:
                 given.arguments[name] = _as_array(name, value, dtype)
@@ -49,7 +52,7 @@ def _is_array(annotation: Any) -> bool:
 
 def _as_array(name: str, value: Any, dtype: Any) -> Array:
     if isinstance(value, jax.Array | np.ndarray):
-        return value  # pyright: ignore[reportReturnType]
+        return value if name in _NO_FLOATS else as_float(name, value, dtype)  # pyright: ignore[reportReturnType]
     if not isinstance(value, list | tuple | bool | int | float | np.generic):
         kind = f"{type(value).__module__}.{type(value).__qualname__}"
         raise TypeError(f"{name} is of type {kind}, expected an array of JAX or numpy, or a list of numbers")
@@ -57,3 +60,33 @@ def _as_array(name: str, value: Any, dtype: Any) -> Array:
         return np.asarray(value) if name in _NO_FLOATS else jnp.asarray(value, dtype)  # pyright: ignore[reportReturnType]
     except (TypeError, ValueError) as fault:
         raise TypeError(f"{name}={reprlib.repr(value)} is no array of numbers") from fault
+
+
+def as_float(name: str, array: Any, dtype: Any) -> Any:
+    """The array of real numbers in a float dtype; one that has it already is left as it is."""
+    given = jax.dtypes.canonicalize_dtype(array.dtype)
+    if given == dtype:
+        return array
+    if not (jnp.issubdtype(given, jnp.floating) or jnp.issubdtype(given, jnp.integer) or given == jnp.bool_):
+        raise TypeError(f"{name}.dtype={array.dtype}, expected real numbers")
+    return jnp.asarray(array, dtype)
+
+
+def in_float32(array: Any) -> Any:
+    """The array as the tile engines compute with it; truth values stay what they are."""
+    return array if array.dtype == np.bool_ else as_float("an array", array, np.float32)
+
+
+def whole_number(name: str, value: Any, least: int) -> Any:
+    """The static number as Python's, whatever kind of number it is; None is one not given.
+
+    Raises:
+        ValueError: It is traced, no whole number or under the least.
+    """
+    if value is None:
+        return None
+    if isinstance(value, Tracer):
+        raise ValueError(f"{name} is traced, but static: pass a number, or mark it in static_argnames of your jit")
+    if int(value) != value or value < least:
+        raise ValueError(f"{name}={value}, expected a whole number of at least {least}")
+    return int(value)

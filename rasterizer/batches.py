@@ -21,6 +21,7 @@ _SCENE_RANKS = {
     "radial_coeffs": 2,
     "backgrounds": 2,
     "masks": 3,
+    "means2d_probe": 3,
     "absgrad": 3,
 }  # Dimensions of one scene's array, by the name of the argument.
 

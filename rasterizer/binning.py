@@ -47,7 +47,7 @@ class TilePairs(NamedTuple):
 
 def _tile_boxes(projection: Projection, grid: TileGrid) -> tuple[Array, Array]:
     """`[C * N, 2]` first tile and number of tiles (x, y) that each splat's extent overlaps."""
-    limit = jnp.array([grid.tiles_x, grid.tiles_y], jnp.int32)
+    limit = jnp.array([[grid.tiles_x, grid.tiles_y]], jnp.int32)
     means, extents = (jax.lax.stop_gradient(x).reshape(-1, 2) for x in (projection.means2d, projection.extents))
     # Clipped before the cast: a far-off mean would not fit an integer.
     low = jnp.clip(jnp.floor((means - extents) / grid.tile_size), 0, limit.astype(means.dtype)).astype(jnp.int32)
@@ -144,6 +144,8 @@ def _least_sigma(offset_low: Array, offset_high: Array, conic: Array) -> Array:
 
 def sigma_cuts(opacities: Array, rules: Rules) -> Array:
     """The Mahalanobis term up to which a splat is listed; a margin for rounding: a pair too many is harmless."""
+    if rules.alpha_min <= 0:
+        return jnp.full_like(opacities, jnp.inf)
     return jnp.log(jnp.maximum(opacities / rules.alpha_min, 1)) * 1.0001 + 1e-4
 
 

@@ -2,7 +2,6 @@
 
 from typing import get_args
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -28,14 +27,13 @@ def check_mode(kind, **modes) -> None:
             raise ValueError(f"{name}={value!r} is not one of {get_args(kind)}")
 
 
-def check_sizes(**sizes: int | None) -> None:
-    """Raise ValueError where a size is under 1; None is a size not given."""
-    for name, size in sizes.items():
-        if size is not None and size < 1:
-            raise ValueError(f"{name}={size}, expected at least 1")
+def check_probe(probe: Array | None, shape: tuple[int, ...]) -> None:
+    """Raise ValueError where the probe has another shape than the projected means."""
+    if probe is not None and probe.shape != shape:
+        raise ValueError(f"means2d_probe.shape={probe.shape}, expected {shape}")
 
 
-def check_lenses(radial_coeffs, num_cameras, camera_model, near_plane, dtype) -> None:
+def check_lenses(radial_coeffs, num_cameras, camera_model, near_plane) -> None:
     """Raise ValueError where a lens has other coefficients than its model reads, or splats could lie behind it."""
     if near_plane < 0:
         raise ValueError(f"{near_plane=}, expected at least 0: splats are sorted by their depth in front of the camera")
@@ -43,9 +41,8 @@ def check_lenses(radial_coeffs, num_cameras, camera_model, near_plane, dtype) ->
         return
     if camera_model != "fisheye":
         raise ValueError(f"radial_coeffs need camera_model='fisheye', not {camera_model!r}: undistort the photos")
-    given, wanted = (jax.dtypes.canonicalize_dtype(each) for each in (radial_coeffs.dtype, dtype))
-    if radial_coeffs.shape != (num_cameras, 4) or given != wanted:
-        raise ValueError(f"{radial_coeffs.shape=} of {given}, expected {(num_cameras, 4)} of {wanted}")
+    if radial_coeffs.shape != (num_cameras, 4):
+        raise ValueError(f"{radial_coeffs.shape=}, expected {(num_cameras, 4)}")
 
 
 def absgrad_zeros(absgrad, shape: tuple[int, ...]) -> Array | None:
@@ -74,7 +71,7 @@ def check_counts(means, viewmats, colors) -> None:
         raise ValueError(f"{colors.shape=} holds no channel")
 
 
-def _check_shapes(means, quats, scales, covars, opacities, viewmats, Ks) -> dict[str, Array]:
+def _check_shapes(means, quats, scales, covars, opacities, viewmats, Ks) -> None:
     num_gaussians, num_cameras = means.shape[0], viewmats.shape[0]
     expected = {
         "means": (means, (num_gaussians, 3)),
@@ -90,47 +87,38 @@ def _check_shapes(means, quats, scales, covars, opacities, viewmats, Ks) -> dict
     for name, (array, shape) in expected.items():
         if array.shape != shape:
             raise ValueError(f"{name}.shape={array.shape}, expected {shape} for {num_gaussians} Gaussians")
-    return {name: array for name, (array, _) in expected.items()}
 
 
-def _check_colors(colors, num_gaussians, num_cameras, sh_degree, render_mode) -> dict[str, Array]:
+def _check_colors(colors, num_gaussians, num_cameras, sh_degree, render_mode) -> None:
     if colors is None:
         if "RGB" in render_mode:
             raise ValueError(f"colors=None needs a render_mode of depth alone, not {render_mode!r}")
-        return {}
+        return
     leading = (num_gaussians,) if colors.ndim == 2 or sh_degree is not None else (num_cameras, num_gaussians)
     if colors.shape[: len(leading)] != leading or colors.ndim != len(leading) + (1 if sh_degree is None else 2):
         kind = "[N, K, 3] with sh_degree" if sh_degree is not None else "[N, D] or [C, N, D]"
         raise ValueError(f"colors.shape={colors.shape}, expected {kind} with N={num_gaussians}, C={num_cameras}")
-    return {"colors": colors}
 
 
-def _check_backgrounds(backgrounds, colors, num_cameras, render_mode) -> dict[str, Array]:
+def _check_backgrounds(backgrounds, colors, num_cameras, render_mode) -> None:
     if backgrounds is None:
-        return {}
+        return
     channels = [num_channels(colors, render_mode), *([] if colors is None else [colors.shape[-1]])]
     expected = dict.fromkeys((num_cameras, count) for count in channels)
     if backgrounds.shape not in expected:
         raise ValueError(f"{backgrounds.shape=}, expected {' or '.join(map(str, expected))} for {render_mode=}")
-    return {"backgrounds": backgrounds}
 
 
 def check_arrays(
-    means, quats, scales, covars, opacities, colors, viewmats, Ks, backgrounds, masks, sh_degree, render_mode, backend
+    means, quats, scales, covars, opacities, colors, viewmats, Ks, backgrounds, masks, sh_degree, render_mode
 ) -> None:
-    """Raise ValueError where shapes or dtypes do not fit each other."""
-    arrays = _check_shapes(means, quats, scales, covars, opacities, viewmats, Ks)
+    """Raise ValueError where shapes do not fit each other, or masks are no truth values."""
+    _check_shapes(means, quats, scales, covars, opacities, viewmats, Ks)
     num_gaussians, num_cameras = means.shape[0], viewmats.shape[0]
-    arrays |= _check_colors(colors, num_gaussians, num_cameras, sh_degree, render_mode)
-    arrays |= _check_backgrounds(backgrounds, colors, num_cameras, render_mode)
+    _check_colors(colors, num_gaussians, num_cameras, sh_degree, render_mode)
+    _check_backgrounds(backgrounds, colors, num_cameras, render_mode)
     if masks is not None and masks.dtype != jnp.bool_:
         raise ValueError(f"{masks.dtype=}, expected bool")
-    dtypes = {name: jax.dtypes.canonicalize_dtype(array.dtype) for name, array in arrays.items()}
-    for name, dtype in dtypes.items():
-        if not jnp.issubdtype(dtype, jnp.floating) or dtype != dtypes["means"]:
-            raise ValueError(f"{name}.dtype={dtype}, expected one float dtype for all, means.dtype={dtypes['means']}")
-        if backend != "reference" and dtype != jnp.float32:
-            raise ValueError(f"{name}.dtype={dtype}, the tile backends compute in float32: pass backend='reference'")
 
 
 def check_masks(masks: Array | None, shape: tuple[int, int, int]) -> None:

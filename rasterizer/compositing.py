@@ -216,7 +216,7 @@ def composite_unlisted(
 
 def _unlisted_fwd(static, means2d, conics, opacities, features, listed):
     rows = _splat_rows(means2d, conics, opacities, features)
-    blended = static.engine.unlisted.forward(static, rows, listed)
+    blended = without_axes(partial(static.engine.unlisted.forward, static), rows, listed)
     image = to_image(jnp.concatenate([blended.features, blended.transmittance[:, None]], 1), static.grid)
     median = None if blended.median is None else to_image(blended.median[:, None], static.grid)[..., 0]
     return (image[..., :-1], image[..., -1:], median), (rows, listed, blended.transmittance, blended.last)
@@ -224,7 +224,9 @@ def _unlisted_fwd(static, means2d, conics, opacities, features, listed):
 
 def _unlisted_bwd(static, residuals, cotangents):
     d_tiles = to_tiles(jnp.concatenate(cotangents[:2], -1), static.grid)
-    d_rows = static.engine.unlisted.backward(static, *residuals, d_tiles[:, :-1], d_tiles[:, -1])
+    d_rows = without_axes(
+        partial(static.engine.unlisted.backward, static), *residuals, d_tiles[:, :-1], d_tiles[:, -1]
+    )
     return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:], None
 
 

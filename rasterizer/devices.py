@@ -1,11 +1,14 @@
 """Where jax computes, and whether the GPU kernels run there."""
 
+import os
 import re
 from typing import Any
 
 import jax
 
 LEAST_CAPABILITY = 8, 0  # Ampere: Pallas' Triton compiles for nothing older.
+
+DETERMINISTIC = re.compile(r"--xla_gpu_deterministic_ops(=true|=1|\s|$)")
 
 LEAST_JAX_OF_MOSAIC = 0, 12  # That of jax 0.11 compiles for Hopper alone.
 
@@ -48,3 +51,8 @@ def has_mosaic() -> bool:
     except ImportError:
         return False
     return jax.__version_info__ >= LEAST_JAX_OF_MOSAIC and hasattr(mosaic_gpu, "InterpretGPUParams")
+
+
+def wants_determinism() -> bool:
+    """Whether XLA is asked, in XLA_FLAGS, for the same bits in every run: no sums by a GPU's atomics."""
+    return DETERMINISTIC.search(os.environ.get("XLA_FLAGS", "")) is not None

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 from jax import Array
 
 from rasterizer import _mosaic, _pallas, _reference, _xla
+from rasterizer.arrays import in_float32
 from rasterizer.binning import TileGrid, TilePairs
 from rasterizer.compositing import Engine, Front, Static, composite, composite_unlisted
-from rasterizer.devices import default_device, has_triton, why_no_kernels
+from rasterizer.devices import default_device, has_triton, wants_determinism, why_no_kernels
 from rasterizer.manual_axes import vary_alike, without_axes
 from rasterizer.projection import Projection
 from rasterizer.reverse_mode import reverse_only
@@ -84,7 +85,8 @@ def _engine(backend: Backend) -> Engine:
     if reason and device.platform == "gpu":
         raise ValueError(f"backend='pallas': {reason}")
     kernels = _pallas if reason or has_triton() else _mosaic
-    return kernels.engine(interpret=reason is not None)
+    how = {"sum_rows": _pallas.sorted_sums} if wants_determinism() else {}
+    return kernels.engine(interpret=reason is not None, **how)
 
 
 def lists_by_itself(backend: Backend = "auto") -> bool:
@@ -172,6 +174,7 @@ def blend(
         TypeError: In forward mode, or differentiated a second time, unless the backend is "reference".
     """
     projection, opacities, features, pairs, absgrad = vary_alike((projection, opacities, features, pairs, absgrad))
+    opacities = jnp.broadcast_to(opacities, projection.depths.shape)
     channels, side = features.shape[2], grid.tile_size
     if not channels or not grid.num_cameras:
         raise ValueError(f"features.shape={features.shape} holds no {'camera' if channels else 'channel'}")
@@ -192,7 +195,8 @@ def blend(
         return jnp.zeros((*shape, channels), features.dtype), jnp.ones((*shape, 1), features.dtype), median
     if kind == "reference":
         # Depth has channels of its own here: no feature is to be read on a splat's plane.
-        flat, opacities = projection._replace(slopes=None), jnp.broadcast_to(opacities, projection.depths.shape)
+        dtype = projection.means2d.dtype
+        flat, opacities, features = projection._replace(slopes=None), opacities.astype(dtype), features.astype(dtype)
         return _reference.composite(flat, opacities, features, grid.width, grid.height, rules, front)
     if front and channels > CHANNEL_CHUNK:
         others = features[..., : channels - front.channels], features[..., channels - front.channels :]
@@ -203,12 +207,12 @@ def blend(
     absolute = None if absgrad is None else _xla.absolute_gradients
     static = Static(grid, rules, _engine(backend), with_median, front, absolute)
     splats = (
-        reverse_only(projection.means2d.reshape(-1, 2)),
-        reverse_only(projection.conics.reshape(-1, 3)),
-        reverse_only(jnp.where(projection.visible, opacities, 0).reshape(-1)),
+        reverse_only(in_float32(projection.means2d).reshape(-1, 2)),
+        reverse_only(in_float32(projection.conics).reshape(-1, 3)),
+        reverse_only(in_float32(jnp.where(projection.visible, opacities, 0)).reshape(-1)),
     )
-    flat = reverse_only(features.reshape(-1, channels))
-    probe = None if absgrad is None else reverse_only(absgrad.reshape(-1, 2))
+    flat = reverse_only(in_float32(features).reshape(-1, channels))
+    probe = None if absgrad is None else reverse_only(in_float32(absgrad).reshape(-1, 2))
     listed = ()
     if pairs is None:
         assert static.engine.unlisted is not None, "checked above"

@@ -68,7 +68,7 @@ def depth_channels(projection: Projection, width: int, height: int) -> Array:
     """
     if projection.slopes is None:
         return center_channels(projection)
-    from_mean = jnp.array([0.5 * width, 0.5 * height], projection.means2d.dtype) - projection.means2d
+    from_mean = jnp.array([[[0.5 * width, 0.5 * height]]], projection.means2d.dtype) - projection.means2d
     in_the_middle = projection.depths + jnp.sum(projection.slopes * from_mean, -1)
     planes = jnp.concatenate([in_the_middle[..., None], projection.slopes], -1)
     return jnp.where(projection.visible[..., None], planes, 0)

@@ -1,29 +1,15 @@
 """Real spherical harmonics of degree 0 to 4 in the sign convention of 3DGS and gsplat."""
 
 import math
-import operator
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 
-from rasterizer.arrays import takes_arrays
+from rasterizer.arrays import takes_arrays, whole_number
 from rasterizer.devices import default_device
 
 DC = 0.28209479177387814  # The basis function of degree 0, 1 / sqrt(4 pi).
-
-
-def static_degree(name: str, degree: Any) -> int:
-    """A degree as an int: how many harmonics there are is a part of the program.
-
-    Raises:
-        ValueError: It is no integer, or is traced, and has no value while the program is compiled.
-    """
-    try:
-        return operator.index(degree)
-    except TypeError as error:
-        raise ValueError(f"{name}={degree!r}, expected an int that does not change in a compiled program") from error
 
 
 def _basis(degree: int, x: Array, y: Array, z: Array) -> list[Array]:
@@ -84,7 +70,7 @@ def spherical_harmonics(degrees_to_use: int, dirs: Array, coeffs: Array, masks: 
     Raises:
         ValueError: If the degree is not 0 to 4 or `coeffs` holds too few coefficients or no channel.
     """
-    degree = static_degree("degrees_to_use", degrees_to_use)
+    degree = whole_number("degrees_to_use", degrees_to_use, 0)
     if not 0 <= degree <= 4:
         raise ValueError(f"spherical harmonics of degree {degree} are not supported, only 0 to 4")
     num_bases = (degree + 1) ** 2
@@ -112,7 +98,7 @@ def upper_bands(dirs: Array, coeffs: Array, weights: Array | None = None) -> Arr
     """
     degree = math.isqrt(coeffs.shape[-2])
     basis = _basis_at(degree, dirs)[..., 1:]
-    return _sum_of_bands(basis if weights is None else basis * weights, coeffs)
+    return _sum_of_bands(basis if weights is None else basis * jnp.broadcast_to(weights, basis.shape), coeffs)
 
 
 def _basis_at(degree: int, dirs: Array) -> Array:
@@ -132,7 +118,7 @@ def _sum_of_bands(basis: Array, coeffs: Array) -> Array:
     """
     if default_device().platform == "cpu":
         return jnp.einsum("...k,...kd->...d", basis, coeffs, precision="highest")
-    return jnp.sum(basis[..., None] * coeffs, axis=-2)
+    return jnp.sum(jnp.multiply(*jnp.broadcast_arrays(basis[..., None], coeffs)), axis=-2)
 
 
 @takes_arrays

@@ -37,9 +37,11 @@ def camera_normals(
     quats = jnp.where(seen, quats, jnp.array([1, 0, 0, 0], quats.dtype))
     means = jax.lax.stop_gradient(jnp.where(seen, means, 0))
     smallest = jnp.argmin(jnp.where(seen, scales, 1), axis=-1)
-    axis = [jnp.where(smallest == 0, x, jnp.where(smallest == 1, y, z)) for x, y, z in rotation(components(quats))]
+    axis = [
+        jnp.where(smallest == 0, x, jnp.where(smallest == 1, y, z)) for x, y, z in rotation(components(quats[None]))
+    ]
     viewmat = [[entry[:, None] for entry in row] for row in matrix_rows(viewmats)]
     in_camera = [dot(viewmat[i], axis) for i in range(3)]
-    ray = CAMERA_MODELS[camera_model].ray(camera_position(components(means), viewmat))
+    ray = CAMERA_MODELS[camera_model].ray(camera_position(components(means[None]), viewmat))
     away = jax.lax.stop_gradient(dot(in_camera, ray)) > 0
     return jnp.stack([jnp.where(visible, jnp.where(away, -part, part), 0) for part in in_camera], -1)

@@ -236,9 +236,9 @@ def project(
     means, quats, scales, opacities, viewmats, Ks, covars, radial_coeffs = vary_alike(arrays)
     shapes = (quats, scales) if covars is None else (upper_triangle(covars),)
     inputs = (
-        components(means),
-        tuple(components(shape) for shape in shapes),
-        opacities,
+        components(means[None]),
+        tuple(components(jnp.expand_dims(shape, 0)) for shape in shapes),
+        opacities[None],
         [[entry[:, None] for entry in row] for row in matrix_rows(viewmats)],
         Lens(
             [[entry[:, None] for entry in row] for row in matrix_rows(Ks)],

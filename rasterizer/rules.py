@@ -1,5 +1,6 @@
 """The thresholds of alpha compositing, one frozen record with a preset per convention of the field."""
 
+import math
 from dataclasses import dataclass
 
 
@@ -35,3 +36,16 @@ INRIA = Rules(extent_sigmas=3.0, opacity_extent=False, straight_through=True)
 
 GSPLAT_1_5 = Rules(alpha_max=0.999, compensation_min=0.0)
 """gsplat up to 1.5.3."""
+
+SMOOTH = Rules(
+    alpha_max=1.0,
+    alpha_min=0.0,
+    transmittance_min=0.0,
+    extent_sigmas=math.inf,
+    opacity_extent=False,
+    compensation_min=0.0,
+)
+"""No cuts: the image is a smooth function of splats in front of the cameras, while their order in depth is the same.
+
+For checks by finite differences. Opacities must be under 1. Every splat is in the list of every tile.
+"""

@@ -228,7 +228,7 @@ def isect_tiles(
         raise ValueError("packed=True needs image_ids, the image of each row")
     means2d, radii, depths = (jax.lax.stop_gradient(x) for x in (means2d, radii, depths))
     count = 0 if packed else means2d.shape[-2]
-    limit = jnp.array([tile_width, tile_height], means2d.dtype)
+    limit = jnp.broadcast_to(jnp.array([tile_width, tile_height], means2d.dtype), means2d.shape)
     reach = radii.astype(means2d.dtype)
     low = jnp.clip(jnp.floor((means2d - reach) / tile_size), 0, limit).astype(jnp.int32)
     high = jnp.clip(jnp.ceil((means2d + reach) / tile_size), 0, limit).astype(jnp.int32)

@@ -1,4 +1,4 @@
-"""One strict session for all tests: CPU, no silent promotion of dtypes.
+"""One strict session for all tests: CPU, no silent promotion of dtypes or ranks.
 
 With GSJAX_TEST_GPU=1 jax chooses the platform, and the tests marked `device` run alone: backends, hard cases, golden.
 """
@@ -27,6 +27,7 @@ import jax
 import pytest
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+jax.config.update("jax_numpy_rank_promotion", "raise")
 ON_DEVICE = os.environ.get("GSJAX_TEST_GPU") == "1"
 
 

@@ -69,7 +69,7 @@ COMMANDS = {
     ),
     "eval": Command(("eval", "run", "--json"), "eval.json", needs=("train",)),
     "render": Command(("render", "run", "--out"), "pictures", ("*",), ("train",)),
-    "film": Command(("render", "run", "--orbit", "--seconds", "1", "--out"), "film.mp4", needs=("train",)),
+    "film": Command(("render", "run", "--turntable", "--seconds", "1", "--out"), "film.mp4", needs=("train",)),
     "share": Command(("share", "run", "--out"), "page.html", needs=("train",)),
     "report": Command(("report",), "reported", ("report.html",), ("train",), copy_of="run"),
     "compare": Command(("compare", "run", "refined", "--out"), "compared.html", needs=("train", "refine")),
@@ -84,7 +84,9 @@ COMMANDS = {
         ("train", "mesh"),
         copy_of="run",
     ),
-    "turntable": Command(("turntable", "mesh.ply", "--frames", "4", "--out"), "turns.gif", needs=("mesh",)),
+    "turntable": Command(
+        ("render", "mesh.ply", "--turntable", "--seconds", "0.4", "--out"), "turns.gif", needs=("mesh",)
+    ),
     "convert": Command(("convert", "run"), "gaussians.spz", needs=("train",)),
     "undistort": Command(("undistort", "scene", "--out"), "pinhole", ("images/*", "sparse/0/*", "hold_out.txt")),
     "normals": Command(

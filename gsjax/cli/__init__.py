@@ -27,7 +27,6 @@ from gsjax.cli import (
     share,
     texture,
     train,
-    turntable,
     undistort,
     view,
 )
@@ -43,10 +42,9 @@ DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
   photos --scan--> all of this at once:
 
   photos --sfm--> scene --train--> run --mesh--> mesh.ply --refine--> mesh and Gaussians bound to it
-                                    |                 |---texture--> mesh.glb with a texture
-                                    |                 `--turntable--> pictures around it
+                                    |                 `---texture--> mesh.glb with a texture
                                     |---eval---> figures
-                                    |--render--> pictures
+                                    |--render--> pictures and films; of files and meshes too
                                     |--report--> one page that shows it; --compare--> several runs on one
                                     |--share---> one page to send, that opens anywhere
                                     `--view----> a page to walk through it; of files and meshes too
@@ -144,7 +142,6 @@ def parser() -> argparse.ArgumentParser:
         report,
         compare,
         clean,
-        turntable,
         view,
         share,
         *beside_training,

@@ -18,6 +18,7 @@ from gsjax.io.machine import cpu_flags
 
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
 AUTOTUNING = "--xla_gpu_autotune_level"
+DETERMINISTIC = "--xla_gpu_deterministic_ops"
 CUDA_PLUGINS = "jax_cuda12_plugin", "jax_cuda13_plugin"
 DAMAGED = re.compile(r"Error reading persistent compilation cache entry for '(.+?)': ")
 PLUGIN_FAULT = "Jax plugin configuration error"
@@ -65,6 +66,12 @@ def prepare() -> None:
     keep_memory()
     replace_damaged_programs()
     logging.getLogger("jax._src.xla_bridge").addFilter(plugin_fault_in_one_line)
+
+
+def ask_for_determinism() -> None:
+    """Has XLA, and the rasterizer with it, add in the same order in every run on a GPU; before anything is computed."""
+    flags = [flag for flag in os.environ.get("XLA_FLAGS", "").split() if not flag.startswith(DETERMINISTIC)]
+    os.environ["XLA_FLAGS"] = " ".join([*flags, f"{DETERMINISTIC}=true"])
 
 
 def plugin_fault_in_one_line(record: logging.LogRecord) -> bool:

@@ -21,23 +21,19 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             has no cameras: give --scene, or some are placed around (or, in a room, within) the Gaussians.
         """,
         example="gsjax mesh runs/garden --out garden.glb",
+        listing=_methods,
     )
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
     add("--out", metavar="FILE", required=True, help="the mesh; .ply, .obj or .glb by its suffix")
-    add("--method", choices=("auto", "poisson", "depth", "agreed", "tsdf", "centers", "marching-cubes"),
-        help="poisson (default): points of the level set; "
-        "auto, as in scan: this, or of the next four one that agrees clearly more with points that photos share, "
-        "or where there are none with the photos' mattes; "
-        "depth: of the rendered depth, flatter; "
-        "agreed: of depth that photos agree about, their own or the rendered one; "
-        "tsdf: fusion of that depth, open where nothing was seen; "
-        "centers: Poisson through the Gaussians' centres; marching-cubes: of the density, needs no views")  # fmt: skip
+    add("--method", metavar="METHOD", help="how the surface is found: poisson (default), another of the methods below,"
+        " or auto, as in scan: the one that agrees clearly more than poisson with points that photos share, or where"
+        " there are none with the photos' mattes")  # fmt: skip
     add("--depth", type=int, metavar="N", help="depth of the Poisson octree: one more doubles the resolution")
     add("--trim-quantile", type=finite, metavar="Q",
         help="share (0..1) of vertices, the least supported, to cut away; default: as the points ask for")  # fmt: skip
-    add("--cell", type=finite, metavar="C", help="side of a voxel (tsdf) or grid cell (marching-cubes), scene units")
-    add("--level", type=finite, metavar="L", help="density (0..1) at which the surface lies")
+    add("--cell", type=finite, metavar="C", help="side of a voxel (tsdf), scene units")
+    add("--level", type=finite, metavar="L", help="density (0..1) at which the surface lies (poisson)")
     add("--points", type=int, metavar="N", help="number of surface points to reconstruct from")
     add("--bounds", type=finite, nargs=6, metavar=BOX, help="keep only what lies in this box, scene coordinates")
     add("--background-bounds", type=finite, nargs=6, metavar=BOX,
@@ -52,6 +48,12 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         help="use Gaussians too that hang in the air: shown by one view alone, looked through by others")  # fmt: skip
     add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a file is given; of a run,"
         " where its data set is, if it was moved")  # fmt: skip
+
+
+def _methods() -> str:
+    from gsjax.meshing.methods import methods_help
+
+    return methods_help()
 
 
 def _run(arguments: argparse.Namespace) -> None:

@@ -20,8 +20,13 @@ def add_command(
     summary: str,
     description: str,
     example: str,
+    listing: Callable[[], str] | None = None,
 ) -> argparse.ArgumentParser:
-    """Adds a command that `run` carries out, whose exit code may be its own; the caller adds its arguments."""
+    """Adds a command that `run` carries out, whose exit code may be its own; the caller adds its arguments.
+
+    The help has what `listing` returns before the example. It is called when the help is printed: its imports delay no
+    command.
+    """
     parser = commands.add_parser(
         name,
         help=summary,
@@ -31,6 +36,14 @@ def add_command(
         allow_abbrev=False,
     )
     parser.set_defaults(run=run)
+    if listing is not None:
+        usual = parser.format_help
+
+        def format_help() -> str:
+            parser.epilog = f"{listing()}\n\nexample:\n  {example}"
+            return usual()
+
+        parser.format_help = format_help
     return parser
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gsjax import config
+from gsjax.cli import environment
 from gsjax.cli.parsers import add_command, add_moved_scene, finite, given_options, seconds
 from gsjax.cli.view import add_address
 from gsjax.errors import InputError
@@ -72,7 +73,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--masks", choices=("valid", "matte"), help="what the masks/ folder means: pixels to use, or the object's"
         " coverage over the background (default: valid)")  # fmt: skip
     add("--effects", metavar="auto|none|NAMES", help="what photography added to the scene, to be simulated: auto,"
-        " what the photos show (see `gsjax diagnose`); or names, as in poses,sh_degree (default: auto; none with the"
+        " what the photos show (see `gsjax diagnose`); or names, as in exposure,poses (default: auto; none with the"
         " paper's presets)")  # fmt: skip
     add("--vanilla", action="store_const", const=True, help="plain 3DGS: leave the normal term out")
     add("--devices", metavar="N|all", help="spread the Gaussians over so many devices, each with a view of its own"
@@ -87,6 +88,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         help="any setting by its dotted key, as RUN/config.json shows them; may be repeated")  # fmt: skip
     add("--resume", action="store_true", help="continue RUN from its last checkpoint with its own settings")
     add_moved_scene(parser)
+    add("--deterministic", action="store_true", help="the same bits in every run on a GPU, too, where sums by atomics"
+        " differ from run to run; slower (a CPU's runs are the same without)")  # fmt: skip
     add("--view", action="store_true", help="show the training on a page in the browser, as `gsjax view` does")
     add_address(parser)
 
@@ -97,6 +100,8 @@ def _run(arguments: argparse.Namespace) -> None:
         raise InputError(f"--{next(iter(address))} goes with --view")
     if places and arguments.coordinator is None:
         raise InputError(f"--{next(iter(places))} goes with --coordinator")
+    if arguments.deterministic:
+        environment.ask_for_determinism()
     from gsjax import tables
 
     arguments.scene = _scene(arguments)

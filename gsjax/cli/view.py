@@ -14,8 +14,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         summary="show a run, Gaussians or a mesh in the browser",
         description="""
             Serves a page until Ctrl-C: Gaussians as this program's rasterizer draws them, coarse while the
-            camera moves and full at rest, or as the browser does; colour, depth, normals, the error against
-            the nearest photo, the mesh, the cameras with their photos.
+            camera moves and full at rest, or as the browser does; colour, depth, normals, the mesh, the
+            cameras with their photos.
         """,
         example="gsjax view runs/garden",
     )
@@ -23,8 +23,6 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians (.ply,"
         " .compressed.ply, .sog, .spz) or of a mesh (.ply, .obj, .glb)")  # fmt: skip
     add("--mesh", metavar="FILE", help="mesh to show over the Gaussians (default: RUN/mesh.ply, if there is one)")
-    add("--edit", action="store_const", const=True, help="let the page change the run by two clicks: its scale, as"
-        " `gsjax scale` does, and what lies outside a sphere, as `gsjax clean` does")  # fmt: skip
     add_address(parser)
 
 
@@ -38,4 +36,4 @@ def add_address(parser: argparse.ArgumentParser) -> None:
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import viewer
 
-    viewer.view(arguments.source, **given_options(arguments, "mesh", "port", "host", "edit"))
+    viewer.view(arguments.source, **given_options(arguments, "mesh", "port", "host"))

@@ -14,7 +14,6 @@ from gsjax.effects import (
     mip,
     parallax,
     poses,
-    sh_degree,
     sky,
     transients,
     vignetting,
@@ -79,7 +78,6 @@ def diagnose(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fra
     effects = {
         "exposure": exposure.judge(seen, gains),
         "vignetting": vignetting.judge(seen, gains),
-        "sh_degree": sh_degree.judge(seen, gains),
         "background": background.judge(seen, of_bare),
         "sky": above,
         "poses": poses.judge(seen, steps),

@@ -21,7 +21,7 @@ SIDES, HEIGHTS = (1.0, 1.4, 2.0), (0.05, 0.3, 1.0)  # of boxes: times that of th
 FAR_SIDES, FAR_HEIGHTS = (3.0, 5.0), (2.0, 4.0)  # of rooms so large that a sky is hardly different from them
 TRIMMED = 0.02  # of the points, on each side of the box
 FEWEST = 200  # values that a hypothesis is compared by
-NOISE = 0.01  # EV, of any photo
+NOISE = 0.005  # EV, of any photo
 OFFSET_PRICE = 0.05  # An exposure that is wrong by 0.1 EV counts as much as differences of 0.02 EV everywhere.
 
 Surface = Callable[[np.ndarray, np.ndarray], np.ndarray]

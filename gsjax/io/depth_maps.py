@@ -75,28 +75,28 @@ def open_depth_maps(scene: str | Path, given: str, unit: str | None, frames: tup
         raise InputError(f"--depth {given}: no such folder of depth maps, in {scene} or here")
     places = map_places(frames)
     files = {frame.name: _file(folder, str(places[frame.name]), frame.name) for frame in frames}
-    there = {name: file for name, file in files.items() if file is not None}
-    if not there:
+    existing_files = {name: file for name, file in files.items() if file is not None}
+    if not existing_files:
         raise InputError(f"{folder}: no depth map in it has the name of a photo, as {places[frames[0].name]}.png")
     unit = unit or _stated_unit(folder)
-    return _opened(folder, there, unit, METRES.get(unit), frames)
+    return _opened(folder, existing_files, unit, METRES.get(unit), frames)
 
 
 def _listed_maps(listed: Mapping[str, DepthFile], unit: str | None, frames: tuple[Frame, ...]) -> DepthMaps:
-    there = {name: depth.path for name, depth in listed.items() if depth.path.is_file()}
+    existing_files = {name: depth.path for name, depth in listed.items() if depth.path.is_file()}
     first = next(iter(listed.values()))
-    if not there:
+    if not existing_files:
         raise InputError(f"{first.path}: no such depth map, nor another that the data set lists")
-    metres = {listed[name].metres for name in there}
+    metres = {listed[name].metres for name in existing_files}
     if unit is None and len(metres) > 1:
         raise InputError(f"{first.path.parent}: its maps are listed in several units; --depth-unit names one for all")
-    folder = next(iter(there.values())).parent
+    folder = next(iter(existing_files.values())).parent
     if unit is None and not all(0 < length < math.inf for length in metres):
         raise InputError(f"{folder}: its maps are listed with a depth_unit_scale_factor that is no number above 0")
     if unit is not None:
-        return _opened(folder, there, unit, METRES.get(unit), frames)
+        return _opened(folder, existing_files, unit, METRES.get(unit), frames)
     names = {length: name for name, length in METRES.items()}
-    return _opened(folder, there, names.get(min(metres), f"units of {min(metres):g} m"), min(metres), frames)
+    return _opened(folder, existing_files, names.get(min(metres), f"units of {min(metres):g} m"), min(metres), frames)
 
 
 def _opened(
@@ -120,23 +120,23 @@ def _file(folder: Path, place: str, name: str) -> Path | None:
     return next((file for file in candidates if file.is_file()), None)
 
 
-def _stated(folder: Path) -> dict[str, Any]:
+def _depth_json(folder: Path) -> dict[str, Any]:
     """What `depth.json` beside the maps says."""
     file = folder / UNIT_FILE
     return json_files.read(file, _STATED) if file.is_file() else {}
 
 
 def _stated_unit(folder: Path) -> str:
-    if "unit" not in (stated := _stated(folder)):
+    if "unit" not in (record := _depth_json(folder)):
         raise InputError(f"{folder}: the unit of its depth is not stated; --depth-unit mm, or {UNIT_FILE} in it")
-    return stated["unit"]
+    return record["unit"]
 
 
 def _intrinsics(folder: Path) -> np.ndarray | None:
     """`[3, 3]` of the camera that measured depth, pixels of the maps; None where they are not stated."""
-    if "intrinsics" not in (stated := _stated(folder)):
+    if "intrinsics" not in (record := _depth_json(folder)):
         return None
-    K = np.array(stated["intrinsics"], np.float64)
+    K = np.array(record["intrinsics"], np.float64)
     if not (np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0 and K[2].tolist() == [0, 0, 1]):
         raise InputError(f"{folder / UNIT_FILE}: intrinsics are no matrix fx, 0, cx; 0, fy, cy; 0, 0, 1 of pixels")
     return K

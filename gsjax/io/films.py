@@ -1,8 +1,8 @@
-"""Films: pictures one after the other in a file that browsers play, and the files that tell a camera's flight."""
+"""Films (.mp4, .webm, .gif) that browsers play, and files of keyframes of a camera path."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,57 +12,63 @@ from gsjax.io import json_files
 from gsjax.io.files import atomic_path
 from gsjax.io.packages import require
 
+Image: Any = require("PIL.Image", "pip install pillow")
 cv2 = require("cv2", "pip install opencv-contrib-python-headless")
 
 CODECS = {".mp4": "vp09", ".webm": "VP90"}
 """VP9 in both: the wheels of OpenCV have no H.264, whose encoder is under the GPL."""
+SUFFIXES = (*CODECS, ".gif")
+GIF_BYTES = 6  # A pixel of every picture: PIL holds them all, and the copies that it writes.
 FOVS = 1.0, 170.0  # degrees
 _SHAPE = {"closed?": bool, "keyframes": [{"viewmat": [[float, 4], 4], "fov": float}]}
 _RIGID = 1e-3  # Most that a product of a rotation with itself may differ from the identity.
 
 
-def check_film(path: str | Path) -> None:
-    """Raises InputError unless a file's suffix is one of `CODECS`."""
-    if Path(path).suffix.lower() not in CODECS:
-        raise InputError(f"--out {path}: a film ends in {' or '.join(CODECS)}")
+def is_film(path: str | Path) -> bool:
+    """Whether the suffix of a file is one of `SUFFIXES`."""
+    return Path(path).suffix.lower() in SUFFIXES
 
 
-@contextmanager
-def film_writer(path: str | Path, fps: float, width: int, height: int) -> Iterator[Callable[[np.ndarray], None]]:
-    """A function that adds a picture `[height, width, 3]` uint8 to a film; the file is there when the block has ended.
+def write_film(path: str | Path, pictures: Iterable[np.ndarray], fps: float, width: int, height: int) -> None:
+    """Write a film, whole or not at all.
 
     Args:
-        path: One of `CODECS`.
-        fps: Pictures a second.
+        path: Its suffix is one of `SUFFIXES`. A GIF repeats for ever.
+        pictures: `[height, width, 3]` uint8 each.
+        fps: Pictures a second. Those of a GIF are shown for hundredths of a second, 0.02 at least.
         width: Pixels, even.
         height: Pixels, even.
 
     Raises:
         InputError: The codec is not in this OpenCV, or the file cannot be written.
     """
-    count = 0
     with atomic_path(path) as temporary:
-        temporary.touch()  # What the system says of the folder, it says here: OpenCV does not tell.
+        if temporary.suffix.lower() == ".gif":
+            _write_gif(temporary, pictures, fps)
+            return
+        temporary.touch()  # The error of a folder that cannot be written: OpenCV reports none.
         codec = cv2.VideoWriter.fourcc(*CODECS[temporary.suffix.lower()])
         writer = cv2.VideoWriter(str(temporary), cv2.CAP_FFMPEG, codec, fps, (width, height))
         if not writer.isOpened():
             raise InputError(f"cannot write {path}: this OpenCV cannot encode VP9")
-
-        def add(picture: np.ndarray) -> None:
-            nonlocal count
-            writer.write(np.ascontiguousarray(picture[..., ::-1]))
-            count += 1
-
+        count = 0
         try:
-            yield add
+            for picture in pictures:
+                writer.write(np.ascontiguousarray(picture[..., ::-1]))
+                count += 1
         finally:
             writer.release()
-        if _count_frames(temporary) != count:  # A full disk: OpenCV says nothing of it.
+        if _count_frames(temporary) != count:  # A full disk, of which OpenCV reports nothing.
             raise InputError(f"cannot write {path}: not all of its {count} pictures are in it; is the disk full?")
 
 
+def _write_gif(path: Path, pictures: Iterable[np.ndarray], fps: float) -> None:
+    first, *rest = (Image.fromarray(picture) for picture in pictures)
+    first.save(path, save_all=True, append_images=rest, duration=max(round(1000 / fps), 20), loop=0)
+
+
 def read_path(path: str | Path) -> Keyframes:
-    """The flight that a JSON file tells, in the coordinates of the file.
+    """Read the keyframes of a camera path from a JSON file, in the coordinates of the file.
 
     `{"closed": false, "keyframes": [{"viewmat": [[...], ...], "fov": 50.0}, ...]}`: 4x4 matrices by rows, world to
     camera, OpenCV axes, as `cameras.json` of a run has them; vertical angles of view in degrees.
@@ -70,8 +76,8 @@ def read_path(path: str | Path) -> Keyframes:
     Raises:
         InputError: It cannot be read, has another shape, too few keyframes, or one that is no pose or no angle of view.
     """
-    told = json_files.read(path, _SHAPE)
-    closed, frames = told.get("closed", False), told["keyframes"]
+    record = json_files.read(path, _SHAPE)
+    closed, frames = record.get("closed", False), record["keyframes"]
     if len(frames) < 2 + closed:
         raise InputError(f"{path}: {len(frames)} keyframes; a path has {2 + closed} or more")
     viewmats = np.array([frame["viewmat"] for frame in frames], np.float64)

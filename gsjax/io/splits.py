@@ -39,27 +39,27 @@ def mark_held_out(photos: Sequence[Photo], hold_out: str, root: Path) -> list[Ph
     """
     if hold_out == NONE:
         return [replace(photo, held_out=False) for photo in photos]
-    stated = _stated(photos, hold_out, root)
+    stated_split = _stated_split(photos, hold_out, root)
     names = [photo.name for photo in photos]
     shots = [[names[index] for index in shot] for shot in same_shots([photo.path for photo in photos])]
-    if isinstance(stated, int):
-        stretches = [shots[first : first + stated] for first in range(0, len(shots), stated)]
+    if isinstance(stated_split, int):
+        stretches = [shots[first : first + stated_split] for first in range(0, len(shots), stated_split)]
         held_out = {name for stretch in stretches for name in min(stretch, key=len)}
     else:
-        held_out = _with_copies(stated, shots, root)
+        held_out = _with_copies(stated_split, shots, root)
     return [replace(photo, held_out=photo.name in held_out) for photo in photos]
 
 
-def _with_copies(stated: set[str], shots: Sequence[Sequence[str]], root: Path) -> set[str]:
+def _with_copies(names: set[str], shots: Sequence[Sequence[str]], root: Path) -> set[str]:
     """The stated names and those of other files of the same shots."""
-    held_out = {name for shot in shots if not stated.isdisjoint(shot) for name in shot}
-    if copies := sorted(held_out - stated):
+    held_out = {name for shot in shots if not names.isdisjoint(shot) for name in shot}
+    if copies := sorted(held_out - names):
         shown = ", ".join(copies[:5]) + (f" and {len(copies) - 5} more" if len(copies) > 5 else "")
         print_once(f"{root}: held out as well, as they show the same shots as held-out photos: {shown}")
     return held_out
 
 
-def _stated(photos: Sequence[Photo], hold_out: str, root: Path) -> set[str] | int:
+def _stated_split(photos: Sequence[Photo], hold_out: str, root: Path) -> set[str] | int:
     """The names that are stated, or N for every N-th shot."""
     names = [photo.name for photo in photos]
     if hold_out == AUTO:

@@ -13,10 +13,10 @@ from gsjax.cameras import Camera, viewmat_center
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
 from gsjax.meshing.depth_points import NormalsOfDepth, depth_poisson
-from gsjax.meshing.methods import Method, Sighting
 from gsjax.meshing.poisson import PoissonOptions
-from gsjax.rendering.gallery import Picture
-from gsjax.rendering.shown_depths import ShownDepth, depths_at
+from gsjax.meshing.sighting import Method, Sighting
+from gsjax.render.gallery import Picture
+from gsjax.render.shown_depths import ShownDepth, depths_at
 
 AGREEING = 2  # Other views, at the least, that show a surface where a view shows it: one may be wrong as well.
 SHARE = 0.7  # Of the views that look at the place, those that show it; the others look through it.
@@ -33,15 +33,16 @@ def agreed_poisson(
     *,
     shown: Sequence[ShownDepth],
     told: Mapping[int, ShownDepth],
+    ids: Sequence[int] | None = None,
 ) -> Method:
     """`gsjax.meshing.depth_points.depth_poisson` of `agreed_pictures`, which see; they take the same arguments."""
     of_depth = depth_poisson(normals_of, num_points, reconstruction)
 
-    def gather(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> Sighting:
+    def from_consistent_depth(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> Sighting:
         shares: list[float] = []
 
         def counted() -> Iterator[Picture]:
-            for picture in agreed_pictures(cameras, pictures, shown, told):
+            for picture in agreed_pictures(cameras, pictures, shown, told, ids):
                 shares.append(float((picture.depth > 0).mean()))
                 yield picture
 
@@ -49,7 +50,7 @@ def agreed_poisson(
         told_views = {"photos_that_tell": len(told), "agreed_share": float(np.mean(shares))}
         return sighting._replace(report=sighting.report | told_views)
 
-    return gather
+    return from_consistent_depth
 
 
 def agreed_pictures(
@@ -57,6 +58,7 @@ def agreed_pictures(
     pictures: Iterable[Picture],
     shown: Sequence[ShownDepth],
     told: Mapping[int, ShownDepth],
+    ids: Sequence[int] | None = None,
 ) -> Iterator[Picture]:
     """The same pictures, with depth where views agree about it and nothing elsewhere.
 
@@ -67,12 +69,14 @@ def agreed_pictures(
     Args:
         cameras: One camera a view.
         pictures: One rendered picture a camera, in order; looked at one by one.
-        shown: What the pictures show, coarse, one a camera.
-        told: By the view's index, what photos tell, of any size; 0 where they tell nothing.
+        shown: The coarse rendered depth of all views, which confirm each other.
+        told: By the view's index in `shown`, the stereo depth of its photo, of any size; 0 where it has none.
+        ids: Of every camera, its index in `shown`. None: the cameras are those of all views.
     """
     mixed = [_mixed(view, told.get(index)) for index, view in enumerate(shown)]
     asked = _others(mixed)
-    for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True)):
+    ids = range(len(shown)) if ids is None else ids
+    for index, camera, picture in zip(ids, cameras, pictures, strict=True):
         level_set.check_sizes(index, camera, picture)
         agreed = _agreed(mixed[index], [mixed[other] for other in asked[index]])
         depth = np.where(_enlarged(agreed, camera), picture.depth, 0).astype(np.float32)

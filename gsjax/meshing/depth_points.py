@@ -9,9 +9,9 @@ from gsjax.colors import to_bytes
 from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
-from gsjax.meshing.methods import Method, Sighting, poisson_through
 from gsjax.meshing.poisson import PoissonOptions
-from gsjax.rendering.gallery import Picture
+from gsjax.meshing.sighting import Method, Sighting, poisson_through
+from gsjax.render.gallery import Picture
 
 NormalsOfDepth = Callable[[np.ndarray, np.ndarray, Camera], np.ndarray]
 """Depth and alphas `[H, W]`, camera -> `[H, W, 3]` unit normals in its frame, towards it; zero where there is none."""
@@ -40,7 +40,7 @@ def depth_poisson(
         seed: Of the random choice of pixels.
     """
 
-    def gather(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> Sighting:
+    def from_depth(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> Sighting:
         rng, wanted = np.random.default_rng(seed), num_points // max(len(cameras), 1) + 1
         views = [
             _points_of_view(index, camera, picture, normals_of, wanted, min_alpha, rng)
@@ -54,7 +54,7 @@ def depth_poisson(
         build = poisson_through(gaussians, points, normals, colors, reconstruction)
         return Sighting(points, build, {"points": len(points)})
 
-    return gather
+    return from_depth
 
 
 def _points_of_view(

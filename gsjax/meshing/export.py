@@ -38,6 +38,7 @@ from gsjax.place import UNPLACED, Place
 from gsjax.similarity import as_needed, is_float32, loses_in_float32, spread
 
 SUFFIXES = (".ply", ".obj", ".glb")
+HEADER_BYTES = 65536  # Of a PLY, at most.
 DIGITS = 9  # Significant ones of a coordinate in text: no float32 is rounded.
 MATERIAL = """newmtl surface
 Ka 0 0 0
@@ -114,6 +115,15 @@ def read_textured(path: str | Path) -> TexturedMesh | None:
     """
     part = _read(Path(path))
     return None if part.texture is None else _textured(part, part.texture)
+
+
+def is_mesh_file(path: Path) -> bool:
+    """Whether the suffix of a file, or the header of a PLY, says that it holds a mesh and not Gaussians."""
+    if path.suffix.lower() != ".ply":
+        return path.suffix.lower() in SUFFIXES
+    with path.open("rb") as file:
+        header = file.read(HEADER_BYTES).partition(b"end_header")[0]
+    return b"element face" in header and b"f_dc_0" not in header and b"packed_position" not in header
 
 
 def _textured(part: Part, texture: np.ndarray) -> TexturedMesh:

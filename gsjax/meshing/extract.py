@@ -11,8 +11,9 @@ from gsjax.gaussians import Gaussians, without_view_dependence
 from gsjax.meshes import Mesh
 from gsjax.meshing.boxes import Region, Regions, near_and_far
 from gsjax.meshing.cleaning import clean, concatenate_meshes
-from gsjax.meshing.methods import Method, Sighting, level_set_poisson
+from gsjax.meshing.level_set_poisson import level_set_poisson
 from gsjax.meshing.orientation import orient_outward
+from gsjax.meshing.sighting import Method, Sighting, method_name
 from gsjax.meshing.topology import topology
 from gsjax.rendering import gallery
 from gsjax.rendering.gallery import Picture
@@ -43,7 +44,8 @@ def extract_mesh(
         cameras: One camera a view.
         pictures: One rendered picture a camera, in order, with the owners that `level_set_poisson` looks at; a
             generator will do. None: they are drawn here, in the constant colour of the Gaussians, over black.
-        method: How the surface is found. None: `level_set_poisson()`.
+        method: How the surface is found: any function of this signature, such as the makers that
+            `gsjax.meshing.methods.METHODS` lists return. None: `level_set_poisson()`.
         regions: Where it is reconstructed, from the `[P, 3]` points at which it was seen. A region that is given is
             taken as it is.
         min_component_share: Connected pieces smaller than this share of a region's largest one are dropped.
@@ -51,7 +53,7 @@ def extract_mesh(
         similarity: To these coordinates, which the mesh has too, from those that the report is in.
 
     Returns:
-        The mesh, and a report of plain numbers: `seen` (by the method), one entry a region, `topology`, and
+        The mesh, and a report: the name of the `method`, `seen` (by the method), one entry a region, `topology`, and
         `facing_share` (of the view rays, those whose first triangle faces the camera).
 
     Raises:
@@ -62,7 +64,8 @@ def extract_mesh(
         raise InputError("no mesh: there is no camera to look from")
     if pictures is None:
         pictures = gallery.pictures(without_view_dependence(gaussians), cameras, np.zeros(3), with_owners=True)
-    seen = (method or level_set_poisson())(gaussians, cameras, pictures)
+    method = level_set_poisson() if method is None else method
+    seen = method(gaussians, cameras, pictures)
     parts, reports, faults = [], {}, []
     for name, region in regions(seen.points).items():
         try:
@@ -74,7 +77,13 @@ def extract_mesh(
     if not parts:
         raise NoSurfaceError("; ".join(faults))
     mesh, facing = orient_outward(concatenate_meshes(parts), cameras)
-    report = {"seen": seen.report, **reports, "topology": asdict(topology(mesh)), "facing_share": facing}
+    report = {
+        "method": method_name(method),
+        "seen": seen.report,
+        **reports,
+        "topology": asdict(topology(mesh)),
+        "facing_share": facing,
+    }
     return mesh, similarity.figures_to_world(report, LENGTHS)
 
 

@@ -147,11 +147,6 @@ def surface_points(
     )
 
 
-def opaque_enough(gaussians: Gaussians, min_opacity: float, fewest: int) -> Gaussians:
-    """The Gaussians of `opaque_ids`."""
-    return gs.take(gaussians, opaque_ids(gaussians, min_opacity, fewest))
-
-
 def opaque_ids(gaussians: Gaussians, min_opacity: float, fewest: int) -> np.ndarray:
     """`[K]` of the Gaussians above the opacity with finite parameters, or of all finite ones, were it under `fewest`.
 

@@ -1,164 +1,188 @@
-"""Ways from Gaussians and rendered views to a surface, all of one signature; `extract_mesh` is handed one of them.
+"""The table of mesh methods. One entry registers a method for `gsjax mesh`, its help, the pipeline and `auto`."""
 
-A method looks at every view once. What it brings back, a `Sighting`, says where the surface was seen and builds the
-part of it that lies in a region. Here are two that end in a Poisson reconstruction; `depth_points`, `tsdf` and
-`marching_cubes` hold the others.
-"""
-
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict
-from typing import NamedTuple
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Protocol
 
 import numpy as np
-from scipy.spatial import KDTree
 
-from gsjax import gaussians as gs
-from gsjax.cameras import Camera, landing, viewmat_center
-from gsjax.colors import to_bytes
-from gsjax.errors import NoSurfaceError
-from gsjax.gaussians import Gaussians
-from gsjax.meshes import Mesh, unit_or_zero
-from gsjax.meshing import level_set, poisson
-from gsjax.meshing.boxes import Region
+from gsjax.errors import InputError
+from gsjax.io.machine import require_memory
+from gsjax.meshing import trimming
+from gsjax.meshing.agreed_depth import agreed_poisson
+from gsjax.meshing.depth_points import NormalsOfDepth
 from gsjax.meshing.level_set import LevelSetOptions
+from gsjax.meshing.level_set_poisson import level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
-from gsjax.nearest import TREE_CHUNK
-from gsjax.rendering.gallery import Picture
+from gsjax.meshing.sighting import Method, method_name
+from gsjax.meshing.tsdf import tsdf
+from gsjax.render.shown_depths import ShownDepth
+from gsjax.similarity import Similarity
 
-CELL_PER_SCALE = 1.0  # Poisson cells smaller than the Gaussians reproduce their bumps, not the surface.
-RIM = 0.05  # Of the region's, or its inner box's, longest side: points that far outside shape the surface inside.
-SEEN_DEVIATIONS = 3.0  # A centre within so many of its standard deviations of the rendered depth is seen.
-PLANE_NEIGHBORS = 32  # SuGaR's, of the normals at the centres.
-
-
-class Sighting(NamedTuple):
-    """What a method has gathered from the views."""
-
-    points: np.ndarray  # [P, 3] world: of the surface as it was seen; they say where the regions are
-    build: Callable[[Region], tuple[Mesh, dict]]  # the surface in and a little around a region, and plain numbers
-    report: dict  # plain numbers
+MOST_CELLS = 2**16  # along a side; of a surface alone they are tens of gigabytes
+BYTES_PER_POINT = 24  # of the surface: place and normal, at the least
+LEVEL = 0.3
+AUTO, USUAL = "auto", "poisson"  # the latter where nothing can judge the candidates
 
 
-Method = Callable[[Gaussians, Sequence[Camera], Iterable[Picture]], Sighting]
+@dataclass(frozen=True)
+class MethodOptions:
+    """The options of all methods; a method reads those that its entry of `METHODS` names. None: it chooses."""
+
+    level: float | None = None  # density at which the surface lies
+    points: int | None = None  # most points of the surface
+    depth: int | None = None  # of the Poisson octree
+    trim_quantile: float | None = None  # share of the least supported vertices to cut away
+    cell: float | None = None  # side of a voxel, scene units
+
+    def __post_init__(self):
+        """Check ranges; raises InputError."""
+        if self.level is not None and not 0 < self.level < 1:
+            raise InputError(f"--level {self.level} is not between 0 and 1")
+        if self.trim_quantile is not None and not 0 <= self.trim_quantile < 1:
+            raise InputError(f"--trim-quantile {self.trim_quantile} is not in 0..1")
+        if self.points is not None:
+            if self.points < 1:
+                raise InputError(f"--points {self.points} is below 1")
+            require_memory(f"--points {self.points}", BYTES_PER_POINT * self.points)
+        if self.depth is not None and not 2 <= self.depth <= 14:
+            raise InputError(f"--depth {self.depth} is not between 2 and 14")
+        if self.cell is not None and not 0 < self.cell < math.inf:
+            raise InputError(f"--cell {self.cell} is not a number above 0")
+
+    @property
+    def given(self) -> frozenset[str]:
+        """The names of the options that are not None."""
+        return frozenset(each.name for each in fields(self) if getattr(self, each.name) is not None)
+
+    @property
+    def sampling(self) -> LevelSetOptions:
+        """The options of the level set's sampling."""
+        full = LevelSetOptions(level=LEVEL if self.level is None else self.level)
+        return full if self.points is None else replace(full, num_points=self.points)
+
+    @property
+    def reconstruction(self) -> PoissonOptions:
+        """The options of the Poisson reconstruction."""
+        trim = trimming.adaptive if self.trim_quantile is None else trimming.at_quantile(self.trim_quantile)
+        return PoissonOptions(depth=self.depth, trim=trim)
+
+    def to_local(self, similarity: Similarity, extent: np.ndarray) -> "MethodOptions":
+        """Return the options with lengths in local coordinates.
+
+        Args:
+            similarity: From world to local coordinates.
+            extent: `[P, 3]` points that span what is meshed, world.
+
+        Raises:
+            InputError: The cells are too many.
+        """
+        if self.cell is None:
+            return self
+        longest = float(np.ptp(np.quantile(extent, [0.01, 0.99], axis=0), axis=0).max()) if len(extent) else 0.0
+        along = longest / self.cell
+        if along > MOST_CELLS:
+            raise InputError(
+                f"--cell {self.cell:g}: makes {along:,.0f} cells along the scene's longest side, above {MOST_CELLS:,}"
+            )
+        return replace(self, cell=similarity.length_to_local(self.cell))
 
 
-def level_set_poisson(
-    options: LevelSetOptions | None = None, reconstruction: PoissonOptions | None = None, *, seed: int = 0
-) -> Method:
-    """Poisson through points on the level set of the density: SuGaR's and the paper's way.
+class DepthEvidence(Protocol):
+    """What views show and photos imply, computed when a method reads it."""
 
-    Args:
-        options: Of the sampling. None: `level_set.options_for` the cameras.
-        reconstruction: Of the Poisson stage. None: its defaults.
-        seed: Of the random choice of pixels.
+    @property
+    def ids(self) -> Sequence[int]:
+        """Of every camera that the method visits, its index in `shown` and `told`."""
+        ...
+
+    @property
+    def normals_of(self) -> NormalsOfDepth:
+        """Normals of rendered depth, in windows that fit its noise."""
+        ...
+
+    @property
+    def shown(self) -> Sequence[ShownDepth]:
+        """The coarse rendered depth of every view."""
+        ...
+
+    @property
+    def told(self) -> Mapping[int, ShownDepth]:
+        """By the view's index, multi-view stereo depth of its photo."""
+        ...
+
+
+@dataclass(frozen=True)
+class MeshMethod:
+    """An entry of the table."""
+
+    summary: str  # a line of the help
+    make: Callable[[MethodOptions, DepthEvidence], Method]
+    options: frozenset[str] = frozenset()  # names of the `MethodOptions` that it reads
+    needs: frozenset[str] = frozenset()  # "owners" in its pictures, the "photos" of the data set
+    closes_holes: bool = False  # whether `gsjax.meshing.holes` always follows
+
+
+OF_POISSON = frozenset({"points", "depth", "trim_quantile"})
+METHODS: dict[str, MeshMethod] = {
+    "poisson": MeshMethod(
+        "Poisson through points of the density's level set",
+        lambda options, _: level_set_poisson(options.sampling, options.reconstruction),
+        options=OF_POISSON | {"level"},
+        needs=frozenset({"owners"}),
+    ),
+    "agreed": MeshMethod(
+        "Poisson through depth that is consistent between views, of the photos or rendered",
+        lambda options, depths: agreed_poisson(
+            depths.normals_of,
+            options.sampling.num_points,
+            options.reconstruction,
+            shown=depths.shown,
+            told=depths.told,
+            ids=depths.ids,
+        ),
+        options=OF_POISSON,
+        needs=frozenset({"photos"}),
+        closes_holes=True,
+    ),
+    "tsdf": MeshMethod(
+        "fusion of the rendered depth, open where no view shows a surface",
+        lambda options, _: tsdf(voxel=options.cell),
+        options=frozenset({"cell"}),
+    ),
+}
+"""By name; `auto` tries them in this order."""
+
+
+def methods_of(method: str | Method, options: MethodOptions) -> dict[str, MeshMethod]:
+    """Return the method of a name, all methods for `auto`, or a function that was handed in under its own name.
+
+    Raises:
+        InputError: There is no such method, or it does not read an option that is given.
     """
-
-    def gather(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> Sighting:
-        surface = level_set.surface_points(gaussians, cameras, pictures, options, seed=seed)
-        report = {
-            "kernels": surface.kernels,
-            "rays": surface.rays,
-            "crossing_share": surface.crossing_share,
-            "flipped_share": surface.flipped / surface.crossings,
-            "points": len(surface.points),
-        }
-        build = poisson_through(gaussians, surface.points, surface.normals, surface.colors, reconstruction)
-        return Sighting(surface.points, build, report)
-
-    return gather
-
-
-def centers_poisson(
-    reconstruction: PoissonOptions | None = None, *, min_opacity: float = 0.5, neighbors: int = PLANE_NEIGHBORS
-) -> Method:
-    """Poisson through the centres of the Gaussians: SuGaR's ablation, coarser and quicker.
-
-    The normal is that of the plane through a centre's neighbours, turned to the cameras that see it. A centre that none
-    sees has no outside, and is left out.
-
-    Args:
-        reconstruction: Of the Poisson stage. None: its defaults.
-        min_opacity: Gaussians up to this are left out.
-        neighbors: Centres that a plane is put through.
-    """
-
-    def gather(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> Sighting:
-        kept = level_set.opaque_enough(gaussians, min_opacity, neighbors)
-        centers = np.asarray(kept.means, np.float64)
-        reach = SEEN_DEVIATIONS * np.asarray(gs.scales(kept)).max(axis=1)
-        towards = directions_to_viewers(centers, reach, cameras, pictures)
-        seen = np.any(towards != 0, axis=1)
-        if not seen.any():
-            raise NoSurfaceError(f"no surface to extract: no view sees the centre of any of {len(centers)} Gaussians")
-        normals = plane_normals(centers, min(neighbors, len(centers)))
-        normals *= np.where(np.sum(normals * towards, axis=1, keepdims=True) < 0, -1, 1)
-        colors = base_colors(kept)
-        build = poisson_through(gaussians, centers[seen], normals[seen], colors[seen], reconstruction)
-        return Sighting(centers[seen], build, {"kernels": len(centers), "points": int(seen.sum())})
-
-    return gather
+    if callable(method):
+        chosen = {method_name(method): MeshMethod("handed in", lambda *_: method, needs=frozenset({"owners"}))}
+    elif method == AUTO:
+        chosen = METHODS
+    elif method in METHODS:
+        chosen = {method: METHODS[method]}
+    else:
+        raise InputError(f"--method {method} is none of {', '.join((AUTO, *METHODS))}")
+    unread = options.given.difference(*(each.options for each in chosen.values()))
+    for name in sorted(unread):
+        readers = ", ".join(each for each in METHODS if name in METHODS[each].options)
+        raise InputError(f"{_flag(name)} is an option of the method {readers}; {' and '.join(chosen)} does not read it")
+    return chosen
 
 
-def base_colors(gaussians: Gaussians) -> np.ndarray:
-    """`[N, 3]` uint8 sRGB that the degree-0 coefficients alone give."""
-    return to_bytes(gs.SH_C0 * np.asarray(gaussians.sh_dc)[:, 0] + 0.5)
+def methods_help() -> str:
+    """Return a line for every method, and one for the options that it reads."""
+    lines = ["methods:"]
+    for name, method in METHODS.items():
+        lines += [f"  {name}: {method.summary}", f"      {', '.join(map(_flag, sorted(method.options)))}"]
+    return "\n".join(lines)
 
 
-def typical_scale(gaussians: Gaussians, region: Region) -> float:
-    """Median of the largest standard deviations of the opaque Gaussians in a region (of all, where there is none)."""
-    largest = np.asarray(gs.scales(gaussians)).max(axis=1)
-    chosen = (np.asarray(gaussians.logit_opacities) > 0) & region.contains(np.asarray(gaussians.means))
-    return float(np.median(largest[chosen] if chosen.any() else largest))
-
-
-def directions_to_viewers(
-    points: np.ndarray, reach: np.ndarray, cameras: Sequence[Camera], pictures: Iterable[Picture]
-) -> np.ndarray:
-    """`[P, 3]` sum of the unit directions towards the cameras that see each point; zero where none does.
-
-    Args:
-        points: `[P, 3]` world.
-        reach: `[P]` how far a point may lie from the rendered depth, scene units.
-        cameras: One camera a view.
-        pictures: One picture a camera.
-    """
-    total = np.zeros_like(points)
-    for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True)):
-        level_set.check_sizes(index, camera, picture)
-        viewmat, size = np.asarray(camera.viewmat, np.float64), (camera.height, camera.width)
-        rows, columns, depths, inside = landing(points, viewmat, np.asarray(camera.K), size)
-        rendered = np.asarray(picture.depth)[rows, columns]
-        sees = inside & (rendered > 0) & (np.abs(rendered - depths) < reach)
-        towards = viewmat_center(viewmat) - points[sees]
-        total[sees] += unit_or_zero(towards)
-    return total
-
-
-def plane_normals(points: np.ndarray, neighbors: int) -> np.ndarray:
-    """`[P, 3]` unit normals, of either sign, of the planes through each point and its nearest neighbours."""
-    tree = KDTree(points)
-    normals = np.empty_like(points)
-    for start in range(0, len(points), TREE_CHUNK):
-        part = slice(start, start + TREE_CHUNK)
-        around = points[np.asarray(tree.query(points[part], neighbors, workers=-1)[1]).reshape(-1, neighbors)]
-        offsets = around - around.mean(axis=1, keepdims=True)
-        normals[part] = np.linalg.eigh(np.einsum("pki,pkj->pij", offsets, offsets))[1][:, :, 0]
-    return normals
-
-
-def poisson_through(
-    gaussians: Gaussians,
-    points: np.ndarray,
-    normals: np.ndarray,
-    colors: np.ndarray,
-    options: PoissonOptions | None,
-) -> Callable[[Region], tuple[Mesh, dict]]:
-    """A method's `build` from points, outward normals and colours, each `[P, 3]`."""
-
-    def build(region: Region) -> tuple[Mesh, dict]:
-        chosen = region.grown(RIM * (region.without or region.box).longest).contains(points)
-        cell = CELL_PER_SCALE * typical_scale(gaussians, region)
-        mesh, report = poisson.reconstruct(points[chosen], normals[chosen], colors[chosen], options, smallest_cell=cell)
-        return mesh, asdict(report)
-
-    return build
+def _flag(option: str) -> str:
+    return f"--{option.replace('_', '-')}"

@@ -101,26 +101,29 @@ def render_mesh(
     return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8).reshape(height, width, 3)
 
 
-def smooth_pictures(mesh: Mesh, cameras: Sequence[Camera], *, shading: Shading = vertex_colors) -> Iterator[Picture]:
+def smooth_pictures(
+    mesh: Mesh, cameras: Sequence[Camera], *, shading: Shading = vertex_colors, side: int = SIDE
+) -> Iterator[Picture]:
     """What each camera sees of a mesh from outside, over black: the means of many rays a pixel, as viewers draw edges.
 
     Args:
         mesh: What to show.
         cameras: From where.
         shading: Colours in 0..1 of what the rays hit.
+        side: Rays along a pixel, and down it.
     """
     cast = front_faces_only(mesh, ray_caster(mesh))
     for camera in cameras:
         sums = np.zeros((camera.height * camera.width, 5), np.float32)
-        for hits, pixels in rays_in_bands(mesh, cast, camera, SIDE):
+        for hits, pixels in rays_in_bands(mesh, cast, camera, side):
             shown = np.column_stack([shading(hits), hits.depths, np.ones(len(pixels))])
             sums += np.stack([np.bincount(pixels, column, len(sums)) for column in shown.T], axis=1)
         sums = sums.reshape(camera.height, camera.width, 5)
         hit = sums[..., 4]
         yield Picture(
-            colors=np.clip(sums[..., :3] / SIDE**2, 0, 1),
+            colors=np.clip(sums[..., :3] / side**2, 0, 1),
             depth=np.where(hit > 0, sums[..., 3] / np.maximum(hit, 1), 0),
-            alphas=hit / SIDE**2,
+            alphas=hit / side**2,
         )
 
 

@@ -10,12 +10,12 @@ from gsjax.colors import to_bytes
 from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.io.machine import require_memory
-from gsjax.meshes import Mesh
+from gsjax.mesh import Mesh
 from gsjax.meshing import level_set
 from gsjax.meshing.boxes import Region
 from gsjax.meshing.libraries import load_open3d
-from gsjax.meshing.methods import Method, Sighting, typical_scale
-from gsjax.rendering.gallery import Picture
+from gsjax.meshing.sighting import Method, Sighting, typical_scale
+from gsjax.render.gallery import Picture
 
 VOXEL_PER_SCALE = 1.0  # Voxels smaller than the Gaussians reproduce their bumps.
 MOST_VOXELS = 512  # Along the longest side of a region, where the size is chosen.
@@ -48,7 +48,7 @@ def tsdf(*, voxel: float | None = None, min_alpha: float = 0.5, seed: int = 0) -
         seed: Of the pixels that regions are chosen by.
     """
 
-    def gather(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> Sighting:
+    def from_fused_depth(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> Sighting:
         views, points = [], [np.zeros((0, 3))]
         rng = np.random.default_rng(seed)
         for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True)):
@@ -72,7 +72,7 @@ def tsdf(*, voxel: float | None = None, min_alpha: float = 0.5, seed: int = 0) -
 
         return Sighting(points, build, {"views": len(views)})
 
-    return gather
+    return from_fused_depth
 
 
 def _fused(views: Sequence[DepthView], region: Region, voxel: float) -> Mesh:

@@ -6,7 +6,6 @@ from gsjax.pipeline.compare import compare
 from gsjax.pipeline.convert import convert
 from gsjax.pipeline.diagnose import diagnose
 from gsjax.pipeline.evaluate import evaluate
-from gsjax.pipeline.film import film
 from gsjax.pipeline.masks import masks
 from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.normals import normals
@@ -17,7 +16,6 @@ from gsjax.pipeline.scan import scan
 from gsjax.pipeline.share import share
 from gsjax.pipeline.texture import texture
 from gsjax.pipeline.train import train
-from gsjax.pipeline.turntable import turntable
 from gsjax.pipeline.undistort import undistort
 from gsjax.planning.budget import budgeted, resized, scaled
 from gsjax.planning.hardware import count_devices
@@ -32,7 +30,6 @@ __all__ = [
     "count_devices",
     "diagnose",
     "evaluate",
-    "film",
     "masks",
     "mesh",
     "normals",
@@ -47,6 +44,5 @@ __all__ = [
     "share",
     "texture",
     "train",
-    "turntable",
     "undistort",
 ]

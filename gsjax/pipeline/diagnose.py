@@ -13,6 +13,7 @@ from gsjax.io.files import atomic_path
 from gsjax.io.scenes import load_scene
 from gsjax.planning.effects import diagnose_scene
 from gsjax.planning.sparse_views import FAR_APART, FEW, FEWEST, SHORTEST, angle_between_photos, is_tried
+from gsjax.report.drawing import new_figure
 from gsjax.runs.normal_gate import judge_folder
 from gsjax.runs.outputs import require_apart
 from gsjax.scene import Scene
@@ -106,11 +107,7 @@ def draw(found: Diagnosis, path: Path) -> Path:
     Raises:
         InputError: The file cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(18, 7.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(18, 7.5)
     gains, corner, most_sky, bare, sharpness, skies = figure.subplots(2, 3).flat
     photos = np.arange(len(found.seen.frames))
     if found.gains is None:

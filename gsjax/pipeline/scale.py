@@ -53,35 +53,13 @@ def scale(source: str | Path, between: Sequence[Spot], metres: float | None = No
         return report
     if not distance > 0:
         raise InputError(f"--between: {first} and {second} show one point; two are needed for a length")
+    factor = metres / distance
+    scaled = place.stretched(factor, f"{metres:g} m between {first} and {second}")
     if scene is None:
-        return report | {"factor": scale_run(source, distance, metres, f"{first} and {second}")}
-    factor = metres / distance
-    write_place(source, _upright(place.stretched(factor, _known_by(metres, f"{first} and {second}")), scene))
+        stretch_run(source, factor, scaled)
+    else:
+        write_place(source, _upright(scaled, scene))
     return report | {"factor": factor}
-
-
-def scale_run(run: Path, distance: float, metres: float, between: str) -> float:
-    """Write the files of a finished run anew, in metres.
-
-    Args:
-        run: Its folder.
-        distance: A length in its world, above 0.
-        metres: What that really is.
-        between: What it lies between, in words.
-
-    Returns:
-        What all lengths were multiplied by.
-
-    Raises:
-        InputError: The run cannot be read or written.
-    """
-    factor = metres / distance
-    stretch_run(run, factor, Run.open(run).place.stretched(factor, _known_by(metres, between)))
-    return factor
-
-
-def _known_by(metres: float, between: str) -> str:
-    return f"{metres:g} m between {between}"
 
 
 def _upright(place: Place, scene: Scene) -> Place:

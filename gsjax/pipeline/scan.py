@@ -19,8 +19,9 @@ from gsjax.io.scenes import is_data_set
 from gsjax.io.sfm import FILES, Reconstruction
 from gsjax.io.temporaries import is_temporary, sweep
 from gsjax.meshing.export import read_mesh, read_textured
+from gsjax.meshing.methods import AUTO
 from gsjax.meshing.pictures import texture_colors
-from gsjax.pipeline.mesh import AUTO, mesh
+from gsjax.pipeline.mesh import mesh
 from gsjax.pipeline.refine import refine
 from gsjax.pipeline.texture import texture
 from gsjax.pipeline.train import train

@@ -25,10 +25,9 @@ from gsjax.io.ply import write_gaussians
 from gsjax.pipeline.training_journal import TrainingJournal
 from gsjax.planning import holding_back
 from gsjax.planning.earlier import shared_steps, take_normals
-from gsjax.planning.effect_trials import gains
+from gsjax.planning.effect_validation import EffectValidation
 from gsjax.planning.effects import ChosenEffects, choose_effects, look_for_effects
 from gsjax.planning.hardware import Devices, count_devices, effects_asked, hardware
-from gsjax.planning.harmonics import stored_degree, with_needed_harmonics
 from gsjax.planning.measured_depth import measured_depth
 from gsjax.planning.memory import fit_to_memory
 from gsjax.planning.sizes import at_size, training_extent
@@ -199,17 +198,25 @@ def _train(
         started, stereo_lines = with_stereo_points(started, planned)
         for line in stereo_lines:
             print(f"train: {line}", file=sys.stderr)
-    trial = partial(gains, planned, frames, size, partial(first_state, started, sized))
+    validate = EffectValidation(
+        sized,
+        planned,
+        frames,
+        size,
+        len(started.points),
+        lambda short, optimizer, effects, skies: first_state(started, short, optimizer, effects, skies=skies),
+    )
     skies = given_skies(loaded, settings, downscale)
+    before = None if begun is None else begun.manifest.get("effects")
     chosen = choose_effects(
-        asked, planned, loaded, trial, looked, sh_degree=settings.sh_degree, skies=skies, with_sky=settings.sky == AUTO
+        asked, planned, loaded, validate, looked, skies=skies, with_sky=settings.sky == AUTO, before=before
     )
     planned = replace(planned.with_effects(chosen.names), downscale=downscale)
     optimizer = optimizers.make_optimizer(
         planned.rates, size, planned.rates.decay_steps, views_per_step=planned.views_per_step
     )
     spread = hardware(devices, planned.views_per_step, optimizer)
-    if (chosen.names or chosen.tries_degrees) and not spread.is_one:
+    if chosen.names and not spread.is_one:
         asked_by = f"--effects {settings.effects}" if settings.sky is None else "--sky"
         raise InputError(f"{asked_by}: effects need one device and --views-per-step 1")
     in_common = None if earlier is None else shared_steps(earlier, planned)
@@ -236,10 +243,7 @@ def _train(
         runs.update_manifest(run, photos=photos_line, **memory, **({} if sparse is None else {ENTRY: asdict(sparse)}))
         if chosen.evidence:
             runs.update_manifest(run, effects=chosen.evidence)
-        degree = stored_degree(run, planned, settings.sh_degree) if known else settings.sh_degree
-        initial = partial(
-            first_state_with_tables, started, replace(sized, sh_degree=degree), planned, optimizer, chosen
-        )
+        initial = partial(first_state_with_tables, started, sized, planned, optimizer, chosen)
         state, capacity, seconds = beginning(run, initial, earlier, in_common)
         if earlier is not None:
             take_normals(earlier, run, planned, int(state.step))
@@ -278,8 +282,6 @@ def _train(
             )
             # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.
             capacity = capacity if spread.is_one else None
-            if chosen.tries_degrees:
-                state, capacity = with_needed_harmonics(run, work, state, capacity), None
             state = whole(follow(work, state, capacity))
             return _finish(run, planned, loaded, state, chosen, journal.seconds)
 

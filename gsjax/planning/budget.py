@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -11,15 +11,15 @@ import numpy as np
 from scipy.optimize import root_scalar
 
 from gsjax.errors import InputError
-from gsjax.planning import holding_back
-from gsjax.planning.effect_trials import SCORED, STEPS, is_near, is_worthwhile
-from gsjax.planning.effects import diagnose_scene
+from gsjax.planning import effect_validation, validation
+from gsjax.planning.effects import PROPOSED, diagnose_scene
+from gsjax.planning.holding_back import FOLDS
 from gsjax.planning.pace import FIXED_COST, image_cost, relative_cost
 from gsjax.planning.sizes import at_size
 from gsjax.planning.sparse_views import angle_between_photos, is_tried
 from gsjax.planning.timed_steps import Clock, StepTimes, largest_scale, step_cost, time_steps
 from gsjax.scene import Scene
-from gsjax.settings import AUTO, LENGTHS, NONE, SIMULATED, Settings, total_steps
+from gsjax.settings import AUTO, LENGTHS, NONE, Settings, total_steps
 from gsjax.training.plan import plan
 
 RESERVED = 0.1  # of a budget, for photos, scores and what else no step does
@@ -127,12 +127,12 @@ def budgeted(
     loaded, sized = scenes[name]
     if name != first:
         times = time_steps(loaded, sized, most=TRIED_SHARE * seconds, clock=clock)
-    looking, near = _looked(loaded, sized, clock)
+    looking, proposed = _looked(loaded, sized, clock)
     left = (1 - RESERVED) * seconds - SCORING - (clock() - started) - times.overhead - looking
     left -= _mapping(loaded, sized, times)
     part = _part(times, sized, left)
-    if near and is_worthwhile(total_steps(lasting(sized, part))):
-        left -= _trying(near, times)
+    if proposed and total_steps(lasting(sized, part)) >= effect_validation.SHORTEST:
+        left = (left - (1 + len(proposed)) * times.plain_program) / (1 + effect_validation.SHARE)
         part = _part(times, sized, left)
     if _tries_to_hold_back(loaded, lasting(sized, part)):
         left -= _holding_back(loaded, times)
@@ -156,19 +156,13 @@ def budgeted(
 
 
 def _looked(scene: Scene, settings: Settings, clock: Clock) -> tuple[float, list[str]]:
-    """Seconds of looking for effects, and which of them a trial would decide."""
+    """Seconds of looking for effects, and which of them the run would validate."""
     if settings.effects == NONE:
         return 0.0, []
     began = clock()
     found = diagnose_scene(scene)
-    near = [name for name in SIMULATED if settings.effects == AUTO and is_near(name, found.effects[name])]
-    return clock() - began, near
-
-
-def _trying(near: Sequence[str], times: StepTimes) -> float:
-    """Seconds of trials of effects, on photos of half the size."""
-    steps = (2 + len(near)) * (STEPS + SCORED)
-    return (1 + len(near)) * times.plain_program + steps * times.plain_step * image_cost(2)
+    proposed = [name for name in PROPOSED if settings.effects == AUTO and found.effects[name].on]
+    return clock() - began, proposed
 
 
 def _tries_to_hold_back(scene: Scene, settings: Settings) -> bool:
@@ -179,8 +173,8 @@ def _tries_to_hold_back(scene: Scene, settings: Settings) -> bool:
 
 def _holding_back(scene: Scene, times: StepTimes) -> float:
     """Seconds of the trials that decide it."""
-    steps = 2 * holding_back.FOLDS * holding_back.STEPS
-    smaller = holding_back.chosen_scale(scene.train_frames)
+    steps = 2 * FOLDS * validation.STEPS
+    smaller = validation.image_scale(scene.train_frames)
     return 2 * times.plain_program + steps * times.plain_step * image_cost(smaller)
 
 

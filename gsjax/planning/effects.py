@@ -1,12 +1,13 @@
 """Which effects a run simulates, and what it tells of each photo and its camera afterwards."""
 
 import sys
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+import optax
 from tqdm import tqdm
 
 from gsjax.effects import background, blur, sky
@@ -25,12 +26,17 @@ from gsjax.effects.evidence import Evidence
 from gsjax.effects.observations import observe
 from gsjax.effects.simulation import Effects, EffectState, learning_rate
 from gsjax.errors import InputError
-from gsjax.planning.effect_trials import WORTH, EffectTrial, is_near, is_worthwhile
+from gsjax.planning.effect_validation import PARTS, Validate
+from gsjax.planning.validation import WORTH, Validated
 from gsjax.runs.photography import Photography
 from gsjax.scene import Scene
 from gsjax.settings import AUTO, NONE, SIMULATED, named_effects
 from gsjax.training.plan import Plan
 
+PROPOSED = ("exposure", "vignetting", "poses", "sky", "background", "transients")
+"""Effects that are validated, in the order in which they are."""
+UNVALIDATED = ("exposure", "poses")  # may be simulated without: they remove no surface and darken no corner,
+STRICTER = 1.5  # times the threshold
 _PLAIN = {"black": 0.0, "white": 1.0}  # what `Settings.background` lays under the renders
 
 
@@ -74,7 +80,6 @@ class ChosenEffects:
     begun: Start | None = None  # None: of no effects
     evidence: dict[str, Any] | None = None  # for the manifest; None: nobody looked
     skies: sky.Masks = field(default_factory=dict)  # where photos show sky, if the run knows of one
-    tries_degrees: bool = False  # whether the run cuts its harmonics to those that photos do not miss
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -97,24 +102,25 @@ def choose_effects(
     asked: str,
     plan: Plan,
     scene: Scene,
-    trial: EffectTrial | None = None,
+    validate: Validate | None = None,
     looked: Looked | None = None,
     *,
-    sh_degree: int = 3,
     skies: sky.Masks | None = None,
     with_sky: bool = False,
+    before: Mapping[str, Any] | None = None,
 ) -> ChosenEffects:
-    """The effects that are named or, of "auto", that the photos show; one line says which.
+    """The effects that are named or, of "auto", that the photos show and validation confirms; one line names them.
 
     Args:
         asked: As `Settings.effects`.
         plan: The run, without effects.
         scene: Its data set, at the size that is trained on.
-        trial: Decides, of "auto", where evidence is near its threshold. None, or a short run: the threshold does.
+        validate: Validates, of "auto", what the evidence proposes. None, or a run too short for it: only an exposure
+            or poses of far stronger evidence are simulated.
         looked: What `look_for_effects` found, if it was asked.
-        sh_degree: Of the run's Gaussians.
         skies: Where photos show sky, if masks of it were given; with it a background is taken in.
         with_sky: Whether a sky is looked for whatever else is asked for, and must be found.
+        before: The manifest's record of what was decided when this run began; nothing is validated again.
 
     Raises:
         InputError: A photo or the tracks cannot be read, or a background is asked for behind mattes.
@@ -125,54 +131,98 @@ def choose_effects(
     scene, found = looked.scene, looked.found or diagnose_scene(looked.scene)
     if skies is not None:
         found = _with_given(found, skies)
-    wanted = set(named_effects(asked))
-    is_auto = asked == AUTO
-    near = [name for name in SIMULATED if is_auto and is_near(name, found.effects[name])]
-    is_on = [name for name in SIMULATED if found.effects[name].on] if is_auto else [*wanted]
-    if _is_laid(found, plan, {*is_on, *near}):
+    is_auto, with_sky = asked == AUTO, with_sky or "sky" in named_effects(asked)
+    wanted, validated = set(named_effects(asked)) - {"sky"}, {}
+    is_on = wanted if not is_auto else {name for name in PROPOSED if found.effects[name].on}
+    if _is_laid(found, plan, is_on & {*SIMULATED}):
         found = replace(found, effects=found.effects | {"background": _laid(found.effects["background"], plan)})
-        near = [name for name in near if name != "background"]
     if is_auto:
-        if trial is not None and is_worthwhile(plan.steps):
-            found = replace(found, effects=found.effects | _tried(found, near, trial))
-        wanted = {name for name in SIMULATED if found.effects[name].on}
-    with_sky = with_sky or "sky" in named_effects(asked)
-    skies = found.plain if with_sky and skies is None else found.sky if is_auto or skies is not None else {}
-    if skies and not _is_laid(found, plan, wanted - {"background"}):
+        named = {"sky"} if with_sky or skies is not None else set()
+        proposed = [name for name in PROPOSED if found.effects[name].on and name not in named]
+        wanted, validated = _decided(found, proposed, validate, before)
+        found = replace(found, effects=found.effects | _noted(found, proposed, wanted, validated))
+    known = found.plain if with_sky and skies is None else found.sky
+    skies = known if with_sky or skies is not None or "sky" in wanted else {}
+    if skies and not _is_laid(found, plan, wanted - {"background", "sky"}):
         wanted.add("background")
     chosen = [name for name in SIMULATED if name in wanted]
     if skies:
         print(f"train: {sky.told(skies, scene.frames)}", file=sys.stderr)
     elif with_sky:
         raise InputError(f"--sky: the photos of {scene.root} show no sky; --sky DIR takes masks of it")
-    print(f"train: effects: {', '.join(chosen) or 'none that the photos show'}", file=sys.stderr)
+    simulated = [*chosen, *(["sky"] if skies else [])]
+    print(f"train: {_line(found, simulated, validated)}", file=sys.stderr)
     evidence = {
-        "simulated": [*chosen, *(["sky"] if skies else [])],
+        "simulated": simulated,
         "left_out": list(looked.left_out),
         "evidence": found.record()["effects"],
+        "validated": {name: each._asdict() for name, each in validated.items()},
     }
-    tries_degrees = "sh_degree" in wanted and sh_degree > 0
-    if tries_degrees and plan.grown is None:
-        raise InputError(
-            f"--effects {asked}: no phase comes after those of density control, to go on with fewer"
-            " harmonics; leave sh_degree out"
-        )
     if not chosen:
-        return ChosenEffects(skies=skies, evidence=evidence, tries_degrees=tries_degrees)
-    density = plan.density
-    rate = partial(
-        learning_rate,
-        plan.steps,
-        reset_every=density.reset_every,
-        resets_stop=min(density.stop, plan.steps),
-    )
+        return ChosenEffects(skies=skies, evidence=evidence)
     if "background" in chosen and any(facts.has_matte for facts in found.seen.facts):
         raise InputError(
             f"--effects {asked}: the photos of {scene.root} have mattes, what is behind them is not theirs;"
             " leave background out"
         )
     begun = start(found.seen, chosen, skies)
-    return ChosenEffects(simulations(begun, chosen, rate), begun, evidence, skies, tries_degrees)
+    return ChosenEffects(simulations(begun, chosen, _rate(plan)), begun, evidence, skies)
+
+
+def _rate(plan: Plan) -> Callable[..., optax.Schedule]:
+    """Learning rates of a run's effects, see `gsjax.effects.simulation.learning_rate`."""
+    density = plan.density
+    resets_stop = min(density.stop, plan.steps)
+    return partial(learning_rate, plan.steps, reset_every=density.reset_every, resets_stop=resets_stop)
+
+
+def _decided(
+    found: Diagnosis, proposed: Sequence[str], validate: Validate | None, before: Mapping[str, Any] | None
+) -> tuple[set[str], dict[str, Validated]]:
+    """Of the effects that the evidence proposes those that are simulated, and the gain of each that was validated."""
+    if before is not None:
+        stored = before.get("validated", {})
+        return {*before["simulated"]}, {name: Validated(**each) for name, each in stored.items()}
+    validated = validate(found.seen, proposed, found.sky) if validate and proposed else {}
+    if validated:
+        passed = [name for name, each in validated.items() if each.passes]
+        return {part for name in passed for part in PARTS.get(name, (name,))}, validated
+    return {name for name in proposed if name in UNVALIDATED and _is_strong(found.effects[name])}, {}
+
+
+def _is_strong(evidence: Evidence) -> bool:
+    return evidence.value is not None and evidence.value > STRICTER * evidence.threshold
+
+
+def _noted(
+    found: Diagnosis, proposed: Sequence[str], wanted: Collection[str], validated: Mapping[str, Validated]
+) -> dict[str, Evidence]:
+    """The evidence of the proposed effects, with the validated gain and the decision in its note."""
+    notes = {}
+    for name in proposed:
+        decision = "simulated" if name in wanted else "not simulated"
+        why = f"gains {validated[name]} in a validation run (needs {WORTH:g})" if name in validated else _UNVALIDATED
+        why = "part of the sky" if name == "background" and "sky" in wanted else why
+        notes[name] = found.effects[name]._replace(note=f"{decision}: {why}; {found.effects[name].note}")
+    return notes
+
+
+_UNVALIDATED = "not validated, the run is too short"
+
+
+def _line(found: Diagnosis, simulated: Sequence[str], validated: Mapping[str, Validated]) -> str:
+    """Which effects are simulated and which of the proposed ones are not, each with its validated gain."""
+
+    def told(name: str) -> str:
+        return f"{name} ({validated[name]})" if name in validated else name
+
+    rejected = [
+        told(name)
+        for name in PROPOSED
+        if name not in simulated and (name in validated or found.effects[name].note.startswith("not simulated"))
+    ]
+    line = f"effects: {', '.join(map(told, simulated)) or 'none that the photos show'}"
+    return f"{line}; not simulated: {', '.join(rejected)}" if rejected else line
 
 
 def _with_given(found: Diagnosis, skies: sky.Masks) -> Diagnosis:
@@ -180,18 +230,6 @@ def _with_given(found: Diagnosis, skies: sky.Masks) -> Diagnosis:
     evidence = sky.judge(found.seen, skies)
     given = evidence._replace(on=True, note=f"given by --sky: {sky.told(skies, found.seen.frames)}")
     return replace(found, sky=skies, effects=found.effects | {"sky": given})
-
-
-def _tried(found: Diagnosis, near: list[str], trial: EffectTrial) -> dict[str, Evidence]:
-    """The evidence of effects that are near their threshold, decided by what a trial of each brings."""
-    on = [name for name in SIMULATED if found.effects[name].on and name not in near]
-    gains = trial(found.seen, on, near) if near else {}
-    told = {name: f"near its threshold, a trial of it brings {gain:+.2f} dB" for name, gain in gains.items()}
-    return {
-        name: each._replace(on=gains[name] >= WORTH, note=f"{told[name]} (needs {WORTH}); {each.note}")
-        for name, each in found.effects.items()
-        if name in gains
-    }
 
 
 def _is_laid(found: Diagnosis, plan: Plan, light: Collection[str]) -> bool:

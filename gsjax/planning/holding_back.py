@@ -6,43 +6,29 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-import optax
 from tqdm import tqdm
 
 from gsjax import targets
 from gsjax.cameras import Camera, landing
-from gsjax.config import parse
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import masked_mean
 from gsjax.planning.sizes import training_extent
 from gsjax.planning.sparse_views import Gain
 from gsjax.planning.start import first_state, with_given_points, with_stereo_points
-from gsjax.rendering import gallery
+from gsjax.planning.validation import Observe, Variant, mean_and_error, short_settings
+from gsjax.render import gallery
 from gsjax.runs.result import BACKGROUND_COLORS
-from gsjax.scene import Frame, Scene, kept, tracks_by_name
-from gsjax.settings import QUICK, Settings
+from gsjax.scene import Scene, kept, tracks_by_name
+from gsjax.settings import Settings
 from gsjax.targets import Targets
 from gsjax.training import optimizers
-from gsjax.training.loop import Progress, Work, follow
 from gsjax.training.plan import Plan, plan
 from gsjax.training.step import in_decibels
 
-STEPS = 200  # of a trial
-SIDE = 160  # pixels of the longest photo, about
-FOLDS = 4  # Every photo is kept from one pair of trials in so many,
+FOLDS = 4  # Every photo is held out from one pair of validation runs in so many,
 FEWEST_FOLDS = 2  # and after so many they end, where the gain is sure and depth does not contradict it.
-FEWEST_POINTS = 20  # matched ones that a kept photo's depth is judged by
+FEWEST_POINTS = 20  # matched ones that a held-out photo's depth is judged by
 LEAST_OFF = 1e-6  # share of its distance that depth is taken to be off by at least: a logarithm is taken of it
-PER_PIXEL, PER_POINT = 0.6, 4  # Gaussians of a trial, by pixel of a photo and by matched point; no more than the run's
-SHORT = parse(  # `quick` in so many steps
-    Settings,
-    {
-        "phases": [{"name": "trial", "steps": STEPS, "density_control": True}],
-        "sh_every": 33,
-        "rates": QUICK["rates"],
-        "density": {**QUICK["density"], "start": 7, "stop": 140, "every": 20},
-    },
-)
 
 
 class Score(NamedTuple):
@@ -69,16 +55,22 @@ def gain(scene: Scene, settings: Settings, held_back: Callable[[Plan], Plan]) ->
     frames = tuple(map(kept, tqdm(scene.train_frames, desc="photos", unit="photo", leave=False)))
     matched = {name: scene.points[ids].astype(np.float64) for name, (ids, _) in tracks_by_name(scene).items()}
     scene = with_given_points(scene, settings)
-    short = _short(settings, scene)
+    short = short_settings(settings, scene.train_frames, len(scene.points))
     planned = plan(short)
     size = training_extent(scene)
     optimizer = optimizers.make_optimizer(planned.rates, size, planned.steps)
-    ways = [_Way(short, each, optimizer, size, matched) for each in (planned, held_back(planned))]
+    variants = [Variant(each, optimizer, size) for each in (planned, held_back(planned))]
     pairs: list[tuple[Score, Score]] = []
-    with tqdm(total=2 * FOLDS * STEPS, desc="trying to hold back", unit="step", leave=False) as bar:
+    with tqdm(
+        total=2 * FOLDS * planned.steps, desc="validating sparse-view regularization", unit="step", leave=False
+    ) as bar:
         for fold in range(FOLDS):
             parted = [replace(each, held_out=index % FOLDS == fold) for index, each in enumerate(frames)]
-            as_it_is, held = (way.score(replace(scene, frames=tuple(parted)), bar.update) for way in ways)
+            fold_scene = replace(scene, frames=tuple(parted))
+            as_it_is, held = (
+                _scored(each, fold_scene, replace(short, max_gaussians=each.plan.max_gaussians), matched, bar.update)
+                for each in variants
+            )
             pairs += zip(as_it_is, held, strict=True)
             found = _found(pairs)
             if fold + 1 >= FEWEST_FOLDS and found.is_sure and not found.is_contradicted:
@@ -90,67 +82,19 @@ def _found(pairs: list[tuple[Score, Score]]) -> Gain:
     """Of the scores of photos, as it is and held back."""
     gains = [held.psnr - as_it_is.psnr for as_it_is, held in pairs]
     told = [(a.off, b.off) for a, b in pairs if a.off is not None and b.off is not None]
-    return Gain(*_mean_and_error(gains), *(_mean_and_error([np.log(b / a) for a, b in told]) if len(told) > 1 else ()))
+    return Gain(*mean_and_error(gains), *(mean_and_error([np.log(b / a) for a, b in told]) if len(told) > 1 else ()))
 
 
-def _mean_and_error(values: list[float]) -> tuple[float, float]:
-    return float(np.mean(values)), float(np.std(values, ddof=1) / np.sqrt(len(values)))
-
-
-def chosen_scale(frames: tuple[Frame, ...]) -> int:
-    """How many times smaller photos are in trials."""
-    return max(1, round(max(max(frame.width, frame.height) for frame in frames) / SIDE))
-
-
-def _short(settings: Settings, scene: Scene) -> Settings:
-    """A trial of the run."""
-    frames = scene.train_frames
-    scale = chosen_scale(frames)
-    pixels = max(frame.width * frame.height for frame in frames) / scale**2
-    wanted = max(round(PER_PIXEL * pixels), PER_POINT * len(scene.points))
-    return replace(
-        settings,
-        phases=(replace(SHORT.phases[0], image_scale=scale),),
-        max_gaussians=min(wanted, settings.max_gaussians),
-        sh_every=SHORT.sh_every,
-        rates=SHORT.rates,
-        density=SHORT.density,
-        depth=None,
-        normals=None,
-    )
-
-
-class _Way:
-    """One of the two ways to train. One program serves all its trials: buffers and extent are the same."""
-
-    def __init__(
-        self,
-        settings: Settings,
-        plan: Plan,
-        optimizer: optax.GradientTransformation,
-        extent: float,
-        matched: Mapping[str, np.ndarray],
-    ):
-        """Before the first trial; the extent is that of all training cameras; `matched`: photo's name -> `[P, 3]`."""
-        self._settings = replace(settings, max_gaussians=plan.max_gaussians)
-        self._plan, self._optimizer, self._extent, self._matched = plan, optimizer, extent, matched
-        self._capacity: int | None = None  # of the pair buffer, as the last trial left it
-
-    def score(self, scene: Scene, observe: Callable[[], object]) -> list[Score]:
-        """Of the photos of a scene that are held out, after a trial on the others."""
-
-        def note(progress: Progress) -> None:
-            self._capacity = progress.capacity
-            observe()
-
-        started, _ = with_stereo_points(scene, self._plan)
-        most = self._settings.max_gaussians
-        state = first_state(started, self._settings, self._optimizer, {}, rows=most)
-        work = Work(self._plan, scene.train_frames, self._extent, self._optimizer, lambda _: [], note)
-        state = follow(work, state, self._capacity)
-        kept_photos = targets.read_targets(scene.held_out_frames, scale=self._plan.phases[0].scale)
-        points = [self._matched.get(frame.name, np.zeros((0, 3))) for frame in scene.held_out_frames]
-        return _scores(state.gaussians, kept_photos, points, self._settings)
+def _scored(
+    variant: Variant, scene: Scene, settings: Settings, matched: Mapping[str, np.ndarray], observe: Observe
+) -> list[Score]:
+    """Scores of a scene's held-out photos after a validation run on the others; `matched`: name -> `[P, 3]` points."""
+    started, _ = with_stereo_points(scene, variant.plan)
+    state = first_state(started, settings, variant.optimizer, {}, rows=settings.max_gaussians)
+    state = variant.train(scene.train_frames, state, observe)
+    photos = targets.read_targets(scene.held_out_frames, scale=variant.plan.phases[0].scale)
+    points = [matched.get(frame.name, np.zeros((0, 3))) for frame in scene.held_out_frames]
+    return _scores(state.gaussians, photos, points, settings)
 
 
 def _scores(gaussians: Gaussians, photos: Targets, points: Sequence[np.ndarray], settings: Settings) -> list[Score]:

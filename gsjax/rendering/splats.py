@@ -62,6 +62,22 @@ def _(gaussians: Gaussians) -> Drawable:
     )
 
 
+def in_one_dtype(gaussians: Any, camera: Camera, backend: rasterizer.Backend) -> tuple[Drawable, Camera]:
+    """What is drawn and the camera, in float32; in float64 where the Gaussians are and the backend is "reference".
+
+    Gradients have the dtypes of the arrays that were passed.
+    """
+    is_half = (jnp.bfloat16, jnp.float16)
+    gaussians = jax.tree.map(lambda x: x.astype(jnp.float32) if jnp.result_type(x) in is_half else x, gaussians)
+    scene = drawable(gaussians)
+    dtype = scene.means.dtype if backend == "reference" else jnp.float32
+
+    def cast(x: Array) -> Array:
+        return x if x.dtype == dtype else jnp.asarray(x, dtype)
+
+    return jax.tree.map(cast, (scene, camera))
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Splats:
@@ -99,7 +115,8 @@ def splat(
     Raises:
         ValueError: No capacity is given inside a compiled program, where a backend cannot count.
     """
-    projection, opacities = projected(drawable(gaussians), camera, depth_mode)
+    scene, camera = in_one_dtype(gaussians, camera, backend)
+    projection, opacities = projected(scene, camera, depth_mode)
     if means2d_probe is not None:
         projection = projection._replace(means2d=projection.means2d + means2d_probe[None])
     return binned(projection, opacities, camera, capacity, backend)
@@ -107,7 +124,8 @@ def splat(
 
 def needed_capacity(gaussians: Any, camera: Camera, backend: rasterizer.Backend = "auto") -> Array:
     """`[]` int32 length of the pair buffer that this view needs."""
-    return rasterizer.count_pairs(_project(drawable(gaussians), camera), tile_grid(camera, backend))
+    scene, camera = in_one_dtype(gaussians, camera, backend)
+    return rasterizer.count_pairs(_project(scene, camera), tile_grid(camera, backend))
 
 
 def largest_need(gaussians: Any, cameras: Iterable[Camera]) -> int:

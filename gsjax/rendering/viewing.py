@@ -10,7 +10,7 @@ import rasterizer
 from gsjax import cameras
 from gsjax.cameras import Camera
 from gsjax.rendering.depth import IN_FRONT, DepthReading, depth_channels, mean_depth, splat_depth_mode
-from gsjax.rendering.splats import Drawable, Splats, drawable, facing_axes, features, splat
+from gsjax.rendering.splats import Drawable, Splats, facing_axes, features, in_one_dtype, splat
 
 
 class Neighbor(NamedTuple):
@@ -51,6 +51,9 @@ def render(
 ) -> View:
     """Render one view. Differentiable to the Gaussians, the camera matrices and the background.
 
+    Arrays of another dtype than float32 are cast, and their gradients have the dtype of the caller's arrays. Only the
+    reference computes in float64.
+
     Args:
         gaussians: The scene, of any kind that `drawable` knows.
         camera: The view.
@@ -73,7 +76,8 @@ def render(
     Raises:
         TypeError: In forward mode, or differentiated a second time, unless the backend is "reference".
     """
-    scene, reading = drawable(gaussians), depth_mode if with_depth else None
+    scene, camera = in_one_dtype(gaussians, camera, backend)
+    reading = depth_mode if with_depth else None
     splats = splat(scene, camera, capacity, means2d_probe, splat_depth_mode(reading), backend)
     axes = facing_axes(scene, camera, splats.projection) if with_axes else None
     shown = colors(scene, camera, active_degree)
@@ -97,10 +101,11 @@ def view_splats(
     # Depth comes last: that is where the pass looks for what lies in front.
     planes = None if reading is None else depth_channels(splats, reading)
     channels = {"colors": colors, "extra": extra, "axes": axes, "depth": planes}
-    channels = {name: values for name, values in channels.items() if values is not None}
+    channels = {name: jnp.asarray(values, colors.dtype) for name, values in channels.items() if values is not None}
     image, alphas = features(splats, jnp.concatenate(list(channels.values()), -1), IN_FRONT.get(reading))
     ends = np.cumsum([values.shape[1] for values in channels.values()])
     composited = dict(zip(channels, jnp.split(image, ends[:-1].tolist(), axis=-1), strict=True))
+    background = jnp.asarray(background, image.dtype)
     under = background if background.ndim == 3 else background[None, None]
     over = composited["colors"] + (1 - alphas)[..., None] * under
     depth = None if reading is None else mean_depth(composited["depth"], alphas, reading)

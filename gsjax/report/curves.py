@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gsjax.report.drawing import round_ticks
+
 WIDTH, HEIGHT = 432, 236  # of a chart, SVG units
 LEFT, RIGHT, TOP, BOTTOM = 50, 410, 12, 200  # of what the axes enclose
 TICKS = 5  # most, along either axis
@@ -89,13 +91,11 @@ def chart(title: str, unit: str, curves: Sequence[Curve], marks: Sequence[tuple[
 
 def _ticks(low: float, high: float) -> list[float]:
     """Round numbers from below `low` to above `high`."""
-    from matplotlib.ticker import MaxNLocator
-
     if low == high:  # A line that does not move still has room around it.
         low, high = low - max(abs(low), 1) / 2, high + max(abs(high), 1) / 2
-    ticks = MaxNLocator(TICKS, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+    ticks = round_ticks(low, high, TICKS)
     digits = 1 - math.floor(math.log10(ticks[1] - ticks[0]))
-    return [round(float(tick), max(digits, 0)) + 0.0 for tick in ticks]
+    return [round(tick, max(digits, 0)) + 0.0 for tick in ticks]
 
 
 def _points(x: np.ndarray, y: np.ndarray) -> str:

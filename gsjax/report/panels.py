@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.io.files import atomic_path
+from gsjax.report.drawing import new_figure
 
 
 def draw_panels(panels: Mapping[str, np.ndarray], path: str | Path, *, columns: int = 4) -> Path:
@@ -15,13 +16,9 @@ def draw_panels(panels: Mapping[str, np.ndarray], path: str | Path, *, columns: 
     Raises:
         InputError: The file cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     rows = math.ceil(len(panels) / columns)
     height, width = next(iter(panels.values())).shape[:2]
-    figure = Figure(figsize=(13, (13 / columns * height / width + 0.4) * rows), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(13, (13 / columns * height / width + 0.4) * rows)
     for axes, (title, image) in zip(figure.subplots(rows, columns, squeeze=False).flat, panels.items(), strict=False):
         axes.imshow(image, interpolation="nearest")
         axes.set_title(title, fontsize=11)

@@ -25,6 +25,7 @@ _FIGURES = ("registered", "points", "psnr", "ssim", "gaussians", "vertices", "fa
             "seen_share", "peak_gib")  # fmt: skip
 _STAGES = {str: {f"{name}?": NUMBER for name in ("seconds", *_FIGURES)}}
 _EVIDENCE = {"on": bool, "evidence": NUMBER, "noise": NUMBER, "threshold": NUMBER, "unit": str, "note": str}
+_VALIDATED = {"gain": float, "error": float}
 _SPARSE_VIEWS = {"photos": int, "degrees": NUMBER, "gain": NUMBER, "error": NUMBER, "held_back": bool,
                  "depth?": NUMBER, "depth_error?": NUMBER}  # fmt: skip
 MANIFEST = {
@@ -32,7 +33,7 @@ MANIFEST = {
     "versions?": {str: str},
     "machine?": {str: (None, str, int)},
     "stages?": _STAGES,
-    "effects?": {"simulated": [str], "evidence?": {str: _EVIDENCE}},
+    "effects?": {"simulated": [str], "evidence?": {str: _EVIDENCE}, "validated?": {str: _VALIDATED}},
     "sparse_views?": _SPARSE_VIEWS,
     "split?": splits.SHAPE,
     **{f"{name}?": NUMBER for name in ("steps", "train_seconds", "psnr_near_gains", *_FIGURES)},

@@ -1,17 +1,22 @@
-"""Where to look from at Gaussians: around those that come without cameras, and in a circle around any."""
+"""Cameras around Gaussians that have none of their own, and circles of cameras around Gaussians and meshes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from gsjax.cameras import Camera, look_at, viewmat_centers
 from gsjax.gaussians import Gaussians, opacities
-from gsjax.meshing.methods import directions_to_viewers
-from gsjax.rendering import gallery
+from gsjax.mesh import Mesh, unit_or_zero
+from gsjax.render import gallery
+from gsjax.render.shown_depths import ShownDepth, depths_at
 
 COUNT = 32
 TURNTABLE_VIEWS = 36
+MESH_SIZE = 512  # Side of a view of a mesh, pixels.
+MESH_FOCAL = 1.8  # Of a view of a mesh, in widths: 31 degrees.
+MESH_ELEVATION = np.radians(20.0)
+MESH_MARGIN = 1.05
 SIZE = 400  # Side of a view, pixels.
 FOCAL = 1.2  # Of a view from outside, in widths: what surrounds the middle fills it.
 WIDE_FOCAL = 0.5  # Of a view from inside: a quarter turn.
@@ -64,9 +69,13 @@ def _looking_out(middle: np.ndarray, radius: float, size: int) -> tuple[Camera, 
 
 
 def _camera(eye: np.ndarray, target: np.ndarray, focal: float, size: int) -> Camera:
-    K: Any = np.array([[focal * size, 0, size / 2], [0, focal * size, size / 2], [0, 0, 1]], np.float32)
     viewmat: Any = look_at(eye, target, np.array([0.0, 0.0, 1.0]))
-    return Camera(viewmat, K, size, size)
+    return Camera(viewmat, _intrinsics(focal, size), size, size)
+
+
+def _intrinsics(focal: float, size: int) -> Any:
+    """`[3, 3]` of a square view."""
+    return np.array([[focal * size, 0, size / 2], [0, focal * size, size / 2], [0, 0, 1]], np.float32)
 
 
 def _count_seen(gaussians: Gaussians, means: np.ndarray, radii: np.ndarray, cameras: tuple[Camera, ...]) -> int:
@@ -74,7 +83,11 @@ def _count_seen(gaussians: Gaussians, means: np.ndarray, radii: np.ndarray, came
     near = np.full(len(means), 0.02 * np.median(radii))
     # Means are looked for, so the depth is theirs.
     pictures = gallery.pictures(gaussians, cameras, np.zeros(3, np.float32), "center")
-    return int(np.any(directions_to_viewers(means, near, cameras, pictures) != 0, axis=1).sum())
+    visible = np.zeros(len(means), bool)
+    for camera, picture in zip(cameras, pictures, strict=True):
+        depths, rendered = depths_at(means, ShownDepth(camera, picture.depth))
+        visible |= (rendered > 0) & (np.abs(rendered - depths) < near)
+    return int(visible.sum())
 
 
 def camera_circle(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Camera]:
@@ -87,19 +100,36 @@ def camera_circle(gaussians: Gaussians, cameras: Sequence[Camera]) -> list[Camer
     height = float((offsets @ up).mean())
     flat = offsets - (offsets @ up)[:, None] * up
     radius = float(np.linalg.norm(flat, axis=1).mean())
-    first = flat[0] / np.linalg.norm(flat[0])
+    poses = _circle(middle, up, flat[0] / np.linalg.norm(flat[0]), radius, height)
+    return [Camera(viewmat, cameras[0].K, cameras[0].width, cameras[0].height) for viewmat in poses]
+
+
+def camera_circle_of_mesh(mesh: Mesh, up: np.ndarray) -> list[Camera]:
+    """A circle of square views, 20 degrees above the middle of a mesh, each of which holds the whole mesh.
+
+    The circle ignores the farthest hundredth of the vertices on every side, so stray vertices do not shrink the rest.
+
+    Args:
+        mesh: What the cameras look at.
+        up: `[3]` the world's direction that is up in the pictures, any length.
+    """
+    low, high = np.quantile(mesh.vertices[np.unique(mesh.faces)].astype(np.float64), [0.01, 0.99], axis=0)
+    size = max(float(np.linalg.norm(high - low)), 1e-12)
+    distance = MESH_MARGIN * size / 2 * float(np.hypot(1, 2 * MESH_FOCAL))
+    up = unit_or_zero(np.asarray(up, np.float64))
+    aside = unit_or_zero(np.cross(up, np.eye(3)[np.argmin(np.abs(up))]))
+    radius, height = distance * np.cos(MESH_ELEVATION), distance * np.sin(MESH_ELEVATION)
+    poses = _circle((low + high) / 2, up, aside, radius, height)
+    K = _intrinsics(MESH_FOCAL, MESH_SIZE)
+    return [Camera(viewmat, K, MESH_SIZE, MESH_SIZE) for viewmat in poses]
+
+
+def _circle(middle: np.ndarray, up: np.ndarray, first: np.ndarray, radius: float, height: float) -> Iterator[Any]:
+    """`[4, 4]` world to camera, of cameras that look at the middle; the first stands in the unit direction `first`."""
     second = np.cross(up, first)
-    angles = 2 * np.pi * np.arange(TURNTABLE_VIEWS) / TURNTABLE_VIEWS
-    like = cameras[0]
-    return [
-        Camera(
-            look_at(middle + height * up + radius * (np.cos(a) * first + np.sin(a) * second), middle, up),
-            like.K,
-            like.width,
-            like.height,
-        )  # pyright: ignore[reportArgumentType]
-        for a in angles
-    ]
+    for angle in 2 * np.pi * np.arange(TURNTABLE_VIEWS) / TURNTABLE_VIEWS:
+        outward = np.cos(angle) * first + np.sin(angle) * second
+        yield look_at(middle + radius * outward + height * up, middle, up)
 
 
 def mean_up(cameras: Sequence[Camera]) -> np.ndarray:

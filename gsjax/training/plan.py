@@ -116,10 +116,6 @@ class Plan:
             phases.append(replace(phase, terms=tuple(heaviest.values())))
         return replace(self, phases=tuple(phases))
 
-    def until(self, count: int) -> Self:
-        """The first so many phases alone."""
-        return replace(self, phases=self.phases[:count])
-
     def record(self) -> dict[str, Any]:
         """The plan as `RUN/plan.json` has it."""
         phases = [

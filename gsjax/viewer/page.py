@@ -19,17 +19,14 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.viewer.desk import Desk, Order
 from gsjax.viewer.drawing import bare_background
-from gsjax.viewer.editing import Edit, Editor
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera, picture_size
-from gsjax.viewer.pictures import Pictures
-from gsjax.viewer.ruler import Ruler
+from gsjax.viewer.pictures import COLOR, DEPTH, NORMALS, Pictures
 from gsjax.viewer.same_origin import guarded
 from gsjax.viewer.scenery import MESH_COLORS, MESH_OFF, MESH_SHAPE, Scenery
 from gsjax.viewer.subject import Subject
 
 HOST, PORT = "127.0.0.1", 8080
-SHOW, SIDE, MESH, CAMERAS, MEASURE = "Show", "Longest side", "Mesh", "Cameras", "Measure"
-CHANGE, LENGTH, SCALE, SPHERE, BACK = "Change the run", "It is", "Set the scale", "Keep this sphere", "Bring back"
+SHOW, SIDE, MESH, CAMERAS = "Show", "Longest side", "Mesh", "Cameras"
 BY_BROWSER = "colour, drawn by the browser"
 LONGEST, COARSER = ("480", "960", "1920"), 3  # Sides of full pictures; coarse ones are so much smaller.
 BEHIND_SIDE = 64  # Longest side of the picture of what is behind the browser's own splats: a colour, or a smooth sky.
@@ -55,7 +52,6 @@ class Page:
         port: int,
         news: Callable[[], News | None] | None = None,
         share: float = 1.0,
-        editor: Editor | None = None,
     ):
         """Not served yet.
 
@@ -65,11 +61,10 @@ class Page:
             port: 0 takes a free one.
             news: Asked now and then, while somebody looks, for Gaussians to show instead.
             share: Of the time since `work` began, what answering may take.
-            editor: Changes the run that is shown, where visitors may do so.
         """
         self.subject, self.desk = subject, Desk()
         self._host, self._port = host, port
-        self._news, self._share, self._editor = news, share, editor
+        self._news, self._share = news, share
         self._pictures, self._gaussians, self._line = Pictures(subject), subject.gaussians, ""
         self._background = subject.background
         self._chores: deque[Callable[[], None]] = deque()
@@ -140,25 +135,19 @@ class Page:
 
     def _add_switches(self) -> None:
         """As far as the subject has what they switch."""
-        gui, subject, kinds = self.server.gui, self.subject, self._pictures.kinds
+        gui, subject = self.server.gui, self.subject
         gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)  # A share is not local.
         has_gaussians = subject.gaussians is not None or self._news is not None
         if has_gaussians:
             self._status = gui.add_markdown("The first picture of a kind and size takes longest.")
-            first = kinds[0] if self._news is None else BY_BROWSER
-            shown = (*kinds[:1], BY_BROWSER, *kinds[1:])
+            first = COLOR if self._news is None else BY_BROWSER
+            shown = (COLOR, BY_BROWSER, DEPTH, NORMALS)
             self.switches |= {
                 SHOW: gui.add_dropdown(SHOW, shown, initial_value=first),
                 SIDE: gui.add_dropdown(SIDE, LONGEST, initial_value="960"),
             }
             for switch in self.switches.values():
                 switch.on_update(lambda _: self.desk.again())
-            measure = gui.add_checkbox(MEASURE, initial_value=False, hint="Click on two points of the surface.")
-            measure.on_update(lambda _: self._measure(measure.value))
-            self.switches[MEASURE], self._measured = measure, gui.add_markdown("")
-            self.ruler = Ruler(self.server, subject, self._say_measured)
-            if self._editor is not None:
-                self._add_edits(self._editor)
             self.server.on_client_connect(self._come)
             self.server.on_client_disconnect(self._leave)
         if subject.mesh is not None:
@@ -171,60 +160,6 @@ class Page:
             cameras = gui.add_checkbox(CAMERAS, initial_value=False)
             cameras.on_update(lambda _: self._soon(lambda: self._scenery.show_cameras(cameras.value)))
             self.switches[CAMERAS] = cameras
-
-    def _measure(self, wanted: bool) -> None:
-        """Takes clicks for ends of lengths, or leaves them to the browser."""
-        scene = self.server.scene
-        scene.remove_click_callback()
-        self._soon(self.ruler.forget)
-        if wanted:
-            scene.on_click()(lambda click: self._soon(lambda: self._clicked(click)))
-
-    def _clicked(self, click: Any) -> None:
-        if self._gaussians is not None and self.switches[MEASURE].value:
-            try:
-                self.ruler.click(click.client.client_id, self._gaussians, click.ray_origin, click.ray_direction)
-            except InputError as error:
-                self._say_measured(str(error))
-
-    def _add_edits(self, editor: Editor) -> None:
-        """What changes the run by the length that was measured last."""
-        gui = self.server.gui
-        with gui.add_folder(CHANGE):
-            self.switches[LENGTH] = gui.add_text(LENGTH, initial_value="1m", hint="As in 1.25m, 80cm or 3ft.")
-            for label, hint, edit in (
-                (SCALE, "Metres by the length that was measured.", self._scaled),
-                (SPHERE, "Measure from its middle to its rim.", editor.keep_sphere),
-                (BACK, "What was taken out.", lambda *_: editor.bring_back()),
-            ):
-                button = gui.add_button(label, hint=hint)
-                button.on_click(lambda _, edit=edit, label=label: self._soon(lambda: self._edit(edit, label)))
-
-    def _scaled(self, subject: Subject, ends: np.ndarray) -> Edit:
-        assert self._editor is not None, "its button is there"
-        return self._editor.scale(subject, ends, self.switches[LENGTH].value)
-
-    def _edit(self, edit: Callable[[Subject, Any], Edit], label: str) -> None:
-        """Changes the run, and shows what it is now."""
-        ends = self.ruler.ends
-        if ends is None and label != BACK:
-            self._say_measured(f"{MEASURE} first: two clicks on the surface.")
-            return
-        try:
-            changed = edit(self.subject, ends)
-        except InputError as error:
-            self._say_measured(str(error))
-            return
-        self.subject, self._gaussians = changed.subject, changed.subject.gaussians
-        self._pictures = Pictures(self.subject)
-        self.ruler.forget()
-        self.ruler.show(self.subject)
-        self._say_measured(changed.line)
-        self.desk.again()
-
-    def _say_measured(self, line: str) -> None:
-        with _whoever_is_left():
-            self._measured.content = line
 
     async def _come(self, client: viser.ClientHandle) -> None:
         """A browser is there: what it looks at is noted from now on."""
@@ -263,13 +198,13 @@ class Page:
         started = time.perf_counter()
         try:
             kind = self.switches[SHOW].value
-            picture, line = self._pictures.draw(kind, self._gaussians, camera, self._background)
+            picture = self._pictures.draw(kind, self._gaussians, camera, self._background)
         except InputError as error:
             self._say(str(error))
             return
         if order.is_full:
-            told = f"{camera.width}x{camera.height} in {1e3 * (time.perf_counter() - started):.0f} ms"
-            self._say(", ".join(filter(None, (told, line, self._line))))
+            shown = f"{camera.width}x{camera.height} in {1e3 * (time.perf_counter() - started):.0f} ms"
+            self._say(", ".join(filter(None, (shown, self._line))))
         _send(client, picture, "png" if order.is_full else "jpeg")
 
     def _say(self, line: str) -> None:

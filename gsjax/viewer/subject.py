@@ -10,14 +10,12 @@ from gsjax.cameras import Camera, look_at, viewmat_center
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io.gaussian_files import FORMATS
-from gsjax.meshing.export import SUFFIXES, read_mesh
-from gsjax.rendering import DepthReading
+from gsjax.meshing.export import SUFFIXES, is_mesh_file, read_mesh
+from gsjax.render import DepthReading
 from gsjax.runs.result import BACKGROUND_COLORS, Result, frame_camera, open_result, scene_of_run
 from gsjax.runs.viewpoints import mean_up, opaque_middle
 from gsjax.scene import Frame, Scene
 from gsjax.similarity import IDENTITY, Similarity, of_points
-
-HEADER_BYTES = 65536  # of a PLY, at most
 
 
 @dataclass(frozen=True)
@@ -35,10 +33,9 @@ class Subject:
     mesh: Path | None = None
     background: np.ndarray = field(
         default_factory=lambda: BACKGROUND_COLORS["black"]
-    )  # [3] or SH, see `gsjax.rendering.backdrop`
+    )  # [3] or SH, see `gsjax.render.backdrop`
     depth_mode: DepthReading = "plane"
     similarity: Similarity = IDENTITY  # to all of this, which is local, from the mesh in its file
-    is_in_metres: bool = False  # whether that file is, see `gsjax.place`
 
 
 def open_subject(
@@ -61,7 +58,7 @@ def open_subject(
         read_mesh(mesh)
     if source.is_dir():
         return _of_run(source, Path(mesh) if mesh else None, tell)
-    if _is_mesh(source):
+    if is_mesh_file(source):
         if mesh is not None:
             raise InputError(f"{source}: is a mesh itself; --mesh goes with Gaussians")
         return _of_mesh(source)
@@ -77,7 +74,6 @@ def open_subject(
         background=result.background,
         depth_mode=result.depth_mode,
         similarity=result.similarity,
-        is_in_metres=result.place.is_known,
     )
 
 
@@ -116,7 +112,6 @@ def _of_run(run: Path, mesh: Path | None, tell: Callable[[str], None]) -> Subjec
         background=result.background,
         depth_mode=result.depth_mode,
         similarity=result.similarity,
-        is_in_metres=result.place.is_known,
     )
 
 
@@ -149,12 +144,3 @@ def _seen_from(cameras: list[Camera], middle: np.ndarray) -> dict:
         "up": mean_up(cameras),
         "scale": float(np.linalg.norm(eye - middle)) or 1.0,
     }
-
-
-def _is_mesh(path: Path) -> bool:
-    """Whether a file's suffix, or a PLY's header, tells of triangles."""
-    if path.suffix.lower() != ".ply":
-        return path.suffix.lower() in SUFFIXES
-    with path.open("rb") as file:
-        header = file.read(HEADER_BYTES).partition(b"end_header")[0]
-    return b"element face" in header and b"f_dc_0" not in header and b"packed_position" not in header

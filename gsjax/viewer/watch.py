@@ -9,7 +9,6 @@ from threading import Thread
 from gsjax.io.scenes import load_scene
 from gsjax.settings import Settings, total_steps
 from gsjax.training.loop import Progress
-from gsjax.viewer.editing import Editor
 from gsjax.viewer.page import HOST, PORT, Page, check_port
 from gsjax.viewer.snapshots import Snapshots
 from gsjax.viewer.subject import open_subject, subject_of_scene
@@ -17,9 +16,7 @@ from gsjax.viewer.subject import open_subject, subject_of_scene
 SHARE = 0.03  # Of a training's time, what its page may take.
 
 
-def view(
-    source: str | Path, *, mesh: str | Path | None = None, host: str = HOST, port: int = PORT, edit: bool = False
-) -> None:
+def view(source: str | Path, *, mesh: str | Path | None = None, host: str = HOST, port: int = PORT) -> None:
     """Serve a page that shows a result, until it is interrupted.
 
     Args:
@@ -27,15 +24,13 @@ def view(
         mesh: A mesh to show over Gaussians; None: `mesh.ply` of a run that has one.
         host: Address to listen on; 127.0.0.1 is this machine alone.
         port: 0 takes a free one.
-        edit: Whether the page may change the run, see `gsjax.viewer.editing`.
 
     Raises:
-        InputError: The source or the mesh cannot be read, the port is in use, or what is to be changed is no run.
+        InputError: The source or the mesh cannot be read, or the port is in use.
     """
     check_port(host, port)
-    editor = Editor(source, mesh) if edit else None
     subject = open_subject(source, mesh=mesh, tell=_tell)
-    with suppress(KeyboardInterrupt), Page(subject, host=host, port=port, editor=editor) as page:
+    with suppress(KeyboardInterrupt), Page(subject, host=host, port=port) as page:
         _tell(f"{page.address} shows {subject.name}; Ctrl-C ends it")
         page.work()
 

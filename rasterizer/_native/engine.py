@@ -33,11 +33,6 @@ for _handler in (_lists.lists, _passes.forward, _passes.backward, _whole.list_an
 
 
 def _call(name: str, results, *arguments):
-    for each in arguments:
-        if each.dtype == np.float64:
-            raise ValueError(
-                f"{each.dtype} arrays; backend='native' takes float32, only backend='reference' takes more"
-            )
     return jax.ffi.ffi_call(f"rasterizer_{name}", results, vmap_method="sequential")(*arguments)
 
 

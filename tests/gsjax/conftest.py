@@ -157,6 +157,8 @@ class SfmReport:
     left_out: dict[str, str]
     passed_over: dict[str, str] = field(default_factory=dict)
     gps_unused: dict[str, str] = field(default_factory=dict)
+    focal_unused: dict[str, str] = field(default_factory=dict)
+    images: int = 100
 
 
 @pytest.fixture

@@ -70,10 +70,10 @@ def test_two_keyframes_are_a_straight_line_and_one_place_twice_is_no_fault():
 def test_photos_in_no_order_are_passed_from_near_to_near():
     xs = np.array([0, 7, 3, 9, 1, 8, 2, 4, 6, 5.0])
     cameras = [camera_at((x, 0.0, 0.0), (x, 0.0, 4.0)) for x in xs]
-    keyframes = through(cameras, 24, 1.0, closed=False)
+    keyframes = through(cameras, 24, 1.0)
     np.testing.assert_allclose([viewmat_center(v)[0] for v in keyframes.viewmats], np.arange(10), atol=1e-5)
     in_order = [camera_at((x, 0.0, 0.0), (x, 0.0, 4.0)) for x in np.sort(xs)]
-    thinned = through(in_order, 4, 1.0, closed=False)
+    thinned = through(in_order, 4, 1.0)
     np.testing.assert_allclose([viewmat_center(v)[0] for v in thinned.viewmats], [0, 3, 6, 9], atol=1e-5)
 
 

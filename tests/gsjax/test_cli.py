@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("own_environment")
 
 COMMANDS = (
     "demo", "scan", "sfm", "normals", "masks", "train", "mesh", "refine", "texture", "eval", "render", "report",
-    "compare", "turntable", "view", "share", "undistort", "convert", "scale", "clean", "doctor",
+    "compare", "view", "share", "undistort", "convert", "scale", "clean", "doctor",
 )  # fmt: skip
 
 
@@ -274,8 +274,8 @@ def test_the_other_commands_reach_their_functions(library, capsys):
     assert cli.main(["compare", "run", "other", "--out", "o.html"]) == 0
     assert cli.main(["demo"]) == 0
     assert library == [
-        ("render", ("run", "o"), {"which": "all"}),
-        ("render", ("run", "o"), {"which": "held_out"}),
+        ("render", ("run", "o"), {}),
+        ("render", ("run", "o"), {"views": "held_out"}),
         ("sfm", ("photos", "scene"), {}),
         ("undistort", ("scene", "o"), {}),
         ("undistort", ("scene", "o"), {"downscale": 2, "images": "images_4"}),
@@ -289,6 +289,7 @@ def test_the_other_commands_reach_their_functions(library, capsys):
     assert table[0] == ["psnr", "chamfer"]
     assert table[1:3] == [["vanilla", "30", "0.004"], ["surface", "31", "-"]]
     assert table[3] == ["true", "mesh", "(floor)", "-", "0.0001"]
-    assert "registered   45\nleft_out     3\npassed_over  0\n" in printed.out
+    assert "registered    45\nleft_out      3\npassed_over   0\n" in printed.out
+    assert "\nonly 45 of 100 photos are in the model, less than half: see the photos left out above" in printed.out
     reasons = "gsjax: left out (blurred): a.jpg\ngsjax: left out (dark): b.jpg, c.jpg\n"
     assert printed.err == 2 * reasons

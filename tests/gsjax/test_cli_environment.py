@@ -10,6 +10,7 @@ import warnings
 
 import pytest
 
+from gsjax import cli
 from gsjax.cli import environment
 
 COMMANDS = (
@@ -147,3 +148,11 @@ def test_python_dash_m_is_the_same_command():
     done = subprocess.run([sys.executable, "-m", "gsjax", "train"], capture_output=True, text=True)
     assert done.returncode == 2
     assert done.stderr.startswith("gsjax train: error: the following arguments are required")
+
+
+@pytest.mark.parametrize("flags", ["", "--xla_gpu_deterministic_ops=false", "--xla_gpu_deterministic_ops=true"])
+def test_a_training_asks_xla_for_the_same_bits_in_every_run(monkeypatch, tmp_path, flags):
+    monkeypatch.setenv("XLA_FLAGS", f"--xla_a=1 {flags}".strip())
+    assert cli.main(["train", str(tmp_path), "--out", str(tmp_path / "run"), "--deterministic"]) == 2  # no data set
+    assert os.environ["XLA_FLAGS"].split()[-1] == "--xla_gpu_deterministic_ops=true"
+    assert os.environ["XLA_FLAGS"].count("deterministic") == 1

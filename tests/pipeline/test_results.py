@@ -131,7 +131,7 @@ def test_a_zoom_that_photos_do_not_allow_is_one_line(run, zoom, fault, capsys):
 
 
 def test_pictures_have_the_size_of_their_views(run, tmp_path):
-    pipeline.render(run, tmp_path / "held_out", which="held_out")
+    pipeline.render(run, tmp_path / "held_out", views="held_out")
     files = sorted((tmp_path / "held_out").iterdir())
     assert [f.name for f in files[:3]] == ["000_color.png", "000_depth.png", "000_normal.png"]
     assert len(files) == 6

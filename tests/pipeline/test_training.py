@@ -268,7 +268,7 @@ def test_a_run_that_holds_nothing_out_is_meshed_and_measured_but_not_scored(scen
         "its triangles are not beside the points"
     )
     with pytest.raises(InputError, match="run: has no held-out views to render"):
-        pipeline.render(tmp_path / "run", tmp_path / "pictures", which="held_out")
+        pipeline.render(tmp_path / "run", tmp_path / "pictures", views="held_out")
 
 
 def test_a_run_is_scored_on_its_own_split_whatever_became_of_the_list(run, scene, tmp_path):

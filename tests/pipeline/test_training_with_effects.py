@@ -8,16 +8,13 @@ from scipy.ndimage import gaussian_filter
 from trained_run import SETTINGS, train_until_killed
 
 from gsjax import config, pipeline, runs
-from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.images import read_image, write_image
-from gsjax.io.ply import read_gaussians
 from gsjax.runs.checkpoints import load_arrays
 from gsjax.runs.photography import read_photography
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.scoring.images import score_images
 from gsjax.settings import Settings
-from gsjax.training import harmonics
 
 
 def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scene, tmp_path, monkeypatch):
@@ -84,38 +81,6 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
     assert not any((auto / name).exists() for name in ("effects.json", "poses.json", "background.json"))
     stored = [set(load_arrays(runs.latest_checkpoint(folder)[1])) for folder in (run, auto, whole)]
     assert stored[0] == stored[1] == {name for name in stored[2] if "effects" not in name} < stored[2]
-
-
-@pytest.mark.long
-def test_a_run_goes_on_with_fewer_harmonics_and_they_are_nowhere(run, scene, tmp_path, monkeypatch):
-    """Stopped where they are tried again, and where not: it ends with the bits of the run that was not stopped."""
-    settings = config.parse(Settings, {**SETTINGS, "effects": "sh_degree"})
-    with monkeypatch.context() as patched:
-        patched.setattr(
-            harmonics, "smallest_good_degree", max
-        )  # Where all are needed, that they were tried leaves no trace.
-        pipeline.train(scene, tmp_path / "all", settings)
-    assert (tmp_path / "all/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
-    monkeypatch.setattr(harmonics, "smallest_good_degree", min)
-    whole = tmp_path / "whole"
-    pipeline.train(scene, whole, settings)
-    found = json_files.read(whole / "manifest.json")["harmonics"]
-    assert found["degree"] == 0
-    assert list(found["psnr"]) == ["0", "1"] and all(psnr > 5 for psnr in found["psnr"].values())
-    stopped = tmp_path / "stopped"
-    for stop in (13, 16):  # Checkpoints are of steps 7 and 14, harmonics are tried after 12.
-        train_until_killed(stop, scene, stopped, settings)
-    pipeline.train(scene, stopped, settings, resume=True)
-    assert (stopped / "gaussians.ply").read_bytes() == (whole / "gaussians.ply").read_bytes()
-    assert read_gaussians(whole / "gaussians.ply").sh_degree == 0
-    arrays = load_arrays(runs.latest_checkpoint(whole)[1])
-    rests = [array for name, array in arrays.items() if name.endswith("sh_rest")]
-    assert len(rests) == 3 and not any(array.size for array in rests), "Gaussians and two moments"
-    assert b"f_rest" not in (whole / "gaussians.ply").read_bytes()[:2000]
-    assert b"f_rest" in (run / "gaussians.ply").read_bytes()[:2000]
-    growing = {**SETTINGS, "phases": SETTINGS["phases"][:1], "effects": "sh_degree"}
-    with pytest.raises(InputError, match="no phase comes after those of density control"):
-        pipeline.train(scene, tmp_path / "growing", config.parse(Settings, growing))
 
 
 def test_a_photo_too_blurred_to_learn_from_is_in_no_stage(scene, tmp_path, capsys):

@@ -1,5 +1,6 @@
 """What callers hand over for an array: lists and numbers are served, what is no array is named in one line."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -28,13 +29,18 @@ def test_a_number_is_the_background_of_every_channel():
     np.testing.assert_array_equal(image(backgrounds=0.25), image(backgrounds=behind))
 
 
-def test_lists_take_the_dtype_of_the_arrays_beside_them():
+def test_all_arrays_come_in_one_float_dtype_but_masks_and_indices():
     @takes_arrays
     def dtypes(means: jnp.ndarray, scales: jnp.ndarray, masks: jnp.ndarray | None = None):
         return means.dtype, scales.dtype, None if masks is None else masks.dtype
 
-    assert dtypes([[1, 2, 3]], np.ones((1, 3), np.float16), [True]) == (np.float16, np.float16, np.bool_)
+    assert dtypes([[1, 2, 3]], np.ones((1, 3), np.float16), [True]) == (np.float32, np.float32, np.bool_)
+    assert dtypes(jnp.ones(3, jnp.bfloat16), np.ones(3, np.int32)) == (np.float32, np.float32, None)
+    assert dtypes(np.ones(3), np.ones(3, np.float32)) == (np.float64, np.float32, None)  # jax reads both as float32
     assert dtypes(1, 2) == (np.float32, np.float32, None)
+    with jax.enable_x64(True):
+        assert dtypes(np.ones(3), np.ones(3, np.float32)) == (np.float64, np.float64, None)
+        assert dtypes(np.ones(3, np.float32), np.ones(3)) == (np.float32, np.float32, None)
 
 
 class Tensor:
@@ -48,6 +54,7 @@ class Tensor:
     ("changes", "fault", "message"),
     [
         ({"means": Tensor()}, TypeError, r"means is of type .*Tensor, expected an array of JAX or numpy"),
+        ({"means": ARRAYS["means"].astype(np.complex64)}, TypeError, r"means.dtype=complex64, expected real numbers"),
         ({"means": None}, TypeError, r"means is of type builtins.NoneType"),
         ({"means": "x"}, TypeError, r"means is of type builtins.str"),
         ({"means": [[1, 2], [1, 2, 3]]}, TypeError, r"means=\[\[1, 2\], \[1, 2, 3\]\] is no array of numbers"),

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import cloud, evaluate, in_float64, loss, relative_errors, render
+from scenes import cloud, evaluate, loss, relative_errors, render
 from tolerances import assert_close
 
 from rasterizer import capacity_bucket
@@ -115,13 +115,11 @@ def test_a_new_camera_compiles_nothing(empty_caches):
         ({"backgrounds": jnp.ones((1, 5))}, {"render_mode": "RGB+D"}, r"expected \(1, 4\) or \(1, 3\) for .*'RGB\+D'"),
         ({}, {"render_mode": "rgb"}, "render_mode='rgb'"),
         ({}, {"backend": "cuda"}, "backend='cuda'"),
-        ({"quats": jnp.ones((40, 4), jnp.int32)}, {}, "quats.dtype=int32"),
-        ({"colors": jnp.ones((40, 3), jnp.uint8)}, {}, "colors.dtype=uint8"),
-        ({"scales": jnp.ones((40, 3), jnp.bfloat16)}, {}, "scales.dtype=bfloat16"),
         ({"width": 0}, {}, "width=0"),
         ({"height": -3}, {}, "height=-3"),
         ({}, {"capacity": 0}, "capacity=0"),
         ({}, {"tile_size": 0}, "tile_size=0"),
+        ({"width": 7.5}, {}, "width=7.5, expected a whole number"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_value(changes, options, message):
@@ -129,6 +127,10 @@ def test_what_does_not_fit_is_refused_with_its_value(changes, options, message):
         render(replace(SCENE, **changes), **{"capacity": ENOUGH, **options})
 
 
-def test_the_tiles_refuse_float64(x64):
-    with pytest.raises(ValueError, match=r"means.dtype=float64, .* backend='reference'"):
-        render(in_float64(SCENE), capacity=ENOUGH)
+def test_static_numbers_are_of_any_kind_and_never_traced():
+    sizes = {"width": np.int64(SCENE.width), "height": jnp.asarray(SCENE.height)}
+    options = {"capacity": np.float32(ENOUGH), "tile_size": jnp.int32(8)}
+    expected = render(SCENE, capacity=ENOUGH, tile_size=8)[0]
+    np.testing.assert_array_equal(render(replace(SCENE, **sizes), **options)[0], expected)
+    with pytest.raises(ValueError, match="width is traced, but static"):
+        jax.jit(lambda width: render(replace(SCENE, width=width), capacity=ENOUGH)[0])(SCENE.width)

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import jax
 import pytest
 
-from rasterizer import devices, engines
+from rasterizer import _pallas, devices, engines
 
 H100 = SimpleNamespace(platform="gpu", device_kind="NVIDIA H100 80GB HBM3", compute_capability="9.0")
 T4 = SimpleNamespace(platform="gpu", device_kind="Tesla T4", compute_capability="7.5")
@@ -82,3 +82,17 @@ def test_a_jax_without_triton_imports_and_takes_mosaic_or_jnp(missing):
     assert done.stdout.split() == [chosen, chosen, "True", str(by_mosaic)], done.stderr
     reason = "the rasterizer runs in jnp: its kernels need Pallas' Triton or Mosaic backend, and jax "
     assert [line.startswith(reason) for line in done.stderr.splitlines()] == [] if by_mosaic else [True]
+
+
+@pytest.mark.parametrize(
+    ("flags", "sums"),
+    [
+        ("", _pallas.atomic_sums),
+        ("--xla_gpu_deterministic_ops=true --xla_a=1", _pallas.sorted_sums),
+        ("--xla_gpu_deterministic_ops", _pallas.sorted_sums),
+        ("--xla_gpu_deterministic_ops=false", _pallas.atomic_sums),
+    ],
+)
+def test_the_kernels_sum_in_order_where_xla_is_asked_for_determinism(monkeypatch, flags, sums):
+    monkeypatch.setenv("XLA_FLAGS", flags)
+    assert engines._engine("pallas").backward.keywords["sum_rows"] is sums

@@ -192,7 +192,7 @@ def test_harmonics_in_two_parts_are_the_whole(x64):
 
     def parts(sh0, shN, means, viewmats):
         others = rasterizer.spherical_harmonics_l1_plus(2, means, viewmats, shN)
-        return jnp.sum(weights * (rasterizer.spherical_harmonics_l0(sh0) + others)), others
+        return jnp.sum(weights * (rasterizer.spherical_harmonics_l0(sh0)[None, None] + others)), others
 
     def whole(sh0, shN, means, viewmats):
         centers = -jnp.einsum("bcji,bcj->bci", viewmats[..., :3, :3], viewmats[..., :3, 3])

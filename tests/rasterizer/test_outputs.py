@@ -190,7 +190,7 @@ def test_covariances_in_place_of_quats_and_scales(backend):
     assert_close(image, expected_image, rtol=1e-4, atol=1e-4, why="products of float32 covariances")
     # Only the upper triangle is read.
     lower = jnp.asarray(np.tril(np.ones((3, 3)), -1), jnp.float32)
-    np.testing.assert_array_equal(drawn(covars + 7 * lower)[1], image)
+    np.testing.assert_array_equal(drawn(covars + 7 * lower[None])[1], image)
     gradient = np.asarray(gradient)
     assert np.isfinite(gradient).all() and np.all(
         gradient[:, np.tril_indices(3, -1)[0], np.tril_indices(3, -1)[1]] == 0

@@ -8,6 +8,7 @@ import jax.extend
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxprs import equations
 from scenes import cloud, evaluate, relative_errors, stacks
 from tolerances import assert_close
 
@@ -53,6 +54,32 @@ def test_a_pair_buffer_that_is_too_short_is_reported_and_stays_finite(backend):
     _, _, info, gradient = evaluate(stacks(), backend, capacity=64)
     assert info["overflowed"]
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
+
+
+def test_sorted_sums_are_those_of_every_place():
+    rng = np.random.default_rng(0)
+    places, values = rng.integers(0, 9, 500).astype(np.int32), rng.normal(size=(500, 3)).astype(np.float32)
+    expected = np.stack([values[places == place].astype(np.float64).sum(0) for place in range(8)])
+    for sums in (_pallas.sorted_sums, _pallas.atomic_sums):
+        assert_close(sums(jnp.asarray(values), jnp.asarray(places), 8), expected)
+    only_left_out = jnp.full(3, 8, jnp.int32)
+    np.testing.assert_array_equal(
+        _pallas.sorted_sums(jnp.ones((3, 2), jnp.float32), only_left_out, 8), np.zeros((8, 2))
+    )
+
+
+def test_with_sorted_sums_the_backward_pass_adds_by_no_scatter(passes):
+    arguments, backward = passes
+    static = backward.args[0]
+    ordered = partial(_pallas.engine(interpret=True, sum_rows=_pallas.sorted_sums).backward, static)
+    expected, gradient = jax.jit(backward)(*arguments), jax.jit(ordered)(*arguments)
+    assert np.linalg.norm(gradient - expected) < 1e-5 * np.linalg.norm(expected)
+
+    def adds(program):
+        found = equations(jax.make_jaxpr(program)(*arguments).jaxpr)
+        return [e for e in found if "scatter" in e.primitive.name and "add" in e.primitive.name]
+
+    assert adds(backward) and not [e for e in adds(ordered) if jnp.issubdtype(e.outvars[0].aval.dtype, jnp.floating)]
 
 
 @pytest.fixture(scope="module")

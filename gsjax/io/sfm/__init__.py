@@ -213,7 +213,7 @@ def _built(
         files = networks.weights, networks.matcher_weights
         found, matcher = learned.find_features(taken, networks.kind, *files, threads, progress)
     scores = pairs.likeness(found, threads, progress)
-    priors, ignored = initial_cameras.focal_priors(taken)
+    priors, ignored_focals = initial_cameras.focal_priors(taken)
     material = mapping.Material(taken, found, scores, initial_cameras.guess_cameras(taken, priors), threads, matcher)
     try:
         model, left_out, second_mapping = mapping.map_photos_with_priors(material, priors, workspace, progress)
@@ -232,7 +232,7 @@ def _built(
         "mean_reprojection_error": model.compute_mean_reprojection_error(),
         "mean_track_length": model.compute_mean_track_length(),
         "place": placed.told,
-        "focal_unused": ignored,
+        "focal_unused": ignored_focals,
         "second_mapping": second_mapping,
         "gps_unused": {shot.name: shot.fix for shot in taken if isinstance(shot.fix, str)}
         | {taken[photo].name: f"{metres:.0f} m from the photo's place" for photo, metres in placed.off.items()},

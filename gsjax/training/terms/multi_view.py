@@ -94,7 +94,7 @@ def _there_and_back(pixel: Array, here: Array, camera: Camera, neighbor: Neighbo
     Thirdly whether it met a surface twice.
     """
     turn = jnp.sum(cameras.rotation(neighbor.camera)[:, None] * cameras.rotation(camera)[None], -1)
-    shift = neighbor.camera.viewmat[:3, 3] - jnp.sum(turn * camera.viewmat[:3, 3], -1)
+    shift = neighbor.camera.viewmat[:3, 3] - jnp.sum(turn * camera.viewmat[None, :3, 3], -1)
     point, in_front = _in_front(times(turn, _point(pixel, here, camera)) + shift)
     seen_at = cameras.project(point, neighbor.camera)
     there = _point(seen_at, sample_bilinear(neighbor.depth, seen_at), neighbor.camera)

@@ -29,7 +29,7 @@ EXTENT = 4.0
 SETTINGS = Refinement(
     steps=200, sh_degree=0, thickness=2e-3, settle_at=0.8, seed=1, rates=RefinementRates(vertices=1e-3)
 )
-RAISED = np.array([0, 0, 1e-3], np.float32)
+RAISED = np.array([[0, 0, 1e-3]], np.float32)
 EYES = [(0.0, -1.5, 0.0), (1.6, 0.8, 0.5), (-1.6, 0.8, 0.5), (1.2, -1.0, 1.5), (-1.2, -1.0, 1.5), (0.1, 1.7, 0.3)]
 
 

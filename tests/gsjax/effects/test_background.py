@@ -15,7 +15,8 @@ from gsjax.effects import background
 from gsjax.effects.observations import observe
 from gsjax.errors import InputError
 from gsjax.planning.effects import choose_effects
-from gsjax.rendering import backdrop
+from gsjax.planning.validation import Validated
+from gsjax.render import backdrop
 from gsjax.scene import with_pixels
 from gsjax.settings import Settings
 from gsjax.training.plan import plan
@@ -111,15 +112,20 @@ def test_a_sky_starts_as_the_photos_show_it():
     np.testing.assert_array_equal(background.initial(observe(wall())), np.zeros((1, 3)))
 
 
+def confirm(seen, proposed, skies):
+    """A validation in which every effect passes."""
+    return dict.fromkeys(proposed, Validated(1.0, 0.1))
+
+
 def test_a_sky_of_the_colour_that_a_run_lays_anyway_is_off():
     white = painted(lambda y, x: np.array([255, 255, 255]))
     auto = plan(Settings(background="white"))
-    laid = choose_effects("auto", auto, white)
+    laid = choose_effects("auto", auto, white, confirm)
     assert "background" not in laid.effects
     told = laid.evidence["evidence"]["background"]
     assert not told["on"] and told["evidence"] == 1.0
     assert told["note"].startswith("off: --background white lays that colour there; ")
-    over_black = choose_effects("auto", replace(auto, background="black"), white)
+    over_black = choose_effects("auto", replace(auto, background="black"), white, confirm)
     assert "background" in over_black.effects and over_black.evidence["evidence"]["background"]["on"]
 
 
@@ -137,7 +143,7 @@ def test_what_cameras_do_to_a_laid_colour_makes_no_sky_of_it(effect):
             return -0.6 * radii2(frame, x, y)
 
     scene = relit(painted(lambda y, x: np.full(3, 255)), changed)
-    taken_in = choose_effects("auto", auto, scene)
+    taken_in = choose_effects("auto", auto, scene, confirm)
     assert effect in taken_in.effects
     assert "background" not in taken_in.effects
 

@@ -28,7 +28,6 @@ from gsjax.scene import Origin, Pixels, with_pixels
 EFFECTS = [
     "exposure",
     "vignetting",
-    "sh_degree",
     "background",
     "sky",
     "poses",
@@ -140,17 +139,6 @@ def test_a_photo_that_few_tracks_tell_of_is_not_tinted():
     np.testing.assert_allclose(found[:15] - found[:15].mean(0), true, atol=0.02)
 
 
-def test_colours_that_turn_with_the_direction_want_harmonics():
-    scene = wall(24)
-
-    def sheen(index, frame, x, y):
-        slope = 1.5 * (x - frame.K[0, 2]) / frame.K[0, 0]
-        return np.where(x < middle(frame), slope, -slope)[..., None]
-
-    assert diagnose(scene).effects["sh_degree"].value < 0.4
-    assert diagnose(relit(scene, sheen)).effects["sh_degree"].on
-
-
 def test_an_open_sky_is_seen_and_mattes_answer_it():
     scene = wall()
     tracks = scene.tracks()
@@ -217,7 +205,7 @@ def test_pixels_lost_to_undistortion_are_counted():
 
 def test_what_cannot_be_judged_says_so():
     found = diagnose(replace(wall(), tracks=None)).effects
-    unknown = {"exposure", "vignetting", "sh_degree", "background", "poses", "transients", "mip", "sky"}
+    unknown = {"exposure", "vignetting", "background", "poses", "transients", "mip", "sky"}
     assert {name for name, evidence in found.items() if evidence.value is None} == unknown
     assert not any(found[name].on for name in unknown)
     assert all("cannot be judged" in found[name].note for name in unknown)

@@ -17,7 +17,8 @@ from gsjax.io.scenes import load_scene
 from gsjax.planning.effects import choose_effects
 from gsjax.planning.skies import given_skies
 from gsjax.planning.start import first_state
-from gsjax.rendering import backdrop
+from gsjax.planning.validation import Validated
+from gsjax.render import backdrop
 from gsjax.runs.records import read_views
 from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, Scene, Tracks, frame_of, with_pixels
@@ -265,7 +266,10 @@ def test_a_run_takes_in_what_it_finds_or_is_given_and_starts_below_it(made):
     given = choose_effects("none", plan(settings), scene, skies={"3.png": truth["3.png"]})
     assert given.names == ("background", "sky") and list(given.skies) == ["3.png"]
     assert choose_effects("none", plan(settings), scene).names == ()
-    assert choose_effects("auto", plan(settings), scene).names == chosen.names
+    assert choose_effects("auto", plan(settings), scene).names == (), "not validated"
+    for gain, names in ((1.0, chosen.names), (-1.0, ())):
+        validated = {"sky": Validated(gain, 0.1)}
+        assert choose_effects("auto", plan(settings), scene, lambda *_, found=validated: found).names == names
     assert choose_effects("exposure", plan(settings), scene).names == ("exposure",)
 
 

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from fuzzing import damaged_json, fuzz
+from PIL import Image
 
 from gsjax.errors import InputError
 from gsjax.io import films
@@ -21,9 +22,7 @@ POSES = [
 def test_a_film_comes_back(tmp_path, name):
     ramp = np.linspace(0, 255, 64).astype(np.uint8)[None, :, None] * np.ones((48, 1, 1), np.uint8)
     shades = [ramp * np.uint8([1, 0, 0]), ramp * np.uint8([0, 1, 0]), ramp * np.uint8([0, 0, 1])] * 4
-    with films.film_writer(tmp_path / name, 24.0, 64, 48) as add:
-        for shade in shades:
-            add(shade)
+    films.write_film(tmp_path / name, shades, 24.0, 64, 48)
     assert [path.name for path in tmp_path.iterdir()] == [name]
     film = cv2.VideoCapture(str(tmp_path / name), cv2.CAP_FFMPEG)
     assert film.get(cv2.CAP_PROP_FPS) == 24
@@ -33,30 +32,36 @@ def test_a_film_comes_back(tmp_path, name):
     assert not film.read()[0]
 
 
-def test_a_film_that_is_stopped_or_cannot_be_written_leaves_nothing(tmp_path):
-    with pytest.raises(KeyboardInterrupt), films.film_writer(tmp_path / "film.mp4", 24.0, 64, 48) as add:
-        add(np.zeros((48, 64, 3), np.uint8))
+@pytest.mark.parametrize("count", [1, 5])
+def test_a_gif_holds_every_picture_and_repeats(tmp_path, count):
+    films.write_film(tmp_path / "a.GIF", [np.full((10, 12, 3), 40 * k, np.uint8) for k in range(count)], 10.0, 12, 10)
+    with Image.open(tmp_path / "a.GIF") as animation:
+        assert (animation.n_frames, animation.info["duration"], animation.info["loop"]) == (count, 100, 0)
+        for index in range(count):
+            animation.seek(index)
+            assert np.abs(np.asarray(animation.convert("RGB")).astype(int) - 40 * index).max() <= 2
+    assert [path.name for path in tmp_path.iterdir()] == ["a.GIF"]
+
+
+@pytest.mark.parametrize("name", ["film.mp4", "film.gif"])
+def test_a_film_that_is_stopped_or_cannot_be_written_leaves_nothing(tmp_path, name):
+    def stopped():
+        yield np.zeros((48, 64, 3), np.uint8)
         raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        films.write_film(tmp_path / name, stopped(), 24.0, 64, 48)
     assert not list(tmp_path.iterdir())
     (tmp_path / "file").write_text("")
-    with (
-        pytest.raises(InputError, match="cannot write .*film.mp4"),
-        films.film_writer(tmp_path / "file" / "film.mp4", 24.0, 64, 48),
-    ):
-        pass
-    with pytest.raises(InputError, match=r"--out film.gif: a film ends in .mp4 or .webm"):
-        films.check_film("film.gif")
+    with pytest.raises(InputError, match=f"cannot write .*{name}"):
+        films.write_film(tmp_path / "file" / name, [np.zeros((48, 64, 3), np.uint8)], 24.0, 64, 48)
 
 
 def test_a_film_that_lacks_pictures_is_refused(tmp_path, monkeypatch):
     """As a full disk leaves it."""
     monkeypatch.setattr(films, "_count_frames", lambda path: 1)
-    with (
-        pytest.raises(InputError, match="not all of its 2 pictures are in it"),
-        films.film_writer(tmp_path / "film.mp4", 24.0, 64, 48) as add,
-    ):
-        add(np.zeros((48, 64, 3), np.uint8))
-        add(np.zeros((48, 64, 3), np.uint8))
+    with pytest.raises(InputError, match="not all of its 2 pictures are in it"):
+        films.write_film(tmp_path / "film.mp4", np.zeros((2, 48, 64, 3), np.uint8), 24.0, 64, 48)
     assert not list(tmp_path.iterdir())
 
 

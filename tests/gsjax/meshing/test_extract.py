@@ -13,7 +13,7 @@ from gsjax.meshing import boxes, depth_of_mesh, extract_mesh
 from gsjax.meshing.boxes import Box, Region
 from gsjax.meshing.extract import cut_to_region
 from gsjax.meshing.level_set import LevelSetOptions
-from gsjax.meshing.methods import level_set_poisson
+from gsjax.meshing.level_set_poisson import level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.rendering import gallery
 
@@ -59,7 +59,8 @@ def test_colors_come_from_the_images(ball_mesh):
 
 def test_report_is_plain_json(ball_mesh):
     report = json.loads(json.dumps(ball_mesh[1]))
-    assert set(report) == {"seen", "foreground", "topology", "facing_share"}
+    assert set(report) == {"method", "seen", "foreground", "topology", "facing_share"}
+    assert report["method"] == "from_level_set"
     assert report["seen"]["crossing_share"] > 0.9
     assert report["seen"]["flipped_share"] == 0
     assert report["foreground"]["points_seen"] <= report["seen"]["points"] <= 12_000

@@ -1,4 +1,4 @@
-"""The ways to a surface beside the level set: what each brings back from the same ball of discs."""
+"""Mesh methods other than the level set: the mesh of the same ball of discs; and the table of all methods."""
 
 from functools import partial
 
@@ -6,25 +6,22 @@ import numpy as np
 import pytest
 from small_scenes import camera_at, cloud
 
-from gsjax import gaussians as gs
 from gsjax.errors import InputError
-from gsjax.meshes import Mesh, face_normals, signed_volume
-from gsjax.meshing import boxes, extract_mesh, methods
+from gsjax.mesh import Mesh, face_normals
+from gsjax.meshing import boxes, extract_mesh
 from gsjax.meshing.boxes import Box, Region
 from gsjax.meshing.depth_points import LEAST_FACING, depth_poisson
-from gsjax.meshing.marching_cubes import density_grid, marching_cubes
-from gsjax.meshing.methods import centers_poisson
+from gsjax.meshing.methods import METHODS, MeshMethod, MethodOptions, methods_help, methods_of
 from gsjax.meshing.orientation import facing_share, orient_outward
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
-from gsjax.rendering.gallery import Picture
+from gsjax.render.gallery import Picture
 
 ALL = {
     "depth": depth_poisson(smoothed_depth_normals, 100_000),
-    "centers": centers_poisson(),
     "tsdf": tsdf(voxel=0.06),
-    "marching-cubes": marching_cubes(cell=0.06),
 }
+NAMES = {"depth": "from_depth", "tsdf": "from_fused_depth"}  # in the report of `extract_mesh`
 
 
 @pytest.fixture(scope="module", params=ALL)
@@ -34,39 +31,12 @@ def named_mesh(request, ball):
 
 def test_every_method_finds_the_ball(named_mesh):
     name, mesh, report = named_mesh
-    # The grid shows both sides of discs that count as 0.6 cells thick: 0.036 sqrt(2 ln(3.2 / 0.3)) = 0.08 away.
-    near = 0.11 if name == "marching-cubes" else 0.05
     radii = np.linalg.norm(mesh.vertices, axis=1)
-    assert np.quantile(np.abs(radii - 1), 0.99) < near
+    assert np.quantile(np.abs(radii - 1), 0.99) < 0.05
     assert report["facing_share"] > 0.99
     assert report["topology"]["oriented"]
-    assert np.abs(mesh.colors.astype(int) - ([128] * 3 if name not in ("tsdf", "depth") else [255, 128, 0])).max() <= 2
-
-
-def test_poisson_through_the_centres_is_a_closed_outward_ball(ball):
-    mesh, report = extract_mesh(ball.gaussians, *ball.views, method=centers_poisson())
-    assert signed_volume(mesh) == pytest.approx(4 / 3 * np.pi, rel=0.05)
-    assert report["topology"]["components"] == 1
-    assert report["seen"]["points"] == 2000
-
-
-def test_a_centre_that_no_view_sees_has_no_outside(ball):
-    towards = methods.directions_to_viewers(
-        np.array([[0.0, 0, 1], [0, 0, 0], [0, 0, 3]]), np.full(3, 0.1), ball.cameras, ball.pictures
-    )
-    assert towards[0, 2] > 0
-    np.testing.assert_array_equal(towards[1:], 0)
-    blank = [p._replace(depth=np.zeros_like(p.depth)) for p in ball.pictures]
-    with pytest.raises(InputError, match="no view sees the centre of any of 2000 Gaussians"):
-        extract_mesh(ball.gaussians, ball.cameras, blank, method=centers_poisson())
-
-
-def test_plane_normals_of_a_plane():
-    rng = np.random.default_rng(0)
-    axis = np.array([1.0, 2.0, -2.0]) / 3
-    points = rng.normal(size=(300, 3))
-    points -= (points @ axis)[:, None] * axis
-    np.testing.assert_allclose(np.abs(methods.plane_normals(points, 16) @ axis), 1, atol=1e-9)
+    assert np.abs(mesh.colors.astype(int) - [255, 128, 0]).max() <= 2
+    assert report["method"] == NAMES[name]
 
 
 def test_fusion_leaves_open_what_nothing_saw(ball):
@@ -127,30 +97,7 @@ def test_nothing_opaque_cannot_be_fused(ball):
         extract_mesh(ball.gaussians, ball.cameras, blank, method=tsdf())
 
 
-def test_the_grid_holds_the_density_at_its_own_points():
-    scene = gs.Gaussians(
-        means=np.float32([[0.3, -0.2, 0.1], [5, 5, 5]]),
-        quats=np.float32([[1, 0, 0, 0], [1, 0, 0, 0]]),
-        log_scales=np.log(np.float32([[0.4, 0.3, 0.2], [0.1, 0.1, 0.1]])),
-        logit_opacities=np.float32([1.0, 9.0]),
-        sh_dc=np.zeros((2, 1, 3), np.float32),
-        sh_rest=np.zeros((2, 0, 3), np.float32),
-    )
-    box, step = Box((-1, -0.9, -0.8), (1, 0.9, 0.8)), 0.1
-    grid = density_grid(scene, box, step)
-    z, y, x = np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij")
-    offset = (box.low + step * np.stack([x, y, z], -1) - [0.3, -0.2, 0.1]) / [0.4, 0.3, 0.2]
-    distance = np.linalg.norm(offset, axis=-1)
-    expected = np.exp(-0.5 * distance**2) / (1 + np.exp(-1.0))
-    inside = distance < 3  # Beyond, whole blocks may be left out.
-    np.testing.assert_allclose(grid[inside], expected[inside], atol=2e-6)
-    assert grid[~inside].max() <= expected[~inside].max() + 2e-6
-
-
 def test_a_grid_that_no_machine_holds_is_refused():
-    box = Box((-1, -1, -1), (1, 1, 1))
-    with pytest.raises(InputError, match=r"^a grid of cells of 1e-06 scene units takes 8.\d+e\+10 GiB of memory; "):
-        density_grid(cloud(3), box, 1e-6)
     camera = camera_at((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), size=(16, 16))
     depth = np.full((16, 16), 3.0, np.float32)
     picture = Picture(colors=np.zeros((16, 16, 3)), alphas=np.ones((16, 16)), depth=depth, owners=None)
@@ -159,27 +106,8 @@ def test_a_grid_that_no_machine_holds_is_refused():
         sighting.build(Region(Box((-9, -9, -9), (9, 9, 9))))
 
 
-def test_vertices_of_a_round_gaussian_lie_on_its_level_sphere():
-    scene = gs.Gaussians(
-        means=np.float32([[0.111, -0.07, 0.03]]),
-        quats=np.float32([[1, 0, 0, 0]]),
-        log_scales=np.log(np.full((1, 3), 0.5, np.float32)),
-        logit_opacities=np.float32([2.0]),
-        sh_dc=np.zeros((1, 1, 3), np.float32),
-        sh_rest=np.zeros((1, 0, 3), np.float32),
-    )
-    sighting = marching_cubes(level=0.3, cell=0.05)(scene, [], [])
-    mesh, _ = sighting.build(Region(Box((-2, -2, -2), (2, 2, 2))))
-    radius = 0.5 * np.sqrt(2 * np.log(1 / (1 + np.exp(-2.0)) / 0.3))
-    # Half a cell would be 0.025.
-    np.testing.assert_allclose(np.linalg.norm(mesh.vertices - [0.111, -0.07, 0.03], axis=1), radius, atol=1e-3)
-    assert signed_volume(mesh) == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.01)
-    with pytest.raises(InputError, match=r"density stays under 0.95"):
-        marching_cubes(level=0.95, cell=0.05)(scene, [], []).build(Region(Box((-2, -2, -2), (2, 2, 2))))
-
-
 def test_faces_that_look_away_from_the_views_are_turned_about(ball):
-    mesh, _ = extract_mesh(ball.gaussians, *ball.views, method=centers_poisson())
+    mesh, _ = extract_mesh(ball.gaussians, *ball.views, method=ALL["depth"])
     inside_out = Mesh(mesh.vertices, mesh.faces[:, ::-1].copy(), mesh.colors)
     assert facing_share(mesh, ball.cameras) == 1
     assert facing_share(inside_out, ball.cameras) == 0
@@ -195,3 +123,38 @@ def test_a_box_with_nothing_in_it_is_one_line_for_all(ball, method):
     nowhere = Box((5, 5, 5), (6, 6, 6))
     with pytest.raises(InputError, match=r"the box .* holds none of"):
         extract_mesh(ball.gaussians, *ball.views, method=method, regions=partial(lambda _: boxes.fixed_boxes(nowhere)))
+
+
+def test_the_table_is_the_methods_that_auto_tries_in_order():
+    assert list(METHODS) == ["poisson", "agreed", "tsdf"]
+    assert methods_of("auto", MethodOptions(level=0.2, points=5, depth=7, trim_quantile=0.1, cell=0.1)) == METHODS
+    assert methods_of("tsdf", MethodOptions(cell=0.1)) == {"tsdf": METHODS["tsdf"]}
+
+
+def test_one_entry_registers_a_method_for_its_name_the_help_and_auto(monkeypatch):
+    own = MeshMethod("planes by hand", lambda options, depths: ALL["tsdf"], options=frozenset({"trim_quantile"}))
+    monkeypatch.setitem(METHODS, "planes", own)
+    assert methods_of("planes", MethodOptions(trim_quantile=0.1)) == {"planes": own}
+    assert list(methods_of("auto", MethodOptions())) == ["poisson", "agreed", "tsdf", "planes"]
+    assert "  planes: planes by hand\n      --trim-quantile" in methods_help()
+    with pytest.raises(InputError, match="^--method nurbs is none of auto, poisson, agreed, tsdf, planes$"):
+        methods_of("nurbs", MethodOptions())
+
+
+@pytest.mark.parametrize(
+    ("method", "options", "fault"),
+    [
+        ("poisson", {"cell": 0.1}, "--cell is an option of the method tsdf; poisson does not read it"),
+        ("tsdf", {"level": 0.1}, "--level is an option of the method poisson; tsdf does not read it"),
+        ("agreed", {"level": 0.1}, "--level is an option of the method poisson; agreed does not read it"),
+        (
+            partial(extract_mesh),
+            {"trim_quantile": 0.1},
+            "--trim-quantile is an option of the method poisson, agreed; extract_mesh does not read it",
+        ),
+    ],
+)
+def test_an_option_that_the_method_does_not_read_is_refused(method, options, fault):
+    with pytest.raises(InputError) as caught:
+        methods_of(method, MethodOptions(**options))
+    assert str(caught.value) == fault

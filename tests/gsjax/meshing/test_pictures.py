@@ -5,7 +5,9 @@ import pytest
 from gsjax.cameras import Camera
 from gsjax.meshes import Mesh
 from gsjax.meshing import depth_of_mesh, headlight, normal_colors, render_mesh, vertex_colors
-from gsjax.meshing.pictures import smooth_pictures
+from gsjax.meshing.atlas import Atlas, TexturedMesh
+from gsjax.meshing.pictures import smooth_pictures, texture_colors
+from gsjax.meshing.rays import front_faces_only, ray_caster
 
 K = np.array([[40.0, 0, 17], [0, 50.0, 14], [0, 0, 1]])
 WIDTH, HEIGHT = 36, 30
@@ -133,3 +135,35 @@ def test_smooth_pictures_show_a_mesh_from_outside_alone():
     (picture,) = smooth_pictures(both, [Camera(jnp.eye(4), jnp.asarray(K, jnp.float32), WIDTH, HEIGHT)])
     np.testing.assert_allclose(picture.colors[14, 17], [0, 0, 1], atol=1e-6)
     np.testing.assert_allclose(picture.depth[14, 17], 2, atol=1e-3)
+
+
+def test_rays_pass_back_faces_and_stop_at_the_first_front_face():
+    """Four sheets in a row, facing away, away, towards, towards: the third is met; from behind, the second."""
+    sheets = [np.array([[-1, -1, z], [1, -1, z], [0, 2, z]], np.float32) for z in (1.0, 2.0, 3.0, 4.0)]
+    faces = np.arange(12, dtype=np.int32).reshape(4, 3)
+    faces[2:] = faces[2:, ::-1]
+    mesh = Mesh(np.concatenate(sheets), faces, np.zeros((12, 3), np.uint8))
+    cast = front_faces_only(mesh, ray_caster(mesh))
+    origins = np.array([[0, 0, 0.0], [0.1, 0, 9.0], [0, 0, 3.5], [50, 0, 0]])
+    directions = np.array([[0, 0, 2.0], [0, 0, -1.0], [0, 0, -1.0], [0, 0, 1.0]])
+    hits = cast(origins, directions)
+    np.testing.assert_allclose(hits.distances, [1.5, 7.0, 1.5, np.inf], rtol=1e-5)
+    assert hits.faces[:3].tolist() == [2, 1, 1]
+    np.testing.assert_allclose(hits.barycentrics.sum(axis=1), 1, rtol=1e-6)
+
+
+def test_a_texture_is_drawn_where_its_places_say():
+    vertices = np.array([[-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2]], np.float32)
+    mesh = Mesh(vertices, np.array([[0, 2, 1], [0, 3, 2]], np.int32), np.zeros((4, 3), np.uint8))
+    uvs = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)  # y down, as the camera's
+    rng = np.random.default_rng(0)
+    texture = rng.integers(0, 256, (8, 8, 3), dtype=np.uint8)
+    textured = TexturedMesh(mesh, Atlas(uvs, np.arange(4, dtype=np.int32), mesh.faces, 8, 1), texture)
+    K = np.array([[8.0, 0, 4], [0, 8.0, 4], [0, 0, 1]])  # a pixel a texel
+    picture = render_mesh(mesh, np.eye(4), K, 8, 8, shading=texture_colors(textured))
+    assert np.abs(picture.astype(int) - texture).max() <= 1
+    # Half a pixel to the right: halfway between two texels.
+    K[0, 2] = 3.5
+    picture = render_mesh(mesh, np.eye(4), K, 8, 8, shading=texture_colors(textured))
+    halfway = (texture[:, :-1].astype(float) + texture[:, 1:]) / 2
+    assert np.abs(picture[:, :-1] - halfway).max() <= 1

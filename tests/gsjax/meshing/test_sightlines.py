@@ -8,7 +8,7 @@ import pytest
 from gsjax.errors import NoSurfaceError
 from gsjax.meshes import Mesh
 from gsjax.meshing.boxes import Box
-from gsjax.meshing.choosing import by_sightlines, most_agreeing
+from gsjax.meshing.select_method import by_sightlines, select_method
 from gsjax.meshing.sightlines import SAME_SURFACE, agreement, sightlines_of
 from gsjax.scene import Pixels, Scene, Tracks, frame_of
 
@@ -88,15 +88,13 @@ def test_the_whole_wall_is_chosen_and_a_method_without_surface_passed_by(lines):
         raise NoSurfaceError("nothing")
 
     ways = {"lumps": wall(moved=0.0), "whole": joined(rectangle((-4, 4), AWAY)), "part": wall()}
-    choice = most_agreeing(
-        {"empty": empty} | {name: lambda m=mesh: (m, {"of": m}) for name, mesh in ways.items()}, by_sightlines(lines)
-    )
+    candidates = {name: lambda m=mesh: m for name, mesh in ways.items()}
+    choice = select_method({"empty": empty} | candidates, by_sightlines(lines))
     assert choice.method == "whole"
-    assert choice.mesh is choice.report["of"] is ways["whole"]
     assert list(choice.tried) == ["lumps", "whole", "part"]
     assert choice.tried["whole"]["met"] == 1 > choice.tried["lumps"]["met"] > choice.tried["part"]["met"]
     with pytest.raises(NoSurfaceError, match="nothing"):
-        most_agreeing({"empty": empty}, by_sightlines(lines))
+        select_method({"empty": empty}, by_sightlines(lines))
 
 
 @pytest.mark.parametrize(("top", "chosen"), [(-0.8, "usual"), (0.0, "more")])
@@ -104,7 +102,7 @@ def test_another_than_the_usual_one_has_to_be_clearly_better(lines, top, chosen)
     first = rectangle((-4, -2), AWAY)
     ways = {"usual": joined(first), "more": joined(first, rectangle((0, 2), AWAY, (-1, top)))}
     witness = by_sightlines(lines)
-    choice = most_agreeing({name: lambda m=mesh: (m, {}) for name, mesh in ways.items()}, witness)
+    choice = select_method({name: lambda m=mesh: m for name, mesh in ways.items()}, witness)
     gained = choice.tried["more"]["met"] - choice.tried["usual"]["met"]
     assert choice.method == chosen
     assert 0 < gained < witness.margin if chosen == "usual" else gained > witness.margin

@@ -1,6 +1,7 @@
 """A 3DGS file that was not trained here becomes a mesh, by every method; options out of range are one line."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import jax
@@ -14,15 +15,19 @@ from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
-from gsjax.meshes import Mesh, signed_volume
-from gsjax.meshing.choosing import Choice, by_mattes
+from gsjax.mesh import Mesh, signed_volume
+from gsjax.meshing import select_method
 from gsjax.meshing.export import read_mesh
 from gsjax.meshing.holes import HoleReport
+from gsjax.meshing.methods import METHODS, MeshMethod
 from gsjax.meshing.outlines import Outline
+from gsjax.meshing.select_method import Selection
 from gsjax.meshing.sightlines import Sightlines
-from gsjax.pipeline.mesh import METHODS, mesh
-from gsjax.rendering import gallery
-from gsjax.rendering.shown_depths import ShownDepth
+from gsjax.meshing.tsdf import tsdf
+from gsjax.pipeline import mesh_views
+from gsjax.pipeline.mesh import mesh
+from gsjax.render import gallery
+from gsjax.render.shown_depths import ShownDepth
 from gsjax.runs import viewpoints
 from gsjax.runs.result import open_result, write_views
 from gsjax.scene import Pixels, frame_of
@@ -58,12 +63,12 @@ def test_a_closed_ball_has_no_holes_and_a_cut_one_keeps_its_rim(file, tmp_path, 
         return close(surface, views)
 
     monkeypatch.setitem(mesh.__globals__, "fill_holes", fill_holes)
-    whole = mesh(file, tmp_path / "mesh.ply", method="marching-cubes", holes_filled=True)
+    whole = mesh(file, tmp_path / "mesh.ply", method="poisson", holes_filled=True)
     assert whole["holes"] == {"patches": 0, "closed": 0, "closed_faces": 0}
     box = {"bounds": [-2.0, -2, 0, 2, 2, 2], "foreground_only": True}
     cut = mesh(file, tmp_path / "mesh.ply", method="tsdf", holes_filled=True, **box)
     assert cut["topology"]["boundary_loops"] >= 1
-    assert asked == [16, 16], "all views, though marching cubes look from none"
+    assert asked == [16, 16], "all views"
 
 
 def test_a_box_and_a_number_of_faces_are_kept(file, tmp_path):
@@ -80,37 +85,34 @@ def test_a_box_and_a_number_of_faces_are_kept(file, tmp_path):
     ("count", "mattes", "chosen", "agrees"),
     [(400, False, "tsdf", "met"), (90, False, "poisson", None), (90, True, "tsdf", "both")],
 )
-def test_auto_keeps_the_mesh_that_the_tracks_meet(file, tmp_path, monkeypatch, count, mattes, chosen, agrees):
+def test_auto_selects_the_mesh_that_the_tracks_meet(lumpy, tmp_path, monkeypatch, count, mattes, chosen, agrees):
     """Balls of four sizes, of which one is where the tracks end; fewer than 100 lines of sight leave it to mattes."""
     directions = np.random.default_rng(0).normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    radii, made = {"poisson": 1.1, "tsdf": 1.0, "centers": 0.9}, []
+    radii, made = {"poisson": 1.1, "agreed": None, "tsdf": 1.0}, []
 
     def extract(gaussians, cameras, pictures, *, method, **options):
         made.append(method)
-        if method in ("depth", "agreed"):
+        if radii[method] is None:
             raise NoSurfaceError("no surface to extract: as here")
         sphere = trimesh.creation.icosphere(subdivisions=3, radius=radii[method])
         return Mesh(sphere.vertices, sphere.faces, np.full(sphere.vertices.shape, 128, np.uint8)), {}
 
-    replaced = {
-        "extract_mesh": extract,
-        "_method": lambda name, *_: name,
-        "_data_set": lambda *_: "of the photos",
-        "sightlines_of": lambda data: Sightlines(3 * directions, 0.99 * directions),
-        "outlines_of": lambda data: (outline_of_a_ball(0.99),) if mattes else (),
-    }
-    for name, function in replaced.items():
-        monkeypatch.setitem(mesh.__globals__, name, function)
-    report = mesh(file, tmp_path / "mesh.ply", method="auto", settled=False)
+    for name in radii:
+        monkeypatch.setitem(METHODS, name, MeshMethod("a sphere", lambda *_, name=name: name))
+    lines = Sightlines(3 * directions, 0.99 * directions)
+    monkeypatch.setattr(select_method, "sightlines_of", lambda data: lines)
+    monkeypatch.setattr(select_method, "outlines_of", lambda data: (outline_of_a_ball(0.99),) if mattes else ())
+    monkeypatch.setitem(mesh.__globals__, "extract_mesh", extract)
+    monkeypatch.setitem(mesh.__globals__, "scene_of_run", lambda *_: "of the photos")
+    report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", keep_floaters=True, settled=False)
     assert report["method"] == chosen
-    assert made == (["poisson", "depth", "agreed", "tsdf", "centers"] if chosen == "tsdf" else ["poisson"])
+    assert made == (["poisson", "agreed", "tsdf", "tsdf"] if chosen == "tsdf" else ["poisson"])
     assert {name: one[agrees] > 0.9 for name, one in report["tried"].items()} == (
-        {"poisson": False, "tsdf": True, "centers": False} if chosen == "tsdf" else {}
+        {"poisson": False, "tsdf": True} if chosen == "tsdf" else {}
     )
     found = np.linalg.norm(read_mesh(tmp_path / "mesh.ply").vertices, axis=1)
-    per_unit = open_result(file).similarity.length_to_local(1.0)
-    np.testing.assert_allclose(per_unit * found, radii[chosen], rtol=1e-5)
+    np.testing.assert_allclose(found, radii[chosen], rtol=1e-5)
 
 
 def outline_of_a_ball(radius):
@@ -150,7 +152,7 @@ def lumpy(ball, tmp_path_factory):
     return folders
 
 
-@pytest.mark.parametrize("method", ["poisson", "depth", "tsdf", "centers"])
+@pytest.mark.parametrize("method", ["poisson", "tsdf"])
 def test_where_photos_are_masked_no_triangle_grows(lumpy, method, tmp_path):
     def near_lump(name):
         mesh(lumpy[name], tmp_path / f"{name}.ply", method=method)
@@ -173,48 +175,41 @@ def test_what_photos_tell_is_of_the_training_view_of_its_name(lumpy, monkeypatch
         each = [SimpleNamespace(view=SimpleNamespace(name=f"{n}.png"), shown=lambda: empty) for n in (2, 5, 9)]
         return SimpleNamespace(told=each, line="3 of 9 photos")
 
-    monkeypatch.setitem(mesh.__globals__, "depths_of_photos", told_by)
-    views = mesh.__globals__["_Views"]
+    monkeypatch.setattr(mesh_views, "depths_of_photos", told_by)
+    views = partial(mesh_views.MeshViews, with_owners=False)
     assert views(result, "of the photos").told == {2: empty, 4: empty, 8: empty}
     assert capsys.readouterr().err == "mesh: depth that photos agree about: 3 of 9 photos\n"
     assert views(result, None).told == {}
 
 
-def test_methods_share_what_the_views_tell_and_holes_are_closed_after_agreed_alone(lumpy, tmp_path, monkeypatch):
-    asked, filled = [], []
-    extract, reduction_for = (mesh.__globals__[name] for name in ("extract_mesh", "reduction_for"))
-    names = iter(["poisson", "depth", "agreed"])
-
-    def extracted(*given, **options):
-        surface, report = extract(*given, **options)
-        return surface, report | {"named": next(names)}
-
-    def chosen(tried, witness):
-        made = {name: tried[name]() for name in ("poisson", "depth", "agreed")}
-        return Choice(taken, *made[taken], tried={})
-
-    replaced = {
-        "_data_set": lambda *_: "of the photos",
-        "_witness": lambda *_: by_mattes((outline_of_a_ball(1.0),)),
-        "depths_of_photos": lambda *_: SimpleNamespace(told=[], line="none"),
-        "extract_mesh": extracted,
-        "most_agreeing": chosen,
-        "reduction_for": lambda *given: asked.append("windows") or reduction_for(*given),
-        "fill_holes": lambda surface, views: filled.append(len(views)) or (surface, HoleReport(0, 0, 0)),
-    }
-    for name, function in replaced.items():
-        monkeypatch.setitem(mesh.__globals__, name, function)
-    taken = "agreed"
+@pytest.mark.parametrize(("selected", "holes"), [("agreed", True), ("tsdf", False)])
+def test_holes_are_closed_after_agreed_alone(lumpy, tmp_path, monkeypatch, selected, holes):
+    filled = []
+    monkeypatch.setitem(mesh.__globals__, "_select", lambda *_: Selection(selected, {}))
+    monkeypatch.setitem(
+        mesh.__globals__,
+        "fill_holes",
+        lambda surface, views: filled.append(len(views)) or (surface, HoleReport(0, 0, 0)),
+    )
     report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", settled=False)
-    assert (asked, filled) == (["windows"], [10])
-    assert report["named"] == "agreed" and report["holes"] == {"patches": 0, "closed": 0, "closed_faces": 0}
-    names, taken = iter(["poisson", "depth", "agreed"]), "depth"
-    report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", settled=False)
-    assert filled == [10] and report["holes"] is None
+    assert report["method"] == selected
+    assert filled == ([10] if holes else [])
+    assert report["holes"] == ({"patches": 0, "closed": 0, "closed_faces": 0} if holes else None)
+
+
+@pytest.mark.parametrize("name", ["planes", None])
+def test_a_method_is_handed_in_or_registered_and_named_in_the_report(file, tmp_path, monkeypatch, name):
+    def mine(gaussians, cameras, pictures):
+        return tsdf(voxel=0.06)(gaussians, cameras, pictures)
+
+    monkeypatch.setitem(METHODS, "planes", MeshMethod("mine", lambda options, depths: mine))
+    report = mesh(file, tmp_path / "mesh.ply", method=name or mine)
+    assert report["method"] == (name or "mine")
+    assert report["foreground"]["voxel"] == pytest.approx(0.06 / open_result(file).similarity.scale)
 
 
 def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
-    """Here all of the lump is taken for floaters; `tests/gsjax/rendering/test_floaters.py` has what they are."""
+    """Here all of the lump is taken for floaters; `tests/gsjax/render/test_floaters.py` has what they are."""
 
     def are_floaters(gaussians, views):
         assert [(view.depth.shape, bool(view.depth.any())) for view in views] == 10 * [((60, 64), True)]
@@ -225,7 +220,7 @@ def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
         found = read_mesh(tmp_path / "mesh.ply").vertices
         return report["floaters"], int(np.sum(np.linalg.norm(found - LUMP, axis=1) < 0.5))
 
-    monkeypatch.setitem(mesh.__globals__, "are_floaters", are_floaters)
+    monkeypatch.setattr(mesh_views, "are_floaters", are_floaters)
     assert made() == (500, 0)
     kept, near_lump = made(keep_floaters=True)
     assert kept is None
@@ -235,7 +230,7 @@ def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "fault"),
     [
-        ({"method": "nurbs"}, "--method nurbs is none of auto, poisson, depth, agreed, tsdf, centers, marching-cubes"),
+        ({"method": "nurbs"}, "--method nurbs is none of auto, poisson, agreed, tsdf"),
         ({"level": 1.5}, "--level 1.5"),
         ({"trim_quantile": 1.0}, "--trim-quantile 1.0"),
         ({"points": 0}, "--points 0"),
@@ -251,7 +246,8 @@ def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
         ({"bounds": "abcdef"}, "--bounds abcdef: expected 6 numbers"),
         ({"bounds": [0] * 6, "background_bounds": [0, 0]}, r"min below its max"),
         ({"bounds": [0, 0, 0, 1, 1, 1], "background_bounds": [0, 0]}, r"--background-bounds \[0, 0\]: expected 6"),
-        ({"cell": 1e-9}, "--cell 1e-09: makes "),
+        ({"cell": 1e-9, "method": "tsdf"}, "--cell 1e-09: makes "),
+        ({"cell": 0.1}, "--cell is an option of the method tsdf; poisson does not read it"),
         ({"cell": float("inf")}, "--cell inf is not a number above 0"),
         ({"points": 10**13}, "--points 10000000000000 takes 2.24e"),
         ({"bounds": [5, 5, 5, 6, 6, 6]}, "holds none of 2000 Gaussians, which span"),

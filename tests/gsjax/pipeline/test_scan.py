@@ -24,10 +24,11 @@ class SfmReport:
     registered: int = 7
     left_out: dict[str, str] = field(default_factory=dict)
     passed_over: dict[str, str] = field(default_factory=dict)
+    images: int = 15
 
 
 SFM_REPORT = {
-    "images": 8, "registered": 7, "left_out": {}, "passed_over": {}, "points": 9, "mean_reprojection_error": 0.5,
+    "images": 15, "registered": 7, "left_out": {}, "passed_over": {}, "points": 9, "mean_reprojection_error": 0.5,
     "mean_track_length": 3.0, "seconds": 1.0,
 }  # fmt: skip
 
@@ -172,11 +173,14 @@ def test_a_folder_with_other_things_or_other_wishes_is_left_alone(stages, photos
         scanned(tmp_path, tmp_path / "scan")
 
 
-def test_photos_are_reconstructed_as_sfm_would_and_a_resumed_scan_is_the_same(stages, photos, tmp_path, monkeypatch):
+def test_photos_are_reconstructed_as_sfm_would_and_a_resumed_scan_is_the_same(
+    stages, photos, tmp_path, monkeypatch, capsys
+):
     calls, out = stages[0], str(tmp_path / "scan")
     monkeypatch.chdir(tmp_path)
     asked = ["--panoramas", "--mask-below", "60", "--features", "aliked", "--weights", "a.onnx"]
     assert cli.main(["scan", "photos", "--out", out, *asked]) == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("only 7 of 15 photos are in the model")
     options = {"panoramas": True, "mask_below": 60.0, "features": "aliked", "weights": "a.onnx"}
     assert calls[0] == ("sfm", "photos", out + "/scene", options)
     monkeypatch.chdir(photos)

@@ -8,7 +8,7 @@ from small_scenes import built_in
 
 from gsjax.cameras import Camera
 from gsjax.io.scenes import load_scene
-from gsjax.planning import holding_back
+from gsjax.planning import holding_back, validation
 from gsjax.planning.holding_back import FEWEST_FOLDS, FOLDS, Score, gain
 from gsjax.scene import Pixels, Tracks, frame_of, with_pixels
 from gsjax.settings import Phase, Settings
@@ -27,10 +27,10 @@ def scene(tmp_path_factory):
 @pytest.fixture
 def short(monkeypatch):
     """Trials of thirty steps."""
-    (phase,) = holding_back.SHORT.phases
-    density = replace(holding_back.SHORT.density, start=5, stop=20)
+    (phase,) = validation.SHORT.phases
+    density = replace(validation.SHORT.density, start=5, stop=20)
     monkeypatch.setattr(
-        holding_back, "SHORT", replace(holding_back.SHORT, phases=(replace(phase, steps=30),), density=density)
+        validation, "SHORT", replace(validation.SHORT, phases=(replace(phase, steps=30),), density=density)
     )
 
 
@@ -72,13 +72,13 @@ def told(monkeypatch):
     """What trials are given; they score zero and 0.1 as it is, and what is in `scores` and `offs` held back."""
     trials, scores, offs = [], [], {}
 
-    def score(way, scene, observe):
+    def score(way, scene, settings, matched, observe):
         trials.append((way, [f.name for f in scene.held_out_frames]))
         is_held = way is not trials[0][0]
         numbers = [int(name[:3]) for name in trials[-1][1]]
         return [Score(scores[i], offs.get(i)) if is_held else Score(0.0, 0.1) for i in numbers]
 
-    monkeypatch.setattr(holding_back._Way, "score", score)
+    monkeypatch.setattr(holding_back, "_scored", score)
     monkeypatch.setattr(holding_back, "training_extent", lambda scene: 1.0)
     return trials, scores, offs
 
@@ -106,21 +106,21 @@ def test_unsure_trials_keep_every_photo_once_in_both_ways(told, scene):
 def test_trials_begin_from_the_points_that_the_run_is_given(monkeypatch, scene, tmp_path):
     header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {axis}\n" for axis in "xyz")
     (tmp_path / "two.ply").write_text(f"{header}end_header\n0 0 0\n1 0 0\n", encoding="utf-8")
-    begun, matched = [], []
+    begun, given = [], []
 
-    def score(way, scene, observe):
+    def score(way, scene, settings, matched, observe):
         begun.append(scene.points)
-        matched.append(way._matched)
+        given.append(matched)
         return [Score(0.0, None)] * 2
 
-    monkeypatch.setattr(holding_back._Way, "score", score)
+    monkeypatch.setattr(holding_back, "_scored", score)
     last = len(scene.points) - 1
     tracks = Tracks((scene.frames[0].name,), np.zeros(2, int), np.array([0, last]), np.zeros((2, 2)))
     gain(replace(scene, tracks=lambda: tracks), replace(SETTINGS, points=str(tmp_path / "two.ply")), forgetful)
     expected = scene.similarity.points_to_local(np.array([[0.0, 0, 0], [1, 0, 0]]))
     assert len(begun) > 0
     assert all(np.allclose(points, expected) for points in begun)
-    assert all(np.array_equal(each[scene.frames[0].name], scene.points[[0, last]]) for each in matched), "not of these"
+    assert all(np.array_equal(each[scene.frames[0].name], scene.points[[0, last]]) for each in given), "not of these"
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -60,7 +60,7 @@ def test_every_command_with_an_output_refuses_its_inputs_before_any_work(scene, 
     mesh, gaussians = tmp_path / "mesh.glb", run / "gaussians.ply"
     for file in (mesh, gaussians):
         file.write_bytes(b"kept")
-    (tmp_path / "turn.png").symlink_to(mesh)
+    (tmp_path / "turn.gif").symlink_to(mesh)
     for command in (
         ["mesh", run, "--out", gaussians],
         ["mesh", gaussians, "--out", gaussians],
@@ -68,7 +68,7 @@ def test_every_command_with_an_output_refuses_its_inputs_before_any_work(scene, 
         ["convert", run, gaussians],
         ["convert", gaussians, gaussians],
         ["render", run, "--out", run / "pictures"],
-        ["turntable", mesh, "--out", tmp_path / "turn.png"],
+        ["render", mesh, "--turntable", "--out", tmp_path / "turn.gif"],
         ["compare", run, tmp_path, "--out", run / "report.html"],
         ["diagnose", scene, "--json", scene / "transforms.json"],
         ["eval", run, "--json", run / "manifest.json"],

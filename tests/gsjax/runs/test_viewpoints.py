@@ -1,11 +1,13 @@
-"""Cameras for Gaussians that come without any: an object from outside, a room from within."""
+"""Cameras around Gaussians that have none of their own, and circles of cameras."""
 
 import jax
 import numpy as np
 import pytest
+import trimesh
 
 from gsjax import cameras as cams
 from gsjax import gaussians as gs
+from gsjax.mesh import Mesh
 from gsjax.runs import viewpoints
 
 
@@ -68,3 +70,26 @@ def test_a_circle_is_as_high_and_as_wide_as_the_cameras_of_the_run():
     around = np.array([np.asarray(cams.center(camera)) for camera in circle]) - middle
     np.testing.assert_allclose(around[:, 2], 1.5, atol=0.05)
     np.testing.assert_allclose(np.hypot(around[:, 0], around[:, 1]), 4.0, atol=0.1)
+
+
+@pytest.mark.parametrize("up", [(0, 0, 1), (0, 0, -2.0), (0, -1, 0), (0.3, 0.5, 1.0)])
+def test_a_circle_of_a_mesh_is_twenty_degrees_above_it_and_every_view_holds_all_of_it(up):
+    corners = trimesh.creation.box((2.0, 1.0, 3.0)).vertices + [5, -3, 4]
+    mesh = Mesh(corners.astype(np.float32), np.arange(6, dtype=np.int32).reshape(2, 3), np.zeros((8, 3), np.uint8))
+    mesh.faces[1] = [5, 6, 7]
+    circle, unit = viewpoints.camera_circle_of_mesh(mesh, np.array(up)), np.array(up) / np.linalg.norm(up)
+    assert len(circle) == 36
+    offsets = np.array([np.asarray(cams.center(camera)) for camera in circle]) - [5, -3, 4]
+    heights = offsets @ unit / np.linalg.norm(offsets, axis=1)
+    np.testing.assert_allclose(heights, np.sin(np.radians(20)), atol=0.02)
+    for camera, offset in zip(circle, offsets, strict=True):
+        viewmat, K = np.asarray(camera.viewmat, np.float64), np.asarray(camera.K, np.float64)
+        seen = (mesh.vertices @ viewmat[:3, :3].T + viewmat[:3, 3]) @ K.T
+        pixels = seen[:, :2] / seen[:, 2:]
+        assert (seen[:, 2] > 0).all() and (pixels > 0).all() and (pixels < 512).all()
+        assert np.ptp(pixels, axis=0).max() > 200, "the mesh fills the view"
+        assert viewmat[1, :3] @ unit == pytest.approx(-np.cos(np.radians(20)), abs=0.02), "up is up in the picture"
+        np.testing.assert_allclose(viewmat[2, :3], -offset / np.linalg.norm(offset), atol=0.02)
+    np.testing.assert_allclose(
+        offsets.sum(axis=0) / 36, np.linalg.norm(offsets[0]) * np.sin(np.radians(20)) * unit, atol=0.1
+    )

@@ -6,16 +6,14 @@ import pytest
 from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
-from gsjax.cameras import Camera
 from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.normals.from_depth import depth_normals
-from gsjax.rendering import backdrop, gallery
-from gsjax.scene import Pixels, frame_of
+from gsjax.render import backdrop, gallery
 from gsjax.viewer import drawing
 from gsjax.viewer.drawing import Drawer, bare_background
 from gsjax.viewer.page_camera import camera_of, page_camera
-from gsjax.viewer.pictures import COLOR, DEPTH, ERROR, NORMALS, Pictures
+from gsjax.viewer.pictures import COLOR, DEPTH, KINDS, NORMALS, Pictures
 from gsjax.viewer.subject import Subject
 
 SCENE, BACKGROUND = cloud(30), np.array([0.1, 0.9, 0.4], np.float32)
@@ -30,7 +28,7 @@ def camera(index):
 
 @pytest.fixture(scope="module")
 def rendered():
-    """What `gsjax.rendering` shows from both."""
+    """What `gsjax.render` shows from both."""
     return list(gallery.pictures(SCENE, [camera(0), camera(1)], BACKGROUND))
 
 
@@ -90,33 +88,14 @@ def test_a_view_without_room_is_one_line(monkeypatch):
         Drawer().draw(SCENE, camera(0), BACKGROUND)
 
 
-def subject(photo_colors):
-    at = camera_at(*POSES[0], size=SIZE)
-    frame = frame_of("a.png", np.asarray(at.viewmat), np.asarray(at.K), Pixels(photo_colors))
-    return Subject("s", at, np.zeros(3), np.array([0.0, -1, 0]), 4.0, cameras={"a.png": at}, photos={"a.png": frame},
-        background=BACKGROUND)  # fmt: skip
-
-
 def test_every_kind_is_the_picture_that_its_name_says():
     at = camera_at(*POSES[0], size=SIZE)
     (picture,) = gallery.pictures(SCENE, [at], BACKGROUND)
-    photo = to_bytes(picture.colors)
-    pictures = Pictures(subject(photo))
-    assert pictures.kinds == (COLOR, DEPTH, NORMALS, ERROR)
-    drawn = {kind: pictures.draw(kind, SCENE, at) for kind in pictures.kinds}
-    assert all(image.shape == (32, 32, 3) and image.dtype == np.uint8 for image, _ in drawn.values())
-    np.testing.assert_allclose(drawn[COLOR][0].astype(int), photo.astype(int), atol=1)
+    pictures = Pictures(Subject("s", at, np.zeros(3), np.array([0.0, -1, 0]), 4.0, background=BACKGROUND))
+    drawn = {kind: pictures.draw(kind, SCENE, at) for kind in KINDS}
+    assert all(image.shape == (32, 32, 3) and image.dtype == np.uint8 for image in drawn.values())
+    np.testing.assert_allclose(drawn[COLOR].astype(int), to_bytes(picture.colors).astype(int), atol=1)
     nothing = picture.depth == 0
     assert nothing.any() and not nothing.all()
-    assert (drawn[DEPTH][0][nothing] == 0).all() and (drawn[DEPTH][0][~nothing] > 0).all()
-    assert (drawn[NORMALS][0][nothing] == 255).all()
-    assert drawn[ERROR][1] == "against a.png" and drawn[COLOR][1] == ""
-    # A photo that is the render itself, rounded to bytes: 3 * 255 * (0.5 / 255) / 0.5 = 3 at most.
-    assert drawn[ERROR][0][1:-1, 1:-1].max() <= 3
-    wrong = Pictures(subject(255 - photo)).draw(ERROR, SCENE, at)[0]
-    assert wrong[1:-1, 1:-1].max() == 255
-
-
-def test_without_photos_there_is_no_error_to_show():
-    bare_background = Subject("s", Camera(np.eye(4), np.eye(3), 2, 2), np.zeros(3), np.ones(3), 1.0)
-    assert Pictures(bare_background).kinds == (COLOR, DEPTH, NORMALS)
+    assert (drawn[DEPTH][nothing] == 0).all() and (drawn[DEPTH][~nothing] > 0).all()
+    assert (drawn[NORMALS][nothing] == 255).all() and (drawn[NORMALS][~nothing] < 255).any()

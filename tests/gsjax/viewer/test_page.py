@@ -5,23 +5,20 @@ import threading
 import time
 import warnings
 from contextlib import contextmanager
-from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import viser
-from small_scenes import camera_at, cloud, plane
+from small_scenes import camera_at, cloud
 
 from gsjax import cli
 from gsjax.errors import InputError
-from gsjax.rendering import backdrop
-from gsjax.similarity import Similarity
+from gsjax.render import backdrop
 from gsjax.viewer import page as pages
 from gsjax.viewer.desk import Desk
-from gsjax.viewer.page import BY_BROWSER, CAMERAS, MEASURE, SHOW, SIDE, News, Page, check_port
+from gsjax.viewer.page import BY_BROWSER, CAMERAS, SHOW, SIDE, News, Page, check_port
 from gsjax.viewer.page_camera import camera_of, page_camera, picture_size
-from gsjax.viewer.pictures import COLOR, DEPTH, Pictures
+from gsjax.viewer.pictures import COLOR, DEPTH, NORMALS, Pictures
 from gsjax.viewer.same_origin import is_local
 from gsjax.viewer.subject import Subject
 
@@ -79,14 +76,14 @@ def test_a_browser_is_sent_what_its_camera_sees_coarse_then_whole_and_nothing_fo
     (coarse, form), (whole, exact) = visitor.received
     assert (form, exact) == ("jpeg", "png") and coarse.shape == (16, 16, 3)
     size = picture_size(told, 32)
-    expected, _ = Pictures(SUBJECT).draw(COLOR, SCENE, camera_of(told, size))
+    expected = Pictures(SUBJECT).draw(COLOR, SCENE, camera_of(told, size))
     np.testing.assert_array_equal(whole, expected)
 
 
 def test_the_switches_are_those_of_what_there_is(monkeypatch):
     with served(monkeypatch) as (page, visitor):
-        assert list(page.switches) == [SHOW, SIDE, MEASURE]
-        assert list(page.switches[SHOW].options)[:3] == [COLOR, BY_BROWSER, DEPTH]
+        assert list(page.switches) == [SHOW, SIDE]
+        assert list(page.switches[SHOW].options) == [COLOR, BY_BROWSER, DEPTH, NORMALS]
         page.switches[SHOW].value = BY_BROWSER
         page.desk.moved("me", page_camera(AT))
         wait(lambda: visitor.received and page.desk.is_idle)
@@ -105,7 +102,7 @@ def test_news_are_asked_for_only_while_somebody_looks_and_kept_to_their_share(mo
     monkeypatch.setattr(pages, "PATIENCE", 0.01)
     waiting = Subject("scene", AT, np.zeros(3), np.array([0, -1.0, 0]), 4.0, cameras={"a.png": AT})
     with served(monkeypatch, waiting, news=news, share=0.5) as (page, visitor):
-        assert list(page.switches) == [SHOW, SIDE, MEASURE, CAMERAS] and page.switches[SHOW].value == BY_BROWSER
+        assert list(page.switches) == [SHOW, SIDE, CAMERAS] and page.switches[SHOW].value == BY_BROWSER
         time.sleep(0.1)
         assert not asked
         page.desk.moved("me", page_camera(AT))
@@ -265,26 +262,3 @@ def test_the_server_is_there_for_this_machine_alone_and_then_gone(monkeypatch):
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", port), timeout=10)
     check_port("127.0.0.1", port)
-
-
-def test_two_clicks_measure_what_lies_between_them_in_the_world(monkeypatch):
-    wall = replace(SUBJECT, gaussians=plane((0.0, 0.0, -1.0)), similarity=Similarity(0.5), is_in_metres=True)
-
-    def click(*direction):
-        told = page._measured.content
-        page._soon(lambda: page._clicked(SimpleNamespace(
-            client=SimpleNamespace(client_id="me"), ray_origin=(0.0, 0.0, 0.0), ray_direction=direction)))  # fmt: skip
-        wait(lambda: page._measured.content != told)
-        return page._measured.content
-
-    with served(monkeypatch, wall) as (page, _):
-        page.switches[MEASURE].value = True
-        assert click(0.0, 0.0, -2.0) == "There is no surface."
-        assert click(0.0, 0.0, 3.0) == "Click on the other end."
-        metres, unit = click(0.25, 0.0, 1.0).split()
-        # The wall is 4 away, so its ends are 1 apart: a local unit is two metres.
-        assert unit == "m" and float(metres) == pytest.approx(2.0, rel=0.02)
-        assert page.server.scene.get_handle_by_name("/ruler") is not None
-        page.switches[MEASURE].value = False
-        page._measure(False)
-        wait(lambda: page.server.scene.get_handle_by_name("/ruler") is None)

@@ -99,7 +99,7 @@ def test_a_large_gaussian_is_split_in_two_smaller_ones_inside_itself():
 def test_split_positions_are_samples_of_the_gaussian():
     before = scene(size={3: 0.4})
     after = jax.vmap(lambda key: densified(before, gradients({3: 2.0}), key=key)[0])(jax.random.split(KEY, 2000))
-    local = (after.means[:, np.array([3, ALIVE])] - before.means[3]) @ rotation_matrices(before.quats)[3]
+    local = (after.means[:, np.array([3, ALIVE])] - before.means[None, None, 3]) @ rotation_matrices(before.quats)[3]
     found = np.asarray(local, np.float64).reshape(-1, 3)
     expected = np.asarray(scales(before))[3]
     np.testing.assert_allclose(found.std(0), expected, rtol=0.06)  # 4,000 samples: 1.1 % a standard error

@@ -61,14 +61,14 @@ def dense(gaussians, depth_mode):
     p = rasterizer.project(gaussians.means, *shape, camera.viewmat[None], camera.K[None], 24, 20, depth_mode=depth_mode)
     order = jnp.argsort(p.depths[0])
     y, x = jnp.meshgrid(jnp.arange(0.5, 20), jnp.arange(0.5, 24), indexing="ij")
-    dx, dy = jnp.moveaxis(jnp.stack([x, y], -1)[:, :, None] - p.means2d[0, order], -1, 0)
-    xx, xy, yy = p.conics[0, order].T
-    alpha = opacities(gaussians)[order] * jnp.exp(-0.5 * (xx * dx * dx + yy * dy * dy) - xy * dx * dy)
-    alpha = jnp.where((alpha >= 1 / 255) & p.visible[0, order], jnp.minimum(alpha, 0.99), 0)
+    dx, dy = jnp.moveaxis(jnp.stack([x, y], -1)[:, :, None] - p.means2d[:, None, order], -1, 0)
+    xx, xy, yy = p.conics[:, None, order].transpose(3, 0, 1, 2)
+    alpha = opacities(gaussians)[None, None, order] * jnp.exp(-0.5 * (xx * dx * dx + yy * dy * dy) - xy * dx * dy)
+    alpha = jnp.where((alpha >= 1 / 255) & p.visible[:, None, order], jnp.minimum(alpha, 0.99), 0)
     left = jnp.cumprod(1 - alpha, -1)
     weight = jnp.where(left > 1e-4, alpha * left / (1 - alpha), 0)
-    slope_x, slope_y = (0, 0) if p.slopes is None else p.slopes[0, order].T
-    return weight, p.depths[0, order] + slope_x * dx + slope_y * dy, order
+    slope_x, slope_y = (0, 0) if p.slopes is None else p.slopes[:, None, order].transpose(3, 0, 1, 2)
+    return weight, p.depths[:, None, order] + slope_x * dx + slope_y * dy, order
 
 
 def dense_distortion(gaussians, depth_mode="plane"):
@@ -209,7 +209,7 @@ def test_splats_that_lie_on_their_surface_agree_with_its_depth():
 
 @pytest.mark.parametrize("term", TERMS)
 def test_without_a_surface_there_is_neither_value_nor_gradient(term):
-    beside = replace(CLOUD, means=CLOUD.means + jnp.array([90.0, 0, 0]))
+    beside = replace(CLOUD, means=CLOUD.means + jnp.array([[90.0, 0, 0]]))
     faint = replace(CLOUD, logit_opacities=jnp.full(COUNT, -9, jnp.float32))
     smoke = replace(layers(4.0, 0.4), logit_opacities=jnp.full(COUNT, -4, jnp.float32))  # drawn, but of no depth
     for scene, valid in ((beside, ALL), (faint, ALL), (smoke, ALL), (SCENES["two layers"], ~ALL)):

@@ -1,4 +1,4 @@
-"""Which of several meshes is taken, by shares that a witness is made to say."""
+"""Which of several methods is selected, by shares that a witness is made to say."""
 
 from typing import Any
 
@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError, NoSurfaceError
-from gsjax.meshes import Mesh
-from gsjax.meshing.choosing import Witness, most_agreeing
+from gsjax.mesh import Mesh
+from gsjax.meshing.select_method import Witness, select_method
 
 EMPTY = np.zeros((0, 3))
 
@@ -20,11 +20,10 @@ def chosen(margin=0.05, **shares: Any):
     def extract(name):
         if shares[name] is None:
             raise NoSurfaceError(f"{name} finds nothing")
-        return meshes[name], {"name": name}
+        return meshes[name]
 
     methods = {name: lambda name=name: extract(name) for name in shares}
-    found = most_agreeing(methods, Witness("what is known", lambda mesh: {"agrees": says[id(mesh)]}, margin))
-    assert found.mesh is meshes[found.method] and found.report == {"name": found.method}
+    found = select_method(methods, Witness("what is known", lambda mesh: {"agrees": says[id(mesh)]}, margin))
     assert {name: one["agrees"] for name, one in found.tried.items()} == {
         name: share for name, share in shares.items() if share is not None
     }

@@ -1,0 +1,93 @@
+"""Select the mesh method whose mesh agrees most with evidence that its Gaussians were not made from."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+from gsjax.errors import NoSurfaceError
+from gsjax.mesh import Mesh
+from gsjax.meshing.boxes import Box
+from gsjax.meshing.outlines import Outline, outlines_of, overlap
+from gsjax.meshing.sightlines import Sightlines, agreement, sightlines_of
+from gsjax.scene import Scene
+
+UNMET = 2 / 3  # Of what does not agree with the usual mesh, that another leaves at the most to be clearly better.
+FEWEST_LINES = 100  # of sight, that tell one method from another
+
+
+class Witness(NamedTuple):
+    """Evidence about a scene that does not come from its Gaussians."""
+
+    says: str  # what it is, in words
+    judge: Callable[[Mesh], Mapping[str, float]]  # shares of it, of which the first is what agrees with a mesh
+    margin: float  # of all, by which another mesh than the usual one has to agree more; less than that says little
+
+
+def witness_of(scene: Scene, boxes: Sequence[Box]) -> Witness | None:
+    """Return the tracks, where they are enough; else the mattes, which show the whole object and nothing of a box.
+
+    Args:
+        scene: A loaded data set.
+        boxes: Where the surface is judged. None: everywhere.
+    """
+    lines = sightlines_of(scene)
+    if boxes:
+        lines = lines.within(boxes)
+    if len(lines) >= FEWEST_LINES:
+        return by_sightlines(lines)
+    outlines = () if boxes else outlines_of(scene)
+    return by_mattes(outlines) if outlines else None
+
+
+def by_sightlines(lines: Sightlines) -> Witness:
+    """The tracks of structure from motion, of one line at least."""
+    return Witness(
+        f"{len(lines):,} lines of sight to matched points", lambda mesh: agreement(mesh, lines)._asdict(), 0.04
+    )
+
+
+def by_mattes(outlines: Sequence[Outline]) -> Witness:
+    """The mattes of photos, of one at least."""
+    return Witness(f"its outline in {len(outlines)} photos", lambda mesh: overlap(mesh, outlines)._asdict(), 0.02)
+
+
+class Selection(NamedTuple):
+    """The method that was selected, and how it compares."""
+
+    method: str
+    tried: dict[str, dict]  # method's name -> what the witness says of its mesh, and the `seconds` that that took
+
+
+def select_method(candidates: Mapping[str, Callable[[], Mesh]], witness: Witness) -> Selection:
+    """Return the first method, or of those that agree clearly more with the witness the one that agrees most.
+
+    Clearly more is more by the witness' margin, or so much that no more than `UNMET` of what did not agree is left. A
+    method that finds no surface is left out.
+
+    Args:
+        candidates: By the method's name, its mesh; one mesh at a time exists. The first with a surface is the usual.
+        witness: Judges the meshes.
+
+    Raises:
+        InputError: No method finds a surface; or as they do.
+    """
+    tried: dict[str, dict] = {}
+    best = ""
+    to_beat = 0.0
+    faults = []
+    for name, extract in candidates.items():
+        started = time.perf_counter()
+        try:
+            shares = dict(witness.judge(extract()))
+        except NoSurfaceError as fault:
+            faults.append(fault)
+            continue
+        agrees = next(iter(shares.values()))
+        tried[name] = shares | {"seconds": round(time.perf_counter() - started, 1)}
+        if not best:
+            best, to_beat = name, min(agrees + witness.margin, 1 - UNMET * (1 - agrees))
+        elif agrees > to_beat:
+            best, to_beat = name, agrees
+    if not best:
+        raise faults[0]
+    return Selection(best, tried)

@@ -1,0 +1,66 @@
+"""The signature of a mesh method: it visits every view once, and returns a `Sighting` that builds the surface.
+
+`gsjax.meshing.methods` is the table of the library's methods; `extract_mesh` takes any function of this signature.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from gsjax import gaussians as gs
+from gsjax.cameras import Camera
+from gsjax.gaussians import Gaussians
+from gsjax.mesh import Mesh
+from gsjax.meshing import poisson
+from gsjax.meshing.boxes import Region
+from gsjax.meshing.poisson import PoissonOptions
+from gsjax.render.gallery import Picture
+
+CELL_PER_SCALE = 1.0  # Poisson cells smaller than the Gaussians reproduce their bumps, not the surface.
+RIM = 0.05  # Of the region's, or its inner box's, longest side: points that far outside shape the surface inside.
+
+
+class Sighting(NamedTuple):
+    """What a method has gathered from the views."""
+
+    points: np.ndarray  # [P, 3] world: of the surface as it was seen; they say where the regions are
+    build: Callable[[Region], tuple[Mesh, dict]]  # the surface in and a little around a region, and plain numbers
+    report: dict  # plain numbers
+
+
+Method = Callable[[Gaussians, Sequence[Camera], Iterable[Picture]], Sighting]
+
+
+def method_name(method: Method) -> str:
+    """Return the name of a function, or that of the class of another callable."""
+    if isinstance(method, partial):
+        return method_name(method.func)
+    return getattr(method, "__name__", type(method).__name__)
+
+
+def typical_scale(gaussians: Gaussians, region: Region) -> float:
+    """Median of the largest standard deviations of the opaque Gaussians in a region (of all, where there is none)."""
+    largest = np.asarray(gs.scales(gaussians)).max(axis=1)
+    chosen = (np.asarray(gaussians.logit_opacities) > 0) & region.contains(np.asarray(gaussians.means))
+    return float(np.median(largest[chosen] if chosen.any() else largest))
+
+
+def poisson_through(
+    gaussians: Gaussians,
+    points: np.ndarray,
+    normals: np.ndarray,
+    colors: np.ndarray,
+    options: PoissonOptions | None,
+) -> Callable[[Region], tuple[Mesh, dict]]:
+    """A method's `build` from points, outward normals and colours, each `[P, 3]`."""
+
+    def build(region: Region) -> tuple[Mesh, dict]:
+        chosen = region.grown(RIM * (region.without or region.box).longest).contains(points)
+        cell = CELL_PER_SCALE * typical_scale(gaussians, region)
+        mesh, report = poisson.reconstruct(points[chosen], normals[chosen], colors[chosen], options, smallest_cell=cell)
+        return mesh, asdict(report)
+
+    return build

@@ -1,0 +1,120 @@
+"""Whether the effects that the evidence proposes are simulated: validation runs with and without each, in turn.
+
+Every photo lacks a quarter of its pixels in large blocks. The runs never see them, and predict them from the other
+photos and from what the rest of the same photo implies about its camera. Held-out photos of the scene play no part.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from tqdm import tqdm
+
+from gsjax.effects import sky
+from gsjax.effects.observations import Observations
+from gsjax.planning.effect_runs import EffectRuns, Initial, held_out_blocks, without_blocks
+from gsjax.planning.pace import FIXED_COST, relative_cost
+from gsjax.planning.validation import Validated, image_scale, short_settings
+from gsjax.scene import Frame, kept
+from gsjax.settings import Phase, Settings
+from gsjax.training.plan import Plan
+
+SHARE = 0.05  # of the run's time that all validation runs may take
+MOST_STEPS, FEWEST_STEPS = 100, 25  # of each
+SHORTEST = 600  # steps of a run that is validated
+PHOTOS, NEIGHBORS = 24, 6  # that validation runs are trained on, in groups of consecutive ones, which overlap
+RENDERED = 0.3  # of a step's time, rendering a photo
+PARTS = {"sky": ("background", "sky")}
+"""The effects that an effect is simulated with, where that is not itself alone."""
+
+Validate = Callable[[Observations, Sequence[str], sky.Masks], dict[str, Validated]]
+"""(photos, proposed effects, where photos show sky) -> the gain of each that was validated."""
+
+
+def steps_of_each(planned: Plan, frames: Sequence[Frame], count: int) -> int | None:
+    """Steps of each validation run of so many effects within `SHARE` of the run's time; None: too few to validate.
+
+    Args:
+        planned: The run.
+        frames: Its photos.
+        count: Of the effects.
+    """
+    if planned.steps < SHORTEST or not count:
+        return None
+    whole = sum(phase.steps * relative_cost(phase) for phase in planned.phases)
+    short = short_settings(Settings(max_gaussians=planned.max_gaussians), frames, 0)
+    gaussians = short.max_gaussians / planned.max_gaussians
+    step = FIXED_COST * gaussians + (1 - FIXED_COST) / _scale(planned, frames) ** 2
+    steps = int(SHARE * whole / (step * (count + 1)) - RENDERED * min(len(frames), PHOTOS))
+    return min(steps, MOST_STEPS) if steps >= FEWEST_STEPS else None
+
+
+def _scale(planned: Plan, frames: Sequence[Frame]) -> int:
+    """Photos are reduced at least as far as the run's smallest ones."""
+    return max(image_scale(frames), *(phase.scale for phase in planned.phases))
+
+
+@dataclass(frozen=True)
+class EffectValidation:
+    """Validates the effects of a run: a `Validate`."""
+
+    settings: Settings  # the run
+    planned: Plan
+    frames: Sequence[Frame]  # that are trained on
+    extent: float  # camera extent, scene units
+    points: int  # number of matched points
+    initial: Initial
+
+    def __call__(self, seen: Observations, proposed: Sequence[str], skies: sky.Masks) -> dict[str, Validated]:
+        """The gain of each proposed effect, added to those before it that passed. Empty where the run is too short."""
+        steps = steps_of_each(self.planned, self.frames, len(proposed))
+        if steps is None:
+            return {}
+        frames = tuple(map(kept, chosen_photos(self.frames)))
+        blocks = [held_out_blocks(frame, index) for index, frame in enumerate(frames)]
+        seen = without_blocks(seen, frames, blocks)
+        weight = self.planned.sky_weight
+        runs = EffectRuns(self._short(steps), weight, self.extent, self.initial, proposed, seen, frames, blocks, skies)
+        total, title = (len(proposed) + 1) * steps, f"validating {', '.join(proposed)}"
+        with tqdm(total=total, desc=title, unit="step", leave=False) as bar:
+            return select(proposed, partial(runs.predict, observe=bar.update), runs.compare)
+
+    def _short(self, steps: int) -> Settings:
+        short = short_settings(self.settings, self.frames, self.points)
+        phase = Phase("validation", steps, image_scale=_scale(self.planned, self.frames))
+        behind = "black" if short.background == "random" else short.background
+        return replace(short, phases=(phase,), sh_every=max(steps // 6, 1), background=behind)
+
+
+def select(
+    proposed: Sequence[str],
+    predict: Callable[[Sequence[str]], list[np.ndarray]],
+    compare: Callable[[list[np.ndarray], list[np.ndarray]], Validated],
+) -> dict[str, Validated]:
+    """Forward selection: every effect is compared with those that passed before it.
+
+    Args:
+        proposed: The effects, in turn. One that is part of another one that passed is not compared.
+        predict: Effects that are simulated -> pictures.
+        compare: (pictures without an effect, with it) -> its gain.
+    """
+    passed: tuple[str, ...] = ()
+    without, gains = predict(passed), {}
+    for name in proposed:
+        if name in passed:
+            continue
+        names = (*passed, *PARTS.get(name, (name,)))
+        with_effect = predict(names)
+        gains[name] = compare(without, with_effect)
+        if gains[name].passes:
+            passed, without = names, with_effect
+    return gains
+
+
+def chosen_photos(frames: Sequence[Frame]) -> tuple[Frame, ...]:
+    """At most `PHOTOS` of them, in groups of consecutive ones that are spread evenly."""
+    if len(frames) <= PHOTOS:
+        return tuple(frames)
+    starts = np.linspace(0, len(frames) - NEIGHBORS, PHOTOS // NEIGHBORS).astype(int)
+    return tuple(frames[index] for index in np.unique(starts[:, None] + np.arange(NEIGHBORS)))

@@ -1,0 +1,280 @@
+"""Validation of effects: what is held out, how variants are compared, and which effects pass."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+from photographed_wall import gains as drawn_gains
+from photographed_wall import radii2, relit, wall
+from small_scenes import built_in
+
+from gsjax.cameras import Camera
+from gsjax.config import parse
+from gsjax.effects import background, exposure, poses, transients, vignetting
+from gsjax.effects.observations import observe
+from gsjax.io.scenes import load_scene
+from gsjax.planning.effect_runs import held_out_blocks, switchable, without_blocks
+from gsjax.planning.effect_validation import EffectValidation, chosen_photos, select, steps_of_each
+from gsjax.planning.effects import choose_effects
+from gsjax.planning.pace import relative_cost
+from gsjax.planning.sizes import training_extent
+from gsjax.planning.start import first_state
+from gsjax.planning.validation import Validated, compared
+from gsjax.scene import Pixels, frame_of
+from gsjax.settings import PRESETS, Phase, Settings
+from gsjax.targets import Batch
+from gsjax.training.plan import plan
+
+SETTINGS = Settings(background="white", phases=(Phase("vanilla", 3000),), max_gaussians=2000, sh_degree=1)
+
+
+def photo(index=0, size=(40, 30)):
+    return frame_of(f"{index:02d}", np.eye(4), np.eye(3), Pixels(np.zeros((size[1], size[0], 3), np.uint8)))
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return load_scene(built_in(tmp_path_factory.mktemp("data") / "scene", num_views=16, size=(64, 64)))
+
+
+def sheen(scene):
+    """Light that depends on the direction in the world: most where the cameras look on average."""
+    up = -np.stack([frame.viewmat[1, :3] for frame in scene.frames]).mean(0)
+    middle = np.mean([frame.viewmat[2, :3] @ up for frame in scene.frames]) / np.linalg.norm(up)
+
+    def stops(index, frame, x, y):
+        rays = np.stack([(x - frame.K[0, 2]) / frame.K[0, 0], (y - frame.K[1, 2]) / frame.K[1, 1], np.ones_like(x)], -1)
+        height = rays @ frame.viewmat[:3, :3] @ up / np.linalg.norm(rays, axis=-1) / np.linalg.norm(up)
+        return 0.8 * np.exp(-np.square((height - middle) / 0.1))[..., None]
+
+    return relit(scene, stops)
+
+
+def validation(scene, settings=SETTINGS):
+    return EffectValidation(
+        settings,
+        plan(settings),
+        scene.train_frames,
+        training_extent(scene),
+        len(scene.points),
+        lambda short, optimizer, effects, skies: first_state(scene, short, optimizer, effects, skies=skies),
+    )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["vignetting", "sheen", "clean"])
+def test_a_real_falloff_passes_and_an_invented_one_does_not(scene, kind):
+    """The tracks of glossy surfaces imply a fall-off of 0.2 EV that no lens has."""
+    photos = {
+        "vignetting": lambda: relit(scene, lambda index, frame, x, y: -0.4 * radii2(frame, x, y)),
+        "sheen": lambda: sheen(scene),
+        "clean": lambda: scene,
+    }[kind]()
+    seen = observe(photos)
+    estimated = exposure.estimate(seen)
+    assert estimated is not None
+    corner = -vignetting.corner(seen, estimated)[0]
+    assert corner > 0.1 or kind == "clean"
+    found = validation(photos)(seen, ("vignetting",), {})["vignetting"]
+    assert found.passes == (kind == "vignetting")
+    assert found.gain < 0.05 or kind == "vignetting"
+
+
+@pytest.mark.long
+def test_exposure_and_poses_are_validated_beside_each_other(scene):
+    true = drawn_gains(scene, 0.4)
+    photos = relit(scene, lambda index, *_: true[index])
+    found = validation(photos)(observe(photos), ("exposure", "poses"), {})
+    assert found["exposure"].passes and not found["poses"].passes
+
+
+@pytest.mark.parametrize("name", ["quick", "fast", "balanced", "accurate"])
+@pytest.mark.parametrize("side", [160, 640, 1600])
+@pytest.mark.parametrize("count", [1, 2, 6])
+def test_validation_takes_a_twentieth_of_the_run(name, side, count):
+    """By its pixels alone, 0.65 of a step's cost: what the Gaussians take comes on top, and is accounted for."""
+    planned = plan(parse(Settings, PRESETS[name]))
+    frames = [photo(index, (side, side)) for index in range(30)]
+    steps = steps_of_each(planned, frames, count)
+    if steps is None:
+        return
+    assert 25 <= steps <= 100
+    scale = max(round(side / 160), *(phase.scale for phase in planned.phases))
+    whole = sum(phase.steps * relative_cost(phase) for phase in planned.phases)
+    assert (count + 1) * steps * 0.65 / scale**2 < 0.05 * whole
+
+
+def test_a_run_under_600_steps_is_not_validated():
+    frames = [photo(index, (1600, 1200)) for index in range(30)]
+
+    def steps(count):
+        return steps_of_each(plan(replace(SETTINGS, phases=(Phase("vanilla", count),))), frames, 1)
+
+    assert steps(599) is None
+    assert 25 <= steps(600) <= 100 == steps(3000)
+
+
+def test_every_pixel_is_held_out_in_one_of_four_consecutive_photos():
+    blocks = np.stack([held_out_blocks(photo(), index) for index in range(4)])
+    np.testing.assert_array_equal(blocks.sum(0), 1)
+    rows, columns = np.nonzero(np.diff(blocks[0].astype(int), axis=1))
+    assert set((columns + 1) % 10) == {0}, "blocks are a quarter of the longer side"
+
+
+def test_effects_start_from_what_is_not_held_out():
+    scene = wall(6)
+    seen = observe(scene)
+    frames = scene.frames[:4]
+    blocks = [held_out_blocks(frame, index) for index, frame in enumerate(frames)]
+    left = without_blocks(seen, frames, blocks)
+    assert 0 < len(left.photo) < len(seen.photo) and set(left.photo) == {0, 1, 2, 3}
+    column, row = np.floor(left.pixels).astype(int).T
+    assert not any(blocks[index][y, x] for index, x, y in zip(left.photo, column, row, strict=True))
+    assert [frame.held_out for frame in left.frames] == [False] * 4 + [True] * 2
+
+
+def test_of_many_photos_groups_of_neighbours_are_trained_on():
+    frames = [photo(index) for index in range(200)]
+    chosen = [int(frame.name) for frame in chosen_photos(frames)]
+    assert len(chosen) == 24 and chosen[0] == 0 and chosen[-1] == 199
+    assert sum(b - a == 1 for a, b in zip(chosen, chosen[1:], strict=False)) == 20
+    assert chosen_photos(frames[:24]) == tuple(frames[:24])
+
+
+def test_effects_are_selected_one_after_the_other():
+    """A sky brings its background with it, which is then not compared again."""
+    worth = {"exposure": 0.3, "vignetting": -0.2, "sky": 0.5, "background": 9.0, "transients": 0.05}
+    asked = []
+
+    def predict(names):
+        asked.append(tuple(names))
+        return [np.float64(sum(worth[name] for name in names if name != "background"))]
+
+    def compare(without, with_effect):
+        return Validated(float(with_effect[0] - without[0]), 0.01)
+
+    found = select(tuple(worth), predict, compare)
+    assert asked == [
+        (),
+        ("exposure",),
+        ("exposure", "vignetting"),
+        ("exposure", "background", "sky"),
+        ("exposure", "background", "sky", "transients"),
+    ]
+    assert {name: each.passes for name, each in found.items()} == {
+        "exposure": True,
+        "vignetting": False,
+        "sky": True,
+        "transients": False,
+    }
+
+
+@pytest.mark.parametrize(
+    ("gain", "error", "passes"), [(0.11, 0.02, True), (0.09, 0.02, False), (0.3, 0.4, False), (-1.0, 0.1, False)]
+)
+def test_a_gain_must_be_a_tenth_of_a_decibel_and_above_its_error(gain, error, passes):
+    assert Validated(gain, error).passes == passes
+
+
+def test_both_variants_are_scored_on_the_same_pixels():
+    """Errors of 0.02 against 0.04 are 6.02 dB; what neither predicts counts for neither, what one lost counts."""
+    rng = np.random.default_rng(0)
+    photos = [rng.uniform(0.3, 0.6, (20, 20, 3)) for _ in range(4)]
+    whole = [np.ones((20, 20), bool)] * 4
+    blocks = [np.arange(20)[:, None].repeat(20, 1) < 5] * 4
+    better, worse = (
+        [p + np.where(blocks[0], size, 0)[..., None] * rng.choice([-1, 1], (20, 20, 1)) for p in photos]
+        for size in (0.02, 0.04)
+    )
+
+    def gain(without, with_it, shown=photos):
+        return compared(without, with_it, shown, whole, blocks)
+
+    assert gain(worse, better).gain == pytest.approx(20 * np.log10(2), abs=1e-6)
+    assert gain([0.5 * p for p in worse], [1.7 * p for p in better]).gain == pytest.approx(20 * np.log10(2), abs=1e-3)
+    strangers = [p.copy() for p in photos]
+    for each in strangers:
+        each[:2, :4] = 1.0
+    assert gain(worse, better, strangers).gain == pytest.approx(20 * np.log10(2), abs=0.1)
+    lost = [p.copy() for p in better]
+    for each in lost:
+        each[:2, :4] += 0.4
+    assert gain(worse, lost).gain < -5
+    nothing = [np.zeros((20, 20), bool)] * 4
+    assert compared(worse, better, photos, nothing, blocks) == (0.0, 0.0)
+
+
+def test_an_effect_that_is_switched_off_changes_nothing_and_one_that_is_on_does():
+    camera = Camera(jnp.eye(4), jnp.array([[20.0, 0, 8], [0, 20, 8], [0, 0, 1]]), 16, 16)
+    image = jnp.full((16, 16, 3), 0.5)
+    batch = Batch(camera, image, jnp.ones((16, 16), bool), None, None, jnp.int32(1))
+    rate = optax.constant_schedule(1e-3)
+    light = [
+        exposure.make_effect(np.array([[0.3] * 3, [-0.3] * 3], np.float32), rate),
+        vignetting.make_effect(np.array([[-2.0, 0.0]]), np.zeros(2, int), rate),
+    ]
+    for effect in light:
+        both = switchable(effect)
+        assert both.light is not None and both.camera is None and both.trusts is None
+        numbers = jnp.asarray(effect.initial)
+        assert jnp.array_equal(both.light((jnp.float32(0), numbers), image, batch), image)
+        changed = both.light((jnp.float32(1), numbers), image, batch)
+        assert jnp.array_equal(changed, effect.light(numbers, image, batch)) and not jnp.array_equal(changed, image)
+    moved = poses.make_effect(np.zeros((2, 3)), 1.0, np.zeros(2, int), 1, rate, np.full((2, 6), 0.1))
+    both = switchable(moved)
+    off = both.camera((jnp.float32(0), moved.initial), camera, jnp.int32(1))
+    assert jnp.array_equal(off.viewmat, camera.viewmat)
+    masks = switchable(transients.make_effect(rate))
+    trusted, added = masks.trusts((jnp.float32(0), jnp.float32(-9)), image + 0.3, batch)
+    assert trusted.all() and added == 0
+    assert not masks.trusts((jnp.float32(1), jnp.float32(-9)), image + 0.3, batch)[0].any()
+    sky = switchable(background.make_effect(np.zeros((1, 3)), rate))
+    assert jnp.allclose(sky.behind((jnp.float32(0), jnp.zeros((1, 3))), camera), 0.5)
+
+
+@pytest.mark.parametrize(("gain", "simulated"), [(0.09, False), (0.11, True)])
+def test_validation_decides_of_what_the_evidence_proposes(gain, simulated, capsys):
+    true = drawn_gains(wall(), 0.3)
+    photos = relit(wall(), lambda index, *_: true[index])
+    asked = []
+
+    def validate(seen, proposed, skies):
+        asked.append(list(proposed))
+        return {name: Validated(gain, 0.02) for name in proposed}
+
+    found = choose_effects("auto", plan(SETTINGS), photos, validate)
+    assert asked == [["exposure"]]
+    assert ("exposure" in found.effects) == simulated
+    line = f"exposure ({gain:+.2f} +-0.02 dB)"
+    told = f"effects: {line}" if simulated else f"effects: none that the photos show; not simulated: {line}"
+    assert f"train: {told}\n" in capsys.readouterr().err
+    record = found.evidence
+    assert record["validated"] == {"exposure": {"gain": gain, "error": 0.02}}
+    assert record["evidence"]["exposure"]["on"], "the evidence stays what it is"
+    decision = "simulated" if simulated else "not simulated"
+    note = f"{decision}: gains {gain:+.2f} +-0.02 dB in a validation run (needs 0.1); "
+    assert record["evidence"]["exposure"]["note"].startswith(note)
+
+    # What was decided once is not validated again.
+    again = choose_effects("auto", plan(SETTINGS), photos, validate, before=record)
+    assert again.names == found.names and len(asked) == 1
+    assert {key: again.evidence[key] for key in ("simulated", "validated")} == {
+        key: record[key] for key in ("simulated", "validated")
+    }
+
+
+def test_without_validation_evidence_must_be_stronger_and_corners_are_left_alone(capsys):
+    def chosen(scene):
+        return choose_effects("auto", plan(SETTINGS), scene, lambda *_: {}).names
+
+    weak, strong = (
+        relit(wall(), lambda index, *_, size=size: drawn_gains(wall(), size)[index]) for size in (0.11, 0.3)
+    )
+    assert chosen(weak) == () and "not simulated: exposure" in capsys.readouterr().err
+    assert chosen(strong) == ("exposure",)
+    dark = relit(wall(), lambda index, frame, x, y: -1.0 * radii2(frame, x, y))
+    capsys.readouterr()
+    assert chosen(dark) == () and "not simulated: vignetting" in capsys.readouterr().err
+    assert choose_effects("vignetting", plan(SETTINGS), dark, lambda *_: {}).names == ("vignetting",)

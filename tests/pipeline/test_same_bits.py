@@ -1,0 +1,47 @@
+"""A run is the same to the bit on any number of a CPU's threads, and beside another run of the same process."""
+
+import json
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from trained_run import SETTINGS
+
+from gsjax import config, pipeline, runs
+from gsjax.settings import Settings
+
+PROGRAM = """
+import sys, json
+from gsjax import config, pipeline
+from gsjax.settings import Settings
+scene, out, settings = sys.argv[1:]
+pipeline.train(scene, out, config.parse(Settings, json.loads(settings)))
+"""
+
+
+def assert_same(one, other):
+    assert (one / "gaussians.ply").read_bytes() == (other / "gaussians.ply").read_bytes()
+    losses = [[record["loss"] for record in runs.read_metrics(folder)] for folder in (one, other)]
+    assert losses[0] == losses[1] and losses[0]
+
+
+@pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.long), 4])
+def test_any_number_of_threads(run, scene, tmp_path, threads):
+    """Of XLA's, in a process that compiles its own programs. After a resume: `test_training.py`."""
+    own = {"NPROC": str(threads), "JAX_ENABLE_COMPILATION_CACHE": "false"}
+    command = [sys.executable, "-c", PROGRAM, str(scene), str(tmp_path / "run"), json.dumps(SETTINGS)]
+    subprocess.run(command, env={**os.environ, **own}, check=True, capture_output=True)
+    assert_same(tmp_path / "run", run)
+
+
+def test_two_trainings_in_two_threads(run, scene, tmp_path):
+    def train(name):
+        pipeline.train(scene, tmp_path / name, config.parse(Settings, SETTINGS))
+
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(train, ("one", "other")))
+    for name in ("one", "other"):
+        assert_same(tmp_path / name, run)
+        assert "<svg" in (tmp_path / name / "report.html").read_text()
