@@ -209,7 +209,7 @@ class Settings:
     points: str | None = None  # PLY of points to start from, in the data set's coordinates; None: the data set's own
     background: Literal["white", "black", "random"] = "black"
     masks: Literal["valid", "matte"] = "valid"
-    depth_mode: Literal["plane", "front", "center"] = "plane"  # how depth is read, see `gsjax.render`
+    depth_mode: Literal["plane", "front", "center"] = "plane"  # how depth is read, see `gsjax.rendering`
     pixel_filter: Literal["classic", "mip"] = "classic"  # see `gsjax.rendering.PIXEL_FILTERS`
     effects: str = NONE  # "none"; "auto", those that the photos show; or names, as in "exposure,vignetting"
     vanilla: bool = False  # plain 3DGS for the same number of steps: no entropy, no cull, no normals

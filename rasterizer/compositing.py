@@ -224,9 +224,7 @@ def _unlisted_fwd(static, means2d, conics, opacities, features, listed):
 
 def _unlisted_bwd(static, residuals, cotangents):
     d_tiles = to_tiles(jnp.concatenate(cotangents[:2], -1), static.grid)
-    d_rows = without_axes(
-        partial(static.engine.unlisted.backward, static), *residuals, d_tiles[:, :-1], d_tiles[:, -1]
-    )
+    d_rows = without_axes(partial(static.engine.unlisted.backward, static), *residuals, d_tiles[:, :-1], d_tiles[:, -1])
     return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:], None
 
 

@@ -43,7 +43,7 @@ def beyond_mesh(
         mesh_depths: `[H, W]` camera z of the mesh a view, of the size of `data`, 0 where there is none; looked at one
             by one.
         border: `[B, 3]` vertices at which the mesh ends, see `gsjax.meshing.topology.border`; B may be 0.
-        depth_mode: What a splat's depth is, see `gsjax.render`.
+        depth_mode: What a splat's depth is, see `gsjax.rendering`.
 
     Returns:
         `[N]` bool, numpy. False for those that no pixel sees.

@@ -15,8 +15,8 @@ from gsjax.meshing import level_set
 from gsjax.meshing.depth_points import NormalsOfDepth, depth_poisson
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.sighting import Method, Sighting
-from gsjax.render.gallery import Picture
-from gsjax.render.shown_depths import ShownDepth, depths_at
+from gsjax.rendering.gallery import Picture
+from gsjax.rendering.shown_depths import ShownDepth, depths_at
 
 AGREEING = 2  # Other views, at the least, that show a surface where a view shows it: one may be wrong as well.
 SHARE = 0.7  # Of the views that look at the place, those that show it; the others look through it.

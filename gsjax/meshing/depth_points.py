@@ -11,7 +11,7 @@ from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.sighting import Method, Sighting, poisson_through
-from gsjax.render.gallery import Picture
+from gsjax.rendering.gallery import Picture
 
 NormalsOfDepth = Callable[[np.ndarray, np.ndarray, Camera], np.ndarray]
 """Depth and alphas `[H, W]`, camera -> `[H, W, 3]` unit normals in its frame, towards it; zero where there is none."""

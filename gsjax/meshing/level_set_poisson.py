@@ -8,7 +8,7 @@ from gsjax.meshing import level_set
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.sighting import Method, Sighting, poisson_through
-from gsjax.render.gallery import Picture
+from gsjax.rendering.gallery import Picture
 
 
 def level_set_poisson(

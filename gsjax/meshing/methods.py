@@ -17,7 +17,7 @@ from gsjax.meshing.level_set_poisson import level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.sighting import Method, method_name
 from gsjax.meshing.tsdf import tsdf
-from gsjax.render.shown_depths import ShownDepth
+from gsjax.rendering.shown_depths import ShownDepth
 from gsjax.similarity import Similarity
 
 MOST_CELLS = 2**16  # along a side; of a surface alone they are tens of gigabytes

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from gsjax.errors import NoSurfaceError
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.boxes import Box
 from gsjax.meshing.outlines import Outline, outlines_of, overlap
 from gsjax.meshing.sightlines import Sightlines, agreement, sightlines_of

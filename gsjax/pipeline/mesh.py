@@ -12,7 +12,7 @@ from gsjax import tables
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.io.temporaries import sweep_beside
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing import level_set
 from gsjax.meshing.crop import Crop, crop_of
 from gsjax.meshing.export import supported_suffix, write_mesh
@@ -76,8 +76,8 @@ def mesh(
         settled: Whether vertices move to where the photos agree.
         holes_filled: Whether holes are closed where the views show a surface (`gsjax.meshing.holes`). After "agreed"
             they always are.
-        keep_floaters: Whether Gaussians that hang in the air (`gsjax.render.floaters`) take part. They always do where
-            no camera of a photo is known.
+        keep_floaters: Whether Gaussians that hang in the air (`gsjax.rendering.floaters`) take part. They always do
+            where no camera of a photo is known.
 
     Returns:
         A report: `vertices`, `faces`, the name of the `method`, what `extract_mesh` reports; `floaters`: how many were

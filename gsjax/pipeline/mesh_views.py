@@ -9,9 +9,9 @@ from gsjax.cameras import Camera
 from gsjax.gaussians import take, without_view_dependence
 from gsjax.meshing.depth_points import NormalsOfDepth
 from gsjax.normals.from_depth import smoothed_depth_normals
-from gsjax.render.floaters import are_floaters
-from gsjax.render.gallery import Picture
-from gsjax.render.shown_depths import ShownDepth, coarse_depth
+from gsjax.rendering.floaters import are_floaters
+from gsjax.rendering.gallery import Picture
+from gsjax.rendering.shown_depths import ShownDepth, coarse_depth
 from gsjax.runs.prior import reduction_for
 from gsjax.runs.result import Result, training_pictures
 from gsjax.scene import Scene

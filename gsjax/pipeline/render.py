@@ -22,8 +22,8 @@ from gsjax.io.machine import require_memory
 from gsjax.io.temporaries import sweep_beside
 from gsjax.meshing.export import is_mesh_file, read_mesh, read_textured
 from gsjax.meshing.pictures import smooth_pictures, texture_colors, vertex_colors
-from gsjax.render import gallery
-from gsjax.render.gallery import Picture
+from gsjax.rendering import gallery
+from gsjax.rendering.gallery import Picture
 from gsjax.report.pictures import depth_picture, depth_span, surface_picture
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import open_result

@@ -20,7 +20,7 @@ from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import RATE, Effect, Effects, EffectState
 from gsjax.gaussians import Gaussians
 from gsjax.planning.validation import Observe, Validated, Variant, compared
-from gsjax.render import backdrop, gallery
+from gsjax.rendering import backdrop, gallery
 from gsjax.runs.result import BACKGROUND_COLORS
 from gsjax.scene import Frame, with_pixels
 from gsjax.settings import Settings

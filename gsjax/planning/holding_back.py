@@ -16,7 +16,7 @@ from gsjax.planning.sizes import training_extent
 from gsjax.planning.sparse_views import Gain
 from gsjax.planning.start import first_state, with_given_points, with_stereo_points
 from gsjax.planning.validation import Observe, Variant, mean_and_error, short_settings
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 from gsjax.runs.result import BACKGROUND_COLORS
 from gsjax.scene import Scene, kept, tracks_by_name
 from gsjax.settings import Settings

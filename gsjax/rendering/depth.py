@@ -44,7 +44,7 @@ def mean_depth(composited: Array, alphas: Array, reading: DepthReading) -> Array
 
 
 def expected_depth(splats: Splats, reading: DepthReading = "plane") -> tuple[Array, Array]:
-    """`[H, W]` depth and `[H, W]` alphas, as `gsjax.render` has them, without colours: a pass of its own."""
+    """`[H, W]` depth and `[H, W]` alphas, as `gsjax.rendering` has them, without colours: a pass of its own."""
     image, alphas = features(splats, depth_channels(splats, reading), IN_FRONT.get(reading))
     return mean_depth(image, alphas, reading), alphas
 

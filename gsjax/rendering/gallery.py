@@ -40,7 +40,7 @@ def pictures(
 ) -> Iterator[Picture]:
     """Render every camera over a background (see `gsjax.rendering.backdrop`); sizes may differ, as the cameras do.
 
-    Depth is as `depth_mode` says, see `gsjax.render`. Owners cost another pass over the pairs.
+    Depth is as `depth_mode` says, see `gsjax.rendering`. Owners cost another pass over the pairs.
     """
     gaussians = jax.tree.map(jnp.asarray, gaussians)
     width, height = max(c.width for c in cameras), max(c.height for c in cameras)

@@ -46,7 +46,7 @@ def gate(
         gaussians: As the surface phase begins.
         frames: The photos.
         maps: `[H, W, 3]` int8 a photo, 127 times the unit normal.
-        depth_mode: What the Gaussians' depth is, see `gsjax.render`.
+        depth_mode: What the Gaussians' depth is, see `gsjax.rendering`.
         keep: Where the maps that are returned are to lie.
         tell: Told the verdict in one line.
 

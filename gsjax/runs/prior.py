@@ -60,7 +60,7 @@ class RunPrior:
             axes: Those of the foreign maps, see `axis_signs`; None: those that they were written with where `gsjax
                 normals` made them, else found by comparing with the Gaussians.
             frames: Whose normals will be asked for.
-            depth_mode: What the Gaussians' depth is, see `gsjax.render`.
+            depth_mode: What the Gaussians' depth is, see `gsjax.rendering`.
             gated: Whether normals count only as far as photos agree, see `gsjax.runs.normal_gate`.
             keep: Where the maps are to lie.
             tell: Told in one line which axes foreign maps have, and how that was found; and what the gate found.

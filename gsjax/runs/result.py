@@ -59,7 +59,7 @@ class Result:
         Callable[[], np.ndarray | None], ...
     ]  # reads [H, W] bool, where the photo may be used; None: all of it
     background: np.ndarray  # [3], or as SH coefficients of the direction, see `gsjax.rendering.backdrop`
-    depth_mode: DepthReading = "plane"  # as depth was read in training, or `DEPTH_OF_DISCS`, see `gsjax.render`
+    depth_mode: DepthReading = "plane"  # as depth was read in training, or `DEPTH_OF_DISCS`, see `gsjax.rendering`
     similarity: Similarity = IDENTITY  # to Gaussians and cameras from the coordinates of the world
     place: Place = UNPLACED  # what is known of that world
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from gsjax.cameras import Camera, look_at, viewmat_centers
 from gsjax.gaussians import Gaussians, opacities
-from gsjax.mesh import Mesh, unit_or_zero
-from gsjax.render import gallery
-from gsjax.render.shown_depths import ShownDepth, depths_at
+from gsjax.meshes import Mesh, unit_or_zero
+from gsjax.rendering import gallery
+from gsjax.rendering.shown_depths import ShownDepth, depths_at
 
 COUNT = 32
 TURNTABLE_VIEWS = 36

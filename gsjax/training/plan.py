@@ -66,7 +66,7 @@ class Plan:
     phases: tuple[PlannedPhase, ...]
     seed: int
     background: str  # of `gsjax.training.step.BACKGROUNDS`
-    depth_mode: str  # of `gsjax.render`
+    depth_mode: str  # of `gsjax.rendering`
     views_per_step: int
     max_gaussians: int
     sh_every: int  # steps between the bands of the SH ramp

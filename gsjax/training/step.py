@@ -122,7 +122,7 @@ def make_train_step(
         background: Colour under the images.
         sh_every: Steps between the bands of the SH ramp.
         rule: Of density control, whose statistics are gathered; None: none are.
-        depth_mode: What a splat's depth is, see `gsjax.render`.
+        depth_mode: What a splat's depth is, see `gsjax.rendering`.
         effects: Those that stand between the render and the photos; the state and the targets must be made for them.
         extent: Camera extent, scene units: what a rule, and a term with a table, measure distances in. The state must
             hold the table of every term that has one.

@@ -33,7 +33,7 @@ class Drawer:
     """
 
     def __init__(self, depth_mode: DepthReading = "plane"):
-        """Draw with depth as `gsjax.render` has it."""
+        """Draw with depth as `gsjax.rendering` has it."""
         self._depth_mode: DepthReading = depth_mode
         self._capacities: dict[tuple[int, int], int] = {}
 

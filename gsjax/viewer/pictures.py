@@ -27,7 +27,7 @@ class Pictures:
             kind: One of `KINDS`.
             gaussians: What to show.
             camera: The view.
-            background: As `gsjax.render.backdrop` has it; None: the subject's.
+            background: As `gsjax.rendering.backdrop` has it; None: the subject's.
 
         Returns:
             `[H, W, 3]` uint8.

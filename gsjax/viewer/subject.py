@@ -11,7 +11,7 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io.gaussian_files import FORMATS
 from gsjax.meshing.export import SUFFIXES, is_mesh_file, read_mesh
-from gsjax.render import DepthReading
+from gsjax.rendering import DepthReading
 from gsjax.runs.result import BACKGROUND_COLORS, Result, frame_camera, open_result, scene_of_run
 from gsjax.runs.viewpoints import mean_up, opaque_middle
 from gsjax.scene import Frame, Scene
@@ -33,7 +33,7 @@ class Subject:
     mesh: Path | None = None
     background: np.ndarray = field(
         default_factory=lambda: BACKGROUND_COLORS["black"]
-    )  # [3] or SH, see `gsjax.render.backdrop`
+    )  # [3] or SH, see `gsjax.rendering.backdrop`
     depth_mode: DepthReading = "plane"
     similarity: Similarity = IDENTITY  # to all of this, which is local, from the mesh in its file
 

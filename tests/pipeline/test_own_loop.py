@@ -126,9 +126,10 @@ def test_renders_compose_with_jit_grad_and_vmap(loaded, trained):
 
 def test_a_mesh_comes_of_the_state(loaded, trained, tmp_path):
     views = gsjax.read_views(loaded.train_frames)
-    mesh = gsjax.extract_mesh(trained.gaussians, [view.camera for view in views])
+    mesh, report = gsjax.extract_mesh(trained.gaussians, [view.camera for view in views])
     gsjax.write_mesh(tmp_path / "mesh.ply", mesh)
     assert len(gsjax.read_mesh(tmp_path / "mesh.ply").faces) == len(mesh.faces) > 100
+    assert report["method"] == "level_set_poisson"
 
 
 def test_faults_are_one_line(loaded):

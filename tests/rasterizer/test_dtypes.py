@@ -9,9 +9,9 @@ import pytest
 from scenes import BACKENDS, cloud, loss
 from tolerances import assert_close
 
-from gsjax import render
+from gsjax import rendering
 from gsjax.cameras import Camera
-from gsjax.render import Drawable
+from gsjax.rendering import Drawable
 
 SCENE = cloud()
 # Powers of two and whole numbers: every dtype below holds them exactly.
@@ -74,7 +74,7 @@ def test_a_view_of_gsjax_too(backend):
         none = jnp.zeros((40, 0, 3), jnp.bfloat16)
         scene = Drawable(arrays["means"], arrays["opacities"], arrays["colors"][:, None], none, *arrays["shapes"])
         how = {"capacity": 2048, "background": jnp.ones(3, jnp.int32), "backend": backend}
-        return jnp.sum(render.view(scene, camera, **how, with_depth=True, extra=arrays["colors"]).colors ** 2)
+        return jnp.sum(rendering.render(scene, camera, **how, with_depth=True, extra=arrays["colors"]).colors ** 2)
 
     mixed = cast(WHOLE, MIXED)
     rounded = cast(mixed, dict.fromkeys(MIXED, jnp.float32))

@@ -19,7 +19,7 @@ class Rule(NamedTuple):
     What it sees is the gradient of the loss to a probe of zeros `[N, 2]`. Statistics are a pytree of `[N]` arrays.
     """
 
-    probes: str  # the argument of `gsjax.render` that the probe is
+    probes: str  # the argument of `gsjax.rendering` that the probe is
     probe_loss: Callable[[View, Batch], Array | float]  # what is added to the loss for the probe's sake: zero
     empty_statistics: Callable[[int], Any]  # rows -> sums of nothing
     # (sums, gradient, `[N]` visible, `[N]` depths in camera extents, `[2]` size of the photo) -> sums

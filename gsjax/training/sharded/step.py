@@ -77,7 +77,7 @@ def make_sharded_step(
         background: Colour under the images, one for all views of a step.
         sh_every: Steps between the bands of the SH ramp.
         rule: Of density control, whose statistics are gathered; None: none are.
-        depth_mode: What a splat's depth is, see `gsjax.render`.
+        depth_mode: What a splat's depth is, see `gsjax.rendering`.
         extent: Camera extent, scene units.
 
     Returns:
@@ -194,7 +194,7 @@ class _Undeclared:
 
 
 def _probed(rule: Rule, rows: Array, probe: Array) -> Array:
-    """`[D, K, W]` rows with the probe where `gsjax.render` has it: in the means, or as two channels more."""
+    """`[D, K, W]` rows with the probe where `gsjax.rendering` has it: in the means, or as two channels more."""
     if rule.probes == "extra":
         return jnp.concatenate([rows, probe], -1)
     return rows.at[..., :2].add(probe)

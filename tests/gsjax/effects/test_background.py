@@ -16,7 +16,7 @@ from gsjax.effects.observations import observe
 from gsjax.errors import InputError
 from gsjax.planning.effects import choose_effects
 from gsjax.planning.validation import Validated
-from gsjax.render import backdrop
+from gsjax.rendering import backdrop
 from gsjax.scene import with_pixels
 from gsjax.settings import Settings
 from gsjax.training.plan import plan

@@ -18,7 +18,7 @@ from gsjax.planning.effects import choose_effects
 from gsjax.planning.skies import given_skies
 from gsjax.planning.start import first_state
 from gsjax.planning.validation import Validated
-from gsjax.render import backdrop
+from gsjax.rendering import backdrop
 from gsjax.runs.records import read_views
 from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, Scene, Tracks, frame_of, with_pixels

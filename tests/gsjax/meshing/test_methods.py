@@ -7,7 +7,7 @@ import pytest
 from small_scenes import camera_at, cloud
 
 from gsjax.errors import InputError
-from gsjax.mesh import Mesh, face_normals
+from gsjax.meshes import Mesh, face_normals
 from gsjax.meshing import boxes, extract_mesh
 from gsjax.meshing.boxes import Box, Region
 from gsjax.meshing.depth_points import LEAST_FACING, depth_poisson
@@ -15,7 +15,7 @@ from gsjax.meshing.methods import METHODS, MeshMethod, MethodOptions, methods_he
 from gsjax.meshing.orientation import facing_share, orient_outward
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
-from gsjax.render.gallery import Picture
+from gsjax.rendering.gallery import Picture
 
 ALL = {
     "depth": depth_poisson(smoothed_depth_normals, 100_000),

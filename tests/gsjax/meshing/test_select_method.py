@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError, NoSurfaceError
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.select_method import Witness, select_method
 
 EMPTY = np.zeros((0, 3))

@@ -15,7 +15,7 @@ from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
-from gsjax.mesh import Mesh, signed_volume
+from gsjax.meshes import Mesh, signed_volume
 from gsjax.meshing import select_method
 from gsjax.meshing.export import read_mesh
 from gsjax.meshing.holes import HoleReport
@@ -26,8 +26,8 @@ from gsjax.meshing.sightlines import Sightlines
 from gsjax.meshing.tsdf import tsdf
 from gsjax.pipeline import mesh_views
 from gsjax.pipeline.mesh import mesh
-from gsjax.render import gallery
-from gsjax.render.shown_depths import ShownDepth
+from gsjax.rendering import gallery
+from gsjax.rendering.shown_depths import ShownDepth
 from gsjax.runs import viewpoints
 from gsjax.runs.result import open_result, write_views
 from gsjax.scene import Pixels, frame_of
@@ -209,7 +209,7 @@ def test_a_method_is_handed_in_or_registered_and_named_in_the_report(file, tmp_p
 
 
 def test_floaters_are_left_out_and_counted(lumpy, tmp_path, monkeypatch):
-    """Here all of the lump is taken for floaters; `tests/gsjax/render/test_floaters.py` has what they are."""
+    """Here all of the lump is taken for floaters; `tests/gsjax/rendering/test_floaters.py` has what they are."""
 
     def are_floaters(gaussians, views):
         assert [(view.depth.shape, bool(view.depth.any())) for view in views] == 10 * [((60, 64), True)]

@@ -14,11 +14,11 @@ from gsjax.cameras import viewmat_center
 from gsjax.io import json_files
 from gsjax.io.images import read_image
 from gsjax.io.ply import write_gaussians
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.export import write_mesh, write_textured
 from gsjax.pipeline.render import picture_stems
-from gsjax.render import gallery
+from gsjax.rendering import gallery
 from gsjax.report.pictures import depth_picture, depth_span
 from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, frame_of

@@ -7,7 +7,7 @@ import trimesh
 
 from gsjax import cameras as cams
 from gsjax import gaussians as gs
-from gsjax.mesh import Mesh
+from gsjax.meshes import Mesh
 from gsjax.runs import viewpoints
 
 

@@ -9,7 +9,7 @@ from tolerances import assert_close
 from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.normals.from_depth import depth_normals
-from gsjax.render import backdrop, gallery
+from gsjax.rendering import backdrop, gallery
 from gsjax.viewer import drawing
 from gsjax.viewer.drawing import Drawer, bare_background
 from gsjax.viewer.page_camera import camera_of, page_camera
@@ -28,7 +28,7 @@ def camera(index):
 
 @pytest.fixture(scope="module")
 def rendered():
-    """What `gsjax.render` shows from both."""
+    """What `gsjax.rendering` shows from both."""
     return list(gallery.pictures(SCENE, [camera(0), camera(1)], BACKGROUND))
 
 

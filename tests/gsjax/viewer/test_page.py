@@ -13,7 +13,7 @@ from small_scenes import camera_at, cloud
 
 from gsjax import cli
 from gsjax.errors import InputError
-from gsjax.render import backdrop
+from gsjax.rendering import backdrop
 from gsjax.viewer import page as pages
 from gsjax.viewer.desk import Desk
 from gsjax.viewer.page import BY_BROWSER, CAMERAS, SHOW, SIDE, News, Page, check_port
