@@ -129,7 +129,7 @@ def test_a_mesh_comes_of_the_state(loaded, trained, tmp_path):
     mesh, report = gsjax.extract_mesh(trained.gaussians, [view.camera for view in views])
     gsjax.write_mesh(tmp_path / "mesh.ply", mesh)
     assert len(gsjax.read_mesh(tmp_path / "mesh.ply").faces) == len(mesh.faces) > 100
-    assert report["method"] == "level_set_poisson"
+    assert report["method"] == "from_level_set"
 
 
 def test_faults_are_one_line(loaded):
