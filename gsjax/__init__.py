@@ -6,7 +6,7 @@ These names are the public API; `docs/api.md` lists them. What they do not name 
 import importlib
 from typing import Any
 
-_HOMES = {
+HOMES = {
     # Records.
     "Camera": "cameras",
     "Frame": "scene",
@@ -52,11 +52,11 @@ _HOMES = {
     "train": "pipeline.train",
 }
 
-__all__ = list(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = list(HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
     """Loads a name's module on first use: the command line answers, and sets jax's environment, before jax loads."""
-    if name not in _HOMES:
+    if name not in HOMES:
         raise AttributeError(f"module 'gsjax' has no attribute '{name}'")
-    return getattr(importlib.import_module(f"gsjax.{_HOMES[name]}"), name)
+    return getattr(importlib.import_module(f"gsjax.{HOMES[name]}"), name)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from small_scenes import few_samples
+from small_scenes import built_in, few_samples
 
 from gsjax import cli, config
 from gsjax.binding.bound import bind, to_mesh
@@ -164,14 +164,22 @@ def prose(path: Path) -> str:
         return "\n".join(token.string for token in tokenize.tokenize(file.readline) if token.type in kinds)
 
 
+@pytest.fixture(scope="session")
+def garden(tmp_path_factory) -> Path:
+    """A small data set with normal maps, for the page that trains on one."""
+    return built_in(tmp_path_factory.mktemp("data") / "garden", num_views=9, size=(48, 40))
+
+
 @pytest.fixture
-def readers_folder(tmp_path) -> Path:
+def readers_folder(tmp_path, garden) -> Path:
     """Where a reader is after the commands of the pages: a mesh of the run, and a refined one with its Gaussians."""
     ball = trimesh.creation.icosphere(2)
     mesh = Mesh(np.float32(ball.vertices), np.int32(ball.faces), np.full((len(ball.vertices), 3), 128, np.uint8))
     bound = bind(mesh, per_triangle=1, thickness=0.004, sh_degree=1, opacity=0.8)
     refined = tmp_path / "runs/refined"
     refined.mkdir(parents=True)
+    (tmp_path / "scenes").mkdir()
+    (tmp_path / "scenes/garden").symlink_to(garden)
     write_mesh(tmp_path / "garden.ply", mesh)
     write_mesh(refined / "mesh.ply", to_mesh(bound))
     write_gaussians(refined / "gaussians.ply", all_gaussians(Hybrid(bound)))
