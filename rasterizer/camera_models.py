@@ -134,11 +134,12 @@ ANGLES = np.radians(np.arange(1, 181))  # At which a lens is asked whether its i
 
 def _fold(radial: Vector) -> Array:
     """`[C, 1]` the first of `ANGLES` at which the image's radius stops to grow, radians; infinity where none is."""
-    k1, k2, k3, k4 = (jax.lax.stop_gradient(k) for k in radial)
-    square = jnp.asarray(ANGLES**2, k1.dtype)
+    k1, k2, k3, k4 = (jax.lax.stop_gradient(k)[..., None] for k in radial)
+    each = jnp.expand_dims(jnp.asarray(ANGLES, k1.dtype), range(k1.ndim - 1))
+    square = each * each
     growth = 1 + square * (3 * k1 + square * (5 * k2 + square * (7 * k3 + square * 9 * k4)))
-    angles = jnp.where(growth > 0, jnp.inf, jnp.asarray(ANGLES, k1.dtype))
-    return jnp.min(angles, -1, keepdims=True)
+    angles = jnp.where(growth > 0, jnp.inf, each)
+    return jnp.min(angles, -1)
 
 
 def _focal_and_center(K: Matrix) -> tuple[Array, Array, Array, Array]:

@@ -79,7 +79,7 @@ def test_a_needle_of_aspect_a_million_keeps_its_slope(splats):
 def test_no_splat_shows_a_depth_behind_the_near_plane_nor_far_from_its_centres(splats):
     # Large ones, close to the camera and beside the image.
     scene = cloud(seed=2)
-    scene = replace(scene, scales=4 * scene.scales, means=scene.means * jnp.array([1.5, 1.5, 0.4]))
+    scene = replace(scene, scales=4 * scene.scales, means=scene.means * jnp.array([[1.5, 1.5, 0.4]]))
     near = 0.2
     p = splats(scene, near_plane=near)
     joint, _ = joint_covariances(scene)
@@ -158,7 +158,7 @@ def test_the_slope_of_a_flat_disc_is_its_planes_without_blur(splats):
     normal = np.array([0.4, -0.6, -1.0])
     scene = wall(normal)
     p = splats(scene, eps2d=0.0)
-    inside = np.asarray(p.visible[0]) & np.all(np.abs(p.means2d[0] - np.array([18.0, 14.0])) < 14, -1)
+    inside = np.asarray(p.visible[0]) & np.all(np.abs(p.means2d[0] - np.array([[18.0, 14.0]])) < 14, -1)
     K, means = np.asarray(scene.Ks[0], np.float64), np.asarray(scene.means, np.float64)
     expected = -(means[:, 2:] ** 2) * normal[:2] / np.diag(K)[:2] / (means @ normal)[:, None]
     assert inside.sum() > 30

@@ -54,7 +54,7 @@ def shown(coefficients, viewmat, alphas, camera):
     """Over a picture that covers so much: what the loss sees of a sky."""
     weights = jnp.asarray(np.random.default_rng(1).normal(size=(6, 8, 3)), coefficients.dtype)
     under = backdrop.color_behind(coefficients, Camera(viewmat, camera.K, camera.width, camera.height))
-    return jnp.sum((1 - alphas)[..., None] * under * weights)
+    return jnp.sum((1 - alphas)[..., None] * jnp.broadcast_to(under, weights.shape) * weights)
 
 
 def test_gradients_to_sky_and_camera_are_finite_differences(x64):

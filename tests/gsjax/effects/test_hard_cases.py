@@ -29,7 +29,7 @@ from gsjax.scene import Pixels, with_pixels
 from gsjax.settings import SIMULATED
 
 CLOUD = cloud(60, seed=3)
-CLOUD = replace(CLOUD, means=CLOUD.means - jnp.array([0.0, 0.0, 4.0]))  # on the wall
+CLOUD = replace(CLOUD, means=CLOUD.means - jnp.array([[0.0, 0.0, 4.0]]))  # on the wall
 BLACK = jnp.zeros(3, jnp.float32)
 
 
