@@ -1,12 +1,12 @@
 """`python -m gsjax` is the command `gsjax`."""
 
 from gsjax.cli import main
-from gsjax.cli.stopping import leave, spare_the_teardown
+from gsjax.cli.stopping import leave, skip_teardown
 
 
 def run() -> None:
     """What the shell calls."""
-    spare_the_teardown()
+    skip_teardown()
     leave(main())
 
 

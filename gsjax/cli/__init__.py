@@ -3,7 +3,9 @@
 import argparse
 import errno
 import signal
+import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 from gsjax.cli import (
     blocks,
@@ -30,12 +32,16 @@ from gsjax.cli import (
     undistort,
     view,
 )
-from gsjax.cli.printing import Printing, open_closed_streams, tell
-from gsjax.cli.stopping import ASKS, Stopping
+from gsjax.cli.stopping import SIGNALS, Stopping
 from gsjax.errors import InputError, is_out_of_memory
 
 OF_A_NAME = {errno.ENAMETOOLONG, errno.EACCES, errno.EPERM}
-"""What the system says of files and folders that nobody may look at, or that cannot be."""
+"""Errors of files and folders whose names are too long or that this user may not read."""
+WITHOUT_A_NAME = {
+    errno.ENOENT: "the folder in which this was called is no more; go to another one",
+    errno.ENOSPC: "what is printed cannot be written: No space left on device",
+}
+"""Errors that name no file: of the working folder, and of stdout."""
 
 DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
 
@@ -77,45 +83,52 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run_guarded(action: Callable[[], int | None]) -> int:
-    """Prepares jax's environment, runs an action and turns what ended it into an exit code.
+    """Prepare jax's environment, run an action and turn its end into an exit code.
 
     Returns:
-        0 done, or what the action returns, 2 unusable input (one line on stderr says which). Asked to end, it cleans up
-        as after any other end, and leaves with the code that shells give to the signal: 130 after Ctrl-C, 143 after
-        SIGTERM; 141 where a pipe that it prints to was closed. Anything else is a bug and comes up as the exception
-        that it is.
+        The code that the action returns, or 0. 2 for unusable input, after one line on stderr. After a signal the
+        action cleans up, and the code is that of shells: 130 for Ctrl-C, 143 for SIGTERM; 141 where the reader of
+        stdout is gone. Any other exception is a bug and is raised.
     """
-    open_closed_streams()
-    stopping, printing = Stopping(), Printing()
+    stopping = Stopping()
     try:
         environment.require_unix()
         environment.prepare()
-        with stopping, printing:
+        with stopping:
             code = action()
+            print(end="", flush=True)
     except InputError as error:
-        tell(f"gsjax: error: {error}")
-        return 2
+        return _refuse(str(error))
     except BaseException as error:
-        # Also what others have made of our exception, such as XLA of one in its callback.
-        asked = stopping.signal or (signal.SIGINT if isinstance(error, KeyboardInterrupt) else None)
-        if asked is None:
-            if (fault := _fault_of_the_machine(error)) is not None:
-                tell(f"gsjax: error: {InputError(fault)}")
-                return 2
-            if (code := printing.exit_code(error)) is not None:
-                return code
-            raise
-        tell(f"gsjax: {ASKS[asked]}")
-        return 128 + asked
+        # A library may have turned the exception of a signal into its own, as XLA does in a callback.
+        number = stopping.signal or (signal.SIGINT if isinstance(error, KeyboardInterrupt) else None)
+        if number is not None:
+            _tell(f"gsjax: {SIGNALS[number]}")
+            return 128 + number
+        if isinstance(error, BrokenPipeError):  # As in `gsjax eval RUN | head -3`.
+            return 128 + signal.SIGPIPE
+        if (fault := _fault_of_the_machine(error)) is not None:
+            return _refuse(fault)
+        raise
     return code or 0
 
 
+def _refuse(fault: str) -> int:
+    _tell(f"gsjax: error: {fault}")
+    return 2
+
+
+def _tell(line: str) -> None:
+    with suppress(OSError):  # The reader of stderr may be gone, too.
+        print(line, file=sys.stderr)
+
+
 def _fault_of_the_machine(error: BaseException) -> str | None:
-    """What neither the input nor a bug is to blame for, in words; None for any other error."""
-    if isinstance(error, OSError) and error.errno in OF_A_NAME and error.filename is not None:
+    """Describe an error that is neither a fault of the input nor a bug; None for any other error."""
+    if isinstance(error, OSError) and error.filename is not None and error.errno in OF_A_NAME:
         return f"{error.filename}: {error.strerror}"
-    if isinstance(error, FileNotFoundError) and environment.is_called_nowhere():
-        return "the folder in which this was called is no more; go to another one"
+    if isinstance(error, OSError) and error.filename is None and error.errno in WITHOUT_A_NAME:
+        return WITHOUT_A_NAME[error.errno]
     if is_out_of_memory(error):
         return "memory has ended; smaller photos (--downscale), fewer Gaussians or fewer other programs leave more"
     return None

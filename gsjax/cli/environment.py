@@ -1,4 +1,4 @@
-"""What the command line settles for jax before it is imported; the library itself never touches the environment."""
+"""The environment that the command line sets up for jax before it is imported. The library itself never changes it."""
 
 import ctypes
 import logging
@@ -28,25 +28,16 @@ KEEP_MEMORY = {-8: 1, -3: 1 << 30, -1: (1 << 31) - 1}
 
 
 def require_unix() -> None:
-    """Raises InputError on Windows itself, which has neither the file locks nor the process limits that are used."""
+    """Raise InputError on Windows itself, which lacks the file locks and process limits that gsjax uses."""
     if sys.platform == "win32":
         raise InputError("Windows itself is not supported; gsjax runs there in WSL2: https://aka.ms/wsl")
 
 
-def is_called_nowhere() -> bool:
-    """Whether the working folder has been removed, so that no relative path leads anywhere."""
-    try:
-        os.getcwd()
-    except FileNotFoundError:
-        return True
-    return False
-
-
 def prepare() -> None:
-    """Full-width vectors where the CPU has them, memory that is kept, a compilation cache that outlives the process.
+    """Set XLA's flags, the memory allocators and the compilation cache.
 
-    And of a GPU's memory what is used, where jax would take three quarters at its start. What the user has set in
-    XLA_FLAGS, XLA_PYTHON_CLIENT_PREALLOCATE, JAX_COMPILATION_CACHE_DIR or glibc's MALLOC_ variables stays.
+    A GPU's memory is allocated as it is used, where jax would allocate three quarters at its start. The user's own
+    XLA_FLAGS, XLA_PYTHON_CLIENT_PREALLOCATE, JAX_COMPILATION_CACHE_DIR and MALLOC_ variables stay.
     """
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     flags = os.environ.get("XLA_FLAGS", "")
@@ -75,19 +66,19 @@ def ask_for_determinism() -> None:
 
 
 def plugin_fault_in_one_line(record: logging.LogRecord) -> bool:
-    """A filter of jax's log: of a plugin that does not load, such as CUDA's without a driver, the traceback goes."""
+    """Filter jax's log: a plugin that does not load, such as CUDA's without a driver, is one line, not a traceback."""
     if str(record.msg).startswith(PLUGIN_FAULT):
         error = record.exc_info[1] if record.exc_info else None
-        why = str(error).partition("\n")[0] if error else record.getMessage()
-        record.msg, record.args = f"gsjax: jax goes on without a plugin that does not load here: {why}", ()
+        reason = str(error).partition("\n")[0] if error else record.getMessage()
+        record.msg, record.args = f"gsjax: jax continues without a plugin that does not load: {reason}", ()
         record.exc_info = record.exc_text = None
     return True
 
 
 def replace_damaged_programs() -> None:
-    """Takes damaged programs out of the compilation cache as jax meets them, so that they are written anew.
+    """Delete each damaged program of the compilation cache when jax warns of it.
 
-    Jax warns of one and compiles the program, but never writes over a file that is there: at every start for ever.
+    Jax compiles such a program again but never overwrites its file, so it would warn at every start.
     """
     if getattr(warnings.showwarning, "func", None) is not _show_or_replace:
         warnings.showwarning = partial(_show_or_replace, warnings.showwarning)
@@ -99,17 +90,17 @@ def _show_or_replace(show: Callable[..., None], message: Warning | str, *about: 
     if damaged is None or not folder.is_absolute():
         show(message, *about, **more)
         return
-    with suppress(OSError):  # Of another user's: it stays damaged, and is only slower.
+    with suppress(OSError):  # Another user's file stays: compiling again is only slower.
         for file in folder.iterdir():
             if PROGRAM.sub("", file.name) == damaged[1]:
                 file.unlink(missing_ok=True)
 
 
 def keep_memory() -> None:
-    """Lets glibc's allocator keep what it has. A step would else map its buffers anew, page by page."""
+    """Let glibc's allocator keep freed memory. Mapping the buffers again would add 11 % to a step."""
     if any(name.startswith("MALLOC_") for name in os.environ):
         return
-    with suppress(AttributeError, OSError):  # Another system's allocator.
+    with suppress(AttributeError, OSError):  # Other allocators have no `mallopt`.
         mallopt = ctypes.CDLL(None).mallopt
         for option, value in KEEP_MEMORY.items():
             mallopt(option, value)

@@ -1,5 +1,6 @@
-"""What the command line settles before jax is loaded: vectors, the cache of programs, and how fast help answers."""
+"""The environment that commands set up before jax is loaded, and how commands end: exit codes, and one line of why."""
 
+import errno
 import inspect
 import logging
 import os
@@ -7,16 +8,15 @@ import subprocess
 import sys
 import time
 import warnings
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+import gsjax
 from gsjax import cli
 from gsjax.cli import environment
-
-COMMANDS = (
-    "demo", "scan", "sfm", "normals", "train", "mesh", "refine", "texture", "eval", "render", "report", "compare",
-    "turntable", "view", "undistort", "convert",
-)  # fmt: skip
+from gsjax.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("own_environment")
 
@@ -109,10 +109,10 @@ def test_a_plugin_of_jax_that_does_not_load_is_one_line(caplog):
         )
     logger.warning(f"{environment.PLUGIN_FAULT}: Plugin module %s does not exist", "a.b")
     logger.error("another %s", "matter")
-    told = "gsjax: jax goes on without a plugin that does not load here"
+    line = "gsjax: jax continues without a plugin that does not load"
     assert [logging.Formatter().format(record) for record in caplog.records] == [
-        f"{told}: Unable to load cuPTI. Is it installed?",
-        f"{told}: {environment.PLUGIN_FAULT}: Plugin module a.b does not exist",
+        f"{line}: Unable to load cuPTI. Is it installed?",
+        f"{line}: {environment.PLUGIN_FAULT}: Plugin module a.b does not exist",
         "another matter",
     ]
 
@@ -134,13 +134,26 @@ def test_no_room_for_the_cache_is_harmless(monkeypatch, tmp_path):
     assert "JAX_COMPILATION_CACHE_DIR" not in os.environ
 
 
+@pytest.mark.parametrize(("variables", "calls"), [({}, 3), ({"MALLOC_ARENA_MAX": "2"}, 0)])
+def test_freed_memory_stays_with_the_allocator_unless_the_user_sets_it(monkeypatch, variables, calls):
+    for name in [name for name in os.environ if name.startswith("MALLOC_")]:
+        monkeypatch.delenv(name)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    options = []
+    mallopt = SimpleNamespace(mallopt=lambda *option: options.append(option))
+    monkeypatch.setattr(environment.ctypes, "CDLL", lambda name: mallopt)
+    environment.keep_memory()
+    assert len(options) == calls
+
+
 def test_help_answers_at_once_and_without_jax():
     show = "import sys, gsjax.cli; code = gsjax.cli.main(['--help']); sys.exit(code or 'jax' in sys.modules)"
     start = time.perf_counter()
     done = subprocess.run([sys.executable, "-c", show], capture_output=True, text=True)
     seconds = time.perf_counter() - start
     assert done.returncode == 0, done.stderr
-    assert all(command in done.stdout for command in COMMANDS)
+    assert all(command in done.stdout for command in ("train", "mesh", "render"))
     assert seconds < 2  # 0.05 s alone; a loaded machine gets time, an import of jax or open3d does not pass above.
 
 
@@ -151,8 +164,96 @@ def test_python_dash_m_is_the_same_command():
 
 
 @pytest.mark.parametrize("flags", ["", "--xla_gpu_deterministic_ops=false", "--xla_gpu_deterministic_ops=true"])
-def test_a_training_asks_xla_for_the_same_bits_in_every_run(monkeypatch, tmp_path, flags):
+def test_a_training_asks_xla_for_the_same_bits_in_every_run(library, monkeypatch, flags):
     monkeypatch.setenv("XLA_FLAGS", f"--xla_a=1 {flags}".strip())
-    assert cli.main(["train", str(tmp_path), "--out", str(tmp_path / "run"), "--deterministic"]) == 2  # no data set
+    assert cli.main(["train", "scene", "--out", "run", "--deterministic"]) == 0
     assert os.environ["XLA_FLAGS"].split()[-1] == "--xla_gpu_deterministic_ops=true"
     assert os.environ["XLA_FLAGS"].count("deterministic") == 1
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "message"),
+    [
+        (InputError("scene/images.bin: truncated"), 2, "gsjax: error: scene/images.bin: truncated\n"),
+        (KeyboardInterrupt(), 130, "gsjax: interrupted\n"),
+    ],
+)
+def test_what_ends_a_command_early(library, monkeypatch, capsys, error, code, message):
+    def fail(*args, **kwargs):
+        raise error
+
+    monkeypatch.setattr(gsjax.pipeline, "evaluate", fail)
+    assert cli.main(["eval", "run"]) == code
+    assert capsys.readouterr().err == message
+
+
+@pytest.mark.parametrize("number", [errno.ENAMETOOLONG, errno.EACCES])
+def test_a_name_that_the_system_does_not_take_is_told(library, monkeypatch, capsys, number):
+    def fail(*args, **kwargs):
+        raise OSError(number, os.strerror(number), "runs/long")
+
+    monkeypatch.setattr(gsjax.pipeline, "evaluate", fail)
+    assert cli.main(["eval", "run"]) == 2
+    assert capsys.readouterr().err == f"gsjax: error: runs/long: {os.strerror(number)}\n"
+
+
+@pytest.mark.parametrize(
+    "error", [MemoryError(), RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 15575512 bytes.")]
+)
+def test_memory_that_has_ended_is_told(library, monkeypatch, capsys, error):
+    def fail(*args, **kwargs):
+        raise error
+
+    monkeypatch.setattr(gsjax.pipeline, "evaluate", fail)
+    assert cli.main(["eval", "run"]) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("gsjax: error: memory has ended") and told.count("\n") == 1
+
+
+def test_a_folder_that_is_no_more_is_told(library, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(gsjax.pipeline, "evaluate", lambda *args, **kwargs: os.path.abspath("run"))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "gone").mkdir()
+    os.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert cli.main(["eval", "run"]) == 2
+    assert capsys.readouterr().err == (
+        "gsjax: error: the folder in which this was called is no more; go to another one\n"
+    )
+
+
+def test_a_bug_is_not_dressed_up_as_bad_input(library, monkeypatch):
+    monkeypatch.setattr(gsjax.pipeline, "evaluate", lambda *args, **kwargs: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["eval", "run"])
+
+
+PRINTING = """
+import sys
+from gsjax.cli import run_guarded
+from gsjax.cli.stopping import leave, skip_teardown
+skip_teardown()
+leave(run_guarded(lambda: print("a line " * int(sys.argv[1]))))
+"""
+
+
+@pytest.mark.parametrize("length", [1, 100_000])  # The first is written at the end.
+@pytest.mark.parametrize(
+    ("end", "code", "line"),
+    [
+        ("closed pipe", 141, ""),
+        ("/dev/full", 2, "gsjax: error: what is printed cannot be written: No space left on device\n"),
+    ],
+)
+def test_output_that_cannot_be_written_ends_a_command_without_a_traceback(end, code, line, length):
+    if end == "closed pipe":
+        reader, output = os.pipe()
+        os.close(reader)
+    elif Path(end).exists():
+        output = os.open(end, os.O_WRONLY)
+    else:
+        pytest.skip("only Linux has /dev/full")
+    command = [sys.executable, "-c", PRINTING, str(length)]
+    done = subprocess.run(command, stdout=output, stderr=subprocess.PIPE, text=True)
+    os.close(output)
+    assert (done.returncode, done.stderr) == (code, line)
