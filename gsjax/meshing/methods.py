@@ -23,6 +23,7 @@ from gsjax.similarity import Similarity
 MOST_CELLS = 2**16  # along a side; of a surface alone they are tens of gigabytes
 BYTES_PER_POINT = 24  # of the surface: place and normal, at the least
 LEVEL = 0.3
+FEWEST_TRIED = 20_000  # points of the surface by which `auto` judges a method
 AUTO, USUAL = "auto", "poisson"  # the latter where nothing can judge the candidates
 
 
@@ -68,6 +69,12 @@ class MethodOptions:
         trim = trimming.adaptive if self.trim_quantile is None else trimming.at_quantile(self.trim_quantile)
         return PoissonOptions(depth=self.depth, trim=trim)
 
+    @property
+    def of_a_trial(self) -> "MethodOptions":
+        """The same with a tenth of the points, but no fewer than `FEWEST_TRIED` where there are as many."""
+        points = self.sampling.num_points
+        return replace(self, points=max(points // 10, min(points, FEWEST_TRIED)))
+
     def to_local(self, similarity: Similarity, extent: np.ndarray) -> "MethodOptions":
         """Return the options with lengths in local coordinates.
 
@@ -93,11 +100,6 @@ class DepthEvidence(Protocol):
     """What views show and photos imply, computed when a method reads it."""
 
     @property
-    def ids(self) -> Sequence[int]:
-        """Of every camera that the method visits, its index in `shown` and `told`."""
-        ...
-
-    @property
     def normals_of(self) -> NormalsOfDepth:
         """Normals of rendered depth, in windows that fit its noise."""
         ...
@@ -118,7 +120,7 @@ class MeshMethod:
     """An entry of the table."""
 
     summary: str  # a line of the help
-    make: Callable[[MethodOptions, DepthEvidence], Method]
+    make: Callable[[MethodOptions, DepthEvidence, Sequence[int]], Method]  # the last: indices of the cameras' views
     options: frozenset[str] = frozenset()  # names of the `MethodOptions` that it reads
     needs: frozenset[str] = frozenset()  # "owners" in its pictures, the "photos" of the data set
     closes_holes: bool = False  # whether `gsjax.meshing.holes` always follows
@@ -128,19 +130,19 @@ OF_POISSON = frozenset({"points", "depth", "trim_quantile"})
 METHODS: dict[str, MeshMethod] = {
     "poisson": MeshMethod(
         "Poisson through points of the density's level set",
-        lambda options, _: level_set_poisson(options.sampling, options.reconstruction),
+        lambda options, *_: level_set_poisson(options.sampling, options.reconstruction),
         options=OF_POISSON | {"level"},
         needs=frozenset({"owners"}),
     ),
     "agreed": MeshMethod(
         "Poisson through depth that is consistent between views, of the photos or rendered",
-        lambda options, depths: agreed_poisson(
+        lambda options, depths, ids: agreed_poisson(
             depths.normals_of,
             options.sampling.num_points,
             options.reconstruction,
             shown=depths.shown,
             told=depths.told,
-            ids=depths.ids,
+            ids=ids,
         ),
         options=OF_POISSON,
         needs=frozenset({"photos"}),
@@ -148,7 +150,7 @@ METHODS: dict[str, MeshMethod] = {
     ),
     "tsdf": MeshMethod(
         "fusion of the rendered depth, open where no view shows a surface",
-        lambda options, _: tsdf(voxel=options.cell),
+        lambda options, *_: tsdf(voxel=options.cell),
         options=frozenset({"cell"}),
     ),
 }

@@ -3,8 +3,9 @@
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,11 +24,21 @@ from gsjax.meshing.select_method import Selection, select_method, witness_of
 from gsjax.meshing.settling import settle
 from gsjax.meshing.sighting import Method
 from gsjax.meshing.topology import topology
-from gsjax.pipeline.mesh_views import MeshViews, without_floaters
+from gsjax.pipeline.mesh_views import MeshViews
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result, scene_of_run
 from gsjax.runs.run import Run
 from gsjax.scene import Scene
+
+FEWEST_TRIED = 20  # views, where there are as many, by which `auto` judges a method
+
+
+class Request(NamedTuple):
+    """What surface is requested, whatever the method."""
+
+    options: MethodOptions
+    crop: Crop
+    faces: int  # at most, of a region
 
 
 def mesh(
@@ -88,19 +99,20 @@ def mesh(
         InputError: Nothing to mesh, an option that the method does not read or that is out of range, or a file cannot
             be read or written.
     """
-    _require_output(out, source, scene, faces)
+    _require_output(out, source, scene)
     options = MethodOptions(level, points, depth, trim_quantile, cell)
-    methods, crop = methods_of(method, options), crop_of(bounds, background_bounds, foreground_only)
+    methods = methods_of(method, options)
+    request = Request(options, crop_of(bounds, background_bounds, foreground_only), _checked_faces(faces))
     needs = frozenset[str]().union(*(each.needs for each in methods.values()))
     result, data = _open(Path(source), scene, with_photos=settled or len(methods) > 1 or "photos" in needs)
-    options, crop = _to_local(options, crop, result)
+    request = _to_local(request, result)
 
-    floaters = None
+    several_passes = len(methods) > 1 or holes_filled or any(each.closes_holes for each in methods.values())
+    views, floaters = MeshViews(result, data, with_owners="owners" in needs, several_passes=several_passes), None
     if not keep_floaters and (scene is not None or Path(source).is_dir()):
-        result, floaters = without_floaters(result)
-    views = MeshViews(result, data, with_owners="owners" in needs)
-    name, tried = _select(methods, options, views, crop, faces)
-    surface, report = _extract(methods[name], options, views, crop, faces)
+        views, floaters = views.without_floaters()
+    name, tried = _select(methods, request, views)
+    surface, report = _extract(methods[name], request, views, views.ids)
     report |= {"method": name, "tried": tried, "floaters": floaters, "holes": None, "settled": None}
     if holes_filled or methods[name].closes_holes:
         surface, closed = fill_holes(surface, views.shown)
@@ -111,13 +123,17 @@ def mesh(
     return {"vertices": len(surface.vertices), "faces": len(surface.faces), **report}
 
 
-def _require_output(out: str | Path, source: str | Path, scene: str | Path | None, faces: int) -> None:
-    """Check where the mesh is written, and its number of faces; raises InputError."""
+def _require_output(out: str | Path, source: str | Path, scene: str | Path | None) -> None:
+    """Check where the mesh is written; raises InputError."""
     supported_suffix(Path(out))
     require_apart(out, source, scene)
     sweep_beside(Path(out))
+
+
+def _checked_faces(faces: int) -> int:
     if faces < 1:
         raise InputError(f"--faces {faces} is below 1")
+    return faces
 
 
 def _open(source: Path, scene: str | Path | None, *, with_photos: bool) -> tuple[Result, Scene | None]:
@@ -136,30 +152,32 @@ def _open(source: Path, scene: str | Path | None, *, with_photos: bool) -> tuple
         return result, None
 
 
-def _to_local(options: MethodOptions, crop: Crop, result: Result) -> tuple[MethodOptions, Crop]:
-    """Return both in the coordinates of the result, with a number of points; checked before views are drawn."""
-    corners = [corner for box in crop.boxes[:1] for corner in (box.low, box.high)]
-    means = result.similarity.points_to_world(np.asarray(result.gaussians.means))
-    options = options.to_local(result.similarity, np.array(corners) if corners else means)
-    crop = crop.to_local(result.similarity)
-    crop.require_reached(result.gaussians, result.similarity)
+def _to_local(request: Request, result: Result) -> Request:
+    """Return the request in the coordinates of the result, with a number of points; checked before views are drawn."""
+    similarity, boxes = result.similarity, request.crop.boxes
+    corners = [corner for box in boxes[:1] for corner in (box.low, box.high)]
+    extent = np.array(corners) if corners else similarity.points_to_world(np.asarray(result.gaussians.means))
+    options, crop = request.options.to_local(similarity, extent), request.crop.to_local(similarity)
+    crop.require_reached(result.gaussians, similarity)
     if options.points is None:
         options = replace(options, points=level_set.options_for(result.cameras).num_points)
-    return options, crop
+    return request._replace(options=options, crop=crop)
 
 
-def _select(
-    methods: Mapping[str, MeshMethod], options: MethodOptions, views: MeshViews, crop: Crop, faces: int
-) -> Selection:
-    """Return the only method; of several, that which agrees most with the data set, or the usual one without it."""
+def _select(methods: Mapping[str, MeshMethod], request: Request, views: MeshViews) -> Selection:
+    """Return the only method; of several, that which agrees most with the data set, or the usual one without it.
+
+    They are judged by meshes of a tenth of the views and of the points.
+    """
     if len(methods) == 1:
         return Selection(next(iter(methods)), {})
     is_judged = views.data is not None and not _made_for_the_level_set(views.result.source)
-    witness = witness_of(views.data, crop.boxes) if is_judged else None
+    witness = witness_of(views.data, request.crop.boxes) if is_judged else None
     if witness is None:
         return Selection(USUAL, {})
-    candidates = {name: lambda m=m: _extract(m, options, views, crop, faces)[0] for name, m in methods.items()}
-    selection = select_method(candidates, witness)
+    ids = views.spread(max(len(views.ids) // 10, FEWEST_TRIED))
+    trial = partial(_extract, request=request._replace(options=request.options.of_a_trial), views=views, ids=ids)
+    selection = select_method({name: lambda m=m: trial(m)[0] for name, m in methods.items()}, witness)
     print(f"mesh: {selection.method}, by {witness.says}", file=sys.stderr)
     print(tables.compare(selection.tried), file=sys.stderr)
     return selection
@@ -170,17 +188,14 @@ def _made_for_the_level_set(source: Path) -> bool:
     return source.is_dir() and any("entropy" in phase["terms"] for phase in Run(source).plan["phases"])
 
 
-def _extract(
-    method: MeshMethod, options: MethodOptions, views: MeshViews, crop: Crop, faces: int
-) -> tuple[Mesh, dict[str, Any]]:
-    """Return the mesh by one method, and the report of `extract_mesh`."""
-    cameras, pictures = views.pictures()
+def _extract(method: MeshMethod, request: Request, views: MeshViews, ids: Sequence[int]) -> tuple[Mesh, dict[str, Any]]:
+    """Return the mesh by one method from the views of some indices, and the report of `extract_mesh`."""
     return extract_mesh(
         views.result.gaussians,
-        cameras,
-        pictures,
-        method=method.make(options, views),
-        regions=crop.regions,
-        max_faces=faces,
+        [views.cameras[index] for index in ids],
+        views.pictures(ids),
+        method=method.make(request.options, views, ids),
+        regions=request.crop.regions,
+        max_faces=request.faces,
         similarity=views.result.similarity,
     )

@@ -1,74 +1,122 @@
-"""The training views of a result, as mesh methods read them."""
+"""The training views of a result, as mesh methods read them: each is rendered once."""
 
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
-from gsjax.cameras import Camera
+import jax.numpy as jnp
+import numpy as np
+
+from gsjax.colors import to_bytes
 from gsjax.gaussians import take, without_view_dependence
+from gsjax.io.machine import free_memory
 from gsjax.meshing.depth_points import NormalsOfDepth
-from gsjax.normals.from_depth import smoothed_depth_normals
+from gsjax.normals.from_depth import chosen_reduction, smoothed_depth_normals
 from gsjax.rendering.floaters import are_floaters
 from gsjax.rendering.gallery import Picture
 from gsjax.rendering.shown_depths import ShownDepth, coarse_depth
-from gsjax.runs.prior import reduction_for
+from gsjax.runs.prior import VIEWS_FOR_NOISE
 from gsjax.runs.result import Result, training_pictures
 from gsjax.scene import Scene
 from gsjax.stereo import depths_of_photos
 
 MOST_COMPARED = 100  # photos, evenly spread: more of them add little
+BYTES_PER_PIXEL = 15  # of a stored picture
+STORED_SHARE = 0.5  # of the free memory: pictures that take more are rendered again instead
+
+
+class StoredPicture(NamedTuple):
+    """A picture with the colours that every method uses, in bytes."""
+
+    colors: np.ndarray  # [H, W, 3] uint8
+    depth: np.ndarray  # [H, W] float32
+    alphas: np.ndarray  # [H, W] float32
+    owners: np.ndarray | None  # [H, W] int32
+
+    def picture(self) -> Picture:
+        """Return the picture; its colours are rounded to bytes."""
+        return Picture(self.colors.astype(np.float32) / 255, self.depth, self.alphas, self.owners)
 
 
 class MeshViews:
-    """What the training views show, each computed once, when a method reads it."""
+    """What the training views show, each thing computed once, when a method reads it."""
 
-    def __init__(self, result: Result, data: Scene | None, *, with_owners: bool):
+    def __init__(self, result: Result, data: Scene | None, *, with_owners: bool, several_passes: bool):
         """Render nothing yet.
 
         Args:
             result: Whose training views.
             data: Its data set. None: its photos are not available.
             with_owners: Whether pictures have owners.
+            several_passes: Whether the pictures are read more than once. They are then stored, if memory allows.
         """
-        self.result, self.data, self.with_owners = result, data, with_owners
-        self.ids: Sequence[int] = range(len(result.held_out) - sum(result.held_out))
+        self.result, self.data, self.with_owners, self.several_passes = result, data, with_owners, several_passes
+        self.training = [index for index, held_out in enumerate(result.held_out) if not held_out]
+        self.cameras = [result.cameras[index] for index in self.training]
+        self.ids: Sequence[int] = range(len(self.training))
 
-    def pictures(self) -> tuple[list[Camera], Iterator[Picture]]:
-        """Return the training cameras, and the Gaussians in their constant colour as each shows them."""
-        return pictures_of(self.result, with_owners=self.with_owners)
+    def pictures(self, ids: Sequence[int] | None = None) -> Iterator[Picture]:
+        """Return what the Gaussians show, in their constant colour, to the views of some indices. None: to all."""
+        if not self._are_stored:
+            return self._rendered(self.ids if ids is None else ids)
+        return (self._stored[index].picture() for index in (self.ids if ids is None else ids))
+
+    def spread(self, most: int) -> Sequence[int]:
+        """Return the indices of at most so many views, evenly spread."""
+        return np.unique(np.linspace(0, len(self.ids) - 1, min(most, len(self.ids))).round().astype(int)).tolist()
+
+    def without_floaters(self) -> tuple["MeshViews", int]:
+        """Return the views of the Gaussians that do not hang in the air, and how many do."""
+        hang = are_floaters(self.result.gaussians, self.shown)
+        if not hang.any():
+            return self, 0
+        result = replace(self.result, gaussians=take(self.result.gaussians, ~hang))
+        options = {"with_owners": self.with_owners, "several_passes": self.several_passes}
+        return MeshViews(result, self.data, **options), int(hang.sum())
 
     @cached_property
     def shown(self) -> list[ShownDepth]:
         """The coarse rendered depth of every training view."""
-        return list(map(coarse_depth, *pictures_of(self.result, with_owners=False)))
+        pictures = self.pictures() if self._are_stored else self._rendered(self.ids, with_owners=False)
+        return list(map(coarse_depth, self.cameras, pictures))
 
     @cached_property
     def told(self) -> dict[int, ShownDepth]:
         """By the view's index, the multi-view stereo depth of its photo."""
         if self.data is None:
             return {}
-        every = zip(self.result.names, self.result.held_out, strict=True)
-        names = [name for name, held_out in every if not held_out]
+        names = [self.result.names[index] for index in self.training]
         depths = depths_of_photos(self.data, MOST_COMPARED)
         print(f"mesh: depth that photos agree about: {depths.line}", file=sys.stderr)
         return {names.index(each.view.name): each.shown() for each in depths.told}
 
     @cached_property
     def normals_of(self) -> NormalsOfDepth:
-        """Normals of depth in windows that fit the noise of the run's depth."""
-        cameras, _ = pictures_of(self.result, with_owners=False)
-        reduction = reduction_for(self.result.gaussians, cameras, self.result.depth_mode)
-        return partial(smoothed_depth_normals, reduction=reduction)
+        """Normals of depth in windows that fit the noise of the rendered depth."""
+        ids = self.spread(VIEWS_FOR_NOISE)
+        views = (
+            (jnp.asarray(picture.depth), jnp.asarray(picture.alphas), self.cameras[index])
+            for index, picture in zip(ids, self.pictures(ids), strict=True)
+        )
+        return partial(smoothed_depth_normals, reduction=chosen_reduction(views))
 
+    @cached_property
+    def _are_stored(self) -> bool:
+        pixels = sum(camera.width * camera.height for camera in self.cameras)
+        return self.several_passes and BYTES_PER_PIXEL * pixels < STORED_SHARE * free_memory()
 
-def without_floaters(result: Result) -> tuple[Result, int]:
-    """Return the result without the Gaussians that hang in the air, and how many those were."""
-    hang = are_floaters(result.gaussians, map(coarse_depth, *pictures_of(result, with_owners=False)))
-    return replace(result, gaussians=take(result.gaussians, ~hang)), int(hang.sum())
+    @cached_property
+    def _stored(self) -> list[StoredPicture]:
+        return [StoredPicture(to_bytes(each.colors), *each[1:]) for each in self._rendered(self.ids)]
 
-
-def pictures_of(result: Result, *, with_owners: bool) -> tuple[list[Camera], Iterator[Picture]]:
-    """Return the training cameras, and the Gaussians in their constant colour as each shows them."""
-    plain = without_view_dependence(result.gaussians)
-    return training_pictures(result, plain, result.background, with_owners=with_owners)
+    def _rendered(self, ids: Sequence[int], *, with_owners: bool | None = None) -> Iterator[Picture]:
+        chosen = {self.training[index] for index in ids}
+        others = tuple(index not in chosen for index in range(len(self.result.held_out)))
+        return training_pictures(
+            replace(self.result, held_out=others),
+            without_view_dependence(self.result.gaussians),
+            self.result.background,
+            with_owners=self.with_owners if with_owners is None else with_owners,
+        )[1]

@@ -132,7 +132,7 @@ def test_the_table_is_the_methods_that_auto_tries_in_order():
 
 
 def test_one_entry_registers_a_method_for_its_name_the_help_and_auto(monkeypatch):
-    own = MeshMethod("planes by hand", lambda options, depths: ALL["tsdf"], options=frozenset({"trim_quantile"}))
+    own = MeshMethod("planes by hand", lambda *_: ALL["tsdf"], options=frozenset({"trim_quantile"}))
     monkeypatch.setitem(METHODS, "planes", own)
     assert methods_of("planes", MethodOptions(trim_quantile=0.1)) == {"planes": own}
     assert list(methods_of("auto", MethodOptions())) == ["poisson", "agreed", "tsdf", "planes"]

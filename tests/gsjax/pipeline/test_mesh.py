@@ -21,7 +21,7 @@ from gsjax.meshing.export import read_mesh
 from gsjax.meshing.holes import HoleReport
 from gsjax.meshing.methods import METHODS, MeshMethod
 from gsjax.meshing.outlines import Outline
-from gsjax.meshing.select_method import Selection
+from gsjax.meshing.select_method import Selection, Witness
 from gsjax.meshing.sightlines import Sightlines
 from gsjax.meshing.tsdf import tsdf
 from gsjax.pipeline import mesh_views
@@ -176,7 +176,7 @@ def test_what_photos_tell_is_of_the_training_view_of_its_name(lumpy, monkeypatch
         return SimpleNamespace(told=each, line="3 of 9 photos")
 
     monkeypatch.setattr(mesh_views, "depths_of_photos", told_by)
-    views = partial(mesh_views.MeshViews, with_owners=False)
+    views = partial(mesh_views.MeshViews, with_owners=False, several_passes=True)
     assert views(result, "of the photos").told == {2: empty, 4: empty, 8: empty}
     assert capsys.readouterr().err == "mesh: depth that photos agree about: 3 of 9 photos\n"
     assert views(result, None).told == {}
@@ -197,12 +197,66 @@ def test_holes_are_closed_after_agreed_alone(lumpy, tmp_path, monkeypatch, selec
     assert report["holes"] == ({"patches": 0, "closed": 0, "closed_faces": 0} if holes else None)
 
 
+@pytest.mark.parametrize("floating", [False, True])
+def test_auto_renders_each_view_once_and_extracts_at_full_size_once(lumpy, tmp_path, monkeypatch, floating):
+    """Candidates are built from two of the ten views and a tenth of the points; the winner from all."""
+    rendered, visited = [], []
+    draw, poisson = gallery.pictures, METHODS["poisson"]
+
+    def pictures(gaussians, cameras, *given, **options):
+        rendered.append(len(cameras))
+        return draw(gaussians, cameras, *given, **options)
+
+    def make(name, options, ids):
+        def visiting(gaussians, cameras, pictures):
+            visited.append((name, len(cameras), options.points, list(ids)))
+            return method(gaussians, cameras, pictures)
+
+        method = poisson.make(options, None, ids)
+        return visiting
+
+    for name in METHODS:
+        entry = MeshMethod(
+            name, lambda options, _, ids, name=name: make(name, options, ids), poisson.options, poisson.needs
+        )
+        monkeypatch.setitem(METHODS, name, entry)
+    hang = np.zeros(2000, bool)
+    hang[-1] = floating
+    monkeypatch.setattr(gallery, "pictures", pictures)
+    monkeypatch.setattr(mesh_views, "are_floaters", lambda gaussians, views: hang)
+    monkeypatch.setitem(mesh.__globals__, "FEWEST_TRIED", 2)
+    monkeypatch.setitem(mesh.__globals__, "scene_of_run", lambda *_: "of the photos")
+    shares = iter([0.5, 0.9, 0.4])
+    witness = Witness("what is known", lambda mesh: {"met": next(shares)}, 0.04)
+    monkeypatch.setitem(mesh.__globals__, "witness_of", lambda *_: witness)
+    report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", points=300_000, settled=False)
+    assert report["method"] == "agreed" and report["floaters"] == int(floating)
+    assert rendered == ([10, 10] if floating else [10]), "once more without the floaters, if there are any"
+    tenth = [(name, 2, 30_000, [0, 9]) for name in ("poisson", "agreed", "tsdf")]
+    assert visited == [*tenth, ("agreed", 10, 300_000, list(range(10)))]
+
+
+def test_pictures_that_memory_does_not_hold_are_rendered_again_and_are_the_same(lumpy, monkeypatch):
+    result = open_result(lumpy["masked"])
+    views = [mesh_views.MeshViews(result, None, with_owners=True, several_passes=True) for _ in range(2)]
+    stored = list(views[0].pictures([2, 5]))
+    monkeypatch.setattr(mesh_views, "free_memory", lambda: 1000)
+    again = list(views[1].pictures([2, 5]))
+    for ours, theirs in zip(stored, again, strict=True):
+        np.testing.assert_allclose(ours.colors, theirs.colors, atol=0.5 / 255 + 1e-6)
+        for name in ("depth", "alphas", "owners"):
+            np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+    for ours, theirs in zip(views[0].shown, views[1].shown, strict=True):
+        np.testing.assert_array_equal(ours.depth, theirs.depth)
+    assert views[0].spread(4) == [0, 3, 6, 9] and views[0].spread(20) == list(range(10))
+
+
 @pytest.mark.parametrize("name", ["planes", None])
 def test_a_method_is_handed_in_or_registered_and_named_in_the_report(file, tmp_path, monkeypatch, name):
     def mine(gaussians, cameras, pictures):
         return tsdf(voxel=0.06)(gaussians, cameras, pictures)
 
-    monkeypatch.setitem(METHODS, "planes", MeshMethod("mine", lambda options, depths: mine))
+    monkeypatch.setitem(METHODS, "planes", MeshMethod("mine", lambda *_: mine))
     report = mesh(file, tmp_path / "mesh.ply", method=name or mine)
     assert report["method"] == (name or "mine")
     assert report["foreground"]["voxel"] == pytest.approx(0.06 / open_result(file).similarity.scale)
