@@ -130,7 +130,7 @@ LUMP = np.array([0.0, 0.0, 1.6])  # Its middle, above the ball; its radius is 0.
 @pytest.fixture(scope="module")
 def lumpy(ball, tmp_path_factory):
     """Run folders of the ball with a smaller one floating above it, which masks hide in one of the two."""
-    as_lump = {"means": 0.35 * ball.gaussians.means + jnp.asarray(LUMP, jnp.float32),
+    as_lump = {"means": 0.35 * ball.gaussians.means + jnp.asarray(LUMP[None], jnp.float32),
                "log_scales": ball.gaussians.log_scales + jnp.float32(np.log(0.35))}  # fmt: skip
     lump = take(Gaussians(**{**ball.gaussians.__dict__, **as_lump}), np.arange(1, 2000, 4))
     both = jax.tree.map(lambda a, b: jnp.concatenate([a[np.arange(2000) % 4 != 0], b]), ball.gaussians, lump)
