@@ -203,7 +203,6 @@ def _train(
         planned,
         frames,
         size,
-        len(started.points),
         lambda short, optimizer, effects, skies: first_state(started, short, optimizer, effects, skies=skies),
     )
     skies = given_skies(loaded, settings, downscale)

@@ -30,6 +30,7 @@ FEWEST_ROUNDS, SHORTEST_INTERVAL = 8, 20  # in which Gaussians multiply, and ste
 SHORTENED = 0.4  # of its steps' time, with which a preset is no better than a shorter one (docs/accuracy_vs_time.md)
 # At first Gaussians are wider than a trial's: time for so many plain steps more, at most for half of a run's own.
 WIDER_STEPS, WIDER_SHARE = 150, 0.5
+VALIDATION_PROGRAMS = 2.0  # that validation of effects compiles: a step and a picture
 OWN_PROGRAMS, OWN_MAP = 2.0, 1.4  # times a plain step's: compiling what makes maps of own depth, and making one
 
 Lasting = Callable[[Settings, float], Settings]
@@ -132,7 +133,7 @@ def budgeted(
     left -= _mapping(loaded, sized, times)
     part = _part(times, sized, left)
     if proposed and total_steps(lasting(sized, part)) >= effect_validation.SHORTEST:
-        left = (left - (1 + len(proposed)) * times.plain_program) / (1 + effect_validation.SHARE)
+        left = (left - VALIDATION_PROGRAMS * times.plain_program) / (1 + effect_validation.SHARE)
         part = _part(times, sized, left)
     if _tries_to_hold_back(loaded, lasting(sized, part)):
         left -= _holding_back(loaded, times)

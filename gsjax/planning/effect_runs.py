@@ -28,6 +28,7 @@ from gsjax.training import optimizers
 from gsjax.training.plan import plan
 from gsjax.training.state import TrainState
 
+HURRY = 10  # times a run's learning rate: of colours and effects, as there are few steps
 ACROSS, EVERY = 4, 4  # blocks across the longer side of a photo; one in so many is held out
 
 Initial = Callable[[Settings, optax.GradientTransformation, Effects, sky.Masks], TrainState]
@@ -63,7 +64,7 @@ class EffectRuns:
         """
         program = self._with_sky if "sky" in names else self._without_sky
         begun = start(self.seen, names, program.skies)
-        on = simulations(begun, names, _constant)
+        on = simulations(begun, names, _rate)
         state = self.initial(self.settings, program.variant.optimizer, program.effects, program.skies)
         if state.effects is not None:
             numbers = {name: self._numbers(name, each, on) for name, each in program.effects.items()}
@@ -97,7 +98,7 @@ class EffectRuns:
     def _program(self, names: Sequence[str], skies: sky.Masks) -> _Program:
         planned = replace(plan(self.settings), sky_weight=self.sky_weight).with_effects(names)
         optimizer = optimizers.make_optimizer(planned.rates, self.extent, planned.steps)
-        effects = simulations(start(self.seen, names, skies), names, _constant)
+        effects = simulations(start(self.seen, names, skies), names, _rate)
         effects = {name: switchable(effect) for name, effect in effects.items()}
         return _Program(Variant(planned, optimizer, self.extent, effects, skies), effects, skies)
 
@@ -177,8 +178,9 @@ def _where(switch: Array, on, off):
     return jax.tree.map(lambda a, b: jnp.where(jax.lax.stop_gradient(switch) > 0, a, b), on, off)
 
 
-def _constant(peak: float = RATE, **_: Any) -> optax.Schedule:
-    return optax.constant_schedule(peak)
+def _rate(peak: float = RATE, hold: int | None = None, **_: Any) -> optax.Schedule:
+    """Of so few steps. Poses, which a run holds at first, stay where the tracks put them: a blurred scene misleads."""
+    return optax.constant_schedule(0.0 if hold else HURRY * peak)
 
 
 def held_out_blocks(frame: Frame, index: int) -> np.ndarray:

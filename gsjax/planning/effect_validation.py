@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from gsjax.effects import sky
 from gsjax.effects.observations import Observations
-from gsjax.planning.effect_runs import EffectRuns, Initial, held_out_blocks, without_blocks
+from gsjax.planning.effect_runs import HURRY, EffectRuns, Initial, held_out_blocks, without_blocks
 from gsjax.planning.pace import FIXED_COST, relative_cost
 from gsjax.planning.validation import Validated, image_scale, short_settings
 from gsjax.scene import Frame, kept
@@ -21,9 +21,10 @@ from gsjax.settings import Phase, Settings
 from gsjax.training.plan import Plan
 
 SHARE = 0.05  # of the run's time that all validation runs may take
-MOST_STEPS, FEWEST_STEPS = 100, 25  # of each
+MOST_STEPS, FEWEST_STEPS = 300, 25  # of each
 SHORTEST = 600  # steps of a run that is validated
-PHOTOS, NEIGHBORS = 24, 6  # that validation runs are trained on, in groups of consecutive ones, which overlap
+SIDE = 96  # pixels of the longest photo, about: the smaller, the sooner a run shows what remains to be explained
+PHOTOS, NEIGHBORS = 48, 6  # that validation runs are trained on, in groups of consecutive ones, which overlap
 RENDERED = 0.3  # of a step's time, rendering a photo
 PARTS = {"sky": ("background", "sky")}
 """The effects that an effect is simulated with, where that is not itself alone."""
@@ -43,7 +44,7 @@ def steps_of_each(planned: Plan, frames: Sequence[Frame], count: int) -> int | N
     if planned.steps < SHORTEST or not count:
         return None
     whole = sum(phase.steps * relative_cost(phase) for phase in planned.phases)
-    short = short_settings(Settings(max_gaussians=planned.max_gaussians), frames, 0)
+    short = short_settings(Settings(max_gaussians=planned.max_gaussians), frames, 0, SIDE)
     gaussians = short.max_gaussians / planned.max_gaussians
     step = FIXED_COST * gaussians + (1 - FIXED_COST) / _scale(planned, frames) ** 2
     steps = int(SHARE * whole / (step * (count + 1)) - RENDERED * min(len(frames), PHOTOS))
@@ -52,7 +53,7 @@ def steps_of_each(planned: Plan, frames: Sequence[Frame], count: int) -> int | N
 
 def _scale(planned: Plan, frames: Sequence[Frame]) -> int:
     """Photos are reduced at least as far as the run's smallest ones."""
-    return max(image_scale(frames), *(phase.scale for phase in planned.phases))
+    return max(image_scale(frames, SIDE), *(phase.scale for phase in planned.phases))
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,6 @@ class EffectValidation:
     planned: Plan
     frames: Sequence[Frame]  # that are trained on
     extent: float  # camera extent, scene units
-    points: int  # number of matched points
     initial: Initial
 
     def __call__(self, seen: Observations, proposed: Sequence[str], skies: sky.Masks) -> dict[str, Validated]:
@@ -81,10 +81,12 @@ class EffectValidation:
             return select(proposed, partial(runs.predict, observe=bar.update), runs.compare)
 
     def _short(self, steps: int) -> Settings:
-        short = short_settings(self.settings, self.frames, self.points)
+        short = short_settings(self.settings, self.frames, 0, SIDE)
         phase = Phase("validation", steps, image_scale=_scale(self.planned, self.frames))
         behind = "black" if short.background == "random" else short.background
-        return replace(short, phases=(phase,), sh_every=max(steps // 6, 1), background=behind)
+        # Points have the colours of the photos that they were matched in: what gains change must be learned in time.
+        rates = replace(short.rates, sh_dc=HURRY * short.rates.sh_dc)
+        return replace(short, phases=(phase,), sh_every=max(steps // 6, 1), background=behind, rates=rates)
 
 
 def select(

@@ -37,20 +37,21 @@ Observe = Callable[[], object]
 """Called after every step."""
 
 
-def image_scale(frames: Sequence[Frame]) -> int:
-    """Factor by which validation runs reduce photos."""
-    return max(1, round(max(max(frame.width, frame.height) for frame in frames) / SIDE))
+def image_scale(frames: Sequence[Frame], side: int = SIDE) -> int:
+    """Factor by which validation runs reduce photos, to about so many pixels of the longest side."""
+    return max(1, round(max(max(frame.width, frame.height) for frame in frames) / side))
 
 
-def short_settings(settings: Settings, frames: Sequence[Frame], points: int) -> Settings:
+def short_settings(settings: Settings, frames: Sequence[Frame], points: int, side: int = SIDE) -> Settings:
     """The settings of a validation run: `quick` in few steps on small photos, with the run's seed and background.
 
     Args:
         settings: The run.
         frames: Its photos.
         points: Number of matched points.
+        side: Pixels of the longest photo, about.
     """
-    scale = image_scale(frames)
+    scale = image_scale(frames, side)
     pixels = max(frame.width * frame.height for frame in frames) / scale**2
     return replace(
         settings,

@@ -12,8 +12,9 @@ from gsjax.config import parse
 from gsjax.effects.evidence import Cost, Evidence
 from gsjax.errors import InputError
 from gsjax.planning import budget, pace, timed_steps
+from gsjax.planning.effects import PROPOSED
 from gsjax.planning.timed_steps import StepTimes
-from gsjax.settings import LENGTHS, PRESETS, SIMULATED, Density, Phase, Rates, Settings, total_steps
+from gsjax.settings import LENGTHS, PRESETS, Density, Phase, Rates, Settings, total_steps
 
 NAMED = {name: parse(Settings, PRESETS[name]) for name in LENGTHS}
 
@@ -95,8 +96,10 @@ class Machine:
 
     def diagnosed(self, scene):
         self.now += 3.0
-        clear = {name: Evidence(False, 0.0, "", 0.0, 1.0, Cost(), "") for name in SIMULATED}
-        return SimpleNamespace(effects=clear | {"exposure": Evidence(True, self.evidence, "", 0.0, 1.0, Cost(), "")})
+        clear = {name: Evidence(False, 0.0, "", 0.0, 1.0, Cost(), "") for name in PROPOSED}
+        return SimpleNamespace(
+            effects=clear | {"exposure": Evidence(self.evidence > 1, self.evidence, "", 0.0, 1.0, Cost(), "")}
+        )
 
     def try_out(self, scene, settings, *, most, clock):
         name = next(name for name, each in NAMED.items() if each.phases == settings.phases)
@@ -188,16 +191,16 @@ def test_a_run_whose_gaussians_stay_as_many_is_scaled_in_its_steps_alone(monkeyp
     assert settings == budget.scaled(replace(NAMED["fast"], downscale=2.0), factor)
 
 
-@pytest.mark.parametrize(("seconds", "evidence", "tries"), [(1000, 1.2, True), (1000, 1.6, False), (100, 1.2, False)])
-def test_time_for_the_trial_of_an_effect_is_kept_where_there_will_be_one(monkeypatch, seconds, evidence, tries):
-    """Evidence near its threshold asks for one, but in a run too short for trials."""
+@pytest.mark.parametrize(("seconds", "evidence", "tries"), [(1000, 1.2, True), (1000, 0.8, False), (65, 1.2, False)])
+def test_time_for_the_validation_of_an_effect_is_kept_where_there_will_be_one(monkeypatch, seconds, evidence, tries):
+    """Evidence above its threshold needs one, but in a run under 600 steps."""
     machine = Machine(monkeypatch, evidence=evidence, fast=0.1)
     settings = machine.budgeted(seconds, {"fast": NAMED["fast"]}).settings
     steps = kept_and_cost(settings, NAMED["fast"])[1] * total_steps(settings)
     left = 0.9 * seconds - budget.SCORING - machine.beside_steps("fast")
-    # Two programs, and three times 60 steps and 16 scores at half the size.
-    trial = 2 * 2.0 + 3 * (60 + 16) * 0.1 * (budget.FIXED_COST + (1 - budget.FIXED_COST) / 4)
-    assert steps == pytest.approx((left - tries * trial) / 0.1 - 150, abs=2)
+    if tries:  # Two programs, and a twentieth of the run's time.
+        left = (left - 2 * 2.0) / 1.05
+    assert steps == pytest.approx(max(left / 0.1 - 150, left / 0.15), abs=2)
 
 
 def test_maps_of_own_depth_take_time_where_a_phase_asks_for_them_and_none_are_given(monkeypatch):
