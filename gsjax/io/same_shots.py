@@ -14,7 +14,8 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.in_order import in_order
-from gsjax.io.images import Image, open_image
+from gsjax.io.exif import orientation_of
+from gsjax.io.images import Image, decoding, open_image
 from gsjax.io.machine import memory_for
 
 SIDE = 32  # pixels of the small picture
@@ -56,7 +57,7 @@ def _small_picture(file: Path) -> np.ndarray | None:
     try:
         status = os.stat(file)
         return _decoded(file, status.st_mtime_ns, status.st_size)
-    except (InputError, OSError):
+    except (InputError, OSError, ValueError):  # ValueError: of a name that no disk holds.
         return None
 
 
@@ -66,7 +67,8 @@ def _decoded(file: Path, _changed: int, _size: int) -> np.ndarray:
     with open_image(file) as picture:
         picture.draft("L", (_DRAFT, _DRAFT))
         pixels = picture.size[0] * picture.size[1]
-        with memory_for(f"{file}: a photo of {pixels} pixels", _DECODED * pixels * (pixels > _ALWAYS_ROOM)):
+        needed = _DECODED * pixels * (pixels > _ALWAYS_ROOM)
+        with memory_for(f"{file}: a photo of {pixels} pixels", needed), decoding(file):
             small = picture.convert("L").resize((SIDE, SIDE), Image.Resampling.LANCZOS)
         upright = _upright(small, picture)
     levels = np.asarray(upright, np.float32).reshape(-1)
@@ -85,8 +87,5 @@ def _upright(small, picture):
         7: transposes.TRANSVERSE,
         8: transposes.ROTATE_90,
     }
-    try:
-        orientation = picture.getexif().get(0x0112)
-    except Exception:  # Pillow's many ways to report damaged EXIF.
-        orientation = None
+    orientation = orientation_of(picture)
     return small.transpose(turns[orientation]) if orientation in turns else small

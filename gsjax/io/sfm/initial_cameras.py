@@ -4,6 +4,7 @@ import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 
+from gsjax.io.exif import tags_of
 from gsjax.io.images import Image, open_image
 from gsjax.io.packages import require
 from gsjax.io.sfm.focal_lengths import CameraKey, usable_prior
@@ -60,6 +61,6 @@ def _guess(shot: Shot):
     with suppress(ValueError):  # Of formats that COLMAP does not read.
         return pycolmap.infer_camera_from_image(shot.path)
     with tempfile.NamedTemporaryFile(suffix=".jpg") as blank, open_image(shot.path) as picture:
-        Image.new("L", picture.size).save(blank, "JPEG", exif=picture.getexif())
+        Image.new("L", picture.size).save(blank, "JPEG", exif=tags_of(picture))
         blank.flush()
         return pycolmap.infer_camera_from_image(blank.name)

@@ -134,3 +134,15 @@ def test_copies_of_photos_that_a_split_names_are_held_out_with_them(tmp_path, ca
     assert held_out(photos, str(root / stated) if stated == "mine.txt" else "auto", root) == ["a2.png", "c.png"]
     assert f"{root}: held out as well, as they show the same shots as held-out photos: c.png" in capfd.readouterr().err
     assert held_out([replace(photo, held_out=True) for photo in photos], "none", root) == []
+
+
+def test_a_photo_whose_pixels_are_damaged_is_a_group_of_its_own(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 256, (40, 60, 3), dtype=np.uint8)
+    files = [tmp_path / name for name in ("a.png", "b.png", "c.png")]
+    for file in files:
+        Image.fromarray(noise).save(file)
+    data = bytearray(files[1].read_bytes())
+    at = data.index(b"IDAT") + 100
+    data[at : at + 300] = bytes(300)
+    files[1].write_bytes(data)
+    assert same_shots(files) == [[0, 2], [1]]
