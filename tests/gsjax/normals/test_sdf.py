@@ -350,7 +350,7 @@ def tilted(tilt) -> Gaussians:
     quats = jnp.stack([w * a - x * b - y * c, w * b + x * a + y * d, w * c - x * d + y * a, w * d + x * c - y * b], -1)
     turn = rotation_matrices(jnp.stack([w, x, y, jnp.float32(0)]))
     pivot = jnp.asarray([[0.0, 0.0, 4.0]])
-    means = jnp.sum((gaussians.means - pivot)[:, None, :] * turn, -1) + pivot
+    means = jnp.sum((gaussians.means - pivot)[:, None, :] * turn[None], -1) + pivot
     return Gaussians(**{**gaussians.__dict__, "means": means, "quats": quats})
 
 
