@@ -71,7 +71,7 @@ def spherical_harmonics(degrees_to_use: int, dirs: Array, coeffs: Array, masks: 
         ValueError: If the degree is not 0 to 4 or `coeffs` holds too few coefficients or no channel.
     """
     degree = whole_number("degrees_to_use", degrees_to_use, 0)
-    if not 0 <= degree <= 4:
+    if degree > 4:
         raise ValueError(f"spherical harmonics of degree {degree} are not supported, only 0 to 4")
     num_bases = (degree + 1) ** 2
     if coeffs.shape[-2] < num_bases:

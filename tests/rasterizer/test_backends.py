@@ -82,7 +82,7 @@ def test_cameras_are_rendered_one_by_one_and_colours_may_differ_between_them():
 def test_harmonics_are_colours_by_direction(degree):
     scene = cloud(sh_degree=degree)
     camera = jnp.asarray(-np.asarray(scene.viewmats[0, :3, :3]).T @ np.asarray(scene.viewmats[0, :3, 3]))
-    colors = jnp.maximum(spherical_harmonics(degree, scene.means - camera, scene.colors) + 0.5, 0)
+    colors = jnp.maximum(spherical_harmonics(degree, scene.means - camera[None], scene.colors) + 0.5, 0)
     image = render(scene, sh_degree=degree, capacity=2048)[0]
     assert_close(image, evaluate(replace(scene, colors=colors), backend="xla")[0])
 
@@ -179,7 +179,7 @@ def layers(count, opacity):
     """So many wide splats one behind the other, the same alpha each, and their lists."""
     one = single(scale=(400.0, 400.0, 0.1), opacity=opacity)
     rows = {name: jnp.repeat(getattr(one, name), count, 0) for name in GAUSSIAN_FIELDS}
-    ahead = 1e-3 * jnp.arange(count, dtype=jnp.float32)[:, None] * jnp.array([0, 0, 1.0])
+    ahead = 1e-3 * jnp.arange(count, dtype=jnp.float32)[:, None] * jnp.array([[0, 0, 1.0]])
     return replace(one, **rows | {"means": rows["means"] + ahead})
 
 

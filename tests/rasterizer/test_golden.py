@@ -97,7 +97,7 @@ def test_dense_reference_on_a_crop(golden):
     @jax.jit
     def crop(means, quats, scales, opacities, colors, viewmats, Ks):
         projection = rasterizer.project(means, quats, scales, opacities, viewmats, Ks, 256, 256)
-        moved = projection._replace(means2d=projection.means2d - jnp.array([x, y], jnp.float32))
+        moved = projection._replace(means2d=projection.means2d - jnp.array([[[x, y]]], jnp.float32))
         return _reference.composite(moved, opacities[None], colors[None], size, size, GSPLAT)
 
     image, left, _ = crop(*arrays, jnp.asarray(golden["colors"]), *cameras)
