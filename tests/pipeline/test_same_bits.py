@@ -27,13 +27,23 @@ def assert_same(one, other):
     assert losses[0] == losses[1] and losses[0]
 
 
-@pytest.mark.parametrize("threads", [1, pytest.param(2, marks=pytest.mark.long), 4])
-def test_any_number_of_threads(run, scene, tmp_path, threads):
-    """Of XLA's, in a process that compiles its own programs. After a resume: `test_training.py`."""
+def trained(scene, folder, threads):
+    """A run in a process of its own, which compiles its own programs, with so many of XLA's threads."""
     own = {"NPROC": str(threads), "JAX_ENABLE_COMPILATION_CACHE": "false"}
-    command = [sys.executable, "-c", PROGRAM, str(scene), str(tmp_path / "run"), json.dumps(SETTINGS)]
+    command = [sys.executable, "-c", PROGRAM, str(scene), str(folder), json.dumps(SETTINGS)]
     subprocess.run(command, env={**os.environ, **own}, check=True, capture_output=True)
-    assert_same(tmp_path / "run", run)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def with_two_threads(scene, tmp_path_factory):
+    return trained(scene, tmp_path_factory.mktemp("threads") / "two", 2)
+
+
+@pytest.mark.parametrize("threads", [1, 4])
+def test_any_number_of_threads(with_two_threads, scene, tmp_path, threads):
+    """After a resume: `test_training.py`."""
+    assert_same(trained(scene, tmp_path / "run", threads), with_two_threads)
 
 
 def test_two_trainings_in_two_threads(run, scene, tmp_path):

@@ -274,7 +274,7 @@ def test_forty_copies_of_one_gaussian(agree_with_float64):
     assert scene.means.shape == gradient.means.shape
     # One colour for all: whichever lies in front, a pixel sees 1 - (1 - alpha)^40 of it.
     image, alphas = evaluate(replace(copies, backgrounds=jnp.zeros((1, 3))), "xla")[:2]
-    np.testing.assert_allclose(image, alphas * np.array(ORDINARY["colors"]), atol=1e-6)
+    np.testing.assert_allclose(image, np.asarray(alphas) * np.array(ORDINARY["colors"]), atol=1e-6)
 
 
 def test_an_image_of_one_pixel(agree_with_float64, few):

@@ -212,9 +212,9 @@ HARD = {
     "huge": replace(WALL, log_scales=jnp.full((COUNT, 3), 20.0)),
     "balls": replace(WALL, log_scales=jnp.full((COUNT, 3), -2.0)),
     "no rotation": replace(WALL, quats=jnp.zeros((COUNT, 4))),
-    "at the camera": replace(WALL, means=WALL.means * jnp.asarray([1.0, 1.0, 0.0])),
+    "at the camera": replace(WALL, means=WALL.means * jnp.asarray([[1.0, 1.0, 0.0]])),
     "behind": replace(WALL, means=-WALL.means),
-    "beside the image": replace(WALL, means=WALL.means + jnp.asarray([2.6, 0.0, 0.0])),
+    "beside the image": replace(WALL, means=WALL.means + jnp.asarray([[2.6, 0.0, 0.0]])),
 }
 
 
