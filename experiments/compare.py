@@ -95,7 +95,7 @@ def run(
 
 
 def _train(scene: str, folder: Path, settings: Settings, seconds: float | None) -> None:
-    from terms import TERMS
+    from terms import terms_of_scene
 
     from gsjax import pipeline, runs
 
@@ -104,7 +104,8 @@ def _train(scene: str, folder: Path, settings: Settings, seconds: float | None) 
         print(f"budget: {line}", flush=True)
     elif seconds is not None:
         settings = config.parse(Settings, runs.read_settings(folder))
-    pipeline.train(scene, folder, settings, terms=TERMS, resume=folder.exists())
+    terms = terms_of_scene(scene, settings)
+    pipeline.train(scene, folder, settings, terms=terms, resume=folder.exists())
 
 
 def _figures(folder: Path, options: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

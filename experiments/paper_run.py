@@ -147,13 +147,14 @@ def _stages(
 
 
 def _train(data: Path, folder: Path, settings: Settings, earlier: Path | None = None) -> dict[str, Any]:
-    from terms import TERMS
+    from terms import terms_of_scene
 
     from gsjax import pipeline, runs
 
     before = folder.parent / "before.ply"
     keep, goes_on = partial(_keep_before, before, settings), _goes_on(folder)
-    summary = pipeline.train(data, folder, settings, terms=TERMS, resume=goes_on, earlier=earlier, observe=keep)
+    terms = terms_of_scene(data, settings)
+    summary = pipeline.train(data, folder, settings, terms=terms, resume=goes_on, earlier=earlier, observe=keep)
     if earlier is not None and not before.exists():
         _keep_those_of(earlier, before, settings)
     most = max((record["gaussians"] for record in runs.read_metrics(folder) if "gaussians" in record), default=0)

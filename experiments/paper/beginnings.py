@@ -13,13 +13,13 @@ def nearest(folders: Iterable[Path], settings: Settings) -> Path | None:
 
     It has the same settings but for the phases, and a checkpoint of steps that both take alike.
     """
-    from terms import TERMS
+    from terms import make_terms
 
     from gsjax import runs
     from gsjax.runs.run import Run
     from gsjax.training.plan import plan, steps_in_common
 
-    mine, saved = plan(settings, TERMS).record(), {}
+    mine, saved = plan(settings, make_terms(lambda: 1.0)).record(), {}
     for folder in filter(runs.is_finished, folders):
         theirs = config.parse(Settings, runs.read_settings(folder), where=f"{folder}/config.json")
         if _beside_phases(theirs) == _beside_phases(settings):

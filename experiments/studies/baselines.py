@@ -18,6 +18,8 @@ all.
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from terms import make_terms
+
 from gsjax.training.terms import TERMS as OURS
 
 ON = "built_in"
@@ -89,7 +91,8 @@ def at_equal_time(
 
 
 def _reads_normals(method: Method) -> bool:
-    return any("normals" in OURS[name].needs for name in method.weights if name in OURS)
+    terms = {**OURS, **make_terms(lambda: 1.0)}
+    return any("normals" in terms[name].needs for name in method.weights)
 
 
 def variants(config: Mapping[str, Any], on: str) -> dict[str, dict[str, Any]]:

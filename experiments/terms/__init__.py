@@ -1,17 +1,42 @@
-"""Terms of the loss that the library does without: `gsjax.pipeline.train(..., terms=TERMS)`.
+"""Terms of the loss that the library does without: `gsjax.pipeline.train(..., terms=make_terms(extent))`.
 
-Those of SuGaR, which the paper replaces. 2DGS's term is the library's `depth_normal`.
+Those of SuGaR, which the paper replaces, and DN-Splatter's. 2DGS's term is the library's `depth_normal`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable
+from pathlib import Path
 
+from gsjax.io.scenes import load_scene
+from gsjax.normals import sdf
+from gsjax.planning.sizes import training_extent
+from gsjax.settings import Settings
 from gsjax.training.terms import Term
+from gsjax.training.terms.losses import alignment_term
 from terms import sugar
-from terms.surroundings import nearest
+from terms.surroundings import Surroundings
 
-__all__ = ["TERMS"]
+__all__ = ["make_terms", "terms_of_scene"]
 
-TERMS: Mapping[str, Term] = {
-    "sugar_sdf": Term(sugar.sugar_sdf, {"depth", "gaussians"}, refresh=nearest),
-    "sugar_density": Term(sugar.sugar_density, {"gaussians"}, refresh=nearest),
-}
+
+def make_terms(extent: Callable[[], float]) -> dict[str, Term]:
+    """The terms of one run by name. SuGaR's two share a table of neighbours.
+
+    Args:
+        extent: Of the training cameras, scene units; asked where a term of SuGaR is compiled.
+    """
+    around = Surroundings(extent)
+    return {
+        "sugar_sdf": Term(around.shown_to(sugar.sugar_sdf), {"depth", "gaussians"}),
+        "sugar_density": Term(around.shown_to(sugar.sugar_density), {"gaussians"}),
+        "axis_normal": Term(alignment_term(sdf.smallest_axis_map), {"axes", "normals"}),
+    }
+
+
+def terms_of_scene(scene: str | Path, settings: Settings) -> dict[str, Term]:
+    """The terms of a run on a data set."""
+
+    def extent() -> float:
+        split = {"hold_out": settings.hold_out, "photos": settings.photos}
+        return training_extent(load_scene(scene, images=settings.images, **split))
+
+    return make_terms(extent)

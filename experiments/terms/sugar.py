@@ -21,7 +21,7 @@ from gsjax.normals.sdf import face_camera
 from gsjax.numerics import masked_mean, safe_normalize
 from gsjax.rendering import View
 from gsjax.targets import Batch
-from gsjax.training.terms import Kept
+from terms.surroundings import Around
 
 SPREAD = 1.5  # standard deviations of the points drawn about a Gaussian, in its own
 MOST_SAMPLES = 1_000_000  # points in a step; no more than there are Gaussians
@@ -47,7 +47,7 @@ Misfit = Callable[[Sample], tuple[Array, Array]]
 """Sample -> `[]` how far the density is from a surface's there, and `[]` bool whether that counts."""
 
 
-def sugar_sdf(gaussians: Gaussians, view: View, batch: Batch, kept: Kept) -> Array:
+def sugar_sdf(gaussians: Gaussians, view: View, batch: Batch, around: Around) -> Array:
     """Mean of | f(x) - |D(pi(x)) - z(x)| | over a tenth of the extent, and of the normals' disagreement.
 
     f = beta sqrt(-2 log d) is the distance that the density d stands for. Points are drawn from the Gaussians close to
@@ -56,7 +56,7 @@ def sugar_sdf(gaussians: Gaussians, view: View, batch: Batch, kept: Kept) -> Arr
     Differentiable to means, rotations, scales, opacities and the depth; not through who is drawn from.
     """
     assert view.depth is not None, "the term compares density with depth"
-    depth, camera, unit = view.depth, batch.camera, kept.extent / EXTENTS
+    depth, camera, unit = view.depth, batch.camera, around.extent / EXTENTS
 
     def misfit(sample: Sample) -> tuple[Array, Array]:
         reads = sdf.reads_depth(sample.point, depth > 0, camera)
@@ -64,11 +64,11 @@ def sugar_sdf(gaussians: Gaussians, view: View, batch: Batch, kept: Kept) -> Arr
         to_depth = jnp.abs(sdf.depth_sdf(point, depth, camera))
         return jnp.abs(_distance(FACTOR * density_field.density(point, sample.nearby), sample.beta) - to_depth), reads
 
-    value, disagreement = _means(misfit, gaussians, kept, _close_to_depth(gaussians, view, depth, camera))
+    value, disagreement = _means(misfit, gaussians, around, _close_to_depth(gaussians, view, depth, camera))
     return value / unit + disagreement
 
 
-def sugar_density(gaussians: Gaussians, view: View, batch: Batch, kept: Kept) -> Array:
+def sugar_density(gaussians: Gaussians, view: View, batch: Batch, around: Around) -> Array:
     """Mean of | d(x) - exp(-((x - mu) . n)^2 / (2 beta^2)) |, and of the normals' disagreement.
 
     The target is the density of a flat Gaussian at the distance of x from the plane of the one that it was drawn from:
@@ -85,13 +85,13 @@ def sugar_density(gaussians: Gaussians, view: View, batch: Batch, kept: Kept) ->
         deviations = jnp.clip(deviations, -density_field.MAX_DISTANCE, density_field.MAX_DISTANCE)
         return jnp.abs(found - jnp.exp(-0.5 * deviations * deviations)), jnp.array(True)
 
-    value, disagreement = _means(misfit, gaussians, kept, view.splats.projection.visible[0])
+    value, disagreement = _means(misfit, gaussians, around, view.splats.projection.visible[0])
     return value + disagreement
 
 
-def _means(misfit: Misfit, gaussians: Gaussians, kept: Kept, among: Array) -> tuple[Array, Array]:
+def _means(misfit: Misfit, gaussians: Gaussians, around: Around, among: Array) -> tuple[Array, Array]:
     """`[]` mean misfit where it counts, `[]` mean disagreement of normals: over points drawn `among` `[N]`."""
-    who, how = jax.random.split(kept.key)
+    who, how = jax.random.split(around.key)
     count = min(MOST_SAMPLES, gaussians.num_gaussians)
     owners = chosen(who, among, count)
     noise = jax.random.normal(how, (count, 3), gaussians.means.dtype)
@@ -99,7 +99,7 @@ def _means(misfit: Misfit, gaussians: Gaussians, kept: Kept, among: Array) -> tu
     thickness, field = deviations.min(-1), density_field.kernels(gaussians)
 
     def of_one(owner: Array, noise: Array) -> tuple[Array, Array, Array]:
-        ids = kept.table[owner]
+        ids = around.table[owner]
         point = gaussians.means[owner] + SPREAD * rotate(axes[owner], noise * deviations[owner])
         nearby = density_field.kernels_around(field, ids)
         sample = Sample(point, gaussians.means[owner], normals[owner], nearby, jnp.mean(thickness[ids]))

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gsjax.numerics import safe_divide
 from rasterizer.covariances import Vector, components, cross, dot, matrix_rows
 from rasterizer.fusion import walled
 
@@ -18,7 +17,6 @@ class MeshGraph:
     """Who is next to whom in a mesh."""
 
     face_pairs: Array  # [P, 2] int32 triangles with a common edge that they run along in opposite directions
-    edges: Array  # [E, 2] int32 vertex ids, smaller first, each edge once
 
 
 def mesh_graph(faces: np.ndarray) -> MeshGraph:
@@ -35,10 +33,7 @@ def mesh_graph(faces: np.ndarray) -> MeshGraph:
     is_forward = directed[:, 0] < directed[:, 1]
     _, forward, backward = np.intersect1d(keys[is_forward], keys[~is_forward], return_indices=True)
     pairs = np.stack([owners[is_forward][forward], owners[~is_forward][backward]], axis=-1)
-    every = np.unique(keys)
-    return MeshGraph(
-        jnp.asarray(pairs, jnp.int32), jnp.asarray(np.stack([every // base, every % base], axis=-1), jnp.int32)
-    )
+    return MeshGraph(jnp.asarray(pairs, jnp.int32))
 
 
 def normal_consistency(vertices: Array, faces: Array, graph: MeshGraph) -> Array:
@@ -66,15 +61,3 @@ def _unit(v: Vector, eps: float) -> Vector:
     usable = squared > eps
     inverse = jnp.where(usable, jax.lax.rsqrt(jnp.where(usable, squared, 1)), 0)
     return [jnp.where(usable, part, 0) * inverse for part in v]
-
-
-def laplacian(vertices: Array, graph: MeshGraph) -> Array:
-    """Mean squared distance of a vertex from the mean of its neighbours, in mean squared edges (uniform weights)."""
-    ends = jnp.concatenate([graph.edges, graph.edges[:, ::-1]])
-    count = vertices.shape[0]
-    total = jax.ops.segment_sum(vertices[ends[:, 1]], ends[:, 0], count)
-    degree = jax.ops.segment_sum(jnp.ones(len(ends), vertices.dtype), ends[:, 0], count)[:, None]
-    offsets = jnp.where(degree > 0, total / jnp.maximum(degree, 1) - vertices, 0)
-    steps = jnp.diff(vertices[graph.edges], axis=1)[:, 0]
-    size = jax.lax.stop_gradient(jnp.sum(steps * steps)) / max(graph.edges.shape[0], 1)
-    return safe_divide(jnp.mean(jnp.sum(offsets * offsets, axis=-1)), size, size > 0)

@@ -45,8 +45,6 @@ class RefinementWeights:
     dssim: float = 0.2
     alpha: float = 0.1  # mean |alpha - matte|; only where the photos have an alpha channel
     normal_consistency: float = 0.1  # mean 1 - cos between neighbouring triangles
-    laplacian: float = 0.0  # mean squared distance of a vertex from its neighbours' mean, in mean squared edges
-    distortion: float = 0.0  # squared distance of a ray's splats from each other, in depths of its surface (2DGS)
 
     def __post_init__(self):
         """Check that they are finite numbers."""
@@ -260,7 +258,6 @@ def make_refine_step(
     A view that needs more pairs than `capacity` leaves the state untouched and says so.
     """
     terms = {name: weight for name, weight in vars(weights).items() if weight}
-    with_depth = any("depth" in TERMS[name].needs for name in terms if name in TERMS)
 
     def objective(parameters: Hybrid, state: RefineState, graph: MeshGraph, batch: Batch, color: Array):
         gaussians = with_faces(parameters, state.gaussians.bound.faces)
@@ -270,7 +267,6 @@ def make_refine_step(
             capacity=capacity,
             background=backdrop.color_behind(color, batch.camera),
             active_degree=active_degrees(gaussians, state.step // sh_every),
-            with_depth=with_depth,
         )
         losses = {name: _term(name, gaussians, graph, view, batch) for name in terms}
         total = sum(weight * losses[name] for name, weight in terms.items())
@@ -363,6 +359,4 @@ def _side_by_side(
 def _term(name: str, gaussians: Hybrid, graph: MeshGraph, view: rendering.View, batch: Batch) -> Array:
     if name == "normal_consistency":
         return mesh_terms.normal_consistency(gaussians.bound.vertices, gaussians.bound.faces, graph)
-    if name == "laplacian":
-        return mesh_terms.laplacian(gaussians.bound.vertices, graph)
     return TERMS[name].loss(gaussians, view, batch)

@@ -33,7 +33,7 @@ from gsjax.planning.memory import fit_to_memory
 from gsjax.planning.sizes import at_size, training_extent
 from gsjax.planning.skies import given_skies
 from gsjax.planning.sparse_views import ENTRY, for_sparse_views
-from gsjax.planning.start import first_state, first_state_with_tables, with_given_points, with_stereo_points
+from gsjax.planning.start import first_state, with_given_points, with_stereo_points
 from gsjax.report.page import report
 from gsjax.report.shown_views import keep_skies, picture_keeper
 from gsjax.runs.compilations import make_room
@@ -83,8 +83,7 @@ def train(
         observe: Told of every step, before its checkpoint is written. On a GPU it is told of several at once, and the
             state is that of the very step only where figures are logged, a checkpoint is written or a phase ends.
         devices: How many the Gaussians are spread over, or "all". More than one, or several views a step, know no
-            effects ("auto" looks for none) and no terms with tables; those that compare views are left out. A line says
-            both.
+            effects ("auto" looks for none); terms that compare views are left out. A line says both.
 
     Returns:
         `psnr` and `ssim` (None without held-out views; with effects also the other ways of
@@ -242,7 +241,7 @@ def _train(
         runs.update_manifest(run, photos=photos_line, **memory, **({} if sparse is None else {ENTRY: asdict(sparse)}))
         if chosen.evidence:
             runs.update_manifest(run, effects=chosen.evidence)
-        initial = partial(first_state_with_tables, started, sized, planned, optimizer, chosen)
+        initial = partial(first_state, started, sized, optimizer, chosen.effects, skies=chosen.skies)
         state, capacity, seconds = beginning(run, initial, earlier, in_common)
         if earlier is not None:
             take_normals(earlier, run, planned, int(state.step))

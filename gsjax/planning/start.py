@@ -9,14 +9,12 @@ import optax
 from gsjax.effects import sky
 from gsjax.effects.simulation import Effects
 from gsjax.io.point_clouds import read_points
-from gsjax.planning.effects import ChosenEffects
 from gsjax.scene import Scene
 from gsjax.settings import Settings
 from gsjax.stereo import stereo_points
 from gsjax.training import initialize
 from gsjax.training.buffers import bucket
 from gsjax.training.growth.rules import rule_named
-from gsjax.training.loop import with_tables
 from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState, initial_state
 
@@ -83,15 +81,3 @@ def first_state(
         pixel_filter=settings.pixel_filter,
     )
     return initial_state(first, optimizer, rule_named(settings.density.rule), effects)
-
-
-def first_state_with_tables(
-    scene: Scene,
-    settings: Settings,
-    planned: Plan,
-    optimizer: optax.GradientTransformation,
-    chosen: ChosenEffects,
-    rows: int | None,
-) -> TrainState:
-    """The same as `first_state` with the effects of a run, and with the tables of its plan's terms."""
-    return with_tables(first_state(scene, settings, optimizer, chosen.effects, rows, chosen.skies), planned)

@@ -3,7 +3,6 @@
 from typing import Literal
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 
 import rasterizer
@@ -47,28 +46,6 @@ def expected_depth(splats: Splats, reading: DepthReading = "plane") -> tuple[Arr
     """`[H, W]` depth and `[H, W]` alphas, as `gsjax.rendering` has them, without colours: a pass of its own."""
     image, alphas = features(splats, depth_channels(splats, reading), IN_FRONT.get(reading))
     return mean_depth(image, alphas, reading), alphas
-
-
-def depth_moments(splats: Splats, center: Array) -> tuple[Array, Array]:
-    """`[H, W]` sums over every pixel's splats of weight times (z - center), and of weight times (z - center)^2.
-
-    z is a splat's depth at the pixel, on its plane where the splats have slopes, else its mean's. A square of planes is
-    no plane, but is composited by its coefficients all the same: six channels more, and no kernel knows of it.
-
-    Args:
-        splats: The view, with slopes or without (`gsjax.rendering.splat`).
-        center: `[]` scene units, near the depths that matter: float32 keeps seven digits of what is left of z.
-
-    Returns:
-        Both sums, scene units and their square; differentiable to the splats.
-    """
-    planes = _planes(splats).at[:, 0].add(-center)
-    count = planes.shape[1]
-    row, column = np.triu_indices(count)
-    image, _ = features(splats, jnp.concatenate([planes, planes[:, row] * planes[:, column]], -1))
-    products = np.zeros((count, count), np.int32)
-    products[row, column] = products[column, row] = count + np.arange(len(row))
-    return _read(image[..., :count]), _read(jnp.stack([_read(image[..., line]) for line in products], -1))
 
 
 def _planes(splats: Splats) -> Array:

@@ -32,20 +32,13 @@ def save(path: str | Path, tree: Any) -> None:
         np.savez(temporary, allow_pickle=False, **leaves)
 
 
-def load(
-    path: str | Path,
-    like: Any | Callable[[dict[str, np.ndarray]], Any],
-    *,
-    spare: Callable[[str], bool] = lambda name: False,
-) -> Any:
+def load(path: str | Path, like: Any | Callable[[dict[str, np.ndarray]], Any]) -> Any:
     """The tree of `like`'s structure with the stored leaves: numpy where `like` has numpy, else on jax's device.
 
     Args:
         path: A file that `save` wrote.
         like: Pytree of arrays or `jax.ShapeDtypeStruct`; only its structure, shapes and dtypes are read. Or what makes
             one of the stored arrays, by their path in the tree: where a size is in the file.
-        spare: Whether the leaf of a path may lack on either side: one that `like` has no place for is left out, one
-            that is not stored is that of `like`.
 
     Raises:
         InputError: The file is absent, truncated or damaged, or its first difference from `like`.
@@ -54,12 +47,10 @@ def load(
     if callable(like):
         like = like(stored)
     wanted = _named_leaves(like)
-    for name in stored.keys() - {name for name, _ in wanted}:
-        if not spare(name):
-            raise InputError(f"{path}: holds {_shown(name)}, which this run has no place for")
-    leaves = [
-        leaf if name not in stored and spare(name) else _checked(path, name, stored, leaf) for name, leaf in wanted
-    ]
+    surplus = stored.keys() - {name for name, _ in wanted}
+    if surplus:
+        raise InputError(f"{path}: holds {_shown(min(surplus))}, which this run has no place for")
+    leaves = [_checked(path, name, stored, leaf) for name, leaf in wanted]
     return jax.tree.unflatten(jax.tree.structure(like), leaves)
 
 

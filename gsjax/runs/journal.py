@@ -85,19 +85,14 @@ def beginning(
         earlier: A run folder with a checkpoint, where a run that has none of its own begins.
         in_common: After so many steps the two part, so no later checkpoint will do.
     """
-    found, is_anothers = runs.latest_checkpoint(run), False
+    found = runs.latest_checkpoint(run)
     if found is None and earlier is not None:
-        found, is_anothers = runs.latest_checkpoint(earlier, in_common), True
+        found = runs.latest_checkpoint(earlier, in_common)
         shutil.copyfile(earlier / "metrics.jsonl", run / "metrics.jsonl")
     if found is None:
         start = Beginning(initial(None), None, 0.0)
     else:
-        # Another run has tables of its own terms; those of this run's are made where their phase begins.
-        stored = checkpoints.load(
-            found[1],
-            lambda arrays: _checkpoint(initial(_rows(found[1], arrays)), 0, 0.0),
-            spare=lambda name: is_anothers and name.startswith("['state'].tables["),
-        )
+        stored = checkpoints.load(found[1], lambda arrays: _checkpoint(initial(_rows(found[1], arrays)), 0, 0.0))
         state, capacity, seconds = jax.tree.map(jnp.asarray, stored["state"]), stored["capacity"], stored["seconds"]
         if not (0 <= capacity < 2**31 and 0 <= seconds < np.inf and state.step >= 0):
             raise InputError(f"{found[1]}: damaged checkpoint, its step, capacity or seconds are none")

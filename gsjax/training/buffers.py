@@ -65,14 +65,13 @@ def lengthen(state: TrainState, optimizer: optax.GradientTransformation, rows: i
         ),
         opt_state=optimizers.map_moments(optimizer, zeros_after, state.opt_state),
         statistics=jax.tree.map(zeros_after, state.statistics),
-        tables=jax.tree.map(zeros_after, state.tables),
     )
 
 
 def shorten(state: TrainState, optimizer: optax.GradientTransformation, most: int) -> TrainState:
     """The living Gaussians in their order, in buffers that are no longer than they have to be.
 
-    Where that saves little, the state itself. Tables name rows as they were, and have to be made anew.
+    Where that saves little, the state itself.
     """
     alive = np.asarray(is_alive(state.gaussians))
     rows = _fitting(int(alive.sum()), most)
@@ -88,7 +87,6 @@ def shorten(state: TrainState, optimizer: optax.GradientTransformation, most: in
         gaussians=jax.tree.map(of_kept, state.gaussians),
         opt_state=optimizers.map_moments(optimizer, of_kept, state.opt_state),
         statistics=jax.tree.map(of_kept, state.statistics),
-        tables=jax.tree.map(of_kept, state.tables),
     )
 
 

@@ -33,8 +33,6 @@ from gsjax.training.terms.multi_view import with_neighbors
 NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
 """Training so far -> an int8 normal map a frame, see `gsjax.targets.Target`."""
 
-REFRESHED_EVERY = 500  # steps between two tables of a term that has one (SuGaR)
-
 Depths = Callable[[int], Iterable[tuple[np.ndarray, np.ndarray]]]
 """How many times smaller photos are -> measured depth and its confidence of each frame, see `gsjax.targets.Target`."""
 
@@ -138,7 +136,7 @@ def fit(
     """
     work = Work(plan(settings, terms), frames, extent, optimizer, prior, observe, depths=depths)
     check_terms(work.plan, frames)
-    return follow(work, state if state.tables else with_tables(state, work.plan), capacity)
+    return follow(work, state, capacity)
 
 
 def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainState:
@@ -146,7 +144,7 @@ def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainS
 
     Args:
         work: The plan, and what its phases share.
-        state: Where to start; step 0 or a checkpoint, with the tables that `with_tables` makes. Its buffers are taken.
+        state: Where to start; step 0 or a checkpoint. Its buffers are taken.
         capacity: Pair buffer to continue with; None counts.
 
     Returns:
@@ -163,8 +161,6 @@ def follow(work: Work, state: TrainState, capacity: int | None = None) -> TrainS
             earlier = [each.rule for each in work.plan.phases[:index] if each.rule]
             is_new = done == phase.begin and earlier[-1:] not in ([], [phase.rule])
             state = _with_statistics(state, phase.rule, is_new)
-        if phase.tables and done == phase.begin:
-            state = with_tables(state, work.plan)
         views = _views(work, phase, state)
         capacity = capacity or _room_for(work, phase, views.image, state, before)
         state, before = _run_phase(work, phase, views, state, done, capacity)
@@ -177,14 +173,6 @@ def _with_statistics(state: TrainState, rule: Rule, is_new: bool) -> TrainState:
     empty = rule.empty_statistics(state.gaussians.num_gaussians)
     fits = jax.tree.structure(empty) == jax.tree.structure(state.statistics)
     return state if fits and not is_new else replace(state, statistics=empty)
-
-
-def with_tables(state: TrainState, plan: Plan) -> TrainState:
-    """The state with the tables of the plan's terms, of its Gaussians as they are now."""
-    terms = (each for phase in plan.phases for each in phase.terms)
-    refreshed = {each.table: each.term.refresh for each in terms if each.table and each.term.refresh}
-    tables = {name: jnp.asarray(refresh(state.gaussians)) for name, refresh in refreshed.items()}
-    return replace(state, tables=tables)
 
 
 class Views(NamedTuple):
@@ -272,8 +260,6 @@ def _run_phase(
         if is_last and "sky" in phase.needs:
             in_sky = sky.lies_in(np.asarray(state.gaussians.means), work.frames, work.skies)
             state = remove(state, jnp.asarray(in_sky), optimizer=work.optimizer)
-        if phase.tables and not is_last and _moves_neighbors(plan, phase, step):
-            state = with_tables(state, plan)
         work.observe(Progress(step, phase, state, metrics, capacity, is_last))
         return state
 
@@ -283,8 +269,7 @@ def _run_phase(
             or adaptive.resets_opacities(plan.density, step, plan.background)
             or _ends_growth(plan, phase, step)
         )
-        tabled = bool(phase.tables) and _moves_neighbors(plan, phase, step)
-        return grows or tabled or (work.looks is not None and work.looks(step))
+        return grows or (work.looks is not None and work.looks(step))
 
     return advance(
         compiled,
@@ -342,12 +327,6 @@ def _ends_growth(plan: Plan, phase: PlannedPhase, step: int) -> bool:
     """Whether Gaussians multiplied up to this step and never will again, with steps to come."""
     ends = [plan.density.stop, *(each.end for each in plan.phases[: plan.grown or 0][-1:])]
     return phase.rule is not None and step in ends and step < plan.steps
-
-
-def _moves_neighbors(plan: Plan, phase: PlannedPhase, step: int) -> bool:
-    """Whether tables are to be made again: other Gaussians, or the same for long enough."""
-    others = phase.rule is not None and adaptive.densifies(plan.density, step)
-    return others or _ends_growth(plan, phase, step) or step % REFRESHED_EVERY == 0
 
 
 def _control_density(work: Work, rule: Rule, step: int, state: TrainState, key: Array) -> TrainState:

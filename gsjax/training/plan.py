@@ -49,11 +49,6 @@ class PlannedPhase:
         return needs(self.terms)
 
     @property
-    def tables(self) -> frozenset[str]:
-        """The names of tables that its terms read, which must be made anew now and then."""
-        return frozenset(each.table for each in self.terms if each.table)
-
-    @property
     def image_terms(self) -> tuple[Weighed, ...]:
         """The terms without the dear ones."""
         return tuple(each for each in self.terms if not each.is_dear)
@@ -231,9 +226,6 @@ def plan(
         if not is_one:
             left_out |= {each.name for each in wanted if "neighbor" in needs([each])}
             wanted = tuple(each for each in wanted if each.name not in left_out)
-        for each in wanted:
-            if each.term.refresh is not None and not is_one:
-                raise InputError(f"phase {phase.name}: {each.name} needs one device and --views-per-step 1")
         if settings.depth is None and "measured" in needs(wanted):
             named = next(each.name for each in wanted if "measured" in needs([each]))
             raise InputError(f"phases.{phase.name}.weights.{named}: needs measured depth, --depth DIR")
@@ -270,7 +262,7 @@ def plan(
 def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
     """Try the run's own terms on the shapes that they will see, each by itself, before anything is read or compiled.
 
-    Those of the library are tested; one with a table would need the Gaussians themselves.
+    Those of the library are tested.
 
     Args:
         planned: The run.
@@ -285,7 +277,7 @@ def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
         for phase in planned.phases
         for terms, scale in ((phase.terms, phase.scale * phase.surface_scale), (phase.image_terms, phase.scale))
         for each in terms
-        if each.term not in TERMS.values() and each.term.refresh is None
+        if each.term not in TERMS.values()
     }
     for each, wide, high in sorted(tried, key=lambda one: (one[0].name, one[1:])):
         if wide and high:  # A phase that leaves nothing of the photos is refused where they are read.

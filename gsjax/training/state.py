@@ -1,9 +1,7 @@
 """All that changes while training, and the changes that are not optimiser steps: densify, reset, cull."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -30,7 +28,6 @@ class TrainState:
     statistics: Any  # [N] sums of the rule of density control, see `gsjax.training.growth.rules`
     step: Array  # [] int32 steps done
     effects: EffectState | None = None  # of those that are simulated
-    tables: dict[str, Array] = field(default_factory=dict)  # [N, ...] of the terms that have one, by name
     # What `gsjax.densify` reads; a run's loop knows both itself.
     optimizer: Any = field(default=None, metadata={"static": True})
     densification: Any = field(default=None, metadata={"static": True})
@@ -41,7 +38,6 @@ def initial_state(
     optimizer: optax.GradientTransformation,
     rule: Rule = RULES["adc"],
     effects: Effects = NO_EFFECTS,
-    tables: Mapping[str, Array] = MappingProxyType({}),
 ) -> TrainState:
     """Step 0."""
     return TrainState(
@@ -50,7 +46,6 @@ def initial_state(
         rule.empty_statistics(gaussians.num_gaussians),
         jnp.zeros((), jnp.int32),
         simulation.initial_state(effects),
-        dict(tables),
     )
 
 

@@ -22,7 +22,7 @@ from gsjax.training import optimizers
 from gsjax.training.dropout import leave_out
 from gsjax.training.growth.rules import Rule
 from gsjax.training.state import TrainState
-from gsjax.training.terms import Kept, Weighed, multi_view, needs
+from gsjax.training.terms import Weighed, multi_view, needs
 
 S = TypeVar("S")  # a state of training: a pytree with a field `step`
 G = TypeVar("G")  # gradients to what of it is trained
@@ -124,8 +124,7 @@ def make_train_step(
         rule: Of density control, whose statistics are gathered; None: none are.
         depth_mode: What a splat's depth is, see `gsjax.rendering`.
         effects: Those that stand between the render and the photos; the state and the targets must be made for them.
-        extent: Camera extent, scene units: what a rule, and a term with a table, measure distances in. The state must
-            hold the table of every term that has one.
+        extent: Camera extent, scene units: what a rule measures distances in.
         dropout: Share of the Gaussians that each step leaves out, see `gsjax.training.dropout`. 0: none.
 
     Returns:
@@ -155,8 +154,7 @@ def make_train_step(
             beside = replace(beside, camera=simulation.move_camera(effects, numbers, beside.camera, beside.photo))
             neighbor = multi_view.render_neighbor(drawn, beside, capacity, depth_mode)
             view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
-        kept = {name: Kept(table, jax.random.fold_in(key, 2), extent) for name, table in state.tables.items()}
-        total, losses, mse = weighted_loss(terms, rule, gaussians, view, batch, kept)
+        total, losses, mse = weighted_loss(terms, rule, gaussians, view, batch)
         total = total if added is None else total + added
         return total, (losses, mse, view.splats.projection, pairs)
 
@@ -200,15 +198,9 @@ def weighted_loss(
     gaussians: Gaussians,
     view: View,
     batch: Batch,
-    kept: dict[str, Kept] | None = None,
 ) -> tuple[Any, dict[str, Array], Array]:
     """The weighted sum of the terms, with what a rule adds for its probe; each of them; the mean squared error."""
-
-    def loss(each: Weighed) -> Array:
-        tables = () if each.table is None else ((kept or {})[each.table],)
-        return each.term.loss(gaussians, view, batch, *tables)
-
-    losses = {each.name: loss(each) for each in terms}
+    losses = {each.name: each.term.loss(gaussians, view, batch) for each in terms}
     total = sum(each.weight * losses[each.name] for each in terms)
     if rule:
         total += rule.probe_loss(view, batch)

@@ -69,11 +69,11 @@ def test_every_baseline_takes_the_time_of_the_mix(compare, on, mix, time):
 
 def test_rates_fall_over_each_variants_own_steps(compare):
     """With the decay of another variant the last steps would have the lowest rates."""
-    from terms import TERMS
+    from terms import make_terms
 
     studied = compare.load_study("baselines")
     for name, change in studied.variants.items():
-        planned = plan(config.parse(Settings, config.merge(studied.config, change)), TERMS)
+        planned = plan(config.parse(Settings, config.merge(studied.config, change)), make_terms(lambda: 1.0))
         assert planned.rates.decay_steps == planned.steps, name
 
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import jax.numpy as jnp
 import numpy as np
 import pycolmap
 import pytest
@@ -23,7 +22,6 @@ from gsjax.planning.sparse_views import Gain
 from gsjax.runs.result import scene_of_run
 from gsjax.settings import PRESETS, Settings
 from gsjax.training.plan import plan
-from gsjax.training.terms import Term
 
 
 def test_a_run_folder_holds_what_was_asked_and_what_came_of_it(run, scene):
@@ -198,21 +196,6 @@ def test_a_run_that_begins_within_a_phase_of_another_compares_with_the_normals_o
     assert (tmp_path / "whole/gaussians.ply").read_bytes() == (run / "gaussians.ply").read_bytes()
     for file in (run / "normals").iterdir():
         assert (tmp_path / "whole/normals" / file.name).read_bytes() == file.read_bytes()
-
-
-def test_a_run_whose_term_keeps_a_table_begins_in_one_that_has_none(scene, tmp_path):
-    def away(gaussians, view, batch, kept):
-        return jnp.mean((gaussians.means - kept.table) ** 2)
-
-    terms = {"away": Term(away, refresh=lambda gaussians: np.asarray(gaussians.means) + 0.1)}
-    tabled = {**SETTINGS, "phases": [SETTINGS["phases"][0], {"name": "late", "steps": 6, "weights": {"away": 1.0}}]}
-    tabled["rates"], plain = {"decay_steps": 30}, {**SETTINGS, "phases": SETTINGS["phases"][:1]}
-    ends = {}
-    pipeline.train(scene, tmp_path / "first", config.parse(Settings, {**plain, "rates": {"decay_steps": 30}}))
-    for name, earlier in (("whole", None), ("parted", tmp_path / "first")):
-        pipeline.train(scene, tmp_path / name, config.parse(Settings, tabled), terms=terms, earlier=earlier)
-        ends[name] = (tmp_path / name / "gaussians.ply").read_bytes()
-    assert ends["whole"] == ends["parted"] != (tmp_path / "first/gaussians.ply").read_bytes()
 
 
 def test_held_out_photos_are_not_scored_where_opacities_have_just_been_reset():

@@ -70,7 +70,7 @@ def make_sharded_step(
 
     Args:
         optimizer: Over `Gaussians`; it treats rows alike and by themselves.
-        terms: Of the loss; none may need a neighbour or have a table.
+        terms: Of the loss; none may need a neighbour.
         mesh: The devices, see `gsjax.training.sharded.layout`.
         splat_capacity: The most splats that one device sends to one view.
         capacity: Of a view's pair buffer. A step that needs more of either leaves the state untouched and says so.

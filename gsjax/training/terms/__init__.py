@@ -6,12 +6,10 @@ To add one, write a function of (Gaussians, View, Batch) and say what it needs: 
 import difflib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 from jax import Array
 
 from gsjax.errors import InputError
-from gsjax.gaussians import Gaussians
 from gsjax.training.terms import losses, multi_view, surface
 
 NEEDS = {
@@ -26,14 +24,6 @@ NEEDS = {
 """What a term may need beside the image, and where it finds it."""
 
 
-class Kept(NamedTuple):
-    """What a term with a table reads beside view and batch."""
-
-    table: Array  # as `Term.refresh` made it last
-    key: Array  # of this step: two steps draw differently
-    extent: float  # camera extent, scene units
-
-
 @dataclass(frozen=True)
 class Term:
     """A term of the loss.
@@ -42,13 +32,10 @@ class Term:
     """
 
     loss: Callable[..., Array]
-    """(Gaussians, `gsjax.rendering.View`, `gsjax.targets.Batch`) -> `[]`, a mean; with `refresh` also a `Kept`."""
+    """(Gaussians, `gsjax.rendering.View`, `gsjax.targets.Batch`) -> `[]`, a mean."""
 
     needs: Iterable[str] = frozenset()
     """Words of `NEEDS`. What nobody needs is neither rendered nor loaded."""
-
-    refresh: Callable[[Gaussians], Any] | None = None
-    """Makes a table of `[N, ...]` on the host: where a phase begins, after Gaussians multiplied, every 500 steps."""
 
     def __post_init__(self):
         """Check the words."""
@@ -78,17 +65,9 @@ class Weighed:
     term: Term
 
     @property
-    def table(self) -> str | None:
-        """The name of its table, the same for terms that one function refreshes; None: it has none."""
-        if self.term.refresh is None:
-            return None
-        name = getattr(self.term.refresh, "__qualname__", "<")
-        return self.name if "<" in name else name
-
-    @property
     def is_dear(self) -> bool:
         """Whether it needs more than the image of a view and its Gaussians, which makes a step longer."""
-        return bool(frozenset(self.term.needs) - {"gaussians", "sky"}) or self.term.refresh is not None
+        return bool(frozenset(self.term.needs) - {"gaussians", "sky"})
 
 
 TERMS: Mapping[str, Term] = {
@@ -97,10 +76,8 @@ TERMS: Mapping[str, Term] = {
     "entropy": Term(losses.entropy, {"gaussians"}),
     "sdf_normal": Term(losses.sdf_normal, {"depth", "normals", "gaussians"}),
     "pixel_normal": Term(losses.pixel_normal, {"depth", "normals"}),
-    "axis_normal": Term(losses.axis_normal, {"axes", "normals"}),
     "thickness": Term(losses.thickness, {"gaussians"}),
     "coverage": Term(losses.coverage, {"normals"}),
-    "distortion": Term(surface.distortion, {"depth"}),
     "depth_normal": Term(surface.depth_normal, {"axes", "depth"}),
     "multi_view": Term(multi_view.multi_view, {"depth", "neighbor"}),
     "photometric": Term(multi_view.photometric, {"depth", "neighbor"}),

@@ -103,4 +103,3 @@ def alignment_term(estimator: sdf.Estimator, measure: Callable[..., Array] = sdf
 
 sdf_normal = alignment_term(sdf.sdf_gradient_map)
 pixel_normal = alignment_term(sdf.pixel_depth_map, sdf.doubted_misalignment)
-axis_normal = alignment_term(sdf.smallest_axis_map)

@@ -11,13 +11,13 @@ from scipy.special import expit
 from small_scenes import camera_at, cloud, plane
 from terms import sugar, surroundings
 from terms.sugar import Sample, sugar_density, sugar_sdf
+from terms.surroundings import Around
 from tolerances import assert_close
 
 from gsjax.density_field import Kernels
-from gsjax.gaussians import rotation_matrices
+from gsjax.gaussians import is_alive, rotation_matrices
 from gsjax.rendering import View
 from gsjax.targets import Batch
-from gsjax.training.terms import Kept
 
 pytestmark = pytest.mark.long  # what studies alone hand in
 
@@ -31,11 +31,15 @@ FIELDS = ("means", "quats", "log_scales", "logit_opacities")
 WALL = plane((0.0, 0.0, -1.0), per_side=6, spacing=0.25, radius=0.2, opacity=0.3)
 
 
+def nearest_of(gaussians):
+    return surroundings.nearest(np.asarray(gaussians.means), np.asarray(is_alive(gaussians)))
+
+
 def both(gaussians, depth, visible, nearest):
     splats = SimpleNamespace(projection=SimpleNamespace(visible=visible[None]))
-    view, kept = View(None, depth, depth, splats), Kept(nearest, KEY, EXTENT)
+    view, around = View(None, depth, depth, splats), Around(nearest, KEY, EXTENT)
     camera = jax.tree.map(lambda leaf: leaf.astype(depth.dtype), CAMERA)
-    return jnp.stack([term(gaussians, view, Batch(camera, None, None, None, None), kept) for term in TERMS])
+    return jnp.stack([term(gaussians, view, Batch(camera, None, None, None, None), around) for term in TERMS])
 
 
 @jax.jit
@@ -45,7 +49,7 @@ def weighted_and_gradient(weights, gaussians, depth, visible, nearest):
 
 def value_and_gradient(term, gaussians, depth=DEPTH, visible=ALL, nearest=None):
     """Of one term; the other has no weight, so that one program serves both."""
-    nearest = jnp.asarray(surroundings.nearest(gaussians) if nearest is None else nearest)
+    nearest = jnp.asarray(nearest_of(gaussians) if nearest is None else nearest)
     weights = jnp.asarray([float(term is t) for t in TERMS], gaussians.means.dtype)
     return weighted_and_gradient(weights, gaussians, depth, visible, nearest)
 
@@ -109,7 +113,7 @@ AT_DEPTH = replace(
 @pytest.mark.parametrize("alone", [True, False])
 @pytest.mark.parametrize("gaussians", [AT_DEPTH, WALL, FLIPPED], ids=["a cloud", "a wall", "half of it upside down"])
 def test_the_terms_are_those_written_out_in_float64(gaussians, alone):
-    nearest = surroundings.none_yet(COUNT) if alone else surroundings.nearest(gaussians)
+    nearest = surroundings.none_yet(COUNT) if alone else nearest_of(gaussians)
     expected = expected_terms(gaussians, nearest)
     for index, term in enumerate(TERMS):
         found = value_and_gradient(term, gaussians, nearest=nearest)[0]
@@ -159,7 +163,7 @@ def test_gradients_equal_finite_differences(term, x64):
         "quats": gaussians.quats,
         "logit_opacities": gaussians.logit_opacities,
     }
-    nearest = surroundings.nearest(gaussians)
+    nearest = nearest_of(gaussians)
     depth = DISTANCE + 0.01 * rng.normal(size=DEPTH.shape)
     steps = {name: 1e-6 * rng.normal(size=leaf.shape) for name, leaf in first.items()}
     depth_step = 1e-6 * rng.normal(size=depth.shape)
@@ -221,7 +225,7 @@ HARD = {
 @pytest.mark.parametrize("term", TERMS)
 @pytest.mark.parametrize("name", HARD)
 def test_value_and_gradient_are_finite(term, name):
-    for nearest in (surroundings.nearest(HARD[name]), surroundings.none_yet(COUNT)):
+    for nearest in (nearest_of(HARD[name]), surroundings.none_yet(COUNT)):
         value, gradient = value_and_gradient(term, HARD[name], nearest=nearest)
         assert 0 <= float(value) < 1e12
         assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))

@@ -1,29 +1,35 @@
-"""The table of the nearest: who stands in it, and that a run with it stops and goes on to the same numbers."""
+"""The table of the nearest: who stands in it, when another is made, and that a run trains with it."""
 
 from dataclasses import replace
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from photographed_wall import wall
-from small_scenes import cloud
-from terms import TERMS, surroundings
+from small_scenes import cloud, plane
+from terms import make_terms, surroundings
+from terms.surroundings import Surroundings
 
-from gsjax.settings import Density, Phase, Rates, Settings, Weights
+from gsjax.gaussians import is_alive
+from gsjax.settings import Phase, Rates, Settings, Weights
 from gsjax.training import loop
-from gsjax.training.buffers import lengthen
 from gsjax.training.optimizers import make_optimizer
-from gsjax.training.plan import plan
 from gsjax.training.state import initial_state
-from gsjax.training.step import Metrics
 
 ALIVE, ROWS = 30, 40
 
 
+def arrays(gaussians):
+    return np.asarray(gaussians.means), np.asarray(is_alive(gaussians))
+
+
+def nearest(gaussians):
+    return surroundings.nearest(*arrays(gaussians))
+
+
 def test_the_nearest_are_the_living_by_distance_itself_first():
     gaussians = cloud(ALIVE, capacity=ROWS, seed=1)
-    table = surroundings.nearest(gaussians)
+    table = nearest(gaussians)
     assert (table.shape, table.dtype) == ((ROWS, surroundings.NEAREST), np.int32)
     means = np.asarray(gaussians.means, np.float64)[:ALIVE]
     expected = np.argsort(np.linalg.norm(means[:, None] - means, axis=-1), axis=1)[:, : surroundings.NEAREST]
@@ -33,81 +39,42 @@ def test_the_nearest_are_the_living_by_distance_itself_first():
 
 @pytest.mark.parametrize("alive", [0, 1, 5])
 def test_where_there_are_few_the_own_id_stands_for_nobody(alive):
-    table = surroundings.nearest(cloud(alive, capacity=8))
+    table = nearest(cloud(alive, capacity=8))
     assert np.all(np.sort(table[:alive, :alive], axis=1) == np.arange(alive))
     assert np.all(table[:, max(alive, 1) :] == np.arange(8)[:, None])
 
 
 def test_of_coincident_gaussians_each_is_its_own_first():
     gaussians = replace(cloud(20), means=jnp.ones((20, 3)))
-    np.testing.assert_array_equal(surroundings.nearest(gaussians)[:, 0], np.arange(20))
+    np.testing.assert_array_equal(nearest(gaussians)[:, 0], np.arange(20))
 
 
-OPTIMIZER = make_optimizer(Rates(), 1.0, 8)
-PHASES = (Phase("plain", 1, Weights(alpha=0.0)), Phase("surface", 6, Weights(alpha=0.0, sugar_density=0.2)))
+def test_another_table_is_made_every_500_looks_and_for_other_gaussians():
+    first, moved = (arrays(cloud(ALIVE, capacity=ROWS, seed=seed)) for seed in (1, 2))
+    around = Surroundings(lambda: 1.0)
+    tables = [around.look(*first), *(around.look(*moved) for _ in range(500))]
+    for table in tables[:500]:
+        np.testing.assert_array_equal(table, surroundings.nearest(*first))
+    np.testing.assert_array_equal(tables[500], surroundings.nearest(*moved))
+    for other in (cloud(ALIVE - 1, capacity=ROWS, seed=1), cloud(ALIVE, capacity=ROWS + 9, seed=1)):
+        np.testing.assert_array_equal(around.look(*arrays(other)), nearest(other))
 
 
-def start():
-    table = jnp.asarray(surroundings.none_yet(ROWS))
-    return initial_state(cloud(ALIVE, capacity=ROWS, seed=1), OPTIMIZER, tables={"nearest": table})
-
-
-def table(state):
-    return state.tables["nearest"]
-
-
-def shaken(state, target, key):
-    """A step that moves every Gaussian somewhere else."""
-    noise = np.random.default_rng(int(state.step)).normal(size=(ROWS, 3)).astype(np.float32)
-    gaussians = replace(state.gaussians, means=state.gaussians.means + noise)
-    return replace(state, gaussians=gaussians, step=state.step + 1), Metrics(0.0, 0.0, 0, False, {})
-
-
-def fitted(state, monkeypatch):
-    """The states after every step."""
-    monkeypatch.setattr(loop, "REFRESHED_EVERY", 5)
-    monkeypatch.setattr(loop, "kept_step", lambda *_, **__: shaken)
-    monkeypatch.setattr(loop, "chosen_capacity", lambda *_, **__: 4096)
-    states = []
+@pytest.mark.long  # terms that studies alone hand in
+def test_a_run_trains_with_both_terms_and_draws_other_points_in_every_step():
+    weights = Weights(l1=0.0, dssim=0.0, alpha=0.0, sugar_sdf=0.1, sugar_density=0.2)
+    settings = Settings(phases=(Phase("surface", 3, weights),), max_gaussians=ROWS)
+    optimizer, losses = make_optimizer(Rates(), 1.0, 8), []
     loop.fit(
-        Settings(phases=PHASES, max_gaussians=ROWS),
+        settings,
         wall(2).frames,
         1.0,
-        state,
-        OPTIMIZER,
+        initial_state(plane((0.0, 0.0, -1.0), per_side=6, spacing=0.25, radius=0.2), optimizer),
+        optimizer,
         prior=lambda _: [],
-        observe=lambda progress: states.append(progress.state),
-        terms=TERMS,
+        observe=lambda progress: losses.append({name: float(loss) for name, loss in progress.metrics.terms.items()}),
+        terms=make_terms(lambda: 1.0),
         capacity=4096,
     )
-    return states
-
-
-def test_a_run_makes_the_table_anew_when_due_and_goes_on_from_a_checkpoint_to_the_same_bits(monkeypatch):
-    whole = fitted(start(), monkeypatch)
-    np.testing.assert_array_equal(table(whole[0]), table(start()))
-    # At the start of the phase that reads it, and every 5 steps.
-    for made, kept in ((1, (2, 3, 4)), (5, (5, 6, 7))):
-        of_then = surroundings.nearest(whole[made - 1].gaussians)
-        for step in kept:
-            np.testing.assert_array_equal(table(whole[step - 1]), of_then)
-    assert np.any(table(whole[3]) != table(whole[4]))
-    resumed = fitted(whole[5], monkeypatch)
-    jax.tree.map(np.testing.assert_array_equal, resumed[-1], whole[-1])
-
-
-def test_other_gaussians_ask_for_another_table():
-    settings = Settings(
-        density=Density(start=1, stop=600, every=200), phases=(Phase("a", 9, density_control=True), Phase("b", 9))
-    )
-    planned = plan(settings)
-    growing, still = planned.phases
-    due = [step for step in range(1, 1001) if loop._moves_neighbors(planned, growing, step)]
-    assert due == [9, 200, 400, 500, 1000], "at 9 growth ends, and shortened buffers have other rows"
-    assert not loop._moves_neighbors(planned, still, 200)
-
-
-def test_longer_buffers_have_a_row_of_the_table_each():
-    longer = table(lengthen(start(), OPTIMIZER, ROWS + 9))
-    np.testing.assert_array_equal(longer[:ROWS], surroundings.none_yet(ROWS))
-    assert longer.shape == (ROWS + 9, surroundings.NEAREST)
+    assert all(0 < loss[name] < 9 for loss in losses for name in ("sugar_sdf", "sugar_density"))
+    assert len({loss["sugar_density"] for loss in losses}) == 3

@@ -9,7 +9,7 @@ import pytest
 from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
-from gsjax import config, rendering, targets
+from gsjax import config, targets
 from gsjax.binding import refining
 from gsjax.binding.bound import bind, to_mesh
 from gsjax.binding.hybrid import Hybrid, with_free
@@ -23,7 +23,6 @@ from gsjax.scene import Pixels, frame_of, with_pixels
 from gsjax.training.step import BACKGROUNDS
 from gsjax.training.stepping import view_order
 from gsjax.training.terms import TERMS, Term
-from gsjax.training.terms.surface import distortion
 
 EXTENT = 4.0
 SETTINGS = Refinement(
@@ -143,31 +142,9 @@ def test_the_mesh_is_moved_once_and_then_its_gaussians_alone_are_trained(whole):
 
 def test_the_loss_is_the_weighted_sum_of_its_terms(whole):
     first = whole.progress[0].metrics
-    assert set(first.terms) == {"l1", "dssim", "normal_consistency"}  # no mattes, no alpha term; no Laplacian
+    assert set(first.terms) == {"l1", "dssim", "normal_consistency"}  # no mattes, no alpha term
     total = 0.8 * first.terms["l1"] + 0.2 * first.terms["dssim"] + 0.1 * first.terms["normal_consistency"]
     assert_close(first.loss, total)
-
-
-def test_distortion_is_that_of_the_discs_as_they_are_drawn(scene):
-    state, optimizer = started(scene)
-    target, black = scene.data.targets[0], jnp.zeros(3, jnp.float32)
-
-    @jax.jit
-    def drawn(gaussians):
-        batch = targets.batch(target, black)
-        view = rendering.render(gaussians, batch.camera, capacity=16384, background=black, with_depth=True)
-        return distortion(gaussians, view, batch)
-
-    expected = drawn(state.gaussians)
-    weights = replace(SETTINGS.weights, alpha=0.0, distortion=5.0)
-    options = {"capacity": 16384, "background": BACKGROUNDS["black"], "sh_every": 10}
-    step = refining.make_refine_step(optimizer, weights, **options)
-    _, metrics = step(scene.graph, state, target, jax.random.key(0))
-    assert not metrics.overflowed and float(expected) > 0
-    assert_close(metrics.terms["distortion"], expected)
-    weighed = {name: getattr(weights, name) * value for name, value in metrics.terms.items()}
-    assert set(weighed) == {"l1", "dssim", "normal_consistency", "distortion"}
-    assert_close(metrics.loss, sum(weighed.values()))
 
 
 def test_the_terms_over_the_mesh_are_those_of_the_coarse_mesh_at_the_first_step(scene, whole):

@@ -80,15 +80,6 @@ def test_the_first_difference_is_named(tmp_path, like, message):
         checkpoints.load(tmp_path / "x.npz", like)
 
 
-def test_what_is_spare_may_lack_on_either_side(tmp_path):
-    checkpoints.save(tmp_path / "x.npz", {"a": np.ones(3, np.float32), "theirs": np.zeros(2), "both": np.ones(2)})
-    like = {"a": np.zeros(3, np.float32), "ours": np.full(4, 7.0), "both": np.zeros(2)}
-    loaded = checkpoints.load(tmp_path / "x.npz", like, spare=lambda name: name != "['a']")
-    np.testing.assert_equal(loaded, {"a": np.ones(3, np.float32), "ours": np.full(4, 7.0), "both": np.ones(2)})
-    with pytest.raises(InputError, match=r"x.npz: '\['ours'\]' is missing"):
-        checkpoints.load(tmp_path / "x.npz", like, spare=lambda name: name == "['theirs']")
-
-
 @pytest.mark.parametrize("kept", [0.0, 0.1, 0.5, 0.99])
 def test_a_truncated_file_is_one_line(tmp_path, kept):
     path = tmp_path / "state.npz"

@@ -75,7 +75,6 @@ def test_a_shortened_state_has_the_living_in_their_order_with_all_that_is_theirs
     monkeypatch.setattr(buffers, "ROUND", 8)
     dead = np.isin(np.arange(LONG), (0, 3, 4, 11, 19))
     state = remove(lengthen(trained(SHORT, rule), OPTIMIZER, LONG), jnp.asarray(dead), optimizer=OPTIMIZER)
-    state = replace(state, tables={"own": jnp.arange(LONG, dtype=jnp.int32)})
     shortened = shorten(state, OPTIMIZER, LONG)
     assert shortened.gaussians.num_gaussians == 16
     living = np.flatnonzero(~dead & (np.arange(LONG) < ALIVE))

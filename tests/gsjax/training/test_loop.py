@@ -199,11 +199,11 @@ def test_terms_of_the_surface_may_come_every_third_step_on_smaller_photos_and_th
         return step
 
     monkeypatch.setattr(loop, "kept_step", make_train_step)
-    weights = Weights(dssim=0.0, entropy=0.1, sdf_normal=0.2, distortion=0.3)
+    weights = Weights(dssim=0.0, entropy=0.1, sdf_normal=0.2, depth_normal=0.3)
     settings = replace(SETTINGS, phases=(Phase("surface", 7, weights, surface_every=3, surface_scale=2),))
     fitted(frames, settings, state=replace(start(), step=np.int32(begun)), capacity=64)
     always = {"l1", "alpha", "entropy"}, (24, 32)
-    rarely = always[0] | {"sdf_normal", "distortion"}, (12, 16)
+    rarely = always[0] | {"sdf_normal", "depth_normal"}, (12, 16)
     every = [always, always, rarely, always, always, rarely, always]
     assert taken == [(step, *each) for step, each in enumerate(every)][begun:]
 

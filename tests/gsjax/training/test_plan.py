@@ -122,11 +122,6 @@ def test_a_term_of_ones_own_stands_beside_the_others_or_in_the_place_of_one():
             {},
             r"phases\.last\.weights\.sdf_norml: no such term of the loss; the nearest known one is 'sdf_normal'",
         ),
-        (
-            replace(SETTINGS, views_per_step=2, phases=(Phase("last", 1, Weights(needles=0.1)),)),
-            {"needles": Term(needles, refresh=lambda gaussians: gaussians.means)},
-            r"phase last: needles needs one device and --views-per-step 1",
-        ),
     ],
 )
 def test_what_cannot_run_is_refused_by_name(settings, own, message):

@@ -307,8 +307,7 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     measured = np.full(SIZE[::-1], 2, np.float32), np.full(SIZE[::-1], 255, np.uint8)
     data = targets.with_depths(targets.with_normals(setup.data, [normals] * 3), [measured] * 3)
     data = targets.with_skies(data, [np.ones(SIZE[::-1], bool)] * 3)
-    # One of the readings of R that are composited stands for the others, each of which is another pass to compile.
-    terms = weigh_terms({name: 0.1 for name in TERMS if name != "axis_normal"})
+    terms = weigh_terms(dict.fromkeys(TERMS, 0.1))
     capacity = int(1.1 * largest_need(start(setup).gaussians, data))
     step = make_train_step(
         setup.optimizer,

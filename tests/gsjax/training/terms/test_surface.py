@@ -1,4 +1,4 @@
-"""The terms of one view: against all pairs of splats in float64, closed forms, and where there is nothing to see."""
+"""The term of one view: against all pairs of splats in float64, closed forms, and where there is nothing to see."""
 
 from dataclasses import replace
 
@@ -11,47 +11,34 @@ from tolerances import assert_close
 
 import rasterizer
 from gsjax import rendering
-from gsjax.cameras import pixel_rays
 from gsjax.gaussians import opacities, rotation_matrices, scales
 from gsjax.normals.from_depth import depth_normals
 from gsjax.numerics import masked_mean
 from gsjax.rendering import View, depth
 from gsjax.targets import Batch
-from gsjax.training.terms.surface import depth_normal, distortion
+from gsjax.training.terms.surface import depth_normal
 
 CAMERA = camera_at(size=(24, 20))
 COUNT = 16
-TERMS = (distortion, depth_normal)
 CLOUD = cloud(COUNT, sh_degree=0)
 FIELDS = ("means", "quats", "log_scales", "logit_opacities")
 ALL = jnp.ones((20, 24), bool)
-PIXEL = (9, 11)  # row and column of the one that closed forms are about
-ONLY = jnp.zeros((20, 24), bool).at[PIXEL].set(True)
-RAY = np.asarray(pixel_rays(CAMERA), np.float64)[PIXEL]
 FACING = (0.0, 0.0, -1.0)
 
 
 def shown(gaussians, depth_mode="plane"):
-    """All of the view but its colours, which no term reads."""
+    """All of the view but its colours, which the term does not read."""
     splats = rendering.splat(gaussians, CAMERA, 2048, depth_mode=depth_mode)
     expected, alphas = depth.expected_depth(splats)
     axes = rendering.facing_axes(rendering.drawable(gaussians), CAMERA, splats.projection)
     return View(None, alphas, expected, splats, axes=rendering.features(splats, axes)[0])
 
 
-def both(gaussians, valid=ALL, depth_mode="plane"):
-    batch, view = Batch(CAMERA, None, valid, None, None), shown(gaussians, depth_mode)
-    return jnp.stack([term(gaussians, view, batch) for term in TERMS])
+def value(gaussians, valid=ALL, depth_mode="plane"):
+    return depth_normal(gaussians, shown(gaussians, depth_mode), Batch(CAMERA, None, valid, None, None))
 
 
-@jax.jit
-def weighted_and_gradient(weights, gaussians, valid):
-    return jax.value_and_grad(lambda g: jnp.sum(weights * both(g, valid)))(gaussians)
-
-
-def value_and_gradient(term, gaussians, valid=ALL):
-    """Of one term; the other has no weight, so that one program serves both."""
-    return weighted_and_gradient(jnp.asarray([float(term is t) for t in TERMS], jnp.float32), gaussians, valid)
+value_and_gradient = jax.jit(jax.value_and_grad(value))
 
 
 def dense(gaussians, depth_mode):
@@ -69,15 +56,6 @@ def dense(gaussians, depth_mode):
     weight = jnp.where(left > 1e-4, alpha * left / (1 - alpha), 0)
     slope_x, slope_y = (0, 0) if p.slopes is None else p.slopes[:, None, order].transpose(3, 0, 1, 2)
     return weight, p.depths[:, None, order] + slope_x * dx + slope_y * dy, order
-
-
-def dense_distortion(gaussians, depth_mode="plane"):
-    """From every pair of splats at every pixel."""
-    weight, z, _ = dense(gaussians, depth_mode)
-    alphas, covered, here = dense_depth(weight, z)
-    here = jax.lax.stop_gradient(here)
-    pairs = weight[..., :, None] * weight[..., None, :] * (z[..., :, None] - z[..., None, :]) ** 2
-    return masked_mean(0.5 * jnp.sum(pairs, (-2, -1)) / here**2, covered)
 
 
 def dense_depth(weight, z):
@@ -100,13 +78,7 @@ def dense_depth_normal(gaussians, depth_mode="plane"):
     return masked_mean(held * (apart - alphas + held), jnp.any(of_depth != 0, -1))
 
 
-def dense_both(gaussians, depth_mode="plane"):
-    return jnp.stack([dense_distortion(gaussians, depth_mode), dense_depth_normal(gaussians, depth_mode)])
-
-
-@jax.jit
-def dense_weighted_and_gradient(weights, gaussians):
-    return jax.value_and_grad(lambda g: jnp.sum(weights * dense_both(g)))(gaussians)
+dense_value_and_gradient = jax.jit(jax.value_and_grad(dense_depth_normal))
 
 
 def in_float64(tree):
@@ -140,66 +112,28 @@ SCENES = {
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_the_terms_are_those_of_all_splats_at_all_pixels(name):
-    for term, weights in zip(TERMS, np.eye(len(TERMS)), strict=True):
-        with jax.enable_x64(True):
-            exact = dense_weighted_and_gradient(jnp.asarray(weights), in_float64(SCENES[name]))
-        expected_value, slopes = jax.tree.map(np.asarray, exact)
-        value, gradient = value_and_gradient(term, SCENES[name])
-        assert expected_value > 1e-6
-        assert_close(value, expected_value, rtol=1e-4, atol=2e-8, why="a sum of weights in float32, less one")
-        for field in FIELDS:
-            found, expected = getattr(gradient, field), getattr(slopes, field)
-            assert_close(found, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max(), why="small numbers")
+def test_the_term_is_that_of_all_splats_at_all_pixels(name):
+    with jax.enable_x64(True):
+        exact = dense_value_and_gradient(in_float64(SCENES[name]))
+    expected_value, slopes = jax.tree.map(np.asarray, exact)
+    value, gradient = value_and_gradient(SCENES[name])
+    assert expected_value > 1e-6
+    assert_close(value, expected_value, rtol=1e-4, atol=2e-8, why="a sum of weights in float32, less one")
+    for field in FIELDS:
+        found, expected = getattr(gradient, field), getattr(slopes, field)
+        assert_close(found, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max(), why="small numbers")
 
 
 def test_of_centers_too():
-    values = jax.jit(both, static_argnums=2)(CLOUD, ALL, "center")
+    found = jax.jit(value, static_argnums=2)(CLOUD, ALL, "center")
     with jax.enable_x64(True):
-        expected = np.asarray(jax.jit(dense_both, static_argnums=1)(in_float64(CLOUD), "center"))
-    assert_close(values, expected)
-
-
-# --- distortion
-
-
-def test_of_two_splats_on_a_ray_distortion_has_a_closed_form():
-    near, far, a, b = 1000.0, 1001.5, 0.6, 0.8
-    scene = discs(np.stack([near * RAY, far * RAY] + [-RAY] * 14), FACING, 30.0)
-    logits = np.log([a / (1 - a), b / (1 - b)])
-    scene = replace(scene, logit_opacities=scene.logit_opacities.at[:2].set(logits.astype(np.float32)))
-    value, gradient = value_and_gradient(distortion, scene, ONLY)
-    first, second = a, (1 - a) * b
-    depth = (first * near + second * far) / (first + second)
-    assert_close(value, first * second * (far - near) ** 2 / depth**2, rtol=1e-3, atol=0, why="1.5 of 1000 in float32")
-    slope = 2 * first * second * (far - near) / depth**2
-    assert_close(gradient.means[:2, 2], np.array([-slope, slope]), rtol=1e-3, atol=0, why="1.5 of 1000 in float32")
-    to_a, to_b = (1 - 2 * a) * b, a * (1 - a)
-    to_logits = np.array([to_a * a * (1 - a), to_b * b * (1 - b)]) * (far - near) ** 2 / depth**2
-    assert_close(gradient.logit_opacities[:2], to_logits, rtol=2e-3, atol=0, why="1.5 of 1000 in float32")
-    assert not np.any(gradient.means[2:])
-
-
-def test_one_layer_and_layers_at_equal_depth_have_no_distortion():
-    slanted = plane((0.1, -0.08, -1.0), per_side=4, spacing=0.8)
-    apart = float(value_and_gradient(distortion, layers(4.0, 0.4))[0])
-    for scene in (plane(FACING, per_side=4, spacing=0.8), slanted, layers(4.0, 0.0)):
-        value, gradient = value_and_gradient(distortion, scene)
-        assert abs(float(value)) < 2e-3 * apart
-        assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
-
-
-def test_the_unit_of_the_scene_does_not_matter():
-    values = [float(value_and_gradient(distortion, larger(CLOUD, factor))[0]) for factor in (1, 250)]
-    assert values[0] == pytest.approx(values[1], rel=1e-3)
-
-
-# --- depth_normal
+        expected = np.asarray(jax.jit(dense_depth_normal, static_argnums=1)(in_float64(CLOUD), "center"))
+    assert_close(found, expected)
 
 
 def test_splats_that_lie_on_their_surface_agree_with_its_depth():
     for normal in (FACING, (0.4, -0.3, -1.0)):
-        value, gradient = value_and_gradient(depth_normal, plane(normal, per_side=4, spacing=0.8, opacity=0.97))
+        value, gradient = value_and_gradient(plane(normal, per_side=4, spacing=0.8, opacity=0.97))
         assert 0 <= float(value) < 5e-3
         assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(gradient))
 
@@ -207,21 +141,19 @@ def test_splats_that_lie_on_their_surface_agree_with_its_depth():
 # --- nothing to be seen
 
 
-@pytest.mark.parametrize("term", TERMS)
-def test_without_a_surface_there_is_neither_value_nor_gradient(term):
+def test_without_a_surface_there_is_neither_value_nor_gradient():
     beside = replace(CLOUD, means=CLOUD.means + jnp.array([[90.0, 0, 0]]))
     faint = replace(CLOUD, logit_opacities=jnp.full(COUNT, -9, jnp.float32))
     smoke = replace(layers(4.0, 0.4), logit_opacities=jnp.full(COUNT, -4, jnp.float32))  # drawn, but of no depth
     for scene, valid in ((beside, ALL), (faint, ALL), (smoke, ALL), (SCENES["two layers"], ~ALL)):
-        value, gradient = value_and_gradient(term, scene, valid)
+        value, gradient = value_and_gradient(scene, valid)
         assert float(value) == 0
         assert all(not np.any(leaf) for leaf in jax.tree.leaves(gradient))
 
 
-@pytest.mark.parametrize("term", TERMS)
-def test_pixels_that_do_not_count_do_not_matter(term):
+def test_pixels_that_do_not_count_do_not_matter():
     scene = SCENES["a cloud"]
     half = ALL.at[:, 12:].set(False)
-    both = [value_and_gradient(term, scene, valid) for valid in (half, ALL & ~half)]
+    both = [value_and_gradient(scene, valid) for valid in (half, ALL & ~half)]
     assert float(both[0][0]) != float(both[1][0])
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(both))
