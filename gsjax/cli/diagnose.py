@@ -14,11 +14,10 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         summary="tell which effects of photography a data set calls for",
         description="""
             Looks at every photo once, and at the tracks of structure from motion where there are any:
-            exposure and white balance, vignetting, view-dependent colour, open sky, poses, transients,
-            sampling, blur, lens distortion. Prints for each the evidence with its noise, the threshold, the
-            decision, the cost, and why; and how far apart the photos stand. Maps that `gsjax normals`
-            made are judged too: whether photos of the same place agree. Nothing is trained. What cannot be
-            judged is off, and says so.
+            exposure and white balance, vignetting, background, open sky, poses, transients, blur. Prints for
+            each the evidence with its noise, the threshold, the decision, and why; and how far apart the
+            photos stand. Maps that `gsjax normals` made are judged too: whether photos of the same place
+            agree. Nothing is trained. What cannot be judged is off, and says so.
         """,
         example="gsjax diagnose scenes/garden --json garden.json",
     )

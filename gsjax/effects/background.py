@@ -7,7 +7,7 @@ import numpy as np
 import optax
 
 from gsjax.effects import sky
-from gsjax.effects.evidence import Evidence, photo_cost, unknown
+from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.observations import Observations
 from gsjax.effects.parallax import Parallax
 from gsjax.effects.simulation import Effect
@@ -17,7 +17,6 @@ from gsjax.scene import Frame
 
 THRESHOLD = 0.25  # of the photos
 OPEN = 0.05  # of a photo's pixels
-PASSES = 80  # 25 harmonics a pixel, and back
 DEGREE = 4  # of the spherical harmonics of a sky
 RATE = 5e-3  # Adam's learning rate of the coefficients; they wait for nothing
 SKIES_READ, PIXELS_READ = 60, 1000  # photos with sky, and pixels of each, that its colours are told by
@@ -32,19 +31,18 @@ def judge(seen: Observations, compared: Parallax | None = None) -> Evidence:
         seen: The photos.
         compared: What `gsjax.effects.parallax.compare` measured of what is bare in them.
     """
-    cost = photo_cost(seen.frames, PASSES, 3 * (DEGREE + 1) ** 2, "of a sky by direction; one colour costs nothing")
     if any(facts.has_matte for facts in seen.facts):
         note = "mattes tell the object from what is behind it: --background random serves"
-        return Evidence(False, 0.0, "share of photos", 0.0, THRESHOLD, cost, note)
+        return Evidence(False, 0.0, "share of photos", 0.0, THRESHOLD, note)
     if not seen.tracked:
-        return unknown("share of photos", THRESHOLD, cost, "without tracks a sky is no different from a wall")
+        return unknown("share of photos", THRESHOLD, "without tracks a sky is no different from a wall")
     shares = np.array([facts.sky_share for facts in seen.facts])
     is_open = shares > OPEN
     value = float(is_open.mean())
     noise = float(np.sqrt(value * (1 - value) / len(shares)))
     note = f"{100 * shares.mean():.0f} % of all pixels bright, smooth and unmatched"
     if value <= THRESHOLD:
-        return Evidence(False, value, "share of photos", noise, THRESHOLD, cost, note)
+        return Evidence(False, value, "share of photos", noise, THRESHOLD, note)
     colors = np.stack([facts.sky_color for facts in seen.facts])[is_open]
     mean, spread = colors.mean(0), float(colors.std(0).max())
     shown = ", ".join(f"{channel:.2f}" for channel in mean)
@@ -54,7 +52,7 @@ def judge(seen: Observations, compared: Parallax | None = None) -> Evidence:
     note += "; pure white" if is_white else f"; a wall explains it x{far:.2f} as badly as infinity"
     is_on = is_white or far > sky.THRESHOLD
     note += "" if is_on else f", needs {sky.THRESHOLD}: off"
-    return Evidence(is_on, value, "share of photos", noise, THRESHOLD, cost, note)
+    return Evidence(is_on, value, "share of photos", noise, THRESHOLD, note)
 
 
 def bare_regions(seen: Observations) -> dict[int, np.ndarray]:

@@ -2,13 +2,12 @@
 
 import numpy as np
 
-from gsjax.effects.evidence import Cost, Evidence
+from gsjax.effects.evidence import Evidence
 from gsjax.effects.observations import Observations
 
 THRESHOLD = 0.5  # of the median sharpness, lost
 DROP = 0.7  # A photo that lost more is left out of training,
 SEEN_BESIDES = 0.9  # if two others see so many of its points.
-COST = Cost(note="nothing: photos are left out, not simulated")
 SHARP_EDGE = 1.5  # pixels: photos whose sharpest edges are twice as wide lack half of their resolution
 _SHOWN = 5
 
@@ -30,7 +29,7 @@ def judge(seen: Observations) -> Evidence:
         note += f" {SHARP_EDGE} in sharp photos; half the size shows as much"
     spread = float(1.4826 * np.median(np.abs(lost - np.median(lost))))
     value = max(float(lost.max()), blurred_by)
-    return Evidence(value > THRESHOLD, value, "of median sharpness lost", spread, THRESHOLD, COST, note)
+    return Evidence(value > THRESHOLD, value, "of median sharpness lost", spread, THRESHOLD, note)
 
 
 def _lost_by_all(seen: Observations) -> float:

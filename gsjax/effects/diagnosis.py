@@ -9,16 +9,14 @@ import numpy as np
 from gsjax.effects import (
     background,
     blur,
-    distortion,
     exposure,
-    mip,
     parallax,
     poses,
     sky,
     transients,
     vignetting,
 )
-from gsjax.effects.evidence import Evidence, pace
+from gsjax.effects.evidence import Evidence
 from gsjax.effects.observations import Observations, observe
 from gsjax.effects.sky import Masks
 from gsjax.scene import Frame, Scene
@@ -36,13 +34,9 @@ class Diagnosis:
     plain: Masks  # what looks like sky, plaster included; for users who know that there is a sky
 
     def record(self) -> dict[str, Any]:
-        """Plain values for a file: `effects` by name, and `photos` with gains in EV, sharpness, pose step, sky.
-
-        Milliseconds of the costs are counts of values, at the pace at which this machine multiplies arrays.
-        """
-        seconds = pace()
+        """Plain values for a file: `effects` by name, and `photos` with gains in EV, sharpness, pose step, sky."""
         return {
-            "effects": {name: evidence.record(seconds) for name, evidence in self.effects.items()},
+            "effects": {name: evidence.record() for name, evidence in self.effects.items()},
             "photos": [
                 {
                     "name": frame.name,
@@ -82,9 +76,7 @@ def diagnose(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fra
         "sky": above,
         "poses": poses.judge(seen, steps),
         "transients": transients.judge(seen, gains),
-        "mip": mip.judge(seen),
         "blur": blur.judge(seen),
-        "distortion": distortion.judge(seen),
     }
     return Diagnosis(effects, seen, gains, steps, masks if above.on else {}, masks)
 

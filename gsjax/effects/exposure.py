@@ -9,7 +9,7 @@ from jax import Array
 
 from gsjax.colors import srgb_to_linear
 from gsjax.effects import simulation
-from gsjax.effects.evidence import Evidence, photo_cost, unknown
+from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.gains import Fit, Table, fit, held_out_ratio, table
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import LIMIT, Effect
@@ -19,7 +19,6 @@ THRESHOLD = 0.05  # EV, of the exposure's or the white balance's standard deviat
 HELD_OUT = 0.95  # Gains must lower the error of points that they were not fitted to at least to this share,
 SPATIAL = 0.6  # and both halves of the scene must give the same ones: a correlation.
 RATE, RATE_KNOWN = simulation.RATE, 5e-4  # Adam's learning rate of gains; of those that tracks have told
-PASSES = 6  # two products, a choice, and back
 _FEWEST = 20  # observations of a photo in each half of the scene, to be compared
 
 
@@ -54,10 +53,9 @@ def estimate(seen: Observations) -> Gains | None:
 
 def judge(seen: Observations, gains: Gains | None) -> Evidence:
     """On where photos differ by more than noise, alike all over the scene, and gains predict unseen points."""
-    cost = photo_cost(seen.frames, PASSES, 3 * len(seen.frames), "three numbers a photo")
     if gains is None:
         why = "no point is seen in three photos" if seen.tracked else "no tracks beside these photos"
-        return unknown("EV", THRESHOLD, cost, why)
+        return unknown("EV", THRESHOLD, why)
     known = np.bincount(gains.data.photo, minlength=len(seen.frames)) > 0
     values = gains.fit.gains[known]
     spread = float(values.mean(1).std())
@@ -72,7 +70,7 @@ def judge(seen: Observations, gains: Gains | None) -> Evidence:
     )
     if any(differ) and not on:
         note += "; photos differ, but not by one gain each"
-    return Evidence(bool(on), spread, "EV", gains.noise, THRESHOLD, cost, note)
+    return Evidence(bool(on), spread, "EV", gains.noise, THRESHOLD, note)
 
 
 def make_effect(initial: np.ndarray, rate: optax.Schedule) -> Effect:

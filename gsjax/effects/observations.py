@@ -40,7 +40,6 @@ class PhotoFacts(NamedTuple):
     sky_color: np.ndarray  # [3] mean of them, 0..1
     sky_spread: float  # standard deviation of them, of the channel that has most
     has_matte: bool
-    lost_share: float  # of the photo's pixels, by undistortion
     even: np.ndarray  # [h, w] uint8 by place of a grid of `even_stride` pixels: UNUSABLE, UNEVEN or EVEN
     light: np.ndarray  # [h, w, 3] float16 mean display-coded colours of the same grid, 0..255
 
@@ -88,14 +87,13 @@ def observe(scene: Scene, *, progress: Callable[[Iterable[Frame]], Iterable[Fram
     """
     by_name = tracks_by_name(scene)
     chosen = _chosen(len(scene.points), max(MOST_POINTS, POINTS_PER_PHOTO * len(scene.frames)))
-    losses: dict[tuple, float] = {}
     facts, parts = [], []
     for index, frame in enumerate(progress(scene.frames)):
         points, rays = by_name.get(frame.name, (np.empty(0, np.int64), np.empty((0, 2))))
         pixels = rays * frame.K[[0, 1], [0, 1]] + frame.K[:2, 2]
         inside = ((pixels >= 0) & (pixels < [frame.width, frame.height])).all(-1)
         kept = inside & chosen[points]
-        colors, found = _look(frame, pixels[inside], pixels[kept], _lost(frame, losses))
+        colors, found = _look(frame, pixels[inside], pixels[kept])
         facts.append(found)
         parts.append((np.full(len(colors), index), points[kept], pixels[kept], colors))
     photo, point, pixels, colors = (np.concatenate(columns) for columns in zip(*parts, strict=True))
@@ -111,7 +109,7 @@ def _chosen(count: int, most: int) -> np.ndarray:
     return chosen
 
 
-def _look(frame: Frame, keypoints: np.ndarray, looked_at: np.ndarray, lost: float) -> tuple[np.ndarray, PhotoFacts]:
+def _look(frame: Frame, keypoints: np.ndarray, looked_at: np.ndarray) -> tuple[np.ndarray, PhotoFacts]:
     image, matte, valid = frame.pixels()
     usable = np.ones(image.shape[:2], bool) if valid is None else valid > 127
     if matte is not None:
@@ -122,7 +120,6 @@ def _look(frame: Frame, keypoints: np.ndarray, looked_at: np.ndarray, lost: floa
         edge_width(luminance, usable),
         *_sky(image, luminance, usable, keypoints),
         matte is not None,
-        lost,
         _even(image, usable),
         mean_colors(image),
     )
@@ -248,16 +245,3 @@ def light_stride(width: int, height: int) -> int:
 def mean_colors(image: np.ndarray) -> np.ndarray:
     """`PhotoFacts.light`."""
     return block_means(image, light_stride(image.shape[1], image.shape[0])).astype(np.float16)
-
-
-def _lost(frame: Frame, known: dict[tuple, float]) -> float:
-    """Share of the photo's pixels that its undistorted frame does not show: 1 less the area that the frame covers."""
-    if frame.origin is None:
-        return 0.0
-    key = (frame.origin.photo, frame.origin.undistorted, frame.K.tobytes())
-    if key not in known:
-        shares = frame.origin.positions().astype(np.float64)
-        (x_down, y_down), (x_right, y_right) = (np.moveaxis(g, -1, 0) for g in np.gradient(shares, axis=(0, 1)))
-        shown = (shares >= 0).all(-1)
-        known[key] = float(1 - np.abs(x_right * y_down - x_down * y_right)[shown].sum())
-    return max(known[key], 0.0)

@@ -10,7 +10,7 @@ import optax
 from jax import Array
 
 from gsjax.cameras import Camera
-from gsjax.effects.evidence import Evidence, gaussian_cost, unknown
+from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import Effect
 from gsjax.effects.twists import apply_twist, gauge
@@ -20,7 +20,6 @@ THRESHOLD = 0.3  # pixels
 SIGNIFICANT = 3  # standard errors
 SHARE = 0.2  # of the photos must want to move
 FEWEST = 8  # observations of a photo
-PASSES = 42  # of a Gaussian: its gradient to the camera's 12 and 9 numbers, and their sums
 RATE, RATE_KNOWN = 1e-3, 2.5e-4  # Adam's learning rate, of radians and of units; where tracks have told the start
 HOLD, HOLD_SHARE = 1000, 0.3  # steps that cameras wait for Gaussians to stand somewhere; of a run at most
 LIMIT = 0.3  # of the logarithm of a focal length against the given one
@@ -48,17 +47,15 @@ def gauss_newton_steps(seen: Observations) -> tuple[Step | None, ...]:
 
 def judge(seen: Observations, found: tuple[Step | None, ...]) -> Evidence:
     """On where a fifth of the photos would move their points by more than a third of a pixel, and are sure of it."""
-    cost = gaussian_cost(PASSES, 0, "six numbers a photo; gradients of the cameras")
-    cost = cost._replace(bytes=12 * 6 * len(seen.frames))
     known = [step for step in found if step is not None]
     if not known:
-        return unknown("px", THRESHOLD, cost, "needs keypoints matched in the photos")
+        return unknown("px", THRESHOLD, "needs keypoints matched in the photos")
     value = float(np.quantile([step.shift for step in known], 1 - SHARE))
     sure = np.mean([step.is_sure and step.shift > THRESHOLD for step in known])
     noise = float(np.median([step.error for step in known]))
     note = f"the step that {100 * SHARE:.0f} % of the photos exceed, against their tracks"
     note += "; poses and points that are wrong together do not show"
-    return Evidence(bool(sure >= SHARE), value, "px", noise, THRESHOLD, cost, note)
+    return Evidence(bool(sure >= SHARE), value, "px", noise, THRESHOLD, note)
 
 
 class Move(NamedTuple):

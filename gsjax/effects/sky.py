@@ -12,7 +12,7 @@ import numpy as np
 from scipy import ndimage
 
 from gsjax.cameras import landing
-from gsjax.effects.evidence import Evidence, photo_cost, unknown
+from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.observations import EVEN, UNUSABLE, Observations, block_means, even_stride, light_stride
 from gsjax.effects.parallax import Parallax
 from gsjax.place import up_of_cameras
@@ -33,7 +33,6 @@ POINTS = (0.05, 10.0)  # of the points that a region so large would have, that a
 ALIKE = 0.3  # of a region, which another photo has as sky in the same directions
 CELLS = 10  # to the unit, by which directions are compared: 6 degrees
 UPRIGHT = 0.5  # length of the mean of the cameras' upward axes, under which they do not agree on up
-PASSES = 1  # over the coverage of a photo
 MOST_INSIDE = 0.5  # of the photos that have a point in view, beyond which it lies in their sky
 
 Masks = Mapping[str, np.ndarray]
@@ -70,21 +69,21 @@ def judge(seen: Observations, masks: Masks, compared: Parallax | None = None) ->
         masks: Where they may show sky.
         compared: What `gsjax.effects.parallax.compare` measured in `regions`.
     """
-    cost, unit = photo_cost(seen.frames, PASSES, 0, "what covers the sky"), "times the error at infinity"
+    unit = "times the error at infinity"
     if any(facts.has_matte for facts in seen.facts):
-        return Evidence(False, 0.0, unit, 0.0, THRESHOLD, cost, "mattes separate the object from what is behind it")
+        return Evidence(False, 0.0, unit, 0.0, THRESHOLD, "mattes separate the object from what is behind it")
     if not seen.tracked:
-        return unknown(unit, THRESHOLD, cost, "without tracks a sky is no different from a wall")
+        return unknown(unit, THRESHOLD, "without tracks a sky is no different from a wall")
     if upwards(seen.frames) is None:
-        return unknown(unit, THRESHOLD, cost, "the cameras do not agree on where up is")
+        return unknown(unit, THRESHOLD, "the cameras do not agree on where up is")
     if not masks or compared is None:
         note = "no sky" if not masks else f"no sky: {PLAIN}; even or clipped in all photos, so nothing compares"
-        return Evidence(False, 0.0, unit, 1.0, THRESHOLD, cost, note)
+        return Evidence(False, 0.0, unit, 1.0, THRESHOLD, note)
     value = score(compared)
     note = told(masks, seen.frames) if value > THRESHOLD else f"no sky: {PLAIN}"
     note += f"; at a near surface x{compared.near:.2f}, a far one x{compared.far:.2f}, fixed to the photo"
     note += f" x{compared.fixed:.2f}; green over red {compared.blueness:.2f} EV, changing by {compared.blue_range:.2f}"
-    return Evidence(value > THRESHOLD, value, unit, 1.0, THRESHOLD, cost, note)
+    return Evidence(value > THRESHOLD, value, unit, 1.0, THRESHOLD, note)
 
 
 PLAIN = "a ceiling, a wall or a sky that looks like one"

@@ -15,7 +15,7 @@ import optax
 from jax import Array
 from scipy import ndimage
 
-from gsjax.effects.evidence import Cost, Evidence, photo_cost, unknown
+from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.exposure import Gains
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import Effect
@@ -26,7 +26,6 @@ from gsjax.targets import Batch
 THRESHOLD = 0.25  # of the observations
 FLOOR = 0.14  # what still scenes reach by sheen, shadows and wrong matches
 OUTLIER = 4  # standard deviations
-PASSES = 5  # two windows of 25 a pixel of one channel, no way back
 QUANTILE = 0.8  # of the residuals of all photos
 REACH = 4.0  # times it: edges that are a little off are no strangers
 WINDOW = 5  # pixels across, of which most must agree
@@ -41,16 +40,15 @@ RATE = 0.02  # Adam's learning rate of the logarithm: from 1 to a twentieth in 1
 
 def judge(seen: Observations, gains: Gains | None) -> Evidence:
     """On only where it is plain: tracks are what matched, so what came and went is rarely in them."""
-    cost = photo_cost(seen.frames, PASSES, 1, "a mask a step")
     if gains is None or not len(gains.fit.residuals):
-        return unknown("share of observations", THRESHOLD, cost, "needs points that three photos see")
+        return unknown("share of observations", THRESHOLD, "needs points that three photos see")
     size = np.sqrt(np.square(gains.fit.residuals).mean(1))
     value = float((size > OUTLIER * gains.fit.sigma).mean())
     note = "colours off by 4 sigma after gains; sheen and shadows count too: give masks where something moved"
-    return Evidence(value > THRESHOLD, value, "share of observations", FLOOR, THRESHOLD, cost, note)
+    return Evidence(value > THRESHOLD, value, "share of observations", FLOOR, THRESHOLD, note)
 
 
-def judge_residuals(residual_maps: Sequence[np.ndarray], cost: Cost) -> Evidence:
+def judge_residuals(residual_maps: Sequence[np.ndarray]) -> Evidence:
     """Judge by a short run without masks whether things moved: what a few photos show, the render cannot.
 
     Tracks hold what matched, so movers are rarely in them; the residuals of a validation run hold them. A photo has
@@ -61,7 +59,6 @@ def judge_residuals(residual_maps: Sequence[np.ndarray], cost: Cost) -> Evidence
             after the photo's exposure; NaN where a pixel must not be used. A hundred pixels across are enough. The run
             must be past its first densification, so that photos are shown better than movers. Where depth is known,
             NaN at what fewer than two other photos show lowers what still scenes reach.
-        cost: Of the masks.
 
     Returns:
         Evidence whose value is the share of photos with movers; `on` above `MOVED`, in two photos at least.
@@ -69,7 +66,7 @@ def judge_residuals(residual_maps: Sequence[np.ndarray], cost: Cost) -> Evidence
     unit = "share of photos"
     every = np.concatenate([each[np.isfinite(each)] for each in residual_maps] or [np.empty(0)])
     if len(residual_maps) < FEWEST_PHOTOS or not every.size:
-        return unknown(unit, MOVED, cost, f"needs the residuals of {FEWEST_PHOTOS} photos")
+        return unknown(unit, MOVED, f"needs the residuals of {FEWEST_PHOTOS} photos")
     usual = max(float(np.quantile(every, QUANTILE)), 1 / 255)
     areas = np.array([far_off_area(each, REACH * usual) for each in residual_maps])
     least, base = np.quantile(areas, (0.05, 0.25))
@@ -78,7 +75,7 @@ def judge_residuals(residual_maps: Sequence[np.ndarray], cost: Cost) -> Evidence
     value, noise = float(moved.mean()), float(np.sqrt(moved.mean() * (1 - moved.mean()) / len(areas)))
     note = f"regions that a short run cannot show cover {100 * areas.max():.1f} % of a photo at most, and"
     note += f" {100 * base:.1f} % of an ordinary one; over {100 * most:.1f} % in {moved.sum()} of {len(areas)} photos"
-    return Evidence(value > MOVED and moved.sum() >= 2, value, unit, noise, MOVED, cost, note)
+    return Evidence(value > MOVED and moved.sum() >= 2, value, unit, noise, MOVED, note)
 
 
 def far_off_area(residual: np.ndarray, bound: float) -> float:

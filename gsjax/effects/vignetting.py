@@ -6,7 +6,7 @@ import optax
 from jax import Array
 
 from gsjax.cameras import Camera
-from gsjax.effects.evidence import Evidence, photo_cost, unknown
+from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.exposure import Gains
 from gsjax.effects.gains import Fit, Table, fit, project
 from gsjax.effects.observations import Observations
@@ -17,7 +17,6 @@ THRESHOLD = 0.1  # EV at the corner
 SIGNIFICANT = 5  # standard errors
 FEWEST_IN_HALF = 6  # photos, by which a change over time is judged
 _GROUPS = 20  # of radii in a picture
-PASSES = 10  # a polynomial and an exponential a pixel, two products, a choice, and back
 
 
 def corner(seen: Observations, gains: Gains) -> tuple[float, float]:
@@ -70,10 +69,8 @@ def halves(seen: Observations, gains: Gains) -> list[tuple[float, float]]:
 
 def judge(seen: Observations, gains: Gains | None) -> Evidence:
     """Judge whether corners are darker, in all photos or in one half of them, by more than noise."""
-    cameras = len({frame.K.tobytes() for frame in seen.frames})
-    cost = photo_cost(seen.frames, PASSES, 2 * cameras, "two numbers a camera")
     if gains is None:
-        return unknown("EV", THRESHOLD, cost, "needs points that three photos see")
+        return unknown("EV", THRESHOLD, "needs points that three photos see")
     slope, error = corner(seen, gains)
     note = f"how much darker a corner is than the middle; needs {SIGNIFICANT} standard errors, has"
     note += f" {-slope / max(error, 1e-6):.0f}"
@@ -83,7 +80,7 @@ def judge(seen: Observations, gains: Gains | None) -> Evidence:
         note += f"; changes over time: earlier photos {-parts[0][0]:.2f} EV, later ones {-parts[1][0]:.2f}"
         note += "; one fall-off cannot describe both halves"
     on = -slope > max(THRESHOLD, SIGNIFICANT * error)
-    return Evidence(bool(on), -slope, "EV", error, THRESHOLD, cost, note)
+    return Evidence(bool(on), -slope, "EV", error, THRESHOLD, note)
 
 
 def make_effect(initial: np.ndarray, camera: np.ndarray, rate: optax.Schedule) -> Effect:

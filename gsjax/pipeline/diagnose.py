@@ -33,8 +33,7 @@ def diagnose(
         images: Folder of the photos, absolute or in `scene`. None: looked for.
 
     Returns:
-        `effects`: by name `on`, `evidence` (None: no means to judge), `unit`, `noise`, `threshold`, `cost` (`ms` a step
-        and `bytes`, both counted, and a `note`), `note`;
+        `effects`: by name `on`, `evidence` (None: no means to judge), `unit`, `noise`, `threshold`, `note`;
         `photos`: `name`, `gains` (EV in red, green, blue against the mean photo, or None), `sharpness`,
         `pose_step_px` (or None), `sky` (share of its pixels);
         `normals`: by folder of maps that `gsjax normals` made there, see `gsjax.runs.normal_gate.record`;
@@ -62,7 +61,7 @@ def diagnose(
 
 def rows(record: dict[str, Any]) -> list[list[str]]:
     """The table of a diagnosis, its heads first."""
-    heads = ["effect", "decision", "evidence", "threshold", "cost", "note"]
+    heads = ["effect", "decision", "evidence", "threshold", "note"]
     return [heads, *([name, *_cells(effect)] for name, effect in record["effects"].items())]
 
 
@@ -149,5 +148,4 @@ def _cells(effect: dict[str, Any]) -> list[str]:
     noise = "" if effect["noise"] is None else f" +-{effect['noise']:.2g}"
     evidence = "-" if effect["evidence"] is None else f"{effect['evidence']:.2f}{noise} {effect['unit']}"
     decision = "on" if effect["on"] else "off"
-    cost = f"{effect['cost']['ms']:.2g} ms, {effect['cost']['bytes'] / 1000:,.1f} kB"
-    return [decision, evidence, f"{effect['threshold']:g}", cost, effect["note"]]
+    return [decision, evidence, f"{effect['threshold']:g}", effect["note"]]

@@ -23,7 +23,7 @@ from gsjax.io.images import read_image
 from gsjax.io.scenes import load_scene
 from gsjax.pipeline.diagnose import apart_line
 from gsjax.runs.result import frame_camera
-from gsjax.scene import Origin, Pixels, with_pixels
+from gsjax.scene import Pixels, with_pixels
 
 EFFECTS = [
     "exposure",
@@ -32,11 +32,9 @@ EFFECTS = [
     "sky",
     "poses",
     "transients",
-    "mip",
     "blur",
-    "distortion",
 ]
-FIELDS = ["on", "evidence", "unit", "noise", "threshold", "cost", "note"]
+FIELDS = ["on", "evidence", "unit", "noise", "threshold", "note"]
 
 
 def decisions(scene) -> set[str]:
@@ -185,27 +183,9 @@ def test_wrong_poses_show_against_the_tracks():
     assert np.abs(twists_from_tracks(observe(scene))).max() < 1e-5  # rounding of the keypoints
 
 
-def test_the_span_of_sampling_is_the_ratio_of_distances():
-    scene = wall(distances=(2.0, 5.0))
-    found = diagnose(scene).effects["mip"]
-    assert found.on
-    assert found.value == pytest.approx(2.5, rel=1e-6)
-
-
-def test_pixels_lost_to_undistortion_are_counted():
-    scene = wall()
-    across, down = np.meshgrid((np.arange(96) + 0.5) / 96, (np.arange(72) + 0.5) / 72)
-    middle = 0.1 + 0.8 * np.stack([across, down], -1).astype(np.float32)  # A frame that shows the middle 0.8 x 0.8.
-    origin = Origin((120, 90), (96, 72), lambda: middle)
-    cut = replace(scene, frames=tuple(replace(frame, origin=origin) for frame in scene.frames))
-    found = diagnose(cut).effects["distortion"]
-    assert found.on
-    assert found.value == pytest.approx(0.36, abs=1e-4)
-
-
 def test_what_cannot_be_judged_says_so():
     found = diagnose(replace(wall(), tracks=None)).effects
-    unknown = {"exposure", "vignetting", "background", "poses", "transients", "mip", "sky"}
+    unknown = {"exposure", "vignetting", "background", "poses", "transients", "sky"}
     assert {name for name, evidence in found.items() if evidence.value is None} == unknown
     assert not any(found[name].on for name in unknown)
     assert all("cannot be judged" in found[name].note for name in unknown)

@@ -12,7 +12,6 @@ from small_scenes import camera_at
 from tolerances import assert_close
 
 from gsjax.effects import transients
-from gsjax.effects.evidence import Cost
 from gsjax.effects.observations import block_means
 from gsjax.effects.simulation import initial_state as effects_state
 from gsjax.effects.simulation import mask_untrusted, update_effects
@@ -135,7 +134,7 @@ def residual_maps(moved, size=(60, 80), photos=20, seed=0):
 
 @pytest.mark.parametrize(("share", "is_on"), [(0.0, False), (0.05, False), (0.1, True), (0.5, True)])
 def test_residuals_tell_in_how_many_photos_something_moved(share, is_on):
-    found = transients.judge_residuals(residual_maps(range(round(share * 20))), Cost())
+    found = transients.judge_residuals(residual_maps(range(round(share * 20))))
     assert found.on == is_on
     assert found.value == pytest.approx(share)
 
@@ -151,9 +150,9 @@ def test_the_area_far_off_is_that_of_large_regions_alone():
 
 
 def test_few_photos_without_a_usable_pixel_cannot_be_judged():
-    assert transients.judge_residuals([], Cost()).value is None
-    assert transients.judge_residuals([np.full((8, 8), np.nan)] * 9, Cost()).value is None
-    assert transients.judge_residuals(residual_maps((), photos=3), Cost()).value is None
+    assert transients.judge_residuals([]).value is None
+    assert transients.judge_residuals([np.full((8, 8), np.nan)] * 9).value is None
+    assert transients.judge_residuals(residual_maps((), photos=3)).value is None
 
 
 @pytest.mark.parametrize("name", ["fox", "kitchen", "fern"])
@@ -172,4 +171,4 @@ def test_real_photos_against_softer_ones_have_movers_where_squares_are_put(share
             for row, column in rng.integers(0, np.array(photo.shape[:2]) - side, (4, 2)):
                 photo[row : row + side, column : column + side] = rng.random(3)
         maps.append(np.abs(shown - photo).mean(-1))
-    assert transients.judge_residuals(maps, Cost()).on == is_on
+    assert transients.judge_residuals(maps).on == is_on

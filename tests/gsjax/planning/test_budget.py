@@ -9,7 +9,7 @@ import pytest
 
 from gsjax.cli import parsers
 from gsjax.config import parse
-from gsjax.effects.evidence import Cost, Evidence
+from gsjax.effects.evidence import Evidence
 from gsjax.errors import InputError
 from gsjax.planning import budget, pace, timed_steps
 from gsjax.planning.effects import PROPOSED
@@ -47,20 +47,20 @@ def test_all_that_is_due_at_a_step_is_scaled_with_the_phases():
         phases=(Phase("a", 1000), Phase("b", 0), Phase("c", 501)),
         sh_every=700,
         rates=Rates(decay_steps=3000),
-        density=Density(start=200, stop=900, every=100, prune_large_after=300, reset_every=400),
+        density=Density(start=200, stop=900, every=100, reset_every=400),
     )
     half = budget.scaled(settings, 0.5)
     assert [phase.steps for phase in half.phases] == [500, 0, 250]
     assert (half.sh_every, half.rates.decay_steps) == (350, 1500)
     density = half.density
     assert (density.start, density.stop, density.every) == (100, 450, 50)
-    assert (density.prune_large_after, density.reset_every) == (150, 200)
+    assert density.reset_every == 200
     assert budget.scaled(settings, 1.0) == settings
     assert budget.scaled(settings, 3.0).density.every == 100
     tiny = budget.scaled(settings, 1e-4)
     assert [phase.steps for phase in tiny.phases] == [1, 0, 1] and tiny.sh_every == 1 and tiny.density.every == 20
     unset = budget.scaled(NAMED["fast"], 0.3)
-    assert unset.density.reset_every == 0 and unset.density.prune_large_after is None
+    assert unset.density.reset_every == 0
     assert unset.rates.decay_steps is None
 
 
@@ -96,9 +96,9 @@ class Machine:
 
     def diagnosed(self, scene):
         self.now += 3.0
-        clear = {name: Evidence(False, 0.0, "", 0.0, 1.0, Cost(), "") for name in PROPOSED}
+        clear = {name: Evidence(False, 0.0, "", 0.0, 1.0, "") for name in PROPOSED}
         return SimpleNamespace(
-            effects=clear | {"exposure": Evidence(self.evidence > 1, self.evidence, "", 0.0, 1.0, Cost(), "")}
+            effects=clear | {"exposure": Evidence(self.evidence > 1, self.evidence, "", 0.0, 1.0, "")}
         )
 
     def try_out(self, scene, settings, *, most, clock):

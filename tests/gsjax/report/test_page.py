@@ -27,7 +27,7 @@ SIZE = (64, 48)  # width, height
 NAMES = [f"{index:02d} <b>&\"'.jpg" for index in range(9)]  # as a file may be called
 K = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
 VIEWMAT = np.eye(4)
-EVIDENCE = {"on": True, "evidence": 0.31, "unit": "EV", "noise": 0.02, "threshold": 0.05, "cost": "-", "note": "a<b"}
+EVIDENCE = {"on": True, "evidence": 0.31, "unit": "EV", "noise": 0.02, "threshold": 0.05, "note": "a<b"}
 WALL = Mesh(
     np.array([[-1, -1, 2], [1, -1, 2], [1, 1, 2], [-1, 1, 2]], np.float32),
     np.array([[0, 2, 1], [0, 3, 2]], np.int32),
