@@ -134,10 +134,8 @@ class Density:
     full_by: float = 0.9  # error: where between `start` and `stop` the budget is full, reached geometrically
     replace: float = 0.1  # error: share that moves in each densification, from the least seen to the worst
     min_opacity: float = 0.005
-    max_share: float = 0.1  # of the extent: larger ones are pruned after `prune_large_after`; error: the near ones
-    prune_large_after: int | None = None  # None: after the first reset; a fifth of `stop` where there is none
+    max_share: float = 0.1  # of the extent: larger ones are pruned, see `adaptive.prunes_large`; error: the near ones
     reset_every: int = 3000  # and, over a white background, at `start`; 0: never
-    reset_opacity: float = 0.01
 
     def __post_init__(self):
         """Check types and ranges."""
@@ -146,10 +144,6 @@ class Density:
         for name in ("full_by", "replace", "min_opacity"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name}={getattr(self, name)} is not between 0 and 1")
-        if self.prune_large_after is not None:
-            check_lowest(self, prune_large_after=0)
-        if not 0 < self.reset_opacity < 1:
-            raise ValueError(f"reset_opacity={self.reset_opacity} is not between 0 and 1")
 
 
 @dataclass(frozen=True)
@@ -227,7 +221,6 @@ class Settings:
     logging: Logging = Logging()
     longest_side: int = 1600  # of a photo, pixels, where no downscale is given (3DGS)
     cpu_pixels: int | None = None  # of a photo on a CPU, most, where no downscale is given; None: any number
-    view_share: float = 0.5  # of the device's memory, for photos; what does not fit is streamed
 
     def __post_init__(self):
         """Check types and ranges."""
@@ -244,8 +237,6 @@ class Settings:
             raise ValueError("vanilla is plain 3DGS, which has no term for depth: leave one of the two out")
         if self.cpu_pixels is not None and self.cpu_pixels < 1:
             raise ValueError(f"cpu_pixels={self.cpu_pixels} is below 1")
-        if not 0 <= self.view_share <= 1:
-            raise ValueError(f"view_share={self.view_share} is not between 0 and 1")
         if not 0 <= self.dropout < 1:
             raise ValueError(f"dropout={self.dropout} is not at least 0 and below 1")
         if not 0 <= self.sh_degree <= 4:

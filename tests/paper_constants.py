@@ -113,7 +113,7 @@ def first_opacity() -> float:
 
 def reset_to() -> float:
     """What an opaque Gaussian is reset to by the default limit."""
-    return rounded(opacities(adaptive.reset_opacities(cloud(1), Density().reset_opacity))[0])
+    return rounded(opacities(adaptive.reset_opacities(cloud(1), adaptive.RESET_OPACITY))[0])
 
 
 def alpha_of(opacity: float, *, layers: int = 1, depth: float = 1.0) -> float:

@@ -53,7 +53,6 @@ def scaled(settings: Settings, factor: float) -> Settings:
     if density.rule == "error":
         wanted = max(wanted, (times(density.stop) - times(density.start)) // FEWEST_ROUNDS)
     every = min(density.every, max(SHORTEST_INTERVAL, wanted))
-    large = density.prune_large_after
     return replace(
         settings,
         phases=tuple(replace(phase, steps=times(phase.steps)) for phase in settings.phases),
@@ -64,7 +63,6 @@ def scaled(settings: Settings, factor: float) -> Settings:
             start=times(density.start),
             stop=times(density.stop),
             every=every,
-            prune_large_after=None if large is None else times(large),
             reset_every=times(density.reset_every),
         ),
     )

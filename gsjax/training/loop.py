@@ -280,7 +280,6 @@ def _run_phase(
         seed=plan.seed,
         capacity=capacity,
         room=room,
-        view_share=plan.view_share,
         feed=_feed_of(views, placement.feed, phase.surface_every),
         looks=looks if work.looks else None,
         explain=explain,
@@ -345,5 +344,5 @@ def _control_density(work: Work, rule: Rule, step: int, state: TrainState, key: 
             rule=rule,
         )
     if adaptive.resets_opacities(density, step, plan.background):
-        state = placement.reset_opacities(state, optimizer=work.optimizer, limit=density.reset_opacity)
+        state = placement.reset_opacities(state, optimizer=work.optimizer, limit=adaptive.RESET_OPACITY)
     return state

@@ -65,7 +65,6 @@ class Plan:
     views_per_step: int
     max_gaussians: int
     sh_every: int  # steps between the bands of the SH ramp
-    view_share: float  # of the device's memory, for photos
     rates: Rates  # their `decay_steps` are known
     density: Density
     logging: Logging
@@ -249,7 +248,6 @@ def plan(
         views_per_step=views,
         max_gaussians=settings.max_gaussians,
         sh_every=_fewer(settings.sh_every, views),
-        view_share=settings.view_share,
         rates=_rates(settings.rates, views, begin),
         density=_density(settings.density, views),
         logging=_logging(settings.logging, views),
@@ -305,14 +303,12 @@ def _rates(rates: Rates, views: int, steps: int) -> Rates:
 
 
 def _density(density: Density, views: int) -> Density:
-    large = density.prune_large_after
     return replace(
         density,
         start=_fewer(density.start, views),
         stop=_fewer(density.stop, views),
         every=_fewer(density.every, views),
         reset_every=_fewer(density.reset_every, views),
-        prune_large_after=None if large is None else _fewer(large, views),
     )
 
 

@@ -22,6 +22,8 @@ S = TypeVar("S")  # A state of training.
 
 logger = logging.getLogger("gsjax")
 
+VIEW_SHARE = 0.5  # Of the device's memory, for photos; beyond it, and where the device is full, they are streamed.
+
 Feed = Callable[[Targets, int, float], Callable[[int], Target]]
 """(photos, seed of their order, share of the device's memory) -> steps done -> what the next step compares with."""
 
@@ -60,7 +62,6 @@ def advance(
     seed: int,
     capacity: int,
     room: float = STILL,
-    view_share: float = 0.5,
     feed: Feed = one_view,
     looks: Callable[[int], bool] | None = None,
     explain: Callable[[int, S, Target, int], str] = lambda step, state, target, capacity: NOT_FINITE,
@@ -76,7 +77,6 @@ def advance(
         seed: Of the order of views, and of the key that every step gets.
         capacity: Pair buffer to start with.
         room: How much longer than needed the buffer is made where it was too short.
-        view_share: Of the device's memory, for photos; beyond it, and where the device is full, they are streamed.
         feed: What a step compares with.
         looks: Steps done -> whether `after` looks at their state. After others the next step is begun before it is
             known whether this one overflowed, so that a GPU never waits, and `after` gets a later state. The numbers
@@ -91,6 +91,7 @@ def advance(
         InputError: The device has no room, or a loss or a gradient is not finite. That step is not taken.
     """
     key, target, train_step = jax.random.key(seed), None, compiled(capacity)
+    view_share = VIEW_SHARE
     done, end = steps
     ahead = None if looks is None else int(state.step) - done  # pyright: ignore[reportAttributeAccessIssue]
     begun: list[Metrics] = []  # of the steps after `done`

@@ -78,7 +78,7 @@ def test_presets_of_ours_look_for_effects_and_the_papers_have_none():
         ({"rates": {"means_final": 0.0}}, "means_final=0.0 is not between 0"),
         ({"density": {"every": 0}}, "density: every=0 is below 1"),
         ({"density": {"reset_every": -1}}, "reset_every=-1 is below 0"),
-        ({"density": {"reset_opacity": 1.0}}, "reset_opacity=1.0 is not between 0 and 1"),
+        ({"density": {"reset_opacity": 0.01}}, "unknown key 'density.reset_opacity'"),
         ({"logging": {"metrics_every": 0}}, "logging: metrics_every=0 is below 1"),
         ({"logging": {"checkpoint_every": 0}}, "checkpoint_every=0 is below 1"),
         ({"background": "blue"}, "background is 'blue', expected one of \"white\""),
@@ -148,7 +148,7 @@ def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
             Phase("b", np.uint8(4), image_scale=np.int32(2)),
         ],
         rates={"means": np.float64(1e-3), "decay_steps": np.int64(9)},
-        density={"rule": "error", "prune_large_after": np.int16(7)},
+        density={"rule": "error", "start": np.int16(7)},
         logging={"metrics_every": np.int64(5)},
     )
     plain = Settings(
@@ -162,7 +162,7 @@ def test_what_a_program_has_at_hand_is_as_good_as_plain_data():
         sky_weight=1.0,
         phases=(Phase("a", 3, Weights(l1=0.5, mine=1.0)), Phase("b", 4, image_scale=2)),
         rates=Rates(means=1e-3, decay_steps=9),
-        density=Density(rule="error", prune_large_after=7),
+        density=Density(rule="error", start=7),
         logging=Logging(metrics_every=5),
     )
     assert given == plain and hash(given) == hash(plain)

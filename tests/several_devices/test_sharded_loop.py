@@ -12,6 +12,7 @@ from tolerances import assert_close
 
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
 from gsjax.training.buffers import with_room_to_densify
+from gsjax.training.growth import adaptive
 from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import DEAD_LOGIT
 from gsjax.training.loop import Work, follow
@@ -30,10 +31,18 @@ SETTINGS = Settings(
     phases=(Phase("coarse", 6, PLAIN, image_scale=2, density_control=True, cull_below=0.6),),
     sh_every=4,
     max_gaussians=CAPACITY,
-    density=Density(start=1, stop=6, every=2, gradient=1e-6, reset_every=5, reset_opacity=0.7, min_opacity=0.01),
+    density=Density(start=1, stop=6, every=2, gradient=1e-6, reset_every=5, min_opacity=0.01),
 )
 ROUNDED = {"atol": 2e-3, "rtol": 1e-3, "why": "Adam divides what rounding left of a small gradient by itself"}
 OPTIMIZER = make_optimizer(Rates(), EXTENT, 6)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def high_reset():
+    """Opacities are reset to what leaves some of these few steps' Gaussians above the cull."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(adaptive, "RESET_OPACITY", 0.7)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from gsjax.gaussians import DEAD_LOGIT, Gaussians, is_alive, opacities, rotation
 from gsjax.settings import Density
 
 SPLIT = 1.6  # Times smaller than the whole are the halves of a split (3DGS: 0.8 times two).
+RESET_OPACITY = 0.01  # to which opacities are capped (3DGS)
 LARGE_SHARE = 0.2  # Of `density.stop`: where nothing resets opacities, size prunes after it. 3DGS: 3,000 of 15,000.
 
 
@@ -41,12 +42,11 @@ def densifies(density: Density, step: int) -> bool:
 
 
 def prunes_large(density: Density, step: int) -> bool:
-    """Whether size prunes after this step: past `prune_large_after`.
+    """Whether size prunes after this step: past the first reset of the opacities (3DGS).
 
-    Unasked, past the first reset of the opacities (3DGS), or without resets past a fifth of the steps up to `stop`.
+    Without resets, past a fifth of the steps up to `stop`.
     """
-    unasked = density.reset_every or LARGE_SHARE * density.stop
-    return step > (unasked if density.prune_large_after is None else density.prune_large_after)
+    return step > (density.reset_every or LARGE_SHARE * density.stop)
 
 
 def resets_opacities(density: Density, step: int, background: str) -> bool:

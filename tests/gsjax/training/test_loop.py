@@ -15,6 +15,7 @@ from gsjax.gaussians import opacities, take
 from gsjax.scene import with_pixels
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
 from gsjax.training import buffers, loop
+from gsjax.training.growth import adaptive
 from gsjax.training.growth.adaptive import is_alive
 from gsjax.training.growth.rules import RULES
 from gsjax.training.loop import fit
@@ -35,13 +36,21 @@ SETTINGS = Settings(
     ),
     sh_every=4,
     max_gaussians=CAPACITY,
-    density=Density(start=1, stop=6, every=2, gradient=1e-6, reset_every=5, reset_opacity=0.7, min_opacity=0.01),
+    density=Density(start=1, stop=6, every=2, gradient=1e-6, reset_every=5, min_opacity=0.01),
 )
 OPTIMIZER = make_optimizer(Rates(), EXTENT, 11)
 
 
 def start():
     return initial_state(cloud(ALIVE, capacity=CAPACITY, seed=1), OPTIMIZER)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def high_reset():
+    """Opacities are reset to what leaves some of these few steps' Gaussians above the cull."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(adaptive, "RESET_OPACITY", 0.7)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ SETTINGS = Settings(
         ),
     ),
     rates=Rates(decay_steps=3000, final_share=0.2),
-    density=Density(start=50, stop=900, every=50, reset_every=0, prune_large_after=200),
+    density=Density(start=50, stop=900, every=50, reset_every=0),
     logging=Logging(50, 0, 250),
     sh_every=150,
 )
@@ -78,7 +78,7 @@ def test_everything_comes_after_as_many_photos_and_rates_grow_with_the_root():
     assert [phase.steps for phase in larger.phases] == [125, 76]
     assert larger.steps == larger.record()["steps"] == 201
     assert (larger.sh_every, larger.rates.decay_steps) == (38, 750)
-    assert larger.density == Density(start=13, stop=225, every=13, reset_every=0, prune_large_after=50)
+    assert larger.density == Density(start=13, stop=225, every=13, reset_every=0)
     assert larger.logging == Logging(13, 0, 63)
     assert larger.rates.final_share == 0.2
     for name in ("means", "means_final", "sh_dc", "sh_rest", "opacities", "scales", "quats"):

@@ -204,8 +204,6 @@ def test_densification_is_due_between_its_bounds():
     [
         ({}, 41),  # after the first reset, as in 3DGS
         ({"reset_every": 0}, 17),  # without resets: past a fifth of the 80 steps
-        ({"prune_large_after": 70}, 71),
-        ({"prune_large_after": 0, "reset_every": 0}, 1),
     ],
 )
 def test_size_prunes_from_a_step_on_also_where_opacities_are_never_reset(settings, first):
