@@ -72,7 +72,7 @@ def test_published_figures_are_those_that_the_paper_prints(scripts, shared):
 
 
 def test_the_methods_that_the_paper_compares_with(scripts):
-    paper_run, terms = scripts("paper_run"), scripts("terms").TERMS
+    paper_run, terms = scripts("paper_run"), scripts("terms").make_terms(lambda: 1.0)
     plain, sugar = (paper_run.asked("room", name, 0, [], []) for name in ("3dgs_30k", "sugar"))
     assert plain["refinement"] is None and sugar["refinement"]["steps"] == 15_000
     phases = [plan(config.parse(Settings, each["settings"]), terms).phases[-1] for each in (plain, sugar)]
@@ -283,7 +283,7 @@ def test_a_run_that_begins_in_another_keeps_its_gaussians(scripts, monkeypatch, 
 
 
 def test_a_run_begins_in_the_one_that_saves_it_most_steps(scripts, tmp_path):
-    settings_of, terms = scripts("paper.scenes").settings_of, scripts("terms").TERMS
+    settings_of, terms = scripts("paper.scenes").settings_of, scripts("terms").make_terms(lambda: 1.0)
 
     def trained(name, schedule, steps, *assignments, seed=0, status="done"):
         run, settings = tmp_path / name, settings_of("room", schedule, seed, assignments)
