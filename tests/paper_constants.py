@@ -26,7 +26,7 @@ from gsjax.measures import images
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.pipeline import training_journal
-from gsjax.runs.photography import Photography
+from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.scene import Pixels, Scene, frame_of
 from gsjax.settings import PRESETS, REFINED_BY, Density, Rates, Settings
 from gsjax.training import initialize
@@ -154,7 +154,7 @@ def scored_while_training() -> list[str]:
     journal = object.__new__(training_journal.TrainingJournal)
     journal.plan = SimpleNamespace(background=None, depth_mode="plane")
     journal.scene = Scene(Path(), "colmap", frames, np.zeros((1, 3)), np.zeros((1, 3), np.uint8))
-    journal.chosen = SimpleNamespace(photography=lambda _: Photography())
+    journal.chosen = SimpleNamespace(photography=lambda _: PhotoEffects())
     with mock.patch.object(training_journal, "score_images", return_value={"psnr": 1.0}) as score:
         assert journal._held_out(SimpleNamespace(gaussians=None, effects=())) == {"held_out_psnr": 1.0}
     return [frame.name for frame in score.call_args.args[1]]

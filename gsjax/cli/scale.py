@@ -20,14 +20,14 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         """,
         example="gsjax scale scenes/garden --between 0001.jpg 310 722 0001.jpg 840 715 --is 1.25m",
     )
-    spots = ("PHOTO", "X", "Y", "PHOTO", "X", "Y")
+    pixels = ("PHOTO", "X", "Y", "PHOTO", "X", "Y")
     parser.add_argument("source", metavar="SCENE_OR_RUN", help="folder of a data set, or that `gsjax train` made")
     parser.add_argument(
         "--between",
         nargs=6,
-        metavar=spots,
+        metavar=pixels,
         required=True,
-        help="two spots: a photo, and a pixel in it from its corner",
+        help="two pixels: a photo, and a pixel in it from its corner",
     )
     parser.add_argument(
         "--is", dest="metres", type=metres, metavar="LENGTH", help="their real distance: 1.25m, 80cm, 12mm, 3ft, 5in"
@@ -37,12 +37,12 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import pipeline, tables
     from gsjax.errors import InputError
-    from gsjax.runs.spots import Spot
+    from gsjax.runs.pixel_to_point import Pixel
 
-    texts, spots = arguments.between, []
+    texts, pixels = arguments.between, []
     for photo, x, y in (texts[:3], texts[3:]):
         try:
-            spots.append(Spot(photo, finite(x), finite(y)))
+            pixels.append(Pixel(photo, finite(x), finite(y)))
         except argparse.ArgumentTypeError:
             raise InputError(f"--between: {photo} {x} {y} is not a photo and a pixel") from None
-    print(tables.record(pipeline.scale(arguments.source, spots, arguments.metres)))
+    print(tables.record(pipeline.scale(arguments.source, pixels, arguments.metres)))

@@ -141,13 +141,13 @@ def _train(arguments: argparse.Namespace, address: dict[str, Any]) -> dict[str, 
 def _scene(arguments: argparse.Namespace) -> str:
     """The data set: as given, or that of the run to resume, which is recorded where it was moved to."""
     if arguments.scene_folder is not None:
-        from gsjax.runs import is_begun
-        from gsjax.runs.moving import move_scene
+        from gsjax.runs import is_run
+        from gsjax.runs.relocation import relocate_scene
 
         if not arguments.resume:
             raise InputError("--scene: is the new place of a run's data set, and goes with --resume")
-        if is_begun(arguments.out):
-            move_scene(arguments.out, arguments.scene_folder)
+        if is_run(arguments.out):
+            relocate_scene(arguments.out, arguments.scene_folder)
         return arguments.scene_folder
     if arguments.scene is not None:
         return arguments.scene

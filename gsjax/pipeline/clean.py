@@ -21,7 +21,7 @@ from gsjax.io.temporaries import sweep_beside
 from gsjax.meshing.boxes import given_numbers
 from gsjax.rendering import gallery
 from gsjax.report.panels import draw_panels
-from gsjax.runs.folder import is_begun
+from gsjax.runs.folder import is_run
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result
 
@@ -82,7 +82,7 @@ def clean(
         _check_numbers(box, sphere)
         sweep_beside(out)
         whole = load_gaussians(source)
-        result = open_result(source, scene=scene) if is_begun(source) or scene is not None else None
+        result = open_result(source, scene=scene) if is_run(source) or scene is not None else None
         kinds = _judged(whole, result)
         kinds["cropped"] = _outside(whole, result, source, crop_to_cameras, box, sphere) & ~np.any(
             list(kinds.values()), 0
@@ -141,7 +141,7 @@ def _file_of(source: Path) -> Path:
 
 def _kept_alone(file: Path) -> AbstractContextManager[None]:
     """Keeps the run that a file is of for this process; any other file needs no such care."""
-    return lock_folder(file.parent) if is_begun(file.parent) else nullcontext()
+    return lock_folder(file.parent) if is_run(file.parent) else nullcontext()
 
 
 def _beside(file: Path) -> Path:

@@ -14,7 +14,7 @@ from gsjax.io.scenes import load_scene
 from gsjax.planning.effects import diagnose_scene
 from gsjax.planning.sparse_views import FAR_APART, FEW, FEWEST, SHORTEST, angle_between_photos, is_tried
 from gsjax.report.drawing import new_figure
-from gsjax.runs.normal_gate import judge_folder
+from gsjax.runs.normal_filter import score_folder
 from gsjax.runs.outputs import require_apart
 from gsjax.scene import Scene
 
@@ -36,7 +36,7 @@ def diagnose(
         `effects`: by name `on`, `evidence` (None: no means to judge), `unit`, `noise`, `threshold`, `note`;
         `photos`: `name`, `gains` (EV in red, green, blue against the mean photo, or None), `sharpness`,
         `pose_step_px` (or None), `sky` (share of its pixels);
-        `normals`: by folder of maps that `gsjax normals` made there, see `gsjax.runs.normal_gate.record`;
+        `normals`: by folder of maps that `gsjax normals` made there, see `gsjax.runs.normal_filter.record`;
         `apart`: see `apart`.
 
     Raises:
@@ -50,7 +50,7 @@ def diagnose(
     found = diagnose_scene(loaded)
     folders = sorted(path.parent for path in Path(scene).glob(f"*/{normal_folders.MANIFEST}"))
     record = found.record() | {
-        "normals": {folder.name: judge_folder(folder, loaded) for folder in folders},
+        "normals": {folder.name: score_folder(folder, loaded) for folder in folders},
         "apart": apart(loaded),
     }
     if json is not None:

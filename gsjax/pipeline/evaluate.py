@@ -20,7 +20,7 @@ from gsjax.networks.lpips import STANDARD, lpips_measures
 from gsjax.pipeline.mesh import mesh as extract
 from gsjax.place import Place
 from gsjax.planning.effects import appearances_of_tracks
-from gsjax.runs.photography import Photography
+from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.runs.run import Run
 from gsjax.scene import Frame, Truth
@@ -68,34 +68,39 @@ def evaluate(
     """
     run, measures = Path(run), lpips_measures(lpips)
     result, folder = open_result(run), Run.open(run)
-    background, found = folder.settings["background"], folder.photography
+    background, found = folder.settings["background"], folder.photo_effects
     scene = scene_of_run(run, scene=scene_folder)
     similarity = scene.similarity
     zoomed = {  # Refused before hours of scoring.
         zoom: scene_of_run(run, zoom=zoom, scene=scene_folder).held_out_frames for zoom in zooms
     }
     given = None if mesh is None else similarity.mesh_to_local(read_mesh(mesh))
-    if three_ways and not found.looks:
-        found = found._replace(looks=appearances_of_tracks(scene))
+    if three_ways and not found.appearances:
+        found = found._replace(appearances=appearances_of_tracks(scene))
     figures = score_images(
         result.gaussians,
         scene.held_out_frames,
         background,
         measures=measures,
-        found=found.with_near(scene.frames),
+        found=found.with_near_appearances(scene.frames),
         align=aligned_camera if aligned or found.moves else None,
         depth_mode=result.depth_mode,  # as the surface is read: one program draws both
     )
     figures.setdefault(STANDARD, None)
     for zoom, frames in zoomed.items():
-        plain = Photography(background=found.background)
+        plain = PhotoEffects(background=found.background)
         scores = score_images(result.gaussians, frames, background, found=plain)
         figures |= {f"{name}_zoom_{zoom:g}": scores[name] for name in ("psnr", "ssim")}
     if given is not None:
         textured = read_textured(mesh)
         shading = vertex_colors if textured is None else texture_colors(textured)
         figures |= score_appearance(
-            given, shading, result.gaussians, scene.held_out_frames, background, found.with_near(scene.frames)
+            given,
+            shading,
+            result.gaussians,
+            scene.held_out_frames,
+            background,
+            found.with_near_appearances(scene.frames),
         )
     figures |= {
         "gaussians": result.gaussians.num_gaussians,

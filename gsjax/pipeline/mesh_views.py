@@ -17,7 +17,7 @@ from gsjax.normals.from_depth import chosen_reduction, smoothed_depth_normals
 from gsjax.rendering.floaters import are_floaters
 from gsjax.rendering.gallery import Picture
 from gsjax.rendering.shown_depths import ShownDepth, coarse_depth
-from gsjax.runs.prior import VIEWS_FOR_NOISE
+from gsjax.runs.normal_source import VIEWS_FOR_NOISE
 from gsjax.runs.result import Result, training_pictures
 from gsjax.scene import Scene
 from gsjax.stereo import depths_of_photos

@@ -37,9 +37,9 @@ from gsjax.planning.memory import keep_photos, plain_bytes
 from gsjax.report.page import report
 from gsjax.report.shown_views import picture_keeper
 from gsjax.runs.compilations import make_room
-from gsjax.runs.journal import Journal, beginning
-from gsjax.runs.moving import move_scene
-from gsjax.runs.photography import Photography, write_photography
+from gsjax.runs.journal import Journal, starting_point
+from gsjax.runs.photo_effects import PhotoEffects, write_photo_effects
+from gsjax.runs.relocation import relocate_scene
 from gsjax.runs.result import DEPTH_OF_DISCS, QUIET, Result, open_result, scene_of_run, write_views
 from gsjax.runs.run import Run
 from gsjax.runs.splits import split_of
@@ -89,14 +89,14 @@ def refine(
     make_room()
     run = Path(run)
     trained = Run.open(run)
-    resume = resume and runs.is_to_resume(out)
+    resume = resume and runs.can_resume(out)
     if not resume:
         runs.require_free(out)
     source = run / "mesh.ply" if mesh is None else Path(mesh)
     if mesh is None and not source.exists():
         raise InputError(f"{source}: no such mesh; `gsjax mesh {run} --out {source}` makes it, or name one with --mesh")
     if resume and scene_folder is not None:
-        move_scene(out, scene_folder)
+        relocate_scene(out, scene_folder)
     scene = scene_of_run(run, scene=scene_folder)
     result = open_result(run) if settings.keep_free else None
     given = scene.similarity.mesh_to_local(read_mesh(source))
@@ -108,10 +108,10 @@ def refine(
     # Held-out photos are read when they are scored, one by one.
     scene = replace(scene, frames=tuple(frame if frame.held_out else kept(frame, keep) for frame in scene.frames))
     # The Gaussians and the mesh are those of the mean photo: what each camera did is taken off its photo.
-    found = trained.photography
+    found = trained.photo_effects
     frames = scene.train_frames
-    if found.looks:
-        frames = tuple(kept(without_appearance(frame, found.looks[frame.name]), keep) for frame in frames)
+    if found.appearances:
+        frames = tuple(kept(without_appearance(frame, found.appearances[frame.name]), keep) for frame in frames)
     data, size = read_targets(frames, keep=keep), extent(frames)
     if taken_out["decimated"] and settings.halved_share:
         coarse = halved_where_seen(coarse, data, settings.faces)
@@ -162,7 +162,7 @@ def refine(
     with runs.claim_run(folder):
         if resume:  # An earlier version left none.
             json_files.write(folder / "plan.json", _plan(settings, trained))
-        state, capacity, seconds = beginning(folder, initial)
+        state, capacity, seconds = starting_point(folder, initial)
         with _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
             state = refining.refine(
                 settings,
@@ -245,7 +245,7 @@ def _finish(
     folder: Path,
     scene: Scene,
     background: str,
-    found: Photography,
+    found: PhotoEffects,
     hybrid: Hybrid,
     summary: dict[str, Any],
 ) -> dict[str, Any]:
@@ -255,13 +255,13 @@ def _finish(
     world = scene.similarity.gaussians_to_world(gaussians)
     write_gaussians(folder / "gaussians.ply", world, scene.place, cameras=scene.camera_centers)
     write_views(folder, scene.frames)
-    write_photography(folder, found)
+    write_photo_effects(folder, found)
     summary = {
         **score_images(
             gaussians,
             scene.held_out_frames,
             background,
-            found=found.with_near(scene.frames),
+            found=found.with_near_appearances(scene.frames),
             align=align if found.moves else None,
             depth_mode=DEPTH_OF_DISCS,
             observe=picture_keeper(folder),

@@ -10,16 +10,16 @@ from gsjax.errors import InputError
 from gsjax.io.place_files import write_place
 from gsjax.io.scenes import load_scene
 from gsjax.place import LARGEST, Place, turn_upright, up_of_cameras
-from gsjax.runs.folder import is_begun
-from gsjax.runs.rescaling import stretch_run
+from gsjax.runs.folder import is_run
+from gsjax.runs.pixel_to_point import Pixel, points_of_run, points_of_scene
+from gsjax.runs.rescaling import rescale_run
 from gsjax.runs.run import Run
-from gsjax.runs.spots import Spot, points_of_run, points_of_scene
 from gsjax.scene import Scene
 
 SAME = 1e-5  # relative: a distance that is measured again, in float32
 
 
-def scale(source: str | Path, between: Sequence[Spot], metres: float | None = None) -> dict[str, Any]:
+def scale(source: str | Path, between: Sequence[Pixel], metres: float | None = None) -> dict[str, Any]:
     """Measure between two points of the surface, and make their distance a known one.
 
     In a data set a point is as far away as the triangulated point that the photo shows nearest to its pixel; in a run,
@@ -29,7 +29,7 @@ def scale(source: str | Path, between: Sequence[Spot], metres: float | None = No
 
     Args:
         source: Folder of a data set, or of a finished run.
-        between: Two spots, in one photo or in two.
+        between: Two pixels, in one photo or in two.
         metres: What their distance really is. None: it is only measured.
 
     Returns:
@@ -43,7 +43,7 @@ def scale(source: str | Path, between: Sequence[Spot], metres: float | None = No
     first, second = between
     if metres is not None and not 1 / LARGEST < metres < LARGEST:
         raise InputError(f"--is: {metres:g} m is no length of a scene")
-    scene = None if is_begun(source) else load_scene(source)
+    scene = None if is_run(source) else load_scene(source)
     point_at, place = (
         (points_of_run(source), Run.open(source).place) if scene is None else (points_of_scene(scene), scene.place)
     )
@@ -56,7 +56,7 @@ def scale(source: str | Path, between: Sequence[Spot], metres: float | None = No
     factor = metres / distance
     scaled = place.stretched(factor, f"{metres:g} m between {first} and {second}")
     if scene is None:
-        stretch_run(source, factor, scaled)
+        rescale_run(source, factor, scaled)
     else:
         write_place(source, _upright(scaled, scene))
     return report | {"factor": factor}

@@ -37,9 +37,9 @@ from gsjax.planning.start import first_state, with_given_points, with_stereo_poi
 from gsjax.report.page import report
 from gsjax.report.shown_views import keep_skies, picture_keeper
 from gsjax.runs.compilations import make_room
-from gsjax.runs.journal import beginning
-from gsjax.runs.photography import moves_line, with_moved_cameras, write_photography
-from gsjax.runs.prior import RunPrior, note_normals
+from gsjax.runs.journal import starting_point
+from gsjax.runs.normal_source import NormalSource, note_normals
+from gsjax.runs.photo_effects import moves_line, with_moved_cameras, write_photo_effects
 from gsjax.runs.processes import from_first, is_first, own_folder
 from gsjax.runs.result import write_views
 from gsjax.runs.run import Run
@@ -102,7 +102,7 @@ def train(
     with own_folder(out) as folder:
         if not resume:
             runs.require_free(folder)
-        known = Run.open(folder).plan if resume and is_first() and runs.is_to_resume(folder) else None
+        known = Run.open(folder).plan if resume and is_first() and runs.can_resume(folder) else None
         if known:
             runs.require_scene(folder, scene)
         planned = _planned(scene, settings, terms, count_devices(devices), known)
@@ -188,7 +188,7 @@ def _train(
     size = training_extent(loaded)
     tell = partial(note_normals, out)
     how = settings.depth_mode, settings.normal_gate
-    prior = RunPrior(out, planned.normals, settings.normal_axes, frames, *how, keep=fitted.keep, tell=tell)
+    normal_source = NormalSource(out, planned.normals, settings.normal_axes, frames, *how, keep=fitted.keep, tell=tell)
     measured, started = measured_depth(loaded, settings), with_given_points(loaded, settings)
     if measured is not None:
         print(f"train: depth {measured.line}", file=sys.stderr)
@@ -242,7 +242,7 @@ def _train(
         if chosen.evidence:
             runs.update_manifest(run, effects=chosen.evidence)
         initial = partial(first_state, started, sized, optimizer, chosen.effects, skies=chosen.skies)
-        state, capacity, seconds = beginning(run, initial, earlier, in_common)
+        state, capacity, seconds = starting_point(run, initial, earlier, in_common)
         if earlier is not None:
             take_normals(earlier, run, planned, int(state.step))
         state = spread.deal(_of_first(state, initial))
@@ -256,7 +256,9 @@ def _train(
 
             def normals(state: TrainState) -> list[np.ndarray]:
                 state = whole(state)
-                maps = prior(state.gaussians, with_moved_cameras(frames, chosen.photography(state.effects).moves))
+                maps = normal_source(
+                    state.gaussians, with_moved_cameras(frames, chosen.photo_effects(state.effects).moves)
+                )
                 return [from_first(each) for each in maps]
 
             # A CPU computes all the while, and has no step's memory to spare.
@@ -276,7 +278,7 @@ def _train(
                 chosen.skies,
                 fitted.keep,
                 looks,
-                partial(prior.shares_compared, frames),
+                partial(normal_source.shares_compared, frames),
             )
             # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.
             capacity = capacity if spread.is_one else None
@@ -314,14 +316,14 @@ def living_gaussians(gaussians: Gaussians) -> Gaussians:
 def _finish(
     run: Path, planned: Plan, scene: Scene, state: TrainState, chosen: ChosenEffects, seconds: float
 ) -> dict[str, Any]:
-    found = chosen.photography(state.effects)
+    found = chosen.photo_effects(state.effects)
     scene = replace(scene, frames=with_moved_cameras(scene.frames, found.moves))
     gaussians = living_gaussians(state.gaussians)
     world = scene.similarity.gaussians_to_world(gaussians)
     write_gaussians(run / "gaussians.ply", world, scene.place, cameras=scene.camera_centers)
     write_views(run, scene.frames, chosen.skies)
     keep_skies(run, scene.frames, chosen.skies)
-    write_photography(run, found)
+    write_photo_effects(run, found)
     if found.moves:
         print(f"train: {(line := moves_line(found.moves, scene.similarity))}", file=sys.stderr)
         runs.update_manifest(run, cameras=line)
@@ -330,7 +332,7 @@ def _finish(
         state.gaussians,
         scene.held_out_frames,
         planned.background,
-        found=found.with_near(scene.frames),
+        found=found.with_near_appearances(scene.frames),
         align=align if found.moves else None,
         depth_mode=planned.depth_mode,
         observe=picture_keeper(run),

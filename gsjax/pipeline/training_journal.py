@@ -9,7 +9,7 @@ from gsjax import runs
 from gsjax.planning.effects import ChosenEffects
 from gsjax.planning.pace import Pace, duration_text, seconds_left
 from gsjax.runs.journal import Journal
-from gsjax.runs.photography import with_moved_cameras
+from gsjax.runs.photo_effects import with_moved_cameras
 from gsjax.scene import Scene
 from gsjax.scoring.images import score_images
 from gsjax.training.growth import adaptive
@@ -73,9 +73,11 @@ class TrainingJournal(Journal):
 
     def _held_out(self, state: TrainState) -> dict[str, float]:
         """PSNR of the views that are held out, of the render as it is and, with effects on light, as photos near it."""
-        planned, found = self.plan, self.chosen.photography(state.effects)
+        planned, found = self.plan, self.chosen.photo_effects(state.effects)
         frames = with_moved_cameras(self.scene.held_out_frames, found.moves)
-        found = found.with_near(self.scene.frames)._replace(looks={})  # the other ways are told at the end
+        found = found.with_near_appearances(self.scene.frames)._replace(
+            appearances={}
+        )  # the other ways are told at the end
         scores = score_images(state.gaussians, frames, planned.background, found=found, depth_mode=planned.depth_mode)
         return {f"held_out_{name}": score for name, score in scores.items() if name.startswith("psnr")}
 

@@ -28,7 +28,7 @@ from gsjax.effects.simulation import Effects, EffectState, learning_rate
 from gsjax.errors import InputError
 from gsjax.planning.effect_validation import PARTS, Validate
 from gsjax.planning.validation import WORTH, Validated
-from gsjax.runs.photography import Photography
+from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.scene import Scene
 from gsjax.settings import AUTO, NONE, SIMULATED, named_effects
 from gsjax.training.plan import Plan
@@ -86,12 +86,12 @@ class ChosenEffects:
         """What the plan is told of, see `gsjax.training.plan.Plan.with_effects`."""
         return (*self.effects, *(("sky",) if self.skies else ()))
 
-    def photography(self, state: EffectState | None) -> Photography:
+    def photo_effects(self, state: EffectState | None) -> PhotoEffects:
         """What the state says of the photos."""
         if state is None or self.begun is None:
-            return Photography()
+            return PhotoEffects()
         behind = state.numbers.get("background")
-        return Photography(
+        return PhotoEffects(
             appearances(self.begun, state),
             moves(self.begun, state),
             None if behind is None else np.asarray(behind),

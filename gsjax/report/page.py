@@ -18,7 +18,7 @@ from gsjax.io.machine import peak_memory, restart_peak_memory
 from gsjax.report import curves, shown_views
 from gsjax.report import facts as run_facts
 from gsjax.report.facts import RunFacts
-from gsjax.runs.photography import Photography, read_photography
+from gsjax.runs.photo_effects import PhotoEffects, read_photo_effects
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.scoring.images import score_images
 
@@ -157,7 +157,7 @@ def _render(run: RunFacts, names: set[str]) -> None:
     result, scene = open_result(run.folder), scene_of_run(run.folder)
     frames = tuple(frame for frame in scene.held_out_frames if frame.name in names)
     background, keep = run.settings["background"], shown_views.picture_keeper(run.folder)
-    found = Photography(background=read_photography(run.folder).background)
+    found = PhotoEffects(background=read_photo_effects(run.folder).background)
     score_images(result.gaussians, frames, background, found=found, depth_mode=result.depth_mode, observe=keep)
 
 

@@ -54,14 +54,14 @@ OF_A_BEGINNING = {"config.json", "plan.json", place_files.FILE, LOCK}
 """What a folder may hold that was to become a run: without a manifest it is none."""
 
 
-def is_begun(run: str | Path) -> bool:
+def is_run(run: str | Path) -> bool:
     """Whether a folder holds a run."""
     return (Path(run) / "manifest.json").is_file()
 
 
 def is_finished(run: str | Path) -> bool:
     """Whether a folder holds a run that came to its end."""
-    return is_begun(run) and json_files.read(Path(run) / "manifest.json", STATUS)["status"] == "done"
+    return is_run(run) and json_files.read(Path(run) / "manifest.json", STATUS)["status"] == "done"
 
 
 def require_free(run: str | Path) -> None:
@@ -71,14 +71,14 @@ def require_free(run: str | Path) -> None:
         raise InputError(f"{run}: this folder is not empty; continue its run with --resume, or choose another")
 
 
-def is_to_resume(run: str | Path) -> bool:
+def can_resume(run: str | Path) -> bool:
     """Whether there is a run to go on with. A line says where one was stopped before it had begun: it begins anew.
 
     Raises:
         InputError: There is no such folder, something else is in it, or another process is at work in it.
     """
     run = Path(run)
-    if is_begun(run):
+    if is_run(run):
         with lock_folder(run):
             return True
     if not run.is_dir():

@@ -66,7 +66,7 @@ class Journal:
         runs.save_checkpoint(self.run, step, _checkpoint(state, capacity, self.seconds))
 
 
-class Beginning(NamedTuple):
+class StartingPoint(NamedTuple):
     """Where a run begins, or goes on."""
 
     state: Any  # a pytree with a field `step`
@@ -74,9 +74,9 @@ class Beginning(NamedTuple):
     seconds: float  # spent so far
 
 
-def beginning(
+def starting_point(
     run: Path, initial: Callable[[int | None], Any], earlier: Path | None = None, in_common: int | None = None
-) -> Beginning:
+) -> StartingPoint:
     """The newest checkpoint of a run folder, or the initial state; metrics of later steps are taken back.
 
     Args:
@@ -90,13 +90,13 @@ def beginning(
         found = runs.latest_checkpoint(earlier, in_common)
         shutil.copyfile(earlier / "metrics.jsonl", run / "metrics.jsonl")
     if found is None:
-        start = Beginning(initial(None), None, 0.0)
+        start = StartingPoint(initial(None), None, 0.0)
     else:
         stored = checkpoints.load(found[1], lambda arrays: _checkpoint(initial(_rows(found[1], arrays)), 0, 0.0))
         state, capacity, seconds = jax.tree.map(jnp.asarray, stored["state"]), stored["capacity"], stored["seconds"]
         if not (0 <= capacity < 2**31 and 0 <= seconds < np.inf and state.step >= 0):
             raise InputError(f"{found[1]}: damaged checkpoint, its step, capacity or seconds are none")
-        start = Beginning(state, int(capacity) or None, float(seconds))
+        start = StartingPoint(state, int(capacity) or None, float(seconds))
     runs.truncate_metrics(run, int(start.state.step))
     return start
 

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from gsjax.errors import InputError
-from gsjax.runs.folder import is_begun
+from gsjax.runs.folder import is_run
 from gsjax.runs.run import Run
 
 OF_RUN = {
@@ -36,7 +36,7 @@ def require_apart(out: str | Path, *inputs: str | Path | None) -> None:
 
 def _read(given: Path) -> list[Path]:
     """An input, and of a run its data set too."""
-    return [given, Path(os.path.realpath(Run(given).manifest["scene"]))] if is_begun(given) else [given]
+    return [given, Path(os.path.realpath(Run(given).manifest["scene"]))] if is_run(given) else [given]
 
 
 def _is_part(out: Path, given: Path) -> bool:
@@ -45,7 +45,7 @@ def _is_part(out: Path, given: Path) -> bool:
     if not given.is_dir() or not out.is_relative_to(given):
         return False
     first, *inner = out.relative_to(given).parts
-    if is_begun(given):
+    if is_run(given):
         return first in (OF_RUN | OF_REFINEMENT if Run(given).is_refinement else OF_RUN)
     is_read = first.startswith("transforms") or out.suffix.lower() in OF_DATA_SET
     return out.is_file() and (bool(inner) or is_read)

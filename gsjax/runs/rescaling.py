@@ -13,14 +13,14 @@ from gsjax.io.locks import lock_folder
 from gsjax.io.ply import write_gaussians
 from gsjax.meshing.export import read_mesh, read_textured, write_mesh, write_textured
 from gsjax.place import Place
-from gsjax.runs.photography import POSES
+from gsjax.runs.photo_effects import POSES
 from gsjax.runs.run import Run
 from gsjax.similarity import Similarity
 
 MESHES = "mesh.ply", "mesh.glb"
 
 
-def stretch_run(folder: Path, factor: float, place: Place) -> None:
+def rescale_run(folder: Path, factor: float, place: Place) -> None:
     """Writes the files of a run with all lengths `factor` times as long, and what that makes of their world.
 
     Checkpoints are in the run's own coordinates, which stay: a resumed run goes on with the same numbers. The files

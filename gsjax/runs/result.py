@@ -27,9 +27,9 @@ from gsjax.place import UNPLACED, Place
 from gsjax.rendering import DepthReading, gallery
 from gsjax.rendering.gallery import Picture
 from gsjax.runs import viewpoints
-from gsjax.runs.moving import moved_images
-from gsjax.runs.photography import with_moved_cameras
+from gsjax.runs.photo_effects import with_moved_cameras
 from gsjax.runs.records import SCENE
+from gsjax.runs.relocation import relocated_images
 from gsjax.runs.run import Run
 from gsjax.runs.splits import with_split
 from gsjax.scene import Frame, Scene, valid_pixels
@@ -107,7 +107,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
     if source.is_dir():
         run = Run(source)
         gaussians = run.similarity.gaussians_to_local(gaussians)
-        settings, learned, records = run.settings, run.photography.background, run.views
+        settings, learned, records = run.settings, run.photo_effects.background, run.views
         check(source / "config.json", settings, {"background": str, "depth_mode": str})
         return Result(
             source,
@@ -204,7 +204,7 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0, scene: str | Path | None = 
         root,
         downscale=downscale,
         folder_masks=run.settings["masks"],
-        images=moved_images(run, root),
+        images=relocated_images(run, root),
         hold_out=NONE,
         similarity=run.similarity,
         place=run.place,
@@ -214,7 +214,7 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0, scene: str | Path | None = 
     frames = tuple(frame for frame in loaded.frames if frame.name not in left_out)
     split = {record["name"]: run.split.get(record["name"], bool(record["held_out"])) for record in run.views}
     loaded = with_split(replace(loaded, frames=frames), split, run=folder)
-    return replace(loaded, frames=with_moved_cameras(loaded.frames, run.photography.moves))
+    return replace(loaded, frames=with_moved_cameras(loaded.frames, run.photo_effects.moves))
 
 
 def frame_camera(frame: Frame) -> Camera:

@@ -12,7 +12,7 @@ from gsjax.io.exchange import settle
 from gsjax.io.json_shapes import check
 from gsjax.io.place_files import read_place
 from gsjax.place import Place
-from gsjax.runs.photography import Photography, read_photography
+from gsjax.runs.photo_effects import PhotoEffects, read_photo_effects
 from gsjax.runs.records import MANIFEST, PLAN, WITHOUT_PLAN, read_views
 from gsjax.runs.splits import Split, parse_split
 from gsjax.settings import PLAIN
@@ -90,9 +90,9 @@ class Run:
         return runs.read_metrics(self.folder)
 
     @cached_property
-    def photography(self) -> Photography:
+    def photo_effects(self) -> PhotoEffects:
         """What it found of how its photos were taken."""
-        return read_photography(self.folder)
+        return read_photo_effects(self.folder)
 
     @cached_property
     def similarity(self) -> Similarity:

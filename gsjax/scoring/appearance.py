@@ -10,7 +10,7 @@ from gsjax.gaussians import Gaussians
 from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import Shading, smooth_pictures
 from gsjax.rendering.gallery import Picture
-from gsjax.runs.photography import Photography
+from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.runs.result import frame_camera
 from gsjax.scene import Frame, Pixels
 from gsjax.scoring.images import color_behind_all, score_images, score_pictures
@@ -19,7 +19,7 @@ COVERED = 1 - 1e-6  # Of a pixel's rays, that must hit the mesh where it is comp
 
 
 def score_appearance(
-    mesh: Mesh, shading: Shading, gaussians: Gaussians, frames: tuple[Frame, ...], background: str, found: Photography
+    mesh: Mesh, shading: Shading, gaussians: Gaussians, frames: tuple[Frame, ...], background: str, found: PhotoEffects
 ) -> dict[str, Any]:
     """Scores over the pixels that the mesh covers as a whole: what it leaves open is told, not scored.
 
@@ -29,11 +29,11 @@ def score_appearance(
         gaussians: Beside which it is set.
         frames: Photos that neither was made from.
         background: Of the Gaussians, as of `gsjax.scoring.images.score_images`.
-        found: As of `score_images`; its `looks`, which see the answer or a photo's own tracks, are left out.
+        found: As of `score_images`; its `appearances`, which see the answer or a photo's own tracks, are left out.
 
     Returns:
         `mesh_psnr` and `mesh_ssim`; `covered_psnr` and `covered_ssim`, of the Gaussians at the same pixels; with
-        `found.near` the same with `_near_gains`. `mesh_covers`, the share of the valid pixels, None where
+        `found.near_appearances` the same with `_near_gains`. `mesh_covers`, the share of the valid pixels, None where
         there are none. Scores are None where no frame shows the mesh; all is empty without frames.
     """
     if not frames:
@@ -43,7 +43,7 @@ def score_appearance(
     covered = [_covered(frame, picture) for frame, picture in pairs]
     seen = tuple(frame for frame, share in covered if share)
     shares = [share for _, share in covered if share is not None]
-    found = found._replace(looks={})
+    found = found._replace(appearances={})
     scores = {
         "mesh": score_pictures(draw, seen, color_behind_all(background, found), found=found),
         "covered": score_images(gaussians, seen, background, found=found),

@@ -18,11 +18,11 @@ from gsjax.measures.images import psnr, ssim
 from gsjax.networks.lpips import Measure
 from gsjax.rendering import DepthReading, gallery
 from gsjax.rendering.gallery import Picture
-from gsjax.runs.photography import Photography
+from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame
 
-NOTHING = Photography()
+NOTHING = PhotoEffects()
 Aligner = Callable[[Camera, np.ndarray, np.ndarray, Draw], Camera]
 """(camera as given, photo `[H, W, 3]` 0..1, `[H, W]` bool pixels that count, what draws) -> where it stood."""
 
@@ -33,7 +33,7 @@ def score_images(
     background: str,
     *,
     measures: Mapping[str, Measure] = MappingProxyType({}),
-    found: Photography = NOTHING,
+    found: PhotoEffects = NOTHING,
     align: Aligner | None = None,
     depth_mode: DepthReading = "plane",
     observe: Callable[[Frame, np.ndarray, Picture], None] = lambda *_: None,
@@ -53,19 +53,19 @@ def score_images(
         observe: Told of every frame, of the photo `[H, W, 3]` that it is compared with, and of its picture.
 
     Returns:
-        `psnr`, `ssim` and `measures`: of the render as it is, the mean photo of the scene; `views`. With `found.near`
-        also `psnr_near_gains`, `ssim_near_gains`: after the fall-off that was learned and the gains of the photos taken
-        near this one, of which nothing is used. With `found.looks` also `psnr_track_gains`, `ssim_track_gains`: with
-        the gains that its own tracks tell; and `psnr_fitted`, `ssim_fitted`: of the render as it is, after the affine
-        map of its colours that fits the photo best, which sees the answer. With `align` each of these also with
-        `_aligned`: from the pose that fits the photo best with the Gaussians as they are, which sees the answer too.
+        `views`, and `psnr`, `ssim` and `measures` of the render as it is, with the exposure of the mean photo. With
+        `found.near_appearances` also `psnr_near_gains`, `ssim_near_gains`: with the learned fall-off and the gains of
+        the photos taken near this one; they use nothing of the photo itself. With `found.appearances` also
+        `psnr_track_gains`, `ssim_track_gains`: with the gains of the photo's own tracks; and `psnr_fitted`,
+        `ssim_fitted`: after the affine colour map that fits the photo best, which uses the photo. With `align` each of
+        them also with `_aligned`: from the pose that fits the photo best, which uses the photo too.
     """
     color = color_behind_all(background, found)
     draw = partial(gallery.pictures, jax.tree.map(jnp.asarray, gaussians), background=color, depth_mode=depth_mode)
     return score_pictures(draw, frames, color, measures=measures, found=found, align=align, observe=observe)
 
 
-def color_behind_all(background: str, found: Photography) -> np.ndarray:
+def color_behind_all(background: str, found: PhotoEffects) -> np.ndarray:
     """What is behind the Gaussians, and behind the mattes of photos that are compared with them."""
     return BACKGROUND_COLORS[background] if found.background is None else found.background
 
@@ -76,7 +76,7 @@ def score_pictures(
     color: np.ndarray,
     *,
     measures: Mapping[str, Measure] = MappingProxyType({}),
-    found: Photography = NOTHING,
+    found: PhotoEffects = NOTHING,
     align: Aligner | None = None,
     observe: Callable[[Frame, np.ndarray, Picture], None] = lambda *_: None,
 ) -> dict[str, Any]:
@@ -91,8 +91,8 @@ def score_pictures(
         align: As of `score_images`.
         observe: As of `score_images`.
     """
-    lights = {"_near_gains": found.near, "_track_gains": found.looks}
-    ways = ("", *(way for way, looks in lights.items() if looks), *(("_fitted",) if found.looks else ()))
+    lights = {"_near_gains": found.near_appearances, "_track_gains": found.appearances}
+    ways = ("", *(way for way, looks in lights.items() if looks), *(("_fitted",) if found.appearances else ()))
     poses = ("", "_aligned") if align else ("",)
     names = [f"{score}{way}{pose}" for pose in poses for way in ways for score in ("psnr", "ssim")]
     scores, masked = [], []
@@ -116,7 +116,7 @@ def score_pictures(
         renders = []
         for each in shown:
             of_way = {"": each.colors, **{way: taken(each).colors for way, taken in lit.items() if way in ways}}
-            if found.looks:
+            if found.appearances:
                 of_way["_fitted"] = np.clip(fit_colors(each.colors, target, valid), 0, 1)
             renders += [of_way[way] for way in ways]
         pair = [np.clip(colors, 0, 1) * valid[..., None] for colors in (picture.colors, target)]

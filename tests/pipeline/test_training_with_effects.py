@@ -11,7 +11,7 @@ from gsjax import config, pipeline, runs
 from gsjax.io import json_files
 from gsjax.io.images import read_image, write_image
 from gsjax.runs.checkpoints import load_arrays
-from gsjax.runs.photography import read_photography
+from gsjax.runs.photo_effects import read_photo_effects
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.scoring.images import score_images
 from gsjax.settings import Settings
@@ -46,11 +46,11 @@ def test_a_run_with_effects_tells_of_them_and_goes_on_to_the_same_bits(run, scen
         {name: summary[name] for name in scores}, abs=1e-3
     )
     # With the looks of its own tracks in place of its neighbours', a photo has the score of those.
-    found, frames = read_photography(whole), scene_of_run(whole).held_out_frames
+    found, frames = read_photo_effects(whole), scene_of_run(whole).held_out_frames
     gaussians = open_result(whole).gaussians
-    same = score_images(gaussians, frames, "white", found=found._replace(near=found.looks))
+    same = score_images(gaussians, frames, "white", found=found._replace(near_appearances=found.appearances))
     assert same["psnr_near_gains"] == same["psnr_track_gains"] == pytest.approx(summary["psnr_track_gains"], abs=1e-3)
-    near = found.with_near(scene_of_run(whole).frames)
+    near = found.with_near_appearances(scene_of_run(whole).frames)
     assert score_images(gaussians, frames, "white", found=near)["psnr_near_gains"] == pytest.approx(
         summary["psnr_near_gains"], abs=1e-3
     )

@@ -22,13 +22,13 @@ from gsjax.io.scenes import load_scene
 from gsjax.meshes import Mesh
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline import scale
+from gsjax.runs.pixel_to_point import Pixel, points_of_scene
 from gsjax.runs.result import open_result, write_views
-from gsjax.runs.spots import Spot, points_of_scene
 from gsjax.scene import Pixels, frame_of
 
 scaling = importlib.import_module("gsjax.pipeline.scale")  # The package's attribute of that name is the function.
 WALL = wall(6, num_points=3000)
-SPOTS = Spot("00.png", 20.0, 30.0), Spot("00.png", 60.0, 30.0)
+SPOTS = Pixel("00.png", 20.0, 30.0), Pixel("00.png", 60.0, 30.0)
 TRUE = 40 * 3 / FOCAL  # of the wall, which is 3 away
 
 
@@ -64,7 +64,7 @@ def test_a_scene_is_measured_along_the_rays_of_its_pixels(scene):
     assert report["distance"] == pytest.approx(TRUE, rel=1e-4)
     assert (report["unit"], report["factor"]) == ("scene unit", None)
     assert not (scene / "place.json").exists()
-    points = [points_of_scene(replace(WALL, root=scene))(Spot(name, 40.0, 40.0)) for name in ("01.png", "02")]
+    points = [points_of_scene(replace(WALL, root=scene))(Pixel(name, 40.0, 40.0)) for name in ("01.png", "02")]
     assert_close(np.stack(points)[:, 2], np.zeros(2), atol=1e-5, rtol=0, why="float32 poses; the wall is z = 0")
 
 
@@ -80,9 +80,9 @@ def test_a_scene_of_a_known_length_is_in_metres_and_upright(scene):
 
 
 def test_a_run_of_a_known_length_has_files_in_metres_and_computes_what_it_did(run):
-    spots = Spot("0.jpg", 2 * 12.0, 2 * 20.0), Spot("0.jpg", 2 * 36.0, 2 * 20.0)  # of photos twice the size
+    pixels = Pixel("0.jpg", 2 * 12.0, 2 * 20.0), Pixel("0.jpg", 2 * 36.0, 2 * 20.0)  # of photos twice the size
     true = 24 * 4 / 30
-    report = scale(run, spots, 2.0)
+    report = scale(run, pixels, 2.0)
     assert report["distance"] == pytest.approx(true, rel=0.02)  # Gaussians have some thickness.
     before, gaussians, factor = plane((0.0, 0.0, -1.0)), load_gaussians(run), report["factor"]
     assert_close(gaussians.means, factor * np.asarray(before.means))
@@ -93,13 +93,13 @@ def test_a_run_of_a_known_length_has_files_in_metres_and_computes_what_it_did(ru
     result = open_result(run)
     assert_close(result.gaussians.means, np.asarray(before.means))
     assert_close(result.cameras[1].viewmat, np.asarray(camera_at((0.3, 0.0, 0.0), (0.3, 0.0, 4.0)).viewmat))
-    again = scale(run, spots)
+    again = scale(run, pixels)
     assert (again["unit"], again["distance"]) == ("metre", pytest.approx(2.0, rel=1e-5))
 
 
 @pytest.mark.parametrize("renamed", range(7))
 def test_the_files_of_a_run_are_all_old_or_all_new_wherever_it_is_stopped(run, renamed, monkeypatch):
-    spots = Spot("0.jpg", 24.0, 40.0), Spot("0.jpg", 72.0, 40.0)
+    pixels = Pixel("0.jpg", 24.0, 40.0), Pixel("0.jpg", 72.0, 40.0)
     replace_file, left = os.replace, [renamed]
 
     def killed(old, new):
@@ -112,36 +112,36 @@ def test_the_files_of_a_run_are_all_old_or_all_new_wherever_it_is_stopped(run, r
     with monkeypatch.context() as patched:
         patched.setattr(os, "replace", killed)
         with suppress(ZeroDivisionError):
-            scale(run, spots, 2.0)
+            scale(run, pixels, 2.0)
     result = open_result(run)
     unit = 1 if renamed == 0 else result.similarity.scale
     assert (unit == 1) == (renamed == 0)  # The first renaming decides.
     assert_close(unit * np.asarray(load_gaussians(run).means), np.asarray(plane((0.0, 0.0, -1.0)).means))
     assert_close(unit * read_mesh(run / "mesh.ply").vertices, np.eye(3, dtype=np.float32))
     before = {file: file.read_bytes() for file in run.iterdir() if file.suffix}
-    again = scale(run, spots, 2.0)
+    again = scale(run, pixels, 2.0)
     assert (again["factor"] is None) == (unit != 1)
     assert unit == 1 or before == {file: file.read_bytes() for file in before}
 
 
 @pytest.mark.parametrize(
-    ("spot", "told"),
+    ("pixel", "told"),
     [
-        (Spot("7.jpg", 1.0, 1.0), "has no photo 7.jpg; one is called 0.jpg"),
-        (Spot("0.jpg", 96.5, 1.0), "0.jpg 96.5 1: lies outside the photo, which is 96x80"),
-        (Spot("0.jpg", 48.0, 40.0), "show one point"),
+        (Pixel("7.jpg", 1.0, 1.0), "has no photo 7.jpg; one is called 0.jpg"),
+        (Pixel("0.jpg", 96.5, 1.0), "0.jpg 96.5 1: lies outside the photo, which is 96x80"),
+        (Pixel("0.jpg", 48.0, 40.0), "show one point"),
     ],
 )
-def test_what_cannot_be_measured_in_a_run_is_one_line_and_changes_nothing(run, spot, told):
+def test_what_cannot_be_measured_in_a_run_is_one_line_and_changes_nothing(run, pixel, told):
     before = {file: file.read_bytes() for file in run.rglob("*") if file.is_file()}
     with pytest.raises(InputError, match=told):
-        scale(run, (Spot("0.jpg", 48.0, 40.0), spot), 1.0)
+        scale(run, (Pixel("0.jpg", 48.0, 40.0), pixel), 1.0)
     assert before == {file: file.read_bytes() for file in before}
 
 
 def test_where_the_run_shows_nothing_there_is_no_length(run):
     with pytest.raises(InputError, match="0.jpg 0.2 40: the run shows no surface there"):
-        scale(run, (Spot("0.jpg", 48.0, 40.0), Spot("0.jpg", 0.2, 40.0)))
+        scale(run, (Pixel("0.jpg", 48.0, 40.0), Pixel("0.jpg", 0.2, 40.0)))
 
 
 def test_where_nothing_was_triangulated_there_is_no_length(scene, monkeypatch):

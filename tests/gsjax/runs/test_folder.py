@@ -120,24 +120,24 @@ for kind in kinds:
         run = tmp_path / f"{kind}_{count}"
         assert int(code) == (7 if int(count) >= writes[kind] else 9)
         if code == "9":
-            assert not runs.is_begun(run)
-            assert kind == "absent" and not run.exists() or not runs.is_to_resume(run)
+            assert not runs.is_run(run)
+            assert kind == "absent" and not run.exists() or not runs.can_resume(run)
             runs.create(run, {"seed": 3}, scene="scene", seed=3, plan={})
         assert wanted <= set(os.listdir(run)) and json_files.read(run / "config.json") == {"seed": 3}
     assert not [name for name in os.listdir(tmp_path) if name.startswith(".")], "the next has swept"
 
 
 def test_what_is_to_be_resumed_is_a_run(run, tmp_path, capsys):
-    assert runs.is_to_resume(run)
+    assert runs.can_resume(run)
     with pytest.raises(InputError, match="absent: there is no run to resume; without --resume one begins"):
-        runs.is_to_resume(tmp_path / "absent")
+        runs.can_resume(tmp_path / "absent")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/notes.txt").write_text("kept")
     with pytest.raises(InputError, match=r"mine: holds no manifest\.json; it is no run folder"):
-        runs.is_to_resume(tmp_path / "mine")
+        runs.can_resume(tmp_path / "mine")
     (tmp_path / "killed/checkpoints").mkdir(parents=True)
     (tmp_path / "killed/config.json").write_text("{}")  # as versions before this one were killed
-    assert not runs.is_to_resume(tmp_path / "killed")
+    assert not runs.can_resume(tmp_path / "killed")
     assert capsys.readouterr().err.endswith("killed: a run was stopped as it began here; it begins anew\n")
     assert runs.create(tmp_path / "killed", SETTINGS, scene="scene", seed=3)
 
@@ -146,7 +146,7 @@ def test_a_run_may_be_a_link(tmp_path):
     link = tmp_path / "link"
     link.symlink_to(tmp_path / "disk/run")
     assert runs.create(link, SETTINGS, scene="scene", seed=3) == link
-    assert link.is_symlink() and runs.is_begun(tmp_path / "disk/run")
+    assert link.is_symlink() and runs.is_run(tmp_path / "disk/run")
     with pytest.raises(InputError, match="no room"), runs.claim_run(link):
         raise InputError("the device has no room")
     assert link.is_symlink() and os.listdir(link) == []
@@ -160,10 +160,10 @@ def test_two_processes_do_not_work_in_one_folder(run):
     )
     child = subprocess.Popen([sys.executable, "-c", holding, str(run)], stdout=subprocess.PIPE)
     child.stdout.readline()
-    for attempt in (lambda: runs.claim_run(run).__enter__(), lambda: runs.is_to_resume(run)):
+    for attempt in (lambda: runs.claim_run(run).__enter__(), lambda: runs.can_resume(run)):
         with pytest.raises(InputError, match="run: another process is at work in this folder"):
             attempt()
-    assert runs.is_begun(run), "its files are the other's"
+    assert runs.is_run(run), "its files are the other's"
     child.kill()
     child.wait()
     child.stdout.close()
@@ -186,7 +186,7 @@ def test_a_damaged_newest_checkpoint_gives_way_to_the_one_before(run, capsys):
     told = "step_0000005.npz: .*without this file, --resume begins at"
     with pytest.raises(InputError, match=told), runs.claim_run(run):
         pass
-    assert only.exists() and runs.is_begun(run)
+    assert only.exists() and runs.is_run(run)
 
 
 def test_files_of_others_stay_where_a_run_comes_to_nothing(run):

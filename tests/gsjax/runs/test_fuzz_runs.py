@@ -20,8 +20,8 @@ from gsjax.networks.records import NETWORKS
 from gsjax.pipeline.normals import read_network
 from gsjax.report.page import report
 from gsjax.runs import checkpoints
-from gsjax.runs.journal import beginning
-from gsjax.runs.photography import read_photography
+from gsjax.runs.journal import starting_point
+from gsjax.runs.photo_effects import read_photo_effects
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.settings import PRESETS, Settings
 
@@ -88,7 +88,7 @@ def test_fuzz_the_files_of_a_run(whole, tmp_path, name):
         lines = text.splitlines(keepends=True) if name.endswith("l") else [text]
         lines[0] = damaged_json(json.loads(lines[0]), random) + b"\n"
         (run / name).write_bytes(b"".join(lines))
-        for using in (read_photography, open_result, scene_of_run, runs.read_metrics):
+        for using in (read_photo_effects, open_result, scene_of_run, runs.read_metrics):
             read(using)
         report(run)
 
@@ -106,7 +106,7 @@ def test_fuzz_checkpoints(tmp_path):
 
     def attempt(random):
         path.write_bytes(damaged(whole, random))
-        begun = beginning(tmp_path, lambda rows: State(cloud(rows or 20), np.int32(0)))
+        begun = starting_point(tmp_path, lambda rows: State(cloud(rows or 20), np.int32(0)))
         assert begun.state.gaussians.means.shape == (20, 3)
 
     assert all(fuzz(attempt, usual=150))
@@ -143,4 +143,4 @@ def test_a_checkpoint_of_no_time_is_damaged(tmp_path, seconds):
     stored = {"state": State(cloud(20), np.int32(5)), "rows": np.int64(20), "capacity": np.int64(9)}
     checkpoints.save(tmp_path / "checkpoints" / "step_0000005.npz", stored | {"seconds": np.float64(seconds)})
     with pytest.raises(InputError, match=r"step_0000005.npz: damaged checkpoint, its step, capacity or seconds are"):
-        beginning(tmp_path, lambda rows: State(cloud(rows or 20), np.int32(0)))
+        starting_point(tmp_path, lambda rows: State(cloud(rows or 20), np.int32(0)))

@@ -7,7 +7,7 @@ from gsjax.effects.appearance import Appearance
 from gsjax.gaussians import Gaussians
 from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import vertex_colors
-from gsjax.runs.photography import Photography
+from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.scene import Pixels, frame_of
 from gsjax.scoring.appearance import score_appearance
 
@@ -46,7 +46,7 @@ def decibels(difference: float) -> float:
 
 
 def test_both_are_scored_at_the_pixels_that_the_mesh_covers(nothing):
-    scores = score_appearance(square(2.0), vertex_colors, nothing, (photo(),), "black", Photography())
+    scores = score_appearance(square(2.0), vertex_colors, nothing, (photo(),), "black", PhotoEffects())
     shown = round(0.5 * 255) / 255
     assert scores["mesh_psnr"] == pytest.approx(decibels(GREY / 255 - shown), abs=1e-3)
     assert scores["covered_psnr"] == pytest.approx(decibels(shown), abs=1e-3), "black where there are no Gaussians"
@@ -58,7 +58,7 @@ def test_what_is_masked_in_a_photo_is_neither_covered_nor_left_open(nothing):
     valid = np.zeros((HEIGHT, WIDTH), np.uint8)
     valid[:, : WIDTH // 2] = 255
     frame = photo(valid=valid)
-    scores = score_appearance(square(2.0), vertex_colors, nothing, (frame,), "black", Photography())
+    scores = score_appearance(square(2.0), vertex_colors, nothing, (frame,), "black", PhotoEffects())
     assert scores["mesh_covers"] == pytest.approx(12 * 20 / (HEIGHT * WIDTH / 2))
     assert scores["mesh_psnr"] == pytest.approx(decibels(GREY / 255 - round(0.5 * 255) / 255), abs=1e-3)
 
@@ -66,7 +66,7 @@ def test_what_is_masked_in_a_photo_is_neither_covered_nor_left_open(nothing):
 def test_a_matte_has_the_same_background_for_both(nothing):
     image, matte = np.full((HEIGHT, WIDTH, 3), 51, np.uint8), np.full((HEIGHT, WIDTH), 102, np.uint8)
     frame = frame_of("held.png", np.eye(4, dtype=np.float32), K, Pixels(image, matte=matte), held_out=True)
-    scores = score_appearance(square(2.0), vertex_colors, nothing, (frame,), "white", Photography())
+    scores = score_appearance(square(2.0), vertex_colors, nothing, (frame,), "white", PhotoEffects())
     shown = 0.2 * 0.4 + 0.6
     assert scores["mesh_psnr"] == pytest.approx(decibels(GREY / 255 - shown), abs=1e-3)
     assert scores["covered_psnr"] == pytest.approx(decibels(1 - shown), abs=1e-3)
@@ -75,7 +75,12 @@ def test_a_matte_has_the_same_background_for_both(nothing):
 def test_a_photo_is_compared_as_those_near_it_are_exposed(nothing):
     near = {"held.png": Appearance(log_gains=(np.log(0.5),) * 3, falloff=(0.0, 0.0))}
     scores = score_appearance(
-        square(2.0), vertex_colors, nothing, (photo(level=0.3),), "black", Photography(near=near, looks=near)
+        square(2.0),
+        vertex_colors,
+        nothing,
+        (photo(level=0.3),),
+        "black",
+        PhotoEffects(near_appearances=near, appearances=near),
     )
     names = {
         f"{of}_{score}{way}" for of in ("mesh", "covered") for score in ("psnr", "ssim") for way in ("", "_near_gains")
@@ -88,18 +93,18 @@ def test_photos_that_do_not_show_the_mesh_say_nothing(nothing):
     away = photo("away.png")
     turned = np.diag(np.float32([-1, 1, -1, 1]))
     away = frame_of("away.png", turned, K, away.pixels(), held_out=True)
-    both = score_appearance(square(2.0), vertex_colors, nothing, (photo(), away), "black", Photography())
-    one = score_appearance(square(2.0), vertex_colors, nothing, (photo(),), "black", Photography())
+    both = score_appearance(square(2.0), vertex_colors, nothing, (photo(), away), "black", PhotoEffects())
+    one = score_appearance(square(2.0), vertex_colors, nothing, (photo(),), "black", PhotoEffects())
     assert both == {**one, "mesh_covers": pytest.approx(one["mesh_covers"] / 2)}
-    none = score_appearance(square(2.0), vertex_colors, nothing, (away,), "black", Photography())
+    none = score_appearance(square(2.0), vertex_colors, nothing, (away,), "black", PhotoEffects())
     assert none == {**dict.fromkeys(("mesh_psnr", "mesh_ssim", "covered_psnr", "covered_ssim")), "mesh_covers": 0}
-    assert score_appearance(square(2.0), vertex_colors, nothing, (), "black", Photography()) == {}
+    assert score_appearance(square(2.0), vertex_colors, nothing, (), "black", PhotoEffects()) == {}
 
 
 def test_a_photo_without_a_valid_pixel_has_no_share_that_a_mesh_could_cover(nothing):
     hidden = photo("hidden.png", valid=np.zeros((HEIGHT, WIDTH), np.uint8))
-    both = score_appearance(square(2.0), vertex_colors, nothing, (photo(), hidden), "black", Photography())
-    one = score_appearance(square(2.0), vertex_colors, nothing, (photo(),), "black", Photography())
+    both = score_appearance(square(2.0), vertex_colors, nothing, (photo(), hidden), "black", PhotoEffects())
+    one = score_appearance(square(2.0), vertex_colors, nothing, (photo(),), "black", PhotoEffects())
     assert both == one
-    none = score_appearance(square(2.0), vertex_colors, nothing, (hidden,), "black", Photography())
+    none = score_appearance(square(2.0), vertex_colors, nothing, (hidden,), "black", PhotoEffects())
     assert set(none.values()) == {None}

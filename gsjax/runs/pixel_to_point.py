@@ -17,7 +17,7 @@ from gsjax.similarity import Similarity
 NEAR = 0.04  # of a photo's longer side: a triangulated point farther from a pixel does not tell its depth
 
 
-class Spot(NamedTuple):
+class Pixel(NamedTuple):
     """A pixel of a photo."""
 
     photo: str  # its name in the data set; its file's name, or that without ending, where one photo alone has it
@@ -28,8 +28,8 @@ class Spot(NamedTuple):
         return f"{self.photo} {self.x:g} {self.y:g}"
 
 
-PointAt = Callable[[Spot], np.ndarray]
-"""A spot -> the point `[3]` float64 of the world that it shows; InputError where that is not known."""
+PointAt = Callable[[Pixel], np.ndarray]
+"""A pixel -> the point `[3]` float64 of the world that it shows; InputError where that is not known."""
 
 
 def points_of_scene(scene: Scene) -> PointAt:
@@ -42,9 +42,9 @@ def points_of_scene(scene: Scene) -> PointAt:
         raise InputError(f"{scene.root}: holds no triangulated points that photos see; train on it, and scale the run")
     tracks, frames = scene.tracks(), {frame.name: frame for frame in scene.frames}
 
-    def point_at(spot: Spot) -> np.ndarray:
-        frame = frames[_name_of(spot.photo, frames, scene.root)]
-        ray = _ray(frame, *_pixel_of(frame, spot, 1.0))
+    def point_at(pixel: Pixel) -> np.ndarray:
+        frame = frames[_name_of(pixel.photo, frames, scene.root)]
+        ray = _ray(frame, *_pixel_of(frame, pixel, 1.0))
         seen = tracks.photo == (tracks.names.index(frame.name) if frame.name in tracks.names else -1)
         if not seen.any():
             raise InputError(f"{scene.root}: no triangulated point is seen in {frame.name}")
@@ -52,8 +52,8 @@ def points_of_scene(scene: Scene) -> PointAt:
         nearest, most = int(off.argmin()), NEAR * max(frame.width, frame.height)
         if off[nearest] > most:
             raise InputError(
-                f"{spot}: no triangulated point is seen within {most:.0f} pixels, the nearest is"
-                f" {off[nearest]:.0f} away; choose a spot with more texture"
+                f"{pixel}: no triangulated point is seen within {most:.0f} pixels, the nearest is"
+                f" {off[nearest]:.0f} away; choose a pixel with more texture"
             )
         point = scene.points[tracks.point[seen][nearest]]
         return _in_world(scene.similarity, frame, ray, float(frame.viewmat[2, :3] @ point + frame.viewmat[2, 3]))
@@ -74,14 +74,14 @@ def points_of_run(folder: Path) -> PointAt:
     except InputError:  # Its photos are gone, and with them what their lens did to pixels.
         frames = {}
 
-    def point_at(spot: Spot) -> np.ndarray:
-        name = _name_of(spot.photo, cameras, folder)
+    def point_at(pixel: Pixel) -> np.ndarray:
+        name = _name_of(pixel.photo, cameras, folder)
         camera = cameras[name]
-        x, y = _pixel_of(frames.get(name, camera), spot, run.downscale)
+        x, y = _pixel_of(frames.get(name, camera), pixel, run.downscale)
         (picture,) = gallery.pictures(result.gaussians, [camera], result.background, result.depth_mode)
         depth = float(picture.depth[int(y), int(x)])
         if not depth > 0:
-            raise InputError(f"{spot}: the run shows no surface there")
+            raise InputError(f"{pixel}: the run shows no surface there")
         return _in_world(result.similarity, camera, _ray(camera, x, y), depth)
 
     return point_at
@@ -102,21 +102,21 @@ def _name_of(given: str, names: Iterable[str], where: Path) -> str:
     raise InputError(f"{where}: has no photo {given}; one is called {paths[0]}")
 
 
-def _pixel_of(view: Frame | Camera, spot: Spot, downscale: float) -> tuple[float, float]:
-    """Where a frame or a camera of a run shows what the photo shows at a spot, pixels."""
+def _pixel_of(view: Frame | Camera, pixel: Pixel, downscale: float) -> tuple[float, float]:
+    """Where a frame or a camera of a run shows what the photo shows at a pixel, pixels."""
     if isinstance(view, Frame) and view.origin is not None:
         width, height = view.origin.photo
-        shares = np.array([spot.x, spot.y]) / view.origin.photo
+        shares = np.array([pixel.x, pixel.y]) / view.origin.photo
         off = np.linalg.norm(view.origin.positions() - shares, axis=-1)
         row, column = np.unravel_index(int(off.argmin()), off.shape)
         inside = off.min() < 2 / min(view.width, view.height)
         x, y = column + 0.5, row + 0.5
     else:
         width, height = round(view.width * downscale), round(view.height * downscale)
-        x, y = spot.x / downscale, spot.y / downscale
+        x, y = pixel.x / downscale, pixel.y / downscale
         inside = 0 <= x < view.width and 0 <= y < view.height
     if not inside:
-        raise InputError(f"{spot}: lies outside the photo, which is {width}x{height}")
+        raise InputError(f"{pixel}: lies outside the photo, which is {width}x{height}")
     return float(x), float(y)
 
 

@@ -12,9 +12,9 @@ from gsjax.errors import InputError
 from gsjax.io import normal_folders
 from gsjax.io.normal_maps import normal_maps
 from gsjax.normals.agreement import Verdict
-from gsjax.runs import prior
-from gsjax.runs.normal_gate import gate, with_names
-from gsjax.runs.prior import RunPrior, read_map, write_map
+from gsjax.runs import normal_source
+from gsjax.runs.normal_filter import filter_normals, with_names
+from gsjax.runs.normal_source import NormalSource, read_map, write_map
 from gsjax.scene import Pixels, frame_of
 
 NORMAL = np.array([0.5, -0.3, -1]) / np.linalg.norm([0.5, -0.3, -1])
@@ -73,7 +73,7 @@ def test_a_map_on_disk_is_the_map_in_eight_bits_and_a_zero_stays_one(tmp_path):
 
 
 def test_own_normals_are_those_of_the_surface_and_lie_in_the_run(tilted, tmp_path):
-    maps = RunPrior(tmp_path, None, None, FRAMES)(tilted, FRAMES)
+    maps = NormalSource(tmp_path, None, None, FRAMES)(tilted, FRAMES)
     assert [m.shape for m in maps] == [(32, 40, 3)] * 3
     for normals in maps:
         known = np.any(normals, axis=-1)
@@ -87,7 +87,7 @@ def test_own_normals_are_those_of_the_surface_and_lie_in_the_run(tilted, tmp_pat
 
 
 def test_a_killed_run_makes_what_is_missing_and_ends_with_the_same_bits(tilted, tmp_path, monkeypatch):
-    whole = RunPrior(tmp_path / "whole", None, None, FRAMES)(tilted, FRAMES)
+    whole = NormalSource(tmp_path / "whole", None, None, FRAMES)(tilted, FRAMES)
 
     def killed(file: Path, normals):
         if file.name == "b.png":
@@ -95,27 +95,27 @@ def test_a_killed_run_makes_what_is_missing_and_ends_with_the_same_bits(tilted, 
         write_map(file, normals)
 
     with monkeypatch.context() as patched:
-        patched.setattr(prior, "write_map", killed)
+        patched.setattr(normal_source, "write_map", killed)
         with pytest.raises(KeyboardInterrupt):
-            RunPrior(tmp_path / "run", None, None, FRAMES)(tilted, FRAMES)
+            NormalSource(tmp_path / "run", None, None, FRAMES)(tilted, FRAMES)
     first = tmp_path / "run/normals/left/a.png"
     before = first.stat().st_mtime_ns
-    resumed = RunPrior(tmp_path / "run", None, None, FRAMES)(tilted, FRAMES)
+    resumed = NormalSource(tmp_path / "run", None, None, FRAMES)(tilted, FRAMES)
     assert first.stat().st_mtime_ns == before
     np.testing.assert_array_equal(resumed, whole)
-    np.testing.assert_array_equal(RunPrior(tmp_path / "run", None, None, FRAMES)(None, FRAMES), whole)
+    np.testing.assert_array_equal(NormalSource(tmp_path / "run", None, None, FRAMES)(None, FRAMES), whole)
 
 
 def test_names_that_differ_by_their_suffix_alone_have_a_map_each(tilted, tmp_path):
     frames = frames_named("a.jpg", "a.png")
-    maps = RunPrior(tmp_path, None, None, frames)(tilted, frames)
+    maps = NormalSource(tmp_path, None, None, frames)(tilted, frames)
     assert {p.name for p in tmp_path.rglob("*.png")} == {"a.jpg.png", "a.png.png"}
     assert np.any(maps[0] != maps[1])
 
 
 @pytest.mark.parametrize("signs", [(1, -1, -1), (-1, 1, 1), (-1, -1, -1)])
 def test_foreign_maps_are_turned_to_our_axes(tilted, foreign, tmp_path, capsys, signs):
-    maps = RunPrior(tmp_path / "run", foreign(NORMAL, signs), None, FRAMES)(tilted, FRAMES)
+    maps = NormalSource(tmp_path / "run", foreign(NORMAL, signs), None, FRAMES)(tilted, FRAMES)
     assert angles(np.stack(maps), NORMAL).max() < 0.4
     assert "axes read as " in capsys.readouterr().err
 
@@ -123,7 +123,7 @@ def test_foreign_maps_are_turned_to_our_axes(tilted, foreign, tmp_path, capsys, 
 def test_where_views_cannot_tell_the_convention_stays_and_a_line_says_so(foreign, tmp_path, capsys):
     """Straight ahead all mirrorings but one look the same, and that one faces away."""
     wall = plane((0, 0, -1))
-    maps = RunPrior(tmp_path / "run", foreign((0, 0, -1), (1, 1, -1)), None, FRAMES)(wall, FRAMES)
+    maps = NormalSource(tmp_path / "run", foreign((0, 0, -1), (1, 1, -1)), None, FRAMES)(wall, FRAMES)
     np.testing.assert_array_equal(np.stack(maps)[..., 2], 127)
     assert "axes taken as +x+y+z: -x-y-z is doubtful" in capsys.readouterr().err
 
@@ -142,22 +142,22 @@ def test_axes_of_a_network_stay_and_the_comparison_confirms_or_doubts_them(tilte
     for frame in FRAMES:
         normals = np.tile(np.float32(NORMAL) * np.float32(signs), (32, 40, 1))
         normal_folders.add(folder, manifest, frame.name, Path(frame.name).with_suffix(".npz"), normals, {})
-    maps = RunPrior(tmp_path / "run", str(folder), None, FRAMES)(tilted, FRAMES)
+    maps = NormalSource(tmp_path / "run", str(folder), None, FRAMES)(tilted, FRAMES)
     assert angles(np.stack(maps), NORMAL * signs).max() < 0.4
     assert line in capsys.readouterr().err
 
 
 def test_axes_that_are_set_are_taken_and_nothing_is_rendered(foreign, tmp_path, capsys):
-    maps = RunPrior(tmp_path / "run", foreign(NORMAL, (1, -1, -1)), "opengl", FRAMES)(None, FRAMES)
+    maps = NormalSource(tmp_path / "run", foreign(NORMAL, (1, -1, -1)), "opengl", FRAMES)(None, FRAMES)
     assert angles(np.stack(maps), NORMAL).max() < 0.4
     assert "axes" not in capsys.readouterr().err
 
 
 def test_axes_without_maps_or_that_are_none_are_refused_before_the_run_begins(foreign, tmp_path):
     with pytest.raises(InputError, match=r"--normal-axes opengl: there are no maps .* --normals DIR"):
-        RunPrior(tmp_path / "run", None, "opengl", FRAMES)
+        NormalSource(tmp_path / "run", None, "opengl", FRAMES)
     with pytest.raises(InputError, match=r"--normal-axes up: expected three signs"):
-        RunPrior(tmp_path / "run", foreign(NORMAL, (1, 1, 1)), "up", FRAMES)
+        NormalSource(tmp_path / "run", foreign(NORMAL, (1, 1, 1)), "up", FRAMES)
     assert not (tmp_path / "run").exists()
 
 
@@ -168,15 +168,15 @@ def test_a_stored_map_of_another_size_is_named(tmp_path):
 
 
 def test_the_gate_makes_short_what_photos_do_not_agree_about_and_judges_once(tilted, tmp_path):
-    maps = RunPrior(tmp_path, None, None, FRAMES)(tilted, FRAMES)
+    maps = NormalSource(tmp_path, None, None, FRAMES)(tilted, FRAMES)
     wrong = [m.copy() for m in maps]
     wrong[0][8:20, 8:20] = np.int8([0, -127, 0])
     lines = []
-    gated = gate(tmp_path / "normals", tilted, FRAMES, wrong, "plane", tell=lines.append)
+    gated = filter_normals(tmp_path / "normals", tilted, FRAMES, wrong, "plane", tell=lines.append)
     lengths = [np.linalg.norm(m.astype(np.float32), axis=-1) / 127 for m in gated]
     assert lengths[0][9:19, 9:19].max() < 0.1 and lengths[0][22:28, 22:36].min() > 0.9
     assert all(length[np.any(m, -1)].mean() > 0.95 for length, m in zip(lengths[1:], maps[1:], strict=True))
-    again = gate(tmp_path / "normals", None, FRAMES, wrong, "plane", tell=lines.append)
+    again = filter_normals(tmp_path / "normals", None, FRAMES, wrong, "plane", tell=lines.append)
     np.testing.assert_array_equal(again, gated)
     (line,) = lines
     assert line.endswith("cannot be judged: 0 photos show enough of others from another direction")
@@ -195,8 +195,8 @@ def test_the_verdict_on_own_normals_says_how_often_photos_are_compared(
     tilted, tmp_path, monkeypatch, apart, shares, told
 ):
     lines = []
-    monkeypatch.setattr(prior, "gate", partial(leave_verdict, apart))
-    own = RunPrior(tmp_path, None, None, FRAMES, gated=True, tell=lines.append)
+    monkeypatch.setattr(normal_source, "filter_normals", partial(leave_verdict, apart))
+    own = NormalSource(tmp_path, None, None, FRAMES, gated=True, tell=lines.append)
     own(tilted, FRAMES)
     assert_close(own.shares_compared(FRAMES), np.array(shares))
     assert lines == [f"they agree{told}"]
@@ -206,12 +206,14 @@ def test_with_maps_of_a_network_and_with_maps_that_nobody_judges_photos_are_comp
     tilted, foreign, tmp_path, monkeypatch
 ):
     lines = []
-    monkeypatch.setattr(prior, "gate", partial(leave_verdict, [60.0] * 3))
-    of_network = RunPrior(tmp_path / "run", foreign(NORMAL, (1, 1, 1)), "+x+y+z", FRAMES, gated=True, tell=lines.append)
+    monkeypatch.setattr(normal_source, "filter_normals", partial(leave_verdict, [60.0] * 3))
+    of_network = NormalSource(
+        tmp_path / "run", foreign(NORMAL, (1, 1, 1)), "+x+y+z", FRAMES, gated=True, tell=lines.append
+    )
     of_network(tilted, FRAMES)
     assert_close(of_network.shares_compared(FRAMES), np.ones(3))
     assert lines == ["they agree"]
-    assert_close(RunPrior(tmp_path / "other", None, None, FRAMES).shares_compared(FRAMES), np.ones(3))
+    assert_close(NormalSource(tmp_path / "other", None, None, FRAMES).shares_compared(FRAMES), np.ones(3))
 
 
 @pytest.mark.parametrize(
@@ -227,7 +229,7 @@ def test_a_verdict_that_is_damaged_or_gone_is_named(tmp_path, photos, fault):
     if photos is not None:
         (tmp_path / "normals/gate.json").write_text(json.dumps({"photos": photos}))
     with pytest.raises(InputError, match=rf"gate\.json: .*{fault}"):
-        RunPrior(tmp_path, None, None, FRAMES, gated=True).shares_compared(FRAMES)
+        NormalSource(tmp_path, None, None, FRAMES, gated=True).shares_compared(FRAMES)
 
 
 def leave_verdict(apart, folder, gaussians, frames, maps, depth_mode, *, keep, tell):

@@ -21,7 +21,7 @@ from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
 from gsjax.rendering import DepthReading, gallery
 from gsjax.runs.folder import update_manifest
-from gsjax.runs.normal_gate import gate, stored_apart
+from gsjax.runs.normal_filter import filter_normals, stored_disagreements
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame, Keep, in_memory
 
@@ -32,8 +32,8 @@ VIEWS_FOR_NOISE = 4
 T = TypeVar("T")
 
 
-class RunPrior:
-    """The normals prior of a run, one map a view, kept in RUN/normals as 8-bit pictures once it is known.
+class NormalSource:
+    """The normals of a run, one map a view, kept in RUN/normals as 8-bit pictures once it is known.
 
     A run that was stopped reads what is there and makes what is missing, so that it goes on with the same numbers.
     Maps given by the user are looked for when the run starts, not hours later. One view at a time is in memory, but
@@ -61,7 +61,7 @@ class RunPrior:
                 normals` made them, else found by comparing with the Gaussians.
             frames: Whose normals will be asked for.
             depth_mode: What the Gaussians' depth is, see `gsjax.rendering`.
-            gated: Whether normals count only as far as photos agree, see `gsjax.runs.normal_gate`.
+            gated: Whether normals count only as far as photos agree, see `gsjax.runs.normal_filter`.
             keep: Where the maps are to lie.
             tell: Told in one line which axes foreign maps have, and how that was found; and what the gate found.
 
@@ -92,7 +92,7 @@ class RunPrior:
         missing = [frame for frame in frames if not files[frame.name].exists()]
         if missing:
             maps = self._foreign(gaussians, frames, missing) if self.given else self._own(gaussians, frames, missing)
-            shown = tqdm(zip(missing, maps, strict=True), total=len(missing), desc="normals prior", unit="view")
+            shown = tqdm(zip(missing, maps, strict=True), total=len(missing), desc="normals", unit="view")
             for frame, normals in shown:
                 write_map(files[frame.name], normals)
         read = [self.keep(read_map(files[frame.name], frame)) for frame in frames]
@@ -103,7 +103,7 @@ class RunPrior:
             share = float(np.mean(self.shares_compared(frames)))
             self.tell(line if share == 1 else f"{line}; {share:.0%} of the comparisons of neighbours are made")
 
-        return gate(self.folder, gaussians, frames, read, self.depth_mode, keep=self.keep, tell=tell)
+        return filter_normals(self.folder, gaussians, frames, read, self.depth_mode, keep=self.keep, tell=tell)
 
     def shares_compared(self, frames: Sequence[Frame]) -> np.ndarray:
         """`[V]` in what share of its steps each photo is compared with a neighbour, once there are maps.
@@ -116,7 +116,7 @@ class RunPrior:
         """
         if not self.gated or self.given is not None:
             return np.ones(len(frames))
-        return np.array([share_compared(apart) for apart in stored_apart(self.folder, frames)])
+        return np.array([share_compared(apart) for apart in stored_disagreements(self.folder, frames)])
 
     def _foreign(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
         assert self.given is not None

@@ -12,7 +12,7 @@ from gsjax.runs.folder import update_manifest
 from gsjax.runs.run import Run
 
 
-def move_scene(folder: str | Path, scene: str | Path) -> None:
+def relocate_scene(folder: str | Path, scene: str | Path) -> None:
     """Record in a run folder that its data set is in another place now.
 
     Paths inside the data set that its settings and its plan name move with it.
@@ -28,7 +28,7 @@ def move_scene(folder: str | Path, scene: str | Path) -> None:
     folder, place = Path(folder), str(Path(scene).resolve())
     run = Run.open(folder)
     before = str(run.manifest["scene"])
-    frames = load_scene(place, images=moved_images(run, place), hold_out=NONE).frames
+    frames = load_scene(place, images=relocated_images(run, place), hold_out=NONE).frames
     if run.split and not any(frame.name in run.split for frame in frames):
         raise InputError(f"{place}: has none of the photos of {folder}, such as {next(iter(run.split))}")
     with lock_folder(folder):
@@ -38,7 +38,7 @@ def move_scene(folder: str | Path, scene: str | Path) -> None:
         update_manifest(folder, scene=place)
 
 
-def moved_images(run: Run, scene: str | Path) -> str | None:
+def relocated_images(run: Run, scene: str | Path) -> str | None:
     """The folder of photos that a run names, where its data set is in `scene` now."""
     return _moved(run.settings.get("images"), str(run.manifest["scene"]), str(Path(scene).resolve()))
 

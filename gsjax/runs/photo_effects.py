@@ -26,19 +26,21 @@ _SAID = "cameras.json has the cameras after these moves of those of the data set
 _BEHIND = "behind all Gaussians: max(0, SH(direction of the ray in the world) + 0.5), as Gaussians' colours are"
 
 
-class Photography(NamedTuple):
+class PhotoEffects(NamedTuple):
     """What a run found of how its photos were taken: of each by name. Empty: what it did not look for."""
 
-    looks: Mapping[str, Appearance] = MappingProxyType({})
+    appearances: Mapping[str, Appearance] = MappingProxyType({})
     moves: Mapping[str, Move] = MappingProxyType({})  # of its camera from where the data set has it
     background: np.ndarray | None = (
         None  # [(L + 1)^2, 3] SH coefficients of what is behind all, see `gsjax.rendering.backdrop`
     )
-    near: Mapping[str, Appearance] = MappingProxyType({})  # held-out photos, exposed as those taken near them
+    near_appearances: Mapping[str, Appearance] = MappingProxyType(
+        {}
+    )  # held-out photos, exposed as those taken near them
 
-    def with_near(self, frames: Sequence[Frame]) -> "Photography":
-        """The same and, where there are looks, what the other photos tell of those held out."""
-        return self._replace(near=as_near_photos(frames, self.looks)) if self.looks else self
+    def with_near_appearances(self, frames: Sequence[Frame]) -> "PhotoEffects":
+        """The same and, where there are appearances, what the other photos tell of those held out."""
+        return self._replace(near_appearances=as_near_photos(frames, self.appearances)) if self.appearances else self
 
 
 def with_moved_cameras(frames: tuple[Frame, ...], moves: Mapping[str, Move]) -> tuple[Frame, ...]:
@@ -46,14 +48,14 @@ def with_moved_cameras(frames: tuple[Frame, ...], moves: Mapping[str, Move]) -> 
     return tuple(moves[frame.name].apply(frame) if frame.name in moves else frame for frame in frames)
 
 
-def write_photography(run: Path, found: Photography) -> None:
+def write_photo_effects(run: Path, found: PhotoEffects) -> None:
     """`effects.json`, `poses.json` and `background.json`, where there is anything to say.
 
     Raises:
         InputError: A file cannot be written.
     """
-    if found.looks:
-        json_files.write(run / FILE, {"photos": {name: look._asdict() for name, look in found.looks.items()}})
+    if found.appearances:
+        json_files.write(run / FILE, {"photos": {name: look._asdict() for name, look in found.appearances.items()}})
     if found.moves:
         moves = _in_units(found.moves, read_similarity(run).length_to_world)
         photos = {name: move._asdict() for name, move in moves.items()}
@@ -62,7 +64,7 @@ def write_photography(run: Path, found: Photography) -> None:
         json_files.write(run / BACKGROUND, {"about": _BEHIND, "sh": found.background})
 
 
-def read_photography(run: Path) -> Photography:
+def read_photo_effects(run: Path) -> PhotoEffects:
     """What a run found; nothing where it simulated nothing.
 
     Raises:
@@ -73,7 +75,7 @@ def read_photography(run: Path) -> Photography:
     if background is not None and len(background) not in COUNTS:
         raise InputError(f"{file}: sh has {len(background)} rows, degrees 0-4 have one of {COUNTS}")
     moves = _in_units(_read(run / POSES, Move), read_similarity(run).length_to_local)
-    return Photography(_read(run / FILE, Appearance), moves, background)
+    return PhotoEffects(_read(run / FILE, Appearance), moves, background)
 
 
 def moves_line(moves: Mapping[str, Move], similarity: Similarity) -> str:

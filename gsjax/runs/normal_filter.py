@@ -27,7 +27,7 @@ CONFIDENCE, VERDICT = "confidence.npz", "gate.json"  # in the run's folder of ma
 NAMED = 5  # rejected photos that a note names
 
 
-def gate(
+def filter_normals(
     folder: Path,
     gaussians: Gaussians,
     frames: Sequence[Frame],
@@ -73,7 +73,7 @@ def gate(
     ]
 
 
-def stored_apart(folder: Path, frames: Sequence[Frame]) -> list[float | None]:
+def stored_disagreements(folder: Path, frames: Sequence[Frame]) -> list[float | None]:
     """How many degrees each photo's normals are from its neighbours', as `gate` left it in a folder.
 
     None where it could not judge, or is of an earlier version.
@@ -86,7 +86,7 @@ def stored_apart(folder: Path, frames: Sequence[Frame]) -> list[float | None]:
     return [photos[frame.name].get("apart") for frame in frames]
 
 
-def judge_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:
+def score_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:
     """The `record` of a folder of maps, whose depth is that of planes through the tracks' points.
 
     Raises:
@@ -136,7 +136,7 @@ def with_names(verdict: Verdict, frames: Sequence[Frame]) -> Verdict:
 
 
 def _judge(views: Sequence[View]) -> tuple[list[Judged], Verdict]:
-    return judge(views, progress=lambda numbers: tqdm(numbers, desc="normals gate", unit="photo", leave=False))
+    return judge(views, progress=lambda numbers: tqdm(numbers, desc="filter of normals", unit="photo", leave=False))
 
 
 def _tracked_view(
