@@ -131,7 +131,7 @@ def icp(mesh: Mesh, start: Alignment, targets: np.ndarray) -> Alignment:
     """An alignment improved until it rests: nearest points of the mesh to each of `[P, 3]` of the truth, with scale."""
     from scipy.spatial import KDTree
 
-    from gsjax.measures.geometry import sample_surface
+    from gsjax.metrics.geometry import sample_surface
 
     points, found = sample_surface(mesh, DENSE_MESH, 0)[0], start
     tree = KDTree(points)
@@ -149,7 +149,7 @@ def icp(mesh: Mesh, start: Alignment, targets: np.ndarray) -> Alignment:
 
 def scores(mesh: Mesh, truth: Truth, *, seed: int = 1) -> dict[str, float]:
     """Distances, F-scores and normal error of a mesh that lies where the truth does; see above."""
-    from gsjax.measures.geometry import nearest, sample_surface
+    from gsjax.metrics.geometry import nearest, sample_surface
 
     true_points, true_normals = sample_surface(truth.mesh, DENSE_TRUTH, 0)
     points, normals = sample_surface(mesh, MESH_POINTS, seed)
@@ -186,9 +186,9 @@ def run(given: Sequence[str], room: str, place: str | None = None) -> dict[str, 
     Raises:
         InputError: The truth or a mesh cannot be read or aligned.
     """
-    from gsjax.measures.geometry import sample_surface
     from gsjax.meshing import read_mesh
     from gsjax.meshing.export import write_mesh
+    from gsjax.metrics.geometry import sample_surface
 
     truth = read_truth(room)
     targets = sample_surface(truth.mesh, TRUTH_POINTS, 2)[0]

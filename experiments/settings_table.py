@@ -13,8 +13,8 @@ from gsjax import pipeline, runs
 from gsjax.binding.refining import PRESETS, Refinement
 from gsjax.config import merge, parse
 from gsjax.io.scenes import load_scene
+from gsjax.metrics.truth_maps import score_surface
 from gsjax.runs.result import open_result, scene_of_run
-from gsjax.scoring.surfaces import score_surface
 from gsjax.settings import SIMULATED, Settings
 from gsjax.training.terms import weigh_terms
 

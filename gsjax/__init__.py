@@ -30,11 +30,11 @@ HOMES = {
     "depth_sdf": "normals.sdf",
     "opacities": "gaussians",
     "pixel_rays": "cameras",
-    "psnr": "measures.images",
+    "psnr": "metrics.images",
     "render": "rendering.viewing",
     "scales": "gaussians",
     "sdf_gradient": "normals.sdf",
-    "ssim": "measures.images",
+    "ssim": "metrics.images",
     # A training loop of one's own.
     "RULES": "training.growth.rules",
     "adam": "training.trainer",

@@ -22,9 +22,9 @@ from gsjax.binding import refining
 from gsjax.binding.refining import PRESETS as REFINEMENTS
 from gsjax.binding.refining import Refinement
 from gsjax.gaussians import opacities
-from gsjax.measures import images
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.poisson import PoissonOptions
+from gsjax.metrics import images
 from gsjax.pipeline import training_journal
 from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.scene import Pixels, Scene, frame_of

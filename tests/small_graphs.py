@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
 
-from gsjax.networks.lpips import CHANNELS
+from gsjax.metrics.lpips import CHANNELS
 
 IR, OPSET = 8, 17  # What onnx itself would write is newer than onnxruntime loads.
 TYPES = {np.float16: TensorProto.FLOAT16, np.float32: TensorProto.FLOAT, np.int64: TensorProto.INT64}

@@ -23,28 +23,26 @@ class Layer:
 
 
 CORE_PACKAGES = ("jax", "numpy", "optax", "scipy")
-CORE = ("vocabulary", "measures", "normals", "analytic", "effects", "training", "binding")
+CORE = ("vocabulary", "metrics", "normals", "analytic", "effects", "training", "binding")
 FILES = ("io", "meshing", "networks", "runs")
 LAYERS = {
     "native loops": Layer(("rasterizer._native",), ("rasterizer",), ("jax", "numpy", "numba", "llvmlite")),
     "rasterizer": Layer(("rasterizer",), ("native loops",), ("jax", "numpy")),
     "vocabulary": Layer(("gsjax",), ("rasterizer",), CORE_PACKAGES),
-    "measures": Layer(("gsjax.measures",), ("vocabulary",), CORE_PACKAGES),
+    "metrics": Layer(("gsjax.metrics",), ("vocabulary",), CORE_PACKAGES),
     "normals": Layer(("gsjax.normals",), ("vocabulary",), CORE_PACKAGES),
-    "analytic": Layer(("gsjax.analytic",), ("vocabulary", "measures"), CORE_PACKAGES),
+    "analytic": Layer(("gsjax.analytic",), ("vocabulary", "metrics"), CORE_PACKAGES),
     "effects": Layer(("gsjax.effects",), ("vocabulary",), CORE_PACKAGES),
     "training": Layer(
-        ("gsjax.training",), ("rasterizer", "vocabulary", "measures", "normals", "effects"), CORE_PACKAGES
+        ("gsjax.training",), ("rasterizer", "vocabulary", "metrics", "normals", "effects"), CORE_PACKAGES
     ),
-    "binding": Layer(("gsjax.binding",), ("rasterizer", "vocabulary", "training"), CORE_PACKAGES),
+    "binding": Layer(("gsjax.binding",), ("rasterizer", "vocabulary", "metrics", "training"), CORE_PACKAGES),
     "io": Layer(
         ("gsjax.io",),
         ("vocabulary", "analytic", "normals"),
         ("jax", "numpy", "scipy", "tqdm", "cv2", "PIL", "pycolmap", "packaging"),
     ),
-    "networks": Layer(
-        ("gsjax.networks",), ("vocabulary", "measures", "normals", "io"), ("jax", "numpy", "cv2", "onnxruntime")
-    ),
+    "networks": Layer(("gsjax.networks",), ("vocabulary", "normals", "io"), ("jax", "numpy", "cv2", "onnxruntime")),
     "stereo": Layer(("gsjax.stereo",), ("vocabulary", "io"), ("jax", "numpy", "scipy", "cv2", "tqdm")),
     "meshing": Layer(
         ("gsjax.meshing",),
@@ -52,30 +50,38 @@ LAYERS = {
         ("jax", "numpy", "scipy", "tqdm", "open3d", "trimesh", "xatlas", "PIL"),
     ),
     "runs": Layer(("gsjax.runs",), (*CORE, "io", "meshing"), ("jax", "numpy", "tqdm")),
-    "scoring": Layer(("gsjax.scoring",), (*CORE, *FILES), ("jax", "numpy")),
+    "metrics of runs": Layer(
+        tuple(f"gsjax.metrics.{name}" for name in ("lpips", "mesh_photos", "photos", "truth_maps")),
+        (*CORE, *FILES),
+        ("jax", "numpy"),
+    ),
     "planning": Layer(
         ("gsjax.planning",), (*CORE, "io", "stereo", "meshing", "runs"), ("jax", "numpy", "optax", "scipy", "tqdm")
     ),
     "report": Layer(
-        ("gsjax.report",), (*CORE, "io", "meshing", "runs", "scoring"), ("jax", "numpy", "tqdm", "matplotlib", "jinja2")
+        ("gsjax.report",),
+        (*CORE, "io", "meshing", "runs", "metrics of runs"),
+        ("jax", "numpy", "tqdm", "matplotlib", "jinja2"),
     ),
     "sharing": Layer(("gsjax.sharing",), ("vocabulary", "io"), ("numpy", "jinja2")),
     "pipeline": Layer(
         ("gsjax.pipeline",),
-        ("rasterizer", *CORE, *FILES, "stereo", "scoring", "planning", "report", "sharing"),
+        ("rasterizer", *CORE, *FILES, "stereo", "metrics of runs", "planning", "report", "sharing"),
         ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "jinja2"),
     ),
     "viewer": Layer(
         ("gsjax.viewer",),
-        ("rasterizer", *CORE, *FILES, "scoring", "planning", "report", "pipeline"),
+        ("rasterizer", *CORE, *FILES, "metrics of runs", "planning", "report", "pipeline"),
         ("jax", "numpy", "scipy", "viser", "rich", "websockets"),
     ),
     "cli": Layer(
-        ("gsjax.cli", "gsjax.__main__"), (*CORE, *FILES, "scoring", "planning", "report", "pipeline", "viewer"), ()
+        ("gsjax.cli", "gsjax.__main__"),
+        (*CORE, *FILES, "metrics of runs", "planning", "report", "pipeline", "viewer"),
+        (),
     ),
     "experiments": Layer(
         ("experiments",),
-        ("rasterizer", *CORE, *FILES, "scoring", "planning", "report", "pipeline", "viewer", "cli"),
+        ("rasterizer", *CORE, *FILES, "metrics of runs", "planning", "report", "pipeline", "viewer", "cli"),
         # Among them peers to time ours against, and the scripts themselves: one imports another by its bare name.
         ("jax", "numpy", "optax", "scipy", "tqdm", "matplotlib", "cv2", "pycolmap", "websockets", *PEERS, *SCRIPTS),
     ),

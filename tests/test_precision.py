@@ -24,7 +24,7 @@ from gsjax.binding.hybrid import Hybrid
 from gsjax.binding.mesh_terms import mesh_graph
 from gsjax.cameras import center
 from gsjax.effects import background, exposure, poses, transients, vignetting
-from gsjax.measures import images
+from gsjax.metrics import images
 from gsjax.normals import from_depth
 from gsjax.rendering import backdrop
 from gsjax.settings import Density, Rates

@@ -14,7 +14,7 @@ from matplotlib import pyplot
 
 from gsjax import targets
 from gsjax.analytic import solids
-from gsjax.measures.images import psnr
+from gsjax.metrics.images import psnr
 from gsjax.rendering import gallery
 from gsjax.scene import Pixels, extent, frame_of
 from gsjax.settings import Rates, Weights

@@ -48,7 +48,7 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
 
     import rasterizer
     from gsjax import config, rendering, targets
-    from gsjax.measures.images import ssim
+    from gsjax.metrics.images import ssim
     from gsjax.planning.sizes import training_extent
     from gsjax.runs.result import open_result, scene_of_run
     from gsjax.settings import PRESETS, Rates, Settings

@@ -7,8 +7,8 @@ from jax import Array
 
 from gsjax.analytic import solids
 from gsjax.colors import to_bytes
-from gsjax.measures.geometry import sample_surface
 from gsjax.meshes import Mesh
+from gsjax.metrics.geometry import sample_surface
 
 _PROJECTIONS = 6  # one suffices where the distance is exact
 _ON_SURFACE = 1e-4  # world units

@@ -25,14 +25,14 @@ from gsjax.binding.hybrid import Hybrid
 from gsjax.binding.mesh_terms import MeshGraph
 from gsjax.config import declare_types, parse_numbers
 from gsjax.gaussians import PixelFilter
-from gsjax.numerics import masked_mean
+from gsjax.metrics.images import in_decibels, mse
 from gsjax.rendering import backdrop
 from gsjax.settings import RATES, Rates, check_lowest, check_seed
 from gsjax.targets import Batch, Target, Targets
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
 from gsjax.training.faults import faulty_terms, photo_of
-from gsjax.training.step import Background, Metrics, Outcome, guarded_step, in_decibels
+from gsjax.training.step import Background, Metrics, Outcome, guarded_step
 from gsjax.training.stepping import advance, view_order
 from gsjax.training.terms import TERMS
 
@@ -270,8 +270,7 @@ def make_refine_step(
         )
         losses = {name: _term(name, gaussians, graph, view, batch) for name in terms}
         total = sum(weight * losses[name] for name, weight in terms.items())
-        mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
-        return total, (losses, mse, view.splats.pairs)
+        return total, (losses, mse(jnp.clip(view.colors, 0, 1), batch.image, batch.valid), view.splats.pairs)
 
     def update(state: RefineState, gradients: Hybrid, outcome: Outcome, target: Target) -> RefineState:
         del outcome, target
@@ -284,10 +283,10 @@ def make_refine_step(
         def differentiate(state: RefineState, target: Target, color: Array, key: Array):
             del key
             parameters, batch = with_faces(state.gaussians, None), targets.batch(target, color)
-            (total, (losses, mse, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
+            (total, (losses, error, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
                 parameters, state, graph, batch, color
             )
-            metrics = Metrics(total, in_decibels(mse), pairs.needed, pairs.overflowed, losses)
+            metrics = Metrics(total, in_decibels(error), pairs.needed, pairs.overflowed, losses)
             return gradients, Outcome(metrics, pairs.overflowed)
 
         state, outcome = guarded_step(differentiate, update, background)(state, target, key)

@@ -18,6 +18,7 @@ from gsjax.io.files import atomic_folder, atomic_path, require_empty
 from gsjax.io.gaussian_files import load_gaussians
 from gsjax.io.ply import write_gaussians
 from gsjax.io.scenes import list_photos, load_scene
+from gsjax.metrics.photos import score_images
 from gsjax.pipeline.train import train
 from gsjax.planning.blocks import FEWEST, Cell, cut, directions, photos_of
 from gsjax.planning.sizes import at_size, chosen_downscale
@@ -26,7 +27,6 @@ from gsjax.report.shown_views import picture_keeper
 from gsjax.runs.result import write_views
 from gsjax.runs.splits import split_of
 from gsjax.scene import Scene
-from gsjax.scoring.images import score_images
 from gsjax.settings import AUTO, NONE, Settings, total_steps
 from gsjax.training.plan import plan
 

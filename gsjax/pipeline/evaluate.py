@@ -11,12 +11,15 @@ import numpy as np
 
 from gsjax.effects.alignment import align as aligned_camera
 from gsjax.errors import NoSurfaceError
-from gsjax.measures import geometry
 from gsjax.meshes import Mesh
 from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.export import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors, vertex_colors
-from gsjax.networks.lpips import STANDARD, lpips_measures
+from gsjax.metrics import geometry
+from gsjax.metrics.lpips import STANDARD, lpips_measures
+from gsjax.metrics.mesh_photos import score_appearance
+from gsjax.metrics.photos import score_images
+from gsjax.metrics.truth_maps import LENGTHS, score_mesh_views, score_surface
 from gsjax.pipeline.mesh import mesh as extract
 from gsjax.place import Place
 from gsjax.planning.effects import appearances_of_tracks
@@ -24,9 +27,6 @@ from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.runs.run import Run
 from gsjax.scene import Frame, Truth
-from gsjax.scoring.appearance import score_appearance
-from gsjax.scoring.images import score_images
-from gsjax.scoring.surfaces import LENGTHS, score_mesh_views, score_surface
 
 
 def evaluate(
@@ -45,7 +45,7 @@ def evaluate(
         run: Run folder.
         mesh: Mesh to score against the true surface, and by its texture or, without one, its vertex colours against the
             held-out photos. None: `RUN/mesh.ply` against the true surface alone, extracted now if it is absent.
-        lpips: Files of weights, see `gsjax.networks.lpips.lpips_measures`.
+        lpips: Files of weights, see `gsjax.metrics.lpips.lpips_measures`.
         three_ways: Score pictures in all ways of `score_images` even if the run simulated no effects.
         aligned: Score pictures from the poses that fit the photos best too, even if the run moved no cameras.
         zooms: Score pictures at so many times the size of training as well: at 0.5 against photos of half the size.
@@ -55,7 +55,7 @@ def evaluate(
         What `score_images` tells of the held-out views and what the files of weights allow, at least `lpips_vgg_3dgs`
         (None without held-out views or without weights), `gaussians`, `train_seconds`, `steps`; for every zoom
         `psnr_zoom_0.5` and `ssim_zoom_0.5` (with that number); of a `mesh` what
-        `gsjax.scoring.appearance.score_appearance` tells; with true normals `normal_error_deg` and
+        `gsjax.metrics.mesh_photos.score_appearance` tells; with true normals `normal_error_deg` and
         `normal_error_median_deg` of the rendered depth over object pixels and `normal_error_all_deg` over all surface
         pixels; with true depth `depth_error` (mean absolute, object pixels, scene units), both in held-out views; with
         true surface points what `score_mesh` returns, the same errors of the mesh's own depth as
@@ -156,7 +156,7 @@ def score_mesh(
         true_mesh: The true triangles, where they are known.
 
     Returns:
-        `gsjax.measures.geometry.SCORES`: `chamfer`, `accuracy`, `completeness`, `fscore`, `normal_consistency`, ...
+        `gsjax.metrics.geometry.SCORES`: `chamfer`, `accuracy`, `completeness`, `fscore`, `normal_consistency`, ...
 
     Raises:
         NoSurfaceError: Nothing of the mesh lies where cameras saw something.

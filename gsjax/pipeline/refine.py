@@ -33,6 +33,7 @@ from gsjax.meshing.pictures import depth_of_mesh, faces_of_pixels
 from gsjax.meshing.rays import ray_caster
 from gsjax.meshing.settling import MOST_VIEWS, settle
 from gsjax.meshing.topology import border
+from gsjax.metrics.photos import score_images
 from gsjax.planning.memory import keep_photos, plain_bytes
 from gsjax.report.page import report
 from gsjax.report.shown_views import picture_keeper
@@ -44,7 +45,6 @@ from gsjax.runs.result import DEPTH_OF_DISCS, QUIET, Result, open_result, scene_
 from gsjax.runs.run import Run
 from gsjax.runs.splits import split_of
 from gsjax.scene import Scene, extent, kept
-from gsjax.scoring.images import score_images
 from gsjax.targets import Targets, batch, read_targets
 from gsjax.training.capacity import largest_need
 from gsjax.training.plan import phase_record, plan_record

@@ -22,6 +22,7 @@ from gsjax.gaussians import Gaussians, is_alive, take
 from gsjax.io import json_files, normal_folders
 from gsjax.io.machine import peak_memory
 from gsjax.io.ply import write_gaussians
+from gsjax.metrics.photos import score_images
 from gsjax.pipeline.training_journal import TrainingJournal
 from gsjax.planning import holding_back
 from gsjax.planning.earlier import shared_steps, take_normals
@@ -45,7 +46,6 @@ from gsjax.runs.result import write_views
 from gsjax.runs.run import Run
 from gsjax.runs.splits import require_photos_of_effects, split_of, split_record
 from gsjax.scene import Scene, kept
-from gsjax.scoring.images import score_images
 from gsjax.settings import AUTO, PLAIN, Settings
 from gsjax.training import optimizers
 from gsjax.training.growth.rules import RULES
@@ -87,7 +87,7 @@ def train(
 
     Returns:
         `psnr` and `ssim` (None without held-out views; with effects also the other ways of
-        `gsjax.scoring.images.score_images`), `views`, `gaussians`, `steps`, `train_seconds`.
+        `gsjax.metrics.photos.score_images`), `views`, `gaussians`, `steps`, `train_seconds`.
 
     Raises:
         InputError: The data set, the normals, a weight, a term, the run folder or the devices cannot be used; or a loss

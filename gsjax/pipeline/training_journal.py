@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from gsjax import runs
+from gsjax.metrics.photos import score_images
 from gsjax.planning.effects import ChosenEffects
 from gsjax.planning.pace import Pace, duration_text, seconds_left
 from gsjax.runs.journal import Journal
 from gsjax.runs.photo_effects import with_moved_cameras
 from gsjax.scene import Scene
-from gsjax.scoring.images import score_images
 from gsjax.training.growth import adaptive
 from gsjax.training.growth.rules import RULES
 from gsjax.training.loop import Progress

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from gsjax import targets
 from gsjax.cameras import Camera, landing
 from gsjax.gaussians import Gaussians
-from gsjax.numerics import masked_mean
+from gsjax.metrics.images import in_decibels, mse
 from gsjax.planning.sizes import training_extent
 from gsjax.planning.sparse_views import Gain
 from gsjax.planning.start import first_state, with_given_points, with_stereo_points
@@ -23,7 +23,6 @@ from gsjax.settings import Settings
 from gsjax.targets import Targets
 from gsjax.training import optimizers
 from gsjax.training.plan import Plan, plan
-from gsjax.training.step import in_decibels
 
 FOLDS = 4  # Every photo is held out from one pair of validation runs in so many,
 FEWEST_FOLDS = 2  # and after so many they end, where the gain is sure and depth does not contradict it.
@@ -103,10 +102,8 @@ def _scores(gaussians: Gaussians, photos: Targets, points: Sequence[np.ndarray],
     cameras = [Camera(each.viewmat, each.K, *photos.size) for each in photos.targets]
     shown = list(gallery.pictures(gaussians, cameras, color, settings.depth_mode))
     batches = [targets.batch(each, jnp.asarray(color, jnp.float32)) for each in photos.targets]
-    errors = [
-        masked_mean(jnp.mean(jnp.square(picture.colors - batch.image), axis=-1), batch.valid)
-        for picture, batch in zip(shown, batches, strict=True)
-    ]
+    pairs = zip(shown, batches, strict=True)
+    errors = [mse(jnp.asarray(picture.colors), batch.image, batch.valid) for picture, batch in pairs]
     psnr = np.asarray(in_decibels(jnp.stack(errors)), np.float64)
     seen = zip(shown, batches, cameras, points, strict=True)
     offs = [_off(picture.depth, np.asarray(batch.valid), camera, known) for picture, batch, camera, known in seen]

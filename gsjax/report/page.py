@@ -15,12 +15,12 @@ from gsjax.io import json_files
 from gsjax.io.files import atomic_path
 from gsjax.io.images import jpeg_bytes, read_image, resize
 from gsjax.io.machine import peak_memory, restart_peak_memory
+from gsjax.metrics.photos import score_images
 from gsjax.report import curves, shown_views
 from gsjax.report import facts as run_facts
 from gsjax.report.facts import RunFacts
 from gsjax.runs.photo_effects import PhotoEffects, read_photo_effects
 from gsjax.runs.result import open_result, scene_of_run
-from gsjax.scoring.images import score_images
 
 FILE = "report.html"
 OVERVIEW_WIDTH = 1280  # pixels

@@ -15,7 +15,8 @@ from gsjax import rendering, targets
 from gsjax.effects import simulation
 from gsjax.effects.simulation import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
-from gsjax.numerics import all_finite, masked_mean
+from gsjax.metrics.images import in_decibels, mse
+from gsjax.numerics import all_finite
 from gsjax.rendering import View
 from gsjax.targets import Batch, Target
 from gsjax.training import optimizers
@@ -154,19 +155,19 @@ def make_train_step(
             beside = replace(beside, camera=simulation.move_camera(effects, numbers, beside.camera, beside.photo))
             neighbor = multi_view.render_neighbor(drawn, beside, capacity, depth_mode)
             view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
-        total, losses, mse = weighted_loss(terms, rule, gaussians, view, batch)
+        total, losses, error = weighted_loss(terms, rule, gaussians, view, batch)
         total = total if added is None else total + added
-        return total, (losses, mse, view.splats.projection, pairs)
+        return total, (losses, error, view.splats.projection, pairs)
 
     def differentiate(state: TrainState, target: Target, color: Array, key: Array) -> tuple[_Free, Outcome]:
         batch = targets.batch(target, color)
         beside = targets.batch(target.beside, color) if "neighbor" in needed and target.beside else None
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
         free = _Free(state.gaussians, probe, None if state.effects is None else state.effects.numbers)
-        (total, (losses, mse, projection, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
+        (total, (losses, error, projection, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
             free, state, batch, beside, color, key
         )
-        metrics = Metrics(total, in_decibels(mse), pairs.needed, pairs.overflowed, losses)
+        metrics = Metrics(total, in_decibels(error), pairs.needed, pairs.overflowed, losses)
         return gradients, Outcome(metrics, pairs.overflowed, projection)
 
     def update(state: TrainState, gradients: _Free, outcome: Outcome, target: Target) -> TrainState:
@@ -204,13 +205,7 @@ def weighted_loss(
     total = sum(each.weight * losses[each.name] for each in terms)
     if rule:
         total += rule.probe_loss(view, batch)
-    mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
-    return total, losses, mse
-
-
-def in_decibels(mse: Array) -> Array:
-    """PSNR of a mean squared error of colours in 0..1."""
-    return -10 * jnp.log10(jnp.maximum(mse, 1e-10))
+    return total, losses, mse(jnp.clip(view.colors, 0, 1), batch.image, batch.valid)
 
 
 def _of_both(pairs: rasterizer.TilePairs, others: rasterizer.TilePairs) -> rasterizer.TilePairs:

@@ -18,12 +18,12 @@ from gsjax import cli, pipeline
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.images import image_size, read_image
-from gsjax.measures import geometry
 from gsjax.meshing.export import read_mesh, write_mesh
+from gsjax.metrics import geometry
+from gsjax.metrics.photos import score_images
 from gsjax.pipeline import demo
 from gsjax.runs import viewpoints
 from gsjax.runs.result import open_result, scene_of_run
-from gsjax.scoring.images import score_images
 
 
 def test_the_mesh_lies_on_the_scene_and_is_scored_with_the_images(run, scene, tmp_path):

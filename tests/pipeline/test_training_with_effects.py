@@ -10,10 +10,10 @@ from trained_run import SETTINGS, train_until_killed
 from gsjax import config, pipeline, runs
 from gsjax.io import json_files
 from gsjax.io.images import read_image, write_image
+from gsjax.metrics.photos import score_images
 from gsjax.runs.checkpoints import load_arrays
 from gsjax.runs.photo_effects import read_photo_effects
 from gsjax.runs.result import open_result, scene_of_run
-from gsjax.scoring.images import score_images
 from gsjax.settings import Settings
 
 

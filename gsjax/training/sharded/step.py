@@ -20,12 +20,13 @@ from gsjax import rendering, targets
 from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
+from gsjax.metrics.images import in_decibels
 from gsjax.targets import Target
 from gsjax.training import optimizers
 from gsjax.training.growth.rules import Rule
 from gsjax.training.sharded.layout import AXIS, BY_ROWS, EVERYWHERE, specs
 from gsjax.training.state import TrainState
-from gsjax.training.step import Background, Metrics, Outcome, guarded_step, in_decibels, in_photo, weighted_loss
+from gsjax.training.step import Background, Metrics, Outcome, guarded_step, in_photo, weighted_loss
 from gsjax.training.terms import Weighed, needs
 
 

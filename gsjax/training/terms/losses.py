@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from gsjax.gaussians import Gaussians, scales
-from gsjax.measures.images import ssim
+from gsjax.metrics.images import ssim
 from gsjax.normals import sdf
 from gsjax.numerics import masked_mean
 from gsjax.rendering import MIN_COVERAGE, View

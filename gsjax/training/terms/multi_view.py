@@ -15,7 +15,7 @@ from jax import Array
 from gsjax import cameras, rendering
 from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
-from gsjax.measures.images import window_means
+from gsjax.metrics.images import window_means
 from gsjax.numerics import masked_mean, safe_divide, times
 from gsjax.rendering import DepthReading, Neighbor, View, depth
 from gsjax.rendering.sampling import reads_within, sample_bilinear

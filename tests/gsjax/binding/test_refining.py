@@ -16,8 +16,8 @@ from gsjax.binding.hybrid import Hybrid, with_free
 from gsjax.binding.mesh_terms import mesh_graph, normal_consistency
 from gsjax.binding.refining import PRESETS, Refinement, RefinementRates
 from gsjax.errors import InputError
-from gsjax.measures import geometry
 from gsjax.meshes import Mesh
+from gsjax.metrics import geometry
 from gsjax.rendering import gallery
 from gsjax.scene import Pixels, frame_of, with_pixels
 from gsjax.training.step import BACKGROUNDS

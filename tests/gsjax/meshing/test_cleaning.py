@@ -119,7 +119,7 @@ def test_the_first_of_equal_vertices_stays_with_its_colour():
 
 MILLION = """
 import numpy as np
-from gsjax.measures import geometry
+from gsjax.metrics import geometry
 from gsjax.io.machine import peak_memory
 from gsjax.meshes import Mesh
 from gsjax.meshing.cleaning import clean

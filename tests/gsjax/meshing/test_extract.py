@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.measures import geometry
 from gsjax.meshes import Mesh, face_normals, signed_volume
 from gsjax.meshing import boxes, depth_of_mesh, extract_mesh
 from gsjax.meshing.boxes import Box, Region
@@ -15,6 +14,7 @@ from gsjax.meshing.extract import cut_to_region
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.level_set_poisson import level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
+from gsjax.metrics import geometry
 from gsjax.rendering import gallery
 
 

@@ -11,7 +11,7 @@ from tolerances import assert_close
 import rasterizer
 from gsjax import rendering, targets
 from gsjax.gaussians import opacities
-from gsjax.measures.images import psnr
+from gsjax.metrics.images import psnr
 from gsjax.settings import Density, Rates, Weights
 from gsjax.training.capacity import chosen_capacity, kept_or, largest_need
 from gsjax.training.growth import adaptive as density_control

@@ -11,7 +11,7 @@ from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
 from gsjax.gaussians import Gaussians
-from gsjax.measures.images import ssim
+from gsjax.metrics.images import ssim
 from gsjax.rendering import View
 from gsjax.training.terms import losses
 from gsjax.training.terms.losses import Batch

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import correlate1d
 
-from gsjax.measures import images as measures
-from gsjax.measures.images import psnr
+from gsjax.metrics import images as measures
+from gsjax.metrics.images import psnr
 
 # Compiled whole: op by op every shape would compile a dozen programs.
 ssim, ssim_map = jax.jit(measures.ssim), jax.jit(measures.ssim_map)

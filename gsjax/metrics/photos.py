@@ -14,8 +14,8 @@ from gsjax.effects.alignment import Draw
 from gsjax.effects.appearance import Appearance, fit_colors
 from gsjax.gaussians import Gaussians
 from gsjax.io.notices import print_once
-from gsjax.measures.images import psnr, ssim
-from gsjax.networks.lpips import Measure
+from gsjax.metrics.images import psnr, ssim
+from gsjax.metrics.lpips import Measure
 from gsjax.rendering import DepthReading, gallery
 from gsjax.rendering.gallery import Picture
 from gsjax.runs.photo_effects import PhotoEffects

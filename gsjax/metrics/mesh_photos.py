@@ -9,11 +9,11 @@ import numpy as np
 from gsjax.gaussians import Gaussians
 from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import Shading, smooth_pictures
+from gsjax.metrics.photos import color_behind_all, score_images, score_pictures
 from gsjax.rendering.gallery import Picture
 from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.runs.result import frame_camera
 from gsjax.scene import Frame, Pixels
-from gsjax.scoring.images import color_behind_all, score_images, score_pictures
 
 COVERED = 1 - 1e-6  # Of a pixel's rays, that must hit the mesh where it is compared.
 
@@ -28,7 +28,7 @@ def score_appearance(
         shading: Its colours: `gsjax.meshing.pictures.texture_colors` of its texture, or `vertex_colors`.
         gaussians: Beside which it is set.
         frames: Photos that neither was made from.
-        background: Of the Gaussians, as of `gsjax.scoring.images.score_images`.
+        background: Of the Gaussians, as of `gsjax.metrics.photos.score_images`.
         found: As of `score_images`; its `appearances`, which see the answer or a photo's own tracks, are left out.
 
     Returns:

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsjax.gaussians import Gaussians
-from gsjax.measures import geometry
 from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
+from gsjax.metrics import geometry
 from gsjax.normals.from_depth import depth_normals
 from gsjax.rendering import DepthReading, gallery
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera

@@ -1,6 +1,6 @@
-"""Image measures as 3D Gaussian Splatting scores them: PSNR and SSIM, with an optional mask of valid pixels.
+"""Image metrics as 3D Gaussian Splatting has them: PSNR and SSIM, with an optional mask of valid pixels.
 
-Both are jit-able and differentiable, and SSIM is also the D-SSIM of the training loss, which runs in every step. Hence
+All are jit-able and differentiable, and SSIM is also the D-SSIM of the training loss, which runs in every step. Hence
 the form that XLA makes fast on a CPU: the window is two passes of 11 shifted sums, each one vectorised loop, over
 images seen as `[H, W C]` (no transposes), and means are products with ones, which no loop is fused into.
 """
@@ -29,8 +29,18 @@ def psnr(image: Array, target: Array, mask: Array | None = None) -> Array:
     Returns:
         `[]` decibels; infinite for equal images.
     """
+    return -10.0 * jnp.log10(mse(image, target, mask))
+
+
+def in_decibels(mse: Array) -> Array:
+    """PSNR of a mean squared error of colours in 0..1, at most 100 dB: what logs hold is finite."""
+    return -10 * jnp.log10(jnp.maximum(mse, 1e-10))
+
+
+def mse(image: Array, target: Array, mask: Array | None = None) -> Array:
+    """`[]` mean squared difference over the valid pixels and all channels; 0 where no pixel is valid."""
     image, target = _checked_and_masked(image, target, mask)
-    return -10.0 * jnp.log10(_mean(jnp.square(image - target), mask))
+    return _mean(jnp.square(image - target), mask)
 
 
 def ssim(image: Array, target: Array, mask: Array | None = None) -> Array:

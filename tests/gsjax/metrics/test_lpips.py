@@ -5,7 +5,7 @@ import pytest
 from small_graphs import SmallGraph, small_lpips
 
 from gsjax.errors import InputError
-from gsjax.networks.lpips import lpips, lpips_measures
+from gsjax.metrics.lpips import lpips, lpips_measures
 
 
 def published(first, second, weights):

@@ -22,41 +22,6 @@ Closest = Callable[[Mesh, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """(mesh, `[P, 3]` queries) -> `[P, 3]` nearest points of its surface and `[P]` the triangles that they lie on."""
 
 
-def accuracy_completeness(predicted: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
-    """Mean distance from a predicted point to the truth, and from a true point to the prediction.
-
-    Args:
-        predicted: `[P, 3]` points.
-        truth: `[Q, 3]` points.
-
-    Returns:
-        (accuracy, completeness), scene units.
-    """
-    return float(nearest(predicted, truth)[0].mean()), float(nearest(truth, predicted)[0].mean())
-
-
-def chamfer(points_a: np.ndarray, points_b: np.ndarray) -> float:
-    """Chamfer distance of `[P, 3]` and `[Q, 3]` points: the mean of the two directed mean distances, unsquared."""
-    return float(np.mean(accuracy_completeness(points_a, points_b)))
-
-
-def fscore(predicted: np.ndarray, truth: np.ndarray, threshold: float) -> float:
-    """F-score in 0..1: the harmonic mean of precision and recall, each a share of points within `threshold`."""
-    return _within(nearest(predicted, truth)[0], nearest(truth, predicted)[0], threshold)[2]
-
-
-def normal_consistency(
-    predicted: np.ndarray, predicted_normals: np.ndarray, truth: np.ndarray, true_normals: np.ndarray
-) -> float:
-    """Mean |cos| between each point's normal and its nearest counterpart's, averaged over both directions, in 0..1.
-
-    Unsigned, as it is usually reported; `compare_to_truth` says besides how much of the surface faces the right way.
-    """
-    there, back = nearest(predicted, truth)[1], nearest(truth, predicted)[1]
-    cosines = _cosines(predicted_normals, true_normals[there]), _cosines(true_normals, predicted_normals[back])
-    return float(np.mean([np.abs(c).mean() for c in cosines]))
-
-
 def sample_surface(mesh: Mesh, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """`[count, 3]` points spread evenly over the area, and the unit normals `[count, 3]` of their triangles."""
     areas = face_area_vectors(mesh)

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.measures import geometry
 from gsjax.meshes import Mesh, face_normals, signed_volume, vertex_normals
 from gsjax.meshing.closest import closest_on_mesh
+from gsjax.metrics import geometry
 
 
 def box(size=(1.0, 1.0, 1.0), center=(0.0, 0.0, 0.0)):
@@ -28,43 +28,6 @@ def test_the_box_of_these_tests_faces_outwards():
     cube = box()
     diagonal = cube.vertices / np.linalg.norm(cube.vertices, axis=1, keepdims=True)
     assert np.all(np.sum(vertex_normals(cube) * diagonal, -1) > 0.8)
-
-
-def test_distances_of_parallel_squares_are_their_gap():
-    low, high = square_grid(30), square_grid(30, z=0.25)
-    assert geometry.accuracy_completeness(low, high) == pytest.approx((0.25, 0.25))
-    assert geometry.chamfer(low, high) == pytest.approx(0.25)
-    assert geometry.chamfer(low, low) == 0
-
-
-def test_accuracy_and_completeness_are_the_two_directions():
-    half = np.array([[0.0, 0, 0]])
-    both = np.array([[0.0, 0, 0], [3.0, 4.0, 0]])
-    assert geometry.accuracy_completeness(half, both) == (0.0, 2.5)
-    assert geometry.accuracy_completeness(both, half) == (2.5, 0.0)
-    assert geometry.chamfer(half, both) == geometry.chamfer(both, half) == 1.25
-
-
-def test_chamfer_of_concentric_spheres_is_the_difference_of_the_radii():
-    rng = np.random.default_rng(0)
-    directions = rng.normal(size=(20_000, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    assert geometry.chamfer(directions, 1.2 * directions) == pytest.approx(0.2, rel=0.01)
-
-
-def test_fscore_by_hand():
-    predicted = np.array([[0.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0], [9.0, 0, 0]])
-    truth = np.array([[0.05, 0, 0], [1.05, 0, 0]])
-    # Precision 2/4, recall 2/2.
-    assert geometry.fscore(predicted, truth, 0.1) == pytest.approx(2 * 0.5 / 1.5)
-    assert geometry.fscore(predicted, truth, 0.01) == 0
-
-
-def test_normal_consistency_is_the_cosine_and_unsigned():
-    points = square_grid(10)
-    up, tilted = np.tile([0.0, 0, 1], (100, 1)), np.tile([np.sin(0.3), 0, np.cos(0.3)], (100, 1))
-    assert geometry.normal_consistency(points, up, points, tilted) == pytest.approx(np.cos(0.3))
-    assert geometry.normal_consistency(points, -up, points, up) == pytest.approx(1.0)
 
 
 def test_samples_lie_on_the_surface_evenly_by_area():
@@ -117,7 +80,7 @@ def test_a_mesh_away_from_the_truth_is_refused():
     with pytest.raises(InputError, match="no surface of the mesh"):
         geometry.compare_to_truth(box(center=(20.0, 0.0, 0.0)), truth, normals)
     with pytest.raises(InputError, match="0 points"):
-        geometry.chamfer(np.zeros((0, 3)), truth)
+        geometry.nearest(np.zeros((0, 3)), truth)
     flat = Mesh(np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8))
     with pytest.raises(InputError, match="without area"):
         geometry.sample_surface(flat, 10, seed=0)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from gsjax.metrics.photos import score_pictures
 from gsjax.rendering.gallery import Picture
 from gsjax.scene import Pixels, frame_of
-from gsjax.scoring.images import score_pictures
 
 HEIGHT, WIDTH = 12, 16
 K = np.float32([[20, 0, 8], [0, 20, 6], [0, 0, 1]])
