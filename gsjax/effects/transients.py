@@ -1,11 +1,10 @@
-"""What stood in some photos only: evidence for it, and masks of the pixels that no other photo agrees with.
+"""Things that some photos show and others do not: evidence from tracks, and masks of pixels that training ignores.
 
 A pixel shows the scene where the render, in most of the pixels about it, is not off by far more than usual (after
 RobustNeRF, Sabour et al. 2023, and SpotLessSplats for Gaussians). Nothing is learned but what is usual, a quantile of
 the residuals of all photos: one that shows nothing foreign keeps nearly all of its pixels.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
@@ -13,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from jax import Array
-from scipy import ndimage
 
 from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.exposure import Gains
@@ -29,64 +27,18 @@ OUTLIER = 4  # standard deviations
 QUANTILE = 0.8  # of the residuals of all photos
 REACH = 4.0  # times it: edges that are a little off are no strangers
 WINDOW = 5  # pixels across, of which most must agree
-MOVED = 0.05  # of the photos, above which residuals report movers
-FEWEST_PHOTOS = 6  # whose residuals tell
-# Without movers the fox reaches 0.033 after 300 steps, the kitchen 0.054: what one photo alone shows stays far off.
-REGION, LEAST_AREA = 0.003, 0.06  # of a photo: of one region far off; of all, over what is usual
-SPREADS = 5  # over what is usual: times what the photos with least differ by
 LATER = 0.5  # of the time of growth, by which it is put off
 RATE = 0.02  # Adam's learning rate of the logarithm: from 1 to a twentieth in 150 steps
 
 
 def judge(seen: Observations, gains: Gains | None) -> Evidence:
-    """On only where it is plain: tracks are what matched, so what came and went is rarely in them."""
+    """Judge by the colours along tracks. Movers that left no tracks are not detected: tracks hold what matched."""
     if gains is None or not len(gains.fit.residuals):
         return unknown("share of observations", THRESHOLD, "needs points that three photos see")
     size = np.sqrt(np.square(gains.fit.residuals).mean(1))
     value = float((size > OUTLIER * gains.fit.sigma).mean())
     note = "colours off by 4 sigma after gains; sheen and shadows count too: give masks where something moved"
     return Evidence(value > THRESHOLD, value, "share of observations", FLOOR, THRESHOLD, note)
-
-
-def judge_residuals(residual_maps: Sequence[np.ndarray]) -> Evidence:
-    """Judge by a short run without masks whether things moved: what a few photos show, the render cannot.
-
-    Tracks hold what matched, so movers are rarely in them; the residuals of a validation run hold them. A photo has
-    movers if regions far off cover more of it than of the quarter of the photos with least.
-
-    Args:
-        residual_maps: Of every photo, `[H, W]` mean absolute difference of the channels between render and photo, 0..1,
-            after the photo's exposure; NaN where a pixel must not be used. A hundred pixels across are enough. The run
-            must be past its first densification, so that photos are shown better than movers. Where depth is known,
-            NaN at what fewer than two other photos show lowers what still scenes reach.
-
-    Returns:
-        Evidence whose value is the share of photos with movers; `on` above `MOVED`, in two photos at least.
-    """
-    unit = "share of photos"
-    every = np.concatenate([each[np.isfinite(each)] for each in residual_maps] or [np.empty(0)])
-    if len(residual_maps) < FEWEST_PHOTOS or not every.size:
-        return unknown(unit, MOVED, f"needs the residuals of {FEWEST_PHOTOS} photos")
-    usual = max(float(np.quantile(every, QUANTILE)), 1 / 255)
-    areas = np.array([far_off_area(each, REACH * usual) for each in residual_maps])
-    least, base = np.quantile(areas, (0.05, 0.25))
-    most = base + max(LEAST_AREA, SPREADS * (base - least))
-    moved = areas > most
-    value, noise = float(moved.mean()), float(np.sqrt(moved.mean() * (1 - moved.mean()) / len(areas)))
-    note = f"regions that a short run cannot show cover {100 * areas.max():.1f} % of a photo at most, and"
-    note += f" {100 * base:.1f} % of an ordinary one; over {100 * most:.1f} % in {moved.sum()} of {len(areas)} photos"
-    return Evidence(value > MOVED and moved.sum() >= 2, value, unit, noise, MOVED, note)
-
-
-def far_off_area(residual: np.ndarray, bound: float) -> float:
-    """Share of the usable pixels of `[H, W]` that lies in large regions most of whose pixels exceed a bound."""
-    usable = np.isfinite(residual)
-    far = np.where(usable, residual, 0.0) > bound
-    most = ndimage.uniform_filter(far.astype(np.float64), WINDOW, mode="nearest") > 0.5
-    labels, _ = ndimage.label(most & usable)  # pyright: ignore[reportGeneralTypeIssues]
-    sizes = np.bincount(labels.ravel())[1:]
-    total = max(int(usable.sum()), 1)
-    return float(sizes[sizes >= REGION * total].sum() / total)
 
 
 def make_effect(rate: optax.Schedule) -> Effect:

@@ -7,15 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
-from scipy import ndimage
 from small_scenes import camera_at
 from tolerances import assert_close
 
 from gsjax.effects import transients
-from gsjax.effects.observations import block_means
 from gsjax.effects.simulation import initial_state as effects_state
 from gsjax.effects.simulation import mask_untrusted, update_effects
-from gsjax.io.scenes import load_scene
 from gsjax.rendering import View
 from gsjax.settings import Density
 from gsjax.targets import Batch
@@ -116,59 +113,3 @@ def test_growth_waits_for_the_masks():
     assert transients.delay_growth(growth, 600) == replace(growth, start=300, stop=600)
     assert transients.delay_growth(Density(start=500, stop=15000), 7000) == Density(start=3750, stop=15000)
     assert transients.delay_growth(Density(start=500, stop=400), 1000) == Density(start=500, stop=400)
-
-
-def residual_maps(moved, size=(60, 80), photos=20, seed=0):
-    """Noise, an edge that a short run misses everywhere, and a square in some photos."""
-    rng = np.random.default_rng(seed)
-    maps = []
-    for index in range(photos):
-        residual = np.abs(0.02 * rng.normal(size=size))
-        residual[:, 30:32] += 0.3
-        if index in moved:
-            row, column = rng.integers(0, size[0] - 24), rng.integers(32, size[1] - 24)
-            residual[row : row + 24, column : column + 24] += 0.3
-        maps.append(residual)
-    return maps
-
-
-@pytest.mark.parametrize(("share", "is_on"), [(0.0, False), (0.05, False), (0.1, True), (0.5, True)])
-def test_residuals_tell_in_how_many_photos_something_moved(share, is_on):
-    found = transients.judge_residuals(residual_maps(range(round(share * 20))))
-    assert found.on == is_on
-    assert found.value == pytest.approx(share)
-
-
-def test_the_area_far_off_is_that_of_large_regions_alone():
-    residual = np.zeros((40, 50))
-    residual[10:20, 10:25] = 1.0
-    residual[30, :] = 1.0  # an edge: no window of five is mostly far off
-    assert transients.far_off_area(residual, 0.5) == pytest.approx(150 / 2000, abs=12 / 2000)
-    residual[:, 25:] = np.nan
-    assert transients.far_off_area(residual, 0.5) == pytest.approx(150 / 1000, abs=12 / 1000)
-    assert transients.far_off_area(np.full((40, 50), np.nan), 0.5) == 0
-
-
-def test_few_photos_without_a_usable_pixel_cannot_be_judged():
-    assert transients.judge_residuals([]).value is None
-    assert transients.judge_residuals([np.full((8, 8), np.nan)] * 9).value is None
-    assert transients.judge_residuals(residual_maps((), photos=3)).value is None
-
-
-@pytest.mark.parametrize("name", ["fox", "kitchen", "fern"])
-@pytest.mark.parametrize(("share", "is_on"), [(0.0, False), (0.1, True), (0.5, True)])
-def test_real_photos_against_softer_ones_have_movers_where_squares_are_put(shared, name, share, is_on):
-    """A render that is softer than the photo and off by some colour stands for a short run's."""
-    frames = load_scene(shared / "data" / name).frames
-    rng = np.random.default_rng(0)
-    moved, maps = rng.permutation(len(frames))[: round(share * len(frames))], []
-    for index, frame in enumerate(frames):
-        stride = max(frame.width, frame.height) // 128
-        photo = block_means(frame.pixels().image, stride) / 255
-        shown = ndimage.gaussian_filter(photo, (1, 1, 0)) * (1 + 0.05 * rng.normal())
-        if index in moved:
-            side = round(0.25 * np.sqrt(photo.shape[0] * photo.shape[1]))
-            for row, column in rng.integers(0, np.array(photo.shape[:2]) - side, (4, 2)):
-                photo[row : row + side, column : column + side] = rng.random(3)
-        maps.append(np.abs(shown - photo).mean(-1))
-    assert transients.judge_residuals(maps).on == is_on
