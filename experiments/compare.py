@@ -17,10 +17,11 @@ import numpy as np
 from configs import CONFIGS
 from train import claim, load_config, nearest
 
-from gsjax import config, tables
+from gsjax import config
 from gsjax.cli import parsers, run_guarded
 from gsjax.errors import InputError
 from gsjax.io import json_files
+from gsjax.report import tables
 from gsjax.settings import Settings
 
 STUDIES = Path(__file__).parent / "studies"

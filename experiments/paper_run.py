@@ -17,10 +17,11 @@ from typing import Any
 from paper.measured import LPIPS, SQUEEZE
 from paper.scenes import PAPER_MESH, SCENES, SCHEDULES, settings_of
 
-from gsjax import config, tables
+from gsjax import config
 from gsjax.cli import run_guarded
 from gsjax.errors import InputError
 from gsjax.io import json_files
+from gsjax.report import tables
 from gsjax.settings import PLAIN, Phase, Settings
 
 STAGES = ("train", "coarse", "mesh", "texture", "sheet", "refine", "refined")

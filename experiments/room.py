@@ -27,8 +27,8 @@ from tqdm import tqdm
 
 from gsjax.cli import run_guarded
 from gsjax.errors import InputError
-from gsjax.meshes import Mesh
-from gsjax.tables import align_columns
+from gsjax.report.tables import align_columns
+from gsjax.scene.meshes import Mesh
 
 CENTIMETRES = (3, 5, 10)
 NEAR, FAR = 0.4, 3.4  # metres in front of a camera, between which the sensor of the room measures
@@ -109,8 +109,8 @@ def camera_alignment(run: Path, truth: Truth) -> Alignment:
     Raises:
         InputError: The run has no cameras of the truth's names, or too few at the right places.
     """
-    from gsjax.cameras import viewmat_center
     from gsjax.runs.records import read_views
+    from gsjax.scene.cameras import viewmat_center
 
     centers = {Path(view["name"]).stem: viewmat_center(np.array(view["viewmat"])) for view in read_views(run)}
     names = [name for name in centers if name in truth.poses]

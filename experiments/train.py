@@ -15,10 +15,11 @@ from typing import Any
 
 from configs import CONFIGS
 
-from gsjax import config, tables
+from gsjax import config
 from gsjax.cli import run_guarded
 from gsjax.errors import InputError
 from gsjax.io import json_files
+from gsjax.report import tables
 from gsjax.settings import Settings
 
 

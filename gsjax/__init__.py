@@ -8,11 +8,11 @@ from typing import Any
 
 HOMES = {
     # Records.
-    "Camera": "cameras",
+    "Camera": "scene.cameras",
     "Frame": "scene",
     "Gaussians": "gaussians",
     "InputError": "errors",
-    "Mesh": "meshes",
+    "Mesh": "scene.meshes",
     "Scene": "scene",
     "Term": "training.terms",
     "TrainState": "training.state",
@@ -29,7 +29,7 @@ HOMES = {
     "align_normals": "training.terms",
     "depth_sdf": "normals.sdf",
     "opacities": "gaussians",
-    "pixel_rays": "cameras",
+    "pixel_rays": "scene.cameras",
     "psnr": "metrics.images",
     "render": "rendering.viewing",
     "scales": "gaussians",

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.cameras import look_at
 from gsjax.scene import Frame, Pixels, Scene, Tracks, frame_of
+from gsjax.scene.cameras import look_at
 
 SIZE, FOCAL = (120, 90), 95.0
 POINTS, CONTRAST, POINT_NOISE = 5000, 6.0, 0.01  # drawn, of which those stay that photos show contrast at; shares

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from gsjax.analytic import solids
-from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, rgb_to_sh
 from gsjax.io import analytic_scene
 from gsjax.rendering import gallery
 from gsjax.scene import Frame, Pixels, frame_of
+from gsjax.scene.cameras import Camera
 from gsjax.training.initialize import DEAD_LOGIT
 
 

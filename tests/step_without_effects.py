@@ -5,8 +5,9 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from gsjax import rendering, targets
+from gsjax import rendering
 from gsjax.numerics import all_finite, masked_mean
+from gsjax.scene import batches
 from gsjax.training import optimizers
 from gsjax.training.state import TrainState
 from gsjax.training.step import Metrics, in_photo
@@ -37,7 +38,7 @@ def make_train_step(optimizer, terms, *, capacity, background, sh_every, rule, d
     @partial(jax.jit, donate_argnums=0)
     def train_step(state, target, key):
         color = background(jax.random.fold_in(key, state.step))
-        batch = targets.batch(target, color)
+        batch = batches.batch(target, color)
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
         gradient = jax.value_and_grad(objective, argnums=(0, 1) if rule else (0,), has_aux=True)
         (total, (losses, mse, projection, pairs)), gradients = gradient(state.gaussians, probe, state, batch, color)

@@ -18,8 +18,8 @@ from gsjax.binding.bound import bind, to_mesh
 from gsjax.binding.hybrid import Hybrid, all_gaussians
 from gsjax.binding.refining import Refinement
 from gsjax.io.ply import write_gaussians
-from gsjax.meshes import Mesh
 from gsjax.meshing import write_mesh
+from gsjax.scene.meshes import Mesh
 from gsjax.settings import PRESETS, Settings
 
 ROOT = Path(__file__).resolve().parents[1]

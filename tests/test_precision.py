@@ -16,17 +16,19 @@ from scenes import loss
 from small_scenes import camera_at, cloud, photographed
 
 import rasterizer
-from gsjax import density_field, gaussians, rendering, targets
+from gsjax import gaussians, rendering
 from gsjax.analytic import solids
 from gsjax.binding import bound as binding
 from gsjax.binding import refining
 from gsjax.binding.hybrid import Hybrid
 from gsjax.binding.mesh_terms import mesh_graph
-from gsjax.cameras import center
 from gsjax.effects import background, exposure, poses, transients, vignetting
+from gsjax.meshing import density_field
 from gsjax.metrics import images
 from gsjax.normals import from_depth
 from gsjax.rendering import backdrop
+from gsjax.scene import batches
+from gsjax.scene.cameras import center
 from gsjax.settings import Density, Rates
 from gsjax.training.growth.rules import RULES
 from gsjax.training.optimizers import make_optimizer
@@ -98,7 +100,7 @@ def test_the_stages_of_the_rasterizer():
 @pytest.fixture(scope="module")
 def target():
     photos = photographed(cloud(50, seed=5), CAMERAS, with_mattes=True)
-    return targets.with_photo_numbers(targets.read_targets(photos)).targets
+    return batches.with_photo_numbers(batches.read_targets(photos)).targets
 
 
 def test_a_training_step_of_all_terms_and_effects_and_the_growth_after_it(target):
@@ -118,8 +120,8 @@ def test_a_training_step_of_all_terms_and_effects_and_the_growth_after_it(target
     step = make_train_step(OPTIMIZER, terms, effects=effects, depth_mode="front", **how)
     state = initial_state(cloud(30, capacity=48, seed=1), OPTIMIZER, RULES["error"], effects)
     maps = {"normals": np.full((24, 32, 3), 40, np.int8), "depth": np.full((24, 32), 2, np.float32)}
-    here = targets.replace(target[0], beside=target[1], trust=np.full((24, 32), 255, np.uint8), **maps)
-    here = targets.replace(here, sky=np.ones((24, 32), bool))
+    here = batches.replace(target[0], beside=target[1], trust=np.full((24, 32), 255, np.uint8), **maps)
+    here = batches.replace(here, sky=np.ones((24, 32), bool))
     assert not rough_products(step, state, here, jax.random.key(0))
     for rule in RULES:
         grown = partial(densify, optimizer=OPTIMIZER, density=Density(rule=rule), budget=48)
@@ -137,7 +139,7 @@ def test_a_step_of_the_refinement(target):
     )
     step = refining.make_refine_step(optimizer, weights, **how)
     state = refining.initial_state(Hybrid(sheet), optimizer)
-    here = targets.replace(target[0], normals=np.full((24, 32, 3), 40, np.int8))
+    here = batches.replace(target[0], normals=np.full((24, 32, 3), 40, np.int8))
     assert not rough_products(step, mesh_graph(np.asarray(sheet.faces)), state, here, jax.random.key(0))
 
 
@@ -158,7 +160,7 @@ FUNCTIONS = {
 
 
 def bound_sheet():
-    from gsjax.meshes import Mesh
+    from gsjax.scene.meshes import Mesh
 
     corners = np.float32([[0, 0, 4], [1, 0, 4], [0, 1, 4], [1, 1, 4]])
     mesh = Mesh(corners, np.int32([[0, 1, 2], [1, 3, 2]]), np.full((4, 3), 128, np.uint8))

@@ -19,13 +19,13 @@ from gsjax.io import json_files, photos
 from gsjax.io.images import read_image, write_image
 from gsjax.io.ply import read_gaussians, write_gaussians
 from gsjax.io.scenes import load_scene
-from gsjax.meshes import Mesh, face_normals
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline.refine import halved_where_seen, prepare_mesh
 from gsjax.runs.result import open_result, write_views
 from gsjax.scene import Pixels, frame_of
+from gsjax.scene.batches import read_targets
+from gsjax.scene.meshes import Mesh, face_normals
 from gsjax.settings import Settings
-from gsjax.targets import read_targets
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 SETTINGS = Refinement(steps=4, per_triangle=3, sh_degree=1, thickness=1e-3, settle_at=0.75)

@@ -12,11 +12,10 @@ from functools import lru_cache
 import numpy as np
 from matplotlib import pyplot
 
-from gsjax import targets
 from gsjax.analytic import solids
 from gsjax.metrics.images import psnr
 from gsjax.rendering import gallery
-from gsjax.scene import Pixels, extent, frame_of
+from gsjax.scene import Pixels, batches, extent, frame_of
 from gsjax.settings import Rates, Weights
 from gsjax.training import initialize, optimizers
 from gsjax.training.state import initial_state
@@ -42,7 +41,7 @@ def as_frame(index):
 held_out = range(0, 12, 4)
 frames = [as_frame(index) for index in range(12) if index not in held_out]
 size = extent(tuple(frames))
-photos_to_train_on = targets.read_targets(frames)
+photos_to_train_on = batches.read_targets(frames)
 
 rng = np.random.default_rng(0)
 low, high = np.array(solids.BOUNDS)

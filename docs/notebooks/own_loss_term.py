@@ -17,8 +17,8 @@ from gsjax.gaussians import Gaussians, scales
 from gsjax.numerics import masked_mean
 from gsjax.rendering import View
 from gsjax.scene import Pixels, extent, frame_of
+from gsjax.scene.batches import Batch
 from gsjax.settings import Phase, Settings, Weights
-from gsjax.targets import Batch
 from gsjax.training import initialize, optimizers
 from gsjax.training.loop import fit
 from gsjax.training.state import initial_state

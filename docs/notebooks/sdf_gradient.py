@@ -12,10 +12,11 @@ import numpy as np
 import optax
 from matplotlib import pyplot
 
-from gsjax import cameras, rendering
-from gsjax.cameras import Camera
+from gsjax import rendering
 from gsjax.gaussians import Gaussians
 from gsjax.normals import sdf
+from gsjax.scene import cameras
+from gsjax.scene.cameras import Camera
 
 # %% [markdown]
 # ## A camera and a plane

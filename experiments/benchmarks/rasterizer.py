@@ -17,9 +17,9 @@ from typing import Any
 
 from workloads import GOLDEN, HEAVY, WORKLOADS, milliseconds, scene_named
 
-from gsjax import tables
 from gsjax.cli import run_guarded
 from gsjax.io.machine import peak_memory
+from gsjax.report import tables
 
 # A process keeps its luck with memory and neighbours from the first call to the last, up to a factor of two.
 PROCESSES = 3

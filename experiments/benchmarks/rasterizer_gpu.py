@@ -15,9 +15,9 @@ from typing import Any
 
 from workloads import Scene, Workload, make_scene, milliseconds
 
-from gsjax import tables
 from gsjax.cli import run_guarded
 from gsjax.errors import InputError
+from gsjax.report import tables
 
 COUNTS = {"100k": 100_000, "1M": 1_000_000, "3M": 3_000_000}
 SIZES = {"1080p": (1920, 1080), "4K": (3840, 2160)}

@@ -20,9 +20,9 @@ from pathlib import Path
 from peers import TILE, Peer, Splats, Task, peer_named, tasks_of_ours
 from workloads import GOLDEN, HEAVY, seen
 
-from gsjax import tables
 from gsjax.cli import run_guarded
 from gsjax.errors import InputError
+from gsjax.report import tables
 
 NAMES = ("golden: 10k, 256x256, radius 6", "100k, 512x512, radius 3", HEAVY)
 # Mean difference of the colours: a splat on the alpha cut, or one that makes a pixel opaque, may be drawn by one alone.

@@ -20,9 +20,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gsjax import tables
 from gsjax.cli import run_guarded
 from gsjax.io.machine import machine, versions
+from gsjax.report import tables
 
 ENGINES = ("native", "xla")
 
@@ -47,10 +47,11 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
     import numpy as np
 
     import rasterizer
-    from gsjax import config, rendering, targets
+    from gsjax import config, rendering
     from gsjax.metrics.images import ssim
     from gsjax.planning.sizes import training_extent
     from gsjax.runs.result import open_result, scene_of_run
+    from gsjax.scene import batches
     from gsjax.settings import PRESETS, Rates, Settings
     from gsjax.training import optimizers
     from gsjax.training.capacity import chosen_capacity
@@ -59,8 +60,8 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
     scene = scene_of_run(run)
     finished = jax.tree.map(np.asarray, open_result(run).gaussians)  # Steps donate what they begin from.
     gaussians = jax.tree.map(jnp.asarray, finished)
-    data = targets.read_targets(scene.train_frames)
-    batch = targets.batch(one_view(data, 0, 0.5)(0), jnp.ones(3, jnp.float32))
+    data = batches.read_targets(scene.train_frames)
+    batch = batches.batch(one_view(data, 0, 0.5)(0), jnp.ones(3, jnp.float32))
     camera, capacity, grid = batch.camera, chosen_capacity(gaussians, data), rendering.tile_grid(batch.camera)
 
     def projected(gaussians):
@@ -109,7 +110,7 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
     import jax
     import numpy as np
 
-    from gsjax import targets
+    from gsjax.scene import batches
     from gsjax.settings import total_steps
     from gsjax.training.capacity import chosen_capacity
     from gsjax.training.growth.rules import RULES
@@ -125,9 +126,9 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
     taken = {}
     for phase in plan(settings).phases:
         scale = phase.scale * phase.surface_scale
-        data = with_neighbors(targets.read_targets(frames, scale=scale), extent)
+        data = with_neighbors(batches.read_targets(frames, scale=scale), extent)
         if "normals" in phase.needs:
-            data = targets.with_normals(data, facing, scale)
+            data = batches.with_normals(data, facing, scale)
         rule = RULES[settings.density.rule]
         start = replace(jax.tree.map(jax.numpy.asarray, gaussians), pixel_filter=settings.pixel_filter)
         state = initial_state(start, optimizer, rule)

@@ -14,9 +14,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from gsjax import tables
 from gsjax.cli import run_guarded
 from gsjax.io.machine import machine, versions
+from gsjax.report import tables
 
 SMALL = (320, 240)
 PHASES = [
@@ -86,7 +86,7 @@ def _write_cloud(file: Path, scene: Path, count: int) -> None:
     import numpy as np
 
     from gsjax.io.ply import encode_mesh
-    from gsjax.meshes import Mesh
+    from gsjax.scene.meshes import Mesh
 
     rng = np.random.default_rng(0)
     with np.load(scene / "gt_points.npz") as truth:

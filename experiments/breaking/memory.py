@@ -46,7 +46,7 @@ from gsjax.io.arrays import read_arrays as read
 np.savez(file, cam=rng.normal(size=(5_000, 2_000, 3)).astype(np.float32))
 """
 MESH = """
-from gsjax.meshes import Mesh
+from gsjax.scene.meshes import Mesh
 from gsjax.meshing.export import read_mesh as read, write_mesh
 faces = rng.integers(0, 500_000, (1_000_000, 3)).astype(np.int32)
 vertices, colors = rng.normal(size=(500_000, 3)), rng.uniform(size=(500_000, 3))

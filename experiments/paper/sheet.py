@@ -4,8 +4,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax.cameras import Camera
-from gsjax.colors import to_bytes
 from gsjax.gaussians import Gaussians
 from gsjax.io.normal_maps import map_places
 from gsjax.io.ply import read_gaussians
@@ -16,6 +14,8 @@ from gsjax.report.panels import draw_panels
 from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture
 from gsjax.runs.normal_source import read_map
 from gsjax.runs.result import Result, open_result, scene_of_run
+from gsjax.scene.cameras import Camera
+from gsjax.scene.colors import to_bytes
 
 
 def draw_sheet(out: Path, regulariser: str = "R") -> list[str]:

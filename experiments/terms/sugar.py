@@ -12,15 +12,16 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from gsjax import cameras, density_field
-from gsjax.cameras import Camera
-from gsjax.density_field import Kernels
 from gsjax.gaussians import Gaussians, rotation_matrices, scales, smallest_axes
+from gsjax.meshing import density_field
+from gsjax.meshing.density_field import Kernels
 from gsjax.normals import sdf
 from gsjax.normals.sdf import face_camera
 from gsjax.numerics import masked_mean, safe_normalize
 from gsjax.rendering import View
-from gsjax.targets import Batch
+from gsjax.scene import cameras
+from gsjax.scene.batches import Batch
+from gsjax.scene.cameras import Camera
 from terms.surroundings import Around
 
 SPREAD = 1.5  # standard deviations of the points drawn about a Gaussian, in its own

@@ -10,9 +10,9 @@ from jax import Array
 from scipy.spatial import KDTree
 
 from gsjax.gaussians import Gaussians, is_alive
-from gsjax.nearest import nearest_table
+from gsjax.meshing.knn import nearest_table
 from gsjax.rendering import View
-from gsjax.targets import Batch
+from gsjax.scene.batches import Batch
 
 NEAREST = 16  # Gaussians that the density at one is summed over, itself among them (SuGaR)
 REFRESHED_EVERY = 500  # looks at a table before the next is made (SuGaR)

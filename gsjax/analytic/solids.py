@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gsjax.cameras import Camera, center, look_at, pixel_rays, project, rotation, world_to_camera
-from gsjax.colors import linear_to_srgb, srgb_to_linear
+from gsjax.scene.cameras import Camera, center, look_at, pixel_rays, project, rotation, world_to_camera
+from gsjax.scene.colors import linear_to_srgb, srgb_to_linear
 
 GROUND_LABEL = 255
 TABLE_RADIUS = 1.6

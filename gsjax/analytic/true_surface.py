@@ -6,9 +6,9 @@ import numpy as np
 from jax import Array
 
 from gsjax.analytic import solids
-from gsjax.colors import to_bytes
-from gsjax.meshes import Mesh
 from gsjax.metrics.geometry import sample_surface
+from gsjax.scene.colors import to_bytes
+from gsjax.scene.meshes import Mesh
 
 _PROJECTIONS = 6  # one suffices where the distance is exact
 _ON_SURFACE = 1e-4  # world units

@@ -9,10 +9,11 @@ import numpy as np
 from jax import Array
 from scipy.spatial import KDTree
 
-from gsjax import rendering, targets
+from gsjax import rendering
 from gsjax.gaussians import Gaussians
 from gsjax.rendering import DepthReading
-from gsjax.targets import Target, Targets
+from gsjax.scene import batches
+from gsjax.scene.batches import Target, Targets
 from gsjax.training.capacity import chosen_capacity
 
 AT_BORDER = 2.0  # Standard deviations within which a Gaussian reaches over a border of the mesh.
@@ -71,7 +72,7 @@ def _light(
 ) -> Array:
     """`[N, 3]` light in one view: on rays that meet no mesh, on those that meet it elsewhere, and all."""
     black = jnp.zeros(3, jnp.float32)
-    batch = targets.batch(target, black)
+    batch = batches.batch(target, black)
 
     def shown(probe: Array) -> tuple[Array, tuple[Array, Array]]:
         view = rendering.render(

@@ -14,8 +14,8 @@ from jax import Array
 from scipy.spatial.transform import Rotation
 
 from gsjax.gaussians import DEAD_LOGIT, SH_C0, Gaussians, PixelFilter, rgb_to_sh
-from gsjax.meshes import Mesh
 from gsjax.rendering import Drawable, drawable
+from gsjax.scene.meshes import Mesh
 from rasterizer.covariances import Matrix, Vector, components, cross, dot, matrix_rows
 from rasterizer.fusion import walled
 

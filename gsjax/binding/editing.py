@@ -9,7 +9,7 @@ from gsjax.binding.bound import COLLAPSED, LAYOUTS, BoundGaussians, axes, bind, 
 from gsjax.binding.hybrid import Hybrid, with_free
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, rotation_matrices, take
-from gsjax.meshes import Mesh
+from gsjax.scene.meshes import Mesh
 
 MOST_APART = 1e-4  # Of the mesh's size: a Gaussian farther than this from its place on the mesh is another's.
 

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
-from gsjax import rendering, targets
+from gsjax import rendering
 from gsjax.binding import mesh_terms
 from gsjax.binding.bound import LAYOUTS, BoundGaussians
 from gsjax.binding.hybrid import Hybrid
@@ -27,8 +27,9 @@ from gsjax.config import declare_types, parse_numbers
 from gsjax.gaussians import PixelFilter
 from gsjax.metrics.images import in_decibels, mse
 from gsjax.rendering import backdrop
+from gsjax.scene import batches
+from gsjax.scene.batches import Batch, Target, Targets
 from gsjax.settings import RATES, Rates, check_lowest, check_seed
-from gsjax.targets import Batch, Target, Targets
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
 from gsjax.training.faults import faulty_terms, photo_of
@@ -282,7 +283,7 @@ def make_refine_step(
     def refine_step(graph: MeshGraph, state: RefineState, target: Target, key: Array):
         def differentiate(state: RefineState, target: Target, color: Array, key: Array):
             del key
-            parameters, batch = with_faces(state.gaussians, None), targets.batch(target, color)
+            parameters, batch = with_faces(state.gaussians, None), batches.batch(target, color)
             (total, (losses, error, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
                 parameters, state, graph, batch, color
             )

@@ -30,7 +30,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import pipeline, tables
+    from gsjax import pipeline
+    from gsjax.report import tables
 
     settings = training(arguments)
     report = pipeline.blocks(arguments.scene, arguments.out, settings, arguments.blocks, only=arguments.only)

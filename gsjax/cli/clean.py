@@ -32,9 +32,10 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import pipeline, tables
+    from gsjax import pipeline
     from gsjax.errors import InputError
     from gsjax.pipeline.clean import undo
+    from gsjax.report import tables
 
     options = given_options(arguments, "out", "scene", "crop_to_cameras", "box", "sphere")
     if arguments.undo and options:

@@ -29,7 +29,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import pipeline, tables
+    from gsjax import pipeline
+    from gsjax.report import tables
 
     options = given_options(arguments, "sh_degree", "crop", "min_opacity")
     figures = pipeline.convert(arguments.source, arguments.out, **options)

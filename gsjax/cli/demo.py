@@ -26,8 +26,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import tables
     from gsjax.pipeline import demo
+    from gsjax.report import tables
 
     report = demo.run(arguments.out)
     rows = {"vanilla": report["vanilla"], "surface": report["surface"], tables.FLOOR: report["floor"]}

@@ -29,8 +29,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import tables
     from gsjax.pipeline.diagnose import apart_line, diagnose, normals_rows, rows
+    from gsjax.report import tables
 
     record = diagnose(arguments.scene, **given_options(arguments, "json", "downscale", "images"))
     print(tables.align_columns(rows(record)))

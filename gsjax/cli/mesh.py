@@ -57,7 +57,8 @@ def _methods() -> str:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import pipeline, tables
+    from gsjax import pipeline
+    from gsjax.report import tables
 
     options = given_options(
         arguments, "method", "depth", "trim_quantile", "cell", "level", "points", "bounds", "background_bounds",

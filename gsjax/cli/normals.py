@@ -33,7 +33,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import pipeline, tables
+    from gsjax import pipeline
+    from gsjax.report import tables
 
     options = given_options(arguments, "downscale", "images")
     report = pipeline.normals(arguments.scene, arguments.network, arguments.weights, arguments.out, **options)

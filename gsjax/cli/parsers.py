@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 
 from gsjax.errors import InputError
-from gsjax.place import parse_length
+from gsjax.scene.georeference import parse_length
 
 UNITS = {"s": 1, "m": 60, "h": 3600}
 

@@ -47,8 +47,9 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import config, pipeline, tables
+    from gsjax import config, pipeline
     from gsjax.binding.refining import PRESETS, SETTLE_AT, Refinement
+    from gsjax.report import tables
 
     options = given_options(arguments, "steps", "faces", "per_triangle", "keep_free", "seed")
     if arguments.settled is not None:

@@ -35,8 +35,9 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import pipeline, tables
+    from gsjax import pipeline
     from gsjax.errors import InputError
+    from gsjax.report import tables
     from gsjax.runs.pixel_to_point import Pixel
 
     texts, pixels = arguments.between, []

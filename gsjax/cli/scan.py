@@ -31,10 +31,11 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import config, pipeline, tables
+    from gsjax import config, pipeline
     from gsjax.binding.refining import PRESETS as REFINEMENTS
     from gsjax.binding.refining import Refinement
     from gsjax.pipeline.scan import table
+    from gsjax.report import tables
 
     settings = training(arguments)
     length = REFINEMENTS[REFINED_BY[arguments.preset]]

@@ -90,8 +90,8 @@ def print_if_small(report: Mapping[str, Any]) -> None:
 def _run(arguments: argparse.Namespace) -> None:
     from dataclasses import asdict
 
-    from gsjax import tables
     from gsjax.io import sfm
+    from gsjax.report import tables
 
     report = asdict(sfm.reconstruct(arguments.photos, arguments.out, **reconstruction(arguments)))
     tell_unused(report)

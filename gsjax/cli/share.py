@@ -31,7 +31,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import pipeline, tables
+    from gsjax import pipeline
+    from gsjax.report import tables
 
     options = given_options(arguments, "title", "mesh", "max_gaussians", "sh_degree")
     figures = pipeline.share(arguments.source, arguments.out, **options)

@@ -30,7 +30,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import pipeline, tables
+    from gsjax import pipeline
+    from gsjax.report import tables
 
     options = given_options(arguments, "size", "scene")
     print(tables.record(pipeline.texture(arguments.source, arguments.mesh, arguments.out, **options)))

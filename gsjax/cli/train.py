@@ -102,7 +102,7 @@ def _run(arguments: argparse.Namespace) -> None:
         raise InputError(f"--{next(iter(places))} goes with --coordinator")
     if arguments.deterministic:
         environment.ask_for_determinism()
-    from gsjax import tables
+    from gsjax.report import tables
 
     arguments.scene = _scene(arguments)
     if arguments.coordinator is None:

@@ -27,7 +27,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 
 def _run(arguments: argparse.Namespace) -> None:
-    from gsjax import pipeline, tables
+    from gsjax import pipeline
+    from gsjax.report import tables
 
     report = pipeline.undistort(arguments.scene, arguments.out, **given_options(arguments, "downscale", "images"))
     print(tables.record(report))

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
-from gsjax.cameras import Camera
 from gsjax.effects.twists import apply_twist
 from gsjax.rendering.gallery import Picture
+from gsjax.scene.cameras import Camera
 
 BLURS = (0.01, 0.005, 0.0025, 0.0, 0.0, 0.0)  # of the width: standard deviations, one a round
 PROBE = 0.05  # pixels that a move shifts the picture by for a slope

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from gsjax.cameras import Camera, viewmat_center
 from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.effects.gains import fit, table
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import Effects, EffectState
 from gsjax.effects.sky import Masks
 from gsjax.scene import Frame, with_pixels
+from gsjax.scene.cameras import Camera, viewmat_center
 from gsjax.settings import SIMULATED
 
 NEAR_PHOTOS = 3  # that say how one between them is exposed

@@ -7,13 +7,13 @@ import numpy as np
 import optax
 from jax import Array
 
-from gsjax.colors import srgb_to_linear
 from gsjax.effects import simulation
 from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.gains import Fit, Table, fit, held_out_ratio, table
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import LIMIT, Effect
-from gsjax.targets import Batch
+from gsjax.scene.batches import Batch
+from gsjax.scene.colors import srgb_to_linear
 
 THRESHOLD = 0.05  # EV, of the exposure's or the white balance's standard deviation: 0.26 dB of PSNR at 30 dB
 HELD_OUT = 0.95  # Gains must lower the error of points that they were not fitted to at least to this share,

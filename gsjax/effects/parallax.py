@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from gsjax.cameras import viewmat_center
-from gsjax.colors import srgb_to_linear
 from gsjax.effects.observations import BRIGHTEST, DARKEST, Observations
+from gsjax.scene.cameras import viewmat_center
+from gsjax.scene.colors import srgb_to_linear
 
 VIEWS, PARTNERS, SAMPLES = 32, 8, 200  # photos, spread evenly; others that each is compared with; places of each
 OVERLAP = 0.1  # of the places, which a partner shows as well

@@ -9,12 +9,12 @@ import numpy as np
 import optax
 from jax import Array
 
-from gsjax.cameras import Camera
 from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import Effect
 from gsjax.effects.twists import apply_twist, gauge
 from gsjax.scene import Frame
+from gsjax.scene.cameras import Camera
 
 THRESHOLD = 0.3  # pixels
 SIGNIFICANT = 3  # standard errors

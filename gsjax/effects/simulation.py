@@ -14,9 +14,9 @@ import optax
 from jax import Array
 from jax.typing import ArrayLike
 
-from gsjax.cameras import Camera
 from gsjax.rendering import View
-from gsjax.targets import Batch
+from gsjax.scene.batches import Batch
+from gsjax.scene.cameras import Camera
 
 RATE, FINAL = 2e-3, 1e-2  # Adam's learning rate, and the share of it that is left at the end (PPISP)
 HOLD = 300  # steps before an effect may move, and after opacities were reset: colours settle first

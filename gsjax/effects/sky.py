@@ -11,12 +11,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from gsjax.cameras import landing
 from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.observations import EVEN, UNUSABLE, Observations, block_means, even_stride, light_stride
 from gsjax.effects.parallax import Parallax
-from gsjax.place import up_of_cameras
 from gsjax.scene import Frame
+from gsjax.scene.cameras import landing
+from gsjax.scene.georeference import up_of_cameras
 
 THRESHOLD = 1.2  # times the error at infinity, which any other place of the light has at least
 LARGE_ROOM = 2 / 3  # of that threshold, for rooms far larger than what was matched: a sky is hardly different from them

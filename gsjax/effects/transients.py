@@ -18,8 +18,8 @@ from gsjax.effects.exposure import Gains
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import Effect
 from gsjax.numerics import masked_mean
+from gsjax.scene.batches import Batch
 from gsjax.settings import Density
-from gsjax.targets import Batch
 
 THRESHOLD = 0.25  # of the observations
 FLOOR = 0.14  # what still scenes reach by sheen, shadows and wrong matches

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gsjax import cameras
-from gsjax.cameras import Camera
+from gsjax.scene import cameras
+from gsjax.scene.cameras import Camera
 
 _SMALL = 1e-6  # of a squared angle, below which sines are their series: to 14 digits
 

@@ -5,13 +5,13 @@ import numpy as np
 import optax
 from jax import Array
 
-from gsjax.cameras import Camera
 from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.exposure import Gains
 from gsjax.effects.gains import Fit, Table, fit, project
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import LIMIT, Effect
-from gsjax.targets import Batch
+from gsjax.scene.batches import Batch
+from gsjax.scene.cameras import Camera
 
 THRESHOLD = 0.1  # EV at the corner
 SIGNIFICANT = 5  # standard errors

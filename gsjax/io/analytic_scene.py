@@ -24,12 +24,12 @@ import numpy as np
 from tqdm import tqdm
 
 from gsjax.analytic import solids, true_surface
-from gsjax.cameras import Camera, project, rotation, world_to_camera
-from gsjax.colors import linear_to_srgb, to_bytes
 from gsjax.io import ply
 from gsjax.io.files import atomic_folder
 from gsjax.io.packages import require
-from gsjax.meshes import Mesh
+from gsjax.scene.cameras import Camera, project, rotation, world_to_camera
+from gsjax.scene.colors import linear_to_srgb, to_bytes
+from gsjax.scene.meshes import Mesh
 
 HELD_OUT_EVERY = 8  # views 0, 8, 16, ... are for scoring
 MESH_SPACING = 0.02  # world units

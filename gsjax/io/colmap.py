@@ -15,7 +15,7 @@ from gsjax.io.photo_names import local_names, short_name
 from gsjax.io.photos import Capture, Photo
 from gsjax.io.random_points import points_in_view, tell_of_random_points
 from gsjax.scene import Tracks
-from gsjax.similarity import is_float32
+from gsjax.scene.similarity import is_float32
 
 
 def read_capture(root: Path, model: Path) -> Capture:

@@ -20,7 +20,7 @@ from gsjax.io.colmap_records import ImageRecord
 from gsjax.io.lenses import Lens, check_lens
 from gsjax.io.notices import print_once
 from gsjax.io.ply import read_points
-from gsjax.similarity import is_float32
+from gsjax.scene.similarity import is_float32
 
 PLACES = ("sparse/*", "sparse", "colmap/sparse/*", ".")  # Where models are looked for.
 _READERS = {".bin": colmap_binary, ".txt": colmap_text}

@@ -13,7 +13,7 @@ from gsjax.errors import InputError
 from gsjax.io.colmap_records import KEYPOINT, NO_POINT, ImageRecord, by_id, camera_models, decode_text
 from gsjax.io.files import read_bytes
 from gsjax.io.lenses import Lens
-from gsjax.similarity import is_float32
+from gsjax.scene.similarity import is_float32
 
 _POINT = np.dtype([("id", "<i8"), ("xyz", "<f8", 3), ("color", "<f8", 3)])
 _NO_KEYPOINTS = np.empty(0, KEYPOINT)

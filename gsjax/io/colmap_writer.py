@@ -13,7 +13,7 @@ from gsjax.io.colmap_model import read_model
 from gsjax.io.files import flush, make_folder
 from gsjax.io.packages import require
 from gsjax.scene import Frame
-from gsjax.similarity import IDENTITY, Similarity
+from gsjax.scene.similarity import IDENTITY, Similarity
 
 if TYPE_CHECKING:
     import pycolmap

@@ -35,7 +35,7 @@ from gsjax.io.ply_elements import (
     rest_names,
     stack_columns,
 )
-from gsjax.place import UNPLACED, Place
+from gsjax.scene.georeference import UNPLACED, Place
 
 _CHUNK = 256
 _MEANS, _SCALES, _COLORS = ("x", "y", "z"), ("scale_x", "scale_y", "scale_z"), ("r", "g", "b")

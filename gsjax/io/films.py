@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from gsjax.camera_path import Keyframes
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.files import atomic_path
 from gsjax.io.packages import require
+from gsjax.scene.camera_path import Keyframes
 
 Image: Any = require("PIL.Image", "pip install pillow")
 cv2 = require("cv2", "pip install opencv-contrib-python-headless")

@@ -1,7 +1,7 @@
 """Files of Gaussians by suffix: 3DGS's plain PLY, PlayCanvas's compressed PLY and SOG, and SPZ; and that of a run.
 
 The compressed ones have few bits for positions and sizes. Gaussians that lie far off their origin, or are very small or
-large in their units, are stored in local coordinates (`gsjax.similarity`), and a JSON file beside tells which:
+large in their units, are stored in local coordinates (`gsjax.scene.similarity`), and a JSON file beside tells which:
 `garden.spz.similarity.json`. With it the file is read as what was written; without, as the local one.
 """
 
@@ -18,8 +18,8 @@ from gsjax.io import compressed_ply, json_files, ply, sog, spz
 from gsjax.io.exchange import settle
 from gsjax.io.files import atomic_path
 from gsjax.io.place_files import state_beside
-from gsjax.place import UNPLACED, Place
-from gsjax.similarity import IDENTITY, Similarity, loses_in_float32, of_points, parse_similarity
+from gsjax.scene.georeference import UNPLACED, Place
+from gsjax.scene.similarity import IDENTITY, Similarity, loses_in_float32, of_points, parse_similarity
 
 USUAL_SCALES = 1 / 64, 64.0  # Of a similarity: a compressed file needs no other units of its own.
 _ABOUT = "local = scale * (world - center); the file beside holds local coordinates"

@@ -96,7 +96,7 @@ def check_libraries() -> Iterator[Finding]:
 
 def check_device() -> Iterator[Finding]:
     """What jax computes on, and with which engine the rasterizer draws there."""
-    from gsjax.devices import engine_here
+    from gsjax.rendering.engine import engine_here
 
     try:
         engine = engine_here()

@@ -15,7 +15,7 @@ from gsjax.errors import InputError
 from gsjax.io.images import cv2
 from gsjax.io.machine import require_memory
 from gsjax.io.packages import require
-from gsjax.similarity import is_float32
+from gsjax.scene.similarity import is_float32
 
 # Models of one focal length: the same model with two, and how many coefficients that one has more, all zero.
 _WITH_TWO_FOCALS = {

@@ -9,7 +9,6 @@ import numpy as np
 from tqdm import tqdm
 
 from gsjax.errors import InputError
-from gsjax.in_order import in_order
 from gsjax.io.bad_items import Fault, leave_out
 from gsjax.io.images import (
     check_image,
@@ -23,6 +22,7 @@ from gsjax.io.images import (
     upright_size,
 )
 from gsjax.io.lenses import Lens, PinholeView, pinhole_views, resize_lens
+from gsjax.io.parallel_map import parallel_map
 from gsjax.scene import DepthFile, Frame, Origin, Pixels, Tracks
 
 MASK_USES = ("valid", "matte")
@@ -58,8 +58,8 @@ def readable_photos(photos: Sequence[Photo]) -> list[Photo]:
     Raises:
         InputError: Too few are.
     """
-    bar = tqdm(in_order(_file_fault, photos), total=len(photos), desc="checking", unit="photo", leave=False, delay=2)
-    reasons = list(bar)
+    checked = parallel_map(_file_fault, photos)
+    reasons = list(tqdm(checked, total=len(photos), desc="checking", unit="photo", leave=False, delay=2))
     faults = [Fault(photo.name, reason) for photo, reason in zip(photos, reasons, strict=True) if reason]
     leave_out("photos", faults, len(photos))
     return [photo for photo, reason in zip(photos, reasons, strict=True) if not reason]

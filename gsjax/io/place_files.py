@@ -1,4 +1,4 @@
-"""Where files say which place their coordinates are of (`gsjax.place`).
+"""Where files say which place their coordinates are of (`gsjax.scene.georeference`).
 
 A data set and a run hold `place.json`. A PLY says it in a comment, a GLB in the extras of its asset; beside any other
 file `garden.spz` lies `garden.spz.place.json`.
@@ -10,7 +10,7 @@ from pathlib import Path
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.json_files import plain
-from gsjax.place import UNPLACED, Place, parse_place
+from gsjax.scene.georeference import UNPLACED, Place, parse_place
 
 FILE = "place.json"
 EXTRAS = "place"  # the key in a GLB's `asset.extras`

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
-from gsjax.colors import shares, to_bytes
 from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0, Gaussians, rgb_to_sh, smallest_axes
 from gsjax.io.bad_items import leave_out_rows
@@ -23,9 +22,10 @@ from gsjax.io.ply_elements import (
     rest_names,
     stack_columns,
 )
-from gsjax.meshes import Mesh
-from gsjax.place import UNPLACED, Place
-from gsjax.similarity import as_needed, is_float32, loses_in_float32, spread
+from gsjax.scene.colors import shares, to_bytes
+from gsjax.scene.georeference import UNPLACED, Place
+from gsjax.scene.meshes import Mesh
+from gsjax.scene.similarity import as_needed, is_float32, loses_in_float32, spread
 
 _MEANS = ["x", "y", "z"]
 _DC = [f"f_dc_{i}" for i in range(3)]

@@ -8,7 +8,7 @@ from gsjax.errors import InputError
 from gsjax.io.bad_items import leave_out_rows
 from gsjax.io.ply import point_colors, tell_of_rounding
 from gsjax.io.ply_elements import read_elements, stack_columns
-from gsjax.similarity import is_float32
+from gsjax.scene.similarity import is_float32
 
 
 def read_points(path: str | Path) -> tuple[np.ndarray, np.ndarray]:

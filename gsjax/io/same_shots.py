@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.in_order import in_order
 from gsjax.io.exif import orientation_of
 from gsjax.io.images import Image, decoding, open_image
 from gsjax.io.machine import memory_for
+from gsjax.io.parallel_map import parallel_map
 
 SIDE = 32  # pixels of the small picture
 MOST_LEVELS = 1.5  # RMS of 255; measured: JPEG at 50 or a third of the size 0.2 to 1.3, neighbouring views from 2
@@ -31,7 +31,7 @@ def same_shots(files: Sequence[Path]) -> list[list[int]]:
 
     A file that cannot be read, or shows one colour, is a group of its own.
     """
-    pictures = list(in_order(_small_picture, files))
+    pictures = list(parallel_map(_small_picture, files))
     groups: list[list[int]] = []
     firsts = np.empty((0, SIDE * SIDE), np.float32)  # of those groups in `leaders`, unit vectors
     contrasts, leaders = np.empty(0, np.float32), list[int]()

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax import similarity as similarities
 from gsjax.errors import InputError
 from gsjax.io import colmap, colmap_model, transforms
 from gsjax.io.bad_items import Fault, leave_out, read_usable
@@ -20,9 +19,10 @@ from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, readable_photo
 from gsjax.io.place_files import read_place
 from gsjax.io.splits import AUTO, listed, mark_held_out
 from gsjax.io.truth import load_truth
-from gsjax.place import Place
 from gsjax.scene import Scene
-from gsjax.similarity import Similarity
+from gsjax.scene import similarity as similarities
+from gsjax.scene.georeference import Place
+from gsjax.scene.similarity import Similarity
 
 
 def load_scene(
@@ -56,7 +56,7 @@ def load_scene(
         photos: Text file of the names of those that are taken, one a line, as `hold_out` may be one; None: all. Which
             of them are held out is decided among all.
         similarity: From the coordinates of the world to those of the scene. None: by its cameras
-            (`gsjax.similarity.of_cameras`); it changes nothing of a scene of usual size at its origin.
+            (`gsjax.scene.similarity.of_cameras`); it changes nothing of a scene of usual size at its origin.
         place: Which world the files' coordinates are brought to. None: as `place.json` in the folder says, without
             which it is that of the files.
         masks: Folder of the masks. None: `masks/` in the folder.

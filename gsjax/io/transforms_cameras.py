@@ -14,7 +14,7 @@ from gsjax.errors import InputError
 from gsjax.io.images import image_size
 from gsjax.io.lenses import Lens, check_lens
 from gsjax.scene import DepthFile
-from gsjax.similarity import is_float32
+from gsjax.scene.similarity import is_float32
 
 # For each `camera_model`, in capitals: COLMAP's model and the coefficients that it takes after fx, fy, cx, cy.
 _RADIAL_AND_TANGENTIAL = ("FULL_OPENCV", ("k1", "k2", "p1", "p2", "k3", "", "", ""))

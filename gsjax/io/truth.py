@@ -9,9 +9,9 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.arrays import headers, read_arrays
 from gsjax.io.images import same_shape
-from gsjax.place import UNPLACED, Place
 from gsjax.scene import Frame, Truth
-from gsjax.similarity import IDENTITY, Similarity
+from gsjax.scene.georeference import UNPLACED, Place
+from gsjax.scene.similarity import IDENTITY, Similarity
 
 
 def load_truth(

@@ -5,11 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax import targets
 from gsjax.io.normal_maps import normal_maps
 from gsjax.normals.axes import apply_axes, axis_signs
-from gsjax.scene import Frame
-from gsjax.targets import NORMAL_UNIT, Target
+from gsjax.scene import Frame, batches
+from gsjax.scene.batches import NORMAL_UNIT, Target
 
 
 def read_views(
@@ -29,9 +28,9 @@ def read_views(
     Raises:
         InputError: A photo or a map cannot be read.
     """
-    views = targets.read_targets(frames, scale=scale)
+    views = batches.read_targets(frames, scale=scale)
     if normals is not None:
         signs, read = axis_signs(normal_axes), normal_maps(normals, tuple(frames))
         maps = (apply_axes(read[frame.name](), signs) for frame in frames)
-        views = targets.with_normals(views, (np.rint(NORMAL_UNIT * each).astype(np.int8) for each in maps), scale)
+        views = batches.with_normals(views, (np.rint(NORMAL_UNIT * each).astype(np.int8) for each in maps), scale)
     return list(views.targets)

@@ -9,7 +9,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from gsjax.cameras import Camera, viewmat_center
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
 from gsjax.meshing.depth_points import NormalsOfDepth, depth_poisson
@@ -17,6 +16,7 @@ from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.sighting import Method, Sighting
 from gsjax.rendering.gallery import Picture
 from gsjax.rendering.shown_depths import ShownDepth, depths_at
+from gsjax.scene.cameras import Camera, viewmat_center
 
 AGREEING = 2  # Other views, at the least, that show a surface where a view shows it: one may be wrong as well.
 SHARE = 0.7  # Of the views that look at the place, those that show it; the others look through it.

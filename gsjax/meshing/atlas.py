@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.meshes import Mesh, face_area_vectors
+from gsjax.scene.meshes import Mesh, face_area_vectors
 
 PADDING = 4  # Texels between charts.
 LEAST_PADDING = 2  # Of which so many must be left where the charts are shrunk to fit.

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from gsjax.meshes import Mesh
 from gsjax.meshing.topology import edge_table
+from gsjax.scene.meshes import Mesh
 
 NEAR_LARGEST = 0.5  # Triangles of this share of the largest weight and more are halved in one round.
 

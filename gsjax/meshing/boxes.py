@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gsjax.errors import InputError
-from gsjax.similarity import IDENTITY, Similarity
+from gsjax.scene.similarity import IDENTITY, Similarity
 
 MIDDLE, MARGIN = 0.98, 0.1  # A robust box: share of the points along each axis; of its longest side, added all round.
 CORE, CORE_MARGIN = 0.9, 0.25  # The same of a foreground that has a background: all of an even spread, no long tail.

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from gsjax.meshes import Mesh
 from gsjax.meshing.libraries import load_open3d
+from gsjax.scene.meshes import Mesh
 
 
 def closest_on_mesh(mesh: Mesh, queries: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import boxes
 from gsjax.meshing.boxes import Box, Regions
-from gsjax.similarity import Similarity
+from gsjax.scene.similarity import Similarity
 
 REACH = 3.0  # standard deviations of a Gaussian, within which it may make surface in a box
 

@@ -4,14 +4,14 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from gsjax.cameras import Camera
-from gsjax.colors import to_bytes
 from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.sighting import Method, Sighting, poisson_through
 from gsjax.rendering.gallery import Picture
+from gsjax.scene.cameras import Camera
+from gsjax.scene.colors import to_bytes
 
 NormalsOfDepth = Callable[[np.ndarray, np.ndarray, Camera], np.ndarray]
 """Depth and alphas `[H, W]`, camera -> `[H, W, 3]` unit normals in its frame, towards it; zero where there is none."""

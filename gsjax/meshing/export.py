@@ -25,7 +25,6 @@ from gsjax.errors import InputError
 from gsjax.io import ply
 from gsjax.io.files import atomic_path
 from gsjax.io.place_files import state_beside
-from gsjax.meshes import Mesh
 from gsjax.meshing import glb, usdz
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.glb_parts import read_glb
@@ -34,8 +33,9 @@ from gsjax.meshing.named_files import NamedFiles
 from gsjax.meshing.obj import read_obj
 from gsjax.meshing.parts import Part, TooOftenError, merge_parts, shown_colors, within_texture
 from gsjax.meshing.ply_parts import read_ply
-from gsjax.place import UNPLACED, Place
-from gsjax.similarity import as_needed, is_float32, loses_in_float32, spread
+from gsjax.scene.georeference import UNPLACED, Place
+from gsjax.scene.meshes import Mesh
+from gsjax.scene.similarity import as_needed, is_float32, loses_in_float32, spread
 
 SUFFIXES = (".ply", ".obj", ".glb")
 HEADER_BYTES = 65536  # Of a PLY, at most.

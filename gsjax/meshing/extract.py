@@ -5,10 +5,8 @@ from dataclasses import asdict
 
 import numpy as np
 
-from gsjax.cameras import Camera
 from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians, without_view_dependence
-from gsjax.meshes import Mesh
 from gsjax.meshing.boxes import Region, Regions, near_and_far
 from gsjax.meshing.cleaning import clean, concatenate_meshes
 from gsjax.meshing.level_set_poisson import level_set_poisson
@@ -17,7 +15,9 @@ from gsjax.meshing.sighting import Method, Sighting, method_name
 from gsjax.meshing.topology import topology
 from gsjax.rendering import gallery
 from gsjax.rendering.gallery import Picture
-from gsjax.similarity import IDENTITY, Similarity
+from gsjax.scene.cameras import Camera
+from gsjax.scene.meshes import Mesh
+from gsjax.scene.similarity import IDENTITY, Similarity
 
 LENGTHS = frozenset({"cell", "voxel", "trim_distance", "boundary_length", "largest_hole"})
 """What in a report has units of the scene."""

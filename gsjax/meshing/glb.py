@@ -6,14 +6,14 @@ them, they stand about a point near by, which is the translation of their node.
 
 import numpy as np
 
-from gsjax.colors import linear_to_srgb, srgb_to_linear, to_bytes
 from gsjax.io.json_files import plain
 from gsjax.io.place_files import EXTRAS
-from gsjax.meshes import Mesh
 from gsjax.meshing.atlas import TexturedMesh
 from gsjax.meshing.libraries import load_trimesh
-from gsjax.place import UNPLACED, Place
-from gsjax.similarity import loses_in_float32, of_points
+from gsjax.scene.colors import linear_to_srgb, srgb_to_linear, to_bytes
+from gsjax.scene.georeference import UNPLACED, Place
+from gsjax.scene.meshes import Mesh
+from gsjax.scene.similarity import loses_in_float32, of_points
 
 OWN = "_color"  # What trimesh takes along untouched; it would write colours of its own in 8 bits.
 

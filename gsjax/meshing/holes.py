@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gsjax.meshes import Mesh, face_area_vectors
 from gsjax.meshing.libraries import load_open3d
 from gsjax.meshing.topology import edge_table, face_components
 from gsjax.rendering.shown_depths import SAME_SURFACE, ShownDepth, depths_at
+from gsjax.scene.meshes import Mesh, face_area_vectors
 
 WIDEST = 0.05  # Radius of a hole, of the diagonal of the mesh's box: what is wider is an opening.
 PER_PATCH = 32  # Points at which the views are asked about a patch.

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from gsjax import density_field
-from gsjax.density_field import Kernels
+from gsjax.meshing import density_field
+from gsjax.meshing.density_field import Kernels
 
 HALVINGS = 6  # Of the step that holds the crossing.
 

@@ -13,16 +13,16 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from gsjax import cameras as cams
-from gsjax import density_field
 from gsjax import gaussians as gs
-from gsjax.cameras import Camera
-from gsjax.colors import to_bytes
 from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians
+from gsjax.meshing import density_field
 from gsjax.meshing.level_crossing import march_rays
 from gsjax.meshing.neighborhood import Neighborhood
 from gsjax.rendering.gallery import Picture
+from gsjax.scene import cameras as cams
+from gsjax.scene.cameras import Camera
+from gsjax.scene.colors import to_bytes
 
 PIXELS_PER_POINT = 8  # Photos of so many pixels in all bear one surface point.
 FEWEST_POINTS = 200_000

@@ -2,13 +2,13 @@
 
 from collections.abc import Iterable, Sequence
 
-from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.sighting import Method, Sighting, poisson_through
 from gsjax.rendering.gallery import Picture
+from gsjax.scene.cameras import Camera
 
 
 def level_set_poisson(

@@ -18,7 +18,7 @@ from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.sighting import Method, method_name
 from gsjax.meshing.tsdf import tsdf
 from gsjax.rendering.shown_depths import ShownDepth
-from gsjax.similarity import Similarity
+from gsjax.scene.similarity import Similarity
 
 MOST_CELLS = 2**16  # along a side; of a surface alone they are tens of gigabytes
 BYTES_PER_POINT = 24  # of the surface: place and normal, at the least

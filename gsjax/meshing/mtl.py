@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax.colors import to_bytes
 from gsjax.io.files import read_bytes
+from gsjax.scene.colors import to_bytes
 
 GREY = 128  # of what has no colour
 MAPS = ("map_kd", "map_ka", "map_ke")  # The first that a material has is its picture.

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.spatial import KDTree
 
-from gsjax import density_field
 from gsjax import gaussians as gs
 from gsjax.gaussians import Gaussians
-from gsjax.nearest import nearest_table, with_first
+from gsjax.meshing import density_field
+from gsjax.meshing.knn import nearest_table, with_first
 
 LARGE_SHARE = 0.25  # Of the places for neighbours: those kept for what is large.
 CANDIDATES = 2  # Of each size, for each of those places.

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax.colors import shares, to_bytes
 from gsjax.errors import InputError
 from gsjax.io.files import read_bytes
 from gsjax.meshing.mtl import Material, read_materials
 from gsjax.meshing.named_files import NamedFiles
 from gsjax.meshing.parts import Part, split_corners, without_unused
+from gsjax.scene.colors import shares, to_bytes
 
 _NO_COLOR = float("nan")  # of a vertex among others that have one
 _NO_PLACE = 0  # Of indices, which count from 1.

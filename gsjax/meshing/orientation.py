@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gsjax.cameras import Camera, viewmat_center
-from gsjax.meshes import Mesh, face_normals
 from gsjax.meshing.rays import ray_caster
+from gsjax.scene.cameras import Camera, viewmat_center
+from gsjax.scene.meshes import Mesh, face_normals
 
 SIDE = 64  # Rays along the longer side of a view: enough to tell a share.
 MOST_VIEWS = 24

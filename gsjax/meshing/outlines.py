@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
 from gsjax.scene import Frame, Scene
+from gsjax.scene.meshes import Mesh
 
 MOST_PHOTOS, MOST_PIXELS = 24, 1 << 18  # of each photo: rays at all of them take a second or two a mesh
 IS_OBJECT = 127  # of 255: a pixel's coverage above which it is the object's

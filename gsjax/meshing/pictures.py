@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gsjax.cameras import Camera, viewmat_center
-from gsjax.meshes import Mesh, face_normals
 from gsjax.meshing.atlas import TexturedMesh
 from gsjax.meshing.rays import Cast, front_faces_only, ray_caster
 from gsjax.rendering.gallery import Picture
+from gsjax.scene.cameras import Camera, viewmat_center
+from gsjax.scene.meshes import Mesh, face_normals
 
 BACKGROUND = np.ones(3)
 SIDE = 4  # Rays along a pixel, and down it, whose mean is its colour where edges are to be smooth.

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from gsjax.colors import shares, to_bytes
 from gsjax.io import ply
 from gsjax.meshing.libraries import load_trimesh
 from gsjax.meshing.mtl import GREY
 from gsjax.meshing.named_files import NamedFiles
 from gsjax.meshing.parts import Part, split_corners, without_unused
+from gsjax.scene.colors import shares, to_bytes
 
 _PICTURE = re.compile(rb"^comment\s+TextureFile\s+(.+?)\s*$", re.M | re.I)
 _LONGEST_HEADER = 2**16  # bytes

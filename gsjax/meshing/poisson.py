@@ -6,10 +6,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gsjax.errors import NoSurfaceError
-from gsjax.meshes import Mesh
 from gsjax.meshing.libraries import load_open3d
 from gsjax.meshing.topology import edge_table
 from gsjax.meshing.trimming import Support, Trim, adaptive
+from gsjax.scene.meshes import Mesh
 
 DEPTHS = (6, 10)  # Coarsest and finest octree that is chosen unasked; SuGaR takes 10, and 6 to 8 against bumps.
 MIN_POINTS = 100

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.meshes import Mesh, face_normals
 from gsjax.meshing.libraries import load_open3d
+from gsjax.scene.meshes import Mesh, face_normals
 
 
 class FirstHits(NamedTuple):

@@ -5,11 +5,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from gsjax.errors import NoSurfaceError
-from gsjax.meshes import Mesh
 from gsjax.meshing.boxes import Box
 from gsjax.meshing.outlines import Outline, outlines_of, overlap
 from gsjax.meshing.sightlines import Sightlines, agreement, sightlines_of
 from gsjax.scene import Scene
+from gsjax.scene.meshes import Mesh
 
 UNMET = 2 / 3  # Of what does not agree with the usual mesh, that another leaves at the most to be clearly better.
 FEWEST_LINES = 100  # of sight, that tell one method from another

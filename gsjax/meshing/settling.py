@@ -14,11 +14,11 @@ import scipy.sparse as sparse
 from scipy.sparse.linalg import cg
 from tqdm import tqdm
 
-from gsjax.in_order import in_order
-from gsjax.meshes import Mesh, vertex_normals
+from gsjax.io.parallel_map import parallel_map
 from gsjax.meshing.rays import Cast, ray_caster
 from gsjax.meshing.topology import edge_table
 from gsjax.scene import Frame
+from gsjax.scene.meshes import Mesh, vertex_normals
 
 LEAST_VIEWS = 3  # Two photos agree somewhere by chance.
 MOST_VIEWS = 100  # More tell little that is new; spread over the capture.
@@ -134,7 +134,7 @@ def _survey(mesh: Mesh, frames: Sequence[Frame], offsets: np.ndarray, mean: np.n
             colors *= _gains(colors[middle], mean[ids], cosine)
         return ids, cosine, distance / np.sqrt(frame.K[0, 0] * frame.K[1, 1]), colors - about[ids]
 
-    for ids, cosine, footprint, colors in in_order(seen, frames):
+    for ids, cosine, footprint, colors in parallel_map(seen, frames):
         bar.update()
         share = cosine.astype(np.float32)
         total[:, ids] += share[:, None] * colors

@@ -9,14 +9,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsjax.cameras import Camera
-from gsjax.colors import to_bytes
 from gsjax.meshing.atlas import TexturedMesh
 from gsjax.meshing.pictures import rays_in_bands, texels_around
 from gsjax.meshing.rays import Cast, front_faces_only, ray_caster
 from gsjax.meshing.texture import MIN_COSINE, RENDERED_SLACK, filled_in
 from gsjax.rendering import MIN_COVERAGE
 from gsjax.rendering.gallery import Picture
+from gsjax.scene.cameras import Camera
+from gsjax.scene.colors import to_bytes
 
 SIDE, MOST_PIXELS = 2, 1 << 20  # Rays along a pixel and down it, as dense as texels are; of larger photos one, which is
 # cheaper and brings two thirds.

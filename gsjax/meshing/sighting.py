@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from gsjax import gaussians as gs
-from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
-from gsjax.meshes import Mesh
 from gsjax.meshing import poisson
 from gsjax.meshing.boxes import Region
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.rendering.gallery import Picture
+from gsjax.scene.cameras import Camera
+from gsjax.scene.meshes import Mesh
 
 CELL_PER_SCALE = 1.0  # Poisson cells smaller than the Gaussians reproduce their bumps, not the surface.
 RIM = 0.05  # Of the region's, or its inner box's, longest side: points that far outside shape the surface inside.

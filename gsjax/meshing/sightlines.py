@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.cameras import viewmat_center
-from gsjax.meshes import Mesh
 from gsjax.meshing.boxes import Box
 from gsjax.meshing.rays import ray_caster
 from gsjax.scene import Scene, tracks_by_name
+from gsjax.scene.cameras import viewmat_center
+from gsjax.scene.meshes import Mesh
 
 LEAST_PHOTOS = 3  # A match of two photos may be wrong and still fit.
 LARGEST_ERROR = 3.0  # median reprojection errors, beyond which an observation is not used

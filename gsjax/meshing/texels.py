@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from gsjax.meshes import Mesh
 from gsjax.meshing.atlas import Atlas, doubled_areas, texel_corners
 from gsjax.meshing.rays import Cast, ray_caster
+from gsjax.scene.meshes import Mesh
 
 RAYS_AT_ONCE = 1 << 20
 GROWTH = 0.02  # Texels by which a triangle's corners are moved out before rays are cast at it.

@@ -9,10 +9,6 @@ import numpy as np
 from jax import Array
 from scipy import ndimage
 
-from gsjax import cameras as pinhole
-from gsjax.cameras import Camera, viewmat_center
-from gsjax.colors import to_bytes
-from gsjax.meshes import Mesh, face_normals
 from gsjax.meshing.atlas import TexturedMesh, Unwrap, unwrap
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
@@ -20,6 +16,10 @@ from gsjax.meshing.texels import Texels, paint_texture, texels_of
 from gsjax.rendering import MIN_COVERAGE
 from gsjax.rendering.backdrop import color_behind
 from gsjax.rendering.gallery import Picture
+from gsjax.scene import cameras as pinhole
+from gsjax.scene.cameras import Camera, viewmat_center
+from gsjax.scene.colors import to_bytes
+from gsjax.scene.meshes import Mesh, face_normals
 
 TEXELS_AT_ONCE = 1 << 18
 MIN_COSINE = 0.2  # A view flatter than this (78 degrees off the normal) says nothing of a texel.

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gsjax.cameras import Camera
-from gsjax.meshes import Mesh, face_normals
 from gsjax.meshing.texture import may_be_seen
+from gsjax.scene.cameras import Camera
+from gsjax.scene.meshes import Mesh, face_normals
 
 TEXELS_PER_PIXEL = 4.0  # Two along either side: with fewer, what lies between pixels is lost (docs/texture.md).
 TEXELS_PER_TRIANGLE = 16.0  # Room for charts and the gaps between them, where triangles are smaller than pixels.

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from gsjax.meshes import Mesh, signed_volume
+from gsjax.scene.meshes import Mesh, signed_volume
 
 
 @dataclass(frozen=True)

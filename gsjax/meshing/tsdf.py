@@ -5,17 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gsjax.cameras import Camera
-from gsjax.colors import to_bytes
 from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.io.machine import require_memory
-from gsjax.meshes import Mesh
 from gsjax.meshing import level_set
 from gsjax.meshing.boxes import Region
 from gsjax.meshing.libraries import load_open3d
 from gsjax.meshing.sighting import Method, Sighting, typical_scale
 from gsjax.rendering.gallery import Picture
+from gsjax.scene.cameras import Camera
+from gsjax.scene.colors import to_bytes
+from gsjax.scene.meshes import Mesh
 
 VOXEL_PER_SCALE = 1.0  # Voxels smaller than the Gaussians reproduce their bumps.
 MOST_VOXELS = 512  # Along the longest side of a region, where the size is chosen.

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gsjax.errors import InputError, NoSurfaceError
-from gsjax.meshes import Mesh, face_area_vectors, face_normals, unit_or_zero
+from gsjax.scene.meshes import Mesh, face_area_vectors, face_normals, unit_or_zero
 
 THRESHOLD_SHARE = 0.01  # Of the diagonal of the truth's box: the F-score's default threshold.
 REACH_SHARE = 0.99  # Of the points that cameras saw, those that have another one within reach.

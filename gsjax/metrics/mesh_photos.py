@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from gsjax.gaussians import Gaussians
-from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import Shading, smooth_pictures
 from gsjax.metrics.photos import color_behind_all, score_images, score_pictures
 from gsjax.rendering.gallery import Picture
 from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.runs.result import frame_camera
 from gsjax.scene import Frame, Pixels
+from gsjax.scene.meshes import Mesh
 
 COVERED = 1 - 1e-6  # Of a pixel's rays, that must hit the mesh where it is compared.
 

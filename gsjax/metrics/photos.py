@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gsjax.cameras import Camera
 from gsjax.effects.alignment import Draw
 from gsjax.effects.appearance import Appearance, fit_colors
 from gsjax.gaussians import Gaussians
@@ -21,6 +20,7 @@ from gsjax.rendering.gallery import Picture
 from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame
+from gsjax.scene.cameras import Camera
 
 NOTHING = PhotoEffects()
 Aligner = Callable[[Camera, np.ndarray, np.ndarray, Draw], Camera]

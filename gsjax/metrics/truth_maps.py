@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsjax.gaussians import Gaussians
-from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.rays import ray_caster
 from gsjax.metrics import geometry
@@ -15,6 +14,7 @@ from gsjax.normals.from_depth import depth_normals
 from gsjax.rendering import DepthReading, gallery
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame, Truth
+from gsjax.scene.meshes import Mesh
 
 SKY, GROUND = 0, 255  # Labels of the truth; everything between is an object.
 LENGTHS = frozenset({"chamfer", "accuracy", "completeness", "threshold", "depth_error", "mesh_depth_error"})

@@ -6,13 +6,13 @@ from functools import cached_property
 import jax.numpy as jnp
 import numpy as np
 
-from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.io.normal_maps import resize_normals
 from gsjax.networks.depth_estimator import DepthEstimator, SeenDepth
 from gsjax.normals.fitted_depth import DepthFit, fit_depth, fitted_depth, normals_of_depth, surface
 from gsjax.normals.from_depth import chosen_reduction
 from gsjax.scene import Frame, Scene, tracks_by_name
+from gsjax.scene.cameras import Camera
 
 VIEWS_FOR_NOISE = 4  # whose fitted depth says how wide the windows of the normals are
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from gsjax.cameras import landing, thinned_K, viewmat_center
+from gsjax.scene.cameras import landing, thinned_K, viewmat_center
 
 LONGEST = 128  # pixels of a view's longer side at the working size
 NEIGHBORS = 6  # views that each is compared with

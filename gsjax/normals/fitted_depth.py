@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gsjax.cameras import Camera
 from gsjax.normals.from_depth import smoothed_depth_normals
+from gsjax.scene.cameras import Camera
 
 Kind = Literal["disparity", "depth"]
 

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gsjax.cameras import Camera, pixel_rays, unproject
 from gsjax.numerics import safe_normalize
+from gsjax.scene.cameras import Camera, pixel_rays, unproject
 
 _LARGEST_MISFIT = 0.03  # of a plane, relative to the depth, for its normal to count
 _SMALLEST_MISFIT = 1e-4  # better fits are no better: float32 ends there

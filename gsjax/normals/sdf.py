@@ -12,12 +12,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from gsjax import cameras, rendering
-from gsjax.cameras import Camera
+from gsjax import rendering
 from gsjax.gaussians import Gaussians
 from gsjax.numerics import masked_mean, safe_normalize, times
 from gsjax.rendering import View
 from gsjax.rendering.sampling import reads_within, sample_bilinear
+from gsjax.scene import cameras
+from gsjax.scene.cameras import Camera
 
 Estimator = Callable[[Gaussians, View, Camera], Array]
 """(Gaussians, View with depth, Camera) -> `[H, W, 3]` camera-frame direction per pixel, of any length."""

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from gsjax import config, runs
-from gsjax.cameras import viewmat_centers
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, concatenate, take
 from gsjax.io import json_files
@@ -27,6 +26,7 @@ from gsjax.report.shown_views import picture_keeper
 from gsjax.runs.result import write_views
 from gsjax.runs.splits import split_of
 from gsjax.scene import Scene
+from gsjax.scene.cameras import viewmat_centers
 from gsjax.settings import AUTO, NONE, Settings, total_steps
 from gsjax.training.plan import plan
 

@@ -8,9 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from gsjax import stray
-from gsjax.cameras import Camera, viewmat_centers
-from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, concatenate, take
 from gsjax.io import json_files
@@ -19,11 +16,13 @@ from gsjax.io.locks import lock_folder
 from gsjax.io.place_files import stated_place
 from gsjax.io.temporaries import sweep_beside
 from gsjax.meshing.boxes import given_numbers
-from gsjax.rendering import gallery
+from gsjax.rendering import gallery, outliers
 from gsjax.report.panels import draw_panels
 from gsjax.runs.folder import is_run
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result
+from gsjax.scene.cameras import Camera, viewmat_centers
+from gsjax.scene.colors import to_bytes
 
 KINDS = "giants", "floaters", "crumbs", "cropped"
 ROWS = {"count": int, **{kind: [int] for kind in KINDS}}
@@ -190,9 +189,9 @@ def _judged(whole: Gaussians, result: Result | None) -> dict[str, np.ndarray]:
         whole = result.gaussians
     viewmats = np.array([np.asarray(camera.viewmat, np.float64) for camera in cameras])
     centers = viewmat_centers(viewmats) if cameras else None
-    is_giant = stray.giants(means, np.exp(np.asarray(whole.log_scales, np.float64)), centers)
+    is_giant = outliers.giants(means, np.exp(np.asarray(whole.log_scales, np.float64)), centers)
     hangs_alone = np.zeros(len(means), bool)
-    hangs_alone[~is_giant] = stray.cluster_sizes(means[~is_giant]) <= stray.most_of_small(len(means))
+    hangs_alone[~is_giant] = outliers.cluster_sizes(means[~is_giant]) <= outliers.most_of_small(len(means))
     is_floater = _hovers(result, cameras, hangs_alone, is_giant) if result is not None else np.zeros(len(means), bool)
     return {"giants": is_giant, "floaters": is_floater, "crumbs": hangs_alone & ~is_floater}
 
@@ -214,7 +213,7 @@ def _hovers(result: Result, cameras: Sequence[Camera], alone: np.ndarray, is_gia
     shown, before = np.zeros(len(points), int), np.zeros(len(points), int)
     pictures = gallery.pictures(_hidden(result.gaussians, alone | is_giant), cameras, result.background, "plane")
     for camera, picture in zip(cameras, pictures, strict=True):
-        seen, nearer = stray.in_front(points, camera, picture.depth, MARGIN)
+        seen, nearer = outliers.in_front(points, camera, picture.depth, MARGIN)
         shown, before = shown + seen, before + nearer
     found = np.zeros(len(alone), bool)
     found[alone] = (shown < min(FEWEST_VIEWS, len(cameras))) | (before >= BEFORE * shown)
@@ -245,7 +244,7 @@ def _outside(
     if crop_to_cameras:
         if result is None:
             raise InputError(f"{source}: comes without cameras; --crop-to-cameras needs a run, or --scene")
-        found = stray.looked_at(_cameras(result))
+        found = outliers.looked_at(_cameras(result))
         if found is None:
             raise InputError(f"{source}: its cameras do not look at one place; give --box or --sphere")
         middle, radius = found

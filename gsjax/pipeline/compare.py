@@ -5,9 +5,9 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from gsjax import tables
 from gsjax.errors import InputError
 from gsjax.report import facts as run_facts
+from gsjax.report import tables
 from gsjax.report.facts import RunFacts, flat_settings
 from gsjax.report.page import write_page
 from gsjax.runs.outputs import require_apart

@@ -6,7 +6,6 @@ from typing import Any
 
 import rasterizer
 from gsjax import config, pipeline
-from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.io import analytic_scene, json_files
 from gsjax.io.files import make_folder
@@ -17,6 +16,7 @@ from gsjax.rendering import gallery
 from gsjax.report.panels import draw_panels
 from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture
 from gsjax.runs.result import Result, open_result
+from gsjax.scene.colors import to_bytes
 from gsjax.settings import DEMO, Settings
 
 NUM_VIEWS, SIZE = 48, (192, 192)

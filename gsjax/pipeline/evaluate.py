@@ -11,7 +11,6 @@ import numpy as np
 
 from gsjax.effects.alignment import align as aligned_camera
 from gsjax.errors import NoSurfaceError
-from gsjax.meshes import Mesh
 from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.export import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors, vertex_colors
@@ -21,12 +20,13 @@ from gsjax.metrics.mesh_photos import score_appearance
 from gsjax.metrics.photos import score_images
 from gsjax.metrics.truth_maps import LENGTHS, score_mesh_views, score_surface
 from gsjax.pipeline.mesh import mesh as extract
-from gsjax.place import Place
 from gsjax.planning.effects import appearances_of_tracks
 from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.runs.run import Run
 from gsjax.scene import Frame, Truth
+from gsjax.scene.georeference import Place
+from gsjax.scene.meshes import Mesh
 
 
 def evaluate(

@@ -9,11 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gsjax import tables
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.io.temporaries import sweep_beside
-from gsjax.meshes import Mesh
 from gsjax.meshing import level_set
 from gsjax.meshing.crop import Crop, crop_of
 from gsjax.meshing.export import supported_suffix, write_mesh
@@ -25,10 +23,12 @@ from gsjax.meshing.settling import settle
 from gsjax.meshing.sighting import Method
 from gsjax.meshing.topology import topology
 from gsjax.pipeline.mesh_views import MeshViews
+from gsjax.report import tables
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result, scene_of_run
 from gsjax.runs.run import Run
 from gsjax.scene import Scene
+from gsjax.scene.meshes import Mesh
 
 FEWEST_TRIED = 20  # views, where there are as many, by which `auto` judges a method
 
@@ -87,7 +87,7 @@ def mesh(
         settled: Whether vertices move to where the photos agree.
         holes_filled: Whether holes are closed where the views show a surface (`gsjax.meshing.holes`). After "agreed"
             they always are.
-        keep_floaters: Whether Gaussians that hang in the air (`gsjax.rendering.floaters`) take part. They always do
+        keep_floaters: Whether Gaussians that hang in the air (`gsjax.rendering.outliers`) take part. They always do
             where no camera of a photo is known.
 
     Returns:

@@ -9,17 +9,17 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from gsjax.colors import to_bytes
 from gsjax.gaussians import take, without_view_dependence
 from gsjax.io.machine import free_memory
 from gsjax.meshing.depth_points import NormalsOfDepth
 from gsjax.normals.from_depth import chosen_reduction, smoothed_depth_normals
-from gsjax.rendering.floaters import are_floaters
 from gsjax.rendering.gallery import Picture
+from gsjax.rendering.outliers import are_floaters
 from gsjax.rendering.shown_depths import ShownDepth, coarse_depth
 from gsjax.runs.normal_source import VIEWS_FOR_NOISE
 from gsjax.runs.result import Result, training_pictures
 from gsjax.scene import Scene
+from gsjax.scene.colors import to_bytes
 from gsjax.stereo import depths_of_photos
 
 MOST_COMPARED = 100  # photos, evenly spread: more of them add little

@@ -25,7 +25,6 @@ from gsjax.gaussians import take
 from gsjax.io import json_files
 from gsjax.io.machine import free_memory, peak_memory
 from gsjax.io.ply import write_gaussians
-from gsjax.meshes import Mesh
 from gsjax.meshing.bisection import bisect_triangles
 from gsjax.meshing.cleaning import clean
 from gsjax.meshing.export import read_mesh, write_mesh
@@ -45,7 +44,8 @@ from gsjax.runs.result import DEPTH_OF_DISCS, QUIET, Result, open_result, scene_
 from gsjax.runs.run import Run
 from gsjax.runs.splits import split_of
 from gsjax.scene import Scene, extent, kept
-from gsjax.targets import Targets, batch, read_targets
+from gsjax.scene.batches import Targets, batch, read_targets
+from gsjax.scene.meshes import Mesh
 from gsjax.training.capacity import largest_need
 from gsjax.training.plan import phase_record, plan_record
 from gsjax.training.step import BACKGROUNDS

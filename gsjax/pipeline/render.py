@@ -11,9 +11,6 @@ from typing import Literal
 import numpy as np
 from tqdm import tqdm
 
-from gsjax.camera_path import Keyframes, camera_of, closed_path, fly, through
-from gsjax.cameras import Camera
-from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.io.files import make_folder
 from gsjax.io.films import GIF_BYTES, SUFFIXES, is_film, read_path, write_film
@@ -28,7 +25,10 @@ from gsjax.report.pictures import depth_picture, depth_span, surface_picture
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import open_result
 from gsjax.runs.viewpoints import camera_circle, camera_circle_of_mesh
-from gsjax.similarity import Similarity, of_points
+from gsjax.scene.camera_path import Keyframes, camera_of, closed_path, fly, through
+from gsjax.scene.cameras import Camera
+from gsjax.scene.colors import to_bytes
+from gsjax.scene.similarity import Similarity, of_points
 
 Views = Literal["all", "held_out", "turntable", "through_photos"]
 What = Literal["image", "depth", "normals"]

@@ -9,12 +9,12 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.place_files import write_place
 from gsjax.io.scenes import load_scene
-from gsjax.place import LARGEST, Place, turn_upright, up_of_cameras
 from gsjax.runs.folder import is_run
 from gsjax.runs.pixel_to_point import Pixel, points_of_run, points_of_scene
 from gsjax.runs.rescaling import rescale_run
 from gsjax.runs.run import Run
 from gsjax.scene import Scene
+from gsjax.scene.georeference import LARGEST, Place, turn_upright, up_of_cameras
 
 SAME = 1e-5  # relative: a distance that is measured again, in float32
 

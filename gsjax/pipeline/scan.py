@@ -9,7 +9,6 @@ from typing import Any, NamedTuple, Unpack
 
 from gsjax import config
 from gsjax.binding.refining import Refinement
-from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.files import make_folder
@@ -31,6 +30,7 @@ from gsjax.report.panels import draw_panels
 from gsjax.report.pictures import mesh_picture, surface_picture
 from gsjax.runs.folder import is_finished
 from gsjax.runs.result import open_result
+from gsjax.scene.colors import to_bytes
 from gsjax.settings import Settings
 
 
@@ -117,7 +117,7 @@ def _do(stage: Stage, out: Path, report: dict[str, Any]) -> None:
 
 
 def table(report: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """What a person wants to read of the report: a row a stage, for `gsjax.tables.compare`."""
+    """What a person wants to read of the report: a row a stage, for `gsjax.report.tables.compare`."""
     shown = ("seconds", "peak_gib", "registered", "psnr", "psnr_near_gains", "ssim", "gaussians", "faces", "seen_share")
     return {
         stage: {name: figures[name] for name in shown if name in figures} for stage, figures in report["stages"].items()

@@ -15,7 +15,6 @@ from tqdm import tqdm
 
 import rasterizer
 from gsjax import config, runs
-from gsjax.devices import computes_on_cpu, engine_here
 from gsjax.effects.alignment import align
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, is_alive, take
@@ -35,6 +34,7 @@ from gsjax.planning.sizes import at_size, training_extent
 from gsjax.planning.skies import given_skies
 from gsjax.planning.sparse_views import ENTRY, for_sparse_views
 from gsjax.planning.start import first_state, with_given_points, with_stereo_points
+from gsjax.rendering.engine import computes_on_cpu, engine_here
 from gsjax.report.page import report
 from gsjax.report.shown_views import keep_skies, picture_keeper
 from gsjax.runs.compilations import make_room

@@ -12,8 +12,6 @@ import numpy as np
 import optax
 from jax import Array
 
-from gsjax import targets
-from gsjax.cameras import Camera
 from gsjax.effects import sky
 from gsjax.effects.appearance import Start, appearances, moves, simulations, start
 from gsjax.effects.observations import Observations
@@ -22,7 +20,8 @@ from gsjax.gaussians import Gaussians
 from gsjax.planning.validation import Observe, Validated, Variant, compared
 from gsjax.rendering import backdrop, gallery
 from gsjax.runs.result import BACKGROUND_COLORS
-from gsjax.scene import Frame, with_pixels
+from gsjax.scene import Frame, batches, with_pixels
+from gsjax.scene.cameras import Camera
 from gsjax.settings import Settings
 from gsjax.training import optimizers
 from gsjax.training.plan import plan
@@ -75,11 +74,11 @@ class EffectRuns:
 
     def compare(self, without: Sequence[np.ndarray], with_effect: Sequence[np.ndarray]) -> Validated:
         """The gain of an effect on the held-out pixels, from the pictures of both variants."""
-        data = targets.read_targets(self.frames, scale=self._scale)
+        data = batches.read_targets(self.frames, scale=self._scale)
         photos, valid, held_out = [], [], []
         for target, blocks in zip(data.targets, self.held_out, strict=True):
             width, height = target.size
-            batch = targets.batch(target, jnp.asarray(self._color))
+            batch = batches.batch(target, jnp.asarray(self._color))
             photos.append(np.asarray(batch.image)[:height, :width])
             valid.append(np.asarray(batch.valid)[:height, :width])
             middle = self._scale // 2
@@ -155,11 +154,11 @@ def switchable(effect: Effect) -> Effect:
         assert effect.behind is not None
         return effect.behind(_where(numbers[0], numbers[1], jax.lax.stop_gradient(numbers[1])), view)
 
-    def light(numbers, colors: Array, batch: targets.Batch) -> Array:
+    def light(numbers, colors: Array, batch: batches.Batch) -> Array:
         assert effect.light is not None
         return _where(numbers[0], effect.light(numbers[1], colors, batch), colors)
 
-    def trusts(numbers, colors: Array, batch: targets.Batch) -> tuple[Array, Array]:
+    def trusts(numbers, colors: Array, batch: batches.Batch) -> tuple[Array, Array]:
         assert effect.trusts is not None
         trusted, added = effect.trusts(numbers[1], colors, batch)
         return _where(numbers[0], (trusted, added), (jnp.ones_like(trusted), jnp.zeros_like(added)))

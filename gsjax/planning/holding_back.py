@@ -8,8 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from gsjax import targets
-from gsjax.cameras import Camera, landing
 from gsjax.gaussians import Gaussians
 from gsjax.metrics.images import in_decibels, mse
 from gsjax.planning.sizes import training_extent
@@ -18,9 +16,10 @@ from gsjax.planning.start import first_state, with_given_points, with_stereo_poi
 from gsjax.planning.validation import Observe, Variant, mean_and_error, short_settings
 from gsjax.rendering import gallery
 from gsjax.runs.result import BACKGROUND_COLORS
-from gsjax.scene import Scene, kept, tracks_by_name
+from gsjax.scene import Scene, batches, kept, tracks_by_name
+from gsjax.scene.batches import Targets
+from gsjax.scene.cameras import Camera, landing
 from gsjax.settings import Settings
-from gsjax.targets import Targets
 from gsjax.training import optimizers
 from gsjax.training.plan import Plan, plan
 
@@ -91,7 +90,7 @@ def _scored(
     started, _ = with_stereo_points(scene, variant.plan)
     state = first_state(started, settings, variant.optimizer, {}, rows=settings.max_gaussians)
     state = variant.train(scene.train_frames, state, observe)
-    photos = targets.read_targets(scene.held_out_frames, scale=variant.plan.phases[0].scale)
+    photos = batches.read_targets(scene.held_out_frames, scale=variant.plan.phases[0].scale)
     points = [matched.get(frame.name, np.zeros((0, 3))) for frame in scene.held_out_frames]
     return _scores(state.gaussians, photos, points, settings)
 
@@ -101,11 +100,11 @@ def _scores(gaussians: Gaussians, photos: Targets, points: Sequence[np.ndarray],
     color = BACKGROUND_COLORS[settings.background]
     cameras = [Camera(each.viewmat, each.K, *photos.size) for each in photos.targets]
     shown = list(gallery.pictures(gaussians, cameras, color, settings.depth_mode))
-    batches = [targets.batch(each, jnp.asarray(color, jnp.float32)) for each in photos.targets]
-    pairs = zip(shown, batches, strict=True)
+    compared = [batches.batch(each, jnp.asarray(color, jnp.float32)) for each in photos.targets]
+    pairs = zip(shown, compared, strict=True)
     errors = [mse(jnp.asarray(picture.colors), batch.image, batch.valid) for picture, batch in pairs]
     psnr = np.asarray(in_decibels(jnp.stack(errors)), np.float64)
-    seen = zip(shown, batches, cameras, points, strict=True)
+    seen = zip(shown, compared, cameras, points, strict=True)
     offs = [_off(picture.depth, np.asarray(batch.valid), camera, known) for picture, batch, camera, known in seen]
     return [Score(float(decibels), off) for decibels, off in zip(psnr, offs, strict=True)]
 

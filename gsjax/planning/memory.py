@@ -5,9 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from gsjax.devices import computes_on_cpu
 from gsjax.io.machine import free_memory
 from gsjax.io.scratch import Scratch
+from gsjax.rendering.engine import computes_on_cpu
 from gsjax.scene import Frame, Keep, in_memory
 from gsjax.training.plan import Plan, PlannedPhase
 

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from gsjax.devices import computes_on_cpu
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import NONE
+from gsjax.rendering.engine import computes_on_cpu
 from gsjax.runs.run import Run
 from gsjax.runs.splits import with_split
 from gsjax.scene import Frame, Scene, extent

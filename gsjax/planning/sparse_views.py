@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gsjax.cameras import viewmat_center
 from gsjax.scene import Scene, tracks_by_name
+from gsjax.scene.cameras import viewmat_center
 from gsjax.settings import Settings
 from gsjax.training.plan import Plan
 

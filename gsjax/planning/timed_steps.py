@@ -19,8 +19,8 @@ from gsjax.planning.pace import image_cost, relative_cost
 from gsjax.planning.sizes import training_extent
 from gsjax.planning.sparse_views import for_sparse_views
 from gsjax.scene import Frame, Scene, kept
+from gsjax.scene.batches import NORMAL_UNIT
 from gsjax.settings import Settings
-from gsjax.targets import NORMAL_UNIT
 from gsjax.training import initialize, loop, optimizers
 from gsjax.training.growth.rules import rule_named
 from gsjax.training.loop import Progress

@@ -5,8 +5,8 @@ import numpy as np
 from jax import Array
 
 import rasterizer
-from gsjax.cameras import Camera, pixel_rays, rotation
 from gsjax.gaussians import SH_C0
+from gsjax.scene.cameras import Camera, pixel_rays, rotation
 
 
 def color_behind(background: Array, camera: Camera) -> Array:

@@ -10,9 +10,9 @@ import numpy as np
 
 import rasterizer
 from gsjax import rendering
-from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.rendering import DepthReading, backdrop
+from gsjax.scene.cameras import Camera
 from rasterizer.engines import resolve
 
 # Of engines that do not touch the slots that nobody needs: how many times longer than needed a pair buffer is made, and

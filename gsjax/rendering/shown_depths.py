@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.cameras import Camera, landing, thinned_K
 from gsjax.rendering.gallery import Picture
+from gsjax.scene.cameras import Camera, landing, thinned_K
 
 LONGEST = 320  # Pixels of a coarse view: 300 kB, so that all views of a capture fit.
 SAME_SURFACE = 0.05  # Share of the depth up to which two depths are of one surface.

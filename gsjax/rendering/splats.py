@@ -10,9 +10,9 @@ import jax.numpy as jnp
 from jax import Array
 
 import rasterizer
-from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians, PixelFilter, opacities, scales
 from gsjax.numerics import safe_normalize
+from gsjax.scene.cameras import Camera
 from rasterizer import DepthMode
 
 PIXEL_FILTERS: dict[PixelFilter, dict[str, Any]] = {

@@ -7,10 +7,10 @@ import numpy as np
 from jax import Array
 
 import rasterizer
-from gsjax import cameras
-from gsjax.cameras import Camera
 from gsjax.rendering.depth import IN_FRONT, DepthReading, depth_channels, mean_depth, splat_depth_mode
 from gsjax.rendering.splats import Drawable, Splats, facing_axes, features, in_one_dtype, splat
+from gsjax.scene import cameras
+from gsjax.scene.cameras import Camera
 
 
 class Neighbor(NamedTuple):

@@ -9,8 +9,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from gsjax import tables
 from gsjax.io.json_shapes import check
+from gsjax.report import tables
 from gsjax.report.curves import Chart, Curve, chart
 from gsjax.runs.records import WHOLE_MANIFEST
 from gsjax.runs.run import Run

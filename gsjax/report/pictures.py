@@ -3,11 +3,11 @@
 import jax.numpy as jnp
 import numpy as np
 
-from gsjax.cameras import Camera
-from gsjax.colors import to_bytes
-from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import Shading, headlight, render_mesh
 from gsjax.normals.from_depth import depth_normals
+from gsjax.scene.cameras import Camera
+from gsjax.scene.colors import to_bytes
+from gsjax.scene.meshes import Mesh
 
 
 def depth_picture(depth: np.ndarray, span: tuple[float, float] | None = None) -> np.ndarray:

@@ -8,8 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsjax import runs
-from gsjax.cameras import Camera
-from gsjax.colors import to_bytes
 from gsjax.effects.sky import Masks, tinted
 from gsjax.io.files import atomic_path
 from gsjax.io.images import jpeg_bytes, resize
@@ -22,6 +20,8 @@ from gsjax.report.pictures import normal_picture
 from gsjax.runs.records import read_views
 from gsjax.runs.result import frame_camera, recorded_camera
 from gsjax.scene import Frame
+from gsjax.scene.cameras import Camera
+from gsjax.scene.colors import to_bytes
 
 FOLDER = "pictures"
 KINDS = ("photo", "render", "normals")

@@ -4,9 +4,9 @@
     plan.json          what runs: phases with steps, terms and weights, and what the run found out for itself
     manifest.json      scene, command, versions, machine, seed, dates, status, the list of files, the `split` of the
                        photos by name (`gsjax.runs.splits`), and the `similarity` to the coordinates of the checkpoints
-                       from those of all other files (`gsjax.similarity`)
+                       from those of all other files (`gsjax.scene.similarity`)
     place.json         where that is known: the unit of those other files, which way is up, and where on Earth they are
-                       counted from (`gsjax.place`)
+                       counted from (`gsjax.scene.georeference`)
     metrics.jsonl      one line per logged step
     pictures/          a few held-out views, as the report shows them
     report.html        all of this to look at (`gsjax.report.page`)
@@ -39,11 +39,11 @@ from gsjax.io.files import atomic_folder, atomic_path, make_folder, unwritable
 from gsjax.io.locks import LOCK, lock_folder
 from gsjax.io.machine import machine, versions
 from gsjax.io.temporaries import is_temporary, sweep
-from gsjax.place import UNPLACED, Place
 from gsjax.runs import checkpoints
 from gsjax.runs.records import RECORD, SCENE, SETTINGS, STATUS
 from gsjax.runs.splits import Split, split_record
-from gsjax.similarity import IDENTITY, Similarity, parse_similarity
+from gsjax.scene.georeference import UNPLACED, Place
+from gsjax.scene.similarity import IDENTITY, Similarity, parse_similarity
 
 EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic", "effects": "none"}
 """What runs did before they could choose."""

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from gsjax.cameras import thinned_K
 from gsjax.gaussians import Gaussians
 from gsjax.io import json_files
 from gsjax.io.arrays import read_arrays
@@ -22,6 +21,7 @@ from gsjax.rendering import DepthReading, gallery
 from gsjax.runs.records import NUMBER
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame, Keep, Scene, in_memory, tracks_by_name
+from gsjax.scene.cameras import thinned_K
 
 CONFIDENCE, VERDICT = "confidence.npz", "gate.json"  # in the run's folder of maps
 NAMED = 5  # rejected photos that a note names

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io import json_files
@@ -24,6 +23,7 @@ from gsjax.runs.folder import update_manifest
 from gsjax.runs.normal_filter import filter_normals, stored_disagreements
 from gsjax.runs.result import BACKGROUND_COLORS, frame_camera
 from gsjax.scene import Frame, Keep, in_memory
+from gsjax.scene.cameras import Camera
 
 CLEAR_SCORE, CLEAR_MARGIN = 0.5, 0.02  # Below either, the axes of foreign maps are doubtful (method: A8).
 VIEWS_FOR_AXES = 50  # as many as are compared with their maps, 4,000 pixels each

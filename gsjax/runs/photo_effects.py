@@ -13,7 +13,7 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.runs.folder import read_similarity
 from gsjax.scene import Frame
-from gsjax.similarity import Similarity
+from gsjax.scene.similarity import Similarity
 
 FILE, POSES, BACKGROUND = "effects.json", "poses.json", "background.json"
 SHAPES = {

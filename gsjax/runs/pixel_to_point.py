@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.rendering import gallery
 from gsjax.runs.result import open_result, scene_of_run
 from gsjax.runs.run import Run
 from gsjax.scene import Frame, Scene
-from gsjax.similarity import Similarity
+from gsjax.scene.cameras import Camera
+from gsjax.scene.similarity import Similarity
 
 NEAR = 0.04  # of a photo's longer side: a triangulated point farther from a pixel does not tell its depth
 

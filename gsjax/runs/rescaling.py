@@ -5,17 +5,17 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax.cameras import viewmat_centers
 from gsjax.io import json_files, place_files
 from gsjax.io.exchange import exchanged
 from gsjax.io.gaussian_files import load_gaussians
 from gsjax.io.locks import lock_folder
 from gsjax.io.ply import write_gaussians
 from gsjax.meshing.export import read_mesh, read_textured, write_mesh, write_textured
-from gsjax.place import Place
 from gsjax.runs.photo_effects import POSES
 from gsjax.runs.run import Run
-from gsjax.similarity import Similarity
+from gsjax.scene.cameras import viewmat_centers
+from gsjax.scene.georeference import Place
+from gsjax.scene.similarity import Similarity
 
 MESHES = "mesh.ply", "mesh.glb"
 

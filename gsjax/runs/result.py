@@ -12,8 +12,6 @@ import numpy as np
 from tqdm import tqdm
 
 from gsjax import runs
-from gsjax import similarity as similarities
-from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io import json_files
@@ -23,7 +21,6 @@ from gsjax.io.json_shapes import check
 from gsjax.io.place_files import stated_place
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import NONE
-from gsjax.place import UNPLACED, Place
 from gsjax.rendering import DepthReading, gallery
 from gsjax.rendering.gallery import Picture
 from gsjax.runs import viewpoints
@@ -33,7 +30,10 @@ from gsjax.runs.relocation import relocated_images
 from gsjax.runs.run import Run
 from gsjax.runs.splits import with_split
 from gsjax.scene import Frame, Scene, valid_pixels
-from gsjax.similarity import IDENTITY, Similarity
+from gsjax.scene import similarity as similarities
+from gsjax.scene.cameras import Camera
+from gsjax.scene.georeference import UNPLACED, Place
+from gsjax.scene.similarity import IDENTITY, Similarity
 
 BACKGROUND_COLORS = {
     "white": np.ones(3, np.float32),

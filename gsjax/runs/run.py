@@ -11,12 +11,12 @@ from gsjax.io import json_files
 from gsjax.io.exchange import settle
 from gsjax.io.json_shapes import check
 from gsjax.io.place_files import read_place
-from gsjax.place import Place
 from gsjax.runs.photo_effects import PhotoEffects, read_photo_effects
 from gsjax.runs.records import MANIFEST, PLAN, WITHOUT_PLAN, read_views
 from gsjax.runs.splits import Split, parse_split
+from gsjax.scene.georeference import Place
+from gsjax.scene.similarity import Similarity
 from gsjax.settings import PLAIN
-from gsjax.similarity import Similarity
 from gsjax.training.plan import phase_record, plan_record
 
 READ_NORMALS = "sdf_normal", "pixel_normal", "axis_normal"  # the terms of runs that wrote no plan

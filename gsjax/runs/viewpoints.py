@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from gsjax.cameras import Camera, look_at, viewmat_centers
 from gsjax.gaussians import Gaussians, opacities
-from gsjax.meshes import Mesh, unit_or_zero
 from gsjax.rendering import gallery
 from gsjax.rendering.shown_depths import ShownDepth, depths_at
+from gsjax.scene.cameras import Camera, look_at, viewmat_centers
+from gsjax.scene.meshes import Mesh, unit_or_zero
 
 COUNT = 32
 TURNTABLE_VIEWS = 36

@@ -12,12 +12,12 @@ from typing import Any
 import jinja2
 import numpy as np
 
-from gsjax.cameras import Camera, viewmat_center
 from gsjax.gaussians import SH_C0, Gaussians
 from gsjax.io import json_files
 from gsjax.io.files import atomic_path
 from gsjax.io.spz import spz_bytes
-from gsjax.similarity import Similarity
+from gsjax.scene.cameras import Camera, viewmat_center
+from gsjax.scene.similarity import Similarity
 
 LIBRARIES = Path(__file__).parent / "vendor" / "libraries.min.js.gz"
 

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from gsjax.cameras import Camera
 from gsjax.rendering.shown_depths import ShownDepth
 from gsjax.scene import Scene
+from gsjax.scene.cameras import Camera
 from gsjax.stereo.aggregation import best_planes
 from gsjax.stereo.agreement import Evidence, confirmed, evidence, patches
 from gsjax.stereo.sweep import dissimilarities, inverse_depths

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.cameras import Landing, landing, viewmat_centers
 from gsjax.io.images import cv2, resize
 from gsjax.scene import Frame, Scene, tracks_by_name
+from gsjax.scene.cameras import Landing, landing, viewmat_centers
 
 SIDE = 320  # pixels, the longer one: depth at every few pixels of a photo is more than a start needs
 MOST_VIEWS = 30  # of a data set: as many as a start needs

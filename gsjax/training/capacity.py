@@ -6,11 +6,12 @@ import jax
 import numpy as np
 from jax import Array
 
-from gsjax import rendering, targets
-from gsjax.cameras import Camera
+from gsjax import rendering
 from gsjax.errors import InputError, is_out_of_memory
 from gsjax.gaussians import Gaussians
-from gsjax.targets import Targets
+from gsjax.scene import batches
+from gsjax.scene.batches import Targets
+from gsjax.scene.cameras import Camera
 from rasterizer.engines import resolve
 
 
@@ -72,7 +73,7 @@ def _shapes(state: Any) -> list[tuple[int, ...]]:
 
 def can_stream(state: Any, data: Targets, view_share: float) -> bool:
     """Whether the photos lie on the device, and the step that had no room has left the state there."""
-    resident = 0 < data.num_bytes <= targets.device_room(view_share)
+    resident = 0 < data.num_bytes <= batches.device_room(view_share)
     return resident and not any(leaf.is_deleted() for leaf in jax.tree.leaves(state) if isinstance(leaf, Array))
 
 

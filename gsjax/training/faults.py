@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gsjax.targets import Target, Targets
+from gsjax.scene.batches import Target, Targets
 from gsjax.training.step import Metrics
 
 NOT_FINITE = "the loss or a gradient is not finite"

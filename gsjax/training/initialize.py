@@ -7,9 +7,9 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from gsjax.cameras import viewmat_center
 from gsjax.gaussians import DEAD_LOGIT, Gaussians, PixelFilter, rgb_to_sh
 from gsjax.scene import Frame
+from gsjax.scene.cameras import viewmat_center
 
 AROUND = 9
 """Nearest points, its own among them, whose principal axes a Gaussian starts with."""

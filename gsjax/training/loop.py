@@ -12,12 +12,11 @@ import numpy as np
 import optax
 from jax import Array
 
-from gsjax import targets
 from gsjax.effects import sky
 from gsjax.effects.simulation import Effects
-from gsjax.scene import Frame, Keep, in_memory
+from gsjax.scene import Frame, Keep, batches, in_memory
+from gsjax.scene.batches import Target, Targets
 from gsjax.settings import Settings
-from gsjax.targets import Target, Targets
 from gsjax.training import buffers
 from gsjax.training.capacity import chosen_capacity, headroom, kept_or
 from gsjax.training.faults import faulty_terms, photo_of
@@ -31,10 +30,10 @@ from gsjax.training.terms import Term, Weighed
 from gsjax.training.terms.multi_view import with_neighbors
 
 NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
-"""Training so far -> an int8 normal map a frame, see `gsjax.targets.Target`."""
+"""Training so far -> an int8 normal map a frame, see `gsjax.scene.batches.Target`."""
 
 Depths = Callable[[int], Iterable[tuple[np.ndarray, np.ndarray]]]
-"""How many times smaller photos are -> measured depth and its confidence of each frame, see `gsjax.targets.Target`."""
+"""How many times smaller photos are -> measured depth and its confidence of each frame, see `Target`."""
 
 
 class Placement(NamedTuple):
@@ -187,10 +186,10 @@ def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
     scale = phase.scale * phase.surface_scale
     surface = _photos(work, phase, scale)
     if "normals" in phase.needs:
-        surface = targets.with_normals(surface, work.prior(state), scale, work.keep)
+        surface = batches.with_normals(surface, work.prior(state), scale, work.keep)
     if "measured" in phase.needs:
         assert work.depths is not None, "the plan has such a term only where there is measured depth"
-        surface = targets.with_depths(surface, work.depths(scale), work.keep)
+        surface = batches.with_depths(surface, work.depths(scale), work.keep)
     if "neighbor" in phase.needs:
         surface = with_neighbors(surface, work.extent, work.shares() if "normals" in phase.needs else 1.0)
     is_one = phase.surface_scale == 1 or phase.surface_every == 1
@@ -199,12 +198,12 @@ def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
 
 def _photos(work: Work, phase: PlannedPhase, scale: int) -> Targets:
     """The photos so many times smaller, with what steps without the dear terms need beside them."""
-    data = targets.read_targets(work.frames, scale=scale, keep=work.keep)
+    data = batches.read_targets(work.frames, scale=scale, keep=work.keep)
     if work.effects:
-        data = targets.with_photo_numbers(data)
+        data = batches.with_photo_numbers(data)
     if "sky" in phase.needs:
         skies = [work.skies.get(frame.name) for frame in work.frames]
-        data = targets.with_skies(data, skies, scale, work.keep)
+        data = batches.with_skies(data, skies, scale, work.keep)
     return data
 
 

@@ -11,14 +11,15 @@ import optax
 from jax import Array
 
 import rasterizer
-from gsjax import rendering, targets
+from gsjax import rendering
 from gsjax.effects import simulation
 from gsjax.effects.simulation import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
 from gsjax.metrics.images import in_decibels, mse
 from gsjax.numerics import all_finite
 from gsjax.rendering import View
-from gsjax.targets import Batch, Target
+from gsjax.scene import batches
+from gsjax.scene.batches import Batch, Target
 from gsjax.training import optimizers
 from gsjax.training.dropout import leave_out
 from gsjax.training.growth.rules import Rule
@@ -160,8 +161,8 @@ def make_train_step(
         return total, (losses, error, view.splats.projection, pairs)
 
     def differentiate(state: TrainState, target: Target, color: Array, key: Array) -> tuple[_Free, Outcome]:
-        batch = targets.batch(target, color)
-        beside = targets.batch(target.beside, color) if "neighbor" in needed and target.beside else None
+        batch = batches.batch(target, color)
+        beside = batches.batch(target.beside, color) if "neighbor" in needed and target.beside else None
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
         free = _Free(state.gaussians, probe, None if state.effects is None else state.effects.numbers)
         (total, (losses, error, projection, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(

@@ -10,9 +10,9 @@ import jax
 import numpy as np
 from jax import Array
 
-from gsjax import targets
 from gsjax.errors import InputError, is_out_of_memory
-from gsjax.targets import Target, Targets
+from gsjax.scene import batches
+from gsjax.scene.batches import Target, Targets
 from gsjax.training.capacity import STILL, can_stream, is_compiled_anew, no_room, rounded_capacity
 from gsjax.training.faults import NOT_FINITE
 from gsjax.training.step import Metrics
@@ -39,7 +39,7 @@ def one_view(data: Targets, seed: int, view_share: float) -> Callable[[int], Tar
 
     Where the views have neighbours, one of them stands beside each.
     """
-    fed = targets.feed(data, room=targets.device_room(view_share))
+    fed = batches.feed(data, room=batches.device_room(view_share))
 
     def of_step(step: int) -> list[int]:
         view = view_order(seed, step, data.num_views)

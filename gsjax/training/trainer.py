@@ -20,8 +20,8 @@ from jax import Array
 
 from gsjax import rendering
 from gsjax.gaussians import Gaussians
+from gsjax.scene.batches import Target
 from gsjax.settings import Density, Rates
-from gsjax.targets import Target
 from gsjax.training import optimizers
 from gsjax.training import state as states
 from gsjax.training.capacity import headroom, rounded_capacity

@@ -9,11 +9,11 @@ import numpy as np
 
 import rasterizer
 from gsjax import rendering
-from gsjax.cameras import Camera
 from gsjax.errors import InputError, is_out_of_memory
 from gsjax.gaussians import Gaussians
 from gsjax.normals.from_depth import depth_normals
 from gsjax.rendering import DepthReading, backdrop
+from gsjax.scene.cameras import Camera
 
 HEADROOM = 1.5  # How much longer the pair buffer is than this view needs: the next one needs more.
 

@@ -14,9 +14,9 @@ import numpy as np
 import rich
 import viser
 
-from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
+from gsjax.scene.colors import to_bytes
 from gsjax.viewer.desk import Desk, Order
 from gsjax.viewer.drawing import bare_background
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera, picture_size

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gsjax.cameras import Camera
+from gsjax.scene.cameras import Camera
 
 ASPECTS = (1 / 2, 9 / 16, 2 / 3, 3 / 4, 1.0, 4 / 3, 3 / 2, 16 / 9, 2.0, 21 / 9)
 """Width over height of the pictures that are drawn: one program each. The page stretches them to its own."""

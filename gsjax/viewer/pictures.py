@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from gsjax.cameras import Camera
-from gsjax.colors import to_bytes
 from gsjax.gaussians import Gaussians
 from gsjax.report.pictures import depth_picture, normal_picture
+from gsjax.scene.cameras import Camera
+from gsjax.scene.colors import to_bytes
 from gsjax.viewer.drawing import Drawer
 from gsjax.viewer.subject import Subject
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax.cameras import Camera, look_at, viewmat_center
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io.gaussian_files import FORMATS
@@ -15,7 +14,8 @@ from gsjax.rendering import DepthReading
 from gsjax.runs.result import BACKGROUND_COLORS, Result, frame_camera, open_result, scene_of_run
 from gsjax.runs.viewpoints import mean_up, opaque_middle
 from gsjax.scene import Frame, Scene
-from gsjax.similarity import IDENTITY, Similarity, of_points
+from gsjax.scene.cameras import Camera, look_at, viewmat_center
+from gsjax.scene.similarity import IDENTITY, Similarity, of_points
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from gsjax import config, pipeline, runs, tables
+from gsjax import config, pipeline, runs
 from gsjax.errors import InputError
+from gsjax.report import tables
 from gsjax.settings import Settings
 from gsjax.training.plan import plan
 

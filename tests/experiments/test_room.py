@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gsjax.errors import InputError
-from gsjax.meshes import Mesh
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.metrics.geometry import sample_surface
+from gsjax.scene.meshes import Mesh
 
 SIZE = np.array([4.0, 3.0, 2.5])
 PER_SIDE = 24

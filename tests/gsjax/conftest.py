@@ -11,10 +11,10 @@ import pytest
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
 from gsjax.meshing.level_set import world_points
 from gsjax.rendering.gallery import Picture
+from gsjax.scene.cameras import Camera
 
 RADIUS = 1.0
 

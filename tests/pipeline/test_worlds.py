@@ -10,8 +10,8 @@ from trained_run import SETTINGS
 from gsjax import config, pipeline, runs
 from gsjax.io import json_files
 from gsjax.io.ply import read_gaussians
-from gsjax.meshes import Mesh
 from gsjax.meshing.export import read_mesh, write_mesh
+from gsjax.scene.meshes import Mesh
 from gsjax.settings import Settings
 
 WORLDS = {"utm": (1.0, np.array([500_000.0, 4_500_000.0, 100.0])), "a thousandth": (1e-3, np.zeros(3))}

@@ -10,8 +10,8 @@ from scenes import BACKENDS, cloud, loss
 from tolerances import assert_close
 
 from gsjax import rendering
-from gsjax.cameras import Camera
 from gsjax.rendering import Drawable
+from gsjax.scene.cameras import Camera
 
 SCENE = cloud()
 # Powers of two and whole numbers: every dtype below holds them exactly.

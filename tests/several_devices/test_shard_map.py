@@ -9,8 +9,8 @@ from tolerances import assert_close
 
 import rasterizer
 from gsjax import rendering
-from gsjax.cameras import Camera
 from gsjax.rendering import Drawable
+from gsjax.scene.cameras import Camera
 
 BACKENDS = ["reference", "native", "xla", "pallas"]
 CAMERA, GAUSSIANS = 4, 12

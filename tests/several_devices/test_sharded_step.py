@@ -12,7 +12,7 @@ import pytest
 from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
-from gsjax import targets
+from gsjax.scene import batches
 from gsjax.settings import Weights
 from gsjax.training.growth.rules import RULES
 from gsjax.training.initialize import DEAD_LOGIT
@@ -44,10 +44,10 @@ CASES = {"adc": (weigh_terms(Weights(alpha=0.1)), 2), "error": (SURFACE, 4)}
 
 @pytest.fixture(scope="module")
 def data():
-    found = targets.read_targets(photographed(cloud(80, seed=5), CAMERAS, with_mattes=True))
+    found = batches.read_targets(photographed(cloud(80, seed=5), CAMERAS, with_mattes=True))
     normals = np.zeros((*SIZE[::-1], 3), np.int8)
-    normals[..., 2] = -targets.NORMAL_UNIT
-    return targets.with_normals(found, [normals] * 4)
+    normals[..., 2] = -batches.NORMAL_UNIT
+    return batches.with_normals(found, [normals] * 4)
 
 
 def start(rule, gaussians):

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gsjax.cameras import viewmat_centers
 from gsjax.io.packages import require
 from gsjax.io.sfm.gps import Fix
 from gsjax.io.sfm.gravity import Up, up_by_gravity
 from gsjax.io.sfm.shots import Shot, turned_pose
-from gsjax.place import Place, turn_upright, up_of_cameras
+from gsjax.scene.cameras import viewmat_centers
+from gsjax.scene.georeference import Place, turn_upright, up_of_cameras
 
 pycolmap = require("pycolmap", "pip install pycolmap")
 

@@ -14,8 +14,8 @@ from jax import Array
 
 from gsjax.gaussians import DEAD_LOGIT, Gaussians, is_alive, opacities, rotation_matrices, scales, take
 from gsjax.rendering import View
+from gsjax.scene.batches import Batch
 from gsjax.settings import Density
-from gsjax.targets import Batch
 from gsjax.training.growth.adaptive import Moves
 
 SHORTER = 0.6  # A half's deviation along the axis that splits, in those of the whole; the others stay.

@@ -8,7 +8,7 @@ from jax import Array
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.rendering import View
-from gsjax.targets import Batch
+from gsjax.scene.batches import Batch
 from gsjax.training.growth import adaptive as density_control
 from gsjax.training.growth import error_driven
 

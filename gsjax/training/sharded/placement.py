@@ -14,10 +14,10 @@ from jax.sharding import Mesh, NamedSharding
 
 import rasterizer
 from gsjax import rendering
-from gsjax.cameras import Camera
 from gsjax.effects.simulation import NO_EFFECTS, Effects
 from gsjax.gaussians import Gaussians
-from gsjax.targets import Target, Targets
+from gsjax.scene.batches import Target, Targets
+from gsjax.scene.cameras import Camera
 from gsjax.training.capacity import STILL, rounded_capacity
 from gsjax.training.loop import Placement
 from gsjax.training.sharded import growth as sharded_density

@@ -16,12 +16,13 @@ from jax import Array
 from jax.sharding import Mesh
 
 import rasterizer
-from gsjax import rendering, targets
-from gsjax.cameras import Camera
+from gsjax import rendering
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.metrics.images import in_decibels
-from gsjax.targets import Target
+from gsjax.scene import batches
+from gsjax.scene.batches import Target
+from gsjax.scene.cameras import Camera
 from gsjax.training import optimizers
 from gsjax.training.growth.rules import Rule
 from gsjax.training.sharded.layout import AXIS, BY_ROWS, EVERYWHERE, specs
@@ -93,7 +94,7 @@ def make_sharded_step(
 
     def objective(free: tuple[Gaussians, Array | None], target: Target, color: Array, active_degree: Array):
         gaussians, probe = free
-        batch = targets.batch(target, color)
+        batch = batches.batch(target, color)
         scene = rendering.drawable(gaussians)
 
         @jax.checkpoint

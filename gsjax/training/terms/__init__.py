@@ -32,7 +32,7 @@ class Term:
     """
 
     loss: Callable[..., Array]
-    """(Gaussians, `gsjax.rendering.View`, `gsjax.targets.Batch`) -> `[]`, a mean."""
+    """(Gaussians, `gsjax.rendering.View`, `gsjax.scene.batches.Batch`) -> `[]`, a mean."""
 
     needs: Iterable[str] = frozenset()
     """Words of `NEEDS`. What nobody needs is neither rendered nor loaded."""

@@ -9,12 +9,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from gsjax import rendering, targets
+from gsjax import rendering
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.rendering import View
 from gsjax.rendering.depth import DepthReading
-from gsjax.targets import Batch, Target
+from gsjax.scene import batches
+from gsjax.scene.batches import Batch, Target
 from gsjax.training.terms import NEEDS, Term, Weighed
 from gsjax.training.terms.multi_view import render_neighbor
 
@@ -153,7 +154,7 @@ def _everything(width: int, height: int, depth_mode: DepthReading) -> Seen:
     )
 
     def shown(gaussians: Gaussians, target: Target, color: Array) -> tuple[View, Batch]:
-        batch = targets.batch(target, color)
+        batch = batches.batch(target, color)
         view = rendering.render(
             gaussians,
             batch.camera,

@@ -14,7 +14,7 @@ from gsjax.metrics.images import ssim
 from gsjax.normals import sdf
 from gsjax.numerics import masked_mean
 from gsjax.rendering import MIN_COVERAGE, View
-from gsjax.targets import Batch
+from gsjax.scene.batches import Batch
 
 Loss = Callable[[Gaussians, View, Batch], Array]
 """(Gaussians, View, Batch) -> `[]`."""

@@ -12,14 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gsjax import cameras, rendering
-from gsjax.cameras import Camera
+from gsjax import rendering
 from gsjax.gaussians import Gaussians
 from gsjax.metrics.images import window_means
 from gsjax.numerics import masked_mean, safe_divide, times
 from gsjax.rendering import DepthReading, Neighbor, View, depth
 from gsjax.rendering.sampling import reads_within, sample_bilinear
-from gsjax.targets import Batch, Targets
+from gsjax.scene import cameras
+from gsjax.scene.batches import Batch, Targets
+from gsjax.scene.cameras import Camera
 
 NEAREST = 8  # views that a neighbour is drawn from (PGSR),
 WIDEST = 30.0  # degrees between their axes (PGSR),

@@ -11,7 +11,7 @@ from gsjax.gaussians import Gaussians
 from gsjax.normals.from_depth import depth_normals
 from gsjax.numerics import masked_mean
 from gsjax.rendering import View
-from gsjax.targets import Batch
+from gsjax.scene.batches import Batch
 
 
 def depth_normal(gaussians: Gaussians, view: View, batch: Batch) -> Array:

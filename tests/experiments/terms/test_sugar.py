@@ -14,10 +14,10 @@ from terms.sugar import Sample, sugar_density, sugar_sdf
 from terms.surroundings import Around
 from tolerances import assert_close
 
-from gsjax.density_field import Kernels
 from gsjax.gaussians import is_alive, rotation_matrices
+from gsjax.meshing.density_field import Kernels
 from gsjax.rendering import View
-from gsjax.targets import Batch
+from gsjax.scene.batches import Batch
 
 pytestmark = pytest.mark.long  # what studies alone hand in
 

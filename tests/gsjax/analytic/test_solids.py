@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gsjax.analytic import solids, true_surface
-from gsjax.cameras import center, unproject
-from gsjax.colors import linear_to_srgb
-from gsjax.meshes import signed_volume
+from gsjax.scene.cameras import center, unproject
+from gsjax.scene.colors import linear_to_srgb
+from gsjax.scene.meshes import signed_volume
 
 SDF = jax.jit(jax.vmap(solids.scene_sdf))
 SPACING = 0.04

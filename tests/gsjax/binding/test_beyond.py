@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from small_scenes import camera_at, discs, plane
 
-from gsjax import cameras, rendering, targets
+from gsjax import rendering
 from gsjax.binding.beyond import OVER_BORDER, SAME_SURFACE, beyond_mesh
-from gsjax.scene import Pixels, frame_of
+from gsjax.scene import Pixels, batches, cameras, frame_of
 
 CAMERAS = [camera_at((x, 0.2, 0.0), (0.0, 0.0, 4.0), size=(40, 32), focal=30.0) for x in (-0.4, 0.5)]
 WALL = plane((0, 0, -1), per_side=13, spacing=0.4)  # x and y in -2.4..2.4, at z = 4
@@ -43,7 +43,7 @@ def mesh_depth(camera) -> np.ndarray:
 def masked_by(valid):
     """Both views, of which this much may be used."""
     pixels = Pixels(np.zeros((32, 40, 3), np.uint8), valid=valid)
-    return targets.read_targets([frame_of("", np.asarray(c.viewmat), np.asarray(c.K), pixels) for c in CAMERAS])
+    return batches.read_targets([frame_of("", np.asarray(c.viewmat), np.asarray(c.K), pixels) for c in CAMERAS])
 
 
 @pytest.fixture(scope="module")

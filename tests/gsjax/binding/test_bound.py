@@ -17,7 +17,7 @@ from gsjax.binding.bound import LAYOUTS, bind, covariances, means, opacities, to
 from gsjax.binding.editing import rebound, with_vertices
 from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0
-from gsjax.meshes import Mesh, face_normals
+from gsjax.scene.meshes import Mesh, face_normals
 from gsjax.training.initialize import DEAD_LOGIT
 
 THICKNESS = 0.003

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from small_scenes import camera_at
 
-from gsjax import cameras, rendering
+from gsjax import rendering
 from gsjax.binding.bound import BoundGaussians, bind
-from gsjax.cameras import Camera, look_at
-from gsjax.meshes import Mesh
 from gsjax.rendering import gallery
+from gsjax.scene import cameras
+from gsjax.scene.cameras import Camera, look_at
+from gsjax.scene.meshes import Mesh
 
 WAVE, EDGE, VERTICES_A_SIDE = 0.3, 0.03, 50  # of the stripes, of a triangle
 ELEVATION = np.radians(38)

@@ -16,7 +16,7 @@ from gsjax.binding.editing import rebound, with_vertices
 from gsjax.binding.hybrid import all_gaussians, with_free
 from gsjax.errors import InputError
 from gsjax.gaussians import covariances, take
-from gsjax.meshes import Mesh
+from gsjax.scene.meshes import Mesh
 
 CAMERA = camera_at(size=(24, 24))
 WEIGHTS = np.random.default_rng(5).uniform(size=(24, 24, 3)).astype(np.float32)

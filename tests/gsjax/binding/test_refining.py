@@ -9,17 +9,17 @@ import pytest
 from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
-from gsjax import config, targets
+from gsjax import config
 from gsjax.binding import refining
 from gsjax.binding.bound import bind, to_mesh
 from gsjax.binding.hybrid import Hybrid, with_free
 from gsjax.binding.mesh_terms import mesh_graph, normal_consistency
 from gsjax.binding.refining import PRESETS, Refinement, RefinementRates
 from gsjax.errors import InputError
-from gsjax.meshes import Mesh
 from gsjax.metrics import geometry
 from gsjax.rendering import gallery
-from gsjax.scene import Pixels, frame_of, with_pixels
+from gsjax.scene import Pixels, batches, frame_of, with_pixels
+from gsjax.scene.meshes import Mesh
 from gsjax.training.step import BACKGROUNDS
 from gsjax.training.stepping import view_order
 from gsjax.training.terms import TERMS, Term
@@ -62,7 +62,7 @@ def scene():
         for i, (c, p) in enumerate(zip(cameras, photos, strict=True))
     )
     return SimpleNamespace(
-        truth=truth, rough=rough, frames=frames, data=targets.read_targets(frames), graph=mesh_graph(truth.faces)
+        truth=truth, rough=rough, frames=frames, data=batches.read_targets(frames), graph=mesh_graph(truth.faces)
     )
 
 
@@ -266,7 +266,7 @@ def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):
     monkeypatch.setattr(refining, "make_refine_step", make_refine_step)
     state, optimizer = started(scene)
     solid = tuple(with_pixels(f, f.pixels()._replace(matte=np.full((48, 48), 255, np.uint8))) for f in scene.frames)
-    for data in (scene.data, targets.read_targets(solid)):
+    for data in (scene.data, batches.read_targets(solid)):
         refining.refine(
             replace(SETTINGS, steps=1),
             scene.graph,

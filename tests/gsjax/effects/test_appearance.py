@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gsjax.cameras import look_at
 from gsjax.effects.appearance import NEAR_PHOTOS, Appearance, as_near_photos
 from gsjax.scene import Pixels, frame_of
+from gsjax.scene.cameras import look_at
 
 ROUND = np.linspace(0, 2 * np.pi, 24, endpoint=False)
 HELD_OUT = range(0, 24, 5)

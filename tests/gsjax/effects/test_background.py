@@ -10,7 +10,6 @@ from photographed_wall import gains, radii2, relit, wall
 from small_scenes import camera_at
 from tolerances import assert_close
 
-from gsjax.cameras import Camera
 from gsjax.effects import background
 from gsjax.effects.observations import observe
 from gsjax.errors import InputError
@@ -18,6 +17,7 @@ from gsjax.planning.effects import choose_effects
 from gsjax.planning.validation import Validated
 from gsjax.rendering import backdrop
 from gsjax.scene import with_pixels
+from gsjax.scene.cameras import Camera
 from gsjax.settings import Settings
 from gsjax.training.plan import plan
 

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from small_scenes import built_in
 
 from gsjax import cli
-from gsjax.cameras import pixel_rays
 from gsjax.effects.diagnosis import diagnose
 from gsjax.effects.exposure import estimate
 from gsjax.effects.gains import fit, table
@@ -24,6 +23,7 @@ from gsjax.io.scenes import load_scene
 from gsjax.pipeline.diagnose import apart_line
 from gsjax.runs.result import frame_camera
 from gsjax.scene import Pixels, with_pixels
+from gsjax.scene.cameras import pixel_rays
 
 EFFECTS = [
     "exposure",

@@ -11,7 +11,7 @@ import pytest
 from photographed_wall import wall
 from small_scenes import cloud
 
-from gsjax import rendering, targets
+from gsjax import rendering
 from gsjax.effects import exposure
 from gsjax.effects.appearance import simulations, start
 from gsjax.effects.observations import observe
@@ -25,7 +25,7 @@ from gsjax.effects.simulation import (
     update_effects,
 )
 from gsjax.numerics import masked_mean
-from gsjax.scene import Pixels, with_pixels
+from gsjax.scene import Pixels, batches, with_pixels
 from gsjax.settings import SIMULATED
 
 CLOUD = cloud(60, seed=3)
@@ -109,11 +109,11 @@ def test_values_gradients_and_a_step_are_finite(name, of_twelve):
     state = initial_state(effects)
     assert set(state.numbers) == set(SIMULATED)
     assert np.abs(exposure.log_gains(state.numbers["exposure"])).max() <= LIMIT
-    target = targets.with_photo_numbers(targets.read_targets(scene.frames)).targets[0]
+    target = batches.with_photo_numbers(batches.read_targets(scene.frames)).targets[0]
     target = replace(target, valid=np.ones(target.image.shape[:2], bool) if target.valid is None else target.valid)
     other_gauge = name in ("one photo", "cameras in one place")
     slopes_of = program(effects) if other_gauge else of_twelve
-    value, (slopes, of_gaussians) = slopes_of(state.numbers, CLOUD, targets.batch(target, BLACK))
+    value, (slopes, of_gaussians) = slopes_of(state.numbers, CLOUD, batches.batch(target, BLACK))
     after = update_effects(effects, state, slopes)
     for leaf in jax.tree.leaves((value, slopes, of_gaussians, after.numbers)):
         assert np.isfinite(leaf).all()

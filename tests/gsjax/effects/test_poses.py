@@ -8,12 +8,12 @@ from scipy.spatial.transform import Rotation
 from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
-from gsjax.cameras import Camera, center, project, world_to_camera
 from gsjax.effects import poses
 from gsjax.effects.alignment import align
 from gsjax.effects.poses import Move
 from gsjax.effects.twists import apply_twist, gauge
 from gsjax.rendering import gallery
+from gsjax.scene.cameras import Camera, center, project, world_to_camera
 
 CAMERA = camera_at((0.4, -0.3, 0.2), (0.0, 0.1, 4.0), size=(32, 24))
 POINTS = np.array([[0.3, -0.2, 4.0], [-0.8, 0.5, 3.0], [0.1, 0.9, 6.0]])

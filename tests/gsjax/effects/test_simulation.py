@@ -12,7 +12,7 @@ from gsjax.effects.appearance import Appearance, fit_colors, without_appearance
 from gsjax.effects.simulation import FINAL, HOLD, LIMIT, RATE, WARM_UP, learning_rate, photograph
 from gsjax.rendering import View
 from gsjax.scene import Pixels, frame_of
-from gsjax.targets import Batch
+from gsjax.scene.batches import Batch
 
 CAMERA = camera_at(size=(32, 24))
 GAINS = np.array([[0.2, -0.1, 0.0], [0.1, 0.3, -0.4]], np.float32)

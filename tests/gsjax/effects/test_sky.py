@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from tolerances import assert_close
 
-from gsjax.cameras import Camera, look_at
 from gsjax.effects import background, sky
 from gsjax.effects.diagnosis import diagnose
 from gsjax.effects.observations import observe
@@ -22,8 +21,9 @@ from gsjax.rendering import backdrop
 from gsjax.runs.records import read_views
 from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, Scene, Tracks, frame_of, with_pixels
+from gsjax.scene.batches import batch, read_targets, with_skies
+from gsjax.scene.cameras import Camera, look_at
 from gsjax.settings import Rates, Settings
-from gsjax.targets import batch, read_targets, with_skies
 from gsjax.training.growth.adaptive import is_alive
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan

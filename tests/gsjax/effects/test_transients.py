@@ -14,8 +14,8 @@ from gsjax.effects import transients
 from gsjax.effects.simulation import initial_state as effects_state
 from gsjax.effects.simulation import mask_untrusted, update_effects
 from gsjax.rendering import View
+from gsjax.scene.batches import Batch
 from gsjax.settings import Density
-from gsjax.targets import Batch
 
 CAMERA = camera_at(size=(32, 24))
 RATE = optax.constant_schedule(transients.RATE)

@@ -10,10 +10,10 @@ from PIL import Image
 from tqdm import tqdm
 
 from gsjax.analytic import solids
-from gsjax.cameras import unproject
 from gsjax.errors import InputError
 from gsjax.io import analytic_scene
 from gsjax.io.scenes import load_scene
+from gsjax.scene.cameras import unproject
 
 VIEWS, SIZE = 5, (36, 30)
 SDF = jax.jit(jax.vmap(solids.scene_sdf))

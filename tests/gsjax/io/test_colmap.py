@@ -10,7 +10,7 @@ from gsjax.errors import InputError
 from gsjax.io.colmap import read_capture
 from gsjax.io.colmap_model import find_model
 from gsjax.io.scenes import load_scene
-from gsjax.similarity import IDENTITY
+from gsjax.scene.similarity import IDENTITY
 
 
 def mean_reprojection_error(scene, model_folder) -> float:

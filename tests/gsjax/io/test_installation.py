@@ -60,7 +60,7 @@ def test_a_library_is_absent_or_too_old_or_does_not_load_or_is_fine(needs, tmp_p
 
 
 def test_the_device_and_the_engine_are_those_that_train():
-    from gsjax.devices import engine_here
+    from gsjax.rendering.engine import engine_here
 
     device, engine = check_device()
     here = engine_here()

@@ -6,7 +6,7 @@ from PIL import Image
 
 from gsjax.errors import InputError
 from gsjax.io.scenes import is_data_set, load_scene
-from gsjax.similarity import IDENTITY
+from gsjax.scene.similarity import IDENTITY
 
 
 def read(path):

@@ -10,7 +10,7 @@ from gsjax.errors import InputError
 from gsjax.io.colmap import read_capture
 from gsjax.io.scenes import load_scene
 from gsjax.io.transforms import read_transforms
-from gsjax.similarity import IDENTITY
+from gsjax.scene.similarity import IDENTITY
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 

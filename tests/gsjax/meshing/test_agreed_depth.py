@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from gsjax.cameras import Camera
 from gsjax.meshing import extract_mesh
 from gsjax.meshing.agreed_depth import AGREEING, SAME_SURFACE, SHARE, agreed_pictures, agreed_poisson
 from gsjax.normals.from_depth import smoothed_depth_normals
 from gsjax.rendering.gallery import Picture
 from gsjax.rendering.shown_depths import ShownDepth, coarse_depth
+from gsjax.scene.cameras import Camera
 
 WALL, NEARER = 4.0, 3.0  # camera z of the wall, and of the lumps
 WIDTH, HEIGHT, FOCAL = 60, 30, 40.0

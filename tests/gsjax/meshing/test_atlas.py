@@ -9,10 +9,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from gsjax.errors import InputError
-from gsjax.meshes import Mesh
 from gsjax.meshing import atlas as atlases
 from gsjax.meshing.atlas import cells, charts, texel_corners, unwrap
 from gsjax.meshing.texels import paint_texture, texels_of
+from gsjax.scene.meshes import Mesh
 
 SIZE = 256
 

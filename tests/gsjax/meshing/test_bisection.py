@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from gsjax.meshes import Mesh, signed_volume
 from gsjax.meshing.bisection import bisect_triangles
 from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.topology import edge_table, topology
+from gsjax.scene.meshes import Mesh, signed_volume
 
 
 @pytest.fixture(scope="module")

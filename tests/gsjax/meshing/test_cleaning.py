@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.meshes import Mesh, signed_volume
 from gsjax.meshing.cleaning import clean, concatenate_meshes
 from gsjax.meshing.topology import edge_table, face_components, topology
+from gsjax.scene.meshes import Mesh, signed_volume
 
 
 def mesh_of(vertices, faces):
@@ -121,7 +121,7 @@ MILLION = """
 import numpy as np
 from gsjax.metrics import geometry
 from gsjax.io.machine import peak_memory
-from gsjax.meshes import Mesh
+from gsjax.scene.meshes import Mesh
 from gsjax.meshing.cleaning import clean
 from gsjax.meshing.topology import topology
 

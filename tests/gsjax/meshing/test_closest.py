@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from gsjax.meshes import Mesh
 from gsjax.meshing.closest import closest_on_mesh
+from gsjax.scene.meshes import Mesh
 
 
 def soup(count, seed=0, at=0.0):

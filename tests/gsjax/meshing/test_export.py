@@ -9,10 +9,10 @@ import pytest
 from PIL import Image
 
 from gsjax.errors import InputError
-from gsjax.meshes import Mesh
 from gsjax.meshing import export, read_mesh, write_mesh
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.export import read_textured, write_textured
+from gsjax.scene.meshes import Mesh
 
 
 @pytest.fixture

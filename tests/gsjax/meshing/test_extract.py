@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.meshes import Mesh, face_normals, signed_volume
 from gsjax.meshing import boxes, depth_of_mesh, extract_mesh
 from gsjax.meshing.boxes import Box, Region
 from gsjax.meshing.extract import cut_to_region
@@ -16,6 +15,7 @@ from gsjax.meshing.level_set_poisson import level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.metrics import geometry
 from gsjax.rendering import gallery
+from gsjax.scene.meshes import Mesh, face_normals, signed_volume
 
 
 def through(num_points, depth=None):

@@ -5,10 +5,10 @@ import pytest
 from fuzzing import damaged, fuzz
 
 from gsjax.errors import InputError
-from gsjax.meshes import Mesh
 from gsjax.meshing import read_mesh, write_mesh
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.export import glb_bytes, read_textured, write_textured
+from gsjax.scene.meshes import Mesh
 
 ASCII = """ply
 format ascii 1.0

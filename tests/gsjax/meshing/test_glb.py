@@ -6,8 +6,8 @@ import struct
 import numpy as np
 import pytest
 
-from gsjax.meshes import Mesh
 from gsjax.meshing import glb, read_mesh, write_mesh
+from gsjax.scene.meshes import Mesh
 
 
 def every_value():

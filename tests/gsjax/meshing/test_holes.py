@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from gsjax.cameras import Camera
-from gsjax.meshes import Mesh, face_area_vectors
 from gsjax.meshing.holes import fill_holes
 from gsjax.meshing.topology import topology
 from gsjax.rendering.shown_depths import ShownDepth
+from gsjax.scene.cameras import Camera
+from gsjax.scene.meshes import Mesh, face_area_vectors
 
 SIDE, AWAY = 40, 40.0
 HOLES = {"shown": (6, 6), "window": (24, 6), "unseen": (6, 24)}  # Lowest cells; each is three cells wide.

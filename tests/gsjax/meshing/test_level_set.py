@@ -6,13 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax import cameras, density_field
 from gsjax import gaussians as gs
-from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.meshing import level_crossing, level_set
+from gsjax.meshing import density_field, level_crossing, level_set
 from gsjax.meshing.level_set import LevelSetOptions
+from gsjax.scene import cameras
+from gsjax.scene.cameras import Camera
 
 
 def one_gaussian(scales, opacity):

@@ -6,10 +6,10 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from gsjax.colors import srgb_to_linear
 from gsjax.errors import InputError
-from gsjax.meshes import Mesh
 from gsjax.meshing import glb, read_mesh, write_mesh
+from gsjax.scene.colors import srgb_to_linear
+from gsjax.scene.meshes import Mesh
 
 
 def quad_with_face_colors(path, rows=("255 0 0", "0 0 255")):

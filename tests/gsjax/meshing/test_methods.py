@@ -7,7 +7,6 @@ import pytest
 from small_scenes import camera_at, cloud
 
 from gsjax.errors import InputError
-from gsjax.meshes import Mesh, face_normals
 from gsjax.meshing import boxes, extract_mesh
 from gsjax.meshing.boxes import Box, Region
 from gsjax.meshing.depth_points import LEAST_FACING, depth_poisson
@@ -16,6 +15,7 @@ from gsjax.meshing.orientation import facing_share, orient_outward
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
 from gsjax.rendering.gallery import Picture
+from gsjax.scene.meshes import Mesh, face_normals
 
 ALL = {
     "depth": depth_poisson(smoothed_depth_normals, 100_000),

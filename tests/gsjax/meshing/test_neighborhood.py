@@ -5,14 +5,13 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from gsjax import nearest
-from gsjax.cameras import Camera
 from gsjax.gaussians import Gaussians
-from gsjax.meshing import level_set, neighborhood
+from gsjax.meshing import knn, level_set, neighborhood
+from gsjax.meshing.knn import nearest_table
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.neighborhood import Neighborhood
-from gsjax.nearest import nearest_table
 from gsjax.rendering import gallery
+from gsjax.scene.cameras import Camera
 
 WALL = Camera(
     np.eye(4, dtype=np.float32) + np.float32([[0] * 4, [0] * 4, [0, 0, 0, 2], [0] * 4]),
@@ -97,7 +96,7 @@ def test_fewer_gaussians_than_neighbours():
 def test_neighbours_are_the_same_in_any_chunks(monkeypatch):
     points = np.random.default_rng(0).normal(size=(500, 3))
     whole = nearest_table(KDTree(points), 16)
-    monkeypatch.setattr(nearest, "TREE_CHUNK", 70)
+    monkeypatch.setattr(knn, "TREE_CHUNK", 70)
     np.testing.assert_array_equal(nearest_table(KDTree(points), 16), whole)
     distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
     np.testing.assert_array_equal(whole, np.argsort(distances, axis=1)[:, :16])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from gsjax.cameras import look_at
-from gsjax.meshes import Mesh
 from gsjax.meshing import outlines
 from gsjax.meshing.outlines import MOST_PHOTOS, outlines_of, overlap
 from gsjax.scene import Pixels, Scene, frame_of
+from gsjax.scene.cameras import look_at
+from gsjax.scene.meshes import Mesh
 
 SIZE, FOCAL, AWAY = 200, 300.0, 5.0
 

@@ -2,12 +2,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax.cameras import Camera
-from gsjax.meshes import Mesh
 from gsjax.meshing import depth_of_mesh, headlight, normal_colors, render_mesh, vertex_colors
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.pictures import smooth_pictures, texture_colors
 from gsjax.meshing.rays import front_faces_only, ray_caster
+from gsjax.scene.cameras import Camera
+from gsjax.scene.meshes import Mesh
 
 K = np.array([[40.0, 0, 17], [0, 50.0, 14], [0, 0, 1]])
 WIDTH, HEIGHT = 36, 30

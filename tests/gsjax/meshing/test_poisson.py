@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.meshes import signed_volume
 from gsjax.meshing import poisson, trimming
 from gsjax.meshing.poisson import PoissonOptions
+from gsjax.scene.meshes import signed_volume
 
 DEPTH_6 = PoissonOptions(depth=6)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError, NoSurfaceError
-from gsjax.meshes import Mesh
 from gsjax.meshing.select_method import Witness, select_method
+from gsjax.scene.meshes import Mesh
 
 EMPTY = np.zeros((0, 3))
 

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax.meshes import Mesh
 from gsjax.meshing import settling
 from gsjax.meshing.settling import Settling, settle
 from gsjax.rendering.sampling import sample_bilinear
 from gsjax.scene import Frame, Pixels, frame_of, with_pixels
+from gsjax.scene.meshes import Mesh
 
 SIZE, FOCAL = (124, 100), 75.0
 PIXEL = 3 / FOCAL  # Scene units, from three units away.

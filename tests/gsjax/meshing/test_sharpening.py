@@ -6,13 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax.cameras import Camera
-from gsjax.meshes import Mesh
 from gsjax.meshing import sharpening
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.sharpening import sharpened
 from gsjax.meshing.texture import texture_mesh
 from gsjax.rendering.gallery import Picture
+from gsjax.scene.cameras import Camera
+from gsjax.scene.meshes import Mesh
 
 PIXELS, TEXELS, FOCAL, AWAY = 40, 80, 40.0, 1.0  # The square of side 1 fills the image: a pixel has two texels a side.
 WAVES = 8  # across the square: five pixels each

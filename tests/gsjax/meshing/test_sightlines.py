@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from gsjax.errors import NoSurfaceError
-from gsjax.meshes import Mesh
 from gsjax.meshing.boxes import Box
 from gsjax.meshing.select_method import by_sightlines, select_method
 from gsjax.meshing.sightlines import SAME_SURFACE, agreement, sightlines_of
 from gsjax.scene import Pixels, Scene, Tracks, frame_of
+from gsjax.scene.meshes import Mesh
 
 AWAY, PHOTOS = 10.0, 4
 PARTS = {"met": 40, "nothing": 30, "before": 20, "behind": 10}  # points that lie in each quarter of the wall

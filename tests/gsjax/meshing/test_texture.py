@@ -6,8 +6,6 @@ import pytest
 from scipy import ndimage
 from tolerances import assert_close
 
-from gsjax.cameras import Camera
-from gsjax.meshes import Mesh
 from gsjax.meshing import texture
 from gsjax.meshing.atlas import Atlas, cells, texel_corners
 from gsjax.meshing.cleaning import concatenate_meshes
@@ -15,6 +13,8 @@ from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.texels import texels_of
 from gsjax.meshing.texture import composite_views, texture_mesh
 from gsjax.rendering.gallery import Picture
+from gsjax.scene.cameras import Camera
+from gsjax.scene.meshes import Mesh
 
 WIDTH, HEIGHT, FOCAL = 96, 80, 90.0
 UNSEEN = (1, 2, 3)
@@ -235,10 +235,10 @@ def test_two_hundred_thousand_triangles_fit_into_a_gigabyte():
     """A million were measured: 1.2 GB. Here the program with all its packages takes 0.6 of it."""
     program = """
 import numpy as np
-from gsjax.cameras import Camera
+from gsjax.scene.cameras import Camera
 from gsjax.rendering.gallery import Picture
 from gsjax.io.machine import peak_memory
-from gsjax.meshes import Mesh
+from gsjax.scene.meshes import Mesh
 from gsjax.meshing.texture import texture_mesh
 
 side = 317

@@ -5,10 +5,10 @@ import pytest
 import trimesh
 from tolerances import assert_close
 
-from gsjax.cameras import Camera
-from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import depth_of_mesh
 from gsjax.meshing.texture_size import pixels_of_faces, texture_side
+from gsjax.scene.cameras import Camera
+from gsjax.scene.meshes import Mesh
 
 WIDTH, HEIGHT, FOCAL = 320, 240, 260.0
 BOUNDS = {"least": 64, "most": 4096}

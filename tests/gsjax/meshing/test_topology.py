@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from gsjax.meshes import Mesh
 from gsjax.meshing.topology import border, boundary_loops, edge_table, face_components, topology
+from gsjax.scene.meshes import Mesh
 
 
 def mesh_of(vertices, faces):

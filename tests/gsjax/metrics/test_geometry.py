@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.meshes import Mesh, face_normals, signed_volume, vertex_normals
 from gsjax.meshing.closest import closest_on_mesh
 from gsjax.metrics import geometry
+from gsjax.scene.meshes import Mesh, face_normals, signed_volume, vertex_normals
 
 
 def box(size=(1.0, 1.0, 1.0), center=(0.0, 0.0, 0.0)):

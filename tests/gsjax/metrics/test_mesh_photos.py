@@ -5,11 +5,11 @@ import pytest
 
 from gsjax.effects.appearance import Appearance
 from gsjax.gaussians import Gaussians
-from gsjax.meshes import Mesh
 from gsjax.meshing.pictures import vertex_colors
 from gsjax.metrics.mesh_photos import score_appearance
 from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.scene import Pixels, frame_of
+from gsjax.scene.meshes import Mesh
 
 K = np.float32([[40, 0, 18], [0, 40, 16], [0, 0, 1]])
 HEIGHT, WIDTH = 32, 36

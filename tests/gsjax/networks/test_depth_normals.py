@@ -10,7 +10,6 @@ from small_scenes import angles, camera_at
 from tqdm import tqdm
 
 from gsjax import pipeline
-from gsjax.cameras import pixel_rays
 from gsjax.errors import InputError
 from gsjax.io.normal_maps import normal_maps
 from gsjax.networks.depth_estimator import DepthEstimator
@@ -18,6 +17,7 @@ from gsjax.networks.depth_normals import DepthNormals
 from gsjax.networks.records import DepthNetwork, Output, Size
 from gsjax.normals.fitted_depth import fit_depth
 from gsjax.scene import Pixels, Scene, Tracks, frame_of
+from gsjax.scene.cameras import pixel_rays
 
 CAMERA = camera_at(size=(64, 48), focal=60.0)
 RAYS = np.asarray(pixel_rays(CAMERA), np.float64)

@@ -5,10 +5,10 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from tolerances import assert_close
 
-from gsjax.cameras import look_at
 from gsjax.normals import agreement
 from gsjax.normals.agreement import LONGEST, View, full_size, judge, share_compared, stride_of, thinned
 from gsjax.normals.sparse_depth import sparse_depth
+from gsjax.scene.cameras import look_at
 
 WIDTH, HEIGHT = 64, 48
 K = np.array([[70.0, 0, 31.5], [0, 72.0, 24.5], [0, 0, 1]])

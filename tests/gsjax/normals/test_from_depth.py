@@ -7,10 +7,10 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from gsjax.analytic import solids
-from gsjax.cameras import Camera, pixel_rays
 from gsjax.errors import InputError
 from gsjax.normals.axes import NAMED_AXES, apply_axes, axis_signs, detect_axes, written_axes
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
+from gsjax.scene.cameras import Camera, pixel_rays
 
 K = np.float32([[70, 0, 25.5], [0, 64, 17.0], [0, 0, 1]])
 CAMERA = Camera(jnp.eye(4, dtype=jnp.float32), jnp.asarray(K), 48, 36)

@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 from small_scenes import angles, camera_at, discs, moved, plane
 from tolerances import assert_close
 
-from gsjax import cameras, rendering
+from gsjax import rendering
 from gsjax.gaussians import Gaussians, rotation_matrices
 from gsjax.normals import sdf
 from gsjax.rendering import View
+from gsjax.scene import cameras
 
 CAMERA = camera_at((0.6, -0.4, -0.5), (0.1, 0.2, 4.0), size=(40, 36), focal=36.0)
 TURN = np.asarray(CAMERA.viewmat, np.float64)[:3, :3]

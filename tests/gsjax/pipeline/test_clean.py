@@ -5,7 +5,7 @@ import pytest
 from small_scenes import camera_at, discs
 from tolerances import assert_close
 
-from gsjax import cli, stray
+from gsjax import cli
 from gsjax.errors import InputError
 from gsjax.gaussians import concatenate, take
 from gsjax.io import json_files
@@ -13,6 +13,7 @@ from gsjax.io.gaussian_files import load_gaussians
 from gsjax.io.locks import lock_folder
 from gsjax.io.ply import write_gaussians
 from gsjax.pipeline.clean import clean, undo
+from gsjax.rendering import outliers
 from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, frame_of
 
@@ -141,10 +142,10 @@ def test_crops_keep_what_lies_inside(tmp_path):
 
 
 def test_cameras_look_at_one_place_or_they_do_not():
-    middle, radius = stray.looked_at([camera_at(eye, (0.0, 0.0, 0.0)) for eye in EYES])
+    middle, radius = outliers.looked_at([camera_at(eye, (0.0, 0.0, 0.0)) for eye in EYES])
     assert_close(middle, np.zeros(3), atol=1e-5, rtol=0, why="float32 poses")
     assert radius == pytest.approx(np.linalg.norm(EYES[0]), rel=1e-5)
-    assert stray.looked_at([camera_at(eye, 2 * eye) for eye in EYES]) is None
+    assert outliers.looked_at([camera_at(eye, 2 * eye) for eye in EYES]) is None
 
 
 def test_undo_refuses_what_became_another_file(run):
@@ -158,4 +159,4 @@ def test_undo_refuses_what_became_another_file(run):
 @pytest.mark.parametrize("count", [0, 1, 3, 40])
 def test_a_sheet_of_gaussians_hangs_together(count):
     points = np.stack([np.arange(count), np.zeros(count), np.zeros(count)], -1).astype(float)
-    assert (stray.cluster_sizes(points) == count).all()
+    assert (outliers.cluster_sizes(points) == count).all()

@@ -9,13 +9,13 @@ import pytest
 from scipy.special import expit
 
 from gsjax import cli, rendering
-from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io.gaussian_files import FORMATS, format_of
 from gsjax.io.ply import read_gaussians, write_gaussians
 from gsjax.io.spz import half_turned
 from gsjax.pipeline import convert
+from gsjax.scene.cameras import Camera
 
 
 @pytest.fixture

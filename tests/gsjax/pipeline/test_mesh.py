@@ -15,7 +15,6 @@ from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
-from gsjax.meshes import Mesh, signed_volume
 from gsjax.meshing import select_method
 from gsjax.meshing.export import read_mesh
 from gsjax.meshing.holes import HoleReport
@@ -31,6 +30,7 @@ from gsjax.rendering.shown_depths import ShownDepth
 from gsjax.runs import viewpoints
 from gsjax.runs.result import open_result, write_views
 from gsjax.scene import Pixels, frame_of
+from gsjax.scene.meshes import Mesh, signed_volume
 
 
 @pytest.fixture

@@ -10,11 +10,9 @@ from PIL import Image
 from small_scenes import camera_at, cloud
 
 from gsjax import cli, pipeline
-from gsjax.cameras import viewmat_center
 from gsjax.io import json_files
 from gsjax.io.images import read_image
 from gsjax.io.ply import write_gaussians
-from gsjax.meshes import Mesh
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.export import write_mesh, write_textured
 from gsjax.pipeline.render import picture_stems
@@ -22,6 +20,8 @@ from gsjax.rendering import gallery
 from gsjax.report.pictures import depth_picture, depth_span
 from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, frame_of
+from gsjax.scene.cameras import viewmat_center
+from gsjax.scene.meshes import Mesh
 
 POSES = [{"viewmat": (np.eye(4) + shift * np.eye(4, k=3)).tolist(), "fov": 50.0} for shift in (0, 1, 3)]
 

@@ -19,12 +19,12 @@ from gsjax.io.gaussian_files import load_gaussians
 from gsjax.io.place_files import read_place, stated_place
 from gsjax.io.ply import write_gaussians
 from gsjax.io.scenes import load_scene
-from gsjax.meshes import Mesh
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline import scale
 from gsjax.runs.pixel_to_point import Pixel, points_of_scene
 from gsjax.runs.result import open_result, write_views
 from gsjax.scene import Pixels, frame_of
+from gsjax.scene.meshes import Mesh
 
 scaling = importlib.import_module("gsjax.pipeline.scale")  # The package's attribute of that name is the function.
 WALL = wall(6, num_points=3000)

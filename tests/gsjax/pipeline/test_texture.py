@@ -9,11 +9,11 @@ import small_scenes
 from gsjax import cli, pipeline
 from gsjax.io import json_files, ply
 from gsjax.io.images import write_image
-from gsjax.meshes import Mesh
 from gsjax.meshing.export import read_textured, write_mesh
 from gsjax.meshing.texture_size import STEP
 from gsjax.pipeline.texture import known_background
 from gsjax.runs.result import open_result
+from gsjax.scene.meshes import Mesh
 
 SIZE = 128
 

@@ -40,10 +40,10 @@ def test_where_3dgs_rule_grows_a_line_tells_the_bound_that_it_does_not_have(pres
 
 
 def test_the_first_line_names_device_and_engine(monkeypatch):
-    from gsjax import devices
+    from gsjax.rendering import engine
     from rasterizer import engines
 
-    for module in (devices, engines):
+    for module in (engine, engines):
         monkeypatch.setattr(module, "default_device", lambda: H100)
     first, *_ = train._beginning_lines(plan(Settings()), Settings(), "9 photos")
     assert first == "on NVIDIA H100 80GB HBM3 with the pallas rasterizer"

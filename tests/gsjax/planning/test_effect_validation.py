@@ -10,7 +10,6 @@ from photographed_wall import gains as drawn_gains
 from photographed_wall import radii2, relit, wall
 from small_scenes import built_in
 
-from gsjax.cameras import Camera
 from gsjax.config import parse
 from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.effects.observations import observe
@@ -23,8 +22,9 @@ from gsjax.planning.sizes import training_extent
 from gsjax.planning.start import first_state
 from gsjax.planning.validation import Validated, compared
 from gsjax.scene import Pixels, frame_of
+from gsjax.scene.batches import Batch
+from gsjax.scene.cameras import Camera
 from gsjax.settings import PRESETS, Phase, Settings
-from gsjax.targets import Batch
 from gsjax.training.plan import plan
 
 SETTINGS = Settings(background="white", phases=(Phase("vanilla", 3000),), max_gaussians=2000, sh_degree=1)

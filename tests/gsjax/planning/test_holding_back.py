@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from small_scenes import built_in
 
-from gsjax.cameras import Camera
 from gsjax.io.scenes import load_scene
 from gsjax.planning import holding_back, validation
 from gsjax.planning.holding_back import FEWEST_FOLDS, FOLDS, Score, gain
 from gsjax.scene import Pixels, Tracks, frame_of, with_pixels
+from gsjax.scene.cameras import Camera
 from gsjax.settings import Phase, Settings
 from gsjax.training import loop
 

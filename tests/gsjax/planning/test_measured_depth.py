@@ -10,12 +10,12 @@ from small_scenes import camera_at, plane
 
 from gsjax import rendering
 from gsjax.errors import InputError
-from gsjax.place import Place
 from gsjax.planning.measured_depth import measured_depth
 from gsjax.rendering import depth
 from gsjax.scene import Pixels, Scene, Tracks, frame_of
+from gsjax.scene.georeference import Place
+from gsjax.scene.similarity import Similarity
 from gsjax.settings import Phase, Rates, Settings, Weights
-from gsjax.similarity import Similarity
 from gsjax.training.loop import fit
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan

@@ -5,9 +5,9 @@ from small_scenes import camera_at, cloud, plane
 from tolerances import assert_close
 
 import rasterizer
-from gsjax.cameras import Camera
 from gsjax.gaussians import opacities, scales, sh_coefficients
 from gsjax.rendering import MIN_COVERAGE, gallery
+from gsjax.scene.cameras import Camera
 
 BACKGROUND = np.array([0.1, 0.9, 0.4])
 CAMERAS = [

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from gsjax import cli, config, pipeline, runs, tables
+from gsjax import cli, config, pipeline, runs
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.meshes import Mesh
 from gsjax.meshing.export import write_mesh
 from gsjax.pipeline.compare import compare
 from gsjax.rendering.gallery import Picture
-from gsjax.report import shown_views
+from gsjax.report import shown_views, tables
 from gsjax.report.curves import LEFT, RIGHT
 from gsjax.report.page import noted, report
 from gsjax.scene import Pixels, frame_of
+from gsjax.scene.meshes import Mesh
 from gsjax.settings import PRESETS, Settings
 from gsjax.training.plan import plan
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from gsjax import cameras as cams
 from gsjax import gaussians as gs
-from gsjax.meshes import Mesh
 from gsjax.runs import viewpoints
+from gsjax.scene import cameras as cams
+from gsjax.scene.meshes import Mesh
 
 
 def cloud(means):

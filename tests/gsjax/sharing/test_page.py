@@ -15,11 +15,11 @@ from gsjax.gaussians import opacities
 from gsjax.io import json_files
 from gsjax.io.ply import write_gaussians
 from gsjax.io.spz import read_spz
-from gsjax.meshes import Mesh
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline.share import most_visible
 from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, frame_of
+from gsjax.scene.meshes import Mesh
 from gsjax.sharing.page import LIBRARIES
 
 HOSTILE = "</script><script>alert(1)</script><!-- <b onload='x'>&\""

@@ -8,11 +8,10 @@ import optax
 import pytest
 from small_scenes import camera_at, cloud, photographed
 
-from gsjax import targets
 from gsjax.effects.simulation import NO_EFFECTS, Effect
 from gsjax.errors import InputError
 from gsjax.gaussians import opacities, take
-from gsjax.scene import with_pixels
+from gsjax.scene import batches, with_pixels
 from gsjax.settings import Density, Phase, Rates, Settings, Weights
 from gsjax.training import buffers, loop
 from gsjax.training.growth import adaptive
@@ -161,8 +160,8 @@ def entered(monkeypatch):
         phases.append((phase.name, scales[-1], (done, phase.end), capacity))
         return state, capacity
 
-    unreduced = targets.read_targets
-    monkeypatch.setattr(targets, "read_targets", stacked)
+    unreduced = batches.read_targets
+    monkeypatch.setattr(batches, "read_targets", stacked)
     monkeypatch.setattr(loop, "_run_phase", run_phase)
     monkeypatch.setattr(loop, "_room_for", lambda work, phase, data, state, before: f"{before} or counted")
     return phases

@@ -9,9 +9,10 @@ from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
 import rasterizer
-from gsjax import rendering, targets
+from gsjax import rendering
 from gsjax.gaussians import opacities
 from gsjax.metrics.images import psnr
+from gsjax.scene import batches
 from gsjax.settings import Density, Rates, Weights
 from gsjax.training.capacity import chosen_capacity, kept_or, largest_need
 from gsjax.training.growth import adaptive as density_control
@@ -42,7 +43,7 @@ def setup(empty_caches):
         sh_every=SH_EVERY,
         rule=RULES["adc"],
     )
-    data = targets.read_targets(photographed(cloud(200, seed=5), CAMERAS, with_mattes=True))
+    data = batches.read_targets(photographed(cloud(200, seed=5), CAMERAS, with_mattes=True))
     return SimpleNamespace(optimizer=optimizer, step=step, data=data)
 
 
@@ -91,7 +92,7 @@ def test_the_report_is_of_the_view_before_the_update(setup):
     gaussians = copied(before.gaussians)
     color = BACKGROUNDS["random"](jax.random.fold_in(KEY, 0))
     _, metrics = setup.step(before, setup.data.targets[1], KEY)
-    batch = targets.batch(setup.data.targets[1], color)
+    batch = batches.batch(setup.data.targets[1], color)
     view = jax.jit(rendering.render, static_argnames="capacity")(
         gaussians, batch.camera, capacity=PAIRS, background=color, active_degree=0
     )
@@ -302,11 +303,11 @@ def test_a_phase_goes_on_in_the_buffer_of_before_where_it_serves(before, kept):
 
 def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     normals = np.zeros((*SIZE[::-1], 3), np.int8)
-    normals[..., 2] = -targets.NORMAL_UNIT
+    normals[..., 2] = -batches.NORMAL_UNIT
     normals[0, 0] = 0  # a hole
     measured = np.full(SIZE[::-1], 2, np.float32), np.full(SIZE[::-1], 255, np.uint8)
-    data = targets.with_depths(targets.with_normals(setup.data, [normals] * 3), [measured] * 3)
-    data = targets.with_skies(data, [np.ones(SIZE[::-1], bool)] * 3)
+    data = batches.with_depths(batches.with_normals(setup.data, [normals] * 3), [measured] * 3)
+    data = batches.with_skies(data, [np.ones(SIZE[::-1], bool)] * 3)
     terms = weigh_terms(dict.fromkeys(TERMS, 0.1))
     capacity = int(1.1 * largest_need(start(setup).gaussians, data))
     step = make_train_step(

@@ -11,12 +11,12 @@ import step_without_effects
 from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
-from gsjax import targets
-from gsjax.cameras import center
 from gsjax.effects import background, exposure, poses, vignetting
 from gsjax.effects.simulation import learning_rate
 from gsjax.effects.twists import apply_twist, gauge
 from gsjax.rendering import backdrop, gallery
+from gsjax.scene import batches
+from gsjax.scene.cameras import center
 from gsjax.settings import Rates, Weights
 from gsjax.training.growth.rules import RULES
 from gsjax.training.optimizers import make_optimizer
@@ -48,7 +48,7 @@ def start(effects=None, rule="adc"):
 
 @pytest.fixture(scope="module")
 def data():
-    return targets.with_photo_numbers(targets.read_targets(photographed(cloud(200, seed=5), CAMERAS)))
+    return batches.with_photo_numbers(batches.read_targets(photographed(cloud(200, seed=5), CAMERAS)))
 
 
 def program(step, state, target) -> str:
@@ -60,7 +60,7 @@ def program(step, state, target) -> str:
 )
 def test_a_step_without_effects_is_that_of_a_program_that_never_heard_of_them(rule, terms):
     """Nor of Gaussians that are left out."""
-    (target,) = targets.read_targets(photographed(cloud(200, seed=5), CAMERAS[:1])).targets
+    (target,) = batches.read_targets(photographed(cloud(200, seed=5), CAMERAS[:1])).targets
     state = start(rule=rule or "adc")
     ours = program(make_train_step(OPTIMIZER, terms, dropout=0.0, **options(rule)), state, target)
     theirs = program(step_without_effects.make_train_step(OPTIMIZER, terms, **options(rule)), state, target)
@@ -94,7 +94,7 @@ def test_held_effects_leave_the_others_as_they_were(data):
     state, without = start(effects), start()
     for target in data.targets:
         state, reported = step(state, target, KEY)
-        without, expected = plain(without, targets.Target(**{**target.__dict__, "photo": None}), KEY)
+        without, expected = plain(without, batches.Target(**{**target.__dict__, "photo": None}), KEY)
     assert_close(reported.loss, expected.loss)
     # Adam divides the rounding of other fusions by a small gradient: 2.3e-6 measured, where steps move 7.5e-3.
     assert_close(state.gaussians.sh_dc, without.gaussians.sh_dc, rtol=1e-4, atol=1e-5, why="other fusions, then Adam")

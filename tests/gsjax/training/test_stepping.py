@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from small_scenes import camera_at, cloud, photographed
 
-from gsjax import targets
 from gsjax.errors import InputError
+from gsjax.scene import batches
 from gsjax.training import stepping
 from gsjax.training.step import BACKGROUNDS, Metrics, Outcome, guarded_step
 
@@ -66,7 +66,7 @@ def toy_steps(data, capacity, **how):
 
 def test_a_flag_that_is_read_a_step_late_changes_no_bit(frames):
     """Two steps overflow, and the next photo would fit: the step that was begun with it must leave no trace."""
-    data = targets.read_targets(frames)
+    data = batches.read_targets(frames)
     seen, step, told, looked = toy_steps(data, 64)
     assert step == 49 and [each[0] for each in told] == list(range(1, 10))
     assert sorted({capacity for _, capacity, _ in told}) == [4096, 12288], "at the first step and a later one"
@@ -78,7 +78,7 @@ def test_a_flag_that_is_read_a_step_late_changes_no_bit(frames):
 
 def test_pairs_get_their_room_in_the_compilation_that_longer_buffers_ask_for(frames):
     """The need has doubled since the pair buffer was made; without this it would be the next to run out."""
-    data, compiled, needs = targets.read_targets(frames), [], [3000, 5000, 6000, 4000]
+    data, compiled, needs = batches.read_targets(frames), [], [3000, 5000, 6000, 4000]
 
     def make(capacity):
         compiled.append(capacity)
@@ -100,7 +100,7 @@ def test_pairs_get_their_room_in_the_compilation_that_longer_buffers_ask_for(fra
 
 
 def test_a_full_device_is_sent_its_photos_one_by_one(frames, monkeypatch, caplog):
-    data, fed = targets.read_targets(frames), []
+    data, fed = batches.read_targets(frames), []
     expected = toy_steps(data, 1 << 16)
 
     def feed(data, seed, view_share):
@@ -114,7 +114,7 @@ def test_a_full_device_is_sent_its_photos_one_by_one(frames, monkeypatch, caplog
 
         return of_step
 
-    monkeypatch.setattr(targets, "device_room", lambda share: 1e9 * share)
+    monkeypatch.setattr(batches, "device_room", lambda share: 1e9 * share)
     assert toy_steps(data, 1 << 16, feed=feed) == expected
     assert fed == [0.5] * 3 + [0.0] * 7
     assert [record.message for record in caplog.records] == [
@@ -125,7 +125,7 @@ def test_a_full_device_is_sent_its_photos_one_by_one(frames, monkeypatch, caplog
 @pytest.mark.parametrize("looks", [None, lambda step: False, lambda step: step % 2 == 0])
 def test_a_step_that_is_not_finite_is_not_taken_nor_is_the_one_that_was_begun_after_it(frames, looks):
     """Also where a state is looked at now and then, so that the next step is begun before the flag is read."""
-    data, told, asked = targets.read_targets(frames), [], []
+    data, told, asked = batches.read_targets(frames), [], []
 
     def compiled(capacity):
         def differentiate(state, target, color, key):

@@ -6,10 +6,10 @@ import pytest
 from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
-from gsjax.colors import to_bytes
 from gsjax.errors import InputError
 from gsjax.normals.from_depth import depth_normals
 from gsjax.rendering import backdrop, gallery
+from gsjax.scene.colors import to_bytes
 from gsjax.viewer import drawing
 from gsjax.viewer.drawing import Drawer, bare_background
 from gsjax.viewer.page_camera import camera_of, page_camera

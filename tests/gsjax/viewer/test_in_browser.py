@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from small_scenes import camera_at, cloud
 
-from gsjax.colors import to_bytes
 from gsjax.rendering import gallery
+from gsjax.scene.colors import to_bytes
 from gsjax.viewer import page as pages
 from gsjax.viewer.page import SIDE, Page
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera

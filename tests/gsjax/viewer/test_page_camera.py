@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from small_scenes import camera_at
 from tolerances import assert_close
 
-from gsjax.cameras import Camera, look_at
+from gsjax.scene.cameras import Camera, look_at
 from gsjax.viewer.page_camera import ASPECTS, BLOCK, FOVS, PageCamera, camera_of, page_camera, picture_size
 
 TURN = Rotation.from_rotvec([0.4, -1.1, 0.7])

@@ -14,11 +14,11 @@ from gsjax.io import json_files
 from gsjax.io.compressed_ply import write_compressed_ply
 from gsjax.io.ply import write_gaussians
 from gsjax.io.spz import write_spz
-from gsjax.meshes import Mesh
 from gsjax.meshing.export import glb_bytes, read_mesh, write_mesh
 from gsjax.runs import viewpoints
 from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, frame_of
+from gsjax.scene.meshes import Mesh
 from gsjax.viewer.subject import open_subject
 
 CAMERAS = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0), size=(24, 20)) for x in (-0.5, 0.5)]

@@ -9,10 +9,9 @@ from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
 import rasterizer
-from gsjax import targets
-from gsjax.cameras import Camera, world_to_camera
 from gsjax.gaussians import Gaussians, opacities, rotation_matrices, scales, sh_coefficients
-from gsjax.scene import Pixels, extent, frame_of
+from gsjax.scene import Pixels, batches, extent, frame_of
+from gsjax.scene.cameras import Camera, world_to_camera
 from gsjax.settings import Density, Rates, Weights
 from gsjax.training.growth import error_driven
 from gsjax.training.growth.adaptive import densifies, is_alive
@@ -227,7 +226,7 @@ EXTENT = 4.2  # Of the cameras: half of the cloud is nearer.
 def setup():
     optimizer = make_optimizer(Rates(), 1.0, 60)
     cameras = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-0.6, 0.6)]
-    data = targets.read_targets(photographed(cloud(50, seed=5), cameras))
+    data = batches.read_targets(photographed(cloud(50, seed=5), cameras))
 
     def step(rule):
         return make_train_step(
@@ -272,7 +271,7 @@ def test_the_error_and_the_weight_of_a_gaussian_are_sums_over_the_pixels(setup):
     target = replace(target, size=np.array([24, 20], np.int32))
     state, _ = setup.seeing(setup.start(), target, KEY)
     with jax.enable_x64(True):
-        batch = targets.batch(target, jnp.zeros(3, jnp.float32))
+        batch = batches.batch(target, jnp.zeros(3, jnp.float32))
         rendered = dense_weights(setup.start().gaussians, batch.camera)
         rendered, inside = np.asarray(rendered), np.asarray(batch.valid)
         error = np.abs(rendered[..., :3] - np.asarray(batch.image, np.float64)).mean(-1)[inside]

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 from small_scenes import camera_at, cloud, photographed
 
-from gsjax import targets
+from gsjax.scene import batches
 from gsjax.training.sharded import layout as sharding
 from gsjax.training.sharded import placement as several
 from gsjax.training.sharded.step import Exchange
@@ -32,7 +32,7 @@ def test_a_step_whose_exchange_overflows_is_repeated_with_room_which_later_steps
 
 def test_a_step_of_three_views_takes_those_that_three_steps_would_take():
     cameras = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0), size=(8, 6)) for x in (-1.0, 0.0, 1.0, 2.0)]
-    data = targets.read_targets(photographed(cloud(5), cameras))
+    data = batches.read_targets(photographed(cloud(5), cameras))
     mesh = sharding.mesh_of(jax.devices()[:1])
     target = several._stacked_views(data, 7, 0.5, mesh=mesh, views_per_step=3)
     for step in (0, 1, 5):  # in turn, and after a jump as in a resumed run

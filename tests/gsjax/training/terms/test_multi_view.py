@@ -11,12 +11,11 @@ from jax.test_util import check_grads
 from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
-from gsjax import cameras, targets
-from gsjax.cameras import Camera
 from gsjax.rendering import Neighbor, View
-from gsjax.scene import Pixels, frame_of
+from gsjax.scene import Pixels, batches, cameras, frame_of
+from gsjax.scene.batches import Batch
+from gsjax.scene.cameras import Camera
 from gsjax.settings import Phase, Rates, Settings, Weights
-from gsjax.targets import Batch
 from gsjax.training import loop, stepping
 from gsjax.training.optimizers import make_optimizer
 from gsjax.training.plan import plan
@@ -276,7 +275,7 @@ def test_neighbours_look_the_same_way_to_within_thirty_degrees():
 
 
 def test_every_step_has_a_neighbour_of_its_view_beside_it():
-    data = targets.with_photo_numbers(multi_view.with_neighbors(targets.read_targets(PHOTOS), 8.0))
+    data = batches.with_photo_numbers(multi_view.with_neighbors(batches.read_targets(PHOTOS), 8.0))
     rows = multi_view.nearest_views(np.stack([target.viewmat for target in data.targets]), 8.0)
     target, beside = stepping.one_view(data, 0, 0.5), [set() for _ in PHOTOS]
     for step in range(90):
@@ -288,7 +287,7 @@ def test_every_step_has_a_neighbour_of_its_view_beside_it():
 
 
 def test_views_have_a_neighbour_beside_them_in_their_share_of_the_steps():
-    data = targets.read_targets(PHOTOS)
+    data = batches.read_targets(PHOTOS)
     whole = multi_view.with_neighbors(data, 8.0).neighbors
     found = multi_view.with_neighbors(data, 8.0, np.array([1.0, 0.4, 0.0])).neighbors
     assert [np.sum(row != view) / multi_view.NEAREST for view, row in enumerate(found)] == [1, 3 / 8, 0]

@@ -15,7 +15,7 @@ from gsjax.gaussians import opacities, rotation_matrices, scales
 from gsjax.normals.from_depth import depth_normals
 from gsjax.numerics import masked_mean
 from gsjax.rendering import View, depth
-from gsjax.targets import Batch
+from gsjax.scene.batches import Batch
 from gsjax.training.terms.surface import depth_normal
 
 CAMERA = camera_at(size=(24, 20))

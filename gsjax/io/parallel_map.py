@@ -12,7 +12,7 @@ R = TypeVar("R")
 MOST_THREADS = 4  # Each holds a photo and what was made of it.
 
 
-def in_order(made_of: Callable[[T], R], things: Iterable[T]) -> Iterator[R]:
+def parallel_map(made_of: Callable[[T], R], things: Iterable[T]) -> Iterator[R]:
     """`map(made_of, things)`, some of them at once: for numpy's work, during which Python lets other threads run.
 
     Args:

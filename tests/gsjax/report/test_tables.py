@@ -1,4 +1,4 @@
-from gsjax import tables
+from gsjax.report import tables
 
 
 def test_a_record_is_aligned_and_flattened():

@@ -9,20 +9,20 @@ from scipy.spatial.transform import Rotation
 from small_scenes import cloud
 
 from gsjax import runs
-from gsjax import similarity as similarities
 from gsjax.errors import InputError
 from gsjax.io import gaussian_files, json_files
 from gsjax.io.images import write_image
 from gsjax.io.ply import read_gaussians, write_gaussians
 from gsjax.io.ply_elements import read_elements
 from gsjax.io.scenes import load_scene
-from gsjax.meshes import Mesh
 from gsjax.meshing import export
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.pipeline.undistort import undistort
-from gsjax.place import UNPLACED
 from gsjax.runs.result import open_result, recorded_camera, write_views
-from gsjax.similarity import IDENTITY, Similarity, parse_similarity
+from gsjax.scene import similarity as similarities
+from gsjax.scene.georeference import UNPLACED
+from gsjax.scene.meshes import Mesh
+from gsjax.scene.similarity import IDENTITY, Similarity, parse_similarity
 
 TURN = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
 WORLDS = {

@@ -5,8 +5,8 @@ import pytest
 from small_scenes import camera_at
 from tolerances import assert_close
 
-from gsjax import cameras
-from gsjax.cameras import Camera
+from gsjax.scene import cameras
+from gsjax.scene.cameras import Camera
 
 CAMERA = camera_at((1.0, -2.0, 0.5), (0.3, 0.2, 6.0))
 

@@ -3,10 +3,10 @@
 import numpy as np
 from small_scenes import discs
 
-from gsjax.cameras import Camera
 from gsjax.gaussians import take
-from gsjax.rendering.floaters import are_floaters
+from gsjax.rendering.outliers import are_floaters
 from gsjax.rendering.shown_depths import ShownDepth
+from gsjax.scene.cameras import Camera
 
 WALL = 4.0  # Its z, with the cameras at z = 0 looking along it.
 MIDDLE = (slice(14, 17), slice(18, 23))  # pixels that look straight ahead

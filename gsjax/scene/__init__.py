@@ -1,7 +1,7 @@
-"""What a data set is, whatever its files looked like: plain records of numpy arrays, pixels read when asked for.
+"""Records of a data set, independent of its file format: numpy arrays, and functions that read pixels and maps.
 
-Positions, poses and lengths are local (`gsjax.similarity`), which "world" and "scene units" mean from here on: those of
-the files where a scene has a usual size and lies at its origin.
+Positions, poses and lengths are in local coordinates (`gsjax.scene.similarity`). "World" and "scene units" mean these
+coordinates in all other modules.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.place import UNPLACED, Place
-from gsjax.similarity import IDENTITY, Similarity
+from gsjax.scene.georeference import UNPLACED, Place
+from gsjax.scene.similarity import IDENTITY, Similarity
 
 
 class Pixels(NamedTuple):
@@ -150,7 +150,7 @@ class Scene:
     @property
     def camera_centers(self) -> np.ndarray:
         """`[C, 3]` float64 centres of the frames' cameras in the world."""
-        from gsjax.cameras import viewmat_centers  # Loads jax, which a data set is read without.
+        from gsjax.scene.cameras import viewmat_centers  # Loads jax, which a data set is read without.
 
         viewmats = np.array([frame.viewmat for frame in self.frames], np.float64).reshape(-1, 4, 4)
         return self.similarity.points_to_world(viewmat_centers(viewmats))
@@ -177,7 +177,7 @@ def tracks_by_name(scene: Scene) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 def extent(frames: tuple[Frame, ...]) -> float:
     """Camera extent E = 1.1 max_i |c_i - mean c| over the given frames, scene units (3DGS)."""
-    from gsjax.cameras import viewmat_center  # Loads jax, which a data set is read without.
+    from gsjax.scene.cameras import viewmat_center  # Loads jax, which a data set is read without.
 
     centers = np.stack([viewmat_center(f.viewmat) for f in frames])
     return float(1.1 * np.linalg.norm(centers - centers.mean(0), axis=1).max())

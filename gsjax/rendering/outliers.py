@@ -4,14 +4,16 @@ Nothing here needs cameras; where there are some, `gsjax.pipeline.clean` looks w
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from gsjax.cameras import Camera, landing, viewmat_centers
+from gsjax.gaussians import Gaussians, covariances
+from gsjax.rendering.shown_depths import SAME_SURFACE, ShownDepth, depths_at
+from gsjax.scene.cameras import Camera, landing, viewmat_centers
 
 NEIGHBORS = 12  # of a Gaussian that it may hang on
 SPACING = 3  # The distance to so many-th of them is how close Gaussians lie to each other there,
@@ -21,6 +23,10 @@ FEWEST = 8  # Of a small scene too, fewer make no thing.
 WIDE = 0.4  # of its distance from the nearest camera: a Gaussian of a larger deviation fills the picture
 WIDE_ALONE = 0.5  # of the size of the whole, where no camera is known
 CONVERGING = 0.9  # of the cameras must see the point that they look at
+SUPPORTING = 2  # Views that show a Gaussian where it is: fewer do not tell how far away it is.
+LOOKING_THROUGH = 2  # Views that show what is behind a Gaussian: one may be wrong.
+NEAR = 0.3  # Of the median depth of a view: nearer than that, what this view alone shows hangs before its camera.
+DEVIATIONS = 3.0  # A Gaussian reaches so many of its standard deviations towards a camera, and away from it.
 
 
 def cluster_sizes(means: np.ndarray) -> np.ndarray:
@@ -96,3 +102,39 @@ def in_front(points: np.ndarray, camera: Camera, depth: np.ndarray, margin: floa
     """
     rows, columns, depths, seen = landing(points, np.asarray(camera.viewmat), np.asarray(camera.K), depth.shape)
     return seen, seen & (depths < (1 - margin) * depth[rows, columns])
+
+
+def are_floaters(gaussians: Gaussians, views: Iterable[ShownDepth]) -> np.ndarray:
+    """Which Gaussians hang in the air.
+
+    A view *supports* a Gaussian if the depth that it shows at the Gaussian's mean is the Gaussian's own, up to
+    `SAME_SURFACE` of it and `DEVIATIONS`; it *looks through* the Gaussian if that depth is greater. A floater has fewer
+    than `SUPPORTING` views, and either `LOOKING_THROUGH` and more that look through it, or one that has it nearer than
+    `NEAR` of the median depth that it shows. What is hidden behind a surface has neither, and is none.
+
+    Args:
+        gaussians: N of them; what is not finite is no floater.
+        views: Depths that these Gaussians show, see `gsjax.rendering.shown_depths`; looked at one by one.
+
+    Returns:
+        `[N]` bool, numpy.
+    """
+    means, shapes = np.asarray(gaussians.means, np.float64), np.asarray(covariances(gaussians), np.float64)
+    usable = np.isfinite(means).all(axis=1) & np.isfinite(shapes).all(axis=(1, 2))
+    means, shapes = means[usable], shapes[usable]
+    supporting, through = np.zeros((2, len(means)), np.int32)
+    hangs_near = np.zeros(len(means), bool)
+    for view in views:
+        if not view.depth.any():
+            continue
+        forward = np.asarray(view.camera.viewmat, np.float64)[2, :3]
+        depths, shown = depths_at(means, view)
+        thickness = np.sqrt(np.maximum(shapes @ forward @ forward, 0))
+        margin = SAME_SURFACE * shown + DEVIATIONS * thickness
+        supports = (shown > 0) & (np.abs(depths - shown) <= margin)
+        supporting += supports
+        through += (shown > 0) & (depths < shown - margin)
+        hangs_near |= supports & (depths < NEAR * np.median(view.depth[view.depth > 0]))
+    found = np.zeros(len(usable), bool)
+    found[usable] = (supporting < SUPPORTING) & ((through >= LOOKING_THROUGH) | hangs_near)
+    return found

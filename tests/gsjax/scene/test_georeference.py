@@ -13,9 +13,9 @@ from gsjax.gaussians import Gaussians
 from gsjax.io.gaussian_files import load_gaussians, save_gaussians
 from gsjax.io.place_files import FILE, read_place, stated_place, write_place
 from gsjax.io.scenes import load_scene
-from gsjax.meshes import Mesh
 from gsjax.meshing.export import read_mesh, write_mesh
-from gsjax.place import Place, parse_length, parse_place, turn_upright, up_of_cameras
+from gsjax.scene.georeference import Place, parse_length, parse_place, turn_upright, up_of_cameras
+from gsjax.scene.meshes import Mesh
 
 TURN = Rotation.from_rotvec([0.3, -0.2, 1.1]).as_matrix()
 PLACE = Place(

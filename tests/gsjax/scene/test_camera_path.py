@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from small_scenes import camera_at
 
-from gsjax.camera_path import Keyframes, covering_fov, fly, through
-from gsjax.cameras import look_at, viewmat_center
+from gsjax.scene.camera_path import Keyframes, covering_fov, fly, through
+from gsjax.scene.cameras import look_at, viewmat_center
 
 
 def circle(count):

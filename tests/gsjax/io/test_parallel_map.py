@@ -3,8 +3,8 @@ import time
 
 import pytest
 
-from gsjax import in_order as module
-from gsjax.in_order import in_order
+from gsjax.io import parallel_map as module
+from gsjax.io.parallel_map import parallel_map
 
 
 @pytest.fixture(autouse=True)
@@ -17,8 +17,8 @@ def test_results_come_in_order_whoever_is_ready_first():
         time.sleep(0.02 * (3 - number % 4))
         return number
 
-    assert list(in_order(made, range(12))) == list(range(12))
-    assert list(in_order(made, ())) == []
+    assert list(parallel_map(made, range(12))) == list(range(12))
+    assert list(parallel_map(made, ())) == []
 
 
 def test_things_are_worked_on_beside_each_other_and_only_a_few_ahead():
@@ -29,7 +29,7 @@ def test_things_are_worked_on_beside_each_other_and_only_a_few_ahead():
             drawn.append(number)
             yield number
 
-    results = in_order(lambda number: together.wait(), things())
+    results = parallel_map(lambda number: together.wait(), things())
     next(results)
     assert len(drawn) == 4, "one more than there are threads"
     assert len(list(results)) == 8
@@ -41,7 +41,7 @@ def test_a_fault_comes_when_it_is_its_turn():
             raise ValueError("the third")
         return number
 
-    results = in_order(made, range(9))
+    results = parallel_map(made, range(9))
     assert [next(results), next(results)] == [0, 1]
     with pytest.raises(ValueError, match="the third"):
         next(results)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from gsjax.cameras import Camera, viewmat_center
+from gsjax.scene.cameras import Camera, viewmat_center
 
 PAD = 3  # Keyframes of a closed flight that are met again before its beginning and after its end, for the rotations.
 LEAST_STEP = 1e-3  # Of the mean way between keyframes: two at one place are still passed one after the other.

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gsjax.cameras import Camera
 from gsjax.errors import InputError
 from gsjax.scene import Frame, Keep, Pixels, in_memory
+from gsjax.scene.cameras import Camera
 
 NORMAL_UNIT = 127  # What a component of 1 is stored as: 3 bytes a normal, off by 0.2 degrees on average.
 

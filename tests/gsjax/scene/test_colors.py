@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from gsjax.colors import linear_to_srgb, srgb_to_linear
+from gsjax.scene.colors import linear_to_srgb, srgb_to_linear
 
 CODES = np.linspace(0, 1, 256)
 

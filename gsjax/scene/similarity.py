@@ -25,7 +25,7 @@ from gsjax.errors import InputError
 
 if TYPE_CHECKING:  # The vocabulary of scenes loads without jax.
     from gsjax.gaussians import Gaussians
-    from gsjax.meshes import Mesh
+    from gsjax.scene.meshes import Mesh
 
 STEP = 4.0  # A size is brought to 1 or more and less than this, local units.
 GRID = 32.0  # Local units between the centres that are chosen from.

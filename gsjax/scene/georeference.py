@@ -6,7 +6,8 @@ Photos alone tell none of it. GPS (`gsjax.io.sfm.georeference`) or a length that
     world = scale * rotation @ files + shift
 
 With an origin it is x east, y north, z up (ENU) on the plane that touches WGS 84's ellipsoid at the origin, whose
-degrees are kept as float64 beside coordinates that stay small. `gsjax.similarity` takes the world to local coordinates.
+degrees are kept as float64 beside coordinates that stay small. `gsjax.scene.similarity` takes the world to local
+coordinates.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gsjax import density_field
 from gsjax.gaussians import Gaussians
+from gsjax.meshing import density_field
 
 # Compiled whole: op by op every shape would compile a dozen programs.
 kernels, density, density_gradient = map(

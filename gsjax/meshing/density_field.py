@@ -56,7 +56,7 @@ def take(field: Kernels, neighbors: Array) -> Kernels:
 
 
 def kernels_around(field: Kernels, ids: Array) -> Kernels:
-    """The kernels of a row of `gsjax.nearest`, `[k]` ids whose first is its own; that one again stands for none."""
+    """The kernels of a row of `gsjax.meshing.knn`, `[k]` ids whose first is its own; that one again stands for none."""
     again = (ids == ids[0]).at[0].set(False)
     nearby = take(field, ids)
     return replace(nearby, opacities=jnp.where(again, 0, nearby.opacities))
