@@ -34,7 +34,7 @@ def asked(scene: str, schedule: str, seed: int, assignments: Sequence[str], refi
     Raises:
         InputError: An assignment is wrong.
     """
-    from gsjax.binding.refining import PRESETS, Refinement
+    from gsjax.binding.refinement import PRESETS, Refinement
 
     preset, refined = SCHEDULES[schedule].refinement, None
     if preset:
@@ -131,7 +131,7 @@ def _stages(
     from paper.sheet import draw_sheet
 
     from gsjax import pipeline
-    from gsjax.binding.refining import Refinement
+    from gsjax.binding.refinement import Refinement
 
     trained, refined = out / "run", out / "refined"
     return {

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 
 from gsjax import pipeline, runs
-from gsjax.binding.refining import PRESETS, Refinement
+from gsjax.binding.refinement import PRESETS, Refinement
 from gsjax.config import merge, parse
 from gsjax.io.scenes import load_scene
 from gsjax.metrics.truth_maps import score_surface

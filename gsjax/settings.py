@@ -381,7 +381,7 @@ REFINED_BY = {
     "paper_6k_15k": "long",
     "paper_13k_7k": "medium",
 }
-"""Of every preset, that of `gsjax.binding.refining.PRESETS` by which its mesh is refined."""
+"""Of every preset, that of `gsjax.binding.refinement.PRESETS` by which its mesh is refined."""
 LENGTHS = ("quick", "fast", "balanced", "accurate")
 """Of the presets, what a budget of time chooses from, the shortest first."""
 

@@ -18,9 +18,9 @@ import numpy as np
 from small_scenes import camera_at, cloud, discs
 
 from gsjax import config, pipeline, rendering
-from gsjax.binding import refining
-from gsjax.binding.refining import PRESETS as REFINEMENTS
-from gsjax.binding.refining import Refinement
+from gsjax.binding import refinement
+from gsjax.binding.refinement import PRESETS as REFINEMENTS
+from gsjax.binding.refinement import Refinement
 from gsjax.gaussians import opacities
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.poisson import PoissonOptions
@@ -72,7 +72,7 @@ def refined(name: str) -> Refinement:
 
 def vertex_rates(name: str) -> tuple[float, float]:
     """The vertices' rate at the first and the last step, without the size of the scene and of its mesh."""
-    rate, last = refining.vertex_rate(refined(name), 0.2, 4), refined(name).steps
+    rate, last = refinement.vertex_rate(refined(name), 0.2, 4), refined(name).steps
     return tuple(float(f"{float(rate(step)):.3g}") for step in (0, last - 1))
 
 
@@ -80,9 +80,9 @@ def degree_steps(name: str) -> int:
     """Steps of a refinement after which the next degree joins, as its compiled step is told."""
     chosen, state = refined(name), SimpleNamespace(step=refined(name).steps)
     data = SimpleNamespace(has_mattes=False)
-    with mock.patch.object(refining, "make_refine_step") as made, mock.patch.object(refining, "advance") as advance:
+    with mock.patch.object(refinement, "make_refine_step") as made, mock.patch.object(refinement, "advance") as advance:
         advance.side_effect = lambda compiled, after, state, *_, **__: (compiled(1) and state, 1)
-        refining.refine(chosen, None, data, state, None, background=None, observe=lambda _: None, capacity=1)
+        refinement.refine(chosen, None, data, state, None, background=None, observe=lambda _: None, capacity=1)
     return made.call_args.kwargs["sh_every"]
 
 

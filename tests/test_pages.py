@@ -15,8 +15,8 @@ from small_scenes import built_in, few_samples
 
 from gsjax import cli, config
 from gsjax.binding.bound import bind, to_mesh
-from gsjax.binding.hybrid import Hybrid, all_gaussians
-from gsjax.binding.refining import Refinement
+from gsjax.binding.mixed_gaussians import MixedGaussians, all_gaussians
+from gsjax.binding.refinement import Refinement
 from gsjax.io.ply import write_gaussians
 from gsjax.meshing import write_mesh
 from gsjax.scene.meshes import Mesh
@@ -182,5 +182,5 @@ def readers_folder(tmp_path, garden) -> Path:
     (tmp_path / "scenes/garden").symlink_to(garden)
     write_mesh(tmp_path / "garden.ply", mesh)
     write_mesh(refined / "mesh.ply", to_mesh(bound))
-    write_gaussians(refined / "gaussians.ply", all_gaussians(Hybrid(bound)))
+    write_gaussians(refined / "gaussians.ply", all_gaussians(MixedGaussians(bound)))
     return tmp_path

@@ -19,9 +19,9 @@ import rasterizer
 from gsjax import gaussians, rendering
 from gsjax.analytic import solids
 from gsjax.binding import bound as binding
-from gsjax.binding import refining
-from gsjax.binding.hybrid import Hybrid
+from gsjax.binding import refinement
 from gsjax.binding.mesh_terms import mesh_graph
+from gsjax.binding.mixed_gaussians import MixedGaussians
 from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.meshing import density_field
 from gsjax.metrics import images
@@ -131,14 +131,14 @@ def test_a_training_step_of_all_terms_and_effects_and_the_growth_after_it(target
 
 def test_a_step_of_the_refinement(target):
     sheet = bound_sheet()
-    settings = refining.Refinement()
-    optimizer = refining.make_optimizer(settings, 1.0, len(sheet.vertices))
+    settings = refinement.Refinement()
+    optimizer = refinement.make_optimizer(settings, 1.0, len(sheet.vertices))
     how = {"capacity": 4096, "background": BACKGROUNDS["white"], "sh_every": 4}
-    weights = refining.RefinementWeights(
-        **{field.name: 0.1 for field in dataclasses.fields(refining.RefinementWeights)}
+    weights = refinement.RefinementWeights(
+        **{field.name: 0.1 for field in dataclasses.fields(refinement.RefinementWeights)}
     )
-    step = refining.make_refine_step(optimizer, weights, **how)
-    state = refining.initial_state(Hybrid(sheet), optimizer)
+    step = refinement.make_refine_step(optimizer, weights, **how)
+    state = refinement.initial_state(MixedGaussians(sheet), optimizer)
     here = batches.replace(target[0], normals=np.full((24, 32, 3), 40, np.int8))
     assert not rough_products(step, mesh_graph(np.asarray(sheet.faces)), state, here, jax.random.key(0))
 

@@ -12,8 +12,8 @@ import pytest
 from small_scenes import camera_at, plane
 
 from gsjax import cli, config, pipeline, runs
-from gsjax.binding import refining
-from gsjax.binding.refining import PRESETS, SETTLE_AT, Refinement
+from gsjax.binding import refinement
+from gsjax.binding.refinement import PRESETS, SETTLE_AT, Refinement
 from gsjax.errors import InputError
 from gsjax.io import json_files, photos
 from gsjax.io.images import read_image, write_image
@@ -155,7 +155,7 @@ def test_without_free_gaussians_those_of_the_run_need_not_be_there(place, tmp_pa
     with pytest.raises(InputError, match="holds no gaussians.ply"):
         pipeline.refine(run, tmp_path / "out", SETTINGS)
     assert not (tmp_path / "out").exists()
-    monkeypatch.setattr(refining, "refine", lambda settings, graph, data, state, *rest, **more: state)
+    monkeypatch.setattr(refinement, "refine", lambda settings, graph, data, state, *rest, **more: state)
     monkeypatch.setitem(pipeline.refine.__globals__, "_finish", lambda *arguments: arguments[4])
     hybrid = pipeline.refine(run, tmp_path / "out", replace(SETTINGS, keep_free=False))
     assert hybrid.free is None and hybrid.num_gaussians == BOUND

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from gsjax.binding.bound import COLLAPSED, LAYOUTS, BoundGaussians, axes, bind, means, unit_turns
-from gsjax.binding.hybrid import Hybrid, with_free
+from gsjax.binding.mixed_gaussians import MixedGaussians, with_free
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, rotation_matrices, take
 from gsjax.scene.meshes import Mesh
@@ -14,8 +14,8 @@ from gsjax.scene.meshes import Mesh
 MOST_APART = 1e-4  # Of the mesh's size: a Gaussian farther than this from its place on the mesh is another's.
 
 
-def rebound(mesh: Mesh, gaussians: Gaussians) -> Hybrid:
-    """The scene of which `gsjax.binding.bound.to_mesh` and `gsjax.binding.hybrid.all_gaussians` made these.
+def rebound(mesh: Mesh, gaussians: Gaussians) -> MixedGaussians:
+    """The scene of which `gsjax.binding.bound.to_mesh` and `gsjax.binding.mixed_gaussians.all_gaussians` made these.
 
     The bound ones stand first and are all equally thick, to the bit; from the first that is not, they are free.
 

@@ -48,7 +48,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import config, pipeline
-    from gsjax.binding.refining import PRESETS, SETTLE_AT, Refinement
+    from gsjax.binding.refinement import PRESETS, SETTLE_AT, Refinement
     from gsjax.report import tables
 
     options = given_options(arguments, "steps", "faces", "per_triangle", "keep_free", "seed")

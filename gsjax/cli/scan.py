@@ -32,8 +32,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
 
 def _run(arguments: argparse.Namespace) -> None:
     from gsjax import config, pipeline
-    from gsjax.binding.refining import PRESETS as REFINEMENTS
-    from gsjax.binding.refining import Refinement
+    from gsjax.binding.refinement import PRESETS as REFINEMENTS
+    from gsjax.binding.refinement import Refinement
     from gsjax.pipeline.scan import table
     from gsjax.report import tables
 

@@ -15,21 +15,21 @@ def exchanged(folder: Path) -> Iterator[Path]:
     """An empty folder for new files of `folder`, which take the place of those of the same names after the block.
 
     Where the block fails, or is killed, nothing has changed. Killed later, what is missing is made up for by the next
-    `settle`, which all do that read the folder.
+    `refine_on_photos`, which all do that read the folder.
 
     Raises:
         InputError: The disk is full, read-only, or the like.
     """
-    settle(folder)
+    refine_on_photos(folder)
     with workspace(folder / PENDING) as made:
         yield made
         for file in made.iterdir():
             flush(file)
         put_in_place(made, folder / PENDING)
-    settle(folder)
+    refine_on_photos(folder)
 
 
-def settle(folder: Path) -> None:
+def refine_on_photos(folder: Path) -> None:
     """Puts the files in place that an exchange has left pending when it was killed.
 
     Raises:

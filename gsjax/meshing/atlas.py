@@ -22,7 +22,7 @@ MOST_CHARTED_FACES = 1_500_000  # A million take xatlas two minutes on 2 cores.
 MOST_SECONDS = 900.0
 SMALLEST_CELL = 4  # Texels; see `cells`.
 SMALLEST_AREA = 1e-3  # Texels squared; a triangle below has one colour.
-UNFOLD = Path(__file__).with_name("unfold.py")
+XATLAS_PROCESS = Path(__file__).with_name("xatlas_process.py")
 
 
 @dataclass(frozen=True)
@@ -140,11 +140,11 @@ def doubled_areas(corners: np.ndarray) -> np.ndarray:
 
 
 def _unfolded(vertices: np.ndarray, faces: np.ndarray, size: int) -> dict[str, np.ndarray]:
-    """What `unfold.py` writes, run as a process of its own: xatlas can crash, and takes the process with it."""
+    """What `xatlas_process.py` writes, run as a process of its own: xatlas can crash, and takes the process with it."""
     with tempfile.TemporaryDirectory() as folder:
         source, target = Path(folder, "mesh.npz"), Path(folder, "atlas.npz")
         np.savez(source, vertices=vertices, faces=faces.astype(np.uint32), size=size, padding=PADDING)
-        command = [sys.executable, str(UNFOLD), str(source), str(target)]
+        command = [sys.executable, str(XATLAS_PROCESS), str(source), str(target)]
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=MOST_SECONDS)
         except subprocess.TimeoutExpired as error:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsjax.meshing.topology import edge_table
+from gsjax.meshing.connectivity import edge_table
 from gsjax.scene.meshes import Mesh
 
 NEAR_LARGEST = 0.5  # Triangles of this share of the largest weight and more are halved in one round.

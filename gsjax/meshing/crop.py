@@ -7,8 +7,8 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.meshing import boxes
-from gsjax.meshing.boxes import Box, Regions
+from gsjax.meshing import regions
+from gsjax.meshing.regions import Box, Regions
 from gsjax.scene.similarity import Similarity
 
 REACH = 3.0  # standard deviations of a Gaussian, within which it may make surface in a box
@@ -23,13 +23,13 @@ class Crop:
 
     def to_local(self, similarity: Similarity) -> "Crop":
         """Return the same in local coordinates."""
-        return replace(self, boxes=tuple(boxes.to_local(box, similarity) for box in self.boxes))
+        return replace(self, boxes=tuple(regions.to_local(box, similarity) for box in self.boxes))
 
     def regions(self, points: np.ndarray) -> Regions:
         """Return the regions to reconstruct, from the `[P, 3]` points of the surface."""
         if self.boxes:
-            return boxes.fixed_boxes(*self.boxes)
-        return boxes.near_only(points) if self.foreground_only else boxes.near_and_far(points)
+            return regions.fixed_boxes(*self.boxes)
+        return regions.near_only(points) if self.foreground_only else regions.near_and_far(points)
 
     def require_reached(self, gaussians: Gaussians, similarity: Similarity) -> None:
         """Check that a Gaussian reaches into a box; both are local, and `similarity` is of these coordinates.
@@ -71,7 +71,7 @@ def crop_of(bounds: Sequence[float] | None, background: Sequence[float] | None, 
 
 
 def _given_box(option: str, corners: Sequence[float]) -> Box:
-    sides = boxes.given_numbers(option, corners, 6)
+    sides = regions.given_numbers(option, corners, 6)
     if not np.isfinite(sides).all():
         raise InputError(f"{option} {' '.join(f'{side:g}' for side in sides)}: not all of its sides are finite")
     return Box(sides[:3], sides[3:])

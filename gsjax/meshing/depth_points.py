@@ -7,8 +7,8 @@ import numpy as np
 from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
+from gsjax.meshing.mesh_method import Method, SurfaceSamples, poisson_through
 from gsjax.meshing.poisson import PoissonOptions
-from gsjax.meshing.sighting import Method, Sighting, poisson_through
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera
 from gsjax.scene.colors import to_bytes
@@ -40,7 +40,7 @@ def depth_poisson(
         seed: Of the random choice of pixels.
     """
 
-    def from_depth(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> Sighting:
+    def from_depth(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> SurfaceSamples:
         rng, wanted = np.random.default_rng(seed), num_points // max(len(cameras), 1) + 1
         views = [
             _points_of_view(index, camera, picture, normals_of, wanted, min_alpha, rng)
@@ -52,7 +52,7 @@ def depth_poisson(
             )
         points, normals, colors = (np.concatenate(parts) for parts in zip(*views, strict=True))
         build = poisson_through(gaussians, points, normals, colors, reconstruction)
-        return Sighting(points, build, {"points": len(points)})
+        return SurfaceSamples(points, build, {"points": len(points)})
 
     return from_depth
 

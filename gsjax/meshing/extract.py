@@ -7,12 +7,12 @@ import numpy as np
 
 from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians, without_view_dependence
-from gsjax.meshing.boxes import Region, Regions, near_and_far
 from gsjax.meshing.cleaning import clean, concatenate_meshes
+from gsjax.meshing.connectivity import topology
 from gsjax.meshing.level_set_poisson import level_set_poisson
+from gsjax.meshing.mesh_method import Method, SurfaceSamples, method_name
 from gsjax.meshing.orientation import orient_outward
-from gsjax.meshing.sighting import Method, Sighting, method_name
-from gsjax.meshing.topology import topology
+from gsjax.meshing.regions import Region, Regions, near_and_far
 from gsjax.rendering import gallery
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera
@@ -88,7 +88,7 @@ def extract_mesh(
 
 
 def _part(
-    seen: Sighting, region: Region, min_component_share: float, max_faces: int | None, similarity: Similarity
+    seen: SurfaceSamples, region: Region, min_component_share: float, max_faces: int | None, similarity: Similarity
 ) -> tuple[Mesh, dict]:
     """The clean mesh of one region; NoSurfaceError where there is none."""
     count = int(region.contains(seen.points).sum())

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gsjax.meshing.connectivity import edge_table, face_components
 from gsjax.meshing.libraries import load_open3d
-from gsjax.meshing.topology import edge_table, face_components
 from gsjax.rendering.shown_depths import SAME_SURFACE, ShownDepth, depths_at
 from gsjax.scene.meshes import Mesh, face_area_vectors
 

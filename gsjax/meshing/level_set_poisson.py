@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
 from gsjax.meshing.level_set import LevelSetOptions
+from gsjax.meshing.mesh_method import Method, SurfaceSamples, poisson_through
 from gsjax.meshing.poisson import PoissonOptions
-from gsjax.meshing.sighting import Method, Sighting, poisson_through
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera
 
@@ -22,7 +22,7 @@ def level_set_poisson(
         seed: Of the random choice of pixels.
     """
 
-    def from_level_set(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> Sighting:
+    def from_level_set(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> SurfaceSamples:
         surface = level_set.surface_points(gaussians, cameras, pictures, options, seed=seed)
         report = {
             "kernels": surface.kernels,
@@ -32,6 +32,6 @@ def level_set_poisson(
             "points": len(surface.points),
         }
         build = poisson_through(gaussians, surface.points, surface.normals, surface.colors, reconstruction)
-        return Sighting(surface.points, build, report)
+        return SurfaceSamples(surface.points, build, report)
 
     return from_level_set

@@ -10,12 +10,12 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io.machine import require_memory
 from gsjax.meshing import trimming
-from gsjax.meshing.agreed_depth import agreed_poisson
+from gsjax.meshing.consistent_depth import consistent_poisson
 from gsjax.meshing.depth_points import NormalsOfDepth
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.level_set_poisson import level_set_poisson
+from gsjax.meshing.mesh_method import Method, method_name
 from gsjax.meshing.poisson import PoissonOptions
-from gsjax.meshing.sighting import Method, method_name
 from gsjax.meshing.tsdf import tsdf
 from gsjax.rendering.shown_depths import ShownDepth
 from gsjax.scene.similarity import Similarity
@@ -136,7 +136,7 @@ METHODS: dict[str, MeshMethod] = {
     ),
     "agreed": MeshMethod(
         "Poisson through depth that is consistent between views, of the photos or rendered",
-        lambda options, depths, ids: agreed_poisson(
+        lambda options, depths, ids: consistent_poisson(
             depths.normals_of,
             options.sampling.num_points,
             options.reconstruction,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gsjax.meshing.rays import ray_caster
+from gsjax.meshing.ray_queries import ray_caster
 from gsjax.scene.cameras import Camera, viewmat_center
 from gsjax.scene.meshes import Mesh, face_normals
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gsjax.meshing.atlas import TexturedMesh
-from gsjax.meshing.rays import Cast, front_faces_only, ray_caster
+from gsjax.meshing.ray_queries import Cast, front_faces_only, ray_caster
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera, viewmat_center
 from gsjax.scene.meshes import Mesh, face_normals

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gsjax.errors import NoSurfaceError
+from gsjax.meshing.connectivity import edge_table
 from gsjax.meshing.libraries import load_open3d
-from gsjax.meshing.topology import edge_table
 from gsjax.meshing.trimming import Support, Trim, adaptive
 from gsjax.scene.meshes import Mesh
 

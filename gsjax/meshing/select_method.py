@@ -5,9 +5,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from gsjax.errors import NoSurfaceError
-from gsjax.meshing.boxes import Box
-from gsjax.meshing.outlines import Outline, outlines_of, overlap
-from gsjax.meshing.sightlines import Sightlines, agreement, sightlines_of
+from gsjax.meshing.regions import Box
+from gsjax.meshing.silhouettes import Silhouette, overlap, silhouettes_of
+from gsjax.meshing.track_visibility import TrackRays, track_rays, track_visibility
 from gsjax.scene import Scene
 from gsjax.scene.meshes import Mesh
 
@@ -23,30 +23,30 @@ class Witness(NamedTuple):
     margin: float  # of all, by which another mesh than the usual one has to agree more; less than that says little
 
 
-def witness_of(scene: Scene, boxes: Sequence[Box]) -> Witness | None:
+def evidence_of(scene: Scene, boxes: Sequence[Box]) -> Witness | None:
     """Return the tracks, where they are enough; else the mattes, which show the whole object and nothing of a box.
 
     Args:
         scene: A loaded data set.
         boxes: Where the surface is judged. None: everywhere.
     """
-    lines = sightlines_of(scene)
+    lines = track_rays(scene)
     if boxes:
         lines = lines.within(boxes)
     if len(lines) >= FEWEST_LINES:
-        return by_sightlines(lines)
-    outlines = () if boxes else outlines_of(scene)
+        return by_tracks(lines)
+    outlines = () if boxes else silhouettes_of(scene)
     return by_mattes(outlines) if outlines else None
 
 
-def by_sightlines(lines: Sightlines) -> Witness:
+def by_tracks(lines: TrackRays) -> Witness:
     """The tracks of structure from motion, of one line at least."""
     return Witness(
-        f"{len(lines):,} lines of sight to matched points", lambda mesh: agreement(mesh, lines)._asdict(), 0.04
+        f"{len(lines):,} lines of sight to matched points", lambda mesh: track_visibility(mesh, lines)._asdict(), 0.04
     )
 
 
-def by_mattes(outlines: Sequence[Outline]) -> Witness:
+def by_mattes(outlines: Sequence[Silhouette]) -> Witness:
     """The mattes of photos, of one at least."""
     return Witness(f"its outline in {len(outlines)} photos", lambda mesh: overlap(mesh, outlines)._asdict(), 0.02)
 

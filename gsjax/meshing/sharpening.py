@@ -11,7 +11,7 @@ import numpy as np
 
 from gsjax.meshing.atlas import TexturedMesh
 from gsjax.meshing.pictures import rays_in_bands, texels_around
-from gsjax.meshing.rays import Cast, front_faces_only, ray_caster
+from gsjax.meshing.ray_queries import Cast, front_faces_only, ray_caster
 from gsjax.meshing.texture import MIN_COSINE, RENDERED_SLACK, filled_in
 from gsjax.rendering import MIN_COVERAGE
 from gsjax.rendering.gallery import Picture

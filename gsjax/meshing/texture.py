@@ -11,8 +11,8 @@ from scipy import ndimage
 
 from gsjax.meshing.atlas import TexturedMesh, Unwrap, unwrap
 from gsjax.meshing.pictures import depth_of_mesh
-from gsjax.meshing.rays import ray_caster
-from gsjax.meshing.texels import Texels, paint_texture, texels_of
+from gsjax.meshing.ray_queries import ray_caster
+from gsjax.meshing.texel_points import Texels, paint_texture, texels_of
 from gsjax.rendering import MIN_COVERAGE
 from gsjax.rendering.backdrop import color_behind
 from gsjax.rendering.gallery import Picture

@@ -9,9 +9,9 @@ from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.io.machine import require_memory
 from gsjax.meshing import level_set
-from gsjax.meshing.boxes import Region
 from gsjax.meshing.libraries import load_open3d
-from gsjax.meshing.sighting import Method, Sighting, typical_scale
+from gsjax.meshing.mesh_method import Method, SurfaceSamples, typical_scale
+from gsjax.meshing.regions import Region
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera
 from gsjax.scene.colors import to_bytes
@@ -48,7 +48,9 @@ def tsdf(*, voxel: float | None = None, min_alpha: float = 0.5, seed: int = 0) -
         seed: Of the pixels that regions are chosen by.
     """
 
-    def from_fused_depth(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> Sighting:
+    def from_fused_depth(
+        gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]
+    ) -> SurfaceSamples:
         views, points = [], [np.zeros((0, 3))]
         rng = np.random.default_rng(seed)
         for index, (camera, picture) in enumerate(zip(cameras, pictures, strict=True)):
@@ -70,7 +72,7 @@ def tsdf(*, voxel: float | None = None, min_alpha: float = 0.5, seed: int = 0) -
             side = voxel or max(VOXEL_PER_SCALE * typical_scale(gaussians, region), smallest)
             return _fused(views, region.grown(TRUNCATION * side), side), {"voxel": side}
 
-        return Sighting(points, build, {"views": len(views)})
+        return SurfaceSamples(points, build, {"views": len(views)})
 
     return from_fused_depth
 

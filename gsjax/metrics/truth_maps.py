@@ -8,7 +8,7 @@ import numpy as np
 
 from gsjax.gaussians import Gaussians
 from gsjax.meshing.pictures import depth_of_mesh
-from gsjax.meshing.rays import ray_caster
+from gsjax.meshing.ray_queries import ray_caster
 from gsjax.metrics import geometry
 from gsjax.normals.from_depth import depth_normals
 from gsjax.rendering import DepthReading, gallery

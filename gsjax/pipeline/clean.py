@@ -15,7 +15,7 @@ from gsjax.io.gaussian_files import format_of, load_gaussians
 from gsjax.io.locks import lock_folder
 from gsjax.io.place_files import stated_place
 from gsjax.io.temporaries import sweep_beside
-from gsjax.meshing.boxes import given_numbers
+from gsjax.meshing.regions import given_numbers
 from gsjax.rendering import gallery, outliers
 from gsjax.report.panels import draw_panels
 from gsjax.runs.folder import is_run

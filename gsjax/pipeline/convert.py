@@ -13,7 +13,7 @@ from gsjax.gaussians import Gaussians, take
 from gsjax.io.gaussian_files import format_of, load_gaussians, stored_similarity
 from gsjax.io.place_files import stated_place
 from gsjax.io.temporaries import sweep_beside
-from gsjax.meshing.boxes import given_numbers
+from gsjax.meshing.regions import given_numbers
 from gsjax.runs.outputs import require_apart
 
 

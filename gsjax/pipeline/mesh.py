@@ -13,15 +13,15 @@ from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.io.temporaries import sweep_beside
 from gsjax.meshing import level_set
+from gsjax.meshing.connectivity import topology
 from gsjax.meshing.crop import Crop, crop_of
 from gsjax.meshing.export import supported_suffix, write_mesh
 from gsjax.meshing.extract import extract_mesh
 from gsjax.meshing.holes import fill_holes
+from gsjax.meshing.mesh_method import Method
 from gsjax.meshing.methods import USUAL, MeshMethod, MethodOptions, methods_of
-from gsjax.meshing.select_method import Selection, select_method, witness_of
-from gsjax.meshing.settling import settle
-from gsjax.meshing.sighting import Method
-from gsjax.meshing.topology import topology
+from gsjax.meshing.photo_refine import refine_on_photos
+from gsjax.meshing.select_method import Selection, evidence_of, select_method
 from gsjax.pipeline.mesh_views import MeshViews
 from gsjax.report import tables
 from gsjax.runs.outputs import require_apart
@@ -63,14 +63,14 @@ def mesh(
     """Extract the mesh of a run, or of any file of Gaussians.
 
     The surface is looked at, and its colours are taken, only where the photos are not masked. Where the training photos
-    are at hand it then settles on them (`gsjax.meshing.settling`).
+    are at hand it then settles on them (`gsjax.meshing.photo_refine`).
 
     Args:
         source: Run folder or .ply.
         out: Mesh file; .ply, .obj or .glb.
         method: A name in `gsjax.meshing.methods.METHODS`; or a function, as `gsjax.meshing.extract_mesh` takes it. Its
             pictures have owners. "auto": the method whose mesh agrees most with the tracks of structure from motion
-            (`gsjax.meshing.sightlines`), or where there are none with the photos' mattes (`gsjax.meshing.outlines`);
+            (`gsjax.meshing.track_visibility`), or without tracks with the photos' mattes (`gsjax.meshing.silhouettes`);
             "poisson" where there is neither, and of a run with an entropy phase, which is made for the level set.
         level: Density at which the surface lies ("poisson"). None: 0.3.
         points: Most surface points ("poisson", "agreed"). None: an eighth of the pixels, 200,000 to 10 million.
@@ -93,7 +93,7 @@ def mesh(
     Returns:
         A report: `vertices`, `faces`, the name of the `method`, what `extract_mesh` reports; `floaters`: how many were
         left out, None where they were not searched; `tried`: the shares and seconds of every method that `auto` tried;
-        `settled` and `holes`: what `settle` and `fill_holes` report, or None where it was not done.
+        `settled` and `holes`: what `refine_on_photos` and `fill_holes` report, or None where it was not done.
 
     Raises:
         InputError: Nothing to mesh, an option that the method does not read or that is out of range, or a file cannot
@@ -118,7 +118,7 @@ def mesh(
         surface, closed = fill_holes(surface, views.shown)
         report |= {"holes": asdict(closed), "topology": asdict(topology(surface))}
     if settled and data is not None:
-        surface, report["settled"] = settle(surface, data.train_frames)
+        surface, report["settled"] = refine_on_photos(surface, data.train_frames)
     write_mesh(out, result.similarity.mesh_to_world(surface), result.place)
     return {"vertices": len(surface.vertices), "faces": len(surface.faces), **report}
 
@@ -172,7 +172,7 @@ def _select(methods: Mapping[str, MeshMethod], request: Request, views: MeshView
     if len(methods) == 1:
         return Selection(next(iter(methods)), {})
     is_judged = views.data is not None and not _made_for_the_level_set(views.result.source)
-    witness = witness_of(views.data, request.crop.boxes) if is_judged else None
+    witness = evidence_of(views.data, request.crop.boxes) if is_judged else None
     if witness is None:
         return Selection(USUAL, {})
     ids = views.spread(max(len(views.ids) // 10, FEWEST_TRIED))

@@ -12,12 +12,12 @@ from jax import Array
 from tqdm import tqdm
 
 from gsjax import config, runs
-from gsjax.binding import refining
-from gsjax.binding.beyond import beyond_mesh
+from gsjax.binding import refinement
 from gsjax.binding.bound import BoundGaussians, bind, to_mesh
-from gsjax.binding.hybrid import Hybrid, all_gaussians, with_free
 from gsjax.binding.mesh_terms import mesh_graph
-from gsjax.binding.refining import Refinement, RefineProgress, RefineState
+from gsjax.binding.mixed_gaussians import MixedGaussians, all_gaussians, with_free
+from gsjax.binding.refinement import Refinement, RefineProgress, RefineState
+from gsjax.binding.uncovered import uncovered_gaussians
 from gsjax.effects.alignment import align
 from gsjax.effects.appearance import without_appearance
 from gsjax.errors import InputError
@@ -27,11 +27,11 @@ from gsjax.io.machine import free_memory, peak_memory
 from gsjax.io.ply import write_gaussians
 from gsjax.meshing.bisection import bisect_triangles
 from gsjax.meshing.cleaning import clean
+from gsjax.meshing.connectivity import border
 from gsjax.meshing.export import read_mesh, write_mesh
+from gsjax.meshing.photo_refine import MOST_VIEWS, refine_on_photos
 from gsjax.meshing.pictures import depth_of_mesh, faces_of_pixels
-from gsjax.meshing.rays import ray_caster
-from gsjax.meshing.settling import MOST_VIEWS, settle
-from gsjax.meshing.topology import border
+from gsjax.meshing.ray_queries import ray_caster
 from gsjax.metrics.photos import score_images
 from gsjax.planning.memory import keep_photos, plain_bytes
 from gsjax.report.page import report
@@ -70,7 +70,7 @@ def refine(
         out: Folder for the result, absent or empty unless `resume`: `mesh.ply` and `mesh.glb` with vertex colours,
             `gaussians.ply` in the 3DGS layout, `report.json`, `report.html`, and what makes it a run folder that can be
             scored and rendered.
-        settings: The refinement, or a table of it such as `gsjax.binding.refining.PRESETS["fast"]`.
+        settings: The refinement, or a table of it such as `gsjax.binding.refinement.PRESETS["fast"]`.
         mesh: Any mesh in the data set's coordinates; all its parts are kept. None: `RUN/mesh.ply`.
         resume: Continue `out` from its last checkpoint; with the same settings and mesh.
         scene_folder: Where the data set is, if it was moved since the training; `out` records it. None: where it was.
@@ -78,8 +78,8 @@ def refine(
     Returns:
         The report: `psnr`, `ssim` and `views` of the held-out views, `vertices`, `faces`, `gaussians` (those `bound` to
         the mesh and those `free`), `steps`, `train_seconds`, `taken_out` of the mesh before it was refined, and
-        `settled`, what `gsjax.meshing.settling.settle` tells (None where `settings` ask for none, and after a resume
-        beyond it).
+        `settled`, the report of `gsjax.meshing.photo_refine.refine_on_photos` (None without one, and after
+        a resume beyond it).
 
     Raises:
         InputError: The run, its data set or the mesh cannot be read, no triangle is seen, or the folder is in use or
@@ -143,19 +143,19 @@ def refine(
             split=split_of(scene.frames),
         )
     )
-    optimizer = refining.make_optimizer(settings, size, coarse.num_vertices)
+    optimizer = refinement.make_optimizer(settings, size, coarse.num_vertices)
 
     def initial(rows: int | None) -> RefineState:
         if result is None:
-            return refining.initial_state(Hybrid(bound), optimizer)
+            return refinement.initial_state(MixedGaussians(bound), optimizer)
         # A checkpoint fills whatever rows it finds: their number is all that matters.
         chosen = _kept(result, coarse, data) if rows is None else slice(rows - bound.num_gaussians)
-        return refining.initial_state(with_free(bound, take(result.gaussians, chosen)), optimizer)
+        return refinement.initial_state(with_free(bound, take(result.gaussians, chosen)), optimizer)
 
     told: dict[str, float] = {}
 
     def settled(bound: BoundGaussians) -> BoundGaussians:
-        mesh, found = settle(to_mesh(bound), frames)
+        mesh, found = refine_on_photos(to_mesh(bound), frames)
         told.update(found)
         return replace(bound, vertices=jnp.asarray(mesh.vertices))
 
@@ -164,7 +164,7 @@ def refine(
             json_files.write(folder / "plan.json", _plan(settings, trained))
         state, capacity, seconds = starting_point(folder, initial)
         with _RefinementJournal(folder, settings.steps, int(state.step), seconds) as journal:
-            state = refining.refine(
+            state = refinement.refine(
                 settings,
                 mesh_graph(np.asarray(state.gaussians.bound.faces)),
                 data,
@@ -236,7 +236,7 @@ def _kept(result: Result, mesh: Mesh, data: Targets) -> np.ndarray:
     cast = ray_caster(mesh)
     targets = tqdm(data.targets, desc="free Gaussians", unit="view", delay=QUIET)
     depths = (depth_of_mesh(mesh, target.viewmat, target.K, *data.size, cast=cast) for target in targets)
-    kept = beyond_mesh(result.gaussians, data, depths, border(mesh), depth_mode=result.depth_mode)
+    kept = uncovered_gaussians(result.gaussians, data, depths, border(mesh), depth_mode=result.depth_mode)
     print(f"refine: {kept.sum():,} of {len(kept):,} Gaussians stay free, where there is no mesh", file=sys.stderr)
     return kept
 
@@ -246,7 +246,7 @@ def _finish(
     scene: Scene,
     background: str,
     found: PhotoEffects,
-    hybrid: Hybrid,
+    hybrid: MixedGaussians,
     summary: dict[str, Any],
 ) -> dict[str, Any]:
     refined, gaussians = to_mesh(hybrid.bound), all_gaussians(hybrid)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Unpack
 
 from gsjax import config
-from gsjax.binding.refining import Refinement
+from gsjax.binding.refinement import Refinement
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.files import make_folder

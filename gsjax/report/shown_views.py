@@ -13,7 +13,7 @@ from gsjax.io.files import atomic_path
 from gsjax.io.images import jpeg_bytes, resize
 from gsjax.meshing.export import read_mesh
 from gsjax.meshing.pictures import headlight, render_mesh, vertex_colors
-from gsjax.meshing.rays import ray_caster
+from gsjax.meshing.ray_queries import ray_caster
 from gsjax.normals.from_depth import depth_normals
 from gsjax.rendering.gallery import Picture
 from gsjax.report.pictures import normal_picture

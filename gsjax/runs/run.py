@@ -8,7 +8,7 @@ from typing import Any, Self
 from gsjax import runs
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.io.exchange import settle
+from gsjax.io.exchange import refine_on_photos
 from gsjax.io.json_shapes import check
 from gsjax.io.place_files import read_place
 from gsjax.runs.photo_effects import PhotoEffects, read_photo_effects
@@ -38,7 +38,7 @@ class Run:
         folder = Path(folder)
         if not folder.exists():
             raise InputError(f"{folder}: no such folder")
-        settle(folder)
+        refine_on_photos(folder)
         if not (folder / "manifest.json").is_file():
             raise InputError(f"{folder}: holds no manifest.json; it is no run folder")
         return cls(folder)

@@ -11,7 +11,7 @@ from small_scenes import camera_at, cloud, plane
 
 import gsjax
 from gsjax.normals.sdf import sdf_gradient_map
-from gsjax.targets import Batch
+from gsjax.scene.batches import Batch
 
 SIZE = (16, 12)
 RNG = np.random.default_rng(0)

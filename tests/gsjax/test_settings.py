@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax.binding.refining import PRESETS as REFINEMENTS
-from gsjax.binding.refining import Refinement, RefinementWeights
+from gsjax.binding.refinement import PRESETS as REFINEMENTS
+from gsjax.binding.refinement import Refinement, RefinementWeights
 from gsjax.config import as_record, merge, parse, to_dict
 from gsjax.errors import InputError
 from gsjax.settings import (

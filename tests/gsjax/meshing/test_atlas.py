@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from gsjax.errors import InputError
 from gsjax.meshing import atlas as atlases
 from gsjax.meshing.atlas import cells, charts, texel_corners, unwrap
-from gsjax.meshing.texels import paint_texture, texels_of
+from gsjax.meshing.texel_points import paint_texture, texels_of
 from gsjax.scene.meshes import Mesh
 
 SIZE = 256
@@ -166,8 +166,8 @@ def test_only_triangles_without_area_go_to_cells():
     ids=["crash", "missing", "nothing written"],
 )
 def test_where_xatlas_fails_there_are_cells(mesh, monkeypatch, tmp_path, program):
-    (tmp_path / "unfold.py").write_text(program)
-    monkeypatch.setattr(atlases, "UNFOLD", tmp_path / "unfold.py")
+    (tmp_path / "xatlas_process.py").write_text(program)
+    monkeypatch.setattr(atlases, "XATLAS_PROCESS", tmp_path / "xatlas_process.py")
     assert unwrap(mesh, SIZE).num_charts == mesh.num_faces
 
 

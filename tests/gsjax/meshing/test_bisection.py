@@ -6,7 +6,7 @@ import trimesh
 
 from gsjax.meshing.bisection import bisect_triangles
 from gsjax.meshing.closest import closest_on_mesh
-from gsjax.meshing.topology import edge_table, topology
+from gsjax.meshing.connectivity import edge_table, topology
 from gsjax.scene.meshes import Mesh, signed_volume
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from gsjax.errors import InputError
 from gsjax.meshing.cleaning import clean, concatenate_meshes
-from gsjax.meshing.topology import edge_table, face_components, topology
+from gsjax.meshing.connectivity import edge_table, face_components, topology
 from gsjax.scene.meshes import Mesh, signed_volume
 
 
@@ -123,7 +123,7 @@ from gsjax.metrics import geometry
 from gsjax.io.machine import peak_memory
 from gsjax.scene.meshes import Mesh
 from gsjax.meshing.cleaning import clean
-from gsjax.meshing.topology import topology
+from gsjax.meshing.connectivity import topology
 
 count = 711
 x, y = (a.ravel().astype(np.float32) for a in np.meshgrid(np.linspace(0, 1, count), np.linspace(0, 1, count)))

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.meshing import boxes, depth_of_mesh, extract_mesh
-from gsjax.meshing.boxes import Box, Region
+from gsjax.meshing import depth_of_mesh, extract_mesh, regions
 from gsjax.meshing.extract import cut_to_region
 from gsjax.meshing.level_set import LevelSetOptions
 from gsjax.meshing.level_set_poisson import level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
+from gsjax.meshing.regions import Box, Region
 from gsjax.metrics import geometry
 from gsjax.rendering import gallery
 from gsjax.scene.meshes import Mesh, face_normals, signed_volume
@@ -84,7 +84,7 @@ def test_ball_on_ground_renders_to_the_depth_it_came_from(ball_on_ground):
 def test_a_given_box_is_taken_as_it_is(ball):
     upper = Box((-2, -2, 0), (2, 2, 2))
     mesh, report = extract_mesh(
-        ball.gaussians, *ball.views, method=through(5_000, depth=6), regions=lambda _: boxes.fixed_boxes(upper)
+        ball.gaussians, *ball.views, method=through(5_000, depth=6), regions=lambda _: regions.fixed_boxes(upper)
     )
     assert mesh.vertices[:, 2].min() > -0.05  # The triangles on the border stick out.
     assert mesh.vertices[:, 2].max() == pytest.approx(1, abs=0.05)
@@ -97,7 +97,7 @@ def test_a_given_box_is_taken_as_it_is(ball):
 def test_two_regions_meet_without_a_crack_and_each_has_its_report(ball):
     near, far = Box((-2, -2, 0), (2, 2, 2)), Box((-2, -2, -2), (2, 2, 2))
     mesh, report = extract_mesh(
-        ball.gaussians, *ball.views, method=through(8_000, depth=6), regions=lambda _: boxes.fixed_boxes(near, far)
+        ball.gaussians, *ball.views, method=through(8_000, depth=6), regions=lambda _: regions.fixed_boxes(near, far)
     )
     assert report["topology"]["components"] == 2
     assert report["foreground"]["points_seen"] + report["background"]["points_seen"] == report["seen"]["points"]
@@ -113,7 +113,7 @@ def test_two_regions_meet_without_a_crack_and_each_has_its_report(ball):
 def test_an_empty_region_is_said_and_the_other_is_kept(ball):
     near, far = Box((-2, -2, -2), (2, 2, 2)), Box((-9, -9, -9), (9, 9, 9))
     mesh, report = extract_mesh(
-        ball.gaussians, *ball.views, method=through(5_000), regions=lambda _: boxes.fixed_boxes(near, far)
+        ball.gaussians, *ball.views, method=through(5_000), regions=lambda _: regions.fixed_boxes(near, far)
     )
     assert report["topology"]["watertight"]
     assert "holds none of" in report["background"]["empty"]
@@ -123,7 +123,7 @@ def test_an_empty_region_is_said_and_the_other_is_kept(ball):
 def test_a_box_with_nothing_in_it_is_one_line(ball):
     nowhere = Box((5, 5, 5), (6, 6, 6))
     with pytest.raises(InputError, match=r"foreground: no mesh: the box .* holds none of .* surface points") as caught:
-        extract_mesh(ball.gaussians, *ball.views, method=through(500), regions=lambda _: boxes.fixed_boxes(nowhere))
+        extract_mesh(ball.gaussians, *ball.views, method=through(500), regions=lambda _: regions.fixed_boxes(nowhere))
     assert "\n" not in str(caught.value)
 
 
@@ -157,7 +157,7 @@ def test_regions_are_a_function_of_the_points(ball):
 
     def regions(points):
         asked.append(points)
-        return boxes.near_only(points)
+        return regions.near_only(points)
 
     extract_mesh(ball.gaussians, *ball.views, method=through(3_000), regions=partial(regions))
     assert np.abs(np.linalg.norm(asked[0], axis=1) - 1).max() < 0.02

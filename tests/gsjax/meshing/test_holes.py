@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from gsjax.meshing.connectivity import topology
 from gsjax.meshing.holes import fill_holes
-from gsjax.meshing.topology import topology
 from gsjax.rendering.shown_depths import ShownDepth
 from gsjax.scene.cameras import Camera
 from gsjax.scene.meshes import Mesh, face_area_vectors

@@ -7,11 +7,11 @@ import pytest
 from small_scenes import camera_at, cloud
 
 from gsjax.errors import InputError
-from gsjax.meshing import boxes, extract_mesh
-from gsjax.meshing.boxes import Box, Region
+from gsjax.meshing import extract_mesh, regions
 from gsjax.meshing.depth_points import LEAST_FACING, depth_poisson
 from gsjax.meshing.methods import METHODS, MeshMethod, MethodOptions, methods_help, methods_of
 from gsjax.meshing.orientation import facing_share, orient_outward
+from gsjax.meshing.regions import Box, Region
 from gsjax.meshing.tsdf import tsdf
 from gsjax.normals.from_depth import smoothed_depth_normals
 from gsjax.rendering.gallery import Picture
@@ -52,7 +52,7 @@ def test_fused_surfaces_lie_at_the_depth_and_not_half_a_voxel_beside(ball_on_gro
         ball_on_ground.gaussians,
         *ball_on_ground.views,
         method=tsdf(voxel=0.1),
-        regions=lambda _: boxes.fixed_boxes(Box((1.5, -2, -2), (2.4, 2, 0))),
+        regions=lambda _: regions.fixed_boxes(Box((1.5, -2, -2), (2.4, 2, 0))),
     )
     assert abs(np.median(mesh.vertices[:, 2]) + 1) < 0.01
 
@@ -122,7 +122,9 @@ def test_faces_that_look_away_from_the_views_are_turned_about(ball):
 def test_a_box_with_nothing_in_it_is_one_line_for_all(ball, method):
     nowhere = Box((5, 5, 5), (6, 6, 6))
     with pytest.raises(InputError, match=r"the box .* holds none of"):
-        extract_mesh(ball.gaussians, *ball.views, method=method, regions=partial(lambda _: boxes.fixed_boxes(nowhere)))
+        extract_mesh(
+            ball.gaussians, *ball.views, method=method, regions=partial(lambda _: regions.fixed_boxes(nowhere))
+        )
 
 
 def test_the_table_is_the_methods_that_auto_tries_in_order():

@@ -5,7 +5,7 @@ import pytest
 from gsjax.meshing import depth_of_mesh, headlight, normal_colors, render_mesh, vertex_colors
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.pictures import smooth_pictures, texture_colors
-from gsjax.meshing.rays import front_faces_only, ray_caster
+from gsjax.meshing.ray_queries import front_faces_only, ray_caster
 from gsjax.scene.cameras import Camera
 from gsjax.scene.meshes import Mesh
 

@@ -10,7 +10,7 @@ from gsjax.meshing import texture
 from gsjax.meshing.atlas import Atlas, cells, texel_corners
 from gsjax.meshing.cleaning import concatenate_meshes
 from gsjax.meshing.pictures import depth_of_mesh
-from gsjax.meshing.texels import texels_of
+from gsjax.meshing.texel_points import texels_of
 from gsjax.meshing.texture import composite_views, texture_mesh
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera

@@ -19,9 +19,9 @@ from gsjax.meshing import select_method
 from gsjax.meshing.export import read_mesh
 from gsjax.meshing.holes import HoleReport
 from gsjax.meshing.methods import METHODS, MeshMethod
-from gsjax.meshing.outlines import Outline
 from gsjax.meshing.select_method import Selection, Witness
-from gsjax.meshing.sightlines import Sightlines
+from gsjax.meshing.silhouettes import Silhouette
+from gsjax.meshing.track_visibility import TrackRays
 from gsjax.meshing.tsdf import tsdf
 from gsjax.pipeline import mesh_views
 from gsjax.pipeline.mesh import mesh
@@ -100,9 +100,9 @@ def test_auto_selects_the_mesh_that_the_tracks_meet(lumpy, tmp_path, monkeypatch
 
     for name in radii:
         monkeypatch.setitem(METHODS, name, MeshMethod("a sphere", lambda *_, name=name: name))
-    lines = Sightlines(3 * directions, 0.99 * directions)
-    monkeypatch.setattr(select_method, "sightlines_of", lambda data: lines)
-    monkeypatch.setattr(select_method, "outlines_of", lambda data: (outline_of_a_ball(0.99),) if mattes else ())
+    lines = TrackRays(3 * directions, 0.99 * directions)
+    monkeypatch.setattr(select_method, "track_rays", lambda data: lines)
+    monkeypatch.setattr(select_method, "silhouettes_of", lambda data: (outline_of_a_ball(0.99),) if mattes else ())
     monkeypatch.setitem(mesh.__globals__, "extract_mesh", extract)
     monkeypatch.setitem(mesh.__globals__, "scene_of_run", lambda *_: "of the photos")
     report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", keep_floaters=True, settled=False)
@@ -121,7 +121,7 @@ def outline_of_a_ball(radius):
     viewmat[2, 3] = 5.0
     K = np.float32([[300, 0, size / 2], [0, 300, size / 2], [0, 0, 1]])
     y, x = (np.mgrid[:size, :size] + 0.5 - size / 2) / 300
-    return Outline(viewmat, K, np.hypot(x, y) < np.tan(np.arcsin(radius / 5)), np.ones((size, size), bool))
+    return Silhouette(viewmat, K, np.hypot(x, y) < np.tan(np.arcsin(radius / 5)), np.ones((size, size), bool))
 
 
 LUMP = np.array([0.0, 0.0, 1.6])  # Its middle, above the ball; its radius is 0.35.
@@ -228,7 +228,7 @@ def test_auto_renders_each_view_once_and_extracts_at_full_size_once(lumpy, tmp_p
     monkeypatch.setitem(mesh.__globals__, "scene_of_run", lambda *_: "of the photos")
     shares = iter([0.5, 0.9, 0.4])
     witness = Witness("what is known", lambda mesh: {"met": next(shares)}, 0.04)
-    monkeypatch.setitem(mesh.__globals__, "witness_of", lambda *_: witness)
+    monkeypatch.setitem(mesh.__globals__, "evidence_of", lambda *_: witness)
     report = mesh(lumpy["unmasked"], tmp_path / "mesh.ply", method="auto", points=300_000, settled=False)
     assert report["method"] == "agreed" and report["floaters"] == int(floating)
     assert rendered == ([10, 10] if floating else [10]), "once more without the floaters, if there are any"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gsjax import cli, config, pipeline
-from gsjax.binding.refining import PRESETS, Refinement
+from gsjax.binding.refinement import PRESETS, Refinement
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.locks import lock_folder

@@ -4,7 +4,7 @@ import pytest
 from jax import monitoring
 
 from gsjax import pipeline
-from gsjax.binding.refining import Refinement
+from gsjax.binding.refinement import Refinement
 from gsjax.errors import InputError
 from gsjax.runs import compilations
 from gsjax.runs.compilations import Compilations

@@ -13,7 +13,7 @@ from gsjax.rendering import Drawable, drawable
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Hybrid:
+class MixedGaussians:
     """G bound and M free Gaussians; wherever both stand in one array or file, the bound ones come first.
 
     Both have the same pixel filter and degree of harmonics: `with_free` sees to it.
@@ -33,7 +33,7 @@ class Hybrid:
         return 0 if self.free is None else self.free.num_gaussians
 
 
-def with_free(bound: BoundGaussians, free: Gaussians) -> Hybrid:
+def with_free(bound: BoundGaussians, free: Gaussians) -> MixedGaussians:
     """Bound and free Gaussians as one scene, on the device.
 
     Args:
@@ -42,16 +42,16 @@ def with_free(bound: BoundGaussians, free: Gaussians) -> Hybrid:
             it are cut, missing ones are zero.
     """
     if not free.num_gaussians:
-        return Hybrid(bound)
+        return MixedGaussians(bound)
     bands = bound.sh_rest.shape[1]
     rest = np.asarray(free.sh_rest)[:, :bands]
     rest = np.pad(rest, ((0, 0), (0, bands - rest.shape[1]), (0, 0)))
     alike = replace(free, sh_rest=rest, pixel_filter=bound.pixel_filter)
-    return Hybrid(bound, jax.tree.map(jnp.asarray, alike))
+    return MixedGaussians(bound, jax.tree.map(jnp.asarray, alike))
 
 
 @drawable.register
-def _(hybrid: Hybrid) -> Drawable:
+def _(hybrid: MixedGaussians) -> Drawable:
     bound = drawable(hybrid.bound)
     if hybrid.free is None:
         return bound
@@ -59,7 +59,7 @@ def _(hybrid: Hybrid) -> Drawable:
     return jax.tree.map(lambda *both: jnp.concatenate(both), bound, free)
 
 
-def all_gaussians(hybrid: Hybrid) -> Gaussians:
+def all_gaussians(hybrid: MixedGaussians) -> Gaussians:
     """The same Gaussians without their mesh, numpy, see `gsjax.binding.bound.to_gaussians`; then the free ones."""
     bound = to_gaussians(hybrid.bound)
     if hybrid.free is None:

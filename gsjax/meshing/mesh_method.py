@@ -1,4 +1,4 @@
-"""The signature of a mesh method: it visits every view once, and returns a `Sighting` that builds the surface.
+"""The signature of a mesh method: it visits every view once, and returns a `SurfaceSamples` that builds the surface.
 
 `gsjax.meshing.methods` is the table of the library's methods; `extract_mesh` takes any function of this signature.
 """
@@ -13,8 +13,8 @@ import numpy as np
 from gsjax import gaussians as gs
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import poisson
-from gsjax.meshing.boxes import Region
 from gsjax.meshing.poisson import PoissonOptions
+from gsjax.meshing.regions import Region
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera
 from gsjax.scene.meshes import Mesh
@@ -23,7 +23,7 @@ CELL_PER_SCALE = 1.0  # Poisson cells smaller than the Gaussians reproduce their
 RIM = 0.05  # Of the region's, or its inner box's, longest side: points that far outside shape the surface inside.
 
 
-class Sighting(NamedTuple):
+class SurfaceSamples(NamedTuple):
     """What a method has gathered from the views."""
 
     points: np.ndarray  # [P, 3] world: of the surface as it was seen; they say where the regions are
@@ -31,7 +31,7 @@ class Sighting(NamedTuple):
     report: dict  # plain numbers
 
 
-Method = Callable[[Gaussians, Sequence[Camera], Iterable[Picture]], Sighting]
+Method = Callable[[Gaussians, Sequence[Camera], Iterable[Picture]], SurfaceSamples]
 
 
 def method_name(method: Method) -> str:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from gsjax.errors import NoSurfaceError
-from gsjax.meshing.boxes import Box
-from gsjax.meshing.select_method import by_sightlines, select_method
-from gsjax.meshing.sightlines import SAME_SURFACE, agreement, sightlines_of
+from gsjax.meshing.regions import Box
+from gsjax.meshing.select_method import by_tracks, select_method
+from gsjax.meshing.track_visibility import SAME_SURFACE, track_rays, track_visibility
 from gsjax.scene import Pixels, Scene, Tracks, frame_of
 from gsjax.scene.meshes import Mesh
 
@@ -60,27 +60,27 @@ def photographed(off=0.0):
 
 @pytest.fixture(scope="module")
 def lines():
-    return sightlines_of(photographed())
+    return track_rays(photographed())
 
 
 def test_lines_are_those_of_tracks_that_fit(lines):
     """A few of the 400 observations are left out as the worst of a normal distribution's."""
     assert 0.97 * PHOTOS * 100 < len(lines) <= PHOTOS * 100
     np.testing.assert_allclose(np.unique(lines.origins[:, 0]), -0.1 * np.arange(PHOTOS)[::-1], atol=1e-6)
-    assert not len(sightlines_of(Scene(Path("bare"), "colmap", (), np.zeros((0, 3)), np.zeros((0, 3)))))
+    assert not len(track_rays(Scene(Path("bare"), "colmap", (), np.zeros((0, 3)), np.zeros((0, 3)))))
 
 
 def test_each_kind_of_miss_is_counted_as_it_is(lines):
     quarter = np.searchsorted([-2, 0, 2], lines.points[:, 0])
     shares = np.bincount(quarter, minlength=4) / len(lines)
-    assert agreement(wall(), lines) == pytest.approx(tuple(shares), abs=1e-12)
+    assert track_visibility(wall(), lines) == pytest.approx(tuple(shares), abs=1e-12)
 
 
 def test_what_lies_within_the_tolerance_is_met(lines):
     near, there = AWAY * SAME_SURFACE * 0.9, lines.within([Box([0, -3, 0], [4, 3, 20])])
     assert 0 < len(there) < len(lines)
-    assert agreement(wall(lump=near, moved=near), there).met == 1
-    assert agreement(wall(), there).met == 0
+    assert track_visibility(wall(lump=near, moved=near), there).met == 1
+    assert track_visibility(wall(), there).met == 0
 
 
 def test_the_whole_wall_is_chosen_and_a_method_without_surface_passed_by(lines):
@@ -89,19 +89,19 @@ def test_the_whole_wall_is_chosen_and_a_method_without_surface_passed_by(lines):
 
     ways = {"lumps": wall(moved=0.0), "whole": joined(rectangle((-4, 4), AWAY)), "part": wall()}
     candidates = {name: lambda m=mesh: m for name, mesh in ways.items()}
-    choice = select_method({"empty": empty} | candidates, by_sightlines(lines))
+    choice = select_method({"empty": empty} | candidates, by_tracks(lines))
     assert choice.method == "whole"
     assert list(choice.tried) == ["lumps", "whole", "part"]
     assert choice.tried["whole"]["met"] == 1 > choice.tried["lumps"]["met"] > choice.tried["part"]["met"]
     with pytest.raises(NoSurfaceError, match="nothing"):
-        select_method({"empty": empty}, by_sightlines(lines))
+        select_method({"empty": empty}, by_tracks(lines))
 
 
 @pytest.mark.parametrize(("top", "chosen"), [(-0.8, "usual"), (0.0, "more")])
 def test_another_than_the_usual_one_has_to_be_clearly_better(lines, top, chosen):
     first = rectangle((-4, -2), AWAY)
     ways = {"usual": joined(first), "more": joined(first, rectangle((0, 2), AWAY, (-1, top)))}
-    witness = by_sightlines(lines)
+    witness = by_tracks(lines)
     choice = select_method({name: lambda m=mesh: m for name, mesh in ways.items()}, witness)
     gained = choice.tried["more"]["met"] - choice.tried["usual"]["met"]
     assert choice.method == chosen

@@ -21,8 +21,8 @@ from jax import Array
 from gsjax import rendering
 from gsjax.binding import mesh_terms
 from gsjax.binding.bound import LAYOUTS, BoundGaussians
-from gsjax.binding.hybrid import Hybrid
 from gsjax.binding.mesh_terms import MeshGraph
+from gsjax.binding.mixed_gaussians import MixedGaussians
 from gsjax.config import declare_types, parse_numbers
 from gsjax.gaussians import PixelFilter
 from gsjax.metrics.images import in_decibels, mse
@@ -93,7 +93,7 @@ class Refinement:
     opacity: float = 0.9  # of every Gaussian at the start
     thickness: float = 1e-6  # of the extent: standard deviation along the normal
     pixel_filter: PixelFilter = "mip"  # see `gsjax.rendering.PIXEL_FILTERS`
-    keep_free: bool = True  # the run's Gaussians stay where there is no mesh, see `gsjax.binding.beyond`
+    keep_free: bool = True  # the run's Gaussians stay where there is no mesh, see `gsjax.binding.uncovered`
     settle_at: float = 1.0  # share of the steps after which the mesh settles on its photos and stays there; 1: never
     seed: int = 0
     weights: RefinementWeights = RefinementWeights()
@@ -154,7 +154,7 @@ PRESETS: dict[str, dict[str, Any]] = {
 class RefineState:
     """All that changes while refining."""
 
-    gaussians: Hybrid
+    gaussians: MixedGaussians
     opt_state: Any
     step: Array  # [] int32 steps done
 
@@ -236,12 +236,12 @@ def refine(
     return state
 
 
-def initial_state(gaussians: Hybrid, optimizer: optax.GradientTransformation) -> RefineState:
+def initial_state(gaussians: MixedGaussians, optimizer: optax.GradientTransformation) -> RefineState:
     """Step 0."""
     return RefineState(gaussians, optimizer.init(with_faces(gaussians, None)), jnp.zeros((), jnp.int32))
 
 
-def with_faces(gaussians: Hybrid, faces: Array | None) -> Hybrid:
+def with_faces(gaussians: MixedGaussians, faces: Array | None) -> MixedGaussians:
     """The same Gaussians on these faces; what is trained is everything else, on None."""
     return replace(gaussians, bound=replace(gaussians.bound, faces=faces))
 
@@ -260,7 +260,7 @@ def make_refine_step(
     """
     terms = {name: weight for name, weight in vars(weights).items() if weight}
 
-    def objective(parameters: Hybrid, state: RefineState, graph: MeshGraph, batch: Batch, color: Array):
+    def objective(parameters: MixedGaussians, state: RefineState, graph: MeshGraph, batch: Batch, color: Array):
         gaussians = with_faces(parameters, state.gaussians.bound.faces)
         view = rendering.render(
             gaussians,
@@ -273,7 +273,7 @@ def make_refine_step(
         total = sum(weight * losses[name] for name, weight in terms.items())
         return total, (losses, mse(jnp.clip(view.colors, 0, 1), batch.image, batch.valid), view.splats.pairs)
 
-    def update(state: RefineState, gradients: Hybrid, outcome: Outcome, target: Target) -> RefineState:
+    def update(state: RefineState, gradients: MixedGaussians, outcome: Outcome, target: Target) -> RefineState:
         del outcome, target
         parameters = with_faces(state.gaussians, None)
         parameters, opt_state = optimizers.apply_gradients(optimizer, parameters, state.opt_state, gradients)
@@ -296,7 +296,7 @@ def make_refine_step(
     return refine_step
 
 
-def active_degrees(gaussians: Hybrid, degree: Array) -> Array:
+def active_degrees(gaussians: MixedGaussians, degree: Array) -> Array:
     """The SH degrees of a step, `[]` or one a Gaussian: the ramp is for those that begin, free ones show all theirs."""
     if gaussians.free is None:
         return degree
@@ -343,20 +343,22 @@ def _side_by_side(
 ) -> optax.GradientTransformation:
     """Each kind of Gaussians by a transformation of its own; what is not there has no state."""
 
-    def init(parameters: Hybrid) -> tuple[Any, Any]:
+    def init(parameters: MixedGaussians) -> tuple[Any, Any]:
         return bound.init(parameters.bound), None if parameters.free is None else free.init(parameters.free)
 
-    def update(updates: Hybrid, state: tuple[Any, Any], parameters: Hybrid) -> tuple[Hybrid, tuple[Any, Any]]:
+    def update(
+        updates: MixedGaussians, state: tuple[Any, Any], parameters: MixedGaussians
+    ) -> tuple[MixedGaussians, tuple[Any, Any]]:
         of_bound, bound_state = bound.update(updates.bound, state[0], parameters.bound)
         if parameters.free is None:
-            return Hybrid(of_bound), (bound_state, None)
+            return MixedGaussians(of_bound), (bound_state, None)
         of_free, free_state = free.update(updates.free, state[1], parameters.free)
-        return Hybrid(of_bound, of_free), (bound_state, free_state)
+        return MixedGaussians(of_bound, of_free), (bound_state, free_state)
 
     return optax.GradientTransformation(init, update)
 
 
-def _term(name: str, gaussians: Hybrid, graph: MeshGraph, view: rendering.View, batch: Batch) -> Array:
+def _term(name: str, gaussians: MixedGaussians, graph: MeshGraph, view: rendering.View, batch: Batch) -> Array:
     if name == "normal_consistency":
         return mesh_terms.normal_consistency(gaussians.bound.vertices, gaussians.bound.faces, graph)
     return TERMS[name].loss(gaussians, view, batch)

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.meshing.boxes import Box
-from gsjax.meshing.rays import ray_caster
+from gsjax.meshing.ray_queries import ray_caster
+from gsjax.meshing.regions import Box
 from gsjax.scene import Scene, tracks_by_name
 from gsjax.scene.cameras import viewmat_center
 from gsjax.scene.meshes import Mesh
@@ -23,7 +23,7 @@ SAME_SURFACE = 0.01  # share of the distance from the photo, up to which a mesh 
 
 
 @dataclass(frozen=True)
-class Sightlines:
+class TrackRays:
     """O straight lines from photos to points that were matched in them, world."""
 
     origins: np.ndarray  # [O, 3] float64 centres of the photos' cameras
@@ -33,13 +33,13 @@ class Sightlines:
         """How many there are."""
         return len(self.points)
 
-    def within(self, boxes: Sequence[Box]) -> "Sightlines":
+    def within(self, boxes: Sequence[Box]) -> "TrackRays":
         """Those that end in one of the boxes."""
         inside = np.any([box.contains(self.points) for box in boxes], axis=0)
-        return Sightlines(self.origins[inside], self.points[inside])
+        return TrackRays(self.origins[inside], self.points[inside])
 
 
-class Agreement(NamedTuple):
+class TrackVisibility(NamedTuple):
     """Shares of the sightlines, which add up to 1, by what a mesh makes of them."""
 
     met: float  # at their point
@@ -48,7 +48,7 @@ class Agreement(NamedTuple):
     behind: float  # the line meets a surface only beyond its point
 
 
-def sightlines_of(scene: Scene) -> Sightlines:
+def track_rays(scene: Scene) -> TrackRays:
     """The lines of all tracks of three photos and more; observations that fit their point badly are left out.
 
     Held-out photos count too: their tracks were matched, but their pixels never trained on.
@@ -75,10 +75,10 @@ def sightlines_of(scene: Scene) -> Sightlines:
         errors.append(np.linalg.norm((shown - rays[kept]) * focals, axis=1))
     off = np.concatenate(errors)
     fits = off <= LARGEST_ERROR * np.median(off) if len(off) else np.zeros(0, bool)
-    return Sightlines(np.concatenate(origins)[fits], np.concatenate(points)[fits])
+    return TrackRays(np.concatenate(origins)[fits], np.concatenate(points)[fits])
 
 
-def agreement(mesh: Mesh, lines: Sightlines) -> Agreement:
+def track_visibility(mesh: Mesh, lines: TrackRays) -> TrackVisibility:
     """What a mesh makes of the sightlines: what each of them meets first, whichever side of it.
 
     Args:
@@ -89,4 +89,4 @@ def agreement(mesh: Mesh, lines: Sightlines) -> Agreement:
     nothing, before, behind = ~np.isfinite(shares), shares < 1 - SAME_SURFACE, shares > 1 + SAME_SURFACE
     parts = {"nothing": nothing, "before": before, "behind": behind & ~nothing}
     found = {name: float(part.mean()) for name, part in parts.items()}
-    return Agreement(met=1 - sum(found.values()), **found)
+    return TrackVisibility(met=1 - sum(found.values()), **found)

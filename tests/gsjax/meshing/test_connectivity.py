@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gsjax.meshing.topology import border, boundary_loops, edge_table, face_components, topology
+from gsjax.meshing.connectivity import border, boundary_loops, edge_table, face_components, topology
 from gsjax.scene.meshes import Mesh
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
 from gsjax.meshing.depth_points import NormalsOfDepth, depth_poisson
+from gsjax.meshing.mesh_method import Method, SurfaceSamples
 from gsjax.meshing.poisson import PoissonOptions
-from gsjax.meshing.sighting import Method, Sighting
 from gsjax.rendering.gallery import Picture
 from gsjax.rendering.shown_depths import ShownDepth, depths_at
 from gsjax.scene.cameras import Camera, viewmat_center
@@ -26,7 +26,7 @@ MOST_OTHERS = 16  # Views that are asked, those that look at most of what a view
 SAMPLED = 200  # Points of a view by which these are chosen.
 
 
-def agreed_poisson(
+def consistent_poisson(
     normals_of: NormalsOfDepth,
     num_points: int,
     reconstruction: PoissonOptions | None = None,
@@ -35,14 +35,16 @@ def agreed_poisson(
     told: Mapping[int, ShownDepth],
     ids: Sequence[int] | None = None,
 ) -> Method:
-    """`gsjax.meshing.depth_points.depth_poisson` of `agreed_pictures`, which see; they take the same arguments."""
+    """`gsjax.meshing.depth_points.depth_poisson` of `consistent_pictures`, which see; they take the same arguments."""
     of_depth = depth_poisson(normals_of, num_points, reconstruction)
 
-    def from_consistent_depth(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> Sighting:
+    def from_consistent_depth(
+        gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]
+    ) -> SurfaceSamples:
         shares: list[float] = []
 
         def counted() -> Iterator[Picture]:
-            for picture in agreed_pictures(cameras, pictures, shown, told, ids):
+            for picture in consistent_pictures(cameras, pictures, shown, told, ids):
                 shares.append(float((picture.depth > 0).mean()))
                 yield picture
 
@@ -53,7 +55,7 @@ def agreed_poisson(
     return from_consistent_depth
 
 
-def agreed_pictures(
+def consistent_pictures(
     cameras: Sequence[Camera],
     pictures: Iterable[Picture],
     shown: Sequence[ShownDepth],

@@ -15,8 +15,8 @@ from scipy.sparse.linalg import cg
 from tqdm import tqdm
 
 from gsjax.io.parallel_map import parallel_map
-from gsjax.meshing.rays import Cast, ray_caster
-from gsjax.meshing.topology import edge_table
+from gsjax.meshing.connectivity import edge_table
+from gsjax.meshing.ray_queries import Cast, ray_caster
 from gsjax.scene import Frame
 from gsjax.scene.meshes import Mesh, vertex_normals
 
@@ -28,7 +28,7 @@ GRAY = 1 / 255  # A disagreement that changes by less than its square over a ste
 
 
 @dataclass(frozen=True)
-class Settling:
+class PhotoRefinement:
     """How far is looked, and how stiff the surface is. Lengths are pixels as the photos see the vertex."""
 
     rounds: int = 3
@@ -45,7 +45,9 @@ class Settling:
             raise ValueError(f"step={self.step} and stiffness={self.stiffness} must be above 0")
 
 
-def settle(mesh: Mesh, frames: Sequence[Frame], options: Settling | None = None) -> tuple[Mesh, dict[str, float]]:
+def refine_on_photos(
+    mesh: Mesh, frames: Sequence[Frame], options: PhotoRefinement | None = None
+) -> tuple[Mesh, dict[str, float]]:
     """Move the vertices along their normals to where the photos agree.
 
     A vertex that fewer than three photos see, or that has no texture, follows its neighbours. Photos may be lighter or
@@ -64,7 +66,7 @@ def settle(mesh: Mesh, frames: Sequence[Frame], options: Settling | None = None)
     Raises:
         InputError: A photo cannot be read, or Open3D not be loaded.
     """
-    options = options or Settling()
+    options = options or PhotoRefinement()
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(MOST_VIEWS, len(frames))).astype(int))
     frames = [frames[index] for index in chosen]
     differences = _laplacian(mesh)
@@ -202,7 +204,7 @@ def _laplacian(mesh: Mesh) -> sparse.csr_matrix:
     return sparse.csr_matrix(sparse.diags(np.asarray(adjacent.sum(axis=1)).ravel()) - adjacent)
 
 
-def _agreed(survey: _Survey, steps: np.ndarray, differences: sparse.csr_matrix, options: Settling) -> np.ndarray:
+def _agreed(survey: _Survey, steps: np.ndarray, differences: sparse.csr_matrix, options: PhotoRefinement) -> np.ndarray:
     """`[V]` pixels to move: at the least disagreement where there is evidence, smooth between.
 
     Evidence is each vertex' own: mixed with its neighbours', it says the same of both sides of an edge.

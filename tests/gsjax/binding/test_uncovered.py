@@ -9,7 +9,7 @@ import pytest
 from small_scenes import camera_at, discs, plane
 
 from gsjax import rendering
-from gsjax.binding.beyond import OVER_BORDER, SAME_SURFACE, beyond_mesh
+from gsjax.binding.uncovered import OVER_BORDER, SAME_SURFACE, uncovered_gaussians
 from gsjax.scene import Pixels, batches, cameras, frame_of
 
 CAMERAS = [camera_at((x, 0.2, 0.0), (0.0, 0.0, 4.0), size=(40, 32), focal=30.0) for x in (-0.4, 0.5)]
@@ -59,7 +59,7 @@ def data():
 
 @pytest.fixture(scope="module")
 def whole(scene, data):
-    return beyond_mesh(scene, data, map(mesh_depth, CAMERAS), BORDER)
+    return uncovered_gaussians(scene, data, map(mesh_depth, CAMERAS), BORDER)
 
 
 def test_what_the_mesh_shows_goes_and_what_it_lacks_stays(whole):
@@ -108,13 +108,13 @@ def test_the_choice_is_that_of_the_blending_weights(scene, data, whole):
 
 def test_all_go_or_all_that_are_seen_stay(scene, data, whole):
     opaque = replace(scene, logit_opacities=scene.logit_opacities.at[-6:].set(-30.0))  # The wall alone.
-    assert not np.any(beyond_mesh(opaque, data, map(wall_depth, CAMERAS), BORDER[:0]))
-    without = beyond_mesh(scene, data, [np.zeros((32, 40), np.float32)] * 2, BORDER)
+    assert not np.any(uncovered_gaussians(opaque, data, map(wall_depth, CAMERAS), BORDER[:0]))
+    without = uncovered_gaussians(scene, data, [np.zeros((32, 40), np.float32)] * 2, BORDER)
     assert np.all(without[whole]) and not without[-1] and without[: WALL.num_gaussians].mean() > 0.8
 
 
 def test_masked_pixels_say_nothing(scene, data):
     left = np.broadcast_to(np.where(np.arange(40) < 24, 255, 0).astype(np.uint8), (32, 40))
-    stays = beyond_mesh(scene, masked_by(left), map(mesh_depth, CAMERAS), BORDER)
+    stays = uncovered_gaussians(scene, masked_by(left), map(mesh_depth, CAMERAS), BORDER)
     assert not np.any(stays[: WALL.num_gaussians][np.asarray(WALL.means)[:, 0] > 1.9]), "behind the masks in both"
     assert stays[WALL.num_gaussians + list(OTHERS).index("stands before the mesh")]

@@ -21,7 +21,7 @@ OVER_BORDER = 0.05  # Share of the light of such a one, past the mesh, above whi
 SAME_SURFACE = 0.05  # Share of its depth by which the mesh may lie before or behind a Gaussian that it replaces.
 
 
-def beyond_mesh(
+def uncovered_gaussians(
     gaussians: Gaussians,
     data: Targets,
     mesh_depths: Iterable[np.ndarray],
@@ -43,7 +43,7 @@ def beyond_mesh(
         data: The views to look from.
         mesh_depths: `[H, W]` camera z of the mesh a view, of the size of `data`, 0 where there is none; looked at one
             by one.
-        border: `[B, 3]` vertices at which the mesh ends, see `gsjax.meshing.topology.border`; B may be 0.
+        border: `[B, 3]` vertices at which the mesh ends, see `gsjax.meshing.connectivity.border`; B may be 0.
         depth_mode: What a splat's depth is, see `gsjax.rendering`.
 
     Returns:

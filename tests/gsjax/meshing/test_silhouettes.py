@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from gsjax.meshing import outlines
-from gsjax.meshing.outlines import MOST_PHOTOS, outlines_of, overlap
+from gsjax.meshing import silhouettes
+from gsjax.meshing.silhouettes import MOST_PHOTOS, overlap, silhouettes_of
 from gsjax.scene import Pixels, Scene, frame_of
 from gsjax.scene.cameras import look_at
 from gsjax.scene.meshes import Mesh
@@ -44,13 +44,13 @@ def scene(frames):
 @pytest.mark.parametrize("every", [1, 2, 3])
 def test_shares_are_those_of_circles(radius, half, every, monkeypatch):
     """Of the facets' edges a pixel in some hundred falls on the other side, whether all pixels are asked or a ninth."""
-    monkeypatch.setattr(outlines, "MOST_PIXELS", (SIZE // every + 1) ** 2)
+    monkeypatch.setattr(silhouettes, "MOST_PIXELS", (SIZE // every + 1) ** 2)
     valid = np.where(np.arange(SIZE) < SIZE / 2, np.uint8(255), np.uint8(0)) * np.ones((SIZE, 1), np.uint8)
     usable = valid > 0 if half else np.ones((SIZE, SIZE), bool)
     mesh, matte = outline(radius) & usable, outline(1.0) & usable
     either = np.sum(mesh | matte)
     expected = [np.sum(part) / either for part in (mesh & matte, mesh & ~matte, matte & ~mesh)]
-    seen = outlines_of(scene(photos(3, valid if half else None)))
+    seen = silhouettes_of(scene(photos(3, valid if half else None)))
     assert seen[0].is_object.shape == (len(range(every // 2, SIZE, every)),) * 2
     found = overlap(ball(radius), seen)
     np.testing.assert_allclose(found, expected, atol=0.006)
@@ -59,11 +59,11 @@ def test_shares_are_those_of_circles(radius, half, every, monkeypatch):
 
 def test_photos_are_chosen_evenly_and_all_must_have_a_matte():
     many = photos(60)
-    chosen = [outline.viewmat for outline in outlines_of(scene(many))]
+    chosen = [outline.viewmat for outline in silhouettes_of(scene(many))]
     indices = [next(i for i, frame in enumerate(many) if frame.viewmat is viewmat) for viewmat in chosen]
     assert len(indices) == MOST_PHOTOS
     assert (indices[0], indices[-1]) == (0, 59)
     assert set(np.diff(indices)) == {2, 3}
-    assert len(outlines_of(scene(many[:5]))) == 5
-    assert outlines_of(scene((*many[:5], *photos(1, matte=False)))) == ()
-    assert outlines_of(scene(())) == ()
+    assert len(silhouettes_of(scene(many[:5]))) == 5
+    assert silhouettes_of(scene((*many[:5], *photos(1, matte=False)))) == ()
+    assert silhouettes_of(scene(())) == ()

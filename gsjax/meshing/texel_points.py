@@ -6,7 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from gsjax.meshing.atlas import Atlas, doubled_areas, texel_corners
-from gsjax.meshing.rays import Cast, ray_caster
+from gsjax.meshing.ray_queries import Cast, ray_caster
 from gsjax.scene.meshes import Mesh
 
 RAYS_AT_ONCE = 1 << 20

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from gsjax.meshing import settling
-from gsjax.meshing.settling import Settling, settle
+from gsjax.meshing import photo_refine
+from gsjax.meshing.photo_refine import PhotoRefinement, refine_on_photos
 from gsjax.rendering.sampling import sample_bilinear
 from gsjax.scene import Frame, Pixels, frame_of, with_pixels
 from gsjax.scene.meshes import Mesh
@@ -50,7 +50,7 @@ def frames():
 
 @pytest.mark.parametrize("offset", [-1.0, 0.6])
 def test_a_sheet_beside_the_plane_comes_to_lie_in_it(frames, offset):
-    settled, report = settle(sheet(offset * PIXEL), frames)
+    settled, report = refine_on_photos(sheet(offset * PIXEL), frames)
     away = np.abs(settled.vertices[:, 2]) / PIXEL
     # From 0.6 and 1 pixel. Photos are rounded to 8 bits and read bilinearly: a twentieth of a pixel stays.
     assert np.median(away) < 0.05 and np.quantile(away, 0.95) < 0.15
@@ -63,21 +63,21 @@ def test_a_sheet_beside_the_plane_comes_to_lie_in_it(frames, offset):
 def test_a_bump_is_levelled(frames):
     x = np.linspace(-1, 1, 25)
     bump = 0.8 * PIXEL * np.exp(-4 * (x[:, None] ** 2 + x**2))
-    settled, _ = settle(sheet(bump), frames)
+    settled, _ = refine_on_photos(sheet(bump), frames)
     assert np.abs(settled.vertices[:, 2]).max() < 0.25 * PIXEL  # Of 0.8; measured 0.21: it is stiff.
 
 
 def test_photos_may_be_lighter_and_darker(frames):
     darker = [photo(eye, gain=gain) for eye, gain in zip(EYES, (1.0, 0.6, 0.8, 1.1, 0.9, 0.7), strict=True)]
-    expected, _ = settle(sheet(0.6 * PIXEL), frames)
-    found, report = settle(sheet(0.6 * PIXEL), darker)
+    expected, _ = refine_on_photos(sheet(0.6 * PIXEL), frames)
+    found, report = refine_on_photos(sheet(0.6 * PIXEL), darker)
     assert report["after"] < 0.3 < 10 < report["before"]  # Of 255: what rounding to 8 bits leaves.
     np.testing.assert_allclose(found.vertices, expected.vertices, atol=0.1 * PIXEL)
 
 
 def test_where_photos_say_nothing_a_sheet_stays():
     plain = [photo(eye, lambda x, y: np.full((*x.shape, 3), 0.4)) for eye in EYES]
-    settled, report = settle(sheet(0.6 * PIXEL), plain)
+    settled, report = refine_on_photos(sheet(0.6 * PIXEL), plain)
     np.testing.assert_allclose(settled.vertices, sheet(0.6 * PIXEL).vertices, atol=1e-6)
     assert report["before"] < 0.01
 
@@ -86,7 +86,7 @@ def test_what_has_no_texture_follows_what_has(frames):
     def half(x, y):
         return np.where(x[..., None] > 0, texture(x, y), 0.5)
 
-    settled, _ = settle(sheet(0.6 * PIXEL), [photo(eye, half) for eye in EYES])
+    settled, _ = refine_on_photos(sheet(0.6 * PIXEL), [photo(eye, half) for eye in EYES])
     plain = settled.vertices[:, 0] < -0.2
     assert np.abs(settled.vertices[plain, 2]).max() < 0.3 * PIXEL
 
@@ -94,7 +94,7 @@ def test_what_has_no_texture_follows_what_has(frames):
 @pytest.mark.parametrize("kind", ["valid", "matte"])
 def test_masked_pixels_and_hidden_sheets_tell_nothing(frames, kind):
     masked = [with_pixels(f, f.pixels()._replace(**{kind: np.zeros(SIZE[::-1], np.uint8)})) for f in frames]
-    still, report = settle(sheet(0.6 * PIXEL), masked)
+    still, report = refine_on_photos(sheet(0.6 * PIXEL), masked)
     np.testing.assert_array_equal(still.vertices, sheet(0.6 * PIXEL).vertices)
     assert report == {"seen_share": 0.0, "moved_px": 0.0, "before": 0.0, "after": 0.0}
 
@@ -104,7 +104,7 @@ def test_masked_pixels_and_hidden_sheets_tell_nothing(frames, kind):
         np.concatenate([front.faces, back.faces + front.num_vertices]),
         np.concatenate([front.colors, back.colors]),
     )
-    settled, report = settle(both, frames)
+    settled, report = refine_on_photos(both, frames)
     hidden = np.abs(back.vertices[:, :2]).max(axis=1) < 0.4  # From every camera the front is before these.
     np.testing.assert_array_equal(settled.vertices[front.num_vertices :][hidden], back.vertices[hidden])
     assert 0.5 <= report["seen_share"] < 0.8
@@ -112,7 +112,7 @@ def test_masked_pixels_and_hidden_sheets_tell_nothing(frames, kind):
 
 def test_two_photos_are_no_evidence(frames):
     mesh = sheet(0.6 * PIXEL)
-    settled, report = settle(mesh, frames[:2])
+    settled, report = refine_on_photos(mesh, frames[:2])
     np.testing.assert_array_equal(settled.vertices, mesh.vertices)
     assert report["seen_share"] == 0
 
@@ -121,7 +121,7 @@ def test_images_are_read_as_the_library_reads_maps():
     rng = np.random.default_rng(0)
     image = rng.uniform(size=(7, 9, 2)).astype(np.float32)
     positions = rng.uniform((-2, -2), (11, 9), (200, 2)).astype(np.float32)
-    read = settling._read(image, *positions.T)
+    read = photo_refine._read(image, *positions.T)
     for channel in range(2):
         expected = jax.vmap(sample_bilinear, in_axes=(None, 0))(
             jnp.asarray(image[..., channel]), jnp.asarray(positions)
@@ -135,4 +135,4 @@ def test_images_are_read_as_the_library_reads_maps():
 )
 def test_wrong_settings_are_named(wrong, fault):
     with pytest.raises(ValueError, match=fault):
-        Settling(**wrong)
+        PhotoRefinement(**wrong)

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.meshing import boxes
-from gsjax.meshing.boxes import Box, Region
+from gsjax.meshing import regions
+from gsjax.meshing.regions import Box, Region
 
 UNIT = Box((-1, -1, -1), (1, 1, 1))
 
@@ -45,49 +45,49 @@ def test_a_region_leaves_its_inner_box_out():
 def test_the_robust_box_ignores_a_few_strays():
     points = np.random.default_rng(0).uniform(-1, 1, (10_000, 3))
     points[:20] = 1000
-    box = boxes.robust_box(points)
+    box = regions.robust_box(points)
     assert np.all(box.low < -1) and np.all(box.low > -1.5)
     assert np.all(box.high > 1) and np.all(box.high < 1.5)
 
 
 def test_points_in_a_plane_or_in_one_place_have_a_box():
     flat = np.random.default_rng(0).uniform(-1, 1, (100, 3)) * [1, 1, 0]
-    assert boxes.robust_box(flat).contains(flat).mean() > 0.9
-    assert boxes.robust_box(np.full((5, 3), 7.0)).contains(np.full((1, 3), 7.0)).all()
+    assert regions.robust_box(flat).contains(flat).mean() > 0.9
+    assert regions.robust_box(np.full((5, 3), 7.0)).contains(np.full((1, 3), 7.0)).all()
 
 
 def test_an_even_spread_is_one_region_with_nearly_all_of_it():
     points = np.random.default_rng(0).uniform([-1, -2, 0], [1, 2, 0.5], (10_000, 3))
-    regions = boxes.near_and_far(points)
-    assert set(regions) == {"foreground"}
-    assert regions["foreground"].contains(points).all()
+    boxes = regions.near_and_far(points)
+    assert set(boxes) == {"foreground"}
+    assert boxes["foreground"].contains(points).all()
 
 
 def test_a_long_tail_is_a_background_of_its_own():
     rng = np.random.default_rng(0)
     near, far = rng.uniform(-1, 1, (9_000, 3)), rng.uniform(-4, 4, (1_000, 3))
     points = np.concatenate([near, far])
-    regions = boxes.near_and_far(points)
-    assert set(regions) == {"foreground", "background"}
-    inside, outside = (region.contains(points) for region in regions.values())
+    boxes = regions.near_and_far(points)
+    assert set(boxes) == {"foreground", "background"}
+    inside, outside = (region.contains(points) for region in boxes.values())
     assert inside[:9_000].all()
     assert outside.sum() > 700
     assert not np.any(inside & outside)
     np.testing.assert_allclose(
-        regions["background"].box.longest, boxes.BACKGROUND_FACTOR * regions["foreground"].box.longest
+        boxes["background"].box.longest, regions.BACKGROUND_FACTOR * boxes["foreground"].box.longest
     )
-    assert boxes.near_only(points)["foreground"].corners() == regions["foreground"].corners()
+    assert regions.near_only(points)["foreground"].corners() == boxes["foreground"].corners()
 
 
 def test_given_boxes_are_taken_as_they_are():
-    regions = boxes.fixed_boxes(UNIT, UNIT.scaled(2))
-    assert regions["foreground"].corners() == [[-1.0] * 3, [1.0] * 3]
-    assert regions["background"].corners() == [[-2.0] * 3, [2.0] * 3]
-    assert set(boxes.fixed_boxes(UNIT)) == {"foreground"}
+    boxes = regions.fixed_boxes(UNIT, UNIT.scaled(2))
+    assert boxes["foreground"].corners() == [[-1.0] * 3, [1.0] * 3]
+    assert boxes["background"].corners() == [[-2.0] * 3, [2.0] * 3]
+    assert set(regions.fixed_boxes(UNIT)) == {"foreground"}
 
 
 def test_a_foreground_is_the_middle_nine_tenths_half_as_large_again():
     along = np.concatenate([np.full(50, -10.0), np.linspace(-1, 1, 901), np.full(50, 10.0)])
-    regions = boxes.near_and_far(np.repeat(along[:, None], 3, axis=1))
-    np.testing.assert_allclose(regions["foreground"].corners(), [[-1.5] * 3, [1.5] * 3])
-    np.testing.assert_allclose(regions["background"].corners(), [[-6.0] * 3, [6.0] * 3])
+    boxes = regions.near_and_far(np.repeat(along[:, None], 3, axis=1))
+    np.testing.assert_allclose(boxes["foreground"].corners(), [[-1.5] * 3, [1.5] * 3])
+    np.testing.assert_allclose(boxes["background"].corners(), [[-6.0] * 3, [6.0] * 3])

@@ -10,11 +10,11 @@ from small_scenes import camera_at, cloud
 from tolerances import assert_close
 
 from gsjax import config
-from gsjax.binding import refining
+from gsjax.binding import refinement
 from gsjax.binding.bound import bind, to_mesh
-from gsjax.binding.hybrid import Hybrid, with_free
 from gsjax.binding.mesh_terms import mesh_graph, normal_consistency
-from gsjax.binding.refining import PRESETS, Refinement, RefinementRates
+from gsjax.binding.mixed_gaussians import MixedGaussians, with_free
+from gsjax.binding.refinement import PRESETS, Refinement, RefinementRates
 from gsjax.errors import InputError
 from gsjax.metrics import geometry
 from gsjax.rendering import gallery
@@ -68,8 +68,10 @@ def scene():
 
 def started(scene, free=None):
     bound = bind(scene.rough, per_triangle=1, thickness=SETTINGS.thickness * EXTENT, sh_degree=0)
-    optimizer = refining.make_optimizer(SETTINGS, EXTENT, scene.rough.num_vertices)
-    return refining.initial_state(Hybrid(bound) if free is None else with_free(bound, free), optimizer), optimizer
+    optimizer = refinement.make_optimizer(SETTINGS, EXTENT, scene.rough.num_vertices)
+    return refinement.initial_state(
+        MixedGaussians(bound) if free is None else with_free(bound, free), optimizer
+    ), optimizer
 
 
 def refined(scene, *, capacity, state=None):
@@ -84,7 +86,7 @@ def refined(scene, *, capacity, state=None):
 
     fresh, optimizer = started(scene)
     state = fresh if state is None else jax.tree.map(jnp.asarray, state)
-    final = refining.refine(
+    final = refinement.refine(
         SETTINGS,
         scene.graph,
         scene.data,
@@ -105,7 +107,8 @@ def whole(scene):
 
 
 def distance(mesh: Mesh, truth: Mesh) -> float:
-    return geometry.chamfer(*(geometry.sample_surface(m, 4000, seed=0)[0] for m in (mesh, truth)))
+    a, b = (geometry.sample_surface(each, 4000, seed=0)[0] for each in (mesh, truth))
+    return (geometry.nearest(a, b)[0].mean() + geometry.nearest(b, a)[0].mean()) / 2
 
 
 def test_refinement_brings_the_mesh_to_the_truth(scene, whole):
@@ -172,7 +175,7 @@ def beside(scene):
 
     weights = replace(SETTINGS.weights, alpha=0.0)
     options = {"capacity": 16384, "background": BACKGROUNDS["black"], "sh_every": 10}
-    step = refining.make_refine_step(started(scene)[1], weights, **options)
+    step = refinement.make_refine_step(started(scene)[1], weights, **options)
     return SimpleNamespace(state=state, means=np.asarray(free.means), step=partial(step, scene.graph))
 
 
@@ -217,16 +220,16 @@ def test_free_gaussians_that_no_view_sees_leave_the_rest_as_it_is(scene, beside,
 def test_the_ramp_of_the_harmonics_is_for_those_that_begin(scene):
     gaussians = started(scene, cloud(3, sh_degree=0))[0].gaussians
     gaussians = replace(gaussians, free=replace(gaussians.free, sh_rest=jnp.zeros((3, 15, 3), jnp.float32)))
-    degrees = refining.active_degrees(gaussians, jnp.int32(1))
+    degrees = refinement.active_degrees(gaussians, jnp.int32(1))
     np.testing.assert_array_equal(degrees, [1] * gaussians.bound.num_gaussians + [3] * 3)
-    assert refining.active_degrees(Hybrid(gaussians.bound), jnp.int32(1)).shape == ()
+    assert refinement.active_degrees(MixedGaussians(gaussians.bound), jnp.int32(1)).shape == ()
 
 
 def test_the_rates_are_those_of_the_mesh_and_of_training():
     mesh = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8))
     gaussians = with_free(bind(mesh, per_triangle=1, thickness=1e-3), cloud(2, sh_degree=3))
-    optimizer = refining.make_optimizer(Refinement(steps=500), 2.0, 400)
-    parameters = refining.with_faces(gaussians, None)
+    optimizer = refinement.make_optimizer(Refinement(steps=500), 2.0, 400)
+    parameters = refinement.with_faces(gaussians, None)
     ones = jax.tree.map(jnp.ones_like, parameters)
     with jax.numpy_dtype_promotion("standard"):
         updates, _ = jax.jit(optimizer.update)(ones, jax.jit(optimizer.init)(parameters), parameters)
@@ -242,9 +245,9 @@ def test_the_rates_are_those_of_the_mesh_and_of_training():
 
 def test_the_rates_of_bound_gaussians_fall_in_the_last_third_where_they_are_asked_to():
     mesh = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32), np.zeros((3, 3), np.uint8))
-    parameters = refining.with_faces(Hybrid(bind(mesh, per_triangle=1, thickness=1e-3)), None)
+    parameters = refinement.with_faces(MixedGaussians(bind(mesh, per_triangle=1, thickness=1e-3)), None)
     rates = RefinementRates(vertices=1e-3, vertices_final=1e-3, final_share=0.1)
-    optimizer = refining.make_optimizer(Refinement(steps=6, rates=rates), 2.0, 400)
+    optimizer = refinement.make_optimizer(Refinement(steps=6, rates=rates), 2.0, 400)
     ones, state = jax.tree.map(jnp.ones_like, parameters), jax.jit(optimizer.init)(parameters)
     moved = []
     for _ in range(6):
@@ -263,11 +266,11 @@ def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):
         trained_with.append(weights)
         return lambda graph, state, target, key: (state, SimpleNamespace(overflowed=False, finite=True, needed=1))
 
-    monkeypatch.setattr(refining, "make_refine_step", make_refine_step)
+    monkeypatch.setattr(refinement, "make_refine_step", make_refine_step)
     state, optimizer = started(scene)
     solid = tuple(with_pixels(f, f.pixels()._replace(matte=np.full((48, 48), 255, np.uint8))) for f in scene.frames)
     for data in (scene.data, batches.read_targets(solid)):
-        refining.refine(
+        refinement.refine(
             replace(SETTINGS, steps=1),
             scene.graph,
             data,
@@ -311,7 +314,7 @@ def test_a_term_whose_gradient_is_not_finite_is_named_with_its_step_and_photo(sc
     def norm_at_zero(gaussians, view, batch):
         return jnp.linalg.norm(view.colors - jax.lax.stop_gradient(view.colors), axis=-1).mean()
 
-    monkeypatch.setattr(refining, "TERMS", {**TERMS, "dssim": Term(norm_at_zero)})
+    monkeypatch.setattr(refinement, "TERMS", {**TERMS, "dssim": Term(norm_at_zero)})
     name = scene.frames[view_order(SETTINGS.seed, 0, len(scene.frames))].name
     with pytest.raises(InputError, match=f"^step 1, photo {name}: the gradient of the loss term 'dssim' is not finite"):
         refined(scene, capacity=16384)

@@ -13,7 +13,7 @@ from tolerances import assert_close
 from gsjax import rendering
 from gsjax.binding.bound import bind, means, to_gaussians, to_mesh
 from gsjax.binding.editing import rebound, with_vertices
-from gsjax.binding.hybrid import all_gaussians, with_free
+from gsjax.binding.mixed_gaussians import all_gaussians, with_free
 from gsjax.errors import InputError
 from gsjax.gaussians import covariances, take
 from gsjax.scene.meshes import Mesh

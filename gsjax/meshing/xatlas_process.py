@@ -1,4 +1,4 @@
-"""Unfolds a mesh with xatlas: `python unfold.py MESH.npz ATLAS.npz`. What `gsjax.meshing.atlas` starts, to survive it.
+"""Unfold a mesh with xatlas, in the process that `gsjax.meshing.atlas` starts: `xatlas_process.py MESH.npz ATLAS.npz`.
 
 In: `vertices` [V, 3] float32 and `faces` [F, 3] uint32 of a mesh whose mean triangle has area 1, `size` and `padding`
 in texels. Out: `uvs` [U, 2] in 0..1 of a picture of `width` by `height` texels (only about `size`), `vertices` [U],

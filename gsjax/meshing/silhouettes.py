@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gsjax.meshing.pictures import depth_of_mesh
-from gsjax.meshing.rays import ray_caster
+from gsjax.meshing.ray_queries import ray_caster
 from gsjax.scene import Frame, Scene
 from gsjax.scene.meshes import Mesh
 
@@ -18,7 +18,7 @@ MOST_PHOTOS, MOST_PIXELS = 24, 1 << 18  # of each photo: rays at all of them tak
 IS_OBJECT = 127  # of 255: a pixel's coverage above which it is the object's
 
 
-class Outline(NamedTuple):
+class Silhouette(NamedTuple):
     """The matte of one photo, at evenly spaced pixels of it."""
 
     viewmat: np.ndarray  # [4, 4] world to camera
@@ -35,7 +35,7 @@ class Overlap(NamedTuple):
     object_alone: float
 
 
-def outlines_of(scene: Scene) -> tuple[Outline, ...]:
+def silhouettes_of(scene: Scene) -> tuple[Silhouette, ...]:
     """Those of at most `MOST_PHOTOS` photos, evenly chosen; none where one of them has no matte.
 
     Held-out photos count too: nothing was trained on their pixels.
@@ -56,7 +56,7 @@ def outlines_of(scene: Scene) -> tuple[Outline, ...]:
     return tuple(found)
 
 
-def _outline(frame: Frame) -> Outline | None:
+def _outline(frame: Frame) -> Silhouette | None:
     _, matte, valid = frame.pixels()
     if matte is None:
         return None
@@ -65,7 +65,7 @@ def _outline(frame: Frame) -> Outline | None:
     # The centre of the first pixel that is taken is to be the centre of the first one of the smaller picture.
     K = frame.K.astype(np.float64)
     K[:2, 2] -= every // 2 + 0.5 - every / 2
-    return Outline(
+    return Silhouette(
         frame.viewmat,
         np.diag([1 / every, 1 / every, 1]) @ K,
         matte[taken] > IS_OBJECT,
@@ -73,7 +73,7 @@ def _outline(frame: Frame) -> Outline | None:
     )
 
 
-def overlap(mesh: Mesh, outlines: Sequence[Outline]) -> Overlap:
+def overlap(mesh: Mesh, outlines: Sequence[Silhouette]) -> Overlap:
     """How the outlines of a mesh cover those of the object.
 
     Args:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gsjax.meshing import extract_mesh
-from gsjax.meshing.agreed_depth import AGREEING, SAME_SURFACE, SHARE, agreed_pictures, agreed_poisson
+from gsjax.meshing.consistent_depth import AGREEING, SAME_SURFACE, SHARE, consistent_pictures, consistent_poisson
 from gsjax.normals.from_depth import smoothed_depth_normals
 from gsjax.rendering.gallery import Picture
 from gsjax.rendering.shown_depths import ShownDepth, coarse_depth
@@ -44,7 +44,7 @@ def in_lump(x):
 def agreed(xs, pictures, told=None):
     cameras = [camera(x) for x in xs]
     shown = list(map(coarse_depth, cameras, pictures))
-    return list(agreed_pictures(cameras, pictures, shown, told or {}))
+    return list(consistent_pictures(cameras, pictures, shown, told or {}))
 
 
 XS = APART * np.arange(-2, 3)
@@ -114,7 +114,7 @@ def test_what_a_photo_tells_takes_the_place_of_the_rendered_depth():
 def test_the_mesh_of_a_ball_is_a_ball(ball):
     cameras, pictures = ball.views
     shown = list(map(coarse_depth, cameras, pictures))
-    method = agreed_poisson(smoothed_depth_normals, 100_000, shown=shown, told={})
+    method = consistent_poisson(smoothed_depth_normals, 100_000, shown=shown, told={})
     mesh, report = extract_mesh(ball.gaussians, cameras, pictures, method=method)
     assert np.quantile(np.abs(np.linalg.norm(mesh.vertices, axis=1) - 1), 0.99) < 0.05
     assert report["seen"]["photos_that_tell"] == 0
