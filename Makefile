@@ -4,17 +4,17 @@
 
 VENV ?= .venv
 EXTRAS ?=
-PYTHON ?= $(firstword $(foreach name,python3 python3.13 python3.12 python3.11,$(shell \
+PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 python3.11,$(shell \
 	$(name) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $(name))) python3)
 BIN := $(VENV)/bin
 comma := ,
 INSTALLED := $(VENV)/.installed$(subst $(comma),-,$(EXTRAS:%=-%))
-PYTHONS ?= 3.11 3.12 3.13
+PYTHONS ?= 3.11 3.12 3.13 3.14
 MATRIX_TESTS ?= tests/rasterizer
 IN_PARALLEL := --numprocesses auto --dist loadfile --no-loadscope-reorder
 OPEN3D_LIBRARIES := libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 libidn2-0
 
-.PHONY: demo ready test test-all check lint docs wheel matrix rasterizer words libraries clean
+.PHONY: demo ready test test-all check lint docs wheel oldest matrix rasterizer words libraries clean
 
 demo: $(INSTALLED)
 	$(BIN)/gsjax demo --out runs/demo
@@ -50,6 +50,11 @@ wheel: $(INSTALLED)
 	python=$$(cd $(BIN) && pwd)/python && cd "$$folder" && \
 	PYTHONPATH="$$folder/installed" "$$python" "$$root/tests/installed_wheel.py" "$$root"
 
+# The tests with the oldest jax and optax that pyproject.toml allows.
+oldest: $(INSTALLED)-test
+	$(BIN)/python -m pip install --quiet $(shell sed -nE 's/^ *"(jax|optax)>=([0-9.]+).*/\1==\2/p' pyproject.toml)
+	$(BIN)/python -m pytest $(IN_PARALLEL)
+
 # The tests of the rasterizer, on each Python of this machine with the newest jax that pyproject.toml lets it take.
 matrix:
 	@failed=; for version in $(PYTHONS); do \
@@ -81,16 +86,16 @@ clean:
 
 # A stamp is newer than pyproject.toml where what it asks for is installed.
 $(INSTALLED): $(BIN)/python pyproject.toml
-	$(BIN)/python -m pip install --quiet --editable '.$(EXTRAS:%=[%])'
+	$(BIN)/python -m pip install --quiet --editable '.[all$(EXTRAS:%=,%)]'
 	@$(load_open3d)
 	@touch $@
 
 $(INSTALLED)-test: $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --editable '.[test,dev]'
+	$(BIN)/python -m pip install --quiet --editable '.[all,test,dev]'
 	@touch $@
 
 $(INSTALLED)-docs: $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	$(BIN)/python -m pip install --quiet --editable '.[all,docs]'
 	@touch $@
 
 $(BIN)/python:

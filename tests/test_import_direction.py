@@ -40,7 +40,7 @@ LAYERS = {
     "io": Layer(
         ("gsjax.io",),
         ("vocabulary", "analytic", "normals"),
-        ("jax", "numpy", "scipy", "tqdm", "cv2", "PIL", "pycolmap", "packaging"),
+        ("jax", "numpy", "scipy", "tqdm", "cv2", "PIL", "pycolmap"),
     ),
     "networks": Layer(("gsjax.networks",), ("vocabulary", "normals", "io"), ("jax", "numpy", "cv2", "onnxruntime")),
     "stereo": Layer(("gsjax.stereo",), ("vocabulary", "io"), ("jax", "numpy", "scipy", "cv2", "tqdm")),

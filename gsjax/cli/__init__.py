@@ -34,6 +34,7 @@ from gsjax.cli import (
 )
 from gsjax.cli.stopping import SIGNALS, Stopping
 from gsjax.errors import InputError, is_out_of_memory
+from gsjax.io.packages import check_installed
 
 OF_A_NAME = {errno.ENAMETOOLONG, errno.EACCES, errno.EPERM}
 """Errors of files and folders whose names are too long or that this user may not read."""
@@ -79,7 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = parser().parse_args(argv)
     except SystemExit as stop:  # After --help, or with argparse's own message about the arguments.
         return int(stop.code or 0)
-    return run_guarded(lambda: arguments.run(arguments))
+    return run_guarded(lambda: check_installed(*arguments.packages) or arguments.run(arguments))
 
 
 def run_guarded(action: Callable[[], int | None]) -> int:

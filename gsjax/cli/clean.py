@@ -19,6 +19,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             --undo brings them back, and FILE.cleaned.png shows before and after.
         """,
         example="gsjax clean runs/garden --crop-to-cameras",
+        packages=("matplotlib",),
     )
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")

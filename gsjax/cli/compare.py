@@ -17,6 +17,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             their seed alone are pooled: mean, and least and most.
         """,
         example="gsjax compare runs/garden runs/garden_vanilla --out compared.html",
+        packages=("jinja2", "matplotlib"),
     )
     parser.add_argument("run_folders", metavar="RUN", nargs="+", help="folders that `gsjax train` or `refine` made")
     parser.add_argument("--out", metavar="FILE", required=True, help="the page, .html")

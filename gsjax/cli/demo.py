@@ -21,6 +21,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             side by side. Needs no data and takes minutes on a CPU.
         """,
         example="gsjax demo --out runs/demo",
+        packages=("open3d", "trimesh", "pycolmap", "matplotlib"),
     )
     parser.add_argument("--out", metavar="DIR", default="runs/demo", help="folder for the results (default: runs/demo)")
 

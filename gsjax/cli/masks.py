@@ -19,6 +19,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             licence, and how a record describes another network.
         """,
         example="gsjax masks photos/ --network pphumanseg --weights human_segmentation_pphumanseg_2023mar.onnx",
+        packages=("onnxruntime", "cv2"),
     )
     add = parser.add_argument
     add("photos", metavar="PHOTOS_OR_SCENE", help="folder of photos, or of a data set")

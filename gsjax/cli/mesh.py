@@ -21,6 +21,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             has no cameras: give --scene, or some are placed around (or, in a room, within) the Gaussians.
         """,
         example="gsjax mesh runs/garden --out garden.glb",
+        packages=("open3d", "trimesh"),
         listing=_methods,
     )
     add = parser.add_argument

@@ -20,6 +20,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             where each network's are, under which licence, and how a record describes another network.
         """,
         example="gsjax normals scenes/garden --network moge2 --weights moge-2-vitb-normal.onnx",
+        packages=("onnxruntime", "cv2"),
     )
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")

@@ -20,11 +20,13 @@ def add_command(
     summary: str,
     description: str,
     example: str,
+    packages: tuple[str, ...] = (),
     listing: Callable[[], str] | None = None,
 ) -> argparse.ArgumentParser:
     """Adds a command that `run` carries out, whose exit code may be its own; the caller adds its arguments.
 
-    The help has what `listing` returns before the example. It is called when the help is printed: its imports delay no
+    `packages` are those of the extras that the command cannot do without: it ends at once where one is absent. The help
+    has what `listing` returns before the example. It is called when the help is printed: its imports delay no
     command.
     """
     parser = commands.add_parser(
@@ -35,7 +37,7 @@ def add_command(
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, packages=packages)
     if listing is not None:
         usual = parser.format_help
 

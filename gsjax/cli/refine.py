@@ -21,6 +21,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             and `gsjax render OUT` take it.
         """,
         example="gsjax refine runs/garden --mesh garden.ply --out runs/garden_refined",
+        packages=("open3d", "trimesh"),
     )
     add = parser.add_argument
     add("run_folder", metavar="RUN", help="folder that `gsjax train` made")

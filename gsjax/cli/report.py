@@ -18,6 +18,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             refine, scan, eval and mesh write it too; a run that is not finished shows what there is.
         """,
         example="gsjax report runs/garden",
+        packages=("jinja2", "matplotlib"),
     )
     parser.add_argument("run_folder", metavar="RUN", help="folder that `gsjax train`, `refine` or `scan` made")
 

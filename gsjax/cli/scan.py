@@ -22,6 +22,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             `gsjax sfm` does it, with the same options.
         """,
         example="gsjax scan photos/ --out scans/garden",
+        packages=("open3d", "trimesh", "matplotlib"),
     )
     add = parser.add_argument
     add("source", metavar="PHOTOS_OR_VIDEO", help="folder of photos, a video, or a data set")

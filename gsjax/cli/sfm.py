@@ -25,6 +25,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             you have the weights of a network (docs/tasks/hard_photos.md).
         """,
         example="gsjax sfm photos/ --out scenes/garden",
+        packages=("pycolmap", "cv2"),
     )
     parser.add_argument(
         "photos", metavar="PHOTOS_OR_VIDEO", help="folder of overlapping photos of one still scene, or a video of it"

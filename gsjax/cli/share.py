@@ -20,6 +20,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             run behind a switch. It needs no network and no server: open it, or send it.
         """,
         example="gsjax share runs/garden --out garden.html",
+        packages=("jinja2",),
     )
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")

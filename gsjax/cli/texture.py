@@ -17,6 +17,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             show there. Where none does, the mesh's own vertex colours stand.
         """,
         example="gsjax texture runs/garden --mesh garden.ply --out garden.glb",
+        packages=("open3d", "trimesh"),
     )
     parser.add_argument("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
     parser.add_argument("--mesh", metavar="FILE", required=True, help="the mesh that `gsjax mesh` made of it")

@@ -18,6 +18,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             a data set that trains the same. Normal maps made of DIR/images belong to `gsjax train DIR`.
         """,
         example="gsjax undistort scenes/garden --out scenes/garden_pinhole",
+        packages=("pycolmap", "cv2"),
     )
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")

@@ -18,6 +18,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             cameras with their photos.
         """,
         example="gsjax view runs/garden",
+        packages=("viser",),
     )
     add = parser.add_argument
     add("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians (.ply,"

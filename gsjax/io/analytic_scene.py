@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from PIL import Image
 from tqdm import tqdm
 
 from gsjax.analytic import solids, true_surface
@@ -116,7 +117,6 @@ def _write_parts(folder: Path, num_views: int, size: tuple[int, int], seed: int,
 
 
 def _write_view(folder: Path, name: str, camera: Camera, view: solids.Trace) -> None:
-    Image = require("PIL.Image", "pip install pillow")
     Image.fromarray(to_bytes(view.colors)).save(folder / "images" / f"{name}.png")
     np.savez_compressed(folder / "depth" / f"{name}.npz", depth=view.depth, label=view.labels)
     seen, turn = np.asarray(view.normals), np.asarray(rotation(camera))
@@ -156,7 +156,7 @@ def _first_of_each(usable: np.ndarray, on_table: np.ndarray, counts: tuple[int, 
 
 def _write_model(folder: Path, samples: _Samples, cameras: list[Camera], seed: int) -> None:
     """Poses, and noisy points with the pixels of the views that see them, as structure from motion leaves them."""
-    pycolmap = require("pycolmap", "pip install pycolmap")
+    pycolmap = require("pycolmap")
     rng = np.random.default_rng(seed)
     chosen = _first_of_each(samples.seen.sum(axis=0) >= 2, samples.on_table, SPARSE_POINTS)
     points, seen = samples.points[chosen], _limited(samples.seen[:, chosen], rng)

@@ -10,7 +10,7 @@ import numpy as np
 
 from gsjax.io.colmap_model import Model, PosedImage, read_model
 from gsjax.io.image_folders import found_files
-from gsjax.io.lenses import pycolmap_camera
+from gsjax.io.lenses import camera_points
 from gsjax.io.photo_names import local_names, short_name
 from gsjax.io.photos import Capture, Photo
 from gsjax.io.random_points import points_in_view, tell_of_random_points
@@ -72,8 +72,7 @@ def _observations(model: Model, image: PosedImage) -> tuple[np.ndarray, np.ndarr
     seen = (model.point_ids[rows] == wanted) & is_float32(pixels).all(axis=1)
     if not seen.any():
         return np.empty(0, np.int32), np.empty((0, 2), np.float32)
-    camera = pycolmap_camera(model.cameras[image.camera])
-    rays = np.asarray(camera.cam_from_img(pixels[seen]), np.float64)[:, :2]
+    rays = camera_points(model.cameras[image.camera], pixels[seen])
     usable = is_float32(rays).all(axis=1)
     return rows[seen][usable].astype(np.int32), rays[usable].astype(np.float32)
 

@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.colmap_records import KEYPOINT, ImageRecord, by_id, camera_models, decode_text
+from gsjax.io.colmap_records import CAMERA_MODELS, KEYPOINT, ImageRecord, by_id, decode_text
 from gsjax.io.files import read_bytes
 from gsjax.io.lenses import Lens
 
@@ -88,10 +88,10 @@ def _records(file: Path, record_at: Callable[[bytes, int], tuple[Record, int]]) 
 
 def _camera_at(data: bytes, at: int) -> tuple[tuple[int, Lens], int]:
     camera, number, width, height = _CAMERA.unpack_from(data, at)
-    model = next((name for name, (known, _) in camera_models().items() if known == number), None)
+    model = next((name for name, (known, _) in CAMERA_MODELS.items() if known == number), None)
     if model is None:
         raise InputError(f"unknown camera model {number} of camera {camera}")
-    count = camera_models()[model][1]
+    count = CAMERA_MODELS[model][1]
     params = struct.unpack_from(f"<{count}d", data, at + _CAMERA.size)
     return (camera, Lens(model, width, height, params)), at + _CAMERA.size + 8 * count
 

@@ -1,7 +1,6 @@
 """What the files of a COLMAP model hold, binary or text alike, one record a camera, an image and a point."""
 
 from collections.abc import Iterable
-from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,7 +8,6 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.lenses import Lens
-from gsjax.io.packages import require
 
 KEYPOINT = np.dtype([("xy", "<f8", 2), ("point", "<i8")])
 NO_POINT = -1
@@ -24,13 +22,27 @@ class ImageRecord(NamedTuple):
     keypoints: np.ndarray  # [K] of KEYPOINT
 
 
-@cache
-def camera_models() -> dict[str, tuple[int, int]]:
-    """The camera models that COLMAP knows: name -> number and count of parameters."""
-    pycolmap = require("pycolmap", "pip install pycolmap")
-    known = {name: int(model) for name, model in pycolmap.CameraModelId.__members__.items() if name != "INVALID"}
-    counts = {name: len(pycolmap.Camera.create_from_model_name(0, name, 1.0, 1, 1).params) for name in known}
-    return {name: (known[name], counts[name]) for name in known}
+CAMERA_MODELS = {
+    "SIMPLE_PINHOLE": (0, 3),
+    "PINHOLE": (1, 4),
+    "SIMPLE_RADIAL": (2, 4),
+    "RADIAL": (3, 5),
+    "OPENCV": (4, 8),
+    "OPENCV_FISHEYE": (5, 8),
+    "FULL_OPENCV": (6, 12),
+    "FOV": (7, 5),
+    "SIMPLE_RADIAL_FISHEYE": (8, 4),
+    "RADIAL_FISHEYE": (9, 5),
+    "THIN_PRISM_FISHEYE": (10, 12),
+    "RAD_TAN_THIN_PRISM_FISHEYE": (11, 16),
+    "SIMPLE_DIVISION": (12, 4),
+    "DIVISION": (13, 5),
+    "SIMPLE_FISHEYE": (14, 3),
+    "FISHEYE": (15, 4),
+    "EUCM": (16, 6),
+    "EQUIRECTANGULAR": (17, 2),
+}
+"""COLMAP's camera models (`colmap/sensor/models.h`): name -> number, count of parameters."""
 
 
 def by_id(file: Path, cameras: Iterable[tuple[int, Lens]]) -> dict[int, Lens]:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.colmap_records import KEYPOINT, NO_POINT, ImageRecord, by_id, camera_models, decode_text
+from gsjax.io.colmap_records import CAMERA_MODELS, KEYPOINT, NO_POINT, ImageRecord, by_id, decode_text
 from gsjax.io.files import read_bytes
 from gsjax.io.lenses import Lens
 from gsjax.scene.similarity import is_float32
@@ -61,13 +61,13 @@ def _lines(file: Path) -> Iterator[tuple[int, str]]:
 def _camera(file: Path, number: int, line: str) -> tuple[int, Lens]:
     words = line.split()
     model = words[1].upper() if len(words) > 1 else ""
-    if model not in camera_models():
+    if model not in CAMERA_MODELS:
         raise InputError(f"{file}: unknown camera model {' '.join(words[1:2])!r} of camera {words[0]}")
     try:
         camera, width, height, *params = int(words[0]), int(words[2]), int(words[3]), *map(float, words[4:])
     except (ValueError, IndexError):
         raise InputError(f"{file}, line {number}: is no camera") from None
-    count = camera_models()[model][1]
+    count = CAMERA_MODELS[model][1]
     if len(params) != count:
         raise InputError(f"{file}: camera {camera} has {len(params)} parameters, {model} takes {count}")
     return camera, Lens(model, width, height, tuple(params))

@@ -38,7 +38,7 @@ def write_model(
     Raises:
         InputError: It cannot be written.
     """
-    pycolmap = require("pycolmap", "pip install pycolmap")
+    pycolmap = require("pycolmap")
     model = pycolmap.Reconstruction()
     cameras: dict[tuple, int] = {}
     for number, frame in enumerate(frames, 1):
@@ -66,7 +66,7 @@ def write_poses(folder: Path, viewmats: Mapping[str, np.ndarray]) -> None:
         folder: Of the model, replaced in place.
         viewmats: `[4, 4]` world to camera, by the images' names; images that are not named keep theirs.
     """
-    pycolmap = require("pycolmap", "pip install pycolmap")
+    pycolmap = require("pycolmap")
     read_model(folder)  # pycolmap does not tell what is cut, and may never return from it.
     with quiet(pycolmap):
         model = pycolmap.Reconstruction(folder)
@@ -90,7 +90,7 @@ def write_whole(model: "pycolmap.Reconstruction", folder: Path) -> None:
     Raises:
         InputError: It cannot be written.
     """
-    pycolmap = require("pycolmap", "pip install pycolmap")
+    pycolmap = require("pycolmap")
     make_folder(folder)
     try:
         with quiet(pycolmap):

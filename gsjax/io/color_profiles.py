@@ -8,13 +8,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from PIL import Image, ImageCms
 
 from gsjax.io.exif import is_adobe_rgb
 from gsjax.io.notices import print_first
-from gsjax.io.packages import require
-
-Image: Any = require("PIL.Image", "pip install pillow")
-ImageCms: Any = require("PIL.ImageCms", "pip install pillow")
 
 HDR = {16: "PQ", 18: "HLG"}
 """Transfer functions of high dynamic range, by their code points (ITU-T H.273)."""
@@ -101,7 +98,7 @@ def _to_srgb(profile: bytes) -> tuple[str, Any]:
         ValueError: It is for another kind of colours.
     """
     source = ImageCms.ImageCmsProfile(BytesIO(profile))
-    space = source.profile.xcolor_space.strip()
+    space = source.profile.xcolor_space.strip()  # pyright: ignore[reportAttributeAccessIssue]
     if space not in _MODES:
         raise ValueError(f"it is for colours of {space}")
     transform = ImageCms.buildTransform(

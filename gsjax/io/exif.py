@@ -3,9 +3,7 @@
 import re
 from typing import Any
 
-from gsjax.io.packages import require
-
-Image: Any = require("PIL.Image", "pip install pillow")
+from PIL import Image
 
 DETAILS, INTEROPERABILITY = 0x8769, 0xA005  # tables of tags within EXIF
 _ORIENTATION, _COLOR_SPACE, _INDEX = 0x0112, 0xA001, 0x0001

@@ -5,15 +5,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.files import atomic_path
-from gsjax.io.packages import require
+from gsjax.io.packages import Deferred
 from gsjax.scene.camera_path import Keyframes
 
-Image: Any = require("PIL.Image", "pip install pillow")
-cv2 = require("cv2", "pip install opencv-contrib-python-headless")
+cv2: Any = Deferred("cv2")
 
 CODECS = {".mp4": "vp09", ".webm": "VP90"}
 """VP9 in both: the wheels of OpenCV have no H.264, whose encoder is under the GPL."""

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from gsjax.errors import InputError
 from gsjax.io.color_profiles import in_mode, in_srgb
@@ -18,10 +19,9 @@ from gsjax.io.exif import orientation_of
 from gsjax.io.files import atomic_path
 from gsjax.io.machine import memory_for
 from gsjax.io.notices import print_first
-from gsjax.io.packages import require
+from gsjax.io.packages import Deferred, require
 
-cv2 = require("cv2", "pip install opencv-contrib-python-headless")
-Image: Any = require("PIL.Image", "pip install pillow")
+cv2: Any = Deferred("cv2")
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".heif", ".hif", ".avif")  # Of photos.
 _QUARTER_TURNS = 5, 6, 7, 8  # EXIF orientations that swap the sides
@@ -299,7 +299,7 @@ def _open(path: Path):
     with path.open("rb") as file:
         head = file.read(12)
     if head[4:8] == b"ftyp" and head[8:12] != b"avif":  # HEIC, whatever the name says: what an iPhone takes.
-        require("pillow_heif", "pip install pillow-heif").register_heif_opener()
+        require("pillow_heif").register_heif_opener()
     with _OPENING:
         limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
         try:

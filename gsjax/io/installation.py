@@ -5,7 +5,10 @@ Only the standard library is imported here, so that a broken installation can be
 
 import importlib
 import importlib.util
+import itertools
+import operator
 import os
+import re
 import shutil
 import sys
 from collections.abc import Iterator
@@ -14,12 +17,14 @@ from importlib import metadata
 from pathlib import Path
 
 from gsjax.io.machine import free_memory
+from gsjax.io.packages import EXTRAS, remedy
 
 MODULES = {"pillow": "PIL", "pillow-heif": "pillow_heif", "opencv-contrib-python-headless": "cv2"}
 """Of packages that are not imported by their own names."""
-HINTS = {"open3d": "; sudo apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 libidn2-0"}
 LEAST_MEMORY, LEAST_DISK = 3, 2  # GiB, below which a usual scene does not train, and a run has no room
 GIB = 2**30
+COMPARISONS = {">=": operator.ge, "<=": operator.le, "==": operator.eq, "!=": operator.ne, "<": operator.lt,
+               ">": operator.gt}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -45,7 +50,7 @@ def examine(folder: str | Path = ".") -> Iterator[Finding]:
     for finding in check_libraries():
         broken |= set() if finding.is_fine else {finding.name}
         yield finding
-    if not broken & {"jax", "numpy", "packaging"}:
+    if not broken & {"jax", "numpy"}:
         yield from check_device()
     yield check_memory()
     yield check_disk(Path(folder))
@@ -59,39 +64,56 @@ def version() -> str:
 
 
 def requirements() -> list[str]:
-    """What gsjax needs, with bounds of versions, extras left out."""
-    project = _project()
-    listed = metadata.requires("gsjax") or [] if project is None else project["dependencies"]
-    return [line.replace(" ", "") for line in listed if "extra ==" not in line]
+    """What the core needs, with bounds of versions; then what the extras of `gsjax.io.packages` need."""
+    project, extras = _project(), dict.fromkeys(EXTRAS.values())
+    if project is None:
+        listed = metadata.requires("gsjax") or []
+        markers = ["", *(f"extra == '{extra}'" for extra in extras)]
+        parts = [line.replace('"', "'").replace(" ;", ";").split("; ") for line in listed]
+        lines = [line for line, *marker in parts if "".join(marker) in markers]
+    else:
+        optional = project["optional-dependencies"]
+        lines = [*project["dependencies"], *(line for extra in extras for line in optional[extra])]
+    return list(dict.fromkeys(line.replace(" ", "") for line in lines))
 
 
 def check_libraries() -> Iterator[Finding]:
-    """Python, and each library: is it there, does it fit, does it load."""
+    """Python, and each library: is it there, does it fit, does it load. Those of extras may be absent."""
     python = ".".join(map(str, sys.version_info[:3]))
     yield Finding("python", sys.version_info >= (3, 11), python, "install Python 3.11 or newer")
-    try:
-        from packaging.requirements import Requirement
-    except ImportError:
-        yield Finding("packaging", False, "is not installed", "pip install packaging")
-        return
     for line in requirements():
-        wanted = Requirement(line)
-        remedy = f"pip install '{line}'{HINTS.get(wanted.name, '')}"
-        try:
-            found = metadata.version(wanted.name)
-        except metadata.PackageNotFoundError:
-            yield Finding(wanted.name, False, "is not installed", remedy)
-            continue
-        if not wanted.specifier.contains(found, prereleases=True):
-            yield Finding(wanted.name, False, f"{found} does not fit {wanted.specifier}", remedy)
-            continue
-        try:
-            importlib.import_module(MODULES.get(wanted.name, wanted.name))
-        except Exception as error:  # Whatever a broken library raises while it loads.
-            why = (str(error).splitlines() or [type(error).__name__])[0]
-            yield Finding(wanted.name, False, f"{found} does not load: {why}", remedy)
-        else:
-            yield Finding(wanted.name, True, found)
+        name = re.split("[<>=!]", line)[0]
+        yield _check_library(name, line.removeprefix(name))
+
+
+def _check_library(name: str, bounds: str) -> Finding:
+    module, install = MODULES.get(name, name), f"pip install '{name}{bounds}'"
+    try:
+        installed = metadata.version(name)
+    except metadata.PackageNotFoundError:
+        extra = EXTRAS.get(module)
+        absent = "is not installed" + (f"; the extra {extra} has it" if extra else "")
+        return Finding(name, extra is not None, absent, install)
+    if not _fits(installed, bounds):
+        return Finding(name, False, f"{installed} does not fit {bounds}", install)
+    try:
+        importlib.import_module(module)
+    except Exception as error:  # Whatever a broken library raises while it loads.
+        cause = (str(error).splitlines() or [type(error).__name__])[0]
+        return Finding(name, False, f"{installed} does not load: {cause}", remedy(module, error, install))
+    return Finding(name, True, installed)
+
+
+def _fits(version: str, bounds: str) -> bool:
+    """Whether a version lies within bounds such as `>=0.10.2,!=0.11.1,<0.13`."""
+    wanted = re.findall(r"(>=|<=|==|!=|<|>)([\d.]+)", bounds)
+    return all(COMPARISONS[sign](_release(version), _release(bound)) for sign, bound in wanted)
+
+
+def _release(version: str) -> tuple[int, ...]:
+    """The numbers of a version, up to the first part that holds more."""
+    parts = itertools.takewhile(str.isdecimal, version.split("."))
+    return tuple(map(int, parts))
 
 
 def check_device() -> Iterator[Finding]:

@@ -122,9 +122,21 @@ def resize_lens(lens: Lens, width: int, height: int) -> Lens:
     return replace(resized, model=model, params=params)
 
 
+def camera_points(lens: Lens, pixels: np.ndarray) -> np.ndarray:
+    """`[N, 2]` float64 x/z and y/z of the rays to `[N, 2]` float64 pixels; NaN where the lens has none."""
+    if lens.model in ("PINHOLE", "SIMPLE_PINHOLE"):
+        return _rays(pixels, _pinhole_matrix(lens))[:, :2]
+    return np.asarray(pycolmap_camera(lens).cam_from_img(pixels), np.float64)[:, :2]
+
+
+def _pinhole_matrix(lens: Lens) -> np.ndarray:
+    fx, fy, cx, cy = lens.params if lens.model == "PINHOLE" else (lens.params[0], *lens.params)
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+
+
 def pycolmap_camera(lens: Lens):
     """The lens as a `pycolmap.Camera`."""
-    pycolmap = require("pycolmap", "pip install pycolmap")
+    pycolmap = require("pycolmap")
     return pycolmap.Camera(model=lens.model, width=lens.width, height=lens.height, params=list(lens.params))
 
 
@@ -147,9 +159,7 @@ def pinhole_views(lens: Lens) -> tuple[PinholeView, ...]:
     if lens.model == "EQUIRECTANGULAR":
         return _cube_faces(lens)
     if lens.model in ("PINHOLE", "SIMPLE_PINHOLE"):
-        fx, fy, cx, cy = lens.params if lens.model == "PINHOLE" else (lens.params[0], *lens.params)
-        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-        return (PinholeView("", np.eye(3), K, lens.width, lens.height, None, None),)
+        return (PinholeView("", np.eye(3), _pinhole_matrix(lens), lens.width, lens.height, None, None),)
     camera = pycolmap_camera(lens)
     if "FISHEYE" in lens.model and _corner_angle(camera) > _WIDEST:
         return _fisheye_faces(lens)

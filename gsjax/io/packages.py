@@ -1,33 +1,94 @@
-"""Packages that only some ways in need: loaded where they are used, and missed in one line."""
+"""Packages of the extras, as in `pip install 'gsjax[mesh]'`: loaded on first use, and named in a line if missing."""
 
 import importlib
+import importlib.util
+import logging
 import signal
 import threading
 from types import ModuleType
+from typing import Any
 
 from gsjax.errors import InputError
 
+EXTRAS = {
+    "open3d": "mesh",
+    "trimesh": "mesh",
+    "xatlas": "mesh",
+    "cv2": "sfm",
+    "pillow_heif": "sfm",
+    "pycolmap": "sfm",
+    "jinja2": "view",
+    "matplotlib": "view",
+    "viser": "view",
+    "zstandard": "view",
+    "onnxruntime": "networks",
+}
+"""Module -> the extra of `pyproject.toml` that installs it. OpenCV is in other extras too, which need it."""
+SYSTEM_LIBRARIES = {"open3d": "libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1 libidn2-0"}
+"""Packages of Debian and Ubuntu that a module loads."""
 
-def require(module: str, install: str) -> ModuleType:
-    """Imports a package, or says what to install.
 
-    Args:
-        module: Name to import.
-        install: What the user types to get it.
+class MissingPackageError(InputError):
+    """A package of an extra, or a system library under it, is absent."""
+
+
+class Deferred:
+    """A module that is imported when one of its attributes is first read."""
+
+    def __init__(self, module: str):
+        """Remember the name."""
+        self._module = module
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(require(self._module), name)
+
+
+def require(module: str) -> ModuleType:
+    """Import a package of an extra.
 
     Raises:
-        InputError: The package, or a system library under it, is absent.
+        MissingPackageError: It is absent. The message names the extra.
     """
     try:
         imported = importlib.import_module(module)
     except (ImportError, OSError) as error:
-        raise InputError(f"cannot load {module} ({str(error).splitlines()[0]}); install it with: {install}") from error
-    _answer_signals_ourselves()
+        cause, command = str(error).splitlines()[0], remedy(module, error, _install(module))
+        raise MissingPackageError(f"cannot load {module} ({cause}); install it with: {command}") from error
+    if module == "trimesh":  # It would print a traceback for a picture that is absent.
+        logging.getLogger("trimesh").setLevel(logging.CRITICAL)
+    _restore_sigterm()
     return imported
 
 
-def _answer_signals_ourselves() -> None:
-    """Take SIGTERM back from Google's log, which pycolmap loads: it would print a stack and clean nothing up."""
-    ours = signal.getsignal(signal.SIGTERM)
-    if ours is not None and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, ours)
+def check_installed(*modules: str) -> None:
+    """Look for packages without loading them.
+
+    Raises:
+        MissingPackageError: One is absent. The message names the extra.
+    """
+    for module in modules:
+        try:
+            is_installed = importlib.util.find_spec(module) is not None
+        except ImportError:
+            is_installed = False
+        if not is_installed:
+            raise MissingPackageError(f"{module} is not installed; install it with: {_install(module)}")
+
+
+def remedy(module: str, error: Exception, install: str) -> str:
+    """The command that installs what is absent: `install`, or that of the system libraries of an installed package."""
+    is_installed = not isinstance(error, ModuleNotFoundError)
+    if is_installed and module in SYSTEM_LIBRARIES:
+        return f"sudo apt-get install {SYSTEM_LIBRARIES[module]}"
+    return install
+
+
+def _install(module: str) -> str:
+    return f"pip install 'gsjax[{EXTRAS[module]}]'"
+
+
+def _restore_sigterm() -> None:
+    """Set our handler of SIGTERM again: Google's log, which pycolmap loads, replaces it below Python."""
+    handler = signal.getsignal(signal.SIGTERM)
+    if handler is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, handler)

@@ -223,7 +223,7 @@ def _read_zstandard(path: Path, data: bytes) -> tuple[_Header, list[bytes], byte
     place = table + 16 * len(filled)
     if table < start or len(data) < place:
         raise InputError(f"{path}: truncated or damaged, it ends within the table of its arrays")
-    zstandard = require("zstandard", "pip install zstandard")
+    zstandard = require("zstandard")
     _require_room(path, header)
     unpacked = []
     for index, size in enumerate(filled):

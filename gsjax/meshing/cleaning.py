@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gsjax.errors import NoSurfaceError
+from gsjax.io.packages import require
 from gsjax.meshing.connectivity import edge_table, face_components
-from gsjax.meshing.libraries import load_open3d
 from gsjax.scene.meshes import Mesh, face_area_vectors
 
 
@@ -118,7 +118,7 @@ def _decimate(mesh: Mesh, max_faces: int | None) -> Mesh:
     """At most `max_faces` triangles by quadric error, colours carried along."""
     if max_faces is None or mesh.num_faces <= max_faces:
         return mesh
-    o3d = load_open3d()
+    o3d = require("open3d")
     surface = o3d.geometry.TriangleMesh(
         o3d.utility.Vector3dVector(mesh.vertices.astype(np.float64)), o3d.utility.Vector3iVector(mesh.faces)
     )

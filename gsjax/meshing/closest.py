@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsjax.meshing.libraries import load_open3d
+from gsjax.io.packages import require
 from gsjax.scene.meshes import Mesh
 
 
@@ -23,7 +23,7 @@ def closest_on_mesh(mesh: Mesh, queries: np.ndarray) -> tuple[np.ndarray, np.nda
     Raises:
         InputError: Open3D cannot be loaded.
     """
-    open3d = load_open3d()
+    open3d = require("open3d")
     middle = 0.5 * (mesh.vertices.min(axis=0).astype(np.float64) + mesh.vertices.max(axis=0))
 
     def tensor(values: np.ndarray, dtype: type):

@@ -24,11 +24,11 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io import ply
 from gsjax.io.files import atomic_path
+from gsjax.io.packages import require
 from gsjax.io.place_files import state_beside
 from gsjax.meshing import glb, usdz
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.glb_parts import read_glb
-from gsjax.meshing.libraries import load_trimesh
 from gsjax.meshing.named_files import NamedFiles
 from gsjax.meshing.obj import read_obj
 from gsjax.meshing.parts import Part, TooOftenError, merge_parts, shown_colors, within_texture
@@ -162,7 +162,7 @@ def supported_suffix(path: Path) -> str:
 
 
 def _encoded_obj(mesh: Mesh, _: Place) -> bytes:
-    surface = load_trimesh().Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False)
+    surface = require("trimesh").Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False)
     size = spread(mesh.vertices) or 1.0
     return surface.export(file_type="obj", digits=max(DIGITS, DIGITS - math.floor(math.log10(size)))).encode()
 

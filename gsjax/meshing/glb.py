@@ -7,9 +7,9 @@ them, they stand about a point near by, which is the translation of their node.
 import numpy as np
 
 from gsjax.io.json_files import plain
+from gsjax.io.packages import require
 from gsjax.io.place_files import EXTRAS
 from gsjax.meshing.atlas import TexturedMesh
-from gsjax.meshing.libraries import load_trimesh
 from gsjax.scene.colors import linear_to_srgb, srgb_to_linear, to_bytes
 from gsjax.scene.georeference import UNPLACED, Place
 from gsjax.scene.meshes import Mesh
@@ -30,7 +30,7 @@ def encode_glb(mesh: Mesh, place: Place = UNPLACED, *, unlit: bool = False) -> b
     linear[:, :3] = srgb_to_linear(mesh.colors / 255)
     attributes = {OWN: np.rint(65535 * linear).astype(np.uint16)}
     vertices, offset = about_offset(mesh.vertices)
-    surface = load_trimesh().Trimesh(vertices, mesh.faces, vertex_attributes=attributes, process=False)
+    surface = require("trimesh").Trimesh(vertices, mesh.faces, vertex_attributes=attributes, process=False)
 
     def completed(tree: dict) -> None:
         primitive = tree["meshes"][0]["primitives"][0]
@@ -53,7 +53,7 @@ def encode_textured(textured: TexturedMesh, place: Place = UNPLACED) -> bytes:
     """
     from PIL import Image
 
-    trimesh, atlas = load_trimesh(), textured.atlas
+    trimesh, atlas = require("trimesh"), textured.atlas
     picture = Image.fromarray(np.ascontiguousarray(textured.texture))
     material = trimesh.visual.material.PBRMaterial(baseColorTexture=picture, metallicFactor=0.0, roughnessFactor=1.0)
     visual = trimesh.visual.TextureVisuals(uv=atlas.uvs * [1.0, -1.0] + [0.0, 1.0], material=material)

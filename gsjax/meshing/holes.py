@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gsjax.io.packages import require
 from gsjax.meshing.connectivity import edge_table, face_components
-from gsjax.meshing.libraries import load_open3d
 from gsjax.rendering.shown_depths import SAME_SURFACE, ShownDepth, depths_at
 from gsjax.scene.meshes import Mesh, face_area_vectors
 
@@ -52,7 +52,7 @@ def fill_holes(mesh: Mesh, views: Sequence[ShownDepth]) -> tuple[Mesh, HoleRepor
 
 def _patches(mesh: Mesh) -> np.ndarray:
     """`[F, 3]` triangles that close every hole that is not too wide."""
-    o3d = load_open3d()
+    o3d = require("open3d")
     vertices = np.ascontiguousarray(mesh.vertices, np.float64)
     surface = o3d.t.geometry.TriangleMesh(o3d.core.Tensor(vertices), o3d.core.Tensor(mesh.faces.astype(np.int64)))
     radius = WIDEST * float(np.linalg.norm(np.ptp(vertices, axis=0)))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gsjax.io import ply
-from gsjax.meshing.libraries import load_trimesh
+from gsjax.io.packages import require
 from gsjax.meshing.mtl import GREY
 from gsjax.meshing.named_files import NamedFiles
 from gsjax.meshing.parts import Part, split_corners, without_unused
@@ -35,7 +35,7 @@ def read_ply(path: Path, named: NamedFiles) -> list[Part]:
         textures = [named.texture(name) for name in names]
         has_texture = any(texture is not None for texture in textures)
         file.seek(0)
-        loaded = load_trimesh().exchange.ply.load_ply(file, skip_materials=True, fix_texture=has_texture)
+        loaded = require("trimesh").exchange.ply.load_ply(file, skip_materials=True, fix_texture=has_texture)
     elements = loaded.pop("metadata")["_ply_raw"]
     numbers = _texture_numbers(elements) if len(textures) > 1 else np.empty(0, int)
     del elements  # All of the file once more.
@@ -64,7 +64,7 @@ def read_ply(path: Path, named: NamedFiles) -> list[Part]:
 def _colored(path: Path, loaded: dict[str, Any], named: NamedFiles) -> Part:
     """All triangles with the colours of their vertices or, where these have none, of faces."""
     vertices, polygons = loaded["vertices"], loaded["faces"]
-    faces = load_trimesh().geometry.triangulate_quads(polygons)
+    faces = require("trimesh").geometry.triangulate_quads(polygons)
     colors, of_faces = ply.read_vertex_colors(path), loaded.get("face_colors")
     if colors is None and loaded.get("vertex_colors") is not None:  # Vertices with lists.
         colors = _bytes(loaded["vertex_colors"])

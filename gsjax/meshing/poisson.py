@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gsjax.errors import NoSurfaceError
+from gsjax.io.packages import require
 from gsjax.meshing.connectivity import edge_table
-from gsjax.meshing.libraries import load_open3d
 from gsjax.meshing.trimming import Support, Trim, adaptive
 from gsjax.scene.meshes import Mesh
 
@@ -117,7 +117,7 @@ def octree_for_cell(extent: float, cell: float, scale: float) -> tuple[int, floa
 def _as_cloud(points: np.ndarray, normals: np.ndarray, colors: np.ndarray):
     if not points.shape == normals.shape == colors.shape == (len(points), 3):
         raise ValueError(f"{points.shape=}, {normals.shape=}, {colors.shape=} must all be [P, 3]")
-    o3d = load_open3d()
+    o3d = require("open3d")
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
     cloud.normals = o3d.utility.Vector3dVector(normals.astype(np.float64))
     cloud.colors = o3d.utility.Vector3dVector(colors / 255.0)
@@ -131,7 +131,7 @@ def _without_outliers(cloud, options: PoissonOptions):
 
 
 def _poisson(cloud, depth: int, scale: float, options: PoissonOptions):
-    o3d = load_open3d()
+    o3d = require("open3d")
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         surface, densities = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
             cloud, depth=depth, scale=scale, linear_fit=options.linear_fit, n_threads=options.threads

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.meshing.libraries import load_open3d
+from gsjax.io.packages import require
 from gsjax.scene.meshes import Mesh, face_normals
 
 
@@ -27,7 +27,7 @@ STEP = 1e-4  # Of the distance, by which a ray goes on behind a back face.
 
 def ray_caster(mesh: Mesh) -> Cast:
     """The function that casts rays at a mesh; it holds the mesh's search tree."""
-    o3d = load_open3d()
+    o3d = require("open3d")
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(np.ascontiguousarray(mesh.vertices, np.float32), mesh.faces.astype(np.uint32))
 

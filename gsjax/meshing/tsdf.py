@@ -8,8 +8,8 @@ import numpy as np
 from gsjax.errors import NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.io.machine import require_memory
+from gsjax.io.packages import require
 from gsjax.meshing import level_set
-from gsjax.meshing.libraries import load_open3d
 from gsjax.meshing.mesh_method import Method, SurfaceSamples, typical_scale
 from gsjax.meshing.regions import Region
 from gsjax.rendering.gallery import Picture
@@ -79,7 +79,7 @@ def tsdf(*, voxel: float | None = None, min_alpha: float = 0.5, seed: int = 0) -
 
 def _fused(views: Sequence[DepthView], region: Region, voxel: float) -> Mesh:
     # The older ScalableTSDFVolume gives no triangles in Open3D 0.20; this grid grows by itself too.
-    o3d = load_open3d()
+    o3d = require("open3d")
     names, types, widths = ("tsdf", "weight", "color"), (o3d.core.float32,) * 3, (1, 1, 3)
     grid = o3d.t.geometry.VoxelBlockGrid(names, types, widths, voxel_size=voxel, block_resolution=BLOCK)
     for view in views:

@@ -74,7 +74,7 @@ class Graph:
 
 
 def _session(file: Path) -> Any:
-    runtime = require("onnxruntime", "pip install onnxruntime (with an NVIDIA GPU: onnxruntime-gpu)")
+    runtime = require("onnxruntime")
     options = runtime.SessionOptions()
     options.log_severity_level = _FATAL
     providers = [provider for provider in (GPU, CPU) if provider in runtime.get_available_providers()]

@@ -21,7 +21,7 @@ from gsjax.metrics.photos import score_images
 from gsjax.pipeline.train import train
 from gsjax.planning.blocks import FEWEST, Cell, cut, directions, photos_of
 from gsjax.planning.sizes import at_size, chosen_downscale
-from gsjax.report.page import report
+from gsjax.report.page import report_if_installed
 from gsjax.report.shown_views import picture_keeper
 from gsjax.runs.result import write_views
 from gsjax.runs.splits import split_of
@@ -196,7 +196,7 @@ def _merge(planned: Blocks, out: Path) -> None:
         figures = {"gaussians": gaussians.num_gaussians, "steps": count * total_steps(settings), **scores}
         told = f"{count} blocks of {', '.join(f'{part.num_gaussians:,}' for part in parts)} Gaussians"
         runs.update_manifest(run, status="done", photos=photos_line, blocks=told, **figures)
-    report(out)
+    report_if_installed(out)
 
 
 def _own(planned: Blocks, number: int) -> Gaussians:

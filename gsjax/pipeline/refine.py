@@ -34,7 +34,7 @@ from gsjax.meshing.pictures import depth_of_mesh, faces_of_pixels
 from gsjax.meshing.ray_queries import ray_caster
 from gsjax.metrics.photos import score_images
 from gsjax.planning.memory import keep_photos, plain_bytes
-from gsjax.report.page import report
+from gsjax.report.page import report_if_installed
 from gsjax.report.shown_views import picture_keeper
 from gsjax.runs.compilations import make_room
 from gsjax.runs.journal import Journal, starting_point
@@ -275,7 +275,7 @@ def _finish(
     }
     json_files.write(folder / "report.json", summary)
     runs.update_manifest(folder, status="done", peak_gib=round(peak_memory() / 2**30, 2), **summary)
-    report(folder)
+    report_if_installed(folder)
     return summary
 
 

@@ -35,7 +35,7 @@ from gsjax.planning.skies import given_skies
 from gsjax.planning.sparse_views import ENTRY, for_sparse_views
 from gsjax.planning.start import first_state, with_given_points, with_stereo_points
 from gsjax.rendering.engine import computes_on_cpu, engine_here
-from gsjax.report.page import report
+from gsjax.report.page import report_if_installed
 from gsjax.report.shown_views import keep_skies, picture_keeper
 from gsjax.runs.compilations import make_room
 from gsjax.runs.journal import starting_point
@@ -344,5 +344,5 @@ def _finish(
         "train_seconds": round(seconds, 1),
     }
     runs.update_manifest(run, status="done", peak_gib=round(peak_memory() / 2**30, 2), **summary)
-    report(run)
+    report_if_installed(run)
     return summary

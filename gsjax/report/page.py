@@ -7,14 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
 from gsjax import runs
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.files import atomic_path
 from gsjax.io.images import jpeg_bytes, read_image, resize
 from gsjax.io.machine import peak_memory, restart_peak_memory
+from gsjax.io.packages import MissingPackageError, require
 from gsjax.metrics.photos import score_images
 from gsjax.report import curves, shown_views
 from gsjax.report import facts as run_facts
@@ -60,6 +59,14 @@ def report(folder: str | Path) -> Path:
     )
 
 
+def report_if_installed(folder: str | Path) -> None:
+    """Write the report as `report` does; without the packages of the extra `view`, print a line instead."""
+    try:
+        report(folder)
+    except MissingPackageError as error:
+        print(f"no report: {error}", file=sys.stderr)
+
+
 def noted(run: str | Path, stage: str, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """Do the work of a stage on a run, and let the run tell of it.
 
@@ -100,6 +107,7 @@ def write_page(path: Path, template: str, **content: Any) -> Path:
     Raises:
         InputError: The file cannot be written.
     """
+    jinja2 = require("jinja2")
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("gsjax.report"),
         autoescape=True,

@@ -9,12 +9,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 
 from gsjax.gaussians import SH_C0, Gaussians
 from gsjax.io import json_files
 from gsjax.io.files import atomic_path
+from gsjax.io.packages import require
 from gsjax.io.spz import spz_bytes
 from gsjax.scene.cameras import Camera, viewmat_center
 from gsjax.scene.similarity import Similarity
@@ -49,6 +49,7 @@ def write_shared(path: str | Path, shared: Shared) -> dict[str, int]:
     splats, clipped = spz_bytes(shared.gaussians, path)
     parts = {"splats": splats, "mesh": shared.glb or b"", "libraries": LIBRARIES.read_bytes()}
     encoded = {name: b64encode(content).decode() for name, content in parts.items()}
+    jinja2 = require("jinja2")
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("gsjax.sharing"),
         autoescape=True,

@@ -13,7 +13,6 @@ FLAT = 1e-5  # variance of grey under which a window says nothing
 UNLIKE = 2.0  # the largest dissimilarity, and that of what no neighbour shows
 
 _HALF = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # OpenCV's pixel centres are whole numbers.
-_INVERSE = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 
 
 def inverse_depths(view: View) -> np.ndarray:
@@ -38,11 +37,12 @@ def dissimilarities(view: View, others: Sequence[View]) -> np.ndarray:
     variance = _windowed(view.gray * view.gray) - mean * mean
     found = np.empty((PLANES, height, width), np.float32)
     shown = [np.where(other.usable, other.gray, np.float32(-1)) for other in others]
+    inverse_map = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     for plane, inverse in enumerate(inverse_depths(view)):
         first, second = (np.full((height, width), 1 - UNLIKE, np.float32) for _ in range(2))
         for other, gray in zip(others, shown, strict=True):
             warp = _homography(view, other, inverse)
-            moved = cv2.warpPerspective(gray, warp, (width, height), flags=_INVERSE, borderValue=-1.0)
+            moved = cv2.warpPerspective(gray, warp, (width, height), flags=inverse_map, borderValue=-1.0)
             score = _correlation(view.gray, moved, mean, variance)
             score[moved < 0] = 1 - UNLIKE
             np.maximum(second, np.minimum(first, score), out=second)

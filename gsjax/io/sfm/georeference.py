@@ -19,7 +19,7 @@ from gsjax.io.sfm.shots import Shot, turned_pose
 from gsjax.scene.cameras import viewmat_centers
 from gsjax.scene.georeference import Place, turn_upright, up_of_cameras
 
-pycolmap = require("pycolmap", "pip install pycolmap")
+pycolmap = require("pycolmap")
 
 FEWEST = 3  # photos with GPS, of which one may be wrong only from four on
 _HELD_LEVEL = math.radians(1.0)  # what cameras are held level to, all of them alike

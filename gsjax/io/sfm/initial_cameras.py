@@ -10,7 +10,7 @@ from gsjax.io.packages import require
 from gsjax.io.sfm.focal_lengths import CameraKey, usable_prior
 from gsjax.io.sfm.shots import Shot
 
-pycolmap = require("pycolmap", "pip install pycolmap")
+pycolmap = require("pycolmap")
 
 _FULL_LENS_FROM = 5  # photos of one camera that pin two focal lengths and four numbers of distortion down
 _USUAL_FOCAL = 1.2  # longer sides of the photo, where EXIF states no focal length (COLMAP)

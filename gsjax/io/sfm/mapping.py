@@ -21,7 +21,7 @@ from gsjax.io.sfm.initial_cameras import PANORAMA, guess_cameras
 from gsjax.io.sfm.pairs import Pair, bridging_pairs, choose_pairs, likeliest_pairs, nearby_pairs
 from gsjax.io.sfm.shots import Shot
 
-pycolmap = require("pycolmap", "pip install pycolmap")
+pycolmap = require("pycolmap")
 
 _FEWEST_MATCHES = 15  # of a pair, after verification
 _ENOUGH_MATCHES = 500  # of a pair; with fewer, more are sought where the geometry of the pair puts them

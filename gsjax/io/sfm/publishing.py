@@ -16,7 +16,7 @@ from gsjax.io.photos import valid_of
 from gsjax.io.sfm.initial_cameras import PANORAMA
 from gsjax.io.sfm.shots import Shot, turned_pinhole, turned_points, turned_pose
 
-pycolmap = require("pycolmap", "pip install pycolmap")
+pycolmap = require("pycolmap")
 
 
 def write_dataset(model: Any, shots: list[Shot], folder: Path, progress: Callable[..., tqdm]) -> None:

@@ -1,6 +1,7 @@
 """What `gsjax --version` and `gsjax doctor` say of an installation, sound and broken."""
 
 import json
+import re
 import sys
 import tomllib
 from importlib import metadata
@@ -11,6 +12,7 @@ import pytest
 from gsjax import cli
 from gsjax.io import installation
 from gsjax.io.installation import Finding, check_cache, check_device, check_disk, check_libraries
+from gsjax.io.packages import EXTRAS
 
 PROJECT = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())["project"]
 pytestmark = pytest.mark.usefixtures("own_environment")
@@ -37,10 +39,35 @@ def test_the_version_is_told_without_loading_jax(capsys, monkeypatch):
 
 
 def test_bounds_are_those_of_the_project_or_of_what_was_installed(monkeypatch):
-    assert installation.requirements() == [line.replace(" ", "") for line in PROJECT["dependencies"]]
+    of_extras = [line for extra in set(EXTRAS.values()) for line in PROJECT["optional-dependencies"][extra]]
+    assert set(installation.requirements()) == {line.replace(" ", "") for line in PROJECT["dependencies"] + of_extras}
     monkeypatch.setattr(installation, "_project", lambda: None)
-    monkeypatch.setattr(metadata, "requires", lambda name: ["numpy >=2.2", "jax[cuda13] ; extra == 'cuda13'"])
-    assert installation.requirements() == ["numpy>=2.2"]
+    listed = ["numpy >=2.2", "jax[cuda13] ; extra == 'cuda13'", 'open3d>=0.20; extra == "mesh"']
+    monkeypatch.setattr(metadata, "requires", lambda name: listed)
+    assert installation.requirements() == ["numpy>=2.2", "open3d>=0.20"]
+
+
+@pytest.mark.parametrize(
+    ("version", "fits"),
+    [("0.10.2", True), ("0.10.10", True), ("0.12", True), ("0.10.1", False), ("0.11.1", False), ("0.13.0", False)],
+)
+def test_a_version_is_compared_by_its_numbers(needs, monkeypatch, version, fits):
+    monkeypatch.setattr(metadata, "version", lambda name: version)
+    assert needs("jax>=0.10.2,!=0.11.1,<0.13")["jax"].is_fine == fits
+
+
+def test_each_package_of_an_extra_is_listed_there_and_may_be_absent(needs, monkeypatch):
+    for module, extra in EXTRAS.items():
+        (name,) = {package for package, other in installation.MODULES.items() if other == module} or {module}
+        lines = PROJECT["optional-dependencies"][extra]
+        assert any(re.match(rf"{name}\b", line) for line in lines), f"{name} is not in the extra {extra}"
+
+    def absent(name):
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "version", absent)
+    finding = needs("open3d>=0.20")["open3d"]
+    assert finding.is_fine and finding.told == "is not installed; the extra mesh has it"
 
 
 def test_a_library_is_absent_or_too_old_or_does_not_load_or_is_fine(needs, tmp_path, monkeypatch):

@@ -1,37 +1,53 @@
-import math
+import re
 import subprocess
 import sys
 
 import pytest
 
-from gsjax.errors import InputError
-from gsjax.io.packages import require
-
-
-def test_what_is_there_is_imported():
-    assert require("math", "") is math
+from gsjax.io import packages
+from gsjax.io.packages import Deferred, MissingPackageError, check_installed, require
 
 
 @pytest.mark.parametrize(
-    "fault", ["raise ImportError('libusb-1.0.so.0: cannot open\\nmore')", "raise OSError('no GL')"]
+    ("fault", "command"),
+    [
+        ("raise ModuleNotFoundError('no such module')", r"pip install 'gsjax\[mesh\]'"),
+        ("raise ImportError('libusb-1.0.so.0: cannot open\\nmore')", "sudo apt-get install libusb-1.0-0 libgl1"),
+        ("raise OSError('libusb-1.0.so.0: cannot open')", "sudo apt-get install libusb-1.0-0 libgl1"),
+    ],
 )
-def test_what_is_missing_is_one_line_with_the_cure(tmp_path, monkeypatch, fault):
-    (tmp_path / "halfinstalled.py").write_text(fault)
+def test_what_is_missing_is_one_line_with_the_command_that_installs_it(tmp_path, monkeypatch, fault, command):
+    (tmp_path / "open3d.py").write_text(fault)
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(InputError, match=r"cannot load halfinstalled \(.*\); install it with: apt install it") as error:
-        require("halfinstalled", "apt install it")
-    assert "\n" not in str(error.value)
-    with pytest.raises(InputError, match=r"No module named 'not_there'.*pip install not_there"):
-        require("not_there", "pip install not_there")
+    monkeypatch.delitem(sys.modules, "open3d", raising=False)
+    with pytest.raises(MissingPackageError) as error:
+        require("open3d")
+    assert re.fullmatch(rf"cannot load open3d \(.*\); install it with: {command}.*", str(error.value))
 
 
-def test_a_package_leaves_the_end_that_was_asked_for_to_us():
+def test_a_package_is_looked_for_without_loading_it_and_loaded_when_it_is_used(monkeypatch):
+    monkeypatch.setitem(packages.EXTRAS, "not_there", "view")
+    check_installed("viser", "jinja2")
+    with pytest.raises(MissingPackageError, match=r"^not_there is not installed; .* pip install 'gsjax\[view\]'$"):
+        check_installed("jinja2", "not_there")
+    assert Deferred("math").pi > 3
+    with pytest.raises(MissingPackageError, match="cannot load not_there"):
+        _ = Deferred("not_there").pi
+
+
+def test_importing_meshing_loads_no_package_of_an_extra():
+    code = "import sys, gsjax.meshing; from gsjax.io.packages import EXTRAS; print(*set(EXTRAS) & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()) <= {"zstandard"}, "which jax loads"
+
+
+def test_sigterm_keeps_the_handler_of_the_program():
     """pycolmap's log takes SIGTERM for itself; in a process of its own, for it does so once."""
     program = """
 import signal, sys
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(7))
 from gsjax.io.packages import require
-require("pycolmap", "pip install pycolmap")
+require("pycolmap")
 signal.raise_signal(signal.SIGTERM)
 """
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
