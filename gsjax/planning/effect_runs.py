@@ -15,7 +15,7 @@ from jax import Array
 from gsjax.effects import sky
 from gsjax.effects.appearance import Start, appearances, moves, simulations, start
 from gsjax.effects.observations import Observations
-from gsjax.effects.simulation import RATE, Effect, Effects, EffectState
+from gsjax.effects.simulation import HOLD, RATE, Effect, Effects, EffectState
 from gsjax.gaussians import Gaussians
 from gsjax.planning.validation import Observe, Validated, Variant, compared
 from gsjax.rendering import backdrop, gallery
@@ -177,8 +177,8 @@ def _where(switch: Array, on, off):
     return jax.tree.map(lambda a, b: jnp.where(jax.lax.stop_gradient(switch) > 0, a, b), on, off)
 
 
-def _rate(peak: float = RATE, hold: int | None = None, **_: Any) -> optax.Schedule:
-    """Of so few steps. Poses, which a run holds at first, stay where the tracks put them: a blurred scene misleads."""
+def _rate(peak: float = RATE, hold: int = HOLD, **_: Any) -> optax.Schedule:
+    """Of so few steps. What a run holds at first stays where the tracks put it: a scene that is blurred misleads."""
     return optax.constant_schedule(0.0 if hold else HURRY * peak)
 
 

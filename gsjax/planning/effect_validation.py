@@ -4,7 +4,7 @@ Every photo lacks a quarter of its pixels in large blocks. The runs never see th
 photos and from what the rest of the same photo implies about its camera. Held-out photos of the scene play no part.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -29,8 +29,8 @@ RENDERED = 0.3  # of a step's time, rendering a photo
 PARTS = {"sky": ("background", "sky")}
 """The effects that an effect is simulated with, where that is not itself alone."""
 
-Validate = Callable[[Observations, Sequence[str], sky.Masks], dict[str, Validated]]
-"""(photos, proposed effects, where photos show sky) -> the gain of each that was validated."""
+Validate = Callable[[Observations, Sequence[str], sky.Masks, Collection[str]], dict[str, Validated]]
+"""(photos, proposed effects, where photos show sky, effects that are simulated anyway) -> the gain of each proposed."""
 
 
 def steps_of_each(planned: Plan, frames: Sequence[Frame], count: int) -> int | None:
@@ -66,8 +66,13 @@ class EffectValidation:
     extent: float  # camera extent, scene units
     initial: Initial
 
-    def __call__(self, seen: Observations, proposed: Sequence[str], skies: sky.Masks) -> dict[str, Validated]:
-        """The gain of each proposed effect, added to those before it that passed. Empty where the run is too short."""
+    def __call__(
+        self, seen: Observations, proposed: Sequence[str], skies: sky.Masks, simulated: Collection[str]
+    ) -> dict[str, Validated]:
+        """The gain of each proposed effect, added to `simulated` and to those before it that passed.
+
+        Empty where the run is too short.
+        """
         steps = steps_of_each(self.planned, self.frames, len(proposed))
         if steps is None:
             return {}
@@ -75,10 +80,11 @@ class EffectValidation:
         blocks = [held_out_blocks(frame, index) for index, frame in enumerate(frames)]
         seen = without_blocks(seen, frames, blocks)
         weight = self.planned.sky_weight
-        runs = EffectRuns(self._short(steps), weight, self.extent, self.initial, proposed, seen, frames, blocks, skies)
+        names = (*simulated, *proposed)
+        runs = EffectRuns(self._short(steps), weight, self.extent, self.initial, names, seen, frames, blocks, skies)
         total, title = (len(proposed) + 1) * steps, f"validating {', '.join(proposed)}"
         with tqdm(total=total, desc=title, unit="step", leave=False) as bar:
-            return select(proposed, partial(runs.predict, observe=bar.update), runs.compare)
+            return select(proposed, partial(runs.predict, observe=bar.update), runs.compare, simulated)
 
     def _short(self, steps: int) -> Settings:
         short = short_settings(self.settings, self.frames, 0, SIDE)
@@ -93,6 +99,7 @@ def select(
     proposed: Sequence[str],
     predict: Callable[[Sequence[str]], list[np.ndarray]],
     compare: Callable[[list[np.ndarray], list[np.ndarray]], Validated],
+    simulated: Collection[str] = (),
 ) -> dict[str, Validated]:
     """Forward selection: every effect is compared with those that passed before it.
 
@@ -100,8 +107,9 @@ def select(
         proposed: The effects, in turn. One that is part of another one that passed is not compared.
         predict: Effects that are simulated -> pictures.
         compare: (pictures without an effect, with it) -> its gain.
+        simulated: Effects in all of these runs.
     """
-    passed: tuple[str, ...] = ()
+    passed = tuple(simulated)
     without, gains = predict(passed), {}
     for name in proposed:
         if name in passed:
