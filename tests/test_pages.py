@@ -25,7 +25,6 @@ from gsjax.settings import PRESETS, Settings
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 BESIDE = [ROOT / "CONTRIBUTING.md", ROOT / "experiments/README.md"]  # no part of the site, held to the same
-STUDIES = sorted((ROOT / "experiments/results").glob("*.md"))
 PYTHON = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -125,13 +124,6 @@ def test_the_commands_of_a_page_are_those_of_today(page):
     assert all((ROOT / script).is_file() for script in re.findall(r"python (experiments/[\w/]+\.py)", text))
     studies = re.findall(r"compare\.py ([a-z]\w*)", text)
     assert all((ROOT / f"experiments/studies/{study}.py").is_file() for study in studies)
-
-
-@pytest.mark.parametrize("page", STUDIES, ids=named)
-def test_links_of_a_study_lead_to_files(page):
-    text = page.read_text()
-    targets = re.findall(r"\]\(([^)#\s]+)", text) + re.findall(r"^\[[\w-]+\]: (\S+)$", text, re.MULTILINE)
-    assert not [target for target in targets if "://" not in target and not (page.parent / target).exists()]
 
 
 DOTTED = re.compile(r"(?<![\w/.])(?:gsjax|rasterizer)(?:\.[A-Za-z]\w*)+")

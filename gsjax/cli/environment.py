@@ -3,15 +3,10 @@
 import ctypes
 import logging
 import os
-import re
 import sys
-import warnings
-from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from gsjax.errors import InputError
 from gsjax.io.machine import cpu_flags
@@ -20,9 +15,7 @@ VECTOR_WIDTH = "--xla_cpu_prefer_vector_width"
 AUTOTUNING = "--xla_gpu_autotune_level"
 DETERMINISTIC = "--xla_gpu_deterministic_ops"
 CUDA_PLUGINS = "jax_cuda12_plugin", "jax_cuda13_plugin"
-DAMAGED = re.compile(r"Error reading persistent compilation cache entry for '(.+?)': ")
 PLUGIN_FAULT = "Jax plugin configuration error"
-PROGRAM = re.compile(r"-[0-9a-f]+-(cache|atime)$")  # After a program's name, as jax calls the files of its cache.
 # mallopt of glibc: one arena, no block mapped by itself, nothing given back while the process lives.
 KEEP_MEMORY = {-8: 1, -3: 1 << 30, -1: (1 << 31) - 1}
 
@@ -55,7 +48,6 @@ def prepare() -> None:
             folder.mkdir(parents=True, exist_ok=True)
             os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
     keep_memory()
-    replace_damaged_programs()
     logging.getLogger("jax._src.xla_bridge").addFilter(plugin_fault_in_one_line)
 
 
@@ -73,27 +65,6 @@ def plugin_fault_in_one_line(record: logging.LogRecord) -> bool:
         record.msg, record.args = f"gsjax: jax continues without a plugin that does not load: {reason}", ()
         record.exc_info = record.exc_text = None
     return True
-
-
-def replace_damaged_programs() -> None:
-    """Delete each damaged program of the compilation cache when jax warns of it.
-
-    Jax compiles such a program again but never overwrites its file, so it would warn at every start.
-    """
-    if getattr(warnings.showwarning, "func", None) is not _show_or_replace:
-        warnings.showwarning = partial(_show_or_replace, warnings.showwarning)
-
-
-def _show_or_replace(show: Callable[..., None], message: Warning | str, *about: Any, **more: Any) -> None:
-    damaged = DAMAGED.match(str(message))
-    folder = Path(os.environ.get("JAX_COMPILATION_CACHE_DIR", ""))
-    if damaged is None or not folder.is_absolute():
-        show(message, *about, **more)
-        return
-    with suppress(OSError):  # Another user's file stays: compiling again is only slower.
-        for file in folder.iterdir():
-            if PROGRAM.sub("", file.name) == damaged[1]:
-                file.unlink(missing_ok=True)
 
 
 def keep_memory() -> None:

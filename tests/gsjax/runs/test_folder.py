@@ -9,7 +9,7 @@ import pytest
 
 from gsjax import runs
 from gsjax.errors import InputError
-from gsjax.io import json_files, machine
+from gsjax.io import json_files
 from gsjax.runs import checkpoints
 
 SETTINGS = {"seed": 3, "train": {"steps": 100, "rates": [0.1, 0.2]}}
@@ -207,12 +207,6 @@ def test_a_run_of_which_nothing_came_leaves_its_place_free(run, left):
     assert run.exists() == (left != "nothing")
 
 
-def test_a_run_that_is_interrupted_stays(run):
-    with pytest.raises(KeyboardInterrupt), runs.claim_run(run):
-        raise KeyboardInterrupt
-    assert (run / "manifest.json").exists()
-
-
 def test_the_newest_two_checkpoints_stay(run):
     assert runs.latest_checkpoint(run) is None
     for step in (5, 90, 1234567):
@@ -249,44 +243,7 @@ def test_the_manifest_lists_the_files(run):
     assert manifest["files"] == ["checkpoints/step_0000001.npz", "config.json", "manifest.json", "metrics.jsonl"]
 
 
-def test_json_holds_plain_numbers(tmp_path):
-    data = {"a": np.float32(0.5), "b": jnp.arange(2, dtype=jnp.int32), "c": (np.inf, tmp_path), 3: np.bool_(True)}
-    json_files.write(tmp_path / "x.json", data)
-    assert json_files.read(tmp_path / "x.json") == {"a": 0.5, "b": [0, 1], "c": [None, str(tmp_path)], "3": True}
-
-
-def test_what_is_no_json_is_one_line(tmp_path):
-    (tmp_path / "x.json").write_text("{")
-    with pytest.raises(InputError, match=r"x\.json: is no JSON"):
-        json_files.read(tmp_path / "x.json")
-
-
 def test_metrics_on_a_full_disk(run):
     (run / "metrics.jsonl").symlink_to("/dev/full")
     with pytest.raises(InputError, match=r"cannot write .*metrics\.jsonl: No space left on device"):
         runs.append_metrics(run, {"step": 1})
-
-
-def test_peak_memory_is_the_process_s_own_and_does_not_fall(tmp_path):
-    # However large the process that starts it: `ru_maxrss` would begin with that one's.
-    program = """
-import numpy as np
-from gsjax.io.machine import peak_memory
-before = peak_memory()
-block = np.ones(300 * 2**20, np.uint8)
-del block
-print(before, peak_memory())
-"""
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    before, after = map(int, done.stdout.split())
-    assert before < 200 * 2**20
-    assert after > before + 250 * 2**20
-    (tmp_path / "status").write_text("VmPeak:\t 900 kB\nVmHWM:\t  512 kB\n")
-    assert machine.peak_memory(tmp_path / "status") == 512 * 1024
-    assert machine.peak_memory(tmp_path / "absent") > 2**20
-
-
-def test_cpu_flags_are_those_of_the_file(tmp_path):
-    (tmp_path / "cpuinfo").write_text("processor : 0\nflags\t\t: fpu avx512f\nprocessor : 1\nflags : other\n")
-    assert machine.cpu_flags(tmp_path / "cpuinfo") == {"fpu", "avx512f"}
-    assert machine.cpu_flags(tmp_path / "absent") == frozenset()
