@@ -15,7 +15,7 @@ COLUMNS = "Files", *(f"Damaged in {'one place' if most == 1 else f'up to {most} 
 TIMES = 470  # files of every kind and number of places
 KINDS = {
     "Gaussians: PLY, compressed PLY, SPZ; points": "tests/gsjax/io/test_fuzz_gaussians.py",
-    "Meshes: PLY, OBJ, GLB, with and without a texture": "tests/gsjax/meshing/test_fuzz_meshes.py",
+    "Meshes: PLY, OBJ, GLB, with and without a texture": "tests/gsjax/meshing/files/test_fuzz_meshes.py",
     "`transforms.json`": "tests/gsjax/io/test_damaged_data_sets.py::test_fuzz_transforms",
     "COLMAP models, text and binary": "tests/gsjax/io/test_damaged_data_sets.py::test_fuzz_colmap",
     "Photos and masks of nine formats": "tests/gsjax/io/test_damaged_data_sets.py::test_fuzz_photos_and_masks",

@@ -1,22 +1,17 @@
-"""Meshes as files: PLY (binary), OBJ and GLB, by suffix, with vertex colours, in the data set's own coordinates.
+"""Meshes as files: PLY, OBJ and GLB by suffix, with vertex colours or a texture, in the data set's coordinates.
 
 Where float32 would lose their place, vertices are doubles in a PLY, have all digits in an OBJ, and stand about the
 translation of their node in a GLB. Such vertices are read as float64, all others as float32.
 
-A texture goes into OBJ, with an MTL and a PNG of the same name beside it, into GLB, or into USDZ, which is written
-only. The textured OBJ has vertex colours too; the textured GLB has none, since glTF would multiply them with the
-texture.
+A texture goes into OBJ, with an MTL and a PNG of the same name, into GLB, or into USDZ, which is written only. The
+textured OBJ has vertex colours too; the textured GLB has none, since glTF would multiply them with the texture.
 
-No axis is turned on the way out or in. glTF and USD call y "up": their viewers may show a scene whose up is another
-axis lying on its side, and it is still the same numbers as the cameras' and the Gaussians'.
+No axis is turned. glTF and USD call y "up": their viewers may show a scene with another up axis lying on its side.
 """
 
-import math
-import os
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
-from io import BytesIO
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,33 +19,43 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io import ply
 from gsjax.io.files import atomic_path
-from gsjax.io.packages import require
 from gsjax.io.place_files import state_beside
-from gsjax.meshing import glb, usdz
 from gsjax.meshing.atlas import Atlas, TexturedMesh
-from gsjax.meshing.glb_parts import read_glb
-from gsjax.meshing.named_files import NamedFiles
-from gsjax.meshing.obj import read_obj
-from gsjax.meshing.parts import Part, TooOftenError, merge_parts, shown_colors, within_texture
-from gsjax.meshing.ply_parts import read_ply
+from gsjax.meshing.files import glb, obj, usdz
+from gsjax.meshing.files.glb_reader import read_glb
+from gsjax.meshing.files.named_files import NamedFiles
+from gsjax.meshing.files.parts import Part, TooOftenError, merge_parts, shown_colors, within_texture
+from gsjax.meshing.files.ply_reader import read_ply
 from gsjax.scene.georeference import UNPLACED, Place
 from gsjax.scene.meshes import Mesh
-from gsjax.scene.similarity import as_needed, is_float32, loses_in_float32, spread
+from gsjax.scene.similarity import as_needed, is_float32
 
-SUFFIXES = (".ply", ".obj", ".glb")
 HEADER_BYTES = 65536  # Of a PLY, at most.
-DIGITS = 9  # Significant ones of a coordinate in text: no float32 is rounded.
-MATERIAL = """newmtl surface
-Ka 0 0 0
-Kd 1 1 1
-Ks 0 0 0
-illum 1
-map_Kd {picture}
-"""
+
+
+@dataclass(frozen=True)
+class MeshFormat:
+    """An entry of the table; None: not supported."""
+
+    read: Callable[[Path, NamedFiles], list[Part]] | None = None
+    encode: Callable[[Mesh, Place], bytes] | None = None
+    encode_textured: Callable[[TexturedMesh, Place], bytes] | None = None
+    states_place: bool = False  # within the file; else a file beside it does
+
+
+FORMATS = {
+    ".ply": MeshFormat(read_ply, ply.encode_mesh, states_place=True),
+    ".obj": MeshFormat(obj.read_obj, obj.encode_obj),  # a textured one is three files
+    ".glb": MeshFormat(read_glb, glb.encode_glb, glb.encode_textured, states_place=True),
+    ".usdz": MeshFormat(encode_textured=usdz.encode_textured),
+}
+"""By suffix. One entry registers a format."""
+SUFFIXES = tuple(suffix for suffix, each in FORMATS.items() if each.read)
+TEXTURED = (".obj", *(suffix for suffix, each in FORMATS.items() if each.encode_textured))
 
 
 def write_mesh(path: str | Path, mesh: Mesh, place: Place = UNPLACED) -> None:
-    """Writes a mesh, whole or not at all.
+    """Write a mesh, whole or not at all.
 
     Args:
         path: Its suffix says the format: .ply, .obj or .glb.
@@ -61,15 +66,16 @@ def write_mesh(path: str | Path, mesh: Mesh, place: Place = UNPLACED) -> None:
         InputError: Unknown suffix, or the file cannot be written.
     """
     path = Path(path)
-    suffix = supported_suffix(path)
+    written = FORMATS[supported_suffix(path)]
+    assert written.encode is not None
     with atomic_path(path) as temporary:
-        temporary.write_bytes(_WRITERS[suffix](mesh, place))
-    if suffix == ".obj":
+        temporary.write_bytes(written.encode(mesh, place))
+    if not written.states_place:
         state_beside(path, place)
 
 
 def write_textured(path: str | Path, textured: TexturedMesh, place: Place = UNPLACED) -> None:
-    """Writes a mesh with its texture, whole or not at all; of three files, the .obj that names the others comes last.
+    """Write a mesh with its texture, whole or not at all; of three files, the .obj that names the others comes last.
 
     Args:
         path: .glb, .usdz or .obj; to the latter belong a .mtl and a .png of the same name, which are replaced too.
@@ -80,19 +86,18 @@ def write_textured(path: str | Path, textured: TexturedMesh, place: Place = UNPL
         InputError: Another suffix, or a file cannot be written.
     """
     path = Path(path)
-    textured_writer(path)(path, textured, place)
-
-
-def textured_writer(path: Path) -> Callable[[Path, TexturedMesh, Place], None]:
-    """What writes textures to files of this suffix; InputError where nothing does."""
-    writers = {".obj": _write_textured_obj, ".glb": _write_textured_glb, ".usdz": _write_textured_usdz}
-    if path.suffix.lower() not in writers:
-        raise InputError(f"{path}: meshes with a texture end in {', '.join(writers)}")
-    return writers[path.suffix.lower()]
+    written = FORMATS[textured_suffix(path)]
+    if written.encode_textured is None:
+        obj.write_textured_obj(path, textured)
+    else:
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(written.encode_textured(textured, place))
+    if not written.states_place:
+        state_beside(path, place)
 
 
 def read_mesh(path: str | Path) -> Mesh:
-    """Reads a triangle mesh; its vertices have the texture's colours where it has only that, grey where no colours.
+    """Read a triangle mesh; its vertices have the texture's colours where it has only that, grey where no colours.
 
     Args:
         path: A .ply, .obj or .glb file.
@@ -105,7 +110,7 @@ def read_mesh(path: str | Path) -> Mesh:
 
 
 def read_textured(path: str | Path) -> TexturedMesh | None:
-    """Reads a mesh with its texture, several in one picture; None where not all of the file has one.
+    """Read a mesh with its texture, several in one picture; None where not all of the file has one.
 
     Args:
         path: A .ply, .obj or .glb file.
@@ -113,8 +118,7 @@ def read_textured(path: str | Path) -> TexturedMesh | None:
     Raises:
         InputError: As of `read_mesh`.
     """
-    part = _read(Path(path))
-    return None if part.texture is None else _textured(part, part.texture)
+    return _textured(_read(Path(path)))
 
 
 def is_mesh_file(path: Path) -> bool:
@@ -126,15 +130,8 @@ def is_mesh_file(path: Path) -> bool:
     return b"element face" in header and b"f_dc_0" not in header and b"packed_position" not in header
 
 
-def _textured(part: Part, texture: np.ndarray) -> TexturedMesh:
-    mesh = Mesh(part.vertices, part.faces, shown_colors(part))
-    every_vertex = np.arange(mesh.num_vertices, dtype=np.int32)
-    atlas = Atlas(np.asarray(part.uvs, np.float32), every_vertex, part.faces, texture.shape[1], 0)
-    return TexturedMesh(mesh, atlas, texture)
-
-
 def glb_bytes(path: str | Path) -> bytes:
-    """The file as a GLB for a browser, with its texture or its vertex colours, and unlit: photos hold their light.
+    """Return the file as a GLB for a browser, with its texture or vertex colours, and unlit: photos hold their light.
 
     A file that is a GLB already is left as it is.
 
@@ -148,79 +145,47 @@ def glb_bytes(path: str | Path) -> bytes:
     part = _read(path)
     if path.suffix.lower() == ".glb":
         return path.read_bytes()
-    if part.texture is None:
+    textured = _textured(part)
+    if textured is None:
         return glb.encode_glb(Mesh(part.vertices, part.faces, part.colors), unlit=True)
-    return glb.encode_textured(_textured(part, part.texture))
+    return glb.encode_textured(textured)
 
 
 def supported_suffix(path: Path) -> str:
-    """The path's suffix in lower case; InputError names the supported ones where it is none of them."""
+    """Return the path's suffix in lower case; InputError names the supported ones where it is none of them."""
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: mesh files end in {', '.join(SUFFIXES)}")
     return suffix
 
 
-def _encoded_obj(mesh: Mesh, _: Place) -> bytes:
-    surface = require("trimesh").Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False)
-    size = spread(mesh.vertices) or 1.0
-    return surface.export(file_type="obj", digits=max(DIGITS, DIGITS - math.floor(math.log10(size)))).encode()
+def textured_suffix(path: Path) -> str:
+    """Return the suffix of a file with a texture, like `supported_suffix`."""
+    suffix = path.suffix.lower()
+    if suffix not in TEXTURED:
+        raise InputError(f"{path}: meshes with a texture end in {', '.join(TEXTURED)}")
+    return suffix
 
 
-_WRITERS = {".ply": ply.encode_mesh, ".obj": _encoded_obj, ".glb": glb.encode_glb}
-
-
-def _write_textured_obj(path: Path, textured: TexturedMesh, place: Place) -> None:
-    """Vertices as in the mesh, places in the texture apart from them. OBJ counts from 1 and v from below."""
-    mesh, atlas = textured.mesh, textured.atlas
-    material, picture = path.with_suffix(".mtl"), path.with_suffix(".png")
-    corners = np.stack([mesh.faces, atlas.faces], axis=-1).reshape(-1, 6) + 1
-    # Left in the opposite order: when the .obj appears, what it names is there.
-    with atomic_path(path) as obj, atomic_path(material) as mtl, atomic_path(picture) as png:
-        _image(textured.texture).save(png)
-        mtl.write_bytes(os.fsencode(MATERIAL.format(picture=picture.name)))
-        with obj.open("w", encoding="utf-8", errors="surrogateescape") as file:  # As names of files are.
-            file.write(f"mtllib {material.name}\nusemtl surface\n")
-            digits = " ".join([f"%.{17 if loses_in_float32(mesh.vertices) else DIGITS}g"] * 3)
-            np.savetxt(file, np.hstack([mesh.vertices, mesh.colors / 255.0]), f"v {digits} %.4f %.4f %.4f")
-            np.savetxt(file, atlas.uvs * [1.0, -1.0] + [0.0, 1.0], "vt %.9g %.9g")
-            np.savetxt(file, corners, "f %d/%d %d/%d %d/%d")
-    state_beside(path, place)
-
-
-def _write_textured_glb(path: Path, textured: TexturedMesh, place: Place) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(glb.encode_textured(textured, place))
-
-
-def _write_textured_usdz(path: Path, textured: TexturedMesh, place: Place) -> None:
-    """One vertex a place in the texture, as in a GLB."""
-    mesh, atlas, png = textured.mesh, textured.atlas, BytesIO()
-    _image(textured.texture).save(png, "PNG")
-    vertices, offset = glb.about_offset(mesh.vertices[atlas.vertices])
-    places = atlas.uvs * [1.0, -1.0] + [0.0, 1.0]
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(usdz.encode_usdz(vertices, atlas.faces, places, png.getvalue(), offset))
-    state_beside(path, place)
-
-
-def _image(pixels: np.ndarray):
-    """The picture as Pillow has it."""
-    from PIL import Image
-
-    return Image.fromarray(np.ascontiguousarray(pixels))
+def _textured(part: Part) -> TexturedMesh | None:
+    if part.texture is None:
+        return None
+    mesh = Mesh(part.vertices, part.faces, shown_colors(part))
+    every_vertex = np.arange(mesh.num_vertices, dtype=np.int32)
+    atlas = Atlas(np.asarray(part.uvs, np.float32), every_vertex, part.faces, part.texture.shape[1], 0)
+    return TexturedMesh(mesh, atlas, part.texture)
 
 
 def _read(path: Path) -> Part:
-    """The triangles of a file as one part, its vertices as `as_needed`; InputError where it has none."""
-    suffix = supported_suffix(path)
+    """Return the triangles of a file as one part, its vertices as `as_needed`; InputError where it has none."""
+    read = FORMATS[supported_suffix(path)].read
     if not path.is_file():
         raise InputError(f"{path}: no such mesh file")
     named = NamedFiles(path)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Of numbers that are none, which are looked for afterwards.
-            parts = [_require_drawable(path, part) for part in _READERS[suffix](path, named) if len(part.faces)]
+            warnings.simplefilter("ignore")  # Numbers that are not finite are refused below.
+            parts = [_require_drawable(path, part) for part in read(path, named) if len(part.faces)]
             if not parts:
                 raise InputError(f"{path}: holds no triangles")
             part = merge_parts([_within_texture(part, named) for part in parts])
@@ -234,7 +199,7 @@ def _read(path: Path) -> Part:
 
 
 def _require_drawable(path: Path, part: Part) -> Part:
-    """The part itself; InputError where its triangles, or their places in a texture, cannot be drawn."""
+    """Return the part; InputError where its triangles, or their places in a texture, cannot be drawn."""
     if part.vertices.shape[1:] != (3,):
         raise InputError(f"{path}: its vertices do not have three coordinates")
     if not 0 <= part.faces.min() <= part.faces.max() < len(part.vertices):
@@ -247,12 +212,9 @@ def _require_drawable(path: Path, part: Part) -> Part:
 
 
 def _within_texture(part: Part, named: NamedFiles) -> Part:
-    """The part with places in 0..1; with colours of vertices, and a line, where its texture repeats too often."""
+    """Return the part with places in 0..1; where its texture repeats too often, with colours of vertices and a line."""
     try:
         return within_texture(part)
     except TooOftenError as error:
         named.report_missing("a texture", f"cannot be laid out ({error})")
         return replace(part, uvs=None, texture=None)
-
-
-_READERS = {".ply": read_ply, ".obj": read_obj, ".glb": read_glb}

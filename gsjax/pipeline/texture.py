@@ -8,7 +8,7 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.temporaries import sweep_beside
-from gsjax.meshing.export import read_mesh, textured_writer, write_textured
+from gsjax.meshing.export import read_mesh, textured_suffix, write_textured
 from gsjax.meshing.sharpening import sharpened
 from gsjax.meshing.texture import texture_mesh
 from gsjax.meshing.texture_size import texture_side
@@ -40,7 +40,7 @@ def texture(
     Raises:
         InputError: A file cannot be read or written, or the texture is too small for the mesh.
     """
-    textured_writer(Path(out))
+    textured_suffix(Path(out))
     require_apart(out, source, mesh, scene)
     sweep_beside(Path(out))
     if size is not None and not SIZES[0] <= size <= SIZES[1]:

@@ -1,8 +1,9 @@
-"""OBJ files, read line by line: millions of them take little more memory than the numbers in them.
+"""OBJ files. They are read line by line: millions of lines take little more memory than the numbers in them.
 
 A face's index of 1 means the first vertex, and -1 the last before that face; polygons are fans of triangles.
 """
 
+import math
 import os
 from array import array
 from collections.abc import Iterator, Sequence
@@ -13,14 +14,27 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.files import read_bytes
-from gsjax.meshing.mtl import Material, read_materials
-from gsjax.meshing.named_files import NamedFiles
-from gsjax.meshing.parts import Part, split_corners, without_unused
+from gsjax.io.files import atomic_path, read_bytes
+from gsjax.io.packages import require
+from gsjax.meshing.atlas import TexturedMesh
+from gsjax.meshing.files.mtl import Material, read_materials
+from gsjax.meshing.files.named_files import NamedFiles
+from gsjax.meshing.files.parts import Part, split_corners, without_unused
 from gsjax.scene.colors import shares, to_bytes
+from gsjax.scene.georeference import Place
+from gsjax.scene.meshes import Mesh
+from gsjax.scene.similarity import loses_in_float32, spread
 
 _NO_COLOR = float("nan")  # of a vertex among others that have one
 _NO_PLACE = 0  # Of indices, which count from 1.
+_DIGITS = 9  # Significant ones of a coordinate in text: no float32 is rounded.
+_MATERIAL = """newmtl surface
+Ka 0 0 0
+Kd 1 1 1
+Ks 0 0 0
+illum 1
+map_Kd {picture}
+"""
 
 
 @dataclass
@@ -195,3 +209,29 @@ def _part(content: _Content, name: str, rows: np.ndarray, materials: dict[str, M
     if content.colors:
         return Part(vertices, faces, to_bytes(shares(_rows(content.colors, 3))))
     return Part(vertices, faces, np.full(vertices.shape, color, np.uint8))
+
+
+def encode_obj(mesh: Mesh, _: Place) -> bytes:
+    """Return a mesh with vertex colours as the text of an OBJ."""
+    surface = require("trimesh").Trimesh(mesh.vertices, mesh.faces, vertex_colors=mesh.colors, process=False)
+    size = spread(mesh.vertices) or 1.0
+    return surface.export(file_type="obj", digits=max(_DIGITS, _DIGITS - math.floor(math.log10(size)))).encode()
+
+
+def write_textured_obj(path: Path, textured: TexturedMesh) -> None:
+    """Write an OBJ with vertices as in the mesh and places in the texture apart, its MTL and its PNG."""
+    from PIL import Image
+
+    mesh, atlas = textured.mesh, textured.atlas
+    material, picture = path.with_suffix(".mtl"), path.with_suffix(".png")
+    corners = np.stack([mesh.faces, atlas.faces], axis=-1).reshape(-1, 6) + 1
+    # Left in the opposite order: when the .obj appears, what it names is there.
+    with atomic_path(path) as obj, atomic_path(material) as mtl, atomic_path(picture) as png:
+        Image.fromarray(np.ascontiguousarray(textured.texture)).save(png)
+        mtl.write_bytes(os.fsencode(_MATERIAL.format(picture=picture.name)))
+        with obj.open("w", encoding="utf-8", errors="surrogateescape") as file:  # As names of files are.
+            file.write(f"mtllib {material.name}\nusemtl surface\n")
+            digits = " ".join([f"%.{17 if loses_in_float32(mesh.vertices) else _DIGITS}g"] * 3)
+            np.savetxt(file, np.hstack([mesh.vertices, mesh.colors / 255.0]), f"v {digits} %.4f %.4f %.4f")
+            np.savetxt(file, atlas.uvs * [1.0, -1.0] + [0.0, 1.0], "vt %.9g %.9g")
+            np.savetxt(file, corners, "f %d/%d %d/%d %d/%d")

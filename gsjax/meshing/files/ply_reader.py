@@ -9,9 +9,9 @@ import numpy as np
 
 from gsjax.io import ply
 from gsjax.io.packages import require
-from gsjax.meshing.mtl import GREY
-from gsjax.meshing.named_files import NamedFiles
-from gsjax.meshing.parts import Part, split_corners, without_unused
+from gsjax.meshing.files.mtl import GREY
+from gsjax.meshing.files.named_files import NamedFiles
+from gsjax.meshing.files.parts import Part, split_corners, without_unused
 from gsjax.scene.colors import shares, to_bytes
 
 _PICTURE = re.compile(rb"^comment\s+TextureFile\s+(.+?)\s*$", re.M | re.I)

@@ -6,7 +6,8 @@ import struct
 import numpy as np
 import pytest
 
-from gsjax.meshing import glb, read_mesh, write_mesh
+from gsjax.meshing import read_mesh, write_mesh
+from gsjax.meshing.files import glb
 from gsjax.scene.meshes import Mesh
 
 

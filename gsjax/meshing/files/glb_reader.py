@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from gsjax.errors import InputError
 from gsjax.io.files import read_bytes
-from gsjax.meshing.glb import srgb_bytes
-from gsjax.meshing.named_files import NamedFiles
-from gsjax.meshing.parts import BORDER, Part
+from gsjax.meshing.files.glb import srgb_bytes
+from gsjax.meshing.files.named_files import NamedFiles
+from gsjax.meshing.files.parts import BORDER, Part
 from gsjax.scene.colors import srgb_to_linear
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

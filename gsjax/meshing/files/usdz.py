@@ -10,6 +10,10 @@ from io import BytesIO
 
 import numpy as np
 
+from gsjax.meshing.atlas import TexturedMesh
+from gsjax.meshing.files.glb import about_offset
+from gsjax.scene.georeference import Place
+
 ALIGNMENT = 64
 _LOCAL_HEADER = 30  # bytes of a ZIP before a file's name
 _PADDING_ID = 0x1986  # Of the extra field that the padding is, and what Pixar's writer names it.
@@ -79,29 +83,25 @@ def Xform "Scene" (
 """
 
 
-def encode_usdz(
-    vertices: np.ndarray, faces: np.ndarray, places: np.ndarray, texture: bytes, offset: np.ndarray
-) -> bytes:
-    """A mesh with a texture as the bytes of a USDZ.
+def encode_textured(textured: TexturedMesh, _: Place) -> bytes:
+    """Return a mesh with its texture as a USDZ: one vertex a place in the texture, v counted from below."""
+    from PIL import Image
 
-    Args:
-        vertices: `[V, 3]` float32, about `offset`.
-        faces: `[F, 3]` int32.
-        places: `[V, 2]` of the vertices in the texture, 0..1, v from below.
-        texture: PNG.
-        offset: `[3]` float64, where the vertices stand about.
-    """
+    atlas, png = textured.atlas, BytesIO()
+    Image.fromarray(np.ascontiguousarray(textured.texture)).save(png, "PNG")
+    vertices, offset = about_offset(textured.mesh.vertices[atlas.vertices])
+    places = atlas.uvs * [1.0, -1.0] + [0.0, 1.0]
     scene = _SCENE.format(
         offset=", ".join(f"{value:.17g}" for value in offset),
         extent=_tuples(np.stack([vertices.min(axis=0), vertices.max(axis=0)])),
-        counts=", ".join(["3"] * len(faces)),
-        faces=", ".join(map(str, faces.ravel().tolist())),
+        counts=", ".join(["3"] * len(atlas.faces)),
+        faces=", ".join(map(str, atlas.faces.ravel().tolist())),
         points=_tuples(vertices),
         places=_tuples(places),
     )
     stream = BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
-        for name, content in (("scene.usda", scene.encode()), ("texture.png", texture)):
+        for name, content in (("scene.usda", scene.encode()), ("texture.png", png.getvalue())):
             info = zipfile.ZipInfo(name)
             info.extra = _padding(stream.tell() + _LOCAL_HEADER + len(name))
             archive.writestr(info, content)
