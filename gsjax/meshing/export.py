@@ -179,6 +179,7 @@ def _textured(part: Part) -> TexturedMesh | None:
 def _read(path: Path) -> Part:
     """Return the triangles of a file as one part, its vertices as `as_needed`; InputError where it has none."""
     read = FORMATS[supported_suffix(path)].read
+    assert read is not None
     if not path.is_file():
         raise InputError(f"{path}: no such mesh file")
     named = NamedFiles(path)
