@@ -6,7 +6,6 @@ from rasterizer.capacity import capacity_bucket, count_capacity
 from rasterizer.compositing import Front
 from rasterizer.covariances import quat_scale_to_covar_preci
 from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, lists_by_itself, prepare
-from rasterizer.exchange import Packed, exchange, pack, unpack
 from rasterizer.features import blended_depth, depth_channels, median_depth
 from rasterizer.harmonics import (
     spherical_harmonics,
@@ -34,7 +33,6 @@ __all__ = [
     "Backend",
     "DepthMode",
     "Front",
-    "Packed",
     "Projection",
     "Rules",
     "TileGrid",
@@ -48,13 +46,11 @@ __all__ = [
     "count_pairs",
     "default_tile_size",
     "depth_channels",
-    "exchange",
     "fully_fused_projection",
     "isect_offset_encode",
     "isect_tiles",
     "lists_by_itself",
     "median_depth",
-    "pack",
     "prepare",
     "proj",
     "project",
@@ -64,7 +60,6 @@ __all__ = [
     "spherical_harmonics",
     "spherical_harmonics_l0",
     "spherical_harmonics_l1_plus",
-    "unpack",
     "upper_bands",
     "world_to_cam",
 ]

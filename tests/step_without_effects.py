@@ -43,12 +43,12 @@ def make_train_step(optimizer, terms, *, capacity, background, sh_every, rule, d
         gradient = jax.value_and_grad(objective, argnums=(0, 1) if rule else (0,), has_aux=True)
         (total, (losses, mse, projection, pairs)), gradients = gradient(state.gaussians, probe, state, batch, color)
         psnr = -10 * jnp.log10(jnp.maximum(mse, 1e-10))
-        gaussians, opt_state = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients[0])
         statistics = state.statistics
         if rule:
             seen = in_photo(projection, target.size)
             distances = jnp.where(seen, projection.depths[0], 0) / extent
             statistics = rule.accumulate(statistics, gradients[1], seen, distances, target.size)
+        gaussians, opt_state = optimizers.apply_gradients(optimizer, state.gaussians, state.opt_state, gradients[0])
         proposed = TrainState(gaussians, opt_state, statistics, state.step + 1)
         finite = all_finite((total, gradients))
         is_left = pairs.overflowed | ~finite

@@ -76,8 +76,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         " what the photos show (see `gsjax diagnose`); or names, as in exposure,poses (default: auto; none with the"
         " paper's presets)")  # fmt: skip
     add("--vanilla", action="store_const", const=True, help="plain 3DGS: leave the normal term out")
-    add("--devices", metavar="N|all", help="spread the Gaussians over so many devices, each with a view of its own"
-        " in every step (default: 1; across machines: all)")  # fmt: skip
+    add("--devices", metavar="N|all", help="share the photos of every step among so many devices, each with"
+        " all Gaussians (default: 1; across machines: all)")  # fmt: skip
     add("--views-per-step", type=int, metavar="V", help="photos that a step takes, a multiple of the devices: fewer and"
         " longer steps, as many photos seen (default: as many as devices)")  # fmt: skip
     add("--coordinator", metavar="HOST:PORT|auto", help="train with other processes, all started with this command:"

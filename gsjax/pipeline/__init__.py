@@ -18,8 +18,8 @@ from gsjax.pipeline.texture import texture
 from gsjax.pipeline.train import train
 from gsjax.pipeline.undistort import undistort
 from gsjax.planning.budget import budgeted, resized, scaled
-from gsjax.planning.hardware import count_devices
 from gsjax.report.page import noted, report
+from gsjax.training.data_parallel import count_devices
 
 __all__ = [
     "blocks",

@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 from jax import Array
+from jax.sharding import Mesh
 from tqdm import tqdm
 
 import rasterizer
@@ -27,7 +28,6 @@ from gsjax.planning import holding_back
 from gsjax.planning.earlier import shared_steps, take_normals
 from gsjax.planning.effect_validation import EffectValidation
 from gsjax.planning.effects import ChosenEffects, choose_effects, look_for_effects
-from gsjax.planning.hardware import Devices, count_devices, effects_asked, hardware
 from gsjax.planning.measured_depth import measured_depth
 from gsjax.planning.memory import fit_to_memory
 from gsjax.planning.sizes import at_size, training_extent
@@ -41,13 +41,14 @@ from gsjax.runs.compilations import make_room
 from gsjax.runs.journal import starting_point
 from gsjax.runs.normal_source import NormalSource, note_normals
 from gsjax.runs.photo_effects import moves_line, with_moved_cameras, write_photo_effects
-from gsjax.runs.processes import from_first, is_first, own_folder
+from gsjax.runs.processes import from_first, is_first, own_folder, same_everywhere
 from gsjax.runs.result import write_views
 from gsjax.runs.run import Run
 from gsjax.runs.splits import require_photos_of_effects, split_of, split_record
 from gsjax.scene import Scene, kept
 from gsjax.settings import AUTO, PLAIN, Settings
-from gsjax.training import optimizers
+from gsjax.training import data_parallel, optimizers
+from gsjax.training.data_parallel import Devices, device_mesh
 from gsjax.training.growth.rules import RULES
 from gsjax.training.loop import Progress, Work, follow
 from gsjax.training.plan import Plan, check_terms, plan
@@ -82,8 +83,7 @@ def train(
             before that, so what both have in common is trained once. None: at the first step.
         observe: Told of every step, before its checkpoint is written. On a GPU it is told of several at once, and the
             state is that of the very step only where figures are logged, a checkpoint is written or a phase ends.
-        devices: How many the Gaussians are spread over, or "all". More than one, or several views a step, know no
-            effects ("auto" looks for none); terms that compare views are left out. A line says both.
+        devices: How many share the views of a step, or "all"; `settings.views_per_step` is a multiple of them.
 
     Returns:
         `psnr` and `ssim` (None without held-out views; with effects also the other ways of
@@ -105,19 +105,19 @@ def train(
         known = Run.open(folder).plan if resume and is_first() and runs.can_resume(folder) else None
         if known:
             runs.require_scene(folder, scene)
-        planned = _planned(scene, settings, terms, count_devices(devices), known)
-        return _train(scene, folder, settings, planned, known, earlier, observe, devices)
+        mesh = device_mesh(devices, settings.views_per_step)
+        planned = _planned(scene, settings, terms, known)
+        return _train(scene, folder, settings, planned, known, earlier, observe, mesh)
 
 
 def _planned(
     scene: str | Path,
     settings: Settings,
     terms: Mapping[str, Term | Callable[..., Array]],
-    devices: int,
     known: Mapping[str, Any] | None,
 ) -> Plan:
     """The plan before anybody looked at the photos."""
-    planned = plan(settings, terms, devices)
+    planned = plan(settings, terms)
     if known and "max_gaussians" in known:  # Memory may have borne fewer than were asked for.
         planned = replace(planned, max_gaussians=known["max_gaussians"])
     if settings.normals is None:
@@ -133,8 +133,6 @@ def _beginning_lines(planned: Plan, settings: Settings, photos_line: str) -> lis
         lines.append(f"every step leaves out {settings.dropout:.0%} of the Gaussians")
     if any(phase.rule is RULES["adc"] for phase in planned.phases):
         lines.append(f"growth stops at max_gaussians={planned.max_gaussians:,}; 3DGS has no such bound")
-    if planned.left_out:
-        lines.append(f"{', '.join(planned.left_out)} need one photo a step and are left out")
     if settings.normals is None and "normals" in planned.needs:
         lines.append("no maps of normals (--normals): the run's own depth stands in for a network")
     return lines
@@ -148,7 +146,7 @@ def _train(
     known: Mapping[str, Any] | None,
     earlier: Path | None,
     observe: Callable[[Progress], None] | None,
-    devices: Devices,
+    mesh: Mesh | None,
 ) -> dict[str, Any]:
     begun_in = out if known else earlier  # whose checkpoint is in coordinates of its own
     begun = None if begun_in is None else Run(begun_in)
@@ -163,14 +161,10 @@ def _train(
     if begun and runs.latest_checkpoint(begun.folder):
         require_photos_of_effects(loaded, split, begun.manifest, run=begun.folder)
     check_terms(planned, loaded.train_frames)
-    is_one = count_devices(devices) == settings.views_per_step == 1
-    sparse = None
-    if is_one:
-        trial, before = (holding_back.gain, None) if begun is None else (None, begun.manifest.get(ENTRY))
-        planned, sparse = for_sparse_views(
-            planned, loaded, settings, trial=trial, before=before, may_lower=known is None
-        )
-    fitted = fit_to_memory(planned, loaded.frames, out, may_lower=is_one and known is None)
+    trial = (lambda *how: same_everywhere(holding_back.gain(*how))) if begun is None else None
+    before = None if begun is None else begun.manifest.get(ENTRY)
+    planned, sparse = for_sparse_views(planned, loaded, settings, trial=trial, before=before, may_lower=known is None)
+    fitted = fit_to_memory(planned, loaded.frames, out, may_lower=mesh is None and known is None)
     planned = fitted.plan
     for line in fitted.lines:
         print(f"train: {line}", file=sys.stderr)
@@ -182,8 +176,7 @@ def _train(
     sparse_line = () if sparse is None else (sparse.line(planned),)
     for line in (*_beginning_lines(planned, settings, photos_line), *sparse_line):
         print(f"train: {line}", file=sys.stderr)
-    asked = effects_asked(settings, devices)
-    looked = look_for_effects(asked, loaded)
+    looked = look_for_effects(settings.effects, loaded)
     loaded, frames = looked.scene, looked.scene.train_frames
     size = training_extent(loaded)
     tell = partial(note_normals, out)
@@ -207,16 +200,19 @@ def _train(
     skies = given_skies(loaded, settings, downscale)
     before = None if begun is None else begun.manifest.get("effects")
     chosen = choose_effects(
-        asked, planned, loaded, validate, looked, skies=skies, with_sky=settings.sky == AUTO, before=before
+        settings.effects,
+        planned,
+        loaded,
+        lambda *how: same_everywhere(validate(*how)),
+        looked,
+        skies=skies,
+        with_sky=settings.sky == AUTO,
+        before=before,
     )
     planned = replace(planned.with_effects(chosen.names), downscale=downscale)
     optimizer = optimizers.make_optimizer(
         planned.rates, size, planned.rates.decay_steps, views_per_step=planned.views_per_step
     )
-    spread = hardware(devices, planned.views_per_step, optimizer)
-    if chosen.names and not spread.is_one:
-        asked_by = f"--effects {settings.effects}" if settings.sky is None else "--sky"
-        raise InputError(f"{asked_by}: effects need one device and --views-per-step 1")
     in_common = None if earlier is None else shared_steps(earlier, planned)
     as_dict = config.to_dict(settings)
     run = (
@@ -245,8 +241,8 @@ def _train(
         state, capacity, seconds = starting_point(run, initial, earlier, in_common)
         if earlier is not None:
             take_normals(earlier, run, planned, int(state.step))
-        state = spread.deal(_of_first(state, initial))
-        whole = spread.whole
+        state = _of_first(state, initial)
+        state, whole = (state, _unchanged) if mesh is None else (data_parallel.replicate(state, mesh), jax.device_get)
         with TrainingJournal(run, planned, loaded, int(state.step), seconds, chosen, whole) as journal:
 
             def told(progress: Progress) -> None:
@@ -262,7 +258,7 @@ def _train(
                 return [from_first(each) for each in maps]
 
             # A CPU computes all the while, and has no step's memory to spare.
-            waits = not spread.is_one or computes_on_cpu()
+            waits = mesh is not None or computes_on_cpu()
             looks = None if waits else journal.looks
             depths = None if measured is None else measured.depths
             work = Work(
@@ -273,17 +269,21 @@ def _train(
                 normals,
                 told,
                 chosen.effects,
-                spread.placement,
+                mesh,
                 depths,
                 chosen.skies,
                 fitted.keep,
                 looks,
                 partial(normal_source.shares_compared, frames),
             )
-            # The exchange's room is counted with the pairs'; of several processes, only the first knows the stored one.
-            capacity = capacity if spread.is_one else None
+            # Of several processes only the first knows the stored one.
+            capacity = capacity if mesh is None else None
             state = whole(follow(work, state, capacity))
             return _finish(run, planned, loaded, state, chosen, journal.seconds)
+
+
+def _unchanged(state: TrainState) -> TrainState:
+    return state
 
 
 def _require_pixels(scene: Scene) -> None:

@@ -41,9 +41,9 @@ def steps_of_each(planned: Plan, frames: Sequence[Frame], count: int) -> int | N
         frames: Its photos.
         count: Of the effects.
     """
-    if planned.steps < SHORTEST or not count:
+    if planned.photos_seen < SHORTEST or not count:
         return None
-    whole = sum(phase.steps * relative_cost(phase) for phase in planned.phases)
+    whole = planned.views_per_step * sum(phase.steps * relative_cost(phase) for phase in planned.phases)
     short = short_settings(Settings(max_gaussians=planned.max_gaussians), frames, 0, SIDE)
     gaussians = short.max_gaussians / planned.max_gaussians
     step = FIXED_COST * gaussians + (1 - FIXED_COST) / _scale(planned, frames) ** 2

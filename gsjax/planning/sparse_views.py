@@ -133,7 +133,7 @@ def is_tried(photos: int, degrees: float | None, steps: int) -> bool:
 def _decide(planned: Plan, scene: Scene, settings: Settings, trial: Trial | None) -> Decision | None:
     photos, degrees = len(scene.train_frames), angle_between_photos(scene)
     by_angle = is_sparse(degrees)
-    if trial is None or not is_tried(photos, degrees, planned.steps):
+    if trial is None or not is_tried(photos, degrees, planned.photos_seen):
         return Decision(photos, degrees, None, None, held_back=True) if by_angle else None
     gain = trial(scene, settings, held_back)
     return Decision(photos, degrees, gain.decibels, gain.error, gain.helps, gain.depth, gain.depth_error)

@@ -14,7 +14,7 @@ from gsjax.effects import sky, transients
 from gsjax.effects.simulation import NO_EFFECTS, Effects
 from gsjax.scene import Frame
 from gsjax.settings import QUICK, Settings
-from gsjax.training.loop import Progress, Work, follow, one_device
+from gsjax.training.loop import Progress, Work, follow, kept_step
 from gsjax.training.plan import Plan
 from gsjax.training.state import TrainState
 from gsjax.training.step import TrainStep, make_train_step
@@ -88,10 +88,7 @@ class Variant:
         self.plan, self.optimizer = plan, optimizer
         self._extent, self._effects, self._skies = extent, effects, skies
         self._capacity: int | None = None  # of the pair buffer, as the last run left it
-        if effects:
-            self._placement = one_device()._replace(make_step=_kept_steps(effects))
-        else:
-            self._placement = one_device()  # which keeps such steps for all variants
+        self._make_step = _kept_steps(effects) if effects else kept_step  # which keeps such steps for all variants
 
     def train(self, frames: Sequence[Frame], state: TrainState, observe: Observe) -> TrainState:
         """The state after all steps. The buffers of the given one are taken."""
@@ -108,8 +105,8 @@ class Variant:
             lambda _: [],
             note,
             self._effects,
-            self._placement,
             skies=self._skies,
+            make_step=self._make_step,
         )
         return follow(work, state, self._capacity)
 

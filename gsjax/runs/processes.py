@@ -2,6 +2,7 @@
 
 import atexit
 import os
+import pickle
 import re
 import socket
 import tempfile
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import jax
+import numpy as np
 from jax.experimental import multihost_utils
 
 from gsjax.errors import InputError
@@ -80,6 +82,16 @@ def is_first() -> bool:
 def from_first(tree: T) -> T:
     """What the first process has; all have arrays of the same shapes."""
     return tree if jax.process_count() == 1 else multihost_utils.broadcast_one_to_all(tree)
+
+
+def same_everywhere(value: T) -> T:
+    """What the first process has, of any kind that can be pickled: a decision that all processes must share."""
+    if jax.process_count() == 1:
+        return value
+    pickled = np.frombuffer(pickle.dumps(value), np.uint8)
+    length = int(multihost_utils.broadcast_one_to_all(np.int64(len(pickled))))
+    padded = np.resize(pickled, length)
+    return pickle.loads(multihost_utils.broadcast_one_to_all(padded).tobytes())
 
 
 @contextmanager

@@ -5,7 +5,6 @@ would run out of them, and shortened when none multiply any more and after a cul
 give the same numbers, bit for bit, and be slower.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -95,9 +94,6 @@ def _wanted(state: TrainState, *, rule: Rule, density: Density, budget: int) -> 
     return rule.wanted_count(state.gaussians, state.statistics, density, step=state.step, budget=budget)
 
 
-Lengthen = Callable[[TrainState, optax.GradientTransformation, int], TrainState]
-
-
 def with_room_to_densify(
     state: TrainState,
     optimizer: optax.GradientTransformation,
@@ -105,7 +101,6 @@ def with_room_to_densify(
     most: int,
     *,
     rule: Rule | None = None,
-    lengthen: Lengthen = lengthen,
 ) -> TrainState:
     """The state in buffers that hold what the next densification makes of it, as far as `most` allows.
 
@@ -115,7 +110,6 @@ def with_room_to_densify(
         density: As `gsjax.training.state.densify` gets it.
         most: The most Gaussians.
         rule: Who grows. None: the rule that `density.rule` names.
-        lengthen: How buffers become longer.
     """
     rows = state.gaussians.num_gaussians
     if rows >= most:

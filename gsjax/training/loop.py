@@ -2,22 +2,22 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optax
 from jax import Array
+from jax.sharding import Mesh
 
 from gsjax.effects import sky
 from gsjax.effects.simulation import Effects
 from gsjax.scene import Frame, Keep, batches, in_memory
 from gsjax.scene.batches import Target, Targets
 from gsjax.settings import Settings
-from gsjax.training import buffers
+from gsjax.training import buffers, data_parallel
 from gsjax.training.capacity import chosen_capacity, headroom, kept_or
 from gsjax.training.faults import faulty_terms, photo_of
 from gsjax.training.growth import adaptive
@@ -25,7 +25,7 @@ from gsjax.training.growth.rules import Rule
 from gsjax.training.plan import Plan, PlannedPhase, check_terms, plan
 from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
-from gsjax.training.stepping import Feed, advance, one_view, view_order
+from gsjax.training.stepping import Feed, advance, one_view, several_views, view_order
 from gsjax.training.terms import Term, Weighed
 from gsjax.training.terms.multi_view import with_neighbors
 
@@ -34,19 +34,6 @@ NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
 
 Depths = Callable[[int], Iterable[tuple[np.ndarray, np.ndarray]]]
 """How many times smaller photos are -> measured depth and its confidence of each frame, see `Target`."""
-
-
-class Placement(NamedTuple):
-    """The devices that a run lies on: the functions that know where its Gaussians are. See `one_device`."""
-
-    feed: Feed
-    make_step: Callable[..., TrainStep]  # as `make_train_step`
-    chosen_capacity: Callable[..., int]
-    with_room_to_densify: Callable[..., TrainState]
-    densify: Callable[..., TrainState]
-    reset_opacities: Callable[..., TrainState]
-    cull: Callable[..., TrainState]
-    shorten: Callable[..., TrainState]  # as `gsjax.training.buffers.shorten`, or as it is
 
 
 class Progress(NamedTuple):
@@ -74,12 +61,6 @@ def kept_step(
     return make_train_step(optimizer, terms, effects=effects, **how) if effects else _kept(optimizer, terms, **how)
 
 
-def one_device() -> Placement:
-    """All on one device, a view a step."""
-    room = buffers.with_room_to_densify
-    return Placement(one_view, kept_step, chosen_capacity, room, densify, reset_opacities, cull, buffers.shorten)
-
-
 @dataclass(frozen=True)
 class Work:
     """What all phases of a run share."""
@@ -91,12 +72,13 @@ class Work:
     prior: NormalsPrior  # gives normals to the first phase that needs them
     observe: Callable[[Progress], None]  # called after every step
     effects: Effects = field(default_factory=dict)  # the state must be made for them, their photos be `frames`
-    placement: Placement = field(default_factory=one_device)  # where the state lies
+    mesh: Mesh | None = None  # devices that share the views of a step; None: one device with one view a step
     depths: Depths | None = None  # where a term needs measured depth
-    skies: sky.Masks = field(default_factory=dict)  # where photos show sky, if the plan knows of one; for one device
+    skies: sky.Masks = field(default_factory=dict)  # where photos show sky, if the plan knows of one
     keep: Keep = in_memory  # where the smaller photos and the maps of a phase lie
-    looks: Callable[[int], bool] | None = None  # at whose state `observe` looks, see `advance`; for one device
-    shares: Callable[[], np.ndarray | float] = lambda: 1.0  # of `with_neighbors`; asked after `prior`
+    looks: Callable[[int], bool] | None = None  # at whose state `observe` looks, see `advance`; None with a mesh
+    shares: Callable[[], np.ndarray | float] = lambda: 1.0  # of `with_neighbors`; called after `prior`
+    make_step: Callable[..., TrainStep] = kept_step  # as `make_train_step`
 
 
 def fit(
@@ -210,18 +192,19 @@ def _photos(work: Work, phase: PlannedPhase, scale: int) -> Targets:
 def _room_for(work: Work, phase: PlannedPhase, data: Targets, state: TrainState, before: int | None) -> int:
     """The pair buffer to begin a phase with: that of the phase before, where it serves."""
     room = headroom(grows=phase.rule is not None)
-    return kept_or(work.placement.chosen_capacity(state.gaussians, data, headroom=room), room, before)
+    gaussians = jax.device_get(state.gaussians) if work.mesh else state.gaussians
+    return kept_or(data_parallel.of_first_process(chosen_capacity(gaussians, data, headroom=room)), room, before)
 
 
 def _run_phase(
     work: Work, phase: PlannedPhase, views: Views, state: TrainState, done: int, capacity: int
 ) -> tuple[TrainState, int]:
-    plan, placement = work.plan, work.placement
+    plan = work.plan
     key = jax.random.key(plan.seed)
     room = headroom(grows=phase.rule is not None)
 
     def step_of(terms: tuple[Weighed, ...], capacity: int) -> TrainStep:
-        return placement.make_step(
+        return work.make_step(
             work.optimizer,
             _shown(terms, views.image),
             capacity=capacity,
@@ -232,6 +215,7 @@ def _run_phase(
             effects=work.effects,
             extent=work.extent,
             dropout=phase.dropout,
+            mesh=work.mesh,
         )
 
     def compiled(capacity: int) -> TrainStep:
@@ -253,12 +237,12 @@ def _run_phase(
         if phase.rule:
             state = _control_density(work, phase.rule, step, state, key)
         if is_last and phase.cull_below > 0:
-            state = placement.cull(state, optimizer=work.optimizer, min_opacity=phase.cull_below)
+            state = cull(state, optimizer=work.optimizer, min_opacity=phase.cull_below)
         if _ends_growth(plan, phase, step) or (is_last and phase.cull_below > 0):
-            state = placement.shorten(state, work.optimizer, plan.max_gaussians)
+            state = buffers.shorten(state, work.optimizer, plan.max_gaussians)
         if is_last and "sky" in phase.needs:
             in_sky = sky.lies_in(np.asarray(state.gaussians.means), work.frames, work.skies)
-            state = remove(state, jnp.asarray(in_sky), optimizer=work.optimizer)
+            state = remove(state, in_sky, optimizer=work.optimizer)
         work.observe(Progress(step, phase, state, metrics, capacity, is_last))
         return state
 
@@ -279,7 +263,7 @@ def _run_phase(
         seed=plan.seed,
         capacity=capacity,
         room=room,
-        feed=_feed_of(views, placement.feed, phase.surface_every),
+        feed=_feed_of(views, _feed(work), phase.surface_every),
         looks=looks if work.looks else None,
         explain=explain,
     )
@@ -288,6 +272,13 @@ def _run_phase(
 def _shown(terms: tuple[Weighed, ...], data: Targets) -> tuple[Weighed, ...]:
     """The terms that these photos can serve: without an alpha channel there is nothing to compare alphas with."""
     return terms if data.has_mattes else tuple(each for each in terms if each.name != "alpha")
+
+
+def _feed(work: Work) -> Feed:
+    """How the photos of a step reach the devices."""
+    if work.mesh is None:
+        return one_view
+    return partial(several_views, mesh=work.mesh, views_per_step=work.plan.views_per_step)
 
 
 def _feed_of(views: Views, feed: Feed, count: int) -> Feed:
@@ -328,14 +319,14 @@ def _ends_growth(plan: Plan, phase: PlannedPhase, step: int) -> bool:
 
 
 def _control_density(work: Work, rule: Rule, step: int, state: TrainState, key: Array) -> TrainState:
-    plan, placement, density = work.plan, work.placement, work.plan.density
+    plan, density = work.plan, work.plan.density
     if adaptive.densifies(density, step):
-        large = jnp.asarray(adaptive.prunes_large(density, step))
-        state = placement.with_room_to_densify(state, work.optimizer, density, plan.max_gaussians, rule=rule)
-        state = placement.densify(
+        large = np.bool_(adaptive.prunes_large(density, step))
+        state = buffers.with_room_to_densify(state, work.optimizer, density, plan.max_gaussians, rule=rule)
+        state = densify(
             state,
             key,
-            jnp.float32(work.extent),
+            np.float32(work.extent),
             large,
             optimizer=work.optimizer,
             density=density,
@@ -343,5 +334,5 @@ def _control_density(work: Work, rule: Rule, step: int, state: TrainState, key: 
             rule=rule,
         )
     if adaptive.resets_opacities(density, step, plan.background):
-        state = placement.reset_opacities(state, optimizer=work.optimizer, limit=adaptive.RESET_OPACITY)
+        state = reset_opacities(state, optimizer=work.optimizer, limit=adaptive.RESET_OPACITY)
     return state

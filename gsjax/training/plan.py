@@ -68,7 +68,6 @@ class Plan:
     rates: Rates  # their `decay_steps` are known
     density: Density
     logging: Logging
-    left_out: tuple[str, ...] = ()  # terms that were asked for and cannot run on these devices
     downscale: float = 1.0  # photos are so many times smaller than they were taken
     normals: str | None = None  # folder of the maps; None: those of the run's own depth, where a term asks for any
     effects: tuple[str, ...] = ()  # that are simulated
@@ -79,6 +78,11 @@ class Plan:
     def steps(self) -> int:
         """Of all phases."""
         return self.phases[-1].end
+
+    @property
+    def photos_seen(self) -> int:
+        """By all steps."""
+        return self.steps * self.views_per_step
 
     @property
     def needs(self) -> frozenset[str]:
@@ -135,7 +139,6 @@ class Plan:
             self.normals,
             views_per_step=self.views_per_step,
             max_gaussians=self.max_gaussians,
-            left_out=self.left_out,
             effects=self.effects,
         )
 
@@ -193,7 +196,6 @@ def steps_in_common(one: Mapping[str, Any], other: Mapping[str, Any]) -> int:
 def plan(
     settings: Settings,
     terms: Mapping[str, Term | Callable[..., Array]] = MappingProxyType({}),
-    devices: int = 1,
     effects: Iterable[str] = (),
 ) -> Plan:
     """The plan of a run.
@@ -207,24 +209,15 @@ def plan(
         settings: What was asked for.
         terms: The run's own terms of the loss by name, beside the library's or in their place. Of a bare function it is
             found out what it needs.
-        devices: How many the Gaussians are spread over. Terms that compare views are left out where a step takes
-            several.
         effects: Names of those that are simulated: masks of transients make growth wait.
 
     Raises:
-        InputError: A weight has no term, a term with normals looks at smaller photos, or a term, or dropout, cannot run
-            on so many devices.
+        InputError: A weight has no term, or a term needs data that the run does not have.
     """
     known = {**TERMS, **as_terms(terms)}
-    is_one = devices == settings.views_per_step == 1
-    if settings.dropout and not is_one:
-        raise InputError(f"dropout={settings.dropout:g} needs one device and --views-per-step 1")
-    phases, left_out, begin = [], set(), 0
+    phases, begin = [], 0
     for phase in settings.phases:
         wanted = _weighed(settings, phase, known)
-        if not is_one:
-            left_out |= {each.name for each in wanted if "neighbor" in needs([each])}
-            wanted = tuple(each for each in wanted if each.name not in left_out)
         if settings.depth is None and "measured" in needs(wanted):
             named = next(each.name for each in wanted if "measured" in needs([each]))
             raise InputError(f"phases.{phase.name}.weights.{named}: needs measured depth, --depth DIR")
@@ -253,7 +246,6 @@ def plan(
         logging=_logging(settings.logging, views),
         stereo_points=settings.stereo_points,
         sky_weight=settings.sky_weight,
-        left_out=tuple(sorted(left_out)),
     ).with_effects(tuple(effects))
 
 

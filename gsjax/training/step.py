@@ -1,7 +1,7 @@
 """One compiled step per phase: render, lose, update, accumulate."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from jax import Array
+from jax.sharding import Mesh
 
 import rasterizer
 from gsjax import rendering
@@ -20,7 +21,7 @@ from gsjax.numerics import all_finite
 from gsjax.rendering import View
 from gsjax.scene import batches
 from gsjax.scene.batches import Batch, Target
-from gsjax.training import optimizers
+from gsjax.training import data_parallel, optimizers
 from gsjax.training.dropout import leave_out
 from gsjax.training.growth.rules import Rule
 from gsjax.training.state import TrainState
@@ -46,11 +47,11 @@ class Outcome(NamedTuple):
 
     metrics: Metrics
     overflowed: Array  # a buffer of any kind was too short: gradients and metrics are of a wrong image
-    seen: Any = None  # what the update reads
+    seen: Any = None  # what the update reads beside the gradients
 
 
 TrainStep = Callable[[TrainState, Target, Array], tuple[TrainState, Metrics]]
-"""(state, what one view shows, random key) -> (state, metrics). The state is donated."""
+"""(state, what one view or several stacked ones show, random key) -> (state, metrics). The state is donated."""
 
 Background = Callable[[Array], Array]
 """key -> `[3]` colour under the images of this step."""
@@ -66,7 +67,6 @@ def guarded_step(
     differentiate: Callable[[S, Target, Array, Array], tuple[G, Outcome]],
     update: Callable[[S, G, Outcome, Target], S],
     background: Background,
-    on_all: Callable[[Array], Array] = lambda flag: flag,
 ) -> Callable[[S, Target, Array], tuple[S, Outcome]]:
     """A step that leaves the state as it was where a buffer overflowed, or where loss or gradients are not finite.
 
@@ -77,14 +77,13 @@ def guarded_step(
             view showed.
         update: (state, gradients, outcome, target) -> the state after the step.
         background: Colour under the images.
-        on_all: Of a flag of one device, whether it holds on all.
     """
 
     def step(state: S, target: Target, key: Array) -> tuple[S, Outcome]:
         key = jax.random.fold_in(key, state.step)  # pyright: ignore[reportAttributeAccessIssue]
         gradients, outcome = differentiate(state, target, background(key), key)
         proposed = update(state, gradients, outcome, target)
-        finite = on_all(all_finite((outcome.metrics.loss, gradients)))
+        finite = all_finite((outcome.metrics.loss, gradients))
         outcome = outcome._replace(metrics=outcome.metrics._replace(finite=finite))
         is_left = outcome.overflowed | ~finite
         if target.turn is not None:  # An earlier step overflowed, which the host did not know yet.
@@ -102,6 +101,66 @@ class _Free(NamedTuple):
     numbers: dict[str, Any] | None  # of the effects
 
 
+@dataclass(frozen=True)
+class _Objective:
+    """The loss of one view and its gradients, as one phase has them."""
+
+    terms: Sequence[Weighed]
+    capacity: int
+    sh_every: int
+    rule: Rule | None
+    depth_mode: rendering.DepthReading
+    effects: Effects
+    extent: float
+    dropout: float
+
+    def gradients(self, state: TrainState, target: Target, color: Array, key: Array):
+        """`_Free` gradients of the loss, `Metrics` and the projection of one view."""
+        batch = batches.batch(target, color)
+        beside = batches.batch(target.beside, color) if "neighbor" in needs(self.terms) and target.beside else None
+        probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if self.rule else None
+        free = _Free(state.gaussians, probe, None if state.effects is None else state.effects.numbers)
+        (total, (losses, error, projection, pairs)), gradients = jax.value_and_grad(self._loss, has_aux=True)(
+            free, state, batch, beside, color, key
+        )
+        return gradients, Metrics(total, in_decibels(error), pairs.needed, pairs.overflowed, losses), projection
+
+    def accumulate(self, statistics: Any, gradients: _Free, projection: rasterizer.Projection, size: Array) -> Any:
+        """The statistics of densification with one more view, a photo of `size` pixels."""
+        if not self.rule:
+            return statistics
+        seen = in_photo(projection, size)
+        distances = jnp.where(seen, projection.depths[0], 0) / self.extent
+        return self.rule.accumulate(statistics, gradients.probe, seen, distances, size)
+
+    def _loss(self, free: _Free, state: TrainState, batch: Batch, beside: Batch | None, color: Array, key: Array):
+        gaussians, probe, numbers = free
+        needed, effects = needs(self.terms), self.effects
+        batch = replace(batch, camera=simulation.move_camera(effects, numbers, batch.camera, batch.photo))
+        drawn = leave_out(gaussians, self.dropout, jax.random.fold_in(key, 3)) if self.dropout else gaussians
+        view = rendering.render(
+            drawn,
+            batch.camera,
+            capacity=self.capacity,
+            background=simulation.light_behind(effects, numbers, batch.camera, color),
+            active_degree=state.step // self.sh_every,
+            with_depth="depth" in needed,
+            depth_mode=self.depth_mode,
+            with_axes="axes" in needed,
+            **({self.rule.probes: probe} if self.rule else {}),
+        )
+        view = simulation.photograph(effects, numbers, view, batch, color)
+        batch, added = simulation.mask_untrusted(effects, numbers, view, batch)
+        pairs = view.splats.pairs
+        if beside is not None:
+            beside = replace(beside, camera=simulation.move_camera(effects, numbers, beside.camera, beside.photo))
+            neighbor = multi_view.render_neighbor(drawn, beside, self.capacity, self.depth_mode)
+            view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
+        total, losses, error = weighted_loss(self.terms, self.rule, gaussians, view, batch)
+        total = total if added is None else total + added
+        return total, (losses, error, view.splats.projection, pairs)
+
+
 def make_train_step(
     optimizer: optax.GradientTransformation,
     terms: Sequence[Weighed],
@@ -114,6 +173,7 @@ def make_train_step(
     effects: Effects = NO_EFFECTS,
     extent: float = 1.0,
     dropout: float = 0.0,
+    mesh: Mesh | None = None,
 ) -> TrainStep:
     """The compiled step of one phase.
 
@@ -123,68 +183,57 @@ def make_train_step(
         capacity: Of the pair buffer. A view that needs more leaves the state untouched and says so.
         background: Colour under the images.
         sh_every: Steps between the bands of the SH ramp.
-        rule: Of density control, whose statistics are gathered; None: none are.
+        rule: Of densification, whose statistics are gathered; None: none are.
         depth_mode: What a splat's depth is, see `gsjax.rendering`.
         effects: Those that stand between the render and the photos; the state and the targets must be made for them.
         extent: Camera extent, scene units: what a rule measures distances in.
         dropout: Share of the Gaussians that each step leaves out, see `gsjax.training.dropout`. 0: none.
+        mesh: Devices that share the views of a step, see `gsjax.training.data_parallel`. None: a step takes one view.
 
     Returns:
-        A `TrainStep`.
+        A `TrainStep`. With a mesh it takes stacked targets and descends the mean of their losses. The loss, the terms
+        and the PSNR are means over the views, `needed` is the largest.
     """
-    needed = needs(terms)
+    look = _Objective(terms, capacity, sh_every, rule, depth_mode, effects, extent, dropout)
 
-    def objective(free: _Free, state: TrainState, batch: Batch, beside: Batch | None, color: Array, key: Array):
-        gaussians, probe, numbers = free
-        batch = replace(batch, camera=simulation.move_camera(effects, numbers, batch.camera, batch.photo))
-        drawn = leave_out(gaussians, dropout, jax.random.fold_in(key, 3)) if dropout else gaussians
-        view = rendering.render(
-            drawn,
-            batch.camera,
-            capacity=capacity,
-            background=simulation.light_behind(effects, numbers, batch.camera, color),
-            active_degree=state.step // sh_every,
-            with_depth="depth" in needed,
-            depth_mode=depth_mode,
-            with_axes="axes" in needed,
-            **({rule.probes: probe} if rule else {}),
-        )
-        view = simulation.photograph(effects, numbers, view, batch, color)
-        batch, added = simulation.mask_untrusted(effects, numbers, view, batch)
-        pairs = view.splats.pairs
-        if beside is not None:
-            beside = replace(beside, camera=simulation.move_camera(effects, numbers, beside.camera, beside.photo))
-            neighbor = multi_view.render_neighbor(drawn, beside, capacity, depth_mode)
-            view, pairs = view._replace(neighbor=neighbor), _of_both(pairs, neighbor.pairs)
-        total, losses, error = weighted_loss(terms, rule, gaussians, view, batch)
-        total = total if added is None else total + added
-        return total, (losses, error, view.splats.projection, pairs)
+    def one_view(state: TrainState, target: Target, color: Array, key: Array) -> tuple[_Free, Outcome]:
+        gradients, metrics, projection = look.gradients(state, target, color, key)
+        statistics = look.accumulate(state.statistics, gradients, projection, target.size)
+        return gradients, Outcome(metrics, metrics.overflowed, statistics)
 
-    def differentiate(state: TrainState, target: Target, color: Array, key: Array) -> tuple[_Free, Outcome]:
-        batch = batches.batch(target, color)
-        beside = batches.batch(target.beside, color) if "neighbor" in needed and target.beside else None
-        probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
-        free = _Free(state.gaussians, probe, None if state.effects is None else state.effects.numbers)
-        (total, (losses, error, projection, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
-            free, state, batch, beside, color, key
-        )
-        metrics = Metrics(total, in_decibels(error), pairs.needed, pairs.overflowed, losses)
-        return gradients, Outcome(metrics, pairs.overflowed, projection)
+    def several_views(state: TrainState, views: Target, color: Array, key: Array) -> tuple[_Free, Outcome]:
+        def add_view(sums: tuple[_Free, Any], target: Target):
+            gradients, metrics, projection = look.gradients(state, target, color, key)
+            statistics = look.accumulate(sums[1], gradients, projection, target.size)
+            return (jax.tree.map(jnp.add, sums[0], gradients._replace(probe=None)), statistics), metrics
+
+        numbers = None if state.effects is None else state.effects.numbers
+        zeros = jax.tree.map(jnp.zeros_like, (_Free(state.gaussians, None, numbers), state.statistics))
+        sums, of_views = jax.lax.scan(add_view, zeros, views)
+        gradients, added = data_parallel.sum_over_devices(sums)
+        count = data_parallel.num_views(of_views.loss)
+        metrics = _of_all_views(of_views, capacity)
+        statistics = jax.tree.map(jnp.add, state.statistics, added)
+        return jax.tree.map(lambda total: total / count, gradients), Outcome(metrics, metrics.overflowed, statistics)
 
     def update(state: TrainState, gradients: _Free, outcome: Outcome, target: Target) -> TrainState:
+        del target
         gaussians, opt_state = optimizers.apply_gradients(
             optimizer, state.gaussians, state.opt_state, gradients.gaussians
         )
-        statistics, projection = state.statistics, outcome.seen
-        if rule:
-            seen = in_photo(projection, target.size)
-            distances = jnp.where(seen, projection.depths[0], 0) / extent
-            statistics = rule.accumulate(statistics, gradients.probe, seen, distances, target.size)
         looks = simulation.update_effects(effects, state.effects, gradients.numbers)
-        done = state.step + 1
-        return replace(state, gaussians=gaussians, opt_state=opt_state, statistics=statistics, step=done, effects=looks)
+        return replace(
+            state,
+            gaussians=gaussians,
+            opt_state=opt_state,
+            statistics=outcome.seen,
+            step=state.step + 1,
+            effects=looks,
+        )
 
-    step = guarded_step(differentiate, update, background)
+    step = guarded_step(several_views if mesh else one_view, update, background)
+    if mesh:
+        step = data_parallel.on_mesh(step, mesh)
 
     @partial(jax.jit, donate_argnums=0)
     def train_step(state: TrainState, target: Target, key: Array) -> tuple[TrainState, Metrics]:
@@ -192,6 +241,13 @@ def make_train_step(
         return state, outcome.metrics
 
     return train_step
+
+
+def _of_all_views(metrics: Metrics, capacity: int) -> Metrics:
+    """What a step over the views of all devices reports, from the `[K]` metrics of each view of this device."""
+    loss, psnr, terms = jax.tree.map(data_parallel.mean_over_views, (metrics.loss, metrics.psnr, metrics.terms))
+    needed = data_parallel.largest_over_views(metrics.needed)
+    return Metrics(loss, psnr, needed, needed > capacity, terms)
 
 
 def weighted_loss(

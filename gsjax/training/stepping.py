@@ -9,10 +9,12 @@ from typing import TypeVar
 import jax
 import numpy as np
 from jax import Array
+from jax.sharding import Mesh
 
 from gsjax.errors import InputError, is_out_of_memory
 from gsjax.scene import batches
 from gsjax.scene.batches import Target, Targets
+from gsjax.training import data_parallel
 from gsjax.training.capacity import STILL, can_stream, is_compiled_anew, no_room, rounded_capacity
 from gsjax.training.faults import NOT_FINITE
 from gsjax.training.step import Metrics
@@ -48,6 +50,37 @@ def one_view(data: Targets, seed: int, view_share: float) -> Callable[[int], Tar
     def target(step: int) -> Target:
         here, *beside = fed(of_step(step), of_step(step + 1))
         return replace(here, beside=beside[0]) if beside else here
+
+    return target
+
+
+def several_views(
+    data: Targets, seed: int, view_share: float, *, mesh: Mesh, views_per_step: int
+) -> Callable[[int], Target]:
+    """A `Feed` of a mesh: the views that one device would take one by one, so many at a time, in shares of the devices.
+
+    They are streamed: a device holds its views of a step and of the next one.
+    """
+    del view_share
+
+    def of_place(place: int) -> Target:
+        view = view_order(seed, place, data.num_views)
+        target = data.targets[view]
+        if data.neighbors is None:
+            return target
+        return replace(target, beside=data.targets[drawn_beside(data.neighbors[view], seed, place)])
+
+    def stacked(step: int) -> Target:
+        places = range(step * views_per_step, (step + 1) * views_per_step)
+        return data_parallel.stack_views([of_place(place) for place in places], mesh)
+
+    ahead: dict[int, Target] = {}
+
+    def target(step: int) -> Target:
+        here = ahead.pop(step) if step in ahead else stacked(step)
+        ahead.clear()
+        ahead[step + 1] = stacked(step + 1)
+        return here
 
     return target
 

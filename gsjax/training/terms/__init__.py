@@ -19,7 +19,7 @@ NEEDS = {
     "measured": "depth that was measured beside the photo, `Batch.depth`",
     "neighbor": "a second view beside the first, `View.neighbor`",
     "sky": "where the photo shows open sky, `Batch.sky`",
-    "gaussians": "the Gaussians themselves, not their picture alone; on several devices those that show in the view",
+    "gaussians": "the Gaussians themselves, not their picture alone",
 }
 """What a term may need beside the image, and where it finds it."""
 

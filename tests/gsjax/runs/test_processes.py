@@ -10,10 +10,11 @@ import pytest
 from small_scenes import built_in
 
 from gsjax import runs
+from gsjax.io import json_files
 from gsjax.runs import checkpoints
 
 PATIENCE = 900  # seconds until the first checkpoint, on a machine with much else to do
-PLAN = (
+LOST = (
     'phases=[{"name":"vanilla","steps":100000,"density_control":true}]',
     "max_gaussians=400",
     "sh_degree=0",
@@ -21,6 +22,17 @@ PLAN = (
     "logging.metrics_every=2",
     "logging.evaluate_every=0",
     "logging.checkpoint_every=2",
+)
+SHORT = (  # of the preset `fast`: every kind of step, in a minute
+    "phases.coarse.steps=8",
+    "phases.vanilla.steps=4",
+    "phases.surface.steps=8",
+    "density.start=1",
+    "density.stop=10",
+    "density.every=4",
+    "max_gaussians=400",
+    "logging.evaluate_every=0",
+    "effects=exposure,vignetting,poses,background",
 )
 
 
@@ -31,14 +43,23 @@ def free_port():
 
 
 @pytest.fixture
-def both(tmp_path):
-    """Both processes of a run in `tmp_path`/run, and their standard errors."""
+def both(request, tmp_path):
+    """Both processes of a run in `tmp_path`/run with the given settings; their output is in 0.log and 1.log."""
     scene, port = built_in(tmp_path / "scene", 6, (32, 32)), free_port()
     started = []
     for process in range(2):
         log = open(tmp_path / f"{process}.log", "w")  # noqa: SIM115
         command = [sys.executable, "-m", "gsjax", "train", str(scene), "--out", str(tmp_path / "run")]
-        command += ["--coordinator", f"127.0.0.1:{port}", "--processes", "2", "--process", str(process), "--set", *PLAN]
+        command += [
+            "--coordinator",
+            f"127.0.0.1:{port}",
+            "--processes",
+            "2",
+            "--process",
+            str(process),
+            "--set",
+            *request.param,
+        ]
         started.append(subprocess.Popen(command, stdout=log, stderr=log, env={**os.environ, "TMPDIR": str(tmp_path)}))
         log.close()
     yield started
@@ -48,6 +69,19 @@ def both(tmp_path):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("both", [SHORT], indirect=True)
+def test_two_processes_train_fast_with_effects_to_the_end(both, tmp_path):
+    ends = [process.wait(PATIENCE) for process in both]
+    assert ends == [0, 0], "".join((tmp_path / f"{process}.log").read_text() for process in range(2))
+    state = checkpoints.load_arrays(runs.latest_checkpoint(tmp_path / "run")[1])
+    assert int(state["['state'].step"]) == 10  # twenty photos, two a step
+    manifest = json_files.read(tmp_path / "run" / "manifest.json")
+    assert set(manifest["effects"]["simulated"]) == {"exposure", "vignetting", "poses", "background"}
+    assert any("exposure" in name for name in state)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("both", [LOST], indirect=True)
 def test_a_lost_process_ends_the_run_with_one_line_and_the_last_checkpoint_whole(both, tmp_path):
     run, deadline = tmp_path / "run", time.monotonic() + PATIENCE
     while runs.latest_checkpoint(run) is None and time.monotonic() < deadline:

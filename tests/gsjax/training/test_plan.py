@@ -60,8 +60,6 @@ def test_every_step_leaves_out_the_share_that_was_asked_for_and_its_record_says_
     assert [phase["dropout"] for phase in planned.record()["phases"]] == [0.4, 0.4]
     assert [phase.dropout for phase in plan(SETTINGS).phases] == [0.0, 0.0]
     assert not any("dropout" in phase for phase in plan(SETTINGS).record()["phases"])
-    with pytest.raises(InputError, match="dropout=0.4 needs one device and --views-per-step 1"):
-        plan(replace(SETTINGS, dropout=0.4, views_per_step=2))
 
 
 def test_plain_splatting_has_the_terms_of_the_image_for_as_many_steps():
@@ -92,12 +90,6 @@ def test_every_preset_may_be_taken_in_larger_steps(preset, views):
     larger = plan(settings)
     assert total_steps(settings) <= views * larger.steps < total_steps(settings) + views * len(larger.phases)
     assert larger.rates.means == pytest.approx(math.sqrt(views) * settings.rates.means)
-
-
-def test_terms_that_compare_views_are_left_out_and_told_where_a_step_has_several():
-    several = plan(replace(SETTINGS, views_per_step=2))
-    assert several.left_out == ("multi_view",) and "multi_view" not in terms(several.phases[1])
-    assert plan(SETTINGS).left_out == ()
 
 
 def test_masks_of_transients_make_growth_wait():

@@ -1,1 +1,0 @@
-"""Training on several devices: Gaussians by rows, views by device."""
