@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 
 from gsjax import rendering
-from gsjax.numerics import all_finite, masked_mean
+from gsjax.metrics.images import mse
+from gsjax.numerics import all_finite
 from gsjax.scene import batches
 from gsjax.training import optimizers
 from gsjax.training.state import TrainState
@@ -32,8 +33,8 @@ def make_train_step(optimizer, terms, *, capacity, background, sh_every, rule, d
         total = sum(each.weight * losses[each.name] for each in terms)
         if rule:
             total += rule.probe_loss(view, batch)
-        mse = masked_mean(jnp.mean(jnp.square(jnp.clip(view.colors, 0, 1) - batch.image), -1), batch.valid)
-        return total, (losses, mse, view.splats.projection, view.splats.pairs)
+        error = mse(jnp.clip(view.colors, 0, 1), batch.image, batch.valid)
+        return total, (losses, error, view.splats.projection, view.splats.pairs)
 
     @partial(jax.jit, donate_argnums=0)
     def train_step(state, target, key):
@@ -41,8 +42,8 @@ def make_train_step(optimizer, terms, *, capacity, background, sh_every, rule, d
         batch = batches.batch(target, color)
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
         gradient = jax.value_and_grad(objective, argnums=(0, 1) if rule else (0,), has_aux=True)
-        (total, (losses, mse, projection, pairs)), gradients = gradient(state.gaussians, probe, state, batch, color)
-        psnr = -10 * jnp.log10(jnp.maximum(mse, 1e-10))
+        (total, (losses, error, projection, pairs)), gradients = gradient(state.gaussians, probe, state, batch, color)
+        psnr = -10 * jnp.log10(jnp.maximum(error, 1e-10))
         statistics = state.statistics
         if rule:
             seen = in_photo(projection, target.size)

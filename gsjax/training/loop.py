@@ -78,7 +78,7 @@ class Work:
     keep: Keep = in_memory  # where the smaller photos and the maps of a phase lie
     looks: Callable[[int], bool] | None = None  # at whose state `observe` looks, see `advance`; None with a mesh
     shares: Callable[[], np.ndarray | float] = lambda: 1.0  # of `with_neighbors`; called after `prior`
-    make_step: Callable[..., TrainStep] = kept_step  # as `make_train_step`
+    make_step: Callable[..., TrainStep] = field(default_factory=lambda: kept_step)  # as `make_train_step`
 
 
 def fit(
