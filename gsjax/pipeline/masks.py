@@ -13,7 +13,7 @@ from gsjax.io.files import atomic_folder, require_empty
 from gsjax.io.images import write_image
 from gsjax.io.photo_names import path_inside
 from gsjax.io.scenes import is_data_set, list_photos
-from gsjax.io.sfm.shots import Shot, list_shots, shot_of
+from gsjax.io.sfm.source_photos import SourcePhoto, list_source_photos, read_source_photo
 from gsjax.networks.record_files import read_record
 from gsjax.networks.records import MASK_NETWORKS, MaskNetwork
 from gsjax.networks.segmenter import Segmenter, chosen_classes
@@ -35,7 +35,7 @@ def masks(
     `gsjax.io.scenes` and `gsjax.io.sfm` read masks.
 
     Args:
-        photos: Folder of photos, see `gsjax.io.sfm.shots.list_shots`, or of a data set.
+        photos: Folder of photos, see `gsjax.io.sfm.source_photos.list_source_photos`, or of a data set.
         network: A name of `gsjax.networks.records.MASK_NETWORKS`, or a JSON file with a record of one's own.
         weights: The network as an ONNX file.
         out: Folder to make, absent or empty; appears when everything is done. None: `masks` in `photos`, where the
@@ -56,33 +56,33 @@ def masks(
     chosen = chosen_classes(record, classes)
     folder = Path(photos) / "masks" if out is None else Path(out)
     require_empty(folder)
-    shots = _shots(Path(photos), images)
+    sources = _sources(Path(photos), images)
     segmenter = Segmenter(record, weights, chosen)
     left_out, without = [], 0
     began = time.perf_counter()
     with atomic_folder(folder) as made:
-        for shot in tqdm(shots, desc=f"masks on {segmenter.graph.device}", unit="photo"):
-            shows = segmenter(shot.read_upright(), shot.name)
+        for source in tqdm(sources, desc=f"masks on {segmenter.graph.device}", unit="photo"):
+            shows = segmenter(source.read_upright(), source.name)
             without += not shows.any()
             is_out = shows != invert
             left_out.append(is_out.mean())
             mask = np.where(is_out, np.uint8(0), np.uint8(255))
-            write_image(made / f"{path_inside(shot.name)}.png", shot.as_stored(mask))
+            write_image(made / f"{path_inside(source.name)}.png", source.as_stored(mask))
     return {
-        "masks": len(shots),
+        "masks": len(sources),
         "classes": ", ".join(chosen),
         "left_out": float(np.mean(left_out)),
         "photos_without": without,
         "provider": segmenter.graph.provider,
-        "seconds_per_photo": (time.perf_counter() - began) / len(shots),
+        "seconds_per_photo": (time.perf_counter() - began) / len(sources),
         "licence": record.licence,
         "folder": str(folder),
     }
 
 
-def _shots(photos: Path, images: str | None) -> list[Shot]:
+def _sources(photos: Path, images: str | None) -> list[SourcePhoto]:
     if is_data_set(photos):
-        return [shot_of(photo.path, photo.name) for photo in list_photos(photos, images)]
+        return [read_source_photo(photo.path, photo.name) for photo in list_photos(photos, images)]
     if images is not None:
         raise InputError(f"--images {images}: goes with a data set, and {photos} is a folder of photos")
-    return list_shots(photos)
+    return list_source_photos(photos)

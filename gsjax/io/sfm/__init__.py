@@ -39,19 +39,36 @@ FILES: Final = ("weights", "matcher_weights")  # options that name one
 
 
 @dataclass(frozen=True)
-class Panoramas:
-    """That photos are equirectangular."""
+class _Options:
+    """The options of `reconstruct`, checked."""
 
-    mask_below: float | None  # degrees below the horizon from which on they are masked; None: nowhere
-
-
-@dataclass(frozen=True)
-class Networks:
-    """That features are found, and perhaps matched, by networks in ONNX files."""
-
-    kind: str  # of features, as `gsjax.io.sfm.learned` has them
-    weights: Path
+    frames: int
+    panoramas: bool
+    mask_below: float | None
+    features: str
+    weights: Path | None
     matcher_weights: Path | None
+
+    def __post_init__(self):
+        """Check ranges, and options that exclude each other; raises InputError."""
+        if self.frames < 2:
+            raise InputError(f"--frames {self.frames}: at least 2 are needed")
+        if self.mask_below is not None and not self.panoramas:
+            raise InputError(f"--mask-below {self.mask_below:g}: is for panoramas of 360 degrees, add --panoramas")
+        if self.mask_below is not None and not 0 <= self.mask_below < 90:
+            raise InputError(f"--mask-below {self.mask_below:g}: degrees below the horizon are from 0 to less than 90")
+        files = [file for file in (self.weights, self.matcher_weights) if file is not None]
+        if self.features == "sift" and files:
+            raise InputError("--weights and --matcher-weights go with --features aliked or disk, not with SIFT")
+        if self.features not in ("sift", "aliked", "disk"):
+            raise InputError(f"--features {self.features}: takes sift, aliked or disk")
+        if self.features != "sift" and self.weights is None:
+            raise InputError(f"--features {self.features}: needs --weights FILE.onnx; no weights come with gsjax")
+        if self.features == "disk" and self.matcher_weights is not None:
+            raise InputError("--matcher-weights: OpenCV's LightGlue matches features of aliked, not of disk")
+        for file in files:
+            if not file.is_file():
+                raise InputError(f"{file}: no such file of weights")
 
 
 @dataclass(frozen=True)
@@ -82,8 +99,6 @@ def reconstruct(
     features: str = "sift",
     weights: str | Path | None = None,
     matcher_weights: str | Path | None = None,
-    max_image_size: int = 1600,
-    threads: int = -1,
     progress: Callable[..., tqdm] = tqdm,
 ) -> SfmReport:
     """Makes a COLMAP data set (`out/images`, `out/sparse/0`, PINHOLE cameras) from a folder of photos or a video.
@@ -107,9 +122,6 @@ def reconstruct(
         features: "sift", or "aliked" or "disk" by OpenCV 5 and the user's own file of `weights`.
         weights: Of ALIKED or DISK, an ONNX file.
         matcher_weights: Of LightGlue for ALIKED, an ONNX file. None: nearest descriptors match.
-        max_image_size: SIFT's features are sought in photos whose longer side is reduced to this, pixels; the photos
-            written are not reduced.
-        threads: Threads to use, -1 for all cores.
         progress: Makes a progress bar, called with tqdm's `total`, `desc` and `unit`.
 
     Raises:
@@ -119,48 +131,17 @@ def reconstruct(
     """
     start = time.monotonic()
     photos, out = Path(photos), Path(out)
-    if frames is not None and frames < 2:
-        raise InputError(f"--frames {frames}: at least 2 are needed")
     if frames is not None and photos.is_dir():
         raise InputError(f"{photos}: is a folder of photos, of which all are taken; --frames is for a video")
-    if mask_below is not None and not panoramas:
-        raise InputError(f"--mask-below {mask_below:g}: is for panoramas of 360 degrees, add --panoramas")
-    if mask_below is not None and not 0 <= mask_below < 90:
-        raise InputError(f"--mask-below {mask_below:g}: degrees below the horizon are from 0 to less than 90")
-    networks = _networks(features, weights, matcher_weights)
+    files = (None if file is None else Path(file) for file in (weights, matcher_weights))
+    options = _Options(DEFAULT_FRAMES if frames is None else frames, panoramas, mask_below, features, *files)
     require_empty(out)
-    threads = threads if threads > 0 else len(os.sched_getaffinity(0))
     with workspace(out) as space:
-        kind = Panoramas(mask_below) if panoramas else None
-        arguments = (photos, space, frames or DEFAULT_FRAMES, kind, networks, max_image_size, threads)
-        report = run_in_child(_build, *arguments, name=str(photos), progress=progress)
+        report = run_in_child(_build, photos, space, options, name=str(photos), progress=progress)
         report["seconds"] = time.monotonic() - start
         json_files.write(space / "scene" / REPORT, report)  # Of a scene that is there, it can be read again.
         put_in_place(space / "scene", out)
     return SfmReport(**report)
-
-
-def _networks(features: str, weights: str | Path | None, matcher_weights: str | Path | None) -> Networks | None:
-    """What is asked of networks; None: nothing.
-
-    Raises:
-        InputError: The options do not go together, or a file is absent.
-    """
-    if features == "sift":
-        if weights is not None or matcher_weights is not None:
-            raise InputError("--weights and --matcher-weights go with --features aliked or disk, not with SIFT")
-        return None
-    if features not in ("aliked", "disk"):
-        raise InputError(f"--features {features}: takes sift, aliked or disk")
-    if weights is None:
-        raise InputError(f"--features {features}: needs --weights FILE.onnx; no weights come with gsjax")
-    if matcher_weights is not None and features != "aliked":
-        raise InputError(f"--matcher-weights: OpenCV's LightGlue matches features of aliked, not of {features}")
-    networks = Networks(features, Path(weights), None if matcher_weights is None else Path(matcher_weights))
-    for file in (networks.weights, networks.matcher_weights):
-        if file is not None and not file.is_file():
-            raise InputError(f"{file}: no such file of weights")
-    return networks
 
 
 def read_report(scene: str | Path) -> SfmReport:
@@ -189,53 +170,53 @@ def _build(source: Path, workspace: Path, *how: Any) -> dict:
         raise unwritable(workspace, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))) from error
 
 
-def _built(
-    source: Path,
-    workspace: Path,
-    frames: int,
-    panoramas: Panoramas | None,
-    networks: Networks | None,
-    max_image_size: int,
-    threads: int,
-    progress: Callable[..., tqdm],
-) -> dict:
-    from gsjax.io.sfm import features, georeference, initial_cameras, learned, mapping, pairs, publishing, shots
+def _built(source: Path, workspace: Path, options: _Options, progress: Callable[..., tqdm]) -> dict:
+    from gsjax.io.sfm import (
+        dataset_writer,
+        features,
+        georeference,
+        initial_cameras,
+        learned,
+        mapping,
+        pairs,
+        source_photos,
+    )
 
     mapping.pycolmap.set_random_seed(0)
-    folder = _frames_of(source, workspace / "frames", frames, progress) if source.is_file() else source
-    taken, faults = shots.usable_shots(folder)
-    if panoramas is not None:
-        taken = shots.as_panoramas(taken, panoramas.mask_below)
-    hint = shots.panorama_hint(taken) if panoramas is None else ""
-    if networks is None:
-        found, matcher = features.find_features(taken, max_image_size, threads, progress), None
+    folder = _frames_of(source, workspace / "frames", options.frames, progress) if source.is_file() else source
+    photos, faults = source_photos.usable_photos(folder)
+    if options.panoramas:
+        photos = source_photos.as_panoramas(photos, options.mask_below)
+    hint = "" if options.panoramas else source_photos.panorama_hint(photos)
+    if options.weights is None:
+        detected, matcher = features.find_features(photos, progress), None
     else:
-        files = networks.weights, networks.matcher_weights
-        found, matcher = learned.find_features(taken, networks.kind, *files, threads, progress)
-    scores = pairs.likeness(found, threads, progress)
-    priors, ignored_focals = initial_cameras.focal_priors(taken)
-    material = mapping.Material(taken, found, scores, initial_cameras.guess_cameras(taken, priors), threads, matcher)
+        files = options.weights, options.matcher_weights
+        detected, matcher = learned.find_features(photos, options.features, *files, progress)
+    scores = pairs.likeness(detected, progress)
+    priors, ignored_focals = initial_cameras.focal_priors(photos)
+    material = mapping.Material(photos, detected, scores, [], matcher)
     try:
         model, left_out, second_mapping = mapping.map_photos_with_priors(material, priors, workspace, progress)
     except InputError as error:
         raise InputError(f"{source}: {error}{hint}") from error
-    placed = georeference.place_model(model, taken)
-    publishing.write_dataset(model, taken, make_folder(workspace / "scene"), progress)
+    placed = georeference.place_model(model, photos)
+    dataset_writer.write_dataset(model, photos, make_folder(workspace / "scene"), progress)
     write_place(workspace / "scene", placed.place)
     return {
-        "images": len(taken) + len(faults),
+        "images": len(photos) + len(faults),
         "registered": model.num_reg_images(),
         "left_out": {fault.name: fault.reason for fault in faults}
         | {name: why + hint for name, why in left_out.items()},
-        "passed_over": shots.unused_files(folder),
+        "passed_over": source_photos.unused_files(folder),
         "points": model.num_points3D(),
         "mean_reprojection_error": model.compute_mean_reprojection_error(),
         "mean_track_length": model.compute_mean_track_length(),
         "place": placed.told,
         "focal_unused": ignored_focals,
         "second_mapping": second_mapping,
-        "gps_unused": {shot.name: shot.fix for shot in taken if isinstance(shot.fix, str)}
-        | {taken[photo].name: f"{metres:.0f} m from the photo's place" for photo, metres in placed.off.items()},
+        "gps_unused": {photo.name: photo.fix for photo in photos if isinstance(photo.fix, str)}
+        | {photos[index].name: f"{metres:.0f} m from the photo's place" for index, metres in placed.off.items()},
     }
 
 

@@ -1,21 +1,21 @@
 """SIFT features of photos, and matches of the nearest descriptors.
 
-OpenCV finds the features and products of matrices match them: on a CPU without its vector units COLMAP's own build
-takes seconds for a pair of photos, this a tenth of one.
+OpenCV detects the features, and products of matrices match them: a tenth of a second a pair on a CPU. COLMAP's own
+build takes seconds, as it does not use the CPU's vector units.
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
 from gsjax.io.images import cv2, resize
-from gsjax.io.sfm.shots import Shot
+from gsjax.io.sfm.progress import Progress, map_with_bar
+from gsjax.io.sfm.source_photos import SourcePhoto
 
 MOST_FEATURES = 4096  # a photo
+LONGEST_SIDE = 1600  # of a photo in which features are detected, pixels
 _CONTRAST = 0.012  # low: small and blurred photos have few strong corners
 _MOST_READERS = 4  # threads that hold a photo's pyramid, about 400 MB at 1600 pixels
 _ALIKE = 1 - 2e-6  # cosine from which float32 does not tell two descriptors apart; how it errs differs by processor
@@ -35,128 +35,92 @@ _SIFT = Nearness(largest_angle=0.7, largest_ratio=0.8)
 
 @dataclass(frozen=True)
 class Features:
-    """What is told apart in a photo, what lasts longest first: of SIFT the largest, of a network the most certain."""
+    """The features of a photo, the most reliable first: of SIFT the largest, of a network those of highest score."""
 
     xy: np.ndarray  # [N, 2] float64 pixels of the sensor's frame, pixel centres at +0.5
     descriptors: np.ndarray  # [N, 128]: uint8 roots of SIFT's histograms (RootSIFT), or a network's float32
     nearness: Nearness = _SIFT
 
     def unit(self, count: int | None = None) -> np.ndarray:
-        """`[N, 128]` float32 unit vectors of the first `count` features, or of all."""
+        """Return `[N, 128]` float32 unit vectors of the first `count` features, or of all."""
         vectors = self.descriptors[:count].astype(np.float32)
         return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.float32(1e-6))
 
 
-def find_features(
-    shots: list[Shot], max_image_size: int, threads: int, progress: Callable[..., tqdm]
-) -> list[Features]:
-    """The features of every photo, sought at a longer side of at most `max_image_size` pixels, where its mask is on.
+def find_features(photos: list[SourcePhoto], progress: Progress) -> list[Features]:
+    """Return the features of every photo, detected at a longer side of at most `LONGEST_SIDE`, where its mask is on.
 
     Raises:
-        InputError: A photo or its mask is damaged; it is named.
+        InputError: A photo or its mask is damaged; the message names it.
     """
-    cv2.setNumThreads(1)  # Photos side by side use the cores better than parts of one photo.
-    with (
-        ThreadPoolExecutor(min(threads, _MOST_READERS)) as pool,
-        progress(total=len(shots), desc="features", unit="photo") as bar,
-    ):
-        found = []
-        for features in pool.map(lambda shot: _features(shot.read()[0], shot.read_mask(), max_image_size), shots):
-            found.append(features)
-            bar.update(1)
-    return found
+    cv2.setNumThreads(1)  # Several photos at once use the cores better than parts of one photo.
+    return map_with_bar(_features, photos, progress, "features", "photo", _MOST_READERS)
 
 
-class Lines(NamedTuple):
-    """Where matches of each feature of one photo may lie in another: along its epipolar line."""
-
-    lines: np.ndarray  # [N, 3] float32, of unit normal, in pixels of the other photo
-    points: np.ndarray  # [M, 3] float32 homogeneous pixels of the other photo's features
-
-    def of(self, rows) -> "Lines":
-        """For some of the features only."""
-        return Lines(self.lines[rows], self.points)
-
-    def too_far(self) -> np.ndarray:
-        """`[N, M]` bool, pairs of features that the geometry rules out."""
-        return np.abs(self.lines @ self.points.T) > _MOST_OFF
-
-
-class Spots(NamedTuple):
-    """Where matches of each feature of one photo may lie in another: about one place, as all of it shows one plane."""
-
-    spots: np.ndarray  # [N, 2] float32 pixels of the other photo
-    points: np.ndarray  # [M, 2] float32 pixels of the other photo's features
-
-    def of(self, rows) -> "Spots":
-        """For some of the features only."""
-        return Spots(self.spots[rows], self.points)
-
-    def too_far(self) -> np.ndarray:
-        """`[N, M]` bool, pairs of features that the geometry rules out."""
-        x, y = (self.spots[:, None, axis] - self.points[None, :, axis] for axis in range(2))
-        return x * x + y * y > _MOST_OFF**2
-
-
-Region = Lines | Spots
+Region = Callable[[Any], np.ndarray]
+"""Rows of N features of one photo -> `[N, M]` bool, pairs with M features of another that the geometry rules out."""
 
 
 def match(
     a: np.ndarray, b: np.ndarray, within: tuple[Region, Region] | None = None, nearness: Nearness = _SIFT
 ) -> np.ndarray:
-    """Rows of two sets of unit vectors that are each other's nearest, and clearly nearer than the second nearest.
+    """Match two sets of unit vectors that are each other's nearest, and clearly nearer than the second nearest.
 
     Args:
         a: `[N, 128]` float32.
         b: `[M, 128]` float32.
-        within: Where to look: for `a` in b's photo, and for `b` in a's. None: everywhere.
-        nearness: How near is near, and how much nearer is clear.
+        within: Regions to search: for `a` in b's photo, and for `b` in a's. None: everywhere.
+        nearness: The largest distance, and its largest ratio to that of the second nearest.
 
     Returns:
         `[K, 2]` uint32 rows of `a` and `b`.
     """
     if min(len(a), len(b)) < 2:
         return np.empty((0, 2), np.uint32)
-    there, back = within or (None, None)
-    nearest = _nearest(a, b, there, nearness)
+    in_b, in_a = within or (None, None)
+    nearest = _nearest(a, b, in_b, nearness)
     rows = np.flatnonzero(nearest >= 0)
     columns, column = np.unique(nearest[rows], return_inverse=True)
-    returned = _nearest(b[columns], a, back and back.of(columns), nearness)
+    returned = _nearest(b[columns], a, in_a and (lambda block: in_a(columns[block])), nearness)
     return np.stack([rows, nearest[rows]], axis=-1)[returned[column] == rows].astype(np.uint32)
 
 
-def along_lines(a: Features, b: Features, fundamental: np.ndarray) -> tuple[Lines, Lines]:
-    """Where to look in two photos whose pixels satisfy `b^T F a = 0`, `fundamental` being F, `[3, 3]`."""
-    points_a, points_b = _homogeneous(a.xy), _homogeneous(b.xy)
-    lines_b, lines_a = points_a @ fundamental.T, points_b @ fundamental
-    return _lines(lines_b, points_b), _lines(lines_a, points_a)
+def epipolar_regions(a: Features, b: Features, fundamental: np.ndarray) -> tuple[Region, Region]:
+    """Return the regions along epipolar lines, of two photos whose pixels satisfy `b^T F a = 0`; F is `[3, 3]`."""
+
+    def region(xy: np.ndarray, others: np.ndarray, matrix: np.ndarray) -> Region:
+        lines, points = _homogeneous(xy) @ matrix.T, _homogeneous(others).astype(np.float32)
+        lines = lines / np.maximum(np.linalg.norm(lines[:, :2], axis=1, keepdims=True), 1e-12)
+        lines = lines.astype(np.float32)
+        return lambda rows: np.abs(lines[rows] @ points.T) > _MOST_OFF
+
+    return region(a.xy, b.xy, fundamental), region(b.xy, a.xy, fundamental.T)
 
 
-def at_spots(a: Features, b: Features, homography: np.ndarray) -> tuple[Spots, Spots]:
-    """Where to look in two photos whose pixels satisfy `b = H a` up to scale, `homography` being H, `[3, 3]`."""
-    return _spots(a.xy, b.xy, homography), _spots(b.xy, a.xy, np.linalg.inv(homography))
+def homography_regions(a: Features, b: Features, homography: np.ndarray) -> tuple[Region, Region]:
+    """Return the regions about single points, of two photos whose pixels satisfy `b = H a` up to scale; H is `[3, 3]`.
 
+    That holds where all of both photos shows one plane.
+    """
 
-def _lines(lines: np.ndarray, points: np.ndarray) -> Lines:
-    lines = lines / np.maximum(np.linalg.norm(lines[:, :2], axis=1, keepdims=True), 1e-12)
-    return Lines(lines.astype(np.float32), points.astype(np.float32))
+    def region(xy: np.ndarray, others: np.ndarray, matrix: np.ndarray) -> Region:
+        moved, others = _homogeneous(xy) @ matrix.T, others.astype(np.float32)
+        points = moved[:, :2] / np.where(np.abs(moved[:, 2:]) > 1e-9, moved[:, 2:], 1e-9)
+        points = points.astype(np.float32)
+        return lambda rows: np.sum((points[rows][:, None] - others) ** 2, axis=-1) > _MOST_OFF**2
 
-
-def _spots(xy: np.ndarray, points: np.ndarray, homography: np.ndarray) -> Spots:
-    moved = _homogeneous(xy) @ homography.T
-    depth = moved[:, 2:]
-    spots = moved[:, :2] / np.where(np.abs(depth) > 1e-9, depth, 1e-9)
-    return Spots(spots.astype(np.float32), points.astype(np.float32))
+    return region(a.xy, b.xy, homography), region(b.xy, a.xy, np.linalg.inv(homography))
 
 
 def _homogeneous(xy: np.ndarray) -> np.ndarray:
     return np.c_[xy, np.ones(len(xy))]
 
 
-def _features(colors: np.ndarray, mask: np.ndarray | None, max_image_size: int) -> Features:
+def _features(photo: SourcePhoto) -> Features:
+    colors, mask = photo.read()[0], photo.read_mask()
     grey = cv2.cvtColor(colors, cv2.COLOR_RGB2GRAY)
     height, width = grey.shape
-    reduced = max(1.0, max(width, height) / max_image_size)
+    reduced = max(1.0, max(width, height) / LONGEST_SIDE)
     grey = resize(grey, max(1, round(width / reduced)), max(1, round(height / reduced)))
     sift = cv2.SIFT_create(contrastThreshold=_CONTRAST, enable_precise_upscale=True)
     allowed = None if mask is None else usable(mask, *grey.shape[::-1])
@@ -171,22 +135,19 @@ def _features(colors: np.ndarray, mask: np.ndarray | None, max_image_size: int) 
 
 
 def usable(mask: np.ndarray, width: int, height: int) -> np.ndarray:
-    """A mask `[H, W]` for the reduced photo, `[height, width]` uint8.
-
-    It is 255 where all that a pixel of the reduced photo is the mean of may be used, else 0.
-    """
+    """Reduce a mask `[H, W]` to `[height, width]` uint8: 255 where the mask is on in all of a reduced pixel, else 0."""
     on = np.where(mask >= 128, np.float32(255), np.float32(0))
     return np.where(resize(on, width, height) > 254.5, np.uint8(255), np.uint8(0))
 
 
 def _nearest(a: np.ndarray, b: np.ndarray, region: Region | None, nearness: Nearness) -> np.ndarray:
-    """`[N]` the row of `b` nearest to each of `a`, or -1 where it is too far off or hardly nearer than the second."""
+    """Return `[N]` the row of `b` nearest to each of `a`; -1 where it is too far or hardly nearer than the second."""
     nearest = np.empty(len(a), np.int64)
     for start in range(0, len(a), _BLOCK):
         block = slice(start, start + _BLOCK)
         cosines = a[block] @ b.T
         if region is not None:
-            cosines[region.of(block).too_far()] = -1
+            cosines[region(block)] = -1
         rows = np.arange(len(cosines))
         best = cosines.argmax(axis=1)
         first = np.arccos(np.clip(cosines[rows, best], -1, _ALIKE))

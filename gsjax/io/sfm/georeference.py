@@ -15,7 +15,7 @@ import numpy as np
 from gsjax.io.packages import require
 from gsjax.io.sfm.gps import Fix
 from gsjax.io.sfm.gravity import Up, up_by_gravity
-from gsjax.io.sfm.shots import Shot, turned_pose
+from gsjax.io.sfm.source_photos import SourcePhoto, turned_pose
 from gsjax.scene.cameras import viewmat_centers
 from gsjax.scene.georeference import Place, turn_upright, up_of_cameras
 
@@ -110,24 +110,24 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None], level: Up | 
     return Georeference(place, told, off)
 
 
-def place_model(model: Any, shots: Sequence[Shot]) -> Georeference:
+def place_model(model: Any, photos: Sequence[SourcePhoto]) -> Georeference:
     """The place of a model by the GPS of its photos; where that is known, the model is brought there.
 
     Without GPS, a model whose photos say which way is down is turned upright.
 
     Args:
-        model: `pycolmap.Reconstruction` in the sensors' frames, changed in place; image ids count `shots` from 1.
-        shots: The photos.
+        model: `pycolmap.Reconstruction` in the sensors' frames, changed in place; image ids count `photos` from 1.
+        photos: The photos.
 
     Returns:
         The place of the model as it is now: its coordinates are the world's.
     """
     numbers = sorted(model.reg_image_ids())
-    taken = [shots[number - 1] for number in numbers]
+    taken = [photos[number - 1] for number in numbers]
     poses = [model.image(number).cam_from_world().matrix() for number in numbers]
-    viewmats = np.stack([turned_pose(pose, shot.to_upright) for pose, shot in zip(poses, taken, strict=True)])
-    level = up_by_gravity(viewmats, [shot.gravity for shot in taken])
-    found = georeference(viewmats, [shot.fix if isinstance(shot.fix, Fix) else None for shot in taken], level)
+    viewmats = np.stack([turned_pose(pose, photo.to_upright) for pose, photo in zip(poses, taken, strict=True)])
+    level = up_by_gravity(viewmats, [photo.gravity for photo in taken])
+    found = georeference(viewmats, [photo.fix if isinstance(photo.fix, Fix) else None for photo in taken], level)
     if level is not None and not found.place.is_known:
         upright = Place().turned(turn_upright(level.direction))
         found = found._replace(place=upright, told=f"{found.told}; upright by {level.told}")

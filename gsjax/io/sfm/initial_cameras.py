@@ -1,66 +1,64 @@
 """The cameras that mapping starts from: one for all photos of one camera, with a focal length from EXIF or a guess."""
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
 from gsjax.io.exif import tags_of
 from gsjax.io.images import Image, open_image
 from gsjax.io.packages import require
 from gsjax.io.sfm.focal_lengths import CameraKey, usable_prior
-from gsjax.io.sfm.shots import Shot
+from gsjax.io.sfm.source_photos import SourcePhoto
 
 pycolmap = require("pycolmap")
 
-_FULL_LENS_FROM = 5  # photos of one camera that pin two focal lengths and four numbers of distortion down
+_FULL_LENS_FROM = 5  # photos of one camera that determine two focal lengths and four numbers of distortion
 _USUAL_FOCAL = 1.2  # longer sides of the photo, where EXIF states no focal length (COLMAP)
-PANORAMA = "EQUIRECTANGULAR"  # COLMAP's camera of 360 x 180 degrees, in which nothing is to be found out
+PANORAMA = "EQUIRECTANGULAR"  # COLMAP's camera of 360 x 180 degrees, which has no unknowns
 
 
-def focal_priors(shots: list[Shot]) -> tuple[dict[CameraKey, float], dict[str, str]]:
-    """The focal lengths that EXIF states, pixels by camera; and by photo why one is ignored."""
-    by_camera = {shot.camera: shot for shot in shots if not shot.is_panorama}
+def focal_priors(photos: Sequence[SourcePhoto]) -> tuple[dict[CameraKey, float], dict[str, str]]:
+    """Return the focal lengths that EXIF states, pixels by camera; and by photo the reason why one is ignored."""
+    by_camera = {photo.camera: photo for photo in photos if not photo.is_panorama}
     priors, ignored = {}, {}
-    for camera, shot in by_camera.items():
-        guess = _guess(shot)
+    for camera, photo in by_camera.items():
+        guess = _infer_camera(photo)
         if not guess.has_prior_focal_length:
             continue
         focal, reason = usable_prior(camera, by_camera, guess.mean_focal_length())
         if focal is None:
-            ignored |= {other.name: reason for other in shots if other.camera == camera}
+            ignored |= {other.name: reason for other in photos if other.camera == camera}
         else:
             priors[camera] = focal
     return priors, dict(sorted(ignored.items()))
 
 
-def guess_cameras(shots: list[Shot], priors: Mapping[CameraKey, float]) -> list:
-    """A `pycolmap.Camera` for each photo, one for all of one camera, with the prior focal length or a guess."""
-    kinds = list(dict.fromkeys(shot.camera for shot in shots))
+def guess_cameras(photos: Sequence[SourcePhoto], priors: Mapping[CameraKey, float]) -> list:
+    """Return a `pycolmap.Camera` for each photo, one for all of one camera, with the prior focal length or a guess."""
+    keys = [photo.camera for photo in photos]
     cameras = {}
-    for number, kind in enumerate(kinds, start=1):
-        members = [shot for shot in shots if shot.camera == kind]
-        if members[0].is_panorama:
-            cameras[kind] = _panorama(number, *members[0].size)
+    for photo in photos:
+        if photo.camera in cameras:
             continue
-        focal = priors.get(kind, _USUAL_FOCAL * max(members[0].size))
-        model = "OPENCV" if len(members) >= _FULL_LENS_FROM else "SIMPLE_RADIAL"
-        camera = pycolmap.Camera.create_from_model_name(number, model, focal, *members[0].size)
-        camera.has_prior_focal_length = kind in priors
-        cameras[kind] = camera
-    return [cameras[shot.camera] for shot in shots]
+        number, (width, height) = len(cameras) + 1, photo.size
+        if photo.is_panorama:
+            camera = pycolmap.Camera(
+                camera_id=number, model=PANORAMA, width=width, height=height, params=[width, height]
+            )
+        else:
+            model = "OPENCV" if keys.count(photo.camera) >= _FULL_LENS_FROM else "SIMPLE_RADIAL"
+            focal = priors.get(photo.camera, _USUAL_FOCAL * width)
+            camera = pycolmap.Camera.create_from_model_name(number, model, focal, width, height)
+        camera.has_prior_focal_length = photo.is_panorama or photo.camera in priors
+        cameras[photo.camera] = camera
+    return [cameras[key] for key in keys]
 
 
-def _panorama(number: int, width: int, height: int):
-    camera = pycolmap.Camera(camera_id=number, model=PANORAMA, width=width, height=height, params=[width, height])
-    camera.has_prior_focal_length = True
-    return camera
-
-
-def _guess(shot: Shot):
-    """COLMAP's camera of a photo, by its EXIF."""
+def _infer_camera(photo: SourcePhoto):
+    """Return COLMAP's camera of a photo, by its EXIF."""
     with suppress(ValueError):  # Of formats that COLMAP does not read.
-        return pycolmap.infer_camera_from_image(shot.path)
-    with tempfile.NamedTemporaryFile(suffix=".jpg") as blank, open_image(shot.path) as picture:
+        return pycolmap.infer_camera_from_image(photo.path)
+    with tempfile.NamedTemporaryFile(suffix=".jpg") as blank, open_image(photo.path) as picture:
         Image.new("L", picture.size).save(blank, "JPEG", exif=tags_of(picture))
         blank.flush()
         return pycolmap.infer_camera_from_image(blank.name)

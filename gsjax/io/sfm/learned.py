@@ -1,4 +1,4 @@
-"""Features and matches by networks that the user has as ONNX files, run by OpenCV 5: ALIKED or DISK, and LightGlue."""
+"""Features and matches by networks in ONNX files, run by OpenCV 5: ALIKED or DISK, and LightGlue."""
 
 import math
 from collections.abc import Callable
@@ -7,12 +7,12 @@ from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
-from tqdm import tqdm
 
 from gsjax.errors import InputError
 from gsjax.io.images import cv2, resize
 from gsjax.io.sfm.features import MOST_FEATURES, Features, Nearness, usable
-from gsjax.io.sfm.shots import Shot, turned_points
+from gsjax.io.sfm.progress import Progress, map_with_bar, thread_count
+from gsjax.io.sfm.source_photos import SourcePhoto, turned_points
 
 # The bounds that COLMAP has for ALIKED (src/colmap/feature/aliked.h), as an angle.
 _NEARNESS = Nearness(largest_angle=math.acos(0.85), largest_ratio=1.0)
@@ -37,10 +37,6 @@ def _disk(file: str, side: int) -> Any:
     return cv2.DISK.create(file, maxKeypoints=MOST_FEATURES, imageSize=(side, side))
 
 
-def _lightglue(file: str) -> Any:
-    return cv2.LightGlueMatcher.create(file)
-
-
 DETECTORS = {
     # ALIKED's graph calls the first and last pixel's centres -1 and 1, OpenCV reads that as the picture's borders.
     "aliked": Detector("ALIKED", 640, _aliked, gain=639 / 640),
@@ -49,55 +45,47 @@ DETECTORS = {
 
 
 def find_features(
-    shots: list[Shot],
-    kind: str,
-    weights: Path,
-    matcher_weights: Path | None,
-    threads: int,
-    progress: Callable[..., tqdm],
+    photos: list[SourcePhoto], kind: str, weights: Path, matcher_weights: Path | None, progress: Progress
 ) -> tuple[list[Features], "LightGlue | None"]:
-    """The features that a network finds in every photo, the most certain first, where the photo's mask is on.
+    """Detect the features of every photo with a network, highest score first, where the photo's mask is on.
 
-    A photo is shown upright, for networks know a scene less well on its side, and reduced to fit the network's square,
-    in whose middle it lies; it is neither stretched nor enlarged.
+    The network sees each photo upright, reduced to fit its square and centred in it, neither stretched nor enlarged.
 
     Args:
-        shots: The photos.
+        photos: The photos.
         kind: Of `DETECTORS`.
         weights: The network's ONNX file.
         matcher_weights: LightGlue's ONNX file; None: there is no such matcher.
-        threads: That OpenCV may use.
         progress: Makes a progress bar.
 
     Returns:
-        The features of every photo, and what matches those of two.
+        The features of every photo, and the matcher.
 
     Raises:
         InputError: OpenCV is too old, a file is no such network, or a photo or its mask is damaged (named).
     """
-    cv2.setNumThreads(threads)
+    cv2.setNumThreads(thread_count())
     detector = DETECTORS[kind]
     network = _load(detector.name, weights, lambda file: detector.create(file, detector.side))
-    matcher = None if matcher_weights is None else _load("LightGlueMatcher", matcher_weights, _lightglue)
-    found: list[Features] = []
-    with progress(total=len(shots), desc="features", unit="photo") as bar:
-        for shot in shots:
-            found.append(_features(network, detector, weights, shot))
-            bar.update(1)
-    return found, None if matcher_weights is None else LightGlue(matcher, matcher_weights, shots, found)
+    glue = matcher_weights and _load(
+        "LightGlueMatcher", matcher_weights, lambda file: cv2.LightGlueMatcher.create(file)
+    )
+    found = map_with_bar(
+        lambda photo: _features(network, detector, weights, photo), photos, progress, "features", "photo", most=1
+    )
+    return found, matcher_weights and LightGlue(glue, matcher_weights, photos, found)
 
 
 class LightGlue:
     """Matches the features of two photos, which ALIKED found, by LightGlue."""
 
-    def __init__(self, matcher: Any, weights: Path, shots: list[Shot], features: list[Features]):
-        """Of OpenCV's matcher, the file that it came from, and the photos with their features."""
-        self._matcher, self._weights, self._features = matcher, weights, features
-        self._shots = shots
+    def __init__(self, matcher: Any, weights: Path, photos: list[SourcePhoto], features: list[Features]):
+        """Take OpenCV's matcher, its file, and the photos with their features."""
+        self._matcher, self._weights, self._photos, self._features = matcher, weights, photos, features
         self._one_at_a_time = Lock()  # OpenCV's matcher holds the pair.
 
     def __call__(self, i: int, j: int) -> np.ndarray:
-        """`[K, 2]` uint32, rows of photo `i`'s and photo `j`'s features.
+        """Return `[K, 2]` uint32 rows of the features of photos `i` and `j`.
 
         Raises:
             InputError: The graph is not LightGlue's.
@@ -114,16 +102,16 @@ class LightGlue:
                 raise _unlike("LightGlue", self._weights, error) from error
         return np.array([(match.queryIdx, match.trainIdx) for match in matches], np.uint32).reshape(-1, 2)
 
-    def _in_square(self, photo: int) -> tuple[np.ndarray, int]:
-        """`[N, 2]` float32 pixels of the square about the upright photo, and its side: LightGlue knows only squares."""
-        shot, size = self._shots[photo], np.array(self._shots[photo].size)
-        side = int(size.max())
-        in_square = self._features[photo].xy + (side - size) / 2
-        return turned_points(in_square, side, side, shot.to_upright).astype(np.float32), side
+    def _in_square(self, index: int) -> tuple[np.ndarray, int]:
+        """Return `[N, 2]` float32 pixels of the square about the upright photo, and its side."""
+        photo = self._photos[index]
+        side, size = max(photo.size), np.array(photo.size)
+        in_square = self._features[index].xy + (side - size) / 2
+        return turned_points(in_square, side, side, photo.to_upright).astype(np.float32), side
 
 
-def _features(network: Any, detector: Detector, weights: Path, shot: Shot) -> Features:
-    colors, mask = shot.read_upright(), shot.read_mask()
+def _features(network: Any, detector: Detector, weights: Path, photo: SourcePhoto) -> Features:
+    colors, mask = photo.read_upright(), photo.read_mask()
     height, width = colors.shape[:2]
     reduced = max(1.0, max(width, height) / detector.side)
     small = resize(colors, max(1, round(width / reduced)), max(1, round(height / reduced)))
@@ -140,13 +128,13 @@ def _features(network: Any, detector: Detector, weights: Path, shot: Shot) -> Fe
         return Features(np.empty((0, 2)), np.empty((0, 128), np.float32), _NEARNESS)
     in_square = np.array([keypoint.pt for keypoint in keypoints], np.float64) * detector.gain + 0.5
     xy = in_square - margin
-    allowed = np.full(small.shape[:2], 255, np.uint8) if mask is None else usable(shot.upright(mask), *size.tolist())
+    allowed = np.full(small.shape[:2], 255, np.uint8) if mask is None else usable(photo.upright(mask), *size.tolist())
     rows = np.flatnonzero(((xy >= 0) & (xy < size)).all(axis=1))
     column, row = xy[rows].astype(int).T
     rows = rows[allowed[row, column] > 0]
     responses = np.array([keypoint.response for keypoint in keypoints])
     rows = rows[np.argsort(-responses[rows], kind="stable")][:MOST_FEATURES]
-    xy = turned_points(xy[rows] * ([width, height] / size), width, height, -shot.to_upright % 4)
+    xy = turned_points(xy[rows] * ([width, height] / size), width, height, -photo.to_upright % 4)
     return Features(xy, descriptors[rows], _NEARNESS)
 
 

@@ -1,25 +1,23 @@
-"""From features to a model: verified matches, COLMAP's incremental mapping, and a second look at what is left out."""
+"""From features to a model: verified matches, COLMAP's incremental mapping, and further pairs for photos outside it."""
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from gsjax.errors import InputError
 from gsjax.io.colmap_writer import write_whole
 from gsjax.io.files import make_folder
 from gsjax.io.packages import require
-from gsjax.io.sfm.features import Features, Region, along_lines, at_spots, match
+from gsjax.io.sfm.features import Features, Region, epipolar_regions, homography_regions, match
 from gsjax.io.sfm.focal_lengths import CameraKey
 from gsjax.io.sfm.gps import Fix
 from gsjax.io.sfm.initial_cameras import PANORAMA, guess_cameras
 from gsjax.io.sfm.pairs import Pair, bridging_pairs, choose_pairs, likeliest_pairs, nearby_pairs
-from gsjax.io.sfm.shots import Shot
+from gsjax.io.sfm.progress import Progress, map_with_bar, thread_count
+from gsjax.io.sfm.source_photos import SourcePhoto
 
 pycolmap = require("pycolmap")
 
@@ -32,23 +30,22 @@ _SEED = 0
 
 @dataclass(frozen=True)
 class Material:
-    """All that mapping is made of."""
+    """The input of mapping."""
 
-    shots: list[Shot]
+    photos: list[SourcePhoto]
     features: list[Features]
     scores: np.ndarray  # [V, V] int, likeness of photos
     cameras: list  # pycolmap.Camera of each photo, shared by the photos of one
-    threads: int
     matcher: Callable[[int, int], np.ndarray] | None = None  # of two photos' features; None: nearest descriptors
 
 
-def match_photos(material: Material, progress: Callable[..., tqdm]) -> tuple[dict[Pair, Any], set[Pair]]:
-    """Matches the chosen pairs and those near by GPS, then others that may join parts which do not hang together.
+def match_photos(material: Material, progress: Progress) -> tuple[dict[Pair, Any], set[Pair]]:
+    """Match the chosen pairs and those near by GPS, then others that may join separate parts.
 
     Returns:
         The geometry (`pycolmap.TwoViewGeometry`) of the pairs that match, and all pairs that were tried.
     """
-    fixes = [shot.fix if isinstance(shot.fix, Fix) else None for shot in material.shots]
+    fixes = [photo.fix if isinstance(photo.fix, Fix) else None for photo in material.photos]
     tried = choose_pairs(material.scores) | nearby_pairs(fixes)
     geometries = match_pairs(material, tried, "matching", progress)
     for _ in range(_BRIDGING_ROUNDS):
@@ -60,8 +57,8 @@ def match_photos(material: Material, progress: Callable[..., tqdm]) -> tuple[dic
     return geometries, tried
 
 
-def match_pairs(material: Material, pairs: set[Pair], title: str, progress: Callable[..., tqdm]) -> dict[Pair, Any]:
-    """The geometry of those pairs that match and move as a rigid scene would."""
+def match_pairs(material: Material, pairs: set[Pair], title: str, progress: Progress) -> dict[Pair, Any]:
+    """Return the geometry of those pairs that match and move as a rigid scene would."""
     options = pycolmap.TwoViewGeometryOptions()
     options.min_num_inliers = _FEWEST_MATCHES
     options.ransac.random_seed = _SEED
@@ -76,41 +73,33 @@ def match_pairs(material: Material, pairs: set[Pair], title: str, progress: Call
         if len(geometry.inlier_matches) < _FEWEST_MATCHES:
             return None
         if len(geometry.inlier_matches) < _ENOUGH_MATCHES and (within := _regions(geometry, a, b, *cameras)):
-            # With less to mistake it for, many a match is clear that was not before.
+            # Fewer candidates: more matches are clearly nearer than the second nearest.
             guided = match(a.unit(), b.unit(), within, a.nearness)
             geometry.inlier_matches = max(geometry.inlier_matches, guided, key=len)
         return geometry
 
     ordered = sorted(pairs)
-    found = {}
-    with (
-        ThreadPoolExecutor(material.threads) as pool,
-        progress(total=len(ordered), desc=title, unit="pair") as bar,
-    ):
-        for pair, geometry in zip(ordered, pool.map(verified, ordered), strict=True):
-            if geometry is not None:
-                found[pair] = geometry
-            bar.update(1)
-    return found
+    geometries = map_with_bar(verified, ordered, progress, title, "pair")
+    return {pair: geometry for pair, geometry in zip(ordered, geometries, strict=True) if geometry is not None}
 
 
 def _regions(geometry, a: Features, b: Features, first, second) -> tuple[Region, Region] | None:
-    """Where the features of two photos may lie in the other one: along lines, or at a spot where a plane fills both."""
+    """Return the regions of matches: along epipolar lines, or about points where one plane fills both photos."""
     kinds = pycolmap.TwoViewGeometryConfiguration
-    if PANORAMA in (first.model_name, second.model_name):  # Their epipolar lines are no lines.
+    if PANORAMA in (first.model_name, second.model_name):  # Their epipolar lines are curves.
         return None
     if geometry.config == kinds.UNCALIBRATED:
-        return along_lines(a, b, geometry.F)
+        return epipolar_regions(a, b, geometry.F)
     if geometry.config == kinds.CALIBRATED:
         into_first, into_second = (np.linalg.inv(camera.calibration_matrix()) for camera in (first, second))
-        return along_lines(a, b, into_second.T @ geometry.E @ into_first)
+        return epipolar_regions(a, b, into_second.T @ geometry.E @ into_first)
     if geometry.config in (kinds.PLANAR, kinds.PANORAMIC, kinds.PLANAR_OR_PANORAMIC):
-        return at_spots(a, b, geometry.H)
+        return homography_regions(a, b, geometry.H)
     return None
 
 
-def map_photos(material: Material, workspace: Path, progress: Callable[..., tqdm]) -> tuple[Any, dict[str, str]]:
-    """The largest model that can be made, and why photos are not in it.
+def map_photos(material: Material, workspace: Path, progress: Progress) -> tuple[Any, dict[str, str]]:
+    """Make the largest model, and tell why photos are not in it.
 
     Returns:
         `pycolmap.Reconstruction` whose image ids count the photos from 1, and reasons by the names of photos left out.
@@ -123,7 +112,7 @@ def map_photos(material: Material, workspace: Path, progress: Callable[..., tqdm
     if not models:
         matched = len({photo for pair in geometries for photo in pair})
         raise InputError(
-            f"no model found; {matched} of {len(material.shots)} photos match another one:"
+            f"no model found; {matched} of {len(material.photos)} photos match another one:"
             " take photos that overlap by two thirds, from different places"
         )
     model = max(models, key=lambda model: (model.num_reg_images(), model.num_points3D()))
@@ -138,23 +127,10 @@ def map_photos(material: Material, workspace: Path, progress: Callable[..., tqdm
     return model, _reasons(material, geometries, models, model)
 
 
-class _Attempt(NamedTuple):
-    """One mapping."""
-
-    model: Any = None  # pycolmap.Reconstruction; None: none was found
-    left_out: Mapping[str, str] = MappingProxyType({})
-    failure: InputError | None = None
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """Photos with a pose, and points."""
-        return (0, 0) if self.model is None else (self.model.num_reg_images(), self.model.num_points3D())
-
-
 def map_photos_with_priors(
-    material: Material, priors: Mapping[CameraKey, float], workspace: Path, progress: Callable[..., tqdm]
+    material: Material, priors: Mapping[CameraKey, float], workspace: Path, progress: Progress
 ) -> tuple[Any, dict[str, str], str]:
-    """As `map_photos`, and once more without prior focal lengths where less than half of the photos get a pose.
+    """Run `map_photos`, and once more without prior focal lengths where less than half of the photos get a pose.
 
     Returns:
         The model of more photos, the reasons of those left out, and a line on the second mapping, or "".
@@ -162,51 +138,43 @@ def map_photos_with_priors(
     Raises:
         InputError: No two photos give a model, with the priors or without.
     """
-    count = len(material.shots)
-    first = _attempt(material, priors, workspace / "priors", progress)
-    if not priors or 2 * first.size[0] >= count:
-        return _model_of(first, "")
-    second = _attempt(material, {}, workspace / "no_priors", progress)
-    best, words = (second, "without") if second.size > first.size else (first, "with")
-    line = (
-        f"{first.size[0]} of {count} photos get a pose with the focal lengths of EXIF, {second.size[0]} without them;"
-        f" the model {words} them is kept"
-    )
-    return _model_of(best, line)
 
+    def attempt(focals: Mapping[CameraKey, float], name: str) -> tuple[tuple[int, int], Any]:
+        """Return the numbers of photos and points, and the model with its reasons, or the error."""
+        guessed = replace(material, cameras=guess_cameras(material.photos, focals))
+        try:
+            model, reasons = map_photos(guessed, make_folder(workspace / name), progress)
+        except InputError as error:
+            return (0, 0), error
+        return (model.num_reg_images(), model.num_points3D()), (model, reasons)
 
-def _attempt(
-    material: Material, priors: Mapping[CameraKey, float], folder: Path, progress: Callable[..., tqdm]
-) -> _Attempt:
-    material = replace(material, cameras=guess_cameras(material.shots, priors))
-    try:
-        return _Attempt(*map_photos(material, make_folder(folder), progress))
-    except InputError as error:
-        return _Attempt(failure=error)
-
-
-def _model_of(attempt: _Attempt, line: str) -> tuple[Any, dict[str, str], str]:
-    if attempt.failure is not None:
-        raise attempt.failure
-    return attempt.model, dict(attempt.left_out), line
+    count, line = len(material.photos), ""
+    size, outcome = attempt(priors, "priors")
+    if priors and 2 * size[0] < count:
+        size_without, outcome_without = attempt({}, "no_priors")
+        words = "without" if size_without > size else "with"
+        line = (
+            f"{size[0]} of {count} photos get a pose with the focal lengths of EXIF, {size_without[0]} without them;"
+            f" the model {words} them is kept"
+        )
+        outcome = outcome_without if words == "without" else outcome
+    if isinstance(outcome, InputError):
+        raise outcome
+    return *outcome, line
 
 
 def _map(
-    material: Material,
-    geometries: Mapping[Pair, Any],
-    folder: Path,
-    start: Path | None,
-    progress: Callable[..., tqdm],
+    material: Material, geometries: Mapping[Pair, Any], folder: Path, start: Path | None, progress: Progress
 ) -> list:
-    """COLMAP's incremental mapping, from the model in the folder `start` on where one is given."""
+    """Run COLMAP's incremental mapping, from the model in the folder `start` where one is given."""
     database = make_folder(folder) / "database.db"
     _write_database(database, material, geometries)
     options = pycolmap.IncrementalPipelineOptions()
-    options.num_threads = material.threads
+    options.num_threads = thread_count()
     options.random_seed = _SEED
     options.min_model_size = 2
     options.extract_colors = False  # It would read the photos as they are stored.
-    with progress(total=len(material.shots), desc="mapping", unit="photo") as bar:
+    with progress(total=len(material.photos), desc="mapping", unit="photo") as bar:
 
         def started() -> None:
             bar.reset()
@@ -232,9 +200,9 @@ def _write_database(path: Path, material: Material, geometries: Mapping[Pair, An
             rig = pycolmap.Rig(rig_id=camera.camera_id)
             rig.add_ref_sensor(camera.sensor_id)
             database.write_rig(rig, use_rig_id=True)
-        photos = zip(material.shots, material.cameras, material.features, strict=True)
-        for number, (shot, camera, features) in enumerate(photos, start=1):
-            image = pycolmap.Image(name=shot.name, camera_id=camera.camera_id, image_id=number)
+        photos = zip(material.photos, material.cameras, material.features, strict=True)
+        for number, (photo, camera, features) in enumerate(photos, start=1):
+            image = pycolmap.Image(name=photo.name, camera_id=camera.camera_id, image_id=number)
             database.write_image(image, use_image_id=True)
             frame = pycolmap.Frame(frame_id=number, rig_id=camera.camera_id)
             frame.add_data_id(image.data_id)
@@ -245,7 +213,7 @@ def _write_database(path: Path, material: Material, geometries: Mapping[Pair, An
 
 
 def _self_calibrate(model) -> None:
-    """Lets principal points go as well, which mapping holds at the centre: phones are off by a percent or more."""
+    """Refine principal points too, which mapping holds at the centre: those of phones are off by a percent or more."""
     shares = [model.image(image).camera_id for image in model.reg_image_ids()]
     few = [
         camera
@@ -270,21 +238,21 @@ def _self_calibrate(model) -> None:
 
 
 def _reasons(material: Material, geometries: Mapping[Pair, Any], models: list, model) -> dict[str, str]:
-    """Why each photo outside the model is not in it."""
+    """Return by name why each photo outside the model is not in it."""
     matched = {photo for pair in geometries for photo in pair}
     elsewhere = {photo: len(_registered(other)) for other in models for photo in _registered(other)}
     reasons = {}
-    for photo in sorted(set(range(len(material.shots))) - _registered(model)):
+    for photo in sorted(set(range(len(material.photos))) - _registered(model)):
         if photo not in matched:
             reason = "no match with any other photo"
         elif photo in elsewhere:
             reason = f"in a separate model of {elsewhere[photo]} photos"
         else:
             reason = "matched, but too little to be placed"
-        reasons[material.shots[photo].name] = reason
+        reasons[material.photos[photo].name] = reason
     return reasons
 
 
 def _registered(model) -> set[int]:
-    """The photos of a model, by their place in the list."""
+    """Return the photos of a model, by their index."""
     return {image - 1 for image in model.reg_image_ids()}

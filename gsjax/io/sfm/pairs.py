@@ -1,17 +1,16 @@
-"""Which photos are worth matching with which: a cheap look at few features of each tells."""
+"""Pairs of photos that are worth matching, by a quick comparison of few features of each."""
 
-from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Sequence
 from itertools import combinations
 
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
-from tqdm import tqdm
 
 from gsjax.io.sfm.features import Features, match
 from gsjax.io.sfm.gps import Fix
+from gsjax.io.sfm.progress import Progress, map_with_bar
 
 Pair = tuple[int, int]  # photos by their place in the list, the smaller first
 
@@ -21,27 +20,21 @@ _NEAREST_BY_GPS = 10  # photos taken nearest to each, which a walk's few feature
 _NEXT_BY_NAME = 3  # photos that follow in name order: mostly, and in a video always, the next ones taken
 
 
-def likeness(features: list[Features], threads: int, progress: Callable[..., tqdm]) -> np.ndarray:
-    """`[V, V]` int: how many of their few largest features two photos have in common; 0 on the diagonal."""
+def likeness(features: list[Features], progress: Progress) -> np.ndarray:
+    """Return `[V, V]` int: how many of their few largest features two photos have in common; 0 on the diagonal."""
     few = [one.unit(_FEW_FEATURES) for one in features]
     count = len(few)
-    scores = np.zeros((count, count), np.int64)
 
-    def look(i: int) -> list[int]:
+    def compare(i: int) -> list[int]:
         return [len(match(few[i], few[j], nearness=features[i].nearness)) for j in range(i + 1, count)]
 
-    with (
-        ThreadPoolExecutor(threads) as pool,
-        progress(total=count * (count - 1) // 2, desc="first look", unit="pair") as bar,
-    ):
-        for i, row in enumerate(pool.map(look, range(count))):
-            scores[i, i + 1 :] = row
-            bar.update(len(row))
+    rows = map_with_bar(compare, range(count), progress, "first look", "photo")
+    scores = np.array([[0] * (count - len(row)) + row for row in rows], np.int64)
     return scores + scores.T
 
 
 def choose_pairs(scores: np.ndarray) -> set[Pair]:
-    """The pairs to match: each photo with those most like it and with those next by name.
+    """Return the pairs to match: each photo with those most like it and with those next by name.
 
     Args:
         scores: `[V, V]` as `likeness` gives them, photos in name order.
@@ -52,10 +45,10 @@ def choose_pairs(scores: np.ndarray) -> set[Pair]:
 
 
 def nearby_pairs(fixes: Sequence[Fix | None]) -> set[Pair]:
-    """Each photo with those that were taken nearest to it, as far as GPS tells where; heights, which err most, aside.
+    """Return the pairs of each photo with those taken nearest to it by GPS; heights, which err most, are ignored.
 
     Args:
-        fixes: Of the photos; None where GPS says nothing.
+        fixes: Of the photos; None where there is no GPS.
     """
     having = [photo for photo, fix in enumerate(fixes) if fix is not None]
     if len(having) < 2:
@@ -71,7 +64,7 @@ def nearby_pairs(fixes: Sequence[Fix | None]) -> set[Pair]:
 
 
 def likeliest_pairs(scores: np.ndarray, photos: Iterable[int], among: Iterable[int], tried: set[Pair]) -> set[Pair]:
-    """For each of `photos` the pairs with those `among` others that are most like it, pairs `tried` left out."""
+    """Return for each of `photos` the pairs with those `among` others that are most like it, without pairs `tried`."""
     among = np.fromiter(among, np.int64)
     chosen = set()
     for i in photos:
@@ -82,7 +75,7 @@ def likeliest_pairs(scores: np.ndarray, photos: Iterable[int], among: Iterable[i
 
 
 def bridging_pairs(scores: np.ndarray, matched: Iterable[Pair], tried: set[Pair]) -> set[Pair]:
-    """Pairs that may join what hangs together so far: photos outside the largest part, with those of other parts."""
+    """Return pairs that may join connected parts: photos outside the largest part, with those of other parts."""
     parts = connected_parts(len(scores), matched)
     largest = np.bincount(parts).argmax()
     chosen = set()
@@ -92,7 +85,7 @@ def bridging_pairs(scores: np.ndarray, matched: Iterable[Pair], tried: set[Pair]
 
 
 def connected_parts(count: int, matched: Iterable[Pair]) -> np.ndarray:
-    """`[V]` int, equal for photos that are connected by matched pairs."""
+    """Return `[V]` int, equal for photos that are connected by matched pairs."""
     rows, columns = np.array(list(matched), np.int64).reshape(-1, 2).T
     graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count))
     return connected_components(graph, directed=False)[1]

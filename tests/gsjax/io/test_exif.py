@@ -5,7 +5,7 @@ from PIL import Image
 
 from gsjax.io.exif import is_adobe_rgb, orientation_of
 from gsjax.io.images import open_image, upright_size
-from gsjax.io.sfm.shots import shot_of
+from gsjax.io.sfm.source_photos import read_source_photo
 
 HEADER = 14  # bytes: Exif, the kind of TIFF, and where its tags begin
 
@@ -61,13 +61,13 @@ def test_a_damaged_table_of_details_leaves_maker_and_orientation(tmp_path):
     data = bytearray(exif())
     at = data.index(b"\x87\x69\0\x04") + 8
     data[at : at + 4] = b"\x7f\xff\xff\xff"  # where the table lies: beyond the end
-    shot = shot_of(photo(tmp_path / "a.jpg", bytes(data)), "a.jpg")
+    shot = read_source_photo(photo(tmp_path / "a.jpg", bytes(data)), "a.jpg")
     assert shot.camera[0] == "Maker" and (shot.to_upright, shot.size) == (1, (40, 30))
 
 
 def test_exif_whose_orientation_cannot_be_read_is_told(tmp_path, capsys):
     path = photo(tmp_path / "a.jpg", b"Exif\0\0MM\0*\0\0\0\x08 nothing of it is left")
-    assert shot_of(path, "a.jpg").to_upright == 0
+    assert read_source_photo(path, "a.jpg").to_upright == 0
     assert f"{path}: its EXIF is damaged; the photo is taken as it is stored" in capsys.readouterr().err
     with open_image(path) as picture:
         assert not is_adobe_rgb(picture)

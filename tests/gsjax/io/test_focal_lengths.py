@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from gsjax.cli import sfm as command
 from gsjax.errors import InputError
-from gsjax.io.sfm import initial_cameras, mapping, shots
+from gsjax.io.sfm import initial_cameras, mapping, source_photos
 
 quietly = partial(tqdm, disable=True)
 SIZE = (300, 200)
@@ -33,7 +33,7 @@ def priors_of(folder, *photos):
     """The prior focal length of each photo, mm of 35 mm film, None where there is none; and why some are ignored."""
     for number, tags in enumerate(photos):
         photo(folder / f"{number}.jpg", **tags)
-    taken = shots.list_shots(folder)
+    taken = source_photos.list_source_photos(folder)
     priors, ignored = initial_cameras.focal_priors(taken)
     cameras = initial_cameras.guess_cameras(taken, priors)
     focals = [camera.mean_focal_length() / PIXELS_A_MM if camera.has_prior_focal_length else None for camera in cameras]
@@ -105,9 +105,9 @@ def test_mapping_runs_again_without_priors_where_less_than_half_register(tmp_pat
     monkeypatch.setattr(mapping, "map_photos", map_photos)
     for number in range(20):
         photo(tmp_path / f"{number:02d}.jpg", film=135)
-    taken = shots.list_shots(tmp_path)
+    taken = source_photos.list_source_photos(tmp_path)
     priors, _ = initial_cameras.focal_priors(taken)
-    material = mapping.Material(taken, [], np.zeros((20, 20)), [], 1)
+    material = mapping.Material(taken, [], np.zeros((20, 20)), [])
     model, _, told = mapping.map_photos_with_priors(material, priors, tmp_path / "work", quietly)
     assert starts == [True, False][: len(models)]
     assert model is made[kept]

@@ -11,7 +11,7 @@ from PIL.TiffImagePlugin import IFDRational
 from scipy.spatial.transform import Rotation
 
 from gsjax.io.place_files import read_place, write_place
-from gsjax.io.sfm import gps, shots
+from gsjax.io.sfm import gps, source_photos
 from gsjax.io.sfm.georeference import georeference, place_model
 from gsjax.io.sfm.gps import Fix
 
@@ -42,7 +42,7 @@ def sexagesimal(degrees):
 def fix_of(folder, *place, **changed):
     write_photo(folder / "a.jpg", *place, **changed)
     write_photo(folder / "b.jpg", *place, **changed)
-    return shots.list_shots(folder)[0].fix
+    return source_photos.list_source_photos(folder)[0].fix
 
 
 @pytest.mark.parametrize("place", [MUNICH, SANTIAGO, FIJI, (31.5, 35.5, -430.0)])

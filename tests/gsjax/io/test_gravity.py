@@ -11,7 +11,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from gsjax.io.place_files import read_place, write_place
-from gsjax.io.sfm import shots
+from gsjax.io.sfm import source_photos
 from gsjax.io.sfm.georeference import place_model
 from gsjax.io.sfm.gravity import MAKER_NOTE, up_by_gravity
 
@@ -38,7 +38,7 @@ def noted(folder, *, note=None, xmp=None, orientation=1, lens=None):
     if lens is not None:
         details[0xA434] = lens
     Image.new("RGB", (40, 20)).save(folder / "a.jpg", exif=exif, **({} if xmp is None else {"xmp": xmp.encode()}))
-    return shots.shot_of(folder / "a.jpg", "a.jpg").gravity
+    return source_photos.read_source_photo(folder / "a.jpg", "a.jpg").gravity
 
 
 @pytest.mark.parametrize("hold", HOLDS)

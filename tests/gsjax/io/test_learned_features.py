@@ -14,7 +14,7 @@ from tqdm import tqdm
 from gsjax.errors import InputError
 from gsjax.io.sfm import initial_cameras, learned, mapping, pairs, reconstruct
 from gsjax.io.sfm.features import Features, match
-from gsjax.io.sfm.shots import list_shots, shot_of
+from gsjax.io.sfm.source_photos import list_source_photos, read_source_photo
 
 quietly = partial(tqdm, disable=True)
 needs_opencv_5 = pytest.mark.skipif(not hasattr(cv2, "ALIKED"), reason="OpenCV older than 5.0")
@@ -68,8 +68,8 @@ def test_features_lie_where_the_network_says_and_where_the_mask_is_on(tmp_path, 
     mask[:, :width] = 0
     (tmp_path / "photos/masks").mkdir()
     cv2.imwrite(str(tmp_path / "photos/masks/masked.png.png"), mask)
-    shots = list_shots(tmp_path / "photos")
-    (masked, whole), matcher = learned.find_features(shots, kind, weights[kind], None, 1, quietly)
+    shots = list_source_photos(tmp_path / "photos")
+    (masked, whole), matcher = learned.find_features(shots, kind, weights[kind], None, quietly)
     assert matcher is None
     expected = np.c_[2 * columns + 1, 2 * rows + 1]  # the middle of four pixels
     order = np.argsort(-colors.sum(axis=1), kind="stable")  # the most certain first
@@ -103,7 +103,7 @@ def test_a_photo_is_shown_upright_and_its_features_turned_back(tmp_path):
         return [cv2.KeyPoint(float(x), float(y), 1) for y, x in white], np.ones((len(white), 128), np.float32)
 
     detector = learned.DETECTORS["aliked"]._replace(gain=1.0)
-    shot = shot_of(tmp_path / "photo.png", "photo.png", tmp_path / "mask.png")
+    shot = read_source_photo(tmp_path / "photo.png", "photo.png", tmp_path / "mask.png")
     found = learned._features(SimpleNamespace(detectAndCompute=brightest), detector, tmp_path, shot)
     np.testing.assert_allclose(found.xy, [[80.5, 50.5]])
 
@@ -113,7 +113,7 @@ def test_photos_of_dots_get_their_poses_from_aliked_and_lightglue(tmp_path, weig
     photos, rotations = world
     glue = small_lightglue(tmp_path / "lightglue.onnx")
     options = {"features": "aliked", "weights": weights["aliked"], "matcher_weights": glue}
-    report = reconstruct(photos, tmp_path / "scene", **options, threads=1, progress=quietly)
+    report = reconstruct(photos, tmp_path / "scene", **options, progress=quietly)
     assert (report.registered, report.left_out) == (6, {})
     assert report.points > 100 and report.mean_track_length > 4 and report.mean_reprojection_error < 0.5
     model = pycolmap.Reconstruction(tmp_path / "scene/sparse/0")
@@ -126,10 +126,10 @@ def test_photos_of_dots_get_their_poses_from_aliked_and_lightglue(tmp_path, weig
 
 @needs_opencv_5
 def test_nearest_descriptors_of_disk_pass_the_verification_of_colmap(weights, world):
-    shots = list_shots(world[0])
-    found, matcher = learned.find_features(shots, "disk", weights["disk"], None, 1, quietly)
-    scores = pairs.likeness(found, 1, quietly)
-    material = mapping.Material(shots, found, scores, initial_cameras.guess_cameras(shots, {}), 1, matcher)
+    shots = list_source_photos(world[0])
+    found, matcher = learned.find_features(shots, "disk", weights["disk"], None, quietly)
+    scores = pairs.likeness(found, quietly)
+    material = mapping.Material(shots, found, scores, initial_cameras.guess_cameras(shots, {}), matcher)
     geometries = mapping.match_pairs(material, {(0, 1), (0, 5)}, "matching", quietly)
     assert scores[0, 1] > 100 and set(geometries) == {(0, 1), (0, 5)}
     for (i, j), geometry in geometries.items():
@@ -181,11 +181,11 @@ def test_what_does_not_go_together_is_refused_before_anything_is_read(tmp_path):
 
 @needs_opencv_5
 def test_files_that_are_no_such_network_are_named_in_one_line(tmp_path, weights, world):
-    shots = list_shots(world[0])
+    shots = list_source_photos(world[0])
 
     def refused(kind, file, matcher=None):
         with pytest.raises(InputError) as raised:
-            found, glue = learned.find_features(shots[:2], kind, file, matcher, 1, quietly)
+            found, glue = learned.find_features(shots[:2], kind, file, matcher, quietly)
             assert glue is not None
             glue(0, 1)
         assert "\n" not in str(raised.value)
@@ -207,4 +207,4 @@ def test_files_that_are_no_such_network_are_named_in_one_line(tmp_path, weights,
 def test_an_opencv_without_the_network_says_which_has_it(tmp_path, monkeypatch):
     monkeypatch.delattr(cv2, "DISK", raising=False)
     with pytest.raises(InputError, match=r"has no DISK; version 5.0 or newer is needed: pip install"):
-        learned.find_features([], "disk", tmp_path / "disk.onnx", None, 1, quietly)
+        learned.find_features([], "disk", tmp_path / "disk.onnx", None, quietly)

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from gsjax.errors import InputError
 from gsjax.io.files import make_folder
 from gsjax.io.scenes import load_scene
-from gsjax.io.sfm import initial_cameras, mapping, publishing, reconstruct, shots
+from gsjax.io.sfm import dataset_writer, initial_cameras, mapping, reconstruct, source_photos
 from gsjax.io.sfm.features import Features
 from gsjax.io.sfm.pairs import likeness
 
@@ -45,13 +45,13 @@ def scene(world, tmp_path_factory):
     for number in range(PHOTOS):
         grey = np.full((HEIGHT, WIDTH, 3), 40 * number, np.uint8)
         Image.fromarray(grey).save(root / f"photos/{number}.png")
-    taken = shots.as_panoramas(shots.list_shots(root / "photos"), 60.0)
+    taken = source_photos.as_panoramas(source_photos.list_source_photos(root / "photos"), 60.0)
     descriptors = np.random.default_rng(1).integers(0, 255, (POINTS, 128)).astype(np.uint8)
     found = [Features(seen_at(world[0], *pose), descriptors) for pose in zip(*world[1:], strict=True)]
-    material = mapping.Material(taken, found, likeness(found, 1, quietly), initial_cameras.guess_cameras(taken, {}), 1)
+    material = mapping.Material(taken, found, likeness(found, quietly), initial_cameras.guess_cameras(taken, {}))
     model, left_out = mapping.map_photos(material, make_folder(root / "work"), quietly)
     assert left_out == {}
-    publishing.write_dataset(model, taken, make_folder(root / "scene"), quietly)
+    dataset_writer.write_dataset(model, taken, make_folder(root / "scene"), quietly)
     return load_scene(root / "scene")
 
 
@@ -94,7 +94,7 @@ def test_what_is_no_panorama_is_refused(tmp_path):
     for name in "ab":
         Image.fromarray(np.zeros((40, 60, 3), np.uint8)).save(tmp_path / f"{name}.png")
     with pytest.raises(InputError, match="a.png: is 60x40; a panorama of 360 degrees is twice as broad as high"):
-        shots.as_panoramas(shots.list_shots(tmp_path), None)
+        source_photos.as_panoramas(source_photos.list_source_photos(tmp_path), None)
     with pytest.raises(InputError, match="--mask-below 30: is for panoramas of 360 degrees, add --panoramas"):
         reconstruct(tmp_path, tmp_path / "scene", mask_below=30.0)
     with pytest.raises(InputError, match="--mask-below 90: degrees below the horizon are from 0 to less than 90"):
@@ -107,4 +107,4 @@ def test_what_is_no_panorama_is_refused(tmp_path):
 def test_photos_without_a_pose_of_the_shape_of_panoramas_may_be_some(tmp_path, sizes, hint):
     for number, size in enumerate(sizes):
         Image.new("RGB", size).save(tmp_path / f"{number}.png")
-    assert shots.panorama_hint(shots.list_shots(tmp_path)) == hint
+    assert source_photos.panorama_hint(source_photos.list_source_photos(tmp_path)) == hint

@@ -40,7 +40,7 @@ def fox(shared, tmp_path_factory):
         bars.append(tqdm(**settings, file=io.StringIO()))
         return bars[-1]
 
-    report = reconstruct(root / "photos", root / "scene", threads=2, progress=progress)
+    report = reconstruct(root / "photos", root / "scene", progress=progress)
     return root / "scene", report, bars
 
 
@@ -79,7 +79,7 @@ def test_the_result_is_an_undistorted_data_set_and_a_report_of_it(fox):
 def test_every_stage_reports_its_progress_to_the_end(fox):
     _, _, bars = fox
     assert [bar.desc for bar in bars] == ["features", "first look", "matching", "mapping", "undistortion"]
-    assert [(bar.n, bar.total) for bar in bars] == [(6, 6), (15, 15), (15, 15), (6, 6), (6, 6)]
+    assert [(bar.n, bar.total) for bar in bars] == [(6, 6), (6, 6), (15, 15), (6, 6), (6, 6)]
 
 
 def test_points_have_the_colours_of_the_photos(fox):

@@ -12,9 +12,9 @@ from tqdm import tqdm
 from gsjax.errors import InputError
 from gsjax.io import sfm
 from gsjax.io.scenes import load_scene
+from gsjax.io.sfm import dataset_writer, gps, initial_cameras, pairs, source_photos
 from gsjax.io.sfm import features as sift
-from gsjax.io.sfm import gps, initial_cameras, pairs, publishing, shots
-from gsjax.io.sfm.features import Features, along_lines, at_spots, match
+from gsjax.io.sfm.features import Features, epipolar_regions, homography_regions, match
 
 quietly = partial(tqdm, disable=True)
 
@@ -35,7 +35,7 @@ def photo(path, size=(40, 20), **tags):
 def test_every_exif_orientation_ends_upright_by_way_of_the_sensor(tmp_path, orientation, size):
     photo(tmp_path / "a.png", size, orientation=orientation)
     photo(tmp_path / "b.png", size)
-    shot, _ = shots.list_shots(tmp_path)
+    shot, _ = source_photos.list_source_photos(tmp_path)
     sensor, _ = shot.read()
     assert sensor.shape == (20, 40, 3)
     assert shot.size == (40, 20)
@@ -52,7 +52,7 @@ def test_photos_of_one_camera_share_it_however_it_was_held(tmp_path):
     photo(tmp_path / "4.png", make="Two", focal=26)
     photo(tmp_path / "5.png", (42, 20), make="One", focal=26)
     photo(tmp_path / "6.png")
-    cameras = [shot.camera for shot in shots.list_shots(tmp_path)]
+    cameras = [shot.camera for shot in source_photos.list_source_photos(tmp_path)]
     assert len(set(cameras[:3])) == 1
     assert len(set(cameras[2:])) == 5
 
@@ -66,12 +66,12 @@ def test_pose_and_pinhole_turn_with_the_picture(turns):
     picture = np.zeros((height, width))
     picture[int(y / z), int(x / z)] = 1
     turned = np.rot90(picture, -turns)
-    (fx, fy, cx, cy), new_width, new_height = shots.turned_pinhole(K, width, height, turns)
+    (fx, fy, cx, cy), new_width, new_height = source_photos.turned_pinhole(K, width, height, turns)
     assert turned.shape == (new_height, new_width)
-    x_up, y_up, z_up = shots.turned_pose(pose, turns) @ point
+    x_up, y_up, z_up = source_photos.turned_pose(pose, turns) @ point
     pixel = np.array([fx * x_up / z_up + cx, fy * y_up / z_up + cy])
     assert turned[int(pixel[1]), int(pixel[0])] == 1
-    np.testing.assert_allclose(pixel, shots.turned_points(np.array([[x / z, y / z]]), width, height, turns)[0])
+    np.testing.assert_allclose(pixel, source_photos.turned_points(np.array([[x / z, y / z]]), width, height, turns)[0])
 
 
 def unit(rng, count):
@@ -112,7 +112,7 @@ def test_along_epipolar_lines_twins_elsewhere_do_no_harm():
     b = Features(np.r_[xy + [9, 0], xy + [9, 300]], np.r_[descriptors, descriptors])  # twins 300 rows below
     along_rows = np.array([[0.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # F of a camera that moved to the side
     assert len(match(a.unit(), b.unit())) == 0
-    found = match(a.unit(), b.unit(), along_lines(a, b, along_rows))
+    found = match(a.unit(), b.unit(), epipolar_regions(a, b, along_rows))
     assert found[:5].tolist() == [[i, i] for i in range(5)]  # of the others a twin lies on the line of another
 
 
@@ -126,9 +126,9 @@ def test_where_one_plane_fills_both_photos_twins_along_the_line_do_no_harm_eithe
     a = Features(xy, descriptors)
     b = Features(np.r_[moved, moved + [300, 0]], np.r_[descriptors, descriptors])  # twins 300 columns beside
     assert len(match(a.unit(), b.unit())) == 0
-    found = match(a.unit(), b.unit(), at_spots(a, b, plane))
+    found = match(a.unit(), b.unit(), homography_regions(a, b, plane))
     assert found.tolist() == [[i, i] for i in range(20)]
-    back = match(b.unit(), a.unit(), at_spots(b, a, np.linalg.inv(plane)))
+    back = match(b.unit(), a.unit(), homography_regions(b, a, np.linalg.inv(plane)))
     assert sorted(back[:, ::-1].tolist()) == found.tolist()
 
 
@@ -137,7 +137,7 @@ def test_likeness_counts_what_photos_share():
     world = rng.integers(0, 200, (60, 128)).astype(np.uint8)
     ranges = [(0, 30), (20, 50), (45, 60)]
     photos = [Features(np.zeros((stop - start, 2)), world[start:stop]) for start, stop in ranges]
-    np.testing.assert_array_equal(pairs.likeness(photos, 2, quietly), [[0, 10, 0], [10, 0, 5], [0, 5, 0]])
+    np.testing.assert_array_equal(pairs.likeness(photos, quietly), [[0, 10, 0], [10, 0, 5], [0, 5, 0]])
 
 
 def test_photos_are_paired_with_the_likest_and_with_the_next_by_name(monkeypatch):
@@ -179,7 +179,7 @@ def test_masks_are_masks_of_photos_and_no_photos(tmp_path, place):
     (masks / "sub").mkdir(parents=True)
     for name in ("a.png", "sub/a.png", "b.jpg.png"):
         Image.fromarray(np.full((20, 40), 100 + len(name), np.uint8)).save(masks / name)
-    found = shots.list_shots(tmp_path / "photos" if place == "inner" else folder)
+    found = source_photos.list_source_photos(tmp_path / "photos" if place == "inner" else folder)
     assert [shot.name for shot in found] == ["a.png", "b.jpg", "sub/a.png"]
     assert [int(shot.read_mask()[0, 0]) for shot in found] == [105, 109, 109]
 
@@ -198,7 +198,7 @@ def test_masks_beside_photos_are_no_photos(tmp_path, masks):
     for name in ("a.jpg", "day/b.png", *masks):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         photo(tmp_path / name)
-    found = {shot.name: shot.mask_path for shot in shots.list_shots(tmp_path)}
+    found = {shot.name: shot.mask_path for shot in source_photos.list_source_photos(tmp_path)}
     assert found == {"a.jpg": tmp_path / masks[0], "day/b.png": tmp_path / masks[1]}
 
 
@@ -208,16 +208,16 @@ def test_photos_that_are_damaged_or_whose_mask_is_are_left_out_and_named(tmp_pat
         photo(tmp_path / name)
     for name in ("b.jpg", "masks/c.jpg.png"):
         (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:-25])
-    taken, faults = shots.usable_shots(tmp_path)
+    taken, faults = source_photos.usable_photos(tmp_path)
     assert [shot.name for shot in taken] == ["a.jpg", "d.png"]
     assert [fault.name for fault in faults] == ["b.jpg", "c.jpg"]
     assert f"{tmp_path}/b.jpg: not a whole image" in faults[0].reason and "masks/c.jpg.png: not" in faults[1].reason
     assert capsys.readouterr().err == ""
-    assert len(shots.list_shots(tmp_path)) == 2
+    assert len(source_photos.list_source_photos(tmp_path)) == 2
     assert "; 2 of 4 photos are left out: b.jpg, c.jpg\n" in capsys.readouterr().err
     (tmp_path / "d.png").write_bytes(b"")
     with pytest.raises(InputError, match="3 of 4 photos cannot be used, and 2 are needed: b.jpg, c.jpg, d.png"):
-        shots.usable_shots(tmp_path)
+        source_photos.usable_photos(tmp_path)
 
 
 def test_masks_of_other_names_are_refused(tmp_path):
@@ -225,7 +225,7 @@ def test_masks_of_other_names_are_refused(tmp_path):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         photo(tmp_path / name)
     with pytest.raises(InputError, match="masks: no mask in it has the name of a photo, for example a.png.png"):
-        shots.list_shots(tmp_path)
+        source_photos.list_source_photos(tmp_path)
 
 
 @pytest.mark.parametrize("orientation", [1, 5, 6])
@@ -242,7 +242,7 @@ def test_masks_turn_with_the_pixels_or_with_the_picture(tmp_path, orientation, u
             expected = np.asarray(ImageOps.exif_transpose(grey))
         else:
             expected = np.asarray(ImageOps.exif_transpose(grey))
-    shot, other = shots.list_shots(tmp_path)
+    shot, other = source_photos.list_source_photos(tmp_path)
     np.testing.assert_array_equal(shot.upright(shot.read_mask()), expected)
     assert other.read_mask() is None
     Image.fromarray(np.zeros((9, 9), np.uint8)).save(tmp_path / "masks/a.png")
@@ -257,8 +257,14 @@ def test_photos_of_every_format_are_found_and_other_files_named(tmp_path):
     (tmp_path / "raw").mkdir()
     for name in (".DS_Store", ".hidden/x.jpg", "notes", "raw/IMG_1.CR2", "clip.mov"):
         (tmp_path / name).write_bytes(b"x")
-    assert [shot.name for shot in shots.list_shots(tmp_path)] == ["a.JPG", "b.webp", "c.tiff", "d.bmp", "e.avif"]
-    assert shots.unused_files(tmp_path) == {
+    assert [shot.name for shot in source_photos.list_source_photos(tmp_path)] == [
+        "a.JPG",
+        "b.webp",
+        "c.tiff",
+        "d.bmp",
+        "e.avif",
+    ]
+    assert source_photos.unused_files(tmp_path) == {
         "clip.mov": ".mov is no format of photos that is read",
         "notes": "no ending is no format of photos that is read",
         "raw/IMG_1.CR2": ".cr2 is no format of photos that is read",
@@ -271,16 +277,22 @@ def test_what_was_made_of_photos_is_not_taken_for_more_of_them(tmp_path):
         photo(tmp_path / name)
     (tmp_path / "scene/sparse/0").mkdir(parents=True)
     (tmp_path / "runs/garden/report.html").touch()
-    assert [shot.name for shot in shots.list_shots(tmp_path)] == ["a.jpg", "day 2/b.jpg"]
-    assert list(shots.unused_files(tmp_path)) == ["runs/garden", "scene"]
+    assert [shot.name for shot in source_photos.list_source_photos(tmp_path)] == ["a.jpg", "day 2/b.jpg"]
+    assert list(source_photos.unused_files(tmp_path)) == ["runs/garden", "scene"]
     for name in ("depth/a.png", "day 2/images_2/b.jpg", "Thumbnails/a.jpg"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         photo(tmp_path / name)
-    assert [shot.name for shot in shots.list_shots(tmp_path)] == ["a.jpg", "day 2/b.jpg"]
-    assert list(shots.unused_files(tmp_path)) == ["Thumbnails", "day 2/images_2", "depth", "runs/garden", "scene"]
+    assert [shot.name for shot in source_photos.list_source_photos(tmp_path)] == ["a.jpg", "day 2/b.jpg"]
+    assert list(source_photos.unused_files(tmp_path)) == [
+        "Thumbnails",
+        "day 2/images_2",
+        "depth",
+        "runs/garden",
+        "scene",
+    ]
     (tmp_path / "a.jpg").unlink()
     with pytest.raises(InputError, match="has 1; what .*Thumbnails holds was made of photos"):
-        shots.list_shots(tmp_path)
+        source_photos.list_source_photos(tmp_path)
 
 
 @pytest.mark.parametrize("suffix", ["jpg", "webp", "heic"])
@@ -289,7 +301,7 @@ def test_the_focal_length_in_exif_is_used_whatever_the_format(tmp_path, suffix):
         pytest.importorskip("pillow_heif").register_heif_opener()
     for name in "ab":
         photo(tmp_path / f"{name}.{suffix}", (300, 200), make="One", focal=26)
-    taken = shots.list_shots(tmp_path)
+    taken = source_photos.list_source_photos(tmp_path)
     first, second = initial_cameras.guess_cameras(taken, initial_cameras.focal_priors(taken)[0])
     assert first is second and first.has_prior_focal_length
     assert first.params[0] == pytest.approx(300 * 26 / 36, rel=0.05)  # 35 mm film is 36 mm wide
@@ -308,7 +320,7 @@ def test_mattes_and_masks_are_published(tmp_path, monkeypatch):
     mask = np.full((20, 40), 255, np.uint8)
     mask[:, :20] = 0
     Image.fromarray(mask).save(photos / "masks/c.jpg.png")
-    taken = shots.list_shots(photos)
+    taken = source_photos.list_source_photos(photos)
     model = pycolmap.Reconstruction()
     model.add_camera_with_trivial_rig(
         pycolmap.Camera(camera_id=1, model="PINHOLE", width=40, height=20, params=[30.0, 30.0, 20.0, 10.0])
@@ -317,7 +329,7 @@ def test_mattes_and_masks_are_published(tmp_path, monkeypatch):
         image = pycolmap.Image(shot.name, np.empty((0, 2)), 1, number)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
     model.add_point3D(np.array([0, 0, 5.0]), pycolmap.Track(), np.zeros(3, np.uint8))
-    publishing.write_dataset(model, taken, tmp_path / "scene", quietly)
+    dataset_writer.write_dataset(model, taken, tmp_path / "scene", quietly)
     frames = {frame.name: frame for frame in load_scene(tmp_path / "scene").frames}
     assert sorted(frames) == ["a.png", "a.tif.png", "b.jpg", "c.jpg"]
     np.testing.assert_array_equal(frames["a.png"].pixels().image, np.rot90(rgba[..., :3], -1))
@@ -335,7 +347,7 @@ def test_a_matte_is_undistorted_with_its_photo(tmp_path):
     (tmp_path / "photos").mkdir()
     for name in ("a.png", "b.png"):
         Image.fromarray(rgba).save(tmp_path / "photos" / name)
-    taken = shots.list_shots(tmp_path / "photos")
+    taken = source_photos.list_source_photos(tmp_path / "photos")
     model = pycolmap.Reconstruction()
     camera = pycolmap.Camera(camera_id=1, model="SIMPLE_RADIAL", width=64, height=64, params=[60.0, 32.0, 32.0, -0.3])
     model.add_camera_with_trivial_rig(camera)
@@ -343,7 +355,7 @@ def test_a_matte_is_undistorted_with_its_photo(tmp_path):
         image = pycolmap.Image(shot.name, np.empty((0, 2)), 1, number)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
     model.add_point3D(np.array([0, 0, 5.0]), pycolmap.Track(), np.zeros(3, np.uint8))
-    publishing.write_dataset(model, taken, tmp_path / "scene", quietly)
+    dataset_writer.write_dataset(model, taken, tmp_path / "scene", quietly)
     frame = load_scene(tmp_path / "scene").frames[0]
     pixels = frame.pixels()
     radius = min(np.roots([-0.3, 0, 1, -1 / 3]).real, key=lambda root: abs(root - 1 / 3))
@@ -361,7 +373,7 @@ def test_what_colmaps_database_says_of_a_full_disk_is_told_as_one(tmp_path, monk
     monkeypatch.setattr(sfm, "_built", fail)
     monkeypatch.setattr(sfm.shutil, "disk_usage", lambda folder: SimpleNamespace(free=free))
     with pytest.raises(told, match="No space left on device" if told is InputError else "SQLite error"):
-        sfm._build(tmp_path, tmp_path / "work", 2, None, None, 1600, 1, quietly)
+        sfm._build(tmp_path, tmp_path / "work", None, quietly)
 
 
 def test_photos_are_paired_with_those_taken_next_to_them_whatever_their_names():

@@ -15,7 +15,7 @@ from gsjax import cli, config, pipeline
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.io.sfm import features
-from gsjax.io.sfm.shots import list_shots
+from gsjax.io.sfm.source_photos import list_source_photos
 from gsjax.networks.records import IMAGENET_MEAN, IMAGENET_STD, MASK_NETWORKS, MaskNetwork
 
 WIDTH, HEIGHT = 60, 40
@@ -116,7 +116,7 @@ def test_a_turned_photo_is_shown_upright_and_its_mask_lies_as_the_file_does(tmp_
     record = write_record(tmp_path / "r.json", kind="probability", classes=["person"])
     report = pipeline.masks(photos, record, graph.save(tmp_path / "w.onnx"))
     assert report["photos_without"] == 0
-    for shot in list_shots(photos):
+    for shot in list_source_photos(photos):
         stored = np.asarray(Image.open(shot.path))
         np.testing.assert_array_equal(read_mask(shot.mask_path), np.where(is_person(stored), 0, 255))
         np.testing.assert_array_equal(shot.upright(shot.read_mask()), np.where(is_person(scenery()), 0, 255))
@@ -133,7 +133,7 @@ def test_sfm_finds_no_features_where_the_mask_is_zero(tmp_path):
     mask[:, :90] = 0
     (photos / "masks").mkdir()
     Image.fromarray(mask).save(photos / "masks/a.png")
-    masked, whole = features.find_features(list_shots(photos), 120, 1, partial(tqdm, disable=True))
+    masked, whole = features.find_features(list_source_photos(photos), partial(tqdm, disable=True))
     assert (whole.xy[:, 0] < 88).sum() > 20
     assert len(masked.xy) > 20
     assert (masked.xy[:, 0] >= 88).all()

@@ -24,24 +24,15 @@ from gsjax.io.sfm.gravity import Vector, read_gravity
 
 _MASKS = "masks", "mask"  # what the folder may be called, in any case
 _MADE = "sparse", "report.html"  # in data sets, runs and scans: their pictures are no photos
-_OTHERS = {
-    *REDUCED,
-    "depth",
-    "depths",
-    "confidence",
-    "normals",
-    "sky",
-    "thumbnails",
-    "thumbs",
-    "@eadir",
-}  # nor in these
+# Nor are pictures in folders of these names.
+_OTHERS = {*REDUCED, "depth", "depths", "confidence", "normals", "sky", "thumbnails", "thumbs", "@eadir"}
 _MAKE, _MODEL = 0x010F, 0x0110
 # EXIF orientation: whether the stored columns run backwards, then quarter turns clockwise until upright.
 _ORIENTATIONS = {1: (0, 0), 2: (1, 0), 3: (0, 2), 4: (1, 2), 5: (1, 3), 6: (0, 1), 7: (1, 1), 8: (0, 3)}
 
 
 @dataclass(frozen=True)
-class Shot:
+class SourcePhoto:
     """One photo, not yet read."""
 
     name: str  # relative to the folder
@@ -122,14 +113,14 @@ class Shot:
         return stored[:, ::-1] if self.mirrored else stored
 
 
-def list_shots(folder: Path) -> list[Shot]:
-    """As `usable_shots`, the photos alone: a line on stderr names the others."""
-    shots, faults = usable_shots(folder)
-    leave_out("photos", faults, len(shots) + len(faults))
-    return shots
+def list_source_photos(folder: Path) -> list[SourcePhoto]:
+    """Return the photos of `usable_photos`; a line on stderr names the others."""
+    photos, faults = usable_photos(folder)
+    leave_out("photos", faults, len(photos) + len(faults))
+    return photos
 
 
-def usable_shots(folder: Path) -> tuple[list[Shot], list[Fault]]:
+def usable_photos(folder: Path) -> tuple[list[SourcePhoto], list[Fault]]:
     """The photos of a folder and its subfolders, by name, with their masks; and the faults of those that are damaged.
 
     Where all photos lie in a subfolder `images/`, that is their folder. A folder `masks/` or `mask/`, in any case, in
@@ -146,21 +137,21 @@ def usable_shots(folder: Path) -> tuple[list[Shot], list[Fault]]:
     root = _photo_folder(folder)
     pictures = {file.relative_to(root).as_posix(): file for file in _files(root) if _is_photo(file)}
     beside = _masks_beside(pictures)
-    photos = {name: file for name, file in pictures.items() if file not in beside.values()}
-    if len(photos) < 2:
+    files = {name: file for name, file in pictures.items() if file not in beside.values()}
+    if len(files) < 2:
         made = "".join(f"; what {path} holds was made of photos" for path in sorted(_made(root))[:1])
-        raise InputError(f"{folder}: needs at least 2 photos ({', '.join(SUFFIXES)}), has {len(photos)}{made}")
-    masks = {**_masks_in_folders(root, photos), **beside}
+        raise InputError(f"{folder}: needs at least 2 photos ({', '.join(SUFFIXES)}), has {len(files)}{made}")
+    masks = {**_masks_in_folders(root, files), **beside}
 
-    def shot(name: str) -> Shot:
-        check_image(photos[name])
+    def read(name: str) -> SourcePhoto:
+        check_image(files[name])
         if name in masks:
             check_image(masks[name])
-        return shot_of(photos[name], name, masks.get(name))
+        return read_source_photo(files[name], name, masks.get(name))
 
-    shots, faults = read_usable(photos, str, shot)
-    require_enough("photos", faults, len(photos))
-    return shots, faults
+    photos, faults = read_usable(files, str, read)
+    require_enough("photos", faults, len(files))
+    return photos, faults
 
 
 def _masks_beside(pictures: Mapping[str, Path]) -> dict[str, Path]:
@@ -185,28 +176,28 @@ def _masks_in_folders(root: Path, photos: Mapping[str, Path]) -> dict[str, Path]
     return masks
 
 
-def as_panoramas(shots: list[Shot], mask_below: float | None) -> list[Shot]:
+def as_panoramas(photos: list[SourcePhoto], mask_below: float | None) -> list[SourcePhoto]:
     """The photos as equirectangular panoramas, masked from `mask_below` degrees below the horizon on; None: not masked.
 
     Raises:
         InputError: One of them is not twice as broad as high, or lies on its side.
     """
-    for shot in shots:
-        if not _is_panoramic(shot):
-            width, height = shot.size
-            raise InputError(f"{shot.path}: is {width}x{height}; a panorama of 360 degrees is twice as broad as high")
-        if shot.to_sensor or shot.to_upright or shot.mirrored:
-            raise InputError(f"{shot.path}: is a panorama that its EXIF orientation turns; save it upright")
-    return [replace(shot, is_panorama=True, mask_below=mask_below, gravity=None) for shot in shots]
+    for photo in photos:
+        if not _is_panoramic(photo):
+            width, height = photo.size
+            raise InputError(f"{photo.path}: is {width}x{height}; a panorama of 360 degrees is twice as broad as high")
+        if photo.to_sensor or photo.to_upright or photo.mirrored:
+            raise InputError(f"{photo.path}: is a panorama that its EXIF orientation turns; save it upright")
+    return [replace(photo, is_panorama=True, mask_below=mask_below, gravity=None) for photo in photos]
 
 
-def panorama_hint(shots: list[Shot]) -> str:
+def panorama_hint(photos: list[SourcePhoto]) -> str:
     """How the reason goes on why photos, matched as pictures of a lens, have no pose, where all look like panoramas."""
-    return "; if it shows 360 degrees, add --panoramas" if all(_is_panoramic(shot) for shot in shots) else ""
+    return "; if it shows 360 degrees, add --panoramas" if all(_is_panoramic(photo) for photo in photos) else ""
 
 
-def _is_panoramic(shot: Shot) -> bool:
-    width, height = shot.size
+def _is_panoramic(photo: SourcePhoto) -> bool:
+    width, height = photo.size
     return abs(width - 2 * height) <= 1
 
 
@@ -270,7 +261,7 @@ def turned_pinhole(
     return (fx, fy, cx, cy), *((width, height) if turns % 2 == 0 else (height, width))
 
 
-def shot_of(path: Path, name: str, mask_path: Path | None = None) -> Shot:
+def read_source_photo(path: Path, name: str, mask_path: Path | None = None) -> SourcePhoto:
     """The photo in a file, which the data set calls `name`.
 
     Raises:
@@ -281,7 +272,7 @@ def shot_of(path: Path, name: str, mask_path: Path | None = None) -> Shot:
     mirrored, turns = _ORIENTATIONS.get(orientation, (0, 0))
     standing = int(height > width)
     camera = (make, model, focal, max(width, height), min(width, height))
-    return Shot(name, path, camera, bool(mirrored), standing, (turns + standing) % 4, mask_path, fix, down)
+    return SourcePhoto(name, path, camera, bool(mirrored), standing, (turns + standing) % 4, mask_path, fix, down)
 
 
 def _exif(path: Path) -> tuple[str, str, Focal, int, gps.Fix | str | None, Vector | None]:

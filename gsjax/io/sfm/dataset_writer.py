@@ -1,11 +1,10 @@
 """A model in the sensor's frame to a data set of upright, undistorted photos."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from gsjax.io.colmap_writer import write_whole
 from gsjax.io.images import filter_straight, write_image
@@ -14,19 +13,20 @@ from gsjax.io.packages import require
 from gsjax.io.photo_names import printable_name, written_name
 from gsjax.io.photos import valid_of
 from gsjax.io.sfm.initial_cameras import PANORAMA
-from gsjax.io.sfm.shots import Shot, turned_pinhole, turned_points, turned_pose
+from gsjax.io.sfm.progress import Progress
+from gsjax.io.sfm.source_photos import SourcePhoto, turned_pinhole, turned_points, turned_pose
 
 pycolmap = require("pycolmap")
 
 
-def write_dataset(model: Any, shots: list[Shot], folder: Path, progress: Callable[..., tqdm]) -> None:
-    """Writes `images/` and `sparse/0` (PINHOLE), the layout that 3DGS programs read; panoramas stay whole.
+def write_dataset(model: Any, photos: Sequence[SourcePhoto], folder: Path, progress: Progress) -> None:
+    """Write `images/` and `sparse/0` (PINHOLE), the layout that 3DGS programs read; panoramas stay whole.
 
     Mattes become the alpha of PNGs; masks, and pixels that the undistorted photo does not cover, `masks/`.
 
     Args:
-        model: `pycolmap.Reconstruction` in the sensors' frames; image ids count `shots` from 1.
-        shots: The photos.
+        model: `pycolmap.Reconstruction` in the sensors' frames; image ids count `photos` from 1.
+        photos: The photos.
         folder: Where to write.
         progress: Makes a progress bar.
     """
@@ -38,26 +38,26 @@ def write_dataset(model: Any, shots: list[Shot], folder: Path, progress: Callabl
     images = sorted(model.reg_image_ids(), key=lambda image: (model.image(image).camera_id, image))
     with progress(total=len(images), desc="undistortion", unit="photo") as bar:
         for number in images:
-            image, shot = model.image(number), shots[number - 1]
-            view = _whole(image.camera) if shot.is_panorama else pinhole_views(_lens(image.camera))[0]
-            key = (image.camera_id, shot.to_upright)
+            image, photo = model.image(number), photos[number - 1]
+            view = _whole(image.camera) if photo.is_panorama else pinhole_views(_lens(image.camera))[0]
+            key = (image.camera_id, photo.to_upright)
             if key not in cameras:
                 cameras[key] = len(cameras) + 1
-                camera = _panorama if shot.is_panorama else _camera
-                upright.add_camera_with_trivial_rig(camera(cameras[key], view, shot.to_upright))
-            colors, matte = shot.read()
+                camera = _panorama if photo.is_panorama else _camera
+                upright.add_camera_with_trivial_rig(camera(cameras[key], view, photo.to_upright))
+            colors, matte = photo.read()
             if view.source_xy is not None:
                 colors, matte = filter_straight(colors, matte, view.warp)
-            name = _unused(written_name(shot.name, matte is not None), shot.name, names)
-            xy = _keypoints(image) if shot.is_panorama else _undistorted(image, view)
+            name = _unused(written_name(photo.name, matte is not None), photo.name, names)
+            xy = _keypoints(image) if photo.is_panorama else _undistorted(image, view)
             _gather_colors(sums, image, colors, xy)
             picture = colors if matte is None else np.dstack([colors, matte])
-            write_image(folder / "images" / name, shot.upright(picture))
-            valid = valid_of(view, shot.read_mask(), view.width, view.height)
+            write_image(folder / "images" / name, photo.upright(picture))
+            valid = valid_of(view, photo.read_mask(), view.width, view.height)
             if valid is not None and not valid.all():
-                write_image(folder / "masks" / f"{name}.png", shot.upright(valid))
-            xy = turned_points(xy, view.width, view.height, shot.to_upright)
-            pose = turned_pose(image.cam_from_world().matrix(), shot.to_upright)
+                write_image(folder / "masks" / f"{name}.png", photo.upright(valid))
+            xy = turned_points(xy, view.width, view.height, photo.to_upright)
+            pose = turned_pose(image.cam_from_world().matrix(), photo.to_upright)
             turned = pycolmap.Image(name, xy, cameras[key], number)
             upright.add_image_with_trivial_frame(turned, pycolmap.Rigid3d(pose))
             bar.update(1)
