@@ -188,9 +188,10 @@ def settings(arguments: argparse.Namespace) -> Settings:
     names = (arguments.preset,) if arguments.preset else LENGTHS
     candidates = {name: override_settings(PRESETS[name], arguments, *OPTIONS) for name in names}
     is_set = any(one.startswith("max_gaussians=") for group in arguments.assignments for one in group)
-    choice = pipeline.budgeted(arguments.scene, candidates, budget, pipeline.scaled if is_set else pipeline.resized)
-    print(f"budget of {arguments.budget}: {choice.line}", file=sys.stderr)
-    return choice.settings
+    lasting = pipeline.scaled if is_set else pipeline.resized
+    chosen, line = pipeline.budgeted(arguments.scene, candidates, budget, lasting)
+    print(f"budget of {arguments.budget}: {line}", file=sys.stderr)
+    return chosen
 
 
 def add_training(parser: argparse.ArgumentParser, length: str) -> None:

@@ -1,7 +1,6 @@
 import json
 import sys
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 
@@ -107,7 +106,7 @@ def test_a_budget_chooses_the_settings_once_and_a_resumed_run_keeps_them(library
     def budgeted(scene, candidates, seconds, lasting):
         asked.append((scene, list(candidates), seconds, lasting))
         settings = replace(next(iter(candidates.values())), sh_every=77)
-        return SimpleNamespace(settings=settings, line="fast, 0.5 times its steps")
+        return settings, "fast, 0.5 times its steps"
 
     for name, value in {"budgeted": budgeted, "scaled": "steps", "resized": "steps and Gaussians"}.items():
         monkeypatch.setattr(sys.modules["gsjax.pipeline"], name, value, raising=False)
