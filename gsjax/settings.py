@@ -194,7 +194,7 @@ class Settings:
     hold_out: str = "auto"  # every N-th photo, "none", a file of names, or "auto" (`gsjax.io.splits`)
     normals: str | None = None  # folder of maps (`gsjax.io.normal_folders.find`); None: smoothed normals of own depth
     normal_axes: str | None = None  # of the maps, such as "+x-y-z"; None: found by comparing with the rendered depth
-    normal_gate: bool = False  # a normal counts as far as photos of the same place agree (`gsjax.normals.agreement`)
+    normal_gate: bool = False  # a normal counts as far as photos of the same place agree (`gsjax.normals.consistency`)
     depth: str | None = None  # folder of measured depth, within the data set or anywhere, or "auto": as it lists them
     depth_unit: Literal["mm", "cm", "m", "scene"] | None = None  # of those maps; None: as depth.json beside them says
     depth_weight: float = 0.2  # of the term `measured_depth`, where there are such maps and a phase sets no other

@@ -8,7 +8,7 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.normal_maps import resize_normals
-from gsjax.networks.depth_estimator import DepthEstimator, SeenDepth
+from gsjax.networks.estimators import DepthEstimator, NetworkDepth
 from gsjax.normals.fitted_depth import DepthFit, fit_depth, fitted_depth, normals_of_depth, surface
 from gsjax.normals.from_depth import chosen_reduction
 from gsjax.scene import Frame, Scene, tracks_by_name
@@ -58,7 +58,7 @@ class DepthNormals:
                 views.append((depth, surface(depth, camera), camera))
         return chosen_reduction(views)
 
-    def _fitted(self, frame: Frame) -> tuple[SeenDepth, DepthFit]:
+    def _fitted(self, frame: Frame) -> tuple[NetworkDepth, DepthFit]:
         seen = self.estimator(frame)
         points, rays = self.tracks.get(frame.name, (np.zeros(0, np.int64), np.zeros((0, 2))))
         depths = self.points[points] @ frame.viewmat[2, :3] + frame.viewmat[2, 3]
@@ -68,11 +68,11 @@ class DepthNormals:
         inside[inside] &= seen.known[y[inside], x[inside]]
         return seen, fit_depth(seen.values[y[inside], x[inside]], depths[inside], self.estimator.network.kind)
 
-    def _depth(self, seen: SeenDepth, fit: DepthFit) -> np.ndarray:
+    def _depth(self, seen: NetworkDepth, fit: DepthFit) -> np.ndarray:
         return fitted_depth(seen.values, fit, self.estimator.network.kind) * seen.known
 
 
-def _camera(frame: Frame, seen: SeenDepth) -> Camera:
+def _camera(frame: Frame, seen: NetworkDepth) -> Camera:
     height, width = seen.values.shape
     return Camera(jnp.asarray(frame.viewmat), jnp.asarray(seen.K), width, height)
 

@@ -1,12 +1,16 @@
 """Networks that see normals, depth or things in a single photo: what each is fed and what it gives back, as data."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
+from gsjax import config
+from gsjax.errors import InputError
+from gsjax.io import json_files
 from gsjax.normals.axes import apply_axes, axis_signs
 
 
@@ -16,11 +20,8 @@ class Size:
 
     rule: Literal["fixed", "multiple", "tokens"]
     fit: Literal["pad", "stretch"] = "pad"  # keep the photo's shape, centred, and fill the rest; or fill all with it
-    border: Literal["reflect"] | tuple[int, int, int] = (
-        0,
-        0,
-        0,
-    )  # what fills the rest: the photo mirrored, or RGB 0..255
+    # What fills the rest: the photo mirrored, or RGB 0..255.
+    border: Literal["reflect"] | tuple[int, int, int] = (0, 0, 0)
     sides: tuple[int, int] | None = None  # fixed: height and width, pixels
     multiple: int = 1  # multiple, tokens: each side is a multiple of it, pixels
     longest: int | None = None  # multiple: the photo's longer side becomes that, pixels; None: it stays as it is
@@ -117,6 +118,34 @@ class MaskNetwork(Network):
             raise ValueError(f"classes={', '.join(self.classes)} are none, or one of them is named twice")
         if "intrinsics" in self.extra.values():
             raise ValueError("a network for masks is fed photos without known intrinsics")
+
+
+N = TypeVar("N", bound=Network)
+
+
+def read_record(
+    network: str | Path, known: Mapping[str, N], kind_of: Callable[[Mapping[str, Any]], type[N]]
+) -> tuple[str, N]:
+    """Return a network's name and record.
+
+    Args:
+        network: A name of `known`, or a JSON file.
+        known: The records that have a name.
+        kind_of: What a file holds -> the kind of record that it is to be read as.
+
+    Raises:
+        InputError: It is neither a known name nor a file, or the file is no such record; names the key.
+    """
+    if str(network) in known:
+        return str(network), known[str(network)]
+    file = Path(network)
+    if not file.is_file():
+        names = ", ".join(known)
+        raise InputError(f"--network {network}: neither a known network ({names}) nor a file that describes one")
+    data = json_files.read(file)
+    if not isinstance(data, Mapping):
+        raise InputError(f"{file}: holds no table of keys that describes a network")
+    return file.stem, config.parse(kind_of(data), data, where=str(file))
 
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)

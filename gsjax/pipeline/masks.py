@@ -14,8 +14,7 @@ from gsjax.io.images import write_image
 from gsjax.io.photo_names import path_inside
 from gsjax.io.scenes import is_data_set, list_photos
 from gsjax.io.sfm.source_photos import SourcePhoto, list_source_photos, read_source_photo
-from gsjax.networks.record_files import read_record
-from gsjax.networks.records import MASK_NETWORKS, MaskNetwork
+from gsjax.networks.records import MASK_NETWORKS, MaskNetwork, read_record
 from gsjax.networks.segmenter import Segmenter, chosen_classes
 
 

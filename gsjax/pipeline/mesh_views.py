@@ -90,7 +90,7 @@ class MeshViews:
         names = [self.result.names[index] for index in self.training]
         depths = depths_of_photos(self.data, MOST_COMPARED)
         print(f"mesh: depth that photos agree about: {depths.line}", file=sys.stderr)
-        return {names.index(each.view.name): each.shown() for each in depths.told}
+        return {names.index(each.view.name): each.shown() for each in depths.accepted}
 
     @cached_property
     def normals_of(self) -> NormalsOfDepth:

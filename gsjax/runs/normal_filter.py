@@ -15,7 +15,7 @@ from gsjax.io import json_files
 from gsjax.io.arrays import read_arrays
 from gsjax.io.files import atomic_path
 from gsjax.io.normal_maps import normal_maps
-from gsjax.normals.agreement import Judged, Verdict, View, full_size, judge, stride_of, thinned
+from gsjax.normals.consistency import Judged, Verdict, View, full_size, judge, stride_of, thinned
 from gsjax.normals.sparse_depth import sparse_depth
 from gsjax.rendering import DepthReading, gallery
 from gsjax.runs.records import NUMBER

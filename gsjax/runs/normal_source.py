@@ -15,8 +15,8 @@ from gsjax.io import json_files
 from gsjax.io.images import read_image, write_image
 from gsjax.io.normal_folders import network_of
 from gsjax.io.normal_maps import map_places, normal_maps
-from gsjax.normals.agreement import share_compared
 from gsjax.normals.axes import apply_axes, axis_signs, detect_axes, written_axes
+from gsjax.normals.consistency import share_compared
 from gsjax.normals.from_depth import chosen_reduction, depth_normals, smoothed_depth_normals
 from gsjax.rendering import DepthReading, gallery
 from gsjax.runs.folder import update_manifest

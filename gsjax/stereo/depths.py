@@ -1,55 +1,76 @@
-"""The depth of photos where they agree about it."""
+"""Multi-view stereo depth of photos, where it is consistent between them."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from tqdm import tqdm
 
 from gsjax.rendering.shown_depths import ShownDepth
 from gsjax.scene import Scene
 from gsjax.scene.cameras import Camera
 from gsjax.stereo.aggregation import best_planes
-from gsjax.stereo.agreement import Evidence, confirmed, evidence, patches
 from gsjax.stereo.sweep import dissimilarities, inverse_depths
 from gsjax.stereo.views import MOST_VIEWS, Depth, View, neighbors, stereo_views
 
-SURE = 0.6  # dissimilarity up to which a pixel may be sure
+CONFIDENT = 0.6  # dissimilarity up to which a pixel may be confident
+SMALLEST_PATCH = 50  # pixels
+SAME_PATCH = 0.01  # of the depth, between neighbouring pixels
+CONFIRMED = 0.01  # of the depth, between two photos that show one place
+RIGHT = 0.03  # of the depth, from a matched point
+FEWEST_RIGHT = 0.8  # share of the matched points, in a photo that is accepted
+FEWEST_CHECKED = 20  # matched points, below which that share decides nothing
+
+
+class Evidence(NamedTuple):
+    """Counts of the points that were matched in a photo where its depth is confident."""
+
+    right: int
+    checked: int
+
+    @property
+    def is_good(self) -> bool:
+        """Whether the photo's depth is accepted; a few points decide nothing."""
+        return self.checked < FEWEST_CHECKED or self.right >= FEWEST_RIGHT * self.checked
 
 
 class PhotoDepth(NamedTuple):
-    """What one photo tells."""
+    """Depth of one photo."""
 
     view: View
-    depth: Depth  # sure where another photo confirms it
-    evidence: Evidence  # what the photo's matched points say of that
+    depth: Depth  # confident where another photo confirms it
+    evidence: Evidence  # of the photo's matched points
 
     def shown(self) -> ShownDepth:
-        """The depth where it is sure, as what a view shows."""
+        """Return the confident depth as that of a view."""
         height, width = self.view.gray.shape
         camera = Camera(self.view.viewmat, self.view.K, width, height)  # pyright: ignore[reportArgumentType]
-        return ShownDepth(camera, np.where(self.depth.is_sure, self.depth.z, 0).astype(np.float32))
+        return ShownDepth(camera, np.where(self.depth.is_confident, self.depth.z, 0).astype(np.float32))
 
 
 class PhotoDepths(NamedTuple):
-    """What photos tell."""
+    """Depth of photos."""
 
-    told: tuple[PhotoDepth, ...]  # of the photos that are believed
-    looked_at: int  # how many photos were compared
+    accepted: tuple[PhotoDepth, ...]  # whose matched points confirm their depth
+    compared: int  # how many photos were compared
 
     @property
     def line(self) -> str:
-        """How many photos are believed, and how right they are, in words."""
-        right = sum(each.evidence.right for each in self.told)
-        known = sum(each.evidence.told for each in self.told)
+        """How many photos are accepted, and how right they are, in words."""
+        right = sum(each.evidence.right for each in self.accepted)
+        known = sum(each.evidence.checked for each in self.accepted)
         share = f"; {right / known:.0%} of {known:,} matched points confirm their depth" if known else ""
-        return f"{len(self.told)} of {self.looked_at} photos{share}"
+        return f"{len(self.accepted)} of {self.compared} photos{share}"
 
 
 def depths_of_photos(scene: Scene, most: int = MOST_VIEWS) -> PhotoDepths:
-    """Depth of training photos, from each other, where it is more than chance.
+    """Compute depth of training photos by multi-view stereo.
 
-    Every photo is swept by planes against its neighbours, smoothed, and kept where it is sure, where another photo
-    confirms it, and unless its own matched points contradict it. Photos are compared at `gsjax.stereo.views.SIDE`.
+    A plane sweep compares every photo with its neighbours, and semi-global matching smooths the depth. A pixel counts
+    where it is confident and another photo confirms it; a photo counts unless its own matched points contradict it.
+    Photos are compared at `gsjax.stereo.views.SIDE`.
 
     Args:
         scene: A loaded data set; without tracks no photo is compared.
@@ -66,14 +87,14 @@ def depths_of_photos(scene: Scene, most: int = MOST_VIEWS) -> PhotoDepths:
         _swept(view, [views[other] for other in others])
         for view, others in zip(tqdm(views, desc="stereo", unit="photo", leave=False), near, strict=True)
     ]
-    told = []
+    accepted = []
     for index, (view, depth) in enumerate(zip(views, swept, strict=True)):
         others = sorted({*near[index], *(other for other, its in enumerate(near) if index in its)})
-        kept = depth._replace(is_sure=confirmed(view, depth, [(views[other], swept[other]) for other in others]))
-        said = evidence(view, kept, scene.points)
-        if said.is_good and kept.is_sure.any():
-            told.append(PhotoDepth(view, kept, said))
-    return PhotoDepths(tuple(told), len(views))
+        kept = depth._replace(is_confident=confirmed(view, depth, [(views[other], swept[other]) for other in others]))
+        matched = evidence(view, kept, scene.points)
+        if matched.is_good and kept.is_confident.any():
+            accepted.append(PhotoDepth(view, kept, matched))
+    return PhotoDepths(tuple(accepted), len(views))
 
 
 def _swept(view: View, others: list[View]) -> Depth:
@@ -82,4 +103,39 @@ def _swept(view: View, others: list[View]) -> Depth:
     places, unlike = best_planes(dissimilarities(view, others))
     inverse = inverse_depths(view)
     z = 1 / (inverse[0] + places * (inverse[1] - inverse[0]))
-    return Depth(z, patches(z, unlike < SURE))
+    return Depth(z, patches(z, unlike < CONFIDENT))
+
+
+def patches(z: np.ndarray, counted: np.ndarray) -> np.ndarray:
+    """Return `[H, W]` bool, the counted pixels that belong to a large enough patch of similar depth."""
+    number = np.arange(z.size).reshape(z.shape)
+    logarithm = np.log(z)
+    pairs = []
+    for first, second in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        alike = counted[first] & counted[second] & (np.abs(logarithm[first] - logarithm[second]) < SAME_PATCH)
+        pairs.append((number[first][alike], number[second][alike]))
+    ends = tuple(np.concatenate(each) for each in zip(*pairs, strict=True))
+    graph = coo_matrix((np.ones(len(ends[0]), bool), ends), shape=(z.size, z.size))
+    label = connected_components(graph, directed=False)[1]
+    return counted & (np.bincount(label)[label] >= SMALLEST_PATCH).reshape(z.shape)
+
+
+def confirmed(view: View, depth: Depth, others: Sequence[tuple[View, Depth]]) -> np.ndarray:
+    """Return `[H, W]` bool, confident pixels that another photo shows confidently at the same depth."""
+    points = view.lift(depth)
+    agreed = np.zeros(len(points), bool)
+    for other, theirs in others:
+        row, column, z, inside = other.landing(points)
+        shows = inside & theirs.is_confident[row, column]
+        agreed |= shows & (np.abs(theirs.z[row, column] - z) < CONFIRMED * np.abs(z))
+    counted = depth.is_confident.copy()
+    counted[depth.is_confident] = agreed
+    return patches(depth.z, counted)
+
+
+def evidence(view: View, depth: Depth, points: np.ndarray) -> Evidence:
+    """Compare a photo's depth with the scene's `[P, 3]` points that were matched in it."""
+    row, column, z, inside = view.landing(points[view.matched])
+    checked = inside & depth.is_confident[row, column]
+    right = checked & (np.abs(depth.z[row, column] - z) < RIGHT * np.abs(z))
+    return Evidence(int(right.sum()), int(checked.sum()))

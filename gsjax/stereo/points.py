@@ -1,4 +1,4 @@
-"""Points where photos agree about depth, for training to start with."""
+"""Points of multi-view stereo depth, from which training starts."""
 
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ GROWTH = 1.1  # of the cells by which points are thinned, per trial
 
 
 class StereoPoints(NamedTuple):
-    """What was found."""
+    """Points on the surface."""
 
     points: np.ndarray  # [P, 3] float32 world
     colors: np.ndarray  # [P, 3] uint8
@@ -30,10 +30,10 @@ def stereo_points(scene: Scene, count: int) -> StereoPoints | None:
         InputError: The tracks cannot be read, or name points that the scene does not have.
     """
     swept = depths_of_photos(scene)
-    if not swept.told:
+    if not swept.accepted:
         return None
-    points = np.concatenate([each.view.lift(each.depth) for each in swept.told])
-    colors = np.concatenate([each.view.color[each.depth.is_sure] for each in swept.told])
+    points = np.concatenate([each.view.lift(each.depth) for each in swept.accepted])
+    colors = np.concatenate([each.view.color[each.depth.is_confident] for each in swept.accepted])
     chosen = spread_evenly(points, count)
     line = f"{len(chosen):,} more points where photos agree about depth ({swept.line})"
     return StereoPoints(points[chosen].astype(np.float32), colors[chosen], line)

@@ -20,10 +20,10 @@ SAMPLED = 4000  # points from which neighbours are told
 
 
 class Depth(NamedTuple):
-    """What one photo says."""
+    """Depth of one photo."""
 
     z: np.ndarray  # [H, W] float64 camera z, scene units
-    is_sure: np.ndarray  # [H, W] bool
+    is_confident: np.ndarray  # [H, W] bool
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class View:
         return landing(points, self.viewmat, self.K, self.usable.shape)
 
     def lift(self, depth: Depth) -> np.ndarray:
-        """`[P, 3]` world points of the centres of the pixels that are sure, row by row."""
-        row, column = np.nonzero(depth.is_sure)
+        """`[P, 3]` world points of the centres of the confident pixels, row by row."""
+        row, column = np.nonzero(depth.is_confident)
         pixels = np.stack([column + 0.5, row + 0.5, np.ones(len(row))], axis=-1)
-        local = pixels @ np.linalg.inv(self.K).T * depth.z[depth.is_sure][:, None]
+        local = pixels @ np.linalg.inv(self.K).T * depth.z[depth.is_confident][:, None]
         return (local - self.viewmat[:3, 3]) @ self.viewmat[:3, :3]
 
 

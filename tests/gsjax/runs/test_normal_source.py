@@ -11,7 +11,7 @@ from tolerances import assert_close
 from gsjax.errors import InputError
 from gsjax.io import normal_folders
 from gsjax.io.normal_maps import normal_maps
-from gsjax.normals.agreement import Verdict
+from gsjax.normals.consistency import Verdict
 from gsjax.runs import normal_source
 from gsjax.runs.normal_filter import filter_normals, with_names
 from gsjax.runs.normal_source import NormalSource, read_map, write_map

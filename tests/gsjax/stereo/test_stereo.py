@@ -9,7 +9,7 @@ from tolerances import assert_close
 
 from gsjax.scene import Scene, Tracks, with_pixels
 from gsjax.stereo import depths_of_photos, stereo_points, views
-from gsjax.stereo.agreement import CONFIRMED, FEWEST_TOLD, SMALLEST_PATCH, Evidence, confirmed, evidence, patches
+from gsjax.stereo.depths import CONFIRMED, FEWEST_CHECKED, SMALLEST_PATCH, Evidence, confirmed, evidence, patches
 from gsjax.stereo.points import spread_evenly
 from gsjax.stereo.sweep import UNLIKE, dissimilarities, inverse_depths
 from gsjax.stereo.views import Depth, neighbors, stereo_views
@@ -78,14 +78,14 @@ def test_a_photo_far_larger_than_the_sweep_is_told_by_a_smaller_copy(monkeypatch
 
 def test_every_photo_tells_the_depth_of_the_wall():
     found = depths_of_photos(WALL)
-    assert [each.view.name for each in found.told] == [frame.name for frame in WALL.frames]
+    assert [each.view.name for each in found.accepted] == [frame.name for frame in WALL.frames]
     assert found.line.startswith("5 of 5 photos; 100% of")
-    for each in found.told:
+    for each in found.accepted:
         shown = each.shown()
         assert shown.depth.shape == (shown.camera.height, shown.camera.width) == SIZE[::-1]
         assert 0.3 < (shown.depth > 0).mean() < 1
         assert np.abs(shown.depth[shown.depth > 0] - AWAY).max() < 0.03 * AWAY
-    assert depths_of_photos(WALL, 3).looked_at == 3
+    assert depths_of_photos(WALL, 3).compared == 3
 
 
 def test_what_photos_do_not_have_in_common_is_not_found():
@@ -182,7 +182,7 @@ def test_another_photo_confirms_what_it_shows_at_that_depth_and_nothing_else():
     for factor in (1 - 2 * CONFIRMED, 1 + 2 * CONFIRMED):
         wrong = right[1]._replace(z=right[1].z * factor)
         assert not confirmed(view, right[0], [(other, wrong)]).any()
-    assert not confirmed(view, right[0], [(other, right[1]._replace(is_sure=~right[1].is_sure))]).any()
+    assert not confirmed(view, right[0], [(other, right[1]._replace(is_confident=~right[1].is_confident))]).any()
     assert not confirmed(view, right[0], []).any()
 
 
@@ -193,8 +193,8 @@ def test_matched_points_judge_a_photo():
     assert told == Evidence(len(view.matched), len(view.matched)) and told.is_good
     wrong = evidence(view, wholly._replace(z=wholly.z * 1.05), WALL.points)
     assert wrong == Evidence(0, len(view.matched)) and not wrong.is_good
-    assert Evidence(0, FEWEST_TOLD - 1).is_good and not Evidence(15, FEWEST_TOLD).is_good
-    assert Evidence(16, FEWEST_TOLD).is_good
+    assert Evidence(0, FEWEST_CHECKED - 1).is_good and not Evidence(15, FEWEST_CHECKED).is_good
+    assert Evidence(16, FEWEST_CHECKED).is_good
 
 
 @pytest.mark.parametrize("count", [1, 7, 300])

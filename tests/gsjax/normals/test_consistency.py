@@ -5,8 +5,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from tolerances import assert_close
 
-from gsjax.normals import agreement
-from gsjax.normals.agreement import LONGEST, View, full_size, judge, share_compared, stride_of, thinned
+from gsjax.normals import consistency
+from gsjax.normals.consistency import LONGEST, View, full_size, judge, share_compared, stride_of, thinned
 from gsjax.normals.sparse_depth import sparse_depth
 from gsjax.scene.cameras import look_at
 
@@ -205,5 +205,5 @@ def test_a_normal_amid_others_is_off_by_their_distance_over_the_root_of_two(degr
     angle = np.radians(degrees)
     own = np.array([[0.0, 0, 1]])
     others = np.array([[[np.sin(side), 0, np.cos(side)]] for side in (-angle, angle)])
-    error = agreement._error(own, others, np.ones((2, 1), bool), np.full((2, 1), degrees))
+    error = consistency._error(own, others, np.ones((2, 1), bool), np.full((2, 1), degrees))
     np.testing.assert_allclose(error, degrees / 1.41421356, rtol=1e-6)

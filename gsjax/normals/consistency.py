@@ -1,8 +1,8 @@
-"""Whether the normal maps of several photos agree: what one says of a place in the world, seen from the others.
+"""Multi-view consistency of the normal maps of several photos.
 
 A network sees one photo at a time, so its errors differ from photo to photo, and the truth does not. Poses and depth
-are known: every pixel of a map is carried into neighbouring photos, where their maps say a direction for the same
-place. All arrays are numpy's, at a working size of some ten thousand pixels a view.
+are known, so every pixel of a map projects into neighbouring photos, whose maps have a normal for the same place. All
+arrays are numpy's, at a working size of about ten thousand pixels a view.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -15,19 +15,19 @@ from gsjax.scene.cameras import landing, thinned_K, viewmat_center
 
 LONGEST = 128  # pixels of a view's longer side at the working size
 NEIGHBORS = 6  # views that each is compared with
-WIDEST = 70.0  # degrees between two rays to a place, beyond which views show too little of each other
-GOOD_ANGLE = 25.0  # degrees between the rays, from which on two views differ enough to tell
-TOLD_ANGLE = 10.0  # degrees, under which a map that says nothing would agree as well
+WIDEST = 70.0  # degrees between two rays to a place, beyond which views overlap too little
+GOOD_ANGLE = 25.0  # degrees between the rays, from which on two views differ enough
+LEAST_ANGLE = 10.0  # degrees, under which a map that only faces its camera is consistent too
 SAME_DEPTH = 0.02  # relative difference of depth up to which two pixels show the same place
-SURE, DOUBTFUL = 15.0, 25.0  # degrees that normals are off by: up to one they count whole, from the other on not at all
+FULL_WEIGHT, ZERO_WEIGHT = 15.0, 25.0  # degrees of error: up to one a normal has weight 1, from the other on weight 0
 LEAST_EVIDENCE = 0.1  # of a photo and of a whole set of maps
-OWN_VOTE = 0.5  # of a pixel's own normal beside its neighbours'
+OWN_VOTE = 0.5  # weight of a pixel's own normal, of its neighbours' 1
 FEWEST = 100  # pairs of pixels that a photo is judged by
 FEWEST_PHOTOS = 3  # that a set of maps is judged by
 
 _PROBES = 300  # pixels of a view by which its neighbours are chosen
 _ROUNDS = 6  # of the geometric median
-_SMOOTH = 0.04  # of the longer side: deviation of the window that tells unjudged pixels what is around them
+_SMOOTH = 0.04  # of the longer side: deviation of the window from which unobserved pixels take their weight
 
 
 class View(NamedTuple):
@@ -40,17 +40,17 @@ class View(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What its neighbours say of one photo's map."""
+    """How consistent one photo's map is with its neighbours'."""
 
     confidence: np.ndarray  # [h, w] float32 in 0..1, zero where there is no normal
     kept: float  # mean confidence over the pixels that have a normal; 0 where there is none
-    evidence: float | None  # 1 - (median disagreement / that of a map which only faces its camera); None: cannot tell
+    evidence: float | None  # 1 - (median disagreement / that of a map which only faces its camera); None: unknown
     noise: float | None  # of the evidence, from one neighbour to the next
-    apart: float | None  # median degrees between its normals and theirs; None: cannot tell
+    apart: float | None  # median degrees between its normals and theirs; None: unknown
 
 
 class Verdict(NamedTuple):
-    """What follows for a whole set of maps."""
+    """The decision on a whole set of maps."""
 
     kept: bool
     evidence: float | None  # median of the photos'; None: cannot be judged
@@ -62,7 +62,7 @@ class Verdict(NamedTuple):
 
 
 def thinned(normals: np.ndarray, depth: np.ndarray, viewmat: np.ndarray, K: np.ndarray) -> View:
-    """A `View` of every so many pixels of a map `[H, W, 3]`, of any length but zero, and of its depth `[H, W]`."""
+    """Return a `View` of every n-th pixel of a map `[H, W, 3]`, of any length but zero, and of its depth `[H, W]`."""
     stride = stride_of(depth.shape)
     first = stride // 2
     small = normals[first::stride, first::stride].astype(np.float32)
@@ -72,7 +72,7 @@ def thinned(normals: np.ndarray, depth: np.ndarray, viewmat: np.ndarray, K: np.n
 
 
 def stride_of(shape: Sequence[int]) -> int:
-    """Every so many pixels of a `[H, W]` view make its working size."""
+    """Return the n of `thinned` for a view `[H, W]`."""
     return max(1, -(-max(shape[:2]) // LONGEST))
 
 
@@ -99,23 +99,23 @@ def judge(
 
 
 def share_compared(apart: float | None) -> float:
-    """In what share of its steps a photo is to be compared with a neighbour, from what normals of their depth say.
+    """Return the share of steps in which the loss compares a photo with a neighbour.
 
-    Where photos agree about a surface, terms that compare them make it flat and cost pictures nothing; where they do
-    not, as before a bare wall, pictures pay for them (experiments/results/price_on_photos.md). How far normals are
-    apart tells, not the evidence: among photos that stand side by side even a flat floor has none.
+    Terms that compare photos make a consistent surface flat and cost no PSNR. On an inconsistent one, such as a bare
+    wall, they do (experiments/results/price_on_photos.md). The angle decides, not the evidence: between photos that
+    stand side by side even a flat floor has none.
 
     Args:
-        apart: Of the photo's `Judged`; None: it cannot be judged, and is compared in all steps.
+        apart: Of the photo's `Judged`; None: unknown, the photo is compared in all steps.
 
     Returns:
-        From 0, at `DOUBTFUL` degrees and more, to 1, up to `SURE` degrees.
+        From 0, at `ZERO_WEIGHT` degrees and more, to 1, up to `FULL_WEIGHT` degrees.
     """
-    return 1.0 if apart is None else float(np.clip((DOUBTFUL - apart) / (DOUBTFUL - SURE), 0, 1))
+    return 1.0 if apart is None else float(np.clip((ZERO_WEIGHT - apart) / (ZERO_WEIGHT - FULL_WEIGHT), 0, 1))
 
 
 def full_size(confidence: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """A confidence `[h, w]` of the working size at that of the map it was thinned from, `[H, W]`."""
+    """Return a confidence `[h, w]` of the working size at that of the whole map, `[H, W]`."""
     stride = stride_of(shape)
     grown = np.repeat(np.repeat(confidence, stride, axis=0), stride, axis=1)
     missing = [(0, max(0, side - have)) for side, have in zip(shape, grown.shape, strict=True)]
@@ -123,7 +123,7 @@ def full_size(confidence: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 
 def _world_points(view: View) -> np.ndarray:
-    """`[h, w, 3]` float64 world positions of the pixels."""
+    """Return `[h, w, 3]` float64 world positions of the pixels."""
     height, width = view.depth.shape
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
     rays = np.stack([(x - view.K[0, 2]) / view.K[0, 0], (y - view.K[1, 2]) / view.K[1, 1], np.ones_like(x)], -1)
@@ -131,7 +131,7 @@ def _world_points(view: View) -> np.ndarray:
 
 
 def _landing(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Row and column `[...]` of the pixel of a view that world points `[..., 3]` land on, and whether it shows them."""
+    """Project world points `[..., 3]`: row and column `[...]` of their pixels, and whether those show the points."""
     row, column, z, inside = landing(points, view.viewmat, view.K, view.depth.shape)
     there = view.depth[row, column]
     return row, column, inside & (there > 0) & (np.abs(there - z) < SAME_DEPTH * z)
@@ -149,7 +149,7 @@ def _towards(view: View, points: np.ndarray) -> np.ndarray:
 
 
 def _neighbors(views: Sequence[View], points: Sequence[np.ndarray]) -> list[list[int]]:
-    """For every view the others that show most of it from a direction that differs enough to tell."""
+    """Return for every view the others that show most of it from a direction that differs enough."""
     rng = np.random.default_rng(0)
     chosen = []
     for index, view in enumerate(views):
@@ -187,18 +187,17 @@ def _judge_view(index: int, views: Sequence[View], points: Sequence[np.ndarray],
     others, shown, apart, chance = map(np.stack, (others, shown, apart, chance))
     error = np.full(known.shape, np.nan)
     error[carried] = _error(own, others, shown, apart)
-    confidence = _filled(np.clip((DOUBTFUL - error) / (DOUBTFUL - SURE), 0, 1)) * known
+    confidence = _filled(np.clip((ZERO_WEIGHT - error) / (ZERO_WEIGHT - FULL_WEIGHT), 0, 1)) * known
     kept = float(confidence[known].mean()) if known.any() else 0.0
     return Judged(confidence.astype(np.float32), kept, *_agreement(apart, chance, shown))
 
 
 def _error(own: np.ndarray, others: np.ndarray, shown: np.ndarray, apart: np.ndarray) -> np.ndarray:
-    """`[P]` degrees that a pixel's normal is likely off by; NaN where no neighbour shows it.
+    """Estimate `[P]` degrees of error of a pixel's normal; NaN where no neighbour shows it.
 
-    The larger of two that hold where errors are independent: how far it is from the geometric median of the
-    neighbours' normals, itself with `OWN_VOTE` to break a tie; and the (lower) median disagreement with one of them,
-    over the root of two, as both may be wrong. The median normal alone would agree with a map that only faces its
-    camera, where cameras stand around it.
+    The larger of two estimates for independent errors: the angle to the geometric median of the neighbours' normals
+    and, with `OWN_VOTE`, its own; and the (lower) median angle to one neighbour, over the root of two, as both may be
+    wrong. The first alone would accept a map that only faces its camera, where cameras stand around the place.
 
     Args:
         own: `[P, 3]` world normals of the pixels.
@@ -216,7 +215,7 @@ def _error(own: np.ndarray, others: np.ndarray, shown: np.ndarray, apart: np.nda
 
 
 def _geometric_median(directions: np.ndarray, counted: np.ndarray) -> np.ndarray:
-    """`[P, 3]` unit vectors with the least sum, weighted by `[M, P]`, of distances to `[M, P, 3]` (Weiszfeld)."""
+    """Return `[P, 3]` unit vectors of the least weighted (`[M, P]`) sum of distances to `[M, P, 3]` (Weiszfeld)."""
     weights = counted
     for _ in range(_ROUNDS):
         middle = np.sum(weights[..., None] * directions, axis=0)
@@ -228,53 +227,57 @@ def _geometric_median(directions: np.ndarray, counted: np.ndarray) -> np.ndarray
 def _agreement(
     apart: np.ndarray, chance: np.ndarray, shown: np.ndarray
 ) -> tuple[float | None, float | None, float | None]:
-    """`evidence`, `noise` and `apart` of `Judged`: how near normals are, beside maps that only face their cameras.
+    """Return `evidence`, `noise` and `apart` of `Judged`: consistency against that of maps that only face cameras.
 
     Args:
         apart: `[M, P]` degrees between the normals of two views.
         chance: `[M, P]` degrees between the directions to their cameras.
         shown: `[M, P]` which of them count.
     """
-    tells = shown & (chance > TOLD_ANGLE)
-    if tells.sum() < FEWEST:
+    counted = shown & (chance > LEAST_ANGLE)
+    if counted.sum() < FEWEST:
         return None, None, None
-    each = [1 - np.median(a[t]) / np.median(c[t]) for a, c, t in zip(apart, chance, tells, strict=True) if t.sum() > 9]
+    each = [
+        1 - np.median(a[t]) / np.median(c[t]) for a, c, t in zip(apart, chance, counted, strict=True) if t.sum() > 9
+    ]
     noise = float(np.std(each) / np.sqrt(len(each))) if len(each) > 1 else 1.0
-    middle = float(np.median(apart[tells]))
-    return float(1 - middle / np.median(chance[tells])), noise, middle
+    middle = float(np.median(apart[counted]))
+    return float(1 - middle / np.median(chance[counted])), noise, middle
 
 
 def _filled(confidence: np.ndarray) -> np.ndarray:
-    """`[h, w]` with what is around in place of NaN, and the mean of the photo where nothing is near."""
-    told = np.isfinite(confidence)
-    if not told.any():
+    """Replace NaN in `[h, w]` by the values around it, and by the photo's mean where none is near."""
+    observed = np.isfinite(confidence)
+    if not observed.any():
         return np.ones_like(confidence)
-    values = np.where(told, confidence, 0)
+    values = np.where(observed, confidence, 0)
     width = _SMOOTH * max(confidence.shape)
-    weight = ndimage.gaussian_filter(told.astype(np.float64), width)
-    around = (ndimage.gaussian_filter(values, width) + 0.01 * values.sum() / told.sum()) / (weight + 0.01)
-    return np.where(told, values, around)
+    weight = ndimage.gaussian_filter(observed.astype(np.float64), width)
+    around = (ndimage.gaussian_filter(values, width) + 0.01 * values.sum() / observed.sum()) / (weight + 0.01)
+    return np.where(observed, values, around)
 
 
 def _verdict(judged: Sequence[Judged], views: Sequence[View]) -> Verdict:
-    told = [(index, each.evidence, each.noise or 0.0) for index, each in enumerate(judged) if each.evidence is not None]
+    known = [
+        (index, each.evidence, each.noise or 0.0) for index, each in enumerate(judged) if each.evidence is not None
+    ]
     areas = np.array([float(np.any(view.normals, axis=-1).sum()) for view in views])
     kept = np.array([each.kept for each in judged])
     empty = int((areas == 0).sum())
     lacks = empty >= max(len(views) / 2, 1)
     lacking = f", {empty} of {len(views)} have no normals" if empty else ""
     lacking += " (fewer than half may lack them)" if lacks else ""
-    if len(told) < FEWEST_PHOTOS:
-        why = f"cannot be judged: {len(told)} photos show enough of others from another direction{lacking}"
+    if len(known) < FEWEST_PHOTOS:
+        why = f"cannot be judged: {len(known)} photos show enough of others from another direction{lacking}"
         return Verdict(not lacks, None, None, LEAST_EVIDENCE, 0.0 if lacks else _share(kept, areas), (), why)
-    values = np.array([evidence for _, evidence, _ in told])
+    values = np.array([evidence for _, evidence, _ in known])
     middle = float(np.median(values))
     noise = float(1.4826 * np.median(np.abs(values - middle)) / np.sqrt(len(values)))
-    rejected = tuple(index for index, evidence, off in told if evidence + off < LEAST_EVIDENCE)
+    rejected = tuple(index for index, evidence, off in known if evidence + off < LEAST_EVIDENCE)
     is_kept = middle - noise > LEAST_EVIDENCE and not lacks
     kept[list(rejected)] = 0
     share = _share(kept, areas) if is_kept else 0.0
-    note = f"{len(rejected)} of {len(told)} photos rejected{lacking}"
+    note = f"{len(rejected)} of {len(known)} photos rejected{lacking}"
     return Verdict(is_kept, middle, noise, LEAST_EVIDENCE, share, rejected, note)
 
 
