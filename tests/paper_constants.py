@@ -22,8 +22,8 @@ from gsjax.binding import refinement
 from gsjax.binding.refinement import PRESETS as REFINEMENTS
 from gsjax.binding.refinement import Refinement
 from gsjax.gaussians import opacities
+from gsjax.meshing import poisson
 from gsjax.meshing.level_set import LevelSetOptions
-from gsjax.meshing.poisson import PoissonOptions
 from gsjax.metrics import images
 from gsjax.pipeline import training_journal
 from gsjax.runs.photo_effects import PhotoEffects
@@ -268,5 +268,5 @@ CONSTANTS = (
              lambda: tuple(getattr(LevelSetOptions(), n) for n in ("level", "num_points", "neighbors", "samples"))),
     Constant("opacity that makes a surface", 0.5, "SuGaR, coarse_mesh.py", lambda: LevelSetOptions().min_opacity),
     Constant("outliers and scale of Poisson", (20, 20.0, 1.1), "SuGaR, coarse_mesh.py; Open3D's default",
-             lambda: (PoissonOptions().outlier_neighbors, PoissonOptions().outlier_ratio, PoissonOptions().scale)),
+             lambda: (poisson.OUTLIER_NEIGHBORS, poisson.OUTLIER_RATIO, poisson.SCALE)),
 )  # fmt: skip

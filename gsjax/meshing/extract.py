@@ -9,7 +9,7 @@ from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians, without_view_dependence
 from gsjax.meshing.cleaning import clean, concatenate_meshes
 from gsjax.meshing.connectivity import topology
-from gsjax.meshing.level_set_poisson import level_set_poisson
+from gsjax.meshing.level_set import level_set_poisson
 from gsjax.meshing.mesh_method import Method, SurfaceSamples, method_name
 from gsjax.meshing.orientation import orient_outward
 from gsjax.meshing.regions import Region, Regions, near_and_far

@@ -18,7 +18,9 @@ from gsjax.errors import InputError, NoSurfaceError
 from gsjax.gaussians import Gaussians
 from gsjax.meshing import density_field
 from gsjax.meshing.level_crossing import march_rays
+from gsjax.meshing.mesh_method import Method, SurfaceSamples, poisson_through
 from gsjax.meshing.neighborhood import Neighborhood
+from gsjax.meshing.poisson import PoissonOptions
 from gsjax.rendering.gallery import Picture
 from gsjax.scene import cameras as cams
 from gsjax.scene.cameras import Camera
@@ -244,3 +246,29 @@ def _march(kept: Gaussians, rays: Rays, options: LevelSetOptions) -> tuple[np.nd
         for whole, values in zip(found, part, strict=True):
             whole[start : start + options.chunk] = values[: total - start]
     return found
+
+
+def level_set_poisson(
+    options: LevelSetOptions | None = None, reconstruction: PoissonOptions | None = None, *, seed: int = 0
+) -> Method:
+    """Return the method; its pictures need owners.
+
+    Args:
+        options: Of the sampling. None: `level_set.options_for` the cameras.
+        reconstruction: Of the Poisson stage. None: its defaults.
+        seed: Of the random choice of pixels.
+    """
+
+    def from_level_set(gaussians: Gaussians, cameras: Sequence[Camera], pictures: Iterable[Picture]) -> SurfaceSamples:
+        surface = surface_points(gaussians, cameras, pictures, options, seed=seed)
+        report = {
+            "kernels": surface.kernels,
+            "rays": surface.rays,
+            "crossing_share": surface.crossing_share,
+            "flipped_share": surface.flipped / surface.crossings,
+            "points": len(surface.points),
+        }
+        build = poisson_through(gaussians, surface.points, surface.normals, surface.colors, reconstruction)
+        return SurfaceSamples(surface.points, build, report)
+
+    return from_level_set

@@ -9,13 +9,10 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.machine import require_memory
-from gsjax.meshing import trimming
-from gsjax.meshing.consistent_depth import consistent_poisson
-from gsjax.meshing.depth_points import NormalsOfDepth
-from gsjax.meshing.level_set import LevelSetOptions
-from gsjax.meshing.level_set_poisson import level_set_poisson
+from gsjax.meshing.consistent_depth import NormalsOfDepth, consistent_poisson
+from gsjax.meshing.level_set import LevelSetOptions, level_set_poisson
 from gsjax.meshing.mesh_method import Method, method_name
-from gsjax.meshing.poisson import PoissonOptions
+from gsjax.meshing.poisson import PoissonOptions, at_quantile
 from gsjax.meshing.tsdf import tsdf
 from gsjax.rendering.shown_depths import ShownDepth
 from gsjax.scene.similarity import Similarity
@@ -66,8 +63,8 @@ class MethodOptions:
     @property
     def reconstruction(self) -> PoissonOptions:
         """The options of the Poisson reconstruction."""
-        trim = trimming.adaptive if self.trim_quantile is None else trimming.at_quantile(self.trim_quantile)
-        return PoissonOptions(depth=self.depth, trim=trim)
+        trim = None if self.trim_quantile is None else at_quantile(self.trim_quantile)
+        return PoissonOptions(self.depth, trim)
 
     @property
     def of_a_trial(self) -> "MethodOptions":

@@ -6,7 +6,7 @@ for depth maps (Collins 1996); here the mesh gives visibility, normals and neigh
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,30 +24,14 @@ LEAST_VIEWS = 3  # Two photos agree somewhere by chance.
 MOST_VIEWS = 100  # More tell little that is new; spread over the capture.
 STEEPEST = 0.3  # Cosine between normal and ray under which a photo shows a vertex too slanted.
 BORDER = 2.0  # Pixels from a photo's edge within which nothing is read.
+ROUNDS = 3
+STEP = 0.25  # Between two offsets that are tried, pixels as the photos see the vertex.
+REACH = 6  # Steps to either side in the first round, half of the last in the next, at least 3.
+STIFFNESS = 10.0  # Of the differences between neighbours, in median evidence.
 GRAY = 1 / 255  # A disagreement that changes by less than its square over a step is no evidence.
 
 
-@dataclass(frozen=True)
-class PhotoRefinement:
-    """How far is looked, and how stiff the surface is. Lengths are pixels as the photos see the vertex."""
-
-    rounds: int = 3
-    step: float = 0.25  # between two offsets that are tried
-    reach: int = 6  # steps to either side in the first round, half of the last in the next, at least 3
-    stiffness: float = 10.0  # of the differences between neighbours, in median evidence
-
-    def __post_init__(self):
-        """Check ranges."""
-        for name, low in {"rounds": 0, "reach": 3}.items():
-            if getattr(self, name) < low:
-                raise ValueError(f"{name}={getattr(self, name)} is below {low}")
-        if not (self.step > 0 and self.stiffness > 0):
-            raise ValueError(f"step={self.step} and stiffness={self.stiffness} must be above 0")
-
-
-def refine_on_photos(
-    mesh: Mesh, frames: Sequence[Frame], options: PhotoRefinement | None = None
-) -> tuple[Mesh, dict[str, float]]:
+def refine_on_photos(mesh: Mesh, frames: Sequence[Frame]) -> tuple[Mesh, dict[str, float]]:
     """Move the vertices along their normals to where the photos agree.
 
     A vertex that fewer than three photos see, or that has no texture, follows its neighbours. Photos may be lighter or
@@ -57,7 +41,6 @@ def refine_on_photos(
         mesh: Whose faces look outwards. Near the surface: within `reach` steps, 1.5 pixels.
         frames: Photos with their cameras; read one by one, once and once more a round. Beyond its matte a photo shows
             something else, or nothing.
-        options: None: the defaults.
 
     Returns:
         The mesh with moved vertices, and `seen_share` (of the vertices, in three photos and more), `moved_px` (of
@@ -66,18 +49,17 @@ def refine_on_photos(
     Raises:
         InputError: A photo cannot be read, or Open3D not be loaded.
     """
-    options = options or PhotoRefinement()
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(MOST_VIEWS, len(frames))).astype(int))
     frames = [frames[index] for index in chosen]
     differences = _laplacian(mesh)
-    with tqdm(total=(options.rounds + 2) * len(frames), desc="settle", unit="view", delay=3.0) as bar:
+    with tqdm(total=(ROUNDS + 2) * len(frames), desc="settle", unit="view", delay=3.0) as bar:
         survey = _survey(mesh, frames, np.zeros((1, mesh.num_vertices)), None, bar)
         seen, before, moved = survey.views >= LEAST_VIEWS, survey.variance[0], np.zeros(mesh.num_vertices)
-        settled, reach = mesh, options.reach
-        for _ in range(options.rounds if seen.any() else 0):
-            steps = options.step * np.arange(-reach, reach + 1)
+        settled, reach = mesh, REACH
+        for _ in range(ROUNDS if seen.any() else 0):
+            steps = STEP * np.arange(-reach, reach + 1)
             survey = _survey(settled, frames, steps[:, None] * survey.pixel, survey.mean, bar)
-            way = _agreed(survey, steps, differences, options)
+            way = _agreed(survey, steps, differences)
             offsets = (way * survey.pixel)[:, None] * vertex_normals(settled)
             settled = replace(settled, vertices=(settled.vertices + offsets).astype(np.float32))
             moved, reach = moved + way, max(reach // 2, 3)
@@ -204,7 +186,7 @@ def _laplacian(mesh: Mesh) -> sparse.csr_matrix:
     return sparse.csr_matrix(sparse.diags(np.asarray(adjacent.sum(axis=1)).ravel()) - adjacent)
 
 
-def _agreed(survey: _Survey, steps: np.ndarray, differences: sparse.csr_matrix, options: PhotoRefinement) -> np.ndarray:
+def _agreed(survey: _Survey, steps: np.ndarray, differences: sparse.csr_matrix) -> np.ndarray:
     """`[V]` pixels to move: at the least disagreement where there is evidence, smooth between.
 
     Evidence is each vertex' own: mixed with its neighbours', it says the same of both sides of an edge.
@@ -215,11 +197,11 @@ def _agreed(survey: _Survey, steps: np.ndarray, differences: sparse.csr_matrix, 
     before, at, after = (curves[rows, inner + k] for k in (-1, 0, 1))
     bend = np.maximum(before - 2 * at + after, 0)
     # The least point of the parabola through the three.
-    wanted = steps[inner] + options.step * np.clip(0.5 * (before - after) / np.maximum(bend, GRAY**4), -1, 1)
+    wanted = steps[inner] + STEP * np.clip(0.5 * (before - after) / np.maximum(bend, GRAY**4), -1, 1)
     told = (survey.views >= LEAST_VIEWS) & (lowest == inner)
     typical = max(float(np.median(bend[told])) if told.any() else 0.0, GRAY**2)
     evidence = np.where(told, np.minimum(bend / typical, 4), 0)
-    system = sparse.diags(evidence + 1e-6) + options.stiffness * differences
+    system = sparse.diags(evidence + 1e-6) + STIFFNESS * differences
     way, _ = cg(system, evidence * wanted, rtol=1e-4, maxiter=300)
     return way
 

@@ -1,33 +1,54 @@
-"""From oriented points to triangles: Open3D's screened Poisson reconstruction, trimmed to where there are points."""
+"""From oriented points to triangles: Open3D's screened Poisson reconstruction, trimmed to where there are points.
 
+A Poisson surface is always closed: where there are no points it invents a membrane. Two numbers reveal an invented
+vertex: its distance from the nearest point, and the reconstruction's own density of points around it.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from gsjax.errors import NoSurfaceError
 from gsjax.io.packages import require
 from gsjax.meshing.connectivity import edge_table
-from gsjax.meshing.trimming import Support, Trim, adaptive
 from gsjax.scene.meshes import Mesh
 
 DEPTHS = (6, 10)  # Coarsest and finest octree that is chosen unasked; SuGaR takes 10, and 6 to 8 against bumps.
 MIN_POINTS = 100
 
 
-@dataclass(frozen=True)
-class PoissonOptions:
-    """The numbers of the reconstruction; SuGaR's, but for what it leaves to the user."""
+SCALE = 1.1  # Of the octree's cube over the longest side of the points' box, at least.
+OUTLIER_NEIGHBORS, OUTLIER_RATIO = 20, 20.0  # Of the statistical filter: standard deviations beyond the mean distance.
+TRIM_CELLS = 5.0  # Holes up to twice as wide are bridged, and open ends grow by as much: cells, or
+TRIM_SPACINGS = 4.0  # spacings of the points where those are longer; half of it is near.
+THINNEST_SUPPORTED = 0.005  # The quantile of the supported vertices' densities that counts as their lower end.
+THREADS = 1  # With more, equal input gives meshes that differ in the last bits.
 
-    depth: int | None = None  # of the octree; None: cells of twice the points' spacing or what the caller asks for
-    scale: float = 1.1  # the octree's cube over the longest side of the points' box, at least
-    linear_fit: bool = False
-    threads: int = 1  # with more, equal input gives meshes that differ in the last bits
-    outlier_neighbors: int = 20  # of the statistical filter
-    outlier_ratio: float = 20.0  # standard deviations beyond the mean distance: very lax
-    trim: Trim = adaptive
-    trim_cells: float = 5.0  # holes up to twice as wide are bridged, and open ends grow by as much: cells, or
-    trim_spacings: float = 4.0  # spacings of the points where those are longer; half of it is near
+
+@dataclass(frozen=True)
+class Support:
+    """V vertices of a reconstruction, and what the points say about them."""
+
+    distances: np.ndarray  # [V] to the nearest point, scene units
+    densities: np.ndarray  # [V] of points around, any increasing measure
+    edges: np.ndarray  # [E, 2] vertex ids
+    near: float  # scene units: vertices up to here are supported
+    far: float  # scene units: vertices beyond are guesses
+
+
+class Cut(NamedTuple):
+    """What to take away."""
+
+    vertices: np.ndarray  # [V] bool
+    quantile: float  # share of the vertices that go for their density alone
+
+
+Trim = Callable[[Support], Cut]
 
 
 @dataclass(frozen=True)
@@ -39,6 +60,14 @@ class PoissonReport:
     cell: float  # side of the finest, scene units
     trim_quantile: float  # share of the vertices cut for their density
     trim_distance: float  # beyond which vertices were cut, scene units
+
+
+@dataclass(frozen=True)
+class PoissonOptions:
+    """The choices of the caller."""
+
+    depth: int | None = None  # of the octree; None: cells of twice the points' spacing or what the caller asks for
+    trim: Trim | None = None  # None: `adaptive`
 
 
 def reconstruct(
@@ -65,22 +94,22 @@ def reconstruct(
         NoSurfaceError: Fewer than 100 points, or nothing is left after trimming.
     """
     options = PoissonOptions() if options is None else options
-    cloud = _without_outliers(_as_cloud(points, normals, colors), options)
+    cloud = _without_outliers(_as_cloud(points, normals, colors))
     kept = np.asarray(cloud.points)
     if len(kept) < MIN_POINTS:
         raise NoSurfaceError(f"no mesh: {len(kept)} surface points, Poisson reconstruction needs {MIN_POINTS}")
     gap, extent = spacing(kept), float(np.ptp(kept, axis=0).max())
     if options.depth is None:
-        depth, scale = octree_for_cell(extent, max(2 * gap, smallest_cell), options.scale)
+        depth, scale = octree_for_cell(extent, max(2 * gap, smallest_cell), SCALE)
     else:
-        depth, scale = options.depth, options.scale
+        depth, scale = options.depth, SCALE
     cell = scale * extent / 2**depth
-    far = max(options.trim_spacings * gap, options.trim_cells * cell)
+    far = max(TRIM_SPACINGS * gap, TRIM_CELLS * cell)
 
-    surface, densities = _poisson(cloud, depth, scale, options)
+    surface, densities = _poisson(cloud, depth, scale)
     distances = np.asarray(KDTree(kept).query(np.asarray(surface.vertices), workers=-1)[0])
     edges = edge_table(np.asarray(surface.triangles)).pairs
-    cut = options.trim(Support(distances, densities, edges, near=far / 2, far=far))
+    cut = (options.trim or adaptive)(Support(distances, densities, edges, near=far / 2, far=far))
     surface.remove_vertices_by_mask(cut.vertices)
     if not len(surface.triangles):
         raise NoSurfaceError(f"no mesh: no Poisson vertex is supported by the {len(kept)} points (within {far:.4g})")
@@ -124,16 +153,51 @@ def _as_cloud(points: np.ndarray, normals: np.ndarray, colors: np.ndarray):
     return cloud
 
 
-def _without_outliers(cloud, options: PoissonOptions):
-    if len(cloud.points) <= options.outlier_neighbors:
+def _without_outliers(cloud):
+    if len(cloud.points) <= OUTLIER_NEIGHBORS:
         return cloud
-    return cloud.remove_statistical_outlier(options.outlier_neighbors, options.outlier_ratio)[0]
+    return cloud.remove_statistical_outlier(OUTLIER_NEIGHBORS, OUTLIER_RATIO)[0]
 
 
-def _poisson(cloud, depth: int, scale: float, options: PoissonOptions):
+def _poisson(cloud, depth: int, scale: float):
     o3d = require("open3d")
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         surface, densities = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(
-            cloud, depth=depth, scale=scale, linear_fit=options.linear_fit, n_threads=options.threads
+            cloud, depth=depth, scale=scale, n_threads=THREADS
         )
     return surface, np.asarray(densities)
+
+
+def adaptive(support: Support) -> Cut:
+    """Cuts what is far from every point, and what is too thin and leads there.
+
+    Too thin is a vertex that is not near a point and below the lower end of the densities of those that are: no number
+    is chosen by hand. A thin patch with support all around bridges a small hole, and stays.
+    """
+    is_near, is_far = support.distances <= support.near, support.distances > support.far
+    if not is_near.any():
+        return Cut(is_far, 0.0)
+    too_thin = ~is_near & (support.densities < np.quantile(support.densities[is_near], THINNEST_SUPPORTED))
+    unsound = is_far | too_thin
+    patch = _patches(unsound, support.edges)
+    leads_far = np.zeros(len(unsound), bool)
+    leads_far[patch[is_far]] = True
+    cut = unsound & leads_far[patch]
+    return Cut(cut, float((cut & ~is_far).mean()))
+
+
+def _patches(members: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """`[V]` a label per vertex, the same for members that are connected through members."""
+    inner = edges[members[edges].all(axis=1)]
+    graph = coo_matrix((np.ones(len(inner), bool), (inner[:, 0], inner[:, 1])), shape=(len(members),) * 2)
+    return connected_components(graph, directed=False)[1]
+
+
+def at_quantile(quantile: float) -> Trim:
+    """Cuts what is far from every point, and the given share of the vertices, the least dense ones (SuGaR: 0.1)."""
+
+    def trim(support: Support) -> Cut:
+        thin = support.densities < np.quantile(support.densities, quantile)
+        return Cut(thin | (support.distances > support.far), quantile)
+
+    return trim

@@ -102,7 +102,7 @@ def compare_to_surface(
         truth: The whole true surface, seen or not.
         seen_points: `[Q, 3]` points of it that cameras saw, spread evenly, world.
         seen_normals: `[Q, 3]` its normals there.
-        closest: Finds nearest points of a surface: `gsjax.meshing.closest.closest_on_mesh`.
+        closest: Finds nearest points of a surface: `gsjax.meshing.ray_queries.closest_on_mesh`.
         threshold: Of the F-score, scene units. None: 1 % of the diagonal of the box of the seen points.
         samples: Points drawn on the mesh near the box.
         seed: Of those points.

@@ -11,9 +11,9 @@ import numpy as np
 
 from gsjax.effects.alignment import align as aligned_camera
 from gsjax.errors import NoSurfaceError
-from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.export import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors, vertex_colors
+from gsjax.meshing.ray_queries import closest_on_mesh
 from gsjax.metrics import geometry
 from gsjax.metrics.lpips import STANDARD, lpips_measures
 from gsjax.metrics.mesh_photos import score_appearance

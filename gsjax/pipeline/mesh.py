@@ -14,13 +14,13 @@ from gsjax.io.scenes import load_scene
 from gsjax.io.temporaries import sweep_beside
 from gsjax.meshing import level_set
 from gsjax.meshing.connectivity import topology
-from gsjax.meshing.crop import Crop, crop_of
 from gsjax.meshing.export import supported_suffix, write_mesh
 from gsjax.meshing.extract import extract_mesh
 from gsjax.meshing.holes import fill_holes
 from gsjax.meshing.mesh_method import Method
 from gsjax.meshing.methods import USUAL, MeshMethod, MethodOptions, methods_of
 from gsjax.meshing.photo_refine import refine_on_photos
+from gsjax.meshing.regions import Crop, crop_of
 from gsjax.meshing.select_method import Selection, evidence_of, select_method
 from gsjax.pipeline.mesh_views import MeshViews
 from gsjax.report import tables

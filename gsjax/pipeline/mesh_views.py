@@ -11,7 +11,7 @@ import numpy as np
 
 from gsjax.gaussians import take, without_view_dependence
 from gsjax.io.machine import free_memory
-from gsjax.meshing.depth_points import NormalsOfDepth
+from gsjax.meshing.consistent_depth import NormalsOfDepth
 from gsjax.normals.from_depth import chosen_reduction, smoothed_depth_normals
 from gsjax.rendering.gallery import Picture
 from gsjax.rendering.outliers import are_floaters

@@ -10,8 +10,7 @@ from gsjax.errors import InputError
 from gsjax.io.temporaries import sweep_beside
 from gsjax.meshing.export import read_mesh, textured_suffix, write_textured
 from gsjax.meshing.sharpening import sharpened
-from gsjax.meshing.texture import texture_mesh
-from gsjax.meshing.texture_size import texture_side
+from gsjax.meshing.texture import texture_mesh, texture_side
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result, training_pictures
 from gsjax.runs.run import Run
@@ -31,7 +30,7 @@ def texture(
         mesh: .ply, .obj or .glb in the same coordinates.
         out: .glb, .usdz, or .obj with .mtl and .png beside it.
         size: Side of the texture, texels. None: as many as the photos tell apart, 4096 at most
-            (`gsjax.meshing.texture_size`).
+            (`gsjax.meshing.texture`).
         scene: Data set whose cameras to use with a file. None: cameras around the Gaussians, or within them.
 
     Returns:

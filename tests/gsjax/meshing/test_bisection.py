@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from gsjax.meshing.bisection import bisect_triangles
-from gsjax.meshing.closest import closest_on_mesh
 from gsjax.meshing.connectivity import edge_table, topology
+from gsjax.meshing.ray_queries import closest_on_mesh
 from gsjax.scene.meshes import Mesh, signed_volume
 
 

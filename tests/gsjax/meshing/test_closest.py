@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from gsjax.meshing.closest import closest_on_mesh
+from gsjax.meshing.ray_queries import closest_on_mesh
 from gsjax.scene.meshes import Mesh
 
 

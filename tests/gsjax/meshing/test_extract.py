@@ -9,8 +9,7 @@ import pytest
 from gsjax.errors import InputError
 from gsjax.meshing import depth_of_mesh, extract_mesh, regions
 from gsjax.meshing.extract import cut_to_region
-from gsjax.meshing.level_set import LevelSetOptions
-from gsjax.meshing.level_set_poisson import level_set_poisson
+from gsjax.meshing.level_set import LevelSetOptions, level_set_poisson
 from gsjax.meshing.poisson import PoissonOptions
 from gsjax.meshing.regions import Box, Region
 from gsjax.metrics import geometry

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gsjax.meshing import photo_refine
-from gsjax.meshing.photo_refine import PhotoRefinement, refine_on_photos
+from gsjax.meshing.photo_refine import refine_on_photos
 from gsjax.rendering.sampling import sample_bilinear
 from gsjax.scene import Frame, Pixels, frame_of, with_pixels
 from gsjax.scene.meshes import Mesh
@@ -127,12 +127,3 @@ def test_images_are_read_as_the_library_reads_maps():
             jnp.asarray(image[..., channel]), jnp.asarray(positions)
         )
         np.testing.assert_allclose(read[:, channel], expected, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "fault"),
-    [({"rounds": -1}, "rounds=-1 is below 0"), ({"step": 0.0}, "step=0.0"), ({"reach": 1}, "reach=1")],
-)
-def test_wrong_settings_are_named(wrong, fault):
-    with pytest.raises(ValueError, match=fault):
-        PhotoRefinement(**wrong)

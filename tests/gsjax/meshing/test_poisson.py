@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.meshing import poisson, trimming
-from gsjax.meshing.poisson import PoissonOptions
+from gsjax.meshing import poisson
+from gsjax.meshing.poisson import PoissonOptions, Support, adaptive, at_quantile
 from gsjax.scene.meshes import signed_volume
 
 DEPTH_6 = PoissonOptions(depth=6)
@@ -30,21 +30,22 @@ def test_inward_normals_turn_it_inside_out():
     assert signed_volume(poisson.reconstruct(points, -points, colors, DEPTH_6)[0]) < -4
 
 
-def test_a_half_sphere_is_not_closed_by_guesswork():
+def test_a_half_sphere_is_not_closed_by_guesswork(monkeypatch):
     points, colors = sphere(6000)
     upper = points[:, 2] > 0
     half = points[upper], points[upper], colors[upper]
     mesh, report = poisson.reconstruct(*half, DEPTH_6)
     assert mesh.vertices[:, 2].min() > -0.15
     assert report.trim_quantile > 0
-    closed, _ = poisson.reconstruct(*half, PoissonOptions(depth=6, trim_cells=300, trim=trimming.at_quantile(0)))
+    monkeypatch.setattr(poisson, "TRIM_CELLS", 300)
+    closed, _ = poisson.reconstruct(*half, PoissonOptions(depth=6, trim=at_quantile(0)))
     assert closed.vertices[:, 2].min() < mesh.vertices[:, 2].min() - 0.1
 
 
 def test_a_quantile_takes_its_share_of_the_vertices():
     points, colors = sphere(5000)
     whole, _ = poisson.reconstruct(points, points, colors, DEPTH_6)
-    options = PoissonOptions(depth=6, trim=trimming.at_quantile(0.1))
+    options = PoissonOptions(depth=6, trim=at_quantile(0.1))
     trimmed, report = poisson.reconstruct(points, points, colors, options)
     assert trimmed.num_vertices == pytest.approx(0.9 * whole.num_vertices, rel=0.02)
     assert report.trim_quantile == 0.1
@@ -101,3 +102,52 @@ def test_mismatched_arrays_are_refused():
     points, colors = sphere(200)
     with pytest.raises(ValueError, match=r"must all be \[P, 3\]"):
         poisson.reconstruct(points, points[:100], colors)
+
+
+def support(distances, densities, edges=None):
+    """Vertices along a line, unless `edges` says otherwise."""
+    line = np.arange(len(distances))
+    edges = np.stack([line[:-1], line[1:]], axis=1) if edges is None else np.array(edges)
+    return Support(np.array(distances, float), np.array(densities, float), edges, near=1.0, far=2.0)
+
+
+def test_where_all_is_supported_nothing_is_cut():
+    rng = np.random.default_rng(0)
+    cut = adaptive(support(rng.uniform(0, 1, 1000), rng.uniform(0, 9, 1000)))
+    assert not cut.vertices.any()
+    assert cut.quantile == 0
+
+
+def test_thin_vertices_go_where_they_lead_to_far_ones():
+    sound = [0.5] * 100
+    # 100 is thin and 101 is not; 102 to 104 are a thin patch that ends in a far vertex, 105 is far and dense.
+    distances = [*sound, 1.5, 1.5, 1.5, 1.5, 2.5, 2.5]
+    densities = [*np.linspace(5, 9, 100), 2.0, 6.0, 2.0, 2.0, 2.0, 6.0]
+    cut = adaptive(support(distances, densities))
+    np.testing.assert_array_equal(np.flatnonzero(cut.vertices), [102, 103, 104, 105])
+    assert cut.quantile == pytest.approx(2 / 106)
+
+
+def test_a_small_hole_is_bridged():
+    distances, densities = [*[0.5] * 50, 1.5, 1.9, 1.5, *[0.5] * 50], [*[5.0] * 50, 1, 1, 1, *[5.0] * 50]
+    assert not adaptive(support(distances, densities)).vertices.any()
+
+
+def test_the_density_has_no_unit():
+    rng = np.random.default_rng(0)
+    distances, densities = rng.uniform(0, 3, 1000), rng.uniform(0, 9, 1000)
+    np.testing.assert_array_equal(
+        adaptive(support(distances, densities)).vertices, adaptive(support(distances, 7 + 3 * densities)).vertices
+    )
+
+
+def test_where_nothing_is_near_only_the_far_goes():
+    cut = adaptive(support([1.5, 2.5], [1, 1]))
+    np.testing.assert_array_equal(cut.vertices, [False, True])
+
+
+@pytest.mark.parametrize(("quantile", "left"), [(0.0, 100), (0.1, 90), (0.5, 50)])
+def test_a_given_quantile_cuts_that_share(quantile, left):
+    cut = at_quantile(quantile)(support(np.zeros(100), np.random.default_rng(0).permutation(100)))
+    assert np.sum(~cut.vertices) == left
+    assert cut.quantile == quantile

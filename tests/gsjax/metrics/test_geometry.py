@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.meshing.closest import closest_on_mesh
+from gsjax.meshing.ray_queries import closest_on_mesh
 from gsjax.metrics import geometry
 from gsjax.scene.meshes import Mesh, face_normals, signed_volume, vertex_normals
 

@@ -10,7 +10,7 @@ from gsjax import cli, pipeline
 from gsjax.io import json_files, ply
 from gsjax.io.images import write_image
 from gsjax.meshing.export import read_textured, write_mesh
-from gsjax.meshing.texture_size import STEP
+from gsjax.meshing.texture import STEP
 from gsjax.pipeline.texture import known_background
 from gsjax.runs.result import open_result
 from gsjax.scene.meshes import Mesh
