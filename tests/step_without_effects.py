@@ -39,7 +39,7 @@ def make_train_step(optimizer, terms, *, capacity, background, sh_every, rule, d
     @partial(jax.jit, donate_argnums=0)
     def train_step(state, target, key):
         color = background(jax.random.fold_in(key, state.step))
-        batch = batches.batch(target, color)
+        batch = batches.decode(target, color)
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if rule else None
         gradient = jax.value_and_grad(objective, argnums=(0, 1) if rule else (0,), has_aux=True)
         (total, (losses, error, projection, pairs)), gradients = gradient(state.gaussians, probe, state, batch, color)

@@ -100,7 +100,7 @@ def test_the_stages_of_the_rasterizer():
 @pytest.fixture(scope="module")
 def target():
     photos = photographed(cloud(50, seed=5), CAMERAS, with_mattes=True)
-    return batches.with_photo_numbers(batches.read_targets(photos)).targets
+    return batches.with_photo_numbers(batches.read_batches(photos)).views
 
 
 def test_a_training_step_of_all_terms_and_effects_and_the_growth_after_it(target):

@@ -23,7 +23,7 @@ from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.pipeline.refine import halved_where_seen, prepare_mesh
 from gsjax.runs.result import open_result, write_views
 from gsjax.scene import Pixels, frame_of
-from gsjax.scene.batches import read_targets
+from gsjax.scene.batches import read_batches
 from gsjax.scene.meshes import Mesh, face_normals
 from gsjax.settings import Settings
 
@@ -120,7 +120,7 @@ def test_triangles_are_halved_where_pixels_see_them_and_are_not_masked(capsys):
     right = np.zeros((48, 64), np.uint8)
     right[:, 40:] = 255
     pixels = Pixels(np.zeros((48, 64, 3), np.uint8), valid=right)
-    seen = read_targets([frame_of("0.png", np.asarray(camera.viewmat), np.asarray(camera.K), pixels)])
+    seen = read_batches([frame_of("0.png", np.asarray(camera.viewmat), np.asarray(camera.K), pixels)])
     halved = halved_where_seen(coarse, seen, 100)
     assert 99 <= halved.num_faces <= 100
     middles = halved.vertices[halved.faces].mean(axis=1)

@@ -41,7 +41,7 @@ def as_frame(index):
 held_out = range(0, 12, 4)
 frames = [as_frame(index) for index in range(12) if index not in held_out]
 size = extent(tuple(frames))
-photos_to_train_on = batches.read_targets(frames)
+photos_to_train_on = batches.read_batches(frames)
 
 rng = np.random.default_rng(0)
 low, high = np.array(solids.BOUNDS)

@@ -60,8 +60,8 @@ def parts(run: Path) -> dict[str, Callable[[], Any]]:
     scene = scene_of_run(run)
     finished = jax.tree.map(np.asarray, open_result(run).gaussians)  # Steps donate what they begin from.
     gaussians = jax.tree.map(jnp.asarray, finished)
-    data = batches.read_targets(scene.train_frames)
-    batch = batches.batch(one_view(data, 0, 0.5)(0), jnp.ones(3, jnp.float32))
+    data = batches.read_batches(scene.train_frames)
+    batch = batches.decode(one_view(data, 0, 0.5)(0), jnp.ones(3, jnp.float32))
     camera, capacity, grid = batch.camera, chosen_capacity(gaussians, data), rendering.tile_grid(batch.camera)
 
     def projected(gaussians):
@@ -126,7 +126,7 @@ def steppers(settings: Any, gaussians: Any, frames: Any, extent: float) -> dict[
     taken = {}
     for phase in plan(settings).phases:
         scale = phase.scale * phase.surface_scale
-        data = with_neighbors(batches.read_targets(frames, scale=scale), extent)
+        data = with_neighbors(batches.read_batches(frames, scale=scale), extent)
         if "normals" in phase.needs:
             data = batches.with_normals(data, facing, scale)
         rule = RULES[settings.density.rule]

@@ -28,7 +28,7 @@ from gsjax.gaussians import PixelFilter
 from gsjax.metrics.images import in_decibels, mse
 from gsjax.rendering import backdrop
 from gsjax.scene import batches
-from gsjax.scene.batches import Batch, Target, Targets
+from gsjax.scene.batches import Batch, Batches
 from gsjax.settings import RATES, Rates, check_lowest, check_seed
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
@@ -171,7 +171,7 @@ class RefineProgress(NamedTuple):
 def refine(
     settings: Refinement,
     graph: MeshGraph,
-    data: Targets,
+    data: Batches,
     state: RefineState,
     optimizer: optax.GradientTransformation,
     *,
@@ -212,7 +212,7 @@ def refine(
     def compiled(capacity: int):
         return step_of(weights, capacity)
 
-    def explain(step: int, state: RefineState, target: Target, capacity: int) -> str:
+    def explain(step: int, state: RefineState, target: Batch, capacity: int) -> str:
         terms = vars(weights)
         none = dict.fromkeys(terms, 0.0)
         fault = faulty_terms(
@@ -253,7 +253,7 @@ def make_refine_step(
     capacity: int,
     background: Background,
     sh_every: int,
-) -> Callable[[MeshGraph, RefineState, Target, Array], tuple[RefineState, Metrics]]:
+) -> Callable[[MeshGraph, RefineState, Batch, Array], tuple[RefineState, Metrics]]:
     """The compiled step: (graph, state, what one view shows, key) -> (state, metrics). The state is donated.
 
     A view that needs more pairs than `capacity` leaves the state untouched and says so.
@@ -273,17 +273,17 @@ def make_refine_step(
         total = sum(weight * losses[name] for name, weight in terms.items())
         return total, (losses, mse(jnp.clip(view.colors, 0, 1), batch.image, batch.valid), view.splats.pairs)
 
-    def update(state: RefineState, gradients: MixedGaussians, outcome: Outcome, target: Target) -> RefineState:
+    def update(state: RefineState, gradients: MixedGaussians, outcome: Outcome, target: Batch) -> RefineState:
         del outcome, target
         parameters = with_faces(state.gaussians, None)
         parameters, opt_state = optimizers.apply_gradients(optimizer, parameters, state.opt_state, gradients)
         return RefineState(with_faces(parameters, state.gaussians.bound.faces), opt_state, state.step + 1)
 
     @partial(jax.jit, donate_argnums=1)
-    def refine_step(graph: MeshGraph, state: RefineState, target: Target, key: Array):
-        def differentiate(state: RefineState, target: Target, color: Array, key: Array):
+    def refine_step(graph: MeshGraph, state: RefineState, target: Batch, key: Array):
+        def differentiate(state: RefineState, target: Batch, color: Array, key: Array):
             del key
-            parameters, batch = with_faces(state.gaussians, None), batches.batch(target, color)
+            parameters, batch = with_faces(state.gaussians, None), batches.decode(target, color)
             (total, (losses, error, pairs)), gradients = jax.value_and_grad(objective, has_aux=True)(
                 parameters, state, graph, batch, color
             )

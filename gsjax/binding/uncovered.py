@@ -13,7 +13,7 @@ from gsjax import rendering
 from gsjax.gaussians import Gaussians
 from gsjax.rendering import DepthReading
 from gsjax.scene import batches
-from gsjax.scene.batches import Target, Targets
+from gsjax.scene.batches import Batch, Batches
 from gsjax.training.capacity import chosen_capacity
 
 AT_BORDER = 2.0  # Standard deviations within which a Gaussian reaches over a border of the mesh.
@@ -23,7 +23,7 @@ SAME_SURFACE = 0.05  # Share of its depth by which the mesh may lie before or be
 
 def uncovered_gaussians(
     gaussians: Gaussians,
-    data: Targets,
+    data: Batches,
     mesh_depths: Iterable[np.ndarray],
     border: np.ndarray,
     *,
@@ -51,7 +51,7 @@ def uncovered_gaussians(
     """
     gaussians, light = jax.tree.map(jnp.asarray, gaussians), np.zeros((gaussians.num_gaussians, 3))
     capacity = chosen_capacity(gaussians, data)
-    for target, mesh_depth in zip(data.targets, mesh_depths, strict=True):
+    for target, mesh_depth in zip(data.views, mesh_depths, strict=True):
         light += np.asarray(_light(gaussians, target, mesh_depth, capacity=capacity, depth_mode=depth_mode))
     bare, elsewhere, total = light.T
     over_border = _at_border(gaussians, border) & (bare > OVER_BORDER * total)
@@ -67,12 +67,10 @@ def _at_border(gaussians: Gaussians, border: np.ndarray) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnames=("capacity", "depth_mode"))
-def _light(
-    gaussians: Gaussians, target: Target, mesh_depth: Array, *, capacity: int, depth_mode: DepthReading
-) -> Array:
+def _light(gaussians: Gaussians, target: Batch, mesh_depth: Array, *, capacity: int, depth_mode: DepthReading) -> Array:
     """`[N, 3]` light in one view: on rays that meet no mesh, on those that meet it elsewhere, and all."""
     black = jnp.zeros(3, jnp.float32)
-    batch = batches.batch(target, black)
+    batch = batches.decode(target, black)
 
     def shown(probe: Array) -> tuple[Array, tuple[Array, Array]]:
         view = rendering.render(

@@ -8,12 +8,12 @@ import numpy as np
 from gsjax.io.normal_maps import normal_maps
 from gsjax.normals.axes import apply_axes, axis_signs
 from gsjax.scene import Frame, batches
-from gsjax.scene.batches import NORMAL_UNIT, Target
+from gsjax.scene.batches import NORMAL_UNIT, Batch
 
 
 def read_views(
     frames: Sequence[Frame], *, normals: str | Path | None = None, normal_axes: str = "opencv", scale: int = 1
-) -> list[Target]:
+) -> list[Batch]:
     """Read photos for `train_step`.
 
     Args:
@@ -28,9 +28,9 @@ def read_views(
     Raises:
         InputError: A photo or a map cannot be read.
     """
-    views = batches.read_targets(frames, scale=scale)
+    views = batches.read_batches(frames, scale=scale)
     if normals is not None:
         signs, read = axis_signs(normal_axes), normal_maps(normals, tuple(frames))
         maps = (apply_axes(read[frame.name](), signs) for frame in frames)
         views = batches.with_normals(views, (np.rint(NORMAL_UNIT * each).astype(np.int8) for each in maps), scale)
-    return list(views.targets)
+    return list(views.views)

@@ -44,7 +44,7 @@ from gsjax.runs.result import DEPTH_OF_DISCS, QUIET, Result, open_result, scene_
 from gsjax.runs.run import Run
 from gsjax.runs.splits import split_of
 from gsjax.scene import Scene, extent, kept
-from gsjax.scene.batches import Targets, batch, read_targets
+from gsjax.scene.batches import Batches, decode, read_batches
 from gsjax.scene.meshes import Mesh
 from gsjax.training.capacity import largest_need
 from gsjax.training.plan import phase_record, plan_record
@@ -112,7 +112,7 @@ def refine(
     frames = scene.train_frames
     if found.appearances:
         frames = tuple(kept(without_appearance(frame, found.appearances[frame.name]), keep) for frame in frames)
-    data, size = read_targets(frames, keep=keep), extent(frames)
+    data, size = read_batches(frames, keep=keep), extent(frames)
     if taken_out["decimated"] and settings.halved_share:
         coarse = halved_where_seen(coarse, data, settings.faces)
     behind = None if found.background is None else jnp.asarray(found.background)
@@ -218,24 +218,24 @@ def prepare_mesh(given: Mesh, most_faces: int, halved_share: float = 0.0) -> tup
     return mesh, taken_out
 
 
-def halved_where_seen(mesh: Mesh, data: Targets, count: int) -> Mesh:
+def halved_where_seen(mesh: Mesh, data: Batches, count: int) -> Mesh:
     """The mesh with `count` triangles, where more pixels see it more: decimation goes by shape alone."""
     cast, seen = ray_caster(mesh), np.zeros(mesh.num_faces)
     chosen = np.unique(np.linspace(0, data.num_views - 1, min(MOST_VIEWS, data.num_views)).astype(int))
-    for target in tqdm([data.targets[index] for index in chosen], desc="seen triangles", unit="view", delay=QUIET):
-        faces = faces_of_pixels(mesh, target.viewmat, target.K, *data.size, cast=cast)
-        usable = np.asarray(batch(target, jnp.zeros(3)).valid)
+    for target in tqdm([data.views[index] for index in chosen], desc="seen triangles", unit="view", delay=QUIET):
+        faces = faces_of_pixels(mesh, target.camera.viewmat, target.camera.K, *data.size, cast=cast)
+        usable = np.asarray(decode(target, jnp.zeros(3)).valid)
         seen += np.bincount(faces[usable & (faces >= 0)], minlength=mesh.num_faces)
     halved = bisect_triangles(mesh, seen, count)
     print(f"refine: {halved.num_faces:,} triangles after halving those that most pixels see", file=sys.stderr)
     return halved
 
 
-def _kept(result: Result, mesh: Mesh, data: Targets) -> np.ndarray:
+def _kept(result: Result, mesh: Mesh, data: Batches) -> np.ndarray:
     """`[N]` bool: the Gaussians of a run that show what the mesh does not. One line says how many."""
     cast = ray_caster(mesh)
-    targets = tqdm(data.targets, desc="free Gaussians", unit="view", delay=QUIET)
-    depths = (depth_of_mesh(mesh, target.viewmat, target.K, *data.size, cast=cast) for target in targets)
+    targets = tqdm(data.views, desc="free Gaussians", unit="view", delay=QUIET)
+    depths = (depth_of_mesh(mesh, target.camera.viewmat, target.camera.K, *data.size, cast=cast) for target in targets)
     kept = uncovered_gaussians(result.gaussians, data, depths, border(mesh), depth_mode=result.depth_mode)
     print(f"refine: {kept.sum():,} of {len(kept):,} Gaussians stay free, where there is no mesh", file=sys.stderr)
     return kept

@@ -74,11 +74,11 @@ class EffectRuns:
 
     def compare(self, without: Sequence[np.ndarray], with_effect: Sequence[np.ndarray]) -> Validated:
         """The gain of an effect on the held-out pixels, from the pictures of both variants."""
-        data = batches.read_targets(self.frames, scale=self._scale)
+        data = batches.read_batches(self.frames, scale=self._scale)
         photos, valid, held_out = [], [], []
-        for target, blocks in zip(data.targets, self.held_out, strict=True):
+        for target, blocks in zip(data.views, self.held_out, strict=True):
             width, height = target.size
-            batch = batches.batch(target, jnp.asarray(self._color))
+            batch = batches.decode(target, jnp.asarray(self._color))
             photos.append(np.asarray(batch.image)[:height, :width])
             valid.append(np.asarray(batch.valid)[:height, :width])
             middle = self._scale // 2

@@ -17,7 +17,7 @@ from gsjax.planning.validation import Observe, Variant, mean_and_error, short_se
 from gsjax.rendering import gallery
 from gsjax.runs.result import BACKGROUND_COLORS
 from gsjax.scene import Scene, batches, kept, tracks_by_name
-from gsjax.scene.batches import Targets
+from gsjax.scene.batches import Batches
 from gsjax.scene.cameras import Camera, landing
 from gsjax.settings import Settings
 from gsjax.training import optimizers
@@ -90,17 +90,17 @@ def _scored(
     started, _ = with_stereo_points(scene, variant.plan)
     state = first_state(started, settings, variant.optimizer, {}, rows=settings.max_gaussians)
     state = variant.train(scene.train_frames, state, observe)
-    photos = batches.read_targets(scene.held_out_frames, scale=variant.plan.phases[0].scale)
+    photos = batches.read_batches(scene.held_out_frames, scale=variant.plan.phases[0].scale)
     points = [matched.get(frame.name, np.zeros((0, 3))) for frame in scene.held_out_frames]
     return _scores(state.gaussians, photos, points, settings)
 
 
-def _scores(gaussians: Gaussians, photos: Targets, points: Sequence[np.ndarray], settings: Settings) -> list[Score]:
+def _scores(gaussians: Gaussians, photos: Batches, points: Sequence[np.ndarray], settings: Settings) -> list[Score]:
     """Of every photo, by its matched points `[P, 3]`. If a mask leaves nothing, PSNR is the highest, either way."""
     color = BACKGROUND_COLORS[settings.background]
-    cameras = [Camera(each.viewmat, each.K, *photos.size) for each in photos.targets]
+    cameras = [each.camera for each in photos.views]
     shown = list(gallery.pictures(gaussians, cameras, color, settings.depth_mode))
-    compared = [batches.batch(each, jnp.asarray(color, jnp.float32)) for each in photos.targets]
+    compared = [batches.decode(each, jnp.asarray(color, jnp.float32)) for each in photos.views]
     pairs = zip(shown, compared, strict=True)
     errors = [mse(jnp.asarray(picture.colors), batch.image, batch.valid) for picture, batch in pairs]
     psnr = np.asarray(in_decibels(jnp.stack(errors)), np.float64)

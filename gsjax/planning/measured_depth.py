@@ -17,7 +17,7 @@ TRUSTED = 127  # confidence of what the scale is told by, of 255
 ALIKE = 0.02  # of 1: the scene is in metres already
 
 Depths = Callable[[int], Iterable[Readings]]
-"""How many times smaller photos are -> depth in scene units and confidence of each, see `Target`."""
+"""How many times smaller photos are -> depth in scene units and confidence of each, see `Batch`."""
 
 
 class MeasuredDepth(NamedTuple):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,80 +18,57 @@ NORMAL_UNIT = 127  # What a component of 1 is stored as: 3 bytes a normal, off b
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Target:
-    """What the render of one view is compared with: a photo, padded at the right and the bottom. numpy, or on a device.
+class Batch:
+    """One photo as a step reads it, padded at the right and the bottom. A field that is None is not compiled.
 
-    What is None is not stored and not in the compiled program.
+    `read_batches` makes it compact: bytes, in numpy or on a device. `decode` makes of it what loss terms read: floats,
+    the photo over its background, and `valid` without the padding.
     """
 
-    viewmat: Array  # [4, 4]
-    K: Array  # [3, 3]
-    size: Array  # [2] int32 width and height of the photo itself
-    image: Array  # [H, W, 3] uint8, straight
-    valid: Array | None  # [H, W] bool; None: all of the photo
-    matte: Array | None  # [H, W] uint8
-    normals: Array | None = None  # [H, W, 3] int8, camera frame, times `NORMAL_UNIT` and confidence; zero: none
-    depth: Array | None = None  # [H, W] float32 camera z that was measured, scene units; zero where nothing was
-    trust: Array | None = None  # [H, W] uint8, how far that is trusted, of 255
-    photo: Array | None = None  # [] int32, which of the run's photos it is, where an effect has numbers for each
+    camera: Camera  # of the padded photo
+    image: Array  # [H, W, 3] uint8, straight; decoded: 0..1, over the background
+    valid: Any  # [H, W] bool; None: all of the photo, until decoded
+    matte: Array | None  # [H, W] uint8; decoded: 0..1
+    normals: Array | None = None  # [H, W, 3] camera frame, times confidence, zero: none; int8 of `NORMAL_UNIT`, or 0..1
+    photo: Array | None = None  # [] int32 number of the photo in the run, where an effect has parameters for each
+    depth: Array | None = None  # [H, W] float32 measured camera z, scene units; zero where nothing was measured
+    trust: Array | None = None  # [H, W] uint8 confidence of the measured depth; decoded: 0..1
     sky: Array | None = None  # [H, W] bool, where the photo shows open sky
-    beside: "Target | None" = None  # another view of the same step, where a term compares two
-    turn: Array | None = None  # [] int32, the steps before it: a state of another step is left as it is. None: of any
-
-    @property
-    def camera(self) -> Camera:
-        """The view of the padded photo."""
-        height, width = self.image.shape[:2]
-        return Camera(self.viewmat, self.K, width, height)
+    size: Any = None  # [2] int32 width and height of the photo without padding; decoded: None
+    beside: "Batch | None" = None  # another view of the same step, where a term compares two; decoded: None
+    turn: Array | None = None  # [] int32 number of the only step that it is for: other states stay; None: of any
 
 
 @dataclass(frozen=True)
-class Targets:
+class Batches:
     """V photos in host memory or mapped from the disk, alike in size and content: one compiled step serves them."""
 
-    targets: tuple[Target, ...]
-    neighbors: np.ndarray | None = None  # [V, M] which views may stand beside each, where a term compares two
+    views: tuple[Batch, ...]
+    neighbors: np.ndarray | None = None  # [V, M] indices of the views that a term may compare each with
     names: tuple[str, ...] = ()  # of the photos, where they are known
 
     @property
     def num_views(self) -> int:
         """Number of photos."""
-        return len(self.targets)
+        return len(self.views)
 
     @property
     def size(self) -> tuple[int, int]:
         """Padded width and height."""
-        height, width = self.targets[0].image.shape[:2]
-        return width, height
+        return self.views[0].camera.width, self.views[0].camera.height
 
     @property
     def has_mattes(self) -> bool:
         """Whether the photos tell an object from its background."""
-        return self.targets[0].matte is not None
+        return self.views[0].matte is not None
 
     @property
     def num_bytes(self) -> int:
-        """What all of them take on a device."""
-        return sum(leaf.nbytes for leaf in jax.tree.leaves(self.targets))
+        """Bytes of all photos on a device."""
+        return sum(leaf.nbytes for leaf in jax.tree.leaves(self.views))
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Batch:
-    """One view as the loss terms read it."""
-
-    camera: Camera
-    image: Array  # [H, W, 3] 0..1, already over the background
-    valid: Array  # [H, W] bool
-    matte: Array | None  # [H, W] 0..1
-    normals: Array | None  # [H, W, 3] camera frame, as long as they are trusted; zero where there is none
-    photo: Array | None = None  # [] int32, see `Target`
-    depth: Array | None = None  # [H, W] camera z that was measured, scene units; zero where nothing was
-    trust: Array | None = None  # [H, W] 0..1, how far that is trusted
-    sky: Array | None = None  # [H, W] bool, where the photo shows open sky
-
-
-def read_targets(frames: Sequence[Frame], *, scale: int = 1, keep: Keep = in_memory) -> Targets:
+def read_batches(frames: Sequence[Frame], *, scale: int = 1, keep: Keep = in_memory) -> Batches:
     """Read the pixels of frames.
 
     Args:
@@ -100,7 +78,7 @@ def read_targets(frames: Sequence[Frame], *, scale: int = 1, keep: Keep = in_mem
         keep: Where they are to lie.
 
     Returns:
-        `Targets` of the largest (reduced) width and height. A photo of that size that is not reduced is not copied.
+        `Batches` of the largest (reduced) width and height. A photo of that size that is not reduced is not copied.
 
     Raises:
         InputError: The reduced photos have no pixels, or a photo cannot be read.
@@ -111,116 +89,114 @@ def read_targets(frames: Sequence[Frame], *, scale: int = 1, keep: Keep = in_mem
             f"a phase looks at photos {scale} times smaller: nothing is left of one of"
             f" {frames[0].width}x{frames[0].height} pixels"
         )
-    targets = [_target(frame, scale, width, height, keep) for frame in frames]
-    return Targets(tuple(_alike(_alike(targets, "matte"), "valid")), names=tuple(frame.name for frame in frames))
+    views = [_read_batch(frame, scale, width, height, keep) for frame in frames]
+    return Batches(tuple(_alike(_alike(views, "matte"), "valid")), names=tuple(frame.name for frame in frames))
 
 
-def with_normals(views: Targets, maps: Iterable[np.ndarray], scale: int = 1, keep: Keep = in_memory) -> Targets:
-    """The same views with int8 normal maps `[H, W, 3]` (see `Target`) of the full photos; `scale` as in `read_targets`.
+def with_normals(data: Batches, maps: Iterable[np.ndarray], scale: int = 1, keep: Keep = in_memory) -> Batches:
+    """The same photos with int8 normal maps `[H, W, 3]` (see `Batch`) of full size; `scale` as in `read_batches`.
 
-    A smaller pixel has the mean of its normals: the less they agree, the shorter it is and the less it counts.
+    A reduced pixel has the mean of its normals: the more they differ, the shorter the mean is, and the less it counts.
     """
-    reduced = (keep(_padded(normals if scale == 1 else _block_mean(normals, scale), *views.size)) for normals in maps)
-    pairs = zip(views.targets, reduced, strict=True)
-    return replace(views, targets=tuple(replace(target, normals=normals) for target, normals in pairs))
+    reduced = (keep(_padded(normals if scale == 1 else _block_mean(normals, scale), *data.size)) for normals in maps)
+    return _with_fields(data, ({"normals": normals} for normals in reduced))
 
 
-def with_depths(views: Targets, depths: Iterable[tuple[np.ndarray, np.ndarray]], keep: Keep = in_memory) -> Targets:
-    """The same views with measured depth and its confidence (see `Target`), each pair of its photo's size."""
-    padded = ([keep(_padded(array, *views.size)) for array in pair] for pair in depths)
-    pairs = zip(views.targets, padded, strict=True)
-    return replace(views, targets=tuple(replace(target, depth=depth, trust=trust) for target, (depth, trust) in pairs))
+def with_depths(data: Batches, depths: Iterable[tuple[np.ndarray, np.ndarray]], keep: Keep = in_memory) -> Batches:
+    """The same photos with measured depth and its confidence (see `Batch`), each pair of its photo's size."""
+    padded = ([keep(_padded(array, *data.size)) for array in pair] for pair in depths)
+    return _with_fields(data, ({"depth": depth, "trust": trust} for depth, trust in padded))
 
 
-def with_skies(views: Targets, skies: Sequence[np.ndarray | None], scale: int = 1, keep: Keep = in_memory) -> Targets:
-    """The same views told where they show sky: `[H, W]` bool of each full photo, or None; `scale` as in `read_targets`.
+def with_skies(data: Batches, skies: Sequence[np.ndarray | None], scale: int = 1, keep: Keep = in_memory) -> Batches:
+    """The same photos with masks of the sky, `[H, W]` bool of full size, or None; `scale` as in `read_batches`.
 
-    A smaller pixel is sky where all that it is the mean of are.
+    A reduced pixel is sky where all pixels of its block are.
     """
-    width, height = views.size
-    nothing = np.zeros((height, width), bool)
-    reduced = (nothing if sky is None else keep(_padded(~_any_of_blocks(~sky, scale), width, height)) for sky in skies)
-    pairs = zip(views.targets, reduced, strict=True)
-    return replace(views, targets=tuple(replace(target, sky=sky) for target, sky in pairs))
+    width, height = data.size
+    no_sky = np.zeros((height, width), bool)
+    reduced = (no_sky if sky is None else keep(_padded(~_any_of_blocks(~sky, scale), width, height)) for sky in skies)
+    return _with_fields(data, ({"sky": sky} for sky in reduced))
 
 
-def with_photo_numbers(views: Targets) -> Targets:
-    """The same views, each told which of them it is."""
-    targets = (replace(target, photo=np.int32(index)) for index, target in enumerate(views.targets))
-    return replace(views, targets=tuple(targets))
+def with_photo_numbers(data: Batches) -> Batches:
+    """The same photos, each with its number."""
+    return _with_fields(data, ({"photo": np.int32(index)} for index in range(data.num_views)))
 
 
-def feed(views: Targets, *, room: int) -> Callable[[Sequence[int], Sequence[int]], list[Target]]:
-    """How targets reach the device: all at once where they fit, else each in its turn, the next ones meanwhile.
+def feed(data: Batches, *, room: int) -> Callable[[Sequence[int], Sequence[int]], list[Batch]]:
+    """A function that brings photos to the device: all at once where they fit, else each before its step.
 
     Args:
-        views: The photos.
+        data: The photos.
         room: Bytes of the device's memory that photos may take, see `device_room`.
 
     Returns:
-        (indices, those that will be asked for next) -> the targets on the device; the same bits either way.
+        (indices, indices of the next step) -> the photos on the device; the same bits either way.
     """
-    if views.num_bytes <= room:
-        resident = jax.device_put(views.targets)
-        return lambda wanted, following: [resident[index] for index in wanted]
-    there: dict[int, Target] = {}
+    if data.num_bytes <= room:
+        resident = jax.device_put(data.views)
+        return lambda indices, following: [resident[index] for index in indices]
+    on_device: dict[int, Batch] = {}
 
-    def streamed(wanted: Sequence[int], following: Sequence[int]) -> list[Target]:
-        for index in (*wanted, *following):
-            if index not in there:
-                there[index] = jax.device_put(views.targets[index])
-        here = [there[index] for index in wanted]
-        for index in set(there) - set(following):
-            del there[index]
-        return here
+    def streamed(indices: Sequence[int], following: Sequence[int]) -> list[Batch]:
+        for index in (*indices, *following):
+            if index not in on_device:
+                on_device[index] = jax.device_put(data.views[index])
+        now = [on_device[index] for index in indices]
+        for index in set(on_device) - set(following):
+            del on_device[index]
+        return now
 
     return streamed
 
 
 def device_room(share: float) -> int:
-    """A share of the device's memory, bytes; none on a CPU, where a second copy of what the host holds helps nobody."""
+    """Bytes in a share of the device's memory; 0 on a CPU, where photos are in the host's memory already."""
     memory = jax.devices()[0].memory_stats()
     return int(share * memory["bytes_limit"]) if memory else 0
 
 
-def batch(target: Target, background: Array) -> Batch:
-    """A target as the loss terms read it, its photo laid over `background` `[3]` by its matte."""
-    height, width = target.image.shape[:2]
-    image = target.image.astype(jnp.float32) / 255
-    matte = None
-    if target.matte is not None:
-        matte = target.matte.astype(jnp.float32) / 255
+def decode(batch: Batch, background: Array) -> Batch:
+    """A compact photo as loss terms read it, laid over `background` `[3]` by its matte."""
+    camera, image, matte = batch.camera, batch.image.astype(jnp.float32) / 255, None
+    if batch.matte is not None:
+        matte = batch.matte.astype(jnp.float32) / 255
         image = image * matte[..., None] + (1 - matte)[..., None] * background[None, None]
-    in_columns = jnp.arange(width, dtype=jnp.int32) < target.size[0]
-    in_rows = jnp.arange(height, dtype=jnp.int32) < target.size[1]
+    in_columns = jnp.arange(camera.width, dtype=jnp.int32) < batch.size[0]
+    in_rows = jnp.arange(camera.height, dtype=jnp.int32) < batch.size[1]
     valid = in_rows[:, None] & in_columns[None, :]
-    if target.valid is not None:
-        valid &= target.valid
-    normals = None if target.normals is None else target.normals.astype(jnp.float32) / NORMAL_UNIT
-    trust = None if target.trust is None else target.trust.astype(jnp.float32) / 255
-    return Batch(target.camera, image, valid, matte, normals, target.photo, target.depth, trust, target.sky)
+    if batch.valid is not None:
+        valid &= batch.valid
+    normals = None if batch.normals is None else batch.normals.astype(jnp.float32) / NORMAL_UNIT
+    trust = None if batch.trust is None else batch.trust.astype(jnp.float32) / 255
+    return Batch(camera, image, valid, matte, normals, batch.photo, batch.depth, trust, batch.sky)
 
 
-def _target(frame: Frame, scale: int, width: int, height: int, keep: Keep) -> Target:
+def _read_batch(frame: Frame, scale: int, width: int, height: int, keep: Keep) -> Batch:
     image, matte, valid = _reduced(frame.pixels(), scale)
     to_small = np.diag(np.array([1 / scale, 1 / scale, 1], np.float32))
-    return Target(
-        viewmat=frame.viewmat,
-        K=to_small @ frame.K,
-        size=np.array(image.shape[1::-1], np.int32),
-        image=keep(_padded(image, width, height)),
+    return Batch(
+        Camera(frame.viewmat, to_small @ frame.K, width, height),
+        keep(_padded(image, width, height)),
         valid=None if valid is None else keep(_padded(valid > 127, width, height)),
         matte=None if matte is None else keep(_padded(matte, width, height)),
+        size=np.array(image.shape[1::-1], np.int32),
     )
 
 
-def _alike(targets: list[Target], name: str) -> list[Target]:
+def _with_fields(data: Batches, fields: Iterable[dict[str, np.ndarray]]) -> Batches:
+    """The same photos with other values of some fields, a dictionary each."""
+    return replace(data, views=tuple(replace(view, **new) for view, new in zip(data.views, fields, strict=True)))
+
+
+def _alike(views: list[Batch], name: str) -> list[Batch]:
     """All with this field or none: where one has it, the others' is full."""
-    found = next((array for target in targets if (array := getattr(target, name)) is not None), None)
-    if found is None:
-        return targets
-    full = np.full(found.shape, True if found.dtype == bool else 255, found.dtype)
-    return [replace(target, **{name: full}) if getattr(target, name) is None else target for target in targets]
+    first = next((array for view in views if (array := getattr(view, name)) is not None), None)
+    if first is None:
+        return views
+    full = np.full(first.shape, True if first.dtype == bool else 255, first.dtype)
+    return [replace(view, **{name: full}) if getattr(view, name) is None else view for view in views]
 
 
 def _padded(array: np.ndarray, width: int, height: int) -> np.ndarray:

@@ -10,8 +10,7 @@ from gsjax import rendering
 from gsjax.errors import InputError, is_out_of_memory
 from gsjax.gaussians import Gaussians
 from gsjax.scene import batches
-from gsjax.scene.batches import Targets
-from gsjax.scene.cameras import Camera
+from gsjax.scene.batches import Batches
 from rasterizer.engines import resolve
 
 
@@ -36,12 +35,12 @@ def headroom(*, grows: bool) -> float:
     return of_engine.growth if grows else of_engine.still
 
 
-def largest_need(gaussians: Gaussians, data: Targets) -> int:
+def largest_need(gaussians: Gaussians, data: Batches) -> int:
     """Pair capacity that serves every one of the views."""
-    return rendering.largest_need(gaussians, (Camera(each.viewmat, each.K, *data.size) for each in data.targets))
+    return rendering.largest_need(gaussians, (each.camera for each in data.views))
 
 
-def chosen_capacity(gaussians: Gaussians, data: Targets, *, headroom: float = STILL) -> int:
+def chosen_capacity(gaussians: Gaussians, data: Batches, *, headroom: float = STILL) -> int:
     """Pair capacity that holds every view with room to grow; tighter than the buckets of the front door."""
     return rounded_capacity(largest_need(gaussians, data), headroom)
 
@@ -71,13 +70,13 @@ def _shapes(state: Any) -> list[tuple[int, ...]]:
     return [np.shape(leaf) for leaf in jax.tree.leaves(state)]
 
 
-def can_stream(state: Any, data: Targets, view_share: float) -> bool:
+def can_stream(state: Any, data: Batches, view_share: float) -> bool:
     """Whether the photos lie on the device, and the step that had no room has left the state there."""
     resident = 0 < data.num_bytes <= batches.device_room(view_share)
     return resident and not any(leaf.is_deleted() for leaf in jax.tree.leaves(state) if isinstance(leaf, Array))
 
 
-def no_room(error: Exception, data: Targets, capacity: int) -> Exception:
+def no_room(error: Exception, data: Batches, capacity: int) -> Exception:
     """The one line for a device whose memory is full; any other error is a bug and stays what it is."""
     if not is_out_of_memory(error):
         return error

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from gsjax.scene.batches import Target, Targets
+from gsjax.scene.batches import Batch, Batches
 from gsjax.training.step import Metrics
 
 NOT_FINITE = "the loss or a gradient is not finite"
@@ -16,9 +16,9 @@ NOT_FINITE = "the loss or a gradient is not finite"
 
 def faulty_terms(
     names: Iterable[str],
-    step_of: Callable[[str], Callable[[Any, Target, Array], tuple[Any, Metrics]]],
+    step_of: Callable[[str], Callable[[Any, Batch, Array], tuple[Any, Metrics]]],
     state: Any,
-    target: Target,
+    target: Batch,
     key: Array,
 ) -> str:
     """Which terms are at fault, in words.
@@ -41,6 +41,6 @@ def faulty_terms(
     return " and ".join(faults) or f"{NOT_FINITE}, though that of every term alone is"
 
 
-def photo_of(data: Targets, view: int) -> str:
+def photo_of(data: Batches, view: int) -> str:
     """A photo by its name, or by its number."""
     return f"photo {data.names[view] if data.names else view}"

@@ -15,7 +15,7 @@ from jax.sharding import Mesh
 from gsjax.effects import sky
 from gsjax.effects.simulation import Effects
 from gsjax.scene import Frame, Keep, batches, in_memory
-from gsjax.scene.batches import Target, Targets
+from gsjax.scene.batches import Batch, Batches
 from gsjax.settings import Settings
 from gsjax.training import buffers, data_parallel
 from gsjax.training.capacity import chosen_capacity, headroom, kept_or
@@ -30,10 +30,10 @@ from gsjax.training.terms import Term, Weighed
 from gsjax.training.terms.multi_view import with_neighbors
 
 NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
-"""Training so far -> an int8 normal map a frame, see `gsjax.scene.batches.Target`."""
+"""Training so far -> an int8 normal map a frame, see `gsjax.scene.batches.Batch`."""
 
 Depths = Callable[[int], Iterable[tuple[np.ndarray, np.ndarray]]]
-"""How many times smaller photos are -> measured depth and its confidence of each frame, see `Target`."""
+"""How many times smaller photos are -> measured depth and its confidence of each frame, see `Batch`."""
 
 
 class Progress(NamedTuple):
@@ -159,8 +159,8 @@ def _with_statistics(state: TrainState, rule: Rule, is_new: bool) -> TrainState:
 class Views(NamedTuple):
     """What the steps of a phase compare with."""
 
-    image: Targets  # those without the dear terms
-    surface: Targets  # those with them
+    image: Batches  # those without the dear terms
+    surface: Batches  # those with them
 
 
 def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
@@ -178,9 +178,9 @@ def _views(work: Work, phase: PlannedPhase, state: TrainState) -> Views:
     return Views(surface if is_one else _photos(work, phase, phase.scale), surface)
 
 
-def _photos(work: Work, phase: PlannedPhase, scale: int) -> Targets:
+def _photos(work: Work, phase: PlannedPhase, scale: int) -> Batches:
     """The photos so many times smaller, with what steps without the dear terms need beside them."""
-    data = batches.read_targets(work.frames, scale=scale, keep=work.keep)
+    data = batches.read_batches(work.frames, scale=scale, keep=work.keep)
     if work.effects:
         data = batches.with_photo_numbers(data)
     if "sky" in phase.needs:
@@ -189,7 +189,7 @@ def _photos(work: Work, phase: PlannedPhase, scale: int) -> Targets:
     return data
 
 
-def _room_for(work: Work, phase: PlannedPhase, data: Targets, state: TrainState, before: int | None) -> int:
+def _room_for(work: Work, phase: PlannedPhase, data: Batches, state: TrainState, before: int | None) -> int:
     """The pair buffer to begin a phase with: that of the phase before, where it serves."""
     room = headroom(grows=phase.rule is not None)
     gaussians = jax.device_get(state.gaussians) if work.mesh else state.gaussians
@@ -224,7 +224,7 @@ def _run_phase(
             return every
         return _every(phase.surface_every, every, step_of(phase.image_terms, capacity))
 
-    def explain(step: int, state: TrainState, target: Target, capacity: int) -> str:
+    def explain(step: int, state: TrainState, target: Batch, capacity: int) -> str:
         terms = phase.terms if _is_due(step, phase.surface_every) else phase.image_terms
         alone = {each.name: (each,) for each in _shown(terms, views.image)}
         fault = faulty_terms(alone, lambda name: step_of(alone[name], capacity), state, target, key)
@@ -269,7 +269,7 @@ def _run_phase(
     )
 
 
-def _shown(terms: tuple[Weighed, ...], data: Targets) -> tuple[Weighed, ...]:
+def _shown(terms: tuple[Weighed, ...], data: Batches) -> tuple[Weighed, ...]:
     """The terms that these photos can serve: without an alpha channel there is nothing to compare alphas with."""
     return terms if data.has_mattes else tuple(each for each in terms if each.name != "alpha")
 
@@ -287,8 +287,8 @@ def _feed_of(views: Views, feed: Feed, count: int) -> Feed:
         return feed
     both_bytes = views.image.num_bytes + views.surface.num_bytes
 
-    def both(image: Targets, seed: int, view_share: float) -> Callable[[int], Target]:
-        def fed(data: Targets) -> Callable[[int], Target]:
+    def both(image: Batches, seed: int, view_share: float) -> Callable[[int], Batch]:
+        def fed(data: Batches) -> Callable[[int], Batch]:
             return feed(data, seed, view_share * data.num_bytes / both_bytes)  # so that both fit, or neither
 
         between, due = fed(image), fed(views.surface)
@@ -305,7 +305,7 @@ def _is_due(done: int, count: int) -> bool:
 def _every(count: int, due: TrainStep, between: TrainStep) -> TrainStep:
     """The last of every `count` steps is `due`, counted from the run's beginning; the others are `between`."""
 
-    def train_step(state: TrainState, target: Target, key: Array):
+    def train_step(state: TrainState, target: Batch, key: Array):
         done = int(state.step if target.turn is None else target.turn)
         return (due if _is_due(done, count) else between)(state, target, key)
 

@@ -20,7 +20,7 @@ from gsjax.metrics.images import in_decibels, mse
 from gsjax.numerics import all_finite
 from gsjax.rendering import View
 from gsjax.scene import batches
-from gsjax.scene.batches import Batch, Target
+from gsjax.scene.batches import Batch
 from gsjax.training import data_parallel, optimizers
 from gsjax.training.dropout import leave_out
 from gsjax.training.growth.rules import Rule
@@ -50,7 +50,7 @@ class Outcome(NamedTuple):
     seen: Any = None  # what the update reads beside the gradients
 
 
-TrainStep = Callable[[TrainState, Target, Array], tuple[TrainState, Metrics]]
+TrainStep = Callable[[TrainState, Batch, Array], tuple[TrainState, Metrics]]
 """(state, what one view or several stacked ones show, random key) -> (state, metrics). The state is donated."""
 
 Background = Callable[[Array], Array]
@@ -64,10 +64,10 @@ BACKGROUNDS: dict[str, Background] = {
 
 
 def guarded_step(
-    differentiate: Callable[[S, Target, Array, Array], tuple[G, Outcome]],
-    update: Callable[[S, G, Outcome, Target], S],
+    differentiate: Callable[[S, Batch, Array, Array], tuple[G, Outcome]],
+    update: Callable[[S, G, Outcome, Batch], S],
     background: Background,
-) -> Callable[[S, Target, Array], tuple[S, Outcome]]:
+) -> Callable[[S, Batch, Array], tuple[S, Outcome]]:
     """A step that leaves the state as it was where a buffer overflowed, or where loss or gradients are not finite.
 
     After an overflow the host makes room and repeats the step. After the other it stops.
@@ -79,7 +79,7 @@ def guarded_step(
         background: Colour under the images.
     """
 
-    def step(state: S, target: Target, key: Array) -> tuple[S, Outcome]:
+    def step(state: S, target: Batch, key: Array) -> tuple[S, Outcome]:
         key = jax.random.fold_in(key, state.step)  # pyright: ignore[reportAttributeAccessIssue]
         gradients, outcome = differentiate(state, target, background(key), key)
         proposed = update(state, gradients, outcome, target)
@@ -114,10 +114,10 @@ class _Objective:
     extent: float
     dropout: float
 
-    def gradients(self, state: TrainState, target: Target, color: Array, key: Array):
+    def gradients(self, state: TrainState, target: Batch, color: Array, key: Array):
         """`_Free` gradients of the loss, `Metrics` and the projection of one view."""
-        batch = batches.batch(target, color)
-        beside = batches.batch(target.beside, color) if "neighbor" in needs(self.terms) and target.beside else None
+        batch = batches.decode(target, color)
+        beside = batches.decode(target.beside, color) if "neighbor" in needs(self.terms) and target.beside else None
         probe = jnp.zeros((state.gaussians.num_gaussians, 2), jnp.float32) if self.rule else None
         free = _Free(state.gaussians, probe, None if state.effects is None else state.effects.numbers)
         (total, (losses, error, projection, pairs)), gradients = jax.value_and_grad(self._loss, has_aux=True)(
@@ -196,13 +196,13 @@ def make_train_step(
     """
     look = _Objective(terms, capacity, sh_every, rule, depth_mode, effects, extent, dropout)
 
-    def one_view(state: TrainState, target: Target, color: Array, key: Array) -> tuple[_Free, Outcome]:
+    def one_view(state: TrainState, target: Batch, color: Array, key: Array) -> tuple[_Free, Outcome]:
         gradients, metrics, projection = look.gradients(state, target, color, key)
         statistics = look.accumulate(state.statistics, gradients, projection, target.size)
         return gradients, Outcome(metrics, metrics.overflowed, statistics)
 
-    def several_views(state: TrainState, views: Target, color: Array, key: Array) -> tuple[_Free, Outcome]:
-        def add_view(sums: tuple[_Free, Any], target: Target):
+    def several_views(state: TrainState, views: Batch, color: Array, key: Array) -> tuple[_Free, Outcome]:
+        def add_view(sums: tuple[_Free, Any], target: Batch):
             gradients, metrics, projection = look.gradients(state, target, color, key)
             statistics = look.accumulate(sums[1], gradients, projection, target.size)
             return (jax.tree.map(jnp.add, sums[0], gradients._replace(probe=None)), statistics), metrics
@@ -216,7 +216,7 @@ def make_train_step(
         statistics = jax.tree.map(jnp.add, state.statistics, added)
         return jax.tree.map(lambda total: total / count, gradients), Outcome(metrics, metrics.overflowed, statistics)
 
-    def update(state: TrainState, gradients: _Free, outcome: Outcome, target: Target) -> TrainState:
+    def update(state: TrainState, gradients: _Free, outcome: Outcome, target: Batch) -> TrainState:
         del target
         gaussians, opt_state = optimizers.apply_gradients(
             optimizer, state.gaussians, state.opt_state, gradients.gaussians
@@ -236,7 +236,7 @@ def make_train_step(
         step = data_parallel.on_mesh(step, mesh)
 
     @partial(jax.jit, donate_argnums=0)
-    def train_step(state: TrainState, target: Target, key: Array) -> tuple[TrainState, Metrics]:
+    def train_step(state: TrainState, target: Batch, key: Array) -> tuple[TrainState, Metrics]:
         state, outcome = step(state, target, key)
         return state, outcome.metrics
 

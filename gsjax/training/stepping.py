@@ -13,7 +13,7 @@ from jax.sharding import Mesh
 
 from gsjax.errors import InputError, is_out_of_memory
 from gsjax.scene import batches
-from gsjax.scene.batches import Target, Targets
+from gsjax.scene.batches import Batch, Batches
 from gsjax.training import data_parallel
 from gsjax.training.capacity import STILL, can_stream, is_compiled_anew, no_room, rounded_capacity
 from gsjax.training.faults import NOT_FINITE
@@ -26,7 +26,7 @@ logger = logging.getLogger("gsjax")
 
 VIEW_SHARE = 0.5  # Of the device's memory, for photos; beyond it, and where the device is full, they are streamed.
 
-Feed = Callable[[Targets, int, float], Callable[[int], Target]]
+Feed = Callable[[Batches, int, float], Callable[[int], Batch]]
 """(photos, seed of their order, share of the device's memory) -> steps done -> what the next step compares with."""
 
 
@@ -36,7 +36,7 @@ def view_order(seed: int, step: int, num_views: int) -> int:
     return int(np.random.default_rng((seed, epoch)).permutation(num_views)[position])
 
 
-def one_view(data: Targets, seed: int, view_share: float) -> Callable[[int], Target]:
+def one_view(data: Batches, seed: int, view_share: float) -> Callable[[int], Batch]:
     """A `Feed` of one device: the view of each step in `view_order`, the next one on its way meanwhile.
 
     Where the views have neighbours, one of them stands beside each.
@@ -47,7 +47,7 @@ def one_view(data: Targets, seed: int, view_share: float) -> Callable[[int], Tar
         view = view_order(seed, step, data.num_views)
         return [view] if data.neighbors is None else [view, drawn_beside(data.neighbors[view], seed, step)]
 
-    def target(step: int) -> Target:
+    def target(step: int) -> Batch:
         here, *beside = fed(of_step(step), of_step(step + 1))
         return replace(here, beside=beside[0]) if beside else here
 
@@ -55,28 +55,28 @@ def one_view(data: Targets, seed: int, view_share: float) -> Callable[[int], Tar
 
 
 def several_views(
-    data: Targets, seed: int, view_share: float, *, mesh: Mesh, views_per_step: int
-) -> Callable[[int], Target]:
+    data: Batches, seed: int, view_share: float, *, mesh: Mesh, views_per_step: int
+) -> Callable[[int], Batch]:
     """A `Feed` of a mesh: the views that one device would take one by one, so many at a time, in shares of the devices.
 
     They are streamed: a device holds its views of a step and of the next one.
     """
     del view_share
 
-    def of_place(place: int) -> Target:
+    def of_place(place: int) -> Batch:
         view = view_order(seed, place, data.num_views)
-        target = data.targets[view]
+        target = data.views[view]
         if data.neighbors is None:
             return target
-        return replace(target, beside=data.targets[drawn_beside(data.neighbors[view], seed, place)])
+        return replace(target, beside=data.views[drawn_beside(data.neighbors[view], seed, place)])
 
-    def stacked(step: int) -> Target:
+    def stacked(step: int) -> Batch:
         places = range(step * views_per_step, (step + 1) * views_per_step)
         return data_parallel.stack_views([of_place(place) for place in places], mesh)
 
-    ahead: dict[int, Target] = {}
+    ahead: dict[int, Batch] = {}
 
-    def target(step: int) -> Target:
+    def target(step: int) -> Batch:
         here = ahead.pop(step) if step in ahead else stacked(step)
         ahead.clear()
         ahead[step + 1] = stacked(step + 1)
@@ -86,10 +86,10 @@ def several_views(
 
 
 def advance(
-    compiled: Callable[[int], Callable[[S, Target, Array], tuple[S, Metrics]]],
+    compiled: Callable[[int], Callable[[S, Batch, Array], tuple[S, Metrics]]],
     after: Callable[[int, S, Metrics, int], S],
     state: S,
-    data: Targets,
+    data: Batches,
     steps: tuple[int, int],
     *,
     seed: int,
@@ -97,7 +97,7 @@ def advance(
     room: float = STILL,
     feed: Feed = one_view,
     looks: Callable[[int], bool] | None = None,
-    explain: Callable[[int, S, Target, int], str] = lambda step, state, target, capacity: NOT_FINITE,
+    explain: Callable[[int, S, Batch, int], str] = lambda step, state, target, capacity: NOT_FINITE,
 ) -> tuple[S, int]:
     """Take the steps of one program, each with its view, and make room where a view needs it.
 

@@ -20,7 +20,7 @@ from jax import Array
 
 from gsjax import rendering
 from gsjax.gaussians import Gaussians
-from gsjax.scene.batches import Target
+from gsjax.scene.batches import Batch
 from gsjax.settings import Density, Rates
 from gsjax.training import optimizers
 from gsjax.training import state as states
@@ -154,7 +154,7 @@ class Step:
         self._steps: dict[int, TrainStep] = {}
         self._capacity = 0
 
-    def __call__(self, state: TrainState, view: Target, key: Array) -> tuple[TrainState, Metrics]:
+    def __call__(self, state: TrainState, view: Batch, key: Array) -> tuple[TrainState, Metrics]:
         """Descend the loss of one view. The buffers of `state` are donated: use the state that is returned."""
         state = self._prepared(state)
         self._check(view)
@@ -174,7 +174,7 @@ class Step:
         statistics = self.densification.rule.empty_statistics(rows) if self.densification else ()
         return replace(state, statistics=statistics, densification=self.densification, optimizer=self.optimizer)
 
-    def _check(self, view: Target) -> None:
+    def _check(self, view: Batch) -> None:
         fields = {"normals": view.normals, "measured": view.depth, "sky": view.sky, "neighbor": view.beside}
         for name in sorted(self.needs & fields.keys()):
             if fields[name] is None:

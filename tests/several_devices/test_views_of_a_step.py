@@ -50,7 +50,7 @@ CASES = {"adc": (weigh_terms(Weights()), False), "error": (SURFACE, True)}
 
 @cache
 def data_set():
-    views = batches.read_targets(photographed(cloud(80, seed=5), CAMERAS, with_mattes=True))
+    views = batches.read_batches(photographed(cloud(80, seed=5), CAMERAS, with_mattes=True))
     normals = np.zeros((*SIZE[::-1], 3), np.int8)
     normals[..., 2] = -batches.NORMAL_UNIT
     return with_neighbors(batches.with_photo_numbers(batches.with_normals(views, [normals] * 4)), EXTENT)
@@ -60,7 +60,7 @@ def views():
     """The four views, each with its nearest neighbour."""
     data = data_set()
     nearest = data.neighbors[:, 0]
-    return [replace(target, beside=data.targets[view]) for target, view in zip(data.targets, nearest, strict=True)]
+    return [replace(target, beside=data.views[view]) for target, view in zip(data.views, nearest, strict=True)]
 
 
 def effects_of(is_on):

@@ -15,7 +15,8 @@ from gsjax.gaussians import Gaussians
 from gsjax.rendering import View
 from gsjax.rendering.depth import DepthReading
 from gsjax.scene import batches
-from gsjax.scene.batches import Batch, Target
+from gsjax.scene.batches import Batch
+from gsjax.scene.cameras import Camera
 from gsjax.training.terms import NEEDS, Term, Weighed
 from gsjax.training.terms.multi_view import render_neighbor
 
@@ -139,10 +140,8 @@ def _everything(width: int, height: int, depth_mode: DepthReading) -> Seen:
     gaussians = Gaussians(
         shape(ROWS, 3), shape(ROWS, 4), shape(ROWS, 3), shape(ROWS), shape(ROWS, 1, 3), shape(ROWS, BANDS, 3)
     )
-    target = Target(
-        viewmat=shape(4, 4),
-        K=shape(3, 3),
-        size=shape(2, dtype=jnp.int32),
+    target = Batch(
+        Camera(shape(4, 4), shape(3, 3), width, height),
         image=photo(3, dtype=jnp.uint8),
         valid=photo(dtype=bool),
         matte=photo(dtype=jnp.uint8),
@@ -151,10 +150,11 @@ def _everything(width: int, height: int, depth_mode: DepthReading) -> Seen:
         trust=photo(dtype=jnp.uint8),
         photo=shape(dtype=jnp.int32),
         sky=photo(dtype=bool),
+        size=shape(2, dtype=jnp.int32),
     )
 
-    def shown(gaussians: Gaussians, target: Target, color: Array) -> tuple[View, Batch]:
-        batch = batches.batch(target, color)
+    def shown(gaussians: Gaussians, target: Batch, color: Array) -> tuple[View, Batch]:
+        batch = batches.decode(target, color)
         view = rendering.render(
             gaussians,
             batch.camera,

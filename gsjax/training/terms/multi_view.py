@@ -19,7 +19,7 @@ from gsjax.numerics import masked_mean, safe_divide, times
 from gsjax.rendering import DepthReading, Neighbor, View, depth
 from gsjax.rendering.sampling import reads_within, sample_bilinear
 from gsjax.scene import cameras
-from gsjax.scene.batches import Batch, Targets
+from gsjax.scene.batches import Batch, Batches
 from gsjax.scene.cameras import Camera
 
 NEAREST = 8  # views that a neighbour is drawn from (PGSR),
@@ -129,7 +129,7 @@ def drawn_beside(neighbors: np.ndarray, seed: int, step: int) -> int:
     return int(np.random.default_rng((seed, step, 1)).choice(neighbors))
 
 
-def with_neighbors(views: Targets, extent: float, shares: np.ndarray | float = 1.0) -> Targets:
+def with_neighbors(views: Batches, extent: float, shares: np.ndarray | float = 1.0) -> Batches:
     """The same views, each with its `NEAREST` neighbours; where there are fewer, they repeat.
 
     Args:
@@ -138,7 +138,7 @@ def with_neighbors(views: Targets, extent: float, shares: np.ndarray | float = 1
         shares: `[V]`, or one for all, from 0 to 1, of the steps that a view has a neighbour beside it in; in the
             others it is its own, which asks for nothing. The nearest ones stay.
     """
-    neighbors = nearest_views(np.stack([target.viewmat for target in views.targets]), extent)
+    neighbors = nearest_views(np.stack([target.camera.viewmat for target in views.views]), extent)
     own = np.arange(len(neighbors))
     beside = np.rint(NEAREST * np.broadcast_to(shares, own.shape))
     alone = np.arange(NEAREST) >= beside[:, None]

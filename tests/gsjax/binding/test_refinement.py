@@ -62,7 +62,7 @@ def scene():
         for i, (c, p) in enumerate(zip(cameras, photos, strict=True))
     )
     return SimpleNamespace(
-        truth=truth, rough=rough, frames=frames, data=batches.read_targets(frames), graph=mesh_graph(truth.faces)
+        truth=truth, rough=rough, frames=frames, data=batches.read_batches(frames), graph=mesh_graph(truth.faces)
     )
 
 
@@ -185,7 +185,7 @@ def some_steps(scene, beside):
     state = beside.state(np.r_[beside.means[:6], [[0, -9, 0], [0, -9, 0]]])
     states, metrics = [jax.tree.map(np.array, state)], []
     for index in range(12):
-        state, told = beside.step(state, scene.data.targets[index % 6], jax.random.key(0))
+        state, told = beside.step(state, scene.data.views[index % 6], jax.random.key(0))
         states.append(jax.tree.map(np.array, state))
         metrics.append(jax.tree.map(np.array, told))
     assert not any(one.overflowed for one in metrics)
@@ -205,7 +205,7 @@ def test_free_gaussians_are_trained_beside_the_mesh(some_steps):
 
 def test_free_gaussians_that_no_view_sees_leave_the_rest_as_it_is(scene, beside, whole):
     seed = SETTINGS.seed
-    target = scene.data.targets[view_order(seed, 0, 6)]
+    target = scene.data.views[view_order(seed, 0, 6)]
     state, metrics = beside.step(beside.state(beside.means - [0, 0, 40]), target, jax.random.key(seed))
     alone = whole.progress[0]
     assert_close(metrics.loss, alone.metrics.loss)
@@ -269,7 +269,7 @@ def test_only_photos_with_mattes_train_the_alpha_term(scene, monkeypatch):
     monkeypatch.setattr(refinement, "make_refine_step", make_refine_step)
     state, optimizer = started(scene)
     solid = tuple(with_pixels(f, f.pixels()._replace(matte=np.full((48, 48), 255, np.uint8))) for f in scene.frames)
-    for data in (scene.data, batches.read_targets(solid)):
+    for data in (scene.data, batches.read_batches(solid)):
         refinement.refine(
             replace(SETTINGS, steps=1),
             scene.graph,

@@ -43,7 +43,7 @@ def mesh_depth(camera) -> np.ndarray:
 def masked_by(valid):
     """Both views, of which this much may be used."""
     pixels = Pixels(np.zeros((32, 40, 3), np.uint8), valid=valid)
-    return batches.read_targets([frame_of("", np.asarray(c.viewmat), np.asarray(c.K), pixels) for c in CAMERAS])
+    return batches.read_batches([frame_of("", np.asarray(c.viewmat), np.asarray(c.K), pixels) for c in CAMERAS])
 
 
 @pytest.fixture(scope="module")

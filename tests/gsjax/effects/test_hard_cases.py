@@ -109,11 +109,11 @@ def test_values_gradients_and_a_step_are_finite(name, of_twelve):
     state = initial_state(effects)
     assert set(state.numbers) == set(SIMULATED)
     assert np.abs(exposure.log_gains(state.numbers["exposure"])).max() <= LIMIT
-    target = batches.with_photo_numbers(batches.read_targets(scene.frames)).targets[0]
+    target = batches.with_photo_numbers(batches.read_batches(scene.frames)).views[0]
     target = replace(target, valid=np.ones(target.image.shape[:2], bool) if target.valid is None else target.valid)
     other_gauge = name in ("one photo", "cameras in one place")
     slopes_of = program(effects) if other_gauge else of_twelve
-    value, (slopes, of_gaussians) = slopes_of(state.numbers, CLOUD, batches.batch(target, BLACK))
+    value, (slopes, of_gaussians) = slopes_of(state.numbers, CLOUD, batches.decode(target, BLACK))
     after = update_effects(effects, state, slopes)
     for leaf in jax.tree.leaves((value, slopes, of_gaussians, after.numbers)):
         assert np.isfinite(leaf).all()

@@ -21,7 +21,7 @@ from gsjax.rendering import backdrop
 from gsjax.runs.records import read_views
 from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, Scene, Tracks, frame_of, with_pixels
-from gsjax.scene.batches import batch, read_targets, with_skies
+from gsjax.scene.batches import decode, read_batches, with_skies
 from gsjax.scene.cameras import Camera, look_at
 from gsjax.settings import Rates, Settings
 from gsjax.training.growth.adaptive import is_alive
@@ -202,13 +202,13 @@ def test_a_smaller_pixel_is_sky_where_all_of_it_is(made):
     scene, _, _ = made
     mask = np.zeros(SIZE[::-1], bool)
     mask[:7, :5] = True
-    views = with_skies(read_targets(scene.frames[:2], scale=2), [mask, None], 2)
+    views = with_skies(read_batches(scene.frames[:2], scale=2), [mask, None], 2)
     expected = np.zeros((36, 48), bool)
     expected[:3, :2] = True
-    shown, bare = (target.sky for target in views.targets)
+    shown, bare = (target.sky for target in views.views)
     np.testing.assert_array_equal(shown, expected)
     assert bare is not None and not bare.any()
-    assert batch(read_targets(scene.frames[:1]).targets[0], np.zeros(3, np.float32)).sky is None
+    assert decode(read_batches(scene.frames[:1]).views[0], np.zeros(3, np.float32)).sky is None
 
 
 @pytest.fixture

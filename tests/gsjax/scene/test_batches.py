@@ -25,11 +25,11 @@ def frame(width, height, *, matte=None, valid=None, name="a.png"):
 
 def test_mixed_sizes_are_padded_right_and_below_and_the_padding_is_invalid():
     frames = (frame(12, 6), frame(8, 10))
-    data = batches.read_targets(frames)
+    data = batches.read_batches(frames)
     assert data.num_views == 2 and data.size == (12, 10) and not data.has_mattes
-    wide, tall = (batches.batch(target, BLACK) for target in data.targets)
-    assert_close(data.targets[0].image[:6], frames[0].pixels().image)
-    assert_close(data.targets[1].image[:, :8], frames[1].pixels().image)
+    wide, tall = (batches.decode(target, BLACK) for target in data.views)
+    assert_close(data.views[0].image[:6], frames[0].pixels().image)
+    assert_close(data.views[1].image[:, :8], frames[1].pixels().image)
     assert_close(wide.valid, np.arange(10)[:, None] + np.zeros(12) < 6)
     assert_close(tall.valid, np.zeros((10, 1)) + np.arange(12) < 8)
     assert_close((tall.camera.viewmat, wide.camera.K), (frames[1].viewmat, frames[0].K))
@@ -38,10 +38,10 @@ def test_mixed_sizes_are_padded_right_and_below_and_the_padding_is_invalid():
 
 def test_what_photos_lack_is_not_stored_and_a_whole_photo_is_not_copied():
     photo = frame(12, 6)
-    (target,) = batches.read_targets((photo,)).targets
+    (target,) = batches.read_batches((photo,)).views
     assert target.valid is None and target.matte is None and target.normals is None
     assert target.image is photo.pixels().image
-    assert batches.read_targets((photo, photo)).num_bytes == 2 * (12 * 6 * 3 + 16 * 4 + 9 * 4 + 2 * 4)
+    assert batches.read_batches((photo, photo)).num_bytes == 2 * (12 * 6 * 3 + 16 * 4 + 9 * 4 + 2 * 4)
 
 
 def test_the_loss_of_a_padded_photo_is_that_of_the_photo_alone():
@@ -53,25 +53,25 @@ def test_the_loss_of_a_padded_photo_is_that_of_the_photo_alone():
         view = View(colors, colors[..., 0], None, None)
         return losses.l1(None, view, batch), losses.dssim(None, view, batch)
 
-    alone = batches.batch(batches.read_targets((small,)).targets[0], BLACK)
-    padded = batches.batch(batches.read_targets((large, small)).targets[1], BLACK)
+    alone = batches.decode(batches.read_batches((small,)).views[0], BLACK)
+    padded = batches.decode(batches.read_batches((large, small)).views[1], BLACK)
     assert padded.image.shape == (18, 16, 3)
     assert_close(terms(padded, rendered), terms(alone, rendered[:14, :12]))
 
 
 def test_reduction_is_the_mean_over_blocks_and_scales_the_camera():
     photo = frame(9, 6)
-    data = batches.read_targets((photo,), scale=2)
+    data = batches.read_batches((photo,), scale=2)
     blocks = photo.pixels().image[:6, :8].astype(np.float64).reshape(3, 2, 4, 2, 3).mean((1, 3))
     assert data.size == (4, 3)
-    assert_close(data.targets[0].image, np.rint(blocks).astype(np.uint8))
-    assert_close(data.targets[0].K, np.diag([0.5, 0.5, 1]) @ photo.K)
-    assert bool(batches.batch(data.targets[0], BLACK).valid.all())
+    assert_close(data.views[0].image, np.rint(blocks).astype(np.uint8))
+    assert_close(data.views[0].camera.K, np.diag([0.5, 0.5, 1]) @ photo.K)
+    assert bool(batches.decode(data.views[0], BLACK).valid.all())
 
 
 def test_a_reduction_that_leaves_no_pixel_is_one_line():
     with pytest.raises(InputError, match="photos 8 times smaller: nothing is left of one of 9x6 pixels"):
-        batches.read_targets((frame(9, 6),), scale=8)
+        batches.read_batches((frame(9, 6),), scale=8)
 
 
 def test_what_transparent_or_invalid_pixels_hold_does_not_bleed_into_a_reduced_photo():
@@ -83,19 +83,19 @@ def test_what_transparent_or_invalid_pixels_hold_does_not_bleed_into_a_reduced_p
         shown = photo.pixels()
         poisoned = with_pixels(photo, shown._replace(image=np.where(coverage[..., None] > 0, shown.image, 255)))
         assert_close(
-            batches.read_targets((poisoned,), scale=2).targets[0].image[:, :1],
-            batches.read_targets((photo,), scale=2).targets[0].image[:, :1],
+            batches.read_batches((poisoned,), scale=2).views[0].image[:, :1],
+            batches.read_batches((photo,), scale=2).views[0].image[:, :1],
         )
     weights = coverage[:2, :2, None] / 255
     expected = np.rint((photo.pixels().image[:2, :2] * weights).sum((0, 1)) / weights.sum((0, 1)))
-    assert_close(batches.read_targets((photo,), scale=2).targets[0].image[0, 0], expected.astype(np.uint8))
+    assert_close(batches.read_batches((photo,), scale=2).views[0].image[0, 0], expected.astype(np.uint8))
 
 
 def test_mattes_lay_the_photo_over_the_background():
     matte = RNG.integers(0, 256, (5, 7), dtype=np.uint8)
     photo = frame(7, 5, matte=matte)
     background = np.array([0.2, 0.5, 0.9])
-    batch = batches.batch(batches.read_targets((photo,)).targets[0], jnp.asarray(background, jnp.float32))
+    batch = batches.decode(batches.read_batches((photo,)).views[0], jnp.asarray(background, jnp.float32))
     a = matte[..., None] / 255
     assert_close(batch.image, photo.pixels().image / 255 * a + (1 - a) * background)
     assert_close(batch.matte, matte / 255)
@@ -103,7 +103,7 @@ def test_mattes_lay_the_photo_over_the_background():
 
 def test_a_photo_without_a_matte_among_others_is_opaque():
     photos = (frame(7, 5, matte=np.zeros((5, 7), np.uint8)), frame(7, 5))
-    absent, opaque = (batches.batch(target, WHITE).image for target in batches.read_targets(photos).targets)
+    absent, opaque = (batches.decode(target, WHITE).image for target in batches.read_batches(photos).views)
     assert_close(absent, np.ones((5, 7, 3)))
     assert_close(opaque, photos[1].pixels().image / 255)
 
@@ -112,26 +112,26 @@ def test_a_photo_without_a_matte_among_others_is_opaque():
 def test_masks_decide_what_is_valid(scale):
     mask = np.zeros((4, 6), np.uint8)
     mask[:, :2], mask[0, 2:4] = 255, 255  # whole, and half a block
-    (target,) = batches.read_targets((frame(6, 4, valid=mask),), scale=scale).targets
+    (target,) = batches.read_batches((frame(6, 4, valid=mask),), scale=scale).views
     majority = mask > 0 if scale == 1 else np.array([[1, 1, 0], [1, 0, 0]], bool)
-    assert_close(batches.batch(target, BLACK).valid, majority)
+    assert_close(batches.decode(target, BLACK).valid, majority)
 
 
 def test_normal_maps_are_padded_with_nothing_and_read_back_in_float32():
-    data = batches.read_targets((frame(6, 4), frame(4, 3)))
+    data = batches.read_batches((frame(6, 4), frame(4, 3)))
     maps = [RNG.integers(-127, 128, (4, 6, 3), np.int8), RNG.integers(-127, 128, (3, 4, 3), np.int8)]
-    batch = batches.batch(batches.with_normals(data, maps).targets[1], BLACK)
+    batch = batches.decode(batches.with_normals(data, maps).views[1], BLACK)
     assert batch.normals.dtype == jnp.float32
     assert_close(batch.normals[:3, :4], maps[1] / 127)
     assert_close(batch.normals[3:], np.zeros((1, 6, 3)))
-    assert batches.batch(data.targets[1], BLACK).normals is None
+    assert batches.decode(data.views[1], BLACK).normals is None
 
 
 def test_a_smaller_pixel_has_the_mean_of_its_normals_as_long_as_they_agree():
-    data = batches.read_targets((frame(6, 4), frame(4, 3)), scale=2)
+    data = batches.read_batches((frame(6, 4), frame(4, 3)), scale=2)
     maps = [np.zeros((4, 6, 3), np.int8), np.tile(np.int8([0, 0, -127]), (3, 4, 1))]
     maps[0][:2, :2], maps[0][:2, 2:4] = (-90, 0, -90), [[(0, 0, -127), (0, -127, 0)]] * 2
-    one, other = (batches.batch(t, BLACK).normals for t in batches.with_normals(data, maps, 2).targets)
+    one, other = (batches.decode(t, BLACK).normals for t in batches.with_normals(data, maps, 2).views)
     assert_close(one[0], np.array([[-90, 0, -90], [0, -64, -64], [0, 0, 0]]) / 127)
     assert_close(one[1], np.zeros((3, 3)))
     assert_close(other[:1, :2], np.tile([0, 0, -1.0], (1, 2, 1)))
@@ -140,22 +140,22 @@ def test_a_smaller_pixel_has_the_mean_of_its_normals_as_long_as_they_agree():
 
 @pytest.mark.parametrize("room", [0, 1 << 20])
 def test_targets_reach_the_device_with_the_same_bits_in_any_order(room):
-    data = batches.read_targets(
+    data = batches.read_batches(
         tuple(frame(6, 4, matte=RNG.integers(0, 256, (4, 6), dtype=np.uint8)) for _ in range(4))
     )
     view, order = batches.feed(data, room=room), [2, 0, 0, 3, 1, 2]
     for index, following in zip(order, [*order[1:], 1], strict=True):
         (fed,) = view([index], [following])
         assert all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(fed))
-        jax.tree.map(np.testing.assert_array_equal, fed, data.targets[index])
+        jax.tree.map(np.testing.assert_array_equal, fed, data.views[index])
 
 
 def test_what_does_not_fit_is_sent_one_view_ahead_and_not_kept(monkeypatch):
-    data = batches.read_targets(tuple(frame(6, 4) for _ in range(3)))
+    data = batches.read_batches(tuple(frame(6, 4) for _ in range(3)))
     sent, put = [], jax.device_put
 
     def noted(target):
-        sent.append(next(i for i, known in enumerate(data.targets) if known is target))
+        sent.append(next(i for i, known in enumerate(data.views) if known is target))
         return put(target)
 
     monkeypatch.setattr(jax, "device_put", noted)

@@ -160,8 +160,8 @@ def entered(monkeypatch):
         phases.append((phase.name, scales[-1], (done, phase.end), capacity))
         return state, capacity
 
-    unreduced = batches.read_targets
-    monkeypatch.setattr(batches, "read_targets", stacked)
+    unreduced = batches.read_batches
+    monkeypatch.setattr(batches, "read_batches", stacked)
     monkeypatch.setattr(loop, "_run_phase", run_phase)
     monkeypatch.setattr(loop, "_room_for", lambda work, phase, data, state, before: f"{before} or counted")
     return phases

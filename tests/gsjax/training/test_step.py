@@ -43,7 +43,7 @@ def setup(empty_caches):
         sh_every=SH_EVERY,
         rule=RULES["adc"],
     )
-    data = batches.read_targets(photographed(cloud(200, seed=5), CAMERAS, with_mattes=True))
+    data = batches.read_batches(photographed(cloud(200, seed=5), CAMERAS, with_mattes=True))
     return SimpleNamespace(optimizer=optimizer, step=step, data=data)
 
 
@@ -55,7 +55,7 @@ def run(setup, state, steps):
     """State and metrics after steps over the views in turn."""
     metrics = []
     for index in range(steps):
-        state, reported = setup.step(state, setup.data.targets[index % len(CAMERAS)], KEY)
+        state, reported = setup.step(state, setup.data.views[index % len(CAMERAS)], KEY)
         metrics.append(reported)
     return state, metrics
 
@@ -91,8 +91,8 @@ def test_the_report_is_of_the_view_before_the_update(setup):
     before = start(setup)
     gaussians = copied(before.gaussians)
     color = BACKGROUNDS["random"](jax.random.fold_in(KEY, 0))
-    _, metrics = setup.step(before, setup.data.targets[1], KEY)
-    batch = batches.batch(setup.data.targets[1], color)
+    _, metrics = setup.step(before, setup.data.views[1], KEY)
+    batch = batches.decode(setup.data.views[1], color)
     view = jax.jit(rendering.render, static_argnames="capacity")(
         gaussians, batch.camera, capacity=PAIRS, background=color, active_degree=0
     )
@@ -106,7 +106,7 @@ def test_the_report_is_of_the_view_before_the_update(setup):
 def test_random_backgrounds_differ_between_steps_and_repeat(setup):
     def terms_at(step):
         state = replace(start(setup), step=jnp.int32(step))
-        return {k: float(v) for k, v in setup.step(state, setup.data.targets[0], KEY)[1].terms.items()}
+        return {k: float(v) for k, v in setup.step(state, setup.data.views[0], KEY)[1].terms.items()}
 
     assert terms_at(0) == terms_at(0)
     assert terms_at(0)["alpha"] == terms_at(1)["alpha"]  # coverage knows no background
@@ -132,7 +132,7 @@ def test_an_overflowing_step_leaves_every_bit_and_says_what_it_needs(setup):
         rule=RULES["adc"],
     )
     before = copied(state)
-    after, metrics = narrow(state, setup.data.targets[2], KEY)
+    after, metrics = narrow(state, setup.data.views[2], KEY)
     assert bool(metrics.overflowed)
     assert_identical(after, before)
     camera = CAMERAS[2]
@@ -188,7 +188,7 @@ def test_a_step_learns_of_those_that_it_draws_alone(setup):
     )
     stays = jax.random.uniform(jax.random.fold_in(jax.random.fold_in(KEY, 0), 3), (CAPACITY,), jnp.float32) >= 0.5
     before = start(setup).gaussians
-    state, _ = step(start(setup), setup.data.targets[0], KEY)
+    state, _ = step(start(setup), setup.data.views[0], KEY)
     moved = np.abs(np.asarray(state.gaussians.means) - np.asarray(before.means)).max(1) > 0
     views = np.asarray(state.statistics.views)
     assert not moved[~stays].any() and not views[~stays].any()
@@ -320,15 +320,15 @@ def test_a_surface_phase_is_one_program_too_and_every_term_is_finite(setup):
     )
     state = start(setup)
     for index in range(4):
-        state, metrics = step(state, replace(data.targets[index % 3], beside=data.targets[(index + 1) % 3]), KEY)
+        state, metrics = step(state, replace(data.views[index % 3], beside=data.views[(index + 1) % 3]), KEY)
         assert set(metrics.terms) == {each.name for each in terms}
         assert all(0 < float(value) < 9 for value in metrics.terms.values()), metrics.terms  # one of them is in pixels
     assert step._cache_size() == 1
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state))
     assert not np.any(state.statistics.views)
     # A neighbour that looks closer, and needs more room than any view.
-    closer = replace(data.targets[1], K=data.targets[1].K * np.float32([[3, 1, 1], [1, 3, 1], [1, 1, 1]]))
+    closer = replace(data.views[1].camera, K=data.views[1].camera.K * np.float32([[3, 1, 1], [1, 3, 1], [1, 1, 1]]))
     before = copied(state)
-    after, metrics = step(state, replace(data.targets[0], beside=closer), KEY)
+    after, metrics = step(state, replace(data.views[0], beside=replace(data.views[1], camera=closer)), KEY)
     assert metrics.overflowed and int(metrics.needed) > capacity
     assert_identical(after, before)

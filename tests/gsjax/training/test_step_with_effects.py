@@ -48,7 +48,7 @@ def start(effects=None, rule="adc"):
 
 @pytest.fixture(scope="module")
 def data():
-    return batches.with_photo_numbers(batches.read_targets(photographed(cloud(200, seed=5), CAMERAS)))
+    return batches.with_photo_numbers(batches.read_batches(photographed(cloud(200, seed=5), CAMERAS)))
 
 
 def program(step, state, target) -> str:
@@ -60,7 +60,7 @@ def program(step, state, target) -> str:
 )
 def test_a_step_without_effects_is_that_of_a_program_that_never_heard_of_them(rule, terms):
     """Nor of Gaussians that are left out."""
-    (target,) = batches.read_targets(photographed(cloud(200, seed=5), CAMERAS[:1])).targets
+    (target,) = batches.read_batches(photographed(cloud(200, seed=5), CAMERAS[:1])).views
     state = start(rule=rule or "adc")
     ours = program(make_train_step(OPTIMIZER, terms, dropout=0.0, **options(rule)), state, target)
     theirs = program(step_without_effects.make_train_step(OPTIMIZER, terms, **options(rule)), state, target)
@@ -92,9 +92,9 @@ def test_held_effects_leave_the_others_as_they_were(data):
     step = make_train_step(OPTIMIZER, PHOTOS, **options("adc"), effects=effects)
     plain = make_train_step(OPTIMIZER, PHOTOS, **options("adc"))
     state, without = start(effects), start()
-    for target in data.targets:
+    for target in data.views:
         state, reported = step(state, target, KEY)
-        without, expected = plain(without, batches.Target(**{**target.__dict__, "photo": None}), KEY)
+        without, expected = plain(without, batches.Batch(**{**target.__dict__, "photo": None}), KEY)
     assert_close(reported.loss, expected.loss)
     # Adam divides the rounding of other fusions by a small gradient: 2.3e-6 measured, where steps move 7.5e-3.
     assert_close(state.gaussians.sh_dc, without.gaussians.sh_dc, rtol=1e-4, atol=1e-5, why="other fusions, then Adam")
@@ -110,10 +110,10 @@ def retaken(data):
     twists = np.float32(np.radians(0.5) * np.random.default_rng(3).normal(size=(3, 6)))
     targets = []
     pictures = gallery.pictures(cloud(200, seed=5), CAMERAS, SKY)
-    for target, picture, gain, camera, twist in zip(data.targets, pictures, gains, CAMERAS, twists, strict=True):
+    for target, picture, gain, camera, twist in zip(data.views, pictures, gains, CAMERAS, twists, strict=True):
         image = np.rint(np.clip(255 * picture.colors * np.exp(gain), 0, 255)).astype(np.uint8)
         wrong = apply_twist(camera, jnp.asarray(-twist), 4.0)
-        targets.append(replace(target, image=image, viewmat=wrong.viewmat))
+        targets.append(replace(target, image=image, camera=replace(target.camera, viewmat=wrong.viewmat)))
     effects = {
         "exposure": exposure.make_effect(np.zeros((3, 3)), lambda step: jnp.float32(0.01)),
         "poses": poses.make_effect(CENTERS, 4.0, np.zeros(3), 1, lambda step: jnp.float32(1e-3) * 0.98**step),
@@ -153,7 +153,7 @@ def corners(cameras) -> np.ndarray:
 def test_cameras_go_where_their_photos_were_taken(learned, retaken):
     """Up to what moves all of them with the world: what the best such move leaves of the pixels that things are off."""
     targets, effects, *_ = retaken
-    given = [replace(camera, viewmat=target.viewmat) for camera, target in zip(CAMERAS, targets, strict=True)]
+    given = [replace(camera, viewmat=target.camera.viewmat) for camera, target in zip(CAMERAS, targets, strict=True)]
     moves = poses.moves(learned["poses"], CENTERS, 4.0, np.full(3, True), np.zeros(3, int))
     np.testing.assert_allclose(gauge(CENTERS, 4.0).T @ in_units(moves), 0, atol=1e-6)
     found = [apply_twist(camera, jnp.asarray(in_units([move])), 4.0) for camera, move in zip(given, moves, strict=True)]

@@ -40,9 +40,9 @@ def toy_steps(data, capacity, **how):
 
     def compiled(capacity):
         def differentiate(state, target, color, key):
-            needed = jnp.where(target.viewmat[0, 3] > 0.5, target.size[0] << (state.step - 38), 32)
+            needed = jnp.where(target.camera.viewmat[0, 3] > 0.5, target.size[0] << (state.step - 38), 32)
             metrics = Metrics(color[0], color[0], needed, needed > capacity, {})
-            return jax.random.uniform(key) + target.viewmat[0, 3], Outcome(metrics, metrics.overflowed)
+            return jax.random.uniform(key) + target.camera.viewmat[0, 3], Outcome(metrics, metrics.overflowed)
 
         def update(state, gradient, outcome, target):
             return Toy(state.step + 1, state.seen * 0.9 + gradient)
@@ -66,7 +66,7 @@ def toy_steps(data, capacity, **how):
 
 def test_a_flag_that_is_read_a_step_late_changes_no_bit(frames):
     """Two steps overflow, and the next photo would fit: the step that was begun with it must leave no trace."""
-    data = batches.read_targets(frames)
+    data = batches.read_batches(frames)
     seen, step, told, looked = toy_steps(data, 64)
     assert step == 49 and [each[0] for each in told] == list(range(1, 10))
     assert sorted({capacity for _, capacity, _ in told}) == [4096, 12288], "at the first step and a later one"
@@ -78,7 +78,7 @@ def test_a_flag_that_is_read_a_step_late_changes_no_bit(frames):
 
 def test_pairs_get_their_room_in_the_compilation_that_longer_buffers_ask_for(frames):
     """The need has doubled since the pair buffer was made; without this it would be the next to run out."""
-    data, compiled, needs = batches.read_targets(frames), [], [3000, 5000, 6000, 4000]
+    data, compiled, needs = batches.read_batches(frames), [], [3000, 5000, 6000, 4000]
 
     def make(capacity):
         compiled.append(capacity)
@@ -100,7 +100,7 @@ def test_pairs_get_their_room_in_the_compilation_that_longer_buffers_ask_for(fra
 
 
 def test_a_full_device_is_sent_its_photos_one_by_one(frames, monkeypatch, caplog):
-    data, fed = batches.read_targets(frames), []
+    data, fed = batches.read_batches(frames), []
     expected = toy_steps(data, 1 << 16)
 
     def feed(data, seed, view_share):
@@ -125,7 +125,7 @@ def test_a_full_device_is_sent_its_photos_one_by_one(frames, monkeypatch, caplog
 @pytest.mark.parametrize("looks", [None, lambda step: False, lambda step: step % 2 == 0])
 def test_a_step_that_is_not_finite_is_not_taken_nor_is_the_one_that_was_begun_after_it(frames, looks):
     """Also where a state is looked at now and then, so that the next step is begun before the flag is read."""
-    data, told, asked = batches.read_targets(frames), [], []
+    data, told, asked = batches.read_batches(frames), [], []
 
     def compiled(capacity):
         def differentiate(state, target, color, key):
@@ -143,7 +143,7 @@ def test_a_step_that_is_not_finite_is_not_taken_nor_is_the_one_that_was_begun_af
         return state
 
     def explain(step, state, target, capacity):
-        asked.append((step, int(state.step), float(state.seen), float(target.viewmat[0, 3])))
+        asked.append((step, int(state.step), float(state.seen), float(target.camera.viewmat[0, 3])))
         return "the fault"
 
     state = Toy(jnp.int32(40), jnp.float32(0))
@@ -151,4 +151,4 @@ def test_a_step_that_is_not_finite_is_not_taken_nor_is_the_one_that_was_begun_af
         how = {"seed": 1, "capacity": 64, "looks": looks, "explain": explain}
         stepping.advance(compiled, after, state, data, (0, 9), **how)
     assert told == [(step, True) for step in range(1, 5)]
-    assert asked == [(4, 44, 4.0, float(data.targets[stepping.view_order(1, 4, 3)].viewmat[0, 3]))]
+    assert asked == [(4, 44, 4.0, float(data.views[stepping.view_order(1, 4, 3)].camera.viewmat[0, 3]))]

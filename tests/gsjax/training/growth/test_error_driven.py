@@ -226,7 +226,7 @@ EXTENT = 4.2  # Of the cameras: half of the cloud is nearer.
 def setup():
     optimizer = make_optimizer(Rates(), 1.0, 60)
     cameras = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0)) for x in (-0.6, 0.6)]
-    data = batches.read_targets(photographed(cloud(50, seed=5), cameras))
+    data = batches.read_batches(photographed(cloud(50, seed=5), cameras))
 
     def step(rule):
         return make_train_step(
@@ -266,12 +266,12 @@ def dense_weights(gaussians: Gaussians, camera: Camera):
 
 
 def test_the_error_and_the_weight_of_a_gaussian_are_sums_over_the_pixels(setup):
-    target = setup.data.targets[0]
+    target = setup.data.views[0]
     # A photo of 24x20 in a set of 32x24: what is beside it counts for nothing.
     target = replace(target, size=np.array([24, 20], np.int32))
     state, _ = setup.seeing(setup.start(), target, KEY)
     with jax.enable_x64(True):
-        batch = batches.batch(target, jnp.zeros(3, jnp.float32))
+        batch = batches.decode(target, jnp.zeros(3, jnp.float32))
         rendered = dense_weights(setup.start().gaussians, batch.camera)
         rendered, inside = np.asarray(rendered), np.asarray(batch.valid)
         error = np.abs(rendered[..., :3] - np.asarray(batch.image, np.float64)).mean(-1)[inside]
@@ -288,7 +288,7 @@ def test_the_error_and_the_weight_of_a_gaussian_are_sums_over_the_pixels(setup):
 
 def test_watching_changes_nothing_else(setup):
     blind = setup.step(None)
-    target = setup.data.targets[0]
+    target = setup.data.views[0]
     watched, reported = setup.seeing(setup.start(), target, KEY)
     unwatched, expected = blind(setup.start(), target, KEY)
     assert float(reported.loss) == pytest.approx(float(expected.loss), rel=1e-6)
@@ -299,7 +299,7 @@ def test_watching_changes_nothing_else(setup):
 
 def test_views_add_up_and_dead_rows_have_no_part(setup):
     state = setup.start()
-    for target in setup.data.targets:
+    for target in setup.data.views:
         state, _ = setup.seeing(state, target, KEY)
     sums = jax.tree.map(np.asarray, state.statistics)
     assert set(np.unique(sums.views)) <= {0, 1, 2} and (sums.views[:ALIVE] == 2).mean() > 0.5

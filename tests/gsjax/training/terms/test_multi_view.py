@@ -275,19 +275,19 @@ def test_neighbours_look_the_same_way_to_within_thirty_degrees():
 
 
 def test_every_step_has_a_neighbour_of_its_view_beside_it():
-    data = batches.with_photo_numbers(multi_view.with_neighbors(batches.read_targets(PHOTOS), 8.0))
-    rows = multi_view.nearest_views(np.stack([target.viewmat for target in data.targets]), 8.0)
+    data = batches.with_photo_numbers(multi_view.with_neighbors(batches.read_batches(PHOTOS), 8.0))
+    rows = multi_view.nearest_views(np.stack([target.camera.viewmat for target in data.views]), 8.0)
     target, beside = stepping.one_view(data, 0, 0.5), [set() for _ in PHOTOS]
     for step in range(90):
         here = target(step)
         assert int(here.photo) == stepping.view_order(0, step, len(PHOTOS))
-        np.testing.assert_array_equal(here.beside.viewmat, data.targets[int(here.beside.photo)].viewmat)
+        np.testing.assert_array_equal(here.beside.camera.viewmat, data.views[int(here.beside.photo)].camera.viewmat)
         beside[int(here.photo)].add(int(here.beside.photo))
     assert beside == [set(row.tolist()) for row in rows]
 
 
 def test_views_have_a_neighbour_beside_them_in_their_share_of_the_steps():
-    data = batches.read_targets(PHOTOS)
+    data = batches.read_batches(PHOTOS)
     whole = multi_view.with_neighbors(data, 8.0).neighbors
     found = multi_view.with_neighbors(data, 8.0, np.array([1.0, 0.4, 0.0])).neighbors
     assert [np.sum(row != view) / multi_view.NEAREST for view, row in enumerate(found)] == [1, 3 / 8, 0]
