@@ -43,7 +43,7 @@ class Study(NamedTuple):
 def load_study(name: str, on: str | None = None) -> Study:
     """A study of `studies/NAME.py` on a config; None: on the study's own, `ON`.
 
-    Its `variants(config, on)` tells the differences from that config; "{scene}" in them stands for the data set.
+    Its `variants(config, on)` returns the differences from that config; "{scene}" in them stands for the data set.
 
     Raises:
         InputError: There is no such study, or no such config.

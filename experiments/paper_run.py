@@ -2,7 +2,7 @@
 
     python experiments/paper_run.py SCENE DATA OUT [--schedule NAME] [--seed N] [--earlier RUN]
 
-Goes on where it stopped. `reproduce.py` does all of them. With `--earlier`, the steps that this training has in common
+Resumes where it stopped. `reproduce.py` does all of them. With `--earlier`, the steps that this training has in common
 with that of another run folder are not taken again: two schedules then part at the same Gaussians.
 """
 
@@ -28,7 +28,7 @@ STAGES = ("train", "coarse", "mesh", "texture", "sheet", "refine", "refined")
 SCORES = ("psnr", "ssim", LPIPS, SQUEEZE, "gaussians", "views")
 
 
-def asked(scene: str, schedule: str, seed: int, assignments: Sequence[str], refinement: Sequence[str]) -> dict:
+def run_settings(scene: str, schedule: str, seed: int, assignments: Sequence[str], refinement: Sequence[str]) -> dict:
     """What a run is to do, as plain data: `settings` of the training, `refinement` (None: without), of the `mesh`.
 
     Raises:
@@ -46,8 +46,8 @@ def asked(scene: str, schedule: str, seed: int, assignments: Sequence[str], refi
     return {"settings": settings, "refinement": refined, "mesh": dict(PAPER_MESH)}
 
 
-def begun(folder: Path, wishes: Mapping[str, Any], lpips: Sequence[str] = ()) -> dict[str, Any]:
-    """The result so far of a run; scores that lack what new weights of LPIPS can tell are taken out.
+def read_result(folder: Path, wishes: Mapping[str, Any], lpips: Sequence[str] = ()) -> dict[str, Any]:
+    """The result so far of a run; scores without the given weights of LPIPS are taken out.
 
     Raises:
         InputError: It was begun with other wishes.
@@ -104,8 +104,8 @@ def run(
     """
     from gsjax.io.machine import machine, versions
 
-    wishes = asked(scene, schedule, seed, assignments, refinement)
-    result = begun(out, wishes, lpips)
+    wishes = run_settings(scene, schedule, seed, assignments, refinement)
+    result = read_result(out, wishes, lpips)
     stages = _stages(data, out, wishes, lpips, SCHEDULES[schedule].regulariser, earlier)
     for name in _stage_names(wishes):
         if name not in result and (only is None or name in only):

@@ -3,9 +3,9 @@
     python experiments/reproduce.py --data ROOT --out DIR [--seeds N] [--preset NAME ...] [--set KEY=VALUE ...]
         [--set-scene NAME KEY=VALUE ...]
 
-Runs what it finds under a root. A finished run is not done again, a stopped one goes on, and one that fails leaves a
+Runs what it finds under a root. A finished run is not done again, a stopped one continues, and one that fails leaves a
 dash. What two schedules of a scene and a seed have in common is trained once where the first of them has a checkpoint
-of it. Writes OUT/tables.md and .csv beside the runs, OUT/SCENE/SCHEDULE_SEED each.
+of it. Writes OUT/tables.md and .csv next to the runs, OUT/SCENE/SCHEDULE_SEED each.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from paper import report
 from paper.beginnings import nearest
 from paper.measured import found_runs, measurements, methods, run_folder
 from paper.scenes import DEFAULT_SCHEDULES, SCENES, SCHEDULES, R, discover, settings_of
-from paper_run import asked, begun, is_finished
+from paper_run import is_finished, read_result, run_settings
 
 from gsjax.cli import parsers, run_guarded
 from gsjax.errors import InputError
@@ -52,7 +52,7 @@ class Options(NamedTuple):
 
 
 Start = Callable[[Job, Options], int]
-"""Does one run and tells its exit code."""
+"""Does one run and returns its exit code."""
 
 
 def reproduce(
@@ -122,8 +122,8 @@ def in_own_process(job: Job, options: Options) -> int:
 
 
 def _is_done(job: Job, options: Options) -> bool:
-    wishes = asked(job.scene, job.schedule, job.seed, options.of(job.scene), options.refinement)
-    return is_finished(begun(job.out, wishes, options.lpips))
+    wishes = run_settings(job.scene, job.schedule, job.seed, options.of(job.scene), options.refinement)
+    return is_finished(read_result(job.out, wishes, options.lpips))
 
 
 def write_tables(out: Path, schedules: Iterable[str]) -> None:
@@ -139,7 +139,7 @@ def write_tables(out: Path, schedules: Iterable[str]) -> None:
 
 
 def remarks(found: Iterable[tuple[str, str, int, dict[str, Any]]]) -> dict[str, str]:
-    """What a reader of a scene's figures must know: which normals, and whether growth was held back."""
+    """What a reader of a scene's figures must know: which normals, and whether densification was limited."""
     said: dict[str, list[str]] = {}
     for scene, schedule, seed, result in found:
         lines, trained = said.setdefault(scene, []), result.get("train", {})
@@ -170,7 +170,7 @@ def main() -> None:
     add = parser.add_argument
     add("--data", type=Path, required=True, metavar="ROOT", help="folder of the published data sets: scenes by their"
         " published names, in it or in 360_v2/, tandt/, db/")  # fmt: skip
-    add("--out", type=Path, required=True, metavar="DIR", help="folder for runs and tables; begun ones go on")
+    add("--out", type=Path, required=True, metavar="DIR", help="folder for runs and tables; unfinished ones continue")
     add("--seeds", type=parsers.count, default=1, metavar="N", help="runs of every scene and schedule (default: 1)")
     add("--preset", nargs="+", choices=SCHEDULES, default=list(DEFAULT_SCHEDULES), help="schedules (default: the"
         " paper's two); 3dgs_30k and sugar are the methods that it compares with; vanilla is the first without entropy,"

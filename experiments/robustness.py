@@ -4,7 +4,7 @@
 
 Commands run on built-in scenes of a few photos. They are stopped at random moments by SIGKILL, SIGTERM and SIGINT and
 called again; their disk is full before they are done; readers meet damaged files, those of their own tests. Prints the
-tables of docs/robustness.md. Called again it goes on after what is done; with --minutes it begins nothing after them,
+tables of docs/robustness.md. Called again it continues after what is done; with --minutes it begins nothing after them,
 with --only no row that has none of the words in its name.
 Disks need Linux and its user namespaces. All parts take an hour or more on 2 cores.
 """

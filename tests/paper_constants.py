@@ -154,7 +154,7 @@ def scored_while_training() -> list[str]:
     journal = object.__new__(training_journal.TrainingJournal)
     journal.plan = SimpleNamespace(background=None, depth_mode="plane")
     journal.scene = Scene(Path(), "colmap", frames, np.zeros((1, 3)), np.zeros((1, 3), np.uint8))
-    journal.chosen = SimpleNamespace(photography=lambda _: PhotoEffects())
+    journal.chosen = SimpleNamespace(photo_effects=lambda _: PhotoEffects())
     with mock.patch.object(training_journal, "score_images", return_value={"psnr": 1.0}) as score:
         assert journal._held_out(SimpleNamespace(gaussians=None, effects=())) == {"held_out_psnr": 1.0}
     return [frame.name for frame in score.call_args.args[1]]
@@ -163,7 +163,7 @@ def scored_while_training() -> list[str]:
 def meshed(schedule: str) -> dict[str, Any]:
     """How the protocol asks for the coarse mesh."""
     run, out = importlib.import_module("paper_run"), Path("run")
-    wishes = run.asked("room", schedule, 0, [], [])
+    wishes = run.run_settings("room", schedule, 0, [], [])
     with mock.patch.object(pipeline, "mesh") as mesh:
         run._stages(out, out, wishes, (), "R")["mesh"]()
     return mesh.call_args.kwargs
@@ -177,7 +177,7 @@ def meshes_of_all() -> list[dict[str, Any]]:
 
 def protocol(schedule: str) -> dict[str, Any]:
     """The refinement that the protocol asks for."""
-    return importlib.import_module("paper_run").asked("room", schedule, 0, [], [])["refinement"]
+    return importlib.import_module("paper_run").run_settings("room", schedule, 0, [], [])["refinement"]
 
 
 def asked_training(schedule: str) -> Settings:

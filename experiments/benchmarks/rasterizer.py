@@ -1,4 +1,4 @@
-"""How long does every stage of the tile rasterizer take on seeded workloads? Tables with the machine beside them.
+"""How long does every stage of the tile rasterizer take on seeded workloads? Tables with the machine.
 
     python experiments/benchmarks/rasterizer.py [--backend native | xla] [--only WORKLOAD] [--processes 3]
 

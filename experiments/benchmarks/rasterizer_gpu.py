@@ -1,10 +1,10 @@
-"""Is the rasterizer right on this GPU, and how long does it take, beside gsplat where that is installed?
+"""Is the rasterizer right on this GPU, and how long does it take? Compared with gsplat where that is installed.
 
     python experiments/benchmarks/rasterizer_gpu.py [--counts 100k 1M] [--sizes 1080p 4K] [--run RUN]
 
 First its images and gradients are compared with those of the reference; where they differ it ends there. Then come the
 parts of a pass over seeded Gaussians; and with RUN, a finished run, a whole training step of every phase of the preset
-`fast` from its Gaussians, beside gsplat's passes over the same view.
+`fast` from its Gaussians, and gsplat's passes over the same view.
 """
 
 import argparse
@@ -67,7 +67,7 @@ def errors_against_reference(scene: Scene, backend: str) -> dict[str, float]:
 
 
 def require_right(errors: dict[str, dict[str, float]]) -> None:
-    """Raises InputError where an error is no rounding: nobody wants to know how fast that was."""
+    """Raises InputError where an error is larger than rounding: its time has no meaning."""
     wrong = [
         f"{scene}, {name}: {error:.2g}"
         for scene, row in errors.items()

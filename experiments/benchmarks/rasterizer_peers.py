@@ -1,11 +1,11 @@
-"""How fast is our tile rasterizer beside another one? In turn in one process, so ratios hold on a shared machine.
+"""How fast is our tile rasterizer against another one? In turn in one process, so ratios hold on a shared machine.
 
     python experiments/benchmarks/rasterizer_peers.py gsplat | jnp [--run RUN] [--rounds 15] [--processes 5]
 
 Ours, the backend that `auto` stands for, bins and blends the splats of one view, forward and with the gradients to all
 of them; `peers.py` says what the others do. Their images must agree. The peer's wall time and its processor time are
-told in times of ours; the second holds even where other programs want the same cores. A row a process: it keeps its
-luck with memory and neighbours, so the quickest and the slowest of the day are both told.
+reported in times of ours; the second holds even where other programs want the same cores. A row a process: it keeps its
+luck with memory and neighbours, so the quickest and the slowest of the day are both reported.
 
 With a finished run, what its first training camera sees of its Gaussians is one more workload.
 """
@@ -18,7 +18,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from peers import TILE, Peer, Splats, Task, peer_named, tasks_of_ours
-from workloads import GOLDEN, HEAVY, seen
+from workloads import GOLDEN, HEAVY, workload_views
 
 from gsjax.cli import run_guarded
 from gsjax.errors import InputError
@@ -37,7 +37,7 @@ def tasks(workload: str | Path, peer: Peer) -> tuple[tuple[Task, Task], tuple[Ta
 
     import rasterizer
 
-    projection, opacities, colors, width, height = seen(workload, peer.rules)
+    projection, opacities, colors, width, height = workload_views(workload, peer.rules)
     grid = rasterizer.TileGrid(1, width, height, TILE)
     capacity = int(rasterizer.count_pairs(projection, grid))
     pairs = rasterizer.bin_splats(projection, opacities, grid, capacity, peer.rules)

@@ -5,7 +5,7 @@
 The Gaussians of RUN, a finished run, seen in its first photo. Every part is a program of its own: it and the whole step
 run in turn with either engine, one first in one round and the other in the next. Parts do not add up to the step to the
 millisecond, since XLA fuses across them. A ratio is jnp's time over the loops', the median over the rounds; the process
-with the least time for the whole step is told, and the range of its ratio over all processes.
+with the least time for the whole step is reported, and the range of its ratio over all processes.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""How much memory does a training take for a Gaussian, and for a pixel of the photo that a step looks at?
+"""How much memory does a training take for a Gaussian, and for a pixel of the photo of a step?
 
     python experiments/benchmarks/training_memory.py --out DIR [--rows 50000 200000 800000] [--sizes 640x480 2560x1920]
 

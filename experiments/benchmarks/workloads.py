@@ -103,7 +103,7 @@ def scene_named(name: str) -> Scene:
     return heavy_tailed_scene() if name == HEAVY else golden_scene()
 
 
-def seen(workload: str | Path, rules: Any) -> Seen:
+def workload_views(workload: str | Path, rules: Any) -> Seen:
     """The splats of a row of the table by its name, or of a run by its folder."""
     import rasterizer
 

@@ -1,4 +1,4 @@
-"""What is tried to break the commands, part by part: each tells of what its table is made."""
+"""What is tried to break the commands, part by part; each part lists the rows of its table."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -102,7 +102,7 @@ COMMANDS = {
     "view": Command(("view", "--port", "0"), "viewed", (), ("train",), NEVER, copy_of="run"),
 }
 COMPILING = 8
-"""Seconds: of a call that takes longer, compilation may be a part, and a second one tells how long it takes without."""
+"""Seconds: of a call that takes longer, compilation may be a part, and a second one takes the time without."""
 MATERIAL = """
 import json
 from pathlib import Path
@@ -143,8 +143,10 @@ def environment(folder: Path) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(folder / "cache"), "COLUMNS": "200"}
 
 
-def begun(folder: Path, command: Command, out: str, *more: str, before: tuple[str, ...] = ()) -> subprocess.Popen:
-    """The command, started in a folder with what it reads; it hears Ctrl-C even where a shell told this one not to."""
+def start_command(
+    folder: Path, command: Command, out: str, *more: str, before: tuple[str, ...] = ()
+) -> subprocess.Popen:
+    """Start the command in a folder with what it reads; Ctrl-C reaches it even where the shell disabled that."""
     return subprocess.Popen(
         [*before, sys.executable, *command.program, *command.arguments, out, *more],
         cwd=folder,
@@ -158,7 +160,7 @@ def begun(folder: Path, command: Command, out: str, *more: str, before: tuple[st
 
 
 def finished(process: subprocess.Popen) -> tuple[int, str]:
-    """Exit code and what was told, without the steps of progress bars."""
+    """Exit code and stderr, without the steps of progress bars."""
     told = process.communicate()[1]
     return process.returncode, "\n".join(line.rpartition("\r")[2] for line in told.split("\n"))
 
@@ -200,7 +202,7 @@ def _called(folder: Path, name: str, out: str) -> float:
         shutil.rmtree(folder / out)
     prepare(folder, COMMANDS[name], out)
     began = time.monotonic()
-    code, told = finished(begun(folder, COMMANDS[name], out))
+    code, told = finished(start_command(folder, COMMANDS[name], out))
     assert code == 0, f"{name} ended with {code}: {told[-2000:]}"
     return time.monotonic() - began
 

@@ -5,7 +5,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from breaking.commands import COMMANDS, Rows, begun, finished, whole
+from breaking.commands import COMMANDS, Rows, finished, start_command, whole
 
 TITLE = "A disk without room"
 COLUMNS = "Command", "Its output", "Held"
@@ -41,7 +41,7 @@ def _held(folder: Path, name: str, room: int) -> bool:
     """Calls the command with so many bytes of disk: one line says that it is full, and nothing is half-written."""
     (folder / "full").mkdir(exist_ok=True)
     before = ("unshare", "--map-root-user", "--mount", "sh", "-c", MOUNTED, str(room))
-    code, told = finished(begun(folder, COMMANDS[name], f"full/{COMMANDS[name].out}", before=before))
+    code, told = finished(start_command(folder, COMMANDS[name], f"full/{COMMANDS[name].out}", before=before))
     told, _, left = told.rpartition("\n\n")
     last = told.rstrip().rpartition("\n")[2]
     held = (

@@ -14,11 +14,11 @@ from breaking.commands import (
     RESUME,
     Command,
     Rows,
-    begun,
     finished,
     leftovers,
     prepare,
     products,
+    start_command,
     whole,
 )
 
@@ -49,7 +49,7 @@ def _held(folder: Path, name: str, number: signal.Signals, moment: float, mark: 
     command = COMMANDS[name]
     out = f"{mark}/{command.out}"  # Pages name the folder of a run.
     prepare(folder, command, out)
-    process = begun(folder, command, out)
+    process = start_command(folder, command, out)
     time.sleep(moment)
     process.send_signal(number)
     code, told = finished(process)
@@ -59,7 +59,7 @@ def _held(folder: Path, name: str, number: signal.Signals, moment: float, mark: 
     done = _same(folder, command, out)
     if command.again != NEVER:
         more = ("--resume",) if command.again == RESUME and (folder / out).exists() else ()
-        again, told_again = finished(begun(folder, command, out, *more))
+        again, told_again = finished(start_command(folder, command, out, *more))
         told += told_again
         fair = fair and (again == 0 or (done and again == 2))  # Which says that it is there.
     same = fair and _same(folder, command, out)
@@ -73,7 +73,7 @@ def _held(folder: Path, name: str, number: signal.Signals, moment: float, mark: 
 
 
 def _same(folder: Path, command: Command, out: str) -> bool:
-    """Whether the products are there, and those of a call that nobody stopped."""
+    """Whether the products are there, and those of a call that was not stopped."""
     expected = products(folder, command, command.out)
     here = (folder / out).parent
     return all((here / name).is_file() for name in expected) and products(folder, command, out) == expected

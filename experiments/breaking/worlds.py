@@ -7,7 +7,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from breaking.commands import Command, Rows, begun, environment, finished
+from breaking.commands import Command, Rows, environment, finished, start_command
 
 TITLE = "Similarities of the world"
 COLUMNS = "World", "PSNR", "SSIM", "Mesh to that at the origin"
@@ -88,10 +88,10 @@ def _scores(folder: Path, world: str) -> list[str]:
 
 
 def _trained(folder: Path, scene: str, run: str, *, seed: int) -> None:
-    """Leaves a run and, beside it, its mesh."""
+    """Leaves a run and its mesh."""
     train = ("train", scene, "--preset", "quick", "--effects", "none", "--set", *SETTINGS, f"seed={seed}", "--out")
     for arguments, out in ((train, run), (("mesh", run, "--out"), f"{run}.ply")):
-        code, told = finished(begun(folder, Command(arguments, out), out))
+        code, told = finished(start_command(folder, Command(arguments, out), out))
         assert code == 0, told[-2000:]
 
 

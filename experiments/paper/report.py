@@ -100,7 +100,7 @@ def _measured_row(method: str, found: Average, scenes: Sequence[str], remarks: d
     return Row(method, found.values, over, seeds, "measured" if found.scenes else DASH, said)
 
 
-def shown(value: Value | None, metric: str) -> str:
+def format_cell(value: Value | None, metric: str) -> str:
     """A mean with its spread where it has one; a dash for None."""
     if value is None:
         return DASH
@@ -137,7 +137,7 @@ def _markdown_table(table: Table) -> str:
         for row in block.rows:
             marks = notes.marks(row)
             method = row.method + (f" [{marks}]" if marks else "")
-            cells = [shown(row.values[metric], metric) for metric in METRICS]
+            cells = [format_cell(row.values[metric], metric) for metric in METRICS]
             lines.append(_piped([method, *cells, row.scenes, row.seeds, row.source]))
         lines.append("")
     lines += [f"[{number}] {text}  " for number, text in enumerate(notes.texts, 1)]

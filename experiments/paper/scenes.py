@@ -13,7 +13,7 @@ TANKS, BLENDING = "Tanks & Temples", "Deep Blending"
 
 
 class PaperScene(NamedTuple):
-    """One scene: its part of a table, which of its published photos are looked at, and R's weight."""
+    """One scene: its part of a table, which of its published photos are used, and R's weight."""
 
     part: str
     images: str

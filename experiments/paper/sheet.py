@@ -19,10 +19,10 @@ from gsjax.scene.colors import to_bytes
 
 
 def draw_sheet(out: Path, regulariser: str = "R") -> list[str]:
-    """Draws OUT/sheet.png of a run that has its meshes, and tells the titles of its panels, which name the regulariser.
+    """Draws OUT/sheet.png of a run that has its meshes, and returns the titles of its panels.
 
     The view is the first that was trained on: held-out views have no prior. What the run does not have (its prior, the
-    mesh of a `vanilla` run of the same seed beside it) has no panel.
+    mesh of a `vanilla` run of the same seed in the same folder) has no panel.
     """
     run = out / "run"
     result, frames = open_result(run), scene_of_run(run).frames

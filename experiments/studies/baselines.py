@@ -55,7 +55,7 @@ STEP_COSTS = {on: dict(zip(WEIGHTS, costs, strict=True)) for on, costs in _COSTS
 
 
 def costs_on(on: str) -> dict[str, float]:
-    """What a step with each method costs, in plain ones; those of the built-in scene where nobody has measured them."""
+    """What a step with each method costs, in plain ones; those of the built-in scene where they are not measured."""
     return STEP_COSTS.get(on, STEP_COSTS["built_in"])
 
 

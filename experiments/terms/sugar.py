@@ -94,7 +94,7 @@ def _means(misfit: Misfit, gaussians: Gaussians, around: Around, among: Array) -
     """`[]` mean misfit where it counts, `[]` mean disagreement of normals: over points drawn `among` `[N]`."""
     who, how = jax.random.split(around.key)
     count = min(MOST_SAMPLES, gaussians.num_gaussians)
-    owners = chosen(who, among, count)
+    owners = choose_rows(who, among, count)
     noise = jax.random.normal(how, (count, 3), gaussians.means.dtype)
     axes, deviations, normals = rotation_matrices(gaussians.quats), scales(gaussians), smallest_axes(gaussians)
     thickness, field = deviations.min(-1), density_field.kernels(gaussians)
@@ -143,7 +143,7 @@ def _close_to_depth(gaussians: Gaussians, view: View, depth: Array, camera: Came
     return jax.lax.stop_gradient(view.splats.projection.visible[0] & reads & (apart < CLOSE * deviation))
 
 
-def chosen(key: Array, among: Array, count: int) -> Array:
+def choose_rows(key: Array, among: Array, count: int) -> Array:
     """`[count]` int32 rows where `among` `[N]` holds, each as likely, with replacement; any, where it never does."""
     ends = jnp.cumsum(among, dtype=jnp.int32)
     draws = jax.random.randint(key, (count,), 0, jnp.maximum(ends[-1], 1), jnp.int32)

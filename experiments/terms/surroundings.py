@@ -19,7 +19,7 @@ REFRESHED_EVERY = 500  # looks at a table before the next is made (SuGaR)
 
 
 class Around(NamedTuple):
-    """What a term reads beside view and batch."""
+    """What a term reads besides view and batch."""
 
     table: Array  # [N, NEAREST] int32, see `nearest`
     key: Array  # of this step: two steps draw differently
@@ -29,11 +29,11 @@ class Around(NamedTuple):
 class Surroundings:
     """The neighbours of the Gaussians of one run.
 
-    A step reads them through a callback, so no checkpoint has a table: a run that goes on begins with a new one.
+    A step reads them through a callback, so no checkpoint has a table: a resumed run begins with a new one.
     """
 
     def __init__(self, extent: Callable[[], float]):
-        """No table yet; `extent` tells that of the cameras, scene units."""
+        """No table yet; `extent` returns that of the cameras, scene units."""
         self._extent, self._looks = extent, 0
         self._alive, self._table = np.empty(0, bool), np.empty((0, NEAREST), np.int32)
 
@@ -60,7 +60,7 @@ class Surroundings:
 
 
 def none_yet(rows: int) -> np.ndarray:
-    """`[rows, NEAREST]` int32 table in which every Gaussian is alone: its own id again stands for nobody."""
+    """`[rows, NEAREST]` int32 table in which every Gaussian is alone: its own id again means no neighbour."""
     return np.repeat(np.arange(rows, dtype=np.int32)[:, None], NEAREST, axis=1)
 
 

@@ -58,7 +58,7 @@ DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
   large scene --blocks--> the same in several runs, merged into one
 
   scene or run --scale--> the same in metres, by a known length
-  scene --diagnose--> which effects its photos call for
+  scene --diagnose--> which effects its photos show
   scene --normals--> a normal map a photo, from a network, for training
   photos or scene --masks--> what to leave out of each photo, from a network
   scene --undistort--> scene of pinhole photos, for other programs
@@ -185,7 +185,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 class _Command(_Parser):
-    """Says of an option that it does not have where its own are told; argparse would name the help of all commands."""
+    """Refuses an unknown option with the help of this command; argparse would name that of all commands."""
 
     def parse_known_args(self, args=None, namespace=None):
         arguments, unknown = super().parse_known_args(args, namespace)

@@ -16,14 +16,14 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         description="""
             Divides a scene by where its cameras stand (OUT/blocks.json), trains a run for each block
             (OUT/block_1 and so on) with photos from its surroundings, and merges them: OUT/run, which all
-            other commands read. Called again, it goes on where it stopped. Several machines share the work
+            other commands read. Called again, it continues where it stopped. Several machines share the work
             where OUT and SCENE are folders that all of them see under one path, each with --only.
         """,
         example="gsjax blocks scenes/street --out blocks/street --blocks 4",
     )
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")
-    add("--out", metavar="OUT", required=True, help="folder for everything; the same one again to go on")
+    add("--out", metavar="OUT", required=True, help="folder for everything; the same one again to continue")
     add("--blocks", type=count, metavar="N", required=True, help="how many, of as many cameras each")
     add("--only", type=count, nargs="+", metavar="I", default=(), help="train these blocks alone, counted from 1")
     add_training(parser, "how long to train each block")

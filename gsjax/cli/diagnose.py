@@ -1,4 +1,4 @@
-"""`gsjax diagnose`: which effects a data set calls for."""
+"""`gsjax diagnose`: which effects the photos of a data set show."""
 
 import argparse
 
@@ -11,9 +11,9 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         commands,
         "diagnose",
         _run,
-        summary="tell which effects of photography a data set calls for",
+        summary="report which effects the photos of a data set show",
         description="""
-            Looks at every photo once, and at the tracks of structure from motion where there are any:
+            Reads every photo once, and the tracks of structure from motion where there are any:
             exposure and white balance, vignetting, background, open sky, poses, transients, blur. Prints for
             each the evidence with its noise, the threshold, the decision, and why; and how far apart the
             photos stand. Maps that `gsjax normals` made are judged too: whether photos of the same place
@@ -23,9 +23,9 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     )
     add = parser.add_argument
     add("scene", metavar="SCENE", help="folder of the data set")
-    add("--json", metavar="FILE", help="also write it here, and pictures of the evidence beside it (.png)")
-    add("--downscale", type=finite, metavar="K", help="look at photos K times smaller (default: 1)")
-    add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute (default: looked for)")
+    add("--json", metavar="FILE", help="also write it here, and pictures of the evidence next to it (.png)")
+    add("--downscale", type=finite, metavar="K", help="read the photos K times smaller (default: 1)")
+    add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute (default: found by name)")
 
 
 def _run(arguments: argparse.Namespace) -> None:

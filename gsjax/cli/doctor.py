@@ -14,7 +14,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         summary="check libraries, device, engine, memory, disk and cache, and say what to type",
         description="""
             Loads each library that gsjax needs and compares its version, asks jax for its device and
-            the rasterizer for its engine, and looks at memory, disk and the folder of compiled programs.
+            the rasterizer for its engine, and checks memory, disk and the folder of compiled programs.
             Where something is amiss, a line says what to type. Ends with code 0 if all is well, else 1.
         """,
         example="gsjax doctor --json",

@@ -27,7 +27,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--three-ways",
         action="store_true",
-        help="also score pictures with the gains that tracks tell, and after a fitted colour transform, as runs with"
+        help="also score pictures with the gains of the tracks, and after a fitted colour transform, as runs with"
         " effects are scored",
     )
     parser.add_argument(

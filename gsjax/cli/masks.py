@@ -26,10 +26,10 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--network", metavar="NAME", required=True, help="pphumanseg, u2net, skyseg, or a JSON file that describes"
         " another one")  # fmt: skip
     add("--weights", metavar="FILE", required=True, help="the network as an ONNX file")
-    add("--classes", metavar="A,B", help="what to leave out (default: the only class beside the background)")
+    add("--classes", metavar="A,B", help="what to leave out (default: the only class that is not background)")
     add("--invert", action="store_true", default=None, help="leave out everything else instead")
     add("--out", metavar="DIR", help="folder to make; absent or empty (default: PHOTOS_OR_SCENE/masks)")
-    add("--images", metavar="FOLDER", help="of a data set, the folder of the photos (default: looked for)")
+    add("--images", metavar="FOLDER", help="of a data set, the folder of the photos (default: found by name)")
 
 
 def _run(arguments: argparse.Namespace) -> None:

@@ -17,7 +17,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         description="""
             Leaves out Gaussians that hang in the air, finds points of the surface along the cameras' rays,
             reconstructs a mesh from them (Poisson), trims what no point supports and colours the vertices.
-            Where the training photos are at hand, the vertices then settle where these agree. A file alone
+            Where the training photos exist, the vertices then move to where these agree. A file alone
             has no cameras: give --scene, or some are placed around (or, in a room, within) the Gaussians.
         """,
         example="gsjax mesh runs/garden --out garden.glb",
@@ -32,7 +32,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         " there are none with the photos' mattes")  # fmt: skip
     add("--depth", type=int, metavar="N", help="depth of the Poisson octree: one more doubles the resolution")
     add("--trim-quantile", type=finite, metavar="Q",
-        help="share (0..1) of vertices, the least supported, to cut away; default: as the points ask for")  # fmt: skip
+        help="share (0..1) of vertices, the least supported, to cut away; default: by the points' density")  # fmt: skip
     add("--cell", type=finite, metavar="C", help="side of a voxel (tsdf), scene units")
     add("--level", type=finite, metavar="L", help="density (0..1) at which the surface lies (poisson)")
     add("--points", type=int, metavar="N", help="number of surface points to reconstruct from")
@@ -44,7 +44,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--unsettled", dest="settled", action="store_const", const=False,
         help="leave the surface where the Gaussians have it")  # fmt: skip
     add("--fill-holes", dest="holes_filled", action="store_const", const=True,
-        help="close holes where two views show a surface; what nobody saw stays open; after agreed always")  # fmt: skip
+        help="close holes where two views show a surface; others stay open; after agreed always")  # fmt: skip
     add("--keep-floaters", action="store_const", const=True,
         help="use Gaussians too that hang in the air: shown by one view alone, looked through by others")  # fmt: skip
     add("--scene", metavar="SCENE", help="data set whose cameras to look from, where a file is given; of a run,"

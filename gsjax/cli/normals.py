@@ -15,7 +15,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         description="""
             Runs a monocular network on every photo as training sees it (undistorted) and writes a map
             a photo into DIR, for `gsjax train SCENE --normals NETWORK`. What the same weights have made
-            before is kept, so a stopped run goes on. Depth of a network for depth is fitted to the tracks of
+            before is kept, so a stopped run continues. Depth of a network for depth is fitted to the tracks of
             structure from motion, and its normals are taken. No weights come with gsjax: docs/normals.md says
             where each network's are, under which licence, and how a record describes another network.
         """,
@@ -30,7 +30,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--out", metavar="DIR", help="folder of the maps (default: SCENE/normals_NETWORK)")
     add("--downscale", type=finite, metavar="K", help="make the maps K times smaller than the photos (default: to 1600"
         " pixels)")  # fmt: skip
-    add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute (default: looked for)")
+    add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute (default: found by name)")
 
 
 def _run(arguments: argparse.Namespace) -> None:

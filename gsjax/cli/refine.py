@@ -35,10 +35,10 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--per-triangle", type=int, choices=(1, 3, 4, 6), help="Gaussians a triangle (default: 1)")
     add("--bound-only", dest="keep_free", action="store_const", const=False,
         help="drop all Gaussians of RUN: nothing shows then where there is no mesh")  # fmt: skip
-    settling = parser.add_mutually_exclusive_group()
-    settling.add_argument("--settle", dest="settled", action="store_const", const=True,
-        help="after three fifths of the steps the mesh settles on the photos (fast, balanced: default)")  # fmt: skip
-    settling.add_argument("--unsettled", dest="settled", action="store_const", const=False,
+    refinement = parser.add_mutually_exclusive_group()
+    refinement.add_argument("--settle", dest="settled", action="store_const", const=True,
+        help="after three fifths of the steps, fit the vertices to the photos (fast, balanced: default)")  # fmt: skip
+    refinement.add_argument("--unsettled", dest="settled", action="store_const", const=False,
         help="the mesh stays where its Gaussians have moved it (medium, long: default)")  # fmt: skip
     add("--seed", type=int, metavar="N", help="seed of the order of the photos (default: 0)")
     add("--resume", action="store_true", help="continue OUT from its last checkpoint, given the same options")

@@ -13,7 +13,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         _run,
         summary="show a run or a scan on one page",
         description="""
-            Writes RUN/report.html: what was read and decided, curves, held-out photos beside renders, normals,
+            Writes RUN/report.html: what was read and decided, curves, held-out photos next to renders, normals,
             the mesh, scores, seconds and memory, versions. One file that opens anywhere and loads nothing. train,
             refine, scan, eval and mesh write it too; a run that is not finished shows what there is.
         """,

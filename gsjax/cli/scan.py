@@ -17,8 +17,8 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         summary="photos or a video to a textured mesh, all stages in one go",
         description="""
             Runs sfm, train, mesh --method auto, refine and texture, and leaves OUT/scene, OUT/run with its mesh.ply,
-            OUT/refined, OUT/mesh.glb, OUT/overview.png and OUT/report.json. Called again, it goes on where
-            it stopped. A data set that has camera poses already begins with train. Photos are reconstructed as
+            OUT/refined, OUT/mesh.glb, OUT/overview.png and OUT/report.json. Called again, it continues
+            where it stopped. A data set that has camera poses already begins with train. Photos are reconstructed as
             `gsjax sfm` does it, with the same options.
         """,
         example="gsjax scan photos/ --out scans/garden",
@@ -26,7 +26,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     )
     add = parser.add_argument
     add("source", metavar="PHOTOS_OR_VIDEO", help="folder of photos, a video, or a data set")
-    add("--out", metavar="OUT", required=True, help="folder for everything; the same one again to go on")
+    add("--out", metavar="OUT", required=True, help="folder for everything; the same one again to continue")
     add_reconstruction(parser)
     add_training(parser, "how long to train and refine")
 

@@ -20,7 +20,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
             distortion, turns the photos upright and writes SCENE/images and SCENE/sparse/0. Of a video
             the sharpest frame of every stretch is taken. Prints images registered, points, reprojection
             error; names the photos left out and the files passed over, and why. Mattes (alpha) and masks
-            (PHOTOS/masks) are kept. Where GPS in the photos (EXIF) tells it, the scene is in metres,
+            (PHOTOS/masks) are kept. With GPS in the photos (EXIF) the scene is in metres,
             x east, y north, z up, and SCENE/place.json says about which origin. Features are SIFT's unless
             you have the weights of a network (docs/tasks/hard_photos.md).
         """,

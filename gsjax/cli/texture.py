@@ -22,7 +22,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("source", metavar="RUN_OR_FILE", help="folder that `gsjax train` made, or a file of Gaussians")
     parser.add_argument("--mesh", metavar="FILE", required=True, help="the mesh that `gsjax mesh` made of it")
     parser.add_argument(
-        "--out", metavar="FILE", required=True, help=".glb, .usdz for phones, or .obj with .mtl and .png beside it"
+        "--out", metavar="FILE", required=True, help=".glb, .usdz for phones, or .obj with .mtl and .png next to it"
     )
     parser.add_argument(
         "--size", type=int, metavar="PX", help="side of the texture; default: as fine as the photos, 4096 at most"

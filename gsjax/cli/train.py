@@ -62,10 +62,10 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("--depth", metavar="DIR", nargs="?", const="auto", help="folder of measured depth, .png of 16 bits or .npy"
         " named as the photos, within SCENE or anywhere; without a value, the maps that transforms.json lists, or else"
         " SCENE/depth")  # fmt: skip
-    add("--depth-unit", choices=("mm", "cm", "m", "scene"), help="unit of that depth (default: as depth.json beside the"
-        " maps says, or transforms.json)")  # fmt: skip
+    add("--depth-unit", choices=("mm", "cm", "m", "scene"), help="unit of that depth (default: as depth.json next to"
+        " the maps says, or transforms.json)")  # fmt: skip
     add("--sky", metavar="DIR", nargs="?", const="auto", help="make no surface of open sky: folder of masks, 0 where a"
-        " photo shows sky, named as those in masks/, within SCENE or anywhere; without a value, it is looked for in the"
+        " photo shows sky, named as those in masks/, within SCENE or anywhere; without a value, it is found in the"
         " photos")  # fmt: skip
     add("--points", metavar="FILE", help="PLY of points to start from, as of a LiDAR scan, in the coordinates of SCENE"
         " (default: the data set's own)")  # fmt: skip

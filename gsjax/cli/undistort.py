@@ -24,7 +24,7 @@ def add_to(commands: argparse._SubParsersAction) -> None:
     add("scene", metavar="SCENE", help="folder of the data set")
     add("--out", metavar="DIR", required=True, help="folder to make; absent or empty")
     add("--downscale", type=finite, metavar="K", help="make the photos K times smaller (default: 1)")
-    add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute (default: looked for)")
+    add("--images", metavar="FOLDER", help="folder of the photos, within SCENE or absolute (default: found by name)")
 
 
 def _run(arguments: argparse.Namespace) -> None:

@@ -31,7 +31,7 @@ def add_address(parser: argparse.ArgumentParser) -> None:
     """Where a page is served."""
     parser.add_argument("--port", type=int, metavar="N", help="port of the page; 0: a free one (default: 8080)")
     parser.add_argument("--host", metavar="ADDRESS", help="address to listen on, 0.0.0.0 for every one of this machine;"
-        " whoever reaches it sees the page (default: 127.0.0.1, this machine alone)")  # fmt: skip
+        " who reaches it sees the page (default: 127.0.0.1, this machine alone)")  # fmt: skip
 
 
 def _run(arguments: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""The whole road as plain functions: what the command line and notebooks call."""
+"""The commands as functions: what the command line and notebooks call."""
 
 from gsjax.pipeline.blocks import blocks
 from gsjax.pipeline.clean import clean

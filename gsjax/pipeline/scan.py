@@ -1,4 +1,4 @@
-"""The whole road in one go: photos or a video to a textured mesh, each stage where its command would leave it."""
+"""The pipeline in one go: photos or a video to a textured mesh, each stage where its command would leave it."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -35,7 +35,7 @@ from gsjax.settings import Settings
 
 
 class Stage(NamedTuple):
-    """One command of the road."""
+    """One command of the pipeline."""
 
     name: str
     is_done: Callable[[], bool]
@@ -59,7 +59,7 @@ def scan(
             `mesh.glb` (texture), `overview.png`, `report.json`, `report.html`.
         settings: Of the training, as `gsjax.pipeline.train` takes them.
         refinement: Of the mesh, as `gsjax.pipeline.refine` takes it.
-        progress: Told the name of every stage as it begins.
+        progress: Receives the name of every stage as it begins.
         **reconstruction: Options of `gsjax.io.sfm.reconstruct`, for photos or a video.
 
     Returns:

@@ -179,9 +179,9 @@ def _train(
     looked = look_for_effects(settings.effects, loaded)
     loaded, frames = looked.scene, looked.scene.train_frames
     size = training_extent(loaded)
-    tell = partial(note_normals, out)
-    how = settings.depth_mode, settings.normal_gate
-    normal_source = NormalSource(out, planned.normals, settings.normal_axes, frames, *how, keep=fitted.keep, tell=tell)
+    notify = partial(note_normals, out)
+    how = settings.normal_axes, frames, settings.depth_mode, settings.normal_gate
+    normal_source = NormalSource(out, planned.normals, *how, keep=fitted.keep, notify=notify)
     measured, started = measured_depth(loaded, settings), with_given_points(loaded, settings)
     if measured is not None:
         print(f"train: depth {measured.line}", file=sys.stderr)

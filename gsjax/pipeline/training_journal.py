@@ -40,7 +40,7 @@ class TrainingJournal(Journal):
         self.evaluate_every = planned.logging.evaluate_every if scene.held_out_frames else 0
 
     def note(self, progress: Progress) -> None:
-        """What the loop tells after every step."""
+        """Log, score and save after a step."""
         self.bar.set_description(progress.phase.name, refresh=False)
         self.bar.update()
         self._tell_pace(progress)
@@ -57,14 +57,14 @@ class TrainingJournal(Journal):
             self.save(progress.step, self._whole(progress.state), 0 if progress.phase_done else progress.capacity)
 
     def looks(self, step: int) -> bool:
-        """Whether the state after so many steps is looked at."""
+        """Whether the state after so many steps is logged, scored or saved."""
         return any(self._due(step))
 
     def _due(self, step: int) -> tuple[bool, bool, bool]:
         """Whether held-out views are scored after so many steps, figures logged, and a checkpoint saved."""
         every, last = self.plan.logging, step == self.steps
         grows = any(phase.rule and phase.begin < step <= phase.end for phase in self.plan.phases)
-        # Pictures of opacities that have just been reset tell nothing.
+        # Pictures of opacities that have just been reset have no meaning.
         is_reset = grows and adaptive.resets_opacities(self.plan.density, step, self.plan.background)
         scored = self.evaluate_every > 0 and step % self.evaluate_every == 0 and not (last or is_reset)
         logged = scored or last or step % every.metrics_every == 0
@@ -77,7 +77,7 @@ class TrainingJournal(Journal):
         frames = with_moved_cameras(self.scene.held_out_frames, found.moves)
         found = found.with_near_appearances(self.scene.frames)._replace(
             appearances={}
-        )  # the other ways are told at the end
+        )  # the other scores come at the end
         scores = score_images(state.gaussians, frames, planned.background, found=found, depth_mode=planned.depth_mode)
         return {f"held_out_{name}": score for name, score in scores.items() if name.startswith("psnr")}
 

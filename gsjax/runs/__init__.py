@@ -1,4 +1,4 @@
-"""Run folders: what lies in one, how long work writes it and goes on from it, and how later stages read it."""
+"""Run folders: their files, how a stage writes and resumes them, and how later stages read them."""
 
 from gsjax.runs.folder import (
     append_metrics,

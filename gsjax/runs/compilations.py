@@ -12,7 +12,7 @@ MOST_MAPPINGS = 50_000
 """Linux allows a process 65,530 by default. A run's programs take some 6,000."""
 
 _COMPILED = "/jax/core/compile/backend_compile_duration"
-_SHORTEST = 0.1  # seconds: below, nobody waits
+_SHORTEST = 0.1  # seconds
 
 
 class Compilations:
@@ -33,8 +33,8 @@ class Compilations:
         """Listen no more."""
         monitoring.unregister_event_duration_listener(self._note)
 
-    def taken(self) -> list[dict[str, Any]]:
-        """`program` and `seconds` of each compilation since the last call, the ones that nobody noticed left out."""
+    def drain(self) -> list[dict[str, Any]]:
+        """`program` and `seconds` of each compilation since the last call, without those under a tenth of a second."""
         seen, self._seen = self._seen, []
         return seen
 

@@ -1,6 +1,6 @@
-"""A run folder: what was asked, on what machine, how it went, and the states to go on from.
+"""A run folder: settings, machine, metrics, checkpoints and results of a training or a refinement.
 
-    config.json        the settings that were asked for
+    config.json        the settings
     plan.json          what runs: phases with steps, terms and weights, and what the run found out for itself
     manifest.json      scene, command, versions, machine, seed, dates, status, the list of files, the `split` of the
                        photos by name (`gsjax.runs.splits`), and the `similarity` to the coordinates of the checkpoints
@@ -9,7 +9,7 @@
                        counted from (`gsjax.scene.georeference`)
     metrics.jsonl      one line per logged step
     pictures/          a few held-out views, as the report shows them
-    report.html        all of this to look at (`gsjax.report.page`)
+    report.html        the report (`gsjax.report.page`)
     checkpoints/       step_0001234.npz, the last two
     gaussians.ply      the result, for viewers
     cameras.json       the views it was trained on and scored on
@@ -72,7 +72,7 @@ def require_free(run: str | Path) -> None:
 
 
 def can_resume(run: str | Path) -> bool:
-    """Whether there is a run to go on with. A line says where one was stopped before it had begun: it begins anew.
+    """Whether there is a run to resume. A line reports a run that was stopped before its manifest: it starts again.
 
     Raises:
         InputError: There is no such folder, something else is in it, or another process is at work in it.
@@ -129,7 +129,7 @@ def create(
         "status": "started",
     }
     files = {"config.json": settings, "plan.json": plan, "manifest.json": manifest}  # The last makes it a run.
-    if run.is_dir():  # It may be a mounted one, which has no beside.
+    if run.is_dir():  # It may be a mount point, which cannot be replaced.
         with lock_folder(run):
             require_free(run)
             _write_beginning(run, files, place)
@@ -165,7 +165,7 @@ def reopen(
 
     Args:
         run: The folder.
-        settings: Those asked for now, as `create` takes them.
+        settings: Of the resumed run, as `create` takes them.
         scene: The data set.
         completed: What `config.json` holds -> the same with what its version did not know yet, where that defaults to
             what was done then.
@@ -193,10 +193,10 @@ def require_scene(run: str | Path, scene: str | Path) -> None:
 
 @contextmanager
 def claim_run(run: Path) -> Iterator[None]:
-    """While a run goes on: its folder is this process's alone, and free of what killed ones have left.
+    """Hold the lock of a run folder, without temporary files of killed processes.
 
-    Its files go away if bad input ends it before anything came of it: who tries again with other settings would be told
-    otherwise that the folder is taken. Files of others stay.
+    Bad input that ends a run before its first metrics and checkpoint deletes its files, so that the folder is free for
+    other settings. Files that are not of a run stay.
 
     Raises:
         InputError: Another process is at work in it, or its only checkpoint is damaged.
@@ -221,7 +221,7 @@ def _drop_damaged_checkpoints(run: Path) -> None:
         except InputError as error:
             if len(found) == 1:
                 raise InputError(f"{error}; without this file, --resume begins at the first step") from error
-            print(f"{error}; going on from {found[-2][1].name}", file=sys.stderr)
+            print(f"{error}; resuming from {found[-2][1].name}", file=sys.stderr)
             found[-1][1].unlink()
 
 

@@ -1,4 +1,4 @@
-"""What long work leaves behind while it goes, and where it goes on from: a bar with an ETA, metrics, checkpoints."""
+"""The log of a training or a refinement: a bar with an ETA, metrics, checkpoints; and the state that a run resumes."""
 
 import shutil
 import time
@@ -47,7 +47,7 @@ class Journal:
         return self._seconds_before + time.perf_counter() - self._started
 
     def log(self, step: int, metrics: Metrics, shown: str = "", **more: Any) -> None:
-        """One line of metrics.jsonl, compilations since the last included; loss, PSNR and `shown` beside the bar."""
+        """One line of metrics.jsonl, compilations since the last included; loss, PSNR and `shown` after the bar."""
         record = {
             "step": step,
             "loss": float(metrics.loss),
@@ -56,18 +56,18 @@ class Journal:
             "seconds": round(self.seconds, 2),
             "terms": {name: float(value) for name, value in metrics.terms.items()},
         } | more
-        if compiled := self._compilations.taken():
+        if compiled := self._compilations.drain():
             record["compiled"] = compiled
         runs.append_metrics(self.run, record)
         self.bar.set_postfix_str(f"loss {record['loss']:.4f}, PSNR {record['psnr']:.1f} dB{shown}", refresh=False)
 
     def save(self, step: int, state: Any, capacity: int) -> None:
-        """A checkpoint; capacity 0 leaves the size of the pair buffer to whoever goes on."""
+        """A checkpoint; with capacity 0 a resumed run counts the pair buffer anew."""
         runs.save_checkpoint(self.run, step, _checkpoint(state, capacity, self.seconds))
 
 
 class StartingPoint(NamedTuple):
-    """Where a run begins, or goes on."""
+    """The state that a run starts or resumes with."""
 
     state: Any  # a pytree with a field `step`
     capacity: int | None  # of the pair buffer; None: to be counted
@@ -106,7 +106,7 @@ def _rows(path: Path, arrays: dict[str, np.ndarray]) -> int:
     rows = arrays.get("['rows']", np.zeros(1))
     stored = sum(len(array) for array in arrays.values() if array.shape)
     if rows.shape or rows.dtype.kind not in "iu" or not 0 <= rows <= stored:
-        raise InputError(f"{path}: damaged checkpoint, it does not tell its number of rows")
+        raise InputError(f"{path}: damaged checkpoint, its number of rows is missing")
     return int(rows)
 
 

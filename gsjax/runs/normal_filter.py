@@ -1,4 +1,4 @@
-"""The gate between normal maps and training: what photos that see the same place do not agree about does not count.
+"""The consistency filter of normal maps: a normal loses weight where photos of the same place disagree.
 
 In a run the depth is what the Gaussians show when the surface phase begins; before any run it is that of the tracks.
 """
@@ -35,11 +35,11 @@ def filter_normals(
     depth_mode: DepthReading,
     *,
     keep: Keep = in_memory,
-    tell: Callable[[str], None],
+    notify: Callable[[str], None],
 ) -> list[np.ndarray]:
-    """The maps of a run with lengths that say how far each normal is trusted, from 0 to 127.
+    """Scale the maps of a run by the confidence of each normal: lengths from 0 to 127.
 
-    Confidences are judged once and kept in `folder`, so that a resumed run goes on with the same numbers.
+    Confidences are judged once and kept in `folder`, so that a resumed run has the same numbers.
 
     Args:
         folder: Exists; gets `confidence.npz` and `gate.json`.
@@ -48,7 +48,7 @@ def filter_normals(
         maps: `[H, W, 3]` int8 a photo, 127 times the unit normal.
         depth_mode: What the Gaussians' depth is, see `gsjax.rendering`.
         keep: Where the maps that are returned are to lie.
-        tell: Told the verdict in one line.
+        notify: Receives the verdict as one line.
 
     Raises:
         InputError: The files are damaged, or cannot be written.
@@ -65,7 +65,7 @@ def filter_normals(
         with atomic_path(file) as temporary:
             confidences = {str(index): np.rint(255 * one.confidence) for index, one in enumerate(judged)}
             np.savez_compressed(temporary, **{name: each.astype(np.uint8) for name, each in confidences.items()})
-        tell(told(verdict))
+        notify(verdict_line(verdict))
     confidences = read_arrays(file)
     pairs = ((normals, confidences[str(index)]) for index, normals in enumerate(maps))
     return [
@@ -74,7 +74,7 @@ def filter_normals(
 
 
 def stored_disagreements(folder: Path, frames: Sequence[Frame]) -> list[float | None]:
-    """How many degrees each photo's normals are from its neighbours', as `gate` left it in a folder.
+    """Read how many degrees each photo's normals are from its neighbours', as `filter_normals` stored it.
 
     None where it could not judge, or is of an earlier version.
 
@@ -87,7 +87,7 @@ def stored_disagreements(folder: Path, frames: Sequence[Frame]) -> list[float | 
 
 
 def score_folder(folder: str | Path, scene: Scene) -> dict[str, Any]:
-    """The `record` of a folder of maps, whose depth is that of planes through the tracks' points.
+    """Judge a folder of maps by the depth of planes through the tracks' points; returns the `record`.
 
     Raises:
         InputError: A map is missing or damaged, or the tracks cannot be read.
@@ -115,8 +115,8 @@ def record(judged: Sequence[Judged], verdict: Verdict, frames: Sequence[Frame]) 
     }
 
 
-def told(verdict: Verdict) -> str:
-    """The verdict as one line."""
+def verdict_line(verdict: Verdict) -> str:
+    """Return the verdict as one line."""
     decision = f"{100 * verdict.share:.0f} % of the normals count" if verdict.kept else "no normal counts"
     if verdict.evidence is None:
         return f"{decision}: {verdict.note}"
@@ -127,7 +127,7 @@ def told(verdict: Verdict) -> str:
 
 
 def with_names(verdict: Verdict, frames: Sequence[Frame]) -> Verdict:
-    """The same with the names of the first photos that are rejected in its note."""
+    """Add the names of the first rejected photos to the note of a verdict."""
     if not verdict.rejected:
         return verdict
     names = ", ".join(frames[index].name for index in verdict.rejected[:NAMED])

@@ -1,4 +1,4 @@
-"""Where the normals of a run come from: a folder of maps, or the run's own smoothed depth."""
+"""The normals that supervise a run: a folder of maps, or self-supervised ones from the smoothed rendered depth."""
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -35,9 +35,8 @@ T = TypeVar("T")
 class NormalSource:
     """The normals of a run, one map a view, kept in RUN/normals as 8-bit pictures once it is known.
 
-    A run that was stopped reads what is there and makes what is missing, so that it goes on with the same numbers.
-    Maps given by the user are looked for when the run starts, not hours later. One view at a time is in memory, but
-    for the maps themselves: 3 bytes a pixel.
+    A resumed run reads the stored maps and makes the missing ones, so its numbers are the same. Maps of the user are
+    checked when the run starts. Besides the maps, at 3 bytes a pixel, one view at a time is in memory.
     """
 
     def __init__(
@@ -50,7 +49,7 @@ class NormalSource:
         gated: bool = False,
         *,
         keep: Keep = in_memory,
-        tell: Callable[[str], None] = lambda line: tqdm.write(f"normals: {line}", file=sys.stderr),
+        notify: Callable[[str], None] = lambda line: tqdm.write(f"normals: {line}", file=sys.stderr),
     ):
         """Check what was given.
 
@@ -59,11 +58,11 @@ class NormalSource:
             folder: Of foreign normal maps; None: the Gaussians' own.
             axes: Those of the foreign maps, see `axis_signs`; None: those that they were written with where `gsjax
                 normals` made them, else found by comparing with the Gaussians.
-            frames: Whose normals will be asked for.
+            frames: Whose normals supervise the run.
             depth_mode: What the Gaussians' depth is, see `gsjax.rendering`.
-            gated: Whether normals count only as far as photos agree, see `gsjax.runs.normal_filter`.
+            gated: Whether the consistency filter weights the normals, see `gsjax.runs.normal_filter`.
             keep: Where the maps are to lie.
-            tell: Told in one line which axes foreign maps have, and how that was found; and what the gate found.
+            notify: Receives lines: the axes of foreign maps and the evidence for them; the verdict of the filter.
 
         Raises:
             InputError: A map is missing, or the axes are none.
@@ -74,7 +73,7 @@ class NormalSource:
             raise InputError(f"--normal-axes {axes}: there are no maps whose axes these are, --normals DIR names them")
         self.depth_mode: DepthReading = depth_mode
         self.gated = gated
-        self.keep, self.tell = keep, tell
+        self.keep, self.notify = keep, notify
         self.network = None if folder is None else network_of(folder)
         self.given = None if folder is None else normal_maps(folder, frames)
 
@@ -99,17 +98,17 @@ class NormalSource:
         if not self.gated:
             return read
 
-        def tell(line: str) -> None:
+        def notify(line: str) -> None:
             share = float(np.mean(self.shares_compared(frames)))
-            self.tell(line if share == 1 else f"{line}; {share:.0%} of the comparisons of neighbours are made")
+            self.notify(line if share == 1 else f"{line}; {share:.0%} of the comparisons of neighbours are made")
 
-        return filter_normals(self.folder, gaussians, frames, read, self.depth_mode, keep=self.keep, tell=tell)
+        return filter_normals(self.folder, gaussians, frames, read, self.depth_mode, keep=self.keep, notify=notify)
 
     def shares_compared(self, frames: Sequence[Frame]) -> np.ndarray:
         """`[V]` in what share of its steps each photo is compared with a neighbour, once there are maps.
 
-        Normals of the run's own depth tell how far photos agree about its surface. Those of a network tell of the
-        network, and where nobody judges nobody knows: in all steps.
+        Disagreement of self-supervised normals is disagreement about the surface. For maps of a network, and without
+        the filter, all steps compare.
 
         Raises:
             InputError: The verdict is missing or damaged.
@@ -125,9 +124,9 @@ class NormalSource:
             yield apply_axes(self.given[frame.name](), signs)
 
     def _detected(self, gaussians: Gaussians, frames: Sequence[Frame]) -> np.ndarray:
-        """Signs of the axes: those of the convention where the views cannot tell, or a network's record set them.
+        """Signs of the axes: the convention's where the views do not decide, or a network's record sets them.
 
-        One line says which, and what the comparison says of them.
+        One line reports them and the comparison.
         """
         assert self.given is not None
         maps = (self.given[frame.name]() for frame in frames)
@@ -146,7 +145,7 @@ class NormalSource:
             own, fault = self.network is None, "fits better" if clear else "is doubtful"
             taken = f"taken as {written_axes(ours)}" if own else f"kept as in {self.network}'s record"
             line, signs = f"axes {taken}: {guess} {fault} ({measured}); --normal-axes sets them", ours
-        self.tell(line)
+        self.notify(line)
         return signs
 
     def _own(self, gaussians: Gaussians, frames: Sequence[Frame], missing: Sequence[Frame]) -> Iterator[np.ndarray]:
@@ -160,14 +159,14 @@ class NormalSource:
 
 
 def note_normals(run: str | Path, line: str) -> None:
-    """What became of the normal maps, on the screen and, after what was told before, in the run's manifest."""
+    """Print a line about the normal maps, and append it to the run's manifest."""
     tqdm.write(f"normals: {line}", file=sys.stderr)
     before = json_files.read(Path(run) / "manifest.json", {}).get("normals")
     update_manifest(run, normals=f"{before}; {line}" if before else line)
 
 
 def reduction_for(gaussians: Gaussians, cameras: Sequence[Camera], depth_mode: DepthReading) -> int:
-    """The `reduction` of `smoothed_depth_normals` that Gaussians ask for, by how noisy some of the views are."""
+    """The `reduction` of `smoothed_depth_normals` for Gaussians, by the noise of some views."""
     return chosen_reduction(_views(gaussians, _spread(cameras, VIEWS_FOR_NOISE), depth_mode))
 
 

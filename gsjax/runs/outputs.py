@@ -21,9 +21,8 @@ def require_apart(out: str | Path, *inputs: str | Path | None) -> None:
 
     Args:
         out: The file or folder that is to be written.
-        inputs: Files; run folders, whose own files and data sets are parts of them, but no mesh that was made of them;
-            and data sets, of which every file is a part that is there already and that a reader may look at. None: not
-            given.
+        inputs: Files; run folders, which include the run's files and its data set, but no mesh that was made of it; and
+            data sets, which include every file that a reader may read. None: not given.
 
     Raises:
         InputError: It is; the message names both.

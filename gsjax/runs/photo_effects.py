@@ -1,4 +1,4 @@
-"""What a run found of how its photos were taken, as files in its folder."""
+"""Estimates of exposure, fall-off, camera moves and background, as files of the run folder."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -27,7 +27,7 @@ _BEHIND = "behind all Gaussians: max(0, SH(direction of the ray in the world) + 
 
 
 class PhotoEffects(NamedTuple):
-    """What a run found of how its photos were taken: of each by name. Empty: what it did not look for."""
+    """Estimates of the simulated effects, of each photo by name. What a run does not simulate is empty."""
 
     appearances: Mapping[str, Appearance] = MappingProxyType({})
     moves: Mapping[str, Move] = MappingProxyType({})  # of its camera from where the data set has it
@@ -39,7 +39,7 @@ class PhotoEffects(NamedTuple):
     )  # held-out photos, exposed as those taken near them
 
     def with_near_appearances(self, frames: Sequence[Frame]) -> "PhotoEffects":
-        """The same and, where there are appearances, what the other photos tell of those held out."""
+        """Add appearances of the held-out photos, from the photos taken near them, where there are appearances."""
         return self._replace(near_appearances=as_near_photos(frames, self.appearances)) if self.appearances else self
 
 
@@ -49,7 +49,7 @@ def with_moved_cameras(frames: tuple[Frame, ...], moves: Mapping[str, Move]) -> 
 
 
 def write_photo_effects(run: Path, found: PhotoEffects) -> None:
-    """`effects.json`, `poses.json` and `background.json`, where there is anything to say.
+    """`effects.json`, `poses.json` and `background.json`, those of estimates that there are.
 
     Raises:
         InputError: A file cannot be written.
@@ -65,7 +65,7 @@ def write_photo_effects(run: Path, found: PhotoEffects) -> None:
 
 
 def read_photo_effects(run: Path) -> PhotoEffects:
-    """What a run found; nothing where it simulated nothing.
+    """Read the estimates of a run; empty where it simulated nothing.
 
     Raises:
         InputError: A file is damaged.

@@ -1,4 +1,4 @@
-"""Several machines as one: processes that join, and what the first of them tells the others."""
+"""Several processes that train one run: how they join, and what the first sends to the others."""
 
 import atexit
 import os
@@ -36,7 +36,7 @@ def join_processes(coordinator: str, processes: int | None = None, process: int 
         process: Which one this is, from 0; None: as the environment says.
 
     Raises:
-        InputError: They do not come together, or one was lost. The caller is to end: there is no going on.
+        InputError: They do not come together, or one was lost. The caller must end the process.
     """
     if coordinator != "auto":
         _check_address(coordinator)
@@ -58,7 +58,7 @@ def join_processes(coordinator: str, processes: int | None = None, process: int 
         if not LOST.search(str(error)):
             raise
         atexit.register(os._exit, 2)
-        raise InputError("another process of this run was lost; --resume goes on from the last checkpoint") from error
+        raise InputError("another process of this run was lost; --resume continues from the last checkpoint") from error
 
 
 def _check_address(coordinator: str) -> None:

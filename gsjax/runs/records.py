@@ -20,7 +20,7 @@ SETTINGS = {
     "pixel_filter?": {"classic", "mip"},
     "effects?": str,
 }
-"""Of `config.json`: what later stages read; folders of earlier versions know less."""
+"""Of `config.json`: what later stages read; folders of earlier versions lack some."""
 _FIGURES = ("registered", "points", "psnr", "ssim", "gaussians", "vertices", "faces", "floaters",
             "seen_share", "peak_gib")  # fmt: skip
 _STAGES = {str: {f"{name}?": NUMBER for name in ("seconds", *_FIGURES)}}
@@ -44,9 +44,6 @@ WHOLE_MANIFEST = {**MANIFEST, "scene": str, "command": str, "created": str, "sta
 _PHASE = {"name": str, "steps": int}
 PLAN = {"phases": [{**_PHASE, "terms": {str: float}, "needs": [str], "dropout?": float}], "steps": int,
         "downscale": float, "normals?": (None, str), "max_gaussians?": int}  # fmt: skip
-_COUNTED = {"steps": int, "weights": {str: float}}
-WITHOUT_PLAN = {"phases?": [{**_PHASE, **_COUNTED}], "refinement?": _COUNTED}
-"""Of `config.json` where there is no `plan.json`."""
 SCENE = {"scene": str}
 """Of `manifest.json`: where the data set is."""
 STATUS = {"status": str}

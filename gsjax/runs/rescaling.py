@@ -23,7 +23,7 @@ MESHES = "mesh.ply", "mesh.glb"
 def rescale_run(folder: Path, factor: float, place: Place) -> None:
     """Writes the files of a run with all lengths `factor` times as long, and what that makes of their world.
 
-    Checkpoints are in the run's own coordinates, which stay: a resumed run goes on with the same numbers. The files
+    Checkpoints are in the run's own coordinates, which stay: a resumed run has the same numbers. The files
     change together (`gsjax.io.exchange`).
 
     Args:

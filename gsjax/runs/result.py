@@ -123,7 +123,7 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
         )
     if scene is None:
         if not gaussians.num_gaussians:
-            raise InputError(f"{source}: holds no Gaussians, there is nothing to look at")
+            raise InputError(f"{source}: holds no Gaussians, there is nothing to show")
         similarity = similarities.of_points(np.asarray(gaussians.means))
         gaussians = similarity.gaussians_to_local(gaussians)
         cameras = viewpoints.cameras_around(gaussians)
@@ -156,13 +156,13 @@ def open_result(source: str | Path, *, scene: str | Path | None = None) -> Resul
 def training_pictures(
     result: Result, gaussians: Gaussians, background: np.ndarray, *, with_owners: bool = False
 ) -> tuple[list[Camera], Iterator[Picture]]:
-    """The cameras that a surface is looked at from, and what `gaussians` show there: nothing where photos are masked.
+    """Training cameras, and what `gaussians` show there: nothing where photos are masked.
 
     Args:
         result: Whose training views.
         gaussians: Its own, or what was made of them.
         background: Under the pictures, see `gsjax.rendering.backdrop`.
-        with_owners: Whether the pictures tell who was hit, which the level set asks for.
+        with_owners: Whether the pictures hold the Gaussian that each pixel hits, which the level set requires.
 
     Raises:
         InputError: There is no training view; or, as the pictures are drawn, a mask cannot be used.

@@ -1,4 +1,4 @@
-"""A run folder, read: each file when it is asked for, and once."""
+"""A run folder, read: each file on first access, and once."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,17 +9,13 @@ from gsjax import runs
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.exchange import refine_on_photos
-from gsjax.io.json_shapes import check
 from gsjax.io.place_files import read_place
 from gsjax.runs.photo_effects import PhotoEffects, read_photo_effects
-from gsjax.runs.records import MANIFEST, PLAN, WITHOUT_PLAN, read_views
+from gsjax.runs.records import MANIFEST, PLAN, read_views
 from gsjax.runs.splits import Split, parse_split
 from gsjax.scene.georeference import Place
 from gsjax.scene.similarity import Similarity
-from gsjax.settings import PLAIN
-from gsjax.training.plan import phase_record, plan_record
-
-READ_NORMALS = "sdf_normal", "pixel_normal", "axis_normal"  # the terms of runs that wrote no plan
+from gsjax.training.plan import plan_record
 
 
 @dataclass(frozen=True)
@@ -50,27 +46,16 @@ class Run:
 
     @cached_property
     def settings(self) -> dict[str, Any]:
-        """What was asked for."""
+        """The settings."""
         return runs.read_settings(self.folder)
 
     @cached_property
     def plan(self) -> dict[str, Any]:
-        """What runs, see `gsjax.training.plan.plan_record`; of a run that wrote none, what its settings tell of it."""
+        """The phases that run, see `gsjax.training.plan.plan_record`; none of a run that wrote no plan."""
         file = self.folder / "plan.json"
         if file.exists():
             return json_files.read(file, PLAN)
-        check(self.folder / "config.json", self.settings, WITHOUT_PLAN)
-        phases = [self._phase(phase) for phase in self.settings.get("phases", [])]
-        if self.is_refinement:
-            phases = [self._phase({"name": "refine", **self.settings["refinement"]})]
-        return plan_record(phases, self.settings.get("downscale") or 1.0, self.settings.get("normals"))
-
-    def _phase(self, phase: dict[str, Any]) -> dict[str, Any]:
-        terms = {name: weight for name, weight in phase["weights"].items() if weight}
-        if self.settings.get("vanilla") and not self.is_refinement:
-            terms = {name: weight for name, weight in terms.items() if name in PLAIN}
-        needs = ["normals"] if any(name in terms for name in READ_NORMALS) else []
-        return phase_record(phase["name"], phase["steps"], terms, needs)
+        return plan_record([], self.settings.get("downscale") or 1.0, self.settings.get("normals"))
 
     @cached_property
     def views(self) -> list[dict[str, Any]]:
@@ -111,8 +96,8 @@ class Run:
 
     @property
     def downscale(self) -> float:
-        """How many times smaller it looked at its photos; InputError where that is no size."""
+        """Factor by which the photos were downscaled; InputError where it is not positive."""
         factor = float(self.plan["downscale"])
         if not factor > 0:
-            raise InputError(f"{self.folder}: its plan looks at photos {factor:g} times smaller, which is no size")
+            raise InputError(f"{self.folder}: its plan has downscale {factor:g}, which is not positive")
         return factor

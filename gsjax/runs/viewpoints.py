@@ -81,7 +81,7 @@ def _intrinsics(focal: float, size: int) -> Any:
 def _count_seen(gaussians: Gaussians, means: np.ndarray, radii: np.ndarray, cameras: tuple[Camera, ...]) -> int:
     """How many means lie on the rendered depth of some view."""
     near = np.full(len(means), 0.02 * np.median(radii))
-    # Means are looked for, so the depth is theirs.
+    # Means are compared, so the depth is theirs.
     pictures = gallery.pictures(gaussians, cameras, np.zeros(3, np.float32), "center")
     visible = np.zeros(len(means), bool)
     for camera, picture in zip(cameras, pictures, strict=True):
@@ -110,7 +110,7 @@ def camera_circle_of_mesh(mesh: Mesh, up: np.ndarray) -> list[Camera]:
     The circle ignores the farthest hundredth of the vertices on every side, so stray vertices do not shrink the rest.
 
     Args:
-        mesh: What the cameras look at.
+        mesh: In the middle of every view.
         up: `[3]` the world's direction that is up in the pictures, any length.
     """
     low, high = np.quantile(mesh.vertices[np.unique(mesh.faces)].astype(np.float64), [0.01, 0.99], axis=0)
@@ -125,7 +125,7 @@ def camera_circle_of_mesh(mesh: Mesh, up: np.ndarray) -> list[Camera]:
 
 
 def _circle(middle: np.ndarray, up: np.ndarray, first: np.ndarray, radius: float, height: float) -> Iterator[Any]:
-    """`[4, 4]` world to camera, of cameras that look at the middle; the first stands in the unit direction `first`."""
+    """`[4, 4]` world to camera, of cameras that face the middle; the first is in the unit direction `first`."""
     second = np.cross(up, first)
     for angle in 2 * np.pi * np.arange(TURNTABLE_VIEWS) / TURNTABLE_VIEWS:
         outward = np.cos(angle) * first + np.sin(angle) * second

@@ -73,7 +73,7 @@ def test_published_figures_are_those_that_the_paper_prints(scripts, shared):
 
 def test_the_methods_that_the_paper_compares_with(scripts):
     paper_run, terms = scripts("paper_run"), scripts("terms").make_terms(lambda: 1.0)
-    plain, sugar = (paper_run.asked("room", name, 0, [], []) for name in ("3dgs_30k", "sugar"))
+    plain, sugar = (paper_run.run_settings("room", name, 0, [], []) for name in ("3dgs_30k", "sugar"))
     assert plain["refinement"] is None and sugar["refinement"]["steps"] == 15_000
     phases = [plan(config.parse(Settings, each["settings"]), terms).phases[-1] for each in (plain, sugar)]
     weights = [{each.name: each.weight for each in phase.terms} for phase in phases]
@@ -150,7 +150,7 @@ def study(scripts, tmp_path):
         def start(self, job, options):
             self.started.append((job.scene, job.schedule, job.seed))
             code = self.codes.get(job.scene, 0)
-            wishes = paper_run.asked(job.scene, job.schedule, job.seed, options.assignments, options.refinement)
+            wishes = paper_run.run_settings(job.scene, job.schedule, job.seed, options.assignments, options.refinement)
             result = {"asked": wishes, "lpips": list(options.lpips), "train": {"normals": None}}
             done = ("train", "coarse") if code else paper_run._stage_names(wishes)
             scores = {"psnr": 30.0 + job.seed, "ssim": 0.9, "lpips_vgg_3dgs": None, "gaussians": 7}

@@ -61,7 +61,7 @@ def unit_facing(normals, towards):
 def expected_terms(gaussians, nearest):
     """Both terms written out in float64, of Gaussians at a depth of `DISTANCE` that are all close to it."""
     who, how = jax.random.split(KEY)
-    owners = np.asarray(sugar.chosen(who, ALL, COUNT))
+    owners = np.asarray(sugar.choose_rows(who, ALL, COUNT))
     noise = np.asarray(jax.random.normal(how, (COUNT, 3)), np.float64)
     means, log_scales, logits = (
         np.asarray(getattr(gaussians, name), np.float64) for name in ("means", "log_scales", "logit_opacities")
@@ -185,11 +185,11 @@ def test_gradients_equal_finite_differences(term, x64):
 
 def test_rows_are_drawn_alike_among_those_that_may_be():
     among = np.arange(50) % 7 == 3
-    found = np.bincount(sugar.chosen(KEY, jnp.asarray(among), 70_000), minlength=50)
+    found = np.bincount(sugar.choose_rows(KEY, jnp.asarray(among), 70_000), minlength=50)
     assert not found[~among].any()
     share = among.sum() / 70_000
     np.testing.assert_allclose(found[among] * share, 1, atol=5 * np.sqrt(share))
-    assert set(np.asarray(sugar.chosen(KEY, jnp.zeros(5, bool), 9))) <= set(range(5))
+    assert set(np.asarray(sugar.choose_rows(KEY, jnp.zeros(5, bool), 9))) <= set(range(5))
 
 
 def test_the_distance_is_drawn_from_what_lies_at_the_depth():

@@ -2,6 +2,7 @@
 
 import io
 from base64 import b64decode
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -75,8 +76,9 @@ def picture(uri):
 
 def made_run(folder, *, seed=0, losses=(0.5, 0.25, 0.125), psnr=25.0, done=True, views=9, **settings):
     """A run folder as training leaves it, without its Gaussians and checkpoints."""
-    whole = config.to_dict(config.parse(Settings, config.merge(PRESETS["fast"], {"seed": seed, **settings})))
-    runs.create(folder, {**whole, "downscale": 2.0}, scene=folder.parent / "scene <i>", seed=seed)
+    whole = config.parse(Settings, config.merge(PRESETS["fast"], {"seed": seed, "downscale": 2.0, **settings}))
+    planned = replace(plan(whole), downscale=2.0).record()
+    runs.create(folder, config.to_dict(whole), scene=folder.parent / "scene <i>", seed=seed, plan=planned)
     for index, loss in enumerate(losses):
         held_out = {"held_out_psnr": 20.0 + index} if index else {}
         phase = "coarse" if index < 2 else "vanilla"
@@ -118,7 +120,7 @@ def test_the_page_says_what_the_files_say(run):
     assert page.cells["Normals"][0] == "of the Gaussians' own depth, smoothed"
     assert page.cells["exposure"] == ["simulated", "0.31 EV", "0.02 EV", "0.05 EV", "a<b"]
     assert page.cells["blur"] == ["no", "-", "-", "0.05 EV", "a<b"]
-    terms = "l1 0.8, dssim 0.2, alpha 0.1, pixel_normal 0.1, multi_view 0.06, photometric 0.3"
+    terms = "l1 0.8, dssim 0.2, pixel_normal 0.1, multi_view 0.06, photometric 0.3, alpha 0.1"
     assert page.cells["surface"] == ["1,000", terms]
     assert page.cells["phases.2.weights.pixel_normal"] == ["0.1"]
     manifest = json_files.read(run / "manifest.json")

@@ -22,11 +22,11 @@ def test_programs_are_named_once_each_and_only_while_one_listens(monkeypatch):
 
         for _ in range(2):
             halved(values)
-        (told,) = [one for one in seen.taken() if one["program"] == "halved"]
+        (told,) = [one for one in seen.drain() if one["program"] == "halved"]
         assert told["seconds"] >= 0
-        assert seen.taken() == []
+        assert seen.drain() == []
     jax.jit(lambda x: x - 3)(values)
-    assert seen.taken() == []
+    assert seen.drain() == []
 
 
 def test_what_nobody_waits_for_is_not_told():
@@ -34,7 +34,7 @@ def test_what_nobody_waits_for_is_not_told():
         for seconds in (0.05, 4.25):
             monitoring.record_event_duration_secs(compilations._COMPILED, seconds, fun_name="jit(train_step)")
         monitoring.record_event_duration_secs("/jax/else", 9.0)
-        assert seen.taken() == [{"program": "train_step", "seconds": 4.25}]
+        assert seen.drain() == [{"program": "train_step", "seconds": 4.25}]
 
 
 @pytest.mark.parametrize(

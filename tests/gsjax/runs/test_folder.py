@@ -180,7 +180,7 @@ def test_a_damaged_newest_checkpoint_gives_way_to_the_one_before(run, capsys):
         assert runs.latest_checkpoint(run)[0] == 5
     line = capsys.readouterr().err
     assert line.count("\n") == 1 and "step_0000010.npz: truncated or damaged" in line
-    assert line.endswith("going on from step_0000005.npz\n")
+    assert line.endswith("resuming from step_0000005.npz\n")
     only = run / "checkpoints/step_0000005.npz"
     only.write_bytes(b"")
     told = "step_0000005.npz: .*without this file, --resume begins at"

@@ -172,11 +172,11 @@ def test_the_gate_makes_short_what_photos_do_not_agree_about_and_judges_once(til
     wrong = [m.copy() for m in maps]
     wrong[0][8:20, 8:20] = np.int8([0, -127, 0])
     lines = []
-    gated = filter_normals(tmp_path / "normals", tilted, FRAMES, wrong, "plane", tell=lines.append)
+    gated = filter_normals(tmp_path / "normals", tilted, FRAMES, wrong, "plane", notify=lines.append)
     lengths = [np.linalg.norm(m.astype(np.float32), axis=-1) / 127 for m in gated]
     assert lengths[0][9:19, 9:19].max() < 0.1 and lengths[0][22:28, 22:36].min() > 0.9
     assert all(length[np.any(m, -1)].mean() > 0.95 for length, m in zip(lengths[1:], maps[1:], strict=True))
-    again = filter_normals(tmp_path / "normals", None, FRAMES, wrong, "plane", tell=lines.append)
+    again = filter_normals(tmp_path / "normals", None, FRAMES, wrong, "plane", notify=lines.append)
     np.testing.assert_array_equal(again, gated)
     (line,) = lines
     assert line.endswith("cannot be judged: 0 photos show enough of others from another direction")
@@ -196,7 +196,7 @@ def test_the_verdict_on_own_normals_says_how_often_photos_are_compared(
 ):
     lines = []
     monkeypatch.setattr(normal_source, "filter_normals", partial(leave_verdict, apart))
-    own = NormalSource(tmp_path, None, None, FRAMES, gated=True, tell=lines.append)
+    own = NormalSource(tmp_path, None, None, FRAMES, gated=True, notify=lines.append)
     own(tilted, FRAMES)
     assert_close(own.shares_compared(FRAMES), np.array(shares))
     assert lines == [f"they agree{told}"]
@@ -208,7 +208,7 @@ def test_with_maps_of_a_network_and_with_maps_that_nobody_judges_photos_are_comp
     lines = []
     monkeypatch.setattr(normal_source, "filter_normals", partial(leave_verdict, [60.0] * 3))
     of_network = NormalSource(
-        tmp_path / "run", foreign(NORMAL, (1, 1, 1)), "+x+y+z", FRAMES, gated=True, tell=lines.append
+        tmp_path / "run", foreign(NORMAL, (1, 1, 1)), "+x+y+z", FRAMES, gated=True, notify=lines.append
     )
     of_network(tilted, FRAMES)
     assert_close(of_network.shares_compared(FRAMES), np.ones(3))
@@ -232,11 +232,11 @@ def test_a_verdict_that_is_damaged_or_gone_is_named(tmp_path, photos, fault):
         NormalSource(tmp_path, None, None, FRAMES, gated=True).shares_compared(FRAMES)
 
 
-def leave_verdict(apart, folder, gaussians, frames, maps, depth_mode, *, keep, tell):
+def leave_verdict(apart, folder, gaussians, frames, maps, depth_mode, *, keep, notify):
     """In place of the gate: writes its verdict, and tells it."""
     photos = {frame.name: {"apart": degrees} for frame, degrees in zip(frames, apart, strict=True)}
     (folder / "gate.json").write_text(json.dumps({"photos": photos}))
-    tell("they agree")
+    notify("they agree")
     return maps
 
 

@@ -90,7 +90,7 @@ def test_a_lost_process_ends_the_run_with_one_line_and_the_last_checkpoint_whole
     both[1].kill()
     assert both[0].wait(PATIENCE) == 2
     said = (tmp_path / "0.log").read_text().splitlines()
-    assert said[-1] == "gsjax: error: another process of this run was lost; --resume goes on from the last checkpoint"
+    assert said[-1] == "gsjax: error: another process of this run was lost; --resume continues from the last checkpoint"
     assert "Traceback" not in "".join(said)
     step, path = runs.latest_checkpoint(run)
     arrays = checkpoints.load_arrays(path)

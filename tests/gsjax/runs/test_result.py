@@ -103,5 +103,5 @@ def test_a_run_whose_cameras_are_none_or_whose_photos_have_no_size_is_one_line(r
     with pytest.raises(InputError, match=r"cameras\.json: lists no views"):
         open_result(run)
     json_files.write(run / "plan.json", {"phases": [], "steps": 1, "downscale": 0})
-    with pytest.raises(InputError, match="looks at photos 0 times smaller"):
+    with pytest.raises(InputError, match="downscale 0, which is not positive"):
         _ = Run(run).downscale

@@ -1,0 +1,94 @@
+"""Texts use the standard terms of the field, and no public name is a bare participle: in the places of `CHECKED`."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+CHECKED = (
+    "CONTRIBUTING.md",
+    "README.md",
+    *(f"docs/{page}.md" for page in ("api", "contributing", "differentiation", "own_loop", "tasks/share")),
+    "experiments",
+    *(f"gsjax/{part}" for part in ("analytic", "cli", "config.py", "gaussians.py", "numerics.py", "runs", "sharing")),
+)
+"""Folders and files whose docstrings, pages and help texts have no word of `WORDS`, and no name of `PARTICIPLES`."""
+
+WORDS = {
+    r"held back|holding back|holds? back": "sparse-view regularization",
+    r"(learned|learns?) by heart": "overfits",
+    r"own normals": "self-supervised normals",
+    r"(look|looks|looked|looking) (at|for)": "inspect, search",
+    r"(ask|asks|asked|call|calls|called) for": "require, request",
+    r"takes? in": "enables",
+    r"learned light|light of the mean photo|near gains": "exposure-corrected",
+    r"nobody|whoever": "no process, users who",
+    r"settles?|settled|settling": "photometric vertex refinement",
+    r"knobs?": "setting",
+    r"(go|goes|going|went) on": "resume, continue",
+    r"whole road|the road": "pipeline",
+    r"tells?|telling|told": "report, indicate, imply",
+    r"does not count|do not count": "has weight 0",
+    r"beside": "next to, and",
+}
+"""Pattern of a private word or phrase -> what to write."""
+
+PARTICIPLES = {
+    "asked", "begun", "chosen", "drawn", "found", "given", "held", "judged", "kept", "known", "looked", "looking",
+    "made", "said", "seen", "shown", "stretched", "taken", "told", "tried", "wanted", "written",
+}  # fmt: skip
+
+
+def checked(suffix: str) -> list[Path]:
+    """The files of `CHECKED` with a suffix, without the results of studies."""
+    places = [ROOT / place for place in CHECKED]
+    files = [file for place in places for file in (sorted(place.rglob("*")) if place.is_dir() else [place])]
+    return [file for file in files if file.suffix == suffix and file.parent.name != "results"]
+
+
+def named(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def texts(path: Path) -> list[str]:
+    """Docstrings and the help texts of arguments of a module; of a page its prose, without code."""
+    if path.suffix == ".md":
+        return [re.sub(r"^```.*?^```$|^ {4}.*?$|`[^`\n]*`", "", path.read_text(), flags=re.MULTILINE | re.DOTALL)]
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    tree = ast.parse(path.read_text())
+    found = [ast.get_docstring(node) or "" for node in ast.walk(tree) if isinstance(node, kinds)]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.keyword) and node.arg in ("help", "summary", "description"):
+            found += [str(part.value) for part in ast.walk(node.value) if isinstance(part, ast.Constant)]
+    return [re.sub(r"`[^`\n]*`", "", text) for text in found]
+
+
+def private_words(path: Path) -> list[str]:
+    """Each private word of a file, with what to write."""
+    text = "\n".join(texts(path))
+    return [f"{hit[0]!r}: {term}" for word, term in WORDS.items() for hit in re.finditer(rf"\b({word})\b", text, re.I)]
+
+
+def public_names(path: Path) -> set[str]:
+    """Names of a module, of its functions and classes, and of the fields of its classes."""
+    names = {path.stem}
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        if isinstance(node, ast.ClassDef):
+            targets = [part.target for part in node.body if isinstance(part, ast.AnnAssign)]
+            names |= {target.id for target in targets if isinstance(target, ast.Name)}
+    return names
+
+
+@pytest.mark.parametrize("path", [*checked(".py"), *checked(".md")], ids=named)
+def test_texts_use_the_terms_of_the_field(path):
+    assert private_words(path) == []
+
+
+@pytest.mark.parametrize("path", checked(".py"), ids=named)
+def test_no_name_is_a_bare_participle(path):
+    assert not public_names(path) & PARTICIPLES
