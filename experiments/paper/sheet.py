@@ -10,7 +10,7 @@ from gsjax.io.ply import read_gaussians
 from gsjax.meshing import read_mesh, read_textured
 from gsjax.meshing.pictures import texture_colors
 from gsjax.rendering import gallery
-from gsjax.report.panels import draw_panels
+from gsjax.report.figures import draw_panels
 from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture
 from gsjax.runs.normal_source import read_map
 from gsjax.runs.result import Result, open_result, scene_of_run

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import ndimage
 
-from gsjax.effects.twists import apply_twist
+from gsjax.effects.camera_twists import apply_twist
 from gsjax.rendering.gallery import Picture
 from gsjax.scene.cameras import Camera
 

@@ -10,8 +10,8 @@ import numpy as np
 import optax
 
 from gsjax.effects import background, exposure, poses, transients, vignetting
-from gsjax.effects.gains import fit, table
 from gsjax.effects.observations import Observations
+from gsjax.effects.photo_gains import fit, table
 from gsjax.effects.simulation import Effects, EffectState
 from gsjax.effects.sky import Masks
 from gsjax.scene import Frame, with_pixels

@@ -9,8 +9,8 @@ from jax import Array
 
 from gsjax.effects import simulation
 from gsjax.effects.evidence import Evidence, unknown
-from gsjax.effects.gains import Fit, Table, fit, held_out_ratio, table
 from gsjax.effects.observations import Observations
+from gsjax.effects.photo_gains import Fit, Table, fit, held_out_ratio, table
 from gsjax.effects.simulation import LIMIT, Effect
 from gsjax.scene.batches import Batch
 from gsjax.scene.colors import srgb_to_linear

@@ -9,10 +9,10 @@ import numpy as np
 import optax
 from jax import Array
 
+from gsjax.effects.camera_twists import apply_twist, gauge
 from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.observations import Observations
 from gsjax.effects.simulation import Effect
-from gsjax.effects.twists import apply_twist, gauge
 from gsjax.scene import Frame
 from gsjax.scene.cameras import Camera
 

@@ -7,8 +7,8 @@ from jax import Array
 
 from gsjax.effects.evidence import Evidence, unknown
 from gsjax.effects.exposure import Gains
-from gsjax.effects.gains import Fit, Table, fit, project
 from gsjax.effects.observations import Observations
+from gsjax.effects.photo_gains import Fit, Table, fit, project
 from gsjax.effects.simulation import LIMIT, Effect
 from gsjax.scene.batches import Batch
 from gsjax.scene.cameras import Camera

@@ -14,8 +14,8 @@ from gsjax.gaussians import Gaussians
 from gsjax.meshing import level_set
 from gsjax.meshing.mesh_method import Method, SurfaceSamples, poisson_through
 from gsjax.meshing.poisson import PoissonOptions
+from gsjax.rendering.coarse_depths import CoarseDepth, depths_at
 from gsjax.rendering.gallery import Picture
-from gsjax.rendering.shown_depths import ShownDepth, depths_at
 from gsjax.scene.cameras import Camera, viewmat_center
 from gsjax.scene.colors import to_bytes
 
@@ -36,8 +36,8 @@ def consistent_poisson(
     num_points: int,
     reconstruction: PoissonOptions | None = None,
     *,
-    shown: Sequence[ShownDepth],
-    told: Mapping[int, ShownDepth],
+    shown: Sequence[CoarseDepth],
+    told: Mapping[int, CoarseDepth],
     ids: Sequence[int] | None = None,
 ) -> Method:
     """`depth_poisson` of `consistent_pictures`; the arguments are those of both."""
@@ -63,8 +63,8 @@ def consistent_poisson(
 def consistent_pictures(
     cameras: Sequence[Camera],
     pictures: Iterable[Picture],
-    shown: Sequence[ShownDepth],
-    told: Mapping[int, ShownDepth],
+    shown: Sequence[CoarseDepth],
+    told: Mapping[int, CoarseDepth],
     ids: Sequence[int] | None = None,
 ) -> Iterator[Picture]:
     """The same pictures, with depth where views agree about it and nothing elsewhere.
@@ -95,7 +95,7 @@ def consistent_pictures(
         yield picture._replace(depth=depth, alphas=covered)
 
 
-def _mixed(shown: ShownDepth, told: ShownDepth | None) -> ShownDepth:
+def _mixed(shown: CoarseDepth, told: CoarseDepth | None) -> CoarseDepth:
     """The coarse view with the depth that the photo tells, where it tells one."""
     if told is None:
         return shown
@@ -103,7 +103,7 @@ def _mixed(shown: ShownDepth, told: ShownDepth | None) -> ShownDepth:
     return shown._replace(depth=np.where(by_photo > 0, by_photo, shown.depth))
 
 
-def _agreed(view: ShownDepth, others: Sequence[ShownDepth]) -> np.ndarray:
+def _agreed(view: CoarseDepth, others: Sequence[CoarseDepth]) -> np.ndarray:
     """`[H, W]` bool: where enough of the others show a surface at the place that the view shows."""
     rows, columns = np.nonzero(view.depth)
     points, rays = level_set.world_points(view.camera, view.depth, rows, columns)
@@ -121,7 +121,7 @@ def _agreed(view: ShownDepth, others: Sequence[ShownDepth]) -> np.ndarray:
     return agreed
 
 
-def _others(views: Sequence[ShownDepth]) -> list[list[int]]:
+def _others(views: Sequence[CoarseDepth]) -> list[list[int]]:
     """Of every view the indices of those that look at most of what it shows, most first."""
     rng = np.random.default_rng(0)
     found = []

@@ -7,7 +7,7 @@ import numpy as np
 
 from gsjax.io.packages import require
 from gsjax.meshing.connectivity import edge_table, face_components
-from gsjax.rendering.shown_depths import SAME_SURFACE, ShownDepth, depths_at
+from gsjax.rendering.coarse_depths import SAME_SURFACE, CoarseDepth, depths_at
 from gsjax.scene.meshes import Mesh, face_area_vectors
 
 WIDEST = 0.05  # Radius of a hole, of the diagonal of the mesh's box: what is wider is an opening.
@@ -24,7 +24,7 @@ class HoleReport:
     closed_faces: int  # with so many triangles
 
 
-def fill_holes(mesh: Mesh, views: Sequence[ShownDepth]) -> tuple[Mesh, HoleReport]:
+def fill_holes(mesh: Mesh, views: Sequence[CoarseDepth]) -> tuple[Mesh, HoleReport]:
     """Closes a hole where at most of its points at least two views show a surface, and no fewer than look through it.
 
     A view supports a point whose depth is within `SAME_SURFACE` of the one that it shows there, and looks through the
@@ -32,7 +32,7 @@ def fill_holes(mesh: Mesh, views: Sequence[ShownDepth]) -> tuple[Mesh, HoleRepor
 
     Args:
         mesh: Oriented, clean.
-        views: What the Gaussians show, see `gsjax.rendering.shown_depths`.
+        views: What the Gaussians show, see `gsjax.rendering.coarse_depths`.
 
     Returns:
         The mesh with the same vertices and more triangles, oriented like those around them; and what was closed.
@@ -61,7 +61,7 @@ def _patches(mesh: Mesh) -> np.ndarray:
 
 
 def _are_seen(
-    mesh: Mesh, patches: np.ndarray, labels: np.ndarray, count: int, views: Sequence[ShownDepth]
+    mesh: Mesh, patches: np.ndarray, labels: np.ndarray, count: int, views: Sequence[CoarseDepth]
 ) -> np.ndarray:
     """`[count]` bool: whether views support most of each patch."""
     rng = np.random.default_rng(0)

@@ -14,7 +14,7 @@ from gsjax.meshing.level_set import LevelSetOptions, level_set_poisson
 from gsjax.meshing.mesh_method import Method, method_name
 from gsjax.meshing.poisson import PoissonOptions, at_quantile
 from gsjax.meshing.tsdf import tsdf
-from gsjax.rendering.shown_depths import ShownDepth
+from gsjax.rendering.coarse_depths import CoarseDepth
 from gsjax.scene.similarity import Similarity
 
 MOST_CELLS = 2**16  # along a side; of a surface alone they are tens of gigabytes
@@ -102,12 +102,12 @@ class DepthEvidence(Protocol):
         ...
 
     @property
-    def shown(self) -> Sequence[ShownDepth]:
+    def shown(self) -> Sequence[CoarseDepth]:
         """The coarse rendered depth of every view."""
         ...
 
     @property
-    def told(self) -> Mapping[int, ShownDepth]:
+    def told(self) -> Mapping[int, CoarseDepth]:
         """By the view's index, multi-view stereo depth of its photo."""
         ...
 

@@ -22,7 +22,7 @@ from gsjax.pipeline.train import train
 from gsjax.planning.blocks import FEWEST, Cell, cut, directions, photos_of
 from gsjax.planning.sizes import at_size, chosen_downscale
 from gsjax.report.page import report_if_installed
-from gsjax.report.shown_views import picture_keeper
+from gsjax.report.view_pictures import picture_keeper
 from gsjax.runs.result import write_views
 from gsjax.runs.splits import split_of
 from gsjax.scene import Scene

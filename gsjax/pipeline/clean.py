@@ -17,7 +17,7 @@ from gsjax.io.place_files import stated_place
 from gsjax.io.temporaries import sweep_beside
 from gsjax.meshing.regions import given_numbers
 from gsjax.rendering import gallery, outliers
-from gsjax.report.panels import draw_panels
+from gsjax.report.figures import draw_panels
 from gsjax.runs.folder import is_run
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result

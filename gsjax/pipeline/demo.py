@@ -13,7 +13,7 @@ from gsjax.io.machine import machine, versions
 from gsjax.io.scenes import load_scene
 from gsjax.meshing.export import read_mesh
 from gsjax.rendering import gallery
-from gsjax.report.panels import draw_panels
+from gsjax.report.figures import draw_panels
 from gsjax.report.pictures import mesh_picture, normal_picture, surface_picture
 from gsjax.runs.result import Result, open_result
 from gsjax.scene.colors import to_bytes

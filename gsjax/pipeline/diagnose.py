@@ -13,7 +13,7 @@ from gsjax.io.files import atomic_path
 from gsjax.io.scenes import load_scene
 from gsjax.planning.effects import diagnose_scene
 from gsjax.planning.sparse_views import FAR_APART, FEW, FEWEST, SHORTEST, angle_between_photos, is_tried
-from gsjax.report.drawing import new_figure
+from gsjax.report.figures import new_figure
 from gsjax.runs.normal_filter import score_folder
 from gsjax.runs.outputs import require_apart
 from gsjax.scene import Scene

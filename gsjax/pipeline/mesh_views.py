@@ -13,9 +13,9 @@ from gsjax.gaussians import take, without_view_dependence
 from gsjax.io.machine import free_memory
 from gsjax.meshing.consistent_depth import NormalsOfDepth
 from gsjax.normals.from_depth import chosen_reduction, smoothed_depth_normals
+from gsjax.rendering.coarse_depths import CoarseDepth, coarse_depth
 from gsjax.rendering.gallery import Picture
 from gsjax.rendering.outliers import are_floaters
-from gsjax.rendering.shown_depths import ShownDepth, coarse_depth
 from gsjax.runs.normal_source import VIEWS_FOR_NOISE
 from gsjax.runs.result import Result, training_pictures
 from gsjax.scene import Scene
@@ -77,13 +77,13 @@ class MeshViews:
         return MeshViews(result, self.data, **options), int(hang.sum())
 
     @cached_property
-    def shown(self) -> list[ShownDepth]:
+    def shown(self) -> list[CoarseDepth]:
         """The coarse rendered depth of every training view."""
         pictures = self.pictures() if self._are_stored else self._rendered(self.ids, with_owners=False)
         return list(map(coarse_depth, self.cameras, pictures))
 
     @cached_property
-    def told(self) -> dict[int, ShownDepth]:
+    def told(self) -> dict[int, CoarseDepth]:
         """By the view's index, the multi-view stereo depth of its photo."""
         if self.data is None:
             return {}

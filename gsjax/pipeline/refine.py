@@ -35,7 +35,7 @@ from gsjax.meshing.ray_queries import ray_caster
 from gsjax.metrics.photos import score_images
 from gsjax.planning.memory import keep_photos, plain_bytes
 from gsjax.report.page import report_if_installed
-from gsjax.report.shown_views import picture_keeper
+from gsjax.report.view_pictures import picture_keeper
 from gsjax.runs.compilations import make_room
 from gsjax.runs.journal import Journal, starting_point
 from gsjax.runs.photo_effects import PhotoEffects, write_photo_effects

@@ -25,8 +25,8 @@ from gsjax.pipeline.refine import refine
 from gsjax.pipeline.texture import texture
 from gsjax.pipeline.train import train
 from gsjax.rendering import gallery
+from gsjax.report.figures import draw_panels
 from gsjax.report.page import report as write_report
-from gsjax.report.panels import draw_panels
 from gsjax.report.pictures import mesh_picture, surface_picture
 from gsjax.runs.folder import is_finished
 from gsjax.runs.result import open_result

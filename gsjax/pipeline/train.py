@@ -31,12 +31,12 @@ from gsjax.planning.effects import ChosenEffects, choose_effects, look_for_effec
 from gsjax.planning.measured_depth import measured_depth
 from gsjax.planning.memory import fit_to_memory
 from gsjax.planning.sizes import at_size, training_extent
-from gsjax.planning.skies import given_skies
+from gsjax.planning.sky_masks import read_sky_masks
 from gsjax.planning.sparse_views import ENTRY, for_sparse_views
 from gsjax.planning.start import first_state, with_given_points, with_stereo_points
 from gsjax.rendering.engine import computes_on_cpu, engine_here
 from gsjax.report.page import report_if_installed
-from gsjax.report.shown_views import keep_skies, picture_keeper
+from gsjax.report.view_pictures import keep_skies, picture_keeper
 from gsjax.runs.compilations import make_room
 from gsjax.runs.journal import starting_point
 from gsjax.runs.normal_source import NormalSource, note_normals
@@ -197,7 +197,7 @@ def _train(
         size,
         lambda short, optimizer, effects, skies: first_state(started, short, optimizer, effects, skies=skies),
     )
-    skies = given_skies(loaded, settings, downscale)
+    skies = read_sky_masks(loaded, settings, downscale)
     before = None if begun is None else begun.manifest.get("effects")
     chosen = choose_effects(
         settings.effects,

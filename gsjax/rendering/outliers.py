@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from gsjax.gaussians import Gaussians, covariances
-from gsjax.rendering.shown_depths import SAME_SURFACE, ShownDepth, depths_at
+from gsjax.rendering.coarse_depths import SAME_SURFACE, CoarseDepth, depths_at
 from gsjax.scene.cameras import Camera, landing, viewmat_centers
 
 NEIGHBORS = 12  # of a Gaussian that it may hang on
@@ -104,7 +104,7 @@ def in_front(points: np.ndarray, camera: Camera, depth: np.ndarray, margin: floa
     return seen, seen & (depths < (1 - margin) * depth[rows, columns])
 
 
-def are_floaters(gaussians: Gaussians, views: Iterable[ShownDepth]) -> np.ndarray:
+def are_floaters(gaussians: Gaussians, views: Iterable[CoarseDepth]) -> np.ndarray:
     """Which Gaussians hang in the air.
 
     A view *supports* a Gaussian if the depth that it shows at the Gaussian's mean is the Gaussian's own, up to
@@ -114,7 +114,7 @@ def are_floaters(gaussians: Gaussians, views: Iterable[ShownDepth]) -> np.ndarra
 
     Args:
         gaussians: N of them; what is not finite is no floater.
-        views: Depths that these Gaussians show, see `gsjax.rendering.shown_depths`; looked at one by one.
+        views: Depths that these Gaussians show, see `gsjax.rendering.coarse_depths`; looked at one by one.
 
     Returns:
         `[N]` bool, numpy.

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gsjax.report.drawing import round_ticks
+from gsjax.report.figures import round_ticks
 
 WIDTH, HEIGHT = 432, 236  # of a chart, SVG units
 LEFT, RIGHT, TOP, BOTTOM = 50, 410, 12, 200  # of what the axes enclose

@@ -15,7 +15,7 @@ from gsjax.io.images import jpeg_bytes, read_image, resize
 from gsjax.io.machine import peak_memory, restart_peak_memory
 from gsjax.io.packages import MissingPackageError, require
 from gsjax.metrics.photos import score_images
-from gsjax.report import curves, shown_views
+from gsjax.report import curves, view_pictures
 from gsjax.report import facts as run_facts
 from gsjax.report.facts import RunFacts
 from gsjax.runs.photo_effects import PhotoEffects, read_photo_effects
@@ -148,13 +148,13 @@ def _views(run: RunFacts) -> list[dict[str, Any]]:
     """Name and pictures of the views that are shown; none before the run is done."""
     if not run.views:
         return []
-    places = shown_views.shown_views(run.views)
+    places = view_pictures.report_views(run.views)
     records = [run.views[place] for place in places]
-    if records[0]["held_out"] and not (run.folder / shown_views.FOLDER).exists():
+    if records[0]["held_out"] and not (run.folder / view_pictures.FOLDER).exists():
         _render(run, {record["name"] for record in records})
-    meshes = shown_views.mesh_pictures(run.folder, records)
+    meshes = view_pictures.mesh_pictures(run.folder, records)
     found = [
-        {"name": record["name"], "pictures": {**shown_views.kept_pictures(run.folder, place), **mesh}}
+        {"name": record["name"], "pictures": {**view_pictures.stored_pictures(run.folder, place), **mesh}}
         for place, record, mesh in zip(places, records, meshes, strict=True)
     ]
     return [each for each in found if each["pictures"]]
@@ -164,7 +164,7 @@ def _render(run: RunFacts, names: set[str]) -> None:
     """Keeps the pictures of a run that was scored without keeping any."""
     result, scene = open_result(run.folder), scene_of_run(run.folder)
     frames = tuple(frame for frame in scene.held_out_frames if frame.name in names)
-    background, keep = run.settings["background"], shown_views.picture_keeper(run.folder)
+    background, keep = run.settings["background"], view_pictures.picture_keeper(run.folder)
     found = PhotoEffects(background=read_photo_effects(run.folder).background)
     score_images(result.gaussians, frames, background, found=found, depth_mode=result.depth_mode, observe=keep)
 

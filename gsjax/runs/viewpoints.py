@@ -7,7 +7,7 @@ import numpy as np
 
 from gsjax.gaussians import Gaussians, opacities
 from gsjax.rendering import gallery
-from gsjax.rendering.shown_depths import ShownDepth, depths_at
+from gsjax.rendering.coarse_depths import CoarseDepth, depths_at
 from gsjax.scene.cameras import Camera, look_at, viewmat_centers
 from gsjax.scene.meshes import Mesh, unit_or_zero
 
@@ -85,7 +85,7 @@ def _count_seen(gaussians: Gaussians, means: np.ndarray, radii: np.ndarray, came
     pictures = gallery.pictures(gaussians, cameras, np.zeros(3, np.float32), "center")
     visible = np.zeros(len(means), bool)
     for camera, picture in zip(cameras, pictures, strict=True):
-        depths, rendered = depths_at(means, ShownDepth(camera, picture.depth))
+        depths, rendered = depths_at(means, CoarseDepth(camera, picture.depth))
         visible |= (rendered > 0) & (np.abs(rendered - depths) < near)
     return int(visible.sum())
 

@@ -8,7 +8,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from tqdm import tqdm
 
-from gsjax.rendering.shown_depths import ShownDepth
+from gsjax.rendering.coarse_depths import CoarseDepth
 from gsjax.scene import Scene
 from gsjax.scene.cameras import Camera
 from gsjax.stereo.aggregation import best_planes
@@ -43,11 +43,11 @@ class PhotoDepth(NamedTuple):
     depth: Depth  # confident where another photo confirms it
     evidence: Evidence  # of the photo's matched points
 
-    def shown(self) -> ShownDepth:
+    def shown(self) -> CoarseDepth:
         """Return the confident depth as that of a view."""
         height, width = self.view.gray.shape
         camera = Camera(self.view.viewmat, self.view.K, width, height)  # pyright: ignore[reportArgumentType]
-        return ShownDepth(camera, np.where(self.depth.is_confident, self.depth.z, 0).astype(np.float32))
+        return CoarseDepth(camera, np.where(self.depth.is_confident, self.depth.z, 0).astype(np.float32))
 
 
 class PhotoDepths(NamedTuple):

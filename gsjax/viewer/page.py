@@ -16,14 +16,12 @@ import viser
 
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
-from gsjax.scene.colors import to_bytes
-from gsjax.viewer.desk import Desk, Order
-from gsjax.viewer.drawing import bare_background
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera, picture_size
-from gsjax.viewer.pictures import COLOR, DEPTH, NORMALS, Pictures
+from gsjax.viewer.picture_queue import PictureQueue, Request
+from gsjax.viewer.pictures import COLOR, DEPTH, NORMALS, bare_background, draw_picture
 from gsjax.viewer.same_origin import guarded
 from gsjax.viewer.scenery import MESH_COLORS, MESH_OFF, MESH_SHAPE, Scenery
-from gsjax.viewer.subject import Subject
+from gsjax.viewer.viewed_scene import ViewedScene
 
 HOST, PORT = "127.0.0.1", 8080
 SHOW, SIDE, MESH, CAMERAS = "Show", "Longest side", "Mesh", "Cameras"
@@ -38,7 +36,7 @@ class News(NamedTuple):
 
     gaussians: Gaussians
     line: str
-    background: np.ndarray | None = None  # where it is learned, see `gsjax.rendering.backdrop`; None: the subject's
+    background: np.ndarray | None = None  # where it is learned, see `gsjax.rendering.backdrop`; None: the viewed's
 
 
 class Page:
@@ -46,7 +44,7 @@ class Page:
 
     def __init__(
         self,
-        subject: Subject,
+        viewed: ViewedScene,
         *,
         host: str,
         port: int,
@@ -56,17 +54,17 @@ class Page:
         """Not served yet.
 
         Args:
-            subject: What to show.
+            viewed: What to show.
             host: Address to listen on.
             port: 0 takes a free one.
             news: Asked now and then, while somebody looks, for Gaussians to show instead.
             share: Of the time since `work` began, what answering may take.
         """
-        self.subject, self.desk = subject, Desk()
+        self.viewed, self.queue = viewed, PictureQueue()
         self._host, self._port = host, port
         self._news, self._share = news, share
-        self._pictures, self._gaussians, self._line = Pictures(subject), subject.gaussians, ""
-        self._background = subject.background
+        self._gaussians, self._line = viewed.gaussians, ""
+        self._background = viewed.background
         self._chores: deque[Callable[[], None]] = deque()
         self._closing = Event()
         self.switches: dict[str, Any] = {}  # by their labels, once it is served: each has a `value`
@@ -79,12 +77,12 @@ class Page:
         """
         check_port(self._host, self._port)
         with _silent(), guarded(self._host):
-            label = f"gsjax: {self.subject.name}"
+            label = f"gsjax: {self.viewed.name}"
             self.server = viser.ViserServer(host=self._host, port=self._port, label=label, verbose=False)
         if self._port not in (0, self.server.get_port()):  # Taken since; viser goes on to the next.
             self.close()
             raise InputError(f"--port {self._port}: is in use")
-        self._scenery = Scenery(self.server, self.subject, self._soon)
+        self._scenery = Scenery(self.server, self.viewed, self._soon)
         self._place_camera()
         self._add_switches()
         return self
@@ -102,18 +100,18 @@ class Page:
     def close(self) -> None:
         """Serve no more, and let `work` return."""
         self._closing.set()
-        self.desk.close()
+        self.queue.close()
         with _silent():
             self.server.stop()
 
     def work(self) -> None:
         """Answers the page until it is closed: a picture and a bit of what else there is to do, in turn."""
         began, spent = time.monotonic(), 0.0
-        while not self.desk.is_closed:
-            order = self.desk.take(0 if self._chores else None if self._news is None else PATIENCE)
+        while not self.queue.is_closed:
+            request = self.queue.take(0 if self._chores else None if self._news is None else PATIENCE)
             started = time.monotonic()
-            if order is not None:
-                self._answer(order)
+            if request is not None:
+                self._answer(request)
             if self._chores:
                 self._chores.popleft()()
             self._look_for_news()
@@ -124,20 +122,20 @@ class Page:
 
     def _place_camera(self) -> None:
         """Where every browser looks from first."""
-        subject, start = self.subject, page_camera(self.subject.start)
-        forward = np.asarray(subject.start.viewmat, np.float64)[2, :3]
-        ahead = float((subject.middle - start.position) @ forward)
-        self.server.scene.set_up_direction(subject.up)
+        viewed, start = self.viewed, page_camera(self.viewed.start)
+        forward = np.asarray(viewed.start.viewmat, np.float64)[2, :3]
+        ahead = float((viewed.middle - start.position) @ forward)
+        self.server.scene.set_up_direction(viewed.up)
         first = self.server.initial_camera
-        first.position, first.up, first.fov = start.position, subject.up, start.fov
-        first.look_at = start.position + (ahead if ahead > 0 else subject.scale) * forward
-        first.near, first.far = 1e-3 * subject.scale, 1e3 * subject.scale
+        first.position, first.up, first.fov = start.position, viewed.up, start.fov
+        first.look_at = start.position + (ahead if ahead > 0 else viewed.scale) * forward
+        first.near, first.far = 1e-3 * viewed.scale, 1e3 * viewed.scale
 
     def _add_switches(self) -> None:
-        """As far as the subject has what they switch."""
-        gui, subject = self.server.gui, self.subject
+        """As far as the viewed has what they switch."""
+        gui, viewed = self.server.gui, self.viewed
         gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)  # A share is not local.
-        has_gaussians = subject.gaussians is not None or self._news is not None
+        has_gaussians = viewed.gaussians is not None or self._news is not None
         if has_gaussians:
             self._status = gui.add_markdown("The first picture of a kind and size takes longest.")
             first = COLOR if self._news is None else BY_BROWSER
@@ -147,16 +145,16 @@ class Page:
                 SIDE: gui.add_dropdown(SIDE, LONGEST, initial_value="960"),
             }
             for switch in self.switches.values():
-                switch.on_update(lambda _: self.desk.again())
+                switch.on_update(lambda _: self.queue.redraw())
             self.server.on_client_connect(self._come)
             self.server.on_client_disconnect(self._leave)
-        if subject.mesh is not None:
+        if viewed.mesh is not None:
             choices = (MESH_OFF, MESH_COLORS, MESH_SHAPE)
             mesh = gui.add_dropdown(MESH, choices, initial_value=MESH_OFF if has_gaussians else MESH_COLORS)
             mesh.on_update(lambda _: self._soon(lambda: self._scenery.show_mesh(mesh.value)))
             self._soon(lambda: self._scenery.show_mesh(mesh.value))
             self.switches[MESH] = mesh
-        if subject.cameras:
+        if viewed.cameras:
             cameras = gui.add_checkbox(CAMERAS, initial_value=False)
             cameras.on_update(lambda _: self._soon(lambda: self._scenery.show_cameras(cameras.value)))
             self.switches[CAMERAS] = cameras
@@ -165,47 +163,47 @@ class Page:
         """A browser is there: what it looks at is noted from now on."""
 
         async def moved(camera: viser.CameraHandle) -> None:
-            self.desk.moved(client.client_id, _told(camera))
+            self.queue.move(client.client_id, _told(camera))
 
         client.camera.on_update(moved)
         await moved(client.camera)
 
     async def _leave(self, client: viser.ClientHandle) -> None:
-        """Nothing of it is kept. In viser's own thread, as `_come`, so in the order in which it happened."""
-        self.desk.left(client.client_id)
+        """Nothing of it is kept. In viser's own thread, as `_come`, so in the request in which it happened."""
+        self.queue.remove(client.client_id)
 
     def _soon(self, chore: Callable[[], None]) -> None:
         self._chores.append(chore)
-        self.desk.wake()
+        self.queue.wake()
 
-    def _answer(self, order: Order) -> None:
+    def _answer(self, request: Request) -> None:
         """Draws what was ordered and sends it, if the browser is still there."""
-        client = self.server.get_clients().get(order.who)
+        client = self.server.get_clients().get(request.browser)
         if client is None or self._gaussians is None:
             return
         if self.switches[SHOW].value == BY_BROWSER:
             self._scenery.show_splats(self._gaussians)
-            behind = camera_of(order.camera, picture_size(order.camera, BEHIND_SIDE))
-            if order.is_full and behind is not None:
+            behind = camera_of(request.camera, picture_size(request.camera, BEHIND_SIDE))
+            if request.is_full and behind is not None:
                 self._say(self._line)
-                _send(client, to_bytes(bare_background(self._background, behind)), "png")
+                _send(client, bare_background(self._background, behind), "png")
             return
         self._scenery.hide_splats()
-        longest = int(self.switches[SIDE].value) // (1 if order.is_full else COARSER)
-        camera = camera_of(order.camera, picture_size(order.camera, longest))
+        longest = int(self.switches[SIDE].value) // (1 if request.is_full else COARSER)
+        camera = camera_of(request.camera, picture_size(request.camera, longest))
         if camera is None:
             return
         started = time.perf_counter()
         try:
-            kind = self.switches[SHOW].value
-            picture = self._pictures.draw(kind, self._gaussians, camera, self._background)
+            kind, depth_mode = self.switches[SHOW].value, self.viewed.depth_mode
+            picture = draw_picture(kind, self._gaussians, camera, self._background, depth_mode)
         except InputError as error:
             self._say(str(error))
             return
-        if order.is_full:
+        if request.is_full:
             shown = f"{camera.width}x{camera.height} in {1e3 * (time.perf_counter() - started):.0f} ms"
             self._say(", ".join(filter(None, (shown, self._line))))
-        _send(client, picture, "png" if order.is_full else "jpeg")
+        _send(client, picture, "png" if request.is_full else "jpeg")
 
     def _say(self, line: str) -> None:
         with _whoever_is_left():
@@ -213,11 +211,11 @@ class Page:
 
     def _look_for_news(self) -> None:
         """Newer Gaussians, where they are made and somebody looks."""
-        news = self._news() if self._news is not None and len(self.desk) else None
+        news = self._news() if self._news is not None and len(self.queue) else None
         if news is not None:
             self._gaussians, self._line = news.gaussians, news.line
-            self._background = self.subject.background if news.background is None else news.background
-            self.desk.again(only_full=True)
+            self._background = self.viewed.background if news.background is None else news.background
+            self.queue.redraw(only_full=True)
 
 
 def check_port(host: str = HOST, port: int = PORT) -> None:

@@ -1,42 +1,60 @@
-"""The kinds of picture that the page can show of Gaussians."""
+"""Pictures of Gaussians for the page, and of what is behind them."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
+from gsjax.errors import InputError, is_out_of_memory
 from gsjax.gaussians import Gaussians
-from gsjax.report.pictures import depth_picture, normal_picture
+from gsjax.rendering import DepthReading, backdrop, gallery
+from gsjax.report.pictures import depth_picture, surface_picture
 from gsjax.scene.cameras import Camera
 from gsjax.scene.colors import to_bytes
-from gsjax.viewer.drawing import Drawer
-from gsjax.viewer.subject import Subject
 
 KINDS = COLOR, DEPTH, NORMALS = "colour", "depth", "normals"
 
 
-class Pictures:
-    """Draws pictures of one kind from one camera."""
+def draw_picture(
+    kind: str,
+    gaussians: Gaussians,
+    camera: Camera,
+    background: np.ndarray,
+    depth_mode: DepthReading = "plane",
+) -> np.ndarray:
+    """Draw one picture.
 
-    def __init__(self, subject: Subject):
-        """Draw with the background and the depth reading of a subject."""
-        self._background = subject.background
-        self._drawer = Drawer(subject.depth_mode)
+    Args:
+        kind: One of `KINDS`.
+        gaussians: jax or numpy; another number of them is another program, and so is another size of the picture.
+        camera: The view.
+        background: See `gsjax.rendering.backdrop`.
+        depth_mode: See `gsjax.rendering`.
 
-    def draw(self, kind: str, gaussians: Gaussians, camera: Camera, background: np.ndarray | None = None) -> np.ndarray:
-        """Draw one picture.
+    Returns:
+        `[H, W, 3]` uint8.
 
-        Args:
-            kind: One of `KINDS`.
-            gaussians: What to show.
-            camera: The view.
-            background: As `gsjax.rendering.backdrop` has it; None: the subject's.
+    Raises:
+        InputError: The view does not fit the device.
+    """
+    try:
+        (picture,) = gallery.pictures(gaussians, [camera], background, depth_mode)
+    except (jax.errors.JaxRuntimeError, ValueError) as error:  # ValueError: of a pair buffer longer than int32 counts.
+        if not (isinstance(error, ValueError) or is_out_of_memory(error)):
+            raise
+        size = f"{camera.width}x{camera.height}"
+        raise InputError(
+            f"there is no room for what this view shows at {size}; step back or draw it smaller"
+        ) from error
+    if kind == COLOR:
+        return to_bytes(picture.colors)
+    return depth_picture(picture.depth) if kind == DEPTH else surface_picture(picture.depth, camera)
 
-        Returns:
-            `[H, W, 3]` uint8.
 
-        Raises:
-            InputError: The view does not fit the device.
-        """
-        background = self._background if background is None else background
-        drawing = self._drawer.draw(gaussians, camera, background, with_surface=kind != COLOR)
-        if drawing.depth is None or drawing.normals is None:
-            return to_bytes(drawing.colors)
-        return depth_picture(drawing.depth) if kind == DEPTH else normal_picture(drawing.normals)
+def bare_background(background: np.ndarray, camera: Camera) -> np.ndarray:
+    """`[H, W, 3]` uint8: what a camera sees where there are no Gaussians."""
+    camera = Camera(jnp.asarray(camera.viewmat), jnp.asarray(camera.K), camera.width, camera.height)
+    colors = np.asarray(_behind(jnp.asarray(background, jnp.float32), camera))
+    return np.broadcast_to(to_bytes(np.clip(colors, 0, 1)), (camera.height, camera.width, 3))
+
+
+_behind = jax.jit(backdrop.color_behind)

@@ -14,7 +14,7 @@ from gsjax.gaussians import SH_C0, Gaussians, covariances, is_alive, opacities
 from gsjax.io.images import resize
 from gsjax.meshing.export import glb_bytes, read_mesh
 from gsjax.viewer.page_camera import page_camera
-from gsjax.viewer.subject import Subject
+from gsjax.viewer.viewed_scene import ViewedScene
 
 MESH_OFF, MESH_COLORS, MESH_SHAPE = "off", "colours", "shape"
 THUMBNAIL = 160  # Longest side of a photo in the scene, pixels.
@@ -22,11 +22,11 @@ FRUSTUM = 0.04  # Length of a camera, in distances from the first camera to the 
 
 
 class Scenery:
-    """Things of a subject in the scene of a server, each handed to browsers when it is first asked for."""
+    """Things of a viewed in the scene of a server, each handed to browsers when it is first asked for."""
 
-    def __init__(self, server: viser.ViserServer, subject: Subject, soon: Callable[[Callable[[], None]], None]):
+    def __init__(self, server: viser.ViserServer, viewed: ViewedScene, soon: Callable[[Callable[[], None]], None]):
         """Nothing is there yet; long work is given to `soon`, bit by bit."""
-        self._scene, self._subject, self._soon = server.scene, subject, soon
+        self._scene, self._viewed, self._soon = server.scene, viewed, soon
         self._splats_of: Gaussians | None = None
         # A sky and the first camera's own light: viser's light comes from a photo, and with shadows.
         self._scene.configure_environment_map(None)
@@ -34,8 +34,8 @@ class Scenery:
         self._scene.add_light_hemisphere(
             "/lights/sky", sky_color=(255, 255, 255), ground_color=(90, 90, 90), intensity=2.0
         )
-        eye = page_camera(subject.start).position
-        self._scene.add_light_directional("/lights/start", position=eye - subject.middle, intensity=1.5)
+        eye = page_camera(viewed.start).position
+        self._scene.add_light_directional("/lights/start", position=eye - viewed.middle, intensity=1.5)
 
     def show_splats(self, gaussians: Gaussians) -> None:
         """Hands Gaussians to the browser, unless it has them."""
@@ -60,31 +60,31 @@ class Scenery:
         """All cameras; one by one when they are first asked for."""
         if shown and self._scene.get_handle_by_name("/cameras") is None:
             self._scene.add_frame("/cameras", show_axes=False)
-            for index, name in enumerate(self._subject.cameras):
+            for index, name in enumerate(self._viewed.cameras):
                 self._soon(partial(self._add_camera, index, name))
         self._set_visible("/cameras", shown)
 
     def _add_mesh_colors(self) -> None:
-        if self._subject.mesh is not None:
-            similarity = self._subject.similarity
+        if self._viewed.mesh is not None:
+            similarity = self._viewed.similarity
             place = similarity.length_to_local(-np.asarray(similarity.center))
-            glb = glb_bytes(self._subject.mesh)
+            glb = glb_bytes(self._viewed.mesh)
             self._scene.add_glb(f"/mesh/{MESH_COLORS}", glb, scale=similarity.scale, position=place)
 
     def _add_mesh_shape(self) -> None:
-        if self._subject.mesh is not None:
-            mesh = self._subject.similarity.mesh_to_local(read_mesh(self._subject.mesh))
+        if self._viewed.mesh is not None:
+            mesh = self._viewed.similarity.mesh_to_local(read_mesh(self._viewed.mesh))
             look = {"color": (200, 200, 200), "flat_shading": True, "side": "double"}
             self._scene.add_mesh_simple(f"/mesh/{MESH_SHAPE}", mesh.vertices, mesh.faces, **look)
 
     def _add_camera(self, index: int, name: str) -> None:
         """A camera in the scene, with its photo where that can be read; a click on it looks from there."""
-        at = page_camera(self._subject.cameras[name])
+        at = page_camera(self._viewed.cameras[name])
         frustum = self._scene.add_camera_frustum(
             f"/cameras/{index:05d}",
             at.fov,
             at.width / at.height,
-            scale=FRUSTUM * self._subject.scale,
+            scale=FRUSTUM * self._viewed.scale,
             thickness=1.0,
             thickness_units="screen",
             color=(255, 160, 40),
@@ -100,7 +100,7 @@ class Scenery:
                 camera.position, camera.wxyz, camera.fov = at.position, at.wxyz, at.fov
 
     def _thumbnail(self, name: str) -> np.ndarray | None:
-        frame = self._subject.photos.get(name)
+        frame = self._viewed.photos.get(name)
         if frame is None:
             return None
         try:

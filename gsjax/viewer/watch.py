@@ -11,7 +11,7 @@ from gsjax.settings import Settings, total_steps
 from gsjax.training.loop import Progress
 from gsjax.viewer.page import HOST, PORT, Page, check_port
 from gsjax.viewer.snapshots import Snapshots
-from gsjax.viewer.subject import open_subject, subject_of_scene
+from gsjax.viewer.viewed_scene import open_viewed_scene, view_data_set
 
 SHARE = 0.03  # Of a training's time, what its page may take.
 
@@ -29,9 +29,9 @@ def view(source: str | Path, *, mesh: str | Path | None = None, host: str = HOST
         InputError: The source or the mesh cannot be read, or the port is in use.
     """
     check_port(host, port)
-    subject = open_subject(source, mesh=mesh, tell=_tell)
-    with suppress(KeyboardInterrupt), Page(subject, host=host, port=port) as page:
-        _tell(f"{page.address} shows {subject.name}; Ctrl-C ends it")
+    viewed = open_viewed_scene(source, mesh=mesh, tell=_tell)
+    with suppress(KeyboardInterrupt), Page(viewed, host=host, port=port) as page:
+        _tell(f"{page.address} shows {viewed.name}; Ctrl-C ends it")
         page.work()
 
 
@@ -65,9 +65,9 @@ def watch(
         hold_out=settings.hold_out,
         photos=settings.photos,
     )
-    subject = subject_of_scene(Path(scene).resolve().name, loaded, settings.background, settings.depth_mode)
+    viewed = view_data_set(Path(scene).resolve().name, loaded, settings.background, settings.depth_mode)
     snapshots = Snapshots(total_steps(settings))
-    with Page(subject, host=host, port=port, news=snapshots.news, share=SHARE) as page:
+    with Page(viewed, host=host, port=port, news=snapshots.news, share=SHARE) as page:
         _tell(f"{page.address} shows the training while it goes on")
         answering = Thread(target=page.work, name="page")
         answering.start()

@@ -14,8 +14,8 @@ from small_scenes import built_in
 from gsjax import cli
 from gsjax.effects.diagnosis import diagnose
 from gsjax.effects.exposure import estimate
-from gsjax.effects.gains import fit, table
 from gsjax.effects.observations import observe
+from gsjax.effects.photo_gains import fit, table
 from gsjax.effects.poses import Move, twists_from_tracks
 from gsjax.io import normal_folders
 from gsjax.io.images import read_image

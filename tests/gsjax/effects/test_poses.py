@@ -10,8 +10,8 @@ from tolerances import assert_close
 
 from gsjax.effects import poses
 from gsjax.effects.alignment import align
+from gsjax.effects.camera_twists import apply_twist, gauge
 from gsjax.effects.poses import Move
-from gsjax.effects.twists import apply_twist, gauge
 from gsjax.rendering import gallery
 from gsjax.scene.cameras import Camera, center, project, world_to_camera
 

@@ -14,7 +14,7 @@ from gsjax.errors import InputError
 from gsjax.io.images import read_mask, write_image
 from gsjax.io.scenes import load_scene
 from gsjax.planning.effects import choose_effects
-from gsjax.planning.skies import given_skies
+from gsjax.planning.sky_masks import read_sky_masks
 from gsjax.planning.start import first_state
 from gsjax.planning.validation import Validated
 from gsjax.rendering import backdrop
@@ -230,11 +230,11 @@ def on_disk(tmp_path):
 
 def test_masks_that_are_given_are_read_at_the_photos_size(on_disk):
     scene = load_scene(on_disk)
-    masks = given_skies(scene, Settings(sky="sky"), 1.0)
+    masks = read_sky_masks(scene, Settings(sky="sky"), 1.0)
     assert masks is not None and list(masks) == ["0.png"]
     np.testing.assert_array_equal(masks["0.png"], np.arange(72)[:, None].repeat(96, 1) < 20)
-    assert given_skies(scene, Settings(), 1.0) is None
-    assert given_skies(scene, Settings(sky="auto"), 1.0) is None
+    assert read_sky_masks(scene, Settings(), 1.0) is None
+    assert read_sky_masks(scene, Settings(sky="auto"), 1.0) is None
 
 
 @pytest.mark.parametrize(
@@ -249,7 +249,7 @@ def test_masks_that_do_not_serve_are_refused(on_disk, folder, shape, fault):
     if shape is not None:
         write_image(on_disk / "sky/0.png", np.full(shape, 255, np.uint8))
     with pytest.raises(InputError, match=fault):
-        given_skies(load_scene(on_disk), Settings(sky=folder), 1.0)
+        read_sky_masks(load_scene(on_disk), Settings(sky=folder), 1.0)
 
 
 def test_a_run_takes_in_what_it_finds_or_is_given_and_starts_below_it(made):

@@ -6,8 +6,8 @@ import pytest
 from gsjax.meshing import extract_mesh
 from gsjax.meshing.consistent_depth import AGREEING, SAME_SURFACE, SHARE, consistent_pictures, consistent_poisson
 from gsjax.normals.from_depth import smoothed_depth_normals
+from gsjax.rendering.coarse_depths import CoarseDepth, coarse_depth
 from gsjax.rendering.gallery import Picture
-from gsjax.rendering.shown_depths import ShownDepth, coarse_depth
 from gsjax.scene.cameras import Camera
 
 WALL, NEARER = 4.0, 3.0  # camera z of the wall, and of the lumps
@@ -101,7 +101,7 @@ def test_what_a_photo_tells_takes_the_place_of_the_rendered_depth():
     depth = np.zeros((HEIGHT // 2, WIDTH // 2), np.float32)
     depth[:, : WIDTH // 4] = NEARER
     halved = np.float32([[0.5], [0.5], [1]]) * np.asarray(camera(0.0).K)
-    told = ShownDepth(Camera(camera(0.0).viewmat, halved, WIDTH // 2, HEIGHT // 2), depth)
+    told = CoarseDepth(Camera(camera(0.0).viewmat, halved, WIDTH // 2, HEIGHT // 2), depth)
     found = agreed(XS, [picture(x) for x in XS], {2: told})[2]
     left = np.s_[:, : WIDTH // 2]
     np.testing.assert_array_equal(found.depth[left], NEARER)

@@ -6,7 +6,7 @@ import numpy as np
 
 from gsjax.meshing.connectivity import topology
 from gsjax.meshing.holes import fill_holes
-from gsjax.rendering.shown_depths import ShownDepth
+from gsjax.rendering.coarse_depths import CoarseDepth
 from gsjax.scene.cameras import Camera
 from gsjax.scene.meshes import Mesh, face_area_vectors
 
@@ -36,7 +36,7 @@ def views(count=3):
     for name, value in (("window", 2 * AWAY), ("unseen", 0)):
         i, j = HOLES[name]
         depth[SIDE - j - 3 : SIDE - j, i : i + 3] = value
-    return [ShownDepth(Camera(viewmat, K, SIDE, SIDE), depth)] * count
+    return [CoarseDepth(Camera(viewmat, K, SIDE, SIDE), depth)] * count
 
 
 def test_a_hole_is_closed_where_views_show_a_surface():

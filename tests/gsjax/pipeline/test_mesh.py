@@ -26,7 +26,7 @@ from gsjax.meshing.tsdf import tsdf
 from gsjax.pipeline import mesh_views
 from gsjax.pipeline.mesh import mesh
 from gsjax.rendering import gallery
-from gsjax.rendering.shown_depths import ShownDepth
+from gsjax.rendering.coarse_depths import CoarseDepth
 from gsjax.runs import viewpoints
 from gsjax.runs.result import open_result, write_views
 from gsjax.scene import Pixels, frame_of
@@ -168,7 +168,7 @@ def test_what_photos_tell_is_of_the_training_view_of_its_name(lumpy, monkeypatch
     """The ball's photos are black: instead, three of its ten views are of photos that tell depth."""
     result = open_result(lumpy["unmasked"])
     result = replace(result, held_out=tuple(index == 4 for index in range(10)))
-    empty = ShownDepth(result.cameras[0], np.zeros((2, 2), np.float32))
+    empty = CoarseDepth(result.cameras[0], np.zeros((2, 2), np.float32))
 
     def told_by(data, most):
         assert data == "of the photos" and most == 100

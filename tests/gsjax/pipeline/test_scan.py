@@ -233,7 +233,7 @@ def test_every_preset_of_the_training_names_one_of_the_refinement():
 
 def test_panels_are_drawn_in_rows_under_their_titles(tmp_path):
     from gsjax.io.images import image_size
-    from gsjax.report.panels import draw_panels
+    from gsjax.report.figures import draw_panels
 
     pictures = {f"picture {i}": np.full((20, 30, 3), 40 * i, np.uint8) for i in range(5)}
     wide = draw_panels(pictures, tmp_path / "a.png", columns=5)

@@ -4,8 +4,8 @@ import numpy as np
 from small_scenes import discs
 
 from gsjax.gaussians import take
+from gsjax.rendering.coarse_depths import CoarseDepth
 from gsjax.rendering.outliers import are_floaters
-from gsjax.rendering.shown_depths import ShownDepth
 from gsjax.scene.cameras import Camera
 
 WALL = 4.0  # Its z, with the cameras at z = 0 looking along it.
@@ -17,7 +17,7 @@ def view(x, depth=WALL):
     viewmat = np.eye(4, dtype=np.float32)
     viewmat[0, 3] = -x
     K = np.array([[30.0, 0, 20], [0, 30.0, 15], [0, 0, 1]], np.float32)
-    return ShownDepth(Camera(viewmat, K, 40, 30), np.full((30, 40), depth, np.float32))
+    return CoarseDepth(Camera(viewmat, K, 40, 30), np.full((30, 40), depth, np.float32))
 
 
 def at(*means, thickness=0.02):

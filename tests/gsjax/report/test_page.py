@@ -16,7 +16,7 @@ from gsjax.io import json_files
 from gsjax.meshing.export import write_mesh
 from gsjax.pipeline.compare import compare
 from gsjax.rendering.gallery import Picture
-from gsjax.report import shown_views, tables
+from gsjax.report import tables, view_pictures
 from gsjax.report.curves import LEFT, RIGHT
 from gsjax.report.page import noted, report
 from gsjax.scene import Pixels, frame_of
@@ -91,7 +91,7 @@ def made_run(folder, *, seed=0, losses=(0.5, 0.25, 0.125), psnr=25.0, done=True,
         for index, name in enumerate(NAMES[:views])
     ]
     json_files.write(folder / "cameras.json", records)
-    keep = shown_views.picture_keeper(folder)
+    keep = view_pictures.picture_keeper(folder)
     for index, record in enumerate(records):
         photo = np.full((SIZE[1], SIZE[0], 3), 20 * index, np.uint8)
         frame = frame_of(record["name"], VIEWMAT.astype(np.float32), K.astype(np.float32), Pixels(photo))
@@ -192,13 +192,13 @@ def test_a_mesh_is_drawn_from_the_views_that_are_shown(run):
 
 def test_at_most_six_views_are_shown_evenly_spread():
     held_out = [{"held_out": index % 2 == 0} for index in range(23)]
-    assert shown_views.shown_views(held_out) == [0, 4, 8, 14, 18, 22]
-    assert shown_views.shown_views([{"held_out": False}] * 3) == [0, 1, 2]
+    assert view_pictures.report_views(held_out) == [0, 4, 8, 14, 18, 22]
+    assert view_pictures.report_views([{"held_out": False}] * 3) == [0, 1, 2]
 
 
 def test_large_pictures_are_reduced():
-    assert shown_views._reduced(*SIZE) == SIZE
-    assert shown_views._reduced(4000, 3000) == (560, 420)
+    assert view_pictures._reduced(*SIZE) == SIZE
+    assert view_pictures._reduced(4000, 3000) == (560, 420)
 
 
 def test_what_a_stage_measured_is_told(run):

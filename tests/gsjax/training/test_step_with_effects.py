@@ -12,8 +12,8 @@ from small_scenes import camera_at, cloud, photographed
 from tolerances import assert_close
 
 from gsjax.effects import background, exposure, poses, vignetting
+from gsjax.effects.camera_twists import apply_twist, gauge
 from gsjax.effects.simulation import learning_rate
-from gsjax.effects.twists import apply_twist, gauge
 from gsjax.rendering import backdrop, gallery
 from gsjax.scene import batches
 from gsjax.scene.cameras import center

@@ -13,7 +13,7 @@ from gsjax.scene.colors import to_bytes
 from gsjax.viewer import page as pages
 from gsjax.viewer.page import SIDE, Page
 from gsjax.viewer.page_camera import PageCamera, camera_of, page_camera
-from gsjax.viewer.subject import Subject
+from gsjax.viewer.viewed_scene import ViewedScene
 
 SIZE = 720, 480  # Of the page, and of its full picture: no pixel is resampled.
 FREE = slice(215, 475), slice(5, 715)  # Rows and columns that no panel covers.
@@ -21,7 +21,7 @@ CLOSE, FAR = 40.0, 25.0  # dB: the same picture, but for PNG's rounding; another
 PATIENCE, AGAIN = 90.0, 4.0  # Seconds until it fails, and between two tries.
 FIRST = camera_at((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), size=SIZE, focal=500.0)
 SECOND = camera_at((1.2, -0.5, 0.4), (0.0, 0.0, 4.0), size=SIZE, focal=500.0)
-SUBJECT = Subject("cloud", FIRST, np.array([0, 0, 4.0]), np.array([0, -1.0, 0]), 4.0, gaussians=cloud(30),
+VIEWED = ViewedScene("cloud", FIRST, np.array([0, 0, 4.0]), np.array([0, -1.0, 0]), 4.0, gaussians=cloud(30),
     background=np.array([0.1, 0.9, 0.4], np.float32))  # fmt: skip
 
 
@@ -62,9 +62,9 @@ def test_a_known_pose_shows_the_known_picture_a_moved_camera_another_and_who_lea
     monkeypatch.setattr(pages, "LONGEST", (str(max(SIZE)), "960"))
     poses = [page_camera(camera) for camera in (FIRST, SECOND)]
     cameras = [camera_of(at._replace(width=SIZE[0], height=SIZE[1]), SIZE) for at in poses]
-    drawn = gallery.pictures(SUBJECT.gaussians, cameras, SUBJECT.background)
+    drawn = gallery.pictures(VIEWED.gaussians, cameras, VIEWED.background)
     pictures = [to_bytes(picture.colors) for picture in drawn]
-    with Page(SUBJECT, host="127.0.0.1", port=0) as page:
+    with Page(VIEWED, host="127.0.0.1", port=0) as page:
         page.switches[SIDE].value = str(SIZE[0])
         working = threading.Thread(target=page.work)
         working.start()
@@ -72,10 +72,10 @@ def test_a_known_pose_shows_the_known_picture_a_moved_camera_another_and_who_lea
             with browser(*SIZE) as tab:
                 tab.call("Page.enable")
                 tab.call("Page.navigate", url=page.address)
-                wait(lambda: len(page.desk) and page.desk.is_idle)
+                wait(lambda: len(page.queue) and page.queue.is_idle)
                 (client,) = page.server.get_clients().values()
                 shots = [looked(client, tab, *seen) for seen in zip(poses, pictures, strict=True)]
-            wait(lambda: not len(page.desk) and not page.server.get_clients())
+            wait(lambda: not len(page.queue) and not page.server.get_clients())
             assert working.is_alive()
         finally:
             page.close()

@@ -1,4 +1,4 @@
-"""The page without a browser: who asks is a stand-in that keeps what it is sent."""
+"""The page without a browser: a browser is a stand-in that keeps what it is sent."""
 
 import socket
 import threading
@@ -14,17 +14,18 @@ from small_scenes import camera_at, cloud
 from gsjax import cli
 from gsjax.errors import InputError
 from gsjax.rendering import backdrop
+from gsjax.scene.colors import to_bytes
 from gsjax.viewer import page as pages
-from gsjax.viewer.desk import Desk
 from gsjax.viewer.page import BY_BROWSER, CAMERAS, SHOW, SIDE, News, Page, check_port
 from gsjax.viewer.page_camera import camera_of, page_camera, picture_size
-from gsjax.viewer.pictures import COLOR, DEPTH, NORMALS, Pictures
+from gsjax.viewer.picture_queue import PictureQueue
+from gsjax.viewer.pictures import COLOR, DEPTH, NORMALS, draw_picture
 from gsjax.viewer.same_origin import is_local
-from gsjax.viewer.subject import Subject
+from gsjax.viewer.viewed_scene import ViewedScene
 
 SCENE = cloud(30)
 AT = camera_at((0.0, 0.0, 0.0), (0.0, 0.0, 4.0), size=(32, 32))
-SUBJECT = Subject("cloud", AT, np.array([0, 0, 4.0]), np.array([0, -1.0, 0]), 4.0, gaussians=SCENE,
+VIEWED = ViewedScene("cloud", AT, np.array([0, 0, 4.0]), np.array([0, -1.0, 0]), 4.0, gaussians=SCENE,
     background=np.array([0.1, 0.9, 0.4], np.float32))  # fmt: skip
 
 
@@ -39,18 +40,18 @@ class Visitor:
 
 
 @contextmanager
-def served(monkeypatch, subject=SUBJECT, **options):
+def served(monkeypatch, viewed=VIEWED, **options):
     """A page, the browser that it thinks is there, and its loop in a thread."""
     monkeypatch.setattr(pages, "LONGEST", ("32", "960"))
-    with Page(subject, host="127.0.0.1", port=0, **options) as page:
-        visitor = Visitor()
-        monkeypatch.setattr(page.server, "get_clients", lambda: {"me": visitor})
+    with Page(viewed, host="127.0.0.1", port=0, **options) as page:
+        state = Visitor()
+        monkeypatch.setattr(page.server, "get_clients", lambda: {"me": state})
         if SIDE in page.switches:
             page.switches[SIDE].value = "32"
         working = threading.Thread(target=page.work)
         working.start()
         try:
-            yield page, visitor
+            yield page, state
         finally:
             page.close()
             working.join()
@@ -65,29 +66,29 @@ def wait(true):
 
 def test_a_browser_is_sent_what_its_camera_sees_coarse_then_whole_and_nothing_for_no_camera(monkeypatch):
     told = page_camera(AT)
-    with served(monkeypatch) as (page, visitor):
-        page.desk.moved("me", told)
-        wait(lambda: len(visitor.received) == 2 and page.desk.is_idle)
-        page.desk.moved("me", told._replace(position=np.full(3, np.nan)))
-        wait(lambda: page.desk.is_idle)
-        page.desk.moved("gone", told)
-        wait(lambda: page.desk.is_idle)
+    with served(monkeypatch) as (page, state):
+        page.queue.move("me", told)
+        wait(lambda: len(state.received) == 2 and page.queue.is_idle)
+        page.queue.move("me", told._replace(position=np.full(3, np.nan)))
+        wait(lambda: page.queue.is_idle)
+        page.queue.move("gone", told)
+        wait(lambda: page.queue.is_idle)
         assert page._status.content.startswith("32x32 in ")
-    (coarse, form), (whole, exact) = visitor.received
+    (coarse, form), (whole, exact) = state.received
     assert (form, exact) == ("jpeg", "png") and coarse.shape == (16, 16, 3)
     size = picture_size(told, 32)
-    expected = Pictures(SUBJECT).draw(COLOR, SCENE, camera_of(told, size))
+    expected = draw_picture(COLOR, SCENE, camera_of(told, size), VIEWED.background)
     np.testing.assert_array_equal(whole, expected)
 
 
 def test_the_switches_are_those_of_what_there_is(monkeypatch):
-    with served(monkeypatch) as (page, visitor):
+    with served(monkeypatch) as (page, state):
         assert list(page.switches) == [SHOW, SIDE]
         assert list(page.switches[SHOW].options) == [COLOR, BY_BROWSER, DEPTH, NORMALS]
         page.switches[SHOW].value = BY_BROWSER
-        page.desk.moved("me", page_camera(AT))
-        wait(lambda: visitor.received and page.desk.is_idle)
-        ((plain, _),) = visitor.received
+        page.queue.move("me", page_camera(AT))
+        wait(lambda: state.received and page.queue.is_idle)
+        ((plain, _),) = state.received
         np.testing.assert_array_equal(plain, np.broadcast_to([26, 230, 102], plain.shape))
         assert page.server.scene.get_handle_by_name("/splats").visible
 
@@ -100,13 +101,13 @@ def test_news_are_asked_for_only_while_somebody_looks_and_kept_to_their_share(mo
         return News(SCENE, "step 1 of 2") if len(asked) == 2 else None
 
     monkeypatch.setattr(pages, "PATIENCE", 0.01)
-    waiting = Subject("scene", AT, np.zeros(3), np.array([0, -1.0, 0]), 4.0, cameras={"a.png": AT})
-    with served(monkeypatch, waiting, news=news, share=0.5) as (page, visitor):
+    waiting = ViewedScene("scene", AT, np.zeros(3), np.array([0, -1.0, 0]), 4.0, cameras={"a.png": AT})
+    with served(monkeypatch, waiting, news=news, share=0.5) as (page, state):
         assert list(page.switches) == [SHOW, SIDE, CAMERAS] and page.switches[SHOW].value == BY_BROWSER
         time.sleep(0.1)
         assert not asked
-        page.desk.moved("me", page_camera(AT))
-        wait(lambda: visitor.received)
+        page.queue.move("me", page_camera(AT))
+        wait(lambda: state.received)
         assert page._status.content == "step 1 of 2"
         page.switches[CAMERAS].value = True
         wait(lambda: page.server.scene.get_handle_by_name("/cameras/00000") is not None)
@@ -117,19 +118,19 @@ def test_news_bring_the_background_that_is_learned_and_only_the_full_picture(mon
     behind = np.array([0.2, 0.4, 0.8], np.float32)
     news = [News(SCENE, "step 1 of 2", backdrop.constant_coefficients(behind, 0))]
     monkeypatch.setattr(pages, "PATIENCE", 0.01)
-    monkeypatch.setattr(Desk, "again", lambda desk, *, only_full=False: asked.append(only_full))
+    monkeypatch.setattr(PictureQueue, "redraw", lambda queue, *, only_full=False: asked.append(only_full))
     asked, begun = [], threading.Event()
-    with served(monkeypatch, news=lambda: news.pop() if news and begun.is_set() else None) as (page, visitor):
-        page.desk.moved("me", page_camera(AT))
-        wait(lambda: visitor.received)
+    with served(monkeypatch, news=lambda: news.pop() if news and begun.is_set() else None) as (page, state):
+        page.queue.move("me", page_camera(AT))
+        wait(lambda: state.received)
         asked.clear()
         begun.set()
         wait(lambda: asked)
-        page.desk.moved("me", page_camera(AT))
-        wait(lambda: len(visitor.received) == 2)
-    (before, _), (after, _) = visitor.received
-    np.testing.assert_array_equal(before, np.broadcast_to(pages.to_bytes(SUBJECT.background), before.shape))
-    np.testing.assert_array_equal(after, np.broadcast_to(pages.to_bytes(behind), after.shape))
+        page.queue.move("me", page_camera(AT))
+        wait(lambda: len(state.received) == 2)
+    (before, _), (after, _) = state.received
+    np.testing.assert_array_equal(before, np.broadcast_to(to_bytes(VIEWED.background), before.shape))
+    np.testing.assert_array_equal(after, np.broadcast_to(to_bytes(behind), after.shape))
     assert asked == [True]
 
 
@@ -139,20 +140,20 @@ def test_a_browser_that_leaves_while_it_is_drawn_for_disturbs_nobody(monkeypatch
     def closed(image, format):
         warnings.warn("Queued a message on a closed connection", RuntimeWarning, stacklevel=1)
 
-    with served(monkeypatch) as (page, visitor):
-        clients, draw = {"me": visitor, "other": Visitor()}, page._pictures.draw
+    with served(monkeypatch) as (page, state):
+        clients, draw = {"me": state, "other": Visitor()}, pages.draw_picture
 
         def drawn(*what):
             clients.pop("me", None)
-            page.desk.left("me")
+            page.queue.remove("me")
             return draw(*what)
 
         monkeypatch.setattr(page.server, "get_clients", lambda: clients)
-        monkeypatch.setattr(visitor, "set_background_image", closed)
-        monkeypatch.setattr(page._pictures, "draw", drawn)
-        page.desk.moved("me", page_camera(AT))
-        wait(lambda: not len(page.desk) and page.desk.is_idle)
-        page.desk.moved("other", page_camera(AT))
+        monkeypatch.setattr(state, "set_background_image", closed)
+        monkeypatch.setattr(pages, "draw_picture", drawn)
+        page.queue.move("me", page_camera(AT))
+        wait(lambda: not len(page.queue) and page.queue.is_idle)
+        page.queue.move("other", page_camera(AT))
         wait(lambda: len(clients["other"].received) == 2)
 
 
@@ -160,13 +161,13 @@ def test_work_takes_no_more_than_its_share(monkeypatch):
     """An answer of 0.05 seconds at a tenth: the next is at least half a second after the loop began."""
     answered = []
 
-    def answer(order):
+    def answer(request):
         answered.append(time.monotonic())
         time.sleep(0.05)
 
     with served(monkeypatch, share=0.1) as (page, _):
         monkeypatch.setattr(page, "_answer", answer)
-        page.desk.moved("me", page_camera(AT))
+        page.queue.move("me", page_camera(AT))
         wait(lambda: len(answered) == 2)
     assert answered[1] - answered[0] >= 0.4
 

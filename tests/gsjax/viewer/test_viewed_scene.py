@@ -19,7 +19,7 @@ from gsjax.runs import viewpoints
 from gsjax.runs.result import write_views
 from gsjax.scene import Pixels, frame_of
 from gsjax.scene.meshes import Mesh
-from gsjax.viewer.subject import open_subject
+from gsjax.viewer.viewed_scene import open_viewed_scene
 
 CAMERAS = [camera_at((x, 0.0, 0.0), (0.0, 0.0, 4.0), size=(24, 20)) for x in (-0.5, 0.5)]
 TETRAHEDRON = Mesh(
@@ -50,17 +50,17 @@ def placed(monkeypatch):
 
 def test_a_run_brings_its_cameras_and_its_mesh_and_says_why_there_are_no_photos(run):
     told = []
-    subject = open_subject(run, tell=told.append)
+    viewed = open_viewed_scene(run, tell=told.append)
     assert told == [f"no photos: {run}/manifest.json: cannot be read (No such file or directory)"]
-    assert list(subject.cameras) == ["0.jpg", "1.jpg"] and not subject.photos and subject.mesh is None
-    np.testing.assert_array_equal(subject.background, [1, 1, 1])
-    np.testing.assert_array_equal(subject.start.viewmat, CAMERAS[0].viewmat)
-    np.testing.assert_allclose(subject.up, [0, -1, 0], atol=1e-6)
-    assert 3 < subject.scale < 5 and np.linalg.norm(subject.middle - [0, 0, 4]) < 1
+    assert list(viewed.cameras) == ["0.jpg", "1.jpg"] and not viewed.photos and viewed.mesh is None
+    np.testing.assert_array_equal(viewed.background, [1, 1, 1])
+    np.testing.assert_array_equal(viewed.start.viewmat, CAMERAS[0].viewmat)
+    np.testing.assert_allclose(viewed.up, [0, -1, 0], atol=1e-6)
+    assert 3 < viewed.scale < 5 and np.linalg.norm(viewed.middle - [0, 0, 4]) < 1
     write_mesh(run / "mesh.ply", TETRAHEDRON)
-    assert open_subject(run).mesh == run / "mesh.ply"
+    assert open_viewed_scene(run).mesh == run / "mesh.ply"
     write_mesh(run / "other.obj", TETRAHEDRON)
-    assert open_subject(run, mesh=run / "other.obj").mesh == run / "other.obj"
+    assert open_viewed_scene(run, mesh=run / "other.obj").mesh == run / "other.obj"
 
 
 @pytest.mark.parametrize(
@@ -69,22 +69,22 @@ def test_a_run_brings_its_cameras_and_its_mesh_and_says_why_there_are_no_photos(
 )
 def test_every_file_of_gaussians_is_shown_as_such(tmp_path, placed, name, write):
     write(tmp_path / name, cloud(30))
-    subject = open_subject(tmp_path / name)
-    assert subject.gaussians.num_gaussians == 30 and subject.mesh is None
-    assert not subject.cameras, "those placed around it are not the scene's"
+    viewed = open_viewed_scene(tmp_path / name)
+    assert viewed.gaussians.num_gaussians == 30 and viewed.mesh is None
+    assert not viewed.cameras, "those placed around it are not the scene's"
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".glb"])
 def test_a_mesh_alone_is_shown_as_a_mesh_from_where_it_is_seen_whole(tmp_path, suffix):
     file = tmp_path / f"m{suffix}"
     write_mesh(file, TETRAHEDRON)
-    subject = open_subject(file)
-    assert subject.gaussians is None and subject.mesh == file
-    seen = TETRAHEDRON.vertices @ subject.start.viewmat[:3, :3].T + subject.start.viewmat[:3, 3]
-    pixels = seen @ np.asarray(subject.start.K).T
+    viewed = open_viewed_scene(file)
+    assert viewed.gaussians is None and viewed.mesh == file
+    seen = TETRAHEDRON.vertices @ viewed.start.viewmat[:3, :3].T + viewed.start.viewmat[:3, 3]
+    pixels = seen @ np.asarray(viewed.start.K).T
     pixels = pixels[:, :2] / pixels[:, 2:]
     assert (seen[:, 2] > 0).all() and (pixels > 0).all() and (pixels < [800, 600]).all()
-    np.testing.assert_array_equal(subject.up, [0, 0, 1])
+    np.testing.assert_array_equal(viewed.up, [0, 0, 1])
     # What the browser gets holds the same triangles and colours.
     (tmp_path / "back.glb").write_bytes(glb_bytes(file))
     back = read_mesh(tmp_path / "back.glb")
@@ -108,7 +108,7 @@ def test_cameras_in_all_directions_have_an_up_all_the_same(run):
     records = json_files.read(run / "cameras.json")
     turned = np.diag([-1.0, -1.0, 1.0, 1.0]) @ np.asarray(records[0]["viewmat"])  # Upside down.
     json_files.write(run / "cameras.json", [records[0], {**records[0], "name": "b", "viewmat": turned}])
-    up = open_subject(run).up
+    up = open_viewed_scene(run).up
     np.testing.assert_allclose(up, -np.asarray(records[0]["viewmat"])[1, :3], atol=1e-6)
 
 
@@ -140,9 +140,9 @@ def test_what_cannot_be_shown_is_one_line(tmp_path, run, placed):
         "broken.spz": "",
     }.items():
         with pytest.raises(InputError) as raised:
-            open_subject(tmp_path / name)
+            open_viewed_scene(tmp_path / name)
         assert str(raised.value).startswith(f"{tmp_path / name}: {message}") and "\n" not in str(raised.value)
     with pytest.raises(InputError, match="m.ply: is a mesh itself; --mesh goes with Gaussians"):
-        open_subject(tmp_path / "m.ply", mesh=tmp_path / "m.ply")
+        open_viewed_scene(tmp_path / "m.ply", mesh=tmp_path / "m.ply")
     with pytest.raises(InputError, match="absent.glb: no such mesh file"):
-        open_subject(run, mesh=tmp_path / "absent.glb")
+        open_viewed_scene(run, mesh=tmp_path / "absent.glb")

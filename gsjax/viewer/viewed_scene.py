@@ -19,7 +19,7 @@ from gsjax.scene.similarity import IDENTITY, Similarity, of_points
 
 
 @dataclass(frozen=True)
-class Subject:
+class ViewedScene:
     """What a page shows."""
 
     name: str
@@ -38,9 +38,9 @@ class Subject:
     similarity: Similarity = IDENTITY  # to all of this, which is local, from the mesh in its file
 
 
-def open_subject(
+def open_viewed_scene(
     source: str | Path, *, mesh: str | Path | None = None, tell: Callable[[str], None] = lambda _: None
-) -> Subject:
+) -> ViewedScene:
     """Reads what a person named.
 
     Args:
@@ -66,7 +66,7 @@ def open_subject(
         known = ", ".join(FORMATS), ", ".join(SUFFIXES)
         raise InputError(f"{source}: is no run folder, and no file of Gaussians ({known[0]}) or of a mesh ({known[1]})")
     result = _opened(source)
-    return Subject(
+    return ViewedScene(
         source.name,
         **_seen_from(list(result.cameras), opaque_middle(result.gaussians)),
         gaussians=result.gaussians,
@@ -77,11 +77,11 @@ def open_subject(
     )
 
 
-def subject_of_scene(name: str, scene: Scene, background: str, depth_mode: DepthReading) -> Subject:
+def view_data_set(name: str, scene: Scene, background: str, depth_mode: DepthReading) -> ViewedScene:
     """A data set of which Gaussians are yet to come."""
     cameras = {frame.name: frame_camera(frame) for frame in scene.frames}
     middle = np.median(scene.points, axis=0) if len(scene.points) else np.zeros(3)
-    return Subject(
+    return ViewedScene(
         name,
         **_seen_from(list(cameras.values()), middle),
         cameras=cameras,
@@ -91,7 +91,7 @@ def subject_of_scene(name: str, scene: Scene, background: str, depth_mode: Depth
     )
 
 
-def _of_run(run: Path, mesh: Path | None, tell: Callable[[str], None]) -> Subject:
+def _of_run(run: Path, mesh: Path | None, tell: Callable[[str], None]) -> ViewedScene:
     result = _opened(run)
     own = run / "mesh.ply"
     if mesh is None and own.exists():
@@ -102,7 +102,7 @@ def _of_run(run: Path, mesh: Path | None, tell: Callable[[str], None]) -> Subjec
     except InputError as error:
         tell(f"no photos: {error}")
         photos = {}
-    return Subject(
+    return ViewedScene(
         run.resolve().name,
         **_seen_from(list(result.cameras), opaque_middle(result.gaussians)),
         gaussians=result.gaussians,
@@ -122,7 +122,7 @@ def _opened(source: Path) -> Result:
     return result
 
 
-def _of_mesh(path: Path) -> Subject:
+def _of_mesh(path: Path) -> ViewedScene:
     """A mesh that stands on z, from a side and from above."""
     mesh = read_mesh(path)
     similarity = of_points(mesh.vertices)
@@ -132,7 +132,7 @@ def _of_mesh(path: Path) -> Subject:
     up, K = np.array([0.0, 0.0, 1.0]), np.array([[600.0, 0, 400], [0, 600.0, 300], [0, 0, 1]], np.float32)
     eye = middle + radius * np.array([2.2, 1.2, 1.0])
     seen_from = _seen_from([Camera(look_at(eye, middle, up), K, 800, 600)], middle)
-    return Subject(path.name, **{**seen_from, "up": up}, mesh=path, similarity=similarity)
+    return ViewedScene(path.name, **{**seen_from, "up": up}, mesh=path, similarity=similarity)
 
 
 def _seen_from(cameras: list[Camera], middle: np.ndarray) -> dict:

@@ -29,7 +29,7 @@ SKY = "sky"  # kept beside those where the run knows of one
 MOST_VIEWS, LONGEST_SIDE = 6, 560  # a page of them stays under 4 MB
 
 
-def shown_views(records: Sequence[dict[str, Any]]) -> list[int]:
+def report_views(records: Sequence[dict[str, Any]]) -> list[int]:
     """Which views of `cameras.json` a report shows: held-out ones, evenly spread; of none, any."""
     held_out = [index for index, record in enumerate(records) if record["held_out"]]
     some = held_out or range(len(records))
@@ -44,7 +44,7 @@ def picture_keeper(run: Path) -> Callable[[Frame, np.ndarray, Picture], None]:
         run: Run folder with its `cameras.json`.
     """
     records = read_views(run)
-    places = {records[index]["name"]: index for index in shown_views(records)}
+    places = {records[index]["name"]: index for index in report_views(records)}
 
     def keep(frame: Frame, target: np.ndarray, picture: Picture) -> None:
         if frame.name not in places:
@@ -66,14 +66,14 @@ def keep_skies(run: Path, frames: Sequence[Frame], skies: Masks) -> None:
         frames: All views, in its order.
         skies: Where they show sky.
     """
-    for index in shown_views(read_views(run)) if skies else ():
+    for index in report_views(read_views(run)) if skies else ():
         frame = frames[index]
         image = tinted(frame.pixels().image, skies.get(frame.name))
         with atomic_path(_file(run, index, SKY)) as temporary:
             temporary.write_bytes(jpeg_bytes(resize(image, *_reduced(frame.width, frame.height))))
 
 
-def kept_pictures(run: Path, index: int) -> dict[str, bytes]:
+def stored_pictures(run: Path, index: int) -> dict[str, bytes]:
     """The JPEGs that were kept of a view, by kind; those that there are."""
     files = {kind: _file(run, index, kind) for kind in (*KINDS, SKY)}
     return {kind: file.read_bytes() for kind, file in files.items() if file.exists()}

@@ -5,7 +5,7 @@ import sys
 
 PROGRAM = """
 import sys, threading
-from gsjax.report.drawing import new_figure, round_ticks
+from gsjax.report.figures import new_figure, round_ticks
 sys.setswitchinterval(1e-6)
 faults, start = [], threading.Barrier(6)
 def draw(turn):

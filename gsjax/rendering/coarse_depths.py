@@ -11,14 +11,14 @@ LONGEST = 320  # Pixels of a coarse view: 300 kB, so that all views of a capture
 SAME_SURFACE = 0.05  # Share of the depth up to which two depths are of one surface.
 
 
-class ShownDepth(NamedTuple):
+class CoarseDepth(NamedTuple):
     """One view."""
 
     camera: Camera  # numpy
     depth: np.ndarray  # [H, W] float32 camera z, 0 where the view says nothing
 
 
-def coarse_depth(camera: Camera, picture: Picture, longest: int = LONGEST) -> ShownDepth:
+def coarse_depth(camera: Camera, picture: Picture, longest: int = LONGEST) -> CoarseDepth:
     """Every k-th pixel of a picture, so that its longer side has at most `longest`; depths are not mixed."""
     every = max(1, -(-max(camera.width, camera.height) // longest))
     first = every // 2
@@ -26,10 +26,10 @@ def coarse_depth(camera: Camera, picture: Picture, longest: int = LONGEST) -> Sh
     K = thinned_K(np.asarray(camera.K), every)
     height, width = depth.shape
     coarse = Camera(np.asarray(camera.viewmat), K.astype(np.float32), width, height)  # pyright: ignore[reportArgumentType]
-    return ShownDepth(coarse, np.where(np.isfinite(depth), depth, 0))
+    return CoarseDepth(coarse, np.where(np.isfinite(depth), depth, 0))
 
 
-def depths_at(points: np.ndarray, view: ShownDepth) -> tuple[np.ndarray, np.ndarray]:
+def depths_at(points: np.ndarray, view: CoarseDepth) -> tuple[np.ndarray, np.ndarray]:
     """`[P]` camera z of `[P, 3]` world points, and `[P]` the depth that the view shows there; 0 where it shows none."""
     camera = view.camera
     rows, columns, depths, inside = landing(points, np.asarray(camera.viewmat), np.asarray(camera.K), view.depth.shape)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from gsjax.rendering.coarse_depths import coarse_depth, depths_at
 from gsjax.rendering.gallery import Picture
-from gsjax.rendering.shown_depths import coarse_depth, depths_at
 from gsjax.scene.cameras import Camera
 
 WALL = 4.0  # Its z, with the cameras at z = 0 looking along it.

@@ -7,7 +7,7 @@ from gsjax.scene import Scene, valid_pixels
 from gsjax.settings import AUTO, NONE, Settings
 
 
-def given_skies(scene: Scene, settings: Settings, downscale: float) -> Masks | None:
+def read_sky_masks(scene: Scene, settings: Settings, downscale: float) -> Masks | None:
     """Where the masks that the settings name say that the photos show sky; None where they name none.
 
     Args:

@@ -1,0 +1,130 @@
+"""Pictures that browsers wait for: a coarse one while the camera moves, the full one once it rests."""
+
+import threading
+import time
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from gsjax.viewer.page_camera import PageCamera
+
+REST = 0.25  # Seconds without a move after which a camera rests.
+
+
+class Request(NamedTuple):
+    """A picture to draw."""
+
+    browser: Hashable
+    camera: PageCamera
+    is_full: bool
+
+
+@dataclass
+class _Browser:
+    camera: PageCamera
+    moved_at: float
+    wants_coarse: bool = True
+    wants_full: bool = True
+
+
+class PictureQueue:
+    """Requests of browsers, one picture after the other; only the newest camera of each counts.
+
+    Any thread may report a camera; one thread takes requests.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic):
+        """Without browsers."""
+        self._clock = clock
+        self._browsers: dict[Hashable, _Browser] = {}
+        self._changed = threading.Condition()
+        self._closed = self._woken = self._idle = False
+
+    def __len__(self) -> int:
+        """Number of browsers."""
+        with self._changed:
+            return len(self._browsers)
+
+    def move(self, browser: Hashable, camera: PageCamera) -> None:
+        """A browser came, or its camera moved."""
+        with self._changed:
+            self._browsers[browser] = _Browser(camera, self._clock())
+            self._changed.notify()
+
+    def remove(self, browser: Hashable) -> None:
+        """A browser is gone; nothing of it is kept."""
+        with self._changed:
+            self._browsers.pop(browser, None)
+            self._changed.notify()
+
+    def redraw(self, *, only_full: bool = False) -> None:
+        """Request new pictures for every browser, or only the full one, once their camera rests."""
+        with self._changed:
+            for state in self._browsers.values():
+                state.wants_full = True
+                state.wants_coarse |= not only_full
+            self._changed.notify()
+
+    def wake(self) -> None:
+        """Lets `take` return without a request, once."""
+        with self._changed:
+            self._woken = True
+            self._changed.notify()
+
+    def close(self) -> None:
+        """No more requests."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+
+    def take(self, timeout: float | None = None) -> Request | None:
+        """Waits for the next request: coarse pictures first, whoever waits longest.
+
+        Args:
+            timeout: Seconds; None: for ever.
+
+        Returns:
+            The request; None after the timeout, when woken, or once the queue is closed.
+        """
+        until = None if timeout is None else self._clock() + timeout
+        with self._changed:
+            while not self._closed:
+                now = self._clock()
+                request, rests_in = self._next(now)
+                if request is not None:
+                    return request
+                if self._woken:
+                    self._woken = False
+                    return None
+                left = None if until is None else until - now
+                if left is not None and left <= 0:
+                    return None
+                waits = [seconds for seconds in (left, rests_in) if seconds is not None]
+                self._idle = rests_in is None
+                self._changed.wait(min(waits, default=None))
+                self._idle = False
+        return None
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._closed
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether all pictures are drawn: somebody waits for requests, and none is to come without a move."""
+        return self._idle
+
+    def _next(self, now: float) -> tuple[Request | None, float | None]:
+        """The request that is due, or after how many seconds the next camera rests."""
+        longest_first = sorted(self._browsers.items(), key=lambda item: item[1].moved_at)
+        for browser, state in longest_first:
+            if state.wants_coarse:
+                state.wants_coarse = False
+                return Request(browser, state.camera, False), None
+        waiting = [(browser, state) for browser, state in longest_first if state.wants_full]
+        for browser, state in waiting:
+            if now - state.moved_at >= REST:
+                state.wants_full = False
+                return Request(browser, state.camera, True), None
+        return None, min((state.moved_at + REST - now for _, state in waiting), default=None)
