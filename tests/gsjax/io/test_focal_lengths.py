@@ -9,7 +9,6 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 from tqdm import tqdm
 
-from gsjax.cli import sfm as command
 from gsjax.errors import InputError
 from gsjax.io.sfm import initial_cameras, mapping, source_photos
 
@@ -115,11 +114,3 @@ def test_mapping_runs_again_without_priors_where_less_than_half_register(tmp_pat
     with pytest.raises(InputError, match="no model found"):
         made[:], starts[:] = [None, None], []
         mapping.map_photos_with_priors(material, priors, tmp_path / "again", quietly)
-
-
-@pytest.mark.parametrize(
-    ("registered", "line"), [(10, ""), (9, "only 9 of 20 photos are in the model, less than half")]
-)
-def test_a_model_of_less_than_half_is_told(capsys, registered, line):
-    command.print_if_small({"registered": registered, "images": 20})
-    assert capsys.readouterr().out.startswith(line) if line else capsys.readouterr().out == ""

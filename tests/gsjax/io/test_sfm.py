@@ -14,7 +14,7 @@ from gsjax.errors import InputError
 from gsjax.io import sfm
 from gsjax.io.images import image_size, read_image
 from gsjax.io.scenes import load_scene
-from gsjax.io.sfm import pairs, reconstruct
+from gsjax.io.sfm import reconstruct
 
 quietly = partial(tqdm, disable=True)
 
@@ -150,21 +150,6 @@ def test_photos_of_two_sizes_and_one_of_something_else(shared, tmp_path):
     assert report.left_out == {"0.png": "no match with any other photo"}
     assert len(pycolmap.Reconstruction(tmp_path / "scene/sparse/0").cameras) == 2
     assert sorted(p.name for p in tmp_path.iterdir()) == ["photos", "scene"]
-
-
-def build_with_few_pairs(*arguments):
-    pairs._PARTNERS, pairs._NEXT_BY_NAME = 3, 0
-    return sfm._build(*arguments)
-
-
-def test_photos_in_no_order_are_one_model_by_few_pairs(shared, tmp_path, monkeypatch):
-    monkeypatch.setattr(sfm, "_build", build_with_few_pairs)
-    (tmp_path / "photos").mkdir()
-    sources = sorted((shared / "data/fox/images").iterdir())[:10]
-    for number, place in enumerate(np.random.default_rng(0).permutation(10)):
-        shutil.copy(sources[place], tmp_path / "photos" / f"{number}.jpg")
-    report = reconstruct(tmp_path / "photos", tmp_path / "scene", progress=quietly)
-    assert (report.registered, report.left_out) == (10, {})
 
 
 def test_a_video_becomes_a_data_set_of_its_sharpest_frames(shared, tmp_path):

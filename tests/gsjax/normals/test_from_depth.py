@@ -263,21 +263,6 @@ def test_score_and_margin_are_mean_cosines(references):
     np.testing.assert_allclose([score, margin], [best, best - second], atol=1e-5)
 
 
-def test_maps_are_taken_one_at_a_time_and_a_sample_of_each_tells_the_same(references):
-    def one_by_one(signs):
-        for reference in references:
-            yield reference * np.float32(signs)
-
-    results = [
-        detect_axes(one_by_one([1, -1, -1]), one_by_one([1, 1, 1]), pixels_per_map=count) for count in (500, 500, 10**6)
-    ]
-    for signs, score, margin in results:
-        np.testing.assert_array_equal(signs, [1, -1, -1])
-        np.testing.assert_allclose(score, 1, atol=1e-6)
-        assert margin >= results[-1][2], "the sample favours what tells the axes apart"
-    assert results[0][1:] == results[1][1:], "the sample is seeded"
-
-
 @pytest.mark.parametrize("signs", list(itertools.product([1, -1], repeat=3)))
 def test_axes_are_written_as_they_are_read(signs):
     np.testing.assert_array_equal(axis_signs(written_axes(np.float32(signs))), signs)

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 from small_graphs import ANY, NHWC, SmallGraph
 from tqdm import tqdm
+from transforms_scenes import write_transforms
 
 from gsjax import cli, config, pipeline
 from gsjax.errors import InputError
@@ -140,15 +141,8 @@ def test_sfm_finds_no_features_where_the_mask_is_zero(tmp_path):
 
 
 def test_a_data_set_is_masked_where_its_frames_read_it(tmp_path):
-    root = tmp_path / "scene"
-    write_photos(root)
-    poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (2, 1, 1))
-    poses[1, 0, 3] = 0.3
-    frames = [
-        {"file_path": f"{name}.png", "transform_matrix": pose.tolist()} for name, pose in zip("ab", poses, strict=True)
-    ]
     lens = {"fl_x": 55.0, "fl_y": 50.0, "cx": 31.0, "cy": 19.5, "w": WIDTH, "h": HEIGHT}
-    (root / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    root = write_transforms(tmp_path / "scene", dict.fromkeys(("a.png", "b.png"), scenery()), **lens)
     pipeline.masks(root, write_record(tmp_path / "r.json"), graph_of("scores", tmp_path / "w.onnx"), classes=["person"])
     for frame in load_scene(root).frames:
         np.testing.assert_array_equal(frame.pixels().valid, np.where(is_person(scenery()), 0, 255))

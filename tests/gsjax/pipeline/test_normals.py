@@ -11,6 +11,7 @@ from PIL import Image
 from small_graphs import ANY, NHWC, SmallGraph, color_network
 from small_scenes import angles
 from tqdm import tqdm
+from transforms_scenes import write_transforms
 
 from gsjax import cli, config, pipeline
 from gsjax.errors import InputError
@@ -21,7 +22,6 @@ from gsjax.networks.records import IMAGENET_MEAN, IMAGENET_STD, NETWORKS, Normal
 from gsjax.normals.axes import axis_signs
 
 WIDTH, HEIGHT = 60, 40
-OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 RECORD = {
     "licence": "none",
     "size": {"rule": "multiple", "multiple": 4},
@@ -51,16 +51,8 @@ def write_scene(root: Path, axes="opencv", photos=None, **lens) -> Path:
     """Photos of the ball's normals, in a network's axes."""
     raw = as_photo(ball() * axis_signs(axes))
     photos = {f"images/{name}.png": raw for name in "abc"} if photos is None else photos
-    frames = []
-    for index, (name, pixels) in enumerate(photos.items()):
-        (root / name).parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(pixels).save(root / name)
-        pose = np.eye(4)
-        pose[0, 3] = 0.3 * index
-        frames.append({"file_path": name, "transform_matrix": (pose @ OPENGL).tolist()})
     lens = {"fl_x": 55.0, "fl_y": 50.0, "cx": 31.0, "cy": 19.5, "w": WIDTH, "h": HEIGHT, **lens}
-    (root / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
-    return root
+    return write_transforms(root, photos, **lens)
 
 
 def write_record(file: Path, **changes) -> Path:
@@ -118,15 +110,6 @@ def test_every_known_network_is_fed_and_read_as_its_contract_says(tmp_path, netw
         # 8-bit colours are off by up to 0.4 degrees, resampling to the network's size and back by the rest.
         assert angles(normals, ball()).max() < 1.5
         assert angles(normals, ball()).mean() < 0.3
-
-
-def test_a_plane_is_its_normal_everywhere(tmp_path):
-    scene = write_scene(tmp_path / "scene")
-    plane = np.array([0.3, -0.5, -0.8]) / np.linalg.norm([0.3, -0.5, -0.8])
-    weights = color_network(tmp_path / "plane.onnx", gain=0.0, bias=3 * plane)
-    pipeline.normals(scene, "moge2", weights, tmp_path / "maps")
-    for normals in read(tmp_path / "maps", scene).values():
-        assert angles(normals, plane).max() < 0.03, "half precision, and length is not trusted"
 
 
 @pytest.mark.parametrize(

@@ -1,20 +1,17 @@
 """What `gsjax undistort` writes is a data set with the same frames."""
 
-import json
 import os
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 from tqdm import tqdm
+from transforms_scenes import write_transforms
 
 from gsjax import pipeline
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
-
-OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 @pytest.fixture(autouse=True)
@@ -24,19 +21,6 @@ def silent(monkeypatch):
 
 def noise(height=30, width=40, channels=3, seed=0):
     return np.random.default_rng(seed).integers(0, 256, (height, width, channels), dtype=np.uint8)
-
-
-def write_transforms(root: Path, photos: dict[str, np.ndarray], file="transforms.json", **camera) -> Path:
-    """A data set of photos in a row, named as given."""
-    frames = []
-    for index, (name, pixels) in enumerate(photos.items()):
-        (root / name).parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(pixels).save(root / name, quality=95)
-        pose = np.eye(4)
-        pose[0, 3] = 0.3 * index
-        frames.append({"file_path": name, "transform_matrix": (pose @ OPENGL).tolist()})
-    (root / file).write_text(json.dumps({**camera, "frames": frames}))
-    return root
 
 
 def assert_same(written, frames, *, most=0):
