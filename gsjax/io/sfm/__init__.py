@@ -19,7 +19,7 @@ from gsjax.io.place_files import write_place
 
 DEFAULT_FRAMES = 100
 REPORT = "sfm.json"
-_LITTLE_ROOM = 2**24  # bytes: of a full disk that many may be free again, once what did not fit is gone
+_LITTLE_ROOM = 2**24  # bytes: a full disk may have so many free again, after a failed write
 
 __all__ = ["DEFAULT_FRAMES", "FILES", "Reconstruction", "SfmReport", "read_report", "reconstruct"]
 
@@ -73,18 +73,18 @@ class _Options:
 
 @dataclass(frozen=True)
 class SfmReport:
-    """What a reconstruction came to."""
+    """The result of a reconstruction."""
 
     images: int  # photos given, or frames taken of a video
     registered: int  # photos with a pose
-    left_out: dict[str, str]  # names of the other photos, and why they have none
-    passed_over: dict[str, str]  # names of files that are no photos, and why they are not taken for some
+    left_out: dict[str, str]  # names of the other photos, and the reasons
+    passed_over: dict[str, str]  # names of files that are no photos, and the reasons
     points: int
     mean_reprojection_error: float  # pixels of the photos
     mean_track_length: float  # photos a point is seen in
     seconds: float
-    place: str = ""  # what the photos' GPS told: of metres, up and origin
-    gps_unused: dict[str, str] = field(default_factory=dict)  # names of photos, and why their GPS is not followed
+    place: str = ""  # metres, up and origin by the photos' GPS, in words
+    gps_unused: dict[str, str] = field(default_factory=dict)  # names of photos, and why their GPS is not used
     focal_unused: dict[str, str] = field(default_factory=dict)  # names of photos, and why EXIF's is ignored
     second_mapping: str = ""  # which model is kept where mapping ran once more, without focal lengths of EXIF
 
@@ -101,10 +101,10 @@ def reconstruct(
     matcher_weights: str | Path | None = None,
     progress: Callable[..., tqdm] = tqdm,
 ) -> SfmReport:
-    """Makes a COLMAP data set (`out/images`, `out/sparse/0`, PINHOLE cameras) from a folder of photos or a video.
+    """Make a COLMAP data set (`out/images`, `out/sparse/0`, PINHOLE cameras) from a folder of photos or a video.
 
-    Photos of one make, model, focal length, digital zoom and size are taken to come from one camera, held upright or
-    across; what is written is upright, with mattes (alpha) and masks (from a folder `masks/`). EXIF's focal lengths
+    Photos of one make, model, focal length, digital zoom and size are assumed to come from one camera, held upright or
+    across; the result is upright, with mattes (alpha) and masks (from a folder `masks/`). EXIF's focal lengths
     from 8 to 400 mm of 35 mm film are where cameras start; where less than half of the photos get a pose so, mapping
     runs once more without them, and the model of more photos is kept. Each photo is matched with the twenty
     most like it, whatever their order, and with the next by name; the largest model is kept. The work is done in a
@@ -145,7 +145,7 @@ def reconstruct(
 
 
 def read_report(scene: str | Path) -> SfmReport:
-    """What a reconstruction came to, of the data set that it made.
+    """Read the report of a reconstruction from its data set.
 
     Raises:
         InputError: The data set holds no report, or a damaged one.
@@ -159,12 +159,12 @@ def read_report(scene: str | Path) -> SfmReport:
 
 
 def _build(source: Path, workspace: Path, *how: Any) -> dict:
-    """The reconstruction (see `_built`) in its own process: leaves `workspace/scene`, returns the report."""
+    """Reconstruct (see `_built`) in its own process: leave `workspace/scene`, return the report."""
     try:
         return _built(source, workspace, *how)
     except OSError as error:
         raise unwritable(workspace, error) from error
-    except RuntimeError as error:  # Also of COLMAP's database, which tells of a full disk in words of its own.
+    except RuntimeError as error:  # Also of COLMAP's database, which reports a full disk in words of its own.
         if shutil.disk_usage(workspace).free > _LITTLE_ROOM:
             raise
         raise unwritable(workspace, OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))) from error
@@ -212,11 +212,11 @@ def _built(source: Path, workspace: Path, options: _Options, progress: Callable[
         "points": model.num_points3D(),
         "mean_reprojection_error": model.compute_mean_reprojection_error(),
         "mean_track_length": model.compute_mean_track_length(),
-        "place": placed.told,
+        "place": placed.summary,
         "focal_unused": ignored_focals,
         "second_mapping": second_mapping,
         "gps_unused": {photo.name: photo.fix for photo in photos if isinstance(photo.fix, str)}
-        | {photos[index].name: f"{metres:.0f} m from the photo's place" for index, metres in placed.off.items()},
+        | {photos[index].name: f"{metres:.0f} m from the photo's place" for index, metres in placed.errors.items()},
     }
 
 

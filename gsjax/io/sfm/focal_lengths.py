@@ -1,4 +1,4 @@
-"""Focal lengths as EXIF states them, and which of them are taken as a prior.
+"""Focal lengths of EXIF, and which of them serve as priors.
 
 The EXIF standard (CIPA DC-008, 4.6.6) has `FocalLength` of the lens, `FocalLengthIn35mmFilm` of a camera of 35 mm film
 with the same view (0: unknown), and `DigitalZoomRatio` (numerator 0: not used). It leaves open whether the second
@@ -15,7 +15,7 @@ FILM_DIAGONAL = 43.27  # mm, of 36 x 24
 
 
 class Focal(NamedTuple):
-    """What EXIF states of a photo's focal length."""
+    """The focal length in a photo's EXIF."""
 
     lens: str  # mm, as it is written; equal for photos of one setting
     film_35: float  # mm for 35 mm film; 0: unknown
@@ -27,13 +27,13 @@ CameraKey = tuple[str, str, Focal, int, int]
 
 
 def read_focal(details: Mapping[int, Any]) -> Focal:
-    """The focal length in the table of a photo's details; what is damaged counts as absent."""
+    """Read the focal length from the table of a photo's details; a damaged value counts as absent."""
     zoom, film = _number(details.get(ZOOM)), _number(details.get(FOCAL_35))
     return Focal(str(details.get(FOCAL, "")), film if film > 0 else 0.0, round(zoom, 2) if zoom > 0 else 1.0)
 
 
 def usable_prior(camera: CameraKey, cameras: Collection[CameraKey], guess: float) -> tuple[float | None, str]:
-    """The focal length in pixels that a camera starts from, or None and the reason why EXIF's is ignored.
+    """Return the focal length in pixels that a camera starts from, or None and the reason why EXIF's is ignored.
 
     Args:
         camera: Of the photos.
@@ -52,7 +52,7 @@ def usable_prior(camera: CameraKey, cameras: Collection[CameraKey], guess: float
 
 
 def _includes_zoom(camera: CameraKey, cameras: Collection[CameraKey]) -> bool | None:
-    """Whether the 35 mm equivalent changes with the digital zoom; None where nothing shows it.
+    """Decide whether the 35 mm equivalent changes with the digital zoom; None: unknown.
 
     Of the photos with the same lens and another zoom, those whose zoom differs most decide.
     """
@@ -67,7 +67,7 @@ def _includes_zoom(camera: CameraKey, cameras: Collection[CameraKey]) -> bool | 
 
 
 def _number(value: Any) -> float:
-    """A finite number of a tag; 0 of what is none, such as a fraction over zero."""
+    """Convert a tag to a finite number; 0 where it is none, such as a fraction over zero."""
     try:
         number = float(value)
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):

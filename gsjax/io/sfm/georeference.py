@@ -1,9 +1,8 @@
-"""A reconstruction to metres, upright and on Earth, by the GPS of its photos.
+"""The similarity from a reconstruction to metres on Earth, z up, by the GPS of its photos.
 
-GPS errs by metres, and now and then by streets. So the similarity is that of the smallest median of distances (least
-median of squares), and the photos near it decide. Heights by GPS are the worst of all, and photos along a line leave
-the turn about that line open: where the cameras themselves, held level, know better which way is up, GPS tells only the
-heading, the scale and the place.
+GPS errs by metres, and some fixes by streets. So the fit minimises the median distance (least median of squares), and
+the photos near it refine it. GPS heights are the least accurate, and photos along a line leave the rotation about that
+line open. Where level cameras determine up more accurately, GPS determines heading, scale and place only.
 """
 
 import math
@@ -22,21 +21,21 @@ from gsjax.scene.georeference import Place, turn_upright, up_of_cameras
 pycolmap = require("pycolmap")
 
 FEWEST = 3  # photos with GPS, of which one may be wrong only from four on
-_HELD_LEVEL = math.radians(1.0)  # what cameras are held level to, all of them alike
-_SURE = math.radians(10.0)  # of a direction that is worth its name
-_TOLD_APART = 0.5  # of the photos' spread: GPS that errs by more tells no scale
+_HELD_LEVEL = math.radians(1.0)  # systematic error of cameras that are held level
+_LARGEST_ERROR = math.radians(10.0)  # of a usable direction up
+_LARGEST_NOISE = 0.5  # of the photos' spread: GPS that errs by more determines no scale
 _TRIALS = 500
-_NEAR = 2.5 * 1.4826  # median distances from the fit, within which a photo's GPS is taken for right
-_FLOOR = 1e-3  # of the photos' spread: closer than that, any fit is right
+_NEAR = 2.5 * 1.4826  # median distances from the fit, within which a photo's GPS is an inlier
+_FLOOR = 1e-3  # of the photos' spread: closer GPS is always an inlier
 _SEED = 0
 
 
 class Georeference(NamedTuple):
-    """What the GPS of photos comes to."""
+    """The place of a model by the GPS of its photos."""
 
-    place: Place  # from the model to the world; unknown where GPS does not tell it
-    told: str  # that in words
-    off: dict[int, float]  # metres between a photo and its GPS, of the photos whose GPS is wrong, by their index
+    place: Place  # from the model to the world; unknown where GPS does not determine it
+    summary: str  # of the place, in words
+    errors: dict[int, float]  # metres between a photo and its GPS, of the outliers, by their index
 
 
 class _Motion(NamedTuple):
@@ -51,7 +50,7 @@ class _Motion(NamedTuple):
 
 
 def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None], level: Up | None = None) -> Georeference:
-    """The place of a model.
+    """Fit the place of a model.
 
     Args:
         viewmats: `[V, 3, 4]` world to camera, of the photos as they stand upright.
@@ -72,27 +71,27 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None], level: Up | 
     trusted, motion, tilt_error = np.zeros(0, int), None, math.inf
     if has_heights.sum() >= FEWEST:
         rows = np.flatnonzero(has_heights)
-        found = _least_median(_rigid, 3, centers[rows], places[rows])
-        if found is not None:
-            motion, trusted = found[0], rows[found[1]]
+        fitted = _least_median(_rigid, 3, centers[rows], places[rows])
+        if fitted is not None:
+            motion, trusted = fitted[0], rows[fitted[1]]
             tilt_error = _tilt_error(motion, centers[trusted], places[trusted])
     is_level = motion is None or up_error < tilt_error
     if is_level:
         flat = np.where(has_heights[:, None], places, places * [1, 1, 0])
-        found = _least_median(_level(turn_upright(up), has_heights), 2, centers, flat)
-        if found is None or min(up_error, tilt_error) > _SURE:
+        fitted = _least_median(_level(turn_upright(up), has_heights), 2, centers, flat)
+        if fitted is None or min(up_error, tilt_error) > _LARGEST_ERROR:
             return _unknown("the GPS of the photos does not tell which way is up, nor do the cameras")
-        motion, trusted = found
+        motion, trusted = fitted
     assert motion is not None
     across = places[trusted] - places[trusted].mean(0)
     axes = 2 if is_level else 3
     residual = np.linalg.norm((motion(centers) - places)[:, :axes], axis=1)
     spread = math.sqrt((across[:, :axes] ** 2).sum())
-    if math.sqrt((residual[trusted] ** 2).sum()) > _TOLD_APART * spread:
+    if math.sqrt((residual[trusted] ** 2).sum()) > _LARGEST_NOISE * spread:
         return _unknown(f"the photos lie within {_length(2 * spread / math.sqrt(len(trusted)))} of each other by GPS,"
                         " which is not told apart from its errors")  # fmt: skip
     wrong = sorted(set(range(len(having))) - set(trusted.tolist()))
-    off = {int(having[row]): float(residual[row]) for row in wrong}
+    errors = {int(having[row]): float(residual[row]) for row in wrong}
     altitude = origin[2] if has_heights.any() else None
     known_by = f"GPS of {len(trusted)} photos"
     place = Place(
@@ -103,50 +102,51 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None], level: Up | 
         rotation=tuple(map(tuple, motion.rotation.tolist())),  # pyright: ignore[reportArgumentType]
         shift=tuple(motion.shift.tolist()),  # pyright: ignore[reportArgumentType]
     )
-    told = f"metres by the {known_by}, which lie {_length(float(np.median(residual[trusted])))} from it (median)"
-    told += (
-        f"; up by {_up_told(level.told, tilt_error, altitude) if is_level else 'the GPS'}; origin {_degrees(origin)}"
-    )
-    return Georeference(place, told, off)
+    summary = f"metres by the {known_by}, which lie {_length(float(np.median(residual[trusted])))} from it (median)"
+    up_source = _up_source(level.source, tilt_error, altitude) if is_level else "the GPS"
+    summary += f"; up by {up_source}; origin {_degrees(origin)}"
+    return Georeference(place, summary, errors)
 
 
 def place_model(model: Any, photos: Sequence[SourcePhoto]) -> Georeference:
-    """The place of a model by the GPS of its photos; where that is known, the model is brought there.
+    """Move a model to its place by the GPS of its photos.
 
-    Without GPS, a model whose photos say which way is down is turned upright.
+    Without GPS, a model whose photos note gravity is turned upright.
 
     Args:
         model: `pycolmap.Reconstruction` in the sensors' frames, changed in place; image ids count `photos` from 1.
         photos: The photos.
 
     Returns:
-        The place of the model as it is now: its coordinates are the world's.
+        The place of the moved model, whose coordinates are the world's.
     """
     numbers = sorted(model.reg_image_ids())
     taken = [photos[number - 1] for number in numbers]
     poses = [model.image(number).cam_from_world().matrix() for number in numbers]
     viewmats = np.stack([turned_pose(pose, photo.to_upright) for pose, photo in zip(poses, taken, strict=True)])
     level = up_by_gravity(viewmats, [photo.gravity for photo in taken])
-    found = georeference(viewmats, [photo.fix if isinstance(photo.fix, Fix) else None for photo in taken], level)
-    if level is not None and not found.place.is_known:
+    fitted = georeference(viewmats, [photo.fix if isinstance(photo.fix, Fix) else None for photo in taken], level)
+    if level is not None and not fitted.place.is_known:
         upright = Place().turned(turn_upright(level.direction))
-        found = found._replace(place=upright, told=f"{found.told}; upright by {level.told}")
-    place = found.place
+        fitted = fitted._replace(place=upright, summary=f"{fitted.summary}; upright by {level.source}")
+    place = fitted.place
     if place.moves:
         model.transform(pycolmap.Sim3d(place.scale, pycolmap.Rotation3d(np.array(place.rotation)), place.shift))
-    return found._replace(place=place.reached, off={numbers[row] - 1: metres for row, metres in found.off.items()})
+    return fitted._replace(
+        place=place.reached, errors={numbers[row] - 1: metres for row, metres in fitted.errors.items()}
+    )
 
 
 def _unknown(why: str) -> Georeference:
     return Georeference(Place(), why, {})
 
 
-def _up_told(by: str, tilt_error: float, altitude: float | None) -> str:
-    """What tells up, and why GPS does not, in words."""
+def _up_source(by: str, tilt_error: float, altitude: float | None) -> str:
+    """Name the source of up, and why it is not GPS."""
     if altitude is None:
         return f"{by} (no altitudes)"
-    sure = "not at all" if tilt_error > math.pi / 4 else f"to {math.degrees(tilt_error):.1f} degrees"
-    return f"{by} (the GPS tells it {sure})"
+    accuracy = "not at all" if tilt_error > math.pi / 4 else f"to {math.degrees(tilt_error):.1f} degrees"
+    return f"{by} (the GPS tells it {accuracy})"
 
 
 def _degrees(origin: tuple[float, float, float]) -> str:
@@ -159,7 +159,7 @@ def _length(metres: float) -> str:
 
 
 def _plane(degrees: np.ndarray, has_heights: np.ndarray) -> tuple[tuple[float, float, float], np.ndarray]:
-    """The origin, in the photos' middle, and `[N, 3]` metres east, north and up of it."""
+    """Return the origin, at the photos' median, and `[N, 3]` metres east, north and up of it."""
     first = degrees[0, 1]
     longitudes = first + (degrees[:, 1] - first + 180) % 360 - 180  # so that 179 E and 179 W are neighbours
     height = float(np.median(degrees[has_heights, 2])) if has_heights.any() else 0.0
@@ -175,29 +175,28 @@ Fit = Callable[[np.ndarray, np.ndarray, np.ndarray], _Motion | None]
 
 
 def _rigid(rows: np.ndarray, model: np.ndarray, world: np.ndarray) -> _Motion | None:
-    """The similarity of least squares (Umeyama)."""
-    found: Any = pycolmap.estimate_sim3d(model[rows], world[rows])
-    if found is None or not found.scale > 0:
+    """Fit the similarity of least squares (Umeyama)."""
+    fitted: Any = pycolmap.estimate_sim3d(model[rows], world[rows])
+    if fitted is None or not fitted.scale > 0:
         return None
-    return _Motion(found.scale, found.rotation.matrix(), np.asarray(found.translation))
+    return _Motion(fitted.scale, fitted.rotation.matrix(), np.asarray(fitted.translation))
 
 
 def _level(upright: np.ndarray, has_heights: np.ndarray) -> Fit:
-    """The same where a rotation is known that brings up to z: scale, heading and place are left."""
+    """Return the fit of scale, heading and place, where the rotation that brings up to z is known."""
 
     def fit(rows: np.ndarray, model: np.ndarray, world: np.ndarray) -> _Motion | None:
-        stood, seen = (model[rows] @ upright.T), world[rows]
-        here, there = ((each[:, 0] + 1j * each[:, 1]) for each in (stood, seen))
-        here, there = here - here.mean(), there - there.mean()
-        if not np.abs(here).any():
+        source, target = (each[:, 0] + 1j * each[:, 1] for each in (model[rows] @ upright.T, world[rows]))
+        source, target = source - source.mean(), target - target.mean()
+        if not np.abs(source).any():
             return None
-        turn = (here.conj() @ there) / (here.conj() @ here)
+        turn = (source.conj() @ target) / (source.conj() @ source)
         scale = abs(turn)
         if not scale > 0:
             return None
         c, s = turn.real / scale, turn.imag / scale
         rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ upright
-        shift = seen.mean(0) - scale * model[rows].mean(0) @ rotation.T
+        shift = world[rows].mean(0) - scale * model[rows].mean(0) @ rotation.T
         heights = scale * model @ rotation[2]
         known = rows[has_heights[rows]]
         shift[2] = np.median((world[:, 2] - heights)[known]) if len(known) else -np.median(heights)
@@ -207,9 +206,9 @@ def _level(upright: np.ndarray, has_heights: np.ndarray) -> Fit:
 
 
 def _least_median(fit: Fit, minimal: int, model: np.ndarray, world: np.ndarray) -> tuple[_Motion, np.ndarray] | None:
-    """The motion of the photos that agree, and which these are; None where no sample of them gives one.
+    """Fit the motion of the least median distance, and return its inliers too; None where no sample gives one.
 
-    Distances are horizontal where two photos suffice: heights then take no part.
+    Distances are horizontal where two photos suffice.
     """
     axes = minimal
     random, every = np.random.default_rng(_SEED), np.arange(len(model))
@@ -235,7 +234,7 @@ def _least_median(fit: Fit, minimal: int, model: np.ndarray, world: np.ndarray) 
 
 
 def _tilt_error(motion: _Motion, model: np.ndarray, world: np.ndarray) -> float:
-    """Standard error of the direction up, radians: what GPS errs by, over how far the photos lie from a line."""
+    """Return the standard error of up, radians: the error of GPS over the photos' spread about a line."""
     off = motion(model) - world
     error = math.sqrt((off**2).sum() / max(3 * len(model) - 7, 1))
     widths = np.linalg.svd(motion(model) - motion(model).mean(0), compute_uv=False)

@@ -1,4 +1,4 @@
-"""Where a photo's EXIF says that it was taken."""
+"""The GPS position in a photo's EXIF."""
 
 import math
 from collections.abc import Mapping
@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 TAG = 0x8825  # of the table of GPS in EXIF
 _LATITUDE_SIDE, _LATITUDE, _LONGITUDE_SIDE, _LONGITUDE, _ALTITUDE_SIDE, _ALTITUDE, _STATUS = 1, 2, 3, 4, 5, 6, 9
-_FARTHEST = 100_000.0  # metres above or below the sea, beyond which nobody takes photos with a camera's GPS
+_FARTHEST = 100_000.0  # metres above or below the sea, beyond which an altitude is an error
 
 
 class Fix(NamedTuple):
@@ -14,13 +14,13 @@ class Fix(NamedTuple):
 
     latitude: float  # degrees north
     longitude: float  # degrees east
-    altitude: float  # metres, above what the device takes for zero; NaN where it does not say
+    altitude: float  # metres above the device's zero; NaN: unknown
 
 
 def read_fix(tags: Mapping[int, Any]) -> Fix | str | None:
-    """The place that the table of GPS tells; words for what is wrong with it; None where it tells none.
+    """Read the position from the table of GPS; return words for its fault, or None where there is none.
 
-    Receivers without a fix write 0, 0 or the status V: that is none. An altitude that cannot be read is left out.
+    Receivers without a fix write 0, 0 or the status V, which is None. An unreadable altitude is NaN.
     """
     if _LATITUDE not in tags and _LONGITUDE not in tags:
         return None
@@ -49,7 +49,7 @@ def _letter(side: Any) -> str:
 
 
 def _degrees(parts: Any) -> float:
-    """Of degrees, minutes and seconds, the last of which may be absent; NaN where they are none."""
+    """Convert degrees, minutes and seconds, the last of which may be absent; NaN where they are no angle."""
     try:
         numbers = [_number(part) for part in parts]
     except TypeError:
@@ -69,7 +69,7 @@ def _altitude(tags: Mapping[int, Any]) -> float:
 
 
 def _number(rational: Any) -> float:
-    """NaN of what is none, such as a fraction over zero."""
+    """Convert a number; NaN where it is none, such as a fraction over zero."""
     try:
         return float(rational)
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):

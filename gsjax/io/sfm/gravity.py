@@ -1,10 +1,9 @@
-"""Which way is down in a photo, as the device that took it noted: an iPhone's accelerometer, a drone's gimbal.
+"""The direction of gravity in a photo, as its device recorded it: an iPhone's accelerometer, a drone's gimbal.
 
 Apple's maker note keeps under tag 8 the vector that CoreMotion calls acceleration, in units of g: at rest it points
-down, in axes of the phone as it is looked at, x right, y to its top, z out of the screen. Its camera looks the other
-way, and the sensor's rows run from the phone's top to its bottom (ExifTool's table of Apple's tags names the same
-numbers by axes that point the other way). DJI's XMP tells the gimbal's pitch (0 level, -90 straight down) and roll,
-degrees.
+down, in the axes of the phone: x right, y to its top, z out of the screen. Its camera looks along -z, and the sensor's
+rows run from the phone's top to its bottom. (ExifTool's table of Apple's tags names the opposite axes.) DJI's XMP has
+the gimbal's pitch (0 level, -90 straight down) and roll, degrees.
 """
 
 import math
@@ -18,35 +17,35 @@ import numpy as np
 MAKER_NOTE = 0x927C
 _APPLE, _ACCELERATION, _RATIONAL = b"Apple iOS\0", 0x0008, 10
 _FRONT_LENS = 0xA434  # the tag of a lens' name, in which Apple says "front camera"
-_STILL = 0.1  # of g: a phone that is moved more than that measures the hand too
-_FLAT = 0.5  # of g along the picture: with less of it, which edge of the picture is below is not told
+_STILL = 0.1  # of g: a larger difference is acceleration of the hand
+_FLAT = 0.5  # of g along the picture: with less, its lower edge is undetermined
 _GIMBAL = {
     name: re.compile(rf"Gimbal{name}Degree\s*(?:=\s*[\"']|>)\s*([+-]?\d+(?:\.\d+)?)") for name in ("Pitch", "Roll")
 }
-FEWEST = 3  # photos that must tell it
-_AGREE = math.radians(10.0)  # to which they must, at the median
-_FAR = 3.0  # times the median: photos that are farther off are not followed
+FEWEST = 3  # photos with gravity
+_LARGEST_MEDIAN = math.radians(10.0)  # of the angles between their directions and the median direction
+_FAR = 3.0  # times that median: photos beyond are outliers
 
 Vector = tuple[float, float, float]
 
 
 class Up(NamedTuple):
-    """Which way is up in a model."""
+    """The direction up in a model."""
 
     direction: np.ndarray  # [3] unit
     error: float  # its standard error, radians
-    told: str  # by what, in words
+    source: str  # of the direction, in words
 
 
 def read_gravity(details: Mapping[int, Any], xmp: Any) -> Vector | None:
-    """The unit vector down, in the axes of the photo as it is looked at: x right, y down, z ahead; None: not told.
+    """Read the unit vector down, in the axes of the upright photo: x right, y down, z forward; None: unknown.
 
     Args:
         details: EXIF's table of details.
         xmp: XMP of the file, text or bytes; None: there is none.
     """
     note = details.get(MAKER_NOTE)
-    is_front = "front" in str(details.get(_FRONT_LENS, "")).lower()  # whose pictures are mirrored or not, as it pleases
+    is_front = "front" in str(details.get(_FRONT_LENS, "")).lower()  # whose pictures may be mirrored
     if isinstance(note, bytes) and note.startswith(_APPLE) and not is_front:
         measured = _acceleration(note)
         return None if measured is None else _of_phone(*measured)
@@ -54,11 +53,11 @@ def read_gravity(details: Mapping[int, Any], xmp: Any) -> Vector | None:
 
 
 def up_by_gravity(viewmats: np.ndarray, gravities: Sequence[Vector | None]) -> Up | None:
-    """Which way is up, as most photos tell it; None where they are too few, or do not agree.
+    """Estimate the direction up from most photos; None where they are too few, or inconsistent.
 
     Args:
-        viewmats: `[V, 3, 4]` world to camera, of the photos as they are looked at.
-        gravities: Of each of them, see `read_gravity`.
+        viewmats: `[V, 3, 4]` world to camera, of the upright photos.
+        gravities: Of each photo, see `read_gravity`.
     """
     pairs = [(pose[:, :3], down) for pose, down in zip(viewmats, gravities, strict=True) if down is not None]
     if len(pairs) < FEWEST:
@@ -68,12 +67,12 @@ def up_by_gravity(viewmats: np.ndarray, gravities: Sequence[Vector | None]) -> U
     if not np.linalg.norm(up) > 0:
         return None
     off = _angles(ups, up)
-    if np.median(off) > _AGREE:
+    if np.median(off) > _LARGEST_MEDIAN:
         return None
-    followed = off <= _FAR * max(float(np.median(off)), 1e-6)
-    up = ups[followed].mean(axis=0)
-    error = float(np.sqrt((_angles(ups[followed], up) ** 2).mean() / followed.sum()))
-    return Up(up / np.linalg.norm(up), error, f"the gravity that {followed.sum()} photos noted")
+    inliers = off <= _FAR * max(float(np.median(off)), 1e-6)
+    up = ups[inliers].mean(axis=0)
+    error = float(np.sqrt((_angles(ups[inliers], up) ** 2).mean() / inliers.sum()))
+    return Up(up / np.linalg.norm(up), error, f"the gravity that {inliers.sum()} photos noted")
 
 
 def _angles(vectors: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -81,7 +80,7 @@ def _angles(vectors: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _of_phone(x: float, y: float, z: float) -> Vector | None:
-    """Of an accelerometer's vector. The picture is turned to stand on the edge that is lowest."""
+    """Convert an accelerometer's vector. The upright picture stands on its lowest edge."""
     size = math.sqrt(x * x + y * y + z * z)
     along = math.hypot(x, y)
     if not abs(size - 1) <= _STILL or along < _FLAT:
@@ -96,15 +95,15 @@ def _of_phone(x: float, y: float, z: float) -> Vector | None:
 
 
 def _of_gimbal(xmp: str) -> Vector | None:
-    found = {name: pattern.search(xmp) for name, pattern in _GIMBAL.items()}
-    if found["Pitch"] is None:
+    pitch, roll = (pattern.search(xmp) for pattern in _GIMBAL.values())
+    if pitch is None:
         return None
-    pitch, roll = (math.radians(float(match[1])) if match else 0.0 for match in (found["Pitch"], found["Roll"]))
+    pitch, roll = (math.radians(float(match[1])) if match else 0.0 for match in (pitch, roll))
     return math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll), -math.sin(pitch)
 
 
 def _acceleration(note: bytes) -> Vector | None:
-    """The three signed fractions in Apple's maker note, whose table begins behind its name, version and byte order."""
+    """Read the three signed fractions in Apple's maker note, whose table follows its name, version and byte order."""
     try:
         order = {b"MM": ">", b"II": "<"}[note[12:14]]
         for tag, kind, count, value in _entries(note, order):
@@ -118,7 +117,7 @@ def _acceleration(note: bytes) -> Vector | None:
 
 
 def _entries(note: bytes, order: str) -> Iterator[tuple[int, int, int, int]]:
-    """Tag, type, count, and offset of the value of every entry."""
+    """Yield tag, type, count, and offset of the value of every entry."""
     (count,) = struct.unpack_from(f"{order}H", note, 14)
     for index in range(count):
         yield struct.unpack_from(f"{order}HHII", note, 16 + 12 * index)

@@ -1,7 +1,7 @@
-"""Photos in a folder: which camera took each, and how it was held.
+"""Photos in a folder, with camera, orientation, mask, GPS and gravity of each.
 
-Structure from motion works in the sensor's frame, which is broader than high however the camera was held: so photos of
-one camera share their intrinsics. What is written at the end is upright.
+Structure from motion works in the sensor's frame, which is broader than high in any orientation of the camera, so that
+photos of one camera share their intrinsics. The data set that it writes is upright.
 """
 
 import os
@@ -42,10 +42,10 @@ class SourcePhoto:
     to_sensor: int  # quarter turns anticlockwise, from the stored pixels to the sensor's frame
     to_upright: int  # quarter turns clockwise, from the sensor's frame to upright
     mask_path: Path | None = None
-    fix: gps.Fix | str | None = None  # where it was taken by GPS; words for what is wrong with that; None: not said
-    gravity: Vector | None = None  # down in the photo as it is looked at, where the device noted it
+    fix: gps.Fix | str | None = None  # position by GPS; words for its fault; None: unknown
+    gravity: Vector | None = None  # unit vector down in the upright photo, where the device recorded it
     is_panorama: bool = False  # equirectangular: 360 degrees across, 180 down
-    mask_below: float | None = None  # of a panorama, degrees: what is that far and farther below the horizon is masked
+    mask_below: float | None = None  # of a panorama, degrees below the horizon from which on it is masked
 
     @property
     def size(self) -> tuple[int, int]:
@@ -53,7 +53,7 @@ class SourcePhoto:
         return self.camera[-2:]
 
     def read(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """`[H, W, 3]` uint8 in the sensor's frame, and the matte `[H, W]` uint8 where the photo has one.
+        """Read `[H, W, 3]` uint8 in the sensor's frame, and the matte `[H, W]` uint8 where the photo has one.
 
         Raises:
             InputError: The file is damaged.
@@ -62,9 +62,9 @@ class SourcePhoto:
         return self._in_sensor(colors), None if alpha is None or says_nothing(alpha) else self._in_sensor(alpha)
 
     def read_mask(self) -> np.ndarray | None:
-        """`[H, W]` uint8 in the sensor's frame, 0 where a panorama shows who took it; None where nothing is masked.
+        """Read the mask `[H, W]` uint8 in the sensor's frame; None where nothing is masked.
 
-        The mask of a file is turned as the photo's pixels are stored, or as the photo is looked at; its shape tells.
+        A mask file is oriented as the photo's stored pixels, or as the upright photo; its shape decides.
 
         Raises:
             InputError: The file is damaged, or of another shape than the photo.
@@ -96,11 +96,11 @@ class SourcePhoto:
         return np.ascontiguousarray(np.rot90(stored[:, ::-1] if self.mirrored else stored, self.to_sensor))
 
     def upright(self, colors: np.ndarray) -> np.ndarray:
-        """Pixels `[H, W, ...]` of the sensor's frame, turned as the photo is looked at."""
+        """Turn pixels `[H, W, ...]` of the sensor's frame upright."""
         return np.rot90(colors, -self.to_upright)
 
     def read_upright(self) -> np.ndarray:
-        """`[H, W, 3]` uint8 as the photo is looked at.
+        """Read `[H, W, 3]` uint8 of the upright photo.
 
         Raises:
             InputError: The file is damaged.
@@ -108,7 +108,7 @@ class SourcePhoto:
         return np.ascontiguousarray(self.upright(self._in_sensor(read_image(self.path)[0])))
 
     def as_stored(self, upright: np.ndarray) -> np.ndarray:
-        """Pixels `[H, W, ...]` of the picture as it is looked at, turned as the file holds them."""
+        """Turn pixels `[H, W, ...]` of the upright photo as the file stores them."""
         stored = np.rot90(upright, self.to_upright - self.to_sensor)
         return stored[:, ::-1] if self.mirrored else stored
 
@@ -121,12 +121,12 @@ def list_source_photos(folder: Path) -> list[SourcePhoto]:
 
 
 def usable_photos(folder: Path) -> tuple[list[SourcePhoto], list[Fault]]:
-    """The photos of a folder and its subfolders, by name, with their masks; and the faults of those that are damaged.
+    """List the photos of a folder and its subfolders, by name, with their masks; and the faults of damaged ones.
 
     Where all photos lie in a subfolder `images/`, that is their folder. A folder `masks/` or `mask/`, in any case, in
-    it, beside it or beside photos holds masks (`gsjax.io.image_folders`), no photos; so do files beside a photo that
-    have its name and say so. Nor do folders hold photos that are a data set, a run or a scan, or are called as one of
-    what was made of photos: `depth`, `thumbnails`.
+    it, beside it or beside photos holds masks (`gsjax.io.image_folders`), no photos. A file beside a photo is its mask
+    if its name is that of the photo and ends in `MASK_ENDS`. Data sets, runs, scans, and folders of derived pictures
+    such as `depth` or `thumbnails` hold no photos.
 
     Raises:
         InputError: No folder, fewer than two photos, too few that are whole (`gsjax.io.bad_items`), or masks of which
@@ -155,7 +155,7 @@ def usable_photos(folder: Path) -> tuple[list[SourcePhoto], list[Fault]]:
 
 
 def _masks_beside(pictures: Mapping[str, Path]) -> dict[str, Path]:
-    """The files that are the mask of a photo beside them, by the photo's name."""
+    """Return the masks beside photos, by the photo's name."""
     ends = {end: len(end) for end in MASK_ENDS}
     of = {f: n[:-cut] for n, f in pictures.items() for end, cut in ends.items() if n.lower().endswith(end)}
     by_stem = {os.path.splitext(name)[0]: name for name, file in pictures.items() if file not in of}
@@ -164,7 +164,7 @@ def _masks_beside(pictures: Mapping[str, Path]) -> dict[str, Path]:
 
 
 def _masks_in_folders(root: Path, photos: Mapping[str, Path]) -> dict[str, Path]:
-    """The masks in the first folder of masks in the photos' folder or beside it, and else in one beside each photo."""
+    """Return the masks in the first folder of masks in or beside the photos' folder, else in one beside each photo."""
     folders = [path for place in (root, root.parent) for path in _mask_folders(place) if path != root]
     masks = masks_in(folders[0], photos) if folders else {}
     for parent in {file.parent for file in photos.values()} - {root}:
@@ -177,7 +177,7 @@ def _masks_in_folders(root: Path, photos: Mapping[str, Path]) -> dict[str, Path]
 
 
 def as_panoramas(photos: list[SourcePhoto], mask_below: float | None) -> list[SourcePhoto]:
-    """The photos as equirectangular panoramas, masked from `mask_below` degrees below the horizon on; None: not masked.
+    """Return the photos as equirectangular panoramas, masked from `mask_below` degrees below the horizon on.
 
     Raises:
         InputError: One of them is not twice as broad as high, or lies on its side.
@@ -192,7 +192,7 @@ def as_panoramas(photos: list[SourcePhoto], mask_below: float | None) -> list[So
 
 
 def panorama_hint(photos: list[SourcePhoto]) -> str:
-    """How the reason goes on why photos, matched as pictures of a lens, have no pose, where all look like panoramas."""
+    """Return a hint, where all photos have the shape of panoramas, for the reason why photos have no pose."""
     return "; if it shows 360 degrees, add --panoramas" if all(_is_panoramic(photo) for photo in photos) else ""
 
 
@@ -202,7 +202,7 @@ def _is_panoramic(photo: SourcePhoto) -> bool:
 
 
 def unused_files(folder: Path) -> dict[str, str]:
-    """What else a folder of photos holds, by name, and why it is not taken; what is hidden does not count."""
+    """Return by name why other files of a folder are not photos; hidden ones are left out."""
     root = _photo_folder(folder)
     made = {path.relative_to(root).as_posix(): "was made of photos, by this program or another" for path in _made(root)}
     others = [file for file in _files(root) if not _is_photo(file)]
@@ -217,20 +217,20 @@ def _photo_folder(folder: Path) -> Path:
 
 
 def _files(root: Path) -> list[Path]:
-    """All files, but for hidden ones, masks, and what was made of photos."""
+    """List all files but hidden ones, masks, and derived pictures."""
     others = _made(root) | {path for path in root.rglob("*") if path.name.casefold() in _MASKS and path.is_dir()}
     files = [file for file in root.rglob("*") if os.path.isfile(file) and others.isdisjoint(file.parents)]
     return sorted(f for f in files if not any(part.startswith(".") for part in f.relative_to(root).parts))
 
 
 def _mask_folders(place: Path) -> list[Path]:
-    """The folders of masks in a folder, the likeliest name first."""
+    """List the folders of masks in a folder, the most usual name first."""
     found = [path for path in place.glob("*") if path.name.casefold() in _MASKS and path.is_dir()]
     return sorted(found, key=lambda path: (_MASKS.index(path.name.casefold()), path))
 
 
 def _made(root: Path) -> set[Path]:
-    """The folders in a folder that hold a data set, a run or a scan, or are called as what is made of photos."""
+    """Return the folders within that hold a data set, a run or a scan, or have a name of derived pictures."""
     called_so = {path for path in root.rglob("*") if path.name.casefold() in _OTHERS and path.is_dir()}
     return called_so | {path.parent for name in _MADE for path in root.rglob(name)} - {root}
 
@@ -240,13 +240,13 @@ def _is_photo(file: Path) -> bool:
 
 
 def turned_pose(pose: np.ndarray, turns: int) -> np.ndarray:
-    """A pose `[3, 4]` (world to camera) after its picture was turned clockwise by quarter turns."""
+    """Turn a pose `[3, 4]` (world to camera) with its picture, clockwise by quarter turns."""
     quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     return np.linalg.matrix_power(quarter, turns) @ pose
 
 
 def turned_points(xy: np.ndarray, width: float, height: float, turns: int) -> np.ndarray:
-    """Pixels `[N, 2]` of a picture of the given size after it was turned clockwise by quarter turns."""
+    """Turn pixels `[N, 2]` with a picture of the given size, clockwise by quarter turns."""
     for _ in range(turns):
         xy, width, height = np.stack([height - xy[:, 1], xy[:, 0]], axis=-1), height, width
     return xy
@@ -255,14 +255,14 @@ def turned_points(xy: np.ndarray, width: float, height: float, turns: int) -> np
 def turned_pinhole(
     K: np.ndarray, width: int, height: int, turns: int
 ) -> tuple[tuple[float, float, float, float], int, int]:
-    """COLMAP's PINHOLE parameters (fx, fy, cx, cy), width and height after quarter turns clockwise."""
+    """Return COLMAP's PINHOLE parameters (fx, fy, cx, cy), width and height after quarter turns clockwise."""
     fx, fy = (K[0, 0], K[1, 1]) if turns % 2 == 0 else (K[1, 1], K[0, 0])
     ((cx, cy),) = turned_points(K[None, :2, 2], width, height, turns)
     return (fx, fy, cx, cy), *((width, height) if turns % 2 == 0 else (height, width))
 
 
 def read_source_photo(path: Path, name: str, mask_path: Path | None = None) -> SourcePhoto:
-    """The photo in a file, which the data set calls `name`.
+    """Read the header of a photo's file, which the data set calls `name`.
 
     Raises:
         InputError: The file is missing or no image.
@@ -276,7 +276,7 @@ def read_source_photo(path: Path, name: str, mask_path: Path | None = None) -> S
 
 
 def _exif(path: Path) -> tuple[str, str, Focal, int, gps.Fix | str | None, Vector | None]:
-    """Make, model, focal length, orientation, GPS and gravity; empty, 1 and None where the file does not say."""
+    """Read make, model, focal length, orientation, GPS and gravity; empty, 1 and None where they are absent."""
     with open_image(path) as picture:
         orientation = exif.orientation_of(picture)
         if orientation is None:

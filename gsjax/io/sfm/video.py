@@ -1,4 +1,4 @@
-"""The frames of a video that are worth a photo: the sharpest of every stretch."""
+"""The sharpest frame of every stretch of a video."""
 
 import re
 import struct
@@ -15,7 +15,7 @@ from gsjax.io.files import atomic_path, make_folder
 from gsjax.io.images import cv2
 from gsjax.io.notices import print_once
 
-_JUDGED_AT = 640  # pixels of the longer side: what a lens resolves, without the noise of single pixels
+_SHARPNESS_SIDE = 640  # pixels of the longer side: sharpness of the lens, without the noise of single pixels
 _JPEG_QUALITY = 95
 _HEAD = 2**20  # bytes of a file of Matroska that hold its description
 _MATROSKA = b"\x1a\x45\xdf\xa3"
@@ -23,14 +23,14 @@ _TRANSFER = re.compile(rb"\x55\xba\x81(.)", re.DOTALL)  # Matroska's TransferCha
 
 
 def write_sharpest_frames(video: Path, folder: Path, count: int, progress: Callable[..., tqdm]) -> Path:
-    """Cuts the video into `count` stretches of one length and writes the sharpest frame of each.
+    """Cut the video into `count` stretches of one length and write the sharpest frame of each.
 
-    Frames are turned as the video's rotation says. One pass; two frames in memory at a time.
+    Frames are turned by the video's rotation. One pass; two frames in memory at a time.
 
     Args:
         video: Any file that OpenCV reads.
         folder: Where to write NNNNNN.jpg, the number of the frame in the video, from 0.
-        count: Frames wanted; a video of fewer frames gives them all.
+        count: Frames to write; a shorter video gives all its frames.
         progress: Makes a progress bar.
 
     Returns:
@@ -43,8 +43,8 @@ def write_sharpest_frames(video: Path, folder: Path, count: int, progress: Calla
     total = _frame_count(video)
     transfer = transfer_function(video)
     if transfer is not None:
-        told = f"{video}: is coded for high dynamic range ({transfer}), which is not converted"
-        print_once(f"{told}; its colours are taken as sRGB; export it in standard dynamic range for true colours")
+        fault = f"{video}: is coded for high dynamic range ({transfer}), which is not converted"
+        print_once(f"{fault}; its colours are taken as sRGB; export it in standard dynamic range for true colours")
     stretches = min(count, total)
     best, best_sharpness, best_index, stretch = None, -1.0, 0, 0
     with progress(total=total, desc="video", unit="frame") as bar:
@@ -60,7 +60,7 @@ def write_sharpest_frames(video: Path, folder: Path, count: int, progress: Calla
 
 
 def transfer_function(video: Path) -> str | None:
-    """PQ or HLG, as the file of a video states it; None where it states another one, or none.
+    """Read PQ or HLG from the file of a video; None where it states another transfer function, or none.
 
     MP4 and MOV state it in a `colr` box, beside their other tables and never in their pictures; Matroska and WebM in an
     element of their head. OpenCV does not report it.
@@ -75,7 +75,7 @@ def transfer_function(video: Path) -> str | None:
 
 
 def _tables(file: BinaryIO) -> bytes:
-    """The `moov` box of an MP4 or MOV; empty of other files."""
+    """Return the `moov` box of an MP4 or MOV; empty of other files."""
     end = file.seek(0, 2)
     at = 0
     while at + 8 <= end:
@@ -95,7 +95,7 @@ def _tables(file: BinaryIO) -> bytes:
 
 
 def _frame_count(video: Path) -> int:
-    """What the file says, or where it says nothing, what can be counted."""
+    """Return the number of frames that the file states, or else the counted ones."""
     capture = _open(video)
     stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
     count = 0
@@ -123,9 +123,9 @@ def _open(video: Path):
 
 
 def _sharpness(frame: np.ndarray) -> float:
-    """Variance of the Laplacian of the reduced picture."""
+    """Return the variance of the Laplacian of the reduced picture."""
     grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
-    scale = _JUDGED_AT / max(grey.shape)
+    scale = _SHARPNESS_SIDE / max(grey.shape)
     if scale < 1:
         grey = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return float(cv2.Laplacian(grey, cv2.CV_32F).var())
@@ -133,5 +133,5 @@ def _sharpness(frame: np.ndarray) -> float:
 
 def _write(folder: Path, index: int, frame: np.ndarray) -> None:
     _, encoded = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    with atomic_path(folder / f"{index:06d}.jpg") as temporary:  # OpenCV's own writer does not tell of full disks.
+    with atomic_path(folder / f"{index:06d}.jpg") as temporary:  # OpenCV's own writer does not report full disks.
         temporary.write_bytes(encoded)

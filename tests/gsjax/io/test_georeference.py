@@ -111,7 +111,7 @@ def test_a_flight_comes_out_level_and_true_to_scale(around):
     found = georeference(viewmats, fixes)
     tilt, off = errors(viewmats, found.place, places)
     assert tilt < 1 and off < 0.01
-    assert found.off == {} and found.place.is_known
+    assert found.errors == {} and found.place.is_known
     middle = EARTH.ellipsoid_to_enu(np.array([found.place.origin]), *around)[0]
     assert np.linalg.norm(middle - np.median(places, axis=0)) < 0.5
 
@@ -123,14 +123,14 @@ def test_wrong_gps_is_told_apart_and_not_followed():
     found = georeference(viewmats, fixes)
     tilt, off = errors(viewmats, found.place, places)
     assert tilt < 1 and off < 0.01
-    assert list(found.off) == [3, 9] and found.off[3] == pytest.approx(1112, rel=0.01)
+    assert list(found.errors) == [3, 9] and found.errors[3] == pytest.approx(1112, rel=0.01)
 
 
 def test_gps_on_a_line_leaves_up_to_the_cameras_and_says_so():
     viewmats, fixes, places = flight(MUNICH, noise=0.3, path="line")
     found = georeference(viewmats, fixes)
     tilt, off = errors(viewmats, found.place, places)
-    assert "up by the cameras (the GPS tells it" in found.told
+    assert "up by the cameras (the GPS tells it" in found.summary
     assert tilt < 2 and off < 0.03  # What is held to 2 degrees by each of 40 hands.
 
 
@@ -138,7 +138,7 @@ def test_without_altitudes_up_is_the_cameras_and_the_origin_has_no_height():
     viewmats, fixes, places = flight(MUNICH, noise=0.3)
     found = georeference(viewmats, [fix._replace(altitude=np.nan) for fix in fixes])
     tilt, off = errors(viewmats, found.place, places)
-    assert "no altitudes" in found.told and found.place.origin[2] is None
+    assert "no altitudes" in found.summary and found.place.origin[2] is None
     assert tilt < 1 and off < 0.02
 
 
@@ -146,7 +146,7 @@ def test_without_altitudes_up_is_the_cameras_and_the_origin_has_no_height():
 def test_gps_that_tells_no_scale_is_not_followed(path, kept, told):
     viewmats, fixes, _ = flight(MUNICH, noise=3.0, path=path)
     found = georeference(viewmats, [*fixes[:kept], *[None] * (COUNT - kept)])
-    assert not found.place.is_known and told in found.told
+    assert not found.place.is_known and told in found.summary
 
 
 def test_a_model_is_brought_to_its_place_with_its_points(tmp_path):

@@ -96,7 +96,7 @@ def test_most_photos_decide_and_the_error_is_told():
     found = up_by_gravity(viewmats, downs)
     off = np.arccos(found.direction @ up)
     assert np.degrees(off) < 2 and off < 4 * found.error < np.radians(5)
-    assert found.told == "the gravity that 28 photos noted"
+    assert found.source == "the gravity that 28 photos noted"
 
 
 def test_too_few_photos_or_such_as_do_not_agree_tell_nothing():
@@ -116,7 +116,7 @@ def test_without_gps_a_model_is_turned_upright_and_its_folder_says_so(tmp_path):
     point = model.add_point3D(5 * up, pycolmap.Track(), np.zeros(3, np.uint8))
     found = place_model(model, [SimpleNamespace(fix=None, to_upright=0, gravity=down) for down in downs])
     np.testing.assert_allclose(model.point3D(point).xyz, [0, 0, 5], atol=1e-6)
-    assert found.told.endswith("`gsjax scale` sets it; upright by the gravity that 12 photos noted")
+    assert found.summary.endswith("`gsjax scale` sets it; upright by the gravity that 12 photos noted")
     assert not found.place.is_known and not found.place.moves and found.place.up == (0, 0, 1)
     write_place(tmp_path, found.place)
     assert read_place(tmp_path) == found.place
