@@ -2,40 +2,22 @@
 
 import argparse
 import errno
+import importlib
 import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-from gsjax.cli import (
-    blocks,
-    clean,
-    compare,
-    convert,
-    demo,
-    diagnose,
-    doctor,
-    environment,
-    evaluate,
-    masks,
-    mesh,
-    normals,
-    refine,
-    render,
-    report,
-    scale,
-    scan,
-    sfm,
-    share,
-    texture,
-    train,
-    undistort,
-    view,
-)
+from gsjax.cli import environment
 from gsjax.cli.stopping import SIGNALS, Stopping
 from gsjax.errors import InputError, is_out_of_memory
 from gsjax.io.packages import check_installed
 
+COMMANDS = (
+    "demo", "scan", "sfm", "scale", "train", "blocks", "mesh", "refine", "texture", "evaluate", "render", "report",
+    "compare", "clean", "view", "share", "diagnose", "normals", "masks", "undistort", "convert", "doctor",
+)  # fmt: skip
+"""Modules of this package with a command each, in the order of the help."""
 OF_A_NAME = {errno.ENAMETOOLONG, errno.EACCES, errno.EPERM}
 """Errors of files and folders whose names are too long or that this user may not read."""
 WITHOUT_A_NAME = {
@@ -140,27 +122,8 @@ def parser() -> argparse.ArgumentParser:
     top = _Parser(prog="gsjax", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     top.add_argument("--version", action=_Version, help="say versions, device and engine, and exit")
     commands = top.add_subparsers(title="commands", metavar="COMMAND", required=True, parser_class=_Command)
-    beside_training = diagnose, normals, masks, undistort, convert, doctor
-    for command in (
-        demo,
-        scan,
-        sfm,
-        scale,
-        train,
-        blocks,
-        mesh,
-        refine,
-        texture,
-        evaluate,
-        render,
-        report,
-        compare,
-        clean,
-        view,
-        share,
-        *beside_training,
-    ):
-        command.add_to(commands)
+    for name in COMMANDS:
+        importlib.import_module(f"gsjax.cli.{name}").add_to(commands)
     return top
 
 
