@@ -31,6 +31,7 @@ from gsjax.planning.validation import WORTH, Validated
 from gsjax.runs.photo_effects import PhotoEffects
 from gsjax.scene import Scene
 from gsjax.settings import AUTO, NONE, SIMULATED, named_effects
+from gsjax.settings import EFFECTS as NAMES
 from gsjax.training.plan import Plan
 
 PROPOSED = ("exposure", "vignetting", "poses", "sky", "background", "transients")
@@ -87,6 +88,17 @@ class ChosenEffects:
     def names(self) -> tuple[str, ...]:
         """What the plan is told of, see `gsjax.training.plan.Plan.with_effects`."""
         return (*self.effects, *(("sky",) if self.skies else ()))
+
+    def with_own(self, effects: Effects) -> "ChosenEffects":
+        """The same and a user's own effects, which are simulated without a decision.
+
+        Raises:
+            InputError: One has the name of an effect of this library.
+        """
+        for name in effects:
+            if name in NAMES:
+                raise InputError(f"effects: {name!r} is an effect of the library; give yours another name")
+        return replace(self, effects={**self.effects, **effects})
 
     def photo_effects(self, state: EffectState | None) -> PhotoEffects:
         """What the state says of the photos."""

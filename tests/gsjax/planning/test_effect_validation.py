@@ -13,6 +13,8 @@ from small_scenes import built_in
 from gsjax.config import parse
 from gsjax.effects import background, exposure, poses, transients, vignetting
 from gsjax.effects.observations import observe
+from gsjax.effects.simulation import Effect, initial_state, update_effects
+from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
 from gsjax.planning.effect_runs import held_out_blocks, switchable, without_blocks
 from gsjax.planning.effect_validation import EffectValidation, chosen_photos, select, steps_of_each
@@ -273,3 +275,18 @@ def test_without_validation_evidence_must_be_stronger_and_corners_are_left_alone
     capsys.readouterr()
     assert chosen(dark) == () and "not simulated: vignetting" in capsys.readouterr().err
     assert choose_effects("vignetting", plan(SETTINGS), dark, lambda *_: {}).names == ("vignetting",)
+
+
+def test_a_users_own_effect_is_simulated_besides_and_learns():
+    """Light of one factor for all photos: its number falls where photos are darker than the render."""
+    own = Effect(
+        np.float32(0), optax.constant_schedule(1e-2), light=lambda number, colors, batch: colors * jnp.exp(number)
+    )
+    chosen = choose_effects("exposure", plan(SETTINGS), wall(6)).with_own({"dimmer": own})
+    assert chosen.names == ("exposure", "dimmer") and plan(SETTINGS).with_effects(chosen.names).effects == chosen.names
+    state = initial_state(chosen.effects)
+    gradients = {"exposure": jnp.zeros_like(state.numbers["exposure"]), "dimmer": jnp.float32(1)}
+    state = update_effects(chosen.effects, state, gradients)
+    assert state.numbers["dimmer"] == pytest.approx(-1e-2, rel=1e-4)
+    with pytest.raises(InputError, match="'poses' is an effect of the library; give yours another name"):
+        chosen.with_own({"poses": own})
