@@ -47,7 +47,7 @@ def as_record(cls: type[T], given: T | Mapping[str, Any]) -> T:
     Raises:
         InputError: It is neither, or as in `parse`.
     """
-    return given if isinstance(given, cls) else parse(cls, given, where=cls.__name__)  # pyright: ignore[reportArgumentType]
+    return given if isinstance(given, cls) else parse(cls, given, where=cls.__name__)
 
 
 def parse_numbers(numbers: Mapping[str, Any], *, where: str) -> dict[str, float]:

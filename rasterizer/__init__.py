@@ -7,6 +7,14 @@ from rasterizer.compositing import Front
 from rasterizer.covariances import quat_scale_to_covar_preci
 from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, lists_by_itself, prepare
 from rasterizer.features import blended_depth, depth_channels, median_depth
+from rasterizer.gsplat import (
+    fully_fused_projection,
+    isect_offset_encode,
+    isect_tiles,
+    proj,
+    rasterize_to_pixels,
+    world_to_cam,
+)
 from rasterizer.harmonics import (
     spherical_harmonics,
     spherical_harmonics_l0,
@@ -16,14 +24,6 @@ from rasterizer.harmonics import (
 from rasterizer.normals import camera_normals
 from rasterizer.projection import DepthMode, Projection, project
 from rasterizer.rules import GSPLAT, GSPLAT_1_5, INRIA, SMOOTH, Rules
-from rasterizer.stages import (
-    fully_fused_projection,
-    isect_offset_encode,
-    isect_tiles,
-    proj,
-    rasterize_to_pixels,
-    world_to_cam,
-)
 
 __all__ = [
     "GSPLAT",

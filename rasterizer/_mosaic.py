@@ -42,13 +42,13 @@ def engine(interpret: bool, segment_size: int = _pallas.SEGMENT, *, sum_rows=_pa
     """As `rasterizer._pallas.engine`; interpreted, a tile of a few splats takes seconds."""
     kernels = _pallas.engine(interpret, segment_size, launch, sum_rows)
 
-    def of(static: Static) -> Engine:
+    def engine_of(static: Static) -> Engine:
         return _xla.ENGINE if static.front or static.grid.tile_size**2 < THREADS else kernels
 
-    def forward(static: Static, *lists: Array) -> Blended:
-        return of(static).forward(static, *lists)
+    def forward(static: Static, *arguments: Any) -> Blended:
+        return engine_of(static).forward(static, *arguments)
 
-    def backward(static: Static, *arguments: Array) -> Array:
-        return of(static).backward(static, *arguments)
+    def backward(static: Static, *arguments: Any) -> Array:
+        return engine_of(static).backward(static, *arguments)
 
-    return Engine(forward, backward)
+    return kernels._replace(forward=forward, backward=backward)

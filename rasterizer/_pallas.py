@@ -17,8 +17,8 @@ from jax import Array
 from jax.experimental import pallas as pl
 
 from rasterizer.blending import blend_splat, cut_alpha, front_weight, splat_sigma, unblend_splat
-from rasterizer.compositing import Blended, Engine, Static, chain_to_rows, moment_basis
-from rasterizer.manual_axes import result
+from rasterizer.compositing import Blended, Engine, Static, chain_to_rows, moment_basis, splats_at
+from rasterizer.tracing import result
 
 CHUNK = 16  # Splats between two looks at whether every pixel has stopped: the look is a reduction over the program.
 SEGMENT = 256  # Splats that one program of the backward pass walks.
@@ -237,8 +237,9 @@ def launch(
 
 
 def _forward(
-    static: Static, rows: Array, splats: Array, offsets: Array, *, launch: Launch, interpret: bool, segment_size: int
+    static: Static, rows: Array, lists: tuple[Array, Array], *, launch: Launch, interpret: bool, segment_size: int
 ) -> Blended:
+    splats, offsets = lists
     tiles, pixels, channels = static.grid.num_tiles, static.grid.tile_size**2, rows.shape[1] - 6
     segments = _segments(offsets, splats.shape[0], segment_size)
     # A program that begins late and walks long would be the only one left at the end.
@@ -256,31 +257,33 @@ def _forward(
     kernel = partial(_forward_kernel, static=static, segment_size=segment_size)
     arguments = rows, splats, offsets, order, segments[1]
     features, t, last, light, shown, *marks = launch(kernel, tiles, shapes, FORWARD_WARPS, interpret, arguments)
-    median, crossings = (marks[0], marks[1:]) if static.with_median else (None, marks)
+    median, crossings = None, marks
+    if static.with_median:
+        median, crossings = splats_at(marks[0], splats, offsets), marks[1:]
     return Blended(features, t, last, median, (*segments, light, shown, *crossings))
 
 
 def _backward(
     static: Static,
     rows: Array,
-    splats: Array,
-    offsets: Array,
+    lists: tuple[Array, Array],
     t: Array,
     last: Array,
     d_features: Array,
     d_t: Array,
-    *kept: Array,
+    *residuals: Array,
     launch: Launch,
     interpret: bool,
     segment_size: int,
     sum_rows: Callable[[Array, Array, int], Array],
 ) -> Array:
-    # The kernel writes the pairs that some pixel saw; the rest stay the zeros that come in.
+    splats, offsets = lists
+    # The kernel writes the pairs that a pixel shows; the others keep their zeros.
     zeros = jnp.zeros((splats.shape[0], rows.shape[1]), jnp.float32)
-    arguments = rows, splats, offsets, t, last, d_features, d_t, *kept
+    arguments = rows, splats, offsets, t, last, d_features, d_t, *residuals
     kernel = partial(_backward_kernel, static=static, segment_size=segment_size)
     shape = result(zeros.shape, zeros.dtype)
-    gradients = launch(kernel, kept[0].shape[0], shape, BACKWARD_WARPS, interpret, arguments, zeros)
+    gradients = launch(kernel, residuals[0].shape[0], shape, BACKWARD_WARPS, interpret, arguments, zeros)
     d_rows = chain_to_rows(rows[splats], gradients[:, :6], gradients[:, 6:])
     # A GPU adds by atomics, and zeros of a whole buffer to one row wait for each other: their index is past all rows.
     written = jnp.any(gradients != 0, -1)
@@ -321,4 +324,10 @@ def engine(
     `sum_rows` adds the pairs' gradients up: `atomic_sums`, or `sorted_sums` for the same bits in every run.
     """
     how = {"launch": launch, "interpret": interpret, "segment_size": segment_size}
-    return Engine(partial(_forward, **how), partial(_backward, **how, sum_rows=sum_rows))
+    forward, backward = partial(_forward, **how), partial(_backward, **how, sum_rows=sum_rows)
+    return Engine(forward, backward, tile_size=16, check_side=_check_side)
+
+
+def _check_side(side: int) -> None:
+    if side & (side - 1):
+        raise ValueError(f"tile_size={side} is not a power of two, as backend='pallas' needs it")

@@ -10,9 +10,9 @@ from jax import Array
 
 from rasterizer.blending import blend_splat, cut_alpha, front_weight, splat_sigma
 from rasterizer.compositing import Front
-from rasterizer.manual_axes import vary_alike, vary_like
 from rasterizer.projection import Projection
 from rasterizer.rules import Rules
+from rasterizer.tracing import vary_alike, vary_like
 
 BLOCK = 512  # Pixels per block: the history of a block of 10,000 splats stays under 100 MB.
 

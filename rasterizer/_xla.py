@@ -8,7 +8,7 @@ recovers transmittance by division, and reduces over a tile's pixels by one prod
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ from rasterizer.compositing import (
     moment_basis,
     moments_about_means,
     pixel_centers,
+    splats_at,
     tile_centers,
 )
 
@@ -43,7 +44,8 @@ def _with_empty_tile(x: Array) -> Array:
     return jnp.concatenate([x, jnp.zeros((1, *x.shape[1:]), x.dtype)])
 
 
-def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blended:
+def _forward(static: Static, rows: Array, lists: tuple[Array, Array]) -> Blended:
+    splats, offsets = lists
     pixel_x, pixel_y = pixel_centers(static.grid)
     counts = offsets[1:] - offsets[:-1]
     all_counts, all_starts = _with_empty_tile(counts), _with_empty_tile(offsets[:-1])
@@ -90,7 +92,10 @@ def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blen
         .at[groups.reshape(-1)]
         .set(jnp.arange(groups.size, dtype=jnp.int32), mode="drop")[: counts.shape[0]]
     )
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[place], done)
+    blended = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[place], done)
+    if blended.median is None:
+        return blended
+    return blended._replace(median=splats_at(blended.median, splats, offsets))
 
 
 class _Pairs(NamedTuple):
@@ -112,14 +117,14 @@ def _sum_over_pairs(
     width: int,
     static: Static,
     rows: Array,
-    splats: Array,
-    offsets: Array,
-    final_t,
-    last,
-    d_features,
-    d_final_t,
+    lists: tuple[Array, Array],
+    final_t: Array,
+    last: Array,
+    d_features: Array,
+    d_final_t: Array,
 ) -> Array:
-    """`[M, width]` sums, splat by splat, of what `of_pairs` says of its pairs, `[g, width]`, back to front."""
+    """`[M, width]` sums over each splat's pairs of `of_pairs`, `[g, width]`, back to front."""
+    splats, offsets = lists
     pixel_x, pixel_y = pixel_centers(static.grid)
     counts = jnp.minimum(offsets[1:] - offsets[:-1], last.max(-1) + 1)
     all_counts, all_starts = _with_empty_tile(counts), _with_empty_tile(offsets[:-1])
@@ -158,7 +163,7 @@ def _sum_over_pairs(
     return jax.lax.scan(group, jnp.zeros((rows.shape[0], width), rows.dtype), _groups(counts))[0]
 
 
-def _backward(static: Static, rows: Array, *others: Array) -> Array:
+def _backward(static: Static, rows: Array, *others: Any) -> Array:
     basis = jnp.stack(moment_basis(*pixel_centers(static.grid)), -1)
     front = static.front
 
@@ -173,10 +178,10 @@ def _backward(static: Static, rows: Array, *others: Array) -> Array:
     return _sum_over_pairs(gradient, rows.shape[1], static, rows, *others)
 
 
-def absolute_gradients(static: Static, rows: Array, *others: Array) -> Array:
+def absolute_gradients(static: Static, rows: Array, *others: Any) -> Array:
     """`[M, 2]` absolute gradients to the splats' means, summed over pixels (AbsGS); arguments as of `Engine.backward`.
 
-    Of all engines: it reads nothing that an engine keeps for itself.
+    It serves all engines, since it reads no residuals of an engine's own.
     """
 
     def absolute(pairs: _Pairs) -> Array:

@@ -10,19 +10,10 @@ from jax import Array
 
 from rasterizer import _reference
 from rasterizer.arrays import in_float32, takes_arrays, whole_number
-from rasterizer.batches import maps_over_batches
 from rasterizer.binning import TileGrid, count_pairs
 from rasterizer.camera_models import CameraModelName
-from rasterizer.capacity import UnknownCountError, choose_capacity
-from rasterizer.checks import (
-    absgrad_zeros,
-    check_arrays,
-    check_counts,
-    check_lenses,
-    check_masks,
-    check_modes,
-    check_probe,
-)
+from rasterizer.capacity import Shapes, UnknownCountError, choose_capacity
+from rasterizer.checks import absgrad_zeros, check_arrays, check_counts, check_lenses, check_mode, maps_over_batches
 from rasterizer.engines import Backend, bin_splats, blend, default_tile_size, lists_by_itself, resolve
 from rasterizer.features import (
     RenderMode,
@@ -34,39 +25,16 @@ from rasterizer.features import (
     image_features,
     median_depth,
 )
-from rasterizer.info import Info
+from rasterizer.gsplat import Info
 from rasterizer.normals import camera_normals
 from rasterizer.projection import DepthMode, Projection, RasterizeMode, project
-from rasterizer.refusals import refuse_at_the_door
 from rasterizer.rules import GSPLAT, Rules
-
-
-def _blend_densely(projection, opacities, features, grid: TileGrid, masks, rules):
-    image, left, median = _reference.composite(projection, opacities, features, grid.width, grid.height, rules)
-    if masks is None:
-        return image, left, median
-    pixels = jnp.repeat(jnp.repeat(masks, grid.tile_size, 1), grid.tile_size, 2)[:, : grid.height, : grid.width]
-    drawn = pixels[..., None]
-    return jnp.where(drawn, image, 0), jnp.where(drawn, left, 1), jnp.where(pixels, median, -1)
-
-
-def _behind(backgrounds: Array, num_channels: int, render_mode: RenderMode) -> Array:
-    """`[C, X]` backgrounds; where only those of the colours are given, depth has zero, as in gsplat."""
-    if backgrounds.shape[-1] == num_channels:
-        return backgrounds
-    of_colors = backgrounds if "RGB" in render_mode else backgrounds[:, :0]
-    return jnp.pad(of_colors, ((0, 0), (0, num_channels - of_colors.shape[-1])))
-
 
 LARGEST_RADIUS = 2**30  # pixels, within int32
 
 
-def _gsplat_radii(projection: Projection) -> Array:
-    return jnp.ceil(jnp.minimum(projection.extents, LARGEST_RADIUS)).astype(jnp.int32)
-
-
 class Arrays(NamedTuple):
-    """What is rendered, as `rasterization` has it: all that may be traced."""
+    """The arguments of `rasterization` that may be traced, by their names."""
 
     means: Array
     quats: Array | None
@@ -82,85 +50,123 @@ class Arrays(NamedTuple):
     means2d_probe: Array | None
     absgrad: Array | None
 
+    def to_project(self) -> tuple[Shapes, dict[str, Array | None]]:
+        """The arrays that `project` takes by place, and by name."""
+        shapes = self.means, self.quats, self.scales, self.opacities, self.viewmats, self.Ks
+        return shapes, {"covars": self.covars, "radial_coeffs": self.radial_coeffs}
+
 
 @dataclass(frozen=True)
 class Options:
-    """How it is rendered, as `rasterization` has it: one compiled program for each."""
+    """The static arguments of `rasterization`: one compiled program for each."""
 
     grid: TileGrid
-    backend: str
+    backend: Backend
     capacity: int | None
     sh_degree: int | None
     render_mode: RenderMode
     depth_mode: DepthMode
-    camera_model: CameraModelName
     return_median_depth: bool
     return_normals: bool
-    projected: tuple[tuple[str, Any], ...]  # thresholds and filter of the projection, by their names
+    projected: tuple[tuple[str, Any], ...]  # camera model, thresholds and filter of the projection, by their names
     rules: Rules
 
 
 @partial(jax.jit, static_argnames="options")
 def _rasterize(arrays: Arrays, options: Options):
-    grid, render_mode, rules = options.grid, options.render_mode, options.rules
-    sh_degree, backend = options.sh_degree, options.backend
-    if "RGB" in render_mode:
-        finite = drawable(arrays.colors, sh_degree)
+    if "RGB" in options.render_mode:
+        finite = drawable(arrays.colors, options.sh_degree)
         arrays = arrays._replace(opacities=jnp.where(finite, arrays.opacities, 0))
-    has_depth = render_mode != "RGB"
-    shapes, named_arrays = _to_project(arrays)
+    projection, opacities = _project(arrays, options)
+    features = _features(arrays, projection, options)
+    image, left, median, lists = _blend(arrays, projection, opacities, features, options)
+    radii = jnp.ceil(jnp.minimum(projection.extents, LARGEST_RADIUS)).astype(jnp.int32)  # gsplat's are whole
+    named = projection._asdict() | {"radii": radii, "opacities": opacities} | lists
+    if options.return_normals:
+        named["normals"], image = image[..., :3], image[..., 3:]
+    if options.return_median_depth:
+        named["median_depths"] = median_depth(projection, median)
+    alphas = 1 - left
+    if "ED" in options.render_mode:
+        image = expected_depth(image, alphas)
+    if arrays.backgrounds is not None:
+        behind = _behind(arrays.backgrounds, image.shape[-1], options.render_mode)
+        image = image + left * behind[:, None, None, :]
+    return image, alphas, Info(named, options.grid)
+
+
+def _project(arrays: Arrays, options: Options) -> tuple[Projection, Array]:
+    """The splats, and their opacities `[C, N]` as the pixels see them."""
+    shapes, named_arrays = arrays.to_project()
+    shows_depth = options.render_mode != "RGB" or options.return_median_depth
     projection = project(
         *shapes,
-        grid.width,
-        grid.height,
+        options.grid.width,
+        options.grid.height,
         **named_arrays,
-        camera_model=options.camera_model,
-        depth_mode=options.depth_mode if has_depth or options.return_median_depth else "center",
-        rules=rules,
         **dict(options.projected),
+        depth_mode=options.depth_mode if shows_depth else "center",
+        rules=options.rules,
     )
     if arrays.means2d_probe is not None:
         projection = projection._replace(means2d=projection.means2d + arrays.means2d_probe)
     opacities = jnp.broadcast_to(arrays.opacities, projection.depths.shape)
     if projection.compensations is not None:
         opacities = opacities * projection.compensations
-    dense, depths = backend == "reference", None
-    if has_depth:
+    return projection, opacities
+
+
+def _features(arrays: Arrays, projection: Projection, options: Options) -> Array:
+    """`[C, N, D]` what is blended: normals, colours and depth, as far as they are requested."""
+    depths = None
+    if options.render_mode != "RGB":
         # The oracle evaluates every splat's plane at every pixel itself.
-        depths = center_channels(projection) if dense else depth_channels(projection, grid.width, grid.height)
-    seen = arrays.means, arrays.colors, arrays.viewmats
-    features = image_features(*seen, projection, depths, sh_degree, render_mode)
-    if options.return_normals:
-        oriented = arrays.means, arrays.quats, arrays.scales, arrays.viewmats
-        normals = camera_normals(*oriented, projection.visible, options.camera_model)
-        features = jnp.concatenate([normals, features], -1)
+        dense, size = options.backend == "reference", (options.grid.width, options.grid.height)
+        depths = center_channels(projection) if dense else depth_channels(projection, *size)
+    scene = arrays.means, arrays.colors, arrays.viewmats
+    features = image_features(*scene, projection, depths, options.sh_degree, options.render_mode)
+    if not options.return_normals:
+        return features
+    oriented = arrays.means, arrays.quats, arrays.scales, arrays.viewmats
+    normals = camera_normals(*oriented, projection.visible, dict(options.projected)["camera_model"])
+    return jnp.concatenate([normals, features], -1)
 
-    named = projection._asdict() | {"radii": _gsplat_radii(projection), "opacities": opacities}
-    if dense:
-        image, left, median = _blend_densely(projection, opacities, features, grid, arrays.masks, rules)
+
+def _blend(arrays: Arrays, projection: Projection, opacities: Array, features: Array, options: Options):
+    """Image, transmittance left, median splats, and the lists of the tiles by name."""
+    grid, rules, masks = options.grid, options.rules, arrays.masks
+    if options.backend == "reference":
+        dense = _reference.composite(projection, opacities, features, grid.width, grid.height, rules)
+        return *_masked(*dense, masks, grid), {}
+    pairs, named = None, {}
+    if options.capacity is None:
+        named = {"needed": count_pairs(projection, grid), "overflowed": jnp.array(False)}
     else:
-        how = {"backend": backend, "with_median": options.return_median_depth, "absgrad": arrays.absgrad}
-        pairs = None
-        if options.capacity is None:
-            named |= {"needed": count_pairs(projection, grid), "overflowed": jnp.array(False)}
-        else:
-            pairs = bin_splats(projection, opacities, grid, options.capacity, rules, arrays.masks, backend=backend)
-            named |= pairs._asdict()
-        image, left, median = blend(projection, opacities, features, pairs, grid, rules, masks=arrays.masks, **how)
-        if depths is not None:
-            colors_end = image.shape[-1] - depths.shape[-1]
-            image = jnp.concatenate([image[..., :colors_end], blended_depth(image[..., colors_end:])], -1)
+        how = {"backend": options.backend}
+        pairs = bin_splats(projection, opacities, grid, options.capacity, rules, masks, **how)
+        named = pairs._asdict()
+    how = {"backend": options.backend, "with_median": options.return_median_depth, "absgrad": arrays.absgrad}
+    image, left, median = blend(projection, opacities, features, pairs, grid, rules, masks=masks, **how)
+    if options.render_mode != "RGB":
+        colors_end = image.shape[-1] - (1 if projection.slopes is None else 3)
+        image = jnp.concatenate([image[..., :colors_end], blended_depth(image[..., colors_end:])], -1)
+    return image, left, median, named
 
-    if options.return_normals:
-        named["normals"], image = image[..., :3], image[..., 3:]
-    if options.return_median_depth:
-        named["median_depths"] = median_depth(projection, median)
-    alphas = 1 - left
-    if "ED" in render_mode:
-        image = expected_depth(image, alphas)
-    if arrays.backgrounds is not None:
-        image = image + left * _behind(arrays.backgrounds, image.shape[-1], render_mode)[:, None, None, :]
-    return image, alphas, Info(named, grid)
+
+def _masked(image: Array, left: Array, median: Array, masks: Array | None, grid: TileGrid):
+    if masks is None:
+        return image, left, median
+    pixels = jnp.repeat(jnp.repeat(masks, grid.tile_size, 1), grid.tile_size, 2)[:, : grid.height, : grid.width]
+    is_drawn = pixels[..., None]
+    return jnp.where(is_drawn, image, 0), jnp.where(is_drawn, left, 1), jnp.where(pixels, median, -1)
+
+
+def _behind(backgrounds: Array, num_channels: int, render_mode: RenderMode) -> Array:
+    """`[C, X]` backgrounds; where only those of the colours are given, depth has zero, as in gsplat."""
+    if backgrounds.shape[-1] == num_channels:
+        return backgrounds
+    of_colors = backgrounds if "RGB" in render_mode else backgrounds[:, :0]
+    return jnp.pad(of_colors, ((0, 0), (0, num_channels - of_colors.shape[-1])))
 
 
 @takes_arrays
@@ -197,7 +203,6 @@ def rasterization(
     capacity: int | None = None,
     backend: Backend = "auto",
     rules: Rules = GSPLAT,
-    **gsplat_only: Any,
 ) -> tuple[Array, Array, Info]:
     """Render N Gaussians into C cameras.
 
@@ -253,23 +258,24 @@ def rasterization(
             machine.
         rules: Thresholds of compositing; presets `rasterizer.GSPLAT`, `GSPLAT_1_5` and `INRIA`, and `SMOOTH` without
             cuts.
-        **gsplat_only: What else gsplat 1.6 takes (`packed`, `sparse_grad`, `with_ut`, ...), at the values that ask for
-            nothing.
 
     Returns:
         `[C, H, W, X]` image, `[C, H, W, 1]` alphas, and the intermediate results by name, a mapping: `means2d`,
         `depths`, `conics`, `extents`, `radii` (extents rounded up, as gsplat has them), `visible`, `opacities`
         `[C, N]`, `compensations`, `slopes` (of plane depth, else None), what was requested above, and for the tile
         backends `splats`, `offsets`, `needed`, `overflowed`. With a capacity given, an image whose `overflowed` is true
-        is incomplete and must not be used. gsplat's other keys are computed when they are read, see `rasterizer.info`.
+        is incomplete and must not be used. gsplat's other keys are computed when they are read (`rasterizer.gsplat`).
 
     Raises:
-        ValueError: On shapes, modes or degrees that do not fit, with the value in the message; on an argument
-            that only gsplat answers to.
-        TypeError: On an argument that gsplat has not either, and on what is no array, such as a tensor of torch. In
-            forward mode or differentiated twice, unless the backend is "reference".
+        ValueError: On shapes, modes or degrees that do not fit, with the value in the message.
+        TypeError: On what is no array, such as a tensor of torch. In forward mode or differentiated twice, unless the
+            backend is "reference".
     """
-    check_modes(render_mode, rasterize_mode, depth_mode, camera_model, backend)
+    check_mode(RenderMode, render_mode=render_mode)
+    check_mode(RasterizeMode, rasterize_mode=rasterize_mode)
+    check_mode(DepthMode, depth_mode=depth_mode)
+    check_mode(CameraModelName, camera_model=camera_model)
+    check_mode(Backend, backend=backend)
     width, height = whole_number("width", width, 1), whole_number("height", height, 1)
     tile_size, capacity = whole_number("tile_size", tile_size, 1), whole_number("capacity", capacity, 1)
     sh_degree = whole_number("sh_degree", sh_degree, 0)
@@ -277,55 +283,28 @@ def rasterization(
     if backgrounds is not None and backgrounds.ndim == 0:
         behind = colors.shape[-1] if colors is not None and "RGB" in render_mode else 1
         backgrounds = jnp.broadcast_to(backgrounds, (viewmats.shape[0], behind))
-    gaussians = means, quats, scales, covars, opacities
-    check_arrays(*gaussians, colors, viewmats, Ks, backgrounds, masks, sh_degree, render_mode)
-    check_lenses(radial_coeffs, viewmats.shape[0], camera_model, near_plane)
-    refuse_at_the_door(gsplat_only)
     if return_normals and covars is not None:
         raise ValueError("return_normals needs quats and scales: a covariance does not name its axes")
-    per_splat = viewmats.shape[0], means.shape[0], 2
-    check_probe(means2d_probe, per_splat)
-    zeros = absgrad_zeros(absgrad, per_splat)
+    zeros = absgrad_zeros(absgrad, (viewmats.shape[0], means.shape[0], 2))
     if zeros is not None and backend == "reference":
         raise ValueError("absgrad needs a tile backend, not 'reference'")
+    check_lenses(camera_model, radial_coeffs, near_plane)
     backend = resolve(backend)
     grid = TileGrid(viewmats.shape[0], width, height, tile_size or default_tile_size(backend))
-    check_masks(masks, (grid.num_cameras, grid.tiles_y, grid.tiles_x))
-    seen = means, quats, scales, opacities, colors, viewmats, Ks, covars, radial_coeffs, backgrounds, masks
-    arrays = Arrays(*seen, means2d_probe, zeros)
+    scene = means, quats, scales, opacities, colors, viewmats, Ks, covars, radial_coeffs, backgrounds, masks
+    arrays = Arrays(*scene, means2d_probe, zeros)
+    check_arrays(arrays._asdict(), means.shape[0], grid, sh_degree, render_mode)
     if backend != "reference":
         arrays = jax.tree.map(in_float32, arrays)
-    projected = {
-        "eps2d": eps2d,
-        "near_plane": near_plane,
-        "far_plane": far_plane,
-        "radius_clip": radius_clip,
-        "rasterize_mode": rasterize_mode,
-    }
+    projected = {"eps2d": eps2d, "near_plane": near_plane, "far_plane": far_plane, "radius_clip": radius_clip}
+    projected |= {"rasterize_mode": rasterize_mode, "camera_model": camera_model}
+    projected = tuple(projected.items())
     if capacity is None and backend != "reference":
-        options = (*projected.items(), ("camera_model", camera_model))
         try:
-            capacity = choose_capacity(*_to_project(arrays), grid, options, rules)
+            shapes, named_arrays = arrays.to_project()
+            capacity = choose_capacity(shapes, named_arrays, grid, projected, rules)
         except UnknownCountError:
             if zeros is not None or not lists_by_itself(backend):
                 raise
-    options = Options(
-        grid,
-        backend,
-        capacity,
-        sh_degree,
-        render_mode,
-        depth_mode,
-        camera_model,
-        return_median_depth,
-        return_normals,
-        tuple(projected.items()),
-        rules,
-    )
-    return _rasterize(arrays, options)
-
-
-def _to_project(arrays: Arrays):
-    """What `project` takes by place, and by name."""
-    shapes = arrays.means, arrays.quats, arrays.scales, arrays.opacities, arrays.viewmats, arrays.Ks
-    return shapes, {"covars": arrays.covars, "radial_coeffs": arrays.radial_coeffs}
+    shown = sh_degree, render_mode, depth_mode, return_median_depth, return_normals
+    return _rasterize(arrays, Options(grid, backend, capacity, *shown, projected, rules))

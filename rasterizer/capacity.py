@@ -1,6 +1,7 @@
 """How long the buffer of (tile, splat) pairs must be: counted before the image is rendered, in buckets."""
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -64,23 +65,29 @@ Shapes = tuple[Array, Array | None, Array | None, Array, Array, Array]
 
 
 @partial(jax.jit, static_argnames=("grid", "options", "rules"))
-def _count(arrays: Shapes, named_arrays: dict, grid: TileGrid, options: tuple, rules: Rules) -> Array:
-    projection = project(*arrays, grid.width, grid.height, **named_arrays, **dict(options), rules=rules)
+def _count(shapes: Shapes, named_arrays: dict, grid: TileGrid, options: tuple, rules: Rules) -> Array:
+    projection = project(*shapes, grid.width, grid.height, **named_arrays, **dict(options), rules=rules)
     return count_pairs(projection, grid)
 
 
-def choose_capacity(arrays: Shapes, named_arrays: dict, grid: TileGrid, options: tuple, rules: Rules) -> int:
+def choose_capacity(
+    shapes: Shapes,
+    named_arrays: dict[str, Array | None],
+    grid: TileGrid,
+    options: tuple[tuple[str, Any], ...],
+    rules: Rules,
+) -> int:
     """The bucket for this scene and these cameras; under `vmap`, the largest of the batch.
 
     Args:
-        arrays: Gaussians and cameras.
+        shapes: Gaussians and cameras.
         named_arrays: The arrays that `project` takes by name.
         grid: The tiles.
-        options: What else `project` takes, `(name, value)` each.
+        options: The other arguments of `project`, `(name, value)` each.
         rules: Decides the extents.
 
     Raises:
         UnknownCountError: Inside `jit`, where the number of pairs is not known.
     """
-    arrays, named_arrays = jax.lax.stop_gradient((arrays, named_arrays))
-    return _bucket_of(_largest(_count(arrays, named_arrays, grid, options, rules)))
+    shapes, named_arrays = jax.lax.stop_gradient((shapes, named_arrays))
+    return _bucket_of(_largest(_count(shapes, named_arrays, grid, options, rules)))

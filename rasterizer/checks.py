@@ -1,52 +1,100 @@
-"""What the front door refuses, each in one line with the value in it."""
+"""What the front door refuses, each in one line with the value in it; and its leading dimensions, one call a scene."""
 
-from typing import get_args
+import inspect
+from collections.abc import Callable
+from functools import wraps
+from math import prod
+from typing import Any, ParamSpec, TypeVar, cast, get_args
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
-from rasterizer.camera_models import CameraModelName
-from rasterizer.engines import Backend
+from rasterizer.binning import TileGrid
 from rasterizer.features import RenderMode, num_channels
-from rasterizer.projection import DepthMode, RasterizeMode, require_shape
+from rasterizer.projection import require_shape
+
+P = ParamSpec("P")
+R = TypeVar("R")
+SHAPES: dict[str, tuple[int | str, ...]] = {
+    "means": ("N", 3),
+    "quats": ("N", 4),
+    "scales": ("N", 3),
+    "opacities": ("N",),
+    "viewmats": ("C", 4, 4),
+    "Ks": ("C", 3, 3),
+    "covars": ("N", 3, 3),
+    "radial_coeffs": ("C", 4),
+    "backgrounds": ("C", "X"),
+    "masks": ("C", "Y", "X"),
+    "means2d_probe": ("C", "N", 2),
+    "absgrad": ("C", "N", 2),
+}  # of one scene's arrays; colours have several
 
 
-def check_modes(render_mode, rasterize_mode, depth_mode, camera_model, backend) -> None:
-    """Raise ValueError where a mode is none."""
-    check_mode(RenderMode, render_mode=render_mode)
-    check_mode(RasterizeMode, rasterize_mode=rasterize_mode)
-    check_mode(DepthMode, depth_mode=depth_mode)
-    check_mode(CameraModelName, camera_model=camera_model)
-    check_mode(Backend, backend=backend)
+def maps_over_batches(render: Callable[P, R]) -> Callable[P, R]:
+    """The function of one scene, as one of `[...]` scenes: those of the leading dimensions that `means` has.
+
+    An array without them is the same for all scenes. Every array that comes back has them.
+
+    Raises:
+        ValueError: An array has other leading dimensions than `means`, or these hold no scene.
+    """
+    signature, by_name = inspect.signature(render), cast("Callable[..., Any]", render)
+
+    @wraps(render)
+    def with_batches(*args: P.args, **kwargs: P.kwargs) -> R:
+        given = signature.bind(*args, **kwargs).arguments
+        batch = given["means"].shape[:-2]
+        if not batch:
+            return render(*args, **kwargs)
+        if not prod(batch):
+            raise ValueError(f"means.shape={given['means'].shape} holds no scene")
+        mapped = {
+            name: array.reshape(-1, *array.shape[len(batch) :])
+            for name, array in given.items()
+            if name in (*SHAPES, "colors") and _has_batch(name, array, batch, given.get("sh_degree"))
+        }
+        results = jax.vmap(lambda arrays: by_name(**{**given, **arrays}))(mapped)
+        return jax.tree.map(lambda result: result.reshape(*batch, *result.shape[1:]), results)
+
+    return with_batches
 
 
-def check_mode(kind, **modes) -> None:
+def _has_batch(name: str, array: Array | bool | None, batch: tuple[int, ...], sh_degree: int | None) -> bool:
+    """Whether an argument has the leading dimensions; raises where it has others."""
+    if array is None or isinstance(array, bool):
+        return False
+    if name == "colors":
+        # Without harmonics they are of every Gaussian of a scene, or of every camera and Gaussian.
+        ranks, is_shared = ((3,), array.ndim == 3) if sh_degree is not None else ((2, 3), array.ndim == 2)
+    else:
+        ranks = (len(SHAPES[name]),)
+        is_shared = array.ndim in (ranks[0], 0)
+    if is_shared:
+        return False
+    if array.ndim - len(batch) not in ranks or array.shape[: len(batch)] != batch:
+        raise ValueError(f"{name}.shape={array.shape}, expected the leading dimensions of means, {batch}, or none")
+    return True
+
+
+def check_mode(kind: Any, **modes: Any) -> None:
     """Raise ValueError where a mode is none of its kind, a `Literal`."""
     for name, value in modes.items():
         if value not in get_args(kind):
             raise ValueError(f"{name}={value!r} is not one of {get_args(kind)}")
 
 
-def check_probe(probe: Array | None, shape: tuple[int, ...]) -> None:
-    """Raise ValueError where the probe has another shape than the projected means."""
-    if probe is not None and probe.shape != shape:
-        raise ValueError(f"means2d_probe.shape={probe.shape}, expected {shape}")
-
-
-def check_lenses(radial_coeffs, num_cameras, camera_model, near_plane) -> None:
-    """Raise ValueError where a lens has other coefficients than its model reads, or splats could lie behind it."""
+def check_lenses(camera_model: str, radial_coeffs: Array | None, near_plane: float) -> None:
+    """Raise ValueError where a lens has coefficients that its model does not read, or splats could lie behind it."""
     if near_plane < 0:
         raise ValueError(f"{near_plane=}, expected at least 0: splats are sorted by their depth in front of the camera")
-    if radial_coeffs is None:
-        return
-    if camera_model != "fisheye":
+    if radial_coeffs is not None and camera_model != "fisheye":
         raise ValueError(f"radial_coeffs need camera_model='fisheye', not {camera_model!r}: undistort the photos")
-    if radial_coeffs.shape != (num_cameras, 4):
-        raise ValueError(f"{radial_coeffs.shape=}, expected {(num_cameras, 4)}")
 
 
 def absgrad_zeros(absgrad, shape: tuple[int, ...]) -> Array | None:
-    """The array whose gradient takes what gsplat writes to `means2d.absgrad`; None where that is not wanted.
+    """The array whose gradient takes what gsplat writes to `means2d.absgrad`; None where that is not requested.
 
     Raises:
         ValueError: It is True, which a function without side effects cannot answer to, or of another shape.
@@ -59,7 +107,7 @@ def absgrad_zeros(absgrad, shape: tuple[int, ...]) -> Array | None:
     return None if absgrad is False else absgrad
 
 
-def check_counts(means, viewmats, colors) -> None:
+def check_counts(means: Array, viewmats: Array, colors: Array | None) -> None:
     """Raise ValueError where there are not N Gaussians and C cameras, or there is no camera or no channel."""
     if means.ndim != 2:
         raise ValueError(f"{means.shape=}, expected [N, 3]")
@@ -71,22 +119,25 @@ def check_counts(means, viewmats, colors) -> None:
         raise ValueError(f"{colors.shape=} holds no channel")
 
 
-def _check_shapes(means, quats, scales, covars, opacities, viewmats, Ks) -> None:
-    num_gaussians, num_cameras = means.shape[0], viewmats.shape[0]
-    expected = {
-        "means": (means, (num_gaussians, 3)),
-        "opacities": (opacities, (num_gaussians,)),
-        "viewmats": (viewmats, (num_cameras, 4, 4)),
-        "Ks": (Ks, (num_cameras, 3, 3)),
-    }
-    require_shape(quats, scales, covars)
-    if covars is None:
-        expected |= {"quats": (quats, (num_gaussians, 4)), "scales": (scales, (num_gaussians, 3))}
-    else:
-        expected["covars"] = (covars, (num_gaussians, 3, 3))
-    for name, (array, shape) in expected.items():
-        if array.shape != shape:
-            raise ValueError(f"{name}.shape={array.shape}, expected {shape} for {num_gaussians} Gaussians")
+def check_arrays(
+    arrays: dict[str, Any], num_gaussians: int, grid: TileGrid, sh_degree: int | None, render_mode: RenderMode
+) -> None:
+    """Raise ValueError where shapes do not fit each other, or masks are no truth values."""
+    arrays = dict(arrays)
+    require_shape(arrays["quats"], arrays["scales"], arrays["covars"])
+    if arrays["covars"] is not None:
+        arrays |= {"quats": None, "scales": None}
+    masks, colors, backgrounds = arrays["masks"], arrays.pop("colors"), arrays.pop("backgrounds")
+    _check_colors(colors, num_gaussians, grid.num_cameras, sh_degree, render_mode)
+    _check_backgrounds(backgrounds, colors, grid.num_cameras, render_mode)
+    if masks is not None and masks.dtype != jnp.bool_:
+        raise ValueError(f"{masks.dtype=}, expected bool")
+    sizes = {"N": num_gaussians, "C": grid.num_cameras, "Y": grid.tiles_y, "X": grid.tiles_x}
+    for name, array in arrays.items():
+        expected = tuple(sizes[size] if isinstance(size, str) else size for size in SHAPES[name])
+        if array is not None and array.shape != expected:
+            of = "one per tile" if name == "masks" else f"for {num_gaussians} Gaussians"
+            raise ValueError(f"{name}.shape={array.shape}, expected {expected}, {of}")
 
 
 def _check_colors(colors, num_gaussians, num_cameras, sh_degree, render_mode) -> None:
@@ -107,21 +158,3 @@ def _check_backgrounds(backgrounds, colors, num_cameras, render_mode) -> None:
     expected = dict.fromkeys((num_cameras, count) for count in channels)
     if backgrounds.shape not in expected:
         raise ValueError(f"{backgrounds.shape=}, expected {' or '.join(map(str, expected))} for {render_mode=}")
-
-
-def check_arrays(
-    means, quats, scales, covars, opacities, colors, viewmats, Ks, backgrounds, masks, sh_degree, render_mode
-) -> None:
-    """Raise ValueError where shapes do not fit each other, or masks are no truth values."""
-    _check_shapes(means, quats, scales, covars, opacities, viewmats, Ks)
-    num_gaussians, num_cameras = means.shape[0], viewmats.shape[0]
-    _check_colors(colors, num_gaussians, num_cameras, sh_degree, render_mode)
-    _check_backgrounds(backgrounds, colors, num_cameras, render_mode)
-    if masks is not None and masks.dtype != jnp.bool_:
-        raise ValueError(f"{masks.dtype=}, expected bool")
-
-
-def check_masks(masks: Array | None, shape: tuple[int, int, int]) -> None:
-    """Raise ValueError where the masks are not one per tile."""
-    if masks is not None and masks.shape != shape:
-        raise ValueError(f"{masks.shape=}, expected one per tile, {shape}")

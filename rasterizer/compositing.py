@@ -1,7 +1,7 @@
-"""Compositing of listed splats: one `custom_vjp` around whichever engine blends the tiles.
+"""Compositing of listed splats: one `custom_vjp` around the engine that blends the tiles.
 
-An engine is two functions, forward and backward over tiles; the layout and the chain rule from a tile's moments to
-means and conics, applied once per (tile, splat) pair, are the same for all and live here.
+An engine is two functions, forward and backward over tiles. The layout and the chain rule from a tile's moments to
+means and conics are the same for all engines. The chain rule is applied once per (tile, splat) pair.
 """
 
 from collections.abc import Callable
@@ -15,8 +15,8 @@ from jax import Array
 
 from rasterizer.binning import TileGrid, TilePairs, bin_splats
 from rasterizer.covariances import components
-from rasterizer.manual_axes import without_axes
 from rasterizer.rules import Rules
+from rasterizer.tracing import without_axes
 
 
 class Front(NamedTuple):
@@ -31,35 +31,29 @@ class Front(NamedTuple):
 
 
 class Blended(NamedTuple):
-    """What an engine's forward pass leaves of T tiles of P pixels. Indices count along a tile's own list."""
+    """The results of an engine's forward pass over T tiles of P pixels."""
 
     features: Array  # [T, D, P]
     transmittance: Array  # [T, P]
-    last: Array  # [T, P] int32 last contributing splat, -1 for none
+    last: Array  # [T, P] int32 place of the last contributing splat in its tile's list, -1 for none
     median: Array | None  # [T, P] int32 last contributing splat with more than half the light left in front of it
-    kept: tuple[Array, ...] = ()  # what the engine's own backward pass reads besides
-
-
-class Unlisted(NamedTuple):
-    """The two passes of an engine that lists splats in memory of its own: no caller chooses a capacity."""
-
-    # (projection, opacities, grid, rules, masks) -> arrays that the lists are made of, without gradient
-    listed: Callable[..., tuple[Array, ...]]
-    # (static, rows, listed) -> Blended, whose median is a splat
-    forward: Callable[..., Blended]
-    # (static, rows, listed, transmittance, last, d_features, d_transmittance) -> [M, 6 + D], dL/drows
-    backward: Callable[..., Array]
+    residuals: tuple[Array, ...] = ()  # what only the engine's own backward pass reads
 
 
 class Engine(NamedTuple):
-    """The two passes over tiles, and what lists their splats. Hashable, static."""
+    """The two passes over tiles, and the function that lists their splats. Hashable, static."""
 
-    # (static, rows, splats, offsets) -> Blended. rows [M, 6 + D] of `_splat_rows`; lists of `binning.TilePairs`.
+    # (static, rows, lists) -> Blended. rows [M, 6 + D] of `_splat_rows`; lists: splats and offsets of `TilePairs`.
     forward: Callable[..., Blended]
-    # (static, rows, splats, offsets, transmittance, last, d_features, d_transmittance, *kept) -> [M, 6 + D], dL/drows.
+    # (static, rows, lists, transmittance, last, d_features, d_transmittance, *residuals) -> [M, 6 + D], dL/drows
     backward: Callable[..., Array]
-    lists: Callable[..., TilePairs] = bin_splats
-    unlisted: Unlisted | None = None
+    # (projection, opacities, grid, capacity, rules, masks) -> TilePairs
+    list_splats: Callable[..., TilePairs] = bin_splats
+    tile_size: int = 8  # default side of a tile, pixels
+    check_side: Callable[[int], None] = lambda _: None  # raises ValueError for a side that the passes cannot hold
+    # The same engine with lists in memory of its own. Its `list_splats` takes no capacity and returns the arrays that
+    # the lists are made of, without gradient; its passes take these for `lists`.
+    unlisted: "Engine | None" = None
 
 
 class Static(NamedTuple):
@@ -70,7 +64,7 @@ class Static(NamedTuple):
     engine: Engine
     with_median: bool = False
     front: Front | None = None
-    # (static, rows, ..., d_transmittance) -> [M, 2] absolute gradients to means, summed over pixels; None: not wanted
+    # (static, rows, ..., d_transmittance) -> [M, 2] absolute gradients to means, summed over pixels; None: not computed
     absolute: Callable[..., Array] | None = None
 
 
@@ -149,6 +143,11 @@ def chain_to_rows(rows: Array, moments: Array, d_features: Array) -> Array:
     return jnp.concatenate([shape, d_features], -1)
 
 
+def splats_at(places: Array, splats: Array, offsets: Array) -> Array:
+    """`[T, P]` splats at places of their tiles' lists; -1 where a place is -1."""
+    return jnp.where(places >= 0, splats[offsets[:-1, None] + jnp.maximum(places, 0)], -1)
+
+
 @partial(jax.custom_vjp, nondiff_argnums=(0,))
 def composite(
     static: Static,
@@ -156,76 +155,45 @@ def composite(
     conics: Array,
     opacities: Array,
     features: Array,
-    splats: Array,
-    offsets: Array,
+    lists: tuple[Array, ...],
     absgrad: Array | None = None,
 ):
     """Blend the listed splats front to back.
 
     Args:
-        static: Tile grid, rules, engine, whether the median splat is wanted, which channels end in front, and what
-            sums absolute gradients.
+        static: Tile grid, rules, engine, whether the median splat is computed, which channels end in front, and the
+            function that sums absolute gradients.
         means2d: `[M, 2]` pixels.
         conics: `[M, 3]`.
         opacities: `[M]`.
         features: `[M, D]` any channels.
-        splats: `[capacity]` sorted pairs from `binning`.
-        offsets: `[num_tiles + 1]`.
+        lists: `[capacity]` splats and `[num_tiles + 1]` offsets of `TilePairs`; of an unlisted engine, its own arrays.
         absgrad: `[M, 2]` anything, with `static.absolute`: nothing depends on it, and its gradient are those sums.
 
     Returns:
         `[C, H, W, D]` blended features on nothing, `[C, H, W, 1]` transmittance left, and `[C, H, W]` int32 the splat
         in which the light falls to one half (the last one that shows, where it does not; -1 for none), or None.
     """
-    return _composite_fwd(static, means2d, conics, opacities, features, splats, offsets, absgrad)[0]
+    return _composite_fwd(static, means2d, conics, opacities, features, lists, absgrad)[0]
 
 
-def _composite_fwd(static, means2d, conics, opacities, features, splats, offsets, absgrad):
+def _composite_fwd(static, means2d, conics, opacities, features, lists, absgrad):
     del absgrad
     rows = _splat_rows(means2d, conics, opacities, features)
-    blended = without_axes(partial(static.engine.forward, static), rows, splats, offsets)
+    blended = without_axes(partial(static.engine.forward, static), rows, lists)
     image = to_image(jnp.concatenate([blended.features, blended.transmittance[:, None]], 1), static.grid)
-    median = None
-    if blended.median is not None:
-        listed = splats[offsets[:-1, None] + jnp.maximum(blended.median, 0)]
-        median = to_image(jnp.where(blended.median >= 0, listed, -1)[:, None], static.grid)[..., 0]
-    residuals = rows, splats, offsets, blended.transmittance, blended.last, blended.kept
+    median = None if blended.median is None else to_image(blended.median[:, None], static.grid)[..., 0]
+    residuals = (rows, lists, blended.transmittance, blended.last), blended.residuals
     return (image[..., :-1], image[..., -1:], median), residuals
 
 
 def _composite_bwd(static, residuals, cotangents):
-    rows, splats, offsets, t, last, kept = residuals
+    of_all, of_engine = residuals
     d_tiles = to_tiles(jnp.concatenate(cotangents[:2], -1), static.grid)
-    d_image = d_tiles[:, :-1], d_tiles[:, -1]
-    arguments = rows, splats, offsets, t, last, *d_image
-    d_rows = without_axes(partial(static.engine.backward, static), *arguments, *kept)
+    arguments = *of_all, d_tiles[:, :-1], d_tiles[:, -1]
+    d_rows = without_axes(partial(static.engine.backward, static), *arguments, *of_engine)
     absolute = without_axes(partial(static.absolute, static), *arguments) if static.absolute else None
-    return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:], None, None, absolute
+    return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:], None, absolute
 
 
 composite.defvjp(_composite_fwd, _composite_bwd)
-
-
-@partial(jax.custom_vjp, nondiff_argnums=(0,))
-def composite_unlisted(
-    static: Static, means2d: Array, conics: Array, opacities: Array, features: Array, listed: tuple[Array, ...]
-):
-    """`composite` by an engine that lists the splats itself, of `listed` as its `Unlisted.listed` returns it."""
-    return _unlisted_fwd(static, means2d, conics, opacities, features, listed)[0]
-
-
-def _unlisted_fwd(static, means2d, conics, opacities, features, listed):
-    rows = _splat_rows(means2d, conics, opacities, features)
-    blended = without_axes(partial(static.engine.unlisted.forward, static), rows, listed)
-    image = to_image(jnp.concatenate([blended.features, blended.transmittance[:, None]], 1), static.grid)
-    median = None if blended.median is None else to_image(blended.median[:, None], static.grid)[..., 0]
-    return (image[..., :-1], image[..., -1:], median), (rows, listed, blended.transmittance, blended.last)
-
-
-def _unlisted_bwd(static, residuals, cotangents):
-    d_tiles = to_tiles(jnp.concatenate(cotangents[:2], -1), static.grid)
-    d_rows = without_axes(partial(static.engine.unlisted.backward, static), *residuals, d_tiles[:, :-1], d_tiles[:, -1])
-    return d_rows[:, :2], d_rows[:, 2:5], d_rows[:, 5], d_rows[:, 6:], None
-
-
-composite_unlisted.defvjp(_unlisted_fwd, _unlisted_bwd)

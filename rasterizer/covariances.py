@@ -70,7 +70,7 @@ def seen_from_triangle(row_x: Vector, row_y: Vector, triangle: Vector) -> tuple[
 
     The determinant is n^T adj(Sigma) n with n the cross product of the rows of A (Cauchy-Binet).
     """
-    rows, adjugate = _symmetric(triangle)
+    rows, adjugate = symmetric(triangle)
     x, y, normal = [dot(row, row_x) for row in rows], [dot(row, row_y) for row in rows], cross(row_x, row_y)
     det = dot(normal, [dot(row, normal) for row in adjugate])
     return dot(row_x, x), dot(row_x, y), dot(row_y, y), det
@@ -96,14 +96,14 @@ def tilt_from_triangle(
     row_x: Vector, row_y: Vector, row_z: Vector, triangle: Vector
 ) -> tuple[Array, Array, Array, Array]:
     """`tilt_from_axes` of a covariance given by its upper triangle."""
-    rows, adjugate = _symmetric(triangle)
+    rows, adjugate = symmetric(triangle)
     z = [dot(row, row_z) for row in rows]
     normal = cross(row_x, row_y)
     seen = [dot(row, normal) for row in adjugate]
     return dot(row_x, z), dot(row_y, z), dot(seen, cross(row_z, row_y)), dot(seen, cross(row_x, row_z))
 
 
-def _symmetric(triangle: Vector) -> tuple[Matrix, Matrix]:
+def symmetric(triangle: Vector) -> tuple[Matrix, Matrix]:
     """A symmetric matrix and its adjugate, of the upper triangle."""
     xx, xy, xz, yy, yz, zz = triangle
     rows = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
@@ -129,23 +129,19 @@ def quat_scale_to_covar_preci(
         triu: Whether matrices are returned as upper triangles `[..., 6]` (xx, xy, xz, yy, yz, zz). Static.
 
     Returns:
-        Covariances and precisions `[..., 3, 3]`, None where not asked for. Differentiable to both arguments.
+        Covariances and precisions `[..., 3, 3]`, None where not requested. Differentiable to both arguments.
 
     Raises:
         ValueError: If the shapes do not fit.
     """
     if quats.shape[-1:] != (4,) or scales.shape != (*quats.shape[:-1], 3):
         raise ValueError(f"{quats.shape=} and {scales.shape=}, expected [..., 4] and [..., 3]")
-
-    axes = rotation(components(quats))
+    axes, factors = rotation(components(quats)), components(scales)
 
     def matrices(factors: Vector) -> Array:
         scaled = [[axes[i][j] * factors[j] for j in range(3)] for i in range(3)]
         full = jnp.stack([jnp.stack([dot(a, b) for b in scaled], -1) for a in scaled], -2)
         return upper_triangle(full) if triu else full
 
-    factors = components(scales)
-    return (
-        matrices(factors) if compute_covar else None,
-        matrices([1 / factor for factor in factors]) if compute_preci else None,
-    )
+    precisions = matrices([1 / factor for factor in factors]) if compute_preci else None
+    return matrices(factors) if compute_covar else None, precisions

@@ -1,6 +1,7 @@
-"""Which engine blends the tiles, and how many channels at a time."""
+"""The engines by name: which one "auto" stands for, what lists and blends by it, and how many channels at a time."""
 
 import logging
+from collections.abc import Callable
 from functools import cache, partial
 from threading import Thread
 from types import ModuleType
@@ -13,16 +14,13 @@ from jax import Array
 from rasterizer import _mosaic, _pallas, _reference, _xla
 from rasterizer.arrays import in_float32
 from rasterizer.binning import TileGrid, TilePairs
-from rasterizer.compositing import Engine, Front, Static, composite, composite_unlisted
+from rasterizer.compositing import Engine, Front, Static, composite
 from rasterizer.devices import default_device, has_triton, wants_determinism, why_no_kernels
-from rasterizer.manual_axes import vary_alike, without_axes
 from rasterizer.projection import Projection
-from rasterizer.reverse_mode import reverse_only
 from rasterizer.rules import GSPLAT, Rules
+from rasterizer.tracing import reverse_only, vary_alike, without_axes
 
 Backend = Literal["auto", "native", "xla", "pallas", "reference"]
-# 8 halves the wasted pixels of small splats, measured on CPU.
-TILE_SIZES = {"native": 8, "xla": 8, "pallas": 16, "reference": 8}
 CHANNEL_CHUNK = 16  # Channels per pass: more would not fit a CPU's, or a GPU thread's, registers.
 
 logger = logging.getLogger("rasterizer")
@@ -41,15 +39,15 @@ def resolve(backend: Backend) -> Backend:
 
 @cache
 def _in_jnp(reason: str) -> Backend:
-    """Says why, once."""
+    """Log the reason, once."""
     logger.warning("the rasterizer runs in jnp: %s", reason)
     return "xla"
 
 
 def prepare() -> None:
-    """Begins, beside other work, to compile what "auto" stands for on this machine; what is on disk is only loaded.
+    """Compile what "auto" stands for on this machine in a thread; what is on disk is only loaded.
 
-    Whoever needs it meanwhile waits for it.
+    A render that needs it meanwhile waits for it.
     """
     Thread(target=resolve, args=("auto",), name="rasterizer", daemon=True).start()
 
@@ -58,7 +56,7 @@ def _native() -> ModuleType:
     """The native loops, compiled or loaded.
 
     Raises:
-        ImportError: There is no numba here, or XLA's interface is not the one that they are written for.
+        ImportError: numba is not installed, or XLA's interface is not the one that the loops are written for.
     """
     from rasterizer import _native
 
@@ -74,12 +72,8 @@ def _native_or_none() -> ModuleType | None:
         return None
 
 
-def _engine(backend: Backend) -> Engine:
-    kind = resolve(backend)
-    if kind == "native":
-        return _native().ENGINE
-    if kind != "pallas":
-        return _xla.ENGINE
+def _kernels() -> Engine:
+    """The GPU kernels for the default device; interpreted where there is no GPU."""
     device = default_device()
     reason = why_no_kernels(device)
     if reason and device.platform == "gpu":
@@ -89,6 +83,18 @@ def _engine(backend: Backend) -> Engine:
     return kernels.engine(interpret=reason is not None, **how)
 
 
+ENGINES: dict[str, Callable[[], Engine]] = {
+    "native": lambda: _native().ENGINE,
+    "xla": lambda: _xla.ENGINE,
+    "pallas": _kernels,
+    "reference": lambda: _xla.ENGINE,  # of its lists; it blends without tiles
+}
+
+
+def _engine(backend: Backend) -> Engine:
+    return ENGINES[resolve(backend)]()
+
+
 def lists_by_itself(backend: Backend = "auto") -> bool:
     """Whether `blend` of a backend needs no lists: it lists splats in memory of its own, in every pass."""
     return resolve(backend) == "reference" or _engine(backend).unlisted is not None
@@ -96,7 +102,7 @@ def lists_by_itself(backend: Backend = "auto") -> bool:
 
 def default_tile_size(backend: Backend = "auto") -> int:
     """The side of a tile that suits a backend, pixels."""
-    return TILE_SIZES[resolve(backend)]
+    return _engine(backend).tile_size
 
 
 def bin_splats(
@@ -117,16 +123,16 @@ def bin_splats(
         grid: The tiles. Static.
         capacity: Length of the pair buffer. Static.
         rules: Decides the alpha cut. Static.
-        masks: `[C, tiles_y, tiles_x]` bool, the tiles that are wanted; None for all. The others get empty lists.
+        masks: `[C, tiles_y, tiles_x]` bool; a tile that is False gets an empty list. None for all tiles.
         backend: The lists of all are the same; "reference" lists as "xla" does. Static.
 
     Returns:
         `TilePairs`, not differentiable. If `overflowed`, pairs are missing.
     """
-    lists = _engine(backend).lists
+    list_splats = _engine(backend).list_splats
 
     def listed(projection, opacities, masks):
-        return lists(projection, opacities, grid, capacity, rules, masks)
+        return list_splats(projection, opacities, grid, capacity, rules, masks)
 
     return without_axes(listed, *jax.lax.stop_gradient((projection, opacities, masks)))
 
@@ -145,7 +151,7 @@ def blend(
     front: Front | None = None,
     absgrad: Array | None = None,
 ) -> tuple[Array, Array, Array | None]:
-    """Blend any channels over lists that are already there: one binning serves several passes.
+    """Blend any channels over given lists: one binning serves several passes.
 
     Args:
         projection: Splats of `grid.num_cameras` cameras.
@@ -155,9 +161,9 @@ def blend(
             see `lists_by_itself`.
         grid: The tiles. Static.
         rules: Thresholds. Static.
-        backend: "reference" looks at no list: every splat is blended at every pixel. Static.
+        backend: "reference" reads no list: every splat is blended at every pixel. Static.
         masks: As in `bin_splats`, where `pairs` is None.
-        with_median: Whether the median splats are wanted. Static.
+        with_median: Whether the median splats are computed. Static.
         front: How many of the last channels end with the first layers, and where. Static.
         absgrad: `[C, N, 2]` zeros: nothing depends on them, and their gradient is the sum over pixels of *absolute*
             gradients to `means2d`, which AbsGS splits by. One more pass over the pairs, in jnp whatever the backend.
@@ -175,26 +181,14 @@ def blend(
     """
     projection, opacities, features, pairs, absgrad = vary_alike((projection, opacities, features, pairs, absgrad))
     opacities = jnp.broadcast_to(opacities, projection.depths.shape)
-    channels, side = features.shape[2], grid.tile_size
-    if not channels or not grid.num_cameras:
-        raise ValueError(f"features.shape={features.shape} holds no {'camera' if channels else 'channel'}")
-    kind = resolve(backend)
-    if kind == "pallas" and side & (side - 1):
-        raise ValueError(f"tile_size={side} is not a power of two, as backend='pallas' needs it")
-    if kind == "native" and side > _native().MAX_SIDE:
-        raise ValueError(f"tile_size={side} is over {_native().MAX_SIDE}, the most that backend='native' holds")
-    if absgrad is not None and (kind == "reference" or channels > CHANNEL_CHUNK):
-        raise ValueError(f"absgrad needs a tile backend and at most {CHANNEL_CHUNK} channels, not {kind}, {channels}")
-    if pairs is None and not lists_by_itself(backend):
-        raise ValueError(f"pairs=None: backend={kind!r} needs the lists of bin_splats")
-    if absgrad is not None and pairs is None:
-        raise ValueError("absgrad needs the lists of bin_splats, not pairs=None")
+    kind, engine, channels = resolve(backend), _engine(backend), features.shape[2]
+    _check_blend(kind, engine, features, pairs, grid, absgrad)
     if features.shape[1] == 0:
         shape = (grid.num_cameras, grid.height, grid.width)
         median = jnp.full(shape, -1, jnp.int32) if with_median else None
         return jnp.zeros((*shape, channels), features.dtype), jnp.ones((*shape, 1), features.dtype), median
     if kind == "reference":
-        # Depth has channels of its own here: no feature is to be read on a splat's plane.
+        # Depth has channels of its own: no feature is read on a splat's plane.
         dtype = projection.means2d.dtype
         flat, opacities, features = projection._replace(slopes=None), opacities.astype(dtype), features.astype(dtype)
         return _reference.composite(flat, opacities, features, grid.width, grid.height, rules, front)
@@ -204,32 +198,41 @@ def blend(
         image, left, median = part(features=others[0], with_median=with_median)
         ended, *_ = part(features=others[1], front=front)
         return jnp.concatenate([image, ended], -1), left, median
-    absolute = None if absgrad is None else _xla.absolute_gradients
-    static = Static(grid, rules, _engine(backend), with_median, front, absolute)
-    splats = (
-        reverse_only(in_float32(projection.means2d).reshape(-1, 2)),
-        reverse_only(in_float32(projection.conics).reshape(-1, 3)),
-        reverse_only(in_float32(jnp.where(projection.visible, opacities, 0)).reshape(-1)),
-    )
+    lists = None if pairs is None else (pairs.splats, pairs.offsets)
+    if engine.unlisted and lists is None:
+        engine = engine.unlisted
+        lists = engine.list_splats(projection, opacities, grid, rules, masks)
+    splats = projection.means2d, projection.conics, jnp.where(projection.visible, opacities, 0)
+    splats = (reverse_only(in_float32(x).reshape(-1, *x.shape[2:])) for x in splats)
     flat = reverse_only(in_float32(features).reshape(-1, channels))
     probe = None if absgrad is None else reverse_only(in_float32(absgrad).reshape(-1, 2))
-    listed = ()
-    if pairs is None:
-        assert static.engine.unlisted is not None, "checked above"
-        listed = static.engine.unlisted.listed(projection, opacities, grid, rules, masks)
+    static = Static(grid, rules, engine, with_median, front, None if absgrad is None else _xla.absolute_gradients)
+    return _in_passes(partial(composite, static, *splats), flat, lists, probe)
 
-    def one_pass(channels: Array):
-        if pairs is None:
-            return composite_unlisted(static, *splats, channels, listed)
-        return composite(static, *splats, channels, pairs.splats, pairs.offsets, probe)
 
+def _in_passes(blend_channels: Callable, features: Array, *others) -> tuple[Array, Array, Array | None]:
+    """Blend `[M, D]` features in equal chunks of one compiled pass; the light left and the median are the first's."""
+    channels = features.shape[1]
     if channels <= CHANNEL_CHUNK:
-        return one_pass(flat)
-    # Equal chunks of one compiled pass; the light left and the median come from the first.
+        return blend_channels(features, *others)
     num_chunks = -(-channels // CHANNEL_CHUNK)
     width = -(-channels // num_chunks)
-    padded = jnp.pad(flat, ((0, 0), (0, num_chunks * width - channels)))
+    padded = jnp.pad(features, ((0, 0), (0, num_chunks * width - channels)))
     chunks = jnp.moveaxis(padded.reshape(-1, num_chunks, width), 1, 0)
-    images, left, median = jax.lax.map(one_pass, chunks)
+    images, left, median = jax.lax.map(lambda chunk: blend_channels(chunk, *others), chunks)
     image = jnp.concatenate(list(images), -1)[..., :channels]
     return image, left[0], None if median is None else median[0]
+
+
+def _check_blend(kind: Backend, engine: Engine, features: Array, pairs, grid: TileGrid, absgrad) -> None:
+    channels = features.shape[2]
+    if not channels or not grid.num_cameras:
+        raise ValueError(f"features.shape={features.shape} holds no {'camera' if channels else 'channel'}")
+    if kind != "reference":
+        engine.check_side(grid.tile_size)
+    if absgrad is not None and (kind == "reference" or channels > CHANNEL_CHUNK):
+        raise ValueError(f"absgrad needs a tile backend and at most {CHANNEL_CHUNK} channels, not {kind}, {channels}")
+    if pairs is None and not lists_by_itself(kind):
+        raise ValueError(f"pairs=None: backend={kind!r} needs the lists of bin_splats")
+    if absgrad is not None and pairs is None:
+        raise ValueError("absgrad needs the lists of bin_splats, not pairs=None")

@@ -129,43 +129,26 @@ def spherical_harmonics_l0(sh0: Array) -> Array:
 
 @takes_arrays
 def spherical_harmonics_l1_plus(
-    degrees_to_use: int,
-    means: Array,
-    viewmats: Array,
-    shN: Array,
-    masks: Array | None = None,
-    batch_ids: Array | None = None,
-    camera_ids: Array | None = None,
-    gaussian_ids: Array | None = None,
+    degrees_to_use: int, means: Array, viewmats: Array, shN: Array, masks: Array | None = None
 ) -> Array:
-    """The part of degree 1 and up, gsplat's name and arguments.
+    """The part of degree 1 and up, gsplat's name.
 
     Args:
         degrees_to_use: Highest degree used, 0 to 4. Static.
         means: `[..., N, 3]` world positions.
         viewmats: `[..., C, 4, 4]` world to camera.
-        shN: `[N, K - 1, D]` coefficients without the first; `[n, K - 1, D]` where ids are given.
-        masks: `[..., C, N]` bool, or `[n]`; where it is False the value is 0.
-        batch_ids: `[n]` of rows packed by `fully_fused_projection`, and with it the two that follow.
-        camera_ids: `[n]`.
-        gaussian_ids: `[n]`.
+        shN: `[N, K - 1, D]` coefficients without the first.
+        masks: `[..., C, N]` bool; where it is False the value is 0.
 
     Returns:
-        `[..., C, N, D]` or `[n, D]` values, differentiable to means, viewmats and coefficients. With those of
+        `[..., C, N, D]` values, differentiable to means, viewmats and coefficients. With those of
         `spherical_harmonics_l0` they sum to all bands; 3DGS colours are `max(sum + 0.5, 0)`.
 
     Raises:
-        ValueError: As `spherical_harmonics`; on some ids without the others.
+        ValueError: As `spherical_harmonics`.
     """
-    ids = batch_ids, camera_ids, gaussian_ids
-    if any(each is None for each in ids) and any(each is not None for each in ids):
-        raise ValueError("batch_ids, camera_ids and gaussian_ids are given together or not at all")
     centers = -jnp.sum(viewmats[..., :3, :3] * viewmats[..., :3, 3, None], axis=-2)
-    if batch_ids is None or camera_ids is None or gaussian_ids is None:
-        dirs = means[..., None, :, :] - centers[..., :, None, :]
-        shN = jnp.broadcast_to(shN, (*dirs.shape[:-1], *shN.shape[-2:]))
-    else:
-        means, centers = (x.reshape(-1, *x.shape[-2:]) for x in (means, centers))
-        dirs = means[batch_ids, gaussian_ids] - centers[batch_ids, camera_ids]
+    dirs = means[..., None, :, :] - centers[..., :, None, :]
+    shN = jnp.broadcast_to(shN, (*dirs.shape[:-1], *shN.shape[-2:]))
     no_dc = jnp.zeros((*shN.shape[:-2], 1, shN.shape[-1]), shN.dtype)
     return spherical_harmonics(degrees_to_use, dirs, jnp.concatenate([no_dc, shN], -2), masks)

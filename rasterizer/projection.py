@@ -25,9 +25,8 @@ from rasterizer.covariances import (
     tilt_from_triangle,
     upper_triangle,
 )
-from rasterizer.fusion import walled
-from rasterizer.manual_axes import vary_alike
 from rasterizer.rules import GSPLAT, Rules
+from rasterizer.tracing import vary_alike, walled
 
 RasterizeMode = Literal["classic", "antialiased"]
 DepthMode = Literal["center", "plane"]

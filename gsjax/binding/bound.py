@@ -17,7 +17,7 @@ from gsjax.gaussians import DEAD_LOGIT, SH_C0, Gaussians, PixelFilter, rgb_to_sh
 from gsjax.rendering import Drawable, drawable
 from gsjax.scene.meshes import Mesh
 from rasterizer.covariances import Matrix, Vector, components, cross, dot, matrix_rows
-from rasterizer.fusion import walled
+from rasterizer.tracing import walled
 
 COLLAPSED = 1e-5  # Height over longest edge under which a triangle has no direction left in float32.
 

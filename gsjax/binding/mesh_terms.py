@@ -8,7 +8,7 @@ import numpy as np
 from jax import Array
 
 from rasterizer.covariances import Vector, components, cross, dot, matrix_rows
-from rasterizer.fusion import walled
+from rasterizer.tracing import walled
 
 
 @jax.tree_util.register_dataclass

@@ -223,7 +223,7 @@ def _hovers(result: Result, cameras: Sequence[Camera], alone: np.ndarray, is_gia
 def _hidden(gaussians: Gaussians, hidden: np.ndarray) -> Gaussians:
     """As many Gaussians, of which some do not show."""
     logits = np.where(hidden, np.float32(UNSEEN), np.asarray(gaussians.logit_opacities))
-    return replace(gaussians, logit_opacities=logits)  # pyright: ignore[reportArgumentType]
+    return replace(gaussians, logit_opacities=logits)
 
 
 def _outside(

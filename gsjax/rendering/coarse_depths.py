@@ -25,7 +25,7 @@ def coarse_depth(camera: Camera, picture: Picture, longest: int = LONGEST) -> Co
     depth = np.ascontiguousarray(picture.depth[first::every, first::every], np.float32)
     K = thinned_K(np.asarray(camera.K), every)
     height, width = depth.shape
-    coarse = Camera(np.asarray(camera.viewmat), K.astype(np.float32), width, height)  # pyright: ignore[reportArgumentType]
+    coarse = Camera(np.asarray(camera.viewmat), K.astype(np.float32), width, height)
     return CoarseDepth(coarse, np.where(np.isfinite(depth), depth, 0))
 
 

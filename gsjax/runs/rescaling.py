@@ -37,7 +37,7 @@ def rescale_run(folder: Path, factor: float, place: Place) -> None:
     """
     run = Run.open(folder)
     center = tuple(factor * side for side in run.similarity.center)
-    similarity = Similarity(run.similarity.scale / factor, center)  # pyright: ignore[reportArgumentType]
+    similarity = Similarity(run.similarity.scale / factor, center)
     gaussians = load_gaussians(folder)
     means = factor * np.asarray(gaussians.means, np.float64)
     log_scales = np.asarray(gaussians.log_scales) + np.float32(np.log(factor))
@@ -46,7 +46,7 @@ def rescale_run(folder: Path, factor: float, place: Place) -> None:
         json_files.write(new / "manifest.json", {**run.manifest, "similarity": asdict(similarity)})
         json_files.write(new / place_files.FILE, place.record())
         json_files.write(new / "cameras.json", views)
-        stretched = replace(gaussians, means=means, log_scales=log_scales)  # pyright: ignore[reportArgumentType]
+        stretched = replace(gaussians, means=means, log_scales=log_scales)
         centers = viewmat_centers(np.array([view["viewmat"] for view in views], np.float64).reshape(-1, 4, 4))
         write_gaussians(new / "gaussians.ply", stretched, place, cameras=centers)
         if (folder / POSES).exists():

@@ -219,14 +219,14 @@ def scene_of_run(folder: Path, *, zoom: float = 1.0, scene: str | Path | None = 
 
 def frame_camera(frame: Frame) -> Camera:
     """The camera of a loaded frame, numpy."""
-    return Camera(frame.viewmat, frame.K, frame.width, frame.height)  # pyright: ignore[reportArgumentType]
+    return Camera(frame.viewmat, frame.K, frame.width, frame.height)
 
 
 def recorded_camera(record: dict[str, Any], similarity: Similarity) -> Camera:
     """The camera of a record of `cameras.json`, numpy, in the run's own coordinates."""
     viewmat = similarity.viewmat_to_local(np.asarray(record["viewmat"])).astype(np.float32)
     K = np.asarray(record["K"], np.float32)
-    return Camera(viewmat, K, record["width"], record["height"])  # pyright: ignore[reportArgumentType]
+    return Camera(viewmat, K, record["width"], record["height"])
 
 
 def _written_mask(run: Path, name: str, frame: Frame, sky: np.ndarray | None) -> str | None:

@@ -129,7 +129,7 @@ def parse_place(kept: Any, where: object) -> Place:
             up=None if kept["up"] is None else _vector(kept["up"]),
             origin=None if origin is None else _origin(origin),
             scale=float(move.get("scale", 1.0)),
-            rotation=tuple(map(_vector, move.get("rotation", Place.rotation))),  # pyright: ignore[reportArgumentType]
+            rotation=tuple(map(_vector, move.get("rotation", Place.rotation))),
             shift=_vector(move.get("shift", (0.0, 0.0, 0.0))),
         )
         turn = np.array(place.rotation)

@@ -46,7 +46,7 @@ class PhotoDepth(NamedTuple):
     def shown(self) -> CoarseDepth:
         """Return the confident depth as that of a view."""
         height, width = self.view.gray.shape
-        camera = Camera(self.view.viewmat, self.view.K, width, height)  # pyright: ignore[reportArgumentType]
+        camera = Camera(self.view.viewmat, self.view.K, width, height)
         return CoarseDepth(camera, np.where(self.depth.is_confident, self.depth.z, 0).astype(np.float32))
 
 

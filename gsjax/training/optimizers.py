@@ -14,7 +14,7 @@ from gsjax.settings import Rates
 
 LABELS = Gaussians(
     means="means", quats="quats", log_scales="scales", logit_opacities="opacities", sh_dc="sh_dc", sh_rest="sh_rest"
-)  # pyright: ignore[reportArgumentType]
+)
 
 
 def labels(gaussians: Any) -> Gaussians:

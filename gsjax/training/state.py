@@ -42,7 +42,7 @@ def initial_state(
     """Step 0."""
     return TrainState(
         gaussians,
-        optimizer.init(gaussians),  # pyright: ignore[reportArgumentType]
+        optimizer.init(gaussians),
         rule.empty_statistics(gaussians.num_gaussians),
         jnp.zeros((), jnp.int32),
         simulation.initial_state(effects),

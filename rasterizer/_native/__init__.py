@@ -5,9 +5,9 @@ is how it calls and how threads share the work, `engine` is the face to jax. Imp
 loads it; `rasterizer.engines` does so when the engine is first used.
 """
 
-from rasterizer._native.compiled import kept_on_disk
+from rasterizer._native.compiled import disk_cache
 
-with kept_on_disk():
+with disk_cache():
     from rasterizer._native.engine import ENGINE
     from rasterizer._native.tiles import MAX_SIDE
 

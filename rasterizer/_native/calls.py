@@ -24,10 +24,8 @@ API_MAJOR, API_MINOR = 0, 3
 HANDLER, TASK = types.int64(types.int64), types.void(types.int64)
 
 # Places of what is read, in words of 8 bytes.
-_EXTENSION, API, CONTEXT, _STAGE, ARGUMENTS, RESULTS = 1, 2, 3, 4, 9, 14  # of a frame
-FRAME_WORDS = 16
-DATA, DIMENSIONS = 3, 5  # of a buffer
-BUFFER_WORDS = 6
+_EXTENSION, _API, _CONTEXT, _COUNT, ARGUMENTS, _RESULTS = 1, 2, 3, 7, 9, 14  # of a frame
+_DATA, _DIMENSIONS = 3, 5  # of a buffer
 _CREATE_ERROR, _DESTROY_ERROR, _SCHEDULE, _COUNT_THREADS = 6, 8, 17, 18  # of the table of XLA's functions
 _RESOURCE_EXHAUSTED = 8
 # Of what threads share: how many hold it, the next item, the items that are done, all items, and their job.
@@ -53,33 +51,45 @@ def argument(frame, place):
 
 
 @inlined
+def count_arguments(frame):
+    """Number of arguments."""
+    return word(frame, _COUNT)
+
+
+@inlined
 def result(frame, place):
     """The record of a result's buffer."""
-    return word(word(frame, RESULTS), place)
+    return word(word(frame, _RESULTS), place)
+
+
+@inlined
+def data(buffer):
+    """Address of a buffer's numbers."""
+    return word(buffer, _DATA)
 
 
 @inlined
 def length(buffer, axis):
     """Length of a buffer along an axis."""
-    return word(word(buffer, DIMENSIONS), axis)
+    return word(word(buffer, _DIMENSIONS), axis)
 
 
 @inlined
 def floats(buffer):
     """A buffer's float32 numbers."""
-    return as_floats(word(buffer, DATA))
+    return as_floats(data(buffer))
 
 
 @inlined
 def int32s(buffer):
     """A buffer's int32 numbers."""
-    return as_int32s(word(buffer, DATA))
+    return as_int32s(data(buffer))
 
 
 @inlined
 def flags(buffer):
     """A buffer's booleans, as bytes."""
-    return as_bytes(word(buffer, DATA))
+    return as_bytes(data(buffer))
 
 
 @inlined
@@ -113,7 +123,7 @@ def no_memory(frame):
     set_word(request, 1, 0)
     set_word(request, 2, address_of("rasterizer_no_memory"))
     set_word(request, 3, _RESOURCE_EXHAUSTED)
-    return call(word(word(frame, API), _CREATE_ERROR), request)
+    return call(word(word(frame, _API), _CREATE_ERROR), request)
 
 
 @inlined
@@ -179,9 +189,9 @@ def _threads(frame):
     set_word(count, 0, 1)
     set_word(request, 0, 32)
     set_word(request, 1, 0)
-    set_word(request, 2, word(frame, CONTEXT))
+    set_word(request, 2, word(frame, _CONTEXT))
     set_word(request, 3, count)
-    _forget(frame, call(word(word(frame, API), _COUNT_THREADS), request))
+    _forget(frame, call(word(word(frame, _API), _COUNT_THREADS), request))
     return word(count, 0)
 
 
@@ -191,11 +201,11 @@ def _asked(frame, task, shared, helpers):
     request = words_on_stack(5)
     set_word(request, 0, 40)
     set_word(request, 1, 0)
-    set_word(request, 2, word(frame, CONTEXT))
+    set_word(request, 2, word(frame, _CONTEXT))
     set_word(request, 3, task)
     set_word(request, 4, shared)
     for asked in range(helpers):
-        if _forget(frame, call(word(word(frame, API), _SCHEDULE), request)):
+        if _forget(frame, call(word(word(frame, _API), _SCHEDULE), request)):
             return asked
     return helpers
 
@@ -209,5 +219,5 @@ def _forget(frame, error):
     set_word(request, 0, 24)
     set_word(request, 1, 0)
     set_word(request, 2, error)
-    call(word(word(frame, API), _DESTROY_ERROR), request)
+    call(word(word(frame, _API), _DESTROY_ERROR), request)
     return True

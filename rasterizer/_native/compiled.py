@@ -36,27 +36,17 @@ def _source_hash() -> str:
     return hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
 
 
-def _is_writable(folder: Path) -> bool:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return False
-    return os.access(folder, os.W_OK)
-
-
-def _has_code(folder: Path) -> bool:
-    return any(folder.rglob("*.nbi"))
-
-
-def _home_or_none() -> Path | None:
+def _writable_folder() -> Path | None:
+    """The cache folder; None where there is no home or it cannot be written: every process compiles anew."""
     try:
         folder = cache_folder()
-    except RuntimeError:  # No home: compiled anew in every process.
+        folder.mkdir(parents=True, exist_ok=True)
+    except (RuntimeError, OSError):
         return None
-    return folder if _is_writable(folder) else None
+    return folder if os.access(folder, os.W_OK) else None
 
 
-FOLDER = _home_or_none()
+FOLDER = _writable_folder()
 OPTIONS: dict[str, Any] = {"fastmath": FAST, "error_model": "numpy"}
 
 # Compiled once, and inlined by LLVM wherever it is called. Nobody calls it from Python, which saves its wrappers.
@@ -70,17 +60,17 @@ def entry_point(signature: object) -> Callable:
 
 
 @contextmanager
-def kept_on_disk() -> Iterator[None]:
-    """Functions that are defined within are kept in `FOLDER`. Says so where they are compiled for the first time."""
+def disk_cache() -> Iterator[None]:
+    """Functions that are defined within are stored in `FOLDER`. Logs when they are compiled for the first time."""
     before, started = config.CACHE_DIR, time.perf_counter()
-    first = FOLDER is None or not _has_code(FOLDER)
-    if first:
+    is_first = FOLDER is None or not any(FOLDER.rglob("*.nbi"))
+    if is_first:
         logger.warning("compiling the rasterizer's loops for this processor, once ...")
     config.CACHE_DIR = str(FOLDER or "")
     try:
         yield
     finally:
         config.CACHE_DIR = before
-    if first:
+    if is_first:
         where = f"kept in {FOLDER}" if FOLDER else "not kept, since the cache folder cannot be written"
         logger.warning("compiled in %.0f s, %s", time.perf_counter() - started, where)

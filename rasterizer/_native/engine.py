@@ -10,11 +10,10 @@ from jax import Array
 
 from rasterizer._native import lists as _lists
 from rasterizer._native import passes as _passes
-from rasterizer._native import whole as _whole
 from rasterizer._native.calls import API_MAJOR, API_MINOR
-from rasterizer._native.tiles import GEOMETRY
+from rasterizer._native.tiles import GEOMETRY, MAX_SIDE
 from rasterizer.binning import TileGrid, TilePairs, sigma_cuts
-from rasterizer.compositing import Blended, Engine, Static, Unlisted
+from rasterizer.compositing import Blended, Engine, Static
 from rasterizer.projection import Projection
 from rasterizer.rules import Rules
 
@@ -28,7 +27,7 @@ def _check_interface() -> None:
 
 
 _check_interface()
-for _handler in (_lists.lists, _passes.forward, _passes.backward, _whole.list_and_blend, _whole.list_and_unblend):
+for _handler in (_lists.lists, _passes.forward, _passes.backward):
     jax.ffi.register_ffi_target(f"rasterizer_{_handler.__name__}", jax.ffi.pycapsule(_handler.ctypes), platform="cpu")
 
 
@@ -55,36 +54,18 @@ def _numbers(static: Static) -> tuple[Array, Array]:
     return jnp.asarray(np.array(sizes, np.int32)), jnp.asarray(np.array(thresholds, np.float32))
 
 
-def _of_tiles(static: Static, rows: Array) -> tuple[jax.ShapeDtypeStruct, ...]:
-    """What a forward pass returns: features, light, last, median."""
+def _forward(static: Static, rows: Array, lists: tuple[Array, ...]) -> Blended:
     tiles, pixels = static.grid.num_tiles, static.grid.tile_size**2
     indices = jax.ShapeDtypeStruct((tiles, pixels), np.int32)
     features = jax.ShapeDtypeStruct((tiles, rows.shape[1] - GEOMETRY, pixels), np.float32)
-    return features, jax.ShapeDtypeStruct((tiles, pixels), np.float32), indices, indices
-
-
-def _forward(static: Static, rows: Array, splats: Array, offsets: Array) -> Blended:
-    results = _of_tiles(static, rows)
-    features, light, last, median = _call("forward", results, rows, splats, offsets, *_numbers(static))
+    results = features, jax.ShapeDtypeStruct((tiles, pixels), np.float32), indices, indices
+    features, light, last, median = _call("forward", results, rows, *lists, *_numbers(static))
     return Blended(features, light, last, median if static.with_median else None)
 
 
-def _backward(static: Static, rows, splats, offsets, light, last, d_features, d_light) -> Array:
+def _backward(static: Static, rows: Array, lists: tuple[Array, ...], *others: Array) -> Array:
     result = jax.ShapeDtypeStruct(rows.shape, np.float32)
-    arguments = rows, splats, offsets, light, last, d_features, d_light
-    return _call("backward", result, *arguments, *_numbers(static))
-
-
-def _forward_unlisted(static: Static, rows: Array, listed: tuple[Array, ...]) -> Blended:
-    results = _of_tiles(static, rows)
-    features, light, last, median = _call("list_and_blend", results, rows, *listed, *_numbers(static))
-    return Blended(features, light, last, median if static.with_median else None)
-
-
-def _backward_unlisted(static: Static, rows, listed, light, last, d_features, d_light) -> Array:
-    result = jax.ShapeDtypeStruct(rows.shape, np.float32)
-    arguments = rows, *listed, light, last, d_features, d_light
-    return _call("list_and_unblend", result, *arguments, *_numbers(static))
+    return _call("backward", result, rows, *lists, *others, *_numbers(static))
 
 
 def _listed(
@@ -128,4 +109,9 @@ def bin_splats(
     return TilePairs(splats, offsets, needed, needed > capacity)
 
 
-ENGINE = Engine(_forward, _backward, bin_splats, Unlisted(_listed, _forward_unlisted, _backward_unlisted))
+def _check_side(side: int) -> None:
+    if side > MAX_SIDE:
+        raise ValueError(f"tile_size={side} is over {MAX_SIDE}, the most that backend='native' holds")
+
+
+ENGINE = Engine(_forward, _backward, bin_splats, check_side=_check_side, unlisted=Engine(_forward, _backward, _listed))

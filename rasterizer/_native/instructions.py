@@ -26,24 +26,18 @@ def _pointer_to(kind: types.Type):
 as_int64s, as_int32s, as_bytes, as_floats = map(_pointer_to, (types.int64, types.int32, types.uint8, types.float32))
 
 
-@intrinsic
-def floats_at(typingctx, pointer, place):
-    """The numbers from a place on."""
+def _numbers_at(kind: types.Type):
+    @intrinsic
+    def numbers_at(typingctx, pointer, place):
+        def codegen(context, builder, signature, arguments):
+            return builder.gep(arguments[0], [arguments[1]])
 
-    def codegen(context, builder, signature, arguments):
-        return builder.gep(arguments[0], [arguments[1]])
+        return types.CPointer(kind)(pointer, types.int64), codegen
 
-    return types.CPointer(types.float32)(pointer, types.int64), codegen
+    return numbers_at
 
 
-@intrinsic
-def int32s_at(typingctx, pointer, place):
-    """The numbers from a place on."""
-
-    def codegen(context, builder, signature, arguments):
-        return builder.gep(arguments[0], [arguments[1]])
-
-    return types.CPointer(types.int32)(pointer, types.int64), codegen
+floats_at, int32s_at = map(_numbers_at, (types.float32, types.int32))  # (pointer, place): the numbers from a place on
 
 
 @intrinsic

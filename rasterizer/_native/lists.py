@@ -1,19 +1,18 @@
 """The lists of `rasterizer.bin_splats` as loops: one sort of the splats by depth, then rows of tiles by themselves.
 
 A splat goes to a tile where the same test of the same numbers sends it there: the lists are those of the other
-backends to the last entry. A result without memory gets exactly as much as the lists need (`rasterizer._native.whole`).
+backends to the last entry. They are written into a result of XLA's, or into memory of exactly their length.
 """
 
 import numpy as np
 
 from rasterizer._native.blending import HALF, ONE, ZERO
 from rasterizer._native.calls import (
-    DATA,
-    DIMENSIONS,
+    ARGUMENTS,
     HANDLER,
     TASK,
     allocate,
-    argument,
+    data,
     flags,
     floats,
     int32s,
@@ -53,10 +52,13 @@ DIGITS = 1 << DIGIT
 # one axis per pixel along the other.
 LINE, ELLIPSE = 64, 24  # bytes
 SPAN = 12  # bytes of a splat's span, which is int32: its bands, from and to, and the tiles of its box
-# Of a job: its frame, the order and how many it has, where records, spans, counts of tiles and the bands' splats are;
-# then where each band's splats begin.
-_FRAME, _ORDER, _SHOWN, _RECORDS, _SPANS, _COUNTS, _MEMBERS, _STARTS = range(8)
-_JOB_WORDS = 8 + BANDS + 1
+# Of a job: its frame, its arguments, the lists and their capacity, offsets, the needed capacity, and the step that
+# threads share; the order and how many it has, where records, spans, counts of tiles and the bands' splats are; then
+# where each band's splats begin.
+_FRAME, _ARGUMENTS, SPLATS, _CAPACITY, OFFSETS, _NEEDED, _STEP = range(7)
+_ORDER, _SHOWN, _RECORDS, _SPANS, _COUNTS, _MEMBERS, _STARTS = range(7, 14)
+LIST_WORDS = _STARTS + BANDS + 1
+_WRITE, _TALLY, _FILL = range(3)  # steps
 # Of `sizes`: tiles along a row, rows of tiles, side of a tile in pixels, cameras.
 _ACROSS, _DOWN, _SIDE, _CAMERAS = 0, 1, 2, 3
 
@@ -131,6 +133,12 @@ def tile_range(center, reach, side, limit):
 
 
 @inlined
+def given(job, place):
+    """The record of an argument of `lists`."""
+    return word(word(job, _ARGUMENTS), place)
+
+
+@inlined
 def box_of(job, k):
     """The whole numbers of the record of the splat that comes k-th."""
     return as_int32s(word(job, _RECORDS) + LINE * k)
@@ -166,11 +174,11 @@ def band_of(row, rows):
 @inlined
 def write_chunk(job, chunk):
     """Writes where some of the ordered splats are, one after the other, so that the bands read them in one sweep."""
-    frame, shown, order = word(job, _FRAME), word(job, _SHOWN), as_int32s(word(job, _ORDER))
-    means2d, conics = floats(argument(frame, 0)), floats(argument(frame, 1))
-    extents, cuts, sizes = floats(argument(frame, 3)), floats(argument(frame, 5)), int32s(argument(frame, 7))
+    shown, order = word(job, _SHOWN), as_int32s(word(job, _ORDER))
+    means2d, conics = floats(given(job, 0)), floats(given(job, 1))
+    extents, cuts, sizes = floats(given(job, 3)), floats(given(job, 5)), int32s(given(job, 7))
     across, down, side = np.float32(sizes[_ACROSS]), np.float32(sizes[_DOWN]), np.float32(sizes[_SIDE])
-    per_camera = max(length(argument(frame, 2), 0) // sizes[_CAMERAS], 1)
+    per_camera = max(length(given(job, 2), 0) // sizes[_CAMERAS], 1)
     for k in range(shown * chunk // CHUNKS, shown * (chunk + 1) // CHUNKS):
         splat, later = np.int64(order[k]), np.int64(order[min(k + AHEAD, shown - 1)])
         prefetch(floats_at(means2d, 2 * later))
@@ -238,9 +246,9 @@ def is_listed(ellipse, column, row, side, masks, masked, tile):
 @inlined
 def list_band(job, band, filling):
     """Counts the splats of every tile of a band; or, where these are known, writes its lists."""
-    frame, starts, members = word(job, _FRAME), as_int64s(job + 8 * _STARTS), as_int32s(word(job, _MEMBERS))
-    sizes, masks, masked = int32s(argument(frame, 7)), flags(argument(frame, 6)), length(argument(frame, 6), 0)
-    splats, capacity = int32s(result(frame, 0)), length(result(frame, 0), 0)
+    starts, members = as_int64s(job + 8 * _STARTS), as_int32s(word(job, _MEMBERS))
+    sizes, masks, masked = int32s(given(job, 7)), flags(given(job, 6)), length(given(job, 6), 0)
+    splats, capacity = as_int32s(word(job, SPLATS)), word(job, _CAPACITY)
     counts = as_int64s(word(job, _COUNTS))
     across, rows, side = np.int64(sizes[_ACROSS]), np.int64(sizes[_DOWN]) * sizes[_CAMERAS], np.int64(sizes[_SIDE])
     first, end = first_row_of(band, rows), first_row_of(band + 1, rows)
@@ -264,95 +272,94 @@ def list_band(job, band, filling):
 
 
 @entry_point(TASK)
-def write_chunks(shared):
-    """Writes chunks of splats until none is left."""
-    chunk = next_item(shared)
-    while chunk >= 0:
-        write_chunk(job_of(shared), chunk)
-        chunk = item_after(shared)
+def list_in_threads(shared):
+    """Does items of a job's step until none is left."""
+    job, item = job_of(shared), next_item(shared)
+    while item >= 0:
+        if word(job, _STEP) == _WRITE:
+            write_chunk(job, item)
+        elif word(job, _STEP) == _TALLY:
+            list_band(job, item, False)
+        else:
+            list_band(job, item, True)
+        item = item_after(shared)
     let_go(shared)
 
 
-@entry_point(TASK)
-def count_bands(shared):
-    """Counts bands until none is left."""
-    band = next_item(shared)
-    while band >= 0:
-        list_band(job_of(shared), band, False)
-        band = item_after(shared)
-    let_go(shared)
-
-
-@entry_point(TASK)
-def fill_bands(shared):
-    """Writes the lists of bands until none is left."""
-    band = next_item(shared)
-    while band >= 0:
-        list_band(job_of(shared), band, True)
-        band = item_after(shared)
-    let_go(shared)
-
-
-for _task in (write_chunks, count_bands, fill_bands):
-    define(f"rasterizer_{_task.__name__}", _task.address)
+define("rasterizer_list_in_threads", list_in_threads.address)
 
 
 @inlined
-def give_memory(frame, counts, tiles):
-    """Allocates the lists where the caller left that to this pass; returns whether they have memory."""
-    buffer, total = result(frame, 0), 0
-    if word(buffer, DATA) != 0:
-        return True
-    for tile in range(tiles):
-        total += counts[tile]
-    set_word(buffer, DATA, allocate(4 * total))
-    set_word(word(buffer, DIMENSIONS), 0, total)
-    return word(buffer, DATA) != 0
+def share_step(job, step, items):
+    """Does a step's items on all threads. Whether there was memory to begin."""
+    set_word(job, _STEP, step)
+    return share(word(job, _FRAME), address_of("rasterizer_list_in_threads"), job, items)
 
 
 @inlined
-def write_offsets(frame, counts, tiles, needed):
-    """Writes the offsets and the capacity that is needed, and turns counts into where each list begins."""
-    capacity, total, offsets = length(result(frame, 0), 0), 0, int32s(result(frame, 1))
+def write_offsets(job, tiles):
+    """Writes the offsets, allocates lists that have no memory yet, and turns counts into where each list begins.
+
+    Whether there was memory.
+    """
+    counts, total = as_int64s(word(job, _COUNTS)), 0
+    if word(job, SPLATS) == 0:
+        for tile in range(tiles):
+            total += counts[tile]
+        set_word(job, SPLATS, allocate(4 * total))
+        set_word(job, _CAPACITY, total)
+    capacity, total, offsets = word(job, _CAPACITY), 0, as_int32s(word(job, OFFSETS))
     for tile in range(tiles):
-        here = counts[tile]
+        length_of_list = counts[tile]
         offsets[tile], counts[tile] = min(total, capacity), total
-        total += here
+        total += length_of_list
     offsets[tiles] = min(total, capacity)
-    int32s(result(frame, 2))[0] = min(needed, 2**31 - 1)
+    return word(job, SPLATS) != 0
 
 
 @inlined
-def write_lists(frame, job, count, tiles):
-    """Whether there was room for all that is written on the way."""
+def list_splats(job, frame, arguments, tiles, splats, capacity, offsets):
+    """Lists the splats. Whether there was memory for all that is written on the way.
+
+    Args:
+        job: Address of `LIST_WORDS` words, written.
+        frame: Of XLA's call.
+        arguments: Address of the records of the arguments of `lists`.
+        tiles: How many lists there are.
+        splats: Address of the lists; 0 for memory of their length, whose address is then the job's `SPLATS`.
+        capacity: Length of that memory.
+        offsets: The same of the offsets; `OFFSETS`.
+    """
+    set_word(job, _FRAME, frame)
+    set_word(job, _ARGUMENTS, arguments)
+    set_word(job, SPLATS, splats)
+    set_word(job, _CAPACITY, capacity)
+    set_word(job, OFFSETS, offsets if offsets != 0 else allocate(4 * (tiles + 1)))
+    count = length(given(job, 2), 0)
     at_order, at_work = allocate(4 * count), allocate(12 * count)
     at_records, at_spans, at_counts = allocate(LINE * (count + 1)), allocate(SPAN * count), allocate(8 * tiles)
-    at_members, needed = 0, 0
+    at_members = 0
     done = at_order != 0 and at_work != 0 and at_records != 0 and at_spans != 0 and at_counts != 0
+    done = done and word(job, OFFSETS) != 0
     if done:
         order, work = as_int32s(at_order), as_int32s(at_work)
-        set_word(job, _FRAME, frame)
         set_word(job, _ORDER, at_order)
         set_word(job, _RECORDS, (at_records + LINE - 1) // LINE * LINE)
         set_word(job, _SPANS, at_spans)
         set_word(job, _COUNTS, at_counts)
-        depths, visible = int32s(argument(frame, 2)), flags(argument(frame, 4))
+        depths, visible = int32s(given(job, 2)), flags(given(job, 4))
         shown = order_by_depth(depths, visible, count, order, work, int32s_at(work, count), int32s_at(work, 2 * count))
         set_word(job, _SHOWN, shown)
-        done = share(frame, address_of("rasterizer_write_chunks"), job, CHUNKS)
+        done = share_step(job, _WRITE, CHUNKS)
     if done:
-        needed = share_out(job)
+        set_word(job, _NEEDED, share_out(job))
         at_members = allocate(4 * word(job, _STARTS + BANDS))
         set_word(job, _MEMBERS, at_members)
         done = at_members != 0
     if done:
         write_members(job)
-        done = share(frame, address_of("rasterizer_count_bands"), job, BANDS)
-    if done:
-        done = give_memory(frame, as_int64s(at_counts), tiles)
-    if done:
-        write_offsets(frame, as_int64s(at_counts), tiles, needed)
-        done = share(frame, address_of("rasterizer_fill_bands"), job, BANDS)
+        done = share_step(job, _TALLY, BANDS)
+    done = done and write_offsets(job, tiles) and share_step(job, _FILL, BANDS)
     release(at_order)
     release(at_work)
     release(at_records)
@@ -367,6 +374,9 @@ def lists(frame):
     """(means2d, conics, depths, extents, visible, cuts, masks, sizes) -> splats, offsets, needed."""
     if only_introduces(frame):
         return 0
-    job = words_on_stack(_JOB_WORDS)
-    count, tiles = length(argument(frame, 2), 0), length(result(frame, 1), 0) - 1
-    return 0 if write_lists(frame, job, count, tiles) else no_memory(frame)
+    job, splats, offsets = words_on_stack(LIST_WORDS), result(frame, 0), result(frame, 1)
+    to_write = data(splats), length(splats, 0), data(offsets)
+    if not list_splats(job, frame, word(frame, ARGUMENTS), length(offsets, 0) - 1, *to_write):
+        return no_memory(frame)
+    int32s(result(frame, 2))[0] = min(word(job, _NEEDED), 2**31 - 1)
+    return 0

@@ -2,19 +2,23 @@
 
 A band copies the rows of the splats that it meets, in the order in which it meets them, so that a tile's splats lie
 close together. On the way back it sums into rows of its own; these are added band by band, so that the bits of a
-gradient do not depend on who did what when.
+gradient do not depend on the order of the threads.
+
+Where a caller gives the arguments of `lists` in place of lists, each pass lists the splats in memory of the call. The
+way back lists them again, which takes less time than a caller would lose whose capacity is too small.
 """
 
 import numpy as np
 
 from rasterizer._native.blending import HALF, ONE, ZERO, Thresholds
 from rasterizer._native.calls import (
+    ARGUMENTS,
     HANDLER,
     TASK,
     allocate,
     argument,
-    floats,
-    int32s,
+    count_arguments,
+    data,
     item_after,
     job_of,
     length,
@@ -39,6 +43,7 @@ from rasterizer._native.instructions import (
     prefetch,
     words_on_stack,
 )
+from rasterizer._native.lists import LIST_WORDS, OFFSETS, SPLATS, list_splats
 from rasterizer._native.tiles import (
     CHANNELS,
     GEOMETRY,
@@ -52,11 +57,17 @@ from rasterizer._native.tiles import (
 BANDS = 6  # How many are best depends little on the scene; no more threads than these share a pass.
 AHEAD = 16  # splats: memory answers about so many later
 CHUNKS = 16  # Of rows, whose gradients are added together.
-# Of a job: its frame, whether memory was lacking, then two words a band: where its splats' sums are, and these.
-_FRAME, _LACKED, _BANDS, _JOB_WORDS = 0, 1, 2, 2 + 2 * BANDS
+LISTED = 8  # arguments of `lists`
+# Of a job: its frame, the step that threads share, whether memory was lacking; addresses of the numbers of arguments
+# and results; how many rows and tiles there are; then two words a band: where its splats' sums are, and these.
+_FRAME, _STEP, _LACKED, _SIZES, _RULES = range(5)
+_ROWS, _SPLATS, _OFFSETS, _FEATURES, _LIGHT, _LAST, _MEDIAN, _D_LIGHT, _D_ROWS = range(5, 14)
+_COUNT, _GIVEN, _TILES, _BANDS = range(14, 18)
+_JOB_WORDS = _BANDS + 2 * BANDS
+_BLEND, _UNBLEND, _ADD = range(3)  # steps
 # Of `sizes`: tiles along a row, tiles of a camera, side of a tile in pixels, channels that end in front, whether the
-# median is asked for.
-_ACROSS, _OF_CAMERA, _SIDE, _IN_FRONT, _MEDIAN = 0, 1, 2, 3, 4
+# median is computed.
+_ACROSS, _OF_CAMERA, _SIDE, _IN_FRONT, _WITH_MEDIAN = 0, 1, 2, 3, 4
 
 
 @inlined
@@ -132,23 +143,35 @@ def gather(rows, count, on, in_front, splats, pairs, alpha_min, places, ids, nea
 
 
 @inlined
-def shape_of(frame, sizes):
+def floats_of(job, place):
+    """The float32 numbers at an address of a job."""
+    return as_floats(word(job, place))
+
+
+@inlined
+def int32s_of(job, place):
+    """The int32 numbers at an address of a job."""
+    return as_int32s(word(job, place))
+
+
+@inlined
+def shape_of(job):
     """Splats, channels that go on, channels that end in front, numbers of a copied row, and side of a tile."""
-    buffer, in_front = argument(frame, 0), np.int64(sizes[_IN_FRONT])
-    on = length(buffer, 1) - GEOMETRY - in_front
-    return length(buffer, 0), on, in_front, CHANNELS + at_least_three(on) + in_front, np.int64(sizes[_SIDE])
+    sizes, given = int32s_of(job, _SIZES), word(job, _GIVEN)
+    in_front = np.int64(sizes[_IN_FRONT])
+    on = given - GEOMETRY - in_front
+    return word(job, _COUNT), on, in_front, CHANNELS + at_least_three(on) + in_front, np.int64(sizes[_SIDE])
 
 
 @inlined
 def blend_band(job, band):
     """Blends the tiles of a band."""
-    frame = word(job, _FRAME)
-    rows, splats, offsets = floats(argument(frame, 0)), int32s(argument(frame, 1)), int32s(argument(frame, 2))
-    sizes, rules = int32s(argument(frame, 3)), floats(argument(frame, 4))
-    features, light = floats(result(frame, 0)), floats(result(frame, 1))
-    last, median = int32s(result(frame, 2)), int32s(result(frame, 3))
-    count, on, in_front, width, side = shape_of(frame, sizes)
-    tiles, pixels = length(result(frame, 1), 0), side * side
+    rows, splats, offsets = floats_of(job, _ROWS), int32s_of(job, _SPLATS), int32s_of(job, _OFFSETS)
+    sizes, rules = int32s_of(job, _SIZES), floats_of(job, _RULES)
+    features, light = floats_of(job, _FEATURES), floats_of(job, _LIGHT)
+    last, median = int32s_of(job, _LAST), int32s_of(job, _MEDIAN)
+    count, on, in_front, width, side = shape_of(job)
+    tiles, pixels = word(job, _TILES), side * side
 
     from_tile, to_tile = first_tile(offsets, tiles, band), first_tile(offsets, tiles, band + 1)
     start, pairs = np.int64(offsets[from_tile]), np.int64(offsets[to_tile]) - offsets[from_tile]
@@ -160,8 +183,9 @@ def blend_band(job, band):
             x, y = tile_center(tile, sizes)
             blend_tile(
                 near, int32s_at(ids, offsets[tile] - start), offsets[tile + 1] - offsets[tile], x, y, side, on,
-                in_front, sizes[_MEDIAN] != 0, thresholds(rules), floats_at(features, tile * (on + in_front) * pixels),
-                floats_at(light, tile * pixels), int32s_at(last, tile * pixels), int32s_at(median, tile * pixels),
+                in_front, sizes[_WITH_MEDIAN] != 0, thresholds(rules),
+                floats_at(features, tile * (on + in_front) * pixels), floats_at(light, tile * pixels),
+                int32s_at(last, tile * pixels), int32s_at(median, tile * pixels),
             )  # fmt: skip
     else:
         set_word(job, _LACKED, 1)
@@ -173,13 +197,12 @@ def blend_band(job, band):
 @inlined
 def unblend_band(job, band):
     """Sums, of every splat that a band's tiles show, the moments of dL/dsigma and the gradients to channels."""
-    frame = word(job, _FRAME)
-    rows, splats, offsets = floats(argument(frame, 0)), int32s(argument(frame, 1)), int32s(argument(frame, 2))
-    light, last = floats(argument(frame, 3)), int32s(argument(frame, 4))
-    d_features, d_light = floats(argument(frame, 5)), floats(argument(frame, 6))
-    sizes, rules = int32s(argument(frame, 7)), floats(argument(frame, 8))
-    count, on, in_front, width, side = shape_of(frame, sizes)
-    tiles, pixels = length(argument(frame, 3), 0), side * side
+    rows, splats, offsets = floats_of(job, _ROWS), int32s_of(job, _SPLATS), int32s_of(job, _OFFSETS)
+    sizes, rules = int32s_of(job, _SIZES), floats_of(job, _RULES)
+    d_features, d_light = floats_of(job, _FEATURES), floats_of(job, _D_LIGHT)
+    light, last = floats_of(job, _LIGHT), int32s_of(job, _LAST)
+    count, on, in_front, width, side = shape_of(job)
+    tiles, pixels = word(job, _TILES), side * side
 
     from_tile, to_tile = first_tile(offsets, tiles, band), first_tile(offsets, tiles, band + 1)
     start, pairs = np.int64(offsets[from_tile]), np.int64(offsets[to_tile]) - offsets[from_tile]
@@ -211,10 +234,9 @@ def unblend_band(job, band):
 @inlined
 def add_chunk(job, chunk):
     """Adds what the bands summed for some of the rows, and goes on to rows as `compositing.chain_to_rows` does."""
-    frame = word(job, _FRAME)
-    rows, d_rows, sizes = floats(argument(frame, 0)), floats(result(frame, 0)), int32s(argument(frame, 7))
-    count, on, in_front, width, _ = shape_of(frame, sizes)
-    given, through = GEOMETRY + on + in_front, at_least_three(on)
+    rows, d_rows, given = floats_of(job, _ROWS), floats_of(job, _D_ROWS), word(job, _GIVEN)
+    count, on, in_front, width, _ = shape_of(job)
+    through = at_least_three(on)
     for splat in range(count * chunk // CHUNKS, count * (chunk + 1) // CHUNKS):
         row, total = floats_at(rows, splat * given), floats_at(d_rows, splat * given)
         for c in range(given):
@@ -239,62 +261,112 @@ def add_chunk(job, chunk):
 
 
 @entry_point(TASK)
-def blend_bands(shared):
-    """Blends bands until none is left."""
-    band = next_item(shared)
-    while band >= 0:
-        blend_band(job_of(shared), band)
-        band = item_after(shared)
+def pass_in_threads(shared):
+    """Does items of a job's step until none is left."""
+    job, item = job_of(shared), next_item(shared)
+    while item >= 0:
+        if word(job, _STEP) == _BLEND:
+            blend_band(job, item)
+        elif word(job, _STEP) == _UNBLEND:
+            unblend_band(job, item)
+        else:
+            add_chunk(job, item)
+        item = item_after(shared)
     let_go(shared)
 
 
-@entry_point(TASK)
-def unblend_bands(shared):
-    """Walks back over bands until none is left."""
-    band = next_item(shared)
-    while band >= 0:
-        unblend_band(job_of(shared), band)
-        band = item_after(shared)
-    let_go(shared)
+define("rasterizer_pass_in_threads", pass_in_threads.address)
 
 
-@entry_point(TASK)
-def add_chunks(shared):
-    """Adds chunks of rows until none is left."""
-    chunk = next_item(shared)
-    while chunk >= 0:
-        add_chunk(job_of(shared), chunk)
-        chunk = item_after(shared)
-    let_go(shared)
+@inlined
+def share_step(job, step, items):
+    """Does a step's items on all threads. Whether there was memory."""
+    set_word(job, _STEP, step)
+    done = share(word(job, _FRAME), address_of("rasterizer_pass_in_threads"), job, items)
+    return done and word(job, _LACKED) == 0
 
 
-for _task in (blend_bands, unblend_bands, add_chunks):
-    define(f"rasterizer_{_task.__name__}", _task.address)
+@inlined
+def begin(job, lists_job, frame, listed, tiles):
+    """Writes what both passes read, and lists the splats where the caller gave no lists. Whether there was memory.
+
+    Args:
+        job: Address of `_JOB_WORDS` words, written.
+        lists_job: Address of `LIST_WORDS` words, written.
+        frame: Of the call: rows, the lists or the arguments of `lists`, the pass's own arguments, sizes, rules.
+        listed: How many arguments the lists are.
+        tiles: How many tiles there are.
+    """
+    for place in range(_JOB_WORDS):
+        set_word(job, place, 0)
+    rows, last = argument(frame, 0), count_arguments(frame) - 1
+    set_word(job, _FRAME, frame)
+    set_word(job, _SIZES, data(argument(frame, last - 1)))
+    set_word(job, _RULES, data(argument(frame, last)))
+    set_word(job, _ROWS, data(rows))
+    set_word(job, _COUNT, length(rows, 0))
+    set_word(job, _GIVEN, length(rows, 1))
+    set_word(job, _TILES, tiles)
+    if listed == LISTED:
+        done = list_splats(lists_job, frame, word(frame, ARGUMENTS) + 8, tiles, 0, 0, 0)
+        set_word(job, _SPLATS, word(lists_job, SPLATS))
+        set_word(job, _OFFSETS, word(lists_job, OFFSETS))
+        return done
+    set_word(job, _SPLATS, data(argument(frame, 1)))
+    set_word(job, _OFFSETS, data(argument(frame, 2)))
+    return True
+
+
+@inlined
+def end(job, listed):
+    """Gives back the memory of the lists that `begin` made, and of the bands' sums."""
+    if listed == LISTED:
+        release(word(job, _SPLATS))
+        release(word(job, _OFFSETS))
+    for place in range(_BANDS, _JOB_WORDS):
+        release(word(job, place))
+
+
+@inlined
+def name_medians(job, pixels):
+    """Turns places in the tiles' lists into the splats that are listed there."""
+    medians, splats, offsets = int32s_of(job, _MEDIAN), int32s_of(job, _SPLATS), int32s_of(job, _OFFSETS)
+    for tile in range(word(job, _TILES)):
+        for p in range(tile * pixels, (tile + 1) * pixels):
+            if medians[p] >= 0:
+                medians[p] = splats[offsets[tile] + medians[p]]
 
 
 @entry_point(HANDLER)
 def forward(frame):
-    """(rows, splats, offsets, sizes, rules) -> features, light, last, median; see `compositing.Engine`."""
+    """(rows, *lists, sizes, rules) -> features, light, last, median; see `compositing.Engine`."""
     if only_introduces(frame):
         return 0
-    job = words_on_stack(2)
-    set_word(job, _FRAME, frame)
-    set_word(job, _LACKED, 0)
-    began = share(frame, address_of("rasterizer_blend_bands"), job, BANDS)
-    return 0 if began and word(job, _LACKED) == 0 else no_memory(frame)
+    job, lists_job, listed = words_on_stack(_JOB_WORDS), words_on_stack(LIST_WORDS), count_arguments(frame) - 3
+    done = begin(job, lists_job, frame, listed, length(result(frame, 1), 0))
+    if done:
+        for place in range(4):
+            set_word(job, _FEATURES + place, data(result(frame, place)))
+        done = share_step(job, _BLEND, BANDS)
+    if done:
+        name_medians(job, length(result(frame, 1), 1))
+    end(job, listed)
+    return 0 if done else no_memory(frame)
 
 
 @entry_point(HANDLER)
 def backward(frame):
-    """(rows, splats, offsets, light, last, d_features, d_light, sizes, rules) -> d_rows."""
+    """(rows, *lists, light, last, d_features, d_light, sizes, rules) -> d_rows."""
     if only_introduces(frame):
         return 0
-    job = words_on_stack(_JOB_WORDS)
-    for place in range(_JOB_WORDS):
-        set_word(job, place, 0)
-    set_word(job, _FRAME, frame)
-    done = share(frame, address_of("rasterizer_unblend_bands"), job, BANDS) and word(job, _LACKED) == 0
-    done = done and share(frame, address_of("rasterizer_add_chunks"), job, CHUNKS)
-    for place in range(_BANDS, _JOB_WORDS):
-        release(word(job, place))
+    job, lists_job, listed = words_on_stack(_JOB_WORDS), words_on_stack(LIST_WORDS), count_arguments(frame) - 7
+    done = begin(job, lists_job, frame, listed, length(argument(frame, listed + 1), 0))
+    if done:
+        set_word(job, _LIGHT, data(argument(frame, listed + 1)))
+        set_word(job, _LAST, data(argument(frame, listed + 2)))
+        set_word(job, _FEATURES, data(argument(frame, listed + 3)))
+        set_word(job, _D_LIGHT, data(argument(frame, listed + 4)))
+        set_word(job, _D_ROWS, data(result(frame, 0)))
+        done = share_step(job, _UNBLEND, BANDS) and share_step(job, _ADD, CHUNKS)
+    end(job, listed)
     return 0 if done else no_memory(frame)

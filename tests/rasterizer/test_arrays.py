@@ -111,7 +111,7 @@ def test_the_stages_take_lists():
 
 def test_the_stages_say_what_they_cannot_take():
     with pytest.raises(TypeError, match="means is of type .*Tensor"):
-        rasterizer.world_to_cam(Tensor(), Tensor(), Tensor())  # pyright: ignore[reportArgumentType]
+        rasterizer.world_to_cam(Tensor(), Tensor(), Tensor())
     with pytest.raises(ValueError, match="a Gaussian's shape is missing"):
         cameras = ARRAYS["viewmats"], ARRAYS["Ks"]
         rasterizer.fully_fused_projection(ARRAYS["means"], None, None, None, *cameras, SCENE.width, SCENE.height)
@@ -119,4 +119,4 @@ def test_the_stages_say_what_they_cannot_take():
         splats = np.ones((count, 2, 2)), np.ones((count, 2, 3)), np.ones((count, 2, channels)), np.ones((count, 2))
         offsets, flat = np.zeros((count, 1, 1), np.int32), np.zeros(0, np.int32)
         with pytest.raises(ValueError, match=message):
-            rasterizer.rasterize_to_pixels(*splats, 8, 8, 8, offsets, flat)  # pyright: ignore[reportArgumentType]
+            rasterizer.rasterize_to_pixels(*splats, 8, 8, 8, offsets, flat)

@@ -25,6 +25,7 @@ CASES = {
     "degree 0, one Gaussian, 1 channel": (cloud(1, size=(9, 7), sh_degree=0, channels=1), {"sh_degree": 0}),
 }
 OF_BOTH = {"pixels that stop"}
+OF_KERNELS = {"pixels that stop", "RGB+ED of planes, two cameras"}
 # What they ask is asked by others, each by itself.
 AT_NIGHT = {"RGB+D, degree 1, two cameras", "ED, one pixel", "degree 0, one Gaussian, 1 channel"}
 
@@ -40,6 +41,7 @@ def with_background_for_mode(scene, render_mode="RGB", **_):
     [
         *(pytest.param(name, "native", marks=pytest.mark.long if name in AT_NIGHT else ()) for name in CASES),
         *(pytest.param(name, "xla", marks=() if name in OF_BOTH else pytest.mark.long) for name in CASES),
+        *(pytest.param(name, "pallas", marks=() if name in OF_KERNELS else pytest.mark.long) for name in CASES),
     ],
 )
 def test_tiles_equal_the_reference(name, backend):
@@ -102,7 +104,7 @@ def test_depth_modes_are_the_depths_as_a_colour():
     assert np.asarray(info["depths"])[0].min() <= normalised[shown].min()
 
 
-@pytest.mark.parametrize("backend", ["native", pytest.param("xla", marks=pytest.mark.long)])
+@pytest.mark.parametrize("backend", ["native", "pallas", pytest.param("xla", marks=pytest.mark.long)])
 def test_inria_rules_pass_the_gradient_straight_through_the_clamp(backend):
     # Under opacity 0.35 the 3 sigma extent hides nothing that passes the cut: the tiles can equal the dense oracle.
     faint = cloud()

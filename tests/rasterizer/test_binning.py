@@ -105,16 +105,6 @@ def test_lists_run_front_to_back_and_ties_by_index(binned):
         np.testing.assert_array_equal(order, np.arange(len(splats)))
 
 
-def test_each_camera_lists_its_own_splats(binned):
-    scene, _, pairs = binned
-    splats, offsets = np.asarray(pairs.splats), np.asarray(pairs.offsets)
-    border = offsets[GRID.num_tiles // 2]
-    first, second = splats[:border], splats[border : offsets[-1]]
-    count = scene.means.shape[0]
-    assert first.size and first.max() < count
-    assert second.size and second.min() >= count
-
-
 def test_capacity_exactly_full_and_one_short(lists):
     scene = SCENES["cloud"]
     projection = project_scene(scene)

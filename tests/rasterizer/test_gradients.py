@@ -1,17 +1,33 @@
-"""Derivatives of the dense reference against finite differences, and of the tiles where pixels stop early."""
+"""Derivatives against finite differences, of any order by the reference; and the page about them."""
 
+import re
 from dataclasses import fields, replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import NO_THRESHOLDS, cloud, evaluate, in_float64, loss, relative_errors, smooth, stacks
+from jax.test_util import check_grads
+from scenes import (
+    BACKENDS,
+    NO_THRESHOLDS,
+    cloud,
+    evaluate,
+    in_float64,
+    loss,
+    relative_errors,
+    render,
+    smooth,
+    stacks,
+)
 
-from rasterizer import _reference, project
+import rasterizer
+from rasterizer import project
 
 FIELDS = [f.name for f in fields(smooth()) if not f.metadata]
 STEP = 1e-6
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "differentiation.md"
 
 
 @pytest.fixture(scope="module")
@@ -83,48 +99,6 @@ def test_forward_mode_equals_reverse_mode(x64, scene, directions):
         np.testing.assert_allclose(pushforward(scene, directions[name]), dot(gradient, directions[name]), rtol=1e-10)
 
 
-def projected(s):
-    """The scene's splats, and a scalar of all that is differentiable in them."""
-    p = project(s.means, s.quats, s.scales, s.opacities, s.viewmats, s.Ks, s.width, s.height, rules=NO_THRESHOLDS)
-    return p, sum(jnp.sum(jnp.sin(x)) for x in (p.means2d, p.depths, p.conics))
-
-
-def assert_second_order(function, inputs, direction):
-    """Forward over reverse against central differences of the gradient, along one direction."""
-    # Not compiled: op by op is several times faster for so few numbers.
-    expected = difference(jax.grad(function), inputs, direction)
-    product = jax.jvp(jax.grad(function), (inputs,), (direction,))[1]
-    error = jax.tree.map(jnp.subtract, product, expected)
-    assert np.sqrt(dot(error, error)) < 1e-7 * np.sqrt(dot(expected, expected))
-    return product
-
-
-@pytest.mark.long
-def test_second_order_of_the_projection(x64, scene, directions):
-    everywhere = jax.tree.map(lambda *x: sum(x), *directions.values())
-    assert_second_order(lambda s: projected(s)[1], scene, everywhere)
-
-
-@pytest.mark.long
-def test_second_order_of_the_blend_in_both_modes(x64, scene):
-    projection = projected(scene)[0]
-    features = jnp.concatenate([scene.colors, projection.depths[0, :, None]], -1)
-    inputs = projection.means2d, projection.conics, scene.opacities[None], features[None]
-
-    def blended(inputs):
-        means2d, conics, opacities, features = inputs
-        splats = projection._replace(means2d=means2d, conics=conics)
-        image, left, _ = _reference.composite(splats, opacities, features, scene.width, scene.height, NO_THRESHOLDS)
-        return jnp.sum(image**2) + jnp.sum(left)
-
-    rng = np.random.default_rng(12)
-    direction = tuple(jnp.asarray(rng.normal(size=x.shape)) for x in inputs)
-    product = assert_second_order(blended, inputs, direction)
-    twice_reversed = jax.grad(lambda x: dot(jax.grad(blended)(x), direction))(inputs)
-    for actual, expected in zip(twice_reversed, product, strict=True):
-        np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-10)
-
-
 @pytest.mark.parametrize("make_scene", [cloud, stacks])
 @pytest.mark.parametrize("backend", ["xla", "reference"])
 def test_float32_against_the_float64_reference(make_scene, backend):
@@ -157,3 +131,95 @@ def test_what_no_pixel_sees_has_exactly_zero_gradient():
         rows = np.asarray(getattr(gradient, name)).reshape(listed.size, -1)
         np.testing.assert_array_equal(rows[~listed], 0)
         assert np.all(np.abs(rows[listed]).sum(-1) > 0) or name == "scales"
+
+
+def image_of(scene, **arrays):
+    image, alphas, _ = render(replace(scene, **arrays), backend="reference", rules=rasterizer.SMOOTH)
+    return jnp.concatenate([image, alphas], -1)
+
+
+@pytest.mark.long
+def test_both_modes_to_second_order(x64):
+    scene = in_float64(smooth())
+    # One random functional of the image: the checks difference it along random directions, in both modes and orders.
+    weights = jnp.asarray(np.random.default_rng(0).normal(size=(1, 5, 6, 3)))
+    functional = jax.jit(lambda arrays: jnp.sum(weights * image_of(scene, **arrays) ** 2))
+    arrays = {name: getattr(scene, name) for name in FIELDS}
+    for each in (functional, jax.jit(jax.grad(functional))):
+        check_grads(each, (arrays,), order=1, modes=("fwd", "rev"), rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.long
+def test_a_hessian_is_symmetric_and_gives_the_products(x64):
+    scene = in_float64(smooth())
+
+    def objective(means):
+        return jnp.sum(image_of(scene, means=means) ** 2)
+
+    hessian = np.asarray(jax.jit(jax.hessian(objective))(scene.means)).reshape(12, 12)
+    np.testing.assert_allclose(hessian, hessian.T, atol=1e-9)
+    direction = jnp.asarray(np.random.default_rng(1).normal(size=(4, 3)))
+    _, product = jax.jvp(jax.grad(objective), (scene.means,), (direction,))
+    np.testing.assert_allclose(product.ravel(), hessian @ np.asarray(direction).ravel(), rtol=1e-9)
+
+
+@pytest.mark.long
+def test_gauss_newton_products_without_the_jacobian(x64):
+    scene = in_float64(smooth())
+
+    def image(cameras):
+        viewmats, Ks = cameras
+        return image_of(scene, viewmats=viewmats, Ks=Ks)
+
+    point = scene.viewmats, scene.Ks
+    rng = np.random.default_rng(2)
+    direction = tuple(jnp.asarray(rng.normal(size=x.shape)) for x in point)
+    _, forward = jax.linearize(image, point)
+    _, backward = jax.vjp(image, point)
+    product = jnp.concatenate([x.ravel() for x in backward(forward(direction))[0]])
+    J = jnp.concatenate([x.reshape(5 * 6 * 3, -1) for x in jax.jacrev(image)(point)], -1)
+    flat = jnp.concatenate([x.ravel() for x in direction])
+    np.testing.assert_allclose(product, J.T @ (J @ flat), rtol=1e-9, atol=1e-12)
+
+
+def test_the_page_finds_the_pose(capsys):
+    programs = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    (program,) = (each for each in programs if "errors" in each)
+    names = {}
+    exec(program, names)
+    errors = names["errors"]
+    assert errors[0] > 1e-3 and errors[-1] < 1e-5
+    # What the page says it prints; the last digits belong to the machine.
+    printed = re.search(r"after each step:\n\n    (.*)\n", PAGE.read_text()).group(1).split()
+    assert len(printed) == len(capsys.readouterr().out.split()) == 8
+    np.testing.assert_allclose(np.log10(errors[:3]), np.log10([float(p) for p in printed[:3]]), atol=0.5)
+
+
+def functional(scene, **options):
+    """A random functional of image and alphas, of the arrays of a scene."""
+    weights = np.random.default_rng(0).normal(size=(1, 5, 6, 3))
+
+    def value(arrays):
+        image, alphas, _ = render(replace(scene, **arrays), rules=rasterizer.SMOOTH, **options)
+        seen = jnp.concatenate([image, alphas], -1)
+        return jnp.sum(jnp.asarray(weights, seen.dtype) * seen**2)
+
+    return jax.jit(value)
+
+
+@pytest.mark.parametrize("backend", [name for name in BACKENDS if name != "reference"])
+def test_first_order_of_the_tiles(backend):
+    scene = smooth()
+    value = functional(scene, backend=backend, capacity=64)
+    arrays = {name: getattr(scene, name) for name in FIELDS}
+    check_grads(value, (arrays,), order=1, modes=("rev",), rtol=2e-2, atol=2e-2, eps=1e-2)  # in float32
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_every_splat_reaches_every_tile(backend):
+    scene = replace(smooth(), scales=smooth().scales * 0.01, width=40, height=30)
+    image, alphas, info = render(scene, backend=backend, capacity=256, tile_size=8, rules=rasterizer.SMOOTH)
+    assert np.isfinite(image).all() and np.isfinite(alphas).all()
+    assert info["visible"].all() and (info["radii"] > 10**9).all()
+    if backend != "reference":
+        np.testing.assert_array_equal(info["tiles_per_gauss"], np.full((1, 4), 20))

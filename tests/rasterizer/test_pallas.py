@@ -9,32 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxprs import equations
-from scenes import cloud, evaluate, relative_errors, stacks
+from scenes import cloud, evaluate, stacks
 from tolerances import assert_close
 
-from rasterizer import GSPLAT, INRIA, Front, TileGrid, _pallas, _reference, bin_splats, project
+from rasterizer import GSPLAT, Front, TileGrid, _mosaic, _pallas, _reference, _xla, bin_splats, devices, project
 from rasterizer.compositing import Static, composite
-
-CASES = {
-    "pixels that stop": (stacks(), {}),
-    "two cameras, 7 channels": (cloud(cameras=2, channels=7), {}),
-    "planes": (cloud(), {"render_mode": "D", "depth_mode": "plane"}),
-    "inria": (replace(cloud(), opacities=0.35 * cloud().opacities), {"rules": INRIA}),
-}
-
-
-@pytest.mark.device
-@pytest.mark.parametrize("name", CASES)
-def test_kernels_equal_the_reference(name):
-    scene, options = CASES[name]
-    if "render_mode" in options:
-        scene = replace(scene, backgrounds=scene.backgrounds[:, :1])
-    image, alphas, info, gradient = evaluate(scene, "pallas", **options)
-    expected_image, expected_alphas, _, expected = evaluate(scene, "reference", **options)
-    assert not info["overflowed"]
-    assert_close((image, alphas), (expected_image, expected_alphas))
-    for field, error in relative_errors(gradient, expected).items():
-        assert error < 1e-4, (field, error)
 
 
 @pytest.mark.long
@@ -94,22 +73,24 @@ def passes():
         bin_splats(projection, scene.opacities, grid, 512, GSPLAT, backend="xla"),
     )
     splats = projection.means2d[0], projection.conics[0], scene.opacities[:, None], scene.colors
-    lists = jnp.concatenate(splats, -1), pairs.splats, pairs.offsets
+    lists = jnp.concatenate(splats, -1), (pairs.splats, pairs.offsets)
     blended = engine.forward(static, *lists)
     slopes = (jnp.asarray(np.random.default_rng(1).normal(size=x.shape), jnp.float32) for x in blended[:2])
-    return (*lists, blended.transmittance, blended.last, *slopes, *blended.kept), partial(engine.backward, static)
+    return (*lists, blended.transmittance, blended.last, *slopes, *blended.residuals), partial(engine.backward, static)
 
 
 def test_a_slot_without_a_gradient_is_scattered_past_the_rows(passes):
     """Zeros added to one row by a GPU's atomics wait for each other; here they are read off the traced program."""
     arguments, backward = passes
-    rows, splats, offsets = arguments[:3]
+    rows, (splats, offsets), *_ = arguments
     program = jax.make_jaxpr(backward)(*arguments)
     scatter = next(e for e in program.eqns if e.primitive.name == "scatter-add")
     assert scatter.params["mode"] == jax.lax.GatherScatterMode.FILL_OR_DROP
     info = program.jaxpr.debug_info._replace(result_paths=None)
     read = program.jaxpr.replace(outvars=scatter.invars[1:], debug_info=info)
-    index, added = jax.extend.core.jaxpr_as_fun(jax.extend.core.ClosedJaxpr(read, program.consts))(*arguments)
+    index, added = jax.extend.core.jaxpr_as_fun(jax.extend.core.ClosedJaxpr(read, program.consts))(
+        *jax.tree.leaves(arguments)
+    )
     index, added = np.asarray(index)[:, 0], np.asarray(added)
     kept = index < len(rows)
     assert kept.any() and not kept[int(offsets[-1]) :].any()
@@ -139,7 +120,7 @@ def test_lists_cut_in_segments_equal_the_reference(front):
 
     def tiles(segment_size, *splats):
         engine = _pallas.engine(interpret=True, segment_size=segment_size)
-        return composite(Static(grid, GSPLAT, engine, True, front), *splats, pairs.splats, pairs.offsets)
+        return composite(Static(grid, GSPLAT, engine, True, front), *splats, (pairs.splats, pairs.offsets))
 
     def weighed(blended, *splats):
         image, left, median = blended(*splats)
@@ -187,7 +168,7 @@ def test_both_kernels_lower_for_cuda(tile_size, channels):
     static = Static(grid, GSPLAT, _pallas.engine(interpret=False), with_median=channels == 3, front=front)
 
     def loss(splats, lists):
-        image, left, _ = composite(static, *splats, *lists)
+        image, left, _ = composite(static, *splats, lists)
         return jnp.sum(image**2) + jnp.sum(left)
 
     def array(*shape, dtype=jnp.float32):
@@ -218,3 +199,49 @@ def test_both_sorts_are_pairs_with_a_short_key_on_a_gpu():
 def test_a_tile_that_is_no_power_of_two_is_refused_by_the_kernels_alone():
     with pytest.raises(ValueError, match="tile_size=12 is not a power of two"):
         evaluate(cloud(), "pallas", tile_size=12)
+
+
+needs_mosaic = pytest.mark.skipif(not devices.has_mosaic(), reason="jax 0.12 or later has what is tested")
+
+
+@pytest.fixture(scope="module")
+def tile():
+    """A tile of 24 splats, and a program of its values and gradients by an engine."""
+    scene = stacks(count=24, size=(16, 16))
+    shape = scene.means, scene.quats, scene.scales, scene.opacities
+    projection = project(*shape, scene.viewmats, scene.Ks, 16, 16)
+    grid = TileGrid(1, 16, 16, 16)
+    pairs = bin_splats(projection, scene.opacities, grid, 64, GSPLAT, backend="xla")
+
+    def loss(engine, front, *splats):
+        static = Static(grid, GSPLAT, engine, True, front)
+        image, left, median = composite(static, *splats, (pairs.splats, pairs.offsets))
+        return jnp.sum(image**2) + jnp.sum(left), (image, left, median)
+
+    def program(engine, front=None):
+        return jax.jit(jax.value_and_grad(partial(loss, engine, front), (0, 1, 2, 3), has_aux=True))
+
+    return program, (projection.means2d[0], projection.conics[0], scene.opacities, scene.colors)
+
+
+@needs_mosaic
+def test_kernels_by_mosaic_equal_their_twin(tile):
+    program, splats = tile
+    (_, shown), slopes = program(_mosaic.engine(interpret=True, segment_size=16))(*splats)
+    (_, expected), right = program(_xla.ENGINE)(*splats)
+    assert_close(shown[:2], expected[:2])
+    np.testing.assert_array_equal(shown[2], expected[2])
+    for found, wanted in zip(slopes, right, strict=True):
+        assert np.linalg.norm(found - wanted) < 1e-5 * np.linalg.norm(wanted)
+
+
+@needs_mosaic
+def test_kernels_by_mosaic_lower_for_cuda_and_what_mosaic_cannot_do_is_jnp(tile):
+    program, splats = tile
+
+    def calls(front):
+        traced = program(_mosaic.engine(interpret=False), front).trace(*splats)
+        return traced.lower(lowering_platforms=("cuda",)).as_text().count("custom_call @mosaic_gpu")
+
+    assert calls(None) == 2
+    assert calls(Front(1, 0.2)) == 0

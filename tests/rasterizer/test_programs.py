@@ -13,7 +13,7 @@ from scenes import cloud, loss, render
 from tolerances import assert_close
 
 import rasterizer
-from rasterizer import INRIA, fusion
+from rasterizer import INRIA, tracing
 
 COUNT = 41  # Like no other size in the program.
 
@@ -64,10 +64,6 @@ def test_only_the_bands_of_the_degree_are_evaluated(degree):
     program = forward(cloud(COUNT, sh_degree=4), sh_degree=degree)
     leading_constants = [0.282094791, 0.488602512, 1.09254843, 0.590043589, 2.50334294]
     assert [uses_constant(program, c) for c in leading_constants] == [d <= degree for d in range(5)]
-
-
-def test_colours_are_not_harmonics():
-    assert not uses_constant(forward(cloud(COUNT)), 0.282094791)
 
 
 def test_depth_alone_never_touches_the_colours():
@@ -136,7 +132,7 @@ def test_the_projection_branches_on_a_cpu_alone(monkeypatch):
         return operations(equations(jax.make_jaxpr(jax.grad(total))(*shape).jaxpr))["cond"], total(*shape)
 
     on_cpu, expected = branches()
-    monkeypatch.setattr(fusion, "default_device", lambda: SimpleNamespace(platform="gpu"))
+    monkeypatch.setattr(tracing, "default_device", lambda: SimpleNamespace(platform="gpu"))
     on_gpu, found = branches()
     assert on_cpu >= 2 and on_gpu == 0
     assert_close(found, expected, rtol=1e-5, atol=0, why="a sum of conics that differ by a rounding")
@@ -153,11 +149,6 @@ def test_covariances_leave_the_quaternions_out():
 
     assert (COUNT, 4) not in shapes(list(equations(jax.make_jaxpr(program)(covars).jaxpr)))
     assert (COUNT, 4) in shapes(forward(scene))
-
-
-def test_no_background_no_blend_with_it():
-    with_background, without = forward(cloud(COUNT)), forward(transparent(cloud(COUNT)))
-    assert len(without) < len(with_background)
 
 
 def test_no_array_of_tiles_by_splats_nor_of_pairs_by_pixels():

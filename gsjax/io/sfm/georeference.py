@@ -99,8 +99,8 @@ def georeference(viewmats: np.ndarray, fixes: Sequence[Fix | None], level: Up | 
         up=(0.0, 0.0, 1.0),
         origin=(origin[0], origin[1], altitude),
         scale=motion.scale,
-        rotation=tuple(map(tuple, motion.rotation.tolist())),  # pyright: ignore[reportArgumentType]
-        shift=tuple(motion.shift.tolist()),  # pyright: ignore[reportArgumentType]
+        rotation=tuple(map(tuple, motion.rotation.tolist())),
+        shift=tuple(motion.shift.tolist()),
     )
     summary = f"metres by the {known_by}, which lie {_length(float(np.median(residual[trusted])))} from it (median)"
     up_source = _up_source(level.source, tilt_error, altitude) if is_level else "the GPS"

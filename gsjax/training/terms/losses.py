@@ -71,7 +71,7 @@ def coverage(gaussians: Gaussians, view: View, batch: Batch) -> Array:
     Without it a place whose colour is that of the background is a hole as cheaply as a surface.
     """
     del gaussians
-    is_surface = jnp.any(batch.normals != 0, axis=-1)  # pyright: ignore[reportArgumentType]
+    is_surface = jnp.any(batch.normals != 0, axis=-1)
     return masked_mean(1 - view.alphas, batch.valid & is_surface)
 
 

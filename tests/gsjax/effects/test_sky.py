@@ -37,7 +37,7 @@ def camera_at(eye, target):
     """A camera held upright, z up."""
     K = np.array([[FOCAL, 0, SIZE[0] / 2], [0, FOCAL, SIZE[1] / 2], [0, 0, 1]], np.float32)
     viewmat = look_at(np.asarray(eye, np.float64), np.asarray(target, np.float64), np.array([0.0, 0.0, 1.0]))
-    return Camera(viewmat.astype(np.float32), K, *SIZE)  # pyright: ignore[reportArgumentType]
+    return Camera(viewmat.astype(np.float32), K, *SIZE)
 
 
 def rays_of(camera):

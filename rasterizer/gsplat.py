@@ -1,10 +1,12 @@
-"""The stages under the front door, one by one, with gsplat's names, argument order and conventions (1.5.3, 1.6).
+"""gsplat's names (1.5.3, 1.6): the stages under the front door, and what `rasterization` returns besides images.
 
-What gsplat has and a stage here has not is refused by name. `rasterization` does not go through these functions: its
-lists are per-tile exact and its buffers have a static size; this is the way to compare, to port and to take apart.
+`rasterization` does not go through these stages: its lists are per-tile exact and its buffers have a static size. They
+serve to compare, to port and to take apart. Arguments of gsplat that no stage supports are absent.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from math import prod
 from typing import Any
 
 import jax
@@ -16,14 +18,77 @@ from rasterizer.arrays import takes_arrays
 from rasterizer.binning import TileGrid, TilePairs
 from rasterizer.camera_models import CAMERA_MODELS, CameraModelName, Lens
 from rasterizer.checks import absgrad_zeros, check_mode
-from rasterizer.covariances import Matrix, components, dot, matrix_rows
+from rasterizer.covariances import Matrix, components, dot, matrix_rows, symmetric
 from rasterizer.engines import Backend, blend
-from rasterizer.packed_rows import pack_rows
 from rasterizer.projection import Projection, camera_position, project
-from rasterizer.refusals import refuse
 from rasterizer.rules import GSPLAT, Rules
 
 PADDING = np.iinfo(np.int64).max  # The intersection id of a slot that holds none: sorts last.
+
+
+@jax.tree_util.register_pytree_with_keys_class
+class Info(dict[str, Any]):
+    """Intermediate results by name: a pytree of the arrays of one call.
+
+    gsplat's other keys are computed when they are read: `DERIVED`.
+    """
+
+    def __init__(self, arrays: dict[str, Any], grid: TileGrid):
+        """Hold the arrays of one call, and its tiles."""
+        super().__init__(arrays)
+        self.grid = grid
+
+    def __missing__(self, name: str) -> Any:
+        return DERIVED[name](self)
+
+    def tree_flatten_with_keys(self):
+        """The stored arrays are the children."""
+        names = tuple(sorted(self))
+        return [(jax.tree_util.DictKey(name), self[name]) for name in names], (names, self.grid)
+
+    @classmethod
+    def tree_unflatten(cls, static, children):
+        """Inverse of `tree_flatten_with_keys`."""
+        names, grid = static
+        return cls(dict(zip(names, children, strict=True)), grid)
+
+
+def _flatten_ids(info: Info) -> Array:
+    """`[..., capacity]` int32 listed splats c * N + n, by tile and depth; -1 in slots left over."""
+    splats, count = info["splats"], info["offsets"][..., -1:]
+    return jnp.where(jax.lax.broadcasted_iota(jnp.int32, splats.shape, splats.ndim - 1) < count, splats, -1)
+
+
+def _isect_offsets(info: Info) -> Array:
+    """`[..., C, tile_height, tile_width]` int32: where each tile's run begins in `flatten_ids`."""
+    first, grid = info["offsets"][..., :-1], info.grid
+    return first.reshape(*first.shape[:-1], grid.num_cameras, grid.tiles_y, grid.tiles_x)
+
+
+def _tiles_per_gauss(info: Info) -> Array:
+    """`[..., C, N]` int32: the number of tiles that list each splat."""
+    listed, shape = _flatten_ids(info), info["depths"].shape
+
+    def count(listed: Array) -> Array:
+        size = shape[-2] * shape[-1]
+        return jnp.zeros(size, jnp.int32).at[jnp.where(listed >= 0, listed, size)].add(1, mode="drop")
+
+    return jax.vmap(count)(listed.reshape(-1, listed.shape[-1])).reshape(shape)
+
+
+DERIVED: dict[str, Callable[[Info], Any]] = {
+    "width": lambda info: info.grid.width,
+    "height": lambda info: info.grid.height,
+    "n_cameras": lambda info: info.grid.num_cameras,
+    "tile_size": lambda info: info.grid.tile_size,
+    "tile_width": lambda info: info.grid.tiles_x,
+    "tile_height": lambda info: info.grid.tiles_y,
+    "camera_ids": lambda _: None,  # No rows are packed: gsplat has None, too.
+    "gaussian_ids": lambda _: None,
+    "tiles_per_gauss": _tiles_per_gauss,
+    "isect_offsets": _isect_offsets,
+    "flatten_ids": _flatten_ids,
+}
 
 
 def _of_cameras(cameras: Array) -> Matrix:
@@ -94,13 +159,10 @@ def fully_fused_projection(
     near_plane: float = 0.01,
     far_plane: float = 1e10,
     radius_clip: float = 0.0,
-    packed: bool = False,
-    sparse_grad: bool = False,
+    *,
     calc_compensations: bool = False,
     camera_model: CameraModelName = "pinhole",
     opacities: Array | None = None,
-    *,
-    capacity: int | None = None,
     rules: Rules = GSPLAT,
 ) -> tuple[Any, ...]:
     """Project Gaussians into cameras.
@@ -118,62 +180,38 @@ def fully_fused_projection(
         near_plane: Gaussians at or nearer than this camera z are culled.
         far_plane: Gaussians at or beyond this camera z are culled.
         radius_clip: Gaussians whose radii are both at most this are culled, pixels.
-        packed: Whether only what shows is returned, as rows. Static.
-        sparse_grad: Refused.
         calc_compensations: Whether the antialiasing factors are returned.
         camera_model: "pinhole", "ortho" or "fisheye", as in `rasterization`.
         opacities: `[..., N]`; where given, a faint Gaussian's radii shrink and one under the cut is culled.
-        capacity: n, how many packed rows there are. None counts on the host, which `jit` cannot: there a number must
-            be given; rows left over have the indices -1 and radii of 0.
         rules: Extents and alpha cut.
 
     Returns:
         Radii `[..., C, N, 2]` int32, 0 where culled; means2d `[..., C, N, 2]`, depths `[..., C, N]`, conics
         `[..., C, N, 3]`, and compensations `[..., C, N]` or None. Rows of culled Gaussians hold harmless values.
-        Packed, int32 indices of batch, camera and Gaussian `[n]` and `[B * C + 1]` where each image's rows begin (the
-        last is the number needed) come first, and the five are `[n, *]`.
 
     Raises:
-        ValueError: On what is refused, and packed inside `jit` without a capacity.
+        ValueError: On another camera model, and where a Gaussian's shape is missing.
     """
-    refuse(sparse_grad=sparse_grad)
     check_mode(CameraModelName, camera_model=camera_model)
     if opacities is None:
         rules = replace(rules, opacity_extent=False)
         opacities = jnp.ones(means.shape[:-1], means.dtype)
     if covars is not None:
-        xx, xy, xz, yy, yz, zz = components(covars)
-        rows = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+        rows, _ = symmetric(components(covars))
         covars = jnp.stack([jnp.stack(row, -1) for row in rows], -2)
+    mode = "antialiased" if calc_compensations else "classic"
+    options = {"eps2d": eps2d, "near_plane": near_plane, "far_plane": far_plane, "radius_clip": radius_clip}
+    options |= {"camera_model": camera_model, "rasterize_mode": mode, "rules": rules}
 
     def one_batch(means, covars, quats, scales, opacities, viewmats, Ks):
-        projection = project(
-            means,
-            quats,
-            scales,
-            opacities,
-            viewmats,
-            Ks,
-            width,
-            height,
-            covars=covars,
-            eps2d=eps2d,
-            near_plane=near_plane,
-            far_plane=far_plane,
-            radius_clip=radius_clip,
-            camera_model=camera_model,
-            rasterize_mode="antialiased" if calc_compensations else "classic",
-            rules=rules,
-        )
+        shape = means, quats, scales, opacities, viewmats, Ks
+        projection = project(*shape, width, height, covars=covars, **options)
         radii = jnp.ceil(projection.extents).astype(jnp.int32)
         return radii, projection.means2d, projection.depths, projection.conics, projection.compensations
 
     for _ in means.shape[:-2]:
         one_batch = jax.vmap(one_batch)
-    radii, *others = one_batch(means, covars, quats, scales, opacities, viewmats, Ks)
-    if not packed:
-        return radii, *others
-    return pack_rows((radii > 0).all(-1), (radii, *others), capacity)
+    return one_batch(means, covars, quats, scales, opacities, viewmats, Ks)
 
 
 def _tile_bits(num_tiles: int) -> int:
@@ -189,29 +227,19 @@ def isect_tiles(
     tile_width: int,
     tile_height: int,
     sort: bool = True,
-    segmented: bool = False,
-    packed: bool = False,
-    n_images: int | None = None,
-    image_ids: Array | None = None,
-    gaussian_ids: Array | None = None,
     *,
     capacity: int | None = None,
 ) -> tuple[Array, Array, Array]:
     """List the tiles that the box of each splat's radii overlaps.
 
     Args:
-        means2d: `[..., N, 2]` pixels; packed, here and below `[n, *]`.
+        means2d: `[..., N, 2]` pixels.
         radii: `[..., N, 2]` pixels; 0 along either axis lists nothing.
         depths: `[..., N]`, positive.
         tile_size: Side of a tile, pixels.
         tile_width: Tiles per row.
         tile_height: Rows of tiles.
         sort: Whether the intersections are sorted by image, tile and depth.
-        segmented: Refused.
-        packed: Whether the splats are packed rows, of any image each. Static.
-        n_images: Unused.
-        image_ids: `[n]` image of each packed row, batch x cameras + camera; read where packed.
-        gaussian_ids: Unused.
         capacity: Length of the lists. None counts on the host, which `jit` cannot: there a number must be given;
             slots left over hold `PADDING` and -1, intersections beyond it are lost.
 
@@ -220,14 +248,9 @@ def isect_tiles(
         indices int32. Not differentiable.
 
     Raises:
-        ValueError: On what is refused, and inside `jit` without a capacity.
+        ValueError: Inside `jit` without a capacity.
     """
-    del n_images, gaussian_ids
-    refuse(segmented=segmented)
-    if packed and image_ids is None:
-        raise ValueError("packed=True needs image_ids, the image of each row")
     means2d, radii, depths = (jax.lax.stop_gradient(x) for x in (means2d, radii, depths))
-    count = 0 if packed else means2d.shape[-2]
     limit = jnp.broadcast_to(jnp.array([tile_width, tile_height], means2d.dtype), means2d.shape)
     reach = radii.astype(means2d.dtype)
     low = jnp.clip(jnp.floor((means2d - reach) / tile_size), 0, limit).astype(jnp.int32)
@@ -246,7 +269,7 @@ def isect_tiles(
     index = slot - (jnp.cumsum(flat) - flat)[splat]
     tile = (low[splat, 1] + index // width[splat]) * tile_width + low[splat, 0] + index % width[splat]
     bits = jax.lax.bitcast_convert_type(depths.astype(jnp.float32).reshape(-1), jnp.uint32)[splat]
-    image = jnp.asarray(image_ids, jnp.int32)[splat] if packed else splat // max(count, 1)
+    image = splat // max(means2d.shape[-2], 1)
     used = slot < flat.sum()
     with jax.enable_x64(True):
         high_bits = (image.astype(jnp.int64) << _tile_bits(tile_width * tile_height)) | tile.astype(jnp.int64)
@@ -269,7 +292,7 @@ def isect_offset_encode(isect_ids: Array, n_images: int, tile_width: int, tile_h
 
 
 def _keep_masked(pairs: TilePairs, masks: Array) -> TilePairs:
-    """The lists of the tiles that are wanted, moved together."""
+    """The lists without those of masked tiles, moved together."""
     counts = pairs.offsets[1:] - pairs.offsets[:-1]
     slot = jnp.arange(pairs.splats.shape[0], dtype=jnp.int32)
     tile = jnp.clip(jnp.searchsorted(pairs.offsets, slot, side="right") - 1, 0, counts.shape[0] - 1)
@@ -293,16 +316,15 @@ def rasterize_to_pixels(
     flatten_ids: Array,
     backgrounds: Array | None = None,
     masks: Array | None = None,
-    packed: bool = False,
-    absgrad: Array | bool = False,
     *,
+    absgrad: Array | bool = False,
     backend: Backend = "auto",
     rules: Rules = GSPLAT,
 ) -> tuple[Array, Array]:
     """Blend listed splats.
 
     Args:
-        means2d: `[..., N, 2]` pixels; packed, here and below `[n, *]`.
+        means2d: `[..., N, 2]` pixels.
         conics: `[..., N, 3]` inverse 2D covariances (xx, xy, yy).
         colors: `[..., N, D]` any channels.
         opacities: `[..., N]`.
@@ -313,7 +335,6 @@ def rasterize_to_pixels(
         flatten_ids: `[n]` of `isect_tiles`.
         backgrounds: `[..., D]` blended under each image, or a number.
         masks: `[..., tile_height, tile_width]` bool; a tile that is False is not rendered: background, alpha 0.
-        packed: Whether the splats are packed rows. Static.
         absgrad: Zeros of the shape of `means2d`: the image does not depend on them, and their gradient is what gsplat's
             `absgrad=True` writes to `means2d.absgrad`.
         backend: A tile backend. Static.
@@ -324,11 +345,11 @@ def rasterize_to_pixels(
         backgrounds.
 
     Raises:
-        ValueError: On what is refused, and where there is no image or no channel.
+        ValueError: On `absgrad` of another shape, and where there is no image or no channel.
     """
     probe = absgrad_zeros(absgrad, means2d.shape)
-    images, count = isect_offsets.shape[:-2] if packed else means2d.shape[:-2], means2d.shape[-2]
-    num_images = int(np.prod(images, dtype=int))
+    images, count = means2d.shape[:-2], means2d.shape[-2]
+    num_images = prod(images)
     grid = TileGrid(num_images, image_width, image_height, tile_size)
     total = jnp.sum(flatten_ids >= 0, dtype=jnp.int32)
     splats = jnp.maximum(flatten_ids, 0) if flatten_ids.size else jnp.zeros(1, jnp.int32)
@@ -339,13 +360,12 @@ def rasterize_to_pixels(
         pairs = _keep_masked(pairs, masks.reshape(-1))
 
     def flat(x: Array) -> Array:
-        # A packed splat is in the image whose tiles list it.
-        return x.reshape(1 if packed else num_images, count, *x.shape[means2d.ndim - 1 :])
+        return x.reshape(num_images, count, *x.shape[means2d.ndim - 1 :])
 
-    everywhere = jnp.ones((1 if packed else num_images, count), bool)
+    everywhere = jnp.ones((num_images, count), bool)
     projection = Projection(flat(means2d), flat(opacities), flat(conics), flat(means2d), everywhere)
-    asked = {"backend": backend, "absgrad": None if probe is None else flat(probe)}
-    image, left, _ = blend(projection, flat(opacities), flat(colors), pairs, grid, rules, **asked)
+    how = {"backend": backend, "absgrad": None if probe is None else flat(probe)}
+    image, left, _ = blend(projection, flat(opacities), flat(colors), pairs, grid, rules, **how)
     if backgrounds is not None:
         behind = jnp.broadcast_to(backgrounds, (*images, colors.shape[-1]))
         image = image + left * behind.reshape(num_images, 1, 1, -1)

@@ -1,9 +1,4 @@
-"""The mesh axes that arrays vary over inside `jax.shard_map`. Outside of it there are none, and nothing is changed.
-
-`shard_map` checks by default that both branches of a condition, the carries of a loop and the arguments of a foreign
-call vary over the same axes. A constant varies over none, so it is marked where it meets an argument. An engine is
-traced as if there were no axes: it has no collectives, and many loops.
-"""
+"""Tracing beyond jnp: walls to fusion, derivatives of first order alone, and the mesh axes of `jax.shard_map`."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -13,9 +8,72 @@ import jax.numpy as jnp
 from jax import Array
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
-from jax.interpreters import batching, mlir
+from jax.interpreters import ad, batching, mlir
+
+from rasterizer.devices import default_device
 
 T = TypeVar("T")
+
+
+def walled(function: Callable[..., T], is_wanted: Array, *inputs: Any) -> T:
+    """The function's value behind a wall to XLA's fusion where that helps, on a CPU; zeros where it is not wanted.
+
+    A branch is such a wall. Without it the stacking of components is fused into their computation, and the derivative
+    takes ten times as long on a CPU. A GPU would wait for the host to take the branch.
+    """
+    if default_device().platform != "cpu":
+        return function(*inputs)
+    nothing = jax.eval_shape(function, *inputs)
+    zeros = jax.tree.map(lambda part: vary_like(jnp.zeros(part.shape, part.dtype), inputs), nothing)
+    return jax.lax.cond(is_wanted, function, lambda *_: zeros, *inputs)
+
+
+# Reverse mode of first order. A backward pass written by hand has no other derivative.
+
+_identity = Primitive("rasterizer_reverse_only")
+_pushforward = Primitive("rasterizer_pushforward")
+
+
+def reverse_only(x: Array) -> Array:
+    """The array itself, which `jax.grad` and `jax.vjp` pass through once.
+
+    Raises:
+        TypeError: In forward mode (when the derivative is compiled or computed), or differentiated a second time.
+    """
+    return _identity.bind(x, differentiated=False)
+
+
+def _refuse(*_args, **_params):
+    raise TypeError(
+        "forward-mode and second derivatives (jax.jvp, jax.jacfwd, jax.linearize, jax.hessian) need "
+        "backend='reference': the tile backends have jax.grad and jax.vjp alone, once"
+    )
+
+
+def _jvp(primals, tangents, *, differentiated: bool):
+    (x,), (tangent,) = primals, tangents
+    if differentiated:
+        _refuse()
+    return _identity.bind(x, differentiated=True), tangent if type(tangent) is ad.Zero else _pushforward.bind(tangent)
+
+
+_identity.def_impl(lambda x, **_: x)
+_identity.def_abstract_eval(lambda x, **_: x)
+batching.defvectorized(_identity)
+mlir.register_lowering(_identity, lambda _, x, **__: [x])
+ad.primitive_jvps[_identity] = _jvp
+
+# Reverse mode transposes a tangent away before it is computed; whoever computes it is in forward mode.
+_pushforward.def_impl(_refuse)
+_pushforward.def_abstract_eval(lambda tangent: tangent)
+batching.primitive_batchers[_pushforward] = _refuse
+mlir.register_lowering(_pushforward, _refuse)
+ad.deflinear2(_pushforward, lambda cotangent, _: [cotangent])
+
+
+# Mesh axes. `shard_map` checks by default that both branches of a condition, the carries of a loop and the arguments of
+# a foreign call vary over the same axes. A constant varies over none, so it is marked where it meets an argument. An
+# engine is traced as if there were no axes: it has no collectives, and many loops.
 
 
 def _axes(*trees: Any) -> set[str]:

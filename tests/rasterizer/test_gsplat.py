@@ -1,0 +1,416 @@
+"""gsplat's names: its stages, and what its calls rely on besides.
+
+Composed the stages are the front door; alone they are what a loop in numpy says.
+"""
+
+import struct
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxprs import equations
+from scenes import BACKENDS, cloud, evaluate, in_float64, loss, relative_errors, render, smooth
+from tolerances import assert_close
+
+import rasterizer
+from rasterizer import GSPLAT, _reference, gsplat, project
+
+TILE = 16
+SCENE = cloud(30, cameras=2)
+SIZE = SCENE.width, SCENE.height
+TILES = -(-SCENE.width // TILE), -(-SCENE.height // TILE)  # x, y
+# Engines share all of this: one shows it, the others by night.
+ENGINES = [b if b == "native" else pytest.param(b, marks=pytest.mark.long) for b in BACKENDS if b != "reference"]
+
+
+@partial(jax.jit, static_argnames="capacity")
+def through_the_stages(scene, masks=None, capacity=512):
+    """Image and alphas of a scene, one stage after the other."""
+    radii, means2d, depths, conics, _ = rasterizer.fully_fused_projection(
+        scene.means, None, scene.quats, scene.scales, scene.viewmats, scene.Ks, *SIZE, opacities=scene.opacities
+    )
+    _, ids, splats = rasterizer.isect_tiles(means2d, radii, depths, TILE, *TILES, capacity=capacity)
+    offsets = rasterizer.isect_offset_encode(ids, 2, *TILES)
+    colors = jnp.broadcast_to(scene.colors, (2, *scene.colors.shape))
+    opacities = jnp.broadcast_to(scene.opacities, (2, *scene.opacities.shape))
+    return rasterizer.rasterize_to_pixels(
+        means2d, conics, colors, opacities, *SIZE, TILE, offsets, splats, scene.backgrounds, masks
+    )
+
+
+def test_the_stages_composed_are_the_front_door_in_value_and_gradient():
+    expected_image, expected_alphas, _, expected = evaluate(SCENE, "xla")
+    weights = np.random.default_rng(3).normal(size=expected_image.shape)
+    image, alphas = through_the_stages(SCENE)
+    assert_close(image, expected_image)
+    assert_close(alphas, expected_alphas)
+
+    def loss(render_scene, scene):
+        image, alphas = render_scene(scene)[:2]
+        return jnp.sum(image * jnp.asarray(weights, jnp.float32)) + jnp.sum(alphas**2)
+
+    gradient = jax.jit(jax.grad(lambda s: loss(through_the_stages, s)))(SCENE)
+    expected = jax.jit(jax.grad(lambda s: loss(lambda s: render(s, capacity=2048), s)))(SCENE)
+    for field, error in relative_errors(gradient, expected).items():
+        assert error < 1e-4, (field, error)
+
+
+def test_masked_tiles_show_the_background_and_the_rest_is_unchanged():
+    masks = np.random.default_rng(0).uniform(size=(2, TILES[1], TILES[0])) < 0.5
+    image, alphas = through_the_stages(SCENE, masks=jnp.ones_like(masks))
+    masked_image, masked_alphas = through_the_stages(SCENE, masks=jnp.asarray(masks))
+    drawn = masks.repeat(TILE, 1).repeat(TILE, 2)[:, : SIZE[1], : SIZE[0], None]
+    assert 0 < drawn.mean() < 1
+    background = np.asarray(SCENE.backgrounds)[:, None, None]
+    np.testing.assert_array_equal(masked_image, np.where(drawn, image, np.broadcast_to(background, image.shape)))
+    np.testing.assert_array_equal(masked_alphas, np.where(drawn, alphas, 0))
+
+
+def test_intersections_are_those_of_a_loop():
+    rng = np.random.default_rng(1)
+    means2d = rng.uniform(-20, 60, (2, 12, 2)).astype(np.float32)
+    radii = rng.integers(-3, 25, (2, 12, 2)).clip(0).astype(np.int32)
+    depths = rng.uniform(0.1, 9, (2, 12)).astype(np.float32)
+    counts, expected = np.zeros((2, 12), int), []
+    for image in range(2):
+        for n in range(12):
+            if (radii[image, n] == 0).any():
+                continue
+            low = np.floor((means2d[image, n] - radii[image, n]) / TILE).clip(0, TILES)
+            high = np.ceil((means2d[image, n] + radii[image, n]) / TILE).clip(0, TILES)
+            for y in range(int(low[1]), int(high[1])):
+                for x in range(int(low[0]), int(high[0])):
+                    depth_bits = struct.unpack("I", struct.pack("f", depths[image, n]))[0]
+                    tile_bits = (TILES[0] * TILES[1] - 1).bit_length()
+                    tile = (image << tile_bits) | (y * TILES[0] + x)
+                    expected.append(((tile << 32) | depth_bits, image * 12 + n))
+                    counts[image, n] += 1
+    arrays = jnp.asarray(means2d), jnp.asarray(radii), jnp.asarray(depths)
+    tiles_per_gauss, ids, splats = rasterizer.isect_tiles(*arrays, TILE, *TILES)
+    np.testing.assert_array_equal(tiles_per_gauss, counts)
+    assert list(zip(np.asarray(ids).tolist(), np.asarray(splats).tolist(), strict=True)) == sorted(expected)
+    assert (ids.dtype, splats.dtype, tiles_per_gauss.dtype) == (np.int64, np.int32, np.int32)
+    _, unsorted_ids, unsorted_splats = rasterizer.isect_tiles(*arrays, TILE, *TILES, sort=False)
+    assert set(zip(np.asarray(unsorted_ids).tolist(), np.asarray(unsorted_splats).tolist(), strict=True)) == set(
+        expected
+    )
+    # A roomy capacity leaves slots that hold nothing, and the offsets do not see them.
+    _, padded_ids, padded_splats = rasterizer.isect_tiles(*arrays, TILE, *TILES, capacity=400)
+    np.testing.assert_array_equal(padded_ids[len(expected) :], gsplat.PADDING)
+    np.testing.assert_array_equal(padded_splats[len(expected) :], -1)
+    offsets = np.asarray(rasterizer.isect_offset_encode(padded_ids, 2, *TILES))
+    for image, y, x in np.ndindex(offsets.shape):
+        first = ((image << (TILES[0] * TILES[1] - 1).bit_length()) | (y * TILES[0] + x)) << 32
+        assert offsets[image, y, x] == sum(key < first for key, _ in expected)
+
+
+def test_fused_and_staged_projection_agree_and_batches_are_their_members():
+    covars, precis = rasterizer.quat_scale_to_covar_preci(SCENE.quats, SCENE.scales)
+    means, covars = rasterizer.world_to_cam(SCENE.means, covars, SCENE.viewmats)
+    means2d, covars2d = rasterizer.proj(means, covars, SCENE.Ks, *SIZE)
+    triangles, _ = rasterizer.quat_scale_to_covar_preci(SCENE.quats, SCENE.scales, triu=True)
+    cameras = SCENE.viewmats, SCENE.Ks
+    of_axes = rasterizer.fully_fused_projection(SCENE.means, None, SCENE.quats, SCENE.scales, *cameras, *SIZE)
+    of_triangles = rasterizer.fully_fused_projection(SCENE.means, triangles, None, None, *cameras, *SIZE)
+    radii, fused_means2d, depths, conics, compensations = of_axes
+    seen = np.asarray(radii > 0).all(-1)
+    assert seen.any() and not seen.all() and compensations is None
+    assert_close(of_triangles[3], conics, rtol=1e-4, atol=1e-5, why="a determinant from products of covariances")
+    np.testing.assert_array_equal(of_triangles[0], radii)
+    assert_close(fused_means2d, means2d, rtol=1e-5, atol=1e-4, why="pixels")
+    assert_close(depths, means[..., 2])
+    blurred = np.asarray(covars2d, np.float64) + 0.3 * np.eye(2)
+    inverse = np.linalg.inv(blurred)[..., [0, 0, 1], [0, 1, 1]]
+    assert_close(np.asarray(conics)[seen], inverse[seen], rtol=1e-3, atol=1e-5, why="the oracle inverts in float32")
+    # Radii: 3.33 standard deviations, rounded up.
+    expected = np.ceil(3.33 * np.sqrt(np.diagonal(blurred, axis1=-2, axis2=-1)))
+    assert np.abs(np.asarray(radii)[seen] - expected[seen]).max() <= 1
+    np.testing.assert_allclose(
+        np.asarray(precis), np.linalg.inv(np.asarray(covars[0] * 0) + _world_covars()), rtol=2e-3
+    )
+
+    batch = jax.tree.map(lambda x: jnp.stack([x, x[::-1]]), (SCENE.means, SCENE.quats, SCENE.scales))
+    both = jax.tree.map(lambda x: jnp.stack([x, x]), cameras)
+    batched = rasterizer.fully_fused_projection(batch[0], None, batch[1], batch[2], *both, *SIZE)
+    assert_close(batched[3][1], conics[:, ::-1])
+    assert batched[0].shape == (2, 2, 30, 2)
+
+
+def _world_covars():
+    covars, _ = rasterizer.quat_scale_to_covar_preci(SCENE.quats, SCENE.scales, compute_preci=False)
+    return np.asarray(covars, np.float64)
+
+
+def test_compensations_and_the_clip_of_small_radii():
+    cameras = SCENE.viewmats, SCENE.Ks
+    gaussians = SCENE.means, None, SCENE.quats, SCENE.scales
+    radii, *_, compensations = rasterizer.fully_fused_projection(*gaussians, *cameras, *SIZE, calc_compensations=True)
+    assert np.all((np.asarray(compensations) > 0) & (np.asarray(compensations) < 1))
+    limit = int(np.median(np.asarray(radii)[np.asarray(radii) > 0]))
+    clipped = rasterizer.fully_fused_projection(*gaussians, *cameras, *SIZE, radius_clip=limit)[0]
+    small = (np.asarray(radii) <= limit).all(-1, keepdims=True)
+    np.testing.assert_array_equal(clipped, np.where(small, 0, radii))
+    assert np.any(clipped > 0)
+
+
+def test_intersections_inside_jit_need_a_capacity():
+    splats = jnp.ones((1, 3, 2)), jnp.ones((1, 3, 2), jnp.int32), jnp.ones((1, 3))
+    with pytest.raises(ValueError, match="inside jit .* pass capacity="):
+        jax.jit(lambda *splats: rasterizer.isect_tiles(*splats, TILE, *TILES))(*splats)
+
+
+def test_arguments_that_are_not_supported_are_no_arguments():
+    for option in ({"packed": True}, {"sparse_grad": True}, {"with_ut": True}, {"renger_mode": "RGB"}):
+        with pytest.raises(TypeError, match=f"unexpected keyword argument '{next(iter(option))}'"):
+            render(SCENE, capacity=2048, **option)
+
+
+def test_nothing_to_draw_is_the_background():
+    empty = jnp.zeros((1, 0, 2)), jnp.zeros((1, 0, 2), jnp.int32), jnp.zeros((1, 0))
+    _, ids, splats = rasterizer.isect_tiles(*empty, TILE, *TILES)
+    offsets = rasterizer.isect_offset_encode(ids, 1, *TILES)
+    image, alphas = rasterizer.rasterize_to_pixels(
+        empty[0], jnp.zeros((1, 0, 3)), jnp.zeros((1, 0, 4)), empty[2], *SIZE, TILE, offsets, splats, jnp.ones((1, 4))
+    )
+    np.testing.assert_array_equal(image, np.ones((1, SIZE[1], SIZE[0], 4)))
+    np.testing.assert_array_equal(alphas, 0)
+
+
+def stacked(scenes):
+    """Scenes of one shape as one with a leading dimension."""
+    return jax.tree.map(lambda *x: jnp.stack(x), *scenes)
+
+
+def weighted(image, alphas):
+    """Of one scene, the sum that `scenes.loss` takes."""
+    rng = np.random.default_rng(3)
+    w_image, w_alpha = (jnp.asarray(rng.normal(size=x.shape), x.dtype) for x in (image, alphas))
+    return jnp.sum(w_image * image) + jnp.sum(w_alpha * alphas)
+
+
+@pytest.mark.parametrize("backend", ENGINES)
+def test_leading_dimensions_are_the_scenes_one_by_one_in_value_and_gradient(backend):
+    scenes = [cloud(seed=seed) for seed in (0, 1)]
+    both = jax.tree.map(lambda x: x[None], stacked(scenes))  # [1, 2, ...]: two leading dimensions
+
+    def of_both(both):
+        image, alphas, info = render(both, backend=backend, capacity=2048)
+        return sum(weighted(image[0, i], alphas[0, i]) for i in range(2)), (image, alphas, info)
+
+    (_, (image, alphas, info)), gradient = jax.jit(jax.value_and_grad(of_both, has_aux=True))(both)
+    assert info["radii"].shape == (1, 2, 1, 40, 2)
+    for i, scene in enumerate(scenes):
+        *expected, _, expected_gradient = evaluate(scene, backend)
+        assert_close([image[0, i], alphas[0, i]], expected)
+        alone = jax.tree.map(lambda x, i=i: x[0, i], gradient)
+        assert_close(alone, expected_gradient, kind="gradient")
+
+
+def test_what_has_no_leading_dimensions_is_shared_and_other_ones_are_refused():
+    s = cloud(cameras=2, sh_degree=1)
+    two = stacked([s, replace(s, means=s.means[::-1])])
+    shared = replace(s, means=two.means, quats=two.quats, scales=two.scales, opacities=two.opacities)
+    options = {"sh_degree": 1, "capacity": 2048}
+    assert_close(render(shared, **options)[0], render(two, **options)[0])
+    with pytest.raises(ValueError, match=r"opacities.shape=\(3, 40\), expected the leading dimensions of means"):
+        render(replace(shared, opacities=jnp.ones((3, 40))), **options)
+    with pytest.raises(ValueError, match=r"means.shape=\(0, 40, 3\) holds no scene"):
+        render(replace(shared, means=shared.means[:0]), **options)
+
+
+def sum_of_absolutes(scene):
+    """`[1, N, 2]` float64, of the dense reference: the gradient of every pixel's own loss to the 2D means, absolute."""
+    s = in_float64(scene)
+    splats = project(s.means, s.quats, s.scales, s.opacities, s.viewmats, s.Ks, s.width, s.height)
+
+    def of_pixels(means2d):
+        moved = splats._replace(means2d=means2d)
+        image, left, _ = _reference.composite(moved, s.opacities[None], s.colors[None], s.width, s.height, GSPLAT)
+        rng = np.random.default_rng(3)
+        w_image, w_alpha = (jnp.asarray(rng.normal(size=x.shape)) for x in (image, left))
+        return (jnp.sum(w_image * image, -1) + w_alpha[..., 0] * (1 - left[..., 0])).ravel()
+
+    by_pixel = jax.jit(jax.jacrev(of_pixels))(splats.means2d)
+    return np.abs(by_pixel).sum(0), np.asarray(by_pixel).sum(0)
+
+
+@pytest.mark.parametrize("backend", ENGINES)
+def test_absolute_gradients_are_those_of_every_pixel_alone(backend):
+    scene = replace(smooth(), backgrounds=jnp.zeros((1, 2), jnp.float32))
+    with jax.enable_x64(True):
+        expected, plain = sum_of_absolutes(scene)
+    assert np.all(expected >= np.abs(plain)) and np.any(expected > 1.5 * np.abs(plain))
+
+    @jax.jit
+    @partial(jax.grad, argnums=(0, 1))
+    def gradients(scene, zeros):
+        return loss(scene, backend=backend, capacity=64, absgrad=zeros)[0]
+
+    of_scene, absolute = gradients(scene, jnp.zeros((1, 4, 2)))
+    assert_close(absolute, expected, kind="gradient")
+    # Whatever is passed, nothing depends on it.
+    assert_close(gradients(scene, jnp.ones((1, 4, 2))), (of_scene, absolute))
+
+
+@pytest.mark.parametrize(
+    ("value", "backend", "message"),
+    [
+        (True, "xla", r"absgrad=True: pass zeros of shape \(2, 30, 2\), whose gradient is what gsplat writes"),
+        (np.zeros((30, 2)), "xla", r"absgrad=\[30, 2\]: pass zeros of shape \(2, 30, 2\)"),
+        (np.zeros((2, 30, 2)), "reference", "absgrad needs a tile backend"),
+    ],
+)
+def test_absolute_gradients_need_zeros_of_their_shape_and_tiles(value, backend, message):
+    with pytest.raises(ValueError, match=message):
+        render(SCENE, absgrad=value, backend=backend, capacity=2048)
+
+
+def test_harmonics_in_two_parts_are_the_whole(x64):
+    rng = np.random.default_rng(0)
+    sh0, shN, means = (jnp.asarray(rng.normal(size=shape)) for shape in ((30, 1, 2), (30, 8, 2), (2, 30, 3)))
+    viewmats = jnp.stack([in_float64(SCENE).viewmats] * 2)
+    weights = jnp.asarray(rng.normal(size=(2, 2, 30, 2)))
+
+    def parts(sh0, shN, means, viewmats):
+        others = rasterizer.spherical_harmonics_l1_plus(2, means, viewmats, shN)
+        return jnp.sum(weights * (rasterizer.spherical_harmonics_l0(sh0)[None, None] + others))
+
+    def whole(sh0, shN, means, viewmats):
+        centers = -jnp.einsum("bcji,bcj->bci", viewmats[..., :3, :3], viewmats[..., :3, 3])
+        dirs = means[:, None] - centers[:, :, None]
+        return jnp.sum(weights * rasterizer.spherical_harmonics(2, dirs, jnp.concatenate([sh0, shN], 1)[None, None]))
+
+    arguments = sh0, shN, means, viewmats
+    split, full = (jax.jit(jax.value_and_grad(function, range(4)))(*arguments) for function in (parts, whole))
+    assert_close(split, full, kind="gradient")
+    nothing = rasterizer.spherical_harmonics_l1_plus(0, means, viewmats, shN[:, :0])
+    np.testing.assert_array_equal(nothing, np.zeros((2, 2, 30, 2)))
+
+
+PAIR = cloud(cameras=2)
+OPTIONS = {"capacity": 4096, "tile_size": 8, "backend": "xla"}
+SIZES = {"width": 37, "height": 29, "n_cameras": 2, "tile_size": 8, "tile_width": 5, "tile_height": 4}
+KEYS = {"gaussian_ids", "camera_ids", "opacities", "means2d", "radii", "depths", "conics"}
+KEYS_OF_LISTS = {"tiles_per_gauss", "isect_offsets", "flatten_ids"}
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_every_backend_has_the_keys_that_it_can_fill(backend):
+    info = render(PAIR, **{**OPTIONS, "backend": backend})[2]
+    assert all(info[name] is not None for name in KEYS - {"gaussian_ids", "camera_ids"})
+    assert {name: info[name] for name in SIZES} == SIZES and all(type(info[name]) is int for name in SIZES)
+    assert info["gaussian_ids"] is None and info["camera_ids"] is None  # as in gsplat without packing
+    assert ("splats" in info) == (backend != "reference")
+    with pytest.raises(KeyError, match="splats" if backend == "reference" else "no_such"):
+        info["flatten_ids" if backend == "reference" else "no_such"]
+
+
+def test_the_lists_draw_the_same_image_through_the_stage_of_gsplat():
+    image, alphas, info = render(PAIR, **OPTIONS, rasterize_mode="antialiased")
+    colors = jnp.broadcast_to(PAIR.colors[None], (2, *PAIR.colors.shape))
+    lists = info["isect_offsets"], info["flatten_ids"], PAIR.backgrounds
+    drawn = rasterizer.rasterize_to_pixels(
+        info["means2d"], info["conics"], colors, info["opacities"], 37, 29, 8, *lists, backend="xla"
+    )
+    assert_close(drawn, (image, alphas))
+
+
+def test_tiles_of_a_splat_are_those_that_list_it_and_of_its_box():
+    info = render(PAIR, **OPTIONS)[2]
+    listed = np.asarray(info["flatten_ids"])
+    listed = listed[listed >= 0]
+    counts = np.bincount(listed, minlength=80).reshape(2, 40)
+    np.testing.assert_array_equal(info["tiles_per_gauss"], counts)
+    assert len(listed) == int(info["offsets"][-1]) > 0
+    boxes, _, _ = rasterizer.isect_tiles(info["means2d"], info["radii"], info["depths"], 8, 5, 4)
+    assert np.all(counts <= boxes) and np.all(counts[np.asarray(info["radii"] == 0).any(-1)] == 0)
+    assert info["isect_offsets"].shape == (2, 4, 5) and info["isect_offsets"].dtype == jnp.int32
+    assert_close(info["opacities"], jnp.broadcast_to(PAIR.opacities[None], (2, 40)))
+
+
+def test_scenes_in_leading_dimensions_have_lists_of_their_own():
+    two = jax.tree.map(lambda x: jnp.stack([x, x]), PAIR)
+    two = replace(two, means=two.means.at[1].multiply(0.8))
+    info = render(two, **OPTIONS)[2]
+    alone = [render(jax.tree.map(lambda x, at=at: x[at], two), **OPTIONS)[2] for at in (0, 1)]
+    for name in KEYS_OF_LISTS | {"opacities"}:
+        np.testing.assert_array_equal(info[name], np.stack([each[name] for each in alone]))
+    assert info["width"] == 37
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_the_probe_takes_the_gradient_of_the_means(backend):
+    """A step of all projected means is a step of the principal point, exactly so in a parallel projection."""
+    zeros, Ks = jnp.zeros((2, 40, 2), jnp.float32), PAIR.Ks.at[:, :2, :2].multiply(0.3)
+    options = {**OPTIONS, "backend": backend, "camera_model": "ortho"}
+
+    def value(zeros, Ks):
+        return loss(replace(PAIR, Ks=Ks), **options, means2d_probe=zeros)[0]
+
+    of_probe, of_Ks = jax.grad(value, (0, 1))(zeros, Ks)
+    assert_close(of_probe.sum(1), of_Ks[:, :2, 2], kind="gradient")
+    assert np.abs(of_probe).max() > 0.1
+    moved = render(PAIR, **options, means2d_probe=zeros + 0.25)[2]["means2d"]
+    assert_close(moved, render(PAIR, **options)[2]["means2d"] + 0.25)
+    with pytest.raises(ValueError, match=r"means2d_probe.shape=\(40, 2\), expected \(2, 40, 2\)"):
+        render(PAIR, **options, means2d_probe=zeros[0])
+
+
+def test_what_is_not_read_is_not_in_the_program():
+    def program(read):
+        def drawn(scene):
+            image, _, info = render(scene, **OPTIONS)
+            return image, *(info[name] for name in read)
+
+        return sum(1 for _ in equations(jax.make_jaxpr(drawn)(PAIR).jaxpr))
+
+    assert program(KEYS | SIZES.keys()) == program(())
+    assert all(program((name,)) > program(()) for name in KEYS_OF_LISTS)
+
+
+def test_results_pass_through_jit_with_their_sizes():
+    info = jax.jit(lambda scene: render(scene, **OPTIONS)[2])(PAIR)
+    assert isinstance(info, gsplat.Info) and info["tile_width"] == 5
+    assert_close(info["tiles_per_gauss"], render(PAIR, **OPTIONS)[2]["tiles_per_gauss"])
+    paths = [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_flatten_with_path(info)[0]]
+    assert "['means2d']" in paths and "means2d" in str(info)
+
+
+ONE = cloud()
+
+
+@pytest.mark.parametrize("render_mode", ["D", "ED"])
+def test_depth_needs_no_colours(render_mode):
+    expected = render(ONE, capacity=2048, render_mode=render_mode, backgrounds=None)
+    for scene in (replace(ONE, colors=None), replace(ONE, colors=jnp.zeros((40, 5)))):
+        image, alphas, _ = render(scene, capacity=2048, render_mode=render_mode, backgrounds=None)
+        np.testing.assert_array_equal(image, expected[0])
+        np.testing.assert_array_equal(alphas, expected[1])
+
+
+@pytest.mark.parametrize("render_mode", ["RGB", "RGB+D", "RGB+ED"])
+def test_colours_need_colours(render_mode):
+    with pytest.raises(ValueError, match="colors=None needs a render_mode of depth alone, not 'RGB"):
+        render(replace(ONE, colors=None), capacity=2048, render_mode=render_mode, backgrounds=None)
+
+
+@pytest.mark.parametrize("render_mode", ["D", "RGB+D", "RGB+ED"])
+def test_a_background_of_the_colours_alone_leaves_depth_over_zero(render_mode):
+    image, alphas, _ = render(ONE, capacity=2048, render_mode=render_mode)
+    depth = render(ONE, capacity=2048, render_mode=render_mode, backgrounds=None)[0][..., -1:]
+    np.testing.assert_array_equal(image[..., -1:], depth)
+    if "RGB" in render_mode:
+        assert_close(image[..., :3], render(ONE, capacity=2048)[0])
+    behind = jnp.concatenate([ONE.backgrounds, jnp.full((1, 1), 7.0)], -1)[:, -image.shape[-1] :]
+    whole = render(ONE, capacity=2048, render_mode=render_mode, backgrounds=behind)[0]
+    assert_close(whole[..., -1:], depth + 7 * (1 - alphas))
+
+
+def test_harmonics_without_a_channel_are_refused():
+    with pytest.raises(ValueError, match=r"coeffs.shape=\(8, 25, 0\) holds no channel"):
+        rasterizer.spherical_harmonics(0, jnp.ones((8, 3)), jnp.ones((8, 25, 0)))
+    with pytest.raises(ValueError, match=r"colors.shape=.* holds no channel"):
+        render(replace(ONE, colors=jnp.ones((40, 4, 0))), capacity=2048, sh_degree=1, backgrounds=None)
