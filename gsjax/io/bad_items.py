@@ -6,7 +6,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from gsjax.errors import InputError, one_line
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 
 FEWEST = 2
 """Photos that any data set must have."""

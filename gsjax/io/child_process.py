@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 from tqdm import tqdm
 
 from gsjax.errors import InputError
-from gsjax.io import notices
+from gsjax.io import messages
 
 _LAST_WORDS = re.compile(rb"(?:what\(\):|^F\d{4,8} .*?\])\s*(\S.*)", re.MULTILINE)  # Of C++, and of Google's log.
 
@@ -28,8 +28,8 @@ _LAST_WORDS = re.compile(rb"(?:what\(\):|^F\d{4,8} .*?\])\s*(\S.*)", re.MULTILIN
 def run_in_child(function: Callable, *arguments: Any, name: str, progress: Callable[..., tqdm] = tqdm) -> Any:
     """Calls `function(*arguments, progress)` in a new process and returns what it returns.
 
-    The process ends with this call, however the call ends; of what it prints, notices alone are shown
-    (`gsjax.io.notices`).
+    The process ends with this call, however the call ends; of what it prints, only messages are shown
+    (`gsjax.io.messages`).
 
     Args:
         function: Of a module that can be imported. Its last argument makes progress bars, as `progress` does, one
@@ -80,7 +80,7 @@ def _listen(stream: BinaryIO, progress: Callable[..., tqdm]) -> Any:
                 case "reset":
                     bar.reset()
                 case "note":
-                    notices.print_once(value)
+                    messages.print_once(value)
                 case "result":
                     return value
                 case "unusable":
@@ -133,7 +133,7 @@ def _serve() -> None:
     channel = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # Whatever libraries print goes the way of errors.
     lock = threading.Lock()
-    notices.show_with(lambda line: tell("note", line))
+    messages.show_with(lambda line: tell("note", line))
 
     def tell(what: str, value: Any) -> None:
         with lock:

@@ -18,7 +18,7 @@ from gsjax.io import colmap_binary, colmap_text
 from gsjax.io.bad_items import leave_out, leave_out_rows, read_usable
 from gsjax.io.colmap_records import ImageRecord
 from gsjax.io.lenses import Lens, check_lens
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 from gsjax.io.ply import read_points
 from gsjax.scene.similarity import is_float32
 

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image, ImageCms
 
 from gsjax.io.exif import is_adobe_rgb
-from gsjax.io.notices import print_first
+from gsjax.io.messages import print_first
 
 HDR = {16: "PQ", 18: "HLG"}
 """Transfer functions of high dynamic range, by their code points (ITU-T H.273)."""

@@ -15,6 +15,7 @@ from gsjax.errors import InputError
 from gsjax.gaussians import SH_C0, Gaussians
 from gsjax.io.files import atomic_path
 from gsjax.io.foreign_columns import report_unread
+from gsjax.io.georeference_files import place_comments
 from gsjax.io.packing import (
     check_packable,
     logits_of_bytes,
@@ -25,7 +26,6 @@ from gsjax.io.packing import (
     smallest_three,
     unit_quats,
 )
-from gsjax.io.place_files import place_comments
 from gsjax.io.ply_elements import (
     filter_comments,
     from_rest_columns,

@@ -10,8 +10,9 @@ from pathlib import Path
 
 from gsjax.errors import InputError
 from gsjax.io.machine import require_memory
-from gsjax.io.temporaries import behind_link, sweep_beside, temporary_beside
+from gsjax.io.temporary_files import behind_link, sweep_beside, temporary_beside, unwritable
 
+PENDING = ".pending"  # in a folder: whole new files, which are to replace the old ones together
 _ALWAYS_ROOM = 2**26  # bytes
 _COPIES = 3  # of a file, at least, while what it says becomes arrays
 
@@ -131,6 +132,45 @@ def put_in_place(folder: Path, path: Path) -> None:
 
 
 @contextmanager
+def replaced_files(folder: Path) -> Iterator[Path]:
+    """An empty folder for new files of `folder`, which replace the files of the same names together after the block.
+
+    If the block fails or is killed, nothing has changed. If the process is killed later, the next `finish_replacement`
+    completes the replacement; every reader of the folder calls it.
+
+    Raises:
+        InputError: The disk is full, read-only, or the like.
+    """
+    finish_replacement(folder)
+    with workspace(folder / PENDING) as made:
+        yield made
+        for file in made.iterdir():
+            flush(file)
+        put_in_place(made, folder / PENDING)
+    finish_replacement(folder)
+
+
+def finish_replacement(folder: Path) -> None:
+    """Puts the files in place that a killed `replaced_files` has left pending.
+
+    Raises:
+        InputError: They cannot be put there.
+    """
+    pending = folder / PENDING
+    if not pending.is_dir():
+        return
+    try:
+        with suppress(FileNotFoundError):  # Another process does the same.
+            for file in sorted(pending.iterdir()):
+                with suppress(FileNotFoundError):
+                    os.replace(file, folder / file.name)
+            flush(folder)
+            pending.rmdir()
+    except OSError as error:
+        raise unwritable(folder, error) from error
+
+
+@contextmanager
 def folder_if_used(path: str | Path) -> Iterator[Path]:
     """A folder that is made for the block, and taken away again, with parents made for it, where nothing came into it.
 
@@ -145,11 +185,6 @@ def folder_if_used(path: str | Path) -> Iterator[Path]:
         for folder in made:
             with suppress(OSError):  # Not empty, or never made.
                 folder.rmdir()
-
-
-def unwritable(path: str | Path, error: OSError) -> InputError:
-    """The one line for an `OSError` that came up while writing `path`."""
-    return InputError(f"cannot write {path}: {error.strerror or error}")
 
 
 def make_folder(path: str | Path) -> Path:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 
 KNOWN = re.compile(r"[xyz]|n[xyz]|f_dc_[0-2]|f_rest_\d+|opacity|scale_[0-2]|rot_[0-3]|red|green|blue|alpha")
 FILTER = "filter_3d"  # In any case: of Mip-Splatting, GOF, RaDe-GS and MILo.

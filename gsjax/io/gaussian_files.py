@@ -15,9 +15,8 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, is_alive, take
 from gsjax.io import compressed_ply, json_files, ply, sog, spz
-from gsjax.io.exchange import refine_on_photos
-from gsjax.io.files import atomic_path
-from gsjax.io.place_files import state_beside
+from gsjax.io.files import atomic_path, finish_replacement
+from gsjax.io.georeference_files import state_beside
 from gsjax.scene.georeference import UNPLACED, Place
 from gsjax.scene.similarity import IDENTITY, Similarity, loses_in_float32, of_points, parse_similarity
 
@@ -125,7 +124,7 @@ def load_gaussians(path: str | Path) -> Gaussians:
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if path.is_dir():
-        refine_on_photos(path)
+        finish_replacement(path)
         if not (path / "gaussians.ply").exists():
             hint = "its training has not finished" if (path / "manifest.json").exists() else "it is no run folder"
             raise InputError(f"{path}: holds no gaussians.ply; {hint}")

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 
 from gsjax.errors import InputError
 from gsjax.io.images import SUFFIXES
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 from gsjax.io.photo_names import path_inside, spellings
 from gsjax.io.photos import Photo
 

@@ -18,7 +18,7 @@ from gsjax.io.color_profiles import in_mode, in_srgb
 from gsjax.io.exif import orientation_of
 from gsjax.io.files import atomic_path
 from gsjax.io.machine import memory_for
-from gsjax.io.notices import print_first
+from gsjax.io.messages import print_first
 from gsjax.io.packages import Deferred, require
 
 cv2: Any = Deferred("cv2")

@@ -15,7 +15,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.files import atomic_path
-from gsjax.io.temporaries import sweep
+from gsjax.io.temporary_files import sweep
 
 MANIFEST = "normals.json"
 PREFIX = "normals_"

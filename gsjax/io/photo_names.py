@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path, PurePosixPath
 
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 
 _AS_JPEG = (".heic", ".heif", ".hif", ".avif", ".webp")  # Of photos that have lost more than a JPEG at 95 loses.
 _DRIVE = re.compile(r"[A-Za-z]:/|//")  # Of Windows, once its separators are those of everybody else.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 
 COUNT = 30_000
 _SYNTHETIC_HALF_WIDTH = 1.3  # 3DGS, Blender scenes

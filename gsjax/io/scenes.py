@@ -12,11 +12,11 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io import colmap, colmap_model, transforms
 from gsjax.io.bad_items import Fault, leave_out, read_usable
+from gsjax.io.georeference_files import read_place
 from gsjax.io.image_circles import with_image_circles
 from gsjax.io.image_folders import locate_photos, masks_in
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 from gsjax.io.photos import MASK_USES, Capture, Photo, frames_of, readable_photos
-from gsjax.io.place_files import read_place
 from gsjax.io.splits import AUTO, listed, mark_held_out
 from gsjax.io.truth import load_truth
 from gsjax.scene import Scene

@@ -32,7 +32,7 @@ from gsjax.io.packing import (
     smallest_three,
     unit_quats,
 )
-from gsjax.io.palettes import SIZE, codebook, nearest_labels, palette
+from gsjax.io.quantization import SIZE, codebook, nearest_labels, palette
 
 _REACH = 256.0  # Of positions, see `pull_in_outliers`.
 _MOST_POSITION = 2**16 - 1

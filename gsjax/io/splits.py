@@ -1,6 +1,6 @@
 """Which photos are held out for scoring: the data set's own split, every N-th, those of a list, or none.
 
-Files of one shot (`gsjax.io.same_shots`) are held out, or trained on, together.
+Files of one shot (`gsjax.io.duplicate_photos`) are held out, or trained on, together.
 """
 
 import difflib
@@ -10,10 +10,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from gsjax.errors import InputError
+from gsjax.io.duplicate_photos import group_duplicates
 from gsjax.io.files import read_bytes
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 from gsjax.io.photos import Photo
-from gsjax.io.same_shots import same_shots
 
 AUTO, NONE = "auto", "none"
 EVERY = 8
@@ -41,7 +41,7 @@ def mark_held_out(photos: Sequence[Photo], hold_out: str, root: Path) -> list[Ph
         return [replace(photo, held_out=False) for photo in photos]
     stated_split = _stated_split(photos, hold_out, root)
     names = [photo.name for photo in photos]
-    shots = [[names[index] for index in shot] for shot in same_shots([photo.path for photo in photos])]
+    shots = [[names[index] for index in shot] for shot in group_duplicates([photo.path for photo in photos])]
     if isinstance(stated_split, int):
         stretches = [shots[first : first + stated_split] for first in range(0, len(shots), stated_split)]
         held_out = {name for stretch in stretches for name in min(stretch, key=len)}

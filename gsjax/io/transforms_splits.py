@@ -12,7 +12,7 @@ from typing import Any
 
 from gsjax.errors import InputError
 from gsjax.io.bad_items import leave_out, read_usable
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 
 TRAINED_ON, HELD_OUT, LEFT_OUT = "trained on", "held out", "left out"
 _TRAIN, _SCORE = "train_filenames", ("test_filenames", "val_filenames")

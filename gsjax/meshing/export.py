@@ -19,7 +19,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.io import ply
 from gsjax.io.files import atomic_path
-from gsjax.io.place_files import state_beside
+from gsjax.io.georeference_files import state_beside
 from gsjax.meshing.atlas import Atlas, TexturedMesh
 from gsjax.meshing.files import glb, obj, usdz
 from gsjax.meshing.files.glb_reader import read_glb

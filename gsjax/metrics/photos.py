@@ -12,7 +12,7 @@ import numpy as np
 from gsjax.effects.alignment import Draw
 from gsjax.effects.appearance import Appearance, fit_colors
 from gsjax.gaussians import Gaussians
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 from gsjax.metrics.images import psnr, ssim
 from gsjax.metrics.lpips import Measure
 from gsjax.rendering import DepthReading, gallery

@@ -12,9 +12,9 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, concatenate, take
 from gsjax.io import json_files
 from gsjax.io.gaussian_files import format_of, load_gaussians
+from gsjax.io.georeference_files import stated_place
 from gsjax.io.locks import lock_folder
-from gsjax.io.place_files import stated_place
-from gsjax.io.temporaries import sweep_beside
+from gsjax.io.temporary_files import sweep_beside
 from gsjax.meshing.regions import given_numbers
 from gsjax.rendering import gallery, outliers
 from gsjax.report.figures import draw_panels

@@ -11,8 +11,8 @@ from scipy.special import expit
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, take
 from gsjax.io.gaussian_files import format_of, load_gaussians, stored_similarity
-from gsjax.io.place_files import stated_place
-from gsjax.io.temporaries import sweep_beside
+from gsjax.io.georeference_files import stated_place
+from gsjax.io.temporary_files import sweep_beside
 from gsjax.meshing.regions import given_numbers
 from gsjax.runs.outputs import require_apart
 

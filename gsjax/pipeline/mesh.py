@@ -11,7 +11,7 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.scenes import load_scene
-from gsjax.io.temporaries import sweep_beside
+from gsjax.io.temporary_files import sweep_beside
 from gsjax.meshing import level_set
 from gsjax.meshing.connectivity import topology
 from gsjax.meshing.export import supported_suffix, write_mesh

@@ -13,10 +13,11 @@ from tqdm import tqdm
 
 from gsjax.errors import InputError
 from gsjax.io.files import make_folder
-from gsjax.io.films import GIF_BYTES, SUFFIXES, is_film, read_path, write_film
 from gsjax.io.images import write_image
+from gsjax.io.keyframe_files import read_keyframes
 from gsjax.io.machine import require_memory
-from gsjax.io.temporaries import sweep_beside
+from gsjax.io.temporary_files import sweep_beside
+from gsjax.io.video_writer import GIF_BYTES, SUFFIXES, is_video, write_video
 from gsjax.meshing.export import is_mesh_file, read_mesh, read_textured
 from gsjax.meshing.pictures import smooth_pictures, texture_colors, vertex_colors
 from gsjax.rendering import gallery
@@ -79,7 +80,7 @@ def render(
         views: All views or the held-out ones, for a folder; `"turntable"`: 36 views of a circle around the scene, or a
             film along it; `"through_photos"`: a film past up to 24 of the photos.
         path: For a film in place of `views`: a JSON file of keyframes in the coordinates of the source, see
-            `gsjax.io.films.read_path`.
+            `gsjax.io.keyframe_files.read_keyframes`.
         what: What a film shows: colours (default); depths, near light and far dark, with one scale for the whole film;
             or normals in camera axes.
         seconds: Length of a film; default 8.
@@ -97,8 +98,8 @@ def render(
     source, out = Path(source), Path(out)
     _check(out, views, path, {"what": what, "seconds": seconds, "fps": fps, "size": size})
     require_apart(out, source, path)
-    keyframes = None if path is None else read_path(path)
-    if not is_film(out):
+    keyframes = None if path is None else read_keyframes(path)
+    if not is_video(out):
         _write_pictures(out, _open(source, up), views)
         return out
     is_gif = out.suffix.lower() == ".gif"
@@ -112,7 +113,7 @@ def render(
         require_memory(f"{out}: {count} pictures of {width}x{height}", GIF_BYTES * count * width * height)
     flight = _keyframes(opened, views, keyframes, width / height)
     cameras = [camera_of(viewmat, fov, width, height) for viewmat, fov in zip(*fly(flight, count), strict=True)]
-    write_film(out, _pictures(opened, cameras, what or "image"), fps, width, height)
+    write_video(out, _pictures(opened, cameras, what or "image"), fps, width, height)
     return out
 
 
@@ -128,7 +129,7 @@ def picture_stems(names: Sequence[str]) -> list[str]:
 
 def _check(out: Path, views: Views, path: str | Path | None, of_films: dict[str, object]) -> None:
     """Refuse options that do not fit the output."""
-    if is_film(out):
+    if is_video(out):
         if path is None and views in ("all", "held_out"):
             raise InputError(f"--out {out}: a film needs --turntable, --through-photos or --path")
         return

@@ -16,7 +16,7 @@ from gsjax.io.locks import LOCK, lock_folder
 from gsjax.io.machine import machine, peak_memory, restart_peak_memory, versions
 from gsjax.io.scenes import is_data_set
 from gsjax.io.sfm import FILES, Reconstruction
-from gsjax.io.temporaries import is_temporary, sweep
+from gsjax.io.temporary_files import is_temporary, sweep
 from gsjax.meshing.export import read_mesh, read_textured
 from gsjax.meshing.methods import AUTO
 from gsjax.meshing.pictures import texture_colors

@@ -9,7 +9,7 @@ import numpy as np
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians, opacities, take
 from gsjax.io.packing import MOST_DEGREE
-from gsjax.io.temporaries import sweep_beside
+from gsjax.io.temporary_files import sweep_beside
 from gsjax.meshing.export import glb_bytes
 from gsjax.runs.outputs import require_apart
 from gsjax.runs.result import Result, open_result

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.temporaries import sweep_beside
+from gsjax.io.temporary_files import sweep_beside
 from gsjax.meshing.export import read_mesh, textured_suffix, write_textured
 from gsjax.meshing.sharpening import sharpened
 from gsjax.meshing.texture import texture_mesh, texture_side

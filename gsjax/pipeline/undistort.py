@@ -10,9 +10,9 @@ from tqdm import tqdm
 from gsjax.errors import InputError
 from gsjax.io.colmap_writer import write_model
 from gsjax.io.files import atomic_folder, require_empty
+from gsjax.io.georeference_files import write_place
 from gsjax.io.images import write_image
 from gsjax.io.photo_names import written_name
-from gsjax.io.place_files import write_place
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import OWN_LIST
 from gsjax.scene import Frame, Pixels

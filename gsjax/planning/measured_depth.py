@@ -7,7 +7,7 @@ import numpy as np
 
 from gsjax.errors import InputError
 from gsjax.io.depth_maps import DepthMaps, Readings, open_depth_maps
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 from gsjax.scene import Frame, Scene
 from gsjax.settings import Settings
 

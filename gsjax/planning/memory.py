@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from gsjax.io.machine import free_memory
-from gsjax.io.scratch import Scratch
+from gsjax.io.temporary_files import ArraysOnDisk
 from gsjax.rendering.engine import computes_on_cpu
 from gsjax.scene import Frame, Keep, in_memory
 from gsjax.training.plan import Plan, PlannedPhase
@@ -66,7 +66,7 @@ def keep_photos(
     if PROGRAMS + _step_bytes(frames) + gaussians + photos <= free:
         return in_memory, ()
     beside = f" and Gaussians up to {gaussians / GIB:.3g}" if rows else ""
-    return Scratch(folder), (
+    return ArraysOnDisk(folder), (
         f"memory: {max(free, 0) / GIB:.3g} GiB are free, photos and maps take {photos / GIB:.3g}{beside}:"
         " each step reads its photo from the disk",
     )

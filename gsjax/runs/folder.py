@@ -34,11 +34,11 @@ from pathlib import Path
 from typing import Any
 
 from gsjax.errors import InputError
-from gsjax.io import json_files, place_files
+from gsjax.io import georeference_files, json_files
 from gsjax.io.files import atomic_folder, atomic_path, make_folder, unwritable
 from gsjax.io.locks import LOCK, lock_folder
 from gsjax.io.machine import machine, versions
-from gsjax.io.temporaries import is_temporary, sweep
+from gsjax.io.temporary_files import is_temporary, sweep
 from gsjax.runs import checkpoints
 from gsjax.runs.records import RECORD, SCENE, SETTINGS, STATUS
 from gsjax.runs.splits import Split, split_record
@@ -50,7 +50,7 @@ EARLIER: dict[str, Any] = {"depth_mode": "center", "pixel_filter": "classic", "e
 KEPT_CHECKPOINTS = 2  # The newest and, should it turn out damaged, the one before.
 
 
-OF_A_BEGINNING = {"config.json", "plan.json", place_files.FILE, LOCK}
+OF_A_BEGINNING = {"config.json", "plan.json", georeference_files.FILE, LOCK}
 """What a folder may hold that was to become a run: without a manifest it is none."""
 
 
@@ -141,7 +141,7 @@ def create(
 
 def _write_beginning(run: Path, files: Mapping[str, Any], place: Place) -> None:
     make_folder(run / "checkpoints")
-    place_files.write_place(run, place)
+    georeference_files.write_place(run, place)
     for name, data in files.items():
         if data is not None:
             json_files.write(run / name, data)

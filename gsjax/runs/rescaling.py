@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gsjax.io import json_files, place_files
-from gsjax.io.exchange import exchanged
+from gsjax.io import georeference_files, json_files
+from gsjax.io.files import replaced_files
 from gsjax.io.gaussian_files import load_gaussians
 from gsjax.io.locks import lock_folder
 from gsjax.io.ply import write_gaussians
@@ -24,7 +24,7 @@ def rescale_run(folder: Path, factor: float, place: Place) -> None:
     """Writes the files of a run with all lengths `factor` times as long, and what that makes of their world.
 
     Checkpoints are in the run's own coordinates, which stay: a resumed run has the same numbers. The files
-    change together (`gsjax.io.exchange`).
+    change together (`gsjax.io.files`).
 
     Args:
         folder: Of the finished run; `gaussians.ply`, `cameras.json`, `poses.json`, meshes, `manifest.json` and
@@ -42,9 +42,9 @@ def rescale_run(folder: Path, factor: float, place: Place) -> None:
     means = factor * np.asarray(gaussians.means, np.float64)
     log_scales = np.asarray(gaussians.log_scales) + np.float32(np.log(factor))
     views = [{**view, "viewmat": _stretched(view["viewmat"], factor)} for view in run.views]
-    with lock_folder(folder), exchanged(folder) as new:
+    with lock_folder(folder), replaced_files(folder) as new:
         json_files.write(new / "manifest.json", {**run.manifest, "similarity": asdict(similarity)})
-        json_files.write(new / place_files.FILE, place.record())
+        json_files.write(new / georeference_files.FILE, place.record())
         json_files.write(new / "cameras.json", views)
         stretched = replace(gaussians, means=means, log_scales=log_scales)
         centers = viewmat_centers(np.array([view["viewmat"] for view in views], np.float64).reshape(-1, 4, 4))

@@ -16,9 +16,9 @@ from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io import json_files
 from gsjax.io.gaussian_files import load_gaussians
+from gsjax.io.georeference_files import stated_place
 from gsjax.io.images import read_mask, write_image
 from gsjax.io.json_shapes import check
-from gsjax.io.place_files import stated_place
 from gsjax.io.scenes import load_scene
 from gsjax.io.splits import NONE
 from gsjax.rendering import DepthReading, gallery

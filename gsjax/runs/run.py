@@ -8,8 +8,8 @@ from typing import Any, Self
 from gsjax import runs
 from gsjax.errors import InputError
 from gsjax.io import json_files
-from gsjax.io.exchange import refine_on_photos
-from gsjax.io.place_files import read_place
+from gsjax.io.files import finish_replacement
+from gsjax.io.georeference_files import read_place
 from gsjax.runs.photo_effects import PhotoEffects, read_photo_effects
 from gsjax.runs.records import MANIFEST, PLAN, read_views
 from gsjax.runs.splits import Split, parse_split
@@ -34,7 +34,7 @@ class Run:
         folder = Path(folder)
         if not folder.exists():
             raise InputError(f"{folder}: no such folder")
-        refine_on_photos(folder)
+        finish_replacement(folder)
         if not (folder / "manifest.json").is_file():
             raise InputError(f"{folder}: holds no manifest.json; it is no run folder")
         return cls(folder)

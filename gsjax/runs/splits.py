@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from gsjax.errors import InputError
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 from gsjax.scene import Frame, Scene
 
 SHAPE = {"train": [str], "held_out": [str]}

@@ -25,7 +25,7 @@ class Pixels(NamedTuple):
 
 
 Keep = Callable[[np.ndarray], np.ndarray]
-"""An array -> the same one where it is to lie: in memory, or on the disk (`gsjax.io.scratch`)."""
+"""An array -> the same one where it is to lie: in memory, or on the disk (`gsjax.io.temporary_files`)."""
 
 
 class Origin(NamedTuple):

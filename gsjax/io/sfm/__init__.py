@@ -15,7 +15,7 @@ from gsjax.errors import InputError
 from gsjax.io import json_files
 from gsjax.io.child_process import run_in_child
 from gsjax.io.files import make_folder, put_in_place, require_empty, unwritable, workspace
-from gsjax.io.place_files import write_place
+from gsjax.io.georeference_files import write_place
 
 DEFAULT_FRAMES = 100
 REPORT = "sfm.json"

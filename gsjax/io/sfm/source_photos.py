@@ -16,7 +16,7 @@ from gsjax.io import exif
 from gsjax.io.bad_items import Fault, leave_out, read_usable, require_enough
 from gsjax.io.image_folders import MASK_ENDS, REDUCED, masks_in
 from gsjax.io.images import SUFFIXES, check_image, cv2, image_size, open_image, read_image, read_mask, same_shape
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 from gsjax.io.photos import says_nothing
 from gsjax.io.sfm import gps
 from gsjax.io.sfm.focal_lengths import CameraKey, Focal, read_focal

@@ -13,7 +13,7 @@ from gsjax.errors import InputError
 from gsjax.io.color_profiles import HDR, code_points
 from gsjax.io.files import atomic_path, make_folder
 from gsjax.io.images import cv2
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 
 _SHARPNESS_SIDE = 640  # pixels of the longer side: sharpness of the lens, without the noise of single pixels
 _JPEG_QUALITY = 95

@@ -6,9 +6,9 @@ them, they stand about a point near by, which is the translation of their node.
 
 import numpy as np
 
+from gsjax.io.georeference_files import EXTRAS
 from gsjax.io.json_files import plain
 from gsjax.io.packages import require
-from gsjax.io.place_files import EXTRAS
 from gsjax.meshing.atlas import TexturedMesh
 from gsjax.scene.colors import linear_to_srgb, srgb_to_linear, to_bytes
 from gsjax.scene.georeference import UNPLACED, Place

@@ -7,7 +7,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from gsjax.errors import InputError
-from gsjax.io.notices import print_once
+from gsjax.io.messages import print_once
 
 
 class NamedFiles:

@@ -10,7 +10,7 @@ import pytest
 from tqdm import tqdm
 
 from gsjax.errors import InputError
-from gsjax.io import notices
+from gsjax.io import messages
 from gsjax.io.child_process import run_in_child
 
 quietly = partial(tqdm, disable=True)
@@ -128,8 +128,8 @@ def is_running(process):
 
 
 def note(progress):
-    notices.print_once("photo.jpg: is noticed")
-    notices.print_once("photo.jpg: is noticed")
+    messages.print_once("photo.jpg: is noticed")
+    messages.print_once("photo.jpg: is noticed")
 
 
 def test_notices_are_shown_here(capsys):

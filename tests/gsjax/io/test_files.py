@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.io import files, temporaries
+from gsjax.io import files, temporary_files
 
 
 def test_the_target_appears_whole_with_its_parents(tmp_path):
@@ -143,7 +143,7 @@ def test_what_a_killed_writer_left_is_swept_away_and_nothing_else(tmp_path):
     assert len(os.listdir(target.parent)) == 1
     with files.atomic_path(target) as living:
         living.write_text("half")
-        temporaries.sweep(tmp_path)
+        temporary_files.sweep(tmp_path)
         assert os.listdir(target.parent) == [living.name], "of a process that lives"
     assert os.listdir(target.parent) == [target.name]
     assert sorted(os.listdir(tmp_path)) == [mine[0], mine[1], "a", *mine[2:]]

@@ -10,7 +10,7 @@ from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 from scipy.spatial.transform import Rotation
 
-from gsjax.io.place_files import read_place, write_place
+from gsjax.io.georeference_files import read_place, write_place
 from gsjax.io.sfm import gps, source_photos
 from gsjax.io.sfm.georeference import georeference, place_model
 from gsjax.io.sfm.gps import Fix

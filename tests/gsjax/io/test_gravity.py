@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from gsjax.io.place_files import read_place, write_place
+from gsjax.io.georeference_files import read_place, write_place
 from gsjax.io.sfm import source_photos
 from gsjax.io.sfm.georeference import place_model
 from gsjax.io.sfm.gravity import MAKER_NOTE, up_by_gravity

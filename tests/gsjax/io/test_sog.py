@@ -12,7 +12,7 @@ from scipy.special import expit
 from tolerances import assert_close
 
 from gsjax.errors import InputError
-from gsjax.io import palettes
+from gsjax.io import quantization
 from gsjax.io.images import lossless_webp
 from gsjax.io.packing import morton_order
 from gsjax.io.sog import read_sog, write_sog
@@ -67,13 +67,15 @@ def test_sog_keeps_everything_to_its_steps(tmp_path_factory, gaussians):
 
 def test_a_codebook_is_fine_where_the_values_are_and_a_far_value_costs_one_entry():
     values = np.random.default_rng(0).normal(size=20_000)
-    alone, with_far = (palettes.codebook(np.append(values, far)) for far in ([], [1e30, -1e30]))
+    alone, with_far = (quantization.codebook(np.append(values, far)) for far in ([], [1e30, -1e30]))
     for entries in (alone, with_far):
-        error = values - entries[palettes.nearest_labels(values, entries)]
+        error = values - entries[quantization.nearest_labels(values, entries)]
         # The best of 256 levels has sqrt(pi sqrt(3) / 2) / 256 of the deviation (Panter and Dite 1951).
         assert np.sqrt(np.mean(error**2)) < 2 * np.sqrt(np.pi * np.sqrt(3) / 2) / 256
     few = np.float32([3, -1, 3, 7e20, 0.1] * 9)
-    np.testing.assert_array_equal(palettes.codebook(few)[palettes.nearest_labels(few, palettes.codebook(few))], few)
+    np.testing.assert_array_equal(
+        quantization.codebook(few)[quantization.nearest_labels(few, quantization.codebook(few))], few
+    )
 
 
 def test_a_palette_finds_rows_that_come_again():
@@ -81,7 +83,7 @@ def test_a_palette_finds_rows_that_come_again():
     random = np.random.default_rng(1)
     kinds, kind = random.normal(size=(50, 9)).astype(np.float32), random.integers(50, size=4000)
     rows = kinds[kind] + random.normal(size=(4000, 9)).astype(np.float32) * np.float32(0.01)
-    found, labels = palettes.palette(rows, 600)
+    found, labels = quantization.palette(rows, 600)
     assert len(found) <= 600
     assert np.abs(found[labels] - rows).max() < 0.1
     assert np.sqrt(np.mean((found[labels] - rows) ** 2)) < 0.01

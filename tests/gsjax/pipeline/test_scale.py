@@ -14,9 +14,9 @@ from tolerances import assert_close
 
 from gsjax import cli
 from gsjax.errors import InputError
-from gsjax.io import exchange, json_files
+from gsjax.io import files, json_files
 from gsjax.io.gaussian_files import load_gaussians
-from gsjax.io.place_files import read_place, stated_place
+from gsjax.io.georeference_files import read_place, stated_place
 from gsjax.io.ply import write_gaussians
 from gsjax.io.scenes import load_scene
 from gsjax.meshing.export import read_mesh, write_mesh
@@ -103,7 +103,7 @@ def test_the_files_of_a_run_are_all_old_or_all_new_wherever_it_is_stopped(run, r
     replace_file, left = os.replace, [renamed]
 
     def killed(old, new):
-        if Path(old).parent.name == exchange.PENDING or Path(new).name == exchange.PENDING:
+        if Path(old).parent.name == files.PENDING or Path(new).name == files.PENDING:
             left[0] -= 1
             if left[0] < 0:
                 raise ZeroDivisionError  # No OSError, which would be told.

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from gsjax.io.scratch import Scratch
+from gsjax.io.temporary_files import ArraysOnDisk
 from gsjax.planning import memory
 from gsjax.planning.memory import fit_to_memory, photo_bytes
 from gsjax.scene import Frame, in_memory
@@ -46,7 +46,7 @@ def test_with_room_for_all_nothing_changes(tmp_path, monkeypatch):
 
 def test_photos_go_to_the_disk_before_gaussians_are_fewer(tmp_path, monkeypatch):
     planned, keep, lines = fitted(monkeypatch, tmp_path, STEP + GAUSSIANS + 1)
-    assert planned is PLAN and isinstance(keep, Scratch)
+    assert planned is PLAN and isinstance(keep, ArraysOnDisk)
     [line] = lines
     assert f"photos and maps take {(PHOTOS + NORMALS) / 2**30:.3g} and Gaussians" in line and "from the disk" in line
 

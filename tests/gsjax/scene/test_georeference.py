@@ -11,7 +11,7 @@ from tolerances import assert_close
 from gsjax.errors import InputError
 from gsjax.gaussians import Gaussians
 from gsjax.io.gaussian_files import load_gaussians, save_gaussians
-from gsjax.io.place_files import FILE, read_place, stated_place, write_place
+from gsjax.io.georeference_files import FILE, read_place, stated_place, write_place
 from gsjax.io.scenes import load_scene
 from gsjax.meshing.export import read_mesh, write_mesh
 from gsjax.scene.georeference import Place, parse_length, parse_place, turn_upright, up_of_cameras

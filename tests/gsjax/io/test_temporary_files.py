@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from gsjax.errors import InputError
-from gsjax.io import scratch
-from gsjax.io.scratch import Scratch
+from gsjax.io import temporary_files
+from gsjax.io.temporary_files import ArraysOnDisk
 
 RNG = np.random.default_rng(0)
 
 
 def test_arrays_lie_on_the_disk_as_they_are_in_as_many_files_as_it_takes(tmp_path, monkeypatch):
-    monkeypatch.setattr(scratch, "FILE", 4096)
+    monkeypatch.setattr(temporary_files, "FILE", 4096)
     arrays = [
         RNG.integers(0, 256, (17, 19, 3), dtype=np.uint8),
         RNG.random((40, 50)) > 0.5,
@@ -20,13 +20,13 @@ def test_arrays_lie_on_the_disk_as_they_are_in_as_many_files_as_it_takes(tmp_pat
         RNG.integers(-127, 128, (7, 5, 3), dtype=np.int8),
         np.empty((0, 3), np.uint8),
     ]
-    keep = Scratch(tmp_path / "not" / "there")
+    keep = ArraysOnDisk(tmp_path / "not" / "there")
     kept = [keep(array) for array in arrays]
     for array, one in zip(arrays, kept, strict=True):
         assert one.dtype == array.dtype and (isinstance(one, np.memmap) or not one.size)
         np.testing.assert_array_equal(one, array)
         assert keep(one) is one, "what lies there is not copied"
-        assert one.ctypes.data % scratch.ALIGNED == 0 or not one.size
+        assert one.ctypes.data % temporary_files.ALIGNED == 0 or not one.size
         if one.size:  # A copy in memory is still a memmap to numpy, and does not lie on the disk.
             assert np.may_share_memory(keep(one.copy()), keep._mapped)
     with pytest.raises(ValueError, match="read-only"):
@@ -39,6 +39,6 @@ def test_a_full_disk_is_one_line(tmp_path, monkeypatch):
         def truncate(self, size=None):
             raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(scratch.tempfile, "TemporaryFile", lambda **_: Full())
+    monkeypatch.setattr(temporary_files.tempfile, "TemporaryFile", lambda **_: Full())
     with pytest.raises(InputError, match=f"^cannot write {tmp_path}: No space left on device$"):
-        Scratch(tmp_path)(np.ones(3))
+        ArraysOnDisk(tmp_path)(np.ones(3))

@@ -9,7 +9,8 @@ from fuzzing import damaged_json, fuzz
 from PIL import Image
 
 from gsjax.errors import InputError
-from gsjax.io import films
+from gsjax.io import video_writer
+from gsjax.io.keyframe_files import read_keyframes
 
 POSES = [
     {"viewmat": np.eye(4).tolist(), "fov": 50.0},
@@ -22,7 +23,7 @@ POSES = [
 def test_a_film_comes_back(tmp_path, name):
     ramp = np.linspace(0, 255, 64).astype(np.uint8)[None, :, None] * np.ones((48, 1, 1), np.uint8)
     shades = [ramp * np.uint8([1, 0, 0]), ramp * np.uint8([0, 1, 0]), ramp * np.uint8([0, 0, 1])] * 4
-    films.write_film(tmp_path / name, shades, 24.0, 64, 48)
+    video_writer.write_video(tmp_path / name, shades, 24.0, 64, 48)
     assert [path.name for path in tmp_path.iterdir()] == [name]
     film = cv2.VideoCapture(str(tmp_path / name), cv2.CAP_FFMPEG)
     assert film.get(cv2.CAP_PROP_FPS) == 24
@@ -34,7 +35,9 @@ def test_a_film_comes_back(tmp_path, name):
 
 @pytest.mark.parametrize("count", [1, 5])
 def test_a_gif_holds_every_picture_and_repeats(tmp_path, count):
-    films.write_film(tmp_path / "a.GIF", [np.full((10, 12, 3), 40 * k, np.uint8) for k in range(count)], 10.0, 12, 10)
+    video_writer.write_video(
+        tmp_path / "a.GIF", [np.full((10, 12, 3), 40 * k, np.uint8) for k in range(count)], 10.0, 12, 10
+    )
     with Image.open(tmp_path / "a.GIF") as animation:
         assert (animation.n_frames, animation.info["duration"], animation.info["loop"]) == (count, 100, 0)
         for index in range(count):
@@ -50,24 +53,24 @@ def test_a_film_that_is_stopped_or_cannot_be_written_leaves_nothing(tmp_path, na
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        films.write_film(tmp_path / name, stopped(), 24.0, 64, 48)
+        video_writer.write_video(tmp_path / name, stopped(), 24.0, 64, 48)
     assert not list(tmp_path.iterdir())
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=f"cannot write .*{name}"):
-        films.write_film(tmp_path / "file" / name, [np.zeros((48, 64, 3), np.uint8)], 24.0, 64, 48)
+        video_writer.write_video(tmp_path / "file" / name, [np.zeros((48, 64, 3), np.uint8)], 24.0, 64, 48)
 
 
 def test_a_film_that_lacks_pictures_is_refused(tmp_path, monkeypatch):
     """As a full disk leaves it."""
-    monkeypatch.setattr(films, "_count_frames", lambda path: 1)
+    monkeypatch.setattr(video_writer, "_count_frames", lambda path: 1)
     with pytest.raises(InputError, match="not all of its 2 pictures are in it"):
-        films.write_film(tmp_path / "film.mp4", np.zeros((2, 48, 64, 3), np.uint8), 24.0, 64, 48)
+        video_writer.write_video(tmp_path / "film.mp4", np.zeros((2, 48, 64, 3), np.uint8), 24.0, 64, 48)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_path_is_read_as_it_was_written(tmp_path):
     (tmp_path / "path.json").write_text(json.dumps({"closed": True, "keyframes": POSES}))
-    keyframes = films.read_path(tmp_path / "path.json")
+    keyframes = read_keyframes(tmp_path / "path.json")
     assert keyframes.closed
     np.testing.assert_array_equal(keyframes.viewmats, [pose["viewmat"] for pose in POSES])
     np.testing.assert_allclose(np.degrees(keyframes.fovs), [50, 60, 40])
@@ -88,12 +91,12 @@ def test_a_path_is_read_as_it_was_written(tmp_path):
 def test_what_is_no_path_is_one_line(tmp_path, told, message):
     (tmp_path / "path.json").write_text(json.dumps(told))
     with pytest.raises(InputError, match=rf"path.json: {message}"):
-        films.read_path(tmp_path / "path.json")
+        read_keyframes(tmp_path / "path.json")
 
 
 def test_fuzz_paths(tmp_path):
     def attempt(random):
         (tmp_path / "path.json").write_bytes(damaged_json({"closed": False, "keyframes": POSES}, random))
-        assert np.isfinite(films.read_path(tmp_path / "path.json").viewmats).all()
+        assert np.isfinite(read_keyframes(tmp_path / "path.json").viewmats).all()
 
     assert all(fuzz(attempt, usual=200))

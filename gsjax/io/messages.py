@@ -1,4 +1,4 @@
-"""What a reader did that its user should know: one line on stderr."""
+"""Messages to the user: one line on stderr, printed once."""
 
 import sys
 from collections.abc import Callable, Hashable

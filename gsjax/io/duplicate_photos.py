@@ -1,4 +1,4 @@
-"""Photos that are copies of one shot: a HEIC and its JPEG, a resized or re-encoded file, a second file of one name.
+"""Groups of photos that show one shot: a HEIC and its JPEG, a resized or re-encoded file, a second file of one name.
 
 Two files show the same shot where small grey pictures of them are equal but for what encoders and resizing change. A
 frame of a video differs from the next one by more: each group is compared with its first photo only, so that a slow
@@ -26,7 +26,7 @@ _DRAFT = 256  # pixels: a JPEG is decoded at the smallest of its reduced sizes t
 _ALWAYS_ROOM, _DECODED = 10**7, 8  # pixels that need no check of the memory; bytes a pixel while one is decoded
 
 
-def same_shots(files: Sequence[Path]) -> list[list[int]]:
+def group_duplicates(files: Sequence[Path]) -> list[list[int]]:
     """Group files by the shot that they show: lists of indices, in the order of their first files.
 
     A file that cannot be read, or shows one colour, is a group of its own.

@@ -8,9 +8,9 @@ import pytest
 from PIL import Image
 from scipy.ndimage import gaussian_filter
 
+from gsjax.io.duplicate_photos import group_duplicates
 from gsjax.io.lenses import Lens
 from gsjax.io.photos import Photo
-from gsjax.io.same_shots import same_shots
 from gsjax.io.splits import mark_held_out
 
 LENS = Lens("PINHOLE", 240, 160, (200.0, 200.0, 120.0, 80.0))
@@ -36,7 +36,7 @@ def save(folder, pictures):
 
 
 def named(files):
-    return [[files[index].name for index in shot] for shot in same_shots(files)]
+    return [[files[index].name for index in shot] for shot in group_duplicates(files)]
 
 
 def turned(picture, path):
@@ -78,10 +78,10 @@ def test_frames_of_a_slow_video_are_not_one_shot(tmp_path):
     """A window that moves by two of 240 pixels a frame; and one that moves by a sixth of a pixel, group by group."""
     wide = texture(0, width=400)
     files = save(tmp_path / "slow", {f"{n:02d}.png": wide[:, 2 * n : 240 + 2 * n] for n in range(30)})
-    assert len(same_shots(files)) == 30
+    assert len(group_duplicates(files)) == 30
     fine = np.asarray(Image.fromarray(wide).resize((2400, 160), Image.Resampling.BICUBIC))
     creeping = {f"{n:03d}.png": fine[:, n : 1440 + n : 6] for n in range(60)}
-    sizes = [len(shot) for shot in same_shots(save(tmp_path / "creeping", creeping))]
+    sizes = [len(shot) for shot in group_duplicates(save(tmp_path / "creeping", creeping))]
     assert max(sizes) <= 15
 
 
@@ -90,12 +90,12 @@ def test_views_without_texture_are_not_one_shot(tmp_path):
     wall = {f"{n}.png": np.uint8(np.clip(200 + (texture(n).astype(int) - 128) // 24, 0, 255)) for n in range(6)}
     flat = {f"{n}f.png": np.full((16, 24, 3), 200, np.uint8) for n in range(3)}
     files = save(tmp_path, {**wall, **flat, "x.png": lambda path: path.write_bytes(b"no photo")})
-    assert len(same_shots([*files, tmp_path / "absent.png"])) == 11
+    assert len(group_duplicates([*files, tmp_path / "absent.png"])) == 11
 
 
 @pytest.mark.skipif(not PHOTOS, reason="needs ../shared/data/fox")
 def test_neighbouring_photos_of_a_capture_are_different_shots():
-    assert len(same_shots(PHOTOS)) == len(PHOTOS)
+    assert len(group_duplicates(PHOTOS)) == len(PHOTOS)
 
 
 def photos_of(files, held_out=()):
@@ -145,4 +145,4 @@ def test_a_photo_whose_pixels_are_damaged_is_a_group_of_its_own(tmp_path):
     at = data.index(b"IDAT") + 100
     data[at : at + 300] = bytes(300)
     files[1].write_bytes(data)
-    assert same_shots(files) == [[0, 2], [1]]
+    assert group_duplicates(files) == [[0, 2], [1]]

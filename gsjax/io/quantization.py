@@ -1,4 +1,4 @@
-"""Few numbers that stand for many: codebooks of 256 values, and palettes of rows."""
+"""Vector quantization: codebooks of 256 values, and palettes of rows by k-means."""
 
 import heapq
 import math
