@@ -94,14 +94,6 @@ def test_decimation_keeps_shape_and_colour():
     assert np.abs(result.vertices[:, 2] - heights).max() < 0.004
 
 
-def test_cleaning_twice_changes_nothing():
-    once, _ = clean(concatenate_meshes([wavy_square(10), tetrahedron((3.0, 0, 0))]), min_component_share=0.0)
-    twice, report = clean(once, min_component_share=0.0)
-    np.testing.assert_array_equal(once.vertices, twice.vertices)
-    np.testing.assert_array_equal(once.faces, twice.faces)
-    assert report.small_components == report.degenerate_faces == report.duplicate_faces == 0
-
-
 @pytest.mark.parametrize("faces", [np.zeros((0, 3), np.int32), np.array([[0, 0, 1]], np.int32)])
 def test_nothing_left_is_one_line(faces):
     with pytest.raises(InputError, match="left after cleaning"):

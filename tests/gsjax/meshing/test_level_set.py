@@ -113,22 +113,10 @@ def test_same_seed_same_points_whatever_the_chunk(ball):
     assert not np.array_equal(a.points, other.points)
 
 
-def test_number_of_points_is_a_cap(ball):
-    surface = level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=137))
-    assert len(surface.points) == len(surface.normals) == len(surface.colors) == len(surface.view_ids) == 137
-
-
 def test_one_compilation_for_many_chunks(ball, empty_caches):
     level_crossing.march_rays.clear_cache()
     level_set.surface_points(ball.gaussians, *ball.views, LevelSetOptions(num_points=1500, chunk=512))
     assert level_crossing.march_rays._cache_size() == 1
-
-
-def test_one_view_is_enough(ball):
-    surface = level_set.surface_points(
-        ball.gaussians, *(part[:1] for part in ball.views), LevelSetOptions(num_points=300)
-    )
-    assert np.all(surface.points @ np.asarray(cameras.center(ball.cameras[0])) > 0)
 
 
 def test_transparent_gaussians_do_not_make_density(ball):
@@ -173,13 +161,6 @@ def test_options_are_sugars_and_points_follow_the_pixels(ball):
 def test_options_out_of_range_are_one_line(wrong, fault):
     with pytest.raises(InputError, match=fault):
         LevelSetOptions(**wrong)
-
-
-def test_pictures_may_come_one_by_one(ball):
-    options = LevelSetOptions(num_points=500)
-    listed = level_set.surface_points(ball.gaussians, *ball.views, options)
-    streamed = level_set.surface_points(ball.gaussians, ball.cameras, iter(ball.pictures), options)
-    np.testing.assert_array_equal(listed.points, streamed.points)
 
 
 def test_empty_level_set_says_so(ball):

@@ -81,12 +81,6 @@ def test_headlight_fades_with_the_angle():
     np.testing.assert_allclose(picture[..., 1], (0.15 + 0.8 * cosine) * 255, atol=1)
 
 
-def test_nothing_in_view_is_white():
-    picture = render_mesh(square(-2.0), np.eye(4), K, WIDTH, HEIGHT)
-    assert np.all(picture == 255)
-    assert not depth_of_mesh(square(-2.0), np.eye(4), K, WIDTH, HEIGHT).any()
-
-
 def test_own_shading():
     picture = render_mesh(
         square(2.0), np.eye(4), K, WIDTH, HEIGHT, shading=lambda hits: hits.depths[:, None] / [2, 4, 8]

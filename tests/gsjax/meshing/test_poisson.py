@@ -87,11 +87,6 @@ def test_a_given_depth_keeps_the_scale():
     assert report.cell == pytest.approx(1.1 * np.ptp(points, axis=0).max() / 2**6)
 
 
-def test_spacing_of_a_grid_is_its_step():
-    grid = np.stack(np.meshgrid(*[np.arange(10) * 0.25] * 3), axis=-1).reshape(-1, 3)
-    assert poisson.spacing(grid) == pytest.approx(0.25)
-
-
 def test_too_few_points_are_refused():
     points, colors = sphere(50)
     with pytest.raises(InputError, match="50 surface points"):
@@ -144,10 +139,3 @@ def test_the_density_has_no_unit():
 def test_where_nothing_is_near_only_the_far_goes():
     cut = adaptive(support([1.5, 2.5], [1, 1]))
     np.testing.assert_array_equal(cut.vertices, [False, True])
-
-
-@pytest.mark.parametrize(("quantile", "left"), [(0.0, 100), (0.1, 90), (0.5, 50)])
-def test_a_given_quantile_cuts_that_share(quantile, left):
-    cut = at_quantile(quantile)(support(np.zeros(100), np.random.default_rng(0).permutation(100)))
-    assert np.sum(~cut.vertices) == left
-    assert cut.quantile == quantile

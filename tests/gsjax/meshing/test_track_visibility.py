@@ -95,14 +95,3 @@ def test_the_whole_wall_is_chosen_and_a_method_without_surface_passed_by(lines):
     assert choice.tried["whole"]["met"] == 1 > choice.tried["lumps"]["met"] > choice.tried["part"]["met"]
     with pytest.raises(NoSurfaceError, match="nothing"):
         select_method({"empty": empty}, by_tracks(lines))
-
-
-@pytest.mark.parametrize(("top", "chosen"), [(-0.8, "usual"), (0.0, "more")])
-def test_another_than_the_usual_one_has_to_be_clearly_better(lines, top, chosen):
-    first = rectangle((-4, -2), AWAY)
-    ways = {"usual": joined(first), "more": joined(first, rectangle((0, 2), AWAY, (-1, top)))}
-    witness = by_tracks(lines)
-    choice = select_method({name: lambda m=mesh: m for name, mesh in ways.items()}, witness)
-    gained = choice.tried["more"]["met"] - choice.tried["usual"]["met"]
-    assert choice.method == chosen
-    assert 0 < gained < witness.margin if chosen == "usual" else gained > witness.margin

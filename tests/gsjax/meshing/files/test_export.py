@@ -209,12 +209,6 @@ def test_textured_glb_is_unlit_and_nothing_is_multiplied_with_the_texture(tmp_pa
     np.testing.assert_allclose(stored, textured.atlas.uvs, atol=1e-6)
 
 
-def test_textures_go_into_obj_and_glb_alone(tmp_path, textured):
-    with pytest.raises(InputError, match=r"m\.ply: meshes with a texture end in \.obj, \.glb"):
-        write_textured(tmp_path / "m.ply", textured)
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(("name", "writer"), [("m.obj", "numpy.savetxt"), ("m.glb", "trimesh.Trimesh.export")])
 def test_a_failed_write_of_a_texture_leaves_the_old_files(tmp_path, textured, monkeypatch, name, writer):
     write_textured(tmp_path / name, textured)
