@@ -173,7 +173,7 @@ def test_what_photos_tell_is_of_the_training_view_of_its_name(lumpy, monkeypatch
     def told_by(data, most):
         assert data == "of the photos" and most == 100
         each = [SimpleNamespace(view=SimpleNamespace(name=f"{n}.png"), shown=lambda: empty) for n in (2, 5, 9)]
-        return SimpleNamespace(told=each, line="3 of 9 photos")
+        return SimpleNamespace(accepted=each, line="3 of 9 photos")
 
     monkeypatch.setattr(mesh_views, "depths_of_photos", told_by)
     views = partial(mesh_views.MeshViews, with_owners=False, several_passes=True)
