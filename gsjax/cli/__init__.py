@@ -44,7 +44,7 @@ DESCRIPTION = """Photos to 3D Gaussians and a clean mesh.
   scene --normals--> a normal map a photo, from a network, for training
   photos or scene --masks--> what to leave out of each photo, from a network
   scene --undistort--> scene of pinhole photos, for other programs
-  run or file of Gaussians --clean--> the same without floaters, crumbs and giants
+  run or file of Gaussians --clean--> the same without giants and isolated clusters
   run or file of Gaussians --convert--> .ply, .compressed.ply, .sog or .spz
 """
 

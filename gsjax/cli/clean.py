@@ -11,12 +11,11 @@ def add_to(commands: argparse._SubParsersAction) -> None:
         commands,
         "clean",
         _run,
-        summary="take floaters, crumbs and giants out of Gaussians, or what lies outside a box",
+        summary="take giants and isolated clusters out of Gaussians, or what lies outside a box",
         description="""
-            Giants fill the picture of the nearest camera; floaters are small clusters that hover before
-            the surface, or that hardly a view shows; crumbs are other small clusters that hang on
-            nothing. Prints how many of each were taken out. They lie in FILE.removed.ply, from where
-            --undo brings them back, and FILE.cleaned.png shows before and after.
+            Giants fill the picture of the nearest camera; isolated Gaussians are in small clusters apart
+            from all others. Prints how many of each were taken out. They lie in FILE.removed.ply, from
+            where --undo brings them back, and FILE.cleaned.png shows before and after.
         """,
         example="gsjax clean runs/garden --crop-to-cameras",
         packages=("matplotlib",),

@@ -1,4 +1,4 @@
-"""Gaussians without what hovers about them: floaters, crumbs, giants; what is taken out is kept, and can come back."""
+"""Removal of giants and isolated clusters from Gaussians; the removed Gaussians are kept, and can be restored."""
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -24,13 +24,11 @@ from gsjax.runs.result import Result, open_result
 from gsjax.scene.cameras import Camera, viewmat_centers
 from gsjax.scene.colors import to_bytes
 
-KINDS = "giants", "floaters", "crumbs", "cropped"
-ROWS = {"count": int, **{kind: [int] for kind in KINDS}}
-"""Of the file that tells which Gaussians were taken out."""
+KINDS = "giants", "isolated", "cropped"
+IN_FILES = (*KINDS, "floaters", "crumbs")  # The last two: of files that 0.1 wrote.
+ROWS = {"count": int, **{f"{kind}?": [int] for kind in IN_FILES}}
+"""Of the file that lists the rows of the removed Gaussians."""
 MOST_VIEWS = 24  # that are drawn
-MARGIN = 0.1  # of the surface's depth, before which something hovers
-FEWEST_VIEWS = 3  # that must show what is no floater
-BEFORE = 0.25  # of the views that show it: a floater stands before the surface in so many
 UNSEEN = -88.0  # A logit: the opacity is 0 in float32, and no other program is compiled.
 
 
@@ -45,11 +43,8 @@ def clean(
 ) -> dict[str, Any]:
     """Take out of Gaussians what is no part of the scene.
 
-    *Giants* fill the picture of the nearest camera. A small cluster that hangs on nothing is a *floater* where a
-    quarter of the views that show it have the surface well behind it, or where fewer than three show it, and else a
-    *crumb*.
-    Without cameras all such clusters are crumbs, and giants are as large as the scene. *Cropped* is what lies outside
-    what is asked for.
+    *Giants* fill the picture of the nearest camera, or without cameras are as large as the scene. *Isolated* are small
+    clusters apart from all others. *Cropped* is what lies outside the given bounds.
 
     Args:
         source: Run folder, or a file of Gaussians.
@@ -60,7 +55,7 @@ def clean(
         sphere: `(x, y, z, radius)`: likewise.
 
     Returns:
-        `gaussians` that are left; how many were taken out: `giants`, `floaters`, `crumbs`, `cropped`; `removed`, the
+        `gaussians` that are left; how many were taken out: `giants`, `isolated`, `cropped`; `removed`, the
         file that holds them (`OUT.removed.ply`), and `picture` (`OUT.cleaned.png`): before, after, and what was taken
         out, from where that differs most. None where nothing was taken out or no camera is known.
 
@@ -162,7 +157,7 @@ def _is_unfinished(out: Path) -> bool:
 def _told(file: Path) -> tuple[int, np.ndarray]:
     """How many Gaussians a file had before it was cleaned, and the rows of those that were taken out, in order."""
     told = json_files.read(_rows_beside(file), ROWS)
-    return told["count"], np.sort(np.concatenate([np.array(told[kind], int) for kind in KINDS]))
+    return told["count"], np.sort(np.concatenate([np.array(told.get(kind, []), int) for kind in IN_FILES]))
 
 
 def _forget(file: Path) -> int:
@@ -190,10 +185,9 @@ def _judged(whole: Gaussians, result: Result | None) -> dict[str, np.ndarray]:
     viewmats = np.array([np.asarray(camera.viewmat, np.float64) for camera in cameras])
     centers = viewmat_centers(viewmats) if cameras else None
     is_giant = outliers.giants(means, np.exp(np.asarray(whole.log_scales, np.float64)), centers)
-    hangs_alone = np.zeros(len(means), bool)
-    hangs_alone[~is_giant] = outliers.cluster_sizes(means[~is_giant]) <= outliers.most_of_small(len(means))
-    is_floater = _hovers(result, cameras, hangs_alone, is_giant) if result is not None else np.zeros(len(means), bool)
-    return {"giants": is_giant, "floaters": is_floater, "crumbs": hangs_alone & ~is_floater}
+    is_isolated = np.zeros(len(means), bool)
+    is_isolated[~is_giant] = outliers.cluster_sizes(means[~is_giant]) <= outliers.most_of_small(len(means))
+    return {"giants": is_giant, "isolated": is_isolated}
 
 
 def _cameras(result: Result) -> list[Camera]:
@@ -203,21 +197,6 @@ def _cameras(result: Result) -> list[Camera]:
         raise InputError(f"{result.source}: has no training views to look from")
     chosen = np.unique(np.linspace(0, len(training) - 1, min(MOST_VIEWS, len(training))).astype(int))
     return [training[index] for index in chosen]
-
-
-def _hovers(result: Result, cameras: Sequence[Camera], alone: np.ndarray, is_giant: np.ndarray) -> np.ndarray:
-    """`[N]` bool: which of those that hang on nothing hover before the surface that the others make."""
-    if not alone.any():
-        return alone
-    points = np.asarray(result.gaussians.means, np.float64)[alone]
-    shown, before = np.zeros(len(points), int), np.zeros(len(points), int)
-    pictures = gallery.pictures(_hidden(result.gaussians, alone | is_giant), cameras, result.background, "plane")
-    for camera, picture in zip(cameras, pictures, strict=True):
-        seen, nearer = outliers.in_front(points, camera, picture.depth, MARGIN)
-        shown, before = shown + seen, before + nearer
-    found = np.zeros(len(alone), bool)
-    found[alone] = (shown < min(FEWEST_VIEWS, len(cameras))) | (before >= BEFORE * shown)
-    return found
 
 
 def _hidden(gaussians: Gaussians, hidden: np.ndarray) -> Gaussians:

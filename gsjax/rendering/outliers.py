@@ -1,6 +1,7 @@
-"""Gaussians that are no part of a scene: giants, and small clusters that hang on nothing.
+"""Gaussians that are no part of a scene: giants, isolated small clusters, and floaters.
 
-Nothing here needs cameras; where there are some, `gsjax.pipeline.clean` looks with them at what hangs on nothing.
+A floater is in front of the surface that other views show. Training makes some where one photo gains and no other photo
+disagrees; the views decide (`are_floaters`). Giants and isolated clusters are judged without views.
 """
 
 import math
@@ -13,7 +14,7 @@ from scipy.spatial import KDTree
 
 from gsjax.gaussians import Gaussians, covariances
 from gsjax.rendering.coarse_depths import SAME_SURFACE, CoarseDepth, depths_at
-from gsjax.scene.cameras import Camera, landing, viewmat_centers
+from gsjax.scene.cameras import Camera, viewmat_centers
 
 NEIGHBORS = 12  # of a Gaussian that it may hang on
 SPACING = 3  # The distance to so many-th of them is how close Gaussians lie to each other there,
@@ -86,22 +87,6 @@ def looked_at(cameras: Sequence[Camera]) -> tuple[np.ndarray, float] | None:
     if (ahead > 0).mean() < CONVERGING:
         return None
     return middle, float(np.median(np.linalg.norm(centers - middle, axis=1)))
-
-
-def in_front(points: np.ndarray, camera: Camera, depth: np.ndarray, margin: float) -> tuple[np.ndarray, np.ndarray]:
-    """Which points a camera has in its picture, and which of them lie before what is rendered there.
-
-    Args:
-        points: `[N, 3]`.
-        camera: From where.
-        depth: `[H, W]` camera z of the surface, 0 where there is none: nothing is before that.
-        margin: Of the surface's depth, that a point must be nearer by.
-
-    Returns:
-        `[N]` bool twice.
-    """
-    rows, columns, depths, seen = landing(points, np.asarray(camera.viewmat), np.asarray(camera.K), depth.shape)
-    return seen, seen & (depths < (1 - margin) * depth[rows, columns])
 
 
 def are_floaters(gaussians: Gaussians, views: Iterable[CoarseDepth]) -> np.ndarray:

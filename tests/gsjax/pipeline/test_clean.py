@@ -28,17 +28,16 @@ def cluster(middle, count=4):
 
 
 def planted():
-    """A ball, and about it floaters before the ball, crumbs above it, and giants; with the kind of every row."""
+    """A ball, isolated clusters in front of and above it, and giants; with the kind of every row."""
     index = np.arange(900)
     height, angle = 1 - 2 * (index + 0.5) / 900, np.pi * (3 - np.sqrt(5)) * index
     ring = np.sqrt(1 - height**2)
     points = RADIUS * np.stack([ring * np.cos(angle), ring * np.sin(angle), height], -1)
     ball = discs(points, points, 0.08)
-    floaters = [cluster(0.5 * np.asarray(eye)) for eye in EYES[:3]]
-    crumbs = [cluster((0.0, 0.0, 1.4)), cluster((0.2, 0.1, -1.7))]
+    isolated = [cluster(middle) for middle in (*(0.5 * eye for eye in EYES[:3]), (0.0, 0.0, 1.4), (0.2, 0.1, -1.7))]
     giants = discs(np.array([[1.5, 2.0, 0], [0, 0, 3.0]]), np.array([[0.0, 0, 1], [0, 0, 1]]), 4.0, opacity=0.02)
-    parts = [ball, *floaters, *crumbs, giants]
-    kinds = ["scene"] + ["floaters"] * len(floaters) + ["crumbs"] * len(crumbs) + ["giants"]
+    parts = [ball, *isolated, giants]
+    kinds = ["scene"] + ["isolated"] * len(isolated) + ["giants"]
     rows = np.repeat(kinds, [part.num_gaussians for part in parts])
     order = np.random.default_rng(0).permutation(len(rows))
     whole = concatenate(parts)
@@ -71,7 +70,7 @@ def test_planted_dirt_is_found_by_its_kind_nothing_else_is_and_all_of_it_comes_b
     before = file.read_bytes()
     report = clean(run)
     told = json_files.read(run / "gaussians.ply.removed.json")
-    for kind in ("floaters", "crumbs", "giants"):
+    for kind in ("isolated", "giants"):
         expected = np.flatnonzero(kinds == kind)
         assert told[kind] == expected.tolist(), kind  # Precision and recall are 1.
         assert report[kind] == len(expected)
@@ -113,8 +112,7 @@ def test_a_file_without_cameras_loses_what_hangs_on_nothing(run, tmp_path):
     bare, out = tmp_path / "bare.ply", tmp_path / "clean.ply"
     write_gaussians(bare, gaussians)
     report = clean(bare, out)
-    loose = np.isin(kinds, ["floaters", "crumbs"]).sum()
-    assert (report["crumbs"], report["floaters"], report["giants"]) == (loose, 0, 2)
+    assert (report["isolated"], report["giants"]) == ((kinds == "isolated").sum(), 2)
     assert load_gaussians(bare).num_gaussians == len(kinds)
     assert load_gaussians(out).num_gaussians == (kinds == "scene").sum()
     assert report["picture"] is None
@@ -131,7 +129,7 @@ def test_crops_keep_what_lies_inside(tmp_path):
     report = clean(bare, tmp_path / "cap.ply", sphere=(0, 0, 1, 0.25))
     inside = np.linalg.norm(means - [0, 0, 1], axis=1) <= 0.25
     assert_close(load_gaussians(tmp_path / "cap.ply").means, means[inside])
-    assert report["cropped"] == (~inside).sum() - report["crumbs"] - report["giants"]
+    assert report["cropped"] == (~inside).sum() - report["isolated"] - report["giants"]
     for wrong, told in (
         ({"sphere": (9, 9, 9, 1)}, "none of its .* would be left"),
         ({"box": (1, 0, 0, 0, 1, 1)}, "--box 1"),
