@@ -109,8 +109,6 @@ def test_the_stages_one_by_one():
     def staged(gaussians, viewmats):
         Ks = jnp.broadcast_to(cameras()[1], (len(viewmats), 3, 3))
         shapes = None, gaussians["quats"], gaussians["scales"]
-        how = {"packed": True, "capacity": CAMERA * GAUSSIANS}
-        packed = rasterizer.fully_fused_projection(gaussians["means"], *shapes, viewmats, Ks, 24, 16, **how)
         radii, means2d, depths, conics, _ = rasterizer.fully_fused_projection(
             gaussians["means"], *shapes, viewmats, Ks, 24, 16
         )
@@ -119,14 +117,11 @@ def test_the_stages_one_by_one():
         colors = jnp.broadcast_to(gaussians["colors"], (len(viewmats), GAUSSIANS, 3))
         opacities = jnp.broadcast_to(gaussians["opacities"], (len(viewmats), GAUSSIANS))
         masks = jnp.ones((len(viewmats), 2, 3), bool)
-        drawn = rasterizer.rasterize_to_pixels(
+        return rasterizer.rasterize_to_pixels(
             means2d, conics, colors, opacities, 24, 16, 8, offsets, splats, masks=masks
         )
-        return *drawn, packed[5].sum()[None]
 
-    ours, expected = over_devices(staged)(gaussians, viewmats), jax.jit(staged)(gaussians, viewmats)
-    assert_close(ours[:2], expected[:2])
-    assert_close(ours[2].sum(), expected[2].sum())
+    assert_close(over_devices(staged)(gaussians, viewmats), jax.jit(staged)(gaussians, viewmats))
 
 
 def test_a_view_of_gsjax():
