@@ -1,4 +1,4 @@
-"""A large scene in blocks: each trained by itself, here or elsewhere, and all merged into one run folder."""
+"""A large scene in blocks: each is trained alone, on any machine, and all are merged into one run folder."""
 
 import math
 import sys
@@ -37,28 +37,28 @@ _SHAPE = {"scene": str, "settings": {str: object}, "downscale": float, "directio
 
 @dataclass(frozen=True)
 class Blocks:
-    """How a scene is divided."""
+    """The division of a scene."""
 
     folder: Path
     scene: Path
     settings: Settings  # of every block
-    directions: np.ndarray  # [2, 3] unit, world: what cells lie along
+    directions: np.ndarray  # [2, 3] unit, world: the axes of the cells
     cells: tuple[Cell, ...]
     photos: tuple[tuple[str, ...], ...]  # names, of each cell
 
     def run(self, number: int) -> Path:
-        """The run folder of a block, counted from 1."""
+        """Return the run folder of a block, counted from 1."""
         return self.folder / f"block_{number}"
 
     def listed(self, number: int) -> str:
-        """The file that lists its photos."""
+        """Write and return the file that lists its photos."""
         file = self.folder / f"block_{number}.txt"
         with atomic_path(file) as temporary:
             temporary.write_text("".join(f"{name}\n" for name in self.photos[number - 1]), encoding="utf-8")
         return str(file)
 
     def is_done(self, number: int) -> bool:
-        """Whether it is trained."""
+        """Return whether a block is trained."""
         return runs.is_finished(self.run(number))
 
 
@@ -70,16 +70,16 @@ def blocks(
     *,
     only: Sequence[int] = (),
 ) -> dict[str, Any]:
-    """Divide a scene by where its cameras stand, train what is not trained yet, and merge when all is.
+    """Divide a scene by its camera positions, train the blocks that are not trained yet, and merge all.
 
-    Called again, it goes on where it stopped; on several machines with one folder, each takes blocks of its own.
+    A second call resumes. Several machines share one folder, each with blocks of its own.
 
     Args:
         scene: Folder of the data set.
         out: Folder for everything: `blocks.json`, the plan; of every block the names of its photos, `block_1.txt`, and
             its run folder, `block_1`; `run`, the merged one, which every other command reads.
-        settings: Of each block, which has as many Gaussians and steps. Effects of photography are not looked for: what
-            each block found would not fit at the borders.
+        settings: Of each block, which has as many Gaussians and steps. Effects of photography are not searched: those
+            of two blocks would differ at their border.
         count: Of blocks.
         only: Numbers of blocks to train, from 1; none: all.
 
@@ -118,7 +118,7 @@ def _without_effects(settings: Settings) -> Settings:
 
 
 def _planned(scene: Path, out: Path, settings: Settings, count: int) -> Blocks:
-    """The plan in the folder, which must be of the same wishes, or a new one."""
+    """Read the plan in the folder, which must have the same arguments, or write a new one."""
     file, asked = out / PLAN, {"scene": str(scene.resolve()), "settings": json_files.plain(config.to_dict(settings))}
     if not file.exists():
         require_empty(out)
@@ -139,7 +139,7 @@ def _limits(kept: Sequence[float | None], beyond: float) -> tuple[float, float]:
 
 
 def _divided(scene: Path, settings: Settings, count: int) -> dict[str, Any]:
-    """What the plan says of the scene: the size of its photos, the cells, and the photos of each."""
+    """Return the plan's size of photos, cells, and photos of each cell."""
     loaded = load_scene(scene, hold_out=settings.hold_out, images=settings.images)
     photos = list_photos(scene, settings.images)
     names = [photo.name for photo in photos]
@@ -158,7 +158,7 @@ def _divided(scene: Path, settings: Settings, count: int) -> dict[str, Any]:
 
 
 def _seen(scene: Scene, names: Sequence[str], along: np.ndarray) -> list[np.ndarray]:
-    """`[P_v, 2]` places of the points that each photo sees; none where nobody matched points in photos."""
+    """`[P_v, 2]` places of the points that each photo sees; none without tracks."""
     if scene.tracks is None:
         return [np.empty((0, 2))] * len(names)
     tracks, places = scene.tracks(), scene.similarity.points_to_world(scene.points) @ along.T
@@ -167,7 +167,7 @@ def _seen(scene: Scene, names: Sequence[str], along: np.ndarray) -> list[np.ndar
 
 
 def _merge(planned: Blocks, out: Path) -> None:
-    """The run folder of all blocks: of each, the Gaussians whose means lie in its own cell."""
+    """Write the run folder of all blocks: of each, the Gaussians whose means lie in its own cell."""
     settings, count = planned.settings, len(planned.cells)
     parts = [_own(planned, number) for number in range(1, count + 1)]
     gaussians = concatenate(parts)

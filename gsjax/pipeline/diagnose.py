@@ -1,4 +1,4 @@
-"""Which effects a data set calls for: the table, a file of it, and pictures of the evidence; and what training sees."""
+"""Effects that a data set requires: a table, a file of it, and pictures of the evidence."""
 
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ CHANNELS = ("red", "green", "blue")
 def diagnose(
     scene: str | Path, *, json: str | Path | None = None, downscale: float = 1.0, images: str | None = None
 ) -> dict[str, Any]:
-    """Look at photos and tracks for what training may have to simulate; nothing is trained.
+    """Search photos and tracks for effects that training may simulate; nothing is trained.
 
     Args:
         scene: Folder of the data set, see `gsjax.io.scenes.load_scene`.
@@ -33,7 +33,7 @@ def diagnose(
         images: Folder of the photos, absolute or in `scene`. None: looked for.
 
     Returns:
-        `effects`: by name `on`, `evidence` (None: no means to judge), `unit`, `noise`, `threshold`, `note`;
+        `effects`: by name `on`, `evidence` (None: unknown), `unit`, `noise`, `threshold`, `note`;
         `photos`: `name`, `gains` (EV in red, green, blue against the mean photo, or None), `sharpness`,
         `pose_step_px` (or None), `sky` (share of its pixels);
         `normals`: by folder of maps that `gsjax normals` made there, see `gsjax.runs.normal_filter.record`;
@@ -60,13 +60,13 @@ def diagnose(
 
 
 def rows(record: dict[str, Any]) -> list[list[str]]:
-    """The table of a diagnosis, its heads first."""
+    """Return the table of a diagnosis, its head first."""
     heads = ["effect", "decision", "evidence", "threshold", "note"]
     return [heads, *([name, *_cells(effect)] for name, effect in record["effects"].items())]
 
 
 def normals_rows(record: dict[str, Any]) -> list[list[str]]:
-    """The table of the folders of normal maps, its heads first; empty where there are none."""
+    """Return the table of the folders of normal maps, its head first; empty where there are none."""
     if not record["normals"]:
         return []
     rows = []
@@ -90,7 +90,7 @@ def apart(scene: Scene) -> dict[str, Any]:
 
 
 def apart_line(apart: dict[str, Any]) -> str:
-    """The same in words, with what follows for training."""
+    """Return the record of `apart` in words, with the consequence for training."""
     photos, angle, tried = (apart[key] for key in ("photos", "degrees", "tried"))
     said = f"photos: {photos} to train on, " + (
         "no tracks tell how far apart" if angle is None else f"{angle:.0f} degrees apart, seen from what they show"
@@ -101,7 +101,7 @@ def apart_line(apart: dict[str, Any]) -> str:
 
 
 def draw(found: Diagnosis, path: Path) -> Path:
-    """Gains, fall-off towards the corner, what is bright and bare, sharpness and sky of the photos, as one picture.
+    """Draw gains, fall-off towards the corner, bright smooth pixels, sharpness and sky of the photos as one picture.
 
     Raises:
         InputError: The file cannot be written.

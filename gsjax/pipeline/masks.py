@@ -1,4 +1,4 @@
-"""Masks of photos that leave out what a network finds in them, such as people or the sky."""
+"""Masks of photos by a segmentation network, for example of people or the sky."""
 
 import time
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""A known length to the unit of a data set or a run: the distance of what photos show at two pixels."""
+"""The unit of a data set or a run by a known length between the surface points of two pixels."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -63,7 +63,7 @@ def scale(source: str | Path, between: Sequence[Pixel], metres: float | None = N
 
 
 def _upright(place: Place, scene: Scene) -> Place:
-    """The place turned so that its cameras are level, where it is not known to be upright."""
+    """Turn a place that is not known to be upright so that its cameras are level."""
     if place.up is not None:
         return place
     viewmats = np.stack([scene.similarity.viewmat_to_world(frame.viewmat) for frame in scene.frames])

@@ -1,4 +1,4 @@
-"""A data set as training sees it, written out: for networks and programs that want pinhole photos."""
+"""A data set written as training reads it, for networks and programs that require pinhole photos."""
 
 from dataclasses import replace
 from pathlib import Path

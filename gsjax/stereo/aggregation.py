@@ -1,4 +1,4 @@
-"""The depth of every pixel that suits its neighbours' too: semi-global matching (Hirschmüller, PAMI 2008)."""
+"""Smooth depth from dissimilarities: semi-global matching (Hirschmüller, PAMI 2008)."""
 
 from typing import NamedTuple
 
@@ -7,19 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-STEP = 0.1  # what a neighbour at the next plane costs, in dissimilarities
-JUMP = 1.0  # and one at any other plane
+STEP = 0.1  # cost of a neighbour at the next plane, in dissimilarities
+JUMP = 1.0  # cost of a neighbour at any other plane
 
 
 class Planes(NamedTuple):
-    """Where in the stack of planes every pixel lies."""
+    """The plane of every pixel."""
 
     places: np.ndarray  # [H, W] float32, in planes from the first
-    unlike: np.ndarray  # [H, W] float32, how unlike the neighbours are at the nearest plane
+    unlike: np.ndarray  # [H, W] float32, dissimilarity at the nearest plane
 
 
 def best_planes(dissimilarities: np.ndarray) -> Planes:
-    """The plane of every pixel, and between planes by a parabola.
+    """Return the plane of every pixel, interpolated between planes by a parabola.
 
     Args:
         dissimilarities: `[D, H, W]` float32, D at least 3.
@@ -42,20 +42,20 @@ def _best_planes(costs: Array) -> tuple[Array, Array]:
 
 
 def smoothed(costs: Array) -> Array:
-    """`[H, W, D]` costs of the best paths that reach a pixel from four sides, at every plane; their sum."""
+    """Return `[H, W, D]` the sum of costs of the best paths that reach a pixel from four sides, at every plane."""
     across = costs.swapaxes(0, 1)
     down = _along(costs) + _along(costs[::-1])[::-1]
     return down + (_along(across) + _along(across[::-1])[::-1]).swapaxes(0, 1)
 
 
 def _along(costs: Array) -> Array:
-    """`[L, N, D]`: N paths of L pixels, from the first to the last."""
+    """Return `[L, N, D]` costs along N paths of L pixels, from the first to the last."""
 
     def step(before: Array, cost: Array) -> tuple[Array, Array]:
         least = jnp.min(before, axis=-1, keepdims=True)
         padded = jnp.pad(before, ((0, 0), (1, 1)), constant_values=jnp.inf)
         beside = jnp.minimum(padded[:, :-2], padded[:, 2:]) + STEP
-        # Less the least of before, so that nothing grows with the length of a path.
+        # Minus the least cost before, so that costs do not grow along a path.
         now = cost + jnp.minimum(jnp.minimum(before, beside), least + JUMP) - least
         return now, now
 

@@ -7,8 +7,8 @@ import numpy as np
 from gsjax.scene import Scene
 from gsjax.stereo.depths import depths_of_photos
 
-CANDIDATES = 20  # for every point that is to stay, when they are thinned
-GROWTH = 1.1  # of the cells by which points are thinned, per trial
+CANDIDATES = 20  # for every returned point, when they are thinned
+GROWTH = 1.1  # of the cells that thin points, per round
 
 
 class StereoPoints(NamedTuple):
@@ -16,14 +16,14 @@ class StereoPoints(NamedTuple):
 
     points: np.ndarray  # [P, 3] float32 world
     colors: np.ndarray  # [P, 3] uint8
-    line: str  # how much, and how right it is
+    line: str  # their number and accuracy, in words
 
 
 def stereo_points(scene: Scene, count: int) -> StereoPoints | None:
-    """At most `count` points on what training photos show alike, evenly spread; None where they show nothing alike.
+    """Return at most `count` points of consistent stereo depth, evenly spread; None where there is none.
 
     Args:
-        scene: A loaded data set; without tracks nothing is found.
+        scene: A loaded data set; without tracks the result is None.
         count: At least 1.
 
     Raises:
@@ -40,7 +40,7 @@ def stereo_points(scene: Scene, count: int) -> StereoPoints | None:
 
 
 def spread_evenly(points: np.ndarray, count: int) -> np.ndarray:
-    """Indices of one point in every occupied cell, of cells so large that there are at most `count`."""
+    """Return indices of one point in every occupied cell, of cells so large that there are at most `count`."""
     some = np.arange(0, len(points), max(len(points) // (CANDIDATES * count), 1))
     from_low = (points - points.min(axis=0))[some]
     size = max(float(from_low.max()), 1e-30) / (2 * count)

@@ -1,4 +1,4 @@
-"""How unlike its neighbours a photo is at every depth: a plane sweep (Collins, CVPR 1996)."""
+"""Dissimilarity of a photo and its neighbours at every depth: a plane sweep (Collins, CVPR 1996)."""
 
 from collections.abc import Sequence
 
@@ -9,21 +9,21 @@ from gsjax.stereo.views import View
 
 PLANES = 96
 WINDOW = 5  # pixels, side of the square that is compared
-FLAT = 1e-5  # variance of grey under which a window says nothing
-UNLIKE = 2.0  # the largest dissimilarity, and that of what no neighbour shows
+FLAT = 1e-5  # variance of grey under which a window has no texture
+UNLIKE = 2.0  # the largest dissimilarity, and that of pixels that no neighbour shows
 
 _HALF = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])  # OpenCV's pixel centres are whole numbers.
 
 
 def inverse_depths(view: View) -> np.ndarray:
-    """`[PLANES]` float64, from far to near, even in what they move a pixel by."""
+    """Return `[PLANES]` float64, from far to near, spaced evenly in disparity."""
     return np.linspace(1 / view.farthest, 1 / view.nearest, PLANES)
 
 
 def dissimilarities(view: View, others: Sequence[View]) -> np.ndarray:
-    """1 - the normalized cross-correlation with others, per pixel and plane parallel to the photo.
+    """Compute 1 - the normalized cross-correlation with others, per pixel and plane parallel to the photo.
 
-    It is the mean of the two best: a point may be hidden in the other neighbours.
+    It is the mean of the two best, as a point may be hidden in the other neighbours.
 
     Args:
         view: The photo.
@@ -35,7 +35,7 @@ def dissimilarities(view: View, others: Sequence[View]) -> np.ndarray:
     height, width = view.gray.shape
     mean = _windowed(view.gray)
     variance = _windowed(view.gray * view.gray) - mean * mean
-    found = np.empty((PLANES, height, width), np.float32)
+    dissimilarity = np.empty((PLANES, height, width), np.float32)
     shown = [np.where(other.usable, other.gray, np.float32(-1)) for other in others]
     inverse_map = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     for plane, inverse in enumerate(inverse_depths(view)):
@@ -47,13 +47,13 @@ def dissimilarities(view: View, others: Sequence[View]) -> np.ndarray:
             score[moved < 0] = 1 - UNLIKE
             np.maximum(second, np.minimum(first, score), out=second)
             np.maximum(first, score, out=first)
-        found[plane] = 1 - (first if len(others) == 1 else (first + second) / 2)
-    found[:, ~view.usable | (variance <= FLAT)] = UNLIKE
-    return found
+        dissimilarity[plane] = 1 - (first if len(others) == 1 else (first + second) / 2)
+    dissimilarity[:, ~view.usable | (variance <= FLAT)] = UNLIKE
+    return dissimilarity
 
 
 def _homography(view: View, other: View, inverse: float) -> np.ndarray:
-    """Pixels of the one to those of the other, for what lies on a plane of this inverse depth."""
+    """Return the homography from pixels of a view to those of another, by the plane of this inverse depth."""
     turn = other.viewmat[:3, :3] @ view.viewmat[:3, :3].T
     shift = other.viewmat[:3, 3] - turn @ view.viewmat[:3, 3]
     between = other.K @ (turn + np.outer(shift, [0, 0, inverse])) @ np.linalg.inv(view.K)

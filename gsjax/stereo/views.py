@@ -1,4 +1,4 @@
-"""Small grey copies of the training photos, the depths to look for in them, and which of them to compare."""
+"""Small grey copies of the training photos, their ranges of depth, and the pairs to compare."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -11,12 +11,12 @@ from gsjax.scene.cameras import Landing, landing, viewmat_centers
 
 SIDE = 320  # pixels, the longer one: depth at every few pixels of a photo is more than a start needs
 MOST_VIEWS = 30  # of a data set: as many as a start needs
-FEWEST_POINTS = 10  # matched in a photo, that tell at which depths to look
+FEWEST_POINTS = 10  # matched in a photo, that give its range of depth
 NEARER, FARTHER = 0.8, 1.5  # times the depths of all but the outermost hundredths of these points
 NEIGHBORS = 4
-BEST_ANGLE = 8.0  # degrees between two rays to a point: less tells depth badly, more looks too different
+BEST_ANGLE = 8.0  # degrees between two rays to a point: less makes depth uncertain, more makes photos dissimilar
 NARROWER, WIDER = 4.0, 15.0  # degrees from the best angle at which a pair is worth 1 / e, on either side
-SAMPLED = 4000  # points from which neighbours are told
+SAMPLED = 4000  # points by which neighbours are chosen
 
 
 class Depth(NamedTuple):
@@ -28,7 +28,7 @@ class Depth(NamedTuple):
 
 @dataclass(frozen=True)
 class View:
-    """A photo as it is swept."""
+    """A photo of the plane sweep."""
 
     name: str  # the frame's
     color: np.ndarray  # [H, W, 3] uint8
@@ -41,11 +41,11 @@ class View:
     matched: np.ndarray  # [O] int64, the scene's points that were matched in it
 
     def landing(self, points: np.ndarray) -> Landing:
-        """The pixels of `[P, 3]` world points."""
+        """Project `[P, 3]` world points to pixels."""
         return landing(points, self.viewmat, self.K, self.usable.shape)
 
     def lift(self, depth: Depth) -> np.ndarray:
-        """`[P, 3]` world points of the centres of the confident pixels, row by row."""
+        """Return `[P, 3]` world points of the centres of the confident pixels, row by row."""
         row, column = np.nonzero(depth.is_confident)
         pixels = np.stack([column + 0.5, row + 0.5, np.ones(len(row))], axis=-1)
         local = pixels @ np.linalg.inv(self.K).T * depth.z[depth.is_confident][:, None]
@@ -53,7 +53,7 @@ class View:
 
 
 def stereo_views(scene: Scene, most: int = MOST_VIEWS) -> tuple[View, ...]:
-    """The training photos in which enough points were matched; of more than `most`, some, evenly by name.
+    """Read the training photos with enough matched points; of more than `most`, some, evenly by name.
 
     Raises:
         InputError: The tracks cannot be read, or name points that the scene does not have.
@@ -95,14 +95,14 @@ def _view(frame: Frame, points: np.ndarray, matched: np.ndarray) -> View | None:
 
 
 def neighbors(views: tuple[View, ...], points: np.ndarray) -> list[list[int]]:
-    """Of every view the others to compare it with, best first: those that see its points from about the best angle."""
+    """Return for every view the others to compare it with, best first: those that see its points at the best angle."""
     number = np.concatenate([view.matched for view in views])
     common = np.flatnonzero(np.bincount(number, minlength=len(points)) > 1)
     sampled = common[:: max(len(common) // SAMPLED, 1)]
     sees = np.stack([np.isin(sampled, view.matched) for view in views])
     rays = points[sampled].astype(np.float64) - viewmat_centers(np.stack([view.viewmat for view in views]))[:, None]
     rays /= np.maximum(np.linalg.norm(rays, axis=-1, keepdims=True), 1e-30)
-    found = []
+    chosen = []
     for index in range(len(views)):
         both = sees & sees[index]
         angles = np.degrees(np.arccos(np.clip(np.sum(rays * rays[index], axis=-1), -1, 1)))
@@ -110,5 +110,5 @@ def neighbors(views: tuple[View, ...], points: np.ndarray) -> list[list[int]]:
         total = np.where(both, worth, 0).sum(axis=1)
         total[index] = 0
         best = np.argsort(-total, kind="stable")[:NEIGHBORS]
-        found.append([int(other) for other in best if total[other] > 0])
-    return found
+        chosen.append([int(other) for other in best if total[other] > 0])
+    return chosen
