@@ -52,6 +52,11 @@ def test_every_target_of_make_exists(page):
     assert words <= targets
 
 
+def test_the_longest_test_files_exist():
+    names = (ROOT / "tests/longest.txt").read_text().split()
+    assert not [name for name in names if not (ROOT / f"tests/{name}.py").is_file()]
+
+
 def test_the_citation_is_of_this_version():
     (version,) = re.findall(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
     assert version == tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]

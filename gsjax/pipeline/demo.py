@@ -51,11 +51,8 @@ def run(out: str | Path = "runs/demo") -> dict[str, Any]:
     vanilla, surface = out / "vanilla", out / "surface"
     _train(scene, vanilla)
     _train(scene, surface, earlier=vanilla)
-    pool = ThreadPoolExecutor(2)  # One leaves cores idle.
-    try:
+    with ThreadPoolExecutor(2) as pool:  # One leaves cores idle.
         scored = dict(zip(("vanilla", "surface"), pool.map(_mesh_and_score, (vanilla, surface)), strict=True))
-    finally:
-        pool.shutdown(wait=False)  # Who interrupts it need not wait for both.
     picture = _comparison(scene, open_result(vanilla), open_result(surface), out)
     report = {
         **{each: _reported(figures) | {"seconds": figures["train_seconds"]} for each, figures in scored.items()},

@@ -2,9 +2,6 @@
 
 import json
 import shutil
-import signal
-import threading
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -169,25 +166,6 @@ def test_the_demo_sets_a_run_with_normals_beside_one_without(run, scene, tmp_pat
     assert json_files.read(tmp_path / "demo/report.json")["floor"] == report["floor"]
     with pytest.raises(InputError, match="this folder is not empty"):
         demo.run(tmp_path / "demo")
-
-
-def test_who_interrupts_the_demo_need_not_wait_for_its_meshes(tmp_path, monkeypatch):
-    done = threading.Event()
-    slow = SimpleNamespace(
-        train=lambda *_, **__: None, mesh=lambda *_, **__: done.wait(60), evaluate=lambda *_: {"floor": {}}
-    )
-    monkeypatch.setattr(demo, "pipeline", slow)
-    monkeypatch.setattr(demo.analytic_scene, "write", lambda folder, **_: tmp_path)
-    before = signal.signal(signal.SIGUSR1, signal.default_int_handler)
-    try:
-        threading.Timer(0.3, signal.pthread_kill, (threading.main_thread().ident, signal.SIGUSR1)).start()
-        started = time.monotonic()
-        with pytest.raises(KeyboardInterrupt):
-            demo.run(tmp_path / "demo")
-        assert time.monotonic() - started < 30
-    finally:
-        signal.signal(signal.SIGUSR1, before)
-        done.set()
 
 
 def test_a_bare_file_of_gaussians_is_meshed_from_cameras_around_it(run, tmp_path, monkeypatch):
