@@ -25,7 +25,7 @@ from gsjax.binding.mesh_terms import MeshGraph
 from gsjax.binding.mixed_gaussians import MixedGaussians
 from gsjax.config import declare_types, parse_numbers
 from gsjax.gaussians import PixelFilter
-from gsjax.metrics.images import in_decibels, mse
+from gsjax.metrics.images import in_decibels
 from gsjax.rendering import backdrop
 from gsjax.scene import batches
 from gsjax.scene.batches import Batch, Batches
@@ -33,9 +33,9 @@ from gsjax.settings import RATES, Rates, check_lowest, check_seed
 from gsjax.training import optimizers
 from gsjax.training.capacity import chosen_capacity
 from gsjax.training.faults import faulty_terms, photo_of
-from gsjax.training.step import Background, Metrics, Outcome, guarded_step
+from gsjax.training.step import Background, Metrics, Outcome, guarded_step, weighted_loss
 from gsjax.training.stepping import advance, view_order
-from gsjax.training.terms import TERMS
+from gsjax.training.terms import TERMS, Term, weigh_terms, weights_of_data
 
 
 @dataclass(frozen=True)
@@ -200,8 +200,9 @@ def refine(
     Raises:
         InputError: The device has no room, or a loss or a gradient is not finite.
     """
-    # Photos without an alpha channel have nothing to compare alphas with.
-    weights = settings.weights if data.has_mattes else replace(settings.weights, alpha=0.0)
+    weights = settings.weights
+    if not data.has_mattes:
+        weights = replace(weights, **dict.fromkeys(vars(weights).keys() & weights_of_data("matte", 0.0).keys(), 0.0))
 
     sh_every = settings.sh_every or max(settings.steps // 15, 1)
 
@@ -258,7 +259,6 @@ def make_refine_step(
 
     A view that needs more pairs than `capacity` leaves the state untouched and says so.
     """
-    terms = {name: weight for name, weight in vars(weights).items() if weight}
 
     def objective(parameters: MixedGaussians, state: RefineState, graph: MeshGraph, batch: Batch, color: Array):
         gaussians = with_faces(parameters, state.gaussians.bound.faces)
@@ -269,9 +269,9 @@ def make_refine_step(
             background=backdrop.color_behind(color, batch.camera),
             active_degree=active_degrees(gaussians, state.step // sh_every),
         )
-        losses = {name: _term(name, gaussians, graph, view, batch) for name in terms}
-        total = sum(weight * losses[name] for name, weight in terms.items())
-        return total, (losses, mse(jnp.clip(view.colors, 0, 1), batch.image, batch.valid), view.splats.pairs)
+        terms = weigh_terms(vars(weights), {**TERMS, "normal_consistency": _normal_consistency(graph)})
+        total, losses, error = weighted_loss(terms, None, gaussians, view, batch)
+        return total, (losses, error, view.splats.pairs)
 
     def update(state: RefineState, gradients: MixedGaussians, outcome: Outcome, target: Batch) -> RefineState:
         del outcome, target
@@ -358,7 +358,11 @@ def _side_by_side(
     return optax.GradientTransformation(init, update)
 
 
-def _term(name: str, gaussians: MixedGaussians, graph: MeshGraph, view: rendering.View, batch: Batch) -> Array:
-    if name == "normal_consistency":
+def _normal_consistency(graph: MeshGraph) -> Term:
+    """The term of the mesh, see `gsjax.binding.mesh_terms.normal_consistency`."""
+
+    def loss(gaussians: MixedGaussians, view: rendering.View, batch: Batch) -> Array:
+        del view, batch
         return mesh_terms.normal_consistency(gaussians.bound.vertices, gaussians.bound.faces, graph)
-    return TERMS[name].loss(gaussians, view, batch)
+
+    return Term(loss, {"gaussians"})

@@ -21,7 +21,7 @@ def machine() -> dict[str, str | int | None]:
     """CPU model, usable cores, memory, operating system, and the accelerator that jax computes on (None: the CPU)."""
     import jax
 
-    device = jax.devices()[0]
+    device = jax.local_devices()[0]
     return {
         "cpu": _cpu_model(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),

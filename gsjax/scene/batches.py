@@ -153,7 +153,7 @@ def feed(data: Batches, *, room: int) -> Callable[[Sequence[int], Sequence[int]]
 
 def device_room(share: float) -> int:
     """Bytes in a share of the device's memory; 0 on a CPU, where photos are in the host's memory already."""
-    memory = jax.devices()[0].memory_stats()
+    memory = jax.local_devices()[0].memory_stats()
     return int(share * memory["bytes_limit"]) if memory else 0
 
 

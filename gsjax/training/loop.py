@@ -26,7 +26,7 @@ from gsjax.training.plan import Plan, PlannedPhase, check_terms, plan
 from gsjax.training.state import TrainState, cull, densify, remove, reset_opacities
 from gsjax.training.step import BACKGROUNDS, Metrics, TrainStep, make_train_step
 from gsjax.training.stepping import Feed, advance, one_view, several_views, view_order
-from gsjax.training.terms import Term, Weighed
+from gsjax.training.terms import Term, Weighed, comparable_terms
 from gsjax.training.terms.multi_view import with_neighbors
 
 NormalsPrior = Callable[[TrainState], Sequence[np.ndarray]]
@@ -206,7 +206,7 @@ def _run_phase(
     def step_of(terms: tuple[Weighed, ...], capacity: int) -> TrainStep:
         return work.make_step(
             work.optimizer,
-            _shown(terms, views.image),
+            comparable_terms(terms, has_mattes=views.image.has_mattes),
             capacity=capacity,
             background=BACKGROUNDS[plan.background],
             sh_every=plan.sh_every,
@@ -226,7 +226,7 @@ def _run_phase(
 
     def explain(step: int, state: TrainState, target: Batch, capacity: int) -> str:
         terms = phase.terms if _is_due(step, phase.surface_every) else phase.image_terms
-        alone = {each.name: (each,) for each in _shown(terms, views.image)}
+        alone = {each.name: (each,) for each in comparable_terms(terms, has_mattes=views.image.has_mattes)}
         fault = faulty_terms(alone, lambda name: step_of(alone[name], capacity), state, target, key)
         places = range(step * plan.views_per_step, (step + 1) * plan.views_per_step)
         photos = {photo_of(views.image, view_order(plan.seed, place, views.image.num_views)) for place in places}
@@ -267,11 +267,6 @@ def _run_phase(
         looks=looks if work.looks else None,
         explain=explain,
     )
-
-
-def _shown(terms: tuple[Weighed, ...], data: Batches) -> tuple[Weighed, ...]:
-    """The terms that these photos can serve: without an alpha channel there is nothing to compare alphas with."""
-    return terms if data.has_mattes else tuple(each for each in terms if each.name != "alpha")
 
 
 def _feed(work: Work) -> Feed:

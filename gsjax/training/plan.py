@@ -16,7 +16,7 @@ from gsjax.errors import InputError
 from gsjax.scene import Frame
 from gsjax.settings import PLAIN, Density, Logging, Phase, Rates, Settings
 from gsjax.training.growth.rules import Rule, rule_named
-from gsjax.training.terms import TERMS, Term, Weighed, needs, weigh_terms
+from gsjax.training.terms import TERMS, Term, Weighed, needs, weigh_terms, weights_of_data
 from gsjax.training.terms.checking import as_terms, check_term
 
 RATES = "means", "means_final", "sh_dc", "sh_rest", "opacities", "scales", "quats"
@@ -100,7 +100,7 @@ class Plan:
         names = tuple(names)
         growing = sum(phase.steps for phase in self.phases if phase.rule)
         density = transients.delay_growth(self.density, growing) if "transients" in names else self.density
-        whole = self.with_terms({"sky": self.sky_weight}) if "sky" in names else self
+        whole = self.with_terms(weights_of_data("sky", self.sky_weight)) if "sky" in names else self
         return replace(whole, effects=names, density=density)
 
     def with_terms(self, weights: Mapping[str, float]) -> Self:
@@ -276,7 +276,7 @@ def check_terms(planned: Plan, frames: Sequence[Frame]) -> None:
 
 def _weighed(settings: Settings, phase: Phase, terms: Mapping[str, Term]) -> tuple[Weighed, ...]:
     """The terms of a phase; of plain 3DGS those of the image alone."""
-    everywhere = {} if settings.depth is None else {"measured_depth": settings.depth_weight}
+    everywhere = {} if settings.depth is None else weights_of_data("measured", settings.depth_weight)
     try:
         wanted = weigh_terms({**everywhere, **phase.weights}, terms)
     except InputError as error:

@@ -19,6 +19,7 @@ NEEDS = {
     "measured": "depth that was measured beside the photo, `Batch.depth`",
     "neighbor": "a second view beside the first, `View.neighbor`",
     "sky": "where the photo shows open sky, `Batch.sky`",
+    "matte": "the alpha channel of the photo, `Batch.matte`; without one the term is left out",
     "gaussians": "the Gaussians themselves, not their picture alone",
 }
 """What a term may need beside the image, and where it finds it."""
@@ -67,7 +68,7 @@ class Weighed:
     @property
     def is_dear(self) -> bool:
         """Whether it needs more than the image of a view and its Gaussians, which makes a step longer."""
-        return bool(frozenset(self.term.needs) - {"gaussians", "sky"})
+        return bool(frozenset(self.term.needs) - {"gaussians", "sky", "matte"})
 
 
 TERMS: Mapping[str, Term] = {
@@ -82,7 +83,7 @@ TERMS: Mapping[str, Term] = {
     "multi_view": Term(multi_view.multi_view, {"depth", "neighbor"}),
     "photometric": Term(multi_view.photometric, {"depth", "neighbor"}),
     "measured_depth": Term(losses.measured_depth, {"depth", "measured"}),
-    "alpha": Term(losses.alpha),
+    "alpha": Term(losses.alpha, {"matte"}),
     "sky": Term(losses.sky, {"sky"}),
 }
 """The library's own: of the image (3DGS), of the paper (`sdf_normal` is its R), and those of other mesh makers."""
@@ -100,6 +101,16 @@ def weigh_terms(weights: Mapping[str, float], terms: Mapping[str, Term] = TERMS)
             hint = f"; the nearest known one is '{nearest[0]}'" if nearest else ""
             raise InputError(f"weights.{name}: no such term of the loss{hint}")
     return tuple(Weighed(name, weights[name], term) for name, term in terms.items() if weights.get(name, 0.0))
+
+
+def weights_of_data(need: str, weight: float) -> dict[str, float]:
+    """The weights of the library's terms that compare with this data, a word of `NEEDS`: data bring their terms."""
+    return {name: weight for name, term in TERMS.items() if need in term.needs}
+
+
+def comparable_terms(terms: tuple[Weighed, ...], *, has_mattes: bool) -> tuple[Weighed, ...]:
+    """The terms for photos with or without an alpha channel."""
+    return terms if has_mattes else tuple(each for each in terms if "matte" not in each.term.needs)
 
 
 def needs(terms: Iterable[Weighed]) -> frozenset[str]:

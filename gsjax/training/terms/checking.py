@@ -20,7 +20,7 @@ from gsjax.scene.cameras import Camera
 from gsjax.training.terms import NEEDS, Term, Weighed
 from gsjax.training.terms.multi_view import render_neighbor
 
-SHOWN = tuple(word for word in NEEDS if word != "gaussians")  # which are always at hand on one device
+SHOWN = tuple(word for word in NEEDS if word != "gaussians")  # which are always at hand
 ROWS, BANDS, PAIRS, SIZE = 4096, 15, 4096, (64, 64)  # of what terms are tried on; sizes of runs come from their photos
 
 Seen = tuple[Gaussians, View, Batch]
@@ -123,6 +123,7 @@ def _with(everything: Seen, needs: frozenset[str]) -> Seen:
         depth=of("measured", batch.depth),
         trust=of("measured", batch.trust),
         sky=of("sky", batch.sky),
+        matte=of("matte", batch.matte),
     )
     return gaussians, view, batch
 

@@ -39,7 +39,7 @@ def test_phases_follow_each_other_with_their_terms_and_what_these_need():
     assert coarse.rule is not None and surface.rule is None
     assert terms(coarse) == {"l1": 0.8, "dssim": 0.2, "alpha": 0.1}
     assert terms(surface) == {"l1": 0.8, "dssim": 0.2, "sdf_normal": 0.2, "multi_view": 0.1, "alpha": 0.1}
-    assert (coarse.needs, surface.needs) == (set(), {"depth", "normals", "neighbor", "gaussians"})
+    assert (coarse.needs, surface.needs) == ({"matte"}, {"depth", "normals", "neighbor", "gaussians", "matte"})
     assert [each.name for each in surface.image_terms] == ["l1", "dssim", "alpha"]
 
 
@@ -122,6 +122,6 @@ def test_what_cannot_run_is_refused_by_name(settings, own, message):
 
 
 def test_words_that_nothing_provides_are_refused():
-    words = "depth, axes, normals, measured, neighbor, sky, gaussians"
+    words = "depth, axes, normals, measured, neighbor, sky, matte, gaussians"
     with pytest.raises(ValueError, match=f"needs='depht' is none of {words}"):
         Term(needles, {"depht"})
